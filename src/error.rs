@@ -1,0 +1,46 @@
+//! The one error type: what a user got wrong, or what the machine could not do.
+
+/// Every fallible call of the crate returns this. `Display` is one line fit for a terminal or a gRPC status.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum Error {
+    /// A value is outside what the named field takes: the caller can mend it.
+    #[error("{field}: {reason}")]
+    Invalid { field: String, reason: String },
+    /// A name that nothing answers to.
+    #[error("{what} {name:?} is unknown; known: {known}")]
+    Unknown { what: &'static str, name: String, known: String },
+    /// A call that is not allowed in the present state (for example a step before any reset).
+    #[error("{0}")]
+    OutOfOrder(String),
+    /// A limit of this server or machine was reached.
+    #[error("{0}")]
+    Exhausted(String),
+    /// A file could not be read or written.
+    #[error("{path}: {reason}")]
+    File { path: String, reason: String },
+}
+
+pub type Result<T> = std::result::Result<T, Error>;
+
+impl Error {
+    pub fn invalid(field: impl Into<String>, reason: impl Into<String>) -> Self {
+        Self::Invalid { field: field.into(), reason: reason.into() }
+    }
+
+    pub fn unknown(what: &'static str, name: &str, known: &[&str]) -> Self {
+        Self::Unknown { what, name: name.into(), known: known.join(", ") }
+    }
+
+    pub fn file(path: &std::path::Path, reason: impl std::fmt::Display) -> Self {
+        Self::File { path: path.display().to_string(), reason: reason.to_string() }
+    }
+}
+
+/// Refuses a number that is not finite or lies outside `range`, naming the field and the range.
+pub fn check_range(field: &str, value: f64, range: std::ops::RangeInclusive<f64>) -> Result<f64> {
+    if value.is_finite() && range.contains(&value) {
+        return Ok(value);
+    }
+    let (low, high) = (range.start(), range.end());
+    Err(Error::invalid(field, format!("{value} is outside [{low}, {high}]")))
+}

@@ -1,0 +1,120 @@
+//! Resistive force laws: stress per depth on a small flat segment, free of trigonometry.
+
+use super::media::Coefficients;
+use crate::error::{Error, Result};
+use crate::number::{Real, Vec3};
+use serde::{Deserialize, Serialize};
+
+/// Which law gives the stress.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Law {
+    /// Li, Zhang & Goldman, Science 339:1408 (2013), eq. S1-S2, evaluated in the vertical plane of the motion.
+    #[serde(rename = "li2013")]
+    Li2013,
+}
+
+impl Law {
+    pub const ALL: [Law; 1] = [Law::Li2013];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Law::Li2013 => "li2013",
+        }
+    }
+
+    pub fn named(name: &str) -> Result<Self> {
+        let known = Self::ALL.map(Law::name);
+        Self::ALL.into_iter().find(|l| l.name() == name).ok_or_else(|| Error::unknown("law", name, &known))
+    }
+}
+
+/// How a segment moves, regularised at rest with the speed scale v0 (see [`super::contact::Surface`]).
+#[derive(Clone, Copy)]
+pub struct Motion<R> {
+    /// Velocity [m/s].
+    pub v: Vec3<R>,
+    /// 1/√(v² + v0²) [s/m].
+    pub inverse_speed: R,
+    /// v²/(v² + v0²): 0 at rest, 1 when moving.
+    pub moving: R,
+}
+
+/// Terms of `li2013` gathered by the products that the trigonometry-free form needs; [N/m³].
+#[derive(Clone, Copy)]
+pub struct PlanarTable<R> {
+    a00: R,
+    a10: R,
+    b_difference: R,
+    b_sum: R,
+    b01: R,
+    c_sum: R,
+    c_difference: R,
+    c01: R,
+    d10: R,
+}
+
+impl<R: Real> PlanarTable<R> {
+    pub fn splat(c: &Coefficients) -> Self {
+        let s = R::splat;
+        Self {
+            a00: s(c.a00),
+            a10: s(c.a10),
+            b_difference: s(c.b11 - c.bm11),
+            b_sum: s(c.b11 + c.bm11),
+            b01: s(c.b01),
+            c_sum: s(c.c11 + c.cm11),
+            c_difference: s(c.cm11 - c.c11),
+            c01: s(c.c01),
+            d10: s(c.d10),
+        }
+    }
+
+    pub fn set_lane(&mut self, lane: usize, c: &Coefficients) {
+        let one = PlanarTable::<f64>::splat(c);
+        self.a00.set_lane(lane, one.a00);
+        self.a10.set_lane(lane, one.a10);
+        self.b_difference.set_lane(lane, one.b_difference);
+        self.b_sum.set_lane(lane, one.b_sum);
+        self.b01.set_lane(lane, one.b01);
+        self.c_sum.set_lane(lane, one.c_sum);
+        self.c_difference.set_lane(lane, one.c_difference);
+        self.c01.set_lane(lane, one.c01);
+        self.d10.set_lane(lane, one.d10);
+    }
+
+    /// Stress per depth [N/m³] on a segment with unit normal `n`, both sides together.
+    ///
+    /// With attack angle β, intrusion angle γ (v = |v|(cos γ e − sin γ ẑ), e horizontal):
+    ///
+    /// α_z = A00 + A10 cos 2β + B11 sin(2β+γ) + B01 sin γ + B₋₁₁ sin(−2β+γ),
+    /// α_x = C11 cos(2β+γ) + C01 cos γ + C₋₁₁ cos(−2β+γ) + D10 sin 2β, force = −α_x e + α_z ẑ.
+    ///
+    /// Out of the plane: cos 2β → N_z² − (N·e)², sin 2β → −2 N_z (N·e), cos γ = |v_h|/|v|, sin γ = −v_z/|v|.
+    /// For vertical motion e is the horizontal direction of the normal, the limit of motion in the normal's plane.
+    #[inline(always)]
+    pub fn stress(&self, n: Vec3<R>, m: &Motion<R>) -> Vec3<R> {
+        // 1e-6 of the speed along the normal decides e only where the motion is vertical to that accuracy.
+        let nudge = R::splat(1e-6) * (m.moving * m.v.norm_squared()).sqrt();
+        let (ex, ey) = (n.x.mul_add(nudge, m.v.x), n.y.mul_add(nudge, m.v.y));
+        let normal_along = n.x.mul_add(ex, n.y * ey);
+        let squared = ex.mul_add(ex, ey.mul_add(ey, R::splat(1e-36)));
+        let ratio = normal_along / squared; // (N·e)/|v_h|
+        let cos_2b = n.z.mul_add(n.z, -(normal_along * ratio));
+        let minus_2nz = n.z * R::splat(-2.0);
+        let sin_2b_over_h = minus_2nz * ratio; // times (ex, ey): sin 2β e
+
+        let sin_g = -(m.v.z * m.inverse_speed);
+        let sin_2b_cos_g = minus_2nz * n.x.mul_add(m.v.x, n.y * m.v.y) * m.inverse_speed;
+        let along_v = self.c_sum.mul_add(cos_2b, self.c01) * m.inverse_speed;
+        let along_e = self.c_difference.mul_add(sin_g, self.d10 * m.moving) * sin_2b_over_h;
+        let vertical = self
+            .a10
+            .mul_add(cos_2b, self.a00)
+            .mul_add(m.moving, self.b_sum.mul_add(cos_2b, self.b01).mul_add(sin_g, self.b_difference * sin_2b_cos_g));
+        Vec3::new(
+            -along_v.mul_add(m.v.x, along_e * ex),
+            -along_v.mul_add(m.v.y, along_e * ey),
+            vertical,
+        )
+    }
+}

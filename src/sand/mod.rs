@@ -1,0 +1,21 @@
+//! Granular resistive forces: what sand does to a small flat piece of surface that moves through it.
+//!
+//! Pure functions over [`crate::number::Real`]; this layer knows nothing of robots, engines, time or randomness.
+//! Frame: x along the surface (uphill on a slope), z along the surface's outward normal, sand at z < 0.
+//!
+//! * [`media`]: what the sand is: its stress coefficients and where they were measured.
+//! * [`law`]: stress per depth from a segment's orientation and direction of motion.
+//! * [`contact`]: force on a segment, with what an implicit integrator needs to keep it at rest.
+//! * [`shape`]: intruders (plates and legs) cut into segments.
+//! * [`intrusion`]: a leg rotated about a fixed hip, as on a force-measuring arm.
+
+pub mod contact;
+pub mod intrusion;
+pub mod law;
+pub mod media;
+pub mod shape;
+
+pub use contact::{Contact, Ground, Surface};
+pub use law::Law;
+pub use media::{Coefficients, Medium};
+pub use shape::{Segment, Shape};
