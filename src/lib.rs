@@ -2,4 +2,5 @@
 pub mod error;
 pub mod number;
 pub mod sand;
+pub mod sim;
 pub use error::{Error, Result};

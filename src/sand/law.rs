@@ -111,10 +111,6 @@ impl<R: Real> PlanarTable<R> {
             .a10
             .mul_add(cos_2b, self.a00)
             .mul_add(m.moving, self.b_sum.mul_add(cos_2b, self.b01).mul_add(sin_g, self.b_difference * sin_2b_cos_g));
-        Vec3::new(
-            -along_v.mul_add(m.v.x, along_e * ex),
-            -along_v.mul_add(m.v.y, along_e * ey),
-            vertical,
-        )
+        Vec3::new(-along_v.mul_add(m.v.x, along_e * ex), -along_v.mul_add(m.v.y, along_e * ey), vertical)
     }
 }

@@ -80,7 +80,12 @@ pub struct Medium {
 /// Media measured as a whole set: name, coefficients, bulk density [kg/m³], source.
 const MEASURED: [(&str, Coefficients, f64, &str); 2] = [
     ("poppy-loose", Coefficients::POPPY_LOOSE, 638.0, "1 mm poppy seeds, loosely packed; the seed paper's medium"),
-    ("poppy-close", Coefficients::POPPY_CLOSE, 680.0, "1 mm poppy seeds, closely packed; density: our choice, 638 × 0.62/0.58 by volume fraction"),
+    (
+        "poppy-close",
+        Coefficients::POPPY_CLOSE,
+        680.0,
+        "1 mm poppy seeds, closely packed; density: our choice, 638 × 0.62/0.58 by volume fraction",
+    ),
 ];
 
 /// Media known by their ζ [N/cm³] alone, on the generic set: name, ζ, bulk density [kg/m³], source. The densities

@@ -1,0 +1,89 @@
+//! The seam between a model and the code that integrates it. Nothing above this file knows which engine runs.
+
+use super::rapier::RapierEngine;
+use super::{Model, State};
+use crate::error::{Error, Result};
+use serde::{Deserialize, Serialize};
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum EngineKind {
+    Rapier,
+}
+
+impl EngineKind {
+    pub const ALL: [Self; 1] = [Self::Rapier];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Rapier => "rapier",
+        }
+    }
+
+    pub fn named(name: &str) -> Result<Self> {
+        let known = Self::ALL.map(Self::name);
+        Self::ALL.into_iter().find(|e| e.name() == name).ok_or_else(|| Error::unknown("engine", name, &known))
+    }
+}
+
+/// What each joint's servo is told; held until it is told otherwise.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Command {
+    /// Speed at which the reference angle moves, ω_ref [rad/s], a joint.
+    pub rates: Vec<f64>,
+    /// Torque added to the servo's [N·m], a joint.
+    pub torques: Vec<f64>,
+}
+
+impl Command {
+    pub fn still(joints: usize) -> Self {
+        Self { rates: vec![0.0; joints], torques: vec![0.0; joints] }
+    }
+}
+
+/// Robots that advance together, each on its own sand.
+pub enum Engine {
+    Rapier(RapierEngine),
+}
+
+impl Engine {
+    /// `count` robots at rest, all with `model`.
+    pub fn new(kind: EngineKind, model: &Model, count: usize) -> Result<Self> {
+        Ok(match kind {
+            EngineKind::Rapier => Self::Rapier(RapierEngine::new(model, count)),
+        })
+    }
+
+    /// Gives robot `index` another model with the same joints (and number of plates). Takes effect with the next `set_state`.
+    pub fn set_model(&mut self, index: usize, model: &Model) {
+        match self {
+            Self::Rapier(e) => e.set_model(index, model),
+        }
+    }
+
+    pub fn set_state(&mut self, index: usize, state: &State) {
+        match self {
+            Self::Rapier(e) => e.set_state(index, state),
+        }
+    }
+
+    /// Copies robot `index`'s state into `out` without allocating.
+    pub fn state(&self, index: usize, out: &mut State) {
+        match self {
+            Self::Rapier(e) => e.state(index, out),
+        }
+    }
+
+    pub fn command(&mut self, index: usize, command: &Command) {
+        match self {
+            Self::Rapier(e) => e.command(index, command),
+        }
+    }
+
+    /// Advances every robot by `steps` time steps.
+    pub fn advance(&mut self, steps: usize) {
+        match self {
+            Self::Rapier(e) => e.advance(steps),
+        }
+    }
+}

@@ -1,0 +1,18 @@
+//! A legged robot on sand: immutable [`Model`], small [`State`], and engines that advance it.
+//!
+//! This layer knows nothing of rewards, randomness, threads or messages.
+//!
+//! * [`robot`]: what a user writes in a TOML file.
+//! * [`model`]: the same as numbers: bodies, joints, servos, segments, sand, gravity, time step.
+//! * [`state`]: positions and velocities of one robot.
+//! * [`engine`]: the seam; everything above sees only this.
+//! * [`rapier`]: rapier3d multibodies, one world a robot.
+//! * [`walk`]: the speed protocol of the reference experiments.
+
+pub mod model;
+pub mod robot;
+pub mod state;
+
+pub use model::Model;
+pub use robot::Robot;
+pub use state::State;

@@ -1,0 +1,241 @@
+//! Robot, sand and options as numbers an engine can use. Immutable; randomization makes a new one.
+
+use super::robot::{Link, Robot, Tripod};
+use crate::error::{Result, check_range};
+use crate::sand::{Law, Medium, Shape, Surface};
+use serde::{Deserialize, Serialize};
+
+/// Standard gravity [m/s²].
+pub const GRAVITY: f64 = 9.80665;
+
+type V = nalgebra::Vector3<f64>;
+type M = nalgebra::Matrix3<f64>;
+
+/// What the robot walks on, and how time advances.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Scene {
+    pub medium: Medium,
+    pub law: Law,
+    #[serde(default)]
+    pub surface: Surface,
+    /// The surface rises toward +x [°]; gravity tilts in the surface's frame.
+    pub slope_deg: f64,
+    /// Time step [s].
+    pub dt: f64,
+    /// Extra mass at the base's centre [kg].
+    pub payload: f64,
+}
+
+impl Scene {
+    /// 0.5 ms: the largest step at which the reference walks are within 1.3 % of the converged ones.
+    pub const DEFAULT_DT: f64 = 5e-4;
+
+    pub fn flat(medium: Medium) -> Self {
+        Self {
+            medium,
+            law: Law::Li2013,
+            surface: Surface::default(),
+            slope_deg: 0.0,
+            dt: Self::DEFAULT_DT,
+            payload: 0.0,
+        }
+    }
+
+    fn validate(&self) -> Result<()> {
+        // Natural slopes of dry sand end near 35°, its angle of repose.
+        check_range("slope_deg", self.slope_deg, -35.0..=35.0)?;
+        check_range("dt", self.dt, 1e-6..=5e-3)?;
+        check_range("payload", self.payload, 0.0..=1e3)?;
+        check_range("surface.rest_speed", self.surface.rest_speed, 1e-9..=1e-2)?;
+        check_range("surface.leading_edge_gate", self.surface.leading_edge_gate, 1e-3..=1.0).map(drop)
+    }
+}
+
+/// A small flat piece that pushes on sand, in the frame of the body that carries it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Plate {
+    /// [m]
+    pub center: V,
+    /// Unit normal; outward for the belly, either way for thin strips.
+    pub normal: V,
+    /// [m²]
+    pub area: f64,
+}
+
+/// A link's rigid body in its own frame: parallel to the base frame when all angles are 0, origin at its joint.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Body {
+    /// Joint position in the parent's frame [m].
+    pub joint: V,
+    /// Unit hinge axis (the same in parent and own frame).
+    pub axis: V,
+    /// [kg]
+    pub mass: f64,
+    /// Centre of mass [m].
+    pub center: V,
+    /// About the centre of mass [kg·m²].
+    pub inertia: M,
+    /// [kg·m²]
+    pub armature: f64,
+    pub range: Option<[f64; 2]>,
+    pub plates: Vec<Plate>,
+    /// From the joint to the next one or the tip [m].
+    pub reach: V,
+}
+
+/// Servo at every joint, limits resolved: no limit is `f64::MAX` of the engine's precision.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Motor {
+    /// [N·m/rad]
+    pub kp: f64,
+    /// [N·m·s/rad]
+    pub kd: f64,
+    /// [N·m]
+    pub torque_limit: f64,
+    /// [rad/s]
+    pub speed_limit: f64,
+}
+
+/// Everything an engine needs, and nothing that changes while it runs.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Model {
+    pub robot: Robot,
+    pub scene: Scene,
+    /// Base with payload [kg].
+    pub base_mass: f64,
+    /// Principal inertia of the base about its centre [kg·m²].
+    pub base_inertia: V,
+    /// One-sided plates under the base.
+    pub belly: Vec<Plate>,
+    /// A chain of bodies a hip, from the hip outward; all chains have the same length.
+    pub legs: Vec<Vec<Body>>,
+    pub motor: Motor,
+    /// In the surface's frame [m/s²].
+    pub gravity: V,
+}
+
+/// Stands for "no limit": far above anything a servo can do, and finite in `f32`.
+const NO_LIMIT: f64 = 1e9;
+
+impl Model {
+    pub fn new(robot: &Robot, scene: &Scene) -> Result<Self> {
+        scene.validate()?;
+        let size = V::from(robot.base.size).map(|s| s * s);
+        let box_inertia = V::new(size.y + size.z, size.x + size.z, size.x + size.y) / 12.0;
+        let slope = scene.slope_deg.to_radians();
+        let legs = robot.hip.iter().map(|hip| leg(robot, hip.position, hip.yaw_deg.to_radians()));
+        Ok(Self {
+            base_mass: robot.base.mass + scene.payload,
+            base_inertia: box_inertia * robot.base.mass,
+            belly: belly(robot),
+            legs: legs.collect::<Result<_>>()?,
+            motor: Motor {
+                kp: robot.servo.kp,
+                kd: robot.servo.kd,
+                torque_limit: robot.servo.torque_limit.unwrap_or(NO_LIMIT),
+                speed_limit: robot.servo.speed_limit.unwrap_or(NO_LIMIT),
+            },
+            gravity: V::new(-slope.sin(), 0.0, -slope.cos()) * GRAVITY,
+            robot: robot.clone(),
+            scene: scene.clone(),
+        })
+    }
+
+    /// Joints of the whole robot.
+    pub fn joints(&self) -> usize {
+        self.legs.iter().map(Vec::len).sum()
+    }
+
+    /// [kg]
+    pub fn total_mass(&self) -> f64 {
+        self.base_mass + self.legs.iter().flatten().map(|b| b.mass).sum::<f64>()
+    }
+
+    /// Hip angles of the alternating tripod at the start: A straight down, B straight up (other joints 0).
+    pub fn tripod_angles(&self) -> Vec<f64> {
+        let angle = |t: Tripod| if t == Tripod::A { 0.0 } else { std::f64::consts::PI };
+        self.robot
+            .hip
+            .iter()
+            .flat_map(|h| (0..self.robot.leg.link.len()).map(move |j| if j == 0 { angle(h.tripod) } else { 0.0 }))
+            .collect()
+    }
+
+    /// Base height at which the lowest joint or tip touches the surface with the base level and joints at `angles`.
+    pub fn standing_height(&self, angles: &[f64]) -> f64 {
+        let mut angles = angles.iter();
+        let mut lowest = -self.robot.belly.as_ref().map_or(0.0, |b| b.below);
+        for chain in &self.legs {
+            let (mut point, mut turn) = (V::zeros(), nalgebra::UnitQuaternion::identity());
+            for body in chain {
+                point += turn * body.joint;
+                let angle = angles.next().copied().unwrap_or(0.0);
+                turn *= nalgebra::UnitQuaternion::from_axis_angle(&nalgebra::Unit::new_normalize(body.axis), angle);
+                lowest = lowest.min((point + turn * body.reach).z);
+            }
+        }
+        -lowest
+    }
+}
+
+fn belly(robot: &Robot) -> Vec<Plate> {
+    let Some(belly) = &robot.belly else { return Vec::new() };
+    let [nx, ny] = belly.plates;
+    let [dx, dy] = [belly.size[0] / nx as f64, belly.size[1] / ny as f64];
+    let at = |i: usize, d: f64, length: f64| (i as f64 + 0.5) * d - length / 2.0;
+    (0..nx * ny)
+        .map(|k| Plate {
+            center: V::new(at(k / ny, dx, belly.size[0]), at(k % ny, dy, belly.size[1]), -belly.below),
+            normal: -V::z(),
+            area: dx * dy,
+        })
+        .collect()
+}
+
+fn leg(robot: &Robot, hip: [f64; 3], yaw: f64) -> Result<Vec<Body>> {
+    let turn = nalgebra::Rotation3::from_axis_angle(&V::z_axis(), yaw);
+    let mut joint = V::from(hip);
+    let mut chain = Vec::with_capacity(robot.leg.link.len());
+    for link in &robot.leg.link {
+        let reach = turn * V::from(link.reach);
+        chain.push(body(link, joint, turn)?);
+        joint = reach;
+    }
+    Ok(chain)
+}
+
+/// A link's mass is spread over its strip's segments as thin rods; without a strip, over the straight reach.
+fn body(link: &Link, joint: V, turn: nalgebra::Rotation3<f64>) -> Result<Body> {
+    let reach = V::from(link.reach);
+    let axis = V::from(link.axis).normalize();
+    let down = reach.normalize();
+    let width_axis = link.sand.as_ref().and_then(|s| s.width_axis).map_or(axis, |w| V::from(w).normalize());
+    let forward = width_axis.cross(&down); // where the tip goes when the joint turns positively about the width axis
+    let place = |p: [f64; 2]| turn * (forward * p[0] - down * p[1]);
+    let (shape, width, count) = match &link.sand {
+        Some(strip) => (Shape::named(&strip.shape)?, strip.width, strip.segments),
+        None => (Shape::TwoPiece { xi: 0.0 }, 0.01, 12),
+    };
+    let segments = shape.segments(reach.norm(), width, count)?;
+    let total: f64 = segments.iter().map(|s| s.area).sum();
+    let center: V = segments.iter().map(|s| place(s.center) * (s.area / total)).sum();
+    let inertia = segments.iter().fold(M::zeros(), |sum, s| {
+        let mass = link.mass * s.area / total;
+        let (r, length) = (place(s.center) - center, s.area / width);
+        let along = place([-s.normal[1], s.normal[0]]);
+        let rod = (M::identity() - along * along.transpose()) * (mass * length * length / 12.0);
+        sum + rod + (M::identity() * r.norm_squared() - r * r.transpose()) * mass
+    });
+    let plates = segments.iter().map(|s| Plate { center: place(s.center), normal: place(s.normal), area: s.area });
+    Ok(Body {
+        joint,
+        axis: turn * axis,
+        mass: link.mass,
+        center,
+        inertia,
+        armature: link.armature,
+        range: link.range,
+        plates: if link.sand.is_some() { plates.collect() } else { Vec::new() },
+        reach: turn * reach,
+    })
+}
