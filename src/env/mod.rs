@@ -1,0 +1,21 @@
+//! Tasks: what a learner sees, does and is paid for.
+//!
+//! This layer turns simulated robots into episodes. It knows nothing of threads, sessions or messages.
+//!
+//! * [`spec`]: observation, action and info tables; they generate vectors, replies, Python spaces and docs.
+//! * [`task`]: the trait a task implements, and the registry.
+//! * [`gait`]: `sandgait/HexapodGait-v0`.
+//! * [`shard`]: environments that advance together on one engine; reset, step, autoreset.
+//! * [`random`]: the stream of random numbers of an episode.
+
+pub mod gait;
+pub mod options;
+pub mod random;
+pub mod shard;
+pub mod spec;
+pub mod task;
+
+pub use options::{ResetOptions, TaskOptions};
+pub use shard::Shard;
+pub use spec::{Column, Spec};
+pub use task::Task;

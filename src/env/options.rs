@@ -1,0 +1,127 @@
+//! Keywords of a task: what `gymnasium.make` takes. Unknown ones are refused; defaults stand here and nowhere else.
+
+use crate::error::{Error, Result, check_range};
+use crate::sand::{Law, Medium};
+use crate::sim::engine::EngineKind;
+use crate::sim::model::Scene;
+use crate::sim::{Model, Robot};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+use serde_json::Value;
+
+/// Options of a locomotion task, fixed for a session unless a reset changes them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct TaskOptions {
+    /// Built-in robot; a server does not read files that a client names.
+    pub robot: String,
+    pub engine: EngineKind,
+    pub law: Law,
+    /// Time step [s]; must divide the control period.
+    pub dt: f64,
+    /// Largest servo torque [N·m]. Our choice 0.05: some six times the rms torque of a 2 Hz walk.
+    pub torque_limit: f64,
+    /// Commanded speed [m/s] is drawn from this range at every reset.
+    pub command: [f64; 2],
+    /// Spread of the initial hip angles around the tripod's [rad], uniform ±.
+    pub angle_noise: f64,
+    /// Weights of the reward's terms.
+    pub weights: super::gait::Weights,
+    /// Leg shape: L, revL, C, revC, flat or xi=DEGREES.
+    pub leg: String,
+    /// Medium's name or zeta=VALUE.
+    pub medium: String,
+    /// Uphill along x [°].
+    pub slope_deg: f64,
+    /// Extra mass at the base's centre [kg].
+    pub payload: f64,
+    pub max_episode_steps: u32,
+}
+
+impl Default for TaskOptions {
+    fn default() -> Self {
+        Self {
+            robot: "xplorer".into(),
+            engine: EngineKind::Rapier,
+            law: Law::Li2013,
+            dt: Scene::DEFAULT_DT,
+            torque_limit: 0.05,
+            command: [0.1, 0.4],
+            angle_noise: 0.2,
+            weights: Default::default(),
+            leg: "L".into(),
+            medium: "poppy-loose".into(),
+            slope_deg: 0.0,
+            payload: 0.0,
+            max_episode_steps: 500,
+        }
+    }
+}
+
+/// What a reset may change of the session's options; it holds until a reset changes it again.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ResetOptions {
+    pub leg: Option<String>,
+    pub medium: Option<String>,
+    pub slope_deg: Option<f64>,
+    pub payload: Option<f64>,
+    pub command: Option<[f64; 2]>,
+}
+
+impl ResetOptions {
+    /// Names of the keywords, for tables.
+    pub const NAMES: [&'static str; 5] = ["leg", "medium", "slope_deg", "payload", "command"];
+}
+
+/// What each keyword means, in the order of [`TaskOptions`].
+pub const OPTION_HELP: [(&str, &str); 13] = [
+    ("robot", "built-in robot"),
+    ("engine", "engine that integrates the motion"),
+    ("law", "resistive force law"),
+    ("dt", "time step [s]"),
+    ("torque_limit", "largest servo torque [N·m]"),
+    ("command", "range [low, high] the commanded speed is drawn from [m/s]"),
+    ("angle_noise", "initial hip angles are uniform within ± this around the tripod's [rad]"),
+    ("weights", "weight of each reward term"),
+    ("leg", "leg shape: L, revL, C, revC, flat or xi=DEGREES"),
+    ("medium", "sand: a medium's name or zeta=VALUE"),
+    ("slope_deg", "surface rises toward +x [°]"),
+    ("payload", "extra mass at the base's centre [kg]"),
+    ("max_episode_steps", "control steps until an episode is truncated"),
+];
+
+/// Reads keywords from JSON; errors name the keyword.
+pub fn parse<T: DeserializeOwned>(value: Value) -> Result<T> {
+    serde_json::from_value(value).map_err(|e| Error::invalid("options", e.to_string()))
+}
+
+impl TaskOptions {
+    /// These options with a reset's changes.
+    pub fn changed(&self, reset: &ResetOptions) -> Self {
+        let mut new = self.clone();
+        new.leg = reset.leg.clone().unwrap_or(new.leg);
+        new.medium = reset.medium.clone().unwrap_or(new.medium);
+        new.slope_deg = reset.slope_deg.unwrap_or(new.slope_deg);
+        new.payload = reset.payload.unwrap_or(new.payload);
+        new.command = reset.command.unwrap_or(new.command);
+        new
+    }
+
+    /// Checks everything and builds the model.
+    pub fn model(&self) -> Result<Model> {
+        let [low, high] = self.command;
+        check_range("command[0]", low, -2.0..=2.0)?;
+        check_range("command[1]", high, low..=2.0)?;
+        check_range("angle_noise", self.angle_noise, 0.0..=std::f64::consts::PI)?;
+        check_range("max_episode_steps", f64::from(self.max_episode_steps), 1.0..=1e6)?;
+        self.weights.validate()?;
+        if self.robot.ends_with(".toml") {
+            return Err(Error::unknown("robot", &self.robot, &Robot::names()));
+        }
+        let mut robot = Robot::load(&self.robot)?.with_leg_shape(&self.leg)?;
+        robot.servo.torque_limit = Some(check_range("torque_limit", self.torque_limit, 1e-4..=1e3)?);
+        let mut scene = Scene::flat(Medium::named(&self.medium)?);
+        (scene.law, scene.slope_deg, scene.dt, scene.payload) = (self.law, self.slope_deg, self.dt, self.payload);
+        Model::new(&robot, &scene)
+    }
+}

@@ -1,0 +1,203 @@
+//! Environments that advance together: one engine, one task, flat rows allocated once.
+
+use super::random::Random;
+use super::task::{Blueprint, Goal, Setup, Task, Transition};
+use crate::error::Result;
+use crate::sim::State;
+use crate::sim::engine::{Command, Engine};
+use std::sync::Arc;
+
+/// One environment's episode.
+struct Episode {
+    setup: Setup,
+    /// A reset may have changed the setup since the engine was last told.
+    stale: bool,
+    seed: u64,
+    number: u64,
+    steps: u32,
+    goal: Goal,
+    before: State,
+    after: State,
+    last_action: Vec<f32>,
+}
+
+/// A run of environments of one session. Owned by one thread at a time.
+pub struct Shard {
+    task: Arc<dyn Task>,
+    engine: Engine,
+    episodes: Vec<Episode>,
+    command: Command,
+    substeps: usize,
+    period: f64,
+    pub rows: Rows,
+}
+
+/// What the last reset or step gave, one row an environment.
+pub struct Rows {
+    /// f32 [envs, observation]
+    pub observations: Vec<f32>,
+    /// f32 [envs]
+    pub rewards: Vec<f32>,
+    /// [envs], 0 or 1
+    pub terminated: Vec<u8>,
+    /// [envs], 0 or 1
+    pub truncated: Vec<u8>,
+    /// f32 [envs, info]
+    pub infos: Vec<f32>,
+    /// Environments of this shard whose episode ended in this step, ascending.
+    pub ended: Vec<u32>,
+    /// f32 [ended, observation]: last row of each ended episode.
+    pub final_observations: Vec<f32>,
+}
+
+impl Rows {
+    fn new(envs: usize, observation: usize, info: usize) -> Self {
+        Self {
+            observations: vec![0.0; envs * observation],
+            rewards: vec![0.0; envs],
+            terminated: vec![0; envs],
+            truncated: vec![0; envs],
+            infos: vec![0.0; envs * info],
+            ended: Vec::with_capacity(envs),
+            final_observations: Vec::with_capacity(envs * observation),
+        }
+    }
+
+    /// Ready for the next call: nothing has happened yet.
+    fn clear(&mut self) {
+        self.rewards.fill(0.0);
+        self.terminated.fill(0);
+        self.truncated.fill(0);
+        self.infos.fill(0.0);
+        self.ended.clear();
+        self.final_observations.clear();
+    }
+}
+
+impl Shard {
+    /// `envs` environments without a state; [`Shard::reset`] must come first.
+    pub fn new(blueprint: &Blueprint, envs: usize) -> Result<Self> {
+        let spec = blueprint.task.spec();
+        let model = &blueprint.setup.model;
+        let episode = || Episode {
+            setup: blueprint.setup.clone(),
+            stale: false,
+            seed: 0,
+            number: 0,
+            steps: 0,
+            goal: Goal { speed: 0.0 },
+            before: State::at_rest(0.0, &vec![0.0; model.joints()]),
+            after: State::at_rest(0.0, &vec![0.0; model.joints()]),
+            last_action: vec![0.0; spec.action.len()],
+        };
+        let period = 1.0 / spec.control_rate;
+        Ok(Self {
+            task: blueprint.task.clone(),
+            engine: Engine::new(blueprint.engine, model, envs)?,
+            episodes: (0..envs).map(|_| episode()).collect(),
+            command: Command::still(model.joints()),
+            substeps: (period / model.scene.dt).round() as usize,
+            period,
+            rows: Rows::new(envs, spec.observation.len(), spec.info.len()),
+        })
+    }
+
+    pub fn envs(&self) -> usize {
+        self.episodes.len()
+    }
+
+    /// Numbers in an action row.
+    pub fn actions(&self) -> usize {
+        self.task.spec().action.len()
+    }
+
+    /// Begins new episodes where `chosen` says so, with `setup` in place of the environment's own if it is given.
+    /// With `seeds` the environments' streams of random numbers start anew, without they go on.
+    pub fn reset(&mut self, chosen: impl Fn(usize) -> bool, seeds: Option<&[u64]>, setup: Option<&Setup>) {
+        self.rows.clear();
+        for i in (0..self.episodes.len()).filter(|i| chosen(*i)) {
+            let episode = &mut self.episodes[i];
+            if let Some(setup) = setup {
+                episode.stale = true;
+                episode.setup = setup.clone();
+            }
+            match seeds {
+                Some(seeds) => (episode.seed, episode.number) = (seeds[i], 0),
+                None => episode.number += 1,
+            }
+            self.begin(i);
+        }
+    }
+
+    /// One control step of every environment; `actions` is f32 [envs, action] within its bounds. Where an episode
+    /// ends, the next one begins at once and its first observation takes the row.
+    pub fn step(&mut self, actions: &[f32]) {
+        self.rows.clear();
+        let width = self.task.spec().action.len();
+        for (i, episode) in self.episodes.iter_mut().enumerate() {
+            std::mem::swap(&mut episode.before, &mut episode.after);
+            self.task.command(&actions[i * width..][..width], &episode.before, &mut self.command);
+            self.engine.command(i, &self.command);
+        }
+        self.engine.advance(self.substeps);
+        for i in 0..self.episodes.len() {
+            self.finish(i, &actions[i * width..][..width]);
+        }
+    }
+
+    /// Judges environment `i`'s step and begins the next episode where one ended.
+    fn finish(&mut self, i: usize, action: &[f32]) {
+        let spec = self.task.spec();
+        let (wide, info) = (spec.observation.len(), spec.info.len());
+        let episode = &mut self.episodes[i];
+        self.engine.state(i, &mut episode.after);
+        let diverged = !episode.after.is_sound();
+        if diverged {
+            episode.after.clone_from(&episode.before);
+        }
+        episode.steps += 1;
+        let row = &mut self.rows.infos[i * info..][..info];
+        let terminated = self.task.judge(
+            &Transition {
+                goal: &episode.goal,
+                before: &episode.before,
+                after: &episode.after,
+                action,
+                previous_action: &episode.last_action,
+                period: self.period,
+                diverged,
+            },
+            row,
+        );
+        let truncated = diverged || (!terminated && episode.steps >= spec.max_episode_steps);
+        episode.last_action.copy_from_slice(action);
+        self.rows.rewards[i] = row[..spec.reward_terms].iter().sum();
+        self.rows.terminated[i] = u8::from(terminated);
+        self.rows.truncated[i] = u8::from(truncated);
+        let observation = &mut self.rows.observations[i * wide..][..wide];
+        self.task.observe(&episode.goal, &episode.after, &episode.last_action, observation);
+        if terminated || truncated {
+            self.rows.ended.push(i as u32);
+            self.rows.final_observations.extend_from_slice(observation);
+            episode.number += 1;
+            self.begin(i);
+        }
+    }
+
+    /// Starts environment `i`'s episode of the present number and fills its observation row.
+    fn begin(&mut self, i: usize) {
+        let episode = &mut self.episodes[i];
+        let mut random = Random::new(episode.seed, episode.number);
+        (episode.after, episode.goal) = self.task.begin(&episode.setup, &mut random);
+        episode.steps = 0;
+        episode.last_action.fill(0.0);
+        if std::mem::take(&mut episode.stale) {
+            self.engine.set_model(i, &episode.setup.model);
+        }
+        self.engine.set_state(i, &episode.after);
+        self.engine.state(i, &mut episode.after);
+        let wide = self.task.spec().observation.len();
+        let row = &mut self.rows.observations[i * wide..][..wide];
+        self.task.observe(&episode.goal, &episode.after, &episode.last_action, row);
+    }
+}

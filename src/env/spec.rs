@@ -1,0 +1,49 @@
+//! Tables that say what every number of a row means.
+
+/// One number of an observation, action or info row.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Column {
+    pub name: String,
+    /// SI unit; "1" where dimensionless.
+    pub unit: &'static str,
+    pub low: f64,
+    pub high: f64,
+}
+
+impl Column {
+    pub fn new(name: impl Into<String>, unit: &'static str, low: f64, high: f64) -> Self {
+        Self { name: name.into(), unit, low, high }
+    }
+
+    /// Without bounds.
+    pub fn free(name: impl Into<String>, unit: &'static str) -> Self {
+        Self::new(name, unit, f64::NEG_INFINITY, f64::INFINITY)
+    }
+
+    /// One column an axis.
+    pub fn xyz(name: &str, unit: &'static str, bound: f64) -> Vec<Self> {
+        ["x", "y", "z"].iter().map(|axis| Self::new(format!("{name} {axis}"), unit, -bound, bound)).collect()
+    }
+
+    /// One column a joint.
+    pub fn each(joints: &[String], name: &str, unit: &'static str, bound: f64) -> Vec<Self> {
+        joints.iter().map(|joint| Self::new(format!("{name}, {joint}"), unit, -bound, bound)).collect()
+    }
+}
+
+/// Everything about a task's rows that does not change while it runs.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Spec {
+    /// For example `sandgait/HexapodGait-v0`.
+    pub id: &'static str,
+    pub summary: &'static str,
+    pub observation: Vec<Column>,
+    pub action: Vec<Column>,
+    /// Reward terms, weighted, then other figures of the step.
+    pub info: Vec<Column>,
+    /// How many leading info columns are reward terms; the reward is their sum.
+    pub reward_terms: usize,
+    pub max_episode_steps: u32,
+    /// Control steps a second of simulated time.
+    pub control_rate: f64,
+}

@@ -1,0 +1,17 @@
+//! Many environments over threads.
+//!
+//! ```text
+//!  session ── Batch (its shards) ──▶ Pool queue ──▶ worker threads, one shard at a time, sessions in turn
+//!     ▲                                                              │
+//!     └──────────────── done(Batch), once every shard has run ◀──────┘
+//! ```
+//!
+//! A shard is owned by one thread while it runs and results never depend on which, or on how many there are. The
+//! queue hands out one shard of each waiting batch in turn, so a session of many environments cannot starve a small
+//! one. This layer knows nothing of messages; it never runs on the async runtime's threads.
+
+mod batch;
+mod threads;
+
+pub use batch::{Batch, Operation};
+pub use threads::Pool;

@@ -1,0 +1,168 @@
+//! Worker threads and the queue that feeds them.
+
+use super::batch::{Batch, Operation};
+use crate::env::Shard;
+use crate::error::{Error, Result};
+use std::collections::VecDeque;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+
+/// Called once, on a worker thread, when a batch has run.
+type Done = Box<dyn FnOnce(Result<Batch>) + Send>;
+
+/// A batch whose shards are being handed out.
+struct Job {
+    operation: Arc<Operation>,
+    /// Shards that no worker has taken yet, with the number of their first environment; last one first.
+    waiting: Vec<(usize, Shard)>,
+    id: u64,
+}
+
+/// The same batch, as its shards come back.
+struct Pending {
+    id: u64,
+    /// Everything but the shards.
+    batch: Batch,
+    finished: Vec<(usize, Shard)>,
+    expected: usize,
+    panicked: bool,
+    done: Done,
+}
+
+#[derive(Default)]
+struct Queue {
+    jobs: VecDeque<Job>,
+    pending: Vec<Pending>,
+    next_id: u64,
+    closed: bool,
+}
+
+struct Shared {
+    queue: Mutex<Queue>,
+    work: Condvar,
+}
+
+/// Worker threads shared by all sessions of a process.
+pub struct Pool {
+    shared: Arc<Shared>,
+    workers: Vec<JoinHandle<()>>,
+}
+
+impl Shared {
+    /// The queue's data stay consistent even if a holder panicked: every change to it is a single push or pop.
+    fn lock(&self) -> MutexGuard<'_, Queue> {
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Pool {
+    /// `threads` ≥ 1 workers; 0 takes one for each processor.
+    pub fn new(threads: usize) -> Self {
+        let available = std::thread::available_parallelism().map_or(1, |n| n.get());
+        let threads = if threads == 0 { available } else { threads };
+        let shared = Arc::new(Shared { queue: Mutex::default(), work: Condvar::new() });
+        let workers = (0..threads)
+            .map(|_| {
+                let shared = shared.clone();
+                std::thread::spawn(move || worker(&shared))
+            })
+            .collect();
+        Self { shared, workers }
+    }
+
+    pub fn threads(&self) -> usize {
+        self.workers.len()
+    }
+
+    /// Carries `operation` out on every shard, then calls `done` with the batch. If a shard panicked the batch is
+    /// lost and `done` gets an error; other batches go on.
+    pub fn run(&self, mut batch: Batch, operation: Operation, done: impl FnOnce(Result<Batch>) + Send + 'static) {
+        let mut start = 0;
+        let mut waiting: Vec<(usize, Shard)> = Vec::with_capacity(batch.shards.len());
+        for shard in batch.shards.drain(..) {
+            let envs = shard.envs();
+            waiting.push((start, shard));
+            start += envs;
+        }
+        waiting.reverse();
+        let expected = waiting.len();
+        let mut queue = self.shared.lock();
+        let id = queue.next_id;
+        queue.next_id += 1;
+        let finished = Vec::with_capacity(expected);
+        queue.pending.push(Pending { id, batch, finished, expected, panicked: false, done: Box::new(done) });
+        queue.jobs.push_back(Job { operation: Arc::new(operation), waiting, id });
+        drop(queue);
+        for _ in 0..expected.min(self.workers.len()) {
+            self.shared.work.notify_one();
+        }
+    }
+
+    /// [`Pool::run`], waiting for the result.
+    pub fn wait(&self, batch: Batch, operation: Operation) -> Result<Batch> {
+        let (sender, receiver) = std::sync::mpsc::sync_channel(1);
+        self.run(batch, operation, move |batch| {
+            // The receiver waits below for as long as this closure lives.
+            let _ = sender.send(batch);
+        });
+        receiver.recv().unwrap_or_else(|_| Err(Error::Exhausted("the worker pool was closed".into())))
+    }
+}
+
+impl Drop for Pool {
+    fn drop(&mut self) {
+        self.shared.lock().closed = true;
+        self.shared.work.notify_all();
+        for worker in self.workers.drain(..) {
+            // A worker catches panics of the work it runs; there is nothing to pass on.
+            let _ = worker.join();
+        }
+    }
+}
+
+/// Takes one shard of the foremost job, and puts the job behind all others.
+fn take(queue: &mut Queue) -> Option<(u64, Arc<Operation>, usize, Shard)> {
+    let mut job = queue.jobs.pop_front()?;
+    let (start, shard) = job.waiting.pop()?;
+    let (id, operation) = (job.id, job.operation.clone());
+    if !job.waiting.is_empty() {
+        queue.jobs.push_back(job);
+    }
+    Some((id, operation, start, shard))
+}
+
+fn worker(shared: &Shared) {
+    let mut queue = shared.lock();
+    loop {
+        if let Some((id, operation, start, mut shard)) = take(&mut queue) {
+            drop(queue);
+            let outcome = catch_unwind(AssertUnwindSafe(|| operation.run(&mut shard, start)));
+            drop(operation);
+            queue = give_back(shared, id, start, shard, outcome.is_err());
+        } else if queue.closed {
+            return;
+        } else {
+            queue = shared.work.wait(queue).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+}
+
+/// Returns a shard to its batch; the last one completes it.
+fn give_back(shared: &Shared, id: u64, start: usize, shard: Shard, panicked: bool) -> MutexGuard<'_, Queue> {
+    let mut queue = shared.lock();
+    let Some(index) = queue.pending.iter().position(|p| p.id == id) else { return queue };
+    let pending = &mut queue.pending[index];
+    pending.panicked |= panicked;
+    pending.finished.push((start, shard));
+    if pending.finished.len() < pending.expected {
+        return queue;
+    }
+    let mut pending = queue.pending.swap_remove(index);
+    drop(queue);
+    pending.finished.sort_unstable_by_key(|f| f.0);
+    pending.batch.shards.extend(pending.finished.into_iter().map(|f| f.1));
+    let lost = || Error::Exhausted("the simulation of this session failed; please report this as a bug".into());
+    (pending.done)(if pending.panicked { Err(lost()) } else { Ok(pending.batch) });
+    shared.lock()
+}
