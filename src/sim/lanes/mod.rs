@@ -129,6 +129,7 @@ impl<R: Real, const J: usize> Lanes<R, J> {
     }
 
     /// Moves each lane's x and y into its origin, and whole turns out of angles together with their references.
+    #[inline(always)]
     fn fold(&mut self) {
         for lane in 0..R::LANES {
             let [x, y, z] = self.state.position.lane(lane);
@@ -156,6 +157,7 @@ impl<R: Real, const J: usize> Kernel for Advance<'_, R, J> {
         for _ in 0..self.steps {
             dynamics::step(&self.block.model, &mut self.block.state, &mut self.block.hinges);
         }
+        self.block.fold();
     }
 }
 
@@ -208,6 +210,5 @@ impl<R: Real, const J: usize> Block for Lanes<R, J> {
 
     fn advance(&mut self, steps: usize) {
         R::dispatch(Advance { block: self, steps });
-        self.fold();
     }
 }
