@@ -20,7 +20,6 @@ fn model(robot: &str, change: impl Fn(&mut Scene)) -> Model {
 fn engine(isa: Isa, model: &Model, states: &[State]) -> LanesEngine {
     let mut engine = LanesEngine::with_isa(isa, model, states.len()).unwrap();
     for (i, state) in states.iter().enumerate() {
-        engine.set_model(i, model);
         engine.set_state(i, state);
     }
     engine

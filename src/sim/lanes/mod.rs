@@ -48,7 +48,9 @@ impl LanesEngine {
             _ => return Err(Error::invalid("robot", format!("{joints} joints a leg; engine lanes takes 1 or 3"))),
         };
         let lanes = isa.lanes();
-        Ok(Self { blocks: (0..count.div_ceil(lanes)).map(|_| block(model)).collect(), lanes })
+        let mut engine = Self { blocks: (0..count.div_ceil(lanes)).map(|_| block(model)).collect(), lanes };
+        (0..count).for_each(|index| engine.set_model(index, model));
+        Ok(engine)
     }
 
     /// See [`super::engine::Engine::set_model`].
