@@ -69,7 +69,10 @@ impl HexapodGait {
     pub fn new(setup: &Setup) -> Result<Self> {
         let robot = &setup.model.robot;
         if robot.leg.link.len() != 1 {
-            return Err(Error::invalid("robot", format!("{:?} has several joints a leg; this task drives hips", robot.name)));
+            return Err(Error::invalid(
+                "robot",
+                format!("{:?} has several joints a leg; this task drives hips", robot.name),
+            ));
         }
         Ok(Self {
             spec: Self::table(&robot.joint_names(), &setup.options.weights, setup.options.max_episode_steps),
