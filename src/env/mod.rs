@@ -4,7 +4,7 @@
 //!
 //! * [`spec`]: observation, action and info tables; they generate vectors, replies, Python spaces and docs.
 //! * [`task`]: the trait a task implements, and the registry.
-//! * [`gait`]: `sandgait/HexapodGait-v0`.
+//! * [`gait`]: the task `sandgait/HexapodGait-v0`.
 //! * [`shard`]: environments that advance together on one engine; reset, step, autoreset.
 //! * [`random`]: the stream of random numbers of an episode.
 

@@ -41,7 +41,7 @@ impl Default for TaskOptions {
     fn default() -> Self {
         Self {
             robot: "xplorer".into(),
-            engine: EngineKind::Rapier,
+            engine: EngineKind::Lanes,
             law: Law::Li2013,
             dt: Scene::DEFAULT_DT,
             torque_limit: 0.05,

@@ -4,11 +4,24 @@
 //! source once and runs as `f64` (the reference), as `f32`, or as a vector of `f32` lanes in which lane `i`
 //! carries environment `i` (structure of arrays).
 
+mod isa;
+mod portable;
 mod vector;
+#[cfg(target_arch = "x86_64")]
+mod x86;
 
+pub use isa::Isa;
+pub use portable::Portable;
 pub use vector::{Mat3, Vec3};
+#[cfg(target_arch = "x86_64")]
+pub use x86::{Avx2, Avx512};
 
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
+
+/// Work to be compiled for an instruction set, see [`Real::dispatch`]; everything it calls must be inlined.
+pub trait Kernel {
+    fn run(self);
+}
 
 /// A real number, or a vector of them computed lane by lane. No lane ever reads another.
 pub trait Real:
@@ -48,6 +61,12 @@ pub trait Real:
     fn select(mask: Self::Mask, yes: Self, no: Self) -> Self;
     /// Does `mask` hold in any lane?
     fn any(mask: Self::Mask) -> bool;
+
+    /// Runs `kernel` compiled for the instruction set of this type.
+    #[inline(always)]
+    fn dispatch<K: Kernel>(kernel: K) {
+        kernel.run();
+    }
 
     #[inline(always)]
     fn zero() -> Self {

@@ -1,6 +1,6 @@
 //! The seam between a model and the code that integrates it. Nothing above this file knows which engine runs.
 
-use super::rapier::RapierEngine;
+use super::lanes::LanesEngine;
 use super::{Model, State};
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -8,15 +8,23 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum EngineKind {
-    Rapier,
+    /// Our own articulated-body dynamics over SIMD lanes; see [`super::lanes`].
+    Lanes,
 }
 
 impl EngineKind {
-    pub const ALL: [Self; 1] = [Self::Rapier];
+    pub const ALL: [Self; 1] = [Self::Lanes];
 
     pub fn name(self) -> &'static str {
         match self {
-            Self::Rapier => "rapier",
+            Self::Lanes => "lanes",
+        }
+    }
+
+    /// How many environments a thread takes at a time.
+    pub fn shard_size(self) -> usize {
+        match self {
+            Self::Lanes => 16,
         }
     }
 
@@ -43,47 +51,47 @@ impl Command {
 
 /// Robots that advance together, each on its own sand.
 pub enum Engine {
-    Rapier(RapierEngine),
+    Lanes(LanesEngine),
 }
 
 impl Engine {
     /// `count` robots at rest, all with `model`.
     pub fn new(kind: EngineKind, model: &Model, count: usize) -> Result<Self> {
         Ok(match kind {
-            EngineKind::Rapier => Self::Rapier(RapierEngine::new(model, count)),
+            EngineKind::Lanes => Self::Lanes(LanesEngine::new(model, count)?),
         })
     }
 
     /// Gives robot `index` another model with the same joints (and number of plates). Takes effect with the next `set_state`.
     pub fn set_model(&mut self, index: usize, model: &Model) {
         match self {
-            Self::Rapier(e) => e.set_model(index, model),
+            Self::Lanes(e) => e.set_model(index, model),
         }
     }
 
     pub fn set_state(&mut self, index: usize, state: &State) {
         match self {
-            Self::Rapier(e) => e.set_state(index, state),
+            Self::Lanes(e) => e.set_state(index, state),
         }
     }
 
     /// Copies robot `index`'s state into `out` without allocating.
     pub fn state(&self, index: usize, out: &mut State) {
         match self {
-            Self::Rapier(e) => e.state(index, out),
+            Self::Lanes(e) => e.state(index, out),
         }
     }
 
     pub fn command(&mut self, index: usize, command: &Command) {
         match self {
-            Self::Rapier(e) => e.command(index, command),
+            Self::Lanes(e) => e.command(index, command),
         }
     }
 
     /// Advances every robot by `steps` time steps.
     pub fn advance(&mut self, steps: usize) {
         match self {
-            Self::Rapier(e) => e.advance(steps),
+            Self::Lanes(e) => e.advance(steps),
         }
     }
 }

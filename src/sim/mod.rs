@@ -6,9 +6,10 @@
 //! * [`model`]: the same as numbers: bodies, joints, servos, segments, sand, gravity, time step.
 //! * [`state`]: positions and velocities of one robot.
 //! * [`engine`]: the seam; everything above sees only this.
-//! * [`rapier`]: rapier3d multibodies, one world a robot.
-//! * [`walk`]: the speed protocol of the reference experiments.
+//! * [`lanes`]: the fast engine, articulated bodies over SIMD lanes of robots.
 
+pub mod engine;
+pub mod lanes;
 pub mod model;
 pub mod robot;
 pub mod state;

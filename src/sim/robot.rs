@@ -119,7 +119,10 @@ pub enum Tripod {
     B,
 }
 
-const BUILT_IN: [(&str, &str); 1] = [("xplorer", include_str!("../../robots/xplorer.toml"))];
+const BUILT_IN: [(&str, &str); 2] = [
+    ("xplorer", include_str!("../../robots/xplorer.toml")),
+    ("xplorer18", include_str!("../../robots/xplorer18.toml")),
+];
 
 impl Robot {
     pub fn names() -> Vec<&'static str> {

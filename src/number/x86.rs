@@ -1,0 +1,146 @@
+//! Lanes in AVX2 and AVX-512 registers.
+//!
+//! Every `unsafe` here is one of two kinds. Intrinsics need their instruction set: values of these types are computed
+//! with only inside [`Real::dispatch`], which [`super::Isa::available`] guards. Lane access reads the register's memory
+//! as the array of floats it is.
+
+use super::{Kernel, Real};
+use std::arch::x86_64::*;
+use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
+
+macro_rules! lanes {
+    ($(#[$doc:meta])* $name:ident, $register:ty, $lanes:literal, $mask:ty, $features:literal, $splat:ident,
+     $add:ident, $sub:ident, $mul:ident, $div:ident, $fma:ident, $sqrt:ident, $min:ident, $max:ident,
+     abs: $abs:expr, round: $round:expr, lt: $lt:expr, select: $select:expr, any: $any:expr) => {
+        $(#[$doc])*
+        #[derive(Clone, Copy)]
+        #[repr(transparent)]
+        pub struct $name($register);
+
+        lanes!(@operator $name, Add, add, $add);
+        lanes!(@operator $name, Sub, sub, $sub);
+        lanes!(@operator $name, Mul, mul, $mul);
+        lanes!(@operator $name, Div, div, $div);
+
+        impl Neg for $name {
+            type Output = Self;
+            #[inline(always)]
+            fn neg(self) -> Self {
+                // SAFETY: inside `dispatch`, see the module. −0 − x flips the sign of every x.
+                Self(unsafe { $sub($splat(-0.0), self.0) })
+            }
+        }
+        impl AddAssign for $name {
+            #[inline(always)]
+            fn add_assign(&mut self, o: Self) {
+                *self = *self + o;
+            }
+        }
+        impl SubAssign for $name {
+            #[inline(always)]
+            fn sub_assign(&mut self, o: Self) {
+                *self = *self - o;
+            }
+        }
+
+        // SAFETY of each block: inside `dispatch`, see the module.
+        impl Real for $name {
+            const LANES: usize = $lanes;
+            type Mask = $mask;
+
+            #[inline(always)]
+            fn splat(value: f64) -> Self {
+                // SAFETY: an array of floats has the register's size and any bits are valid.
+                Self(unsafe { std::mem::transmute::<[f32; $lanes], $register>([value as f32; $lanes]) })
+            }
+            #[inline(always)]
+            fn lane(&self, index: usize) -> f64 {
+                // SAFETY: the register's memory is an array of floats.
+                f64::from(unsafe { std::mem::transmute::<$register, [f32; $lanes]>(self.0) }[index])
+            }
+            #[inline(always)]
+            fn set_lane(&mut self, index: usize, value: f64) {
+                // SAFETY: the register's memory is an array of floats.
+                let lanes = unsafe { &mut *(&raw mut self.0).cast::<[f32; $lanes]>() };
+                lanes[index] = value as f32;
+            }
+            #[inline(always)]
+            fn mul_add(self, a: Self, b: Self) -> Self {
+                Self(unsafe { $fma(self.0, a.0, b.0) })
+            }
+            #[inline(always)]
+            fn sqrt(self) -> Self {
+                Self(unsafe { $sqrt(self.0) })
+            }
+            #[inline(always)]
+            fn abs(self) -> Self {
+                Self(unsafe { $abs(self.0) })
+            }
+            #[inline(always)]
+            fn min(self, o: Self) -> Self {
+                Self(unsafe { $min(self.0, o.0) })
+            }
+            #[inline(always)]
+            fn max(self, o: Self) -> Self {
+                Self(unsafe { $max(self.0, o.0) })
+            }
+            #[inline(always)]
+            fn round(self) -> Self {
+                Self(unsafe { $round(self.0) })
+            }
+            #[inline(always)]
+            fn lt(self, o: Self) -> $mask {
+                unsafe { $lt(self.0, o.0) }
+            }
+            #[inline(always)]
+            fn select(mask: $mask, yes: Self, no: Self) -> Self {
+                Self(unsafe { $select(mask, yes.0, no.0) })
+            }
+            #[inline(always)]
+            fn any(mask: $mask) -> bool {
+                unsafe { $any(mask) }
+            }
+            #[inline(always)]
+            fn dispatch<K: Kernel>(kernel: K) {
+                #[target_feature(enable = $features)]
+                fn inside<K: Kernel>(kernel: K) {
+                    kernel.run();
+                }
+                // SAFETY: blocks of this type are only made where `Isa::available` found the features.
+                unsafe { inside(kernel) }
+            }
+        }
+    };
+    (@operator $name:ident, $trait:ident, $method:ident, $intrinsic:ident) => {
+        impl $trait for $name {
+            type Output = Self;
+            #[inline(always)]
+            fn $method(self, o: Self) -> Self {
+                // SAFETY: inside `dispatch`, see the module.
+                Self(unsafe { $intrinsic(self.0, o.0) })
+            }
+        }
+    };
+}
+
+lanes!(
+    /// Sixteen lanes of `f32`.
+    Avx512, __m512, 16, __mmask16, "avx512f,avx512dq,avx2,fma", _mm512_set1_ps,
+    _mm512_add_ps, _mm512_sub_ps, _mm512_mul_ps, _mm512_div_ps, _mm512_fmadd_ps, _mm512_sqrt_ps, _mm512_min_ps, _mm512_max_ps,
+    abs: _mm512_abs_ps,
+    round: |x| _mm512_roundscale_ps::<{ _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC }>(x),
+    lt: |a, b| _mm512_cmp_ps_mask::<_CMP_LT_OQ>(a, b),
+    select: |m, yes, no| _mm512_mask_blend_ps(m, no, yes),
+    any: |m| _mm512_mask2int(m) != 0
+);
+
+lanes!(
+    /// Eight lanes of `f32`.
+    Avx2, __m256, 8, __m256, "avx2,fma", _mm256_set1_ps,
+    _mm256_add_ps, _mm256_sub_ps, _mm256_mul_ps, _mm256_div_ps, _mm256_fmadd_ps, _mm256_sqrt_ps, _mm256_min_ps, _mm256_max_ps,
+    abs: |x| _mm256_andnot_ps(_mm256_set1_ps(-0.0), x),
+    round: |x| _mm256_round_ps::<{ _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC }>(x),
+    lt: |a, b| _mm256_cmp_ps::<_CMP_LT_OQ>(a, b),
+    select: |m, yes, no| _mm256_blendv_ps(no, yes, m),
+    any: |m| _mm256_movemask_ps(m) != 0
+);

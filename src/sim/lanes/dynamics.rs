@@ -1,0 +1,324 @@
+//! One time step of a robot on sand: servos → sand → rigid bodies.
+//!
+//! An articulated-body algorithm (Featherstone 2008, chapter 7) for a free base with legs, in a world-aligned frame at
+//! the base's centre of mass. Sand is linearly implicit: its force after the step is f − C (v⁺ − v) with the present
+//! velocity v, which is the same as point masses dt C at the segments. They enter the inertia only: velocity-product
+//! terms are gathered first (accelerations all zero), so the added masses bring none of their own.
+
+use super::model::{LaneBody, LaneModel, LanePlate};
+use super::spatial::{Inertia, PointMasses, Symmetric, Twist, Wrench};
+use crate::number::{Mat3, Real, Vec3};
+use crate::sand::Ground;
+
+/// State of the robots in one block, one lane each; see [`crate::sim::State`].
+#[derive(Clone)]
+pub struct LaneState<R> {
+    pub position: Vec3<R>,
+    /// Quaternion w and (x, y, z).
+    pub orientation: (R, Vec3<R>),
+    pub velocity: Vec3<R>,
+    pub angular_velocity: Vec3<R>,
+    pub work: R,
+    pub joints: Vec<LaneJoint<R>>,
+}
+
+/// State and command of a joint.
+#[derive(Clone, Copy)]
+pub struct LaneJoint<R> {
+    pub angle: R,
+    pub rate: R,
+    pub reference: R,
+    pub torque: R,
+    /// Speed of the reference [rad/s].
+    pub command_rate: R,
+    /// Torque added to the servo's [N·m].
+    pub command_torque: R,
+}
+
+/// What the inward pass leaves for the outward one, a joint.
+#[derive(Clone, Copy)]
+pub struct Hinge<R> {
+    axis: Twist<R>,
+    /// Articulated inertia times the axis.
+    inertia_axis: Wrench<R>,
+    inverse: R,
+    drive: R,
+    torque: R,
+    /// Part of the torque that falls with the joint's acceleration [N·m·s²/rad].
+    yielding: R,
+}
+
+impl<R: Real> Hinge<R> {
+    pub fn empty() -> Self {
+        let zero = R::zero();
+        let axis = Twist { angular: Vec3::zero(), linear: Vec3::zero() };
+        Self { axis, inertia_axis: Wrench::zero(), inverse: zero, drive: zero, torque: zero, yielding: zero }
+    }
+}
+
+/// Where a body is and how it moves; lengths from the base's centre of mass.
+#[derive(Clone, Copy)]
+struct Frame<R> {
+    rotation: Mat3<R>,
+    origin: Vec3<R>,
+    velocity: Twist<R>,
+    /// Acceleration that the velocities alone cause.
+    bias: Twist<R>,
+}
+
+/// Advances all lanes by one time step. `hinges` is scratch space, one a joint.
+#[inline(always)]
+pub fn step<R: Real, const J: usize>(model: &LaneModel<R, J>, state: &mut LaneState<R>, hinges: &mut [Hinge<R>]) {
+    let base = base_frame(state);
+    let height = state.position.z;
+    let (mut inertia, mut bias) = base_inertia(model, &base);
+    belly(model, &base, height, &mut inertia, &mut bias);
+    for (l, leg) in model.legs.iter().enumerate() {
+        let (joints, hinges) = (&state.joints[l * J..][..J], &mut hinges[l * J..][..J]);
+        let (leg_inertia, leg_bias) = fold_leg(model, leg, &base, height, joints, hinges);
+        inertia.add(&leg_inertia);
+        bias.add(&leg_bias);
+    }
+    let zero = Wrench::zero();
+    let acceleration = inertia.solve(&bias.scale_add(-R::one(), &zero));
+    for l in 0..model.legs.len() {
+        unfold_leg::<R, J>(
+            model,
+            &acceleration,
+            &mut state.joints[l * J..][..J],
+            &hinges[l * J..][..J],
+            &mut state.work,
+        );
+    }
+    move_base(state, &acceleration, model.dt);
+}
+
+#[inline(always)]
+fn base_frame<R: Real>(state: &LaneState<R>) -> Frame<R> {
+    let (w, v) = state.orientation;
+    let (one, two) = (R::one(), R::splat(2.0));
+    let (xx, yy, zz) = (v.x * v.x, v.y * v.y, v.z * v.z);
+    let (xy, xz, yz) = (v.x * v.y, v.x * v.z, v.y * v.z);
+    let (wx, wy, wz) = (w * v.x, w * v.y, w * v.z);
+    let rotation = Mat3::new(
+        Vec3::new(one - two * (yy + zz), two * (xy + wz), two * (xz - wy)),
+        Vec3::new(two * (xy - wz), one - two * (xx + zz), two * (yz + wx)),
+        Vec3::new(two * (xz + wy), two * (yz - wx), one - two * (xx + yy)),
+    );
+    let velocity = Twist { angular: state.angular_velocity, linear: state.velocity };
+    // The generalized acceleration is that of the centre of mass: with it zero, the spatial one is −ω × v.
+    let bias = Twist { angular: Vec3::zero(), linear: velocity.linear.cross(velocity.angular) };
+    Frame { rotation, origin: Vec3::zero(), velocity, bias }
+}
+
+#[inline(always)]
+fn base_inertia<R: Real, const J: usize>(model: &LaneModel<R, J>, base: &Frame<R>) -> (Inertia<R>, Wrench<R>) {
+    let own = Symmetric { diagonal: model.base_inertia, off: Vec3::zero() }.rotated(&base.rotation);
+    let omega = base.velocity.angular;
+    let bias = Wrench { moment: omega.cross(own.apply(omega)), force: -(model.gravity * model.base_mass) };
+    (Inertia::rigid(model.base_mass, Vec3::zero(), own, &PointMasses::zero()), bias)
+}
+
+/// Sand under the base: one-sided plates with a leading-edge gate.
+#[inline(always)]
+fn belly<R: Real, const J: usize>(
+    model: &LaneModel<R, J>,
+    base: &Frame<R>,
+    height: R,
+    inertia: &mut Inertia<R>,
+    bias: &mut Wrench<R>,
+) {
+    let mut drag = PointMasses::zero();
+    let mut sand = Wrench::zero();
+    let mut wet = false;
+    for plate in &model.belly {
+        let Some((r, depth)) = submerged(base, plate, height) else { continue };
+        wet = true;
+        let normal = base.rotation.apply(plate.normal);
+        let contact = model.ground.one_sided(depth, plate.area, normal, base.velocity.at(r));
+        sand.add_force_at(r, contact.force);
+        drag.add(contact.drag * model.dt, r);
+        let direction = Wrench { moment: r.cross(normal), force: normal };
+        inertia.add_outer(contact.edge * model.dt, &direction);
+    }
+    if wet {
+        inertia.add(&Inertia::rigid(R::zero(), Vec3::zero(), Symmetric::zero(), &drag));
+        bias.add(&sand.scale_add(-R::one(), &Wrench::zero()));
+    }
+}
+
+/// Place and depth of a plate, if any lane has it under the surface.
+#[inline(always)]
+fn submerged<R: Real>(body: &Frame<R>, plate: &LanePlate<R>, height: R) -> Option<(Vec3<R>, R)> {
+    let (m, c) = (&body.rotation, plate.center);
+    let z = m.x.z.mul_add(c.x, m.y.z.mul_add(c.y, m.z.z.mul_add(c.z, body.origin.z)));
+    let depth = -(height + z);
+    if !R::any(R::zero().lt(depth)) {
+        return None;
+    }
+    let x = m.x.x.mul_add(c.x, m.y.x.mul_add(c.y, m.z.x.mul_add(c.z, body.origin.x)));
+    let y = m.x.y.mul_add(c.x, m.y.y.mul_add(c.y, m.z.y.mul_add(c.z, body.origin.y)));
+    Some((Vec3::new(x, y, z), depth.max(R::zero())))
+}
+
+/// Sand on a link's strip.
+#[inline(always)]
+fn strip<R: Real>(
+    ground: &Ground<R>,
+    plates: &[LanePlate<R>],
+    link: &Frame<R>,
+    height: R,
+    dt: R,
+) -> (Wrench<R>, PointMasses<R>) {
+    let mut sand = Wrench::zero();
+    let mut drag = PointMasses::zero();
+    for plate in plates {
+        let Some((r, depth)) = submerged(link, plate, height) else { continue };
+        let normal = link.rotation.apply(plate.normal);
+        let contact = ground.thin_plate(depth, plate.area, normal, link.velocity.at(r));
+        sand.add_force_at(r, contact.force);
+        drag.add(contact.drag * dt, r);
+    }
+    (sand, drag)
+}
+
+/// Inward pass over one leg: the inertia and bias it shows to the base.
+#[inline(always)]
+fn fold_leg<R: Real, const J: usize>(
+    model: &LaneModel<R, J>,
+    leg: &[LaneBody<R>; J],
+    base: &Frame<R>,
+    height: R,
+    joints: &[LaneJoint<R>],
+    hinges: &mut [Hinge<R>],
+) -> (Inertia<R>, Wrench<R>) {
+    let mut parent = *base;
+    let mut links =
+        [(Inertia::rigid(R::zero(), Vec3::zero(), Symmetric::zero(), &PointMasses::zero()), Wrench::zero()); J];
+    for j in 0..J {
+        let (frame, axis) = child_frame(&parent, &leg[j], &joints[j]);
+        hinges[j].axis = axis;
+        let (sand, drag) = strip(&model.ground, &leg[j].plates, &frame, height, model.dt);
+        links[j] = link_inertia(&leg[j], &frame, model.gravity, &sand, &drag);
+        parent = frame;
+    }
+    let mut carried: Option<(Inertia<R>, Wrench<R>)> = None;
+    for j in (0..J).rev() {
+        let (mut inertia, mut bias) = links[j];
+        if let Some((i, b)) = &carried {
+            inertia.add(i);
+            bias.add(b);
+        }
+        let hinge = &mut hinges[j];
+        drive(model, leg[j].armature, &joints[j], &inertia, &bias, hinge);
+        inertia.add_outer(-hinge.inverse, &hinge.inertia_axis);
+        let bias = hinge.inertia_axis.scale_add(hinge.drive * hinge.inverse, &bias);
+        carried = Some((inertia, bias));
+    }
+    carried.unwrap_or(links[0])
+}
+
+/// Turns `body` about its hinge.
+#[inline(always)]
+fn child_frame<R: Real>(parent: &Frame<R>, body: &LaneBody<R>, joint: &LaneJoint<R>) -> (Frame<R>, Twist<R>) {
+    let axis = parent.rotation.apply(body.axis);
+    let origin = parent.origin + parent.rotation.apply(body.joint);
+    let (sin, cos) = joint.angle.sin_cos();
+    let turn = |u: Vec3<R>| {
+        let along = axis * (axis.dot(u) * (R::one() - cos));
+        axis.cross(u).scale_add(sin, u.scale_add(cos, along))
+    };
+    let rotation = Mat3::new(turn(parent.rotation.x), turn(parent.rotation.y), turn(parent.rotation.z));
+    let hinge = Twist::hinge(axis, origin);
+    let velocity = hinge.scale_add(joint.rate, &parent.velocity);
+    let bias = velocity.carries(&hinge).scale_add(joint.rate, &parent.bias);
+    (Frame { rotation, origin, velocity, bias }, hinge)
+}
+
+/// A link's inertia with the sand's added masses, and the wrench its motion needs with all joints unaccelerated.
+#[inline(always)]
+fn link_inertia<R: Real>(
+    body: &LaneBody<R>,
+    frame: &Frame<R>,
+    gravity: Vec3<R>,
+    sand: &Wrench<R>,
+    drag: &PointMasses<R>,
+) -> (Inertia<R>, Wrench<R>) {
+    let center = frame.origin + frame.rotation.apply(body.center);
+    let rotary = Symmetric { diagonal: body.inertia[0], off: body.inertia[1] }.rotated(&frame.rotation);
+    let omega = frame.velocity.angular;
+    let acceleration = frame.bias.at(center) + omega.cross(frame.velocity.at(center)) - gravity;
+    let mut bias = Wrench {
+        moment: rotary.apply(frame.bias.angular) + omega.cross(rotary.apply(omega)) - sand.moment,
+        force: -sand.force,
+    };
+    bias.add_force_at(center, acceleration * body.mass);
+    (Inertia::rigid(body.mass, center, rotary, drag), bias)
+}
+
+/// The servo, implicit in angle and speed: τ = τ0 − (dt kd + dt² kp) q̈. Where that would pass the torque limit (judged
+/// with the parent held still) the torque is the limit and does not yield.
+#[inline(always)]
+fn drive<R: Real, const J: usize>(
+    model: &LaneModel<R, J>,
+    armature: R,
+    joint: &LaneJoint<R>,
+    inertia: &Inertia<R>,
+    bias: &Wrench<R>,
+    hinge: &mut Hinge<R>,
+) {
+    let dt = model.dt;
+    let rate = joint.command_rate.clamp(-model.speed_limit, model.speed_limit);
+    let slip = rate - joint.rate;
+    let torque =
+        model.kp.mul_add(slip.mul_add(dt, joint.reference - joint.angle), model.kd.mul_add(slip, joint.command_torque));
+    let yielding = dt * dt.mul_add(model.kp, model.kd);
+    hinge.inertia_axis = inertia.apply(&hinge.axis);
+    let own = hinge.inertia_axis.dot(&hinge.axis) + armature;
+    let load = bias.dot(&hinge.axis);
+    let expected = torque - yielding * ((torque - load) / (own + yielding));
+    let saturated = model.torque_limit.lt(expected.abs());
+    hinge.torque = R::select(saturated, expected.clamp(-model.torque_limit, model.torque_limit), torque);
+    hinge.yielding = R::select(saturated, R::zero(), yielding);
+    hinge.inverse = R::one() / (own + hinge.yielding);
+    hinge.drive = hinge.torque - load;
+}
+
+/// Outward pass over one leg: joint accelerations, then speeds, angles and servo references after the step.
+#[inline(always)]
+fn unfold_leg<R: Real, const J: usize>(
+    model: &LaneModel<R, J>,
+    base: &Twist<R>,
+    joints: &mut [LaneJoint<R>],
+    hinges: &[Hinge<R>],
+    work: &mut R,
+) {
+    let mut parent = *base;
+    for (joint, hinge) in joints.iter_mut().zip(hinges) {
+        let acceleration = (hinge.drive - hinge.inertia_axis.dot(&parent)) * hinge.inverse;
+        parent = hinge.axis.scale_add(acceleration, &parent);
+        joint.torque = hinge.torque - hinge.yielding * acceleration;
+        joint.rate = acceleration.mul_add(model.dt, joint.rate);
+        joint.angle = joint.rate.mul_add(model.dt, joint.angle);
+        let rate = joint.command_rate.clamp(-model.speed_limit, model.speed_limit);
+        joint.reference = rate.mul_add(model.dt, joint.reference);
+        *work += (joint.torque * joint.rate).abs() * model.dt;
+    }
+}
+
+/// Semi-implicit Euler on the base; the rotation by the exponential map to third order, then normalised.
+#[inline(always)]
+fn move_base<R: Real>(state: &mut LaneState<R>, acceleration: &Twist<R>, dt: R) {
+    state.velocity = acceleration.linear.scale_add(dt, state.velocity);
+    state.angular_velocity = acceleration.angular.scale_add(dt, state.angular_velocity);
+    state.position = state.velocity.scale_add(dt, state.position);
+    let half = state.angular_velocity * (dt * R::splat(0.5));
+    let squared = half.norm_squared();
+    let real = squared.mul_add(R::splat(-0.5), R::one());
+    let half = half * squared.mul_add(R::splat(-1.0 / 6.0), R::one());
+    let (w, v) = state.orientation;
+    let new_w = real * w - half.dot(v);
+    let new_v = v.scale_add(real, half.scale_add(w, half.cross(v)));
+    let norm = R::splat(1.5) - R::splat(0.5) * new_w.mul_add(new_w, new_v.norm_squared());
+    state.orientation = (new_w * norm, new_v * norm);
+}

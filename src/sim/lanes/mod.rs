@@ -1,0 +1,213 @@
+//! The fast engine: articulated-body dynamics over lanes of environments, instruction set chosen at run time.
+//!
+//! * [`dynamics`]: one time step; generic over the number, so it exists once for `f64`, and for 8 and 16 lanes of `f32`.
+//! * [`spatial`]: the algebra it is written in.
+//! * [`model`]: the model's numbers, one lane an environment.
+//!
+//! Lanes never read each other: an environment's bits do not depend on its lane, its neighbours or the batch.
+
+mod dynamics;
+mod model;
+mod spatial;
+
+use super::engine::Command;
+use super::{Model, State};
+use crate::error::{Error, Result};
+use crate::number::{Isa, Kernel, Real, Vec3};
+use dynamics::{Hinge, LaneJoint, LaneState};
+use model::LaneModel;
+use std::f64::consts::TAU;
+
+/// Robots in blocks of as many as the instruction set has lanes.
+pub struct LanesEngine {
+    blocks: Vec<Box<dyn Block>>,
+    lanes: usize,
+}
+
+impl LanesEngine {
+    /// `count` robots with `model`, motionless until their state is set; instruction set by [`Isa::choose`].
+    pub fn new(model: &Model, count: usize) -> Result<Self> {
+        Self::with_isa(Isa::choose()?, model, count)
+    }
+
+    pub fn with_isa(isa: Isa, model: &Model, count: usize) -> Result<Self> {
+        let joints = model.legs.first().map_or(0, Vec::len);
+        let block: fn(&Model) -> Box<dyn Block> = match (isa, joints) {
+            #[cfg(target_arch = "x86_64")]
+            (Isa::Avx512, 1) => Lanes::<crate::number::Avx512, 1>::boxed,
+            #[cfg(target_arch = "x86_64")]
+            (Isa::Avx512, 3) => Lanes::<crate::number::Avx512, 3>::boxed,
+            #[cfg(target_arch = "x86_64")]
+            (Isa::Avx2, 1) => Lanes::<crate::number::Avx2, 1>::boxed,
+            #[cfg(target_arch = "x86_64")]
+            (Isa::Avx2, 3) => Lanes::<crate::number::Avx2, 3>::boxed,
+            (Isa::Baseline, 1) => Lanes::<crate::number::Portable, 1>::boxed,
+            (Isa::Baseline, 3) => Lanes::<crate::number::Portable, 3>::boxed,
+            (Isa::F64, 1) => Lanes::<f64, 1>::boxed,
+            (Isa::F64, 3) => Lanes::<f64, 3>::boxed,
+            _ => return Err(Error::invalid("robot", format!("{joints} joints a leg; engine lanes takes 1 or 3"))),
+        };
+        let lanes = isa.lanes();
+        Ok(Self { blocks: (0..count.div_ceil(lanes)).map(|_| block(model)).collect(), lanes })
+    }
+
+    /// See [`super::engine::Engine::set_model`].
+    pub fn set_model(&mut self, index: usize, model: &Model) {
+        self.blocks[index / self.lanes].set_model(index % self.lanes, model);
+    }
+
+    /// See [`super::engine::Engine::set_state`].
+    pub fn set_state(&mut self, index: usize, state: &State) {
+        self.blocks[index / self.lanes].set_state(index % self.lanes, state);
+    }
+
+    /// See [`super::engine::Engine::state`].
+    pub fn state(&self, index: usize, out: &mut State) {
+        self.blocks[index / self.lanes].state(index % self.lanes, out);
+    }
+
+    /// See [`super::engine::Engine::command`].
+    pub fn command(&mut self, index: usize, command: &Command) {
+        self.blocks[index / self.lanes].command(index % self.lanes, command);
+    }
+
+    /// See [`super::engine::Engine::advance`].
+    pub fn advance(&mut self, steps: usize) {
+        self.blocks.iter_mut().for_each(|b| b.advance(steps));
+    }
+}
+
+/// One block of robots, whatever number it is computed in.
+trait Block: Send {
+    fn set_model(&mut self, lane: usize, model: &Model);
+    fn set_state(&mut self, lane: usize, state: &State);
+    fn state(&self, lane: usize, out: &mut State);
+    fn command(&mut self, lane: usize, command: &Command);
+    fn advance(&mut self, steps: usize);
+}
+
+struct Lanes<R: Real, const J: usize> {
+    model: LaneModel<R, J>,
+    state: LaneState<R>,
+    hinges: Vec<Hinge<R>>,
+    /// Place of each lane's x and y zero [m]: distances stay small, so `f32` keeps its accuracy however far one walks.
+    origins: Vec<[f64; 2]>,
+}
+
+impl<R: Real, const J: usize> Lanes<R, J> {
+    fn boxed(model: &Model) -> Box<dyn Block> {
+        let mut parked = model.clone();
+        parked.gravity = nalgebra::Vector3::zeros();
+        let joint = {
+            let zero = R::zero();
+            LaneJoint {
+                angle: zero,
+                rate: zero,
+                reference: zero,
+                torque: zero,
+                command_rate: zero,
+                command_torque: zero,
+            }
+        };
+        // Lanes without an environment hover motionless above the sand.
+        let state = LaneState {
+            position: Vec3::splat([0.0, 0.0, 1e3]),
+            orientation: (R::one(), Vec3::zero()),
+            velocity: Vec3::zero(),
+            angular_velocity: Vec3::zero(),
+            work: R::zero(),
+            joints: vec![joint; model.joints()],
+        };
+        let mut block = Self {
+            model: LaneModel::splat(&parked),
+            state,
+            hinges: vec![Hinge::empty(); model.joints()],
+            origins: vec![[0.0; 2]; R::LANES],
+        };
+        block.model.gravity = Vec3::zero();
+        Box::new(block)
+    }
+
+    /// Moves each lane's x and y into its origin, and whole turns out of angles together with their references.
+    fn fold(&mut self) {
+        for lane in 0..R::LANES {
+            let [x, y, z] = self.state.position.lane(lane);
+            let origin = &mut self.origins[lane];
+            *origin = [origin[0] + x, origin[1] + y];
+            self.state.position.set_lane(lane, [0.0, 0.0, z]);
+        }
+        for joint in &mut self.state.joints {
+            let turns = (joint.angle * R::splat(1.0 / TAU)).round() * R::splat(TAU);
+            joint.angle -= turns;
+            joint.reference -= turns;
+        }
+    }
+}
+
+/// The hot loop, to be compiled for the block's instruction set.
+struct Advance<'a, R: Real, const J: usize> {
+    block: &'a mut Lanes<R, J>,
+    steps: usize,
+}
+
+impl<R: Real, const J: usize> Kernel for Advance<'_, R, J> {
+    #[inline(always)]
+    fn run(self) {
+        for _ in 0..self.steps {
+            dynamics::step(&self.block.model, &mut self.block.state, &mut self.block.hinges);
+        }
+    }
+}
+
+impl<R: Real, const J: usize> Block for Lanes<R, J> {
+    fn set_model(&mut self, lane: usize, model: &Model) {
+        self.model.set_lane(lane, model);
+    }
+
+    fn set_state(&mut self, lane: usize, state: &State) {
+        let [x, y, z] = state.position;
+        self.origins[lane] = [x, y];
+        let s = &mut self.state;
+        s.position.set_lane(lane, [0.0, 0.0, z]);
+        s.orientation.0.set_lane(lane, state.orientation[0]);
+        s.orientation.1.set_lane(lane, [state.orientation[1], state.orientation[2], state.orientation[3]]);
+        s.velocity.set_lane(lane, state.velocity);
+        s.angular_velocity.set_lane(lane, state.angular_velocity);
+        s.work.set_lane(lane, state.work);
+        for (i, joint) in s.joints.iter_mut().enumerate() {
+            joint.angle.set_lane(lane, state.angles[i]);
+            joint.rate.set_lane(lane, state.rates[i]);
+            joint.reference.set_lane(lane, state.references[i]);
+            joint.torque.set_lane(lane, state.torques[i]);
+        }
+    }
+
+    fn state(&self, lane: usize, out: &mut State) {
+        let s = &self.state;
+        let ([x, y, z], [x0, y0]) = (s.position.lane(lane), self.origins[lane]);
+        out.position = [x0 + x, y0 + y, z];
+        let [i, j, k] = s.orientation.1.lane(lane);
+        out.orientation = [s.orientation.0.lane(lane), i, j, k];
+        out.velocity = s.velocity.lane(lane);
+        out.angular_velocity = s.angular_velocity.lane(lane);
+        out.work = s.work.lane(lane);
+        for (i, joint) in s.joints.iter().enumerate() {
+            out.angles[i] = joint.angle.lane(lane);
+            out.rates[i] = joint.rate.lane(lane);
+            out.references[i] = joint.reference.lane(lane);
+            out.torques[i] = joint.torque.lane(lane);
+        }
+    }
+
+    fn command(&mut self, lane: usize, command: &Command) {
+        for (i, joint) in self.state.joints.iter_mut().enumerate() {
+            joint.command_rate.set_lane(lane, command.rates[i]);
+            joint.command_torque.set_lane(lane, command.torques[i]);
+        }
+    }
+
+    fn advance(&mut self, steps: usize) {
+        R::dispatch(Advance { block: self, steps });
+        self.fold();
+    }
+}
