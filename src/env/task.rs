@@ -75,6 +75,9 @@ pub struct Blueprint {
     pub setup: Setup,
 }
 
+/// States, options and bookkeeping of an episode [bytes], measured by allocating 10,000 of them.
+const EPISODE_BYTES: usize = 2_000;
+
 /// Ids of all tasks.
 pub const TASK_IDS: [&str; 1] = [HexapodGait::ID];
 
@@ -89,5 +92,12 @@ impl Blueprint {
         let setup = Setup::new(options)?;
         let task = Arc::new(HexapodGait::new(&setup)?);
         Ok(Self { task, engine, setup })
+    }
+
+    /// Memory that one environment takes [bytes], roughly: rows twice (final observations), its episode, its robot.
+    pub fn bytes_per_env(&self) -> usize {
+        let spec = self.task.spec();
+        let rows = 4 * (2 * spec.observation.len() + spec.info.len() + spec.action.len());
+        rows + EPISODE_BYTES + self.engine.robot_bytes()
     }
 }

@@ -28,6 +28,13 @@ impl EngineKind {
         }
     }
 
+    /// Memory of one robot [bytes], roughly.
+    pub fn robot_bytes(self) -> usize {
+        match self {
+            Self::Lanes => 10_000,
+        }
+    }
+
     pub fn named(name: &str) -> Result<Self> {
         let known = Self::ALL.map(Self::name);
         Self::ALL.into_iter().find(|e| e.name() == name).ok_or_else(|| Error::unknown("engine", name, &known))
