@@ -46,7 +46,7 @@ _KINDS: dict[grpc.StatusCode, type[SandgaitError]] = {
     grpc.StatusCode.NOT_FOUND: SessionLost,
     grpc.StatusCode.ABORTED: SessionLost,
     grpc.StatusCode.UNAVAILABLE: ServerLost,
-    grpc.StatusCode.CANCELLED: ServerLost,
+    grpc.StatusCode.CANCELLED: SessionLost,
     grpc.StatusCode.DEADLINE_EXCEEDED: ServerLost,
 }
 

@@ -111,6 +111,7 @@ class EmbeddedServer:
             self.process.wait()
         with contextlib.suppress(FileNotFoundError):  # the server removes it, unless it was killed
             os.unlink(self.path)
+        self._log.close()
 
     def disown(self) -> None:
         """In a forked child: let go of the pipe, so that the parent's end alone ends the server."""
