@@ -74,6 +74,11 @@ impl HexapodGait {
                 format!("{:?} has several joints a leg; this task drives hips", robot.name),
             ));
         }
+        let steps = 1.0 / (CONTROL_RATE * setup.options.dt);
+        if (steps - steps.round()).abs() > 1e-6 * steps {
+            let reason = format!("{} does not divide the control period {} s", setup.options.dt, 1.0 / CONTROL_RATE);
+            return Err(Error::invalid("dt", reason));
+        }
         Ok(Self {
             spec: Self::table(&robot.joint_names(), &setup.options.weights, setup.options.max_episode_steps),
             weights: setup.options.weights.named().map(|w| w.1),

@@ -6,7 +6,7 @@ use crate::sim::engine::EngineKind;
 use crate::sim::model::Scene;
 use crate::sim::{Model, Robot};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
-use serde_json::Value;
+use serde_json::{Map, Value};
 
 /// Options of a locomotion task, fixed for a session unless a reset changes them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -90,9 +90,17 @@ pub const OPTION_HELP: [(&str, &str); 13] = [
     ("max_episode_steps", "control steps until an episode is truncated"),
 ];
 
-/// Reads keywords from JSON; errors name the keyword.
-pub fn parse<T: DeserializeOwned>(value: Value) -> Result<T> {
-    serde_json::from_value(value).map_err(|e| Error::invalid("options", e.to_string()))
+/// Reads keywords, all of which have defaults, from a JSON object; errors name the keyword.
+pub fn parse<T: DeserializeOwned>(keywords: Map<String, Value>) -> Result<T> {
+    let read = |keywords| serde_json::from_value(Value::Object(keywords));
+    read(keywords.clone()).map_err(|whole: serde_json::Error| {
+        // serde does not say where a value of the wrong type stood: try the keywords one by one.
+        let wrong = keywords.into_iter().find_map(|(key, value)| {
+            let alone = read(Map::from_iter([(key.clone(), value)]));
+            alone.err().map(|e| Error::invalid(key, e.to_string()))
+        });
+        wrong.unwrap_or_else(|| Error::invalid("options", whole.to_string()))
+    })
 }
 
 impl TaskOptions {
