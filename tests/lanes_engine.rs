@@ -124,11 +124,7 @@ fn free_fall_follows_gravity() {
         let (momentum, _) = mechanics(&model, &read(&engine, 0, &start));
         for (axis, p) in momentum.iter().take(3).enumerate() {
             let expected = model.total_mass() * model.gravity[axis] * 0.3;
-            assert!(
-                (p - expected).abs() < 1e-3 * 0.3,
-                "{name} axis {axis}: {} {expected}",
-                momentum[axis]
-            );
+            assert!((p - expected).abs() < 1e-3 * 0.3, "{name} axis {axis}: {} {expected}", momentum[axis]);
         }
     }
 }

@@ -4,7 +4,7 @@ use sandgait::Result;
 use sandgait::env::options::OPTION_HELP;
 use sandgait::env::task::{Blueprint, TASK_IDS};
 use sandgait::env::{Column, ResetOptions};
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
 /// List the tasks: what is observed, what an action is, what is paid for, and the options with their defaults.
 #[derive(clap::Args)]
@@ -16,7 +16,7 @@ pub struct Tasks {
 
 impl Tasks {
     pub fn run(self) -> Result<String> {
-        let tasks = TASK_IDS.iter().map(|id| Blueprint::new(id, Map::new())).collect::<Result<Vec<_>>>()?;
+        let tasks = TASK_IDS.iter().map(|id| Blueprint::new(id, Value::Null)).collect::<Result<Vec<_>>>()?;
         if self.json {
             return Ok(super::json(&tasks.iter().map(as_json).collect()));
         }

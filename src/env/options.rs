@@ -90,8 +90,13 @@ pub const OPTION_HELP: [(&str, &str); 13] = [
     ("max_episode_steps", "control steps until an episode is truncated"),
 ];
 
-/// Reads keywords, all of which have defaults, from a JSON object; errors name the keyword.
-pub fn parse<T: DeserializeOwned>(keywords: Map<String, Value>) -> Result<T> {
+/// Reads keywords, all of which have defaults, from a JSON object (null: none are given); errors name the keyword.
+pub fn parse<T: DeserializeOwned>(keywords: Value) -> Result<T> {
+    let keywords = match keywords {
+        Value::Object(keywords) => keywords,
+        Value::Null => Map::new(),
+        _ => return Err(Error::invalid("options", "not an object of keywords")),
+    };
     let read = |keywords| serde_json::from_value(Value::Object(keywords));
     read(keywords.clone()).map_err(|whole: serde_json::Error| {
         // serde does not say where a value of the wrong type stood: try the keywords one by one.

@@ -7,7 +7,7 @@ use super::spec::Spec;
 use crate::error::{Error, Result};
 use crate::sim::engine::{Command, EngineKind};
 use crate::sim::{Model, State};
-use serde_json::{Map, Value};
+use serde_json::Value;
 use std::sync::Arc;
 
 /// What an episode is about: drawn or chosen when it begins, constant until it ends.
@@ -82,8 +82,8 @@ const EPISODE_BYTES: usize = 2_000;
 pub const TASK_IDS: [&str; 1] = [HexapodGait::ID];
 
 impl Blueprint {
-    /// Task `id` with the keywords in `options`.
-    pub fn new(id: &str, options: Map<String, Value>) -> Result<Self> {
+    /// Task `id` with the keywords in `options` (a JSON object; null for defaults).
+    pub fn new(id: &str, options: Value) -> Result<Self> {
         if !TASK_IDS.contains(&id) {
             return Err(Error::unknown("task", id, &TASK_IDS));
         }

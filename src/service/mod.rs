@@ -34,7 +34,7 @@ use futures_util::Stream;
 use proto::environment_service_server::EnvironmentService;
 use proto::{CloseSessionRequest, CloseSessionResponse, CreateSessionRequest, CreateSessionResponse};
 use proto::{DescribeRequest, DescribeResponse, RunSessionRequest, RunSessionResponse};
-use serde_json::Map;
+use serde_json::Value;
 use sessions::Sessions;
 use std::pin::Pin;
 use std::sync::Arc;
@@ -80,7 +80,7 @@ fn check_protocol(client: u32) -> crate::Result<()> {
 impl EnvironmentService for Service {
     async fn describe(&self, _: Request<DescribeRequest>) -> Result<Response<DescribeResponse>, Status> {
         let tasks = off_runtime(|| {
-            let describe = |id: &&str| Blueprint::new(id, Map::new()).map(|b| encode::task(&b));
+            let describe = |id: &&str| Blueprint::new(id, Value::Null).map(|b| encode::task(&b));
             TASK_IDS.iter().map(describe).collect()
         });
         Ok(Response::new(DescribeResponse { version: VERSION.into(), protocol: PROTOCOL, tasks: tasks.await? }))

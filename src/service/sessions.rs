@@ -9,7 +9,7 @@ use super::status::SESSION;
 use crate::env::task::Blueprint;
 use crate::error::{Error, Result};
 use crate::pool::Batch;
-use serde_json::{Map, Value};
+use serde_json::Value;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -103,7 +103,7 @@ impl Sessions {
 
     /// A new session of `envs` environments, which waits for its stream. Building takes time: not for the async
     /// runtime's threads.
-    pub fn create(&self, task: &str, envs: usize, options: Map<String, Value>) -> Result<(String, Blueprint)> {
+    pub fn create(&self, task: &str, envs: usize, options: Value) -> Result<(String, Blueprint)> {
         if envs == 0 || envs > self.limits.environments {
             let range = format!("{envs} is outside [1, {}]", self.limits.environments);
             let error = if envs == 0 {

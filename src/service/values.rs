@@ -8,16 +8,16 @@ use serde_json::{Map, Number, Value};
 const EXACT: f64 = 9_007_199_254_740_992.0;
 
 /// Keywords of a request; `None` and an empty struct both mean that none are given.
-pub fn to_json(options: Option<prost_types::Struct>) -> Result<Map<String, Value>> {
-    options.map_or_else(|| Ok(Map::new()), |s| object("options", s))
+pub fn to_json(options: Option<prost_types::Struct>) -> Result<Value> {
+    options.map_or_else(|| Ok(Value::Object(Map::new())), |s| object("options", s))
 }
 
-fn object(path: &str, s: prost_types::Struct) -> Result<Map<String, Value>> {
+fn object(path: &str, s: prost_types::Struct) -> Result<Value> {
     let field = |(key, value)| {
         let value = json(&format!("{path}.{key}"), value)?;
         Ok((key, value))
     };
-    s.fields.into_iter().map(field).collect()
+    s.fields.into_iter().map(field).collect::<Result<_>>().map(Value::Object)
 }
 
 /// `path` names the value in errors. Depth is bounded: the protobuf decoder refuses more than 100 levels.
@@ -27,7 +27,7 @@ fn json(path: &str, value: prost_types::Value) -> Result<Value> {
         Some(Kind::BoolValue(b)) => Value::Bool(b),
         Some(Kind::StringValue(s)) => Value::String(s),
         Some(Kind::NumberValue(x)) => Value::Number(number(path, x)?),
-        Some(Kind::StructValue(s)) => Value::Object(object(path, s)?),
+        Some(Kind::StructValue(s)) => object(path, s)?,
         Some(Kind::ListValue(list)) => {
             let items = list.values.into_iter().enumerate().map(|(i, v)| json(&format!("{path}[{i}]"), v));
             Value::Array(items.collect::<Result<_>>()?)
@@ -68,14 +68,14 @@ mod tests {
 
     fn there_and_back(value: Value) -> Result<Value> {
         let Some(Kind::StructValue(s)) = from_json(&value).kind else { unreachable!("an object was given") };
-        to_json(Some(s)).map(Value::Object)
+        to_json(Some(s))
     }
 
     #[test]
     fn objects_survive_the_wire() {
         let value = json!({"leg": "C", "max_episode_steps": 500, "slope_deg": 2.5, "command": [0.1, 0.4], "n": null});
         assert_eq!(there_and_back(value.clone()).unwrap(), value);
-        assert_eq!(to_json(None).unwrap(), Map::new());
+        assert_eq!(to_json(None).unwrap(), json!({}));
     }
 
     #[test]
