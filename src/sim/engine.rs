@@ -33,10 +33,12 @@ impl EngineKind {
         }
     }
 
-    /// Memory of one robot [bytes], roughly.
+    /// Memory of one robot [bytes]: resident memory of a session of thousands of environments, less what an episode
+    /// takes.
     pub fn robot_bytes(self) -> usize {
         match self {
-            Self::Lanes => 10_000,
+            Self::Lanes => 4_000,
+            Self::Rapier => 86_000,
         }
     }
 

@@ -64,6 +64,11 @@ impl Trial {
         [start, start + STRIDES_MEASURED / self.frequency.abs()]
     }
 
+    /// Simulated time that the trial takes [s].
+    pub fn duration(&self) -> f64 {
+        self.window()[1]
+    }
+
     /// Speed of the hips [rad/s] at `time` [s].
     fn hip_speed(&self, time: f64) -> f64 {
         TAU * self.frequency * ((time - HOLD) / RAMP).clamp(0.0, 1.0)

@@ -99,7 +99,7 @@ async fn another_sessions_name_inside_a_stream() {
 
 async fn not_created(request: CreateSessionRequest, code: Code, words: &[&str]) {
     let server =
-        Server::with_limits(1, Limits { sessions: 2, environments: 100, memory: 1 << 20, ..Default::default() });
+        Server::with_limits(1, Limits { sessions: 2, environments: 100, memory: 1 << 18, ..Default::default() });
     let status = server.await.client().await.create_session(request).await.unwrap_err();
     check(&Failure { code: status.code().into(), message: status.message().into() }, code, words);
 }

@@ -3,6 +3,7 @@
 mod bad_input;
 mod determinism;
 mod harness;
+mod raw;
 mod sessions;
 mod traps;
 

@@ -96,7 +96,9 @@ impl Robot {
             self.world = World::new(&self.model);
         }
         self.state.clone_from(state);
-        for joint in [&mut self.state.angles, &mut self.state.rates, &mut self.state.references, &mut self.state.torques] {
+        for joint in
+            [&mut self.state.angles, &mut self.state.rates, &mut self.state.references, &mut self.state.torques]
+        {
             joint.resize(self.model.joints(), 0.0);
         }
     }
