@@ -6,7 +6,7 @@ use crate::sim::engine::EngineKind;
 use crate::sim::model::Scene;
 use crate::sim::{Model, Robot};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
-use serde_json::Value;
+use serde_json::{Map, Value};
 
 /// Largest speed that can be commanded, either way [m/s].
 pub const MAX_COMMAND: f64 = 2.0;
@@ -101,25 +101,37 @@ pub const OPTION_HELP: [(&str, &str); 14] = [
     ("max_episode_steps", "control steps until an episode is truncated"),
 ];
 
-/// Reads keywords from JSON; errors name the keyword.
-pub fn parse<T: DeserializeOwned>(value: Value) -> Result<T> {
-    serde_json::from_value(value).map_err(|e| Error::invalid("options", e.to_string()))
+/// Reads keywords, all of which have defaults, from a JSON object (null: none are given); errors name the keyword.
+pub fn parse<T: DeserializeOwned>(keywords: Value) -> Result<T> {
+    let keywords = match keywords {
+        Value::Object(keywords) => keywords,
+        Value::Null => Map::new(),
+        _ => return Err(Error::invalid("options", "not an object of keywords")),
+    };
+    let read = |keywords| serde_json::from_value(Value::Object(keywords));
+    read(keywords.clone()).map_err(|whole: serde_json::Error| {
+        // serde does not say where a value of the wrong type stood: try the keywords one by one.
+        let wrong = keywords.into_iter().find_map(|(key, value)| {
+            let alone = read(Map::from_iter([(key.clone(), value)]));
+            alone.err().map(|e| Error::invalid(key, e.to_string()))
+        });
+        wrong.unwrap_or_else(|| Error::invalid("options", whole.to_string()))
+    })
 }
 
 impl TaskOptions {
     /// The defaults `self` with the keywords in `given` (a JSON object, or null for none).
     pub fn with(&self, given: Value) -> Result<Self> {
         let mut all = serde_json::to_value(self).map_err(|e| Error::invalid("options", e.to_string()))?;
-        match given {
-            Value::Null => {}
-            Value::Object(given) => {
-                for (name, value) in given {
-                    let known = OPTION_HELP.map(|(name, _)| name);
-                    let slot = all.get_mut(&name).ok_or_else(|| Error::unknown("option", &name, &known))?;
-                    *slot = value;
-                }
-            }
-            other => return Err(Error::invalid("options", format!("{other} is not a table of names and values"))),
+        let given = match given {
+            Value::Object(given) => given,
+            Value::Null => Map::new(),
+            _ => return Err(Error::invalid("options", "not an object of keywords")),
+        };
+        for (name, value) in given {
+            let known = OPTION_HELP.map(|(name, _)| name);
+            let slot = all.get_mut(&name).ok_or_else(|| Error::unknown("option", &name, &known))?;
+            *slot = value;
         }
         parse(all)
     }
