@@ -33,6 +33,7 @@ impl Masses {
         self.second += place * place.transpose() * mass;
     }
 
+    /// Both together.
     pub fn with(mut self, other: &Self) -> Self {
         self.mass += other.mass;
         self.first += other.first;
@@ -56,7 +57,12 @@ impl Masses {
         M::identity() * second.trace() - second
     }
 
-    /// The same for masses that resist motion along the unit vector `along` only.
+    /// As rapier holds them.
+    pub fn properties(&self) -> MassProperties {
+        mass_properties(self.mass, self.center(), &self.inertia())
+    }
+
+    /// The inertia of masses that resist motion along the unit vector `along` only.
     pub fn inertia_along(&self, along: V) -> M {
         let cross = along.cross_matrix();
         cross * self.central_second() * cross.transpose()

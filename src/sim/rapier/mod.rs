@@ -20,6 +20,7 @@ use frame::{Frame, V};
 use inertia::{Masses, mass_properties};
 use rapier3d::prelude::MassProperties;
 use sand::Wrench;
+use std::f64::consts::TAU;
 use world::World;
 
 /// Robots that share nothing but the call that advances them.
@@ -91,7 +92,9 @@ impl Robot {
     fn set_state(&mut self, state: &State) {
         // rapier disables bodies that turned non-finite: only a new world is sure to be whole again.
         if let Some(model) = self.next_model.take() {
-            *self = Self { command: std::mem::replace(&mut self.command, Command::still(0)), ..Self::new(&model) };
+            let command = std::mem::replace(&mut self.command, Command::still(0));
+            *self = Self::new(&model);
+            self.set_command(&command);
         } else if !self.state.is_sound() {
             self.world = World::new(&self.model);
         }
@@ -117,6 +120,7 @@ impl Robot {
             return;
         }
         let dt = self.model.scene.dt;
+        fold_turns(&mut self.state);
         for (reference, rate) in self.state.references.iter_mut().zip(&self.command.rates) {
             *reference += rate * dt;
         }
@@ -137,8 +141,8 @@ impl Robot {
         wrench.add_at(V::zeros(), model.gravity * model.base_mass);
         self.world.push_base(&wrench);
 
-        let (properties, center) = world::rigid(&sand.drag);
-        self.world.load(self.world.drag, properties, base.rotation * center, &Wrench::none());
+        let arm = base.rotation * sand.drag.center();
+        self.world.load(self.world.drag, sand.drag.properties(), arm, &Wrench::none());
 
         let up = base.rotation.transpose() * V::z();
         let (center, inertia) = (sand.edge.center(), sand.edge.inertia_along(up));
@@ -164,7 +168,8 @@ impl Robot {
                 let mut wrench = sand.wrench;
                 wrench.add_at(frame.origin + frame.rotation * body.center, model.gravity * body.mass);
                 let (properties, center) = if sand.drag.mass > 0.0 {
-                    world::rigid(&Masses::body(body.mass, body.center, body.inertia).with(&sand.drag))
+                    let wet = Masses::body(body.mass, body.center, body.inertia).with(&sand.drag);
+                    (wet.properties(), wet.center())
                 } else {
                     (self.dry[joint], body.center)
                 };
@@ -173,6 +178,15 @@ impl Robot {
                 joint += 1;
             }
         }
+    }
+}
+
+/// Takes whole turns out of angles together with their references, so that neither grows while a hip turns.
+fn fold_turns(state: &mut State) {
+    for (angle, reference) in state.angles.iter_mut().zip(&mut state.references) {
+        let turns = (*angle / TAU).round() * TAU;
+        *angle -= turns;
+        *reference -= turns;
     }
 }
 

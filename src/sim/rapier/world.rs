@@ -1,7 +1,7 @@
 //! One robot as a rapier multibody in a world of its own.
 
 use super::frame::{M, V};
-use super::inertia::{Masses, mass_properties, quat, vec3};
+use super::inertia::{mass_properties, quat, vec3};
 use super::sand::Wrench;
 use crate::sim::model::{Body, Model, Motor};
 use crate::sim::{State, engine::Command};
@@ -98,10 +98,8 @@ impl World {
         }
         let hinges = multibody.links_mut().filter(|l| l.joint.ndofs() == 1);
         for (link, angle) in hinges.zip(&state.angles) {
-            let turns = (angle / std::f64::consts::TAU).round();
-            let angle = angle - turns * std::f64::consts::TAU;
             link.joint = MultibodyJoint::new(link.joint.data, false);
-            link.joint.apply_displacement(&[angle as f32]);
+            link.joint.apply_displacement(&[*angle as f32]);
         }
     }
 
@@ -176,10 +174,4 @@ fn hinge(body: &Body, motor: &Motor, dt: f64) -> GenericJoint {
         ..JointMotor::default()
     };
     joint
-}
-
-/// Mass properties of `masses` and their centre [m].
-pub fn rigid(masses: &Masses) -> (MassProperties, V) {
-    let center = masses.center();
-    (mass_properties(masses.mass, center, &masses.inertia()), center)
 }
