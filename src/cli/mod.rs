@@ -4,10 +4,12 @@
 mod intrude;
 mod media;
 mod serve;
+mod stress;
 mod tasks;
 
 use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
+use sandgait::sand::Medium;
 use sandgait::{Error, Result};
 use std::io::Write as _;
 use std::process::ExitCode;
@@ -32,6 +34,7 @@ enum Command {
     Serve(serve::Serve),
     Intrude(intrude::Intrude),
     Media(media::Media),
+    Stress(stress::Stress),
     Tasks(tasks::Tasks),
 }
 
@@ -62,6 +65,7 @@ fn run(command: Command) -> Result<String> {
         Command::Serve(c) => c.run(),
         Command::Intrude(c) => c.run(),
         Command::Media(c) => c.run(),
+        Command::Stress(c) => c.run(),
         Command::Tasks(c) => c.run(),
     }
 }
@@ -90,6 +94,15 @@ fn one_line(message: &str) -> String {
     let said = message.split("\nUsage:").next().unwrap_or(message);
     let lines = said.lines().map(str::trim).filter(|l| !l.is_empty() && !l.starts_with("For more information"));
     lines.collect::<Vec<_>>().join(" ").trim_start_matches("error: ").replace(" tip:", "; tip:")
+}
+
+/// A medium by name; a warning on stderr if its numbers are extrapolated.
+fn medium(name: &str) -> Result<Medium> {
+    let medium = Medium::named(name)?;
+    if let Some(caution) = Medium::caution(name) {
+        eprintln!("sandgait: warning: {caution}");
+    }
+    Ok(medium)
 }
 
 /// Pretty JSON with a newline.
