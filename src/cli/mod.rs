@@ -1,6 +1,7 @@
 //! The command line. Wrong use ends with exit code 2 and one line on stderr, and nothing has been written; what the
 //! machine could not do ends with 1.
 
+mod bench;
 mod intrude;
 mod media;
 mod serve;
@@ -32,6 +33,7 @@ Each command has its own --help with more examples.";
 #[derive(Subcommand)]
 enum Command {
     Serve(serve::Serve),
+    Bench(bench::Bench),
     Intrude(intrude::Intrude),
     Media(media::Media),
     Stress(stress::Stress),
@@ -63,6 +65,7 @@ pub fn main() -> ExitCode {
 fn run(command: Command) -> Result<String> {
     match command {
         Command::Serve(c) => c.run(),
+        Command::Bench(c) => c.run(),
         Command::Intrude(c) => c.run(),
         Command::Media(c) => c.run(),
         Command::Stress(c) => c.run(),

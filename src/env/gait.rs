@@ -1,5 +1,6 @@
 //! `sandgait/HexapodGait-v0`: follow a commanded forward speed on flat or sloping sand, one speed command a hip.
 
+use super::options::{MAX_COMMAND, TaskOptions};
 use super::random::Random;
 use super::spec::{Column, Spec};
 use super::task::{Goal, Setup, Task, Transition};
@@ -17,6 +18,12 @@ const CONTROL_RATE: f64 = 50.0;
 
 /// The base's centre this far under the surface [m] counts as buried: half the reference base's height.
 const BURIED: f64 = -0.015;
+
+/// Bounds of the observation, some three times what random hip speeds reach on a slope of 20°; what goes beyond is
+/// clipped. gymnasium warns of spaces without bounds.
+const BASE_SPEED: f64 = 5.0; // [m/s]
+const BASE_TURN: f64 = 100.0; // [rad/s]
+const HIP_SPEED: f64 = 3.0 * TOP_SPEED; // [rad/s]
 
 /// Weight of each reward term; all terms are of order 1 a step before weighting. Our choice: tracking dominates, the
 /// others only break ties between gaits of the same speed.
@@ -75,29 +82,28 @@ impl HexapodGait {
             ));
         }
         Ok(Self {
-            spec: Self::table(&robot.joint_names(), &setup.options.weights, setup.options.max_episode_steps),
+            spec: Self::table(&robot.joint_names(), &setup.options),
             weights: setup.options.weights.named().map(|w| w.1),
         })
     }
 
-    fn table(joints: &[String], weights: &Weights, max_episode_steps: u32) -> Spec {
-        let free = f64::INFINITY;
+    fn table(joints: &[String], options: &TaskOptions) -> Spec {
         let observation = [
             Column::xyz("gravity direction, body frame,", "1", 1.0),
-            Column::xyz("base velocity, body frame,", "m/s", free),
-            Column::xyz("base angular velocity, body frame,", "rad/s", free),
+            Column::xyz("base velocity, body frame,", "m/s", BASE_SPEED),
+            Column::xyz("base angular velocity, body frame,", "rad/s", BASE_TURN),
             Column::each(joints, "sine of hip angle", "1", 1.0),
             Column::each(joints, "cosine of hip angle", "1", 1.0),
-            Column::each(joints, "hip speed", "rad/s", free),
-            Column::each(joints, "hip torque", "N·m", free),
+            Column::each(joints, "hip speed", "rad/s", HIP_SPEED),
+            Column::each(joints, "hip torque", "N·m", options.torque_limit),
             Column::each(joints, "previous action", "1", 1.0),
-            vec![Column::free("commanded speed", "m/s")],
+            vec![Column::new("commanded speed", "m/s", -MAX_COMMAND, MAX_COMMAND)],
         ];
-        let terms = weights.named().map(|(name, _)| Column::free(format!("reward_{name}"), "1"));
+        let terms = options.weights.named().map(|(name, _)| Column::free(format!("reward_{name}"), "1"));
         let figures = [
             Column::free("speed", "m/s"),
             Column::free("commanded_speed", "m/s"),
-            Column::new("work", "J", 0.0, free),
+            Column::new("work", "J", 0.0, f64::INFINITY),
             Column::new("flipped", "1", 0.0, 1.0),
             Column::new("buried", "1", 0.0, 1.0),
             Column::new("diverged", "1", 0.0, 1.0),
@@ -109,7 +115,7 @@ impl HexapodGait {
             action: Column::each(joints, "target hip speed / 5 Hz", "1", 1.0),
             reward_terms: terms.len(),
             info: terms.into_iter().chain(figures).collect(),
-            max_episode_steps,
+            max_episode_steps: options.max_episode_steps,
             control_rate: CONTROL_RATE,
         }
     }

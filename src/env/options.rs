@@ -8,6 +8,9 @@ use crate::sim::{Model, Robot};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use serde_json::Value;
 
+/// Largest speed that can be commanded, either way [m/s].
+pub const MAX_COMMAND: f64 = 2.0;
+
 /// Options of a locomotion task, fixed for a session unless a reset changes them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -110,8 +113,8 @@ impl TaskOptions {
     /// Checks everything and builds the model.
     pub fn model(&self) -> Result<Model> {
         let [low, high] = self.command;
-        check_range("command[0]", low, -2.0..=2.0)?;
-        check_range("command[1]", high, low..=2.0)?;
+        check_range("command[0]", low, -MAX_COMMAND..=MAX_COMMAND)?;
+        check_range("command[1]", high, low..=MAX_COMMAND)?;
         check_range("angle_noise", self.angle_noise, 0.0..=std::f64::consts::PI)?;
         check_range("max_episode_steps", f64::from(self.max_episode_steps), 1.0..=1e6)?;
         self.weights.validate()?;

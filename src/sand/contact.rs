@@ -58,7 +58,8 @@ pub struct Ground<R> {
 pub struct Contact<R> {
     /// [N]
     pub force: Vec3<R>,
-    /// Resisting part of the force over the speed [N·s/m], never negative.
+    /// Resisting part of the force over the speed, −f·v/v² [N·s/m], never negative. It is the secant, so that at rest,
+    /// where the regularised force is linear in v, it is the true slope: v² + v0² below would leave it far too small.
     pub drag: R,
     /// Slope of the leading-edge gate along the normal [N·s/m], never negative; 0 for two-sided segments.
     pub edge: R,
@@ -123,9 +124,7 @@ impl<R: Real> Ground<R> {
     pub fn thin_plate_by(&self, law: &impl StressLaw<R>, depth: R, area: R, n: Vec3<R>, v: Vec3<R>) -> Contact<R> {
         let motion = self.motion(v);
         let force = law.stress(n, &motion) * (depth * area);
-        let resisting = (-force.dot(v)).max(R::zero());
-        let drag = resisting * motion.inverse_speed * motion.inverse_speed;
-        Contact { force, drag, edge: R::zero() }
+        Contact { force, drag: secant(force, v), edge: R::zero() }
     }
 
     /// A face of a solid body with outward normal `n`: the sand is on one side only and can push, not pull.
@@ -146,10 +145,14 @@ impl<R: Real> Ground<R> {
         let leading = n.dot(v) * motion.inverse_speed * self.inverse_gate;
         let gate = leading.clamp(R::zero(), R::one());
         let force = full * gate;
-        let resisting = (-force.dot(v)).max(R::zero());
-        let drag = resisting * motion.inverse_speed * motion.inverse_speed;
         let rising = (-full.dot(n)).max(R::zero()) * motion.inverse_speed * self.inverse_gate;
         let inside = R::select(R::zero().lt(gate), R::select(gate.lt(R::one()), rising, R::zero()), R::zero());
-        Contact { force, drag, edge: inside }
+        Contact { force, drag: secant(force, v), edge: inside }
     }
+}
+
+/// −f·v/v², or 0 where the force does not resist or nothing moves (1e-24 is (1e-12 m/s)², far below creep).
+#[inline(always)]
+fn secant<R: Real>(force: Vec3<R>, v: Vec3<R>) -> R {
+    (-force.dot(v)).max(R::zero()) / (v.norm_squared() + R::splat(1e-24))
 }
