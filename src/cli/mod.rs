@@ -5,11 +5,13 @@ mod bench;
 mod intrude;
 mod media;
 mod serve;
+mod stress;
 mod tasks;
 mod walk;
 
 use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
+use sandgait::sand::Medium;
 use sandgait::{Error, Result};
 use std::io::Write as _;
 use std::process::ExitCode;
@@ -37,6 +39,7 @@ enum Command {
     Bench(bench::Bench),
     Intrude(intrude::Intrude),
     Media(media::Media),
+    Stress(stress::Stress),
     Tasks(tasks::Tasks),
 }
 
@@ -69,6 +72,7 @@ fn run(command: Command) -> Result<String> {
         Command::Bench(c) => c.run(),
         Command::Intrude(c) => c.run(),
         Command::Media(c) => c.run(),
+        Command::Stress(c) => c.run(),
         Command::Tasks(c) => c.run(),
     }
 }
@@ -97,6 +101,15 @@ fn one_line(message: &str) -> String {
     let said = message.split("\nUsage:").next().unwrap_or(message);
     let lines = said.lines().map(str::trim).filter(|l| !l.is_empty() && !l.starts_with("For more information"));
     lines.collect::<Vec<_>>().join(" ").trim_start_matches("error: ").replace(" tip:", "; tip:")
+}
+
+/// A medium by name; a warning on stderr if its numbers are extrapolated.
+fn medium(name: &str) -> Result<Medium> {
+    let medium = Medium::named(name)?;
+    if let Some(caution) = Medium::caution(name) {
+        eprintln!("sandgait: warning: {caution}");
+    }
+    Ok(medium)
 }
 
 /// Pretty JSON with a newline.
