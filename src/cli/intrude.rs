@@ -2,7 +2,7 @@
 
 use sandgait::error::check_range;
 use sandgait::sand::intrusion::rotating_leg;
-use sandgait::sand::{Ground, Law, Medium, Shape, Surface};
+use sandgait::sand::{Ground, Law, Shape, Surface};
 use sandgait::{Error, Result};
 use std::path::PathBuf;
 
@@ -40,7 +40,7 @@ pub struct Intrude {
     /// Sand: a name from `sandgait media`, or zeta=VALUE
     #[arg(long, default_value = "poppy-loose")]
     medium: String,
-    /// Resistive force law
+    /// Resistive force law: li2013, penetration-drag-1d or agarwal2023
     #[arg(long, default_value = "li2013")]
     law: String,
     /// File to write the sweep to
@@ -54,7 +54,7 @@ impl Intrude {
         // Guards against slips of units: our choice.
         check_range("hip-height", self.hip_height, -1.0..=1.0)?;
         check_range("omega", self.omega, -100.0..=100.0)?;
-        let ground = Ground::new(Law::named(&self.law)?, &Medium::named(&self.medium)?, &Surface::default());
+        let ground = Ground::new(Law::named(&self.law)?, &super::medium(&self.medium)?, &Surface::default());
         let angles = (-HALF_SWEEP..=HALF_SWEEP).map(|i| f64::from(i) * 0.01);
         let sweep: Vec<_> =
             angles.map(|theta| (theta, rotating_leg(&ground, &segments, theta, self.omega, self.hip_height))).collect();

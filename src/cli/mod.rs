@@ -1,13 +1,17 @@
 //! The command line. Wrong use ends with exit code 2 and one line on stderr, and nothing has been written; what the
 //! machine could not do ends with 1.
 
+mod bench;
 mod intrude;
 mod media;
 mod serve;
+mod stress;
 mod tasks;
+mod walk;
 
 use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
+use sandgait::sand::Medium;
 use sandgait::{Error, Result};
 use std::io::Write as _;
 use std::process::ExitCode;
@@ -22,6 +26,7 @@ struct Cli {
 
 const EXAMPLES: &str = "Examples:
   sandgait serve --listen unix:/tmp/sand.sock
+  sandgait walk --leg L --frequency 2
   sandgait intrude --shape L --csv force.csv
   sandgait tasks --json
 
@@ -30,8 +35,11 @@ Each command has its own --help with more examples.";
 #[derive(Subcommand)]
 enum Command {
     Serve(serve::Serve),
+    Walk(walk::Walk),
+    Bench(bench::Bench),
     Intrude(intrude::Intrude),
     Media(media::Media),
+    Stress(stress::Stress),
     Tasks(tasks::Tasks),
 }
 
@@ -60,8 +68,11 @@ pub fn main() -> ExitCode {
 fn run(command: Command) -> Result<String> {
     match command {
         Command::Serve(c) => c.run(),
+        Command::Walk(c) => c.run(),
+        Command::Bench(c) => c.run(),
         Command::Intrude(c) => c.run(),
         Command::Media(c) => c.run(),
+        Command::Stress(c) => c.run(),
         Command::Tasks(c) => c.run(),
     }
 }
@@ -90,6 +101,15 @@ fn one_line(message: &str) -> String {
     let said = message.split("\nUsage:").next().unwrap_or(message);
     let lines = said.lines().map(str::trim).filter(|l| !l.is_empty() && !l.starts_with("For more information"));
     lines.collect::<Vec<_>>().join(" ").trim_start_matches("error: ").replace(" tip:", "; tip:")
+}
+
+/// A medium by name; a warning on stderr if its numbers are extrapolated.
+fn medium(name: &str) -> Result<Medium> {
+    let medium = Medium::named(name)?;
+    if let Some(caution) = Medium::caution(name) {
+        eprintln!("sandgait: warning: {caution}");
+    }
+    Ok(medium)
 }
 
 /// Pretty JSON with a newline.

@@ -3,7 +3,7 @@
 //! Resistive force theory depends on the direction of the velocity only: it is dry friction, undefined at rest and
 //! stiff. Two named parameters make it usable in dynamics; both are in [`Surface`].
 
-use super::law::{Law, Motion, PlanarTable};
+use super::law::{Law, Motion, PenetrationDrag, PlanarTable, SpatialTable, StressLaw};
 use super::media::Medium;
 use crate::number::{Real, Vec3};
 use serde::{Deserialize, Serialize};
@@ -18,19 +18,36 @@ pub struct Surface {
     /// A one-sided surface pushes with clamp(n·v̂ / gate, 0, 1) of its force: zero when it leaves the sand, full when
     /// it leads. Our choice 0.2: a hard test (0) converges badly in the time step (7-12 % error at 1 ms).
     pub leading_edge_gate: f64,
+    /// `penetration-drag-1d` switches with the signs of v_z and v_x; each is clamp(v̂_i / gate, −1, 1). Our choice 0.02
+    /// (1.1°): the sharpest that a 0.5 ms step still resolves.
+    pub sign_gate: f64,
+    /// Friction coefficient μ_s of the intruder's surface, for `agarwal2023`: caps its tangential stress. None: no cap.
+    pub friction: Option<f64>,
+}
+
+impl Surface {
+    /// No regularisation: for looking at a law itself, not for dynamics.
+    pub const BARE: Self = Self { rest_speed: 1e-30, leading_edge_gate: 1e-20, sign_gate: 1e-20, friction: None };
 }
 
 impl Default for Surface {
     fn default() -> Self {
-        Self { rest_speed: 1e-5, leading_edge_gate: 0.2 }
+        Self { rest_speed: 1e-5, leading_edge_gate: 0.2, sign_gate: 0.02, friction: None }
     }
+}
+
+/// The numbers of the chosen law. Hot loops match once and then run with the law as a type.
+#[derive(Clone, Copy)]
+pub enum Form<R> {
+    Li2013(PlanarTable<R>),
+    PenetrationDrag1d(PenetrationDrag<R>),
+    Agarwal2023(SpatialTable<R>),
 }
 
 /// Sand under one environment (or one per lane), ready for evaluation.
 #[derive(Clone, Copy)]
 pub struct Ground<R> {
-    pub law: Law,
-    table: PlanarTable<R>,
+    pub form: Form<R>,
     rest_speed_squared: R,
     inverse_gate: R,
 }
@@ -41,7 +58,8 @@ pub struct Ground<R> {
 pub struct Contact<R> {
     /// [N]
     pub force: Vec3<R>,
-    /// Resisting part of the force over the speed [N·s/m], never negative.
+    /// Resisting part of the force over the speed, −f·v/v² [N·s/m], never negative. It is the secant, so that at rest,
+    /// where the regularised force is linear in v, it is the true slope: v² + v0² below would leave it far too small.
     pub drag: R,
     /// Slope of the leading-edge gate along the normal [N·s/m], never negative; 0 for two-sided segments.
     pub edge: R,
@@ -49,9 +67,17 @@ pub struct Contact<R> {
 
 impl<R: Real> Ground<R> {
     pub fn new(law: Law, medium: &Medium, surface: &Surface) -> Self {
+        let form = match law {
+            Law::Li2013 => Form::Li2013(PlanarTable::splat(&medium.coefficients)),
+            Law::PenetrationDrag1d => {
+                Form::PenetrationDrag1d(PenetrationDrag::splat(&medium.coefficients, surface.sign_gate))
+            }
+            Law::Agarwal2023 => {
+                Form::Agarwal2023(SpatialTable::splat(medium, surface.friction, surface.leading_edge_gate))
+            }
+        };
         Self {
-            law,
-            table: PlanarTable::splat(&medium.coefficients),
+            form,
             rest_speed_squared: R::splat(surface.rest_speed * surface.rest_speed),
             inverse_gate: R::splat(1.0 / surface.leading_edge_gate),
         }
@@ -59,14 +85,20 @@ impl<R: Real> Ground<R> {
 
     /// Gives lane `lane` its own medium.
     pub fn set_lane(&mut self, lane: usize, medium: &Medium) {
-        self.table.set_lane(lane, &medium.coefficients);
+        match &mut self.form {
+            Form::Li2013(law) => law.set_lane(lane, medium),
+            Form::PenetrationDrag1d(law) => law.set_lane(lane, medium),
+            Form::Agarwal2023(law) => law.set_lane(lane, medium),
+        }
     }
 
     /// Stress per depth [N/m³] at full speed along `v`; the bare law.
     #[inline(always)]
     pub fn stress(&self, n: Vec3<R>, motion: &Motion<R>) -> Vec3<R> {
-        match self.law {
-            Law::Li2013 => self.table.stress(n, motion),
+        match &self.form {
+            Form::Li2013(law) => law.stress(n, motion),
+            Form::PenetrationDrag1d(law) => law.stress(n, motion),
+            Form::Agarwal2023(law) => law.stress(n, motion),
         }
     }
 
@@ -80,25 +112,47 @@ impl<R: Real> Ground<R> {
     /// A thin plate in the sand, both sides together: `depth` ≥ 0 [m] below the surface, `area` [m²].
     #[inline(always)]
     pub fn thin_plate(&self, depth: R, area: R, n: Vec3<R>, v: Vec3<R>) -> Contact<R> {
+        match &self.form {
+            Form::Li2013(law) => self.thin_plate_by(law, depth, area, n, v),
+            Form::PenetrationDrag1d(law) => self.thin_plate_by(law, depth, area, n, v),
+            Form::Agarwal2023(law) => self.thin_plate_by(law, depth, area, n, v),
+        }
+    }
+
+    /// [`Self::thin_plate`] with the law already chosen from [`Self::form`].
+    #[inline(always)]
+    pub fn thin_plate_by(&self, law: &impl StressLaw<R>, depth: R, area: R, n: Vec3<R>, v: Vec3<R>) -> Contact<R> {
         let motion = self.motion(v);
-        let force = self.stress(n, &motion) * (depth * area);
-        let resisting = (-force.dot(v)).max(R::zero());
-        let drag = resisting * motion.inverse_speed * motion.inverse_speed;
-        Contact { force, drag, edge: R::zero() }
+        let force = law.stress(n, &motion) * (depth * area);
+        Contact { force, drag: secant(force, v), edge: R::zero() }
     }
 
     /// A face of a solid body with outward normal `n`: the sand is on one side only and can push, not pull.
     #[inline(always)]
     pub fn one_sided(&self, depth: R, area: R, n: Vec3<R>, v: Vec3<R>) -> Contact<R> {
+        match &self.form {
+            Form::Li2013(law) => self.one_sided_by(law, depth, area, n, v),
+            Form::PenetrationDrag1d(law) => self.one_sided_by(law, depth, area, n, v),
+            Form::Agarwal2023(law) => self.one_sided_by(law, depth, area, n, v),
+        }
+    }
+
+    /// [`Self::one_sided`] with the law already chosen from [`Self::form`].
+    #[inline(always)]
+    pub fn one_sided_by(&self, law: &impl StressLaw<R>, depth: R, area: R, n: Vec3<R>, v: Vec3<R>) -> Contact<R> {
         let motion = self.motion(v);
-        let full = self.stress(n, &motion) * (depth * area);
+        let full = law.stress(n, &motion) * (depth * area);
         let leading = n.dot(v) * motion.inverse_speed * self.inverse_gate;
         let gate = leading.clamp(R::zero(), R::one());
         let force = full * gate;
-        let resisting = (-force.dot(v)).max(R::zero());
-        let drag = resisting * motion.inverse_speed * motion.inverse_speed;
         let rising = (-full.dot(n)).max(R::zero()) * motion.inverse_speed * self.inverse_gate;
         let inside = R::select(R::zero().lt(gate), R::select(gate.lt(R::one()), rising, R::zero()), R::zero());
-        Contact { force, drag, edge: inside }
+        Contact { force, drag: secant(force, v), edge: inside }
     }
+}
+
+/// −f·v/v², or 0 where the force does not resist or nothing moves (1e-24 is (1e-12 m/s)², far below creep).
+#[inline(always)]
+fn secant<R: Real>(force: Vec3<R>, v: Vec3<R>) -> R {
+    (-force.dot(v)).max(R::zero()) / (v.norm_squared() + R::splat(1e-24))
 }

@@ -1,5 +1,6 @@
 //! Granular media: stress coefficients with their sources.
 
+use super::law::agarwal2023;
 use crate::error::{Error, Result, check_range};
 use serde::{Deserialize, Serialize};
 
@@ -64,6 +65,16 @@ impl Coefficients {
     pub fn penetration(&self) -> f64 {
         self.a00 + self.a10 + self.b01 + self.b11 + self.bm11
     }
+
+    /// α_z(0, −π/2) [N/m³], negative: a horizontal plate pulled straight up.
+    pub fn extraction(&self) -> f64 {
+        self.a00 + self.a10 - self.b01 - self.b11 - self.bm11
+    }
+
+    /// α_x(π/2, 0) [N/m³]: a vertical plate dragged horizontally.
+    pub fn drag(&self) -> f64 {
+        self.c01 - self.c11 - self.cm11
+    }
 }
 
 /// One kind of sand.
@@ -103,8 +114,13 @@ impl Medium {
         MEASURED.iter().map(|m| m.0).chain(SCALED.iter().map(|m| m.0)).collect()
     }
 
-    /// A medium by its name, or `zeta=VALUE` (N/cm³) for the generic set at any scale.
+    /// A medium by its name, `zeta=VALUE` (N/cm³) for the generic set at any scale, or `mu=VALUE,rho=VALUE` for the
+    /// scale that `agarwal2023` derives from internal friction and critical density (kg/m³).
     pub fn named(name: &str) -> Result<Self> {
+        if name.starts_with("mu=") {
+            let (mu, density) = parse_friction(name)?;
+            return Self::from_friction(mu, density);
+        }
         if let Some(value) = name.strip_prefix("zeta=") {
             let zeta = value.parse().map_err(|_| Error::invalid("medium", format!("{value:?} is no number")))?;
             return Self::generic(zeta);
@@ -113,7 +129,7 @@ impl Medium {
         let scaled = SCALED.iter().find(|m| m.0 == name).map(|m| (Coefficients::GENERIC.scaled(m.1), m.2, m.3));
         let Some((coefficients, bulk_density, source)) = measured.or(scaled) else {
             let mut known = Self::names();
-            known.push("zeta=VALUE");
+            known.extend(["zeta=VALUE", "mu=VALUE,rho=VALUE"]);
             return Err(Error::unknown("medium", name, &known));
         };
         Ok(Self { name: name.into(), coefficients, bulk_density, source: source.into() })
@@ -130,4 +146,32 @@ impl Medium {
             source: "generic set, Science 2013 table S2, times ζ".into(),
         })
     }
+
+    /// The generic set at the scale that gives `agarwal2023` its ξ_n of friction μ and critical density ρ_c [kg/m³].
+    fn from_friction(mu: f64, density: f64) -> Result<Self> {
+        // Wider than any granular medium; between these and the fitted range `caution` warns. Our choice.
+        check_range("mu", mu, 0.05..=2.0)?;
+        check_range("rho", density, 10.0..=20_000.0)?;
+        let zeta = agarwal2023::from_friction(mu, density) * agarwal2023::PENETRATION / PER_CM3;
+        let source =
+            format!("ξ_n from μ = {mu} and ρ_c = {density} kg/m³, Agarwal et al. 2023; generic set at that scale");
+        Ok(Self { name: format!("mu={mu},rho={density}"), bulk_density: density, source, ..Self::generic(zeta)? })
+    }
+
+    /// One line of warning if `name` asks for more than its source has measured.
+    pub fn caution(name: &str) -> Option<String> {
+        let (mu, _) = parse_friction(name).ok()?;
+        let fitted = agarwal2023::FITTED_FRICTION;
+        (!fitted.contains(&mu)).then(|| {
+            format!("mu {mu} is outside [{}, {}], where ξ_n(μ) was fitted: extrapolated", fitted.start(), fitted.end())
+        })
+    }
+}
+
+/// μ and ρ_c of `mu=VALUE,rho=VALUE`.
+fn parse_friction(name: &str) -> Result<(f64, f64)> {
+    let number = |text: &str| text.parse().map_err(|_| Error::invalid("medium", format!("{text:?} is no number")));
+    let parts = name.strip_prefix("mu=").and_then(|rest| rest.split_once(",rho="));
+    let (mu, density) = parts.ok_or_else(|| Error::invalid("medium", format!("{name:?} is not mu=VALUE,rho=VALUE")))?;
+    Ok((number(mu)?, number(density)?))
 }

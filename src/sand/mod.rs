@@ -4,7 +4,7 @@
 //! Frame: x along the surface (uphill on a slope), z along the surface's outward normal, sand at z < 0.
 //!
 //! * [`media`]: what the sand is: its stress coefficients and where they were measured.
-//! * [`law`]: stress per depth from a segment's orientation and direction of motion.
+//! * [`law`]: stress per depth from a segment's orientation and direction of motion; three published laws.
 //! * [`contact`]: force on a segment, with what an implicit integrator needs to keep it at rest.
 //! * [`shape`]: intruders (plates and legs) cut into segments.
 //! * [`intrusion`]: a leg rotated about a fixed hip, as on a force-measuring arm.
@@ -15,7 +15,10 @@ pub mod law;
 pub mod media;
 pub mod shape;
 
-pub use contact::{Contact, Ground, Surface};
+pub use contact::{Contact, Form, Ground, Surface};
 pub use law::Law;
 pub use media::{Coefficients, Medium};
 pub use shape::{Segment, Shape};
+
+/// Standard gravity [m/s²].
+pub const GRAVITY: f64 = 9.80665;

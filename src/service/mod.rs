@@ -25,6 +25,7 @@ pub mod proto {
 pub use address::{Address, Listener};
 pub use server::serve;
 pub use sessions::Limits;
+pub use values::from_json;
 
 use crate::env::task::{Blueprint, TASK_IDS};
 use crate::error::Error;

@@ -1,12 +1,11 @@
 //! Robot, sand and options as numbers an engine can use. Immutable; randomization makes a new one.
 
 use super::robot::{Link, Robot, Tripod};
-use crate::error::{Result, check_range};
+use crate::error::{Error, Result, check_range};
 use crate::sand::{Law, Medium, Shape, Surface};
 use serde::{Deserialize, Serialize};
 
-/// Standard gravity [m/s²].
-pub const GRAVITY: f64 = 9.80665;
+pub use crate::sand::GRAVITY;
 
 type V = nalgebra::Vector3<f64>;
 type M = nalgebra::Matrix3<f64>;
@@ -47,7 +46,13 @@ impl Scene {
         check_range("dt", self.dt, 1e-6..=5e-3)?;
         check_range("payload", self.payload, 0.0..=1e3)?;
         check_range("surface.rest_speed", self.surface.rest_speed, 1e-9..=1e-2)?;
-        check_range("surface.leading_edge_gate", self.surface.leading_edge_gate, 1e-3..=1.0).map(drop)
+        check_range("surface.leading_edge_gate", self.surface.leading_edge_gate, 1e-3..=1.0)?;
+        check_range("surface.sign_gate", self.surface.sign_gate, 1e-3..=1.0)?;
+        let Some(friction) = self.surface.friction else { return Ok(()) };
+        if self.law != Law::Agarwal2023 {
+            return Err(Error::invalid("surface.friction", format!("{} has no friction cap", self.law.name())));
+        }
+        check_range("surface.friction", friction, 0.0..=10.0).map(drop)
     }
 }
 

@@ -8,7 +8,8 @@
 use super::model::{LaneBody, LaneModel, LanePlate};
 use super::spatial::{Inertia, PointMasses, Symmetric, Twist, Wrench};
 use crate::number::{Mat3, Real, Vec3};
-use crate::sand::Ground;
+use crate::sand::law::StressLaw;
+use crate::sand::{Form, Ground};
 
 /// State of the robots in one block, one lane each; see [`crate::sim::State`].
 #[derive(Clone)]
@@ -119,9 +120,26 @@ fn base_inertia<R: Real, const J: usize>(model: &LaneModel<R, J>, base: &Frame<R
     (Inertia::rigid(model.base_mass, Vec3::zero(), own, &PointMasses::zero()), bias)
 }
 
-/// Sand under the base: one-sided plates with a leading-edge gate.
+/// Sand under the base.
 #[inline(always)]
 fn belly<R: Real, const J: usize>(
+    model: &LaneModel<R, J>,
+    base: &Frame<R>,
+    height: R,
+    inertia: &mut Inertia<R>,
+    bias: &mut Wrench<R>,
+) {
+    match &model.ground.form {
+        Form::Li2013(law) => belly_by(law, model, base, height, inertia, bias),
+        Form::PenetrationDrag1d(law) => belly_by(law, model, base, height, inertia, bias),
+        Form::Agarwal2023(law) => belly_by(law, model, base, height, inertia, bias),
+    }
+}
+
+/// One-sided plates with a leading-edge gate.
+#[inline(always)]
+fn belly_by<R: Real, const J: usize>(
+    law: &impl StressLaw<R>,
     model: &LaneModel<R, J>,
     base: &Frame<R>,
     height: R,
@@ -135,7 +153,7 @@ fn belly<R: Real, const J: usize>(
         let Some((r, depth)) = submerged(base, plate, height) else { continue };
         wet = true;
         let normal = base.rotation.apply(plate.normal);
-        let contact = model.ground.one_sided(depth, plate.area, normal, base.velocity.at(r));
+        let contact = model.ground.one_sided_by(law, depth, plate.area, normal, base.velocity.at(r));
         sand.add_force_at(r, contact.force);
         drag.add(contact.drag * model.dt, r);
         let direction = Wrench { moment: r.cross(normal), force: normal };
@@ -170,12 +188,29 @@ fn strip<R: Real>(
     height: R,
     dt: R,
 ) -> (Wrench<R>, PointMasses<R>) {
+    match &ground.form {
+        Form::Li2013(law) => strip_by(law, ground, plates, link, height, dt),
+        Form::PenetrationDrag1d(law) => strip_by(law, ground, plates, link, height, dt),
+        Form::Agarwal2023(law) => strip_by(law, ground, plates, link, height, dt),
+    }
+}
+
+/// Two-sided plates: the hottest loop of the program.
+#[inline(always)]
+fn strip_by<R: Real>(
+    law: &impl StressLaw<R>,
+    ground: &Ground<R>,
+    plates: &[LanePlate<R>],
+    link: &Frame<R>,
+    height: R,
+    dt: R,
+) -> (Wrench<R>, PointMasses<R>) {
     let mut sand = Wrench::zero();
     let mut drag = PointMasses::zero();
     for plate in plates {
         let Some((r, depth)) = submerged(link, plate, height) else { continue };
         let normal = link.rotation.apply(plate.normal);
-        let contact = ground.thin_plate(depth, plate.area, normal, link.velocity.at(r));
+        let contact = ground.thin_plate_by(law, depth, plate.area, normal, link.velocity.at(r));
         sand.add_force_at(r, contact.force);
         drag.add(contact.drag * dt, r);
     }

@@ -1,43 +1,11 @@
-//! Resistive force laws: stress per depth on a small flat segment, free of trigonometry.
+//! Resistive force theory: Li, Zhang & Goldman, Science 339:1408 (2013), eq. S1-S2 and table S2.
+//!
+//! Valid for slow motion (below 0.5 m/s inertia of the grains stays under 10 % of the force; Li et al. 2012, section 2)
+//! in dry, uniform media.
 
-use super::media::Coefficients;
-use crate::error::{Error, Result};
+use super::{Motion, StressLaw};
 use crate::number::{Real, Vec3};
-use serde::{Deserialize, Serialize};
-
-/// Which law gives the stress.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Law {
-    /// Li, Zhang & Goldman, Science 339:1408 (2013), eq. S1-S2, evaluated in the vertical plane of the motion.
-    #[serde(rename = "li2013")]
-    Li2013,
-}
-
-impl Law {
-    pub const ALL: [Law; 1] = [Law::Li2013];
-
-    pub fn name(self) -> &'static str {
-        match self {
-            Law::Li2013 => "li2013",
-        }
-    }
-
-    pub fn named(name: &str) -> Result<Self> {
-        let known = Self::ALL.map(Law::name);
-        Self::ALL.into_iter().find(|l| l.name() == name).ok_or_else(|| Error::unknown("law", name, &known))
-    }
-}
-
-/// How a segment moves, regularised at rest with the speed scale v0 (see [`super::contact::Surface`]).
-#[derive(Clone, Copy)]
-pub struct Motion<R> {
-    /// Velocity [m/s].
-    pub v: Vec3<R>,
-    /// 1/√(v² + v0²) [s/m].
-    pub inverse_speed: R,
-    /// v²/(v² + v0²): 0 at rest, 1 when moving.
-    pub moving: R,
-}
+use crate::sand::media::{Coefficients, Medium};
 
 /// Terms of `li2013` gathered by the products that the trigonometry-free form needs; [N/m³].
 #[derive(Clone, Copy)]
@@ -68,9 +36,11 @@ impl<R: Real> PlanarTable<R> {
             d10: s(c.d10),
         }
     }
+}
 
-    pub fn set_lane(&mut self, lane: usize, c: &Coefficients) {
-        let one = PlanarTable::<f64>::splat(c);
+impl<R: Real> StressLaw<R> for PlanarTable<R> {
+    fn set_lane(&mut self, lane: usize, medium: &Medium) {
+        let one = PlanarTable::<f64>::splat(&medium.coefficients);
         self.a00.set_lane(lane, one.a00);
         self.a10.set_lane(lane, one.a10);
         self.b_difference.set_lane(lane, one.b_difference);
@@ -82,8 +52,6 @@ impl<R: Real> PlanarTable<R> {
         self.d10.set_lane(lane, one.d10);
     }
 
-    /// Stress per depth [N/m³] on a segment with unit normal `n`, both sides together.
-    ///
     /// With attack angle β, intrusion angle γ (v = |v|(cos γ e − sin γ ẑ), e horizontal):
     ///
     /// α_z = A00 + A10 cos 2β + B11 sin(2β+γ) + B01 sin γ + B₋₁₁ sin(−2β+γ),
@@ -92,7 +60,7 @@ impl<R: Real> PlanarTable<R> {
     /// Out of the plane: cos 2β → N_z² − (N·e)², sin 2β → −2 N_z (N·e), cos γ = |v_h|/|v|, sin γ = −v_z/|v|.
     /// For vertical motion e is the horizontal direction of the normal, the limit of motion in the normal's plane.
     #[inline(always)]
-    pub fn stress(&self, n: Vec3<R>, m: &Motion<R>) -> Vec3<R> {
+    fn stress(&self, n: Vec3<R>, m: &Motion<R>) -> Vec3<R> {
         let along = n.x.mul_add(m.v.x, n.y * m.v.y);
         // 1e-6 of the speed along the normal decides e only where the motion is vertical to that accuracy.
         let nudge = R::splat(1e-6) * (m.moving * m.v.norm_squared()).sqrt();

@@ -1,0 +1,77 @@
+//! `sandgait stress`
+
+use sandgait::number::Vec3;
+use sandgait::sand::law::agarwal2023;
+use sandgait::sand::{Ground, Law, Medium, Surface};
+use sandgait::table::{ANGLE, Table};
+use sandgait::{Error, Result};
+use std::path::PathBuf;
+
+/// Evaluate a force law: stress per depth at given angles.
+///
+/// Reads columns beta (tilt of the plate), gamma (direction of its velocity below the horizontal) and, for agarwal2023,
+/// psi (azimuth of its normal from the velocity's), in rad; beta counts modulo π. Prints them with the stress per depth
+/// in N/m³: alpha_x against the motion and alpha_z up, or for agarwal2023 the components alpha_r along the motion,
+/// alpha_theta across it and alpha_z up. The laws stand here bare, without the regularisation that dynamics needs.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:
+  sandgait stress --input angles.csv
+  sandgait stress --law agarwal2023 --medium glass-beads --input angles.csv
+  sandgait stress --law agarwal2023 --medium mu=0.5,rho=1500 --friction 0.36 --input angles.csv")]
+pub struct Stress {
+    /// Resistive force law: li2013, penetration-drag-1d or agarwal2023
+    #[arg(long, default_value = "li2013")]
+    law: String,
+    /// Sand: a name from `sandgait media`, zeta=VALUE or mu=VALUE,rho=VALUE
+    #[arg(long, default_value = "poppy-loose")]
+    medium: String,
+    /// CSV with columns beta, gamma and, if needed, psi [rad]
+    #[arg(long, value_name = "FILE")]
+    input: PathBuf,
+    /// Friction coefficient of the plate's surface: turns a normal stress that would pull into one that pushes, and
+    /// caps the tangential stress (agarwal2023 only)
+    #[arg(long, value_name = "MU", allow_negative_numbers = true)]
+    friction: Option<f64>,
+}
+
+impl Stress {
+    pub fn run(self) -> Result<String> {
+        let (law, medium) = (Law::named(&self.law)?, super::medium(&self.medium)?);
+        if let Some(mu) = self.friction {
+            sandgait::error::check_range("--friction", mu, 0.0..=10.0)?;
+            if law != Law::Agarwal2023 {
+                return Err(Error::invalid("--friction", format!("{} has no friction cap", law.name())));
+            }
+        }
+        let table = Table::read(&self.input)?;
+        let column = |name| table.numbers(name, ANGLE, None);
+        let (beta, gamma) = (column("beta")?, column("gamma")?);
+        let psi = if law == Law::Agarwal2023 { column("psi")? } else { vec![0.0; beta.len()] };
+        let names: &[&str] = match law {
+            Law::Agarwal2023 => &["alpha_r", "alpha_theta", "alpha_z"],
+            Law::Li2013 | Law::PenetrationDrag1d => &["alpha_x", "alpha_z"],
+        };
+        let mut text = format!("{},{}\n", table.header.join(","), names.join(","));
+        for (i, (_, cells)) in table.rows.iter().enumerate() {
+            let stress = stress(law, &medium, self.friction, [beta[i], gamma[i], psi[i]]);
+            let stress: Vec<_> = stress.iter().map(|s| format!("{s:.6}")).collect();
+            text.push_str(&format!("{},{}\n", cells.join(","), stress.join(",")));
+        }
+        Ok(text)
+    }
+}
+
+/// Components at (β, γ, ψ) [N/m³].
+fn stress(law: Law, medium: &Medium, friction: Option<f64>, [beta, gamma, psi]: [f64; 3]) -> Vec<f64> {
+    if law == Law::Agarwal2023 {
+        let components = match friction {
+            None => agarwal2023::components(beta, gamma, psi),
+            Some(mu) => agarwal2023::components_on_surface(beta, gamma, psi, mu),
+        };
+        return components.map(|c| c * agarwal2023::calibrated(&medium.coefficients)).to_vec();
+    }
+    let ground = Ground::new(law, medium, &Surface::BARE);
+    let motion = ground.motion(Vec3::new(gamma.cos(), 0.0, -gamma.sin()));
+    let force = ground.stress(Vec3::new(beta.sin(), 0.0, -beta.cos()), &motion);
+    vec![-force.x, force.z]
+}

@@ -1,0 +1,176 @@
+//! Three-dimensional resistive force theory: Agarwal, Goldman & Kamrin, PNAS 120:e2214017120 (2023).
+//!
+//! One polynomial for all media times one number ξ_n a medium. In the local frame r̂ (horizontal part of the velocity),
+//! θ̂, ẑ a segment has tilt β, its velocity the angle γ below the horizontal, its normal the azimuth ψ from r̂:
+//!
+//! x1 = sin γ, x2 = cos β, x3 = cos ψ cos γ sin β + sin γ cos β, f_i = Σ_k c_ik T_k(x1, x2, x3),
+//! α_r = f1 sin β cos ψ + f2 cos γ, α_θ = f1 sin β sin ψ, α_z = −f1 cos β − f2 sin γ − f3.
+//!
+//! With N = (sin β cos ψ, sin β sin ψ, −cos β), the segment's normal on its lower side (β is defined modulo π), and the
+//! direction of motion u = (cos γ, 0, −sin γ) this is x1 = −u_z, x2 = −N_z, x3 = N·u and α = f1 N + f2 u − f3 ẑ: no frame
+//! and no trigonometry is left.
+//!
+//! Two properties of the published fit that users should know, both tested in `tests/laws_of_sand.rs`:
+//! * a plate drawn upward can gain energy: in 0.08 % of all pairs of directions, at most 0.006 ξ_n of stress per depth
+//!   along the motion, and more than 0.001 ξ_n only where it is nearly horizontal (β < 12°);
+//! * across a vertical plate, where β jumps from π/2 to −π/2, α jumps by up to 0.05 ξ_n.
+
+use super::{Motion, StressLaw};
+use crate::number::{Real, Vec3};
+use crate::sand::media::{Coefficients, Medium};
+
+/// c_1k, c_2k, c_3k of each term, in the order of [`terms`]; PNAS 2023, supplementary table.
+pub const COEFFICIENTS: [[f64; 3]; 20] = [
+    [0.00212, -0.06796, -0.02634],
+    [-0.02320, -0.10941, -0.03436],
+    [-0.20890, 0.04725, 0.45256],
+    [-0.43083, -0.06914, 0.00835],
+    [-0.00259, -0.05835, 0.02553],
+    [0.48872, -0.65880, -1.31290],
+    [-0.00415, -0.11985, -0.05532],
+    [0.07204, -0.25739, 0.06790],
+    [-0.02750, -0.26834, -0.16404],
+    [-0.08772, 0.02692, 0.02287],
+    [0.01992, -0.00736, 0.02927],
+    [-0.45961, 0.63758, 0.95406],
+    [0.40799, 0.08997, -0.00131],
+    [-0.10107, 0.21069, -0.11028],
+    [-0.06576, 0.04748, 0.01487],
+    [0.05664, 0.20406, -0.02730],
+    [-0.09269, 0.18519, 0.10911],
+    [0.01892, 0.04934, -0.04097],
+    [0.01033, 0.13527, 0.07881],
+    [0.15120, -0.33207, -0.27519],
+];
+
+/// α_z(0, π/2, 0)/ξ_n: what the table gives for a horizontal plate pushed straight down.
+pub const PENETRATION: f64 = 0.87574;
+
+/// T_k(x1, x2, x3).
+#[inline(always)]
+fn terms<R: Real>(x1: R, x2: R, x3: R) -> [R; 20] {
+    let (x11, x22, x33) = (x1 * x1, x2 * x2, x3 * x3);
+    [
+        R::one(),
+        x1,
+        x2,
+        x3,
+        x11,
+        x22,
+        x33,
+        x1 * x2,
+        x2 * x3,
+        x3 * x1,
+        x11 * x1,
+        x22 * x2,
+        x33 * x3,
+        x1 * x22,
+        x2 * x11,
+        x2 * x33,
+        x3 * x22,
+        x3 * x11,
+        x1 * x33,
+        x1 * x2 * x3,
+    ]
+}
+
+/// f1, f2, f3.
+#[inline(always)]
+fn functions<R: Real>(x1: R, x2: R, x3: R) -> [R; 3] {
+    let t = terms(x1, x2, x3);
+    let mut f = [R::zero(); 3];
+    for k in 0..20 {
+        for i in 0..3 {
+            f[i] = t[k].mul_add(R::splat(COEFFICIENTS[k][i]), f[i]);
+        }
+    }
+    f
+}
+
+/// The published components (α_r, α_θ, α_z)/ξ_n at angles [rad], before anything is done about the surface.
+/// β counts modulo π into [−π/2, π/2]; a π/2 that was rounded up when it was written stays itself.
+pub fn components(beta: f64, gamma: f64, psi: f64) -> [f64; 3] {
+    use std::f64::consts::{FRAC_PI_2, PI};
+    let turns = if beta.abs() <= FRAC_PI_2 + 1e-6 { 0.0 } else { (beta / PI).round() };
+    let ((sin_b, cos_b), (sin_g, cos_g), (sin_p, cos_p)) =
+        ((beta - turns * PI).sin_cos(), gamma.sin_cos(), psi.sin_cos());
+    let [f1, f2, f3] = functions(sin_g, cos_b, cos_p * cos_g * sin_b + sin_g * cos_b);
+    [f1 * sin_b * cos_p + f2 * cos_g, f1 * sin_b * sin_p, -f1 * cos_b - f2 * sin_g - f3]
+}
+
+/// α with its normal part turned against the leading side n and its tangential part cut at μ times the normal one:
+/// |α·n|(−n) + min(μ |α_n|/|α_t|, 1) α_t. `leading` is n·u over the gate, within ±1.
+#[inline(always)]
+fn on_surface<R: Real>(alpha: Vec3<R>, n: Vec3<R>, leading: R, friction: Option<R>) -> Vec3<R> {
+    let normal = alpha.dot(n);
+    // Where the fit pulls the plate along (normal·leading > 0; 5 % of all directions) the pull becomes a push. At
+    // leading = ±1 that is exactly −|normal| on the leading side; in between, the turn is gradual.
+    let turned = (normal * leading).max(R::zero()) * R::splat(2.0);
+    let pushed = n.scale_add(R::select(normal.lt(R::zero()), turned, -turned), alpha);
+    let Some(friction) = friction else { return pushed };
+    let normal = pushed.dot(n);
+    let tangential = pushed - n * normal;
+    let size = (tangential.norm_squared() + R::splat(1e-20)).sqrt();
+    tangential.scale_add((friction * normal.abs() / size).min(R::one()), n * normal)
+}
+
+/// The published components with the surface law, at angles [rad]; `friction` is μ_s.
+pub fn components_on_surface(beta: f64, gamma: f64, psi: f64, friction: f64) -> [f64; 3] {
+    let ([r, t, z], n) =
+        (components(beta, gamma, psi), Vec3::new(beta.sin() * psi.cos(), beta.sin() * psi.sin(), -beta.cos()));
+    let leading = if n.dot(Vec3::new(gamma.cos(), 0.0, -gamma.sin())) < 0.0 { -1.0 } else { 1.0 };
+    let alpha = on_surface(Vec3::new(r, t, z), n, leading, Some(friction));
+    [alpha.x, alpha.y, alpha.z]
+}
+
+/// ξ_n [N/m³] of a medium whose penetration stress is known: the one number is measured, not derived.
+pub fn calibrated(c: &Coefficients) -> f64 {
+    c.penetration() / PENETRATION
+}
+
+/// ξ_n [N/m³] from the internal friction μ and the critical density ρ_c [kg/m³]: ρ_c g (894μ³ − 386μ² + 89μ), fitted
+/// for μ in [`FITTED_FRICTION`] (same paper).
+pub fn from_friction(mu: f64, density: f64) -> f64 {
+    density * crate::sand::GRAVITY * (894.0 * mu * mu * mu - 386.0 * mu * mu + 89.0 * mu)
+}
+
+/// Range of μ in which [`from_friction`] was fitted.
+pub const FITTED_FRICTION: std::ops::RangeInclusive<f64> = 0.3..=0.9;
+
+/// ξ_n and the surface's friction.
+#[derive(Clone, Copy)]
+pub struct SpatialTable<R> {
+    /// [N/m³]
+    scale: R,
+    /// μ_s of the segment's surface; none: tangential stress as fitted.
+    friction: Option<R>,
+    inverse_gate: R,
+}
+
+impl<R: Real> SpatialTable<R> {
+    pub fn splat(medium: &Medium, friction: Option<f64>, leading_edge_gate: f64) -> Self {
+        Self {
+            scale: R::splat(calibrated(&medium.coefficients)),
+            friction: friction.map(R::splat),
+            inverse_gate: R::splat(1.0 / leading_edge_gate),
+        }
+    }
+}
+
+impl<R: Real> StressLaw<R> for SpatialTable<R> {
+    fn set_lane(&mut self, lane: usize, medium: &Medium) {
+        self.scale.set_lane(lane, calibrated(&medium.coefficients));
+    }
+
+    #[inline(always)]
+    fn stress(&self, n: Vec3<R>, m: &Motion<R>) -> Vec3<R> {
+        let lower = R::select(R::zero().lt(n.z), -R::one(), R::one());
+        let (n, u) = (n * lower, m.v * m.inverse_speed);
+        let toward = n.dot(u);
+        let [f1, f2, f3] = functions(-u.z, -n.z, toward);
+        let mut alpha = n.scale_add(f1, u * f2);
+        alpha.z -= f3;
+        let leading = (toward * self.inverse_gate).clamp(-R::one(), R::one());
+        on_surface(alpha, n, leading, self.friction) * (self.scale * m.moving)
+    }
+}

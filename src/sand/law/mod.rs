@@ -1,0 +1,72 @@
+//! Resistive force laws: stress per depth on a small flat segment, free of trigonometry.
+//!
+//! * [`li2013`]: the resistive force theory of Li, Zhang & Goldman: nine coefficients a medium.
+//! * [`penetration_drag`]: its baseline, one-dimensional penetration and drag.
+//! * [`agarwal2023`]: three-dimensional RFT: one universal polynomial, one number a medium.
+//!
+//! A law is one type that implements [`StressLaw`]. Hot loops take it as a type parameter and are chosen between once
+//! a loop by [`super::contact::Form`], so a new law costs the others nothing.
+
+pub mod agarwal2023;
+pub mod li2013;
+pub mod penetration_drag;
+
+pub use agarwal2023::SpatialTable;
+pub use li2013::PlanarTable;
+pub use penetration_drag::PenetrationDrag;
+
+use super::media::Medium;
+use crate::error::{Error, Result};
+use crate::number::{Real, Vec3};
+use serde::{Deserialize, Serialize};
+
+/// Which law gives the stress.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Law {
+    /// Li, Zhang & Goldman, Science 339:1408 (2013), eq. S1-S2, evaluated in the vertical plane of the motion.
+    #[serde(rename = "li2013")]
+    Li2013,
+    /// The baseline of Li, Zhang & Goldman 2012, section 3: vertical penetration and horizontal drag, independent.
+    #[serde(rename = "penetration-drag-1d")]
+    PenetrationDrag1d,
+    /// Agarwal, Goldman & Kamrin, PNAS 120:e2214017120 (2023): 3D-RFT.
+    #[serde(rename = "agarwal2023")]
+    Agarwal2023,
+}
+
+impl Law {
+    pub const ALL: [Law; 3] = [Law::Li2013, Law::PenetrationDrag1d, Law::Agarwal2023];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Law::Li2013 => "li2013",
+            Law::PenetrationDrag1d => "penetration-drag-1d",
+            Law::Agarwal2023 => "agarwal2023",
+        }
+    }
+
+    pub fn named(name: &str) -> Result<Self> {
+        let known = Self::ALL.map(Law::name);
+        Self::ALL.into_iter().find(|l| l.name() == name).ok_or_else(|| Error::unknown("law", name, &known))
+    }
+}
+
+/// How a segment moves, regularised at rest with the speed scale v0 (see [`super::contact::Surface`]).
+#[derive(Clone, Copy)]
+pub struct Motion<R> {
+    /// Velocity [m/s].
+    pub v: Vec3<R>,
+    /// 1/√(v² + v0²) [s/m].
+    pub inverse_speed: R,
+    /// v²/(v² + v0²): 0 at rest, 1 when moving.
+    pub moving: R,
+}
+
+/// A law's numbers, one medium a lane.
+pub trait StressLaw<R: Real>: Copy {
+    /// Gives lane `lane` its own medium.
+    fn set_lane(&mut self, lane: usize, medium: &Medium);
+
+    /// Stress per depth [N/m³] on a thin segment with unit normal `n`, both sides together; the same for −`n`.
+    fn stress(&self, n: Vec3<R>, motion: &Motion<R>) -> Vec3<R>;
+}
