@@ -176,9 +176,12 @@ def test_the_socket_is_this_users_alone_and_the_start_is_quick() -> None:
         embedded.stop()
 
 
-def test_a_directory_of_another_user_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server.tempfile, "tempdir", str(tmp_path))
-    (tmp_path / f"sandgait-{os.getuid()}").mkdir(mode=0o755)
+def test_a_directory_that_others_can_enter_is_refused(
+    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parent = tmp_path_factory.mktemp("t")
+    monkeypatch.setattr("tempfile.tempdir", str(parent))
+    (parent / f"sandgait-{os.getuid()}").mkdir(mode=0o755)
     with pytest.raises(sandgait.SandgaitError, match="only this user"):
         server.EmbeddedServer()
 

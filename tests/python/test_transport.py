@@ -7,6 +7,7 @@ import statistics
 import time
 from pathlib import Path
 
+import grpc
 import gymnasium
 import numpy as np
 import pytest
@@ -101,16 +102,17 @@ def test_a_server_that_goes_away(remote: RemoteServer) -> None:
 
 
 def test_a_session_takes_one_stream_and_ends_when_closed_by_name(remote: RemoteServer) -> None:
-    env, other = (sandgait.SandgaitVectorEnv(ID, 3, remote.address) for _ in range(2))
-    env.reset()
-    other._session._id = env._session._id
-    with pytest.raises(sandgait.OutOfOrder, match="already has a stream"):
-        other.reset()
-    env.step(np.zeros((3, 6)))
+    env = sandgait.SandgaitVectorEnv(ID, 3, remote.address)
+    name = client.pb.RunSessionRequest(session_id=env._session._id)
+    time.sleep(0.2)  # taken before any reset: a session without a stream lives for 30 s only
     with client._channel(remote.address, client.DEFAULT_MESSAGE_BYTES) as channel:
+        serialize, parse = client.pb.RunSessionRequest.SerializeToString, client.pb.RunSessionResponse.FromString
+        second = channel.stream_stream(client._method("RunSession"), serialize, parse)(iter([name]))
+        with pytest.raises(grpc.RpcError, match="already has a stream"):
+            next(second)
+        env.reset()
         request = client.pb.CloseSessionRequest(session_id=env._session._id)
         client._call(channel, remote.address, "CloseSession", request, client.pb.CloseSessionResponse)
     with pytest.raises(sandgait.SessionLost, match="the session was closed"):
         env.step(np.zeros((3, 6)))
     env.close()
-    other.close()
