@@ -8,6 +8,12 @@ use crate::sim::{Model, Robot};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use serde_json::Value;
 
+/// Largest speed that can be commanded, either way [m/s].
+pub const MAX_COMMAND: f64 = 2.0;
+
+/// Largest yaw speed that can be commanded, either way [rad/s].
+pub const MAX_TURN: f64 = 3.0;
+
 /// Options of a locomotion task, fixed for a session unless a reset changes them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -22,10 +28,12 @@ pub struct TaskOptions {
     pub torque_limit: f64,
     /// Commanded speed [m/s] is drawn from this range at every reset.
     pub command: [f64; 2],
-    /// Spread of the initial hip angles around the tripod's [rad], uniform ±.
+    /// Commanded yaw speed [rad/s], likewise; tasks without a turning command go straight.
+    pub turn: [f64; 2],
+    /// Spread of the initial joint angles around the tripod's [rad], uniform ±.
     pub angle_noise: f64,
     /// Weights of the reward's terms.
-    pub weights: super::gait::Weights,
+    pub weights: super::locomotion::Weights,
     /// Leg shape: L, revL, C, revC, flat or xi=DEGREES.
     pub leg: String,
     /// Medium's name or zeta=VALUE.
@@ -46,6 +54,7 @@ impl Default for TaskOptions {
             dt: Scene::DEFAULT_DT,
             torque_limit: 0.05,
             command: [0.1, 0.4],
+            turn: [0.0, 0.0],
             angle_noise: 0.2,
             weights: Default::default(),
             leg: "L".into(),
@@ -66,22 +75,24 @@ pub struct ResetOptions {
     pub slope_deg: Option<f64>,
     pub payload: Option<f64>,
     pub command: Option<[f64; 2]>,
+    pub turn: Option<[f64; 2]>,
 }
 
 impl ResetOptions {
     /// Names of the keywords, for tables.
-    pub const NAMES: [&'static str; 5] = ["leg", "medium", "slope_deg", "payload", "command"];
+    pub const NAMES: [&'static str; 6] = ["leg", "medium", "slope_deg", "payload", "command", "turn"];
 }
 
 /// What each keyword means, in the order of [`TaskOptions`].
-pub const OPTION_HELP: [(&str, &str); 13] = [
+pub const OPTION_HELP: [(&str, &str); 14] = [
     ("robot", "built-in robot"),
     ("engine", "engine that integrates the motion"),
     ("law", "resistive force law"),
     ("dt", "time step [s]"),
     ("torque_limit", "largest servo torque [N·m]"),
     ("command", "range [low, high] the commanded speed is drawn from [m/s]"),
-    ("angle_noise", "initial hip angles are uniform within ± this around the tripod's [rad]"),
+    ("turn", "range [low, high] the commanded yaw speed is drawn from [rad/s]"),
+    ("angle_noise", "initial joint angles are uniform within ± this around the tripod's [rad]"),
     ("weights", "weight of each reward term"),
     ("leg", "leg shape: L, revL, C, revC, flat or xi=DEGREES"),
     ("medium", "sand: a medium's name or zeta=VALUE"),
@@ -96,6 +107,23 @@ pub fn parse<T: DeserializeOwned>(value: Value) -> Result<T> {
 }
 
 impl TaskOptions {
+    /// The defaults `self` with the keywords in `given` (a JSON object, or null for none).
+    pub fn with(&self, given: Value) -> Result<Self> {
+        let mut all = serde_json::to_value(self).map_err(|e| Error::invalid("options", e.to_string()))?;
+        match given {
+            Value::Null => {}
+            Value::Object(given) => {
+                for (name, value) in given {
+                    let known = OPTION_HELP.map(|(name, _)| name);
+                    let slot = all.get_mut(&name).ok_or_else(|| Error::unknown("option", &name, &known))?;
+                    *slot = value;
+                }
+            }
+            other => return Err(Error::invalid("options", format!("{other} is not a table of names and values"))),
+        }
+        parse(all)
+    }
+
     /// These options with a reset's changes.
     pub fn changed(&self, reset: &ResetOptions) -> Self {
         let mut new = self.clone();
@@ -104,14 +132,18 @@ impl TaskOptions {
         new.slope_deg = reset.slope_deg.unwrap_or(new.slope_deg);
         new.payload = reset.payload.unwrap_or(new.payload);
         new.command = reset.command.unwrap_or(new.command);
+        new.turn = reset.turn.unwrap_or(new.turn);
         new
     }
 
     /// Checks everything and builds the model.
     pub fn model(&self) -> Result<Model> {
         let [low, high] = self.command;
-        check_range("command[0]", low, -2.0..=2.0)?;
-        check_range("command[1]", high, low..=2.0)?;
+        check_range("command[0]", low, -MAX_COMMAND..=MAX_COMMAND)?;
+        check_range("command[1]", high, low..=MAX_COMMAND)?;
+        let [low, high] = self.turn;
+        check_range("turn[0]", low, -MAX_TURN..=MAX_TURN)?;
+        check_range("turn[1]", high, low..=MAX_TURN)?;
         check_range("angle_noise", self.angle_noise, 0.0..=std::f64::consts::PI)?;
         check_range("max_episode_steps", f64::from(self.max_episode_steps), 1.0..=1e6)?;
         self.weights.validate()?;

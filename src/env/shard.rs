@@ -21,6 +21,16 @@ struct Episode {
     last_action: Vec<f32>,
 }
 
+impl Episode {
+    /// Fills an observation row; what lies beyond its column's bounds is clipped to them.
+    fn observe(&self, task: &dyn Task, row: &mut [f32]) {
+        task.observe(&self.goal, &self.after, &self.last_action, row);
+        for (value, column) in row.iter_mut().zip(&task.spec().observation) {
+            *value = value.clamp(column.low as f32, column.high as f32);
+        }
+    }
+}
+
 /// A run of environments of one session. Owned by one thread at a time.
 pub struct Shard {
     task: Arc<dyn Task>,
@@ -85,7 +95,7 @@ impl Shard {
             seed: 0,
             number: 0,
             steps: 0,
-            goal: Goal { speed: 0.0 },
+            goal: Goal { speed: 0.0, turn: 0.0 },
             before: State::at_rest(0.0, &vec![0.0; model.joints()]),
             after: State::at_rest(0.0, &vec![0.0; model.joints()]),
             last_action: vec![0.0; spec.action.len()],
@@ -175,7 +185,7 @@ impl Shard {
         self.rows.terminated[i] = u8::from(terminated);
         self.rows.truncated[i] = u8::from(truncated);
         let observation = &mut self.rows.observations[i * wide..][..wide];
-        self.task.observe(&episode.goal, &episode.after, &episode.last_action, observation);
+        episode.observe(&*self.task, observation);
         if terminated || truncated {
             self.rows.ended.push(i as u32);
             self.rows.final_observations.extend_from_slice(observation);
@@ -198,6 +208,6 @@ impl Shard {
         self.engine.state(i, &mut episode.after);
         let wide = self.task.spec().observation.len();
         let row = &mut self.rows.observations[i * wide..][..wide];
-        self.task.observe(&episode.goal, &episode.after, &episode.last_action, row);
+        episode.observe(&*self.task, row);
     }
 }

@@ -16,7 +16,7 @@ pub struct Batch {
 
 /// A checked request; only [`Batch`] makes one, so a pool never sees a malformed one.
 pub enum Operation {
-    Reset { chosen: Option<Vec<bool>>, seeds: Option<Vec<u64>>, setup: Option<Setup> },
+    Reset { chosen: Option<Vec<bool>>, seeds: Option<Vec<u64>>, setup: Option<Box<Setup>> },
     Step { actions: Vec<f32> },
 }
 
@@ -64,7 +64,8 @@ impl Batch {
         };
         chosen.as_ref().map_or(Ok(()), |c| count("mask", c.len()))?;
         seeds.as_ref().map_or(Ok(()), |s| count("seeds", s.len()))?;
-        let setup = if options == ResetOptions::default() { None } else { Some(self.setup.changed(&options)?) };
+        let setup =
+            if options == ResetOptions::default() { None } else { Some(Box::new(self.setup.changed(&options)?)) };
         for (i, begun) in self.begun.iter_mut().enumerate() {
             *begun |= chosen.as_ref().is_none_or(|c| c[i]);
         }
@@ -106,7 +107,7 @@ impl Operation {
             Self::Reset { chosen, seeds, setup } => {
                 let chosen = |i: usize| chosen.as_ref().is_none_or(|c| c[start + i]);
                 let seeds = seeds.as_ref().map(|s| &s[start..start + envs]);
-                shard.reset(chosen, seeds, setup.as_ref());
+                shard.reset(chosen, seeds, setup.as_deref());
             }
         }
     }

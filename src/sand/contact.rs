@@ -41,7 +41,8 @@ pub struct Ground<R> {
 pub struct Contact<R> {
     /// [N]
     pub force: Vec3<R>,
-    /// Resisting part of the force over the speed [N·s/m], never negative.
+    /// Resisting part of the force over the speed, −f·v/v² [N·s/m], never negative. It is the secant, so that at rest,
+    /// where the regularised force is linear in v, it is the true slope: v² + v0² below would leave it far too small.
     pub drag: R,
     /// Slope of the leading-edge gate along the normal [N·s/m], never negative; 0 for two-sided segments.
     pub edge: R,
@@ -82,8 +83,7 @@ impl<R: Real> Ground<R> {
     pub fn thin_plate(&self, depth: R, area: R, n: Vec3<R>, v: Vec3<R>) -> Contact<R> {
         let motion = self.motion(v);
         let force = self.stress(n, &motion) * (depth * area);
-        let drag = drag(force, v);
-        Contact { force, drag, edge: R::zero() }
+        Contact { force, drag: secant(force, v), edge: R::zero() }
     }
 
     /// A face of a solid body with outward normal `n`: the sand is on one side only and can push, not pull.
@@ -94,16 +94,14 @@ impl<R: Real> Ground<R> {
         let leading = n.dot(v) * motion.inverse_speed * self.inverse_gate;
         let gate = leading.clamp(R::zero(), R::one());
         let force = full * gate;
-        let drag = drag(force, v);
         let rising = (-full.dot(n)).max(R::zero()) * motion.inverse_speed * self.inverse_gate;
         let inside = R::select(R::zero().lt(gate), R::select(gate.lt(R::one()), rising, R::zero()), R::zero());
-        Contact { force, drag, edge: inside }
+        Contact { force, drag: secant(force, v), edge: inside }
     }
 }
 
-/// Part of `force` against `v` over |v|. The speed here is the true one: with the regularised one the drag of a nearly
-/// resting segment falls below half the force's slope, and one implicit step overshoots: bodies at rest chatter.
+/// −f·v/v², or 0 where the force does not resist or nothing moves (1e-24 is (1e-12 m/s)², far below creep).
 #[inline(always)]
-fn drag<R: Real>(force: Vec3<R>, v: Vec3<R>) -> R {
+fn secant<R: Real>(force: Vec3<R>, v: Vec3<R>) -> R {
     (-force.dot(v)).max(R::zero()) / (v.norm_squared() + R::splat(1e-24))
 }

@@ -93,8 +93,10 @@ impl<R: Real> PlanarTable<R> {
     /// For vertical motion e is the horizontal direction of the normal, the limit of motion in the normal's plane.
     #[inline(always)]
     pub fn stress(&self, n: Vec3<R>, m: &Motion<R>) -> Vec3<R> {
+        let along = n.x.mul_add(m.v.x, n.y * m.v.y);
         // 1e-6 of the speed along the normal decides e only where the motion is vertical to that accuracy.
         let nudge = R::splat(1e-6) * (m.moving * m.v.norm_squared()).sqrt();
+        let nudge = R::select(along.lt(R::zero()), -nudge, nudge);
         let (ex, ey) = (n.x.mul_add(nudge, m.v.x), n.y.mul_add(nudge, m.v.y));
         let normal_along = n.x.mul_add(ex, n.y * ey);
         let squared = ex.mul_add(ex, ey.mul_add(ey, R::splat(1e-36)));
@@ -104,7 +106,7 @@ impl<R: Real> PlanarTable<R> {
         let sin_2b_over_h = minus_2nz * ratio; // times (ex, ey): sin 2β e
 
         let sin_g = -(m.v.z * m.inverse_speed);
-        let sin_2b_cos_g = minus_2nz * n.x.mul_add(m.v.x, n.y * m.v.y) * m.inverse_speed;
+        let sin_2b_cos_g = minus_2nz * along * m.inverse_speed;
         let along_v = self.c_sum.mul_add(cos_2b, self.c01) * m.inverse_speed;
         let along_e = self.c_difference.mul_add(sin_g, self.d10 * m.moving) * sin_2b_over_h;
         let vertical = self

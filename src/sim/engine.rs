@@ -33,6 +33,14 @@ impl EngineKind {
         }
     }
 
+    /// Memory of one robot [bytes], roughly.
+    pub fn robot_bytes(self) -> usize {
+        match self {
+            Self::Lanes => 10_000,
+            Self::Rapier => 170_000, // 18 joints; 86,000 with 6
+        }
+    }
+
     pub fn named(name: &str) -> Result<Self> {
         let known = Self::ALL.map(Self::name);
         Self::ALL.into_iter().find(|e| e.name() == name).ok_or_else(|| Error::unknown("engine", name, &known))

@@ -151,14 +151,13 @@ impl Model {
         self.base_mass + self.legs.iter().flatten().map(|b| b.mass).sum::<f64>()
     }
 
-    /// Hip angles of the alternating tripod at the start: A straight down, B straight up (other joints 0).
+    /// Joint angles [rad] at the start of the alternating tripod: freely turning hips of A straight down, of B straight
+    /// up; all other joints 0.
     pub fn tripod_angles(&self) -> Vec<f64> {
-        let angle = |t: Tripod| if t == Tripod::A { 0.0 } else { std::f64::consts::PI };
-        self.robot
-            .hip
-            .iter()
-            .flat_map(|h| (0..self.robot.leg.link.len()).map(move |j| if j == 0 { angle(h.tripod) } else { 0.0 }))
-            .collect()
+        let links = &self.robot.leg.link;
+        let turns = |j: usize| j == 0 && links[j].range.is_none();
+        let angle = |t: Tripod, j: usize| if t == Tripod::B && turns(j) { std::f64::consts::PI } else { 0.0 };
+        self.robot.hip.iter().flat_map(|h| (0..links.len()).map(move |j| angle(h.tripod, j))).collect()
     }
 
     /// Base height at which the lowest joint or tip touches the surface with the base level and joints at `angles`.

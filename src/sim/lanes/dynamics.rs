@@ -224,15 +224,22 @@ fn child_frame<R: Real>(parent: &Frame<R>, body: &LaneBody<R>, joint: &LaneJoint
     let axis = parent.rotation.apply(body.axis);
     let origin = parent.origin + parent.rotation.apply(body.joint);
     let (sin, cos) = joint.angle.sin_cos();
-    let turn = |u: Vec3<R>| {
-        let along = axis * (axis.dot(u) * (R::one() - cos));
-        axis.cross(u).scale_add(sin, u.scale_add(cos, along))
-    };
-    let rotation = Mat3::new(turn(parent.rotation.x), turn(parent.rotation.y), turn(parent.rotation.z));
+    let rotation = Mat3::new(
+        turned(parent.rotation.x, axis, sin, cos),
+        turned(parent.rotation.y, axis, sin, cos),
+        turned(parent.rotation.z, axis, sin, cos),
+    );
     let hinge = Twist::hinge(axis, origin);
     let velocity = hinge.scale_add(joint.rate, &parent.velocity);
     let bias = velocity.carries(&hinge).scale_add(joint.rate, &parent.bias);
     (Frame { rotation, origin, velocity, bias }, hinge)
+}
+
+/// `u` turned about the unit vector `axis` (Rodrigues' formula).
+#[inline(always)]
+fn turned<R: Real>(u: Vec3<R>, axis: Vec3<R>, sin: R, cos: R) -> Vec3<R> {
+    let along = axis * (axis.dot(u) * (R::one() - cos));
+    axis.cross(u).scale_add(sin, u.scale_add(cos, along))
 }
 
 /// A link's inertia with the sand's added masses, and the wrench its motion needs with all joints unaccelerated.

@@ -48,7 +48,9 @@ impl LanesEngine {
             _ => return Err(Error::invalid("robot", format!("{joints} joints a leg; engine lanes takes 1 or 3"))),
         };
         let lanes = isa.lanes();
-        Ok(Self { blocks: (0..count.div_ceil(lanes)).map(|_| block(model)).collect(), lanes })
+        let mut engine = Self { blocks: (0..count.div_ceil(lanes)).map(|_| block(model)).collect(), lanes };
+        (0..count).for_each(|index| engine.set_model(index, model));
+        Ok(engine)
     }
 
     /// See [`super::engine::Engine::set_model`].
@@ -129,6 +131,7 @@ impl<R: Real, const J: usize> Lanes<R, J> {
     }
 
     /// Moves each lane's x and y into its origin, and whole turns out of angles together with their references.
+    #[inline(always)]
     fn fold(&mut self) {
         for lane in 0..R::LANES {
             let [x, y, z] = self.state.position.lane(lane);
@@ -156,6 +159,7 @@ impl<R: Real, const J: usize> Kernel for Advance<'_, R, J> {
         for _ in 0..self.steps {
             dynamics::step(&self.block.model, &mut self.block.state, &mut self.block.hinges);
         }
+        self.block.fold();
     }
 }
 
@@ -208,6 +212,5 @@ impl<R: Real, const J: usize> Block for Lanes<R, J> {
 
     fn advance(&mut self, steps: usize) {
         R::dispatch(Advance { block: self, steps });
-        self.fold();
     }
 }

@@ -225,8 +225,9 @@ impl<R: Real> Inertia<R> {
             inverse[j] = R::one() / a[j][j];
             for i in j + 1..6 {
                 let factor = a[i][j] * inverse[j];
-                for k in j + 1..=i {
-                    a[i][k] -= factor * a[k][j];
+                let column: [R; 6] = std::array::from_fn(|k| a[k][j]);
+                for (entry, c) in a[i][j + 1..=i].iter_mut().zip(&column[j + 1..]) {
+                    *entry -= factor * *c;
                 }
                 b[i] -= factor * b[j];
             }

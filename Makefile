@@ -1,0 +1,65 @@
+# `make help` lists what there is. Needs cargo, Python ≥ 3.10 with venv and pip; everything else goes into .venv, once.
+SHELL := /bin/bash
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PINS := python_client/constraints.txt
+ARGS ?=
+
+# What the wheel is made from.
+SOURCES := $(shell find src proto robots python_client build.rs Cargo.toml Cargo.lock pyproject.toml README.md \
+	-type f -not -path '*/__pycache__/*')
+
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.PHONY: help train test test-rust test-python bench proto
+
+help:
+	@echo "make train   train a hexapod to walk on sand (5 minutes), results in runs/; ARGS=--help for options"
+	@echo "make test    formatting, lints and all tests, Rust and Python"
+	@echo "make bench   speed of the Python client through an embedded server"
+	@echo "make proto   generate the Python messages from proto/ anew"
+
+train: $(VENV)/sb3
+	$(BIN)/python examples/train_gait.py $(ARGS)
+
+test: test-rust test-python
+
+test-rust:
+	cargo fmt --check
+	cargo clippy --release --all-targets -- -D warnings
+	cargo test --release
+
+test-python: $(VENV)/sb3 $(VENV)/dev
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/pytest
+
+bench: $(VENV)/wheel
+	$(BIN)/python benches/client.py $(ARGS)
+
+# The oldest generator whose output still runs on every protobuf from 4.25 on; in an environment of its own.
+proto:
+	$(PYTHON) -m venv $(VENV)-proto
+	$(VENV)-proto/bin/pip install --quiet "grpcio-tools==1.62.3"
+	$(VENV)-proto/bin/python -m grpc_tools.protoc --proto_path=proto --python_out=python_client/sandgait/_proto \
+		--pyi_out=python_client/sandgait/_proto proto/sandgait/v1/sandgait.proto
+
+$(VENV)/tools: $(PINS)
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "Python 3.10 or newer is needed")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --constraint $(PINS) maturin
+	@touch $@
+
+$(VENV)/wheel: $(SOURCES) $(VENV)/tools
+	rm -rf dist
+	$(BIN)/maturin build --release --out dist
+	$(BIN)/pip install --quiet --constraint $(PINS) dist/*.whl
+	$(BIN)/pip install --quiet --no-deps --force-reinstall dist/*.whl
+	@touch $@
+
+# The wheel with one of its extras. torch, which `sb3` brings, is some 5 GB: minutes, once.
+$(VENV)/sb3 $(VENV)/dev: $(VENV)/wheel
+	$(BIN)/pip install --quiet --constraint $(PINS) "$$(echo dist/*.whl)[$(@F)]"
+	@touch $@

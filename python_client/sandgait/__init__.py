@@ -1,0 +1,63 @@
+"""sandgait: reinforcement-learning environments of legged robots on sand.
+
+`import sandgait` registers the environments with gymnasium:
+
+    gymnasium.make("sandgait/HexapodGait-v0", leg="C", medium="poppy-close", slope_deg=5)
+    gymnasium.make_vec("sandgait/HexapodGait-v0", num_envs=256)
+    sandgait.make_sb3("sandgait/HexapodGait-v0", num_envs=32)
+
+Each takes `address="host:port"` or `"unix:/path"` of a running server; without one a server is started with, and
+ends with, this process.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+
+from .client import describe
+from .env import SandgaitEnv
+from .errors import InvalidRequest, LimitReached, OutOfOrder, SandgaitError, ServerLost, SessionLost
+from .spaces import Column, Option, Task
+from .vector_env import SandgaitVectorEnv
+
+if TYPE_CHECKING:
+    from .sb3 import SandgaitVecEnv
+
+__all__ = [
+    "TASKS",
+    "Column",
+    "InvalidRequest",
+    "LimitReached",
+    "Option",
+    "OutOfOrder",
+    "SandgaitEnv",
+    "SandgaitError",
+    "SandgaitVectorEnv",
+    "ServerLost",
+    "SessionLost",
+    "Task",
+    "describe",
+    "make_sb3",
+]
+
+#: Ids of the tasks that this version registers; a test holds them equal to the server's.
+TASKS = ("sandgait/HexapodGait-v0", "sandgait/HexapodLegs-v0")
+
+
+def make_sb3(id: str, num_envs: int, address: str | None = None, **options: Any) -> SandgaitVecEnv:
+    """`num_envs` environments of task `id` as a stable-baselines3 `VecEnv`; `options` as for `gymnasium.make`."""
+    from .sb3 import SandgaitVecEnv
+
+    return SandgaitVecEnv(SandgaitVectorEnv(id, num_envs, address, **options))
+
+
+for _id in TASKS:
+    # No max_episode_steps: the server truncates, and a TimeLimit wrapper would count a second time.
+    gymnasium.register(
+        _id,
+        entry_point="sandgait.env:SandgaitEnv",
+        vector_entry_point="sandgait.vector_env:SandgaitVectorEnv",
+        kwargs={"task": _id},
+    )

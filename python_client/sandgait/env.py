@@ -1,0 +1,80 @@
+"""One environment as a `gymnasium.Env`: a session of one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+
+from .client import Session
+from .errors import InvalidRequest, OutOfOrder
+from .spaces import box
+
+Observation = npt.NDArray[np.float32]
+
+
+class SandgaitEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
+    """One environment of `task` on the server at `address` (none: the embedded one).
+
+    For training take `SandgaitVectorEnv`: a step here costs a message there and back as well.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}
+
+    def __init__(
+        self,
+        task: str,
+        address: str | None = None,
+        render_mode: str | None = None,
+        **options: Any,
+    ) -> None:
+        if render_mode is not None:
+            raise InvalidRequest(f"render_mode: {render_mode!r} is not offered; leave it out")
+        self._session = Session(address, task, 1, options)
+        #: The session's tables: names, units and bounds of every number.
+        self.task = self._session.task
+        self.metadata = {**self.metadata, "render_fps": self.task.control_rate}
+        self.observation_space = box(self.task.observation)
+        self.action_space = box(self.task.action)
+        self._seeded = False
+        self._over = False
+        #: First row of the next episode: the server has begun it in the step that ended the last one.
+        self._next: Observation | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begins an episode. `options`: task options that may change at a reset; they hold from then on."""
+        super().reset(seed=seed)
+        first, self._next, self._over = self._next, None, False
+        if first is not None and seed is None and not options:
+            return first, {}
+        seeds = None if seed is None else [seed]
+        if seed is None and not self._seeded:
+            seeds = [int(self.np_random.integers(2**63))]
+        self._seeded = True
+        self._session.send_reset(seeds, None, options or {})
+        return self._session.receive().observations[0], {}
+
+    def step(self, action: npt.NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """One control step; `action` is [action] within its bounds."""
+        if self._over:
+            raise OutOfOrder("step: the episode is over; call reset first")
+        action = np.asarray(action, dtype=np.float32)
+        if action.shape != self.action_space.shape:
+            raise InvalidRequest(f"action: shape {action.shape}, expected {self.action_space.shape}")
+        self._session.send_step(action)
+        batch = self._session.receive()
+        observation = batch.observations[0]
+        terminated, truncated = bool(batch.terminated[0]), bool(batch.truncated[0])
+        if terminated or truncated:
+            self._over, self._next = True, observation
+            observation = batch.final_observations[0]
+        info = dict(zip((c.name for c in self.task.info), batch.infos[:, 0].tolist(), strict=True))
+        return observation, float(batch.rewards[0]), terminated, truncated, info
+
+    def close(self) -> None:
+        """Ends the session; calling it again does nothing."""
+        self._session.close()

@@ -1,0 +1,117 @@
+"""Many environments as a stable-baselines3 `VecEnv`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+
+from .vector_env import SandgaitVectorEnv
+
+try:
+    from stable_baselines3.common.vec_env import VecEnv
+except ImportError as error:
+    raise ImportError("stable-baselines3 is not installed: pip install 'sandgait[sb3]'") from error
+
+Indices = None | int | Iterable[int]
+
+
+class EnvironmentView:
+    """One environment of a batch, as far as SB3 asks for single ones: attributes and a reset of its own.
+
+    What is set on a view stays with it; everything else is read from the batch.
+    """
+
+    def __init__(self, envs: SandgaitVectorEnv, index: int) -> None:
+        self._envs = envs
+        self._index = index
+        self.observation_space = envs.single_observation_space
+        self.action_space = envs.single_action_space
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return getattr(self._envs, name)
+
+    def get_wrapper_attr(self, name: str) -> Any:
+        return getattr(self, name)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[npt.NDArray[np.float32], dict[str, Any]]:
+        """Begins a new episode of this environment alone; a step in flight is dropped."""
+        mask = np.zeros(self._envs.num_envs, dtype=np.bool_)
+        mask[self._index] = True
+        seeds = [seed if chosen else None for chosen in mask]
+        observations, _ = self._envs.reset(
+            seed=None if seed is None else seeds, options={**(options or {}), "reset_mask": mask}
+        )
+        return observations[self._index], {}
+
+
+class SandgaitVecEnv(VecEnv):
+    """`SandgaitVectorEnv` behind stable-baselines3's interface.
+
+    The info dictionaries hold something only where an episode ended: the step's reward terms and figures,
+    `terminal_observation` and `TimeLimit.truncated`. The columns of every step are in `batch`.
+    """
+
+    def __init__(self, envs: SandgaitVectorEnv) -> None:
+        self.envs = envs
+        self._views = [EnvironmentView(envs, i) for i in range(envs.num_envs)]
+        self._names = [c.name for c in envs.task.info]
+        super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
+
+    def reset(self) -> npt.NDArray[np.float32]:
+        """Begins new episodes with what `seed` and `set_options` left for this reset."""
+        groups: list[tuple[dict[str, Any], npt.NDArray[np.bool_]]] = []
+        for i, options in enumerate(self._options):
+            mask = next((m for o, m in groups if o == options), None)
+            if mask is None:
+                mask = np.zeros(self.num_envs, dtype=np.bool_)
+                groups.append((options, mask))
+            mask[i] = True
+        seeds = None if self._seeds[0] is None else list(self._seeds)
+        for options, mask in groups:
+            observations, _ = self.envs.reset(seed=seeds, options={**options, "reset_mask": mask})
+        self._reset_seeds()
+        self._reset_options()
+        return observations
+
+    def step_async(self, actions: npt.NDArray[np.float32]) -> None:
+        self.envs.send(actions)
+
+    def step_wait(
+        self,
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_], list[dict[str, Any]]]:
+        batch = self.batch = self.envs.recv_batch()
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for i, last in zip(batch.final_indices, batch.final_observations, strict=True):  # only those that ended
+            infos[i] = dict(zip(self._names, batch.infos[:, i].tolist(), strict=True))
+            infos[i]["terminal_observation"] = last
+            infos[i]["TimeLimit.truncated"] = bool(batch.truncated[i] and not batch.terminated[i])
+        return batch.observations, batch.rewards, batch.terminated | batch.truncated, infos
+
+    def close(self) -> None:
+        self.envs.close()
+
+    def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
+        return [getattr(view, attr_name) for view in self._chosen(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
+        for view in self._chosen(indices):
+            setattr(view, attr_name, value)
+
+    def env_method(self, method_name: str, *args: Any, indices: Indices = None, **kwargs: Any) -> list[Any]:
+        return [getattr(view, method_name)(*args, **kwargs) for view in self._chosen(indices)]
+
+    def env_is_wrapped(
+        self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: Indices = None
+    ) -> list[bool]:
+        return [False for _ in self._chosen(indices)]
+
+    def _chosen(self, indices: Indices) -> Sequence[EnvironmentView]:
+        return [self._views[i] for i in self._get_indices(indices)]

@@ -1,0 +1,178 @@
+"""The embedded server: one `sandgait serve` per Python process, on a Unix socket that only this user can reach.
+
+It starts with the first environment that names no address and ends with the process: its standard input is a pipe
+that this process holds, and it exits when the pipe closes, whatever ended Python.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import os
+import secrets
+import shutil
+import socket
+import stat
+import subprocess
+import sysconfig
+import tempfile
+import threading
+import time
+
+from .errors import SandgaitError, ServerLost
+
+#: Longest wait for the server to answer after its start [s].
+START_TIMEOUT = 20.0
+
+#: Longest wait for it to end by itself before it is killed [s].
+STOP_TIMEOUT = 5.0
+
+
+def find_binary() -> str:
+    """The server's program: $SANDGAIT_BINARY, else beside this Python's scripts (the wheel), else on PATH."""
+    chosen = os.environ.get("SANDGAIT_BINARY")
+    if chosen:
+        if not os.access(chosen, os.X_OK):
+            raise SandgaitError(f"SANDGAIT_BINARY: {chosen!r} is not a program that can be run")
+        return chosen
+    schemes = (sysconfig.get_default_scheme(), sysconfig.get_preferred_scheme("user"))
+    for scheme in schemes:
+        path = os.path.join(sysconfig.get_path("scripts", scheme), "sandgait")
+        if os.access(path, os.X_OK):
+            return path
+    found = shutil.which("sandgait")
+    if found is None:
+        raise SandgaitError(
+            "the program `sandgait` was not found beside this Python nor on PATH: install the wheel, "
+            "set SANDGAIT_BINARY, or give the address of a running server"
+        )
+    return found
+
+
+class EmbeddedServer:
+    """A server process and its socket."""
+
+    def __init__(self) -> None:
+        self.binary = find_binary()
+        self.owner = os.getpid()
+        self.path = os.path.join(_private_directory(), f"{self.owner}-{secrets.token_hex(4)}")
+        self.address = f"unix:{self.path}"
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process does
+        self.process = subprocess.Popen(
+            [self.binary, "serve", "--listen", self.address, "--exit-on-stdin-close"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=self._log,
+            start_new_session=True,  # Ctrl-C is for Python; the pipe tells the server when to end
+        )
+        try:
+            self._wait_until_ready()
+        except BaseException:
+            self.stop()
+            raise
+
+    def _wait_until_ready(self) -> None:
+        deadline = time.monotonic() + START_TIMEOUT
+        while True:
+            with socket.socket(socket.AF_UNIX) as probe:
+                try:
+                    probe.connect(self.path)
+                    return
+                except OSError:
+                    pass
+            if self.process.poll() is not None:
+                raise ServerLost(f"{self.binary} could not start{self.last_words()}")
+            if time.monotonic() > deadline:
+                raise ServerLost(f"{self.binary} did not answer within {START_TIMEOUT:.0f} s{self.last_words()}")
+            time.sleep(0.002)
+
+    def running(self) -> bool:
+        return self.process.poll() is None
+
+    def last_words(self) -> str:
+        """Exit code and end of the log, or nothing while the server runs."""
+        if self.running():
+            return ""
+        size = self._log.seek(0, os.SEEK_END)
+        self._log.seek(max(0, size - 2000))
+        text = self._log.read().decode(errors="replace").strip()
+        return f"; it ended with exit code {self.process.returncode}" + (f": {text}" if text else "")
+
+    def stop(self) -> None:
+        """Ends the server; only the process that started it may."""
+        if self.owner != os.getpid():
+            return
+        if self.process.stdin is not None:
+            self.process.stdin.close()
+        try:
+            self.process.wait(STOP_TIMEOUT)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+        with contextlib.suppress(FileNotFoundError):  # the server removes it, unless it was killed
+            os.unlink(self.path)
+
+    def disown(self) -> None:
+        """In a forked child: let go of the pipe, so that the parent's end alone ends the server."""
+        if self.process.stdin is not None:
+            self.process.stdin.close()
+
+
+def _private_directory() -> str:
+    """The directory of this user's sockets, which nobody else may enter; all servers of a user share it."""
+    parent = tempfile.gettempdir()
+    if len(os.fsencode(parent)) > 60:  # a socket address holds some 100 bytes
+        parent = "/tmp"
+    path = os.path.join(parent, f"sandgait-{os.getuid()}")
+    with contextlib.suppress(FileExistsError):
+        os.mkdir(path, 0o700)
+    status = os.lstat(path)
+    if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & 0o077:
+        raise SandgaitError(f"{path}: not a directory that only this user can enter; remove it, or set TMPDIR")
+    return path
+
+
+_lock = threading.Lock()
+_server: EmbeddedServer | None = None
+_inherited: list[EmbeddedServer] = []
+
+
+def address() -> str:
+    """Address of this process's embedded server, started if it does not run."""
+    global _server
+    with _lock:
+        if _server is not None and not _server.running():
+            _server.stop()
+            _server = None
+        if _server is None:
+            _server = EmbeddedServer()
+        return _server.address
+
+
+def last_words(address: str) -> str:
+    """What the embedded server at `address` said before it ended; empty for any other server."""
+    server = _server
+    if server is None or server.address != address:
+        return ""
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        server.process.wait(0.5)  # its connections close a moment before the process has ended
+    return server.last_words()
+
+
+def _stop() -> None:
+    if _server is not None:
+        _server.stop()
+
+
+def _after_fork() -> None:
+    """A child starts a server of its own; the parent's object is kept so that nothing finalises it here."""
+    global _server, _lock
+    _lock = threading.Lock()
+    if _server is not None:
+        _server.disown()
+        _inherited.append(_server)
+        _server = None
+
+
+atexit.register(_stop)
+os.register_at_fork(after_in_child=_after_fork)

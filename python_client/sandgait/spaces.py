@@ -1,0 +1,58 @@
+"""A task's tables, and the gymnasium spaces they make.
+
+The server owns the tables: names, units and bounds of every number. Nothing here is known before a session is open.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+
+@dataclass(frozen=True)
+class Column:
+    """One number of a row; `unit` is SI, "1" where dimensionless."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Option:
+    """One keyword of `gymnasium.make`; with `at_reset` also of `reset(options=...)`."""
+
+    name: str
+    summary: str
+    default: Any
+    at_reset: bool
+
+
+@dataclass(frozen=True)
+class Task:
+    """A task as the server describes it."""
+
+    id: str
+    summary: str
+    observation: tuple[Column, ...]
+    action: tuple[Column, ...]
+    #: Weighted reward terms first, then other figures of a step.
+    info: tuple[Column, ...]
+    #: How many leading columns of `info` are reward terms; the reward is their sum.
+    reward_terms: int
+    max_episode_steps: int
+    #: Control steps a second of simulated time [Hz].
+    control_rate: float
+    options: tuple[Option, ...]
+
+
+def box(columns: tuple[Column, ...]) -> spaces.Space[npt.NDArray[np.float32]]:
+    """Box of float32 [len(columns)] with each column's own bounds."""
+    low = np.array([c.low for c in columns], dtype=np.float32)
+    high = np.array([c.high for c in columns], dtype=np.float32)
+    return cast("spaces.Space[npt.NDArray[np.float32]]", spaces.Box(low, high, dtype=np.float32))

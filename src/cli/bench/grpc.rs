@@ -1,0 +1,91 @@
+//! Steps through the real service: a server and a client in this process, joined by a socket.
+
+use super::Stepper;
+use prost_types::value::Kind;
+use sandgait::service::proto::environment_service_client::EnvironmentServiceClient;
+use sandgait::service::proto::run_session_request::Request;
+use sandgait::service::proto::run_session_response::Response;
+use sandgait::service::proto::{CreateSessionRequest, Reset, RunSessionRequest, RunSessionResponse, Step};
+use sandgait::service::{self, Address, Limits, Listener, PROTOCOL};
+use sandgait::{Error, Result};
+use serde_json::Value;
+use tokio::runtime::Runtime;
+use tokio::sync::mpsc;
+use tokio_stream::wrappers::ReceiverStream;
+use tokio_util::sync::CancellationToken;
+use tonic::Streaming;
+
+/// A session of a server in this process, one stream, one step in flight.
+pub struct Remote {
+    runtime: Runtime,
+    requests: mpsc::Sender<RunSessionRequest>,
+    answers: Streaming<RunSessionResponse>,
+    stop: CancellationToken,
+    sequence: u64,
+}
+
+fn failed(what: impl std::fmt::Display) -> Error {
+    Error::Exhausted(format!("the session failed: {what}"))
+}
+
+impl Remote {
+    pub fn new(task: &str, options: Value, envs: usize, threads: usize, tcp: bool) -> Result<Self> {
+        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
+        let runtime = runtime.map_err(failed)?;
+        let stop = CancellationToken::new();
+        let create = CreateSessionRequest {
+            task_id: task.into(),
+            num_envs: envs as u32,
+            options: match service::from_json(&options).kind {
+                Some(Kind::StructValue(options)) => Some(options),
+                _ => None,
+            },
+            protocol: PROTOCOL,
+        };
+        let socket = std::env::temp_dir().join(format!("sandgait-bench-{}.sock", std::process::id()));
+        let address = if tcp { "127.0.0.1:0".into() } else { format!("unix:{}", socket.display()) };
+        let (requests, receiver) = mpsc::channel(2);
+        let answers = runtime.block_on(async {
+            let listener = Listener::bind(&address.parse::<Address>()?).await?;
+            let bound = listener.address()?.to_string();
+            tokio::spawn(service::serve(listener, threads, Limits::default(), stop.clone()));
+            let target = if tcp { format!("http://{bound}") } else { bound };
+            let endpoint = tonic::transport::Endpoint::from_shared(target).map_err(failed)?.tcp_nodelay(true);
+            let mut client = EnvironmentServiceClient::new(endpoint.connect().await.map_err(failed)?)
+                .max_decoding_message_size(usize::MAX)
+                .max_encoding_message_size(usize::MAX);
+            let session_id = client.create_session(create).await.map_err(failed)?.into_inner().session_id;
+            let reset = Reset { seeds: (0..envs as u64).collect(), ..Default::default() };
+            let first = RunSessionRequest { session_id, sequence: 0, request: Some(Request::Reset(reset)) };
+            requests.send(first).await.map_err(failed)?;
+            let mut answers = client.run_session(ReceiverStream::new(receiver)).await.map_err(failed)?.into_inner();
+            answers.message().await.map_err(failed)?;
+            Ok::<_, Error>(answers)
+        })?;
+        Ok(Self { runtime, requests, answers, stop, sequence: 0 })
+    }
+}
+
+impl Stepper for Remote {
+    fn step(&mut self, actions: &[f32]) -> Result<()> {
+        self.sequence += 1;
+        let actions: Vec<u8> = actions.iter().flat_map(|a| a.to_le_bytes()).collect();
+        let request = Some(Request::Step(Step { actions: actions.into() }));
+        let message = RunSessionRequest { session_id: String::new(), sequence: self.sequence, request };
+        let answer = self.runtime.block_on(async {
+            self.requests.send(message).await.map_err(failed)?;
+            self.answers.message().await.map_err(failed)
+        })?;
+        match answer.and_then(|a| a.response) {
+            Some(Response::Batch(_)) => Ok(()),
+            Some(Response::Failure(f)) => Err(failed(f.message)),
+            None => Err(failed("the stream ended")),
+        }
+    }
+}
+
+impl Drop for Remote {
+    fn drop(&mut self) {
+        self.stop.cancel();
+    }
+}

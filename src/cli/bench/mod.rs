@@ -1,0 +1,167 @@
+//! `sandgait bench`
+
+mod grpc;
+
+use sandgait::env::ResetOptions;
+use sandgait::env::task::Blueprint;
+use sandgait::number::Isa;
+use sandgait::pool::{Batch, Pool};
+use sandgait::sim::engine::EngineKind;
+use sandgait::{Error, Result};
+use serde_json::json;
+use std::time::{Duration, Instant};
+
+/// Measure whole environment steps a second: action, servo, sand, dynamics, observation, reward, autoreset.
+///
+/// Actions are uniform random numbers, drawn before the clock starts. The figure is the median of the repeats.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:
+  sandgait bench --threads 1 --json
+  sandgait bench --envs 256 --through grpc-uds
+  SANDGAIT_ISA=avx2 sandgait bench            (avx512, avx2, baseline or f64)")]
+pub struct Bench {
+    /// Task id
+    #[arg(long, default_value = "sandgait/HexapodGait-v0")]
+    task: String,
+    /// Engine
+    #[arg(long, default_value = "lanes")]
+    engine: String,
+    /// Environments
+    #[arg(long, default_value_t = 256, value_name = "N")]
+    envs: usize,
+    /// Threads that simulate; 0: one for each processor
+    #[arg(long, default_value_t = 1, value_name = "N")]
+    threads: u16,
+    /// What the steps pass through
+    #[arg(long, value_enum, default_value_t = Through::Process)]
+    through: Through,
+    /// Repeats, at least 5
+    #[arg(long, default_value_t = 7, value_name = "N", value_parser = clap::value_parser!(u16).range(5..))]
+    repeats: u16,
+    /// Length of a repeat [s]
+    #[arg(long, default_value_t = 0.5, value_name = "S")]
+    seconds: f64,
+    /// Machine-readable
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, PartialEq, clap::ValueEnum)]
+enum Through {
+    /// Nothing: the pool is called directly.
+    Process,
+    /// A server on a Unix socket in this process, one stream.
+    GrpcUds,
+    /// A server on loopback TCP in this process, one stream.
+    GrpcTcp,
+}
+
+/// Something that makes batched steps.
+trait Stepper {
+    fn step(&mut self, actions: &[f32]) -> Result<()>;
+}
+
+struct Direct {
+    pool: Pool,
+    /// Only empty while the pool has it.
+    batch: Option<Batch>,
+}
+
+impl Direct {
+    fn new(blueprint: &Blueprint, envs: usize, threads: usize) -> Result<Self> {
+        let pool = Pool::new(threads);
+        let mut batch = Batch::new(blueprint, envs)?;
+        let reset = batch.reset(None, Some((0..envs as u64).collect()), ResetOptions::default())?;
+        let batch = Some(pool.wait(batch, reset)?);
+        Ok(Self { pool, batch })
+    }
+}
+
+impl Stepper for Direct {
+    fn step(&mut self, actions: &[f32]) -> Result<()> {
+        let batch = self.batch.take().ok_or_else(|| Error::OutOfOrder("the batch was lost".into()))?;
+        let operation = batch.step(actions.to_vec())?;
+        self.batch = Some(self.pool.wait(batch, operation)?);
+        Ok(())
+    }
+}
+
+impl Bench {
+    pub fn run(self) -> Result<String> {
+        if !(self.seconds > 0.0 && self.seconds <= 3600.0) {
+            return Err(Error::invalid("--seconds", format!("{} is outside (0, 3600]", self.seconds)));
+        }
+        let engine = EngineKind::named(&self.engine)?;
+        let options = json!({ "engine": engine.name() });
+        let blueprint = Blueprint::new(&self.task, options.clone())?;
+        let threads = usize::from(self.threads);
+        let mut stepper: Box<dyn Stepper> = match self.through {
+            Through::Process => Box::new(Direct::new(&blueprint, self.envs, threads)?),
+            through => {
+                Box::new(grpc::Remote::new(&self.task, options, self.envs, threads, through == Through::GrpcTcp)?)
+            }
+        };
+        let width = blueprint.task.spec().action.len();
+        let rates =
+            measure(&mut *stepper, self.envs, width, self.repeats.into(), Duration::from_secs_f64(self.seconds))?;
+        self.report(engine, &rates)
+    }
+
+    fn report(&self, engine: EngineKind, rates: &[f64]) -> Result<String> {
+        let threads = match self.threads {
+            0 => std::thread::available_parallelism().map_or(1, |n| n.get()),
+            n => n.into(),
+        };
+        let isa = if engine == EngineKind::Lanes { Isa::choose()?.name() } else { "baseline" };
+        let (median, min, max) = (rates[rates.len() / 2], rates[0], rates[rates.len() - 1]);
+        let through = match self.through {
+            Through::Process => "process",
+            Through::GrpcUds => "grpc-uds",
+            Through::GrpcTcp => "grpc-tcp",
+        };
+        if self.json {
+            return Ok(super::json(&json!({
+                "env_steps_per_second": median.round(),
+                "min": min.round(),
+                "max": max.round(),
+                "repeats": rates.len(),
+                "engine": engine.name(),
+                "isa": isa,
+                "task": self.task,
+                "envs": self.envs,
+                "threads": threads,
+                "through": through,
+                "actions": "uniform random",
+            })));
+        }
+        Ok(format!(
+            "{median:.0} environment steps/s ({min:.0} to {max:.0}) · {} · engine {} ({isa}) · {} environments, {threads} threads, through {through}\n",
+            self.task,
+            engine.name(),
+            self.envs,
+        ))
+    }
+}
+
+/// Environment steps a second of each repeat, ascending.
+fn measure(stepper: &mut dyn Stepper, envs: usize, width: usize, repeats: usize, length: Duration) -> Result<Vec<f64>> {
+    // 16 rows of actions are drawn once and used in turn, so drawing is not part of what is measured.
+    let mut generator = 1u64;
+    let mut draw = || {
+        generator = generator.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (generator >> 40) as f32 / (1 << 23) as f32 - 1.0
+    };
+    let actions: Vec<Vec<f32>> = (0..16).map(|_| (0..envs * width).map(|_| draw()).collect()).collect();
+    let mut repeat = |length: Duration| -> Result<f64> {
+        let (clock, mut steps) = (Instant::now(), 0);
+        while clock.elapsed() < length {
+            stepper.step(&actions[steps % actions.len()])?;
+            steps += 1;
+        }
+        Ok((steps * envs) as f64 / clock.elapsed().as_secs_f64())
+    };
+    repeat(length)?; // warm-up: robots leave their start, caches fill
+    let mut rates = (0..repeats).map(|_| repeat(length)).collect::<Result<Vec<_>>>()?;
+    rates.sort_by(f64::total_cmp);
+    Ok(rates)
+}

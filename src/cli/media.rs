@@ -1,0 +1,28 @@
+//! `sandgait media`
+
+use sandgait::Result;
+use sandgait::sand::Medium;
+
+/// List the sands that are built in, and where their numbers come from.
+#[derive(clap::Args)]
+#[command(after_help = "Any other sand is zeta=VALUE (N/cm³) on the generic set, for example --medium zeta=0.5.")]
+pub struct Media {
+    /// Machine-readable, with all coefficients
+    #[arg(long)]
+    json: bool,
+}
+
+impl Media {
+    pub fn run(self) -> Result<String> {
+        let media = Medium::names().into_iter().map(Medium::named).collect::<Result<Vec<_>>>()?;
+        if self.json {
+            return Ok(super::json(&serde_json::to_value(media).unwrap_or_default()));
+        }
+        let heading = ["name", "ζ [N/cm³]", "bulk density [kg/m³]", "source"].map(String::from).to_vec();
+        let row = |m: Medium| {
+            let zeta = m.coefficients.penetration() * 1e-6;
+            vec![m.name, format!("{zeta:.3}"), format!("{:.0}", m.bulk_density), m.source]
+        };
+        Ok(super::table(&std::iter::once(heading).chain(media.into_iter().map(row)).collect::<Vec<_>>()))
+    }
+}

@@ -1,0 +1,132 @@
+//! Where a server listens: TCP or a Unix socket.
+
+use crate::error::{Error, Result};
+use std::fmt::{self, Display, Formatter};
+use std::fs::{self, Permissions};
+use std::net::{SocketAddr, ToSocketAddrs};
+use std::os::unix::fs::{FileTypeExt as _, MetadataExt as _, PermissionsExt as _};
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use tokio::net::{TcpListener, UnixListener, UnixSocket};
+
+/// Connections the kernel keeps until they are accepted.
+const BACKLOG: u32 = 1024;
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Address {
+    Tcp(SocketAddr),
+    Unix(PathBuf),
+}
+
+impl FromStr for Address {
+    type Err = Error;
+
+    /// `HOST:PORT` (port 0: any free one) or `unix:PATH`.
+    fn from_str(text: &str) -> Result<Self> {
+        if let Some(path) = text.strip_prefix("unix:") {
+            let path = path.strip_prefix("//").unwrap_or(path);
+            return match path {
+                "" => Err(Error::invalid("address", "unix: lacks a path")),
+                path => Ok(Self::Unix(path.into())),
+            };
+        }
+        let unusable =
+            |why: String| Error::invalid("address", format!("{text:?} is not HOST:PORT or unix:PATH ({why})"));
+        let mut found = text.to_socket_addrs().map_err(|e| unusable(e.to_string()))?;
+        found.next().map(Self::Tcp).ok_or_else(|| unusable("no such host".into()))
+    }
+}
+
+impl Display for Address {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Tcp(address) => address.fmt(f),
+            Self::Unix(path) => write!(f, "unix:{}", path.display()),
+        }
+    }
+}
+
+impl Address {
+    /// Can only processes of this machine connect?
+    pub fn is_local(&self) -> bool {
+        match self {
+            Self::Tcp(address) => address.ip().is_loopback(),
+            Self::Unix(_) => true,
+        }
+    }
+}
+
+/// A bound address. A socket file is removed when this is dropped.
+pub enum Listener {
+    Tcp(TcpListener),
+    Unix(UnixListener, SocketFile),
+}
+
+impl Listener {
+    /// Needs a tokio runtime.
+    pub async fn bind(address: &Address) -> Result<Self> {
+        let failed = |e: std::io::Error| Error::Exhausted(format!("cannot listen on {address}: {e}"));
+        match address {
+            Address::Tcp(socket) => TcpListener::bind(socket).await.map(Self::Tcp).map_err(failed),
+            Address::Unix(path) => {
+                let (listener, file) = bind_unix(path).map_err(failed)?;
+                Ok(Self::Unix(listener, file))
+            }
+        }
+    }
+
+    /// The address clients use, with the port that was found if 0 was asked for.
+    pub fn address(&self) -> Result<Address> {
+        match self {
+            Self::Tcp(listener) => match listener.local_addr() {
+                Ok(address) => Ok(Address::Tcp(address)),
+                Err(e) => Err(Error::Exhausted(format!("the listening socket is unusable: {e}"))),
+            },
+            Self::Unix(_, file) => Ok(Address::Unix(file.path.clone())),
+        }
+    }
+}
+
+/// The file of a Unix socket that this process made.
+pub struct SocketFile {
+    path: PathBuf,
+    inode: u64,
+}
+
+impl Drop for SocketFile {
+    fn drop(&mut self) {
+        // Another server may have put its own socket here.
+        if fs::symlink_metadata(&self.path).is_ok_and(|m| m.ino() == self.inode) {
+            // Nothing useful can be done if it cannot be removed; the next server finds it stale.
+            let _ = fs::remove_file(&self.path);
+        }
+    }
+}
+
+/// A socket only its owner can connect to: the mode is set before anyone can, between bind and listen.
+fn bind_unix(path: &Path) -> std::io::Result<(UnixListener, SocketFile)> {
+    remove_stale(path)?;
+    let socket = UnixSocket::new_stream()?;
+    socket.bind(path)?;
+    let file = SocketFile { path: path.into(), inode: fs::symlink_metadata(path)?.ino() };
+    fs::set_permissions(path, Permissions::from_mode(0o600))?;
+    Ok((socket.listen(BACKLOG)?, file))
+}
+
+/// Removes the socket of a server that is gone; anything else at this path stays and is an error.
+fn remove_stale(path: &Path) -> std::io::Result<()> {
+    use std::io::{Error, ErrorKind};
+    match fs::symlink_metadata(path) {
+        Err(e) if e.kind() == ErrorKind::NotFound => Ok(()),
+        Err(e) => Err(e),
+        Ok(m) if !m.file_type().is_socket() => {
+            Err(Error::new(ErrorKind::AlreadyExists, "a file that is no socket is there"))
+        }
+        Ok(_) => match UnixStream::connect(path) {
+            Err(e) if e.kind() == ErrorKind::ConnectionRefused => fs::remove_file(path),
+            Err(e) => Err(e),
+            Ok(_) => Err(Error::new(ErrorKind::AddrInUse, "another server listens there")),
+        },
+    }
+}

@@ -1,0 +1,82 @@
+//! From rows and tables to messages.
+
+use super::proto;
+use super::values;
+use crate::env::options::OPTION_HELP;
+use crate::env::shard::Rows;
+use crate::env::task::Blueprint;
+use crate::env::{Column, ResetOptions, Spec, TaskOptions};
+use crate::pool::Batch;
+use bytes::Bytes;
+
+/// What the last operation gave, copied once from the shards into little-endian columns.
+pub fn batch(batch: &Batch) -> proto::Batch {
+    let floats = |column: fn(&Rows) -> &[f32]| floats(batch.shards().iter().map(move |s| column(&s.rows)));
+    let flags = |column: fn(&Rows) -> &[u8]| -> Bytes {
+        batch.shards().iter().flat_map(move |s| column(&s.rows)).copied().collect::<Vec<_>>().into()
+    };
+    proto::Batch {
+        observations: floats(|r| &r.observations),
+        rewards: floats(|r| &r.rewards),
+        terminated: flags(|r| &r.terminated),
+        truncated: flags(|r| &r.truncated),
+        infos: floats(|r| &r.infos),
+        final_indices: final_indices(batch),
+        final_observations: floats(|r| &r.final_observations),
+    }
+}
+
+fn floats<'a>(parts: impl Iterator<Item = &'a [f32]> + Clone) -> Bytes {
+    let length: usize = parts.clone().map(<[f32]>::len).sum();
+    let mut bytes = vec![0; 4 * length];
+    for (out, value) in bytes.as_chunks_mut().0.iter_mut().zip(parts.flatten()) {
+        *out = value.to_le_bytes();
+    }
+    bytes.into()
+}
+
+/// Shards count from their own first environment, messages from the batch's.
+fn final_indices(batch: &Batch) -> Bytes {
+    let mut bytes = Vec::new();
+    let mut start = 0;
+    for shard in batch.shards() {
+        let ended = shard.rows.ended.iter().map(|i| start + i);
+        bytes.extend(ended.flat_map(u32::to_le_bytes));
+        start += shard.envs() as u32;
+    }
+    bytes.into()
+}
+
+/// A task's tables, its options with the values they have in `blueprint`.
+pub fn task(blueprint: &Blueprint) -> proto::Task {
+    let Spec { id, summary, observation, action, info, reward_terms, max_episode_steps, control_rate } =
+        blueprint.task.spec();
+    proto::Task {
+        id: (*id).into(),
+        summary: (*summary).into(),
+        observation: columns(observation),
+        action: columns(action),
+        info: columns(info),
+        reward_terms: *reward_terms as u32,
+        max_episode_steps: *max_episode_steps,
+        control_rate: *control_rate,
+        options: options(&blueprint.setup.options),
+    }
+}
+
+fn columns(table: &[Column]) -> Vec<proto::Column> {
+    let column = |c: &Column| proto::Column { name: c.name.clone(), unit: c.unit.into(), low: c.low, high: c.high };
+    table.iter().map(column).collect()
+}
+
+fn options(options: &TaskOptions) -> Vec<proto::Option> {
+    // Plain data: serialising it cannot fail, and a missing default would only be shown as null.
+    let values = serde_json::to_value(options).unwrap_or_default();
+    let option = |(name, summary): &(&str, &str)| proto::Option {
+        name: (*name).into(),
+        summary: (*summary).into(),
+        default_value: Some(values::from_json(&values[*name])),
+        at_reset: ResetOptions::NAMES.contains(name),
+    };
+    OPTION_HELP.iter().map(option).collect()
+}

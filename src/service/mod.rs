@@ -1,0 +1,123 @@
+//! The gRPC service `sandgait.v1`: messages in, messages out.
+//!
+//! The only layer that knows protobuf and the network. It never computes on the async runtime's threads.
+//!
+//! * [`address`]: where to listen; [`server`]: serving until told to stop.
+//! * [`sessions`]: who holds which environments, and the limits.
+//! * [`stream`]: one RunSession stream, request by request.
+//! * [`decode`], [`encode`], [`values`]: messages from and to the crate's types.
+//! * [`status`]: the one map from errors to gRPC codes.
+
+pub mod address;
+mod decode;
+mod encode;
+pub mod server;
+mod sessions;
+mod status;
+mod stream;
+mod values;
+
+/// Generated from `proto/sandgait/v1/sandgait.proto`.
+pub mod proto {
+    tonic::include_proto!("sandgait.v1");
+}
+
+pub use address::{Address, Listener};
+pub use server::serve;
+pub use sessions::Limits;
+pub use values::from_json;
+
+use crate::env::task::{Blueprint, TASK_IDS};
+use crate::error::Error;
+use crate::pool::Pool;
+use futures_util::Stream;
+use proto::environment_service_server::EnvironmentService;
+use proto::{CloseSessionRequest, CloseSessionResponse, CreateSessionRequest, CreateSessionResponse};
+use proto::{DescribeRequest, DescribeResponse, RunSessionRequest, RunSessionResponse};
+use serde_json::Value;
+use sessions::Sessions;
+use std::pin::Pin;
+use std::sync::Arc;
+use tokio_util::sync::CancellationToken;
+use tonic::{Request, Response, Status, Streaming};
+
+/// Raised whenever a client of the previous number would misread this server.
+pub const PROTOCOL: u32 = 1;
+
+const VERSION: &str = env!("CARGO_PKG_VERSION");
+
+/// `sandgait.v1.EnvironmentService`.
+pub struct Service {
+    sessions: Arc<Sessions>,
+    pool: Arc<Pool>,
+}
+
+impl Service {
+    /// Cancelling `stop` ends every stream after the operation it has in flight.
+    pub fn new(threads: usize, limits: Limits, stop: CancellationToken) -> Self {
+        Self { sessions: Sessions::new(limits, stop), pool: Arc::new(Pool::new(threads)) }
+    }
+}
+
+/// Runs `work` on a thread that may compute.
+async fn off_runtime<T: Send + 'static>(work: impl FnOnce() -> crate::Result<T> + Send + 'static) -> Result<T, Status> {
+    let done = tokio::task::spawn_blocking(work).await;
+    done.map_err(|_| status::bug("the request failed inside the server"))?.map_err(|e| status::status(&e))
+}
+
+fn check_protocol(client: u32) -> crate::Result<()> {
+    if client == PROTOCOL {
+        return Ok(());
+    }
+    let older = if client < PROTOCOL { "the client" } else { "the server" };
+    Err(Error::invalid(
+        "protocol",
+        format!("the client speaks {client}, sandgait {VERSION} speaks {PROTOCOL}: update {older}"),
+    ))
+}
+
+#[tonic::async_trait]
+impl EnvironmentService for Service {
+    async fn describe(&self, _: Request<DescribeRequest>) -> Result<Response<DescribeResponse>, Status> {
+        let tasks = off_runtime(|| {
+            let describe = |id: &&str| Blueprint::new(id, Value::Null).map(|b| encode::task(&b));
+            TASK_IDS.iter().map(describe).collect()
+        });
+        Ok(Response::new(DescribeResponse { version: VERSION.into(), protocol: PROTOCOL, tasks: tasks.await? }))
+    }
+
+    async fn create_session(
+        &self,
+        request: Request<CreateSessionRequest>,
+    ) -> Result<Response<CreateSessionResponse>, Status> {
+        let sessions = self.sessions.clone();
+        let (session_id, task) = off_runtime(move || {
+            let CreateSessionRequest { task_id, num_envs, options, protocol } = request.into_inner();
+            check_protocol(protocol)?;
+            let (id, blueprint) = sessions.create(&task_id, num_envs as usize, values::to_json(options)?)?;
+            // Here and not below: the caller may have gone, and then nothing after the await runs.
+            tokio::spawn(sessions.expire(id.clone()));
+            Ok((id, encode::task(&blueprint)))
+        })
+        .await?;
+        Ok(Response::new(CreateSessionResponse { session_id, task: Some(task) }))
+    }
+
+    type RunSessionStream = Pin<Box<dyn Stream<Item = Result<RunSessionResponse, Status>> + Send>>;
+
+    async fn run_session(
+        &self,
+        request: Request<Streaming<RunSessionRequest>>,
+    ) -> Result<Response<Self::RunSessionStream>, Status> {
+        let answers = stream::run(request.into_inner(), self.sessions.clone(), self.pool.clone());
+        Ok(Response::new(Box::pin(answers)))
+    }
+
+    async fn close_session(
+        &self,
+        request: Request<CloseSessionRequest>,
+    ) -> Result<Response<CloseSessionResponse>, Status> {
+        self.sessions.close(&request.into_inner().session_id).map_err(|e| status::status(&e))?;
+        Ok(Response::new(CloseSessionResponse {}))
+    }
+}

@@ -1,0 +1,87 @@
+//! A listener, the service and an end: one server.
+
+use super::Service;
+use super::address::Listener;
+use super::proto::environment_service_server::EnvironmentServiceServer;
+use super::sessions::Limits;
+use crate::error::{Error, Result};
+use std::time::Duration;
+use tokio::io::{AsyncRead, AsyncWrite};
+use tokio_stream::wrappers::UnixListenerStream;
+use tokio_stream::{Stream, StreamExt as _};
+use tokio_util::sync::CancellationToken;
+use tonic::transport::server::{Connected, TcpIncoming};
+
+/// How long connections may take to end once the server stops [s]; a step in flight takes milliseconds.
+const GRACE: Duration = Duration::from_secs(4);
+
+/// A TCP peer that is silent for this long is asked for a sign of life, and dropped if it gives none as long.
+const KEEPALIVE: Duration = Duration::from_secs(60);
+
+/// Time to wait before accepting again when it failed (no file descriptors left).
+const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
+
+/// Bytes a client may send ahead on a connection: a step of the largest usual batch without waiting for credit.
+const WINDOW: u32 = 4 << 20;
+
+/// HTTP/2 frame size we accept.
+const FRAME: u32 = 1 << 20;
+
+/// Bytes of a request beyond its columns: ids and options.
+const REQUEST_OVERHEAD: usize = 64 << 10;
+
+/// Bytes one environment adds to the largest request: the actions of a robot of 12 legs with 3 joints.
+const REQUEST_ROW: usize = 12 * 3 * 4;
+
+/// Serves until `stop` is cancelled, then lets every stream finish the operation it has in flight.
+pub async fn serve(listener: Listener, threads: usize, limits: Limits, stop: CancellationToken) -> Result<()> {
+    let largest = limits.environments * REQUEST_ROW + REQUEST_OVERHEAD;
+    let service = EnvironmentServiceServer::new(Service::new(threads, limits, stop.clone()))
+        .max_decoding_message_size(largest)
+        .max_encoding_message_size(u32::MAX as usize);
+    match listener {
+        Listener::Tcp(listener) => {
+            // Without nodelay a small call takes 44 ms; `Server::tcp_nodelay` is ignored when we bring the listener.
+            let tcp = TcpIncoming::from(listener).with_nodelay(Some(true)).with_keepalive(Some(KEEPALIVE));
+            drive(service, tcp, Some(KEEPALIVE), stop).await
+        }
+        Listener::Unix(listener, _file) => drive(service, UnixListenerStream::new(listener), None, stop).await,
+    }
+}
+
+async fn drive<C>(
+    service: EnvironmentServiceServer<Service>,
+    incoming: impl Stream<Item = std::io::Result<C>>,
+    keepalive: Option<Duration>,
+    stop: CancellationToken,
+) -> Result<()>
+where
+    C: AsyncRead + AsyncWrite + Connected + Unpin + Send + 'static,
+{
+    let incoming = incoming.then(async |connection| {
+        if let Err(error) = &connection {
+            tracing::warn!(%error, "cannot accept a connection");
+            tokio::time::sleep(ACCEPT_PAUSE).await;
+        }
+        connection
+    });
+    let serving = tonic::transport::Server::builder()
+        .http2_keepalive_interval(keepalive)
+        .http2_keepalive_timeout(keepalive)
+        .initial_stream_window_size(WINDOW)
+        .initial_connection_window_size(2 * WINDOW)
+        .max_frame_size(FRAME)
+        .add_service(service)
+        .serve_with_incoming_shutdown(incoming, stop.clone().cancelled_owned());
+    let too_late = async {
+        stop.cancelled().await;
+        tokio::time::sleep(GRACE).await;
+    };
+    tokio::select! {
+        result = serving => result.map_err(|e| Error::Exhausted(format!("the server failed: {e}"))),
+        () = too_late => {
+            tracing::warn!("connections were cut that did not end in time");
+            Ok(())
+        }
+    }
+}

@@ -1,0 +1,101 @@
+//! Laws that hold for every segment, direction and medium.
+
+use rand::{Rng, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
+use sandgait::number::Vec3;
+use sandgait::sand::{Ground, Law, Medium, Surface};
+
+fn unit(random: &mut impl Rng) -> Vec3<f64> {
+    loop {
+        let v = Vec3::new(0.0, 0.0, 0.0).map_each(|_| random.random_range(-1.0..1.0));
+        let n = v.norm_squared();
+        if n > 1e-3 && n < 1.0 {
+            return v * (1.0 / n.sqrt());
+        }
+    }
+}
+
+trait MapEach {
+    fn map_each(self, f: impl FnMut(f64) -> f64) -> Self;
+}
+
+impl MapEach for Vec3<f64> {
+    fn map_each(self, mut f: impl FnMut(f64) -> f64) -> Self {
+        Vec3::new(f(self.x), f(self.y), f(self.z))
+    }
+}
+
+/// Every medium and law, 20,000 random segments each.
+fn everywhere(check: impl Fn(&Ground<f64>, Vec3<f64>, Vec3<f64>, &str)) {
+    let mut random = Xoshiro256PlusPlus::seed_from_u64(1);
+    for name in Medium::names() {
+        for law in Law::ALL {
+            let ground = Ground::new(law, &Medium::named(name).unwrap(), &Surface::default());
+            for _ in 0..20_000 {
+                let speed = 10f64.powf(random.random_range(-8.0..0.0));
+                let (n, v) = (unit(&mut random), unit(&mut random) * speed);
+                check(&ground, n, v, &format!("{name} {} n {n:?} v {v:?}", law.name()));
+            }
+        }
+    }
+}
+
+#[test]
+fn sand_never_adds_energy() {
+    everywhere(|ground, n, v, what| {
+        for contact in [ground.thin_plate(0.01, 1e-4, n, v), ground.one_sided(0.01, 1e-4, n, v)] {
+            let power = contact.force.dot(v);
+            assert!(power <= 1e-12 * v.norm_squared().sqrt(), "{what}: {power} W");
+            assert!(contact.drag >= 0.0 && contact.edge >= 0.0, "{what}");
+        }
+    });
+}
+
+#[test]
+fn thin_plates_do_not_know_their_sides() {
+    everywhere(|ground, n, v, what| {
+        let (a, b) = (ground.thin_plate(0.01, 1e-4, n, v).force, ground.thin_plate(0.01, 1e-4, -n, v).force);
+        assert!((a - b).norm_squared().sqrt() < 1e-12, "{what}: {a:?} {b:?}");
+    });
+}
+
+#[test]
+fn mirror_images_feel_mirrored_forces() {
+    let mirror = |v: Vec3<f64>| Vec3::new(v.x, -v.y, v.z);
+    everywhere(|ground, n, v, what| {
+        let a = ground.thin_plate(0.01, 1e-4, n, v).force;
+        let b = ground.thin_plate(0.01, 1e-4, mirror(n), mirror(v)).force;
+        assert!((mirror(a) - b).norm_squared().sqrt() < 1e-12, "{what}: {a:?} {b:?}");
+    });
+}
+
+#[test]
+fn horizontal_directions_are_all_alike() {
+    let (sin, cos) = 0.7f64.sin_cos();
+    let turn = |v: Vec3<f64>| Vec3::new(cos * v.x - sin * v.y, sin * v.x + cos * v.y, v.z);
+    everywhere(|ground, n, v, what| {
+        let a = ground.thin_plate(0.01, 1e-4, n, v).force;
+        let b = ground.thin_plate(0.01, 1e-4, turn(n), turn(v)).force;
+        assert!((turn(a) - b).norm_squared().sqrt() < 1e-9, "{what}: {a:?} {b:?}");
+    });
+}
+
+/// Away from rest the regularised force is the bare law's, and the same at any speed.
+#[test]
+fn force_does_not_depend_on_speed() {
+    everywhere(|ground, n, v, what| {
+        let v = v * (0.01 / v.norm_squared().sqrt());
+        let (a, b) = (ground.thin_plate(0.01, 1e-4, n, v).force, ground.thin_plate(0.01, 1e-4, n, v * 30.0).force);
+        assert!((a - b).norm_squared().sqrt() < 1e-5 * a.norm_squared().sqrt() + 1e-12, "{what}: {a:?} {b:?}");
+    });
+}
+
+#[test]
+fn one_sided_surfaces_only_push_ahead() {
+    everywhere(|ground, n, v, what| {
+        if n.dot(v) <= 0.0 {
+            let contact = ground.one_sided(0.01, 1e-4, n, v);
+            assert_eq!(contact.force, Vec3::new(0.0, 0.0, 0.0), "{what}");
+        }
+    });
+}
