@@ -27,23 +27,24 @@ SUBSTEPS = 40  # 0.5 ms steps in a 50 Hz control step
 
 
 def hexapod_mjcf(robot: dict) -> str:
-    """The robot of robots/xplorer.toml as a MuJoCo model: same masses, hinges, armature and servos; nothing to touch."""
+    """The robot of robots/xplorer.toml for MuJoCo: same masses, hinges, armature and servos; nothing to touch."""
     base, link = robot["base"], robot["leg"]["link"][0]
     size = " ".join(str(s / 2) for s in base["size"])
     reach = " ".join(map(str, link["reach"]))
     legs, servos = [], []
+    untouchable = 'contype="0" conaffinity="0"'
     for hip in robot["hip"]:
         name, position = hip["name"], " ".join(map(str, hip["position"]))
         legs.append(
             f'<body pos="{position}"><joint name="{name}" axis="0 1 0" armature="{link["armature"]}"/>'
-            f'<geom type="capsule" fromto="0 0 0 {reach}" size="0.002" mass="{link["mass"]}" contype="0" conaffinity="0"/>'
+            f'<geom type="capsule" fromto="0 0 0 {reach}" size="0.002" mass="{link["mass"]}" {untouchable}/>'
             "</body>"
         )
         gains = f'kp="{robot["servo"]["kp"]}" kv="{robot["servo"]["kd"]}"'
         servos.append(f'<position joint="{name}" {gains}/>')
     return (
         '<mujoco><option timestep="0.0005" integrator="implicitfast"/><worldbody><body pos="0 0 1"><freejoint/>'
-        f'<geom type="box" size="{size}" mass="{base["mass"]}" contype="0" conaffinity="0"/>{"".join(legs)}'
+        f'<geom type="box" size="{size}" mass="{base["mass"]}" {untouchable}/>{"".join(legs)}'
         f"</body></worldbody><actuator>{''.join(servos)}</actuator></mujoco>"
     )
 
@@ -174,9 +175,7 @@ def main() -> None:
             for name in table:
                 figures[name].append(child(arguments.binary, name, arguments.seconds, cores))
         ours = statistics.median(figures["sandgait HexapodGait (6 joints, sand)"])
-        print(
-            f"\n{len(cores)} core{'s' if len(cores) > 1 else ''}: environment steps/s, median (min to max), HexapodGait's ratio to it"
-        )
+        print(f"\n{len(cores)} cores: environment steps/s, median (min to max), HexapodGait's ratio to it")
         for name, values in figures.items():
             middle = statistics.median(values)
             print(f"  {name:40} {middle:10.0f}  ({min(values):.0f} to {max(values):.0f})  {ours / middle:6.1f}")
