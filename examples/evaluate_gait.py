@@ -47,12 +47,9 @@ def evaluate(name: str, policy: Policy, seeds: int = 100, address: str | None = 
     running = np.ones(seeds, dtype=np.bool_)
     while running.any():
         observations, rewards, terminated, truncated, infos = env.step(policy(observations))
-        final = infos.get("final_info", {})
-        values: dict[str, Any] = {"reward": rewards, "steps": 1.0}
-        for key in ("speed", "commanded_speed", "work"):  # a column is 0 where its mask is not set
-            values[key] = infos.get(key, 0.0) + final.get(key, 0.0)
-        for key, value in values.items():
-            sums[key] += np.where(running, value, 0.0)
+        values: dict[str, Any] = {**infos, "reward": rewards, "steps": 1.0}
+        for key in sums:
+            sums[key] += np.where(running, values[key], 0.0)
         fell |= running & terminated
         running &= ~(terminated | truncated)
     env.close()

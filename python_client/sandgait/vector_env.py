@@ -138,19 +138,21 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
         return batch.observations, batch.rewards.astype(np.float64), batch.terminated, batch.truncated, infos
 
     def _infos(self, batch: Batch) -> dict[str, Any]:
-        """Reward terms and figures as columns [num_envs] with gymnasium's masks, as SyncVectorEnv groups them."""
+        """Reward terms and figures as columns [num_envs] with gymnasium's masks, as SyncVectorEnv groups them.
+
+        A column holds the step's value for every environment. Where an episode ended its mask is False, because there
+        gymnasium has the value in `final_info`, with zeros elsewhere.
+        """
         columns, ended = batch.infos, batch.final_indices
         if not ended.size:
             return self._masked(columns, np.ones(self.num_envs, dtype=np.bool_))
         done = batch.terminated | batch.truncated
-        final = np.zeros_like(columns)
-        final[:, ended] = columns[:, ended]
-        columns[:, ended] = 0.0
         last = np.full(self.num_envs, None, dtype=object)
         for i, row in zip(ended, batch.final_observations, strict=True):  # only those that ended
             last[i] = row
-        infos = {"final_obs": last, "_final_obs": done, "final_info": self._masked(final, done), "_final_info": done}
-        return infos if done.all() else infos | self._masked(columns, ~done)
+        final = self._masked(np.where(done, columns, np.float32(0.0)), done)
+        infos = {"final_obs": last, "_final_obs": done, "final_info": final, "_final_info": done}
+        return infos | self._masked(columns, ~done)
 
     def _masked(self, columns: npt.NDArray[np.float32], mask: Flags) -> dict[str, Any]:
         """`{name: column, _name: mask}` of every info column; `columns` is [info, num_envs]."""
