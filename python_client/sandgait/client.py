@@ -8,9 +8,11 @@ One `Session` is one stream: one message out for a batched reset or step, one me
 
 from __future__ import annotations
 
+import ctypes
 import os
 import queue
 import re
+import threading
 import weakref
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -191,6 +193,10 @@ def _close(
         pass  # gone already, which is what was asked for
     responses.cancel()
     channel.close()
+    if not threading.main_thread().is_alive():
+        # Python is ending. The destructor of grpc's call takes a lock that a thread may hold which Python has stopped
+        # for good: it would wait forever. What is never collected has no destructor.
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(responses))
 
 
 def _channel(address: str, message_bytes: int) -> grpc.Channel:
