@@ -1,4 +1,5 @@
 //! sandgait: batched reinforcement-learning environments of legged robots on sand.
+pub mod diagnose;
 pub mod error;
 pub mod number;
 pub mod sand;

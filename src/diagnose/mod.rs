@@ -1,0 +1,10 @@
+pub mod experiment;
+pub mod fit;
+pub mod force_log;
+pub mod forward;
+pub mod lack_of_fit;
+pub mod noise;
+pub mod observations;
+pub mod parallel;
+pub mod table;
+pub mod whiten;
