@@ -33,4 +33,26 @@ fn main() {
         let sd = f.covariance()[(0, 0)].sqrt();
         println!("{:14} {:10.5} ± {:.5}  dchi2 {:8.1} lof {:.3}", CATALOG[f.ids[0]].id, f.values()[0], sd, base.objective - f.objective, lack_of_fit::statistic(obs, &f.white));
     }
+
+    if let Some(which) = args.get(3) {
+        let id = Mechanisms::index(which).unwrap();
+        let f = fits.iter().find(|f| f.ids[0] == id).unwrap();
+        let pairs = parallel::map(&ids, |&i| s.fit(&[id, i], &[f.values()[0], CATALOG[i].typical * 0.2]));
+        for (i, p) in ids.iter().zip(&pairs) {
+            if *i != id { println!("   + {:14} {:9.4} {:9.4} dchi2 {:.1} lof {:.3}", CATALOG[*i].id, p.values()[0], p.values()[1], f.objective - p.objective, lack_of_fit::statistic(obs, &p.white)); }
+        }
+        println!("dev {:?}", f.deviations.map(|d| (d * 100.0).round() / 100.0));
+        for (u, unit) in obs.units.iter().enumerate() {
+            if u % 3 != 0 { continue; }
+            let mut line = format!("{:4} {:6} ", unit.condition, model.group(u));
+            for c in 0..obs.channels.len() {
+                let mut q = vec![0.0; unit.samples];
+                for k in 0..3 { for (a, b) in q.iter_mut().zip(&f.white[obs.units[u + k].block(c)]) { *a += b / 3f64.sqrt(); } }
+                let n = q.len();
+                let chi: Vec<String> = q.chunks(n / 6).map(|p| format!("{:5.1}", p.iter().sum::<f64>() / (p.len() as f64).sqrt())).collect();
+                line += &format!(" | {}", chi.join(" "));
+            }
+            println!("{line}");
+        }
+    }
 }

@@ -1,3 +1,5 @@
+pub mod calibrate;
+pub mod cross_validation;
 pub mod experiment;
 pub mod fit;
 pub mod force_log;
@@ -6,5 +8,6 @@ pub mod lack_of_fit;
 pub mod noise;
 pub mod observations;
 pub mod parallel;
+pub mod select;
 pub mod table;
 pub mod whiten;

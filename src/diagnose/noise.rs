@@ -8,6 +8,8 @@
 //! Their sizes maximise the likelihood of the differences between repetitions, which no wrong model can bias.
 
 use super::observations::{Observations, interpolate};
+use rand::Rng;
+use rand_distr::{Distribution, StandardNormal};
 
 /// Noise of one channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -192,6 +194,21 @@ impl Noise {
         Self::unpack(&minimise(deviance, from, rounds))
     }
 
+    /// Adds a draw of this noise to `values`.
+    pub fn add(&self, observations: &Observations, magnitudes: &[Vec<f64>], values: &mut [f64], rng: &mut impl Rng) {
+        for (unit, magnitude) in observations.units.iter().zip(magnitudes) {
+            let gain: f64 = 1.0 + self.gain * normal(rng);
+            for (c, noise) in self.channels.iter().enumerate() {
+                let fresh = (1.0 - noise.phi * noise.phi).sqrt();
+                let mut grain = normal(rng);
+                for (value, size) in values[unit.block(c)].iter_mut().zip(magnitude) {
+                    *value = *value * gain + noise.grain * size * grain + noise.sensor * normal(rng);
+                    grain = noise.phi * grain + fresh * normal(rng);
+                }
+            }
+        }
+    }
+
     /// −2 log likelihood of the differences between repetitions.
     fn deviance(&self, repeats: &[Repeats]) -> f64 {
         let variance = self.gain * self.gain;
@@ -216,6 +233,22 @@ impl Noise {
         }
         total
     }
+}
+
+fn normal(rng: &mut impl Rng) -> f64 {
+    StandardNormal.sample(rng)
+}
+
+/// Standard deviation between repetitions over the channels that count in the error: what no model can predict.
+pub fn noise_floor(observations: &Observations, prediction: &[f64], magnitudes: &[Vec<f64>]) -> f64 {
+    let (mut square, mut count) = (0.0, 0.0);
+    for difference in repeats(observations, prediction, magnitudes).iter().flat_map(|r| &r.differences) {
+        for (values, _) in difference.iter().zip(&observations.channels).filter(|d| d.1.in_rmse) {
+            square += values.iter().map(|v| v * v).sum::<f64>();
+            count += values.len() as f64;
+        }
+    }
+    (square / f64::max(count, 1.0)).sqrt()
 }
 
 /// Least value of `f` by BFGS with numerical gradients, from `x`, in at most `rounds` rounds.
