@@ -20,12 +20,16 @@ const FALSE_ALARM: f64 = 0.003;
 /// Simulated nulls: their mean and spread are then known to some 10 %. Our choice, for the time it takes.
 const NULLS: usize = 80;
 
-/// What a candidate does to the data: the change of the prediction per unit of its parameter, at one value.
+/// A cause is felt by the data if its typical strength moves them by more than 0.01 σ altogether: our choice, far below
+/// anything that could be found.
+pub const FELT: f64 = 1e-4;
+
+/// What a candidate does to the data: the change of the prediction per typical strength, taken at one value.
 pub struct Screen {
     /// Catalogue index and the value at which the column was taken.
     pub candidates: Vec<(usize, f64)>,
     columns: Vec<Vec<f64>>,
-    coefficient_columns: Vec<Vec<f64>>,
+    pub coefficient_columns: Vec<Vec<f64>>,
     plain: Vec<f64>,
 }
 
@@ -55,7 +59,7 @@ impl Screen {
         let coefficients = study.model.medium().coefficients;
         let columns = parallel::map(&tried, |&(id, value)| {
             let moved = study.model.predict(&Mechanisms::default().with(id, value), &coefficients);
-            moved.iter().zip(&plain).map(|(a, b)| (a - b) / value).collect()
+            moved.iter().zip(&plain).map(|(a, b)| (a - b) / value * CATALOG[id].typical).collect()
         });
         let coefficient_columns = (0..COEFFICIENTS).map(|k| {
             let mut deviations = [0.0; COEFFICIENTS];
@@ -93,7 +97,7 @@ impl Screen {
 
     /// Largest Δχ² of any single cause.
     fn best_single(&self, gram: &DMatrix<f64>, score: &DVector<f64>) -> f64 {
-        let felt = (0..score.len()).filter(|&k| gram[(k, k)] > 1e-12 && self.allowed(k, score[k]));
+        let felt = (0..score.len()).filter(|&k| gram[(k, k)] > FELT && self.allowed(k, score[k]));
         felt.map(|k| score[k] * score[k] / gram[(k, k)]).fold(0.0, f64::max)
     }
 
@@ -104,7 +108,7 @@ impl Screen {
             for j in 0..i {
                 let (a, b, c) = (gram[(i, i)], gram[(i, j)], gram[(j, j)]);
                 let determinant = a * c - b * b;
-                if self.candidates[i].0 == self.candidates[j].0 || determinant <= 1e-6 * a * c {
+                if self.candidates[i].0 == self.candidates[j].0 || a.min(c) <= FELT || determinant <= 1e-6 * a * c {
                     continue;
                 }
                 let p = (c * score[i] - b * score[j]) / determinant;
@@ -121,7 +125,7 @@ impl Screen {
     /// What a second term gains by chance when the cause is column `truth` alone with strength `value`.
     pub fn second_gate(&self, gram: &DMatrix<f64>, truth: usize, value: f64, inflation: f64) -> f64 {
         let Some(root) = square_root(gram) else { return f64::INFINITY };
-        let mean = gram.column(truth) * value;
+        let mean = gram.column(truth) * (value / CATALOG[self.candidates[truth].0].typical);
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(2);
         let draws: Vec<f64> = (0..1500)
             .map(|_| {
@@ -140,11 +144,15 @@ pub fn starts(id: usize) -> Vec<f64> {
     if entry.id == "friction_clip" { vec![0.5, 2.0, 5.0] } else { vec![0.5 * entry.typical] }
 }
 
-/// L with L Lᵀ = `gram`, which may be singular.
+/// L with L Lᵀ = `gram`, which may be singular; rows and columns that the data do not feel are left at 0.
 fn square_root(gram: &DMatrix<f64>) -> Option<DMatrix<f64>> {
-    let eigen = gram.clone().try_symmetric_eigen(1e-12, 1000)?;
-    let scale = eigen.eigenvalues.map(|v| v.max(0.0).sqrt());
-    Some(eigen.eigenvectors * DMatrix::from_diagonal(&scale))
+    let n = gram.nrows();
+    let scale: Vec<f64> = (0..n).map(|k| if gram[(k, k)] > FELT { gram[(k, k)].sqrt() } else { 0.0 }).collect();
+    let inverse = |k: usize| if scale[k] > 0.0 { 1.0 / scale[k] } else { 0.0 };
+    let correlation = DMatrix::from_fn(n, n, |i, j| gram[(i, j)] * inverse(i) * inverse(j));
+    let eigen = correlation.try_symmetric_eigen(1e-12, 1000)?;
+    let root = DMatrix::from_diagonal(&eigen.eigenvalues.map(|v| v.max(0.0).sqrt()));
+    Some(DMatrix::from_diagonal(&DVector::from_vec(scale)) * eigen.eigenvectors * root)
 }
 
 fn quantile(mut values: Vec<f64>, share: f64) -> f64 {

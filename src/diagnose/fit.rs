@@ -80,10 +80,21 @@ impl Study<'_> {
         best
     }
 
+    /// Fits again from where an earlier fit ended.
+    pub fn fit_from(&self, fit: &Fit) -> Fit {
+        let mut again = self.at(&fit.ids, fit.mechanisms, fit.deviations);
+        self.refine(&mut again, 6);
+        again
+    }
+
     /// Gauss-Newton steps within bounds, halved until they help.
     fn refine(&self, best: &mut Fit, rounds: usize) {
-        for _ in 0..rounds {
-            self.set_slopes(best);
+        self.set_slopes(best, true);
+        for round in 0..rounds {
+            if round > 0 {
+                // The coefficients' slopes change little on the way: they wait for the end.
+                self.set_slopes(best, false);
+            }
             let step = self.step(best);
             let before = best.objective;
             let mut share = 1.0;
@@ -103,7 +114,7 @@ impl Study<'_> {
                 break;
             }
         }
-        self.set_slopes(best);
+        self.set_slopes(best, true);
     }
 
     fn at(&self, ids: &[usize], mechanisms: Mechanisms, deviations: [f64; COEFFICIENTS]) -> Fit {
@@ -116,25 +127,37 @@ impl Study<'_> {
         Fit { ids, mechanisms, deviations, prediction, white, objective, slopes, white_slopes }
     }
 
-    fn set_slopes(&self, fit: &mut Fit) {
+    /// Slopes at the fit's state; those of the coefficients only where `coefficients_too`.
+    fn set_slopes(&self, fit: &mut Fit, coefficients_too: bool) {
         let coefficients = self.coefficients(&fit.deviations);
         let slope = |moved: Vec<f64>, by: f64| -> Vec<f64> {
             moved.iter().zip(&fit.prediction).map(|(a, b)| (a - b) / by).collect()
         };
-        let mut slopes = Vec::with_capacity(fit.ids.len() + COEFFICIENTS);
-        for &id in &fit.ids {
-            let (entry, value) = (&CATALOG[id], fit.mechanisms.get(id));
-            let step = 0.02 * entry.typical;
-            let step = if value + step > entry.bounds[1] { -step } else { step };
-            slopes.push(slope(self.model.predict(&fit.mechanisms.with(id, value + step), &coefficients), step));
+        let mut slopes: Vec<_> = fit
+            .ids
+            .iter()
+            .map(|&id| {
+                let (entry, value) = (&CATALOG[id], fit.mechanisms.get(id));
+                let step = 0.02 * entry.typical;
+                let step = if value + step > entry.bounds[1] { -step } else { step };
+                slope(self.model.predict(&fit.mechanisms.with(id, value + step), &coefficients), step)
+            })
+            .collect();
+        if coefficients_too {
+            for k in 0..COEFFICIENTS {
+                let mut deviations = fit.deviations;
+                deviations[k] += 0.1;
+                slopes.push(slope(self.model.predict(&fit.mechanisms, &self.coefficients(&deviations)), 0.1));
+            }
         }
-        for k in 0..COEFFICIENTS {
-            let mut deviations = fit.deviations;
-            deviations[k] += 0.1;
-            slopes.push(slope(self.model.predict(&fit.mechanisms, &self.coefficients(&deviations)), 0.1));
+        let white: Vec<_> = slopes.iter().map(|s| self.whitener.apply(s)).collect();
+        if coefficients_too {
+            (fit.slopes, fit.white_slopes) = (slopes, white);
+        } else {
+            for (k, (slope, white)) in slopes.into_iter().zip(white).enumerate() {
+                (fit.slopes[k], fit.white_slopes[k]) = (slope, white);
+            }
         }
-        fit.white_slopes = slopes.iter().map(|s| self.whitener.apply(s)).collect();
-        fit.slopes = slopes;
     }
 
     /// The Gauss-Newton step; a value that would leave its bounds is held at the bound it is on.

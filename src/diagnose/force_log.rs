@@ -3,7 +3,7 @@
 use super::experiment::{Experiment, Intruder};
 use super::observations::{Channel, Names, Observations, Unit};
 use super::table::{self, Column, Quantity, Row};
-use crate::error::{Error, Result};
+use crate::error::Result;
 use std::path::Path;
 
 /// Pose and motion of an intruder at one sample. Legs use the angle, plates the centre.
@@ -299,4 +299,79 @@ pub fn planned(tracks: Vec<Track>, channels: usize) -> ForceLog {
         })
         .collect();
     assemble(trials, names, channels > 2, Vec::new(), String::new())
+}
+
+/// Samples of a trial not yet made.
+const PLANNED_SAMPLES: usize = 60;
+
+/// Trials within reach of an apparatus that made `tracks`: its intruders at the slowest, middle and fastest speed used, at
+/// two depths, on fresh and re-used ground, at both ends of the bed.
+pub fn possible(tracks: &[Track]) -> Vec<(Track, String)> {
+    let mut shapes: Vec<&Track> = Vec::new();
+    for track in tracks {
+        if !shapes.iter().any(|s| s.shape == track.shape) {
+            shapes.push(track);
+        }
+    }
+    let mut out = Vec::new();
+    for base in shapes {
+        let own = tracks.iter().filter(|t| t.shape == base.shape).map(Track::rate);
+        let (low, high) = own.fold((f64::MAX, 0.0), |(l, h), r| (f64::min(l, r), f64::max(h, r)));
+        for rate in [low, (low * high).sqrt(), high] {
+            for deep in [true, false] {
+                for (pass, x_bed) in [(1, 0.0), (2, 0.0), (1, 0.1), (1, -0.1)] {
+                    let angles: &[(f64, f64)] = match base.intruder {
+                        Intruder::Leg { .. } => &[(0.0, 0.0)],
+                        Intruder::Plate { .. } => &[(0.0, 90.0), (90.0, 0.0), (45.0, 45.0), (-45.0, 45.0), (60.0, 30.0)],
+                    };
+                    out.extend(angles.iter().map(|&(beta, gamma)| base.planned(rate, deep, pass, x_bed, beta, gamma)));
+                }
+            }
+        }
+    }
+    out
+}
+
+impl Track {
+    /// Fastest angular speed of a leg [rad/s] or speed of a plate [m/s].
+    fn rate(&self) -> f64 {
+        let rate = |p: &Pose| match self.intruder {
+            Intruder::Leg { .. } => p.omega.abs(),
+            Intruder::Plate { .. } => p.velocity[0].hypot(p.velocity[1]),
+        };
+        self.poses.iter().map(rate).fold(0.0, f64::max)
+    }
+
+    /// The same intruder in another trial, and that trial in words; angles in degrees.
+    fn planned(&self, rate: f64, deep: bool, pass: u32, x_bed: f64, beta: f64, gamma: f64) -> (Track, String) {
+        let mut track = Track { pass, pass_dx: 0.0, x_bed, ..self.clone() };
+        let at = |i: usize| (i as f64 + 0.5) / PLANNED_SAMPLES as f64;
+        let motion = match self.intruder {
+            Intruder::Leg { chord, .. } => {
+                track.hip_height = if deep { 0.25 * chord } else { 0.6 * chord };
+                let pose = |i| {
+                    let theta = -1.75 + 3.5 * at(i);
+                    Pose { t: (theta + 1.75) / rate.max(1e-6), theta, omega: rate, ..Pose::default() }
+                };
+                track.poses = (0..PLANNED_SAMPLES).map(pose).collect();
+                format!("hip {:.1} cm above the sand, {rate:.2} rad/s", 100.0 * track.hip_height)
+            }
+            Intruder::Plate { length, .. } => {
+                track.beta = beta.to_radians();
+                let (sin, cos) = gamma.to_radians().sin_cos();
+                let from = if gamma == 0.0 { if deep { length } else { 0.5 * length } } else { 0.0 };
+                let reach = if deep { 1.3 * length } else { 0.5 * length };
+                let pose = |i| {
+                    let path = reach * at(i);
+                    let (center, velocity) = ([path * cos, -from - path * sin], [rate * cos, -rate * sin]);
+                    Pose { t: path / rate.max(1e-9), center, velocity, ..Pose::default() }
+                };
+                track.poses = (0..PLANNED_SAMPLES).map(pose).collect();
+                format!("β {beta:.0}°, γ {gamma:.0}°, {:.1} cm deep, {rate:.3} m/s", 100.0 * (from + reach * sin))
+            }
+        };
+        let ground = if pass > 1 { "second pass in place" } else { "fresh bed" };
+        let words = format!("{}: {motion}, {ground}, x_bed {:.0} cm", self.shape, 100.0 * x_bed);
+        (track, words)
+    }
 }

@@ -6,6 +6,7 @@
 
 use super::experiment::{Experiment, Intruder};
 use super::force_log::{ForceLog, Pose, Track};
+use super::next_experiment::Menu;
 use super::observations::Observations;
 use crate::error::Result;
 use crate::number::Vec3;
@@ -34,6 +35,8 @@ pub trait ForwardModel: Sync {
     fn testable(&self) -> Vec<(usize, Option<String>)>;
     /// What varies along the data.
     fn features(&self) -> Vec<Feature>;
+    /// Trials that could be made next with the same apparatus.
+    fn menu(&self) -> Option<Menu>;
     /// A name for the group a unit belongs to in reports (its shape).
     fn group(&self, unit: usize) -> &str;
 }
@@ -276,15 +279,21 @@ impl Arm<'_> {
     ) -> Load {
         let turn = |p: [f64; 2]| [p[0] * cos - p[1] * sin, p[0] * sin + p[1] * cos];
         let mut load = Load::default();
+        let slope = self.mechanisms.slope.sin_cos();
         for s in segments {
-            let (r, n) = (turn(s.center), turn(s.normal));
+            let r = turn(s.center);
+            // Well above the surface, whatever side leads: nothing to do.
+            if slope_depth(slope, origin[0] + r[0], origin[1] + r[1]) < -self.cut.half_thickness {
+                continue;
+            }
+            let n = turn(s.normal);
             let (v, dv) = (velocity(r), change(r));
             let along = n[0] * v[0] + n[1] * v[1];
             let lead = if along < 0.0 { -1.0 } else { 1.0 };
             // The stress acts on the leading face, half a thickness ahead of the mid-surface.
             let ahead = lead * self.cut.half_thickness;
             let (x, z) = (origin[0] + r[0] + n[0] * ahead, origin[1] + r[1] + n[1] * ahead);
-            let (depth, s_sin, s_cos) = slope_depth(self.mechanisms.slope, x, z);
+            let (depth, (s_sin, s_cos)) = (slope_depth(slope, x, z), slope);
             if depth <= 0.0 {
                 continue;
             }
@@ -364,6 +373,12 @@ impl ForwardModel for ForceLogModel {
             per_pose("pass", "1", &|t, _| f64::from(t.pass)),
             per_pose("place", "m", &|t, p| t.x_bed + p.center[0]),
         ]
+    }
+
+    fn menu(&self) -> Option<Menu> {
+        let (tracks, descriptions): (Vec<_>, Vec<_>) = super::force_log::possible(&self.tracks).into_iter().unzip();
+        let (model, observations) = self.for_tracks(tracks);
+        (!descriptions.is_empty()).then(|| Menu { model: Box::new(model), observations, descriptions })
     }
 
     fn group(&self, unit: usize) -> &str {

@@ -209,6 +209,19 @@ impl Noise {
         }
     }
 
+    /// Standard deviation of one repetition at every number of the stack.
+    pub fn standard_deviation(&self, observations: &Observations, magnitudes: &[Vec<f64>], prediction: &[f64]) -> Vec<f64> {
+        let mut out = vec![0.0; prediction.len()];
+        for (unit, magnitude) in observations.units.iter().zip(magnitudes) {
+            for (c, noise) in self.channels.iter().enumerate() {
+                for (k, size) in unit.block(c).zip(magnitude) {
+                    out[k] = (self.gain * prediction[k]).hypot(noise.grain * size).hypot(noise.sensor);
+                }
+            }
+        }
+        out
+    }
+
     /// −2 log likelihood of the differences between repetitions.
     fn deviance(&self, repeats: &[Repeats]) -> f64 {
         let variance = self.gain * self.gain;

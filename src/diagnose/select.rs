@@ -1,11 +1,13 @@
 //! Which cause: singles, then pairs, behind gates; what stands beside them; whether anything is left over.
 
-use super::calibrate::{Gates, Scores, Screen, gates, starts};
+use super::calibrate::{FELT, Gates, Scores, Screen, gates, starts};
 use super::cross_validation::{HeldOut, leave_condition_out, unfitted};
-use super::fit::{Fit, Study};
+use super::fit::{Fit, Study, dot};
 use super::lack_of_fit;
 use super::noise::Noise;
 use super::parallel;
+use super::whiten::Whitener;
+use crate::sand::mechanism::CATALOG;
 use serde::Serialize;
 
 /// The outcome of a diagnosis.
@@ -31,6 +33,9 @@ const SECOND_TERM_SHARE: f64 = 0.01;
 /// Pairs fitted in full, the best of the linear screen: our choice, for the time they take.
 const PAIRS_FITTED: usize = 14;
 
+/// Rivals fitted again under the final whitening: our choice; one further behind is hundreds of χ² away.
+const FINALISTS: usize = 8;
+
 /// One cause or pair that was tried.
 pub struct Candidate {
     pub fit: Fit,
@@ -53,6 +58,8 @@ pub struct Selection {
     /// Places in `candidates` of what the data cannot tell from the best, the best included.
     pub set: Vec<usize>,
     pub gates: Gates,
+    /// How many of `candidates`, from the first, were fitted under the final whitening and can be compared.
+    finalists: usize,
 }
 
 impl Selection {
@@ -86,39 +93,22 @@ fn fit_best(study: &Study, ids: &[usize], values: &[f64]) -> Fit {
 
 /// Start of a single fit: the linear estimate, held within what is usual for the mechanism.
 fn linear_start(screen: &Screen, scores: &Scores, column: usize) -> f64 {
-    use crate::sand::mechanism::CATALOG;
     let (id, value) = screen.candidates[column];
-    let estimate = if scores.gram[(column, column)] > 0.0 { scores.score[column] / scores.gram[(column, column)] } else { 0.0 };
     let entry = &CATALOG[id];
+    let felt = scores.gram[(column, column)];
+    let estimate = if felt > FELT { entry.typical * scores.score[column] / felt } else { 0.0 };
     let reach = 4.0 * entry.typical;
     let start = estimate.clamp(-reach, reach).clamp(entry.bounds[0], entry.bounds[1]);
     if start == 0.0 { value * 0.1 } else { start }
 }
 
-/// Runs the whole selection on `ids`.
-pub fn select(study: &Study, noise: &Noise, ids: &[usize]) -> Selection {
+/// Runs the whole selection on `ids`. `rewhiten` builds the whitening on another prediction: once a cause is found,
+/// the trial gains act along the extended model's forces, no longer along the plain one's.
+pub fn select(study: &Study, noise: &Noise, ids: &[usize], rewhiten: impl Fn(&[f64]) -> Whitener) -> Selection {
     let screen = Screen::new(study, ids);
     let scores = screen.scores(study.whitener, &study.observations.values);
     let gates = gates(study, &screen, noise, &scores);
-    let (plain, base) = (study.plain(), study.recalibrated());
-    let columns: Vec<usize> =
-        ids.iter().filter_map(|id| screen.candidates.iter().position(|c| c.0 == *id)).collect();
-    let mut singles: Vec<Candidate> = parallel::map(&columns, |&column| {
-        let start = linear_start(&screen, &scores, column);
-        candidate(study, &base, fit_best(study, &[screen.candidates[column].0], &[start]))
-    });
-    singles.sort_by(|a, b| b.delta_chi2.total_cmp(&a.delta_chi2));
-    let mut selection = Selection {
-        verdict: Verdict::NoiseFloor,
-        plain_held_out: unfitted(study, &plain),
-        base_held_out: leave_condition_out(study, &base),
-        base_lack_of_fit: lack_of_fit::statistic(study.observations, &base.white),
-        plain,
-        base,
-        candidates: singles,
-        set: Vec::new(),
-        gates,
-    };
+    let mut selection = singles(study, &screen, &scores, gates, ids);
     if selection.candidates.first().is_none_or(|c| c.delta_chi2 <= selection.gates.single) {
         if selection.base_lack_of_fit > selection.gates.lack_of_fit {
             selection.verdict = Verdict::NoneOfThese;
@@ -126,8 +116,51 @@ pub fn select(study: &Study, noise: &Noise, ids: &[usize]) -> Selection {
         return selection;
     }
     add_pairs(study, &screen, &scores, &mut selection);
+    let whitener = rewhiten(&selection.candidates[0].fit.prediction);
+    refit(&Study { whitener: &whitener, ..*study }, &mut selection);
     decide(&mut selection);
     selection
+}
+
+fn singles(study: &Study, screen: &Screen, scores: &Scores, gates: Gates, ids: &[usize]) -> Selection {
+    let (plain, base) = (study.plain(), study.recalibrated());
+    let columns: Vec<usize> = ids.iter().filter_map(|id| screen.candidates.iter().position(|c| c.0 == *id)).collect();
+    let mut candidates: Vec<Candidate> = parallel::map(&columns, |&column| {
+        let start = linear_start(screen, scores, column);
+        candidate(study, &base, fit_best(study, &[screen.candidates[column].0], &[start]))
+    });
+    candidates.sort_by(|a, b| b.delta_chi2.total_cmp(&a.delta_chi2));
+    Selection {
+        verdict: Verdict::NoiseFloor,
+        plain_held_out: unfitted(study, &plain),
+        base_held_out: leave_condition_out(study, &base),
+        base_lack_of_fit: lack_of_fit::statistic(study.observations, &base.white),
+        plain,
+        base,
+        candidates,
+        set: Vec::new(),
+        gates,
+        finalists: 0,
+    }
+}
+
+/// Fits the best and its nearest rivals again, from where they stand, under a new whitening; the others keep their
+/// distance to the best.
+fn refit(study: &Study, selection: &mut Selection) {
+    let size = selection.candidates[0].fit.ids.len();
+    let same: Vec<usize> = (0..selection.candidates.len()).filter(|&k| selection.candidates[k].fit.ids.len() == size).take(FINALISTS).collect();
+    let base = study.recalibrated();
+    let candidates = &selection.candidates;
+    let again = parallel::map(&same, |&k| {
+        let fit = &candidates[k].fit;
+        candidate(study, &base, study.fit_from(fit))
+    });
+    for (k, fresh) in same.into_iter().zip(again) {
+        selection.candidates[k] = fresh;
+    }
+    let finalists = FINALISTS.min(selection.candidates.iter().take_while(|c| c.fit.ids.len() == size).count());
+    selection.candidates[..finalists].sort_by(|a, b| b.delta_chi2.total_cmp(&a.delta_chi2));
+    selection.finalists = finalists;
 }
 
 /// Tries second terms; pairs go to the front where the best of them earns its place.
@@ -186,15 +219,12 @@ fn decide(selection: &mut Selection) {
     let rivals = selection.candidates.iter().filter(|c| c.fit.ids.len() == size).count().saturating_sub(1).max(1);
     let limit = normal_quantile(1.0 - REJECTION / rivals as f64) * selection.gates.inflation.sqrt();
     let stays = |c: &Candidate| {
-        if c.fit.ids.len() != size {
-            return false;
-        }
         // If the rival were true, χ²_rival − χ²_best would be −d² ± 2d, d the whitened distance between the two.
         let behind = c.fit.objective - best.fit.objective;
         let squared = best.fit.distance_squared(&c.fit);
         behind + squared <= limit * 2.0 * squared.sqrt() && c.delta_chi2 > selection.gates.single
     };
-    let set: Vec<usize> = (0..selection.candidates.len()).filter(|&k| k == 0 || stays(&selection.candidates[k])).collect();
+    let set: Vec<usize> = (0..selection.finalists).filter(|&k| k == 0 || stays(&selection.candidates[k])).collect();
     selection.verdict = if set.len() == 1 { Verdict::Named } else { Verdict::Ambiguous };
     selection.set = set;
 }
@@ -210,8 +240,6 @@ fn normal_quantile(share: f64) -> f64 {
 impl Study<'_> {
     /// Second terms beside a fitted single, best first: catalogue index, linear estimate, Δχ².
     fn second_terms(&self, first: &Fit, screen: &Screen) -> Vec<(usize, f64, f64)> {
-        use super::fit::dot;
-        use crate::sand::mechanism::CATALOG;
         let coefficients = self.coefficients(&first.deviations);
         let (information, _) = first.normal_equations();
         let Some(inverse) = information.try_inverse() else { return Vec::new() };

@@ -187,11 +187,10 @@ pub fn footprint(kappa: f64, pass: u32, pass_dx: f64) -> f64 {
     if pass < 2 { 1.0 } else { 1.0 - kappa * (-pass_dx.abs() / FOOTPRINT_REACH).exp() }
 }
 
-/// Depth below a surface that rises toward +x by σ [rad] through the origin, and the rotation into its frame as
-/// (sin σ, cos σ).
-pub fn slope_depth<R: Real>(sigma: f64, x: R, z: R) -> (R, R, R) {
-    let (sin, cos) = sigma.sin_cos();
-    (x * R::splat(sin) - z * R::splat(cos), R::splat(sin), R::splat(cos))
+/// Depth [m] of the point (x, z) below a surface through the origin that rises toward +x by σ, given as (sin σ, cos σ):
+/// (x tan σ − z) cos σ.
+pub fn slope_depth<R: Real>((sin, cos): (f64, f64), x: R, z: R) -> R {
+    x * R::splat(sin) - z * R::splat(cos)
 }
 
 /// `f` of every lane: for functions [`Real`] does not have. Slow, and only reached while its mechanism is on.
