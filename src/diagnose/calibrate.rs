@@ -76,11 +76,11 @@ impl Screen {
         let white = whitener.apply(&residual);
         let c: Vec<_> = self.coefficient_columns.iter().map(|c| whitener.apply(c)).collect();
         let z: Vec<_> = self.columns.iter().map(|c| whitener.apply(c)).collect();
-        let prior = DMatrix::from_fn(COEFFICIENTS, COEFFICIENTS, |i, j| dot(&c[i], &c[j]) + f64::from(u8::from(i == j)));
+        let prior = products(&c) + DMatrix::identity(COEFFICIENTS, COEFFICIENTS);
         let inverse = prior.try_inverse().unwrap_or_else(|| DMatrix::identity(COEFFICIENTS, COEFFICIENTS));
         let cz = DMatrix::from_fn(COEFFICIENTS, z.len(), |i, j| dot(&c[i], &z[j]));
         let cr = DVector::from_fn(COEFFICIENTS, |i, _| dot(&c[i], &white));
-        let gram = DMatrix::from_fn(z.len(), z.len(), |i, j| dot(&z[i], &z[j])) - cz.transpose() * &inverse * &cz;
+        let gram = products(&z) - cz.transpose() * &inverse * &cz;
         let score = DVector::from_fn(z.len(), |i, _| dot(&z[i], &white)) - cz.transpose() * &inverse * &cr;
         let adjusted = inverse * cr;
         let mut left = white;
@@ -136,6 +136,18 @@ impl Screen {
             .collect();
         inflation * quantile(draws, 1.0 - FALSE_ALARM)
     }
+}
+
+/// Products of every column with every other.
+fn products(columns: &[Vec<f64>]) -> DMatrix<f64> {
+    let mut gram = DMatrix::zeros(columns.len(), columns.len());
+    for i in 0..columns.len() {
+        for j in 0..=i {
+            let product = dot(&columns[i], &columns[j]);
+            (gram[(i, j)], gram[(j, i)]) = (product, product);
+        }
+    }
+    gram
 }
 
 /// Values from which a mechanism's fit starts; more than one where its effect is far from proportional.

@@ -64,7 +64,7 @@ pub fn diagnose_observations(
     let size = magnitudes(&observations);
     let noise = Noise::estimate(&observations, &plain, &size, None);
     let whitener = Whitener::new(&observations, &noise, &size, &plain);
-    let study = Study { observations: &observations, model, whitener: &whitener, coefficient_sd };
+    let study = Study::new(&observations, model, &whitener, coefficient_sd);
     let (ids, untestable) = testable(&study);
     let selection = observations
         .has_replicates()

@@ -71,19 +71,24 @@ pub struct ChannelFilter {
 impl ChannelFilter {
     pub fn new(noise: &ChannelNoise, magnitude: &[f64]) -> Self {
         let phi = noise.phi;
-        let (mut variance, mut log_determinant) = (1.0, 0.0);
-        let steps = magnitude
+        let (mut variance, mut log_determinant, mut product) = (1.0, 0.0, 1.0);
+        let steps: Vec<_> = magnitude
             .iter()
             .map(|size| {
                 let s = noise.grain * size;
                 let total = s * s * variance + noise.sensor * noise.sensor;
                 let gain = variance * s / total;
-                log_determinant += total.ln();
+                // One logarithm for many factors, before their product leaves the range of a number.
+                product *= total;
+                if !(1e-150..1e150).contains(&product) {
+                    log_determinant += f64::ln(product);
+                    product = 1.0;
+                }
                 variance = phi * phi * variance * (1.0 - gain * s) + 1.0 - phi * phi;
                 (s, gain, 1.0 / total.sqrt())
             })
             .collect();
-        Self { phi, steps, log_determinant }
+        Self { phi, steps, log_determinant: log_determinant + f64::ln(product) }
     }
 
     /// Replaces `values` by their whitened innovations.

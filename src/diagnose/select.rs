@@ -117,7 +117,7 @@ pub fn select(study: &Study, noise: &Noise, ids: &[usize], rewhiten: impl Fn(&[f
     }
     add_pairs(study, &screen, &scores, &mut selection);
     let whitener = rewhiten(&selection.candidates[0].fit.prediction);
-    refit(&Study { whitener: &whitener, ..*study }, &mut selection);
+    refit(&study.rewhitened(&whitener), &mut selection);
     decide(&mut selection);
     selection
 }
