@@ -53,21 +53,38 @@ pub struct Gates {
 impl Screen {
     /// Columns about the state of `fit`, for the candidates not in it.
     pub fn new(study: &Study, candidates: &[usize]) -> Self {
-        let plain = study.model.predict(&Mechanisms::default(), &study.model.medium().coefficients);
-        let tried = candidates.iter().flat_map(|&id| starts(id).into_iter().map(move |value| (id, value)));
+        let plain = study
+            .model
+            .predict(&Mechanisms::default(), &study.model.medium().coefficients);
+        let tried = candidates
+            .iter()
+            .flat_map(|&id| starts(id).into_iter().map(move |value| (id, value)));
         let tried: Vec<_> = tried.collect();
         let coefficients = study.model.medium().coefficients;
         let columns = parallel::map(&tried, |&(id, value)| {
-            let moved = study.model.predict(&Mechanisms::default().with(id, value), &coefficients);
-            moved.iter().zip(&plain).map(|(a, b)| (a - b) / value * CATALOG[id].typical).collect()
+            let moved = study
+                .model
+                .predict(&Mechanisms::default().with(id, value), &coefficients);
+            moved
+                .iter()
+                .zip(&plain)
+                .map(|(a, b)| (a - b) / value * CATALOG[id].typical)
+                .collect()
         });
         let coefficient_columns = (0..COEFFICIENTS).map(|k| {
             let mut deviations = [0.0; COEFFICIENTS];
             deviations[k] = 1.0;
-            let moved = study.model.predict(&Mechanisms::default(), &study.coefficients(&deviations));
+            let moved = study
+                .model
+                .predict(&Mechanisms::default(), &study.coefficients(&deviations));
             moved.iter().zip(&plain).map(|(a, b)| a - b).collect()
         });
-        Self { candidates: tried, columns, coefficient_columns: coefficient_columns.collect(), plain }
+        Self {
+            candidates: tried,
+            columns,
+            coefficient_columns: coefficient_columns.collect(),
+            plain,
+        }
     }
 
     /// Scores of a stack of measured values.
@@ -77,7 +94,9 @@ impl Screen {
         let c: Vec<_> = self.coefficient_columns.iter().map(|c| whitener.apply(c)).collect();
         let z: Vec<_> = self.columns.iter().map(|c| whitener.apply(c)).collect();
         let prior = products(&c) + DMatrix::identity(COEFFICIENTS, COEFFICIENTS);
-        let inverse = prior.try_inverse().unwrap_or_else(|| DMatrix::identity(COEFFICIENTS, COEFFICIENTS));
+        let inverse = prior
+            .try_inverse()
+            .unwrap_or_else(|| DMatrix::identity(COEFFICIENTS, COEFFICIENTS));
         let cz = DMatrix::from_fn(COEFFICIENTS, z.len(), |i, j| dot(&c[i], &z[j]));
         let cr = DVector::from_fn(COEFFICIENTS, |i, _| dot(&c[i], &white));
         let gram = products(&z) - cz.transpose() * &inverse * &cz;
@@ -87,7 +106,11 @@ impl Screen {
         for (column, share) in c.iter().zip(&adjusted) {
             left.iter_mut().zip(column).for_each(|(r, c)| *r -= share * c);
         }
-        Scores { gram, score, white: left }
+        Scores {
+            gram,
+            score,
+            white: left,
+        }
     }
 
     /// May the parameter of this column take the sign of `value`?
@@ -124,7 +147,9 @@ impl Screen {
 
     /// What a second term gains by chance when the cause is column `truth` alone with strength `value`.
     pub fn second_gate(&self, gram: &DMatrix<f64>, truth: usize, value: f64, inflation: f64) -> f64 {
-        let Some(root) = square_root(gram) else { return f64::INFINITY };
+        let Some(root) = square_root(gram) else {
+            return f64::INFINITY;
+        };
         let mean = gram.column(truth) * (value / CATALOG[self.candidates[truth].0].typical);
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(2);
         let draws: Vec<f64> = (0..1500)
@@ -153,13 +178,19 @@ fn products(columns: &[Vec<f64>]) -> DMatrix<f64> {
 /// Values from which a mechanism's fit starts; more than one where its effect is far from proportional.
 pub fn starts(id: usize) -> Vec<f64> {
     let entry = &CATALOG[id];
-    if entry.id == "friction_clip" { vec![0.5, 2.0, 5.0] } else { vec![0.5 * entry.typical] }
+    if entry.id == "friction_clip" {
+        vec![0.5, 2.0, 5.0]
+    } else {
+        vec![0.5 * entry.typical]
+    }
 }
 
 /// L with L Lᵀ = `gram`, which may be singular; rows and columns that the data do not feel are left at 0.
 fn square_root(gram: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let n = gram.nrows();
-    let scale: Vec<f64> = (0..n).map(|k| if gram[(k, k)] > FELT { gram[(k, k)].sqrt() } else { 0.0 }).collect();
+    let scale: Vec<f64> = (0..n)
+        .map(|k| if gram[(k, k)] > FELT { gram[(k, k)].sqrt() } else { 0.0 })
+        .collect();
     let inverse = |k: usize| if scale[k] > 0.0 { 1.0 / scale[k] } else { 0.0 };
     let correlation = DMatrix::from_fn(n, n, |i, j| gram[(i, j)] * inverse(i) * inverse(j));
     let eigen = correlation.try_symmetric_eigen(1e-12, 1000)?;
@@ -195,9 +226,16 @@ pub fn gates(study: &Study, screen: &Screen, noise: &Noise, scores: &Scores) -> 
 
 /// Largest single Δχ² under known noise: Gaussian scores with the Gram matrix as covariance.
 fn ideal(screen: &Screen, gram: &DMatrix<f64>) -> Vec<f64> {
-    let Some(root) = square_root(gram) else { return vec![f64::INFINITY] };
+    let Some(root) = square_root(gram) else {
+        return vec![f64::INFINITY];
+    };
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(1);
-    let mut draw = || screen.best_single(gram, &(&root * DVector::from_fn(gram.nrows(), |_, _| StandardNormal.sample(&mut rng))));
+    let mut draw = || {
+        screen.best_single(
+            gram,
+            &(&root * DVector::from_fn(gram.nrows(), |_, _| StandardNormal.sample(&mut rng))),
+        )
+    };
     (0..20_000).map(|_| draw()).collect()
 }
 
@@ -210,10 +248,16 @@ fn null(study: &Study, screen: &Screen, noise: &Noise, size: &[Vec<f64>], seed: 
         values.iter_mut().zip(column).for_each(|(v, c)| *v += share * c);
     }
     noise.add(study.observations, size, &mut values, &mut rng);
-    let simulated = Observations { values, ..study.observations.clone() };
+    let simulated = Observations {
+        values,
+        ..study.observations.clone()
+    };
     let size = magnitudes(&simulated);
     let learnt = Noise::estimate(&simulated, &screen.plain, &size, Some(noise));
     let whitener = Whitener::new(&simulated, &learnt, &size, &screen.plain);
     let scores = screen.scores(&whitener, &simulated.values);
-    (screen.best_single(&scores.gram, &scores.score), lack_of_fit::statistic(&simulated, &scores.white))
+    (
+        screen.best_single(&scores.gram, &scores.score),
+        lack_of_fit::statistic(&simulated, &scores.white),
+    )
 }

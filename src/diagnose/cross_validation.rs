@@ -37,7 +37,11 @@ impl HeldOut {
                     plain += self.square[k];
                     better += extended.square[k];
                 }
-                if plain > 0.0 { 1.0 - (better / plain).sqrt() } else { 0.0 }
+                if plain > 0.0 {
+                    1.0 - (better / plain).sqrt()
+                } else {
+                    0.0
+                }
             })
             .collect();
         draws.sort_by(f64::total_cmp);
@@ -76,7 +80,8 @@ pub fn leave_condition_out(study: &Study, fit: &Fit) -> HeldOut {
             a[(k, k)] = 1.0;
             b[k] = 0.0;
         }
-        a.cholesky().map_or_else(|| vec![0.0; n], |c| c.solve(&b).iter().copied().collect())
+        a.cholesky()
+            .map_or_else(|| vec![0.0; n], |c| c.solve(&b).iter().copied().collect())
     })
 }
 
@@ -104,5 +109,9 @@ fn errors(study: &Study, fit: &Fit, step: impl Fn(usize) -> Vec<f64>) -> HeldOut
         square.push(sum);
         count.push(samples);
     }
-    HeldOut { square, count, deviance }
+    HeldOut {
+        square,
+        count,
+        deviance,
+    }
 }

@@ -21,9 +21,18 @@ pub enum Kind {
 #[serde(tag = "type", rename_all = "lowercase", deny_unknown_fields)]
 pub enum Intruder {
     /// Rotating two-piece leg: `chord` hip to tip, `xi_deg` knee angle.
-    Leg { chord: f64, width: f64, xi_deg: f64, thickness: Option<f64> },
+    Leg {
+        chord: f64,
+        width: f64,
+        xi_deg: f64,
+        thickness: Option<f64>,
+    },
     /// Flat plate: `length` in the plane of motion, `width` across.
-    Plate { length: f64, width: f64, thickness: Option<f64> },
+    Plate {
+        length: f64,
+        width: f64,
+        thickness: Option<f64>,
+    },
 }
 
 #[derive(Deserialize)]
@@ -89,7 +98,14 @@ impl Experiment {
     pub fn from_toml(text: &str) -> Result<Self> {
         let file: File = toml::from_str(text).map_err(|e| {
             let line = e.span().map(|s| text[..s.start.min(text.len())].lines().count().max(1));
-            Error::invalid("experiment", format!("{}{}", line.map(|l| format!("line {l}: ")).unwrap_or_default(), e.message()))
+            Error::invalid(
+                "experiment",
+                format!(
+                    "{}{}",
+                    line.map(|l| format!("line {l}: ")).unwrap_or_default(),
+                    e.message()
+                ),
+            )
         })?;
         let own_sand = file.sand.is_some();
         let mut medium = medium(file.medium.as_deref(), file.sand)?;
@@ -121,17 +137,30 @@ fn medium(name: Option<&str>, sand: Option<SandTable>) -> Result<Medium> {
         return Medium::named(name);
     };
     let mut medium = match (sand.coefficients, sand.zeta) {
-        (Some(CoefficientsSource::Table(coefficients)), None) => {
-            Medium { name: "own".into(), coefficients, bulk_density: 1500.0, source: "experiment".into() }
-        }
+        (Some(CoefficientsSource::Table(coefficients)), None) => Medium {
+            name: "own".into(),
+            coefficients,
+            bulk_density: 1500.0,
+            source: "experiment".into(),
+        },
         (Some(CoefficientsSource::Named(set)), None) if set != "generic" => Medium::named(&set)?,
         (Some(CoefficientsSource::Named(set)), Some(zeta)) if set == "generic" => Medium::generic(zeta)?,
         (None, Some(zeta)) => Medium::generic(zeta)?,
         (None, None) => match name {
             Some(name) => Medium::named(name)?,
-            None => return Err(Error::invalid("sand", "needs coefficients (a medium's name or nine numbers) or zeta")),
+            None => {
+                return Err(Error::invalid(
+                    "sand",
+                    "needs coefficients (a medium's name or nine numbers) or zeta",
+                ));
+            }
         },
-        _ => return Err(Error::invalid("sand", "coefficients = \"generic\" needs zeta; any other set excludes it")),
+        _ => {
+            return Err(Error::invalid(
+                "sand",
+                "coefficients = \"generic\" needs zeta; any other set excludes it",
+            ));
+        }
     };
     for c in medium.coefficients.to_array() {
         check_range("sand.coefficients", c, -1e8..=1e8)?;
@@ -149,13 +178,20 @@ fn check_shape(name: &str, shape: &Intruder) -> Result<()> {
     let field = |part: &str| format!("shape.{name}.{part}");
     // 1 mm to 10 m as for Shape::segments: smaller or larger ones are unit slips.
     let (length, width, thickness) = match *shape {
-        Intruder::Leg { chord, width, xi_deg, thickness } => {
+        Intruder::Leg {
+            chord,
+            width,
+            xi_deg,
+            thickness,
+        } => {
             check_range(&field("xi_deg"), xi_deg, -89.9..=89.9)?;
             (check_range(&field("chord"), chord, 1e-3..=10.0)?, width, thickness)
         }
-        Intruder::Plate { length, width, thickness } => {
-            (check_range(&field("length"), length, 1e-3..=10.0)?, width, thickness)
-        }
+        Intruder::Plate {
+            length,
+            width,
+            thickness,
+        } => (check_range(&field("length"), length, 1e-3..=10.0)?, width, thickness),
     };
     check_range(&field("width"), width, 1e-4..=10.0)?;
     check_range(&field("thickness"), thickness.unwrap_or(0.0), 0.0..=length)?;

@@ -7,8 +7,8 @@
 use super::forward::ForwardModel;
 use super::observations::Observations;
 use super::whiten::Whitener;
-use crate::sand::mechanism::{CATALOG, Mechanisms};
 use crate::sand::Coefficients;
+use crate::sand::mechanism::{CATALOG, Mechanisms};
 use nalgebra::{DMatrix, DVector};
 
 pub const COEFFICIENTS: usize = 9;
@@ -57,9 +57,20 @@ pub fn dot(a: &[f64], b: &[f64]) -> f64 {
 }
 
 impl<'a> Study<'a> {
-    pub fn new(observations: &'a Observations, model: &'a dyn ForwardModel, whitener: &'a Whitener, coefficient_sd: f64) -> Self {
+    pub fn new(
+        observations: &'a Observations,
+        model: &'a dyn ForwardModel,
+        whitener: &'a Whitener,
+        coefficient_sd: f64,
+    ) -> Self {
         let coefficient_slopes = [Vec::new(), Vec::new()];
-        let mut study = Self { observations, model, whitener, coefficient_sd, coefficient_slopes };
+        let mut study = Self {
+            observations,
+            model,
+            whitener,
+            coefficient_sd,
+            coefficient_slopes,
+        };
         let plain = study.at(&[], Mechanisms::default(), [0.0; COEFFICIENTS]);
         let slopes = study.slopes_by_coefficients(&plain);
         study.coefficient_slopes = [slopes.clone(), slopes.iter().map(|s| whitener.apply(s)).collect()];
@@ -148,12 +159,27 @@ impl<'a> Study<'a> {
 
     fn at(&self, ids: &[usize], mechanisms: Mechanisms, deviations: [f64; COEFFICIENTS]) -> Fit {
         let prediction = self.model.predict(&mechanisms, &self.coefficients(&deviations));
-        let residual: Vec<f64> = self.observations.values.iter().zip(&prediction).map(|(y, m)| y - m).collect();
+        let residual: Vec<f64> = self
+            .observations
+            .values
+            .iter()
+            .zip(&prediction)
+            .map(|(y, m)| y - m)
+            .collect();
         let white = self.whitener.apply(&residual);
         let objective = dot(&white, &white) + dot(&deviations, &deviations);
         let objective = if objective.is_finite() { objective } else { f64::MAX };
         let (ids, slopes, white_slopes) = (ids.to_vec(), Vec::new(), Vec::new());
-        Fit { ids, mechanisms, deviations, prediction, white, objective, slopes, white_slopes }
+        Fit {
+            ids,
+            mechanisms,
+            deviations,
+            prediction,
+            white,
+            objective,
+            slopes,
+            white_slopes,
+        }
     }
 
     fn slopes_by_coefficients(&self, fit: &Fit) -> Vec<Vec<f64>> {
@@ -180,11 +206,14 @@ impl<'a> Study<'a> {
             let (entry, value) = (&CATALOG[id], fit.mechanisms.get(id));
             let step = 0.02 * entry.typical;
             let step = if value + step > entry.bounds[1] { -step } else { step };
-            let moved = self.model.predict(&fit.mechanisms.with(id, value + step), &coefficients);
+            let moved = self
+                .model
+                .predict(&fit.mechanisms.with(id, value + step), &coefficients);
             moved.iter().zip(&fit.prediction).map(|(a, b)| (a - b) / step).collect()
         });
         let slopes: Vec<Vec<f64>> = slopes.collect();
-        fit.white_slopes.splice(..earlier, slopes.iter().map(|s| self.whitener.apply(s)));
+        fit.white_slopes
+            .splice(..earlier, slopes.iter().map(|s| self.whitener.apply(s)));
         fit.slopes.splice(..earlier, slopes);
     }
 
@@ -237,7 +266,8 @@ fn solve(information: &DMatrix<f64>, score: &DVector<f64>, held: &[bool]) -> Vec
         }
         a[(k, k)] *= 1.0 + 1e-9;
     }
-    a.cholesky().map_or_else(|| vec![0.0; score.len()], |c| c.solve(&b).iter().copied().collect())
+    a.cholesky()
+        .map_or_else(|| vec![0.0; score.len()], |c| c.solve(&b).iter().copied().collect())
 }
 
 impl Fit {
@@ -270,13 +300,26 @@ impl Fit {
         let (information, _) = self.normal_equations();
         let count = self.ids.len();
         let inverse = information.try_inverse();
-        inverse.map_or_else(|| DMatrix::from_element(count, count, f64::INFINITY), |v| v.view((0, 0), (count, count)).into())
+        inverse.map_or_else(
+            || DMatrix::from_element(count, count, f64::INFINITY),
+            |v| v.view((0, 0), (count, count)).into(),
+        )
     }
 
     /// Whitened distance² to another fit, coefficients included.
     pub fn distance_squared(&self, other: &Fit) -> f64 {
-        let white: f64 = self.white.iter().zip(&other.white).map(|(a, b)| (a - b) * (a - b)).sum();
-        let prior: f64 = self.deviations.iter().zip(&other.deviations).map(|(a, b)| (a - b) * (a - b)).sum();
+        let white: f64 = self
+            .white
+            .iter()
+            .zip(&other.white)
+            .map(|(a, b)| (a - b) * (a - b))
+            .sum();
+        let prior: f64 = self
+            .deviations
+            .iter()
+            .zip(&other.deviations)
+            .map(|(a, b)| (a - b) * (a - b))
+            .sum();
         white + prior
     }
 }

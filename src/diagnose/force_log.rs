@@ -107,7 +107,13 @@ pub fn read(path: &Path, experiment: &Experiment) -> Result<ForceLog> {
         let place = ids.place(id);
         let track = track_header(row, experiment)?;
         if place == trials.len() {
-            trials.push(Growing { id: id.into(), condition, track, loads: Vec::new(), torques: Vec::new() });
+            trials.push(Growing {
+                id: id.into(),
+                condition,
+                track,
+                loads: Vec::new(),
+                torques: Vec::new(),
+            });
         } else {
             check_same(row, &trials[place], &track, condition)?;
         }
@@ -121,7 +127,12 @@ pub fn read(path: &Path, experiment: &Experiment) -> Result<ForceLog> {
         trial.torques.push(row.number(TY)?);
         Ok(())
     })?;
-    let mut missing: Vec<_> = [PASS, PASS_DX, X_BED].iter().zip(seen).filter(|s| !s.1).map(|s| COLUMNS[*s.0].name).collect();
+    let mut missing: Vec<_> = [PASS, PASS_DX, X_BED]
+        .iter()
+        .zip(seen)
+        .filter(|s| !s.1)
+        .map(|s| COLUMNS[*s.0].name)
+        .collect();
     let torque = trials.iter().all(|t| t.torques.iter().all(Option::is_some));
     if !torque {
         missing.push("Ty");
@@ -132,20 +143,35 @@ pub fn read(path: &Path, experiment: &Experiment) -> Result<ForceLog> {
 /// Beyond 1 MN or 1e6 of anything a log is in the wrong unit or broken, and squares would overflow: our choice.
 fn bounded(row: &Row, column: usize) -> Result<f64> {
     let value = row.needed(column)?;
-    if value.abs() > 1e6 { Err(row.error(column, format!("{value} is beyond 1e6"))) } else { Ok(value) }
+    if value.abs() > 1e6 {
+        Err(row.error(column, format!("{value} is beyond 1e6")))
+    } else {
+        Ok(value)
+    }
 }
 
 fn optional(row: &Row, column: usize, neutral: f64) -> Result<f64> {
-    if row.text(column).is_none() { Ok(neutral) } else { bounded(row, column) }
+    if row.text(column).is_none() {
+        Ok(neutral)
+    } else {
+        bounded(row, column)
+    }
 }
 
 fn check_medium(row: &Row, experiment: &Experiment, first: &mut Option<String>) -> Result<()> {
     let Some(name) = row.text(MEDIUM) else { return Ok(()) };
     let expected = first.get_or_insert_with(|| {
-        if experiment.own_sand { name.to_string() } else { experiment.medium.name.clone() }
+        if experiment.own_sand {
+            name.to_string()
+        } else {
+            experiment.medium.name.clone()
+        }
     });
     if name != expected {
-        return Err(row.error(MEDIUM, format!("medium {name:?} is unknown; the experiment's is {expected:?}")));
+        return Err(row.error(
+            MEDIUM,
+            format!("medium {name:?} is unknown; the experiment's is {expected:?}"),
+        ));
     }
     Ok(())
 }
@@ -155,7 +181,10 @@ fn track_header(row: &Row, experiment: &Experiment) -> Result<Track> {
     let shape = row.needed_text(SHAPE)?;
     let Some(intruder) = experiment.shapes.get(shape) else {
         let known: Vec<_> = experiment.shapes.keys().map(String::as_str).collect();
-        return Err(row.error(SHAPE, format!("shape {shape:?} is unknown; known: {}", known.join(", "))));
+        return Err(row.error(
+            SHAPE,
+            format!("shape {shape:?} is unknown; known: {}", known.join(", ")),
+        ));
     };
     let kind = row.needed_text(KIND)?;
     let (hip_height, beta) = match (kind, intruder) {
@@ -184,7 +213,9 @@ fn track_header(row: &Row, experiment: &Experiment) -> Result<Track> {
 /// where the logged velocity is the mirror image of that, so is the plate.
 fn tilt(row: &Row) -> Result<f64> {
     let beta = bounded(row, BETA)?;
-    let Some(gamma) = row.number(GAMMA)? else { return Ok(beta) };
+    let Some(gamma) = row.number(GAMMA)? else {
+        return Ok(beta);
+    };
     let vx = bounded(row, VX)?;
     Ok(if vx * gamma.cos() < -1e-9 { -beta } else { beta })
 }
@@ -215,7 +246,12 @@ fn check_same(row: &Row, trial: &Growing, now: &Track, condition: usize) -> Resu
 fn pose(row: &Row, intruder: &Intruder) -> Result<Pose> {
     let t = bounded(row, T)?;
     Ok(match intruder {
-        Intruder::Leg { .. } => Pose { t, theta: bounded(row, THETA)?, omega: bounded(row, OMEGA)?, ..Pose::default() },
+        Intruder::Leg { .. } => Pose {
+            t,
+            theta: bounded(row, THETA)?,
+            omega: bounded(row, OMEGA)?,
+            ..Pose::default()
+        },
         Intruder::Plate { .. } => Pose {
             t,
             center: [bounded(row, X)?, bounded(row, Z)?],
@@ -225,13 +261,31 @@ fn pose(row: &Row, intruder: &Intruder) -> Result<Pose> {
     })
 }
 
-fn assemble(trials: Vec<Growing>, conditions: Vec<String>, torque: bool, missing: Vec<&'static str>, sha256: String) -> ForceLog {
+fn assemble(
+    trials: Vec<Growing>,
+    conditions: Vec<String>,
+    torque: bool,
+    missing: Vec<&'static str>,
+    sha256: String,
+) -> ForceLog {
     let mut channels = vec![
-        Channel { name: "Fx", unit: "N", in_rmse: true },
-        Channel { name: "Fz", unit: "N", in_rmse: true },
+        Channel {
+            name: "Fx",
+            unit: "N",
+            in_rmse: true,
+        },
+        Channel {
+            name: "Fz",
+            unit: "N",
+            in_rmse: true,
+        },
     ];
     if torque {
-        channels.push(Channel { name: "Ty", unit: "N·m", in_rmse: false });
+        channels.push(Channel {
+            name: "Ty",
+            unit: "N·m",
+            in_rmse: false,
+        });
     }
     let (mut values, mut units, mut tracks, mut track_of) = (Vec::new(), Vec::new(), Vec::<Track>::new(), Vec::new());
     for trial in trials {
@@ -255,8 +309,19 @@ fn assemble(trials: Vec<Growing>, conditions: Vec<String>, torque: bool, missing
             tracks.push(trial.track);
         }
     }
-    let observations = Observations { values, channels, units, conditions };
-    ForceLog { observations, tracks, track_of, missing, sha256 }
+    let observations = Observations {
+        values,
+        channels,
+        units,
+        conditions,
+    };
+    ForceLog {
+        observations,
+        tracks,
+        track_of,
+        missing,
+        sha256,
+    }
 }
 
 /// Angle travelled by a leg [rad] or distance along a plate's motion [m], from the place where the frame has zero:
@@ -271,7 +336,12 @@ fn progress(track: &Track) -> Vec<f64> {
         Intruder::Plate { .. } => {
             let speed = first.velocity[0].hypot(first.velocity[1]).max(1e-12);
             let along = first.velocity.map(|v| v / speed);
-            increasing(track.poses.iter().map(|p| p.center[0] * along[0] + p.center[1] * along[1]))
+            increasing(
+                track
+                    .poses
+                    .iter()
+                    .map(|p| p.center[0] * along[0] + p.center[1] * along[1]),
+            )
         }
     }
 }
@@ -295,7 +365,13 @@ pub fn planned(tracks: Vec<Track>, channels: usize) -> ForceLog {
         .enumerate()
         .map(|(i, track)| {
             let samples = track.poses.len();
-            Growing { id: i.to_string(), condition: i, track, loads: vec![[0.0; 2]; samples], torques: vec![Some(0.0); samples] }
+            Growing {
+                id: i.to_string(),
+                condition: i,
+                track,
+                loads: vec![[0.0; 2]; samples],
+                torques: vec![Some(0.0); samples],
+            }
         })
         .collect();
     assemble(trials, names, channels > 2, Vec::new(), String::new())
@@ -322,9 +398,15 @@ pub fn possible(tracks: &[Track]) -> Vec<(Track, String)> {
                 for (pass, x_bed) in [(1, 0.0), (2, 0.0), (1, 0.1), (1, -0.1)] {
                     let angles: &[(f64, f64)] = match base.intruder {
                         Intruder::Leg { .. } => &[(0.0, 0.0)],
-                        Intruder::Plate { .. } => &[(0.0, 90.0), (90.0, 0.0), (45.0, 45.0), (-45.0, 45.0), (60.0, 30.0)],
+                        Intruder::Plate { .. } => {
+                            &[(0.0, 90.0), (90.0, 0.0), (45.0, 45.0), (-45.0, 45.0), (60.0, 30.0)]
+                        }
                     };
-                    out.extend(angles.iter().map(|&(beta, gamma)| base.planned(rate, deep, pass, x_bed, beta, gamma)));
+                    out.extend(
+                        angles
+                            .iter()
+                            .map(|&(beta, gamma)| base.planned(rate, deep, pass, x_bed, beta, gamma)),
+                    );
                 }
             }
         }
@@ -344,14 +426,24 @@ impl Track {
 
     /// The same intruder in another trial, and that trial in words; angles in degrees.
     fn planned(&self, rate: f64, deep: bool, pass: u32, x_bed: f64, beta: f64, gamma: f64) -> (Track, String) {
-        let mut track = Track { pass, pass_dx: 0.0, x_bed, ..self.clone() };
+        let mut track = Track {
+            pass,
+            pass_dx: 0.0,
+            x_bed,
+            ..self.clone()
+        };
         let at = |i: usize| (i as f64 + 0.5) / PLANNED_SAMPLES as f64;
         let motion = match self.intruder {
             Intruder::Leg { chord, .. } => {
                 track.hip_height = if deep { 0.25 * chord } else { 0.6 * chord };
                 let pose = |i| {
                     let theta = -1.75 + 3.5 * at(i);
-                    Pose { t: (theta + 1.75) / rate.max(1e-6), theta, omega: rate, ..Pose::default() }
+                    Pose {
+                        t: (theta + 1.75) / rate.max(1e-6),
+                        theta,
+                        omega: rate,
+                        ..Pose::default()
+                    }
                 };
                 track.poses = (0..PLANNED_SAMPLES).map(pose).collect();
                 format!("hip {:.1} cm above the sand, {rate:.2} rad/s", 100.0 * track.hip_height)
@@ -359,15 +451,27 @@ impl Track {
             Intruder::Plate { length, .. } => {
                 track.beta = beta.to_radians();
                 let (sin, cos) = gamma.to_radians().sin_cos();
-                let from = if gamma == 0.0 { if deep { length } else { 0.5 * length } } else { 0.0 };
+                let from = if gamma == 0.0 {
+                    if deep { length } else { 0.5 * length }
+                } else {
+                    0.0
+                };
                 let reach = if deep { 1.3 * length } else { 0.5 * length };
                 let pose = |i| {
                     let path = reach * at(i);
                     let (center, velocity) = ([path * cos, -from - path * sin], [rate * cos, -rate * sin]);
-                    Pose { t: path / rate.max(1e-9), center, velocity, ..Pose::default() }
+                    Pose {
+                        t: path / rate.max(1e-9),
+                        center,
+                        velocity,
+                        ..Pose::default()
+                    }
                 };
                 track.poses = (0..PLANNED_SAMPLES).map(pose).collect();
-                format!("β {beta:.0}°, γ {gamma:.0}°, {:.1} cm deep, {rate:.3} m/s", 100.0 * (from + reach * sin))
+                format!(
+                    "β {beta:.0}°, γ {gamma:.0}°, {:.1} cm deep, {rate:.3} m/s",
+                    100.0 * (from + reach * sin)
+                )
             }
         };
         let ground = if pass > 1 { "second pass in place" } else { "fresh bed" };

@@ -67,8 +67,18 @@ pub struct ForceLogModel {
 
 impl ForceLogModel {
     pub fn new(log: &ForceLog, experiment: &Experiment) -> Result<Self> {
-        let cuts = experiment.shapes.iter().map(|(name, shape)| Ok((name.clone(), cut(shape)?))).collect::<Result<_>>()?;
-        let units = log.observations.units.iter().zip(&log.track_of).map(|(u, &t)| (t, u.start, u.samples)).collect();
+        let cuts = experiment
+            .shapes
+            .iter()
+            .map(|(name, shape)| Ok((name.clone(), cut(shape)?)))
+            .collect::<Result<_>>()?;
+        let units = log
+            .observations
+            .units
+            .iter()
+            .zip(&log.track_of)
+            .map(|(u, &t)| (t, u.start, u.samples))
+            .collect();
         Ok(Self {
             medium: experiment.medium.clone(),
             tracks: log.tracks.clone(),
@@ -82,7 +92,13 @@ impl ForceLogModel {
     /// A model of other tracks with the same intruders: for experiments not yet made.
     pub fn for_tracks(&self, tracks: Vec<Track>) -> (Self, Observations) {
         let log = super::force_log::planned(tracks, self.channels);
-        let units = log.observations.units.iter().zip(&log.track_of).map(|(u, &t)| (t, u.start, u.samples)).collect();
+        let units = log
+            .observations
+            .units
+            .iter()
+            .zip(&log.track_of)
+            .map(|(u, &t)| (t, u.start, u.samples))
+            .collect();
         let cuts = self.cuts.iter().map(|(name, c)| (name.clone(), c.copy())).collect();
         let model = Self {
             medium: self.medium.clone(),
@@ -103,11 +119,23 @@ impl ForceLogModel {
     fn loads(&self, track: &Track, m: &Mechanisms, ground: &Ground<f64>) -> Vec<Load> {
         let sand = SandMechanisms::new(m, self.medium.bulk_density);
         let cut = &self.cuts[&track.shape];
-        let arm = Arm { track, cut, mechanisms: m, sand, ground, footprint: footprint(m.footprint, track.pass, track.pass_dx) };
+        let arm = Arm {
+            track,
+            cut,
+            mechanisms: m,
+            sand,
+            ground,
+            footprint: footprint(m.footprint, track.pass, track.pass_dx),
+        };
         let mut loads: Vec<Load> = if m.lowpass > 0.0 {
             arm.filtered(m.lowpass)
         } else {
-            track.poses.iter().enumerate().map(|(i, p)| arm.load(&arm.late(i, p), p.t)).collect()
+            track
+                .poses
+                .iter()
+                .enumerate()
+                .map(|(i, p)| arm.load(&arm.late(i, p), p.t))
+                .collect()
         };
         let (sin, cos) = m.sensor_tilt.sin_cos();
         for load in &mut loads {
@@ -121,19 +149,32 @@ impl ForceLogModel {
 
 impl Cut {
     fn copy(&self) -> Self {
-        Cut { segments: self.segments.clone(), chord: self.chord.clone(), ..*self }
+        Cut {
+            segments: self.segments.clone(),
+            chord: self.chord.clone(),
+            ..*self
+        }
     }
 }
 
 fn cut(intruder: &Intruder) -> Result<Cut> {
     Ok(match *intruder {
-        Intruder::Leg { chord, width, xi_deg, thickness } => Cut {
+        Intruder::Leg {
+            chord,
+            width,
+            xi_deg,
+            thickness,
+        } => Cut {
             segments: Shape::two_piece(xi_deg)?.segments(chord, width, SEGMENTS)?,
             chord: straight([0.0, 0.0], [0.0, -chord], width, SEGMENTS),
             width,
             half_thickness: thickness.unwrap_or(0.0) / 2.0,
         },
-        Intruder::Plate { length, width, thickness } => Cut {
+        Intruder::Plate {
+            length,
+            width,
+            thickness,
+        } => Cut {
             segments: straight([-length / 2.0, 0.0], [length / 2.0, 0.0], width, SEGMENTS),
             chord: Vec::new(),
             width,
@@ -155,7 +196,11 @@ struct Arm<'a> {
 impl Arm<'_> {
     /// The pose whose force is logged at sample `index`: `delay` earlier.
     fn late(&self, index: usize, pose: &Pose) -> Pose {
-        if self.mechanisms.delay == 0.0 { *pose } else { self.pose_at(pose.t - self.mechanisms.delay, index) }
+        if self.mechanisms.delay == 0.0 {
+            *pose
+        } else {
+            self.pose_at(pose.t - self.mechanisms.delay, index)
+        }
     }
 
     /// Pose at time `t`: cubic Hermite through the samples, constant velocity beyond them; `near` is a sample close by.
@@ -169,13 +214,21 @@ impl Arm<'_> {
         let Some(b) = poses.get(right + 1).filter(|_| t >= a.t) else {
             let dt = t - a.t;
             let center = [0, 1].map(|k| a.center[k] + a.velocity[k] * dt);
-            return Pose { t, theta: a.theta + a.omega * dt, center, ..*a };
+            return Pose {
+                t,
+                theta: a.theta + a.omega * dt,
+                center,
+                ..*a
+            };
         };
         let h = b.t - a.t;
         let s = (t - a.t) / h;
         let hermite = |p: f64, dp: f64, q: f64, dq: f64| {
             let (s2, s3) = (s * s, s * s * s);
-            (2.0 * s3 - 3.0 * s2 + 1.0) * p + (s3 - 2.0 * s2 + s) * h * dp + (3.0 * s2 - 2.0 * s3) * q + (s3 - s2) * h * dq
+            (2.0 * s3 - 3.0 * s2 + 1.0) * p
+                + (s3 - 2.0 * s2 + s) * h * dp
+                + (3.0 * s2 - 2.0 * s3) * q
+                + (s3 - s2) * h * dq
         };
         let between = |p: f64, q: f64| p + s * (q - p);
         Pose {
@@ -218,7 +271,11 @@ impl Arm<'_> {
 
     /// Load at a pose; `t` only finds the acceleration.
     fn load(&self, pose: &Pose, t: f64) -> Load {
-        let acceleration = if self.mechanisms.added_mass == 0.0 { [0.0; 3] } else { self.acceleration(t) };
+        let acceleration = if self.mechanisms.added_mass == 0.0 {
+            [0.0; 3]
+        } else {
+            self.acceleration(t)
+        };
         match self.track.intruder {
             Intruder::Plate { .. } => self.plate(pose, acceleration),
             Intruder::Leg { .. } => {
@@ -241,13 +298,24 @@ impl Arm<'_> {
         let (a, b) = (&poses[i.saturating_sub(1)], &poses[(i + 1).min(poses.len() - 1)]);
         // A trial of one sample has no acceleration to show.
         let dt = if b.t > a.t { b.t - a.t } else { f64::INFINITY };
-        [b.omega - a.omega, b.velocity[0] - a.velocity[0], b.velocity[1] - a.velocity[1]].map(|d| d / dt)
+        [
+            b.omega - a.omega,
+            b.velocity[0] - a.velocity[0],
+            b.velocity[1] - a.velocity[1],
+        ]
+        .map(|d| d / dt)
     }
 
     fn plate(&self, pose: &Pose, acceleration: [f64; 3]) -> Load {
         let (sin, cos) = self.track.beta.sin_cos();
         let origin = [pose.center[0], pose.center[1] - self.mechanisms.depth_zero];
-        self.sum(&self.cut.segments, origin, (sin, cos), |_| pose.velocity, |_| [acceleration[1], acceleration[2]])
+        self.sum(
+            &self.cut.segments,
+            origin,
+            (sin, cos),
+            |_| pose.velocity,
+            |_| [acceleration[1], acceleration[2]],
+        )
     }
 
     fn leg(&self, pose: &Pose, angular_acceleration: f64) -> Load {
@@ -257,7 +325,9 @@ impl Arm<'_> {
         // Only the tangential part: the normal turns with the leg, so the centripetal part does not change v·n.
         let change = |r: [f64; 2]| [-angular_acceleration * r[1], angular_acceleration * r[0]];
         let full = self.sum(&self.cut.segments, origin, turn, velocity, change);
-        let Intruder::Leg { xi_deg, .. } = self.track.intruder else { return full };
+        let Intruder::Leg { xi_deg, .. } = self.track.intruder else {
+            return full;
+        };
         let chi = self.mechanisms.concave_fill;
         // Bulging forward (ξ > 0) and turning backward, or the reverse: the concave side leads.
         if chi == 0.0 || xi_deg * pose.omega >= 0.0 {
@@ -265,7 +335,11 @@ impl Arm<'_> {
         }
         let chord = self.sum(&self.cut.chord, origin, turn, velocity, change);
         let mix = |segments: f64, straight: f64| (1.0 - chi) * segments + chi * straight;
-        Load { fx: mix(full.fx, chord.fx), fz: mix(full.fz, chord.fz), ty: mix(full.ty, chord.ty) }
+        Load {
+            fx: mix(full.fx, chord.fx),
+            fz: mix(full.fz, chord.fz),
+            ty: mix(full.ty, chord.ty),
+        }
     }
 
     /// Sums stress over segments turned by (sin, cos) counter-clockwise about `origin`.
@@ -318,9 +392,15 @@ impl Arm<'_> {
 
 impl ForwardModel for ForceLogModel {
     fn predict(&self, mechanisms: &Mechanisms, coefficients: &Coefficients) -> Vec<f64> {
-        let medium = Medium { coefficients: *coefficients, ..self.medium.clone() };
+        let medium = Medium {
+            coefficients: *coefficients,
+            ..self.medium.clone()
+        };
         // The arm prescribes the motion: nothing rests in the sand, so no creep speed is needed.
-        let surface = Surface { rest_speed: 1e-9, ..Surface::default() };
+        let surface = Surface {
+            rest_speed: 1e-9,
+            ..Surface::default()
+        };
         let ground = Ground::new(Law::Li2013, &medium, &surface);
         let loads: Vec<_> = self.tracks.iter().map(|t| self.loads(t, mechanisms, &ground)).collect();
         let mut stack = vec![0.0; self.units.iter().map(|u| u.2 * self.channels).sum()];
@@ -343,7 +423,10 @@ impl ForwardModel for ForceLogModel {
         asked
             .map(|(index, m)| {
                 let lacking: Vec<_> = m.columns.iter().filter(|c| self.missing.contains(c)).copied().collect();
-                (index, (!lacking.is_empty()).then(|| format!("the data have no column {}", lacking.join(", "))))
+                (
+                    index,
+                    (!lacking.is_empty()).then(|| format!("the data have no column {}", lacking.join(", "))),
+                )
             })
             .collect()
     }
@@ -352,7 +435,12 @@ impl ForwardModel for ForceLogModel {
         let per_pose = |name, unit, f: &dyn Fn(&Track, &Pose) -> f64| Feature {
             name,
             unit,
-            values: self.units.iter().map(|u| &self.tracks[u.0]).map(|t| t.poses.iter().map(|p| f(t, p)).collect()).collect(),
+            values: self
+                .units
+                .iter()
+                .map(|u| &self.tracks[u.0])
+                .map(|t| t.poses.iter().map(|p| f(t, p)).collect())
+                .collect(),
         };
         vec![
             per_pose("speed", "m/s", &|t, p| match t.intruder {
@@ -378,7 +466,11 @@ impl ForwardModel for ForceLogModel {
     fn menu(&self) -> Option<Menu> {
         let (tracks, descriptions): (Vec<_>, Vec<_>) = super::force_log::possible(&self.tracks).into_iter().unzip();
         let (model, observations) = self.for_tracks(tracks);
-        (!descriptions.is_empty()).then(|| Menu { model: Box::new(model), observations, descriptions })
+        (!descriptions.is_empty()).then(|| Menu {
+            model: Box::new(model),
+            observations,
+            descriptions,
+        })
     }
 
     fn group(&self, unit: usize) -> &str {

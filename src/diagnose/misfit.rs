@@ -31,15 +31,35 @@ pub fn misfit(observations: &Observations, model: &dyn ForwardModel, prediction:
     for feature in model.features() {
         for range in ranges(&feature) {
             let inside = |u: usize, i: usize| (range[0]..=range[1]).contains(&feature.values[u][i]);
-            add(&mut table, observations, prediction, inside, &feature, Some(range), None);
+            add(
+                &mut table,
+                observations,
+                prediction,
+                inside,
+                &feature,
+                Some(range),
+                None,
+            );
         }
     }
     let mut groups: Vec<&str> = (0..observations.units.len()).map(|u| model.group(u)).collect();
     groups.sort_unstable();
     groups.dedup();
-    let shape = Feature { name: "shape", unit: "", values: Vec::new() };
+    let shape = Feature {
+        name: "shape",
+        unit: "",
+        values: Vec::new(),
+    };
     for group in groups {
-        add(&mut table, observations, prediction, |u, _| model.group(u) == group, &shape, None, Some(group));
+        add(
+            &mut table,
+            observations,
+            prediction,
+            |u, _| model.group(u) == group,
+            &shape,
+            None,
+            Some(group),
+        );
     }
     table
 }
@@ -51,10 +71,16 @@ fn ranges(feature: &Feature) -> Vec<[f64; 2]> {
     let mut distinct = all.clone();
     distinct.dedup_by(|a, b| (*a - *b).abs() <= 1e-9 * b.abs().max(1e-9));
     if distinct.len() <= RANGES {
-        return distinct.iter().map(|v| [v - 1e-9 * v.abs().max(1e-9), v + 1e-9 * v.abs().max(1e-9)]).collect();
+        return distinct
+            .iter()
+            .map(|v| [v - 1e-9 * v.abs().max(1e-9), v + 1e-9 * v.abs().max(1e-9)])
+            .collect();
     }
     let edge = |k: usize| all[(k * (all.len() - 1)) / RANGES];
-    (0..RANGES).map(|k| [edge(k), edge(k + 1)]).filter(|r| r[1] > r[0]).collect()
+    (0..RANGES)
+        .map(|k| [edge(k), edge(k + 1)])
+        .filter(|r| r[1] > r[0])
+        .collect()
 }
 
 fn add(
@@ -135,15 +161,29 @@ pub fn correlates(
     for _ in 0..TERMS {
         let gain = |column: &[f64]| {
             let (square, along) = (super::fit::dot(column, column), super::fit::dot(column, &left));
-            if square > 1e-9 { (along * along / square, along / square) } else { (0.0, 0.0) }
+            if square > 1e-9 {
+                (along * along / square, along / square)
+            } else {
+                (0.0, 0.0)
+            }
         };
-        let best = columns.iter().map(|c| (gain(&c.2), c)).max_by(|a, b| a.0.0.total_cmp(&b.0.0));
-        let Some(((delta, strength), (name, channel, column))) = best else { break };
+        let best = columns
+            .iter()
+            .map(|c| (gain(&c.2), c))
+            .max_by(|a, b| a.0.0.total_cmp(&b.0.0));
+        let Some(((delta, strength), (name, channel, column))) = best else {
+            break;
+        };
         if delta <= gate {
             break;
         }
         left.iter_mut().zip(column).for_each(|(l, c)| *l -= strength * c);
-        found.push(Correlate { feature: name.clone(), channel: (*channel).into(), strength, delta_chi2: delta });
+        found.push(Correlate {
+            feature: name.clone(),
+            channel: (*channel).into(),
+            strength,
+            delta_chi2: delta,
+        });
     }
     found
 }
@@ -156,14 +196,27 @@ fn dictionary(features: &[Feature]) -> Vec<(String, Vec<Vec<f64>>)> {
             let low = f.values.iter().flatten().copied().fold(f64::MAX, f64::min);
             let high = f.values.iter().flatten().copied().fold(f64::MIN, f64::max);
             let scale = |v: &f64| (2.0 * v - low - high) / (high - low);
-            (high - low > 1e-12).then(|| (f.name.to_string(), f.values.iter().map(|u| u.iter().map(scale).collect()).collect()))
+            (high - low > 1e-12).then(|| {
+                (
+                    f.name.to_string(),
+                    f.values.iter().map(|u| u.iter().map(scale).collect()).collect(),
+                )
+            })
         })
         .collect();
     let mut all = scaled.clone();
     for (i, (a, left)) in scaled.iter().enumerate() {
         for (b, right) in &scaled[..=i] {
-            let name = if a == b { format!("{a}²") } else { format!("{a} × {b}") };
-            let values = left.iter().zip(right).map(|(l, r)| l.iter().zip(r).map(|(l, r)| l * r).collect()).collect();
+            let name = if a == b {
+                format!("{a}²")
+            } else {
+                format!("{a} × {b}")
+            };
+            let values = left
+                .iter()
+                .zip(right)
+                .map(|(l, r)| l.iter().zip(r).map(|(l, r)| l * r).collect())
+                .collect();
             all.push((name, values));
         }
     }

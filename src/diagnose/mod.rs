@@ -47,7 +47,12 @@ pub fn diagnose(data: &Path, experiment: &Experiment) -> Result<Diagnosis> {
         Kind::Intrusion => {
             let log = force_log::read(data, experiment)?;
             let model = ForceLogModel::new(&log, experiment)?;
-            Ok(diagnose_observations(log.observations, &model, experiment.coefficient_sd, log.sha256))
+            Ok(diagnose_observations(
+                log.observations,
+                &model,
+                experiment.coefficient_sd,
+                log.sha256,
+            ))
         }
         Kind::Walking => Err(Error::invalid("kind", "walking data are not diagnosed yet")),
     }
@@ -70,7 +75,12 @@ pub fn diagnose_observations(
         .has_replicates()
         .then(|| select(&study, &noise, &ids, |m| Whitener::new(&observations, &noise, &size, m)));
     let floor = noise_floor(&observations, &plain, &size);
-    let view = View { study: &study, noise: &noise, selection: selection.as_ref(), floor };
+    let view = View {
+        study: &study,
+        noise: &noise,
+        selection: selection.as_ref(),
+        floor,
+    };
     let report = view.report(untestable, sha256);
     let extension = selection.as_ref().and_then(extension);
     let mut sand = SandDescription::plain(model.medium());
@@ -82,19 +92,32 @@ pub fn diagnose_observations(
     }
     let extended = extension.map(|c| c.fit.prediction.clone());
     let band = noise.standard_deviation(&observations, &size, &plain);
-    let groups = (0..observations.units.len()).map(|u| model.group(u).to_string()).collect();
-    let curves = Curves { groups, plain, extended, band, observations: observations.clone() };
+    let groups = (0..observations.units.len())
+        .map(|u| model.group(u).to_string())
+        .collect();
+    let curves = Curves {
+        groups,
+        plain,
+        extended,
+        band,
+        observations: observations.clone(),
+    };
     Diagnosis { report, sand, curves }
 }
 
 /// Causes that the data can be asked about, and the others with the reason.
 fn testable(study: &Study) -> (Vec<usize>, Vec<Untestable>) {
     let (mut ids, mut untestable) = (Vec::new(), Vec::new());
-    let plain = study.model.predict(&Mechanisms::default(), &study.model.medium().coefficients);
+    let plain = study
+        .model
+        .predict(&Mechanisms::default(), &study.model.medium().coefficients);
     for (id, why) in study.model.testable() {
         let moved = || {
             calibrate::starts(id).into_iter().any(|value| {
-                let there = study.model.predict(&Mechanisms::default().with(id, value), &study.model.medium().coefficients);
+                let there = study.model.predict(
+                    &Mechanisms::default().with(id, value),
+                    &study.model.medium().coefficients,
+                );
                 let change: Vec<f64> = there.iter().zip(&plain).map(|(a, b)| a - b).collect();
                 let white = study.whitener.apply(&change);
                 fit::dot(&white, &white) > calibrate::FELT
@@ -102,7 +125,10 @@ fn testable(study: &Study) -> (Vec<usize>, Vec<Untestable>) {
         };
         let why = why.or_else(|| (!moved()).then(|| "no trial of these data excites it".to_string()));
         match why {
-            Some(why) => untestable.push(Untestable { id: CATALOG[id].id.into(), why }),
+            Some(why) => untestable.push(Untestable {
+                id: CATALOG[id].id.into(),
+                why,
+            }),
             None => ids.push(id),
         }
     }
@@ -117,7 +143,9 @@ fn extension(selection: &Selection) -> Option<&Candidate> {
         let order = |a: &&Candidate, b: &&Candidate| a.held_out.rmse().total_cmp(&b.held_out.rmse());
         selection.candidates.iter().min_by(order).filter(helps)
     };
-    selection.best().or_else(|| (selection.verdict == Verdict::NoneOfThese).then(proxy).flatten())
+    selection
+        .best()
+        .or_else(|| (selection.verdict == Verdict::NoneOfThese).then(proxy).flatten())
 }
 
 fn names(fit: &Fit) -> Vec<String> {
@@ -140,10 +168,19 @@ impl View<'_> {
         let causes = best.map(|c| self.causes(&c.fit)).unwrap_or_default();
         let ranges = self.study.model.features().into_iter().map(|f| {
             let all = f.values.iter().flatten().copied();
-            (f.name.to_string(), all.fold([f64::MAX, f64::MIN], |r, v| [r[0].min(v), r[1].max(v)]))
+            (
+                f.name.to_string(),
+                all.fold([f64::MAX, f64::MIN], |r, v| [r[0].min(v), r[1].max(v)]),
+            )
         });
-        let set = self.selection.map_or(Vec::new(), |s| s.set.iter().map(|&k| names(&s.candidates[k].fit)).collect());
-        let warnings = causes.iter().filter(|c| c.at_bound).map(|c| format!("{} sits at its bound", c.id)).collect();
+        let set = self.selection.map_or(Vec::new(), |s| {
+            s.set.iter().map(|&k| names(&s.candidates[k].fit)).collect()
+        });
+        let warnings = causes
+            .iter()
+            .filter(|c| c.at_bound)
+            .map(|c| format!("{} sits at its bound", c.id))
+            .collect();
         let channels = observations.channels.iter().zip(&self.noise.channels);
         Report {
             schema: "sandgait.diagnosis.v1",
@@ -166,7 +203,9 @@ impl View<'_> {
             valid_range: ranges.collect(),
             noise: self.selection.map(|_| NoiseSummary {
                 trial_gain: self.noise.gain,
-                channels: channels.map(|(c, n)| (c.name.to_string(), [n.grain, n.sensor, n.phi])).collect(),
+                channels: channels
+                    .map(|(c, n)| (c.name.to_string(), [n.grain, n.sensor, n.phi]))
+                    .collect(),
             }),
             warnings,
             data_sha256,
@@ -193,7 +232,9 @@ impl View<'_> {
     }
 
     fn tried(&self) -> Vec<Tried> {
-        let Some(selection) = self.selection else { return Vec::new() };
+        let Some(selection) = self.selection else {
+            return Vec::new();
+        };
         let base = selection.base_held_out.rmse();
         let n = (self.study.observations.values.len() as f64).ln();
         let best = selection.candidates.first();
@@ -237,10 +278,19 @@ impl View<'_> {
     }
 
     fn correlates(&self) -> Vec<misfit::Correlate> {
-        let Some(selection) = self.selection.filter(|s| s.verdict == Verdict::NoneOfThese) else { return Vec::new() };
+        let Some(selection) = self.selection.filter(|s| s.verdict == Verdict::NoneOfThese) else {
+            return Vec::new();
+        };
         let base = &selection.base;
         let whiten = |column: &[f64]| self.study.whitener.apply(column);
-        misfit::correlates(self.study.observations, self.study.model, &base.prediction, &base.white, whiten, selection.gates.single)
+        misfit::correlates(
+            self.study.observations,
+            self.study.model,
+            &base.prediction,
+            &base.white,
+            whiten,
+            selection.gates.single,
+        )
     }
 
     fn next_experiment(&self) -> Option<NextExperiment> {
@@ -258,16 +308,28 @@ impl View<'_> {
             return "no condition is repeated: without a noise floor nothing can be said".into();
         };
         let said = |c: &Cause| {
-            format!("{} = {:.4} {} (95 % interval {:.4} to {:.4})", c.id, c.value, c.unit, c.ci95[0], c.ci95[1])
+            format!(
+                "{} = {:.4} {} (95 % interval {:.4} to {:.4})",
+                c.id, c.value, c.unit, c.ci95[0], c.ci95[1]
+            )
         };
         let found = causes.iter().map(said).collect::<Vec<_>>().join(" with ");
         match selection.verdict {
-            Verdict::NoiseFloor => "no significant misfit: the plain model is as good as the data repeat themselves".into(),
+            Verdict::NoiseFloor => {
+                "no significant misfit: the plain model is as good as the data repeat themselves".into()
+            }
             Verdict::Named => format!("the misfit is explained by {found}"),
             Verdict::Ambiguous => {
-                let rivals: Vec<_> =
-                    selection.set.iter().skip(1).map(|&k| names(&selection.candidates[k].fit).join(" + ")).collect();
-                format!("the misfit is explained by {found}, or by {}: these data cannot tell", rivals.join(", or by "))
+                let rivals: Vec<_> = selection
+                    .set
+                    .iter()
+                    .skip(1)
+                    .map(|&k| names(&selection.candidates[k].fit).join(" + "))
+                    .collect();
+                format!(
+                    "the misfit is explained by {found}, or by {}: these data cannot tell",
+                    rivals.join(", or by ")
+                )
             }
             Verdict::NoneOfThese => match selection.candidates.first() {
                 Some(best) if best.delta_chi2 > selection.gates.single => format!(
@@ -287,5 +349,9 @@ fn correlations(fit: &Fit) -> Vec<Vec<f64>> {
     let covariance = fit.covariance();
     let n = fit.ids.len();
     let of = |i: usize, j: usize| covariance[(i, j)] / (covariance[(i, i)] * covariance[(j, j)]).sqrt();
-    if n < 2 { Vec::new() } else { (0..n).map(|i| (0..n).map(|j| of(i, j)).collect()).collect() }
+    if n < 2 {
+        Vec::new()
+    } else {
+        (0..n).map(|i| (0..n).map(|j| of(i, j)).collect()).collect()
+    }
 }

@@ -88,7 +88,11 @@ impl ChannelFilter {
                 (s, gain, 1.0 / total.sqrt())
             })
             .collect();
-        Self { phi, steps, log_determinant: log_determinant + f64::ln(product) }
+        Self {
+            phi,
+            steps,
+            log_determinant: log_determinant + f64::ln(product),
+        }
     }
 
     /// Replaces `values` by their whitened innovations.
@@ -113,7 +117,11 @@ struct Repeats {
 
 fn repeats(observations: &Observations, prediction: &[f64], magnitudes: &[Vec<f64>]) -> Vec<Repeats> {
     let groups = observations.repetitions();
-    groups.iter().filter(|g| g.len() > 1).map(|g| repeats_of(observations, prediction, magnitudes, g)).collect()
+    groups
+        .iter()
+        .filter(|g| g.len() > 1)
+        .map(|g| repeats_of(observations, prediction, magnitudes, g))
+        .collect()
 }
 
 fn repeats_of(observations: &Observations, prediction: &[f64], magnitudes: &[Vec<f64>], group: &[usize]) -> Repeats {
@@ -130,22 +138,33 @@ fn repeats_of(observations: &Observations, prediction: &[f64], magnitudes: &[Vec
     let aligned = |u: usize, c: usize, what: &dyn Fn(usize) -> f64| -> Vec<f64> {
         let unit = &observations.units[u];
         let values: Vec<f64> = unit.block(c).map(what).collect();
-        kept.iter().map(|&i| interpolate(&unit.progress, &values, first.progress[i])).collect()
+        kept.iter()
+            .map(|&i| interpolate(&unit.progress, &values, first.progress[i]))
+            .collect()
     };
     let channels = 0..observations.channels.len();
     let residual = |k: usize| observations.values[k] - prediction[k];
-    let each: Vec<Vec<Vec<f64>>> =
-        group.iter().map(|&u| channels.clone().map(|c| aligned(u, c, &residual)).collect()).collect();
+    let each: Vec<Vec<Vec<f64>>> = group
+        .iter()
+        .map(|&u| channels.clone().map(|c| aligned(u, c, &residual)).collect())
+        .collect();
     let mean = channels.clone().map(|c| {
-        let all: Vec<_> = group.iter().map(|&u| aligned(u, c, &|k| observations.values[k])).collect();
-        (0..kept.len()).map(|i| all.iter().map(|a| a[i]).sum::<f64>() / group.len() as f64).collect()
+        let all: Vec<_> = group
+            .iter()
+            .map(|&u| aligned(u, c, &|k| observations.values[k]))
+            .collect();
+        (0..kept.len())
+            .map(|i| all.iter().map(|a| a[i]).sum::<f64>() / group.len() as f64)
+            .collect()
     });
     let differences = (1..group.len()).map(|k| {
         let norm = ((k * (k + 1)) as f64).sqrt();
-        let difference = |c: usize, i: usize| {
-            (each[..k].iter().map(|e| e[c][i]).sum::<f64>() - k as f64 * each[k][c][i]) / norm
-        };
-        channels.clone().map(|c| (0..kept.len()).map(|i| difference(c, i)).collect()).collect()
+        let difference =
+            |c: usize, i: usize| (each[..k].iter().map(|e| e[c][i]).sum::<f64>() - k as f64 * each[k][c][i]) / norm;
+        channels
+            .clone()
+            .map(|c| (0..kept.len()).map(|i| difference(c, i)).collect())
+            .collect()
     });
     Repeats {
         magnitude: kept.iter().map(|&i| magnitudes[group[0]][i]).collect(),
@@ -162,8 +181,15 @@ impl Noise {
     }
 
     fn unpack(p: &[f64]) -> Self {
-        let channel = |c: &[f64]| ChannelNoise { grain: c[0].exp(), sensor: c[1].exp(), phi: c[2].tanh() };
-        Self { channels: p[..p.len() - 1].chunks(3).map(channel).collect(), gain: p[p.len() - 1].exp() }
+        let channel = |c: &[f64]| ChannelNoise {
+            grain: c[0].exp(),
+            sensor: c[1].exp(),
+            phi: c[2].tanh(),
+        };
+        Self {
+            channels: p[..p.len() - 1].chunks(3).map(channel).collect(),
+            gain: p[p.len() - 1].exp(),
+        }
     }
 
     /// A first guess from the size of the differences; the search starts here.
@@ -180,13 +206,25 @@ impl Noise {
             // A log without any scatter still has its last digit: 1e-9 keeps the likelihood finite.
             let sd = (square / f64::max(count, 1.0)).sqrt().max(1e-9);
             let grain = 0.7 * sd / (size / f64::max(count, 1.0)).sqrt().max(1e-9);
-            ChannelNoise { grain, sensor: 0.3 * sd, phi: 0.6 }
+            ChannelNoise {
+                grain,
+                sensor: 0.3 * sd,
+                phi: 0.6,
+            }
         };
-        Self { channels: (0..channels).map(channel).collect(), gain: 0.05 }
+        Self {
+            channels: (0..channels).map(channel).collect(),
+            gain: 0.05,
+        }
     }
 
     /// Learns the noise from the repetitions; `start` is an earlier estimate of nearly the same data.
-    pub fn estimate(observations: &Observations, prediction: &[f64], magnitudes: &[Vec<f64>], start: Option<&Noise>) -> Self {
+    pub fn estimate(
+        observations: &Observations,
+        prediction: &[f64],
+        magnitudes: &[Vec<f64>],
+        start: Option<&Noise>,
+    ) -> Self {
         let repeats = repeats(observations, prediction, magnitudes);
         let guess = Self::guess(&repeats, observations.channels.len());
         let center = guess.pack();
@@ -215,12 +253,19 @@ impl Noise {
     }
 
     /// Standard deviation of one repetition at every number of the stack.
-    pub fn standard_deviation(&self, observations: &Observations, magnitudes: &[Vec<f64>], prediction: &[f64]) -> Vec<f64> {
+    pub fn standard_deviation(
+        &self,
+        observations: &Observations,
+        magnitudes: &[Vec<f64>],
+        prediction: &[f64],
+    ) -> Vec<f64> {
         let mut out = vec![0.0; prediction.len()];
         for (unit, magnitude) in observations.units.iter().zip(magnitudes) {
             for (c, noise) in self.channels.iter().enumerate() {
                 for (k, size) in unit.block(c).zip(magnitude) {
-                    out[k] = (self.gain * prediction[k]).hypot(noise.grain * size).hypot(noise.sensor);
+                    out[k] = (self.gain * prediction[k])
+                        .hypot(noise.grain * size)
+                        .hypot(noise.sensor);
                 }
             }
         }
@@ -232,7 +277,11 @@ impl Noise {
         let variance = self.gain * self.gain;
         let mut total = 0.0;
         for repeat in repeats {
-            let filters: Vec<_> = self.channels.iter().map(|c| ChannelFilter::new(c, &repeat.magnitude)).collect();
+            let filters: Vec<_> = self
+                .channels
+                .iter()
+                .map(|c| ChannelFilter::new(c, &repeat.magnitude))
+                .collect();
             let mut mean = repeat.mean.clone();
             filters.iter().zip(&mut mean).for_each(|(f, m)| f.whiten(m));
             let length: f64 = mean.iter().flatten().map(|m| m * m).sum();
@@ -260,7 +309,10 @@ fn normal(rng: &mut impl Rng) -> f64 {
 /// Standard deviation between repetitions over the channels that count in the error: what no model can predict.
 pub fn noise_floor(observations: &Observations, prediction: &[f64], magnitudes: &[Vec<f64>]) -> f64 {
     let (mut square, mut count) = (0.0, 0.0);
-    for difference in repeats(observations, prediction, magnitudes).iter().flat_map(|r| &r.differences) {
+    for difference in repeats(observations, prediction, magnitudes)
+        .iter()
+        .flat_map(|r| &r.differences)
+    {
         for (values, _) in difference.iter().zip(&observations.channels).filter(|d| d.1.in_rmse) {
             square += values.iter().map(|v| v * v).sum::<f64>();
             count += values.len() as f64;
@@ -283,7 +335,9 @@ fn minimise(f: impl Fn(&[f64]) -> f64, mut x: Vec<f64>, rounds: usize) -> Vec<f6
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let mut value = f(&x);
     let mut g = gradient(&x, value);
-    let mut inverse: Vec<Vec<f64>> = (0..n).map(|i| (0..n).map(|j| if i == j { 1e-2 } else { 0.0 }).collect()).collect();
+    let mut inverse: Vec<Vec<f64>> = (0..n)
+        .map(|i| (0..n).map(|j| if i == j { 1e-2 } else { 0.0 }).collect())
+        .collect();
     for _ in 0..rounds {
         let mut step: Vec<f64> = inverse.iter().map(|row| -dot(row, &g)).collect();
         let longest = step.iter().fold(0.0, |a: f64, b| a.max(b.abs()));

@@ -31,7 +31,11 @@ pub fn page(diagnosis: &Diagnosis, json: &str) -> String {
     curves(&mut html, &diagnosis.curves);
     rivals(&mut html, r);
     unknowns(&mut html, r);
-    let _ = write!(html, "<script type=application/json id=report>{}</script></html>", json.replace("</", "<\\/"));
+    let _ = write!(
+        html,
+        "<script type=application/json id=report>{}</script></html>",
+        json.replace("</", "<\\/")
+    );
     html
 }
 
@@ -46,7 +50,9 @@ fn number(value: Option<f64>, digits: usize) -> String {
 fn gain(html: &mut String, r: &Report) {
     let g = &r.gain;
     let percent = |v: Option<f64>| v.map_or("–".into(), |v| format!("{:.1} %", 100.0 * v));
-    let interval = g.ci95.map_or("–".into(), |c| format!("{:.1} to {:.1} %", 100.0 * c[0], 100.0 * c[1]));
+    let interval = g.ci95.map_or("–".into(), |c| {
+        format!("{:.1} to {:.1} %", 100.0 * c[0], 100.0 * c[1])
+    });
     let _ = write!(
         html,
         "<h2>Gain on conditions held out</h2><table><tr><td>error of the simulation as it stands<td>{} N\
@@ -72,20 +78,34 @@ fn causes(html: &mut String, r: &Report) {
     }
     html.push_str("<h2>Cause</h2><table><tr><th>id<th>value<th>95 % interval<th>unit");
     for c in &r.causes {
-        let _ = write!(html, "<tr><td>{}<td>{:.5}<td>{:.5} to {:.5}<td>{}", c.id, c.value, c.ci95[0], c.ci95[1], escape(&c.unit));
+        let _ = write!(
+            html,
+            "<tr><td>{}<td>{:.5}<td>{:.5} to {:.5}<td>{}",
+            c.id,
+            c.value,
+            c.ci95[0],
+            c.ci95[1],
+            escape(&c.unit)
+        );
     }
     html.push_str("</table>");
 }
 
 /// Bars of the mean relative error over the ranges of one feature.
 fn map(html: &mut String, by: &str, misfit: &[Misfit]) {
-    let rows: Vec<_> = misfit.iter().filter(|m| m.by == by && m.unit != "N·m" && m.channel != "Ty").collect();
+    let rows: Vec<_> = misfit
+        .iter()
+        .filter(|m| m.by == by && m.unit != "N·m" && m.channel != "Ty")
+        .collect();
     if rows.is_empty() {
         return;
     }
     let top = rows.iter().map(|m| m.relative.abs()).fold(0.05, f64::max);
     let height = 18 * rows.len() + 26;
-    let _ = write!(html, "<svg width=330 height={height}><text x=4 y=14 font-weight=bold>by {by}</text>");
+    let _ = write!(
+        html,
+        "<svg width=330 height={height}><text x=4 y=14 font-weight=bold>by {by}</text>"
+    );
     for (k, m) in rows.iter().enumerate() {
         let y = 22 + 18 * k;
         let label = match (&m.range, &m.group) {
@@ -98,7 +118,11 @@ fn map(html: &mut String, by: &str, misfit: &[Misfit]) {
         let _ = write!(
             html,
             "<text x=4 y={}>{} {}</text><rect x={x:.1} y={y} width={length:.1} height=13 fill='{color}'/><text x=312 y={} text-anchor=end>{:+.0} %</text>",
-            y + 11, m.channel, escape(&label), y + 11, 100.0 * m.relative
+            y + 11,
+            m.channel,
+            escape(&label),
+            y + 11,
+            100.0 * m.relative
         );
     }
     let _ = write!(html, "<line x1=230 x2=230 y1=20 y2={height} stroke='#888'/></svg>");
@@ -108,9 +132,15 @@ fn map(html: &mut String, by: &str, misfit: &[Misfit]) {
 const CURVES: usize = 12;
 
 fn curves(html: &mut String, c: &Curves) {
-    html.push_str("<h2>Measured (dots), plain (grey), extended (red) with one-σ band of a repetition</h2><div class=curves>");
+    html.push_str(
+        "<h2>Measured (dots), plain (grey), extended (red) with one-σ band of a repetition</h2><div class=curves>",
+    );
     let o = &c.observations;
-    let error = |u: usize| o.span(&o.units[u]).map(|k| ((o.values[k] - c.plain[k]) / c.band[k].max(1e-12)).powi(2)).sum::<f64>();
+    let error = |u: usize| {
+        o.span(&o.units[u])
+            .map(|k| ((o.values[k] - c.plain[k]) / c.band[k].max(1e-12)).powi(2))
+            .sum::<f64>()
+    };
     let mut firsts: Vec<usize> = o.repetitions().iter().filter_map(|g| g.first().copied()).collect();
     firsts.sort_by(|a, b| error(*b).total_cmp(&error(*a)));
     for &u in firsts.iter().take(CURVES) {
@@ -128,32 +158,63 @@ fn curve(html: &mut String, c: &Curves, u: usize, channel: usize) {
     let group: Vec<_> = o.units.iter().filter(|v| v.condition == unit.condition).collect();
     let mut low = f64::MAX;
     let mut high = f64::MIN;
-    let all = block.clone().flat_map(|k| [c.plain[k], model[k] + c.band[k], model[k] - c.band[k]]);
+    let all = block
+        .clone()
+        .flat_map(|k| [c.plain[k], model[k] + c.band[k], model[k] - c.band[k]]);
     let measured = group.iter().flat_map(|v| v.block(channel)).map(|k| o.values[k]);
-    all.chain(measured).for_each(|v| (low, high) = (low.min(v), high.max(v)));
+    all.chain(measured)
+        .for_each(|v| (low, high) = (low.min(v), high.max(v)));
     let (first, last) = (unit.progress[0], unit.progress[unit.samples - 1]);
     let x = |p: f64| 6.0 + 248.0 * (p - first) / (last - first).max(1e-12);
     let y = |v: f64| 150.0 - 128.0 * (v - low) / (high - low).max(1e-12);
     let _ = write!(
         html,
         "<svg width=260 height=160><text x=6 y=12>{} · condition {} · {} {:.2}…{:.2} N</text>",
-        escape(&c.groups[u]), escape(&o.conditions[unit.condition]), o.channels[channel].name, low, high
+        escape(&c.groups[u]),
+        escape(&o.conditions[unit.condition]),
+        o.channels[channel].name,
+        low,
+        high
     );
     let line = |values: &dyn Fn(usize) -> f64, back: bool| -> String {
-        let points: Vec<String> =
-            block.clone().zip(&unit.progress).map(|(k, p)| format!("{:.1},{:.1}", x(*p), y(values(k)))).collect();
-        if back { points.into_iter().rev().collect::<Vec<_>>().join(" ") } else { points.join(" ") }
+        let points: Vec<String> = block
+            .clone()
+            .zip(&unit.progress)
+            .map(|(k, p)| format!("{:.1},{:.1}", x(*p), y(values(k))))
+            .collect();
+        if back {
+            points.into_iter().rev().collect::<Vec<_>>().join(" ")
+        } else {
+            points.join(" ")
+        }
     };
-    let band = format!("{} {}", line(&|k| model[k] + c.band[k], false), line(&|k| model[k] - c.band[k], true));
+    let band = format!(
+        "{} {}",
+        line(&|k| model[k] + c.band[k], false),
+        line(&|k| model[k] - c.band[k], true)
+    );
     let _ = write!(html, "<polygon points='{band}' fill='#f3d9d3'/>");
     for v in group {
         for (k, p) in v.block(channel).zip(&v.progress) {
-            let _ = write!(html, "<circle cx={:.1} cy={:.1} r=1.1 fill='#333'/>", x(*p), y(o.values[k]));
+            let _ = write!(
+                html,
+                "<circle cx={:.1} cy={:.1} r=1.1 fill='#333'/>",
+                x(*p),
+                y(o.values[k])
+            );
         }
     }
-    let _ = write!(html, "<polyline points='{}' fill=none stroke='#999' stroke-width=1.6 />", line(&|k| c.plain[k], false));
+    let _ = write!(
+        html,
+        "<polyline points='{}' fill=none stroke='#999' stroke-width=1.6 />",
+        line(&|k| c.plain[k], false)
+    );
     if c.extended.is_some() {
-        let _ = write!(html, "<polyline points='{}' fill=none stroke='#c0392b' stroke-width=1.6 />", line(&|k| model[k], false));
+        let _ = write!(
+            html,
+            "<polyline points='{}' fill=none stroke='#c0392b' stroke-width=1.6 />",
+            line(&|k| model[k], false)
+        );
     }
     html.push_str("</svg>");
 }
@@ -165,8 +226,14 @@ fn rivals(html: &mut String, r: &Report) {
         let _ = write!(
             html,
             "<tr><td>{}<td>{}<td>{:.1}<td>{:.1}<td>{:.1}<td>{}<td>{:.2}<td>{}",
-            c.ids.join(" + "), values.join(", "), c.delta_chi2, c.delta_aic, c.delta_bic,
-            c.cv_gain.map_or("–".into(), |g| format!("{:.1} %", 100.0 * g)), c.lack_of_fit, number(c.distance_to_best, 1)
+            c.ids.join(" + "),
+            values.join(", "),
+            c.delta_chi2,
+            c.delta_aic,
+            c.delta_bic,
+            c.cv_gain.map_or("–".into(), |g| format!("{:.1} %", 100.0 * g)),
+            c.lack_of_fit,
+            number(c.distance_to_best, 1)
         );
     }
     html.push_str("</table>");
@@ -185,17 +252,38 @@ fn unknowns(html: &mut String, r: &Report) {
     if let Some(next) = &r.next_experiment {
         let _ = write!(html, "<h2>Next experiment</h2><p>{}</p><ul>", escape(&next.why));
         for p in &next.conditions {
-            let _ = write!(html, "<li>{} × {}: {:.1} σ", p.repetitions, escape(&p.condition), p.expected_separation);
+            let _ = write!(
+                html,
+                "<li>{} × {}: {:.1} σ",
+                p.repetitions,
+                escape(&p.condition),
+                p.expected_separation
+            );
         }
         html.push_str("</ul>");
     }
     if !r.correlates_with.is_empty() {
         html.push_str("<h2>The residual correlates with</h2><p><small>not causes</small></p><ul>");
         for c in &r.correlates_with {
-            let _ = write!(html, "<li>{} with {} (Δχ² {:.0})", c.channel, escape(&c.feature), c.delta_chi2);
+            let _ = write!(
+                html,
+                "<li>{} with {} (Δχ² {:.0})",
+                c.channel,
+                escape(&c.feature),
+                c.delta_chi2
+            );
         }
         html.push_str("</ul>");
     }
-    let ranges: Vec<_> = r.valid_range.iter().map(|(name, v)| format!("{name} {:.4} to {:.4}", v[0], v[1])).collect();
-    let _ = write!(html, "<h2>Valid for</h2><p>{}</p><p><small>data SHA-256 {}</small></p>", ranges.join(" · "), r.data_sha256);
+    let ranges: Vec<_> = r
+        .valid_range
+        .iter()
+        .map(|(name, v)| format!("{name} {:.4} to {:.4}", v[0], v[1]))
+        .collect();
+    let _ = write!(
+        html,
+        "<h2>Valid for</h2><p>{}</p><p><small>data SHA-256 {}</small></p>",
+        ranges.join(" · "),
+        r.data_sha256
+    );
 }

@@ -88,7 +88,9 @@ fn fit_best(study: &Study, ids: &[usize], values: &[f64]) -> Fit {
             fits.push(study.fit(ids, &from));
         }
     }
-    fits.into_iter().min_by(|a, b| a.objective.total_cmp(&b.objective)).unwrap_or_else(|| study.recalibrated())
+    fits.into_iter()
+        .min_by(|a, b| a.objective.total_cmp(&b.objective))
+        .unwrap_or_else(|| study.recalibrated())
 }
 
 /// Start of a single fit: the linear estimate, held within what is usual for the mechanism.
@@ -96,7 +98,11 @@ fn linear_start(screen: &Screen, scores: &Scores, column: usize) -> f64 {
     let (id, value) = screen.candidates[column];
     let entry = &CATALOG[id];
     let felt = scores.gram[(column, column)];
-    let estimate = if felt > FELT { entry.typical * scores.score[column] / felt } else { 0.0 };
+    let estimate = if felt > FELT {
+        entry.typical * scores.score[column] / felt
+    } else {
+        0.0
+    };
     let reach = 4.0 * entry.typical;
     let start = estimate.clamp(-reach, reach).clamp(entry.bounds[0], entry.bounds[1]);
     if start == 0.0 { value * 0.1 } else { start }
@@ -109,7 +115,11 @@ pub fn select(study: &Study, noise: &Noise, ids: &[usize], rewhiten: impl Fn(&[f
     let scores = screen.scores(study.whitener, &study.observations.values);
     let gates = gates(study, &screen, noise, &scores);
     let mut selection = singles(study, &screen, &scores, gates, ids);
-    if selection.candidates.first().is_none_or(|c| c.delta_chi2 <= selection.gates.single) {
+    if selection
+        .candidates
+        .first()
+        .is_none_or(|c| c.delta_chi2 <= selection.gates.single)
+    {
         if selection.base_lack_of_fit > selection.gates.lack_of_fit {
             selection.verdict = Verdict::NoneOfThese;
         }
@@ -124,7 +134,10 @@ pub fn select(study: &Study, noise: &Noise, ids: &[usize], rewhiten: impl Fn(&[f
 
 fn singles(study: &Study, screen: &Screen, scores: &Scores, gates: Gates, ids: &[usize]) -> Selection {
     let (plain, base) = (study.plain(), study.recalibrated());
-    let columns: Vec<usize> = ids.iter().filter_map(|id| screen.candidates.iter().position(|c| c.0 == *id)).collect();
+    let columns: Vec<usize> = ids
+        .iter()
+        .filter_map(|id| screen.candidates.iter().position(|c| c.0 == *id))
+        .collect();
     let mut candidates: Vec<Candidate> = parallel::map(&columns, |&column| {
         let start = linear_start(screen, scores, column);
         candidate(study, &base, fit_best(study, &[screen.candidates[column].0], &[start]))
@@ -148,7 +161,10 @@ fn singles(study: &Study, screen: &Screen, scores: &Scores, gates: Gates, ids: &
 /// distance to the best.
 fn refit(study: &Study, selection: &mut Selection) {
     let size = selection.candidates[0].fit.ids.len();
-    let same: Vec<usize> = (0..selection.candidates.len()).filter(|&k| selection.candidates[k].fit.ids.len() == size).take(FINALISTS).collect();
+    let same: Vec<usize> = (0..selection.candidates.len())
+        .filter(|&k| selection.candidates[k].fit.ids.len() == size)
+        .take(FINALISTS)
+        .collect();
     let base = study.recalibrated();
     let candidates = &selection.candidates;
     let again = parallel::map(&same, |&k| {
@@ -158,7 +174,13 @@ fn refit(study: &Study, selection: &mut Selection) {
     for (k, fresh) in same.into_iter().zip(again) {
         selection.candidates[k] = fresh;
     }
-    let finalists = FINALISTS.min(selection.candidates.iter().take_while(|c| c.fit.ids.len() == size).count());
+    let finalists = FINALISTS.min(
+        selection
+            .candidates
+            .iter()
+            .take_while(|c| c.fit.ids.len() == size)
+            .count(),
+    );
     selection.candidates[..finalists].sort_by(|a, b| b.delta_chi2.total_cmp(&a.delta_chi2));
     selection.finalists = finalists;
 }
@@ -167,13 +189,17 @@ fn refit(study: &Study, selection: &mut Selection) {
 fn add_pairs(study: &Study, screen: &Screen, scores: &Scores, selection: &mut Selection) {
     let best = &selection.candidates[0];
     let id = best.fit.ids[0];
-    let Some(column) = screen.candidates.iter().position(|c| c.0 == id) else { return };
+    let Some(column) = screen.candidates.iter().position(|c| c.0 == id) else {
+        return;
+    };
     let gate = screen.second_gate(&scores.gram, column, best.fit.values()[0], selection.gates.inflation);
     let mut tried: Vec<[usize; 2]> = Vec::new();
     let second = study.second_terms(&best.fit, screen);
     let from_best = second.iter().map(|s| [id, s.0]);
     let linear = screen.pairs(&scores.gram, &scores.score);
-    let from_all = linear.iter().map(|&(_, i, j)| [screen.candidates[i].0, screen.candidates[j].0]);
+    let from_all = linear
+        .iter()
+        .map(|&(_, i, j)| [screen.candidates[i].0, screen.candidates[j].0]);
     for pair in from_best.take(PAIRS_FITTED / 2).chain(from_all) {
         if tried.len() < PAIRS_FITTED && !tried.iter().any(|t| *t == pair || *t == [pair[1], pair[0]]) {
             tried.push(pair);
@@ -188,7 +214,11 @@ fn add_pairs(study: &Study, screen: &Screen, scores: &Scores, selection: &mut Se
         ids.sort_unstable();
         let values = if pair[0] == id {
             let other = second.iter().find(|s| s.0 == pair[1]).map_or(0.0, |s| s.1);
-            if ids[0] == id { [start(id), other] } else { [other, start(id)] }
+            if ids[0] == id {
+                [start(id), other]
+            } else {
+                [other, start(id)]
+            }
         } else {
             [0.5 * start(ids[0]), 0.5 * start(ids[1])]
         };
@@ -216,7 +246,13 @@ fn decide(selection: &mut Selection) {
         return;
     }
     let size = best.fit.ids.len();
-    let rivals = selection.candidates.iter().filter(|c| c.fit.ids.len() == size).count().saturating_sub(1).max(1);
+    let rivals = selection
+        .candidates
+        .iter()
+        .filter(|c| c.fit.ids.len() == size)
+        .count()
+        .saturating_sub(1)
+        .max(1);
     let limit = normal_quantile(1.0 - REJECTION / rivals as f64) * selection.gates.inflation.sqrt();
     let stays = |c: &Candidate| {
         // If the rival were true, χ²_rival − χ²_best would be −d² ± 2d, d the whitened distance between the two.
@@ -224,8 +260,14 @@ fn decide(selection: &mut Selection) {
         let squared = best.fit.distance_squared(&c.fit);
         behind + squared <= limit * 2.0 * squared.sqrt() && c.delta_chi2 > selection.gates.single
     };
-    let set: Vec<usize> = (0..selection.finalists).filter(|&k| k == 0 || stays(&selection.candidates[k])).collect();
-    selection.verdict = if set.len() == 1 { Verdict::Named } else { Verdict::Ambiguous };
+    let set: Vec<usize> = (0..selection.finalists)
+        .filter(|&k| k == 0 || stays(&selection.candidates[k]))
+        .collect();
+    selection.verdict = if set.len() == 1 {
+        Verdict::Named
+    } else {
+        Verdict::Ambiguous
+    };
     selection.set = set;
 }
 
@@ -242,23 +284,46 @@ impl Study<'_> {
     fn second_terms(&self, first: &Fit, screen: &Screen) -> Vec<(usize, f64, f64)> {
         let coefficients = self.coefficients(&first.deviations);
         let (information, _) = first.normal_equations();
-        let Some(inverse) = information.try_inverse() else { return Vec::new() };
-        let others: Vec<_> = screen.candidates.iter().filter(|c| !first.ids.contains(&c.0)).copied().collect();
+        let Some(inverse) = information.try_inverse() else {
+            return Vec::new();
+        };
+        let others: Vec<_> = screen
+            .candidates
+            .iter()
+            .filter(|c| !first.ids.contains(&c.0))
+            .copied()
+            .collect();
         let mut found: Vec<_> = parallel::map(&others, |&(id, value)| {
             let moved = self.model.predict(&first.mechanisms.with(id, value), &coefficients);
-            let column: Vec<f64> = moved.iter().zip(&first.prediction).map(|(a, b)| (a - b) / value).collect();
+            let column: Vec<f64> = moved
+                .iter()
+                .zip(&first.prediction)
+                .map(|(a, b)| (a - b) / value)
+                .collect();
             let white = self.whitener.apply(&column);
-            let cross = nalgebra::DVector::from_fn(first.white_slopes.len(), |i, _| dot(&first.white_slopes[i], &white));
+            let cross =
+                nalgebra::DVector::from_fn(first.white_slopes.len(), |i, _| dot(&first.white_slopes[i], &white));
             let left = dot(&white, &white) - (cross.transpose() * &inverse * &cross)[0];
             let score = dot(&white, &first.white);
             let estimate = if left > 1e-12 { score / left } else { 0.0 };
             let bounds = CATALOG[id].bounds;
-            let held = estimate.clamp(bounds[0], bounds[1]).clamp(-4.0 * CATALOG[id].typical, 4.0 * CATALOG[id].typical);
-            (id, if held == 0.0 { 0.05 * value } else { held }, if held * estimate > 0.0 { score * estimate } else { 0.0 })
+            let held = estimate
+                .clamp(bounds[0], bounds[1])
+                .clamp(-4.0 * CATALOG[id].typical, 4.0 * CATALOG[id].typical);
+            (
+                id,
+                if held == 0.0 { 0.05 * value } else { held },
+                if held * estimate > 0.0 { score * estimate } else { 0.0 },
+            )
         });
         found.sort_by(|a, b| b.2.total_cmp(&a.2));
         let mut seen = Vec::new();
-        found.retain(|f| !seen.contains(&f.0) && { seen.push(f.0); true });
+        found.retain(|f| {
+            !seen.contains(&f.0) && {
+                seen.push(f.0);
+                true
+            }
+        });
         found
     }
 }

@@ -35,17 +35,46 @@ impl Quantity {
         match self {
             Quantity::Text => &[],
             Quantity::Number => &[("1", 1.0), ("%", 0.01)],
-            Quantity::Length => &[("m", 1.0), ("cm", 1e-2), ("mm", 1e-3), ("um", 1e-6), ("µm", 1e-6), ("in", 0.0254)],
+            Quantity::Length => &[
+                ("m", 1.0),
+                ("cm", 1e-2),
+                ("mm", 1e-3),
+                ("um", 1e-6),
+                ("µm", 1e-6),
+                ("in", 0.0254),
+            ],
             Quantity::Time => &[("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("µs", 1e-6), ("min", 60.0)],
             Quantity::Angle => &[("rad", 1.0), ("deg", DEGREE), ("°", DEGREE), ("mrad", 1e-3)],
-            Quantity::AngularSpeed => {
-                &[("rad/s", 1.0), ("deg/s", DEGREE), ("°/s", DEGREE), ("rpm", 6.0 * DEGREE), ("Hz", 360.0 * DEGREE)]
-            }
+            Quantity::AngularSpeed => &[
+                ("rad/s", 1.0),
+                ("deg/s", DEGREE),
+                ("°/s", DEGREE),
+                ("rpm", 6.0 * DEGREE),
+                ("Hz", 360.0 * DEGREE),
+            ],
             Quantity::Speed => &[("m/s", 1.0), ("cm/s", 1e-2), ("mm/s", 1e-3)],
-            Quantity::Force => &[("N", 1.0), ("mN", 1e-3), ("kN", 1e3), ("gf", 9.80665e-3), ("kgf", 9.80665), ("lbf", 4.4482216152605)],
+            Quantity::Force => &[
+                ("N", 1.0),
+                ("mN", 1e-3),
+                ("kN", 1e3),
+                ("gf", 9.80665e-3),
+                ("kgf", 9.80665),
+                ("lbf", 4.4482216152605),
+            ],
             Quantity::Torque => &[
-                ("N·m", 1.0), ("N*m", 1.0), ("N m", 1.0), ("Nm", 1.0), ("mN·m", 1e-3), ("mN*m", 1e-3), ("mNm", 1e-3),
-                ("N·cm", 1e-2), ("N*cm", 1e-2), ("Ncm", 1e-2), ("N·mm", 1e-3), ("N*mm", 1e-3), ("Nmm", 1e-3),
+                ("N·m", 1.0),
+                ("N*m", 1.0),
+                ("N m", 1.0),
+                ("Nm", 1.0),
+                ("mN·m", 1e-3),
+                ("mN*m", 1e-3),
+                ("mNm", 1e-3),
+                ("N·cm", 1e-2),
+                ("N*cm", 1e-2),
+                ("Ncm", 1e-2),
+                ("N·mm", 1e-3),
+                ("N*mm", 1e-3),
+                ("Nmm", 1e-3),
             ],
             Quantity::Mass => &[("kg", 1.0), ("g", 1e-3)],
             Quantity::Frequency => &[("Hz", 1.0), ("1/s", 1.0), ("1/min", 1.0 / 60.0)],
@@ -76,7 +105,10 @@ pub struct Row<'a> {
 impl Row<'_> {
     /// The cell's text, `None` where blank or the column is absent.
     pub fn text(&self, column: usize) -> Option<&str> {
-        self.places[column].and_then(|p| self.record.get(p)).map(str::trim).filter(|cell| !cell.is_empty())
+        self.places[column]
+            .and_then(|p| self.record.get(p))
+            .map(str::trim)
+            .filter(|cell| !cell.is_empty())
     }
 
     /// The cell in SI units, `None` where blank or absent.
@@ -100,7 +132,10 @@ impl Row<'_> {
     }
 
     pub fn error(&self, column: usize, reason: impl std::fmt::Display) -> Error {
-        Error::file(self.file, format!("row {}, column {}: {reason}", self.line, self.columns[column].name))
+        Error::file(
+            self.file,
+            format!("row {}, column {}: {reason}", self.line, self.columns[column].name),
+        )
     }
 }
 
@@ -127,43 +162,85 @@ pub struct Summary {
 }
 
 /// Hands each row to `take`, in the file's order.
-pub fn read(path: &Path, experiment: &Experiment, columns: &[Column], mut take: impl FnMut(&Row) -> Result<()>) -> Result<Summary> {
+pub fn read(
+    path: &Path,
+    experiment: &Experiment,
+    columns: &[Column],
+    mut take: impl FnMut(&Row) -> Result<()>,
+) -> Result<Summary> {
     let file = File::open(path).map_err(|e| Error::file(path, e))?;
     let bytes = file.metadata().map_err(|e| Error::file(path, e))?.len();
     if bytes > MOST_BYTES {
         let most = MOST_BYTES >> 20;
-        return Err(Error::file(path, format!("{} MiB is more than the {most} MiB this reads: keep every n-th sample", bytes >> 20)));
+        return Err(Error::file(
+            path,
+            format!(
+                "{} MiB is more than the {most} MiB this reads: keep every n-th sample",
+                bytes >> 20
+            ),
+        ));
     }
-    let mut source = Hashed { inner: BufReader::with_capacity(1 << 20, file), hash: Sha256::new() };
-    let mut reader = csv::ReaderBuilder::new().comment(Some(b'#')).trim(csv::Trim::Headers).from_reader(&mut source);
-    let headers = reader.headers().map_err(|e| Error::file(path, format!("row 1: {}", reason(&e))))?.clone();
+    let mut source = Hashed {
+        inner: BufReader::with_capacity(1 << 20, file),
+        hash: Sha256::new(),
+    };
+    let mut reader = csv::ReaderBuilder::new()
+        .comment(Some(b'#'))
+        .trim(csv::Trim::Headers)
+        .from_reader(&mut source);
+    let headers = reader
+        .headers()
+        .map_err(|e| Error::file(path, format!("row 1: {}", reason(&e))))?
+        .clone();
     let places = places(path, experiment, columns, &headers)?;
     let factors = factors(path, experiment, columns)?;
     let mut record = csv::StringRecord::new();
     let mut rows = 0;
     loop {
-        let more = reader.read_record(&mut record).map_err(|e| Error::file(path, reason(&e)))?;
+        let more = reader
+            .read_record(&mut record)
+            .map_err(|e| Error::file(path, reason(&e)))?;
         if !more {
             break;
         }
         rows += 1;
         if rows > MOST_ROWS {
-            return Err(Error::file(path, format!("more than {MOST_ROWS} rows: keep every n-th sample and try again")));
+            return Err(Error::file(
+                path,
+                format!("more than {MOST_ROWS} rows: keep every n-th sample and try again"),
+            ));
         }
         let line = record.position().map_or(0, |p| p.line());
-        take(&Row { file: path, columns, places: &places, factors: &factors, record: &record, line })?;
+        take(&Row {
+            file: path,
+            columns,
+            places: &places,
+            factors: &factors,
+            record: &record,
+            line,
+        })?;
     }
     if rows == 0 {
         return Err(Error::file(path, "row 2: no rows below the header"));
     }
     drop(reader);
-    let sha256 = source.hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
-    Ok(Summary { sha256, present: places.iter().map(Option::is_some).collect() })
+    let sha256 = source
+        .hash
+        .finalize()
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect();
+    Ok(Summary {
+        sha256,
+        present: places.iter().map(Option::is_some).collect(),
+    })
 }
 
 /// One line for a malformed record, with its row.
 fn reason(error: &csv::Error) -> String {
-    let row = error.position().map_or(String::new(), |p| format!("row {}: ", p.line()));
+    let row = error
+        .position()
+        .map_or(String::new(), |p| format!("row {}: ", p.line()));
     match error.kind() {
         csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
             format!("{row}{len} cells where the header has {expected_len} columns")
@@ -174,7 +251,12 @@ fn reason(error: &csv::Error) -> String {
 }
 
 /// Where each asked column stands in the header.
-fn places(path: &Path, experiment: &Experiment, columns: &[Column], headers: &csv::StringRecord) -> Result<Vec<Option<usize>>> {
+fn places(
+    path: &Path,
+    experiment: &Experiment,
+    columns: &[Column],
+    headers: &csv::StringRecord,
+) -> Result<Vec<Option<usize>>> {
     for ours in experiment.columns.keys() {
         if !columns.iter().any(|c| c.name == ours) {
             let known: Vec<_> = columns.iter().map(|c| c.name).collect();
@@ -185,7 +267,10 @@ fn places(path: &Path, experiment: &Experiment, columns: &[Column], headers: &cs
         .iter()
         .map(|column| {
             let theirs = experiment.columns.get(column.name).map_or(column.name, String::as_str);
-            let mut found = headers.iter().enumerate().filter(|(_, h)| h.trim_start_matches('\u{feff}') == theirs);
+            let mut found = headers
+                .iter()
+                .enumerate()
+                .filter(|(_, h)| h.trim_start_matches('\u{feff}') == theirs);
             let place = found.next().map(|(index, _)| index);
             if found.next().is_some() {
                 return Err(Error::file(path, format!("row 1, column {theirs}: stands there twice")));
@@ -200,24 +285,43 @@ fn places(path: &Path, experiment: &Experiment, columns: &[Column], headers: &cs
 
 /// Factor to SI of each asked column.
 fn factors(path: &Path, experiment: &Experiment, columns: &[Column]) -> Result<Vec<f64>> {
-    let theirs = |c: &Column| experiment.columns.get(c.name).map_or(c.name, String::as_str).to_string();
+    let theirs = |c: &Column| {
+        experiment
+            .columns
+            .get(c.name)
+            .map_or(c.name, String::as_str)
+            .to_string()
+    };
     for name in experiment.units.keys() {
         if !columns.iter().any(|c| c.name == name || &theirs(c) == name) {
-            return Err(Error::file(path, format!("units: column {name} is not one of this kind of data")));
+            return Err(Error::file(
+                path,
+                format!("units: column {name} is not one of this kind of data"),
+            ));
         }
     }
     columns
         .iter()
         .map(|column| {
-            let Some(unit) = experiment.units.get(column.name).or_else(|| experiment.units.get(&theirs(column))) else {
+            let Some(unit) = experiment
+                .units
+                .get(column.name)
+                .or_else(|| experiment.units.get(&theirs(column)))
+            else {
                 return Ok(1.0);
             };
             let known = column.quantity.units();
             known.iter().find(|u| u.0 == unit).map(|u| u.1).ok_or_else(|| {
                 let names: Vec<_> = known.iter().map(|u| u.0).collect();
-                Error::file(path, format!("column {}: unit {unit:?} is unknown; known: {}", column.name, names.join(", ")))
+                Error::file(
+                    path,
+                    format!(
+                        "column {}: unit {unit:?} is unknown; known: {}",
+                        column.name,
+                        names.join(", ")
+                    ),
+                )
             })
         })
         .collect()
 }
-

@@ -25,8 +25,18 @@ impl Whitener {
     pub fn new(observations: &Observations, noise: &Noise, magnitudes: &[Vec<f64>], prediction: &[f64]) -> Self {
         let units = observations.units.iter().zip(magnitudes).map(|(unit, magnitude)| {
             let span = observations.span(unit);
-            let channels = noise.channels.iter().map(|n| ChannelFilter::new(n, magnitude)).collect();
-            let mut filter = UnitFilter { span, samples: unit.samples, channels, along: Vec::new(), keep: 1.0 };
+            let channels = noise
+                .channels
+                .iter()
+                .map(|n| ChannelFilter::new(n, magnitude))
+                .collect();
+            let mut filter = UnitFilter {
+                span,
+                samples: unit.samples,
+                channels,
+                along: Vec::new(),
+                keep: 1.0,
+            };
             filter.set_gain(prediction, noise.gain);
             filter
         });

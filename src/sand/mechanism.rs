@@ -128,7 +128,10 @@ impl Mechanisms {
     /// Place in [`CATALOG`] of a mechanism's id.
     pub fn index(id: &str) -> Result<usize> {
         let known = CATALOG.map(|m| m.id);
-        CATALOG.iter().position(|m| m.id == id).ok_or_else(|| Error::unknown("mechanism", id, &known))
+        CATALOG
+            .iter()
+            .position(|m| m.id == id)
+            .ok_or_else(|| Error::unknown("mechanism", id, &known))
     }
 
     pub fn get(&self, index: usize) -> f64 {
@@ -152,7 +155,10 @@ impl Mechanisms {
 
     /// Is nothing switched on in the sand?
     pub fn sand_is_plain(&self) -> bool {
-        CATALOG.iter().zip(self.values()).all(|(m, value)| m.side != Side::Sand || value == 0.0)
+        CATALOG
+            .iter()
+            .zip(self.values())
+            .all(|(m, value)| m.side != Side::Sand || value == 0.0)
     }
 }
 
@@ -184,7 +190,11 @@ pub struct Site<R> {
 
 /// 1 − κ e^(−pass_dx/3 cm) from the second pass on, 1 before.
 pub fn footprint(kappa: f64, pass: u32, pass_dx: f64) -> f64 {
-    if pass < 2 { 1.0 } else { 1.0 - kappa * (-pass_dx.abs() / FOOTPRINT_REACH).exp() }
+    if pass < 2 {
+        1.0
+    } else {
+        1.0 - kappa * (-pass_dx.abs() / FOOTPRINT_REACH).exp()
+    }
 }
 
 /// Depth [m] of the point (x, z) below a surface through the origin that rises toward +x by σ, given as (sin σ, cos σ):
@@ -212,7 +222,10 @@ pub struct SandMechanisms {
 impl SandMechanisms {
     /// `bulk_density` ρ in kg/m³.
     pub fn new(mechanisms: &Mechanisms, bulk_density: f64) -> Self {
-        Self { mechanisms: *mechanisms, bulk_density }
+        Self {
+            mechanisms: *mechanisms,
+            bulk_density,
+        }
     }
 
     /// Stress [Pa] on a submerged thin segment with unit normal `n` and velocity `v`, both in the surface's frame.
@@ -249,7 +262,9 @@ impl SandMechanisms {
         if excess == 0.0 {
             return depth;
         }
-        by_lane(depth, |d| DEPTH_REFERENCE * (d.max(0.0) / DEPTH_REFERENCE).powf(1.0 + excess))
+        by_lane(depth, |d| {
+            DEPTH_REFERENCE * (d.max(0.0) / DEPTH_REFERENCE).powf(1.0 + excess)
+        })
     }
 
     /// Product of all that multiplies the depth-proportional stress.
@@ -260,7 +275,10 @@ impl SandMechanisms {
             factor = factor * R::splat(m.packing_grad / PACKING_LENGTH).mul_add(site.x, R::one());
         }
         if m.rate_log != 0.0 {
-            factor = factor * by_lane(v.norm_squared(), |v2| 1.0 + m.rate_log * (v2.sqrt() / RATE_REFERENCE).ln_1p());
+            factor = factor
+                * by_lane(v.norm_squared(), |v2| {
+                    1.0 + m.rate_log * (v2.sqrt() / RATE_REFERENCE).ln_1p()
+                });
         }
         factor
     }
@@ -285,14 +303,26 @@ mod tests {
     }
 
     fn stress(m: Mechanisms, v: [f64; 3]) -> Vec3<f64> {
-        let site = Site { depth: 0.03, x: 0.05, footprint: 1.0, width: 0.02, normal_acceleration: 0.0 };
+        let site = Site {
+            depth: 0.03,
+            x: 0.05,
+            footprint: 1.0,
+            width: 0.02,
+            normal_acceleration: 0.0,
+        };
         SandMechanisms::new(&m, 600.0).stress(&ground(), Vec3::new(0.6, 0.0, -0.8), Vec3::splat(v), &site)
     }
 
     #[test]
     fn drag_is_lambda_rho_v_squared_against_the_motion() {
         let v = [0.6, 0.0, -0.8];
-        let extra = stress(Mechanisms { inertial_drag: 2.0, ..Default::default() }, v) - stress(Mechanisms::default(), v);
+        let extra = stress(
+            Mechanisms {
+                inertial_drag: 2.0,
+                ..Default::default()
+            },
+            v,
+        ) - stress(Mechanisms::default(), v);
         // λ ρ v² = 2 · 600 · 1² = 1200 Pa along −n
         assert!((extra.x + 0.6 * 1200.0).abs() < 1e-9 && (extra.z - 0.8 * 1200.0).abs() < 1e-9);
     }
@@ -301,10 +331,20 @@ mod tests {
     fn factors_multiply_the_stress() {
         let v = [0.01, 0.0, -0.02];
         let plain = stress(Mechanisms::default(), v);
-        let m = Mechanisms { scale: 0.5, packing_grad: 0.2, ..Default::default() };
+        let m = Mechanisms {
+            scale: 0.5,
+            packing_grad: 0.2,
+            ..Default::default()
+        };
         // 1.5 · (1 + 0.2 · 0.05/0.1) = 1.65
         assert!((stress(m, v).z / plain.z - 1.65).abs() < 1e-12);
-        let power = stress(Mechanisms { depth_power: 1.0, ..Default::default() }, v);
+        let power = stress(
+            Mechanisms {
+                depth_power: 1.0,
+                ..Default::default()
+            },
+            v,
+        );
         // (3 cm / 2 cm)^1 times the plain stress
         assert!((power.z / plain.z - 1.5).abs() < 1e-12);
     }
@@ -312,7 +352,16 @@ mod tests {
     #[test]
     fn friction_cap_leaves_the_normal_part() {
         let (v, n) = ([0.05, 0.0, 0.0], Vec3::new(0.6, 0.0, -0.8));
-        let (plain, cut) = (stress(Mechanisms::default(), v), stress(Mechanisms { friction_clip: 10.0, ..Default::default() }, v));
+        let (plain, cut) = (
+            stress(Mechanisms::default(), v),
+            stress(
+                Mechanisms {
+                    friction_clip: 10.0,
+                    ..Default::default()
+                },
+                v,
+            ),
+        );
         assert!((plain.dot(n) - cut.dot(n)).abs() < 1e-9);
         let tangential = (cut - n * cut.dot(n)).norm_squared().sqrt();
         assert!((tangential - 0.1 * cut.dot(n).abs()).abs() < 1e-9, "{tangential}");
@@ -321,7 +370,13 @@ mod tests {
     #[test]
     fn toml_is_neutral_by_default_and_refuses_unknown_keys() {
         let m: Mechanisms = toml::from_str("inertial_drag = 1.1").unwrap();
-        assert_eq!(m, Mechanisms { inertial_drag: 1.1, ..Default::default() });
+        assert_eq!(
+            m,
+            Mechanisms {
+                inertial_drag: 1.1,
+                ..Default::default()
+            }
+        );
         assert_eq!(toml::to_string(&m).unwrap().trim(), "inertial_drag = 1.1");
         assert!(toml::from_str::<Mechanisms>("viscosity = 1.0").is_err());
     }

@@ -94,7 +94,11 @@ fn design(rng: &mut Xoshiro256PlusPlus) -> Vec<Trial> {
     let ground = |rng: &mut Xoshiro256PlusPlus| {
         let again = rng.random_range(0.0..1.0) < 0.35;
         let dx = [0.0, 0.02, 0.04][rng.random_range(0..3)];
-        (if again { 2 } else { 1 }, if again { dx } else { 0.0 }, rng.random_range(-0.1..0.1))
+        (
+            if again { 2 } else { 1 },
+            if again { dx } else { 0.0 },
+            rng.random_range(-0.1..0.1),
+        )
     };
     for (shape, xi) in [("L", 45f64), ("revL", -45.0), ("flat", 0.0)] {
         for k in 0..3 {
@@ -103,16 +107,58 @@ fn design(rng: &mut Xoshiro256PlusPlus) -> Vec<Trial> {
             let wobble = if rng.random_range(0..2) == 0 { 0.0 } else { 0.5 };
             let hip = [0.02, 0.045, 0.03][rng.random_range(0..3)];
             let (xi, duration) = (xi.to_radians(), 3.5 / rate);
-            trials.push(Trial { shape, xi, leg: true, hip, rate, wobble, beta: 0.0, gamma: 0.0, start: 0.0, duration, pass, pass_dx, x_bed });
+            trials.push(Trial {
+                shape,
+                xi,
+                leg: true,
+                hip,
+                rate,
+                wobble,
+                beta: 0.0,
+                gamma: 0.0,
+                start: 0.0,
+                duration,
+                pass,
+                pass_dx,
+                x_bed,
+            });
         }
     }
-    for (k, (beta, gamma)) in [(0.0, 90.0), (0.0, 90.0), (45.0, 45.0), (-45.0, 45.0), (90.0, 0.0), (30.0, -60.0f64)].into_iter().enumerate() {
+    for (k, (beta, gamma)) in [
+        (0.0, 90.0),
+        (0.0, 90.0),
+        (45.0, 45.0),
+        (-45.0, 45.0),
+        (90.0, 0.0),
+        (30.0, -60.0f64),
+    ]
+    .into_iter()
+    .enumerate()
+    {
         let (pass, pass_dx, x_bed) = ground(rng);
         let rate = [0.02, 0.8, 0.1, 0.5, 0.3, 0.2][k] * rng.random_range(0.7..1.3);
-        let start = if gamma <= 0.0 { if gamma < 0.0 { 0.05 } else { 0.03 } } else { 0.0 };
+        let start = if gamma <= 0.0 {
+            if gamma < 0.0 { 0.05 } else { 0.03 }
+        } else {
+            0.0
+        };
         let wobble = if k % 2 == 1 { 0.45 } else { 0.0 };
         let (beta, gamma) = (f64::to_radians(beta), f64::to_radians(gamma));
-        trials.push(Trial { shape: "plate", xi: 0.0, leg: false, hip: 0.0, rate, wobble, beta, gamma, start, duration: 0.048 / rate, pass, pass_dx, x_bed });
+        trials.push(Trial {
+            shape: "plate",
+            xi: 0.0,
+            leg: false,
+            hip: 0.0,
+            rate,
+            wobble,
+            beta,
+            gamma,
+            start,
+            duration: 0.048 / rate,
+            pass,
+            pass_dx,
+            x_bed,
+        });
     }
     trials
 }
@@ -122,11 +168,18 @@ impl Trial {
     fn path(&self, t: f64) -> (f64, f64, f64) {
         let k = 6.0 * std::f64::consts::PI / self.duration;
         let w = self.wobble;
-        (self.rate * (t - w / k * (k * t).sin()), self.rate * (1.0 - w * (k * t).cos()), self.rate * w * k * (k * t).sin())
+        (
+            self.rate * (t - w / k * (k * t).sin()),
+            self.rate * (1.0 - w * (k * t).cos()),
+            self.rate * w * k * (k * t).sin(),
+        )
     }
 
     fn center(&self, s: f64) -> [f64; 2] {
-        [s * self.gamma.cos() - 0.02 * f64::from(u8::from(self.gamma == 0.0)), -self.start - s * self.gamma.sin()]
+        [
+            s * self.gamma.cos() - 0.02 * f64::from(u8::from(self.gamma == 0.0)),
+            -self.start - s * self.gamma.sin(),
+        ]
     }
 
     /// Fx, Fz, Ty at time t, before the sensor.
@@ -152,17 +205,32 @@ impl Trial {
             for k in 0..PIECES {
                 let u = (k as f64 + 0.5) / PIECES as f64;
                 let p = [a[0] + u * (b[0] - a[0]), a[1] + u * (b[1] - a[1])];
-                let r = [p[0] * theta.cos() - p[1] * theta.sin(), p[0] * theta.sin() + p[1] * theta.cos()];
+                let r = [
+                    p[0] * theta.cos() - p[1] * theta.sin(),
+                    p[0] * theta.sin() + p[1] * theta.cos(),
+                ];
                 let length = (b[0] - a[0]).hypot(b[1] - a[1]);
                 let tilt = (b[1] - a[1]).atan2(b[0] - a[0]) + theta;
                 let (v, dv) = ([-omega * r[1], omega * r[0]], [-alpha * r[1], alpha * r[0]]);
-                let f = self.segment([r[0], r[1] + self.hip], tilt, v, dv, length / PIECES as f64 * WIDTH, c, h);
+                let f = self.segment(
+                    [r[0], r[1] + self.hip],
+                    tilt,
+                    v,
+                    dv,
+                    length / PIECES as f64 * WIDTH,
+                    c,
+                    h,
+                );
                 for (t, x) in total.iter_mut().zip([f[0], f[1], r[0] * f[1] - r[1] * f[0]]) {
                     *t += weight * x;
                 }
             }
         };
-        let pieces = if self.xi == 0.0 { vec![(hip, tip)] } else { vec![(hip, knee), (knee, tip)] };
+        let pieces = if self.xi == 0.0 {
+            vec![(hip, tip)]
+        } else {
+            vec![(hip, knee), (knee, tip)]
+        };
         let concave = self.xi * omega < 0.0;
         for (a, b) in pieces {
             add(a, b, if concave { 1.0 - chi } else { 1.0 });
@@ -182,7 +250,15 @@ impl Trial {
             let u = PLATE * ((k as f64 + 0.5) / PIECES as f64 - 0.5);
             let r = [u * self.beta.cos(), u * self.beta.sin()];
             let p = [center[0] + r[0], center[1] + r[1]];
-            let f = self.segment(p, self.beta, along.map(|a| a * speed), along.map(|a| a * change), PLATE / PIECES as f64 * WIDTH, c, h);
+            let f = self.segment(
+                p,
+                self.beta,
+                along.map(|a| a * speed),
+                along.map(|a| a * change),
+                PLATE / PIECES as f64 * WIDTH,
+                c,
+                h,
+            );
             for (t, x) in total.iter_mut().zip([f[0], f[1], r[0] * f[1] - r[1] * f[0]]) {
                 *t += x;
             }
@@ -192,7 +268,16 @@ impl Trial {
 
     /// Force on a segment that is tilted by `tilt` from the horizontal.
     #[allow(clippy::too_many_arguments)]
-    fn segment(&self, p: [f64; 2], tilt: f64, v: [f64; 2], dv: [f64; 2], area: f64, c: &[f64; 9], h: &Hidden) -> [f64; 2] {
+    fn segment(
+        &self,
+        p: [f64; 2],
+        tilt: f64,
+        v: [f64; 2],
+        dv: [f64; 2],
+        area: f64,
+        c: &[f64; 9],
+        h: &Hidden,
+    ) -> [f64; 2] {
         let sigma = h.get("slope");
         let z = p[1] - h.get("depth_zero");
         let mut depth = (p[0] * sigma.tan() - z) * sigma.cos();
@@ -208,8 +293,15 @@ impl Trial {
             gamma = std::f64::consts::PI - gamma;
             beta = -beta;
         }
-        let az = c[0] + c[1] * (2.0 * beta).cos() + c[2] * (2.0 * beta + gamma).sin() + c[3] * gamma.sin() + c[4] * (gamma - 2.0 * beta).sin();
-        let ax = c[5] * (2.0 * beta + gamma).cos() + c[6] * gamma.cos() + c[7] * (gamma - 2.0 * beta).cos() + c[8] * (2.0 * beta).sin();
+        let az = c[0]
+            + c[1] * (2.0 * beta).cos()
+            + c[2] * (2.0 * beta + gamma).sin()
+            + c[3] * gamma.sin()
+            + c[4] * (gamma - 2.0 * beta).sin();
+        let ax = c[5] * (2.0 * beta + gamma).cos()
+            + c[6] * gamma.cos()
+            + c[7] * (gamma - 2.0 * beta).cos()
+            + c[8] * (2.0 * beta).sin();
         let n = [tilt.sin(), -tilt.cos()];
         let vn = v[0] * n[0] + v[1] * n[1];
         let n = if vn < 0.0 { n.map(|c| -c) } else { n };
@@ -222,7 +314,10 @@ impl Trial {
             factor *= 1.0 - h.get("footprint") * (-self.pass_dx / 0.03).exp();
         }
         let local = [if mirrored { ax } else { -ax }, az].map(|a| a * depth * factor);
-        let mut stress = [local[0] * sigma.cos() - local[1] * sigma.sin(), local[0] * sigma.sin() + local[1] * sigma.cos()];
+        let mut stress = [
+            local[0] * sigma.cos() - local[1] * sigma.sin(),
+            local[0] * sigma.sin() + local[1] * sigma.cos(),
+        ];
         let clip = h.get("friction_clip");
         if clip > 0.0 {
             let normal = stress[0] * n[0] + stress[1] * n[1];
@@ -234,7 +329,10 @@ impl Trial {
             + h.get("drag_1.5") * DENSITY * vn.powf(1.5)
             + h.get("added_mass") * DENSITY * WIDTH * dvn
             + h.get("cohesion") * (vn / 1e-3).tanh();
-        [(stress[0] - pressure * n[0]) * area, (stress[1] - pressure * n[1]) * area]
+        [
+            (stress[0] - pressure * n[0]) * area,
+            (stress[1] - pressure * n[1]) * area,
+        ]
     }
 
     /// Causes outside of the library.
@@ -242,7 +340,8 @@ impl Trial {
         let x = self.x_bed + p[0];
         let crust = if depth < 0.012 { 1.0 + h.get("crust") } else { 1.0 };
         let slip = 1.0 + h.get("stick_slip") * (2.0 * std::f64::consts::PI * (p[0] + p[1]) / 0.02).sin();
-        let buried = 1.0 + h.get("buried_stone") * (-((x - 0.03) / 0.015).powi(2) - ((p[1] + 0.02) / 0.012).powi(2)).exp();
+        let buried =
+            1.0 + h.get("buried_stone") * (-((x - 0.03) / 0.015).powi(2) - ((p[1] + 0.02) / 0.012).powi(2)).exp();
         (1.0 + h.get("wall") * (-(0.12 - x).max(0.0) / 0.04).exp()) * crust * slip * buried
     }
 
@@ -265,7 +364,11 @@ impl Trial {
             self.load(t - late, c, h)
         };
         let (sin, cos) = h.get("sensor_tilt").sin_cos();
-        [f[0] * cos - f[1] * sin + h.get("bias_x"), f[0] * sin + f[1] * cos + h.get("bias_z"), f[2]]
+        [
+            f[0] * cos - f[1] * sin + h.get("bias_x"),
+            f[0] * sin + f[1] * cos + h.get("bias_z"),
+            f[2],
+        ]
     }
 }
 
@@ -281,9 +384,14 @@ pub fn log(seed: u64, hidden: &Hidden, coefficient_error: f64) -> Log {
     let (mut noisy, mut clean) = (header.to_string(), header.to_string());
     let (mut effect, mut noise) = (0.0, 0.0);
     for (condition, trial) in trials.iter().enumerate() {
-        let times: Vec<f64> = (0..SAMPLES).map(|i| (i as f64 + 0.5) / SAMPLES as f64 * trial.duration).collect();
+        let times: Vec<f64> = (0..SAMPLES)
+            .map(|i| (i as f64 + 0.5) / SAMPLES as f64 * trial.duration)
+            .collect();
         let truth: Vec<[f64; 3]> = times.iter().map(|t| trial.reading(*t, &c, hidden)).collect();
-        let plain: Vec<[f64; 3]> = times.iter().map(|t| trial.reading(*t, &c, &Hidden::default())).collect();
+        let plain: Vec<[f64; 3]> = times
+            .iter()
+            .map(|t| trial.reading(*t, &c, &Hidden::default()))
+            .collect();
         for rep in 0..3 {
             let gain = 1.0 + GAIN * normal(&mut rng);
             let mut grain = [0; 3].map(|_| normal(&mut rng));
@@ -291,18 +399,27 @@ pub fn log(seed: u64, hidden: &Hidden, coefficient_error: f64) -> Log {
                 let f = truth[i];
                 let size = f[0].hypot(f[1]);
                 let arm = [1.0, 1.0, ARM];
-                let measured = [0, 1, 2].map(|k| f[k] * gain + arm[k] * (GRAIN * size * grain[k] + SENSOR * normal(&mut rng)));
+                let measured =
+                    [0, 1, 2].map(|k| f[k] * gain + arm[k] * (GRAIN * size * grain[k] + SENSOR * normal(&mut rng)));
                 grain = grain.map(|g| PHI * g + (1.0 - PHI * PHI).sqrt() * normal(&mut rng));
                 effect += (0..2).map(|k| (f[k] - plain[i][k]).powi(2)).sum::<f64>();
                 noise += (0..2).map(|k| (f[k] - measured[k]).powi(2)).sum::<f64>();
                 let motion = trial.motion(*t);
                 for (text, y) in [(&mut noisy, measured), (&mut clean, f)] {
-                    let _ = writeln!(text, "{condition}_{rep},{condition},{rep},{motion},{:.6e},{:.6e},{:.6e}", y[0], y[1], y[2]);
+                    let _ = writeln!(
+                        text,
+                        "{condition}_{rep},{condition},{rep},{motion},{:.6e},{:.6e},{:.6e}",
+                        y[0], y[1], y[2]
+                    );
                 }
             }
         }
     }
-    Log { noisy, clean, effect: (effect / noise).sqrt() }
+    Log {
+        noisy,
+        clean,
+        effect: (effect / noise).sqrt(),
+    }
 }
 
 impl Trial {
@@ -311,10 +428,18 @@ impl Trial {
         let (s, rate, _) = self.path(t);
         let tail = format!("{},{},{}", self.pass, self.pass_dx, self.x_bed);
         if self.leg {
-            return format!("leg,{},poppy-loose,{},,,{tail},{t:.9},{:.9},{rate:.9},0,0,0,0", self.shape, self.hip, -1.75 + s);
+            return format!(
+                "leg,{},poppy-loose,{},,,{tail},{t:.9},{:.9},{rate:.9},0,0,0,0",
+                self.shape,
+                self.hip,
+                -1.75 + s
+            );
         }
         let [x, z] = self.center(s);
         let v = [rate * self.gamma.cos(), -rate * self.gamma.sin()];
-        format!("plate,plate,poppy-loose,,{:.9},{:.9},{tail},{t:.9},,,{x:.9},{z:.9},{:.9},{:.9}", self.beta, self.gamma, v[0], v[1])
+        format!(
+            "plate,plate,poppy-loose,,{:.9},{:.9},{tail},{t:.9},,,{x:.9},{z:.9},{:.9},{:.9}",
+            self.beta, self.gamma, v[0], v[1]
+        )
     }
 }
