@@ -2,6 +2,7 @@
 //! machine could not do ends with 1.
 
 mod bench;
+mod diagnose;
 mod intrude;
 mod media;
 mod serve;
@@ -37,6 +38,7 @@ enum Command {
     Serve(serve::Serve),
     Walk(walk::Walk),
     Bench(bench::Bench),
+    Diagnose(diagnose::Diagnose),
     Intrude(intrude::Intrude),
     Media(media::Media),
     Stress(stress::Stress),
@@ -70,6 +72,7 @@ fn run(command: Command) -> Result<String> {
         Command::Serve(c) => c.run(),
         Command::Walk(c) => c.run(),
         Command::Bench(c) => c.run(),
+        Command::Diagnose(c) => c.run(),
         Command::Intrude(c) => c.run(),
         Command::Media(c) => c.run(),
         Command::Stress(c) => c.run(),
