@@ -10,8 +10,9 @@ use super::next_experiment::Menu;
 use super::observations::Observations;
 use crate::error::Result;
 use crate::number::Vec3;
+use crate::sand::beyond::{SandMechanisms, Site, footprint, slope_depth};
 use crate::sand::intrusion::Load;
-use crate::sand::mechanism::{CATALOG, Mechanisms, SandMechanisms, Site, footprint, slope_depth};
+use crate::sand::mechanism::{CATALOG, Mechanisms};
 use crate::sand::shape::{Segment, straight};
 use crate::sand::{Coefficients, Ground, Law, Medium, Shape, Surface};
 use std::collections::BTreeMap;
@@ -155,7 +156,7 @@ struct Arm<'a> {
     track: &'a Track,
     cut: &'a Cut,
     mechanisms: &'a Mechanisms,
-    sand: SandMechanisms,
+    sand: SandMechanisms<f64>,
     ground: &'a Ground<f64>,
     footprint: f64,
 }

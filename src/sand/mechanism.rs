@@ -1,13 +1,11 @@
 //! Mechanisms that plain resistive force theory leaves out: the one list that simulator, diagnosis, report and
 //! documents read. A new mechanism is one new entry of [`CATALOG`]'s table and, if it acts in the sand, one line in
-//! [`SandMechanisms::stress`].
+//! [`super::beyond::SandMechanisms::stress`].
 //!
-//! Every parameter is 0 when its mechanism is off. The equations of the sand side are here; those of the measuring
-//! side (sensors, log, drive) are in `diagnose::forward`.
+//! Every parameter is 0 when its mechanism is off. The equations of the sand side are in
+//! [`super::beyond`]; those of the measuring side (sensors, log, drive) are in `diagnose::forward`.
 
-use super::contact::Ground;
 use crate::error::{Error, Result, check_range};
-use crate::number::{Real, Vec3};
 use serde::{Deserialize, Serialize};
 
 /// Where a mechanism acts.
@@ -67,6 +65,8 @@ macro_rules! mechanisms {
         }
 
         impl Mechanisms {
+            /// None switched on.
+            pub const PLAIN: Self = Self { $($id: 0.0),* };
             pub const COUNT: usize = [$(stringify!($id)),*].len();
 
             /// In the order of [`CATALOG`].
@@ -156,169 +156,9 @@ impl Mechanisms {
     }
 }
 
-/// Depth z0 [m] at which `depth_power` leaves the stress as it is.
-const DEPTH_REFERENCE: f64 = 0.02;
-/// Distance [m] over which a footprint fades.
-const FOOTPRINT_REACH: f64 = 0.03;
-/// Length [m] that `packing_grad` refers to.
-const PACKING_LENGTH: f64 = 0.1;
-/// Speed [m/s] that `rate_log` refers to.
-const RATE_REFERENCE: f64 = 0.01;
-/// Normal speed [m/s] over which cohesion builds up.
-const COHESION_SPEED: f64 = 1e-3;
-
-/// Where a segment is and how it moves, beyond its normal and velocity.
-#[derive(Clone, Copy)]
-pub struct Site<R> {
-    /// Below the surface, ≥ 0 [m].
-    pub depth: R,
-    /// Place in the bed [m]: x_bed + x in force logs, travelled distance in walking.
-    pub x: R,
-    /// [`footprint`] of the pass; 1 on fresh ground.
-    pub footprint: R,
-    /// Width w of the segment across the plane of motion [m].
-    pub width: R,
-    /// dv_n/dt of the leading face [m/s²].
-    pub normal_acceleration: R,
-}
-
-/// 1 − κ e^(−pass_dx/3 cm) from the second pass on, 1 before.
-pub fn footprint(kappa: f64, pass: u32, pass_dx: f64) -> f64 {
-    if pass < 2 { 1.0 } else { 1.0 - kappa * (-pass_dx.abs() / FOOTPRINT_REACH).exp() }
-}
-
-/// Depth [m] of the point (x, z) below a surface through the origin that rises toward +x by σ, given as (sin σ, cos σ):
-/// (x tan σ − z) cos σ.
-pub fn slope_depth<R: Real>((sin, cos): (f64, f64), x: R, z: R) -> R {
-    x * R::splat(sin) - z * R::splat(cos)
-}
-
-/// `f` of every lane: for functions [`Real`] does not have. Slow, and only reached while its mechanism is on.
-fn by_lane<R: Real>(x: R, f: impl Fn(f64) -> f64) -> R {
-    let mut y = x;
-    for lane in 0..R::LANES {
-        y.set_lane(lane, f(x.lane(lane)));
-    }
-    y
-}
-
-/// The sand side of [`Mechanisms`], ready for evaluation.
-#[derive(Clone, Copy)]
-pub struct SandMechanisms {
-    mechanisms: Mechanisms,
-    bulk_density: f64,
-}
-
-impl SandMechanisms {
-    /// `bulk_density` ρ in kg/m³.
-    pub fn new(mechanisms: &Mechanisms, bulk_density: f64) -> Self {
-        Self { mechanisms: *mechanisms, bulk_density }
-    }
-
-    /// Stress [Pa] on a submerged thin segment with unit normal `n` and velocity `v`, both in the surface's frame.
-    /// Depth-proportional stress carries scale, packing, footprint, rate and the friction cap; inertia, added mass
-    /// and cohesion push against the leading face in addition.
-    #[inline]
-    pub fn stress<R: Real>(&self, ground: &Ground<R>, n: Vec3<R>, v: Vec3<R>, site: &Site<R>) -> Vec3<R> {
-        let m = &self.mechanisms;
-        let motion = ground.motion(v);
-        let mut quasi_static = ground.stress(n, &motion) * (self.depth(site.depth) * self.factor(v, site));
-        if m.friction_clip > 0.0 {
-            quasi_static = capped(quasi_static, n, 1.0 / m.friction_clip);
-        }
-        if m.inertial_drag == 0.0 && m.cohesion == 0.0 && m.added_mass == 0.0 {
-            return quasi_static;
-        }
-        let along = n.dot(v);
-        let speed = along.abs();
-        let density = R::splat(self.bulk_density);
-        let mut pressure = R::splat(m.inertial_drag) * density * speed * speed;
-        if m.added_mass != 0.0 {
-            pressure += R::splat(m.added_mass) * density * site.width * site.normal_acceleration;
-        }
-        if m.cohesion != 0.0 {
-            pressure += R::splat(m.cohesion) * by_lane(speed, |s| (s / COHESION_SPEED).tanh());
-        }
-        let toward_front = R::select(along.lt(R::zero()), pressure, -pressure);
-        n.scale_add(toward_front, quasi_static)
-    }
-
-    /// |z| → z0 (|z|/z0)^p
-    fn depth<R: Real>(&self, depth: R) -> R {
-        let excess = self.mechanisms.depth_power;
-        if excess == 0.0 {
-            return depth;
-        }
-        by_lane(depth, |d| DEPTH_REFERENCE * (d.max(0.0) / DEPTH_REFERENCE).powf(1.0 + excess))
-    }
-
-    /// Product of all that multiplies the depth-proportional stress.
-    fn factor<R: Real>(&self, v: Vec3<R>, site: &Site<R>) -> R {
-        let m = &self.mechanisms;
-        let mut factor = site.footprint * R::splat(1.0 + m.scale);
-        if m.packing_grad != 0.0 {
-            factor = factor * R::splat(m.packing_grad / PACKING_LENGTH).mul_add(site.x, R::one());
-        }
-        if m.rate_log != 0.0 {
-            factor = factor * by_lane(v.norm_squared(), |v2| 1.0 + m.rate_log * (v2.sqrt() / RATE_REFERENCE).ln_1p());
-        }
-        factor
-    }
-}
-
-/// `stress` with its part along the face cut to `mu` times the part along the normal.
-fn capped<R: Real>(stress: Vec3<R>, n: Vec3<R>, mu: f64) -> Vec3<R> {
-    let normal = stress.dot(n);
-    let tangential = stress - n * normal;
-    let size = tangential.norm_squared().sqrt();
-    let share = (R::splat(mu) * normal.abs() / (size + R::splat(1e-30))).min(R::one());
-    tangential.scale_add(share, n * normal)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sand::{Law, Medium, Surface};
-
-    fn ground() -> Ground<f64> {
-        Ground::new(Law::Li2013, &Medium::named("poppy-loose").unwrap(), &Surface::default())
-    }
-
-    fn stress(m: Mechanisms, v: [f64; 3]) -> Vec3<f64> {
-        let site = Site { depth: 0.03, x: 0.05, footprint: 1.0, width: 0.02, normal_acceleration: 0.0 };
-        SandMechanisms::new(&m, 600.0).stress(&ground(), Vec3::new(0.6, 0.0, -0.8), Vec3::splat(v), &site)
-    }
-
-    #[test]
-    fn drag_is_lambda_rho_v_squared_against_the_motion() {
-        let v = [0.6, 0.0, -0.8];
-        let extra =
-            stress(Mechanisms { inertial_drag: 2.0, ..Default::default() }, v) - stress(Mechanisms::default(), v);
-        // λ ρ v² = 2 · 600 · 1² = 1200 Pa along −n
-        assert!((extra.x + 0.6 * 1200.0).abs() < 1e-9 && (extra.z - 0.8 * 1200.0).abs() < 1e-9);
-    }
-
-    #[test]
-    fn factors_multiply_the_stress() {
-        let v = [0.01, 0.0, -0.02];
-        let plain = stress(Mechanisms::default(), v);
-        let m = Mechanisms { scale: 0.5, packing_grad: 0.2, ..Default::default() };
-        // 1.5 · (1 + 0.2 · 0.05/0.1) = 1.65
-        assert!((stress(m, v).z / plain.z - 1.65).abs() < 1e-12);
-        let power = stress(Mechanisms { depth_power: 1.0, ..Default::default() }, v);
-        // (3 cm / 2 cm)^1 times the plain stress
-        assert!((power.z / plain.z - 1.5).abs() < 1e-12);
-    }
-
-    #[test]
-    fn friction_cap_leaves_the_normal_part() {
-        let (v, n) = ([0.05, 0.0, 0.0], Vec3::new(0.6, 0.0, -0.8));
-        let (plain, cut) =
-            (stress(Mechanisms::default(), v), stress(Mechanisms { friction_clip: 10.0, ..Default::default() }, v));
-        assert!((plain.dot(n) - cut.dot(n)).abs() < 1e-9);
-        let tangential = (cut - n * cut.dot(n)).norm_squared().sqrt();
-        assert!((tangential - 0.1 * cut.dot(n).abs()).abs() < 1e-9, "{tangential}");
-    }
 
     #[test]
     fn toml_is_neutral_by_default_and_refuses_unknown_keys() {
