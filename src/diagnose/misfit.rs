@@ -17,10 +17,13 @@ pub struct Misfit {
     /// Mean of (measured − predicted) along the predicted direction, and root mean square [unit of the channel].
     pub mean: f64,
     pub rms: f64,
-    /// Mean error over mean predicted size: how wrong in proportion.
-    pub relative: f64,
+    /// Mean error over mean predicted size: how wrong in proportion; none where next to nothing is predicted.
+    pub relative: Option<f64>,
     pub samples: usize,
 }
+
+/// A proportion is stated where the predicted size is at least this share of the error's: our choice.
+const PREDICTED: f64 = 0.2;
 
 /// Ranges a feature is cut into, each with the same number of samples.
 const RANGES: usize = 5;
@@ -93,11 +96,12 @@ fn add(
     group: Option<&str>,
 ) {
     for (c, channel) in observations.channels.iter().enumerate() {
-        let (mut sum, mut square, mut size, mut count) = (0.0, 0.0, 0.0, 0usize);
+        let (mut sum, mut sum_of_errors, mut square, mut size, mut count) = (0.0, 0.0, 0.0, 0.0, 0usize);
         for (u, unit) in observations.units.iter().enumerate() {
             for (_, k) in unit.block(c).enumerate().filter(|(i, _)| inside(u, *i)) {
                 let error = observations.values[k] - prediction[k];
                 sum += error * prediction[k].signum();
+                sum_of_errors += error.abs();
                 square += error * error;
                 size += prediction[k].abs();
                 count += 1;
@@ -113,11 +117,44 @@ fn add(
                 channel: channel.name.into(),
                 mean: sum / n,
                 rms: (square / n).sqrt(),
-                relative: if size > 0.0 { sum / size } else { 0.0 },
+                relative: (size > PREDICTED * sum_of_errors).then(|| sum / size),
                 samples: count,
             });
         }
     }
+}
+
+/// In one sentence: the feature over which the proportional error changes most, and how.
+pub fn worst(table: &[Misfit]) -> Option<String> {
+    let mut best: Option<(f64, String)> = None;
+    for by in ["speed", "depth", "angle", "pass", "place", "shape"] {
+        for channel in ["Fx", "Fz"] {
+            let rows = table.iter().filter(|m| m.by == by && m.channel == channel);
+            let known: Vec<_> = rows.filter_map(|m| m.relative.map(|r| (r, m))).collect();
+            let Some(low) = known.iter().min_by(|a, b| a.0.total_cmp(&b.0)) else {
+                continue;
+            };
+            let Some(high) = known.iter().max_by(|a, b| a.0.total_cmp(&b.0)) else {
+                continue;
+            };
+            let place = |m: &Misfit| match (&m.group, m.range) {
+                (Some(group), _) => group.clone(),
+                (None, Some(r)) => format!("{:.3} to {:.3} {}", r[0], r[1], m.unit),
+                (None, None) => String::new(),
+            };
+            let change = high.0 - low.0;
+            if best.as_ref().is_none_or(|b| change > b.0) && change > 0.0 {
+                let says = |r: &(f64, &Misfit)| format!("{:+.0} % at {}", 100.0 * r.0, place(r.1));
+                let text = format!(
+                    "its error in {channel} changes most with {by}: from {} to {}",
+                    says(low),
+                    says(high)
+                );
+                best = Some((change, text));
+            }
+        }
+    }
+    best.map(|b| b.1)
 }
 
 /// A feature that a whitened residual goes along with; never a cause.
