@@ -248,7 +248,11 @@ impl Arm<'_> {
         for i in 0..poses.len() {
             // A fast filter sees only the last moments: quadrature. A slow one is stepped through the samples.
             let fast = i == 0 || tau < 2.0 * (poses[i].t - poses[i - 1].t);
-            out.push(if fast { self.remembered(i, tau, start) } else { self.stepped(i, tau, out[i - 1]) });
+            out.push(if fast {
+                self.remembered(i, tau, start)
+            } else {
+                self.stepped(i, tau, out[i - 1])
+            });
         }
         out
     }
@@ -269,7 +273,11 @@ impl Arm<'_> {
         NODES.iter().fold(Load::default(), |sum, (u, weight)| {
             let then = (t - tau * u).max(start);
             let f = self.load(&self.pose_at(then - self.mechanisms.delay, i), then);
-            Load { fx: sum.fx + weight * f.fx, fz: sum.fz + weight * f.fz, ty: sum.ty + weight * f.ty }
+            Load {
+                fx: sum.fx + weight * f.fx,
+                fz: sum.fz + weight * f.fz,
+                ty: sum.ty + weight * f.ty,
+            }
         })
     }
 

@@ -124,37 +124,37 @@ fn add(
     }
 }
 
-/// In one sentence: the feature over which the proportional error changes most, and how.
+/// In one sentence: the two features over which the mean error changes most, and how.
 pub fn worst(table: &[Misfit]) -> Option<String> {
-    let mut best: Option<(f64, String)> = None;
+    let mut found: Vec<(f64, String)> = Vec::new();
     for by in ["speed", "depth", "angle", "pass", "place", "shape"] {
-        for channel in ["Fx", "Fz"] {
-            let rows = table.iter().filter(|m| m.by == by && m.channel == channel);
-            let known: Vec<_> = rows.filter_map(|m| m.relative.map(|r| (r, m))).collect();
-            let Some(low) = known.iter().min_by(|a, b| a.0.total_cmp(&b.0)) else {
-                continue;
-            };
-            let Some(high) = known.iter().max_by(|a, b| a.0.total_cmp(&b.0)) else {
-                continue;
-            };
-            let place = |m: &Misfit| match (&m.group, m.range) {
-                (Some(group), _) => group.clone(),
-                (None, Some(r)) => format!("{:.3} to {:.3} {}", r[0], r[1], m.unit),
-                (None, None) => String::new(),
-            };
-            let change = high.0 - low.0;
-            if best.as_ref().is_none_or(|b| change > b.0) && change > 0.0 {
-                let says = |r: &(f64, &Misfit)| format!("{:+.0} % at {}", 100.0 * r.0, place(r.1));
-                let text = format!(
-                    "its error in {channel} changes most with {by}: from {} to {}",
-                    says(low),
-                    says(high)
-                );
-                best = Some((change, text));
-            }
-        }
+        let changes = ["Fx", "Fz"].into_iter().filter_map(|channel| {
+            let rows = || table.iter().filter(|m| m.by == by && m.channel == channel);
+            let low = rows().min_by(|a, b| a.mean.total_cmp(&b.mean))?;
+            let high = rows().max_by(|a, b| a.mean.total_cmp(&b.mean))?;
+            let text = format!("{channel} with {by}: {} to {}", low.in_words(), high.in_words());
+            Some((high.mean - low.mean, text))
+        });
+        found.extend(changes.max_by(|a, b| a.0.total_cmp(&b.0)));
     }
-    best.map(|b| b.1)
+    found.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let said: Vec<String> = found.into_iter().filter(|f| f.0 > 0.0).take(2).map(|f| f.1).collect();
+    (!said.is_empty()).then(|| format!("its error changes most in {}", said.join(" and in ")))
+}
+
+impl Misfit {
+    fn in_words(&self) -> String {
+        let place = match (&self.group, self.range) {
+            (Some(group), _) => group.clone(),
+            (None, Some(r)) if r[1] - r[0] < 1e-6 * r[1].abs() => format!("{:.3} {}", r[1], self.unit),
+            (None, Some(r)) => format!("{:.3}–{:.3} {}", r[0], r[1], self.unit),
+            (None, None) => String::new(),
+        };
+        let share = self
+            .relative
+            .map_or(String::new(), |r| format!(" ({:+.0} %)", 100.0 * r));
+        format!("{:+.2} N{share} at {place}", self.mean)
+    }
 }
 
 /// A feature that a whitened residual goes along with; never a cause.

@@ -93,7 +93,9 @@ fn causes(html: &mut String, r: &Report) {
 
 /// Bars of the mean relative error over the ranges of one feature.
 fn map(html: &mut String, by: &str, misfit: &[Misfit]) {
-    let rows = misfit.iter().filter(|m| m.by == by && m.unit != "N·m" && m.channel != "Ty");
+    let rows = misfit
+        .iter()
+        .filter(|m| m.by == by && m.unit != "N·m" && m.channel != "Ty");
     let rows: Vec<_> = rows.filter_map(|m| m.relative.map(|r| (r, m))).collect();
     if rows.is_empty() {
         return;
