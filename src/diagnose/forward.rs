@@ -199,33 +199,63 @@ impl Arm<'_> {
         }
     }
 
-    /// Loads behind a first-order filter of time constant `tau` [s] that starts settled: τ ẏ = F − y, exact for a force
-    /// that is linear between filter steps.
+    /// Loads behind a first-order filter of time constant `tau` [s], settled half a sample before the log: τ ẏ = F − y.
     fn filtered(&self, tau: f64) -> Vec<Load> {
         let poses = &self.track.poses;
-        let mut before = self.load(&self.late(0, &poses[0]), poses[0].t);
-        let mut state = before;
-        let mut out = vec![state];
-        for i in 1..poses.len() {
-            let h = (poses[i].t - poses[i - 1].t) / FILTER_STEPS as f64;
-            let decay = (-h / tau).exp();
-            // weights of the force at the start and the end of a step
-            let end = 1.0 - (1.0 - decay) * tau / h;
-            let start = 1.0 - decay - end;
-            for step in 1..=FILTER_STEPS {
-                let t = poses[i - 1].t + h * step as f64;
-                let now = self.load(&self.pose_at(t - self.mechanisms.delay, i), t);
-                let next = |y: f64, a: f64, b: f64| decay * y + start * a + end * b;
-                state = Load {
-                    fx: next(state.fx, before.fx, now.fx),
-                    fz: next(state.fz, before.fz, now.fz),
-                    ty: next(state.ty, before.ty, now.ty),
-                };
-                before = now;
-            }
-            out.push(state);
+        let start = poses[0].t - poses.get(1).map_or(0.0, |p| 0.5 * (p.t - poses[0].t));
+        let mut out: Vec<Load> = Vec::with_capacity(poses.len());
+        for i in 0..poses.len() {
+            // A fast filter sees only the last moments: quadrature. A slow one is stepped through the samples.
+            let fast = i == 0 || tau < 2.0 * (poses[i].t - poses[i - 1].t);
+            out.push(if fast { self.remembered(i, tau, start) } else { self.stepped(i, tau, out[i - 1]) });
         }
         out
+    }
+
+    /// y(t) = ∫ e^(−u) F(t − τ u) du by Gauss-Laguerre quadrature (Abramowitz & Stegun table 25.9, n = 8).
+    fn remembered(&self, i: usize, tau: f64, start: f64) -> Load {
+        const NODES: [(f64, f64); 8] = [
+            (0.170_279_632_305, 3.691_885_893_42e-1),
+            (0.903_701_776_799, 4.187_867_808_14e-1),
+            (2.251_086_629_87, 1.757_949_866_37e-1),
+            (4.266_700_170_29, 3.334_349_226_12e-2),
+            (7.045_905_402_39, 2.794_536_235_23e-3),
+            (10.758_516_010_2, 9.076_508_773_36e-5),
+            (15.740_678_641_3, 8.485_746_716_27e-7),
+            (22.863_131_736_9, 1.048_001_174_87e-9),
+        ];
+        let t = self.track.poses[i].t;
+        NODES.iter().fold(Load::default(), |sum, (u, weight)| {
+            let then = (t - tau * u).max(start);
+            let f = self.load(&self.pose_at(then - self.mechanisms.delay, i), then);
+            Load { fx: sum.fx + weight * f.fx, fz: sum.fz + weight * f.fz, ty: sum.ty + weight * f.ty }
+        })
+    }
+
+    /// The filter's state at sample `i` from that at the sample before, exact for a force linear between steps.
+    fn stepped(&self, i: usize, tau: f64, mut state: Load) -> Load {
+        let (from, to) = (self.track.poses[i - 1].t, self.track.poses[i].t);
+        let h = (to - from) / FILTER_STEPS as f64;
+        let decay = (-h / tau).exp();
+        // weights of the force at the start and the end of a step
+        let end = 1.0 - (1.0 - decay) * tau / h;
+        let start = 1.0 - decay - end;
+        let at = |step: usize| {
+            let t = from + h * step as f64;
+            self.load(&self.pose_at(t - self.mechanisms.delay, i), t)
+        };
+        let mut before = at(0);
+        for step in 1..=FILTER_STEPS {
+            let now = at(step);
+            let next = |y: f64, a: f64, b: f64| decay * y + start * a + end * b;
+            state = Load {
+                fx: next(state.fx, before.fx, now.fx),
+                fz: next(state.fz, before.fz, now.fz),
+                ty: next(state.ty, before.ty, now.ty),
+            };
+            before = now;
+        }
+        state
     }
 
     /// Load at a pose; `t` only finds the acceleration.

@@ -17,10 +17,13 @@ pub struct Misfit {
     /// Mean of (measured − predicted) along the predicted direction, and root mean square [unit of the channel].
     pub mean: f64,
     pub rms: f64,
-    /// Mean error over mean predicted size: how wrong in proportion.
-    pub relative: f64,
+    /// Mean error over mean predicted size: how wrong in proportion; none where next to nothing is predicted.
+    pub relative: Option<f64>,
     pub samples: usize,
 }
+
+/// A proportion is stated where the predicted size is at least this share of the error's: our choice.
+const PREDICTED: f64 = 0.2;
 
 /// Ranges a feature is cut into, each with the same number of samples.
 const RANGES: usize = 5;
@@ -67,11 +70,12 @@ fn add(
     group: Option<&str>,
 ) {
     for (c, channel) in observations.channels.iter().enumerate() {
-        let (mut sum, mut square, mut size, mut count) = (0.0, 0.0, 0.0, 0usize);
+        let (mut sum, mut sum_of_errors, mut square, mut size, mut count) = (0.0, 0.0, 0.0, 0.0, 0usize);
         for (u, unit) in observations.units.iter().enumerate() {
             for (_, k) in unit.block(c).enumerate().filter(|(i, _)| inside(u, *i)) {
                 let error = observations.values[k] - prediction[k];
                 sum += error * prediction[k].signum();
+                sum_of_errors += error.abs();
                 square += error * error;
                 size += prediction[k].abs();
                 count += 1;
@@ -87,10 +91,41 @@ fn add(
                 channel: channel.name.into(),
                 mean: sum / n,
                 rms: (square / n).sqrt(),
-                relative: if size > 0.0 { sum / size } else { 0.0 },
+                relative: (size > PREDICTED * sum_of_errors).then(|| sum / size),
                 samples: count,
             });
         }
+    }
+}
+
+/// In one sentence: the two features over which the mean error changes most, and how.
+pub fn worst(table: &[Misfit]) -> Option<String> {
+    let mut found: Vec<(f64, String)> = Vec::new();
+    for by in ["speed", "depth", "angle", "pass", "place", "shape"] {
+        let changes = ["Fx", "Fz"].into_iter().filter_map(|channel| {
+            let rows = || table.iter().filter(|m| m.by == by && m.channel == channel);
+            let low = rows().min_by(|a, b| a.mean.total_cmp(&b.mean))?;
+            let high = rows().max_by(|a, b| a.mean.total_cmp(&b.mean))?;
+            let text = format!("{channel} with {by}: {} to {}", low.in_words(), high.in_words());
+            Some((high.mean - low.mean, text))
+        });
+        found.extend(changes.max_by(|a, b| a.0.total_cmp(&b.0)));
+    }
+    found.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let said: Vec<String> = found.into_iter().filter(|f| f.0 > 0.0).take(2).map(|f| f.1).collect();
+    (!said.is_empty()).then(|| format!("its error changes most in {}", said.join(" and in ")))
+}
+
+impl Misfit {
+    fn in_words(&self) -> String {
+        let place = match (&self.group, self.range) {
+            (Some(group), _) => group.clone(),
+            (None, Some(r)) if r[1] - r[0] < 1e-6 * r[1].abs() => format!("{:.3} {}", r[1], self.unit),
+            (None, Some(r)) => format!("{:.3}–{:.3} {}", r[0], r[1], self.unit),
+            (None, None) => String::new(),
+        };
+        let share = self.relative.map_or(String::new(), |r| format!(" ({:+.0} %)", 100.0 * r));
+        format!("{:+.2} N{share} at {place}", self.mean)
     }
 }
 

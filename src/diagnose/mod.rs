@@ -136,7 +136,7 @@ struct View<'a> {
 impl View<'_> {
     fn report(&self, untestable: Vec<Untestable>, data_sha256: String) -> Report {
         let observations = self.study.observations;
-        let plain = self.study.plain();
+        let misfit = misfit::misfit(observations, self.study.model, &self.study.plain().prediction);
         let best = self.selection.and_then(Selection::best);
         let causes = best.map(|c| self.causes(&c.fit)).unwrap_or_default();
         let ranges = self.study.model.features().into_iter().map(|f| {
@@ -149,7 +149,7 @@ impl View<'_> {
         Report {
             schema: "sandgait.diagnosis.v1",
             verdict: self.selection.map_or(Verdict::InsufficientData, |s| s.verdict),
-            summary: self.summary(&causes),
+            summary: self.summary(&causes, &misfit),
             correlations: best.map(|c| correlations(&c.fit)).unwrap_or_default(),
             causes,
             ambiguity_set: set,
@@ -160,7 +160,7 @@ impl View<'_> {
                 limit: self.selection.map(|s| s.gates.lack_of_fit),
             },
             gain: self.gain(),
-            misfit: misfit::misfit(observations, self.study.model, &plain.prediction),
+            misfit,
             correlates_with: self.correlates(),
             untestable,
             next_experiment: self.next_experiment(),
@@ -265,7 +265,7 @@ impl View<'_> {
         Some(NextExperiment { why, conditions })
     }
 
-    fn summary(&self, causes: &[Cause]) -> String {
+    fn summary(&self, causes: &[Cause], misfit: &[misfit::Misfit]) -> String {
         let Some(selection) = self.selection else {
             return "no condition is repeated: without a noise floor nothing can be said".into();
         };
@@ -283,16 +283,23 @@ impl View<'_> {
                     selection.set.iter().skip(1).map(|&k| names(&selection.candidates[k].fit).join(" + ")).collect();
                 format!("the misfit is explained by {found}, or by {}: these data cannot tell", rivals.join(", or by "))
             }
-            Verdict::NoneOfThese => match selection.candidates.first() {
-                Some(best) if best.delta_chi2 > selection.gates.single => format!(
-                    "none of the known causes is enough: the nearest, {}, leaves a lack of fit of {:.1} where noise leaves up to {:.2}",
-                    names(&best.fit).join(" with "),
-                    best.lack_of_fit,
-                    selection.gates.lack_of_fit
-                ),
-                _ => "misfit remains and none of the known causes explains any of it".into(),
-            },
+            Verdict::NoneOfThese => {
+                let place = misfit::worst(misfit).map_or(String::new(), |w| format!("; the plain model: {w}"));
+                self.not_enough(selection) + &place
+            }
             Verdict::InsufficientData => String::new(),
+        }
+    }
+
+    fn not_enough(&self, selection: &Selection) -> String {
+        match selection.candidates.first() {
+            Some(best) if best.delta_chi2 > selection.gates.single => format!(
+                "none of the known causes is enough: the nearest, {}, leaves a lack of fit of {:.1} where noise leaves up to {:.2}",
+                names(&best.fit).join(" with "),
+                best.lack_of_fit,
+                selection.gates.lack_of_fit
+            ),
+            _ => "misfit remains and none of the known causes explains any of it".into(),
         }
     }
 }

@@ -66,6 +66,8 @@ pub fn propose(
     let separations = separation(a, b);
     let mut order: Vec<usize> = (0..separations.len()).collect();
     order.sort_by(|i, j| separations[*j].total_cmp(&separations[*i]));
+    // Trials that differ only in what neither explanation feels separate equally: one of them is enough.
+    order.dedup_by(|a, b| (separations[*a] / separations[*b] - 1.0).abs() < 1e-3);
     let names = |f: &Fit| f.ids.iter().map(|&id| crate::sand::mechanism::CATALOG[id].id.to_string()).collect();
     order
         .into_iter()

@@ -87,21 +87,22 @@ fn causes(html: &mut String, r: &Report) {
 
 /// Bars of the mean relative error over the ranges of one feature.
 fn map(html: &mut String, by: &str, misfit: &[Misfit]) {
-    let rows: Vec<_> = misfit.iter().filter(|m| m.by == by && m.unit != "N·m" && m.channel != "Ty").collect();
+    let rows = misfit.iter().filter(|m| m.by == by && m.unit != "N·m" && m.channel != "Ty");
+    let rows: Vec<_> = rows.filter_map(|m| m.relative.map(|r| (r, m))).collect();
     if rows.is_empty() {
         return;
     }
-    let top = rows.iter().map(|m| m.relative.abs()).fold(0.05, f64::max);
+    let top = rows.iter().map(|r| r.0.abs()).fold(0.05, f64::max);
     let height = 18 * rows.len() + 26;
     let _ = write!(html, "<svg width=330 height={height}><text x=4 y=14 font-weight=bold>by {by}</text>");
-    for (k, m) in rows.iter().enumerate() {
+    for (k, (relative, m)) in rows.iter().enumerate() {
         let y = 22 + 18 * k;
         let label = match (&m.range, &m.group) {
             (Some(range), _) => format!("{:.3}…{:.3} {}", range[0], range[1], m.unit),
             (None, group) => group.clone().unwrap_or_default(),
         };
-        let length = 80.0 * m.relative.abs() / top;
-        let x = if m.relative < 0.0 { 230.0 - length } else { 230.0 };
+        let length = 80.0 * relative.abs() / top;
+        let x = if *relative < 0.0 { 230.0 - length } else { 230.0 };
         let color = if m.channel == "Fx" { "#4a7fb5" } else { "#b5803a" };
         let _ = write!(
             html,
@@ -110,7 +111,7 @@ fn map(html: &mut String, by: &str, misfit: &[Misfit]) {
             m.channel,
             escape(&label),
             y + 11,
-            100.0 * m.relative
+            100.0 * relative
         );
     }
     let _ = write!(html, "<line x1=230 x2=230 y1=20 y2={height} stroke='#888'/></svg>");
