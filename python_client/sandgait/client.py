@@ -46,7 +46,7 @@ _KINDS: dict[grpc.StatusCode, type[SandgaitError]] = {
     grpc.StatusCode.NOT_FOUND: SessionLost,
     grpc.StatusCode.ABORTED: SessionLost,
     grpc.StatusCode.UNAVAILABLE: ServerLost,
-    grpc.StatusCode.CANCELLED: ServerLost,
+    grpc.StatusCode.CANCELLED: SessionLost,
     grpc.StatusCode.DEADLINE_EXCEEDED: ServerLost,
 }
 
@@ -104,6 +104,9 @@ class Session:
         self._responses = channel.stream_stream(
             _method("RunSession"), pb.RunSessionRequest.SerializeToString, pb.RunSessionResponse.FromString
         )(iter(self._requests.get, None))
+        # The server frees a session that has no stream within 30 s; this message takes the session, no more. Its
+        # answer, number 0, is dropped by the first `receive`.
+        self._requests.put(pb.RunSessionRequest(session_id=self._id))
         # Runs once: when called, when this object is collected, or when Python ends.
         self.close = weakref.finalize(self, _close, channel, self._requests, self._responses, self._id, self._process)
 

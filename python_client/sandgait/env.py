@@ -58,14 +58,14 @@ class SandgaitEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._session.send_reset(seeds, None, options or {})
         return self._session.receive().observations[0], {}
 
-    def step(self, action: npt.NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: npt.ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """One control step; `action` is [action] within its bounds."""
         if self._over:
             raise OutOfOrder("step: the episode is over; call reset first")
-        action = np.asarray(action, dtype=np.float32)
-        if action.shape != self.action_space.shape:
-            raise InvalidRequest(f"action: shape {action.shape}, expected {self.action_space.shape}")
-        self._session.send_step(action)
+        row = np.asarray(action, dtype=np.float32)
+        if row.shape != self.action_space.shape:
+            raise InvalidRequest(f"action: shape {row.shape}, expected {self.action_space.shape}")
+        self._session.send_step(row)
         batch = self._session.receive()
         observation = batch.observations[0]
         terminated, truncated = bool(batch.terminated[0]), bool(batch.truncated[0])

@@ -111,6 +111,7 @@ class EmbeddedServer:
             self.process.wait()
         with contextlib.suppress(FileNotFoundError):  # the server removes it, unless it was killed
             os.unlink(self.path)
+        self._log.close()
 
     def disown(self) -> None:
         """In a forked child: let go of the pipe, so that the parent's end alone ends the server."""
@@ -121,7 +122,7 @@ class EmbeddedServer:
 def _private_directory() -> str:
     """The directory of this user's sockets, which nobody else may enter; all servers of a user share it."""
     parent = tempfile.gettempdir()
-    if len(os.fsencode(parent)) > 60:  # a socket address holds some 100 bytes
+    if len(os.fsencode(parent)) > 70:  # a socket address holds some 100 bytes
         parent = "/tmp"
     path = os.path.join(parent, f"sandgait-{os.getuid()}")
     with contextlib.suppress(FileExistsError):

@@ -109,19 +109,19 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
             raise InvalidRequest("reset_mask: at least one entry must be True")
         return mask
 
-    def step(self, actions: npt.NDArray[np.float32]) -> Step:
+    def step(self, actions: npt.ArrayLike) -> Step:
         """One control step of every environment; `actions` is [num_envs, action] within its bounds."""
         self.send(actions)
         return self.recv()
 
-    def send(self, actions: npt.NDArray[np.float32]) -> None:
+    def send(self, actions: npt.ArrayLike) -> None:
         """Starts a step and returns at once; `recv` waits for it."""
         if self._in_flight:
             raise OutOfOrder("send: a step is in flight already; call recv first")
-        actions = np.asarray(actions, dtype=np.float32)
-        if actions.shape != self.action_space.shape:
-            raise InvalidRequest(f"actions: shape {actions.shape}, expected {self.action_space.shape}")
-        self._session.send_step(actions)
+        rows = np.asarray(actions, dtype=np.float32)
+        if rows.shape != self.action_space.shape:
+            raise InvalidRequest(f"actions: shape {rows.shape}, expected {self.action_space.shape}")
+        self._session.send_step(rows)
         self._in_flight = True
 
     def recv_batch(self) -> Batch:

@@ -1,0 +1,78 @@
+"""Speed of the Python client: whole `step` calls through an embedded server, beside the same server in process.
+
+usage: python benches/client.py [--envs 1 32 256 4096] [--seconds 2] [--json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import time
+from typing import Any
+
+import numpy as np
+
+import sandgait
+from sandgait import server
+
+ID = "sandgait/HexapodGait-v0"
+
+
+def in_process(envs: int, threads: int) -> float:
+    """Environment steps a second without gRPC or Python, by `sandgait bench`."""
+    command = [
+        server.find_binary(),
+        "bench",
+        "--envs",
+        str(envs),
+        "--threads",
+        str(threads),
+        "--repeats",
+        "5",
+        "--json",
+    ]
+    result = subprocess.run(command, capture_output=True, text=True, check=True)
+    return float(json.loads(result.stdout)["env_steps_per_second"])
+
+
+def through_python(envs: int, seconds: float) -> dict[str, float]:
+    """Environment steps a second and the time of a step call [µs] with random actions; episodes end and begin."""
+    env = sandgait.SandgaitVectorEnv(ID, envs)
+    env.reset(seed=0)
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (64, envs, 6)).astype(np.float32)
+    times: list[float] = []
+    end = time.perf_counter() + seconds
+    while (start := time.perf_counter()) < end:
+        env.step(actions[len(times) % 64])
+        times.append(time.perf_counter() - start)
+    env.close()
+    median, high = np.percentile(times, [50, 99])
+    return {"envs": envs, "p50_us": 1e6 * median, "p99_us": 1e6 * high, "env_steps_per_second": envs / median}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=str(__doc__).split("\n\n", maxsplit=1)[0])
+    parser.add_argument("--envs", type=int, nargs="+", default=[1, 32, 256, 4096])
+    parser.add_argument("--seconds", type=float, default=2.0, help="length of one measurement")
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    rows: list[dict[str, Any]] = []
+    for envs in arguments.envs:
+        row: dict[str, Any] = through_python(envs, arguments.seconds)
+        row["in_process"] = in_process(envs, threads=0)
+        row["share"] = row["env_steps_per_second"] / row["in_process"]
+        rows.append(row)
+    if arguments.json:
+        print(json.dumps(rows))
+        return
+    print(f"{'envs':>6} {'p50 [µs]':>10} {'p99 [µs]':>10} {'env-steps/s':>12} {'in process':>12} {'share':>6}")
+    for r in rows:
+        print(
+            f"{r['envs']:>6} {r['p50_us']:>10.0f} {r['p99_us']:>10.0f} {r['env_steps_per_second']:>12.0f} "
+            f"{r['in_process']:>12.0f} {r['share']:>6.0%}"
+        )
+
+
+if __name__ == "__main__":
+    main()

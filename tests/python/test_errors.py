@@ -1,0 +1,132 @@
+"""Bad input: each mistake is named, changes nothing, and the session goes on."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+import sandgait
+from conftest import ID
+
+
+def spoiled(index: tuple[int, int], value: float) -> np.ndarray:
+    actions = np.zeros((4, 6), np.float32)
+    actions[index] = value
+    return actions
+
+
+@pytest.mark.parametrize(
+    ("actions", "says"),
+    [
+        (np.zeros((3, 6)), r"actions: shape \(3, 6\), expected \(4, 6\)"),
+        (np.zeros((4, 5)), r"actions: shape \(4, 5\)"),
+        (np.zeros(24), r"actions: shape \(24,\)"),
+        (0.0, r"actions: shape \(\)"),
+        (spoiled((2, 1), np.nan), r"actions\[2\]\[1\].*NaN.*\[-1, 1\]"),
+        (spoiled((3, 5), 1.01), r"actions\[3\]\[5\].*1\.01.*\[-1, 1\]"),
+        (spoiled((0, 0), -np.inf), r"actions\[0\]\[0\].*inf.*\[-1, 1\]"),
+        ([["left"] * 6] * 4, "could not convert"),
+    ],
+)
+def test_wrong_actions(actions: Any, says: str) -> None:
+    """The refused step has changed nothing: what follows equals an undisturbed run."""
+    env, calm = (gymnasium.make_vec(ID, num_envs=4, max_episode_steps=5) for _ in range(2))
+    env.reset(seed=0)
+    calm.reset(seed=0)
+    for k in range(8):
+        if k == 3:
+            with pytest.raises(ValueError, match=says):
+                env.step(actions)
+        good = np.full((4, 6), 0.1 * k, np.float32)
+        for a, b in zip(env.step(good)[:4], calm.step(good)[:4], strict=True):
+            assert np.array_equal(a, b)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"lge": "C"}, "lge.*leg"),
+        ({"leg": "Q"}, "Q"),
+        ({"leg": 3}, "leg|invalid type"),
+        ({"medium": "snow"}, "snow.*poppy-loose"),
+        ({"slope_deg": 400}, r"slope_deg: 400 is outside \["),
+        ({"slope_deg": float("nan")}, "slope_deg.*NaN"),
+        ({"command": [0.1, 9.0]}, r"command\[1\]: 9 is outside"),
+        ({"weights": {"glory": 1.0}}, "glory"),
+        ({"max_episode_steps": 0}, "max_episode_steps: 0 is outside"),
+        ({"leg": object()}, "leg: .*is not a number"),
+        ({"render_mode": "human"}, "render_mode"),
+        ({"num_envs": 0}, "num_envs: 0 is outside"),
+        ({"num_envs": -1}, "num_envs: -1 is outside"),
+        ({"address": "nowhere"}, "address: 'nowhere' is neither"),
+        ({"task": "sandgait/Flying-v0"}, "Flying-v0.*HexapodGait-v0"),
+    ],
+)
+def test_wrong_options(options: dict[str, Any], says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        sandgait.SandgaitVectorEnv(**{"task": ID, "num_envs": 2, **options})
+
+
+def test_render_mode_of_a_single_environment() -> None:
+    with pytest.raises(ValueError, match="render_mode"):
+        sandgait.SandgaitEnv(ID, render_mode="human")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ({"seed": [1, 2, 3]}, "seed: 3 entries for 2"),
+        ({"seed": [1, -2]}, r"seed\[1\]: -2 is outside"),
+        ({"seed": [1, 2**64]}, r"seed\[1\]: 18446744073709551616 is outside"),
+        ({"options": {"slpoe_deg": 3}}, "slpoe_deg.*slope_deg"),
+        ({"options": {"slope_deg": "steep"}}, "steep"),
+        ({"options": {"engine": "lanes"}}, "engine"),
+    ],
+)
+def test_wrong_resets(arguments: dict[str, Any], says: str) -> None:
+    env = gymnasium.make_vec(ID, num_envs=2)
+    rows, _ = env.reset(seed=0)
+    with pytest.raises(ValueError, match=says):
+        env.reset(**arguments)
+    assert np.array_equal(env.reset(seed=0)[0], rows)
+
+
+def test_a_step_before_the_first_reset() -> None:
+    env = sandgait.SandgaitVectorEnv(ID, 2)
+    with pytest.raises(sandgait.OutOfOrder, match="reset"):
+        env.step(np.zeros((2, 6)))
+    env.reset(options={"reset_mask": np.array([True, False])})
+    with pytest.raises(sandgait.OutOfOrder, match="environment 1"):
+        env.step(np.zeros((2, 6)))
+    env.reset(options={"reset_mask": np.array([False, True])})
+    env.step(np.zeros((2, 6)))
+
+
+def test_an_oversized_batch() -> None:
+    with pytest.raises(sandgait.LimitReached, match="num_envs"):
+        sandgait.SandgaitVectorEnv(ID, 2**32 - 1)
+
+
+def test_a_closed_environment() -> None:
+    env = sandgait.SandgaitVectorEnv(ID, 2)
+    env.reset()
+    env.close()
+    with pytest.raises(sandgait.SandgaitError, match="closed"):
+        env.step(np.zeros((2, 6)))
+    with pytest.raises(sandgait.SandgaitError, match="closed"):
+        env.reset()
+
+
+def test_one_clients_mistakes_do_not_reach_another() -> None:
+    """Two sessions in turn: one of them errs in every step."""
+    good, bad, alone = (sandgait.SandgaitVectorEnv(ID, 3) for _ in range(3))
+    for env in (good, bad, alone):
+        env.reset(seed=1)
+    for k in range(10):
+        actions = np.full((3, 6), 0.1 * k)
+        with pytest.raises(sandgait.InvalidRequest):
+            bad.step(actions + 5)
+        assert np.array_equal(good.step(actions)[0], alone.step(actions)[0])

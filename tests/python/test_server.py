@@ -1,0 +1,233 @@
+"""The embedded server's life: it starts by itself and ends with Python, however Python ends."""
+
+from __future__ import annotations
+
+import hashlib
+import multiprocessing
+import os
+import signal
+import stat
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+
+import sandgait
+from conftest import ID
+from sandgait import server
+
+PLAY = f"""
+import hashlib, sys, numpy, sandgait
+from sandgait import server
+env = sandgait.SandgaitVectorEnv({ID!r}, 20, max_episode_steps=30)
+rows = [env.reset(seed=11)[0]]
+for k in range(100):
+    rows += env.step(numpy.sin(numpy.arange(120) + k).reshape(20, 6))[:4]
+print(hashlib.sha256(b"".join(r.tobytes() for r in rows)).hexdigest(), flush=True)
+print(server._server.process.pid, server._server.path, flush=True)
+"""
+
+
+def start(code: str) -> tuple[subprocess.Popen[str], str, int, Path]:
+    """Runs `PLAY` and then `code` in a Python of its own: process, hash of all results, server's pid and socket."""
+    process = subprocess.Popen([sys.executable, "-c", PLAY + code], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    digest = process.stdout.readline().strip()
+    pid, path = process.stdout.readline().split()
+    return process, digest, int(pid), Path(path)
+
+
+def assert_gone(pid: int, path: Path) -> None:
+    deadline = time.monotonic() + 6
+    while time.monotonic() < deadline:
+        try:
+            if Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z":
+                break  # ended; its new parent has not fetched it yet
+            os.kill(pid, 0)
+        except (FileNotFoundError, ProcessLookupError):
+            break
+        time.sleep(0.01)
+    else:
+        pytest.fail(f"the server {pid} outlived its Python by 6 s")
+    assert not path.exists(), "the server removes its socket"
+
+
+@pytest.mark.parametrize(
+    "end",
+    [
+        "env.close()",
+        "",
+        "raise SystemExit(3)",
+        "raise RuntimeError('a crash')",
+        "import os, signal; os.kill(os.getpid(), signal.SIGKILL)",
+        "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)",
+        "import os; os._exit(1)",
+        "import os, signal; env.send(numpy.zeros((20, 6))); os.kill(os.getpid(), signal.SIGKILL)",
+        "import os, time\nif os.fork() == 0: time.sleep(20)\nos.kill(os.getpid(), 9)",
+    ],
+    ids=[
+        "closed",
+        "left open",
+        "exit",
+        "exception",
+        "SIGKILL",
+        "SIGSEGV",
+        "_exit",
+        "SIGKILL in a step",
+        "child lives on",
+    ],
+)
+def test_the_server_ends_with_python(end: str) -> None:
+    process, _, pid, path = start(end)
+    process.wait(10)
+    assert_gone(pid, path)
+    assert process.stdout is not None
+    process.stdout.close()
+
+
+def test_ctrl_c_is_for_python_alone() -> None:
+    """The whole foreground group gets SIGINT; the server must live until Python has done with it."""
+    code = "import time\ntry: time.sleep(60)\nexcept KeyboardInterrupt: env.step(numpy.zeros((20, 6))); print('done')"
+    process = subprocess.Popen(
+        [sys.executable, "-c", PLAY + code], stdout=subprocess.PIPE, text=True, start_new_session=True
+    )
+    assert process.stdout is not None
+    process.stdout.readline()
+    process.stdout.readline()
+    time.sleep(0.2)
+    os.killpg(process.pid, signal.SIGINT)
+    assert process.communicate(timeout=10)[0] == "done\n"
+    assert process.returncode == 0
+
+
+def test_an_interrupted_call_ends_the_session_but_not_python() -> None:
+    """grpc cannot take up a read that was broken off: the next call says so instead of hanging."""
+    code = """
+import signal, threading, os
+env = sandgait.SandgaitVectorEnv(env.task.id, 4096)
+env.reset(seed=0)
+def interrupt(*_): raise KeyboardInterrupt
+signal.signal(signal.SIGALRM, interrupt)
+signal.setitimer(signal.ITIMER_REAL, 0.005, 0.005)
+try:
+    while True: env.step(numpy.zeros((4096, 6)))
+except KeyboardInterrupt: signal.setitimer(signal.ITIMER_REAL, 0)
+try: env.step(numpy.zeros((4096, 6)))
+except (sandgait.SessionLost, sandgait.OutOfOrder) as error: print(type(error).__name__)
+env.close()
+sandgait.SandgaitVectorEnv(env.task.id, 2).reset()
+print("again")
+"""
+    process, *_ = start(code)
+    assert process.communicate(timeout=20)[0].split()[-1] == "again"
+    assert process.returncode == 0
+
+
+def test_equal_seeds_give_equal_bits_in_every_process_and_for_any_number_of_threads() -> None:
+    digests = set()
+    for threads in ("1", "2", "5"):
+        code = PLAY.replace("20, max", "20, sys.argv[1], max")
+        with subprocess.Popen(
+            [server.find_binary(), "serve", "--listen", "127.0.0.1:0", "--threads", threads, "--exit-on-stdin-close"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        ) as other:
+            assert other.stdout is not None
+            address = other.stdout.readline().split()[-1]
+            code = code.split("print(server")[0]
+            run = subprocess.run([sys.executable, "-c", code, address], capture_output=True, text=True, check=True)
+            digests.add(run.stdout.strip())
+            other.kill()
+    process, digest, _, _ = start("")
+    process.communicate(timeout=10)
+    assert digests == {digest}
+
+
+def test_a_killed_server_is_named_and_the_next_environment_starts_another() -> None:
+    env = gymnasium.make_vec(ID, num_envs=2)
+    env.reset()
+    embedded = server._server
+    assert embedded is not None
+    embedded.process.kill()
+    with pytest.raises(sandgait.ServerLost, match="exit code -9"):
+        env.step(np.zeros((2, 6)))
+    another = gymnasium.make_vec(ID, num_envs=2)
+    another.reset()
+    assert server._server is not embedded
+    env.close()
+    another.close()
+
+
+def test_the_socket_is_this_users_alone_and_the_start_is_quick() -> None:
+    start = time.perf_counter()
+    embedded = server.EmbeddedServer()
+    elapsed = time.perf_counter() - start
+    try:
+        assert stat.S_IMODE(os.stat(Path(embedded.path).parent).st_mode) == 0o700
+        assert stat.S_IMODE(os.stat(embedded.path).st_mode) == 0o600
+        assert elapsed < 0.5, "0.02 s on an idle machine"
+    finally:
+        embedded.stop()
+
+
+def test_a_directory_that_others_can_enter_is_refused(
+    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parent = tmp_path_factory.mktemp("t")
+    monkeypatch.setattr("tempfile.tempdir", str(parent))
+    (parent / f"sandgait-{os.getuid()}").mkdir(mode=0o755)
+    with pytest.raises(sandgait.SandgaitError, match="only this user"):
+        server.EmbeddedServer()
+
+
+def test_a_binary_that_is_not_there_or_cannot_serve(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SANDGAIT_BINARY", "/nowhere/sandgait")
+    with pytest.raises(sandgait.SandgaitError, match="SANDGAIT_BINARY"):
+        server.EmbeddedServer()
+    monkeypatch.setenv("SANDGAIT_BINARY", sys.executable)
+    with pytest.raises(sandgait.ServerLost, match=r"could not start.*exit code 2"):
+        server.EmbeddedServer()
+
+
+def forked(env: sandgait.SandgaitVectorEnv, answers: multiprocessing.Queue[str]) -> None:
+    """In a child: the parent's environment says whose it is, a new one works on a server of the child's own."""
+    try:
+        env.step(np.zeros((2, 6)))
+    except sandgait.SandgaitError as error:
+        answers.put(str(error))
+    env.close()
+    own = sandgait.SandgaitVectorEnv(ID, 2)
+    answers.put(hashlib.sha256(own.reset(seed=0)[0].tobytes()).hexdigest())
+
+
+def test_a_forked_child_makes_its_own() -> None:
+    env = sandgait.SandgaitVectorEnv(ID, 2)
+    first = env.reset(seed=0)[0]
+    context = multiprocessing.get_context("fork")
+    answers: multiprocessing.Queue[str] = context.Queue()
+    for _ in range(3):
+        child = context.Process(target=forked, args=(env, answers))
+        child.start()
+        assert "belongs to the process that made it" in answers.get(timeout=20)
+        assert answers.get(timeout=20) == hashlib.sha256(first.tobytes()).hexdigest()
+        child.join(10)
+        assert child.exitcode == 0
+    env.step(np.zeros((2, 6)))
+
+
+def test_gymnasiums_asyncvectorenv_forks_while_a_stream_is_open() -> None:
+    """Without grpc's fork support its children hang."""
+    ours = gymnasium.make_vec(ID, num_envs=2)
+    rows, _ = ours.reset(seed=0)
+    theirs = gymnasium.make_vec(ID, num_envs=2, vectorization_mode="async")
+    assert np.array_equal(theirs.reset(seed=0)[0], rows)
+    actions = np.full((2, 6), 0.4, np.float32)
+    assert np.array_equal(theirs.step(actions)[0], ours.step(actions)[0])
+    theirs.close()
+    ours.close()

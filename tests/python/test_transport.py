@@ -1,0 +1,118 @@
+"""The wire: Unix and TCP sockets, large messages, latency, other clients. Each trap was met once."""
+
+from __future__ import annotations
+
+import os
+import statistics
+import time
+from pathlib import Path
+
+import grpc
+import gymnasium
+import numpy as np
+import pytest
+
+import sandgait
+from conftest import ID, RemoteServer
+from sandgait import client
+
+
+def play(address: str | None, steps: int = 20) -> list[np.ndarray]:
+    env = gymnasium.make_vec(ID, num_envs=3, address=address)
+    rows = [env.reset(seed=0)[0]] + [env.step(np.full((3, 6), 0.2))[0] for _ in range(steps)]
+    env.close()
+    return rows
+
+
+def test_remote_servers_give_the_embedded_ones_numbers(remote: RemoteServer, tmp_path: Path) -> None:
+    """Over a Unix socket a default grpc client dies: its authority is the percent-encoded path (RST_STREAM 1)."""
+    expected = play(None)
+    assert np.array_equal(play(remote.address), expected)
+    with RemoteServer(f"unix:{tmp_path}/a socket") as local:
+        assert local.address.startswith("unix:")
+        assert np.array_equal(play(local.address), expected)
+
+
+def test_tcp_does_not_wait_for_more_to_send(remote: RemoteServer) -> None:
+    """With Nagle's algorithm on, small calls take 44 ms."""
+    env = gymnasium.make_vec(ID, num_envs=2, address=remote.address)
+    env.reset(seed=0)
+    times = []
+    for _ in range(50):
+        start = time.perf_counter()
+        env.step(np.zeros((2, 6)))
+        times.append(time.perf_counter() - start)
+    assert statistics.median(times) < 0.01
+    start = time.perf_counter()
+    sandgait.describe(remote.address)
+    assert time.perf_counter() - start < 0.04 + 0.2, "a connection and a unary call"
+
+
+@pytest.mark.parametrize("over", ["unix", "tcp"])
+def test_messages_beyond_4_mib(over: str, remote: RemoteServer) -> None:
+    """16,384 environments: observations alone are 2.5 MiB, and twice that where every episode ends."""
+    env = sandgait.SandgaitVectorEnv(ID, 16_384, None if over == "unix" else remote.address, max_episode_steps=2)
+    rows, _ = env.reset(seed=0)
+    assert rows.shape == (16_384, 40)
+    actions = np.zeros((16_384, 6), np.float32)
+    env.step(actions)
+    _, _, terminated, truncated, infos = env.step(actions)
+    assert (terminated | truncated).all()
+    assert infos["_final_obs"].all()
+    task = env.task
+    assert 4 * 16_384 * (2 * len(task.observation) + len(task.info)) > client.DEFAULT_MESSAGE_BYTES
+    env.close()
+
+
+def test_a_proxy_of_the_environment_is_not_used(remote: RemoteServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("http_proxy", "https_proxy", "grpc_proxy"):
+        monkeypatch.setenv(name, "http://127.0.0.1:9")
+    monkeypatch.delenv("no_proxy", raising=False)
+    assert sandgait.describe(remote.address)[1]
+
+
+def test_two_clients_of_one_server(remote: RemoteServer) -> None:
+    first, second = (gymnasium.make_vec(ID, num_envs=3, address=remote.address) for _ in range(2))
+    first.reset(seed=0)
+    second.reset(seed=0)
+    for k in range(20):
+        actions = np.full((3, 6), 0.05 * k)
+        assert np.array_equal(first.step(actions)[0], second.step(actions)[0])
+    first.close()
+    second.step(actions)
+    second.close()
+
+
+def test_no_server_there() -> None:
+    with pytest.raises(sandgait.ServerLost, match=r"127\.0\.0\.1:9.*cannot be reached"):
+        gymnasium.make(ID, address="127.0.0.1:9")
+    with pytest.raises(ConnectionError, match="nothing-here"):
+        gymnasium.make(ID, address=f"unix:/tmp/nothing-here-{os.getpid()}")
+
+
+def test_a_server_that_goes_away(remote: RemoteServer) -> None:
+    env = gymnasium.make_vec(ID, num_envs=3, address=remote.address)
+    env.reset()
+    remote.kill()
+    with pytest.raises(sandgait.ServerLost, match=remote.address):
+        env.step(np.zeros((3, 6)))
+    with pytest.raises(sandgait.SessionLost, match="make the environment anew"):
+        env.step(np.zeros((3, 6)))
+    env.close()
+
+
+def test_a_session_takes_one_stream_and_ends_when_closed_by_name(remote: RemoteServer) -> None:
+    env = sandgait.SandgaitVectorEnv(ID, 3, remote.address)
+    name = client.pb.RunSessionRequest(session_id=env._session._id)
+    time.sleep(0.2)  # taken before any reset: a session without a stream lives for 30 s only
+    with client._channel(remote.address, client.DEFAULT_MESSAGE_BYTES) as channel:
+        serialize, parse = client.pb.RunSessionRequest.SerializeToString, client.pb.RunSessionResponse.FromString
+        second = channel.stream_stream(client._method("RunSession"), serialize, parse)(iter([name]))
+        with pytest.raises(grpc.RpcError, match="already has a stream"):
+            next(second)
+        env.reset()
+        request = client.pb.CloseSessionRequest(session_id=env._session._id)
+        client._call(channel, remote.address, "CloseSession", request, client.pb.CloseSessionResponse)
+    with pytest.raises(sandgait.SessionLost, match="the session was closed"):
+        env.step(np.zeros((3, 6)))
+    env.close()

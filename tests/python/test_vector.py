@@ -1,0 +1,197 @@
+"""`gymnasium.make_vec` against gymnasium's own SyncVectorEnv in SAME_STEP mode, value by value."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
+
+import sandgait
+from conftest import ID
+
+
+def make(num_envs: int, **options: Any) -> sandgait.SandgaitVectorEnv:
+    env = gymnasium.make_vec(ID, num_envs=num_envs, vectorization_mode="vector_entry_point", **options)
+    assert isinstance(env, sandgait.SandgaitVectorEnv)
+    return env
+
+
+def synchronous(num_envs: int, **options: Any) -> SyncVectorEnv:
+    def one() -> sandgait.SandgaitEnv:
+        return sandgait.SandgaitEnv(ID, **options)
+
+    return SyncVectorEnv([one] * num_envs, autoreset_mode=AutoresetMode.SAME_STEP)
+
+
+def assert_same(ours: Any, theirs: Any) -> None:
+    """Equal keys and values; `final_obs` is an array of rows and None."""
+    if isinstance(theirs, dict):
+        assert set(ours) == set(theirs)
+        for key in theirs:
+            assert_same(ours[key], theirs[key])
+    elif theirs.dtype == object:
+        assert [row is None for row in ours] == [row is None for row in theirs]
+        assert all(np.array_equal(a, b) for a, b in zip(ours, theirs, strict=True) if b is not None)
+    else:
+        assert ours.shape == theirs.shape
+        assert np.array_equal(ours, theirs)
+
+
+def test_what_make_vec_returns() -> None:
+    env = make(5)
+    assert isinstance(env, VectorEnv)
+    assert env.unwrapped is env
+    assert env.num_envs == 5
+    assert env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    assert env.spec is not None
+    assert env.spec.id == ID
+    assert env.observation_space.shape == (5, *env.single_observation_space.shape)
+    assert env.action_space.shape == (5, 6)
+    assert isinstance(gymnasium.make_vec(ID, num_envs=1), sandgait.SandgaitVectorEnv), "the default mode"
+    env.close()
+    env.close()
+
+
+def test_same_step_semantics_are_syncvectorenvs() -> None:
+    """40 steps of episodes of 12; after a masked reset some steps end no episode, some a few."""
+    ours, theirs = make(4, max_episode_steps=12), synchronous(4, max_episode_steps=12)
+    first, second = ours.reset(seed=5), theirs.reset(seed=5)
+    assert_same(first[0], second[0])
+    assert first[1] == second[1] == {}
+    ours.action_space.seed(1)
+    ended = set()
+    for step in range(40):
+        if step == 5:
+            mask = np.array([True, False, False, True])
+            chosen = [env.reset(seed=[9, 9, 9, 8], options={"reset_mask": mask.copy()})[0] for env in (ours, theirs)]
+            assert_same(*chosen)
+        actions = ours.action_space.sample()
+        mine, reference = ours.step(actions), theirs.step(actions)
+        for a, b in zip(mine, reference, strict=True):
+            assert_same(a, b)
+        ended.add(int(mine[3].sum()))
+    assert ended == {0, 2}
+    ours.close()
+    theirs.close()
+
+
+def test_infos_where_every_episode_ends_at_once() -> None:
+    ours, theirs = make(3, max_episode_steps=1), synchronous(3, max_episode_steps=1)
+    ours.reset(seed=5)
+    theirs.reset(seed=5)
+    actions = np.zeros((3, 6), np.float32)
+    assert_same(ours.step(actions)[4], theirs.step(actions)[4])
+    ours.close()
+    theirs.close()
+
+
+def rollout(env: sandgait.SandgaitVectorEnv, seed: Any, steps: int = 30) -> list[np.ndarray]:
+    """Observations of a fixed, smooth sequence of actions, the same for every environment."""
+    rows = [env.reset(seed=seed)[0]]
+    for k in range(steps):
+        actions = np.tile(np.sin(0.3 * k + np.arange(6)), (env.num_envs, 1))
+        rows.append(env.step(actions)[0])
+    return rows
+
+
+def test_an_environment_depends_on_its_seed_alone() -> None:
+    """Not on its place, nor on how many there are: 37 fill no whole number of lanes."""
+    batch = make(37, max_episode_steps=20)
+    rows = rollout(batch, 100)
+    assert np.array_equal(rows, rollout(batch, list(range(100, 137))))
+    alone = rollout(make(1, max_episode_steps=20), 120)
+    assert np.array_equal([r[20] for r in rows], [r[0] for r in alone])
+    assert not np.array_equal(rows, rollout(batch, 101))
+
+
+def test_none_in_a_list_of_seeds_lets_that_stream_go_on() -> None:
+    mixed, whole = make(2), make(2)
+    mixed.reset(seed=3)
+    whole.reset(seed=3)
+    after = mixed.reset(seed=[None, 50])[0]
+    assert np.array_equal(after[0], whole.reset()[0][0])
+    assert np.array_equal(after[1], whole.reset(seed=50)[0][0])
+
+
+def test_reset_mask_leaves_the_others_alone() -> None:
+    env = make(3)
+    env.reset(seed=0)
+    before = env.step(np.full((3, 6), 0.3))[0]
+    mask = np.array([False, True, False])
+    options = {"reset_mask": mask, "slope_deg": 10.0}
+    after, infos = env.reset(options=options)
+    assert "reset_mask" in options, "the caller's dictionary is the caller's"
+    assert infos == {}
+    assert np.array_equal(before[~mask], after[~mask])
+    assert not np.array_equal(before[mask], after[mask])
+    env.step(np.zeros((3, 6)))
+
+
+@pytest.mark.parametrize(
+    "mask",
+    [[True, False, False], np.array([True, False]), np.array([1, 0, 0]), np.zeros(3, bool)],
+    ids=["list", "shape", "dtype", "empty"],
+)
+def test_a_wrong_reset_mask_is_refused(mask: Any) -> None:
+    env = make(3)
+    with pytest.raises(ValueError, match="reset_mask"):
+        env.reset(options={"reset_mask": mask})
+
+
+def test_two_halves_in_flight_are_one_batch() -> None:
+    halves, whole = (make(4, max_episode_steps=9), make(4, max_episode_steps=9)), make(8, max_episode_steps=9)
+    halves[0].reset(seed=0)
+    halves[1].reset(seed=4)
+    whole.reset(seed=0)
+    whole.action_space.seed(0)
+    for _ in range(20):
+        actions = whole.action_space.sample()
+        halves[0].send(actions[:4])
+        halves[1].send(actions[4:])
+        rows = np.concatenate([half.recv()[0] for half in halves])
+        assert np.array_equal(rows, whole.step(actions)[0])
+
+
+def test_send_and_recv_alternate_and_a_reset_drops_a_step_in_flight() -> None:
+    env = make(2)
+    first, _ = env.reset(seed=0)
+    with pytest.raises(sandgait.OutOfOrder, match="send"):
+        env.recv()
+    env.send(np.zeros((2, 6)))
+    with pytest.raises(sandgait.OutOfOrder, match="recv"):
+        env.send(np.zeros((2, 6)))
+    assert np.array_equal(env.reset(seed=0)[0], first)
+    env.step(np.zeros((2, 6)))
+
+
+def test_results_are_the_callers_to_keep() -> None:
+    env = make(2)
+    kept = env.reset(seed=0)[0]
+    copy = kept.copy()
+    results = [env.step(np.full((2, 6), 0.5)) for _ in range(3)]
+    assert np.array_equal(kept, copy)
+    for array in (kept, *results[0][:4], results[0][4]["speed"]):
+        assert array.flags.writeable
+    assert not np.shares_memory(results[0][0], results[1][0])
+
+
+def test_the_reward_is_the_sum_of_its_terms() -> None:
+    env = make(6)
+    env.reset(seed=0)
+    for _ in range(10):
+        _, rewards, _, _, infos = env.step(env.action_space.sample())
+    terms = [c.name for c in env.task.info[: env.task.reward_terms]]
+    assert all(name.startswith("reward_") for name in terms)
+    assert rewards == pytest.approx(sum(infos[name] for name in terms), abs=1e-6)
+    assert infos["_speed"].all()
+
+
+def test_gymnasiums_vector_wrappers_take_it() -> None:
+    env = gymnasium.wrappers.vector.RecordEpisodeStatistics(make(3, max_episode_steps=5))
+    env.reset(seed=0)
+    for _ in range(5):
+        infos = env.step(np.zeros((3, 6), np.float32))[4]
+    assert list(infos["episode"]["l"]) == [5, 5, 5]
