@@ -1,6 +1,6 @@
 //! `sandgait walk`
 
-use sandgait::sand::Medium;
+use sandgait::sand::{Medium, SandDescription};
 use sandgait::sim::engine::EngineKind;
 use sandgait::sim::model::Scene;
 use sandgait::sim::walk::{Trial, walk};
@@ -31,6 +31,9 @@ pub struct Walk {
     /// Sand: a name from `sandgait media`, or zeta=VALUE
     #[arg(long, default_value = "poppy-loose")]
     medium: String,
+    /// A sand.toml, as a diagnosis writes it, in place of --medium
+    #[arg(long, value_name = "FILE", conflicts_with = "medium")]
+    sand: Option<std::path::PathBuf>,
     /// The surface rises in walking direction [°]
     #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
     slope_deg: f64,
@@ -53,6 +56,9 @@ impl Walk {
         }
         let mut scene = Scene::flat(Medium::named(&self.medium)?);
         (scene.slope_deg, scene.dt) = (self.slope_deg, self.dt);
+        if let Some(sand) = &self.sand {
+            scene.set_sand(&SandDescription::load(sand)?);
+        }
         let engine = EngineKind::named(&self.engine)?;
         let trial = Trial::new(Model::new(&robot, &scene)?, self.frequency);
         let clock = Instant::now();

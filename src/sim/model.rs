@@ -3,7 +3,7 @@
 use super::robot::{Link, Robot, Tripod};
 use crate::error::{Error, Result, check_range};
 use crate::number::Real;
-use crate::sand::{Ground, Law, Mechanisms, Medium, Segment, Shape, Surface};
+use crate::sand::{Ground, Law, Mechanisms, Medium, SandDescription, Segment, Shape, Surface};
 use serde::{Deserialize, Serialize};
 
 pub use crate::sand::GRAVITY;
@@ -43,6 +43,11 @@ impl Scene {
             dt: Self::DEFAULT_DT,
             payload: 0.0,
         }
+    }
+
+    /// Replaces medium, law and mechanisms.
+    pub fn set_sand(&mut self, sand: &SandDescription) {
+        (self.medium, self.law, self.mechanisms) = (sand.medium(), sand.law, sand.mechanisms);
     }
 
     /// Its sand, ready for evaluation.

@@ -163,7 +163,6 @@ impl Robot {
             let mut frame = *base;
             for body in chain {
                 frame = frame.child(body, state.angles[joint], state.rates[joint]);
-                let height = state.position[2];
                 let sand = sand::load(&self.ground, &body.plates, false, &frame, &self.state.position, model.scene.dt);
                 let mut wrench = sand.wrench;
                 wrench.add_at(frame.origin + frame.rotation * body.center, model.gravity * body.mass);
