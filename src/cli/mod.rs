@@ -2,10 +2,12 @@
 //! machine could not do ends with 1.
 
 mod bench;
+mod calibrate;
 mod intrude;
 mod media;
 mod serve;
 mod stress;
+mod sweep;
 mod tasks;
 
 use clap::error::ErrorKind;
@@ -37,6 +39,8 @@ enum Command {
     Intrude(intrude::Intrude),
     Media(media::Media),
     Stress(stress::Stress),
+    Calibrate(calibrate::Calibrate),
+    Sweep(sweep::Sweep),
     Tasks(tasks::Tasks),
 }
 
@@ -69,6 +73,8 @@ fn run(command: Command) -> Result<String> {
         Command::Intrude(c) => c.run(),
         Command::Media(c) => c.run(),
         Command::Stress(c) => c.run(),
+        Command::Calibrate(c) => c.run(),
+        Command::Sweep(c) => c.run(),
         Command::Tasks(c) => c.run(),
     }
 }

@@ -13,6 +13,7 @@ pub mod lanes;
 pub mod model;
 pub mod robot;
 pub mod state;
+pub mod walk;
 
 pub use model::Model;
 pub use robot::Robot;

@@ -1,0 +1,206 @@
+//! The speed protocol: how fast a robot walks at a constant stride frequency, or how still it stands.
+//!
+//! Hold for 0.3 s, ramp the hips' speed up linearly in 0.2 s, turn them at constant speed for two strides, then measure
+//! over four. At frequency 0 the robot stands: settle for 1 s, then measure over 10 s.
+
+use super::engine::{Command, Engine, EngineKind};
+use super::model::GRAVITY;
+use super::{Model, State};
+use crate::error::{Error, Result, check_range};
+use std::f64::consts::TAU;
+
+/// One run of the protocol.
+#[derive(Clone, Debug)]
+pub struct Trial {
+    pub model: Model,
+    /// Turns of the hips per second [Hz]; negative walks backward, 0 stands.
+    pub frequency: f64,
+    /// Added to every hip's starting angle [rad].
+    pub phase: f64,
+}
+
+/// What was measured, over the window that the protocol names; not a number throughout if the simulation diverged.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct WalkResult {
+    /// Net horizontal displacement per time, negative if toward −x [m/s].
+    pub speed: f64,
+    /// Mean height of the base's centre above the surface [m].
+    pub base_height: f64,
+    /// Root mean square of the base's pitch [rad].
+    pub pitch_rms: f64,
+    /// Over all joints [N·m].
+    pub hip_torque_rms: f64,
+    /// Commanded minus actual speed, over all joints [rad/s].
+    pub hip_speed_error_rms: f64,
+    /// ∫ Σ|τ ω| dt over weight times distance; RMS torques and this one are sums over the time steps' ends.
+    pub cost_of_transport: f64,
+    /// Height that the base lost from the window's start to its end [m].
+    pub sink: f64,
+    /// Net horizontal displacement [m].
+    pub drift: f64,
+}
+
+const HOLD: f64 = 0.3;
+const RAMP: f64 = 0.2;
+const STRIDES_BEFORE: f64 = 2.0;
+const STRIDES_MEASURED: f64 = 4.0;
+/// A robot set down on the surface comes to rest within 0.2 s; our choice leaves room for soft sand.
+const SETTLE: f64 = 1.0;
+const STAND: f64 = 10.0;
+/// Commands and samples come this often [s]: fine against a stride, coarse against a time step.
+const TICK: f64 = 1e-3;
+
+impl Trial {
+    pub fn new(model: Model, frequency: f64) -> Self {
+        Self { model, frequency, phase: 0.0 }
+    }
+
+    /// Start and end of the measurement [s].
+    fn window(&self) -> [f64; 2] {
+        if self.frequency == 0.0 {
+            return [SETTLE, SETTLE + STAND];
+        }
+        let start = HOLD + RAMP + STRIDES_BEFORE / self.frequency.abs();
+        [start, start + STRIDES_MEASURED / self.frequency.abs()]
+    }
+
+    /// Speed of the hips [rad/s] at `time` [s].
+    fn hip_speed(&self, time: f64) -> f64 {
+        TAU * self.frequency * ((time - HOLD) / RAMP).clamp(0.0, 1.0)
+    }
+
+    /// Refuses what the protocol cannot run.
+    pub fn validate(&self) -> Result<()> {
+        // Slower than one stride in 50 s or faster than 20 Hz is far from any walk: our choice of guard.
+        check_range("frequency", self.frequency, -20.0..=20.0)?;
+        if self.frequency != 0.0 && self.frequency.abs() < 0.02 {
+            return Err(Error::invalid("frequency", format!("{} is neither 0 nor at least 0.02 Hz", self.frequency)));
+        }
+        check_range("phase", self.phase, -TAU..=TAU)?;
+        if self.frequency != 0.0 && self.model.legs.iter().any(|l| l.len() != 1) {
+            let reason = "the protocol turns hips at constant speed, so every leg must have one joint";
+            return Err(Error::invalid("robot", reason));
+        }
+        Ok(())
+    }
+
+    fn start(&self) -> State {
+        let angles: Vec<f64> = match self.model.legs.iter().all(|l| l.len() == 1) {
+            true => self.model.tripod_angles().iter().map(|a| a + self.phase).collect(),
+            false => vec![0.0; self.model.joints()],
+        };
+        State::at_rest(self.model.standing_height(&angles), &angles)
+    }
+}
+
+/// Runs one trial.
+pub fn walk(kind: EngineKind, trial: &Trial) -> Result<WalkResult> {
+    let results = walk_many(kind, std::slice::from_ref(trial))?;
+    results.first().copied().ok_or_else(|| Error::invalid("trials", "none"))
+}
+
+/// Runs `trials` side by side in one engine; all robots must have the same number of joints and plates.
+pub fn walk_many(kind: EngineKind, trials: &[Trial]) -> Result<Vec<WalkResult>> {
+    let Some(first) = trials.first() else { return Ok(Vec::new()) };
+    let mut engine = Engine::new(kind, &first.model, trials.len())?;
+    for (i, trial) in trials.iter().enumerate() {
+        trial.validate()?;
+        if trial.model.joints() != first.model.joints() || trial.model.scene.dt != first.model.scene.dt {
+            return Err(Error::invalid("trials", "robots that walk side by side need equal joints and time steps"));
+        }
+        engine.set_model(i, &trial.model);
+        engine.set_state(i, &trial.start());
+    }
+    let dt = first.model.scene.dt;
+    let stride = (TICK / dt).round().max(1.0) as usize;
+    let tick = stride as f64 * dt;
+    let end = trials.iter().map(|t| t.window()[1]).fold(0.0, f64::max);
+    let mut meters: Vec<_> = trials.iter().map(Meter::new).collect();
+    let mut command = Command::still(first.model.joints());
+    for k in 0..=(end / tick).ceil() as usize {
+        let time = k as f64 * tick;
+        for (i, meter) in meters.iter_mut().enumerate() {
+            // The speed in the middle of the tick: the ramp's integral is exact.
+            command.rates.fill(meter.trial.hip_speed(time + 0.5 * tick));
+            engine.command(i, &command);
+        }
+        engine.advance(stride);
+        for (i, meter) in meters.iter_mut().enumerate() {
+            meter.sample(&engine, i, time + tick, tick);
+        }
+    }
+    Ok(meters.into_iter().map(Meter::result).collect())
+}
+
+/// Gathers one trial's measurements.
+struct Meter<'a> {
+    trial: &'a Trial,
+    now: State,
+    /// Position and work at the window's start and end.
+    ends: [Option<([f64; 3], f64)>; 2],
+    samples: f64,
+    height: f64,
+    pitch_squared: f64,
+    torque_squared: f64,
+    error_squared: f64,
+}
+
+impl<'a> Meter<'a> {
+    fn new(trial: &'a Trial) -> Self {
+        Self {
+            trial,
+            now: trial.start(),
+            ends: [None; 2],
+            samples: 0.0,
+            height: 0.0,
+            pitch_squared: 0.0,
+            torque_squared: 0.0,
+            error_squared: 0.0,
+        }
+    }
+
+    /// Takes the state of robot `index` at `time`, one `tick` [s] after the last.
+    fn sample(&mut self, engine: &Engine, index: usize, time: f64, tick: f64) {
+        let window = self.trial.window();
+        if time < window[0] || self.ends[1].is_some() {
+            return;
+        }
+        let before = self.now.work;
+        engine.state(index, &mut self.now);
+        let now = &self.now;
+        for (end, at) in self.ends.iter_mut().zip(window) {
+            if end.is_none() && time >= at {
+                // The window's ends lie within a tick: go back with the present velocity.
+                let back = time - at;
+                let place = [0, 1, 2].map(|i| now.position[i] - back * now.velocity[i]);
+                *end = Some((place, now.work - (now.work - before) * back / tick));
+            }
+        }
+        let joints = now.rates.len() as f64;
+        let target = self.trial.hip_speed(time - 0.5 * tick);
+        self.samples += 1.0;
+        self.height += now.position[2];
+        self.pitch_squared += now.rotation()[2][0].clamp(-1.0, 1.0).asin().powi(2);
+        self.torque_squared += now.torques.iter().map(|t| t * t).sum::<f64>() / joints;
+        self.error_squared += now.rates.iter().map(|r| (target - r).powi(2)).sum::<f64>() / joints;
+    }
+
+    fn result(self) -> WalkResult {
+        let nan = ([f64::NAN; 3], f64::NAN);
+        let sound = self.now.is_sound();
+        let [(from, work_from), (to, work_to)] = self.ends.map(|e| e.filter(|_| sound).unwrap_or(nan));
+        let [start, end] = self.trial.window();
+        let drift = (to[0] - from[0]).hypot(to[1] - from[1]);
+        let mean = |sum: f64| if sound { sum / self.samples } else { f64::NAN };
+        WalkResult {
+            speed: drift.copysign(to[0] - from[0]) / (end - start),
+            base_height: mean(self.height),
+            pitch_rms: mean(self.pitch_squared).sqrt(),
+            hip_torque_rms: mean(self.torque_squared).sqrt(),
+            hip_speed_error_rms: mean(self.error_squared).sqrt(),
+            cost_of_transport: (work_to - work_from) / (self.trial.model.total_mass() * GRAVITY * drift),
+            sink: from[2] - to[2],
+            drift,
+        }
+    }
+}
