@@ -9,6 +9,7 @@ mod serve;
 mod stress;
 mod sweep;
 mod tasks;
+mod walk;
 
 use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
@@ -27,6 +28,7 @@ struct Cli {
 
 const EXAMPLES: &str = "Examples:
   sandgait serve --listen unix:/tmp/sand.sock
+  sandgait walk --leg L --frequency 2
   sandgait intrude --shape L --csv force.csv
   sandgait tasks --json
 
@@ -35,6 +37,7 @@ Each command has its own --help with more examples.";
 #[derive(Subcommand)]
 enum Command {
     Serve(serve::Serve),
+    Walk(walk::Walk),
     Bench(bench::Bench),
     Intrude(intrude::Intrude),
     Media(media::Media),
@@ -69,6 +72,7 @@ pub fn main() -> ExitCode {
 fn run(command: Command) -> Result<String> {
     match command {
         Command::Serve(c) => c.run(),
+        Command::Walk(c) => c.run(),
         Command::Bench(c) => c.run(),
         Command::Intrude(c) => c.run(),
         Command::Media(c) => c.run(),

@@ -2,9 +2,13 @@
 
 use sandgait::service::{self, Address, Limits, Listener};
 use sandgait::{Error, Result};
-use std::io::{Read as _, Write as _};
+use std::io::{IsTerminal as _, Read as _, Write as _};
+use std::time::Duration;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio_util::sync::CancellationToken;
+
+/// How long a request that is being prepared may hold up the end of the process.
+const GRACE: Duration = Duration::from_millis(500);
 
 /// Serve environments over gRPC until SIGTERM or Ctrl-C.
 ///
@@ -36,11 +40,13 @@ impl Serve {
             return Err(Error::invalid("--listen", reason));
         }
         let filter = tracing_subscriber::EnvFilter::try_from_env("SANDGAIT_LOG").unwrap_or_else(|_| "info".into());
-        tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+        let colour = std::io::stderr().is_terminal();
+        tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(colour).init();
         let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
         let runtime = runtime.map_err(|e| Error::Exhausted(format!("cannot start threads: {e}")))?;
-        runtime.block_on(self.serve())?;
-        Ok(String::new())
+        let served = runtime.block_on(self.serve());
+        runtime.shutdown_timeout(GRACE);
+        served.map(|()| String::new())
     }
 
     async fn serve(self) -> Result<()> {

@@ -4,11 +4,13 @@
 //!
 //! * [`spec`]: observation, action and info tables; they generate vectors, replies, Python spaces and docs.
 //! * [`task`]: the trait a task implements, and the registry.
-//! * [`gait`]: the task `sandgait/HexapodGait-v0`.
+//! * [`locomotion`]: what walking tasks share; [`gait`]: the task HexapodGait, [`legs`]: HexapodLegs.
 //! * [`shard`]: environments that advance together on one engine; reset, step, autoreset.
 //! * [`random`]: the stream of random numbers of an episode.
 
 pub mod gait;
+pub mod legs;
+pub mod locomotion;
 pub mod options;
 pub mod random;
 pub mod shard;

@@ -6,10 +6,13 @@ use crate::sim::engine::EngineKind;
 use crate::sim::model::Scene;
 use crate::sim::{Model, Robot};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
-use serde_json::Value;
+use serde_json::{Map, Value};
 
 /// Largest speed that can be commanded, either way [m/s].
 pub const MAX_COMMAND: f64 = 2.0;
+
+/// Largest yaw speed that can be commanded, either way [rad/s].
+pub const MAX_TURN: f64 = 3.0;
 
 /// Options of a locomotion task, fixed for a session unless a reset changes them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -25,10 +28,12 @@ pub struct TaskOptions {
     pub torque_limit: f64,
     /// Commanded speed [m/s] is drawn from this range at every reset.
     pub command: [f64; 2],
-    /// Spread of the initial hip angles around the tripod's [rad], uniform ±.
+    /// Commanded yaw speed [rad/s], likewise; tasks without a turning command go straight.
+    pub turn: [f64; 2],
+    /// Spread of the initial joint angles around the tripod's [rad], uniform ±.
     pub angle_noise: f64,
     /// Weights of the reward's terms.
-    pub weights: super::gait::Weights,
+    pub weights: super::locomotion::Weights,
     /// Leg shape: L, revL, C, revC, flat or xi=DEGREES.
     pub leg: String,
     /// Medium's name or zeta=VALUE.
@@ -49,6 +54,7 @@ impl Default for TaskOptions {
             dt: Scene::DEFAULT_DT,
             torque_limit: 0.05,
             command: [0.1, 0.4],
+            turn: [0.0, 0.0],
             angle_noise: 0.2,
             weights: Default::default(),
             leg: "L".into(),
@@ -69,22 +75,24 @@ pub struct ResetOptions {
     pub slope_deg: Option<f64>,
     pub payload: Option<f64>,
     pub command: Option<[f64; 2]>,
+    pub turn: Option<[f64; 2]>,
 }
 
 impl ResetOptions {
     /// Names of the keywords, for tables.
-    pub const NAMES: [&'static str; 5] = ["leg", "medium", "slope_deg", "payload", "command"];
+    pub const NAMES: [&'static str; 6] = ["leg", "medium", "slope_deg", "payload", "command", "turn"];
 }
 
 /// What each keyword means, in the order of [`TaskOptions`].
-pub const OPTION_HELP: [(&str, &str); 13] = [
+pub const OPTION_HELP: [(&str, &str); 14] = [
     ("robot", "built-in robot"),
     ("engine", "engine that integrates the motion"),
     ("law", "resistive force law"),
     ("dt", "time step [s]"),
     ("torque_limit", "largest servo torque [N·m]"),
     ("command", "range [low, high] the commanded speed is drawn from [m/s]"),
-    ("angle_noise", "initial hip angles are uniform within ± this around the tripod's [rad]"),
+    ("turn", "range [low, high] the commanded yaw speed is drawn from [rad/s]"),
+    ("angle_noise", "initial joint angles are uniform within ± this around the tripod's [rad]"),
     ("weights", "weight of each reward term"),
     ("leg", "leg shape: L, revL, C, revC, flat or xi=DEGREES"),
     ("medium", "sand: a medium's name or zeta=VALUE"),
@@ -93,12 +101,41 @@ pub const OPTION_HELP: [(&str, &str); 13] = [
     ("max_episode_steps", "control steps until an episode is truncated"),
 ];
 
-/// Reads keywords from JSON; errors name the keyword.
-pub fn parse<T: DeserializeOwned>(value: Value) -> Result<T> {
-    serde_json::from_value(value).map_err(|e| Error::invalid("options", e.to_string()))
+/// Reads keywords, all of which have defaults, from a JSON object (null: none are given); errors name the keyword.
+pub fn parse<T: DeserializeOwned>(keywords: Value) -> Result<T> {
+    let keywords = match keywords {
+        Value::Object(keywords) => keywords,
+        Value::Null => Map::new(),
+        _ => return Err(Error::invalid("options", "not an object of keywords")),
+    };
+    let read = |keywords| serde_json::from_value(Value::Object(keywords));
+    read(keywords.clone()).map_err(|whole: serde_json::Error| {
+        // serde does not say where a value of the wrong type stood: try the keywords one by one.
+        let wrong = keywords.into_iter().find_map(|(key, value)| {
+            let alone = read(Map::from_iter([(key.clone(), value)]));
+            alone.err().map(|e| Error::invalid(key, e.to_string()))
+        });
+        wrong.unwrap_or_else(|| Error::invalid("options", whole.to_string()))
+    })
 }
 
 impl TaskOptions {
+    /// The defaults `self` with the keywords in `given` (a JSON object, or null for none).
+    pub fn with(&self, given: Value) -> Result<Self> {
+        let mut all = serde_json::to_value(self).map_err(|e| Error::invalid("options", e.to_string()))?;
+        let given = match given {
+            Value::Object(given) => given,
+            Value::Null => Map::new(),
+            _ => return Err(Error::invalid("options", "not an object of keywords")),
+        };
+        for (name, value) in given {
+            let known = OPTION_HELP.map(|(name, _)| name);
+            let slot = all.get_mut(&name).ok_or_else(|| Error::unknown("option", &name, &known))?;
+            *slot = value;
+        }
+        parse(all)
+    }
+
     /// These options with a reset's changes.
     pub fn changed(&self, reset: &ResetOptions) -> Self {
         let mut new = self.clone();
@@ -107,6 +144,7 @@ impl TaskOptions {
         new.slope_deg = reset.slope_deg.unwrap_or(new.slope_deg);
         new.payload = reset.payload.unwrap_or(new.payload);
         new.command = reset.command.unwrap_or(new.command);
+        new.turn = reset.turn.unwrap_or(new.turn);
         new
     }
 
@@ -115,6 +153,9 @@ impl TaskOptions {
         let [low, high] = self.command;
         check_range("command[0]", low, -MAX_COMMAND..=MAX_COMMAND)?;
         check_range("command[1]", high, low..=MAX_COMMAND)?;
+        let [low, high] = self.turn;
+        check_range("turn[0]", low, -MAX_TURN..=MAX_TURN)?;
+        check_range("turn[1]", high, low..=MAX_TURN)?;
         check_range("angle_noise", self.angle_noise, 0.0..=std::f64::consts::PI)?;
         check_range("max_episode_steps", f64::from(self.max_episode_steps), 1.0..=1e6)?;
         self.weights.validate()?;

@@ -95,7 +95,7 @@ impl Shard {
             seed: 0,
             number: 0,
             steps: 0,
-            goal: Goal { speed: 0.0 },
+            goal: Goal { speed: 0.0, turn: 0.0 },
             before: State::at_rest(0.0, &vec![0.0; model.joints()]),
             after: State::at_rest(0.0, &vec![0.0; model.joints()]),
             last_action: vec![0.0; spec.action.len()],

@@ -1,7 +1,8 @@
 //! What a task is, and which there are.
 
 use super::gait::HexapodGait;
-use super::options::{ResetOptions, TaskOptions, parse};
+use super::legs::HexapodLegs;
+use super::options::{ResetOptions, TaskOptions};
 use super::random::Random;
 use super::spec::Spec;
 use crate::error::{Error, Result};
@@ -15,6 +16,8 @@ use std::sync::Arc;
 pub struct Goal {
     /// Commanded forward speed [m/s].
     pub speed: f64,
+    /// Commanded yaw speed [rad/s].
+    pub turn: f64,
 }
 
 /// What one environment may have been told by a reset: its own options and the model they make.
@@ -75,22 +78,32 @@ pub struct Blueprint {
     pub setup: Setup,
 }
 
-/// States, options and bookkeeping of an episode [bytes], measured by allocating 10,000 of them.
+/// States, options and bookkeeping of an episode [bytes], and its share of the messages in flight; measured.
 const EPISODE_BYTES: usize = 2_000;
 
 /// Ids of all tasks.
-pub const TASK_IDS: [&str; 1] = [HexapodGait::ID];
+pub const TASK_IDS: [&str; 2] = [HexapodGait::ID, HexapodLegs::ID];
 
 impl Blueprint {
     /// Task `id` with the keywords in `options` (a JSON object; null for defaults).
     pub fn new(id: &str, options: Value) -> Result<Self> {
-        if !TASK_IDS.contains(&id) {
-            return Err(Error::unknown("task", id, &TASK_IDS));
-        }
-        let options: TaskOptions = if options.is_null() { TaskOptions::default() } else { parse(options)? };
+        let defaults = match id {
+            HexapodGait::ID => TaskOptions::default(),
+            HexapodLegs::ID => TaskOptions { robot: "xplorer18".into(), leg: "flat".into(), ..Default::default() },
+            _ => return Err(Error::unknown("task", id, &TASK_IDS)),
+        };
+        let options = defaults.with(options)?;
         let engine = options.engine;
         let setup = Setup::new(options)?;
-        let task = Arc::new(HexapodGait::new(&setup)?);
+        let task: Arc<dyn Task> = match id {
+            HexapodLegs::ID => Arc::new(HexapodLegs::new(&setup)?),
+            _ => Arc::new(HexapodGait::new(&setup)?),
+        };
+        let period = 1.0 / task.spec().control_rate;
+        let (dt, steps) = (setup.options.dt, period / setup.options.dt);
+        if (steps - steps.round()).abs() > 1e-6 * steps {
+            return Err(Error::invalid("dt", format!("{dt} does not divide the control period {period} s")));
+        }
         Ok(Self { task, engine, setup })
     }
 

@@ -8,7 +8,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
-/// Called once, on a worker thread, when a batch has run.
+/// Called on a worker thread when a batch has run; never if the pool ends before.
 type Done = Box<dyn FnOnce(Result<Batch>) + Send>;
 
 /// A batch whose shards are being handed out.
@@ -111,8 +111,13 @@ impl Pool {
 }
 
 impl Drop for Pool {
+    /// Waits for the shards that are running. What still waits in the queue is dropped, its `done` uncalled.
     fn drop(&mut self) {
-        self.shared.lock().closed = true;
+        let mut queue = self.shared.lock();
+        queue.closed = true;
+        let abandoned = (std::mem::take(&mut queue.jobs), std::mem::take(&mut queue.pending));
+        drop(queue);
+        drop(abandoned);
         self.shared.work.notify_all();
         for worker in self.workers.drain(..) {
             // A worker catches panics of the work it runs; there is nothing to pass on.

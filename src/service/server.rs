@@ -12,8 +12,8 @@ use tokio_stream::{Stream, StreamExt as _};
 use tokio_util::sync::CancellationToken;
 use tonic::transport::server::{Connected, TcpIncoming};
 
-/// How long connections may take to end once the server stops [s]; a step in flight takes milliseconds.
-const GRACE: Duration = Duration::from_secs(4);
+/// How long connections may take to end once the server stops; a step in flight takes milliseconds.
+const GRACE: Duration = Duration::from_secs(3);
 
 /// A TCP peer that is silent for this long is asked for a sign of life, and dropped if it gives none as long.
 const KEEPALIVE: Duration = Duration::from_secs(60);

@@ -116,7 +116,8 @@ impl Sessions {
         let blueprint = Blueprint::new(task, options)?;
         let reservation = self.reserve(envs * blueprint.bytes_per_env())?;
         let environments = Environments { batch: Batch::new(&blueprint, envs)?, reservation };
-        // 128 random bits: nobody else can guess it.
+        tracing::debug!(task, envs, "a session was created");
+        // 128 random bits: nobody else can guess it, and it is not logged.
         let id = format!("{:032x}", rand::random::<u128>());
         let entry = Entry { environments: Some(environments), end: self.stop.child_token() };
         lock(&self.entries).insert(id.clone(), entry);
@@ -151,6 +152,7 @@ impl Sessions {
     /// Ends a session, whether or not a stream holds it.
     pub fn close(&self, id: &str) -> Result<()> {
         let entry = lock(&self.entries).remove(id).ok_or_else(|| unknown(id))?;
+        tracing::debug!("a session was closed");
         entry.end.cancel();
         release(entry.environments);
         Ok(())
@@ -167,7 +169,7 @@ impl Sessions {
             let entry = entries.remove(&id);
             drop(entries);
             release(entry.and_then(|e| e.environments));
-            tracing::debug!(session = id, "expired before a stream was opened");
+            tracing::debug!("a session expired before it had a stream");
         }
     }
 }

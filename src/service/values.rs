@@ -7,18 +7,17 @@ use serde_json::{Map, Number, Value};
 /// Integers up to here are exact in the f64 that protobuf carries numbers in.
 const EXACT: f64 = 9_007_199_254_740_992.0;
 
-/// `None` and an empty struct both mean: nothing given.
+/// Keywords of a request; `None` and an empty struct both mean that none are given.
 pub fn to_json(options: Option<prost_types::Struct>) -> Result<Value> {
     options.map_or_else(|| Ok(Value::Object(Map::new())), |s| object("options", s))
 }
 
 fn object(path: &str, s: prost_types::Struct) -> Result<Value> {
-    let entry = |(key, value)| Ok((key, value));
-    let convert = |(key, value): (String, prost_types::Value)| {
+    let field = |(key, value)| {
         let value = json(&format!("{path}.{key}"), value)?;
-        entry((key, value))
+        Ok((key, value))
     };
-    s.fields.into_iter().map(convert).collect::<Result<Map<_, _>>>().map(Value::Object)
+    s.fields.into_iter().map(field).collect::<Result<_>>().map(Value::Object)
 }
 
 /// `path` names the value in errors. Depth is bounded: the protobuf decoder refuses more than 100 levels.

@@ -1,6 +1,7 @@
 //! The seam between a model and the code that integrates it. Nothing above this file knows which engine runs.
 
 use super::lanes::LanesEngine;
+use super::rapier::RapierEngine;
 use super::{Model, State};
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -10,14 +11,17 @@ use serde::{Deserialize, Serialize};
 pub enum EngineKind {
     /// Our own articulated-body dynamics over SIMD lanes; see [`super::lanes`].
     Lanes,
+    /// rapier3d multibodies, one world a robot: the oracle of the other, and the one for rigid obstacles; see [`super::rapier`].
+    Rapier,
 }
 
 impl EngineKind {
-    pub const ALL: [Self; 1] = [Self::Lanes];
+    pub const ALL: [Self; 2] = [Self::Lanes, Self::Rapier];
 
     pub fn name(self) -> &'static str {
         match self {
             Self::Lanes => "lanes",
+            Self::Rapier => "rapier",
         }
     }
 
@@ -25,13 +29,16 @@ impl EngineKind {
     pub fn shard_size(self) -> usize {
         match self {
             Self::Lanes => 16,
+            Self::Rapier => 1,
         }
     }
 
-    /// Memory of one robot [bytes], roughly.
+    /// Memory of one robot [bytes]: resident memory of a session of thousands of environments, less what an episode
+    /// takes.
     pub fn robot_bytes(self) -> usize {
         match self {
-            Self::Lanes => 10_000,
+            Self::Lanes => 4_000,
+            Self::Rapier => 86_000,
         }
     }
 
@@ -59,6 +66,7 @@ impl Command {
 /// Robots that advance together, each on its own sand.
 pub enum Engine {
     Lanes(LanesEngine),
+    Rapier(RapierEngine),
 }
 
 impl Engine {
@@ -66,6 +74,7 @@ impl Engine {
     pub fn new(kind: EngineKind, model: &Model, count: usize) -> Result<Self> {
         Ok(match kind {
             EngineKind::Lanes => Self::Lanes(LanesEngine::new(model, count)?),
+            EngineKind::Rapier => Self::Rapier(RapierEngine::new(model, count)),
         })
     }
 
@@ -73,12 +82,14 @@ impl Engine {
     pub fn set_model(&mut self, index: usize, model: &Model) {
         match self {
             Self::Lanes(e) => e.set_model(index, model),
+            Self::Rapier(e) => e.set_model(index, model),
         }
     }
 
     pub fn set_state(&mut self, index: usize, state: &State) {
         match self {
             Self::Lanes(e) => e.set_state(index, state),
+            Self::Rapier(e) => e.set_state(index, state),
         }
     }
 
@@ -86,12 +97,14 @@ impl Engine {
     pub fn state(&self, index: usize, out: &mut State) {
         match self {
             Self::Lanes(e) => e.state(index, out),
+            Self::Rapier(e) => e.state(index, out),
         }
     }
 
     pub fn command(&mut self, index: usize, command: &Command) {
         match self {
             Self::Lanes(e) => e.command(index, command),
+            Self::Rapier(e) => e.command(index, command),
         }
     }
 
@@ -99,6 +112,7 @@ impl Engine {
     pub fn advance(&mut self, steps: usize) {
         match self {
             Self::Lanes(e) => e.advance(steps),
+            Self::Rapier(e) => e.advance(steps),
         }
     }
 }

@@ -7,10 +7,13 @@
 //! * [`state`]: positions and velocities of one robot.
 //! * [`engine`]: the seam; everything above sees only this.
 //! * [`lanes`]: the fast engine, articulated bodies over SIMD lanes of robots.
+//! * [`rapier`]: rapier3d multibodies, one world a robot.
+//! * [`walk`]: the speed protocol of the reference experiments.
 
 pub mod engine;
 pub mod lanes;
 pub mod model;
+pub mod rapier;
 pub mod robot;
 pub mod state;
 pub mod walk;

@@ -32,7 +32,7 @@ pub struct WalkResult {
     pub hip_torque_rms: f64,
     /// Commanded minus actual speed, over all joints [rad/s].
     pub hip_speed_error_rms: f64,
-    /// ∫ Σ|τ ω| dt over weight times distance; RMS torques and this one are sums over the time steps' ends.
+    /// ∫ Σ|τ ω| dt over weight times distance.
     pub cost_of_transport: f64,
     /// Height that the base lost from the window's start to its end [m].
     pub sink: f64,
@@ -62,6 +62,11 @@ impl Trial {
         }
         let start = HOLD + RAMP + STRIDES_BEFORE / self.frequency.abs();
         [start, start + STRIDES_MEASURED / self.frequency.abs()]
+    }
+
+    /// Simulated time that the trial takes [s].
+    pub fn duration(&self) -> f64 {
+        self.window()[1]
     }
 
     /// Speed of the hips [rad/s] at `time` [s].

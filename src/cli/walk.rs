@@ -1,0 +1,84 @@
+//! `sandgait walk`
+
+use sandgait::sand::Medium;
+use sandgait::sim::engine::EngineKind;
+use sandgait::sim::model::Scene;
+use sandgait::sim::walk::{Trial, walk};
+use sandgait::sim::{Model, Robot};
+use sandgait::{Error, Result};
+use serde_json::json;
+use std::time::Instant;
+
+/// Walk with an alternating tripod at constant stride frequency and measure the speed.
+///
+/// The speed is taken over four strides, after two. At frequency 0 the robot stands for 10 s, and how far it sinks and
+/// drifts is measured.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:
+  sandgait walk --leg L --frequency 2
+  sandgait walk --leg revC --frequency 3 --medium poppy-close --slope-deg 5 --json
+  sandgait walk --robot mine.toml --frequency 0        (stand still)")]
+pub struct Walk {
+    /// Leg: L, revL, C, revC, flat or xi=DEGREES; the robot's own if not given
+    #[arg(long)]
+    leg: Option<String>,
+    /// Turns of the hips a second [Hz]; negative walks backward, 0 stands
+    #[arg(long, value_name = "HZ", allow_negative_numbers = true)]
+    frequency: f64,
+    /// Engine that integrates the motion
+    #[arg(long, default_value = "lanes")]
+    engine: String,
+    /// Sand: a name from `sandgait media`, or zeta=VALUE
+    #[arg(long, default_value = "poppy-loose")]
+    medium: String,
+    /// The surface rises in walking direction [°]
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
+    slope_deg: f64,
+    /// Time step [s]
+    #[arg(long, value_name = "S", default_value_t = Scene::DEFAULT_DT)]
+    dt: f64,
+    /// A built-in robot or a FILE.toml
+    #[arg(long, default_value = "xplorer")]
+    robot: String,
+    /// Machine-readable
+    #[arg(long)]
+    json: bool,
+}
+
+impl Walk {
+    pub fn run(self) -> Result<String> {
+        let mut robot = Robot::load(&self.robot)?;
+        if let Some(leg) = &self.leg {
+            robot = robot.with_leg_shape(leg)?;
+        }
+        let mut scene = Scene::flat(Medium::named(&self.medium)?);
+        (scene.slope_deg, scene.dt) = (self.slope_deg, self.dt);
+        let engine = EngineKind::named(&self.engine)?;
+        let trial = Trial::new(Model::new(&robot, &scene)?, self.frequency);
+        let clock = Instant::now();
+        let result = walk(engine, &trial)?;
+        let real_time_factor = trial.duration() / clock.elapsed().as_secs_f64();
+        if !result.speed.is_finite() {
+            return Err(Error::Exhausted("the simulation diverged; try a smaller --dt".into()));
+        }
+        if self.json {
+            return Ok(super::json(&json!({
+                "engine": engine.name(),
+                "frequency": self.frequency,
+                "speed": result.speed,
+                "base_height": result.base_height,
+                "sink": result.sink,
+                "drift": result.drift,
+                "pitch_rms": result.pitch_rms,
+                "hip_torque_rms": result.hip_torque_rms,
+                "cost_of_transport": (self.frequency != 0.0).then_some(result.cost_of_transport),
+                "real_time_factor": real_time_factor,
+            })));
+        }
+        let pace = format!("({real_time_factor:.0} times real time)");
+        Ok(match self.frequency {
+            0.0 => format!("sinks {:.4} mm, drifts {:.4} mm in 10 s {pace}\n", result.sink * 1e3, result.drift * 1e3),
+            _ => format!("{:.4} m/s, base at {:.1} mm {pace}\n", result.speed, result.base_height * 1e3),
+        })
+    }
+}

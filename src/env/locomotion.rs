@@ -1,0 +1,139 @@
+//! What every walking task shares: reward terms, how episodes begin and end, and the base's part of the observation.
+
+use super::options::{MAX_COMMAND, TaskOptions};
+use super::random::Random;
+use super::spec::Column;
+use super::task::{Goal, Setup, Transition};
+use crate::error::{Result, check_range};
+use crate::sim::State;
+use serde::{Deserialize, Serialize};
+
+/// Control steps a second: 50, usual for legged robots of this size.
+pub const CONTROL_RATE: f64 = 50.0;
+
+/// The base's centre this far under the surface [m] counts as buried: half the reference base's height.
+const BURIED: f64 = -0.015;
+
+/// Bounds of the observation, some three times what random hip speeds reach on a slope of 20°; what goes beyond is
+/// clipped. gymnasium warns of spaces without bounds.
+const BASE_SPEED: f64 = 5.0; // [m/s]
+const BASE_TURN: f64 = 100.0; // [rad/s]
+
+/// Numbers of the base in an observation row.
+pub const BASE_COLUMNS: usize = 9;
+
+/// Weight of each reward term; all terms are of order 1 a step before weighting. Our choice: tracking dominates, the
+/// others only break ties between gaits of the same speed.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Weights {
+    /// exp(−((v − v_cmd)/0.1 m/s)²), v the base's mean forward speed over the control step.
+    pub tracking: f64,
+    /// −(lateral speed / 0.1 m/s)², at least −1.
+    pub lateral: f64,
+    /// −((ω_z − ω_cmd) / 1 rad/s)², at least −1.
+    pub turning: f64,
+    /// −mechanical power / 1 W, at least −1.
+    pub power: f64,
+    /// −mean squared change of action.
+    pub smoothness: f64,
+}
+
+impl Default for Weights {
+    fn default() -> Self {
+        Self { tracking: 1.0, lateral: 0.1, turning: 0.05, power: 0.1, smoothness: 0.05 }
+    }
+}
+
+impl Weights {
+    /// Name and value, in the order of the info columns.
+    pub fn named(&self) -> [(&'static str, f64); 5] {
+        [
+            ("tracking", self.tracking),
+            ("lateral", self.lateral),
+            ("turning", self.turning),
+            ("power", self.power),
+            ("smoothness", self.smoothness),
+        ]
+    }
+
+    pub fn validate(&self) -> Result<()> {
+        self.named().iter().try_for_each(|(name, w)| check_range(&format!("weights.{name}"), *w, 0.0..=1e3).map(drop))
+    }
+}
+
+/// Gravity's direction and the base's velocities, all in the body frame.
+pub fn base_columns() -> Vec<Column> {
+    let columns = [
+        Column::xyz("gravity direction, body frame,", "1", 1.0),
+        Column::xyz("base velocity, body frame,", "m/s", BASE_SPEED),
+        Column::xyz("base angular velocity, body frame,", "rad/s", BASE_TURN),
+    ];
+    columns.concat()
+}
+
+/// Fills [`base_columns`].
+pub fn observe_base(state: &State, row: &mut [f32]) {
+    let r = state.rotation();
+    let body = |v: [f64; 3]| [0, 1, 2].map(|i| r[0][i] * v[0] + r[1][i] * v[1] + r[2][i] * v[2]);
+    let vectors = [body([0.0, 0.0, -1.0]), body(state.velocity), body(state.angular_velocity)];
+    row.iter_mut().zip(vectors.as_flattened()).for_each(|(out, v)| *out = *v as f32);
+}
+
+/// Commanded forward speed.
+pub fn speed_column() -> Column {
+    Column::new("commanded speed", "m/s", -MAX_COMMAND, MAX_COMMAND)
+}
+
+/// Weighted reward terms, then figures of the step.
+pub fn info_columns(weights: &Weights) -> Vec<Column> {
+    let terms = weights.named().map(|(name, _)| Column::free(format!("reward_{name}"), "1"));
+    let figures = [
+        Column::free("speed", "m/s"),
+        Column::free("commanded_speed", "m/s"),
+        Column::new("work", "J", 0.0, f64::INFINITY),
+        Column::new("flipped", "1", 0.0, 1.0),
+        Column::new("buried", "1", 0.0, 1.0),
+        Column::new("diverged", "1", 0.0, 1.0),
+    ];
+    terms.into_iter().chain(figures).collect()
+}
+
+/// At rest on the surface, joints near their start, commands drawn from the options' ranges.
+pub fn begin(setup: &Setup, random: &mut Random) -> (State, Goal) {
+    let TaskOptions { angle_noise, command, turn, .. } = setup.options;
+    let mut angles = setup.model.tripod_angles();
+    angles.iter_mut().for_each(|a| *a += random.uniform(-angle_noise, angle_noise));
+    let goal = Goal { speed: random.uniform(command[0], command[1]), turn: random.uniform(turn[0], turn[1]) };
+    (State::at_rest(setup.model.standing_height(&angles), &angles), goal)
+}
+
+/// Fills an info row and says whether the robot flipped or is buried.
+pub fn judge(weights: &Weights, t: &Transition, info: &mut [f32]) -> bool {
+    let speed = (t.after.position[0] - t.before.position[0]) / t.period;
+    let lateral = (t.after.position[1] - t.before.position[1]) / t.period;
+    let work = t.after.work - t.before.work;
+    let changes = t.action.iter().zip(t.previous_action).map(|(a, b)| f64::from(a - b).powi(2));
+    let terms = [
+        (-((speed - t.goal.speed) / 0.1).powi(2)).exp(),
+        -(lateral / 0.1).powi(2).min(1.0),
+        -(t.after.angular_velocity[2] - t.goal.turn).powi(2).min(1.0),
+        -(work / t.period).min(1.0),
+        -changes.sum::<f64>() / t.action.len() as f64,
+    ];
+    let up = t.after.rotation()[2][2];
+    let (flipped, buried) = (up < 0.0, t.after.position[2] < BURIED);
+    let flag = |b: bool| f32::from(u8::from(b));
+    let (rewards, figures) = info.split_at_mut(terms.len());
+    let weighted = terms.iter().zip(weights.named());
+    rewards.iter_mut().zip(weighted).for_each(|(out, (term, (_, w)))| *out = (term * w) as f32);
+    figures.copy_from_slice(&[
+        speed as f32,
+        t.goal.speed as f32,
+        work as f32,
+        flag(flipped),
+        flag(buried),
+        flag(t.diverged),
+    ]);
+    !t.diverged && (flipped || buried)
+}

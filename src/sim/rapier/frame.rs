@@ -1,0 +1,64 @@
+//! Where each body is and how it moves, from the state alone.
+
+use crate::sim::State;
+use crate::sim::model::Body;
+
+pub type V = nalgebra::Vector3<f64>;
+pub type M = nalgebra::Matrix3<f64>;
+
+/// A body's own frame; world-aligned axes, lengths from the base's centre of mass.
+#[derive(Clone, Copy, Debug)]
+pub struct Frame {
+    /// Own axes to world axes.
+    pub rotation: M,
+    /// [m]
+    pub origin: V,
+    /// Of the origin [m/s].
+    velocity: V,
+    /// [rad/s]
+    pub angular_velocity: V,
+    /// Of the origin, with every generalized acceleration zero [m/s²].
+    acceleration: V,
+    /// With every generalized acceleration zero [rad/s²].
+    angular_acceleration: V,
+}
+
+impl Frame {
+    pub fn base(state: &State) -> Self {
+        let rows = state.rotation();
+        Self {
+            rotation: M::from_fn(|i, j| rows[i][j]),
+            origin: V::zeros(),
+            velocity: V::from(state.velocity),
+            angular_velocity: V::from(state.angular_velocity),
+            acceleration: V::zeros(),
+            angular_acceleration: V::zeros(),
+        }
+    }
+
+    /// The frame of `body`, whose hinge stands at `angle` [rad] and turns at `rate` [rad/s].
+    pub fn child(&self, body: &Body, angle: f64, rate: f64) -> Self {
+        let arm = self.rotation * body.joint;
+        let axis = nalgebra::Unit::new_unchecked(body.axis);
+        let spin = self.rotation * body.axis * rate;
+        Self {
+            rotation: self.rotation * nalgebra::Rotation3::from_axis_angle(&axis, angle).into_inner(),
+            origin: self.origin + arm,
+            velocity: self.velocity_at(arm),
+            angular_velocity: self.angular_velocity + spin,
+            acceleration: self.acceleration_at(arm),
+            angular_acceleration: self.angular_acceleration + self.angular_velocity.cross(&spin),
+        }
+    }
+
+    /// Velocity [m/s] of the body's point `arm` away from its origin, world axes.
+    pub fn velocity_at(&self, arm: V) -> V {
+        self.velocity + self.angular_velocity.cross(&arm)
+    }
+
+    /// Acceleration [m/s²] that the velocities alone give the point `arm` away from the origin, world axes.
+    pub fn acceleration_at(&self, arm: V) -> V {
+        let turning = self.angular_velocity.cross(&self.angular_velocity.cross(&arm));
+        self.acceleration + self.angular_acceleration.cross(&arm) + turning
+    }
+}

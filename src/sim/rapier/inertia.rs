@@ -1,0 +1,154 @@
+//! Point masses added to rigid bodies, as mass properties that rapier can hold.
+
+use super::frame::{M, V};
+use rapier3d::glamx::{Quat, Vec3};
+use rapier3d::prelude::MassProperties;
+
+/// Point masses, or a whole body, by their moments; in the frame of the body that carries them.
+#[derive(Clone, Copy, Debug)]
+pub struct Masses {
+    /// [kg]
+    pub mass: f64,
+    /// Σ m p [kg·m]
+    first: V,
+    /// Σ m p pᵀ [kg·m²]
+    second: M,
+}
+
+impl Masses {
+    pub fn none() -> Self {
+        Self { mass: 0.0, first: V::zeros(), second: M::zeros() }
+    }
+
+    /// A rigid body by its mass [kg], centre [m] and inertia about that centre [kg·m²].
+    pub fn body(mass: f64, center: V, inertia: M) -> Self {
+        let second = M::identity() * (inertia.trace() / 2.0) - inertia;
+        Self { mass, first: center * mass, second: second + center * center.transpose() * mass }
+    }
+
+    /// Adds `mass` [kg] at `place` [m].
+    pub fn add(&mut self, mass: f64, place: V) {
+        self.mass += mass;
+        self.first += place * mass;
+        self.second += place * place.transpose() * mass;
+    }
+
+    /// Both together.
+    pub fn with(mut self, other: &Self) -> Self {
+        self.mass += other.mass;
+        self.first += other.first;
+        self.second += other.second;
+        self
+    }
+
+    /// Centre of mass [m]; the origin if there is no mass.
+    pub fn center(&self) -> V {
+        if self.mass > 0.0 { self.first / self.mass } else { V::zeros() }
+    }
+
+    fn central_second(&self) -> M {
+        let c = self.center();
+        self.second - c * c.transpose() * self.mass
+    }
+
+    /// Inertia about the centre of mass [kg·m²].
+    pub fn inertia(&self) -> M {
+        let second = self.central_second();
+        M::identity() * second.trace() - second
+    }
+
+    /// As rapier holds them.
+    pub fn properties(&self) -> MassProperties {
+        mass_properties(self.mass, self.center(), &self.inertia())
+    }
+
+    /// The inertia of masses that resist motion along the unit vector `along` only.
+    pub fn inertia_along(&self, along: V) -> M {
+        let cross = along.cross_matrix();
+        cross * self.central_second() * cross.transpose()
+    }
+}
+
+/// Smallest principal inertia that is kept, as a share of the largest: rapier inverts the inertia in `f32`, and
+/// point masses in a line have none about it.
+const RELATIVE_FLOOR: f64 = 1e-4;
+/// The same in kg·m²: rapier multiplies three inverse inertias, whose product must stay finite in `f32`.
+const ABSOLUTE_FLOOR: f64 = 1e-12;
+
+/// Mass properties from an inertia matrix about `center`; no mass gives rapier's "no mass properties".
+pub fn mass_properties(mass: f64, center: V, inertia: &M) -> MassProperties {
+    if mass <= 0.0 {
+        return MassProperties::default();
+    }
+    let (moments, axes) = principal(inertia);
+    let floor = (moments.max() * RELATIVE_FLOOR).max(ABSOLUTE_FLOOR);
+    let frame = nalgebra::UnitQuaternion::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(axes));
+    MassProperties::with_principal_inertia_frame(
+        vec3(center),
+        mass as f32,
+        vec3(moments.map(|i| i.max(floor))),
+        quat(&frame),
+    )
+}
+
+/// Principal moments and axes (columns, right-handed) of a symmetric matrix: cyclic Jacobi rotations (Golub & Van
+/// Loan, *Matrix Computations*, algorithm 8.5.2). Six sweeps leave nothing above rounding in three dimensions.
+fn principal(matrix: &M) -> (V, M) {
+    let (mut a, mut axes) = (*matrix, M::identity());
+    for (p, q) in [(0, 2), (0, 1), (1, 2)].into_iter().cycle().take(18) {
+        if a[(p, q)].abs() <= 1e-15 * (a[(p, p)].abs() + a[(q, q)].abs()) {
+            continue;
+        }
+        let ratio = (a[(q, q)] - a[(p, p)]) / (2.0 * a[(p, q)]);
+        let tan = ratio.signum() / (ratio.abs() + ratio.hypot(1.0));
+        let cos = 1.0 / tan.hypot(1.0);
+        let mut turn = M::identity();
+        turn[(p, p)] = cos;
+        turn[(q, q)] = cos;
+        turn[(p, q)] = tan * cos;
+        turn[(q, p)] = -tan * cos;
+        a = turn.transpose() * a * turn;
+        axes *= turn;
+    }
+    (a.diagonal(), axes)
+}
+
+pub fn vec3(v: V) -> Vec3 {
+    Vec3::new(v.x as f32, v.y as f32, v.z as f32)
+}
+
+pub fn quat(q: &nalgebra::UnitQuaternion<f64>) -> Quat {
+    Quat::from_xyzw(q.i as f32, q.j as f32, q.k as f32, q.w as f32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn principal_axes_rebuild_the_matrix() {
+        let b = M::new(3.0, 0.4, -1.1, 0.4, 2.0, 0.7, -1.1, 0.7, 5.0);
+        for matrix in [b, M::from_diagonal(&V::new(1.0, 2.0, 3.0)), V::x() * V::x().transpose(), M::zeros()] {
+            let (moments, axes) = principal(&matrix);
+            let rebuilt = axes * M::from_diagonal(&moments) * axes.transpose();
+            assert!((rebuilt - matrix).norm() < 1e-13, "{rebuilt} is not {matrix}");
+            assert!((axes.determinant() - 1.0).abs() < 1e-13);
+        }
+    }
+
+    /// Two masses on a line and a body: parallel-axis theorem written out by hand.
+    #[test]
+    fn moments_follow_the_parallel_axis_theorem() {
+        let mut two = Masses::none();
+        two.add(1.0, V::new(1.0, 0.0, 0.0));
+        two.add(3.0, V::new(-1.0, 0.0, 0.0));
+        assert!((two.center() - V::new(-0.5, 0.0, 0.0)).norm() < 1e-15);
+        // reduced mass 3/4 kg, 2 m apart
+        assert!((two.inertia() - M::from_diagonal(&V::new(0.0, 3.0, 3.0))).norm() < 1e-14);
+        // vertical inertia only: no resistance to turning about z
+        assert!((two.inertia_along(V::z()) - M::from_diagonal(&V::new(0.0, 3.0, 0.0))).norm() < 1e-14);
+        let inertia = M::from_diagonal(&V::new(0.1, 0.2, 0.25));
+        let body = Masses::body(2.0, V::new(0.3, 0.1, -0.2), inertia);
+        assert!((body.inertia() - inertia).norm() < 1e-14);
+    }
+}

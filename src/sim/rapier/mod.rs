@@ -1,0 +1,206 @@
+//! Engine on rapier3d's reduced-coordinate multibodies: one world a robot, RFT forces at each segment's own point.
+//!
+//! * [`world`]: the model as a multibody; what rapier is told and what it answers.
+//! * [`sand`]: force on a body, and the added masses that make it implicit.
+//! * [`inertia`]: mass properties that survive rapier's `f32`.
+//! * [`frame`]: positions, velocities and velocity-product accelerations of the bodies.
+//!
+//! The state is ours, in `f64`; rapier solves for the velocities after each step in `f32`. What must hold for rapier's
+//! multibody to give the right motion stands beside each line that sees to it.
+
+mod frame;
+mod inertia;
+mod sand;
+mod world;
+
+use super::engine::Command;
+use super::{Model, State};
+use crate::sand::Ground;
+use frame::{Frame, V};
+use inertia::{Masses, mass_properties};
+use rapier3d::prelude::MassProperties;
+use sand::Wrench;
+use std::f64::consts::TAU;
+use world::World;
+
+/// Robots that share nothing but the call that advances them.
+pub struct RapierEngine {
+    robots: Vec<Robot>,
+}
+
+impl RapierEngine {
+    /// `count` robots with `model`, standing with all angles 0.
+    pub fn new(model: &Model, count: usize) -> Self {
+        Self { robots: (0..count).map(|_| Robot::new(model)).collect() }
+    }
+
+    /// See [`super::engine::Engine::set_model`].
+    pub fn set_model(&mut self, index: usize, model: &Model) {
+        self.robots[index].next_model = Some(model.clone());
+    }
+
+    /// See [`super::engine::Engine::set_state`].
+    pub fn set_state(&mut self, index: usize, state: &State) {
+        self.robots[index].set_state(state);
+    }
+
+    /// See [`super::engine::Engine::state`].
+    pub fn state(&self, index: usize, out: &mut State) {
+        out.clone_from(&self.robots[index].state);
+    }
+
+    /// See [`super::engine::Engine::command`].
+    pub fn command(&mut self, index: usize, command: &Command) {
+        self.robots[index].set_command(command);
+    }
+
+    /// See [`super::engine::Engine::advance`].
+    pub fn advance(&mut self, steps: usize) {
+        for robot in &mut self.robots {
+            (0..steps).for_each(|_| robot.step());
+        }
+    }
+}
+
+struct Robot {
+    model: Model,
+    /// Takes over at the next `set_state`.
+    next_model: Option<Model>,
+    ground: Ground<f64>,
+    /// Mass properties of the links with no sand on them.
+    dry: Vec<MassProperties>,
+    world: World,
+    state: State,
+    command: Command,
+}
+
+impl Robot {
+    fn new(model: &Model) -> Self {
+        let joints = model.joints();
+        let angles = vec![0.0; joints];
+        Self {
+            ground: Ground::new(model.scene.law, &model.scene.medium, &model.scene.surface),
+            dry: model.legs.iter().flatten().map(|b| mass_properties(b.mass, b.center, &b.inertia)).collect(),
+            world: World::new(model),
+            state: State::at_rest(model.standing_height(&angles), &angles),
+            command: Command::still(joints),
+            next_model: None,
+            model: model.clone(),
+        }
+    }
+
+    fn set_state(&mut self, state: &State) {
+        // rapier disables bodies that turned non-finite: only a new world is sure to be whole again.
+        if let Some(model) = self.next_model.take() {
+            let command = std::mem::replace(&mut self.command, Command::still(0));
+            *self = Self::new(&model);
+            self.set_command(&command);
+        } else if !self.state.is_sound() {
+            self.world = World::new(&self.model);
+        }
+        self.state.clone_from(state);
+        for joint in
+            [&mut self.state.angles, &mut self.state.rates, &mut self.state.references, &mut self.state.torques]
+        {
+            joint.resize(self.model.joints(), 0.0);
+        }
+    }
+
+    fn set_command(&mut self, command: &Command) {
+        self.command.clone_from(command);
+        self.command.rates.resize(self.model.joints(), 0.0);
+        self.command.torques.resize(self.model.joints(), 0.0);
+        let limit = self.model.motor.speed_limit;
+        self.command.rates.iter_mut().for_each(|r| *r = r.clamp(-limit, limit));
+    }
+
+    /// Servos → sand → rigid bodies → new positions. A robot whose state is not sound stays as it is.
+    fn step(&mut self) {
+        if !self.state.is_sound() {
+            return;
+        }
+        let dt = self.model.scene.dt;
+        fold_turns(&mut self.state);
+        for (reference, rate) in self.state.references.iter_mut().zip(&self.command.rates) {
+            *reference += rate * dt;
+        }
+        self.world.place(&self.state);
+        self.world.drive(&self.model, &self.state, &self.command);
+        let base = Frame::base(&self.state);
+        self.load_base(&base);
+        self.load_legs(&base);
+        self.world.solve(&self.model, &mut self.state);
+        advance_positions(&mut self.state, dt);
+    }
+
+    /// Weight of the base, and sand under it.
+    fn load_base(&mut self, base: &Frame) {
+        let model = &self.model;
+        let sand = sand::load(&self.ground, &model.belly, true, base, self.state.position[2], model.scene.dt);
+        let mut wrench = sand.wrench;
+        wrench.add_at(V::zeros(), model.gravity * model.base_mass);
+        self.world.push_base(&wrench);
+
+        let arm = base.rotation * sand.drag.center();
+        self.world.load(self.world.drag, sand.drag.properties(), arm, &Wrench::none());
+
+        let up = base.rotation.transpose() * V::z();
+        let (center, inertia) = (sand.edge.center(), sand.edge.inertia_along(up));
+        let (arm, omega) = (base.rotation * center, base.angular_velocity);
+        // rapier will subtract this body's velocity products: m a_z at its centre and ω × I ω.
+        let mut own = Wrench::none();
+        own.add_at(arm, V::z() * (sand.edge.mass * base.acceleration_at(arm).z));
+        own.moment += omega.cross(&(base.rotation * inertia * (base.rotation.transpose() * omega)));
+        let properties = mass_properties(sand.edge.mass, center, &inertia);
+        self.world.load(self.world.edge, properties, arm, &own);
+    }
+
+    /// Weight of each link, and sand on it.
+    fn load_legs(&mut self, base: &Frame) {
+        let (model, state) = (&self.model, &self.state);
+        let mut joint = 0;
+        for chain in &model.legs {
+            let mut frame = *base;
+            for body in chain {
+                frame = frame.child(body, state.angles[joint], state.rates[joint]);
+                let height = state.position[2];
+                let sand = sand::load(&self.ground, &body.plates, false, &frame, height, model.scene.dt);
+                let mut wrench = sand.wrench;
+                wrench.add_at(frame.origin + frame.rotation * body.center, model.gravity * body.mass);
+                let (properties, center) = if sand.drag.mass > 0.0 {
+                    let wet = Masses::body(body.mass, body.center, body.inertia).with(&sand.drag);
+                    (wet.properties(), wet.center())
+                } else {
+                    (self.dry[joint], body.center)
+                };
+                let arm = frame.origin + frame.rotation * center;
+                self.world.load(self.world.links[joint], properties, arm, &wrench);
+                joint += 1;
+            }
+        }
+    }
+}
+
+/// Takes whole turns out of angles together with their references, so that neither grows while a hip turns.
+fn fold_turns(state: &mut State) {
+    for (angle, reference) in state.angles.iter_mut().zip(&mut state.references) {
+        let turns = (*angle / TAU).round() * TAU;
+        *angle -= turns;
+        *reference -= turns;
+    }
+}
+
+/// Semi-implicit Euler: positions move with the velocities after the step.
+fn advance_positions(state: &mut State, dt: f64) {
+    for (position, velocity) in state.position.iter_mut().zip(&state.velocity) {
+        *position += velocity * dt;
+    }
+    let [w, x, y, z] = state.orientation;
+    let turn = nalgebra::UnitQuaternion::from_scaled_axis(V::from(state.angular_velocity) * dt);
+    let q = (turn.into_inner() * nalgebra::Quaternion::new(w, x, y, z)).normalize();
+    state.orientation = [q.w, q.i, q.j, q.k];
+    for ((angle, rate), torque) in state.angles.iter_mut().zip(&state.rates).zip(&state.torques) {
+        *angle += rate * dt;
+        state.work += (torque * rate).abs() * dt;
+    }
+}

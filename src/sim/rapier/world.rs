@@ -1,0 +1,177 @@
+//! One robot as a rapier multibody in a world of its own.
+
+use super::frame::{M, V};
+use super::inertia::{mass_properties, quat, vec3};
+use super::sand::Wrench;
+use crate::sim::model::{Body, Model, Motor};
+use crate::sim::{State, engine::Command};
+use rapier3d::glamx::{Pose3, Quat, Vec3};
+use rapier3d::prelude::*;
+
+/// Sweeps of the projected Gauss-Seidel method over the motors of one step. Joints couple through the base; each sweep
+/// shrinks what is left by the ratio of that coupling to the servo's own yielding, a few percent on the reference robot.
+const MOTOR_SWEEPS: usize = 4;
+
+/// Smallest kd + dt kp [N·m·s/rad] that a motor is given: one without gains still passes feed-forward torque on.
+const LEAST_YIELDING: f64 = 1e-9;
+
+/// A rigid body of rapier that is part of the robot.
+#[derive(Clone, Copy)]
+pub struct Part(RigidBodyHandle);
+
+/// rapier's objects. They hold no state of ours: coordinates, velocities, masses and forces are written every step.
+///
+/// The base stands at rapier's origin always, so that `f32` keeps its accuracy however far the robot walks.
+pub struct World {
+    physics: PhysicsWorld,
+    base: Part,
+    /// Massless bodies fixed to the base, for the sand's added masses: its own centre of mass must stay at its origin,
+    /// because rapier takes a root's velocity for that of its centre of mass.
+    pub drag: Part,
+    /// As `drag`, with mass along the vertical only.
+    pub edge: Part,
+    /// Every link of every leg, in the order of the joints.
+    pub links: Vec<Part>,
+}
+
+/// Index of a revolute joint's free axis among rapier's six.
+const HINGE: usize = JointAxis::AngX as usize;
+/// Generalized coordinates of the base: velocity, then angular velocity.
+const BASE_DOFS: usize = 6;
+
+impl World {
+    pub fn new(model: &Model) -> Self {
+        let mut physics = PhysicsWorld { gravity: Vec3::ZERO, ..PhysicsWorld::default() };
+        let parameters = &mut physics.integration_parameters;
+        parameters.dt = model.scene.dt as f32;
+        parameters.num_solver_iterations = 1;
+        parameters.num_internal_pgs_iterations = MOTOR_SWEEPS;
+        parameters.max_ccd_substeps = 0;
+
+        let mut part = |mass_properties, locked| {
+            let body = RigidBodyBuilder::dynamic().can_sleep(false).locked_axes(locked);
+            Part(physics.insert_body(body.additional_mass_properties(mass_properties)))
+        };
+        let inertia = M::from_diagonal(&model.base_inertia);
+        let base = part(mass_properties(model.base_mass, V::zeros(), &inertia), LockedAxes::empty());
+        let drag = part(MassProperties::default(), LockedAxes::empty());
+        let horizontal = LockedAxes::TRANSLATION_LOCKED_X | LockedAxes::TRANSLATION_LOCKED_Y;
+        let edge = part(MassProperties::default(), horizontal);
+        let dry = |b: &Body| mass_properties(b.mass, b.center, &b.inertia);
+        let links: Vec<_> = model.legs.iter().flatten().map(|b| part(dry(b), LockedAxes::empty())).collect();
+
+        let mut handle = None;
+        for extra in [drag, edge] {
+            handle = physics.insert_multibody_joint(base.0, extra.0, FixedJointBuilder::new());
+        }
+        let mut place = links.iter();
+        for chain in &model.legs {
+            let mut parent = base;
+            for (body, link) in chain.iter().zip(&mut place) {
+                handle = physics.insert_multibody_joint(parent.0, link.0, hinge(body, &model.motor, model.scene.dt));
+                parent = *link;
+            }
+        }
+        if let Some((multibody, _)) = handle.and_then(|h| physics.multibody_joints.get_mut(h)) {
+            multibody.damping_mut().fill(0.0);
+            for (i, body) in model.legs.iter().flatten().enumerate() {
+                multibody.armature_mut()[BASE_DOFS + i] = body.armature as f32;
+            }
+        }
+        Self { physics, base, drag, edge, links }
+    }
+
+    fn multibody(&mut self) -> Option<&mut Multibody> {
+        let link = self.physics.multibody_joints.rigid_body_link(self.base.0).copied()?;
+        self.physics.multibody_joints.get_multibody_mut(link.multibody)
+    }
+
+    /// Puts the robot where `state` says.
+    pub fn place(&mut self, state: &State) {
+        let [w, x, y, z] = state.orientation.map(|c| c as f32);
+        let pose = Pose3::from_parts(Vec3::ZERO, Quat::from_xyzw(x, y, z, w));
+        self.physics.bodies[self.base.0].set_position(pose, false);
+        let Some(multibody) = self.multibody() else { return };
+        let velocities = state.velocity.iter().chain(&state.angular_velocity).chain(&state.rates);
+        for (to, from) in multibody.generalized_velocity_mut().iter_mut().zip(velocities) {
+            *to = *from as f32;
+        }
+        let hinges = multibody.links_mut().filter(|l| l.joint.ndofs() == 1);
+        for (link, angle) in hinges.zip(&state.angles) {
+            link.joint = MultibodyJoint::new(link.joint.data, false);
+            link.joint.apply_displacement(&[*angle as f32]);
+        }
+    }
+
+    /// Tells every motor its target. The servo kp(θ_ref⁺ − θ⁺) + kd(ω_ref − ω⁺) + τ, with θ⁺ = θ + dt ω⁺, is a damper
+    /// of strength kd + dt kp that pulls toward one speed; so the gains enter implicitly and the limit clips the result.
+    pub fn drive(&mut self, model: &Model, state: &State, command: &Command) {
+        let yielding = yielding(&model.motor, model.scene.dt);
+        let Some(multibody) = self.multibody() else { return };
+        let hinges = multibody.links_mut().filter(|l| l.joint.ndofs() == 1);
+        for (i, link) in hinges.enumerate() {
+            let pull = model.motor.kp * (state.references[i] - state.angles[i]);
+            let torque = pull + model.motor.kd * command.rates[i] + command.torques[i];
+            link.joint.data.motors[HINGE].target_vel = (torque / yielding) as f32;
+        }
+    }
+
+    /// Loads the base with `wrench`.
+    pub fn push_base(&mut self, wrench: &Wrench) {
+        self.push(self.base, V::zeros(), wrench);
+    }
+
+    /// Gives `part` mass properties about `center` (`arm` from the base's centre in the world) and loads it.
+    pub fn load(&mut self, part: Part, masses: MassProperties, arm: V, wrench: &Wrench) {
+        self.physics.bodies[part.0].set_additional_mass_properties(masses, false);
+        self.push(part, arm, wrench);
+    }
+
+    fn push(&mut self, part: Part, arm: V, wrench: &Wrench) {
+        let body = &mut self.physics.bodies[part.0];
+        body.reset_forces(false);
+        body.reset_torques(false);
+        body.add_force(vec3(wrench.force), false);
+        body.add_torque(vec3(wrench.moment_about(arm)), false);
+    }
+
+    /// Solves for the velocities after one time step and writes them, and the torques applied, into `state`.
+    pub fn solve(&mut self, model: &Model, state: &mut State) {
+        self.physics.step();
+        let (limit, yielding) = (model.motor.torque_limit, yielding(&model.motor, model.scene.dt));
+        let Some(multibody) = self.multibody() else { return };
+        let hinges = multibody.links().filter(|l| l.joint.ndofs() == 1);
+        for (link, torque) in hinges.zip(&mut state.torques) {
+            let target = f64::from(link.joint.data.motors[HINGE].target_vel);
+            let rate = f64::from(multibody.joint_velocity(link)[0]);
+            *torque = (yielding * (target - rate)).clamp(-limit, limit);
+        }
+        let velocities = multibody.generalized_velocity();
+        let to = state.velocity.iter_mut().chain(&mut state.angular_velocity).chain(&mut state.rates);
+        for (to, from) in to.zip(velocities.iter()) {
+            *to = f64::from(*from);
+        }
+    }
+}
+
+/// By how much a servo's torque falls per speed gained in a step [N·m·s/rad].
+fn yielding(motor: &Motor, dt: f64) -> f64 {
+    (motor.kd + dt * motor.kp).max(LEAST_YIELDING)
+}
+
+/// A revolute joint about the x axis of a frame that is turned so that x lies along the hinge.
+fn hinge(body: &Body, motor: &Motor, dt: f64) -> GenericJoint {
+    let turn = nalgebra::UnitQuaternion::rotation_between(&V::x(), &body.axis);
+    let turn = turn.unwrap_or_else(|| nalgebra::UnitQuaternion::from_axis_angle(&V::z_axis(), std::f64::consts::PI));
+    let mut joint = GenericJoint::new(JointAxesMask::LOCKED_REVOLUTE_AXES);
+    joint.local_frame1 = Pose3::from_parts(vec3(body.joint), quat(&turn));
+    joint.local_frame2 = Pose3::from_parts(Vec3::ZERO, quat(&turn));
+    joint.motor_axes = JointAxesMask::ANG_X;
+    joint.motors[HINGE] = JointMotor {
+        damping: yielding(motor, dt) as f32,
+        max_force: motor.torque_limit as f32,
+        model: MotorModel::ForceBased,
+        ..JointMotor::default()
+    };
+    joint
+}

@@ -1,0 +1,184 @@
+//! The command line's contract: names, keys, columns, exit codes; wrong use is one line on stderr and writes nothing.
+
+use std::io::{BufRead as _, BufReader};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+fn sandgait(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_sandgait")).args(arguments).output().unwrap()
+}
+
+fn text(arguments: &[&str]) -> String {
+    let output = sandgait(arguments);
+    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+fn json(arguments: &[&str]) -> serde_json::Value {
+    serde_json::from_str(&text(arguments)).unwrap()
+}
+
+/// Exit code 2, nothing on stdout, one line on stderr that contains `words`.
+fn refused(arguments: &[&str], words: &[&str]) {
+    let output = sandgait(arguments);
+    let line = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {line}");
+    assert!(output.stdout.is_empty() && line.ends_with('\n') && line.lines().count() == 1, "{arguments:?}: {line:?}");
+    for word in words {
+        assert!(line.contains(word), "{arguments:?}: {line:?} lacks {word:?}");
+    }
+}
+
+#[test]
+fn walk_reports_speed_or_stillness() {
+    let walk = json(&["walk", "--leg", "L", "--frequency", "2", "--json"]);
+    for key in ["speed", "base_height", "real_time_factor"] {
+        assert!(walk[key].as_f64().is_some_and(|x| x > 0.0), "{key}: {walk}");
+    }
+    let stand = json(&["walk", "--leg", "revL", "--frequency", "0", "--json"]);
+    assert!(stand["sink"].is_number() && stand["drift"].is_number(), "{stand}");
+    assert!(text(&["walk", "--frequency", "1", "--slope-deg", "-5", "--medium", "zeta=0.4"]).contains("m/s"));
+}
+
+#[test]
+fn intrude_writes_the_sweep() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("force.csv");
+    text(&["intrude", "--shape", "xi=-30", "--hip-height", "0.02", "--law", "li2013", "--csv", file.to_str().unwrap()]);
+    let csv = std::fs::read_to_string(file).unwrap();
+    let mut lines = csv.lines();
+    assert_eq!(lines.next(), Some("theta,Fx,Fz,Ty"));
+    let rows: Vec<Vec<f64>> = lines.map(|l| l.split(',').map(|x| x.parse().unwrap()).collect()).collect();
+    assert_eq!((rows.len(), rows[0][0], rows[350][0]), (351, -1.75, 1.75));
+    assert!(rows.iter().any(|r| r[2] > 1.0));
+}
+
+#[test]
+fn media_and_tasks_are_listed() {
+    assert!(text(&["media"]).contains("poppy-loose") && text(&["media"]).contains("poppy-close"));
+    assert_eq!(json(&["media", "--json"])[0]["name"], "poppy-loose");
+    assert!(text(&["tasks"]).contains("sandgait/HexapodGait-v0"));
+    assert_eq!(json(&["tasks", "--json"])[0]["action"].as_array().unwrap().len(), 6);
+}
+
+#[test]
+fn wrong_use_is_one_line() {
+    refused(&[], &["command", "--help"]);
+    refused(&["wlak"], &["wlak", "walk"]);
+    refused(&["walk"], &["--frequency"]);
+    refused(&["walk", "--frequency", "two"], &["two", "--frequency"]);
+    refused(&["walk", "--frequency", "NaN"], &["frequency", "NaN"]);
+    refused(&["walk", "--frequency", "2", "--leg", "Q"], &["Q", "revL"]);
+    refused(&["walk", "--frequency", "2", "--engine", "warp"], &["warp", "lanes", "rapier"]);
+    refused(&["walk", "--frequency", "2", "--medium", "moon"], &["moon", "poppy-loose", "zeta=VALUE"]);
+    refused(&["walk", "--frequency", "2", "--slope-deg", "50"], &["slope_deg", "50", "[-35, 35]"]);
+    refused(&["walk", "--frequency", "2", "--robot", "no-such-file.toml"], &["no-such-file.toml"]);
+    refused(&["media", "--jsno"], &["--jsno", "--json"]);
+    refused(&["serve", "--listen", "nowhere"], &["nowhere", "HOST:PORT", "unix:PATH"]);
+    refused(&["serve", "--listen", "0.0.0.0:0"], &["0.0.0.0:0", "--insecure"]);
+}
+
+#[test]
+fn wrong_use_writes_nothing() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("force.csv");
+    let csv = file.to_str().unwrap();
+    refused(&["intrude", "--shape", "L", "--law", "newton", "--csv", csv], &["newton", "li2013"]);
+    refused(&["intrude", "--shape", "xi=95", "--csv", csv], &["95", "90"]);
+    refused(&["intrude", "--shape", "L", "--chord", "-1", "--csv", csv], &["-1"]);
+    assert!(!file.exists());
+    refused(&["intrude", "--shape", "L", "--csv", "/no/such/folder/f.csv"], &["/no/such/folder/f.csv"]);
+}
+
+#[test]
+fn help_has_examples() {
+    assert!(text(&["--help"]).contains("Examples:"));
+    for command in ["serve", "walk", "intrude"] {
+        assert!(text(&[command, "--help"]).contains("Examples:"), "{command}");
+    }
+    assert!(text(&["--version"]).contains(env!("CARGO_PKG_VERSION")));
+}
+
+/// A server that has said where it listens.
+struct Served(Child);
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        // Fails if it has already ended.
+        let _ = self.0.kill();
+    }
+}
+
+impl Served {
+    fn start(arguments: &[&str]) -> (Self, String) {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_sandgait"));
+        command.arg("serve").args(arguments).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::null());
+        let mut child = command.spawn().unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        (Self(child), line)
+    }
+
+    fn exit_code(mut self) -> Option<i32> {
+        let start = Instant::now();
+        while start.elapsed() < Duration::from_secs(5) {
+            if let Some(status) = self.0.try_wait().unwrap() {
+                return status.code();
+            }
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        panic!("still running after 5 s");
+    }
+
+    fn terminate(&self) {
+        let id = self.0.id().to_string();
+        assert!(Command::new("kill").args(["-TERM", &id]).status().unwrap().success());
+    }
+}
+
+#[test]
+fn serve_says_where_and_ends_with_a_signal() {
+    let (server, line) = Served::start(&["--listen", "127.0.0.1:0"]);
+    let address = line.trim_end().strip_prefix("listening on ").unwrap().to_owned();
+    std::net::TcpStream::connect(&address).unwrap();
+    server.terminate();
+    assert_eq!(server.exit_code(), Some(0));
+    assert!(std::net::TcpStream::connect(&address).is_err());
+}
+
+#[test]
+fn serve_ends_with_its_parent() {
+    let (mut server, _) = Served::start(&["--listen", "127.0.0.1:0", "--exit-on-stdin-close"]);
+    drop(server.0.stdin.take());
+    assert_eq!(server.exit_code(), Some(0));
+}
+
+#[test]
+fn a_socket_file_belongs_to_one_server() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("sock");
+    let address = format!("unix:{}", path.display());
+    let (first, line) = Served::start(&["--listen", &address]);
+    assert_eq!(line, format!("listening on {address}\n"));
+    let second = sandgait(&["serve", "--listen", &address]);
+    assert_eq!(second.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&second.stderr).contains("another server listens there"));
+    first.terminate();
+    assert_eq!(first.exit_code(), Some(0));
+    assert!(!path.exists());
+}
+
+#[test]
+fn a_stale_socket_is_replaced_and_another_file_is_not() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("sock");
+    drop(std::os::unix::net::UnixListener::bind(&path).unwrap());
+    let address = format!("unix:{}", path.display());
+    let (server, _) = Served::start(&["--listen", &address]);
+    server.terminate();
+    assert_eq!(server.exit_code(), Some(0));
+    std::fs::write(&path, "precious").unwrap();
+    let refused = sandgait(&["serve", "--listen", &address]);
+    assert_eq!(refused.status.code(), Some(1));
+    assert_eq!(std::fs::read_to_string(&path).unwrap(), "precious");
+}

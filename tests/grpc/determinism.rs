@@ -1,0 +1,45 @@
+//! Equal seeds and actions give equal bits, whatever the threads and however environments are spread over sessions.
+
+use crate::harness::{Server, floats, step, wave};
+use sandgait::service::proto::run_session_request::Request;
+use sandgait::service::proto::{Batch, Reset};
+use std::ops::Range;
+
+const ENVS: usize = 37;
+const STEPS: usize = 40;
+
+/// Observations and rewards of all steps, one history an environment.
+async fn histories(server: &Server, envs: Range<usize>) -> Vec<Vec<u32>> {
+    let mut session = server.session(envs.len() as u32).await;
+    let mut histories = vec![Vec::new(); envs.len()];
+    let wide = session.task.observation.len();
+    let mut record = |batch: &Batch| {
+        let (observations, rewards) = (floats(&batch.observations), floats(&batch.rewards));
+        for (i, history) in histories.iter_mut().enumerate() {
+            history.extend(observations[i * wide..][..wide].iter().chain([&rewards[i]]).map(|x| x.to_bits()));
+        }
+    };
+    let seeds = envs.clone().map(|i| 1000 + i as u64).collect();
+    record(&session.batch(Request::Reset(Reset { seeds, ..Default::default() })).await);
+    for time in 0..STEPS {
+        record(&session.batch(step(&wave(envs.clone(), time))).await);
+    }
+    histories
+}
+
+#[tokio::test]
+async fn bits_do_not_depend_on_threads_or_sessions() {
+    let reference = histories(&Server::start(1).await, 0..ENVS).await;
+    assert_ne!(reference[0], reference[1]);
+    for threads in [2, 8] {
+        assert!(histories(&Server::start(threads).await, 0..ENVS).await == reference, "{threads} threads");
+    }
+    let server = Server::start(2).await;
+    for split in [vec![0..1, 1..ENVS], vec![0..16, 16..20, 20..ENVS]] {
+        let mut parts = Vec::new();
+        for envs in split.clone() {
+            parts.extend(histories(&server, envs).await);
+        }
+        assert!(parts == reference, "split {split:?}");
+    }
+}

@@ -1,0 +1,170 @@
+//! A server on a Unix socket in a fresh directory, and a client that talks to it as any other would.
+
+use sandgait::service::proto::environment_service_client::EnvironmentServiceClient;
+use sandgait::service::proto::run_session_request::Request;
+use sandgait::service::proto::run_session_response::Response;
+use sandgait::service::proto::{Batch, CreateSessionRequest, Failure, Reset, RunSessionRequest, RunSessionResponse};
+use sandgait::service::proto::{Step, Task};
+use sandgait::service::{Address, Limits, Listener, PROTOCOL, serve};
+use std::time::Duration;
+use tokio::sync::mpsc;
+use tokio_stream::wrappers::ReceiverStream;
+use tokio_util::sync::CancellationToken;
+use tonic::transport::{Channel, Endpoint};
+use tonic::{Code, Status, Streaming};
+
+pub const TASK: &str = "sandgait/HexapodGait-v0";
+
+/// Joints of the reference robot: numbers in an action row.
+pub const ACTIONS: usize = 6;
+
+pub type Client = EnvironmentServiceClient<Channel>;
+
+pub struct Server {
+    pub address: Address,
+    pub stop: CancellationToken,
+    pub done: Option<tokio::task::JoinHandle<sandgait::Result<()>>>,
+    _directory: tempfile::TempDir,
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        self.stop.cancel();
+    }
+}
+
+impl Server {
+    pub async fn start(threads: usize) -> Self {
+        Self::with_limits(threads, Limits::default()).await
+    }
+
+    pub async fn with_limits(threads: usize, limits: Limits) -> Self {
+        let directory = tempfile::tempdir().unwrap();
+        let address = Address::Unix(directory.path().join("sock"));
+        Self::listen(threads, limits, address, directory).await
+    }
+
+    pub async fn tcp() -> Self {
+        let address = "127.0.0.1:0".parse().unwrap();
+        Self::listen(1, Limits::default(), address, tempfile::tempdir().unwrap()).await
+    }
+
+    async fn listen(threads: usize, limits: Limits, address: Address, directory: tempfile::TempDir) -> Self {
+        let listener = Listener::bind(&address).await.unwrap();
+        let (address, stop) = (listener.address().unwrap(), CancellationToken::new());
+        let done = Some(tokio::spawn(serve(listener, threads, limits, stop.clone())));
+        Self { address, stop, done, _directory: directory }
+    }
+
+    pub async fn client(&self) -> Client {
+        let uri = match &self.address {
+            Address::Tcp(address) => format!("http://{address}"),
+            Address::Unix(path) => format!("unix://{}", path.display()),
+        };
+        let channel = Endpoint::from_shared(uri).unwrap().connect().await.unwrap();
+        Client::new(channel).max_decoding_message_size(usize::MAX)
+    }
+
+    pub async fn session(&self, envs: u32) -> Session {
+        Session::create(self.client().await, envs, &[]).await.unwrap()
+    }
+}
+
+pub fn text(s: &str) -> prost_types::Value {
+    prost_types::Value { kind: Some(prost_types::value::Kind::StringValue(s.into())) }
+}
+
+pub fn number(x: f64) -> prost_types::Value {
+    prost_types::Value { kind: Some(prost_types::value::Kind::NumberValue(x)) }
+}
+
+pub fn options(fields: &[(&str, prost_types::Value)]) -> Option<prost_types::Struct> {
+    let fields = fields.iter().map(|(k, v)| ((*k).to_owned(), v.clone())).collect();
+    Some(prost_types::Struct { fields })
+}
+
+pub fn create(envs: u32, fields: &[(&str, prost_types::Value)]) -> CreateSessionRequest {
+    CreateSessionRequest { task_id: TASK.into(), num_envs: envs, options: options(fields), protocol: PROTOCOL }
+}
+
+/// An attached session: a stream on which messages go back and forth.
+pub struct Session {
+    pub client: Client,
+    pub id: String,
+    pub task: Task,
+    pub envs: usize,
+    pub requests: mpsc::Sender<RunSessionRequest>,
+    pub answers: Streaming<RunSessionResponse>,
+    sequence: u64,
+}
+
+impl Session {
+    pub async fn create(mut client: Client, envs: u32, fields: &[(&str, prost_types::Value)]) -> Result<Self, Status> {
+        let created = client.create_session(create(envs, fields)).await?.into_inner();
+        let (requests, receiver) = mpsc::channel(8);
+        let answers = client.run_session(ReceiverStream::new(receiver)).await?.into_inner();
+        let task = created.task.unwrap();
+        Ok(Self { client, id: created.session_id, task, envs: envs as usize, requests, answers, sequence: 0 })
+    }
+
+    /// Sends without waiting; the session is named in every message.
+    pub async fn send(&mut self, request: Option<Request>) -> u64 {
+        self.sequence += 1;
+        let message = RunSessionRequest { session_id: self.id.clone(), sequence: self.sequence, request };
+        self.requests.send(message).await.unwrap();
+        self.sequence
+    }
+
+    /// The next answer and its sequence number.
+    pub async fn receive(&mut self) -> Result<(u64, Response), Status> {
+        let answer = tokio::time::timeout(Duration::from_secs(60), self.answers.message()).await.unwrap()?;
+        let answer = answer.ok_or_else(|| Status::new(Code::Ok, "end of stream"))?;
+        Ok((answer.sequence, answer.response.unwrap()))
+    }
+
+    async fn ask(&mut self, request: Option<Request>) -> Response {
+        let sent = self.send(request).await;
+        let (sequence, response) = self.receive().await.unwrap();
+        assert_eq!(sequence, sent);
+        response
+    }
+
+    pub async fn batch(&mut self, request: Request) -> Batch {
+        match self.ask(Some(request)).await {
+            Response::Batch(batch) => batch,
+            Response::Failure(failure) => panic!("{}", failure.message),
+        }
+    }
+
+    pub async fn failure(&mut self, request: Option<Request>) -> Failure {
+        match self.ask(request).await {
+            Response::Failure(failure) => failure,
+            Response::Batch(_) => panic!("the request was carried out"),
+        }
+    }
+
+    /// Resets all environments: seed `first` + number of the environment.
+    pub async fn reset(&mut self, first: u64) -> Batch {
+        let seeds = (0..self.envs as u64).map(|i| first + i).collect();
+        self.batch(Request::Reset(Reset { seeds, ..Default::default() })).await
+    }
+
+    /// One step with actions that differ by environment, joint and `time`.
+    pub async fn step(&mut self, time: usize) -> Batch {
+        self.batch(step(&wave(0..self.envs, time))).await
+    }
+}
+
+pub fn step(actions: &[f32]) -> Request {
+    Request::Step(Step { actions: actions.iter().flat_map(|a| a.to_le_bytes()).collect() })
+}
+
+/// Smooth actions of environments `envs` at step `time`.
+pub fn wave(envs: std::ops::Range<usize>, time: usize) -> Vec<f32> {
+    let action = |env: usize, joint: usize| ((env * 7 + joint * 3 + time) as f32 * 0.37).sin();
+    envs.flat_map(|env| (0..ACTIONS).map(move |joint| action(env, joint))).collect()
+}
+
+pub fn floats(bytes: &[u8]) -> Vec<f32> {
+    bytes.chunks_exact(4).map(|b| f32::from_le_bytes(b.try_into().unwrap())).collect()
+}

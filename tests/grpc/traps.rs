@@ -1,0 +1,49 @@
+//! Traps that were measured once and must not come back.
+
+use crate::harness::Server;
+use sandgait::service::Address;
+use sandgait::service::proto::DescribeRequest;
+use std::os::unix::fs::PermissionsExt as _;
+use std::time::Instant;
+
+/// With Nagle's algorithm a small call takes 44 ms.
+#[tokio::test]
+async fn a_unary_call_over_tcp_is_not_delayed() {
+    let server = Server::tcp().await;
+    let mut client = server.client().await;
+    let mut times = Vec::new();
+    for _ in 0..21 {
+        let start = Instant::now();
+        client.describe(DescribeRequest {}).await.unwrap();
+        times.push(start.elapsed());
+    }
+    times.sort();
+    assert!(times[10].as_millis() < 20, "median {:?}", times[10]);
+}
+
+/// gRPC caps messages at 4 MiB unless told otherwise.
+#[tokio::test]
+async fn messages_beyond_4_mib() {
+    let server = Server::start(2).await;
+    let mut session = server.session(30_000).await;
+    let first = session.reset(0).await;
+    assert!(first.observations.len() > 4 << 20);
+}
+
+#[tokio::test]
+async fn requests_beyond_4_mib() {
+    let server = Server::start(1).await;
+    let mut session = server.session(2).await;
+    session.reset(0).await;
+    // Read, understood and refused: not cut off by the transport.
+    let failure = session.failure(Some(crate::harness::step(&vec![0.0; (5 << 20) / 4]))).await;
+    assert!(failure.message.contains("numbers"), "{}", failure.message);
+    session.step(0).await;
+}
+
+#[tokio::test]
+async fn only_the_owner_may_use_the_socket() {
+    let server = Server::start(1).await;
+    let Address::Unix(path) = &server.address else { panic!() };
+    assert_eq!(std::fs::metadata(path).unwrap().permissions().mode() & 0o777, 0o600);
+}
