@@ -8,6 +8,7 @@ pub mod number;
 pub mod parallel;
 pub mod plot;
 pub mod pool;
+pub mod reproduce;
 pub mod sand;
 pub mod service;
 pub mod sim;

@@ -5,6 +5,7 @@ mod bench;
 mod calibrate;
 mod intrude;
 mod media;
+mod reproduce;
 mod serve;
 mod stress;
 mod sweep;
@@ -42,6 +43,7 @@ enum Command {
     Intrude(intrude::Intrude),
     Media(media::Media),
     Stress(stress::Stress),
+    Reproduce(reproduce::Reproduce),
     Calibrate(calibrate::Calibrate),
     Sweep(sweep::Sweep),
     Tasks(tasks::Tasks),
@@ -77,6 +79,7 @@ fn run(command: Command) -> Result<String> {
         Command::Intrude(c) => c.run(),
         Command::Media(c) => c.run(),
         Command::Stress(c) => c.run(),
+        Command::Reproduce(c) => c.run(),
         Command::Calibrate(c) => c.run(),
         Command::Sweep(c) => c.run(),
         Command::Tasks(c) => c.run(),

@@ -99,7 +99,7 @@ impl Sweep {
         bar.finish_and_clear();
         let seconds = start.elapsed().as_secs_f64();
         self.write("sweep.csv", &table::csv(axes, &results))?;
-        let title = format!("{} in {}, {}", base.robot.name, base.scene.medium.name, base.scene.law.name());
+        let title = title(base, axes);
         png::write_both(&table::figure(axes, &results, measure, &title).svg(), &self.out.join("sweep.svg"))?;
         let best = (0..count).min_by(|a, b| measure.cost(&results[*a]).total_cmp(&measure.cost(&results[*b])));
         let best = best.map_or_else(String::new, |i| {
@@ -149,6 +149,14 @@ impl Sweep {
         let path = self.out.join(name);
         std::fs::write(&path, text).map_err(|e| Error::file(&path, e))
     }
+}
+
+/// Robot, sand and law, except what is varied.
+fn title(base: &Design, axes: &[Axis]) -> String {
+    let varied = |names: &[&str]| axes.iter().any(|a| names.contains(&a.parameter.name));
+    let medium = if varied(&["medium", "zeta"]) { "" } else { base.scene.medium.name.as_str() };
+    let law = if varied(&["law"]) { "" } else { base.scene.law.name() };
+    [base.robot.name.as_str(), medium, law].into_iter().filter(|t| !t.is_empty()).collect::<Vec<_>>().join(", ")
 }
 
 /// On a terminal only; indicatif stays silent elsewhere.

@@ -43,7 +43,18 @@ pub fn range(axis: &Axis, marks: &[Mark], which: usize) -> [f64; 2] {
     let Some([low, high]) = extent(ends) else { return [0.0, 1.0] };
     let cells = marks.iter().any(|m| matches!(m, Mark::Cells { .. }));
     let span = if high > low { high - low } else { high.abs().max(1.0) };
-    let air = if cells || which == 0 && high > low { 0.0 } else { 0.05 * span };
+    let dots = marks.iter().any(|m| matches!(m, Mark::Line { style, .. } if style.dots));
+    let air = match (which, cells) {
+        (_, true) => 0.0,
+        (0, _) if high > low => {
+            if dots {
+                0.02 * span
+            } else {
+                0.0
+            }
+        }
+        _ => 0.05 * span,
+    };
     [low - air, high + air]
 }
 

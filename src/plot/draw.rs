@@ -10,6 +10,7 @@ const HEIGHT: f64 = 270.0;
 const LEFT: f64 = 70.0;
 const RIGHT: f64 = 24.0;
 const TOP: f64 = 34.0;
+const TOP_UNTITLED: f64 = 14.0;
 const BOTTOM: f64 = 54.0;
 const COLORBAR: f64 = 82.0;
 const TITLE: f64 = 36.0;
@@ -24,7 +25,8 @@ impl Figure {
         let columns = self.columns.clamp(1, self.panels.len().max(1));
         let rows = self.panels.len().div_ceil(columns);
         let bar = if self.panels.iter().any(|p| cells(p).is_some()) { COLORBAR } else { 0.0 };
-        let (cell_w, cell_h) = (LEFT + WIDTH + RIGHT + bar, TOP + HEIGHT + BOTTOM);
+        let top = if self.panels.iter().all(|p| p.title.is_empty()) { TOP_UNTITLED } else { TOP };
+        let (cell_w, cell_h) = (LEFT + WIDTH + RIGHT + bar, top + HEIGHT + BOTTOM);
         let width = cell_w * columns as f64;
         let (legend, legend_height) = legend(&self.panels, width);
         let notes = wrap(&self.note, (width - 2.0 * RIGHT) / (ADVANCE * 11.0));
@@ -39,7 +41,7 @@ impl Figure {
         let _ = write!(svg, "<g transform=\"translate(0 {TITLE})\">{legend}</g>");
         for (i, panel) in self.panels.iter().enumerate() {
             let x = (i % columns) as f64 * cell_w + LEFT;
-            let y = TITLE + legend_height + (i / columns) as f64 * cell_h + TOP;
+            let y = TITLE + legend_height + (i / columns) as f64 * cell_h + top;
             let _ = write!(svg, "<g transform=\"translate({x:.1} {y:.1})\">");
             draw_panel(&mut svg, panel, i);
             svg.push_str("</g>\n");

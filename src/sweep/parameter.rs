@@ -235,7 +235,7 @@ impl Axis {
     }
 }
 
-/// To 12 significant digits.
+/// To 6 significant digits.
 fn round(value: f64) -> f64 {
-    format!("{value:.11e}").parse().unwrap_or(value)
+    format!("{value:.5e}").parse().unwrap_or(value)
 }
