@@ -36,7 +36,7 @@ pub struct TaskOptions {
     pub weights: super::locomotion::Weights,
     /// Leg shape: L, revL, C, revC, flat or xi=DEGREES.
     pub leg: String,
-    /// Medium's name or zeta=VALUE.
+    /// Medium's name, zeta=VALUE or mu=VALUE,rho=VALUE.
     pub medium: String,
     /// Uphill along x [°].
     pub slope_deg: f64,
@@ -87,7 +87,7 @@ impl ResetOptions {
 pub const OPTION_HELP: [(&str, &str); 14] = [
     ("robot", "built-in robot"),
     ("engine", "engine that integrates the motion"),
-    ("law", "resistive force law"),
+    ("law", "resistive force law: li2013, penetration-drag-1d or agarwal2023"),
     ("dt", "time step [s]"),
     ("torque_limit", "largest servo torque [N·m]"),
     ("command", "range [low, high] the commanded speed is drawn from [m/s]"),
@@ -95,7 +95,7 @@ pub const OPTION_HELP: [(&str, &str); 14] = [
     ("angle_noise", "initial joint angles are uniform within ± this around the tripod's [rad]"),
     ("weights", "weight of each reward term"),
     ("leg", "leg shape: L, revL, C, revC, flat or xi=DEGREES"),
-    ("medium", "sand: a medium's name or zeta=VALUE"),
+    ("medium", "sand: a medium's name, zeta=VALUE or mu=VALUE,rho=VALUE"),
     ("slope_deg", "surface rises toward +x [°]"),
     ("payload", "extra mass at the base's centre [kg]"),
     ("max_episode_steps", "control steps until an episode is truncated"),

@@ -17,7 +17,7 @@ const TITLE: f64 = 36.0;
 const LEGEND_ROW: f64 = 22.0;
 const FONT: f64 = 13.0;
 /// Mean advance of a DejaVu Sans glyph over its size: places legends without measuring.
-const ADVANCE: f64 = 0.6;
+const ADVANCE: f64 = 0.58;
 
 impl Figure {
     /// The whole figure as a standalone SVG document.
@@ -56,11 +56,28 @@ impl Figure {
 }
 
 fn text(svg: &mut String, [x, y]: [f64; 2], anchor: &str, size: f64, content: &str, extra: &str) {
-    let content = escape(content);
+    let content = subscripts(&escape(content), size);
     let _ = writeln!(
         svg,
         "<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\" font-size=\"{size}\" {extra}>{content}</text>"
     );
+}
+
+/// One letter after an underscore set low: `v_x`, `α_z`.
+fn subscripts(escaped: &str, size: f64) -> String {
+    let mut parts = escaped.split('_');
+    let mut text = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        let cut = part.chars().next().map_or(0, char::len_utf8);
+        let (low, rest) = part.split_at(cut);
+        // Both shifts in the units of the outer text, so that the line continues where it was.
+        let (small, shift) = (0.75 * size, 0.25 * size);
+        let _ = write!(
+            text,
+            "<tspan dy=\"{shift}\" font-size=\"{small}\">{low}</tspan><tspan dy=\"-{shift}\">{rest}</tspan>"
+        );
+    }
+    text
 }
 
 /// Lines of at most `most` characters.

@@ -72,6 +72,11 @@ pub fn percent(ratio: f64) -> String {
     format!("{:+.0} %", 100.0 * (ratio - 1.0)).replace('-', "−")
 }
 
+/// A number with a typographic minus.
+pub fn signed(value: f64) -> String {
+    format!("{value:.0}").replace('-', "−")
+}
+
 /// Least and greatest.
 pub fn extremes(values: impl IntoIterator<Item = f64>) -> [f64; 2] {
     values.into_iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], v| [l.min(v), h.max(v)])

@@ -2,7 +2,8 @@
 //! ours, never the paper's own; no RFT code made it.
 
 use super::Table;
-use super::legs::{CHORD, COMPONENTS, SEGMENTS, WIDTH};
+use super::claims::{extremes, signed};
+use super::legs::{CHORD, COMPONENTS, Component, SEGMENTS, WIDTH};
 use crate::error::Result;
 use crate::plot::{Axis, Figure, Mark, Panel, Style, color};
 use crate::sand::intrusion::{Load, rotating_leg};
@@ -61,7 +62,7 @@ struct Fit {
     worst: (f64, f64),
 }
 
-fn fit(run: &Run, predicted: &[f64], of: fn(&Load) -> f64) -> Fit {
+fn fit(run: &Run, predicted: &[f64], of: Component) -> Fit {
     let measured: Vec<f64> = run.samples.iter().map(|s| of(&s.1)).collect();
     let greatest = measured.iter().copied().fold(0.0, f64::max);
     let errors: Vec<f64> = predicted.iter().zip(&measured).map(|(p, m)| (p - m) / greatest).collect();
@@ -78,7 +79,7 @@ fn fit(run: &Run, predicted: &[f64], of: fn(&Load) -> f64) -> Fit {
     Fit { rms, peaks: predicted.iter().copied().fold(0.0, f64::max) / greatest, worst }
 }
 
-fn predict(run: &Run, law: Law, of: fn(&Load) -> f64) -> Result<Vec<f64>> {
+fn predict(run: &Run, law: Law, of: Component) -> Result<Vec<f64>> {
     let ground = Ground::new(law, &Medium::generic(ZETA)?, &Surface::default());
     let segments = Shape::named(&run.shape)?.segments(CHORD, WIDTH, SEGMENTS)?;
     Ok(run.samples.iter().map(|s| of(&rotating_leg(&ground, &segments, s.0, run.omega, HIP))).collect())
@@ -112,7 +113,7 @@ pub fn part() -> Result<(Figure, Table, String)> {
             let scatter = run.samples.iter().map(|s| of(&s.2).powi(2)).sum::<f64>() / run.samples.len() as f64;
             for law in Law::ALL {
                 let f = fit(run, &predict(run, law, of)?, of);
-                let percent = |x: f64| format!("{:.0} %", 100.0 * x).replace('-', "−");
+                let percent = |x: f64| format!("{} %", signed(100.0 * x));
                 table.rows.push(vec![
                     name(&run.shape).into(),
                     format!("{}", run.omega),
@@ -121,7 +122,7 @@ pub fn part() -> Result<(Figure, Table, String)> {
                     law.name().into(),
                     percent(f.rms),
                     format!("{:.2}", f.peaks),
-                    format!("{:.0}° to {:.0}°", f.worst.0 - STRETCH / 2.0, f.worst.0 + STRETCH / 2.0).replace('-', "−"),
+                    format!("{}° to {}°", signed(f.worst.0 - STRETCH / 2.0), signed(f.worst.0 + STRETCH / 2.0)),
                     percent(f.worst.1),
                 ]);
                 if law == Law::Li2013 {
@@ -133,21 +134,22 @@ pub fn part() -> Result<(Figure, Table, String)> {
     Ok((figure(&runs)?, table, summary(&errors)))
 }
 
+/// Of li2013's rms errors: leg, speed, component, and where it is worst.
 fn summary(errors: &[(f64, &str, f64, &str, f64, f64)]) -> String {
-    let within = errors.iter().filter(|e| e.0 <= 0.15).count();
+    let of = |leg: &str| {
+        let each = errors.iter().filter(|e| e.1 == leg);
+        let [low, high] = extremes(each.map(|e| 100.0 * e.0));
+        format!("{low:.0} to {high:.0} % of the greatest force on the {leg}")
+    };
     let worst = errors.iter().max_by(|a, b| a.0.total_cmp(&b.0));
-    let worst = worst.map_or_else(String::new, |(rms, leg, omega, component, at, there)| {
+    let worst = worst.map_or_else(String::new, |(_, leg, omega, component, at, there)| {
         format!(
-            "; worst {component} of the {leg} at {omega} rad/s, {:.0} %, breaking near θ = {at:.0}° ({:+.0} % of the peak there)",
-            100.0 * rms,
-            100.0 * there
+            "; it breaks most in the {component} of the {leg} at {omega} rad/s near θ = {}° (error {} % of the greatest force)",
+            signed(*at),
+            signed(100.0 * there)
         )
-        .replace('-', "−")
     });
-    format!(
-        "RFT's rms error is within 15 % of the greatest force in {within} of {} curves through simulated grains{worst}",
-        errors.len()
-    )
+    format!("RFT's rms error is {} and {}{worst}", of("L-leg"), of("reversed L-leg"))
 }
 
 fn figure(runs: &[Run]) -> Result<Figure> {

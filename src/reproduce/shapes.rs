@@ -108,9 +108,9 @@ fn positive_faster(frequency: f64, rft: &[Vec<WalkResult>]) -> Claim {
         &format!("5.positive_faster_{frequency:.0}hz"),
         &format!("v_x is higher with positive ξ than with negative ξ, f = {frequency:.0} Hz"),
         "higher",
-        format!("× {low:.2} to × {high:.2} at equal |ξ| from 5° to 75°"),
+        format!("× {low:.3} to × {high:.3} at equal |ξ| from 5° to 75°"),
         low > 1.0,
-        format!("15 pairs of legs; at least × {least:.2} over all assumptions"),
+        format!("15 pairs of legs; at least × {least:.3} over all assumptions"),
     )
 }
 
