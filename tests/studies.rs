@@ -28,7 +28,8 @@ fn a_penetration_test_gives_the_scale() {
     assert!((c.xi_n / c.zeta - 1.0 / 0.87574).abs() < 1e-12);
 }
 
-/// The interval covers the truth about as often as it says, in noise that is correlated along the path.
+/// The interval covers the truth nearly as often as it says, in noise that is correlated along the path (see
+/// `calibrate::STRETCHES` for what nearly means).
 #[test]
 fn the_confidence_interval_covers() {
     use rand::{Rng, SeedableRng};
@@ -47,7 +48,7 @@ fn the_confidence_interval_covers() {
         c.zeta_interval[0] < 0.5 && 0.5 < c.zeta_interval[1]
     });
     let share = covered.count() as f64 / 400.0;
-    assert!((0.88..=0.99).contains(&share), "{share}");
+    assert!((0.89..=0.99).contains(&share), "{share}");
 }
 
 #[test]

@@ -217,8 +217,7 @@ impl Axis {
                     count.parse().map_err(|_| Error::invalid("--vary", format!("{count:?} is no count of values")))?;
                 check_range("--vary count", count as f64, 2.0..=MOST_VALUES as f64)?;
                 let step = (last - first) / (count - 1) as f64;
-                // Rounded, so that 0.1 + 0.2 reads 0.3 in tables.
-                (0..count).map(|i| format!("{}", round(first + step * i as f64))).collect()
+                (0..count).map(|i| round(first + step * i as f64, step).to_string()).collect()
             }
             [list] => list.split(',').map(|v| v.trim().to_owned()).collect::<Vec<_>>(),
             _ => return Err(Error::invalid("--vary", format!("{values:?} is neither FIRST:LAST:COUNT nor a list"))),
@@ -235,7 +234,10 @@ impl Axis {
     }
 }
 
-/// To 6 significant digits.
-fn round(value: f64) -> f64 {
+/// To a millionth of the step or 6 significant digits, so that tables read 0.3 and 0, not 0.30000000000000004 and 1e-17.
+fn round(value: f64, step: f64) -> f64 {
+    if value.abs() < 1e-6 * step.abs() {
+        return 0.0;
+    }
     format!("{value:.5e}").parse().unwrap_or(value)
 }
