@@ -37,8 +37,8 @@ impl EngineKind {
     /// takes.
     pub fn robot_bytes(self) -> usize {
         match self {
-            Self::Lanes => 4_000,
-            Self::Rapier => 86_000,
+            Self::Lanes => 10_000,
+            Self::Rapier => 170_000, // 18 joints; 86,000 with 6
         }
     }
 

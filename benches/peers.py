@@ -1,0 +1,187 @@
+"""sandgait beside its peers, in one run on this machine.
+
+usage: python benches/peers.py [--binary target/release/sandgait] [--seconds 2] [--repeats 5]
+
+Measured in turn, each on one pinned core and then on all of this machine's cores, so that drift of the machine's
+speed meets everybody: `sandgait bench` (whole environment steps, sand included), EnvPool Ant-v5, gymnasium's Ant-v5 in
+a SyncVectorEnv, and MuJoCo's bare `mj_step` of the same hexapod, without any sand, at the same 0.5 ms time step.
+Needs: pip install "gymnasium[mujoco]" envpool (a target of the Makefile makes an environment with them).
+Prints a table and, as the last line, the same as JSON.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+SUBSTEPS = 40  # 0.5 ms steps in a 50 Hz control step
+
+
+def hexapod_mjcf(robot: dict) -> str:
+    """The robot of robots/xplorer.toml for MuJoCo: same masses, hinges, armature and servos; nothing to touch."""
+    base, link = robot["base"], robot["leg"]["link"][0]
+    size = " ".join(str(s / 2) for s in base["size"])
+    reach = " ".join(map(str, link["reach"]))
+    legs, servos = [], []
+    untouchable = 'contype="0" conaffinity="0"'
+    for hip in robot["hip"]:
+        name, position = hip["name"], " ".join(map(str, hip["position"]))
+        legs.append(
+            f'<body pos="{position}"><joint name="{name}" axis="0 1 0" armature="{link["armature"]}"/>'
+            f'<geom type="capsule" fromto="0 0 0 {reach}" size="0.002" mass="{link["mass"]}" {untouchable}/>'
+            "</body>"
+        )
+        gains = f'kp="{robot["servo"]["kp"]}" kv="{robot["servo"]["kd"]}"'
+        servos.append(f'<position joint="{name}" {gains}/>')
+    return (
+        '<mujoco><option timestep="0.0005" integrator="implicitfast"/><worldbody><body pos="0 0 1"><freejoint/>'
+        f'<geom type="box" size="{size}" mass="{base["mass"]}" {untouchable}/>{"".join(legs)}'
+        f"</body></worldbody><actuator>{''.join(servos)}</actuator></mujoco>"
+    )
+
+
+def timed(step: Callable[[], int], seconds: float) -> float:
+    """Environment steps a second of `step`, which says how many it made."""
+    clock, done = time.perf_counter(), 0
+    while time.perf_counter() - clock < seconds:
+        done += step()
+    return done / (time.perf_counter() - clock)
+
+
+def mujoco_step(seconds: float, _cores: int) -> float:
+    """One robot, one thread: `mj_step` has no batch of its own."""
+    import mujoco
+    import tomllib
+
+    model = mujoco.MjModel.from_xml_string(hexapod_mjcf(tomllib.loads((ROOT / "robots/xplorer.toml").read_text())))
+    data = mujoco.MjData(model)
+
+    def step() -> int:
+        data.ctrl[:] = math.tau * 2 * data.time
+        mujoco.mj_step(model, data, 1000 * SUBSTEPS)
+        mujoco.mj_resetData(model, data)
+        return 1000
+
+    step()
+    return timed(step, seconds)
+
+
+def envpool_ant(seconds: float, cores: int) -> float:
+    import envpool
+    import numpy as np
+
+    envs = 64
+    pool = envpool.make_gymnasium("Ant-v5", num_envs=envs, num_threads=cores)
+    pool.reset()
+    actions = np.random.default_rng(0).uniform(-1, 1, (16, envs, 8))
+    turn = iter(range(10**9))
+
+    def step() -> int:
+        pool.step(actions[next(turn) % 16])
+        return envs
+
+    timed(step, seconds / 4)
+    return timed(step, seconds)
+
+
+def gymnasium_ant(seconds: float, _cores: int) -> float:
+    """SyncVectorEnv uses one core whatever there is."""
+    import gymnasium
+    import numpy as np
+
+    envs = 16
+    pool = gymnasium.make_vec("Ant-v5", num_envs=envs, vectorization_mode="sync")
+    pool.reset(seed=0)
+    actions = np.random.default_rng(0).uniform(-1, 1, (16, envs, 8))
+    turn = iter(range(10**9))
+
+    def step() -> int:
+        pool.step(actions[next(turn) % 16])
+        return envs
+
+    timed(step, seconds / 4)
+    return timed(step, seconds)
+
+
+def sandgait(binary: Path, task: str) -> Callable[[float, int], float]:
+    def measure(seconds: float, cores: int) -> float:
+        command = [
+            binary,
+            "bench",
+            "--task",
+            task,
+            "--threads",
+            cores,
+            "--seconds",
+            seconds / 5,
+            "--repeats",
+            5,
+            "--json",
+        ]
+        output = subprocess.run(list(map(str, command)), check=True, capture_output=True, text=True).stdout
+        return float(json.loads(output)["env_steps_per_second"])
+
+    return measure
+
+
+def rows(binary: Path) -> dict[str, Callable[[float, int], float]]:
+    return {
+        "sandgait HexapodGait (6 joints, sand)": sandgait(binary, "sandgait/HexapodGait-v0"),
+        "sandgait HexapodLegs (18 joints, sand)": sandgait(binary, "sandgait/HexapodLegs-v0"),
+        "MuJoCo mj_step, same hexapod, no sand": mujoco_step,
+        "EnvPool Ant-v5": envpool_ant,
+        "gymnasium Ant-v5, SyncVectorEnv": gymnasium_ant,
+    }
+
+
+def child(binary: Path, name: str, seconds: float, cores: list[int]) -> float:
+    """Measures one row in a process of its own, pinned before any library starts threads."""
+    command = [sys.executable, __file__, "--binary", binary, "--only", name, "--seconds", seconds]
+    output = subprocess.run(
+        list(map(str, command)),
+        check=True,
+        capture_output=True,
+        text=True,
+        preexec_fn=lambda: os.sched_setaffinity(0, cores),
+    ).stdout
+    return float(output.splitlines()[-1])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--binary", type=Path, default=ROOT / "target/release/sandgait")
+    parser.add_argument("--seconds", type=float, default=2.0)
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--only", help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    table = rows(arguments.binary)
+    if arguments.only:
+        print(table[arguments.only](arguments.seconds, len(os.sched_getaffinity(0))))
+        return
+    every = sorted(os.sched_getaffinity(0))
+    results: dict[str, dict[str, float]] = {}
+    for cores in ([every[0]], every):
+        figures: dict[str, list[float]] = {name: [] for name in table}
+        for _ in range(arguments.repeats):
+            for name in table:
+                figures[name].append(child(arguments.binary, name, arguments.seconds, cores))
+        ours = statistics.median(figures["sandgait HexapodGait (6 joints, sand)"])
+        print(f"\n{len(cores)} cores: environment steps/s, median (min to max), HexapodGait's ratio to it")
+        for name, values in figures.items():
+            middle = statistics.median(values)
+            print(f"  {name:40} {middle:10.0f}  ({min(values):.0f} to {max(values):.0f})  {ours / middle:6.1f}")
+            results.setdefault(name, {})[f"{len(cores)} cores"] = round(middle)
+    print(json.dumps(results))
+
+
+if __name__ == "__main__":
+    main()
