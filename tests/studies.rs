@@ -108,6 +108,22 @@ fn packed_walks_are_the_walks_alone() {
     }
 }
 
+/// Every law walks alike in the engine that shares none of the other's dynamics.
+#[test]
+fn engines_agree_under_every_law() {
+    for law in sandgait::sand::Law::ALL {
+        for leg in ["L", "revL"] {
+            let mut d = design();
+            d.scene.law = law;
+            Parameter::named("leg").unwrap().set(&mut d, leg).unwrap();
+            let trial = d.trial().unwrap();
+            let [lanes, rapier] =
+                [EngineKind::Lanes, EngineKind::Rapier].map(|kind| walk::walk(kind, &trial).unwrap().speed);
+            assert!((lanes / rapier - 1.0).abs() < 0.02, "{} {leg}: {lanes} {rapier}", law.name());
+        }
+    }
+}
+
 #[test]
 fn parameters_change_the_model() {
     let mut d = design();
