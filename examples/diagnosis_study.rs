@@ -5,7 +5,7 @@
 #[path = "../tests/testbed/mod.rs"]
 mod testbed;
 
-use rand::{RngExt, SeedableRng};
+use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::diagnose::experiment::Experiment;
 use sandgait::diagnose::fit::Study;

@@ -2,7 +2,7 @@
 
 mod testbed;
 
-use rand::{RngExt, SeedableRng};
+use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::diagnose::diagnose;
 use sandgait::diagnose::experiment::Experiment;

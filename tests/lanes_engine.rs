@@ -1,6 +1,6 @@
 //! Laws of the `lanes` engine, and its precisions and instruction sets against each other.
 
-use rand::{RngExt, SeedableRng};
+use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::number::Isa;
 use sandgait::sand::Medium;
@@ -32,7 +32,7 @@ fn read(engine: &LanesEngine, index: usize, like: &State) -> State {
 }
 
 /// A robot in the middle of moving: every number random but plausible.
-fn random_state(model: &Model, height: f64, random: &mut impl RngExt) -> State {
+fn random_state(model: &Model, height: f64, random: &mut impl Rng) -> State {
     let mut draw = |scale: f64| random.random_range(-scale..scale);
     let angles: Vec<f64> = (0..model.joints()).map(|_| draw(1.0)).collect();
     let mut state = State::at_rest(height, &angles);

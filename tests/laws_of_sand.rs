@@ -1,6 +1,6 @@
 //! Laws that hold for every segment, direction and medium.
 
-use rand::{RngExt, SeedableRng};
+use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::number::Vec3;
 use sandgait::sand::{Form, Ground, Law, Medium, Site, Surface};
@@ -10,7 +10,7 @@ fn here() -> Site<f64> {
     Site::fresh(0.01, 0.0)
 }
 
-fn unit(random: &mut impl RngExt) -> Vec3<f64> {
+fn unit(random: &mut impl Rng) -> Vec3<f64> {
     loop {
         let v = Vec3::new(0.0, 0.0, 0.0).map_each(|_| random.random_range(-1.0..1.0));
         let n = v.norm_squared();

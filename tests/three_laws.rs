@@ -1,7 +1,7 @@
 //! The three stress laws against their equations as printed, with sines and cosines, and against values computed by an
 //! independent implementation of them (another language, plain loops).
 
-use rand::{RngExt, SeedableRng};
+use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::number::Vec3;
 use sandgait::sand::law::agarwal2023;

@@ -2,11 +2,14 @@
 //! machine could not do ends with 1.
 
 mod bench;
+mod calibrate;
 mod diagnose;
 mod intrude;
 mod media;
+mod reproduce;
 mod serve;
 mod stress;
+mod sweep;
 mod tasks;
 mod walk;
 
@@ -42,6 +45,9 @@ enum Command {
     Intrude(intrude::Intrude),
     Media(media::Media),
     Stress(stress::Stress),
+    Reproduce(reproduce::Reproduce),
+    Calibrate(calibrate::Calibrate),
+    Sweep(sweep::Sweep),
     Tasks(tasks::Tasks),
 }
 
@@ -76,6 +82,9 @@ fn run(command: Command) -> Result<String> {
         Command::Intrude(c) => c.run(),
         Command::Media(c) => c.run(),
         Command::Stress(c) => c.run(),
+        Command::Reproduce(c) => c.run(),
+        Command::Calibrate(c) => c.run(),
+        Command::Sweep(c) => c.run(),
         Command::Tasks(c) => c.run(),
     }
 }

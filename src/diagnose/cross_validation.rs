@@ -5,7 +5,7 @@
 
 use super::fit::{COEFFICIENTS, Fit, Study, dot};
 use nalgebra::{DMatrix, DVector};
-use rand::{RngExt, SeedableRng};
+use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 /// Held-out errors of one model, condition by condition.

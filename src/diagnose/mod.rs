@@ -19,7 +19,6 @@ pub mod next_experiment;
 pub mod noise;
 pub mod observations;
 pub mod page;
-pub mod parallel;
 pub mod report;
 pub mod select;
 pub mod table;

@@ -5,8 +5,8 @@ use super::cross_validation::{HeldOut, leave_condition_out, unfitted};
 use super::fit::{Fit, Study, dot};
 use super::lack_of_fit;
 use super::noise::Noise;
-use super::parallel;
 use super::whiten::Whitener;
+use crate::parallel;
 use crate::sand::mechanism::CATALOG;
 use serde::Serialize;
 

@@ -36,7 +36,7 @@ pub struct TaskOptions {
     pub weights: super::locomotion::Weights,
     /// Leg shape: L, revL, C, revC, flat or xi=DEGREES.
     pub leg: String,
-    /// Medium's name or zeta=VALUE.
+    /// Medium's name, zeta=VALUE or mu=VALUE,rho=VALUE.
     pub medium: String,
     /// Text of a sand.toml (see [`SandDescription`]); if not empty it replaces medium and law.
     pub sand: String,
@@ -90,7 +90,7 @@ impl ResetOptions {
 pub const OPTION_HELP: [(&str, &str); 15] = [
     ("robot", "built-in robot"),
     ("engine", "engine that integrates the motion"),
-    ("law", "resistive force law"),
+    ("law", "resistive force law: li2013, penetration-drag-1d or agarwal2023"),
     ("dt", "time step [s]"),
     ("torque_limit", "largest servo torque [N·m]"),
     ("command", "range [low, high] the commanded speed is drawn from [m/s]"),
@@ -98,7 +98,7 @@ pub const OPTION_HELP: [(&str, &str); 15] = [
     ("angle_noise", "initial joint angles are uniform within ± this around the tripod's [rad]"),
     ("weights", "weight of each reward term"),
     ("leg", "leg shape: L, revL, C, revC, flat or xi=DEGREES"),
-    ("medium", "sand: a medium's name or zeta=VALUE"),
+    ("medium", "sand: a medium's name, zeta=VALUE or mu=VALUE,rho=VALUE"),
     ("sand", "a sand.toml, as a diagnosis writes it: replaces medium and law (Python: its path)"),
     ("slope_deg", "surface rises toward +x [°]"),
     ("payload", "extra mass at the base's centre [kg]"),

@@ -1,6 +1,6 @@
 //! Random numbers of an episode: a function of the environment's seed and the episode's number, nothing else.
 
-use rand::{RngExt as _, SeedableRng};
+use rand::{Rng as _, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 /// Draws in a fixed order; equal seeds and episodes give equal draws on every machine.

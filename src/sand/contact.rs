@@ -46,6 +46,26 @@ pub enum Form<R> {
     Agarwal2023(SpatialTable<R>),
 }
 
+/// The law chosen anew at every call: for code that is not the hottest.
+impl<R: Real> StressLaw<R> for Form<R> {
+    fn set_lane(&mut self, lane: usize, medium: &Medium) {
+        match self {
+            Form::Li2013(law) => law.set_lane(lane, medium),
+            Form::PenetrationDrag1d(law) => law.set_lane(lane, medium),
+            Form::Agarwal2023(law) => law.set_lane(lane, medium),
+        }
+    }
+
+    #[inline(always)]
+    fn stress(&self, n: Vec3<R>, motion: &Motion<R>) -> Vec3<R> {
+        match self {
+            Form::Li2013(law) => law.stress(n, motion),
+            Form::PenetrationDrag1d(law) => law.stress(n, motion),
+            Form::Agarwal2023(law) => law.stress(n, motion),
+        }
+    }
+}
+
 /// Sand under one environment (or one per lane), ready for evaluation.
 #[derive(Clone, Copy)]
 pub struct Ground<R> {
@@ -96,11 +116,7 @@ impl<R: Real> Ground<R> {
 
     /// Gives lane `lane` its own medium and mechanisms.
     pub fn set_lane(&mut self, lane: usize, medium: &Medium, mechanisms: &Mechanisms) {
-        match &mut self.form {
-            Form::Li2013(law) => law.set_lane(lane, medium),
-            Form::PenetrationDrag1d(law) => law.set_lane(lane, medium),
-            Form::Agarwal2023(law) => law.set_lane(lane, medium),
-        }
+        self.form.set_lane(lane, medium);
         if self.beyond.is_some() || !mechanisms.sand_is_plain() {
             let plain = || SandMechanisms::new(&Mechanisms::PLAIN, 0.0);
             self.beyond.get_or_insert_with(plain).set_lane(lane, mechanisms, medium.bulk_density);
@@ -110,11 +126,7 @@ impl<R: Real> Ground<R> {
     /// Stress per depth [N/m³] at full speed along `v`; the bare law.
     #[inline(always)]
     pub fn stress(&self, n: Vec3<R>, motion: &Motion<R>) -> Vec3<R> {
-        match &self.form {
-            Form::Li2013(law) => law.stress(n, motion),
-            Form::PenetrationDrag1d(law) => law.stress(n, motion),
-            Form::Agarwal2023(law) => law.stress(n, motion),
-        }
+        self.form.stress(n, motion)
     }
 
     #[inline(always)]
@@ -129,11 +141,8 @@ impl<R: Real> Ground<R> {
     pub fn thin_plate(&self, site: &Site<R>, area: R, n: Vec3<R>, v: Vec3<R>) -> Contact<R> {
         match (&self.form, &self.beyond) {
             (Form::Li2013(law), None) => self.thin_plate_by(law, &Plain, site, area, n, v),
-            (Form::Li2013(law), Some(beyond)) => self.thin_plate_by(law, beyond, site, area, n, v),
-            (Form::PenetrationDrag1d(law), None) => self.thin_plate_by(law, &Plain, site, area, n, v),
-            (Form::PenetrationDrag1d(law), Some(beyond)) => self.thin_plate_by(law, beyond, site, area, n, v),
-            (Form::Agarwal2023(law), None) => self.thin_plate_by(law, &Plain, site, area, n, v),
-            (Form::Agarwal2023(law), Some(beyond)) => self.thin_plate_by(law, beyond, site, area, n, v),
+            (form, None) => self.thin_plate_by(form, &Plain, site, area, n, v),
+            (form, Some(beyond)) => self.thin_plate_by(form, beyond, site, area, n, v),
         }
     }
 
@@ -158,11 +167,8 @@ impl<R: Real> Ground<R> {
     pub fn one_sided(&self, site: &Site<R>, area: R, n: Vec3<R>, v: Vec3<R>) -> Contact<R> {
         match (&self.form, &self.beyond) {
             (Form::Li2013(law), None) => self.one_sided_by(law, &Plain, site, area, n, v),
-            (Form::Li2013(law), Some(beyond)) => self.one_sided_by(law, beyond, site, area, n, v),
-            (Form::PenetrationDrag1d(law), None) => self.one_sided_by(law, &Plain, site, area, n, v),
-            (Form::PenetrationDrag1d(law), Some(beyond)) => self.one_sided_by(law, beyond, site, area, n, v),
-            (Form::Agarwal2023(law), None) => self.one_sided_by(law, &Plain, site, area, n, v),
-            (Form::Agarwal2023(law), Some(beyond)) => self.one_sided_by(law, beyond, site, area, n, v),
+            (form, None) => self.one_sided_by(form, &Plain, site, area, n, v),
+            (form, Some(beyond)) => self.one_sided_by(form, beyond, site, area, n, v),
         }
     }
 

@@ -134,11 +134,8 @@ fn belly<R: Real, const J: usize>(
 ) {
     match (&model.ground.form, &model.ground.beyond) {
         (Form::Li2013(law), None) => belly_by(law, &Plain, model, base, position, inertia, bias),
-        (Form::Li2013(law), Some(beyond)) => belly_by(law, beyond, model, base, position, inertia, bias),
-        (Form::PenetrationDrag1d(law), None) => belly_by(law, &Plain, model, base, position, inertia, bias),
-        (Form::PenetrationDrag1d(law), Some(beyond)) => belly_by(law, beyond, model, base, position, inertia, bias),
-        (Form::Agarwal2023(law), None) => belly_by(law, &Plain, model, base, position, inertia, bias),
-        (Form::Agarwal2023(law), Some(beyond)) => belly_by(law, beyond, model, base, position, inertia, bias),
+        (form, None) => belly_by(form, &Plain, model, base, position, inertia, bias),
+        (form, Some(beyond)) => belly_by(form, beyond, model, base, position, inertia, bias),
     }
 }
 
@@ -196,58 +193,47 @@ fn link_sand<R: Real, const J: usize>(
     link: &Frame<R>,
     position: &Vec3<R>,
 ) -> (Wrench<R>, PointMasses<R>) {
-    let (sand, drag) = strip(model, &body.plates, link, position);
-    let Some(beyond) = &model.ground.beyond else { return (sand, drag) };
+    let mut total = (Wrench::zero(), PointMasses::zero());
+    let (form, plates) = (&model.ground.form, &body.plates);
+    let Some(beyond) = &model.ground.beyond else {
+        match form {
+            Form::Li2013(law) => strip(law, &Plain, model, plates, link, position, R::one(), &mut total),
+            form => strip(form, &Plain, model, plates, link, position, R::one(), &mut total),
+        }
+        return total;
+    };
     let concave_leads = (body.bulge * rate).lt(R::zero());
     let fill = R::select(concave_leads, beyond.fill, R::zero());
-    if !R::any(R::zero().lt(fill)) {
-        return (sand, drag);
+    for (plates, share) in [(plates, R::one() - fill), (&body.chord, fill)] {
+        if R::any(R::zero().lt(share)) {
+            strip(form, beyond, model, plates, link, position, share, &mut total);
+        }
     }
-    let (chord_sand, chord_drag) = strip(model, &body.chord, link, position);
-    let rest = R::one() - fill;
-    let sand = chord_sand.scale_add(fill, &sand.scale_add(rest, &Wrench::zero()));
-    (sand, chord_drag.scale_add(fill, &drag.scale_add(rest, &PointMasses::zero())))
+    total
 }
 
-/// Sand on a strip of plates.
+/// Adds `share` of the sand on two-sided plates: the hottest loop of the program.
 #[inline(always)]
+#[allow(clippy::too_many_arguments)] // all of them are in registers
 fn strip<R: Real, const J: usize>(
-    model: &LaneModel<R, J>,
-    plates: &[LanePlate<R>],
-    link: &Frame<R>,
-    position: &Vec3<R>,
-) -> (Wrench<R>, PointMasses<R>) {
-    match (&model.ground.form, &model.ground.beyond) {
-        (Form::Li2013(law), None) => strip_by(law, &Plain, model, plates, link, position),
-        (Form::Li2013(law), Some(beyond)) => strip_by(law, beyond, model, plates, link, position),
-        (Form::PenetrationDrag1d(law), None) => strip_by(law, &Plain, model, plates, link, position),
-        (Form::PenetrationDrag1d(law), Some(beyond)) => strip_by(law, beyond, model, plates, link, position),
-        (Form::Agarwal2023(law), None) => strip_by(law, &Plain, model, plates, link, position),
-        (Form::Agarwal2023(law), Some(beyond)) => strip_by(law, beyond, model, plates, link, position),
-    }
-}
-
-/// Two-sided plates: the hottest loop of the program.
-#[inline(always)]
-fn strip_by<R: Real, const J: usize>(
     law: &impl StressLaw<R>,
     beyond: &impl Beyond<R>,
     model: &LaneModel<R, J>,
     plates: &[LanePlate<R>],
     link: &Frame<R>,
     position: &Vec3<R>,
-) -> (Wrench<R>, PointMasses<R>) {
-    let mut sand = Wrench::zero();
-    let mut drag = PointMasses::zero();
+    share: R,
+    total: &mut (Wrench<R>, PointMasses<R>),
+) {
     for plate in plates {
         let Some((r, depth)) = submerged(link, plate, position.z) else { continue };
         let normal = link.rotation.apply(plate.normal);
         let site = Site::fresh(depth, position.x + r.x);
-        let contact = model.ground.thin_plate_by(law, beyond, &site, plate.area, normal, link.velocity.at(r));
-        sand.add_force_at(r, contact.force);
-        drag.add(contact.drag * model.dt, r);
+        let area = plate.area * share;
+        let contact = model.ground.thin_plate_by(law, beyond, &site, area, normal, link.velocity.at(r));
+        total.0.add_force_at(r, contact.force);
+        total.1.add(contact.drag * model.dt, r);
     }
-    (sand, drag)
 }
 
 /// Inward pass over one leg: the inertia and bias it shows to the base.

@@ -144,15 +144,6 @@ impl<R: Real> PointMasses<R> {
         self.first = r.scale_add(mass, self.first);
         self.second.add_outer(mass, r);
     }
-    /// `self * s + o`
-    #[inline(always)]
-    pub fn scale_add(&self, s: R, o: &Self) -> Self {
-        let second = Symmetric {
-            diagonal: self.second.diagonal.scale_add(s, o.second.diagonal),
-            off: self.second.off.scale_add(s, o.second.off),
-        };
-        Self { mass: self.mass.mul_add(s, o.mass), first: self.first.scale_add(s, o.first), second }
-    }
 }
 
 /// Articulated inertia: moment = `rotary` α + `coupling` a, force = `coupling`ᵀ α + `linear` a.
