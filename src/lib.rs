@@ -1,12 +1,18 @@
 //! sandgait: batched reinforcement-learning environments of legged robots on sand.
 //!
 //! Data flow one way: [`service`] → [`pool`] → [`env`] → [`sim`] → [`sand`]; no layer knows the ones before it.
+pub mod calibrate;
+pub mod diagnose;
 pub mod env;
 pub mod error;
 pub mod number;
+pub mod parallel;
+pub mod plot;
 pub mod pool;
+pub mod reproduce;
 pub mod sand;
 pub mod service;
 pub mod sim;
+pub mod sweep;
 pub mod table;
 pub use error::{Error, Result};

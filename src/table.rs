@@ -94,6 +94,12 @@ impl Table {
         self.rows.iter().map(number).collect()
     }
 
+    /// The column's cells as they stand.
+    pub fn texts(&self, name: &str) -> Result<Vec<&str>> {
+        let place = self.header.iter().position(|h| h == name).ok_or_else(|| self.missing(name))?;
+        Ok(self.rows.iter().map(|(_, cells)| cells[place].as_str()).collect())
+    }
+
     fn missing(&self, name: &str) -> Error {
         Error::file(&self.path, format!("no column {name}; the header has {}", self.header.join(", ")))
     }

@@ -3,7 +3,12 @@
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::number::Vec3;
-use sandgait::sand::{Form, Ground, Law, Medium, Surface};
+use sandgait::sand::{Form, Ground, Law, Medium, Site, Surface};
+
+/// 1 cm deep.
+fn here() -> Site<f64> {
+    Site::fresh(0.01, 0.0)
+}
 
 fn unit(random: &mut impl Rng) -> Vec3<f64> {
     loop {
@@ -46,9 +51,9 @@ fn everywhere(check: impl Fn(&Ground<f64>, Vec3<f64>, Vec3<f64>, &str)) {
 fn sand_never_adds_energy() {
     everywhere(|ground, n, v, what| {
         let down = Vec3::new(0.0, 0.0, -1.0);
-        let penetration = ground.thin_plate(0.01, 1e-4, down, down).force.z;
+        let penetration = ground.thin_plate(&here(), 1e-4, down, down).force.z;
         let allowed = if matches!(ground.form, Form::Agarwal2023(_)) { 0.007 * penetration } else { 1e-12 };
-        for contact in [ground.thin_plate(0.01, 1e-4, n, v), ground.one_sided(0.01, 1e-4, n, v)] {
+        for contact in [ground.thin_plate(&here(), 1e-4, n, v), ground.one_sided(&here(), 1e-4, n, v)] {
             let power = contact.force.dot(v);
             assert!(power <= allowed * v.norm_squared().sqrt(), "{what}: {power} W");
             assert!(contact.drag >= 0.0 && contact.edge >= 0.0, "{what}");
@@ -59,7 +64,7 @@ fn sand_never_adds_energy() {
 #[test]
 fn thin_plates_do_not_know_their_sides() {
     everywhere(|ground, n, v, what| {
-        let (a, b) = (ground.thin_plate(0.01, 1e-4, n, v).force, ground.thin_plate(0.01, 1e-4, -n, v).force);
+        let (a, b) = (ground.thin_plate(&here(), 1e-4, n, v).force, ground.thin_plate(&here(), 1e-4, -n, v).force);
         assert!((a - b).norm_squared().sqrt() < 1e-12, "{what}: {a:?} {b:?}");
     });
 }
@@ -68,8 +73,8 @@ fn thin_plates_do_not_know_their_sides() {
 fn mirror_images_feel_mirrored_forces() {
     let mirror = |v: Vec3<f64>| Vec3::new(v.x, -v.y, v.z);
     everywhere(|ground, n, v, what| {
-        let a = ground.thin_plate(0.01, 1e-4, n, v).force;
-        let b = ground.thin_plate(0.01, 1e-4, mirror(n), mirror(v)).force;
+        let a = ground.thin_plate(&here(), 1e-4, n, v).force;
+        let b = ground.thin_plate(&here(), 1e-4, mirror(n), mirror(v)).force;
         assert!((mirror(a) - b).norm_squared().sqrt() < 1e-12, "{what}: {a:?} {b:?}");
     });
 }
@@ -79,8 +84,8 @@ fn horizontal_directions_are_all_alike() {
     let (sin, cos) = 0.7f64.sin_cos();
     let turn = |v: Vec3<f64>| Vec3::new(cos * v.x - sin * v.y, sin * v.x + cos * v.y, v.z);
     everywhere(|ground, n, v, what| {
-        let a = ground.thin_plate(0.01, 1e-4, n, v).force;
-        let b = ground.thin_plate(0.01, 1e-4, turn(n), turn(v)).force;
+        let a = ground.thin_plate(&here(), 1e-4, n, v).force;
+        let b = ground.thin_plate(&here(), 1e-4, turn(n), turn(v)).force;
         assert!((turn(a) - b).norm_squared().sqrt() < 1e-9, "{what}: {a:?} {b:?}");
     });
 }
@@ -90,7 +95,8 @@ fn horizontal_directions_are_all_alike() {
 fn force_does_not_depend_on_speed() {
     everywhere(|ground, n, v, what| {
         let v = v * (0.01 / v.norm_squared().sqrt());
-        let (a, b) = (ground.thin_plate(0.01, 1e-4, n, v).force, ground.thin_plate(0.01, 1e-4, n, v * 30.0).force);
+        let (a, b) =
+            (ground.thin_plate(&here(), 1e-4, n, v).force, ground.thin_plate(&here(), 1e-4, n, v * 30.0).force);
         assert!((a - b).norm_squared().sqrt() < 1e-4 * a.norm_squared().sqrt() + 1e-12, "{what}: {a:?} {b:?}");
     });
 }
@@ -99,7 +105,7 @@ fn force_does_not_depend_on_speed() {
 fn one_sided_surfaces_only_push_ahead() {
     everywhere(|ground, n, v, what| {
         if n.dot(v) <= 0.0 {
-            let contact = ground.one_sided(0.01, 1e-4, n, v);
+            let contact = ground.one_sided(&here(), 1e-4, n, v);
             assert_eq!(contact.force, Vec3::new(0.0, 0.0, 0.0), "{what}");
         }
     });

@@ -2,10 +2,14 @@
 //! machine could not do ends with 1.
 
 mod bench;
+mod calibrate;
+mod diagnose;
 mod intrude;
 mod media;
+mod reproduce;
 mod serve;
 mod stress;
+mod sweep;
 mod tasks;
 mod walk;
 
@@ -37,9 +41,13 @@ enum Command {
     Serve(serve::Serve),
     Walk(walk::Walk),
     Bench(bench::Bench),
+    Diagnose(diagnose::Diagnose),
     Intrude(intrude::Intrude),
     Media(media::Media),
     Stress(stress::Stress),
+    Reproduce(reproduce::Reproduce),
+    Calibrate(calibrate::Calibrate),
+    Sweep(sweep::Sweep),
     Tasks(tasks::Tasks),
 }
 
@@ -70,9 +78,13 @@ fn run(command: Command) -> Result<String> {
         Command::Serve(c) => c.run(),
         Command::Walk(c) => c.run(),
         Command::Bench(c) => c.run(),
+        Command::Diagnose(c) => c.run(),
         Command::Intrude(c) => c.run(),
         Command::Media(c) => c.run(),
         Command::Stress(c) => c.run(),
+        Command::Reproduce(c) => c.run(),
+        Command::Calibrate(c) => c.run(),
+        Command::Sweep(c) => c.run(),
         Command::Tasks(c) => c.run(),
     }
 }

@@ -1,6 +1,6 @@
 //! `sandgait walk`
 
-use sandgait::sand::Medium;
+use sandgait::sand::{Law, SandDescription};
 use sandgait::sim::engine::EngineKind;
 use sandgait::sim::model::Scene;
 use sandgait::sim::walk::{Trial, walk};
@@ -31,6 +31,12 @@ pub struct Walk {
     /// Sand: a name from `sandgait media`, or zeta=VALUE
     #[arg(long, default_value = "poppy-loose")]
     medium: String,
+    /// A sand.toml, as a diagnosis writes it, in place of --medium and --law
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["medium", "law"])]
+    sand: Option<std::path::PathBuf>,
+    /// Resistive force law: li2013, penetration-drag-1d or agarwal2023
+    #[arg(long, default_value = "li2013")]
+    law: String,
     /// The surface rises in walking direction [°]
     #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
     slope_deg: f64,
@@ -51,8 +57,11 @@ impl Walk {
         if let Some(leg) = &self.leg {
             robot = robot.with_leg_shape(leg)?;
         }
-        let mut scene = Scene::flat(Medium::named(&self.medium)?);
-        (scene.slope_deg, scene.dt) = (self.slope_deg, self.dt);
+        let mut scene = Scene::flat(super::medium(&self.medium)?);
+        (scene.law, scene.slope_deg, scene.dt) = (Law::named(&self.law)?, self.slope_deg, self.dt);
+        if let Some(sand) = &self.sand {
+            scene.set_sand(&SandDescription::load(sand)?);
+        }
         let engine = EngineKind::named(&self.engine)?;
         let trial = Trial::new(Model::new(&robot, &scene)?, self.frequency);
         let clock = Instant::now();

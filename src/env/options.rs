@@ -1,7 +1,7 @@
 //! Keywords of a task: what `gymnasium.make` takes. Unknown ones are refused; defaults stand here and nowhere else.
 
 use crate::error::{Error, Result, check_range};
-use crate::sand::{Law, Medium};
+use crate::sand::{Law, Medium, SandDescription};
 use crate::sim::engine::EngineKind;
 use crate::sim::model::Scene;
 use crate::sim::{Model, Robot};
@@ -36,8 +36,10 @@ pub struct TaskOptions {
     pub weights: super::locomotion::Weights,
     /// Leg shape: L, revL, C, revC, flat or xi=DEGREES.
     pub leg: String,
-    /// Medium's name or zeta=VALUE.
+    /// Medium's name, zeta=VALUE or mu=VALUE,rho=VALUE.
     pub medium: String,
+    /// Text of a sand.toml (see [`SandDescription`]); if not empty it replaces medium and law.
+    pub sand: String,
     /// Uphill along x [°].
     pub slope_deg: f64,
     /// Extra mass at the base's centre [kg].
@@ -59,6 +61,7 @@ impl Default for TaskOptions {
             weights: Default::default(),
             leg: "L".into(),
             medium: "poppy-loose".into(),
+            sand: String::new(),
             slope_deg: 0.0,
             payload: 0.0,
             max_episode_steps: 500,
@@ -84,10 +87,10 @@ impl ResetOptions {
 }
 
 /// What each keyword means, in the order of [`TaskOptions`].
-pub const OPTION_HELP: [(&str, &str); 14] = [
+pub const OPTION_HELP: [(&str, &str); 15] = [
     ("robot", "built-in robot"),
     ("engine", "engine that integrates the motion"),
-    ("law", "resistive force law"),
+    ("law", "resistive force law: li2013, penetration-drag-1d or agarwal2023"),
     ("dt", "time step [s]"),
     ("torque_limit", "largest servo torque [N·m]"),
     ("command", "range [low, high] the commanded speed is drawn from [m/s]"),
@@ -95,7 +98,8 @@ pub const OPTION_HELP: [(&str, &str); 14] = [
     ("angle_noise", "initial joint angles are uniform within ± this around the tripod's [rad]"),
     ("weights", "weight of each reward term"),
     ("leg", "leg shape: L, revL, C, revC, flat or xi=DEGREES"),
-    ("medium", "sand: a medium's name or zeta=VALUE"),
+    ("medium", "sand: a medium's name, zeta=VALUE or mu=VALUE,rho=VALUE"),
+    ("sand", "a sand.toml, as a diagnosis writes it: replaces medium and law (Python: its path)"),
     ("slope_deg", "surface rises toward +x [°]"),
     ("payload", "extra mass at the base's centre [kg]"),
     ("max_episode_steps", "control steps until an episode is truncated"),
@@ -166,6 +170,9 @@ impl TaskOptions {
         robot.servo.torque_limit = Some(check_range("torque_limit", self.torque_limit, 1e-4..=1e3)?);
         let mut scene = Scene::flat(Medium::named(&self.medium)?);
         (scene.law, scene.slope_deg, scene.dt, scene.payload) = (self.law, self.slope_deg, self.dt, self.payload);
+        if !self.sand.is_empty() {
+            scene.set_sand(&SandDescription::from_toml(&self.sand)?);
+        }
         Model::new(&robot, &scene)
     }
 }

@@ -3,7 +3,9 @@
 //! Resistive force theory depends on the direction of the velocity only: it is dry friction, undefined at rest and
 //! stiff. Two named parameters make it usable in dynamics; both are in [`Surface`].
 
+use super::beyond::{Beyond, Plain, SandMechanisms, Site};
 use super::law::{Law, Motion, PenetrationDrag, PlanarTable, SpatialTable, StressLaw};
+use super::mechanism::Mechanisms;
 use super::media::Medium;
 use crate::number::{Real, Vec3};
 use serde::{Deserialize, Serialize};
@@ -44,10 +46,32 @@ pub enum Form<R> {
     Agarwal2023(SpatialTable<R>),
 }
 
+/// The law chosen anew at every call: for code that is not the hottest.
+impl<R: Real> StressLaw<R> for Form<R> {
+    fn set_lane(&mut self, lane: usize, medium: &Medium) {
+        match self {
+            Form::Li2013(law) => law.set_lane(lane, medium),
+            Form::PenetrationDrag1d(law) => law.set_lane(lane, medium),
+            Form::Agarwal2023(law) => law.set_lane(lane, medium),
+        }
+    }
+
+    #[inline(always)]
+    fn stress(&self, n: Vec3<R>, motion: &Motion<R>) -> Vec3<R> {
+        match self {
+            Form::Li2013(law) => law.stress(n, motion),
+            Form::PenetrationDrag1d(law) => law.stress(n, motion),
+            Form::Agarwal2023(law) => law.stress(n, motion),
+        }
+    }
+}
+
 /// Sand under one environment (or one per lane), ready for evaluation.
 #[derive(Clone, Copy)]
 pub struct Ground<R> {
     pub form: Form<R>,
+    /// What goes beyond the law; none while no lane has any.
+    pub beyond: Option<SandMechanisms<R>>,
     rest_speed_squared: R,
     inverse_gate: R,
 }
@@ -78,28 +102,31 @@ impl<R: Real> Ground<R> {
         };
         Self {
             form,
+            beyond: None,
             rest_speed_squared: R::splat(surface.rest_speed * surface.rest_speed),
             inverse_gate: R::splat(1.0 / surface.leading_edge_gate),
         }
     }
 
-    /// Gives lane `lane` its own medium.
-    pub fn set_lane(&mut self, lane: usize, medium: &Medium) {
-        match &mut self.form {
-            Form::Li2013(law) => law.set_lane(lane, medium),
-            Form::PenetrationDrag1d(law) => law.set_lane(lane, medium),
-            Form::Agarwal2023(law) => law.set_lane(lane, medium),
+    /// The same sand with `mechanisms` switched on.
+    pub fn with(mut self, mechanisms: &Mechanisms, medium: &Medium) -> Self {
+        self.beyond = (!mechanisms.sand_is_plain()).then(|| SandMechanisms::new(mechanisms, medium.bulk_density));
+        self
+    }
+
+    /// Gives lane `lane` its own medium and mechanisms.
+    pub fn set_lane(&mut self, lane: usize, medium: &Medium, mechanisms: &Mechanisms) {
+        self.form.set_lane(lane, medium);
+        if self.beyond.is_some() || !mechanisms.sand_is_plain() {
+            let plain = || SandMechanisms::new(&Mechanisms::PLAIN, 0.0);
+            self.beyond.get_or_insert_with(plain).set_lane(lane, mechanisms, medium.bulk_density);
         }
     }
 
     /// Stress per depth [N/m³] at full speed along `v`; the bare law.
     #[inline(always)]
     pub fn stress(&self, n: Vec3<R>, motion: &Motion<R>) -> Vec3<R> {
-        match &self.form {
-            Form::Li2013(law) => law.stress(n, motion),
-            Form::PenetrationDrag1d(law) => law.stress(n, motion),
-            Form::Agarwal2023(law) => law.stress(n, motion),
-        }
+        self.form.stress(n, motion)
     }
 
     #[inline(always)]
@@ -109,39 +136,55 @@ impl<R: Real> Ground<R> {
         Motion { v, inverse_speed, moving: squared * inverse_speed * inverse_speed }
     }
 
-    /// A thin plate in the sand, both sides together: `depth` ≥ 0 [m] below the surface, `area` [m²].
+    /// A thin plate in the sand, both sides together: `area` [m²], unit normal `n`, velocity `v` [m/s].
     #[inline(always)]
-    pub fn thin_plate(&self, depth: R, area: R, n: Vec3<R>, v: Vec3<R>) -> Contact<R> {
-        match &self.form {
-            Form::Li2013(law) => self.thin_plate_by(law, depth, area, n, v),
-            Form::PenetrationDrag1d(law) => self.thin_plate_by(law, depth, area, n, v),
-            Form::Agarwal2023(law) => self.thin_plate_by(law, depth, area, n, v),
+    pub fn thin_plate(&self, site: &Site<R>, area: R, n: Vec3<R>, v: Vec3<R>) -> Contact<R> {
+        match (&self.form, &self.beyond) {
+            (Form::Li2013(law), None) => self.thin_plate_by(law, &Plain, site, area, n, v),
+            (form, None) => self.thin_plate_by(form, &Plain, site, area, n, v),
+            (form, Some(beyond)) => self.thin_plate_by(form, beyond, site, area, n, v),
         }
     }
 
-    /// [`Self::thin_plate`] with the law already chosen from [`Self::form`].
+    /// A thin plate with law and mechanisms already chosen, for loops that choose once.
     #[inline(always)]
-    pub fn thin_plate_by(&self, law: &impl StressLaw<R>, depth: R, area: R, n: Vec3<R>, v: Vec3<R>) -> Contact<R> {
+    pub fn thin_plate_by(
+        &self,
+        law: &impl StressLaw<R>,
+        beyond: &impl Beyond<R>,
+        site: &Site<R>,
+        area: R,
+        n: Vec3<R>,
+        v: Vec3<R>,
+    ) -> Contact<R> {
         let motion = self.motion(v);
-        let force = law.stress(n, &motion) * (depth * area);
+        let force = beyond.extend(law.stress(n, &motion), n, v, site) * area;
         Contact { force, drag: secant(force, v), edge: R::zero() }
     }
 
     /// A face of a solid body with outward normal `n`: the sand is on one side only and can push, not pull.
     #[inline(always)]
-    pub fn one_sided(&self, depth: R, area: R, n: Vec3<R>, v: Vec3<R>) -> Contact<R> {
-        match &self.form {
-            Form::Li2013(law) => self.one_sided_by(law, depth, area, n, v),
-            Form::PenetrationDrag1d(law) => self.one_sided_by(law, depth, area, n, v),
-            Form::Agarwal2023(law) => self.one_sided_by(law, depth, area, n, v),
+    pub fn one_sided(&self, site: &Site<R>, area: R, n: Vec3<R>, v: Vec3<R>) -> Contact<R> {
+        match (&self.form, &self.beyond) {
+            (Form::Li2013(law), None) => self.one_sided_by(law, &Plain, site, area, n, v),
+            (form, None) => self.one_sided_by(form, &Plain, site, area, n, v),
+            (form, Some(beyond)) => self.one_sided_by(form, beyond, site, area, n, v),
         }
     }
 
-    /// [`Self::one_sided`] with the law already chosen from [`Self::form`].
+    /// One face with law and mechanisms already chosen, for loops that choose once.
     #[inline(always)]
-    pub fn one_sided_by(&self, law: &impl StressLaw<R>, depth: R, area: R, n: Vec3<R>, v: Vec3<R>) -> Contact<R> {
+    pub fn one_sided_by(
+        &self,
+        law: &impl StressLaw<R>,
+        beyond: &impl Beyond<R>,
+        site: &Site<R>,
+        area: R,
+        n: Vec3<R>,
+        v: Vec3<R>,
+    ) -> Contact<R> {
         let motion = self.motion(v);
-        let full = law.stress(n, &motion) * (depth * area);
+        let full = beyond.extend(law.stress(n, &motion), n, v, site) * area;
         let leading = n.dot(v) * motion.inverse_speed * self.inverse_gate;
         let gate = leading.clamp(R::zero(), R::one());
         let force = full * gate;

@@ -1,5 +1,6 @@
 //! A leg rotated about a fixed hip: the experiment of Li et al. 2012, section 3.
 
+use super::beyond::Site;
 use super::contact::Ground;
 use super::shape::Segment;
 use crate::number::Vec3;
@@ -28,7 +29,7 @@ pub fn rotating_leg(ground: &Ground<f64>, segments: &[Segment], theta: f64, omeg
             continue;
         }
         let v = Vec3::new(-omega * z, 0.0, omega * x);
-        let f = ground.thin_plate(depth, s.area, Vec3::new(n[0], 0.0, n[1]), v).force;
+        let f = ground.thin_plate(&Site::fresh(depth, x), s.area, Vec3::new(n[0], 0.0, n[1]), v).force;
         load.fx += f.x;
         load.fz += f.z;
         load.ty += x * f.z - z * f.x;

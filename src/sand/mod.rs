@@ -6,17 +6,26 @@
 //! * [`media`]: what the sand is: its stress coefficients and where they were measured.
 //! * [`law`]: stress per depth from a segment's orientation and direction of motion; three published laws.
 //! * [`contact`]: force on a segment, with what an implicit integrator needs to keep it at rest.
+//! * [`mechanism`]: what plain theory leaves out: every mechanism, its law and its bounds.
+//! * [`beyond`]: the equations of those that act in the sand.
 //! * [`shape`]: intruders (plates and legs) cut into segments.
+//! * [`description`]: medium and mechanisms as a file, `sand.toml`.
 //! * [`intrusion`]: a leg rotated about a fixed hip, as on a force-measuring arm.
 
+pub mod beyond;
 pub mod contact;
+pub mod description;
 pub mod intrusion;
 pub mod law;
+pub mod mechanism;
 pub mod media;
 pub mod shape;
 
+pub use beyond::{Beyond, Plain, SandMechanisms, Site};
 pub use contact::{Contact, Form, Ground, Surface};
+pub use description::SandDescription;
 pub use law::Law;
+pub use mechanism::{Mechanism, Mechanisms};
 pub use media::{Coefficients, Medium};
 pub use shape::{Segment, Shape};
 

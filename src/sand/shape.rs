@@ -58,6 +58,21 @@ impl Shape {
         Ok(Shape::TwoPiece { xi: xi_deg.to_radians() })
     }
 
+    /// 1 if it bulges forward, −1 backward, 0 if it is straight.
+    pub fn bulge(&self) -> f64 {
+        match *self {
+            Shape::TwoPiece { xi: 0.0 } => 0.0,
+            Shape::TwoPiece { xi } => xi.signum(),
+            Shape::HalfCircle { reversed } => {
+                if reversed {
+                    -1.0
+                } else {
+                    1.0
+                }
+            }
+        }
+    }
+
     /// Corners of the mid-surface from hip to tip, as unit vectors times the hip-tip distance 1.
     fn two_piece_corners(xi: f64) -> [[f64; 2]; 3] {
         let (sin, cos) = xi.sin_cos();

@@ -2,7 +2,8 @@
 
 use super::robot::{Link, Robot, Tripod};
 use crate::error::{Error, Result, check_range};
-use crate::sand::{Law, Medium, Shape, Surface};
+use crate::number::Real;
+use crate::sand::{Ground, Law, Mechanisms, Medium, SandDescription, Segment, Shape, Surface};
 use serde::{Deserialize, Serialize};
 
 pub use crate::sand::GRAVITY;
@@ -17,6 +18,9 @@ pub struct Scene {
     pub law: Law,
     #[serde(default)]
     pub surface: Surface,
+    /// What the sand does beyond its law. Those of sensors and logs do nothing here.
+    #[serde(default)]
+    pub mechanisms: Mechanisms,
     /// The surface rises toward +x [°]; gravity tilts in the surface's frame.
     pub slope_deg: f64,
     /// Time step [s].
@@ -34,15 +38,27 @@ impl Scene {
             medium,
             law: Law::Li2013,
             surface: Surface::default(),
+            mechanisms: Mechanisms::PLAIN,
             slope_deg: 0.0,
             dt: Self::DEFAULT_DT,
             payload: 0.0,
         }
     }
 
+    /// Replaces medium, law and mechanisms.
+    pub fn set_sand(&mut self, sand: &SandDescription) {
+        (self.medium, self.law, self.mechanisms) = (sand.medium(), sand.law, sand.mechanisms);
+    }
+
+    /// Its sand, ready for evaluation.
+    pub fn ground<R: Real>(&self) -> Ground<R> {
+        Ground::new(self.law, &self.medium, &self.surface).with(&self.mechanisms, &self.medium)
+    }
+
     fn validate(&self) -> Result<()> {
         // Natural slopes of dry sand end near 35°, its angle of repose.
         check_range("slope_deg", self.slope_deg, -35.0..=35.0)?;
+        self.mechanisms.validated()?;
         check_range("dt", self.dt, 1e-6..=5e-3)?;
         check_range("payload", self.payload, 0.0..=1e3)?;
         check_range("surface.rest_speed", self.surface.rest_speed, 1e-9..=1e-2)?;
@@ -84,6 +100,10 @@ pub struct Body {
     pub armature: f64,
     pub range: Option<[f64; 2]>,
     pub plates: Vec<Plate>,
+    /// The straight strip from joint to tip in place of `plates`, for `concave_fill`.
+    pub chord: Vec<Plate>,
+    /// Which side the strip bulges to: 1 if it leads when the joint turns positively, −1 the other, 0 if straight.
+    pub bulge: f64,
     /// From the joint to the next one or the tip [m].
     pub reach: V,
 }
@@ -127,7 +147,7 @@ impl Model {
         scene.validate()?;
         let size = V::from(robot.base.size).map(|s| s * s);
         let box_inertia = V::new(size.y + size.z, size.x + size.z, size.x + size.y) / 12.0;
-        let slope = scene.slope_deg.to_radians();
+        let slope = scene.slope_deg.to_radians() + scene.mechanisms.slope;
         let legs = robot.hip.iter().map(|hip| leg(robot, hip.position, hip.yaw_deg.to_radians()));
         Ok(Self {
             base_mass: robot.base.mass + scene.payload,
@@ -137,7 +157,7 @@ impl Model {
             motor: Motor {
                 kp: robot.servo.kp,
                 kd: robot.servo.kd,
-                torque_limit: robot.servo.torque_limit.unwrap_or(NO_LIMIT),
+                torque_limit: torque_limit(robot, &scene.mechanisms),
                 speed_limit: robot.servo.speed_limit.unwrap_or(NO_LIMIT),
             },
             gravity: V::new(-slope.sin(), 0.0, -slope.cos()) * GRAVITY,
@@ -180,6 +200,12 @@ impl Model {
         }
         -lowest
     }
+}
+
+/// The servo's, or the hidden limit of a weak motor if that is lower [N·m].
+fn torque_limit(robot: &Robot, mechanisms: &Mechanisms) -> f64 {
+    let own = robot.servo.torque_limit.unwrap_or(NO_LIMIT);
+    if mechanisms.motor_torque_limit > 0.0 { own.min(mechanisms.motor_torque_limit) } else { own }
 }
 
 fn belly(robot: &Robot) -> Vec<Plate> {
@@ -230,7 +256,12 @@ fn body(link: &Link, joint: V, turn: nalgebra::Rotation3<f64>) -> Result<Body> {
         let rod = (M::identity() - along * along.transpose()) * (mass * length * length / 12.0);
         sum + rod + (M::identity() * r.norm_squared() - r * r.transpose()) * mass
     });
-    let plates = segments.iter().map(|s| Plate { center: place(s.center), normal: place(s.normal), area: s.area });
+    let touching = |segments: &[Segment]| match link.sand {
+        Some(_) => {
+            segments.iter().map(|s| Plate { center: place(s.center), normal: place(s.normal), area: s.area }).collect()
+        }
+        None => Vec::new(),
+    };
     Ok(Body {
         joint,
         axis: turn * axis,
@@ -239,7 +270,9 @@ fn body(link: &Link, joint: V, turn: nalgebra::Rotation3<f64>) -> Result<Body> {
         inertia,
         armature: link.armature,
         range: link.range,
-        plates: if link.sand.is_some() { plates.collect() } else { Vec::new() },
+        plates: touching(&segments),
+        chord: touching(&Shape::TwoPiece { xi: 0.0 }.segments(reach.norm(), width, count)?),
+        bulge: shape.bulge(),
         reach: turn * reach,
     })
 }

@@ -74,7 +74,8 @@ impl Trial {
         TAU * self.frequency * ((time - HOLD) / RAMP).clamp(0.0, 1.0)
     }
 
-    fn validate(&self) -> Result<()> {
+    /// Refuses what the protocol cannot run.
+    pub fn validate(&self) -> Result<()> {
         // Slower than one stride in 50 s or faster than 20 Hz is far from any walk: our choice of guard.
         check_range("frequency", self.frequency, -20.0..=20.0)?;
         if self.frequency != 0.0 && self.frequency.abs() < 0.02 {

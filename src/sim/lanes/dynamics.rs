@@ -9,12 +9,14 @@ use super::model::{LaneBody, LaneModel, LanePlate};
 use super::spatial::{Inertia, PointMasses, Symmetric, Twist, Wrench};
 use crate::number::{Mat3, Real, Vec3};
 use crate::sand::law::StressLaw;
-use crate::sand::{Form, Ground};
+use crate::sand::{Beyond, Form, Plain, Site};
 
 /// State of the robots in one block, one lane each; see [`crate::sim::State`].
 #[derive(Clone)]
 pub struct LaneState<R> {
     pub position: Vec3<R>,
+    /// Where position.x counts from, as far as sand that changes along the way needs to know [m].
+    pub travelled: R,
     /// Quaternion w and (x, y, z).
     pub orientation: (R, Vec3<R>),
     pub velocity: Vec3<R>,
@@ -71,12 +73,13 @@ struct Frame<R> {
 #[inline(always)]
 pub fn step<R: Real, const J: usize>(model: &LaneModel<R, J>, state: &mut LaneState<R>, hinges: &mut [Hinge<R>]) {
     let base = base_frame(state);
-    let height = state.position.z;
+    let mut position = state.position;
+    position.x += state.travelled;
     let (mut inertia, mut bias) = base_inertia(model, &base);
-    belly(model, &base, height, &mut inertia, &mut bias);
+    belly(model, &base, &position, &mut inertia, &mut bias);
     for (l, leg) in model.legs.iter().enumerate() {
         let (joints, hinges) = (&state.joints[l * J..][..J], &mut hinges[l * J..][..J]);
-        let (leg_inertia, leg_bias) = fold_leg(model, leg, &base, height, joints, hinges);
+        let (leg_inertia, leg_bias) = fold_leg(model, leg, &base, &position, joints, hinges);
         inertia.add(&leg_inertia);
         bias.add(&leg_bias);
     }
@@ -125,14 +128,14 @@ fn base_inertia<R: Real, const J: usize>(model: &LaneModel<R, J>, base: &Frame<R
 fn belly<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
     base: &Frame<R>,
-    height: R,
+    position: &Vec3<R>,
     inertia: &mut Inertia<R>,
     bias: &mut Wrench<R>,
 ) {
-    match &model.ground.form {
-        Form::Li2013(law) => belly_by(law, model, base, height, inertia, bias),
-        Form::PenetrationDrag1d(law) => belly_by(law, model, base, height, inertia, bias),
-        Form::Agarwal2023(law) => belly_by(law, model, base, height, inertia, bias),
+    match (&model.ground.form, &model.ground.beyond) {
+        (Form::Li2013(law), None) => belly_by(law, &Plain, model, base, position, inertia, bias),
+        (form, None) => belly_by(form, &Plain, model, base, position, inertia, bias),
+        (form, Some(beyond)) => belly_by(form, beyond, model, base, position, inertia, bias),
     }
 }
 
@@ -140,9 +143,10 @@ fn belly<R: Real, const J: usize>(
 #[inline(always)]
 fn belly_by<R: Real, const J: usize>(
     law: &impl StressLaw<R>,
+    beyond: &impl Beyond<R>,
     model: &LaneModel<R, J>,
     base: &Frame<R>,
-    height: R,
+    position: &Vec3<R>,
     inertia: &mut Inertia<R>,
     bias: &mut Wrench<R>,
 ) {
@@ -150,10 +154,11 @@ fn belly_by<R: Real, const J: usize>(
     let mut sand = Wrench::zero();
     let mut wet = false;
     for plate in &model.belly {
-        let Some((r, depth)) = submerged(base, plate, height) else { continue };
+        let Some((r, depth)) = submerged(base, plate, position.z) else { continue };
         wet = true;
         let normal = base.rotation.apply(plate.normal);
-        let contact = model.ground.one_sided_by(law, depth, plate.area, normal, base.velocity.at(r));
+        let site = Site::fresh(depth, position.x + r.x);
+        let contact = model.ground.one_sided_by(law, beyond, &site, plate.area, normal, base.velocity.at(r));
         sand.add_force_at(r, contact.force);
         drag.add(contact.drag * model.dt, r);
         let direction = Wrench { moment: r.cross(normal), force: normal };
@@ -179,42 +184,56 @@ fn submerged<R: Real>(body: &Frame<R>, plate: &LanePlate<R>, height: R) -> Optio
     Some((Vec3::new(x, y, z), depth.max(R::zero())))
 }
 
-/// Sand on a link's strip.
+/// Sand on a link: on its strip, or in part on the straight chord where its concave side leads and fills.
 #[inline(always)]
-fn strip<R: Real>(
-    ground: &Ground<R>,
-    plates: &[LanePlate<R>],
+fn link_sand<R: Real, const J: usize>(
+    model: &LaneModel<R, J>,
+    body: &LaneBody<R>,
+    rate: R,
     link: &Frame<R>,
-    height: R,
-    dt: R,
+    position: &Vec3<R>,
 ) -> (Wrench<R>, PointMasses<R>) {
-    match &ground.form {
-        Form::Li2013(law) => strip_by(law, ground, plates, link, height, dt),
-        Form::PenetrationDrag1d(law) => strip_by(law, ground, plates, link, height, dt),
-        Form::Agarwal2023(law) => strip_by(law, ground, plates, link, height, dt),
+    let mut total = (Wrench::zero(), PointMasses::zero());
+    let (form, plates) = (&model.ground.form, &body.plates);
+    let Some(beyond) = &model.ground.beyond else {
+        match form {
+            Form::Li2013(law) => strip(law, &Plain, model, plates, link, position, R::one(), &mut total),
+            form => strip(form, &Plain, model, plates, link, position, R::one(), &mut total),
+        }
+        return total;
+    };
+    let concave_leads = (body.bulge * rate).lt(R::zero());
+    let fill = R::select(concave_leads, beyond.fill, R::zero());
+    for (plates, share) in [(plates, R::one() - fill), (&body.chord, fill)] {
+        if R::any(R::zero().lt(share)) {
+            strip(form, beyond, model, plates, link, position, share, &mut total);
+        }
     }
+    total
 }
 
-/// Two-sided plates: the hottest loop of the program.
+/// Adds `share` of the sand on two-sided plates: the hottest loop of the program.
 #[inline(always)]
-fn strip_by<R: Real>(
+#[allow(clippy::too_many_arguments)] // all of them are in registers
+fn strip<R: Real, const J: usize>(
     law: &impl StressLaw<R>,
-    ground: &Ground<R>,
+    beyond: &impl Beyond<R>,
+    model: &LaneModel<R, J>,
     plates: &[LanePlate<R>],
     link: &Frame<R>,
-    height: R,
-    dt: R,
-) -> (Wrench<R>, PointMasses<R>) {
-    let mut sand = Wrench::zero();
-    let mut drag = PointMasses::zero();
+    position: &Vec3<R>,
+    share: R,
+    total: &mut (Wrench<R>, PointMasses<R>),
+) {
     for plate in plates {
-        let Some((r, depth)) = submerged(link, plate, height) else { continue };
+        let Some((r, depth)) = submerged(link, plate, position.z) else { continue };
         let normal = link.rotation.apply(plate.normal);
-        let contact = ground.thin_plate_by(law, depth, plate.area, normal, link.velocity.at(r));
-        sand.add_force_at(r, contact.force);
-        drag.add(contact.drag * dt, r);
+        let site = Site::fresh(depth, position.x + r.x);
+        let area = plate.area * share;
+        let contact = model.ground.thin_plate_by(law, beyond, &site, area, normal, link.velocity.at(r));
+        total.0.add_force_at(r, contact.force);
+        total.1.add(contact.drag * model.dt, r);
     }
-    (sand, drag)
 }
 
 /// Inward pass over one leg: the inertia and bias it shows to the base.
@@ -223,7 +242,7 @@ fn fold_leg<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
     leg: &[LaneBody<R>; J],
     base: &Frame<R>,
-    height: R,
+    position: &Vec3<R>,
     joints: &[LaneJoint<R>],
     hinges: &mut [Hinge<R>],
 ) -> (Inertia<R>, Wrench<R>) {
@@ -233,7 +252,7 @@ fn fold_leg<R: Real, const J: usize>(
     for j in 0..J {
         let (frame, axis) = child_frame(&parent, &leg[j], &joints[j]);
         hinges[j].axis = axis;
-        let (sand, drag) = strip(&model.ground, &leg[j].plates, &frame, height, model.dt);
+        let (sand, drag) = link_sand(model, &leg[j], joints[j].rate, &frame, position);
         links[j] = link_inertia(&leg[j], &frame, model.gravity, &sand, &drag);
         parent = frame;
     }

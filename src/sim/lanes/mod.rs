@@ -114,6 +114,7 @@ impl<R: Real, const J: usize> Lanes<R, J> {
         // Lanes without an environment hover motionless above the sand.
         let state = LaneState {
             position: Vec3::splat([0.0, 0.0, 1e3]),
+            travelled: R::zero(),
             orientation: (R::one(), Vec3::zero()),
             velocity: Vec3::zero(),
             angular_velocity: Vec3::zero(),
@@ -137,6 +138,7 @@ impl<R: Real, const J: usize> Lanes<R, J> {
             let [x, y, z] = self.state.position.lane(lane);
             let origin = &mut self.origins[lane];
             *origin = [origin[0] + x, origin[1] + y];
+            self.state.travelled.set_lane(lane, origin[0]);
             self.state.position.set_lane(lane, [0.0, 0.0, z]);
         }
         for joint in &mut self.state.joints {
@@ -173,6 +175,7 @@ impl<R: Real, const J: usize> Block for Lanes<R, J> {
         self.origins[lane] = [x, y];
         let s = &mut self.state;
         s.position.set_lane(lane, [0.0, 0.0, z]);
+        s.travelled.set_lane(lane, x);
         s.orientation.0.set_lane(lane, state.orientation[0]);
         s.orientation.1.set_lane(lane, [state.orientation[1], state.orientation[2], state.orientation[3]]);
         s.velocity.set_lane(lane, state.velocity);

@@ -24,6 +24,8 @@ pub struct LaneBody<R> {
     pub inertia: [Vec3<R>; 2],
     pub armature: R,
     pub plates: Vec<LanePlate<R>>,
+    pub chord: Vec<LanePlate<R>>,
+    pub bulge: R,
 }
 
 /// See [`Model`]; `J` joints a leg.
@@ -68,6 +70,8 @@ impl<R: Real> LaneBody<R> {
             inertia: symmetric(&b.inertia).map(Vec3::splat),
             armature: R::splat(b.armature),
             plates: b.plates.iter().map(plate).collect(),
+            chord: b.chord.iter().map(plate).collect(),
+            bulge: R::splat(b.bulge),
         }
     }
 
@@ -79,6 +83,8 @@ impl<R: Real> LaneBody<R> {
         self.inertia.iter_mut().zip(symmetric(&b.inertia)).for_each(|(out, v)| out.set_lane(lane, v));
         self.armature.set_lane(lane, b.armature);
         self.plates.iter_mut().zip(&b.plates).for_each(|(out, p)| set_plate(out, lane, p));
+        self.chord.iter_mut().zip(&b.chord).for_each(|(out, p)| set_plate(out, lane, p));
+        self.bulge.set_lane(lane, b.bulge);
     }
 }
 
@@ -95,7 +101,7 @@ impl<R: Real, const J: usize> LaneModel<R, J> {
             torque_limit: R::splat(model.motor.torque_limit),
             speed_limit: R::splat(model.motor.speed_limit),
             gravity: Vec3::splat(model.gravity.into()),
-            ground: Ground::new(model.scene.law, &model.scene.medium, &model.scene.surface),
+            ground: model.scene.ground(),
             dt: R::splat(model.scene.dt),
         }
     }
@@ -113,6 +119,6 @@ impl<R: Real, const J: usize> LaneModel<R, J> {
         self.torque_limit.set_lane(lane, model.motor.torque_limit);
         self.speed_limit.set_lane(lane, model.motor.speed_limit);
         self.gravity.set_lane(lane, model.gravity.into());
-        self.ground.set_lane(lane, &model.scene.medium);
+        self.ground.set_lane(lane, &model.scene.medium, &model.scene.mechanisms);
     }
 }

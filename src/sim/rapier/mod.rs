@@ -79,7 +79,7 @@ impl Robot {
         let joints = model.joints();
         let angles = vec![0.0; joints];
         Self {
-            ground: Ground::new(model.scene.law, &model.scene.medium, &model.scene.surface),
+            ground: model.scene.ground(),
             dry: model.legs.iter().flatten().map(|b| mass_properties(b.mass, b.center, &b.inertia)).collect(),
             world: World::new(model),
             state: State::at_rest(model.standing_height(&angles), &angles),
@@ -136,7 +136,7 @@ impl Robot {
     /// Weight of the base, and sand under it.
     fn load_base(&mut self, base: &Frame) {
         let model = &self.model;
-        let sand = sand::load(&self.ground, &model.belly, true, base, self.state.position[2], model.scene.dt);
+        let sand = sand::load(&self.ground, &model.belly, true, base, &self.state.position, model.scene.dt);
         let mut wrench = sand.wrench;
         wrench.add_at(V::zeros(), model.gravity * model.base_mass);
         self.world.push_base(&wrench);
@@ -163,8 +163,7 @@ impl Robot {
             let mut frame = *base;
             for body in chain {
                 frame = frame.child(body, state.angles[joint], state.rates[joint]);
-                let height = state.position[2];
-                let sand = sand::load(&self.ground, &body.plates, false, &frame, height, model.scene.dt);
+                let sand = sand::load(&self.ground, &body.plates, false, &frame, &self.state.position, model.scene.dt);
                 let mut wrench = sand.wrench;
                 wrench.add_at(frame.origin + frame.rotation * body.center, model.gravity * body.mass);
                 let (properties, center) = if sand.drag.mass > 0.0 {

@@ -8,7 +8,7 @@
 use super::frame::{Frame, V};
 use super::inertia::Masses;
 use crate::number::Vec3;
-use crate::sand::Ground;
+use crate::sand::{Ground, Site};
 use crate::sim::model::Plate;
 
 /// Force [N] and moment [N·m] about the base's centre, world axes.
@@ -45,20 +45,21 @@ pub struct Load {
     pub edge: Masses,
 }
 
-/// Sand under `plates` of the body at `frame`, whose base centre is `height` [m] above the surface.
-pub fn load(ground: &Ground<f64>, plates: &[Plate], one_sided: bool, frame: &Frame, height: f64, dt: f64) -> Load {
+/// Sand under `plates` of the body at `frame`, whose base centre is at `place` [m].
+pub fn load(ground: &Ground<f64>, plates: &[Plate], one_sided: bool, frame: &Frame, place: &[f64; 3], dt: f64) -> Load {
     let mut load = Load { wrench: Wrench::none(), drag: Masses::none(), edge: Masses::none() };
     for plate in plates {
         let arm = frame.rotation * plate.center;
-        let depth = -(height + frame.origin.z + arm.z);
+        let depth = -(place[2] + frame.origin.z + arm.z);
         if depth <= 0.0 {
             continue;
         }
         let (normal, velocity) = (frame.rotation * plate.normal, frame.velocity_at(arm));
+        let site = Site::fresh(depth, place[0] + frame.origin.x + arm.x);
         let contact = if one_sided {
-            ground.one_sided(depth, plate.area, lanes(normal), lanes(velocity))
+            ground.one_sided(&site, plate.area, lanes(normal), lanes(velocity))
         } else {
-            ground.thin_plate(depth, plate.area, lanes(normal), lanes(velocity))
+            ground.thin_plate(&site, plate.area, lanes(normal), lanes(velocity))
         };
         let mass = contact.drag * dt;
         let force = V::new(contact.force.x, contact.force.y, contact.force.z);

@@ -1,0 +1,236 @@
+//! The full study of the diagnosis on data of our own test-bed: writes a table for docs/diagnosis_study.md.
+//!
+//! Usage: diagnosis_study SEEDS NULLS: seeds a mechanism and number of logs with nothing hidden.
+
+#[path = "../tests/testbed/mod.rs"]
+mod testbed;
+
+use rand::{Rng, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
+use sandgait::diagnose::experiment::Experiment;
+use sandgait::diagnose::fit::Study;
+use sandgait::diagnose::force_log;
+use sandgait::diagnose::forward::{ForceLogModel, ForwardModel};
+use sandgait::diagnose::noise::{ChannelNoise, Noise, magnitudes};
+use sandgait::diagnose::report::Report;
+use sandgait::diagnose::select::Verdict;
+use sandgait::diagnose::whiten::Whitener;
+use sandgait::diagnose::{diagnose, parallel};
+use sandgait::sand::mechanism::CATALOG;
+use std::error::Error;
+use std::path::Path;
+use testbed::{Hidden, Log};
+
+type Outcome<T> = Result<T, Box<dyn Error>>;
+
+fn experiment() -> Outcome<Experiment> {
+    Ok(Experiment::from_toml(testbed::EXPERIMENT)?)
+}
+
+fn report(log: &Log, name: &str) -> Outcome<Report> {
+    let path = std::env::temp_dir().join(format!("sandgait-study-{}-{name}.csv", std::process::id()));
+    std::fs::write(&path, &log.noisy)?;
+    let diagnosis = diagnose(&path, &experiment()?);
+    std::fs::remove_file(&path)?;
+    Ok(diagnosis?.report)
+}
+
+/// Whitened distance [σ] from the truth to the nearest model that lacks `cause`: every other single fitted to the noise-free log.
+fn separation(log: &Log, cause: &str, name: &str) -> Outcome<f64> {
+    let path = std::env::temp_dir().join(format!("sandgait-clean-{}-{name}.csv", std::process::id()));
+    std::fs::write(&path, &log.clean)?;
+    let read = read_and_remove(&path);
+    let (read, experiment) = (read?, experiment()?);
+    let model = ForceLogModel::new(&read, &experiment)?;
+    let channel =
+        |arm: f64| ChannelNoise { grain: arm * testbed::GRAIN, sensor: arm * testbed::SENSOR, phi: testbed::PHI };
+    let noise = Noise { channels: vec![channel(1.0), channel(1.0), channel(testbed::ARM)], gain: testbed::GAIN };
+    let o = &read.observations;
+    let whitener = Whitener::new(o, &noise, &magnitudes(o), &o.values);
+    let study = Study::new(o, &model, &whitener, experiment.coefficient_sd);
+    let truth = CATALOG.iter().position(|m| m.id == cause).map(|id| study.fit(&[id], &[CATALOG[id].typical]).objective);
+    let rivals: Vec<usize> = model.testable().into_iter().map(|t| t.0).filter(|&id| CATALOG[id].id != cause).collect();
+    let fits = parallel::map(&rivals, |&id| study.fit(&[id], &[0.3 * CATALOG[id].typical]).objective);
+    let nearest = fits.into_iter().fold(f64::MAX, f64::min);
+    Ok((nearest - truth.unwrap_or(0.0)).max(0.0).sqrt())
+}
+
+fn read_and_remove(path: &Path) -> Outcome<force_log::ForceLog> {
+    let read = force_log::read(path, &experiment()?);
+    std::fs::remove_file(path)?;
+    Ok(read?)
+}
+
+fn strength(id: &str, rng: &mut Xoshiro256PlusPlus) -> f64 {
+    let Some(entry) = CATALOG.iter().find(|m| m.id == id) else {
+        return 1.0;
+    };
+    // Typical strengths are visible ones; 0.1 to 2 of them covers hardly visible to plain.
+    let size = entry.typical * 0.1 * 20f64.powf(rng.random_range(0.0..1.0));
+    if entry.bounds[0] < 0.0 && rng.random_range(0..2) == 0 { -size } else { size }
+}
+
+#[derive(Default)]
+struct Tally {
+    exact: usize,
+    in_set: usize,
+    wrong: usize,
+    missed: usize,
+    none: usize,
+    total: usize,
+}
+
+impl Tally {
+    fn row(&self, name: &str) -> String {
+        let Tally { exact, in_set, wrong, missed, none, total } = self;
+        format!("| {name} | {total} | {exact} | {in_set} | {wrong} | {missed} | {none} |")
+    }
+}
+
+fn main() -> Outcome<()> {
+    let arguments: Vec<usize> = std::env::args().skip(1).filter_map(|a| a.parse().ok()).collect();
+    let (seeds, nulls) = (arguments.first().copied().unwrap_or(3), arguments.get(1).copied().unwrap_or(40));
+    singles(seeds)?;
+    outside(seeds)?;
+    pairs(seeds * 2)?;
+    false_alarms(nulls)
+}
+
+fn singles(seeds: usize) -> Outcome<()> {
+    let mut bands = [(); 4].map(|()| Tally::default());
+    let (mut errors, mut covered, mut named, mut achieved) = (Vec::new(), 0, 0, Vec::new());
+    for entry in CATALOG.iter().filter(|m| m.intrusion) {
+        for seed in 0..seeds as u64 {
+            let seed = 1000 + seed * 97 + entry.id.len() as u64 * 7919 + u64::from(entry.id.as_bytes()[0]);
+            let value = strength(entry.id, &mut Xoshiro256PlusPlus::seed_from_u64(seed));
+            let log = testbed::log(seed, &Hidden { causes: vec![(entry.id, value)] }, 0.05);
+            let far = separation(&log, entry.id, entry.id)?;
+            let r = report(&log, entry.id)?;
+            let tally = &mut bands[if far < 3.0 {
+                0
+            } else if far < 5.0 {
+                1
+            } else if far < 8.0 {
+                2
+            } else {
+                3
+            }];
+            tally.total += 1;
+            let contains = r.ambiguity_set.iter().any(|s| s.len() == 1 && s[0] == entry.id);
+            let found = r.verdict == Verdict::Named && contains;
+            tally.exact += usize::from(found);
+            tally.in_set += usize::from(contains);
+            tally.wrong += usize::from(r.verdict == Verdict::Named && !contains);
+            tally.missed += usize::from(r.verdict == Verdict::NoiseFloor);
+            tally.none += usize::from(r.verdict == Verdict::NoneOfThese);
+            println!(
+                "{:14} {value:9.5} sep {far:6.1} eff {:5.2} {:?} {:?} {:?} lof {:?}",
+                entry.id,
+                log.effect,
+                r.verdict,
+                r.ambiguity_set,
+                r.causes.first().map(|c| (c.value, c.ci95)),
+                r.lack_of_fit
+            );
+            if let (true, Some(c)) = (found, r.causes.first()) {
+                named += 1;
+                covered += usize::from((c.ci95[0]..=c.ci95[1]).contains(&value));
+                if far >= 12.0 {
+                    errors.push((c.value / value - 1.0).abs());
+                }
+                if far >= 8.0 {
+                    achieved.extend(r.gain.achievable_fraction);
+                }
+            }
+        }
+    }
+    println!(
+        "\n| separation | logs | exact | truth in the set | confidently wrong | called noise | none of these |\n|---|---|---|---|---|---|---|"
+    );
+    for (name, tally) in ["< 3 σ", "3–5 σ", "5–8 σ", "≥ 8 σ"].iter().zip(&bands) {
+        println!("{}", tally.row(name));
+    }
+    errors.sort_by(f64::total_cmp);
+    achieved.sort_by(f64::total_cmp);
+    let at = |v: &[f64], share: f64| v.get((v.len() as f64 * share) as usize).copied().unwrap_or(f64::NAN);
+    println!(
+        "coverage {covered}/{named}; value error at ≥ 12 σ median {:.3} p90 {:.3}; achievable fraction median {:.3}",
+        at(&errors, 0.5),
+        at(&errors, 0.9),
+        at(&achieved, 0.5)
+    );
+    Ok(())
+}
+
+fn outside(seeds: usize) -> Outcome<()> {
+    let mut tally = Tally::default();
+    for id in ["wall", "crust", "stick_slip", "buried_stone", "drag_1.5"] {
+        for seed in 0..seeds as u64 {
+            let mut rng = Xoshiro256PlusPlus::seed_from_u64(77 + seed);
+            let value = rng.random_range(0.4..1.5);
+            let log = testbed::log(5000 + seed * 31 + id.len() as u64, &Hidden { causes: vec![(id, value)] }, 0.05);
+            let r = report(&log, id)?;
+            println!(
+                "{id:14} {value:.2} eff {:.2} {:?} {:?} {:?}",
+                log.effect, r.verdict, r.ambiguity_set, r.lack_of_fit
+            );
+            if id != "drag_1.5" && log.effect >= 0.5 {
+                tally.total += 1;
+                tally.none += usize::from(r.verdict == Verdict::NoneOfThese);
+                tally.wrong += usize::from(r.verdict == Verdict::Named);
+                tally.missed += usize::from(r.verdict == Verdict::NoiseFloor);
+            }
+        }
+    }
+    println!("{}", tally.row("outside the library, effect/noise ≥ 0.5"));
+    Ok(())
+}
+
+fn pairs(count: usize) -> Outcome<()> {
+    let ids: Vec<&'static str> = CATALOG.iter().filter(|m| m.intrusion).map(|m| m.id).collect();
+    let (mut both, mut set, mut total) = (0, 0, 0);
+    for seed in 0..count as u64 {
+        let mut rng = Xoshiro256PlusPlus::seed_from_u64(9000 + seed);
+        let a = ids[rng.random_range(0..ids.len())];
+        let b = ids[rng.random_range(0..ids.len())];
+        if a == b {
+            continue;
+        }
+        let values = [a, b].map(|id| strength(id, &mut rng) * 1.5);
+        let apart: Outcome<Vec<f64>> = [(a, values[0]), (b, values[1])]
+            .iter()
+            .map(|&c| separation(&testbed::log(9000 + seed, &Hidden { causes: vec![c] }, 0.05), c.0, "pair"))
+            .collect();
+        if apart?.iter().any(|s| *s < 8.0) {
+            continue;
+        }
+        let log = testbed::log(9000 + seed, &Hidden { causes: vec![(a, values[0]), (b, values[1])] }, 0.05);
+        let r = report(&log, "pair")?;
+        let holds = |s: &Vec<String>| s.len() == 2 && s.iter().any(|i| i == a) && s.iter().any(|i| i == b);
+        total += 1;
+        both += usize::from(r.verdict == Verdict::Named && holds(&r.ambiguity_set[0]));
+        set += usize::from(r.ambiguity_set.iter().any(holds));
+        println!("pair {a}+{b} {:?} {:?}", r.verdict, r.ambiguity_set);
+    }
+    println!("pairs, members ≥ 8 σ: {both} exact, {set} in the set, of {total}");
+    Ok(())
+}
+
+fn false_alarms(count: usize) -> Outcome<()> {
+    let mut alarms = 0;
+    for seed in 0..count as u64 {
+        let r = report(&testbed::log(20_000 + seed, &Hidden::default(), 0.05), "null")?;
+        if r.verdict != Verdict::NoiseFloor {
+            alarms += 1;
+            println!(
+                "false alarm: seed {seed} {:?} {:?} {:?} {:?}",
+                r.verdict,
+                r.ambiguity_set,
+                r.lack_of_fit,
+                r.candidates.first().map(|c| c.delta_chi2)
+            );
+        }
+    }
+    println!("false alarms {alarms} of {count}");
+    Ok(())
+}

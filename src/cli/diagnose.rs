@@ -1,0 +1,20 @@
+//! `sandgait diagnose`
+
+use sandgait::Result;
+use sandgait::diagnose;
+
+/// Show what the simulation gets wrong about measured data, name the cause, extend the model and measure the gain.
+#[derive(clap::Args)]
+#[command(after_help = "Example:
+  sandgait diagnose forces.csv --experiment experiment.toml --out report")]
+pub struct Diagnose {
+    #[command(flatten)]
+    arguments: diagnose::cli::Arguments,
+}
+
+impl Diagnose {
+    pub fn run(self) -> Result<String> {
+        let diagnosis = diagnose::run(&self.arguments)?;
+        Ok(format!("{}\n", diagnosis.report.summary))
+    }
+}

@@ -1,0 +1,166 @@
+//! `sandgait sweep`
+
+use indicatif::{ProgressBar, ProgressStyle};
+use sandgait::plot::png;
+use sandgait::sand::Law;
+use sandgait::sim::Robot;
+use sandgait::sim::model::Scene;
+use sandgait::sweep::{Axis, Design, Measure, Parameter, optimize, table, walk_all};
+use sandgait::{Error, Result};
+use std::path::PathBuf;
+
+/// More walks than this are refused: our choice, about an hour of one core.
+const MOST_WALKS: usize = 500_000;
+
+/// Study a design: walk a robot over a grid of one or two parameters, or search for the best.
+///
+/// Writes sweep.csv, sweep.svg and sweep.png: a heat map of two parameters, a line of one. A parameter is varied as
+/// NAME=FIRST:LAST:COUNT or NAME=VALUE,VALUE,… and fixed with --set NAME=VALUE. Names: xi, leg, chord, width, leg-mass,
+/// base-mass, hip-height, belly, frequency, phase, medium, zeta, law, slope, payload, torque-limit, kp.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:
+  sandgait sweep --vary xi=-75:75:31 --vary frequency=1:5:9 --out study
+  sandgait sweep --robot mine.toml --vary medium=poppy-loose,poppy-close --vary width=0.005:0.02:16 --out study
+  sandgait sweep --vary xi=0:75:2 --vary chord=0.03:0.05:2 --optimize cost-of-transport --out study")]
+pub struct Sweep {
+    /// Parameter and its values, once or twice
+    #[arg(long, value_name = "NAME=VALUES", required = true, allow_hyphen_values = true)]
+    vary: Vec<String>,
+    /// Parameter and its one value
+    #[arg(long, value_name = "NAME=VALUE", allow_hyphen_values = true)]
+    set: Vec<String>,
+    /// Built-in robot or FILE.toml; legs of one joint
+    #[arg(long, default_value = "xplorer")]
+    robot: String,
+    /// Stride frequency [Hz]
+    #[arg(long, value_name = "HZ", default_value_t = 2.0)]
+    frequency: f64,
+    /// Sand: a name from `sandgait media`, zeta=VALUE or mu=VALUE,rho=VALUE
+    #[arg(long, default_value = "poppy-loose")]
+    medium: String,
+    /// Resistive force law: li2013, penetration-drag-1d or agarwal2023
+    #[arg(long, default_value = "li2013")]
+    law: String,
+    /// What the figure shows: speed or cost-of-transport
+    #[arg(long, default_value = "speed")]
+    measure: String,
+    /// Search between the bounds instead of walking the grid: speed or cost-of-transport
+    #[arg(long, value_name = "MEASURE")]
+    optimize: Option<String>,
+    /// Directory for the results
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+}
+
+impl Sweep {
+    pub fn run(self) -> Result<String> {
+        let axes = self.vary.iter().map(|v| Axis::parse(v)).collect::<Result<Vec<_>>>()?;
+        if axes.len() > 2 && self.optimize.is_none() {
+            return Err(Error::invalid("--vary", "a grid takes one or two parameters; --optimize takes more"));
+        }
+        let measure = Measure::named(&self.measure)?;
+        let base = self.base()?;
+        match &self.optimize {
+            Some(goal) => self.search(&base, &axes, Measure::named(goal)?),
+            None => self.grid(&base, &axes, measure),
+        }
+    }
+
+    fn base(&self) -> Result<Design> {
+        let mut scene = Scene::flat(super::medium(&self.medium)?);
+        scene.law = Law::named(&self.law)?;
+        let robot = Robot::load(&self.robot)?;
+        let mut base = Design { robot, scene, frequency: self.frequency, phase: 0.0 };
+        for setting in &self.set {
+            let (name, value) = setting
+                .split_once('=')
+                .ok_or_else(|| Error::invalid("--set", format!("{setting:?} is not NAME=VALUE")))?;
+            Parameter::named(name)?.set(&mut base, value)?;
+        }
+        Ok(base)
+    }
+
+    fn grid(&self, base: &Design, axes: &[Axis], measure: Measure) -> Result<String> {
+        let count: usize = axes.iter().map(|a| a.values.len()).product();
+        sandgait::error::check_range("number of walks", count as f64, 1.0..=MOST_WALKS as f64)?;
+        let trials = (0..count).map(|i| {
+            let mut design = base.clone();
+            for (axis, value) in axes.iter().zip(table::values(axes, i)) {
+                axis.parameter.set(&mut design, value)?;
+            }
+            let trial = design.trial()?;
+            trial.validate()?;
+            Ok(trial)
+        });
+        let trials = trials.collect::<Result<Vec<_>>>()?;
+        self.prepare()?;
+        let (bar, start) = (bar(count), std::time::Instant::now());
+        let results = walk_all(&trials, &|n| bar.inc(n as u64))?;
+        bar.finish_and_clear();
+        let seconds = start.elapsed().as_secs_f64();
+        self.write("sweep.csv", &table::csv(axes, &results))?;
+        let title = title(base, axes);
+        png::write_both(&table::figure(axes, &results, measure, &title).svg(), &self.out.join("sweep.svg"))?;
+        let best = (0..count).min_by(|a, b| measure.cost(&results[*a]).total_cmp(&measure.cost(&results[*b])));
+        let best = best.map_or_else(String::new, |i| {
+            let at = axes.iter().zip(table::values(axes, i)).map(|(a, v)| format!("{} = {v}", a.parameter.label()));
+            format!(
+                "best {}: {:.3} at {}\n",
+                measure.label(),
+                measure.of(&results[i]),
+                at.collect::<Vec<_>>().join(", ")
+            )
+        });
+        let diverged = results.iter().filter(|r| !r.speed.is_finite()).count();
+        let warning = if diverged > 0 { format!("{diverged} walks diverged and are blank\n") } else { String::new() };
+        Ok(format!("{best}{warning}{count} walks in {seconds:.1} s → {}\n", self.out.join("sweep.csv").display()))
+    }
+
+    fn search(&self, base: &Design, axes: &[Axis], goal: Measure) -> Result<String> {
+        base.trial()?.validate()?;
+        self.prepare()?;
+        let (bar, start) = (bar(optimize::WALKS), std::time::Instant::now());
+        let best = optimize::optimize(base, axes, goal, &|n| bar.inc(n as u64))?;
+        bar.finish_and_clear();
+        let named: Vec<_> =
+            axes.iter().zip(&best.values).map(|(a, v)| format!("{} = {v:.6}", a.parameter.label())).collect();
+        let mut rows = axes.iter().map(|a| a.parameter.label()).collect::<Vec<_>>().join(",");
+        rows += ",speed [m/s],cost of transport\n";
+        rows += &best.values.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
+        rows += &format!(",{:.6},{:.6}\n", best.result.speed, best.result.cost_of_transport);
+        self.write("optimum.csv", &rows)?;
+        Ok(format!(
+            "best {}: {:.3} at {}\nspeed {:.2} cm/s, cost of transport {:.3}; {} walks in {:.1} s\n",
+            goal.label(),
+            goal.of(&best.result),
+            named.join(", "),
+            100.0 * best.result.speed,
+            best.result.cost_of_transport,
+            optimize::WALKS,
+            start.elapsed().as_secs_f64(),
+        ))
+    }
+
+    fn prepare(&self) -> Result<()> {
+        std::fs::create_dir_all(&self.out).map_err(|e| Error::file(&self.out, e))
+    }
+
+    fn write(&self, name: &str, text: &str) -> Result<()> {
+        let path = self.out.join(name);
+        std::fs::write(&path, text).map_err(|e| Error::file(&path, e))
+    }
+}
+
+/// Robot, sand and law, except what is varied.
+fn title(base: &Design, axes: &[Axis]) -> String {
+    let varied = |names: &[&str]| axes.iter().any(|a| names.contains(&a.parameter.name));
+    let medium = if varied(&["medium", "zeta"]) { "" } else { base.scene.medium.name.as_str() };
+    let law = if varied(&["law"]) { "" } else { base.scene.law.name() };
+    [base.robot.name.as_str(), medium, law].into_iter().filter(|t| !t.is_empty()).collect::<Vec<_>>().join(", ")
+}
+
+/// On a terminal only; indicatif stays silent elsewhere.
+fn bar(walks: usize) -> ProgressBar {
+    let style = ProgressStyle::with_template("{bar:40} {pos}/{len} walks, {eta} left");
+    ProgressBar::new(walks as u64).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
+}

@@ -1,0 +1,28 @@
+//! The command `sandgait diagnose`.
+
+use super::diagnose;
+use super::experiment::Experiment;
+use super::report::Diagnosis;
+use crate::error::Result;
+use std::path::PathBuf;
+
+/// What a simulation gets wrong about measured data, and why.
+#[derive(Clone, Debug, clap::Args)]
+pub struct Arguments {
+    /// Measured data, CSV
+    pub data: PathBuf,
+    /// What the data do not say: medium, shapes, units (TOML)
+    #[arg(long)]
+    pub experiment: PathBuf,
+    /// Directory for report.json, report.html and sand.toml
+    #[arg(long)]
+    pub out: PathBuf,
+}
+
+/// Diagnoses and writes the report; bad input is an error and writes nothing.
+pub fn run(arguments: &Arguments) -> Result<Diagnosis> {
+    let experiment = Experiment::load(&arguments.experiment)?;
+    let diagnosis = diagnose(&arguments.data, &experiment)?;
+    diagnosis.write(&arguments.out)?;
+    Ok(diagnosis)
+}

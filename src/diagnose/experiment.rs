@@ -1,0 +1,170 @@
+//! EXPERIMENT.toml: what the data file alone does not say.
+
+use crate::error::{Error, Result, check_range};
+use crate::sand::{Coefficients, Medium};
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// What was measured.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Kind {
+    /// Force logs of plates and legs moved through the sand.
+    Intrusion,
+    /// Runs of a walking robot.
+    Walking,
+}
+
+/// An intruder as the experimenter describes it; lengths in m.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(tag = "type", rename_all = "lowercase", deny_unknown_fields)]
+pub enum Intruder {
+    /// Rotating two-piece leg: `chord` hip to tip, `xi_deg` knee angle.
+    Leg { chord: f64, width: f64, xi_deg: f64, thickness: Option<f64> },
+    /// Flat plate: `length` in the plane of motion, `width` across.
+    Plate { length: f64, width: f64, thickness: Option<f64> },
+}
+
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum CoefficientsSource {
+    Named(String),
+    Table(Coefficients),
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SandTable {
+    name: Option<String>,
+    coefficients: Option<CoefficientsSource>,
+    zeta: Option<f64>,
+    bulk_density: Option<f64>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    kind: Kind,
+    medium: Option<String>,
+    sand: Option<SandTable>,
+    bulk_density: Option<f64>,
+    coefficient_sd: Option<f64>,
+    robot: Option<String>,
+    #[serde(default)]
+    shape: BTreeMap<String, Intruder>,
+    #[serde(default)]
+    units: BTreeMap<String, String>,
+    #[serde(default)]
+    columns: BTreeMap<String, String>,
+}
+
+/// EXPERIMENT.toml, checked.
+#[derive(Clone, Debug)]
+pub struct Experiment {
+    pub kind: Kind,
+    /// Medium with the experiment's bulk density.
+    pub medium: Medium,
+    /// Is the medium a `[sand]` table of the experimenter's own, which rows may call by any one name?
+    pub own_sand: bool,
+    /// Relative prior standard deviation of each stress coefficient.
+    pub coefficient_sd: f64,
+    pub robot: Option<String>,
+    pub shapes: BTreeMap<String, Intruder>,
+    /// Column → unit, where not SI.
+    pub units: BTreeMap<String, String>,
+    /// Our column name → theirs.
+    pub columns: BTreeMap<String, String>,
+}
+
+/// Relative prior sd of the coefficients where the experiment does not say: the contract's default.
+const COEFFICIENT_SD: f64 = 0.08;
+
+impl Experiment {
+    pub fn load(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path).map_err(|e| Error::file(path, e))?;
+        Self::from_toml(&text).map_err(|e| Error::file(path, e))
+    }
+
+    pub fn from_toml(text: &str) -> Result<Self> {
+        let file: File = toml::from_str(text).map_err(|e| {
+            let line = e.span().map(|s| text[..s.start.min(text.len())].lines().count().max(1));
+            Error::invalid(
+                "experiment",
+                format!("{}{}", line.map(|l| format!("line {l}: ")).unwrap_or_default(), e.message()),
+            )
+        })?;
+        let own_sand = file.sand.is_some();
+        let mut medium = medium(file.medium.as_deref(), file.sand)?;
+        if let Some(density) = file.bulk_density {
+            medium.bulk_density = density;
+        }
+        check_range("bulk_density", medium.bulk_density, 1.0..=20_000.0)?;
+        let coefficient_sd = file.coefficient_sd.unwrap_or(COEFFICIENT_SD);
+        check_range("coefficient_sd", coefficient_sd, 0.0..=1.0)?;
+        for (name, shape) in &file.shape {
+            check_shape(name, shape)?;
+        }
+        Ok(Self {
+            kind: file.kind,
+            medium,
+            own_sand,
+            coefficient_sd,
+            robot: file.robot,
+            shapes: file.shape,
+            units: file.units,
+            columns: file.columns,
+        })
+    }
+}
+
+fn medium(name: Option<&str>, sand: Option<SandTable>) -> Result<Medium> {
+    let Some(sand) = sand else {
+        let name = name.ok_or_else(|| Error::invalid("medium", "neither a medium name nor a [sand] table is given"))?;
+        return Medium::named(name);
+    };
+    let mut medium = match (sand.coefficients, sand.zeta) {
+        (Some(CoefficientsSource::Table(coefficients)), None) => {
+            Medium { name: "own".into(), coefficients, bulk_density: 1500.0, source: "experiment".into() }
+        }
+        (Some(CoefficientsSource::Named(set)), None) if set != "generic" => Medium::named(&set)?,
+        (Some(CoefficientsSource::Named(set)), Some(zeta)) if set == "generic" => Medium::generic(zeta)?,
+        (None, Some(zeta)) => Medium::generic(zeta)?,
+        (None, None) => match name {
+            Some(name) => Medium::named(name)?,
+            None => {
+                return Err(Error::invalid("sand", "needs coefficients (a medium's name or nine numbers) or zeta"));
+            }
+        },
+        _ => {
+            return Err(Error::invalid("sand", "coefficients = \"generic\" needs zeta; any other set excludes it"));
+        }
+    };
+    for c in medium.coefficients.to_array() {
+        check_range("sand.coefficients", c, -1e8..=1e8)?;
+    }
+    if let Some(density) = sand.bulk_density {
+        medium.bulk_density = density;
+    }
+    if let Some(name) = sand.name.or(name.map(Into::into)) {
+        medium.name = name;
+    }
+    Ok(medium)
+}
+
+fn check_shape(name: &str, shape: &Intruder) -> Result<()> {
+    let field = |part: &str| format!("shape.{name}.{part}");
+    // 1 mm to 10 m as for Shape::segments: smaller or larger ones are unit slips.
+    let (length, width, thickness) = match *shape {
+        Intruder::Leg { chord, width, xi_deg, thickness } => {
+            check_range(&field("xi_deg"), xi_deg, -89.9..=89.9)?;
+            (check_range(&field("chord"), chord, 1e-3..=10.0)?, width, thickness)
+        }
+        Intruder::Plate { length, width, thickness } => {
+            (check_range(&field("length"), length, 1e-3..=10.0)?, width, thickness)
+        }
+    };
+    check_range(&field("width"), width, 1e-4..=10.0)?;
+    check_range(&field("thickness"), thickness.unwrap_or(0.0), 0.0..=length)?;
+    Ok(())
+}

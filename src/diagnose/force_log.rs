@@ -1,0 +1,391 @@
+//! Reads force logs of plates and legs (intrusion CSV) into trials.
+
+use super::experiment::{Experiment, Intruder};
+use super::observations::{Channel, Names, Observations, Unit};
+use super::table::{self, Column, Quantity, Row};
+use crate::error::Result;
+use std::path::Path;
+
+/// Pose and motion of an intruder at one sample. Legs use the angle, plates the centre.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Pose {
+    /// [s]
+    pub t: f64,
+    /// [rad] and [rad/s]
+    pub theta: f64,
+    pub omega: f64,
+    /// Centre of a plate [m] and its velocity [m/s].
+    pub center: [f64; 2],
+    pub velocity: [f64; 2],
+}
+
+/// How a trial was driven; trials driven alike share one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Track {
+    pub shape: String,
+    pub intruder: Intruder,
+    /// Height of a leg's hip above the surface [m]; 0 for plates.
+    pub hip_height: f64,
+    /// Tilt of a plate [rad]; 0 for legs.
+    pub beta: f64,
+    pub pass: u32,
+    /// Distance from the first pass [m].
+    pub pass_dx: f64,
+    /// Place in the bed [m].
+    pub x_bed: f64,
+    pub poses: Vec<Pose>,
+}
+
+/// A force log, read and checked.
+pub struct ForceLog {
+    pub observations: Observations,
+    pub tracks: Vec<Track>,
+    /// Track of each unit.
+    pub track_of: Vec<usize>,
+    /// Optional columns that are absent or blank throughout.
+    pub missing: Vec<&'static str>,
+    pub sha256: String,
+}
+
+macro_rules! columns {
+    ($($place:ident = $name:literal $quantity:ident $required:literal;)*) => {
+        #[allow(non_camel_case_types, clippy::upper_case_acronyms)]
+        enum Place { $($place),* }
+        const COLUMNS: &[Column] =
+            &[$(Column { name: $name, quantity: Quantity::$quantity, required: $required }),*];
+        $(const $place: usize = Place::$place as usize;)*
+    };
+}
+columns! {
+    TRIAL = "trial" Text true;
+    CONDITION = "condition" Text true;
+    REP = "rep" Text true;
+    KIND = "kind" Text true;
+    SHAPE = "shape" Text true;
+    MEDIUM = "medium" Text true;
+    HIP_Z = "hip_z" Length true;
+    BETA = "plate_beta" Angle true;
+    GAMMA = "plate_gamma" Angle true;
+    PASS = "pass" Number false;
+    PASS_DX = "pass_dx" Length false;
+    X_BED = "x_bed" Length false;
+    T = "t" Time true;
+    THETA = "theta" Angle true;
+    OMEGA = "omega" AngularSpeed true;
+    X = "x" Length true;
+    Z = "z" Length true;
+    VX = "vx" Speed true;
+    VZ = "vz" Speed true;
+    FX = "Fx" Force true;
+    FZ = "Fz" Force true;
+    TY = "Ty" Torque false;
+}
+
+/// A trial while its rows come in.
+struct Growing {
+    id: String,
+    condition: usize,
+    track: Track,
+    loads: Vec<[f64; 2]>,
+    torques: Vec<Option<f64>>,
+}
+
+/// Reads the log; `experiment` names shapes, medium and units.
+pub fn read(path: &Path, experiment: &Experiment) -> Result<ForceLog> {
+    let (mut conditions, mut ids) = (Names::default(), Names::default());
+    let mut trials: Vec<Growing> = Vec::new();
+    let mut medium = None;
+    let mut seen = [false; 3];
+    let summary = table::read(path, experiment, COLUMNS, |row| {
+        check_medium(row, experiment, &mut medium)?;
+        for (seen, column) in seen.iter_mut().zip([PASS, PASS_DX, X_BED]) {
+            *seen |= row.text(column).is_some();
+        }
+        let condition = conditions.place(row.needed_text(CONDITION)?);
+        row.needed_text(REP)?;
+        let id = row.needed_text(TRIAL)?;
+        let place = ids.place(id);
+        let track = track_header(row, experiment)?;
+        if place == trials.len() {
+            trials.push(Growing { id: id.into(), condition, track, loads: Vec::new(), torques: Vec::new() });
+        } else {
+            check_same(row, &trials[place], &track, condition)?;
+        }
+        let trial = &mut trials[place];
+        let pose = pose(row, &trial.track.intruder)?;
+        if trial.track.poses.last().is_some_and(|last| pose.t <= last.t) {
+            return Err(row.error(T, format!("time does not increase within trial {}", trial.id)));
+        }
+        trial.track.poses.push(pose);
+        trial.loads.push([bounded(row, FX)?, bounded(row, FZ)?]);
+        trial.torques.push(row.number(TY)?);
+        Ok(())
+    })?;
+    let mut missing: Vec<_> =
+        [PASS, PASS_DX, X_BED].iter().zip(seen).filter(|s| !s.1).map(|s| COLUMNS[*s.0].name).collect();
+    let torque = trials.iter().all(|t| t.torques.iter().all(Option::is_some));
+    if !torque {
+        missing.push("Ty");
+    }
+    Ok(assemble(trials, conditions.list, torque, missing, summary.sha256))
+}
+
+/// Beyond 1 MN or 1e6 of anything a log is in the wrong unit or broken, and squares would overflow: our choice.
+fn bounded(row: &Row, column: usize) -> Result<f64> {
+    let value = row.needed(column)?;
+    if value.abs() > 1e6 { Err(row.error(column, format!("{value} is beyond 1e6"))) } else { Ok(value) }
+}
+
+fn optional(row: &Row, column: usize, neutral: f64) -> Result<f64> {
+    if row.text(column).is_none() { Ok(neutral) } else { bounded(row, column) }
+}
+
+fn check_medium(row: &Row, experiment: &Experiment, first: &mut Option<String>) -> Result<()> {
+    let Some(name) = row.text(MEDIUM) else { return Ok(()) };
+    let expected = first
+        .get_or_insert_with(|| if experiment.own_sand { name.to_string() } else { experiment.medium.name.clone() });
+    if name != expected {
+        return Err(row.error(MEDIUM, format!("medium {name:?} is unknown; the experiment's is {expected:?}")));
+    }
+    Ok(())
+}
+
+/// The track that a trial with this row has, still without poses.
+fn track_header(row: &Row, experiment: &Experiment) -> Result<Track> {
+    let shape = row.needed_text(SHAPE)?;
+    let Some(intruder) = experiment.shapes.get(shape) else {
+        let known: Vec<_> = experiment.shapes.keys().map(String::as_str).collect();
+        return Err(row.error(SHAPE, format!("shape {shape:?} is unknown; known: {}", known.join(", "))));
+    };
+    let kind = row.needed_text(KIND)?;
+    let (hip_height, beta) = match (kind, intruder) {
+        ("leg", Intruder::Leg { .. }) => (bounded(row, HIP_Z)?, 0.0),
+        ("plate", Intruder::Plate { .. }) => (0.0, tilt(row)?),
+        ("leg" | "plate", _) => return Err(row.error(KIND, format!("{kind} is not the type of shape {shape}"))),
+        _ => return Err(row.error(KIND, format!("{kind:?} is unknown; known: leg, plate"))),
+    };
+    let pass = optional(row, PASS, 1.0)?;
+    if !(1.0..=1e6).contains(&pass) || pass.fract() != 0.0 {
+        return Err(row.error(PASS, format!("{pass} is no pass number (1 fresh bed, 2 re-used, …)")));
+    }
+    Ok(Track {
+        shape: shape.into(),
+        intruder: *intruder,
+        hip_height,
+        beta,
+        pass: pass as u32,
+        pass_dx: optional(row, PASS_DX, 0.0)?,
+        x_bed: optional(row, X_BED, 0.0)?,
+        poses: Vec::new(),
+    })
+}
+
+/// β of a plate in our frame. Attack and intrusion angles are stated for motion toward +x (v ∥ (cos γ, −sin γ));
+/// where the logged velocity is the mirror image of that, so is the plate.
+fn tilt(row: &Row) -> Result<f64> {
+    let beta = bounded(row, BETA)?;
+    let Some(gamma) = row.number(GAMMA)? else {
+        return Ok(beta);
+    };
+    let vx = bounded(row, VX)?;
+    Ok(if vx * gamma.cos() < -1e-9 { -beta } else { beta })
+}
+
+/// Refuses a trial whose rows disagree about what was done.
+fn check_same(row: &Row, trial: &Growing, now: &Track, condition: usize) -> Result<()> {
+    let was = &trial.track;
+    let wrong = if trial.condition != condition {
+        CONDITION
+    } else if was.shape != now.shape {
+        SHAPE
+    } else if was.hip_height != now.hip_height {
+        HIP_Z
+    } else if was.beta != now.beta {
+        BETA
+    } else if was.pass != now.pass {
+        PASS
+    } else if was.pass_dx != now.pass_dx {
+        PASS_DX
+    } else if was.x_bed != now.x_bed {
+        X_BED
+    } else {
+        return Ok(());
+    };
+    Err(row.error(wrong, format!("differs from the first row of trial {}", trial.id)))
+}
+
+fn pose(row: &Row, intruder: &Intruder) -> Result<Pose> {
+    let t = bounded(row, T)?;
+    Ok(match intruder {
+        Intruder::Leg { .. } => Pose { t, theta: bounded(row, THETA)?, omega: bounded(row, OMEGA)?, ..Pose::default() },
+        Intruder::Plate { .. } => Pose {
+            t,
+            center: [bounded(row, X)?, bounded(row, Z)?],
+            velocity: [bounded(row, VX)?, bounded(row, VZ)?],
+            ..Pose::default()
+        },
+    })
+}
+
+fn assemble(
+    trials: Vec<Growing>,
+    conditions: Vec<String>,
+    torque: bool,
+    missing: Vec<&'static str>,
+    sha256: String,
+) -> ForceLog {
+    let mut channels =
+        vec![Channel { name: "Fx", unit: "N", in_rmse: true }, Channel { name: "Fz", unit: "N", in_rmse: true }];
+    if torque {
+        channels.push(Channel { name: "Ty", unit: "N·m", in_rmse: false });
+    }
+    let (mut values, mut units, mut tracks, mut track_of) = (Vec::new(), Vec::new(), Vec::<Track>::new(), Vec::new());
+    for trial in trials {
+        let start = values.len();
+        for channel in 0..2 {
+            values.extend(trial.loads.iter().map(|l| l[channel]));
+        }
+        if torque {
+            values.extend(trial.torques.iter().flatten());
+        }
+        let known = tracks.iter().position(|t| *t == trial.track);
+        units.push(Unit {
+            id: trial.id,
+            condition: trial.condition,
+            start,
+            samples: trial.loads.len(),
+            progress: progress(&trial.track),
+        });
+        track_of.push(known.unwrap_or(tracks.len()));
+        if known.is_none() {
+            tracks.push(trial.track);
+        }
+    }
+    let observations = Observations { values, channels, units, conditions };
+    ForceLog { observations, tracks, track_of, missing, sha256 }
+}
+
+/// Angle travelled by a leg [rad] or distance along a plate's motion [m], from the place where the frame has zero:
+/// repetitions that start a little later are matched by where they are, not by when.
+fn progress(track: &Track) -> Vec<f64> {
+    let first = track.poses[0];
+    match track.intruder {
+        Intruder::Leg { .. } => {
+            let sign = if first.omega < 0.0 { -1.0 } else { 1.0 };
+            increasing(track.poses.iter().map(|p| sign * p.theta))
+        }
+        Intruder::Plate { .. } => {
+            let speed = first.velocity[0].hypot(first.velocity[1]).max(1e-12);
+            let along = first.velocity.map(|v| v / speed);
+            increasing(track.poses.iter().map(|p| p.center[0] * along[0] + p.center[1] * along[1]))
+        }
+    }
+}
+
+/// Never decreasing: a leg that swings back keeps its furthest progress plus the path since.
+fn increasing(path: impl Iterator<Item = f64>) -> Vec<f64> {
+    let (mut last, mut total) = (None::<f64>, 0.0);
+    path.map(|p| {
+        total = last.map_or(p, |last| total + (p - last).abs());
+        last = Some(p);
+        total
+    })
+    .collect()
+}
+
+/// A log of trials not yet made: one unit a track, zeros for forces.
+pub fn planned(tracks: Vec<Track>, channels: usize) -> ForceLog {
+    let names = (0..tracks.len()).map(|i| i.to_string()).collect();
+    let trials = tracks
+        .into_iter()
+        .enumerate()
+        .map(|(i, track)| {
+            let samples = track.poses.len();
+            Growing {
+                id: i.to_string(),
+                condition: i,
+                track,
+                loads: vec![[0.0; 2]; samples],
+                torques: vec![Some(0.0); samples],
+            }
+        })
+        .collect();
+    assemble(trials, names, channels > 2, Vec::new(), String::new())
+}
+
+/// Samples of a trial not yet made.
+const PLANNED_SAMPLES: usize = 60;
+
+/// Trials within reach of an apparatus that made `tracks`: its intruders at the slowest, middle and fastest speed used, at
+/// two depths, on fresh and re-used ground, at both ends of the bed.
+pub fn possible(tracks: &[Track]) -> Vec<(Track, String)> {
+    let mut shapes: Vec<&Track> = Vec::new();
+    for track in tracks {
+        if !shapes.iter().any(|s| s.shape == track.shape) {
+            shapes.push(track);
+        }
+    }
+    let mut out = Vec::new();
+    for base in shapes {
+        let own = tracks.iter().filter(|t| t.shape == base.shape).map(Track::rate);
+        let (low, high) = own.fold((f64::MAX, 0.0), |(l, h), r| (f64::min(l, r), f64::max(h, r)));
+        for rate in [low, (low * high).sqrt(), high] {
+            for deep in [true, false] {
+                for (pass, x_bed) in [(1, 0.0), (2, 0.0), (1, 0.1), (1, -0.1)] {
+                    let angles: &[(f64, f64)] = match base.intruder {
+                        Intruder::Leg { .. } => &[(0.0, 0.0)],
+                        Intruder::Plate { .. } => {
+                            &[(0.0, 90.0), (90.0, 0.0), (45.0, 45.0), (-45.0, 45.0), (60.0, 30.0)]
+                        }
+                    };
+                    out.extend(angles.iter().map(|&(beta, gamma)| base.planned(rate, deep, pass, x_bed, beta, gamma)));
+                }
+            }
+        }
+    }
+    out
+}
+
+impl Track {
+    /// Fastest angular speed of a leg [rad/s] or speed of a plate [m/s].
+    fn rate(&self) -> f64 {
+        let rate = |p: &Pose| match self.intruder {
+            Intruder::Leg { .. } => p.omega.abs(),
+            Intruder::Plate { .. } => p.velocity[0].hypot(p.velocity[1]),
+        };
+        self.poses.iter().map(rate).fold(0.0, f64::max)
+    }
+
+    /// The same intruder in another trial, and that trial in words; angles in degrees.
+    fn planned(&self, rate: f64, deep: bool, pass: u32, x_bed: f64, beta: f64, gamma: f64) -> (Track, String) {
+        let mut track = Track { pass, pass_dx: 0.0, x_bed, ..self.clone() };
+        let at = |i: usize| (i as f64 + 0.5) / PLANNED_SAMPLES as f64;
+        let motion = match self.intruder {
+            Intruder::Leg { chord, .. } => {
+                track.hip_height = if deep { 0.25 * chord } else { 0.6 * chord };
+                let pose = |i| {
+                    let theta = -1.75 + 3.5 * at(i);
+                    Pose { t: (theta + 1.75) / rate.max(1e-6), theta, omega: rate, ..Pose::default() }
+                };
+                track.poses = (0..PLANNED_SAMPLES).map(pose).collect();
+                format!("hip {:.1} cm above the sand, {rate:.2} rad/s", 100.0 * track.hip_height)
+            }
+            Intruder::Plate { length, .. } => {
+                track.beta = beta.to_radians();
+                let (sin, cos) = gamma.to_radians().sin_cos();
+                let from = if gamma == 0.0 { if deep { length } else { 0.5 * length } } else { 0.0 };
+                let reach = if deep { 1.3 * length } else { 0.5 * length };
+                let pose = |i| {
+                    let path = reach * at(i);
+                    let (center, velocity) = ([path * cos, -from - path * sin], [rate * cos, -rate * sin]);
+                    Pose { t: path / rate.max(1e-9), center, velocity, ..Pose::default() }
+                };
+                track.poses = (0..PLANNED_SAMPLES).map(pose).collect();
+                format!("β {beta:.0}°, γ {gamma:.0}°, {:.1} cm deep, {rate:.3} m/s", 100.0 * (from + reach * sin))
+            }
+        };
+        let ground = if pass > 1 { "second pass in place" } else { "fresh bed" };
+        let words = format!("{}: {motion}, {ground}, x_bed {:.0} cm", self.shape, 100.0 * x_bed);
+        (track, words)
+    }
+}

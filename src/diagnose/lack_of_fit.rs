@@ -1,0 +1,47 @@
+//! Is anything but noise left in a residual?
+//!
+//! Whitened noise is white, a wrong model is smooth: the whitened residual of each trial and channel is projected on
+//! the first few cosines along the trial, repetitions of a condition are averaged (noise shrinks, misfit stays), and the
+//! squares are summed. The mean square is 1 for noise alone.
+
+use super::observations::Observations;
+use std::f64::consts::PI;
+
+/// Cosines along a trial: our choice; features shorter than an eighth of a trial are left to the noise.
+const WAVES: usize = 8;
+
+/// Mean square of the smooth part of a whitened residual.
+pub fn statistic(observations: &Observations, white: &[f64]) -> f64 {
+    let (mut square, mut count) = (0.0, 0.0);
+    for group in observations.repetitions() {
+        for channel in 0..observations.channels.len() {
+            let mut sums = [0.0; WAVES];
+            let mut waves = WAVES;
+            for &u in &group {
+                let unit = &observations.units[u];
+                waves = waves.min(unit.samples);
+                add_waves(&white[unit.block(channel)], &mut sums);
+            }
+            square += sums[..waves].iter().map(|s| s * s / group.len() as f64).sum::<f64>();
+            count += waves as f64;
+        }
+    }
+    square / f64::max(count, 1.0)
+}
+
+/// Adds the coefficients of `values` on orthonormal cosines (DCT-II).
+fn add_waves(values: &[f64], sums: &mut [f64; WAVES]) {
+    let n = values.len() as f64;
+    for (k, sum) in sums.iter_mut().enumerate() {
+        let norm = if k == 0 { (1.0 / n).sqrt() } else { (2.0 / n).sqrt() };
+        // cos(πk(i+½)/n) by the Chebyshev recurrence in i
+        let turn = 2.0 * (PI * k as f64 / n).cos();
+        let (mut before, mut now) = ((PI * k as f64 * -0.5 / n).cos(), (PI * k as f64 * 0.5 / n).cos());
+        let mut total = 0.0;
+        for value in values {
+            total += value * now;
+            (before, now) = (now, turn * now - before);
+        }
+        *sum += norm * total;
+    }
+}

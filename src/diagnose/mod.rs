@@ -1,0 +1,311 @@
+//! Diagnosis: show what the simulation gets wrong, name the cause, extend the model, measure the gain.
+//!
+//! data ([`table`], [`force_log`], [`experiment`]) → [`forward`] model → [`noise`] from repetitions → [`whiten`] → [`fit`]
+//! → gates on simulated nulls ([`calibrate`]) → [`select`] with [`cross_validation`] and [`lack_of_fit`] → [`report`].
+//!
+//! Everything from `noise` on sees only [`observations`] and a [`forward::ForwardModel`]: another kind of data needs its
+//! own reader and forward model, nothing else.
+
+pub mod calibrate;
+pub mod cli;
+pub mod cross_validation;
+pub mod experiment;
+pub mod fit;
+pub mod force_log;
+pub mod forward;
+pub mod lack_of_fit;
+pub mod misfit;
+pub mod next_experiment;
+pub mod noise;
+pub mod observations;
+pub mod page;
+pub mod report;
+pub mod select;
+pub mod table;
+pub mod whiten;
+
+use crate::error::{Error, Result};
+use crate::sand::SandDescription;
+use crate::sand::mechanism::{CATALOG, Mechanisms};
+use cross_validation::HeldOut;
+use experiment::{Experiment, Kind};
+use fit::{Fit, Study};
+use forward::{ForceLogModel, ForwardModel};
+use noise::{Noise, magnitudes, noise_floor};
+use observations::Observations;
+use report::{Cause, Curves, Diagnosis, Gain, LackOfFit, NextExperiment, NoiseSummary, Report, Tried, Untestable};
+use select::{Candidate, Selection, Verdict, select};
+use std::path::Path;
+use whiten::Whitener;
+
+pub use cli::run;
+
+/// Reads the data and diagnoses them.
+pub fn diagnose(data: &Path, experiment: &Experiment) -> Result<Diagnosis> {
+    match experiment.kind {
+        Kind::Intrusion => {
+            let log = force_log::read(data, experiment)?;
+            let model = ForceLogModel::new(&log, experiment)?;
+            Ok(diagnose_observations(log.observations, &model, experiment.coefficient_sd, log.sha256))
+        }
+        Kind::Walking => Err(Error::invalid("kind", "walking data are not diagnosed yet")),
+    }
+}
+
+/// Diagnoses measured numbers with a forward model of them.
+pub fn diagnose_observations(
+    observations: Observations,
+    model: &dyn ForwardModel,
+    coefficient_sd: f64,
+    sha256: String,
+) -> Diagnosis {
+    let plain = model.predict(&Mechanisms::default(), &model.medium().coefficients);
+    let size = magnitudes(&observations);
+    let noise = Noise::estimate(&observations, &plain, &size, None);
+    let whitener = Whitener::new(&observations, &noise, &size, &plain);
+    let study = Study::new(&observations, model, &whitener, coefficient_sd);
+    let (ids, untestable) = testable(&study);
+    let selection = observations
+        .has_replicates()
+        .then(|| select(&study, &noise, &ids, |m| Whitener::new(&observations, &noise, &size, m)));
+    let floor = noise_floor(&observations, &plain, &size);
+    let view = View { study: &study, noise: &noise, selection: selection.as_ref(), floor };
+    let report = view.report(untestable, sha256);
+    let extension = selection.as_ref().and_then(extension);
+    let mut sand = SandDescription::plain(model.medium());
+    if let Some(fit) = extension.map(|c| &c.fit) {
+        sand.name = format!("{}-extended", sand.name);
+        sand.source = format!("sandgait diagnose, data {}: {}", report.data_sha256, report.summary);
+        sand.coefficients = study.coefficients(&fit.deviations);
+        sand.mechanisms = fit.mechanisms;
+    }
+    let extended = extension.map(|c| c.fit.prediction.clone());
+    let band = noise.standard_deviation(&observations, &size, &plain);
+    let groups = (0..observations.units.len()).map(|u| model.group(u).to_string()).collect();
+    let curves = Curves { groups, plain, extended, band, observations: observations.clone() };
+    Diagnosis { report, sand, curves }
+}
+
+/// Causes that the data can be asked about, and the others with the reason.
+fn testable(study: &Study) -> (Vec<usize>, Vec<Untestable>) {
+    let (mut ids, mut untestable) = (Vec::new(), Vec::new());
+    let plain = study.model.predict(&Mechanisms::default(), &study.model.medium().coefficients);
+    for (id, why) in study.model.testable() {
+        let moved = || {
+            calibrate::starts(id).into_iter().any(|value| {
+                let there =
+                    study.model.predict(&Mechanisms::default().with(id, value), &study.model.medium().coefficients);
+                let change: Vec<f64> = there.iter().zip(&plain).map(|(a, b)| a - b).collect();
+                let white = study.whitener.apply(&change);
+                fit::dot(&white, &white) > calibrate::FELT
+            })
+        };
+        let why = why.or_else(|| (!moved()).then(|| "no trial of these data excites it".to_string()));
+        match why {
+            Some(why) => untestable.push(Untestable { id: CATALOG[id].id.into(), why }),
+            None => ids.push(id),
+        }
+    }
+    (ids, untestable)
+}
+
+/// The candidate that extends the model: the cause found; failing that, where misfit remains, whichever candidate
+/// surely predicts held-out conditions better, as a proxy and not as a cause.
+fn extension(selection: &Selection) -> Option<&Candidate> {
+    let helps = |c: &&Candidate| selection.plain_held_out.reduction_interval(&c.held_out)[0] > 0.0;
+    let proxy = || {
+        let order = |a: &&Candidate, b: &&Candidate| a.held_out.rmse().total_cmp(&b.held_out.rmse());
+        selection.candidates.iter().min_by(order).filter(helps)
+    };
+    selection.best().or_else(|| (selection.verdict == Verdict::NoneOfThese).then(proxy).flatten())
+}
+
+fn names(fit: &Fit) -> Vec<String> {
+    fit.ids.iter().map(|&id| CATALOG[id].id.to_string()).collect()
+}
+
+/// Everything a report is made from.
+struct View<'a> {
+    study: &'a Study<'a>,
+    noise: &'a Noise,
+    selection: Option<&'a Selection>,
+    floor: f64,
+}
+
+impl View<'_> {
+    fn report(&self, untestable: Vec<Untestable>, data_sha256: String) -> Report {
+        let observations = self.study.observations;
+        let misfit = misfit::misfit(observations, self.study.model, &self.study.plain().prediction);
+        let best = self.selection.and_then(Selection::best);
+        let causes = best.map(|c| self.causes(&c.fit)).unwrap_or_default();
+        let ranges = self.study.model.features().into_iter().map(|f| {
+            let all = f.values.iter().flatten().copied();
+            (f.name.to_string(), all.fold([f64::MAX, f64::MIN], |r, v| [r[0].min(v), r[1].max(v)]))
+        });
+        let set = self.selection.map_or(Vec::new(), |s| s.set.iter().map(|&k| names(&s.candidates[k].fit)).collect());
+        let warnings = causes.iter().filter(|c| c.at_bound).map(|c| format!("{} sits at its bound", c.id)).collect();
+        let channels = observations.channels.iter().zip(&self.noise.channels);
+        Report {
+            schema: "sandgait.diagnosis.v1",
+            verdict: self.selection.map_or(Verdict::InsufficientData, |s| s.verdict),
+            summary: self.summary(&causes, &misfit),
+            correlations: best.map(|c| correlations(&c.fit)).unwrap_or_default(),
+            causes,
+            ambiguity_set: set,
+            candidates: self.tried(),
+            lack_of_fit: LackOfFit {
+                plain: self.selection.map(|s| s.base_lack_of_fit),
+                extended: self.selection.and_then(extension).map(|c| c.lack_of_fit),
+                limit: self.selection.map(|s| s.gates.lack_of_fit),
+            },
+            gain: self.gain(),
+            misfit,
+            correlates_with: self.correlates(),
+            untestable,
+            next_experiment: self.next_experiment(),
+            valid_range: ranges.collect(),
+            noise: self.selection.map(|_| NoiseSummary {
+                trial_gain: self.noise.gain,
+                channels: channels.map(|(c, n)| (c.name.to_string(), [n.grain, n.sensor, n.phi])).collect(),
+            }),
+            warnings,
+            data_sha256,
+        }
+    }
+
+    /// Values with 95 % intervals, widened for the noise not being known exactly.
+    fn causes(&self, fit: &Fit) -> Vec<Cause> {
+        let covariance = fit.covariance();
+        let inflation = self.selection.map_or(1.0, |s| s.gates.inflation);
+        let cause = |(k, &id): (usize, &usize)| {
+            let (entry, value) = (&CATALOG[id], fit.mechanisms.get(id));
+            let reach = 1.96 * (covariance[(k, k)] * inflation).sqrt();
+            let held = |v: f64| v.clamp(entry.bounds[0], entry.bounds[1]);
+            Cause {
+                id: entry.id.into(),
+                value,
+                unit: entry.unit.into(),
+                ci95: [held(value - reach), held(value + reach)],
+                at_bound: entry.bounds.contains(&value),
+            }
+        };
+        fit.ids.iter().enumerate().map(cause).collect()
+    }
+
+    fn tried(&self) -> Vec<Tried> {
+        let Some(selection) = self.selection else {
+            return Vec::new();
+        };
+        let base = selection.base_held_out.rmse();
+        let n = (self.study.observations.values.len() as f64).ln();
+        let best = selection.candidates.first();
+        let tried = |c: &Candidate| Tried {
+            ids: names(&c.fit),
+            values: c.fit.values(),
+            delta_chi2: c.delta_chi2,
+            cv_gain: (base > 0.0).then(|| 1.0 - c.held_out.rmse() / base),
+            lack_of_fit: c.lack_of_fit,
+            delta_aic: c.delta_chi2 - 2.0 * c.fit.ids.len() as f64,
+            delta_bic: c.delta_chi2 - n * c.fit.ids.len() as f64,
+            distance_to_best: best.map(|b| b.fit.distance_squared(&c.fit).sqrt()),
+        };
+        selection.candidates.iter().map(tried).collect()
+    }
+
+    fn gain(&self) -> Gain {
+        let Some(selection) = self.selection else {
+            return Gain {
+                held_out_rmse_plain: None,
+                held_out_rmse_recalibrated: None,
+                held_out_rmse_extended: None,
+                noise_floor: None,
+                reduction: None,
+                ci95: None,
+                achievable_fraction: None,
+            };
+        };
+        let plain = &selection.plain_held_out;
+        let extended: &HeldOut = extension(selection).map_or(plain, |c| &c.held_out);
+        let (before, after) = (plain.rmse(), extended.rmse());
+        Gain {
+            held_out_rmse_plain: Some(before),
+            held_out_rmse_recalibrated: Some(selection.base_held_out.rmse()),
+            held_out_rmse_extended: Some(after),
+            noise_floor: Some(self.floor),
+            reduction: (before > 0.0).then(|| 1.0 - after / before),
+            ci95: Some(plain.reduction_interval(extended)),
+            achievable_fraction: (before > self.floor).then(|| (before - after) / (before - self.floor)),
+        }
+    }
+
+    fn correlates(&self) -> Vec<misfit::Correlate> {
+        let Some(selection) = self.selection.filter(|s| s.verdict == Verdict::NoneOfThese) else {
+            return Vec::new();
+        };
+        let base = &selection.base;
+        let whiten = |column: &[f64]| self.study.whitener.apply(column);
+        misfit::correlates(
+            self.study.observations,
+            self.study.model,
+            &base.prediction,
+            &base.white,
+            whiten,
+            selection.gates.single,
+        )
+    }
+
+    fn next_experiment(&self) -> Option<NextExperiment> {
+        let selection = self.selection.filter(|s| s.set.len() > 1)?;
+        let menu = self.study.model.menu()?;
+        let set: Vec<&Fit> = selection.set.iter().map(|&k| &selection.candidates[k].fit).collect();
+        let coefficients = |fit: &Fit| self.study.coefficients(&fit.deviations);
+        let conditions = next_experiment::propose(&menu, self.noise, &set, coefficients, 3);
+        let why = "these conditions separate the two explanations that the data tell apart least".to_string();
+        Some(NextExperiment { why, conditions })
+    }
+
+    fn summary(&self, causes: &[Cause], misfit: &[misfit::Misfit]) -> String {
+        let Some(selection) = self.selection else {
+            return "no condition is repeated: without a noise floor nothing can be said".into();
+        };
+        let said = |c: &Cause| {
+            format!("{} = {:.4} {} (95 % interval {:.4} to {:.4})", c.id, c.value, c.unit, c.ci95[0], c.ci95[1])
+        };
+        let found = causes.iter().map(said).collect::<Vec<_>>().join(" with ");
+        match selection.verdict {
+            Verdict::NoiseFloor => {
+                "no significant misfit: the plain model is as good as the data repeat themselves".into()
+            }
+            Verdict::Named => format!("the misfit is explained by {found}"),
+            Verdict::Ambiguous => {
+                let rivals: Vec<_> =
+                    selection.set.iter().skip(1).map(|&k| names(&selection.candidates[k].fit).join(" + ")).collect();
+                format!("the misfit is explained by {found}, or by {}: these data cannot tell", rivals.join(", or by "))
+            }
+            Verdict::NoneOfThese => {
+                let place = misfit::worst(misfit).map_or(String::new(), |w| format!("; the plain model: {w}"));
+                self.not_enough(selection) + &place
+            }
+            Verdict::InsufficientData => String::new(),
+        }
+    }
+
+    fn not_enough(&self, selection: &Selection) -> String {
+        match selection.candidates.first() {
+            Some(best) if best.delta_chi2 > selection.gates.single => format!(
+                "none of the known causes is enough: the nearest, {}, leaves a lack of fit of {:.1} where noise leaves up to {:.2}",
+                names(&best.fit).join(" with "),
+                best.lack_of_fit,
+                selection.gates.lack_of_fit
+            ),
+            _ => "misfit remains and none of the known causes explains any of it".into(),
+        }
+    }
+}
+
+fn correlations(fit: &Fit) -> Vec<Vec<f64>> {
+    let covariance = fit.covariance();
+    let n = fit.ids.len();
+    let of = |i: usize, j: usize| covariance[(i, j)] / (covariance[(i, i)] * covariance[(j, j)]).sqrt();
+    if n < 2 { Vec::new() } else { (0..n).map(|i| (0..n).map(|j| of(i, j)).collect()).collect() }
+}

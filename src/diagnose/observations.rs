@@ -1,0 +1,96 @@
+//! Measured numbers in one stack, apart from how they were measured: what the statistics see.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+/// A measured quantity.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Channel {
+    pub name: &'static str,
+    pub unit: &'static str,
+    /// Counts in the held-out error [unit of the channel]; torque does not, it has another unit than force.
+    pub in_rmse: bool,
+}
+
+/// One trial or run: the unit of cross-validation and of repetition.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Unit {
+    pub id: String,
+    pub condition: usize,
+    /// Where its block of `samples × channels` numbers starts in the stack; channel by channel.
+    pub start: usize,
+    pub samples: usize,
+    /// Increases along the trial and means the same in every repetition (angle travelled [rad], path [m]).
+    pub progress: Vec<f64>,
+}
+
+impl Unit {
+    /// This unit's numbers of channel `channel` in the stack.
+    pub fn block(&self, channel: usize) -> Range<usize> {
+        let from = self.start + channel * self.samples;
+        from..from + self.samples
+    }
+}
+
+/// Everything measured.
+#[derive(Clone, Debug)]
+pub struct Observations {
+    pub values: Vec<f64>,
+    pub channels: Vec<Channel>,
+    pub units: Vec<Unit>,
+    /// Names of the conditions; repetitions of one condition differ by chance only.
+    pub conditions: Vec<String>,
+}
+
+impl Observations {
+    /// All numbers of a unit in a stack.
+    pub fn span(&self, unit: &Unit) -> Range<usize> {
+        unit.start..unit.start + unit.samples * self.channels.len()
+    }
+
+    /// Units of each condition, in order.
+    pub fn repetitions(&self) -> Vec<Vec<usize>> {
+        let mut groups = vec![Vec::new(); self.conditions.len()];
+        for (index, unit) in self.units.iter().enumerate() {
+            groups[unit.condition].push(index);
+        }
+        groups
+    }
+
+    /// Has any condition a repetition? Without one there is no noise floor.
+    pub fn has_replicates(&self) -> bool {
+        self.repetitions().iter().any(|units| units.len() > 1)
+    }
+}
+
+/// Numbers names in order of appearance.
+#[derive(Default)]
+pub struct Names {
+    places: BTreeMap<String, usize>,
+    pub list: Vec<String>,
+}
+
+impl Names {
+    pub fn place(&mut self, name: &str) -> usize {
+        if let Some(&place) = self.places.get(name) {
+            return place;
+        }
+        self.places.insert(name.into(), self.list.len());
+        self.list.push(name.into());
+        self.list.len() - 1
+    }
+}
+
+/// `values` given at increasing `from`, interpolated linearly at `at`; held constant beyond the ends.
+pub fn interpolate(from: &[f64], values: &[f64], at: f64) -> f64 {
+    let right = from.partition_point(|&p| p < at);
+    if right == 0 {
+        return values[0];
+    }
+    if right == from.len() {
+        return values[right - 1];
+    }
+    let (a, b) = (from[right - 1], from[right]);
+    let share = if b > a { (at - a) / (b - a) } else { 0.0 };
+    values[right - 1] + share * (values[right] - values[right - 1])
+}

@@ -1,0 +1,145 @@
+//! What a diagnosis hands out: `report.json` to the letter of the contract, and `sand.toml`.
+
+use super::misfit::{Correlate, Misfit};
+use super::next_experiment::Proposal;
+use super::select::Verdict;
+use crate::error::{Error, Result};
+use crate::sand::SandDescription;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// A cause with its strength.
+#[derive(Clone, Debug, Serialize, PartialEq)]
+pub struct Cause {
+    pub id: String,
+    pub value: f64,
+    pub unit: String,
+    pub ci95: [f64; 2],
+    /// Does the value sit at the end of what its law allows?
+    pub at_bound: bool,
+}
+
+/// One cause or pair that was tried.
+#[derive(Clone, Debug, Serialize, PartialEq)]
+pub struct Tried {
+    pub ids: Vec<String>,
+    pub values: Vec<f64>,
+    pub delta_chi2: f64,
+    /// Fraction by which it lowers the held-out error of the plain model with adjusted coefficients.
+    pub cv_gain: Option<f64>,
+    pub lack_of_fit: f64,
+    /// χ² differences with 2 and ln n charged per parameter.
+    pub delta_aic: f64,
+    pub delta_bic: f64,
+    /// Whitened distance to the best explanation [σ].
+    pub distance_to_best: Option<f64>,
+}
+
+/// Mean square of the smooth part of the whitened residual: 1 is noise alone.
+#[derive(Clone, Debug, Serialize, PartialEq)]
+pub struct LackOfFit {
+    pub plain: Option<f64>,
+    pub extended: Option<f64>,
+    pub limit: Option<f64>,
+}
+
+/// What the extension is worth on conditions held out.
+#[derive(Clone, Debug, Serialize, PartialEq)]
+pub struct Gain {
+    /// The simulation as it stands [N].
+    pub held_out_rmse_plain: Option<f64>,
+    /// The same with its coefficients adjusted within their prior, no cause added [N].
+    pub held_out_rmse_recalibrated: Option<f64>,
+    pub held_out_rmse_extended: Option<f64>,
+    /// Standard deviation between repetitions: what no model can predict [N].
+    pub noise_floor: Option<f64>,
+    pub reduction: Option<f64>,
+    pub ci95: Option<[f64; 2]>,
+    pub achievable_fraction: Option<f64>,
+}
+
+#[derive(Clone, Debug, Serialize, PartialEq)]
+pub struct Untestable {
+    pub id: String,
+    pub why: String,
+}
+
+#[derive(Clone, Debug, Serialize, PartialEq)]
+pub struct NextExperiment {
+    pub why: String,
+    pub conditions: Vec<Proposal>,
+}
+
+/// Everything a diagnosis says.
+#[derive(Clone, Debug, Serialize, PartialEq)]
+pub struct Report {
+    pub schema: &'static str,
+    pub verdict: Verdict,
+    /// The verdict in one sentence.
+    pub summary: String,
+    pub causes: Vec<Cause>,
+    /// Correlation of the causes' values, row by row; empty for fewer than two.
+    pub correlations: Vec<Vec<f64>>,
+    pub ambiguity_set: Vec<Vec<String>>,
+    pub candidates: Vec<Tried>,
+    pub lack_of_fit: LackOfFit,
+    pub gain: Gain,
+    pub misfit: Vec<Misfit>,
+    /// Where no cause was named: what the residual goes along with. Not causes.
+    pub correlates_with: Vec<Correlate>,
+    pub untestable: Vec<Untestable>,
+    pub next_experiment: Option<NextExperiment>,
+    /// Feature → least and greatest value in the data.
+    pub valid_range: BTreeMap<String, [f64; 2]>,
+    pub noise: Option<NoiseSummary>,
+    pub warnings: Vec<String>,
+    pub data_sha256: String,
+}
+
+/// Noise as learnt from the repetitions.
+#[derive(Clone, Debug, Serialize, PartialEq)]
+pub struct NoiseSummary {
+    /// Relative sd of the gain of a trial.
+    pub trial_gain: f64,
+    /// Channel → [grain sd per |F|, sensor sd, correlation from sample to sample].
+    pub channels: BTreeMap<String, [f64; 3]>,
+}
+
+/// A finished diagnosis.
+pub struct Diagnosis {
+    pub report: Report,
+    /// The extended model (the plain one where nothing helps), which the simulator loads.
+    pub sand: SandDescription,
+    /// Measured, plain and extended stacks, for plots.
+    pub curves: Curves,
+}
+
+/// Stacks in the order of the observations.
+pub struct Curves {
+    pub observations: super::observations::Observations,
+    pub groups: Vec<String>,
+    pub plain: Vec<f64>,
+    pub extended: Option<Vec<f64>>,
+    /// Standard deviation of one repetition about the model.
+    pub band: Vec<f64>,
+}
+
+impl Diagnosis {
+    pub fn json(&self) -> Result<String> {
+        serde_json::to_string_pretty(&self.report).map_err(|e| Error::invalid("report", e.to_string()))
+    }
+
+    /// Writes report.json, report.html and sand.toml; all are made before the first is written.
+    pub fn write(&self, out: &Path) -> Result<()> {
+        let json = self.json()?;
+        let html = super::page::page(self, &json);
+        let sand = format!("# {}\n{}", self.report.summary.replace('\n', " "), self.sand.to_toml()?);
+        std::fs::create_dir_all(out).map_err(|e| Error::file(out, e))?;
+        for (name, text) in [("report.json", &json), ("report.html", &html), ("sand.toml", &sand)] {
+            let path = out.join(name);
+            std::fs::write(&path, text).map_err(|e| Error::file(&path, e))?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,282 @@
+//! Which cause: singles, then pairs, behind gates; what stands beside them; whether anything is left over.
+
+use super::calibrate::{FELT, Gates, Scores, Screen, gates, starts};
+use super::cross_validation::{HeldOut, leave_condition_out, unfitted};
+use super::fit::{Fit, Study, dot};
+use super::lack_of_fit;
+use super::noise::Noise;
+use super::whiten::Whitener;
+use crate::parallel;
+use crate::sand::mechanism::CATALOG;
+use serde::Serialize;
+
+/// The outcome of a diagnosis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// The plain model is as good as the data's own repeatability.
+    NoiseFloor,
+    /// One cause, or one pair, stands alone.
+    Named,
+    /// Causes that these data cannot tell apart.
+    Ambiguous,
+    /// Misfit remains after every extension tried.
+    NoneOfThese,
+    /// No repetitions, so no noise floor.
+    InsufficientData,
+}
+
+/// Chance that a true cause is thrown out of the ambiguity set by chance, over all its rivals together.
+const REJECTION: f64 = 1e-3;
+/// A second term must earn this share of the deviance that the pair explains on held-out conditions (contract, 4).
+const SECOND_TERM_SHARE: f64 = 0.01;
+/// Pairs fitted in full, the best of the linear screen: our choice, for the time they take.
+const PAIRS_FITTED: usize = 14;
+
+/// Rivals fitted again under the final whitening: our choice; one further behind is hundreds of χ² away.
+const FINALISTS: usize = 8;
+
+/// One cause or pair that was tried.
+pub struct Candidate {
+    pub fit: Fit,
+    pub delta_chi2: f64,
+    pub held_out: HeldOut,
+    pub lack_of_fit: f64,
+}
+
+pub struct Selection {
+    pub verdict: Verdict,
+    /// Plain model, nothing fitted.
+    pub plain: Fit,
+    pub plain_held_out: HeldOut,
+    /// Plain model with its coefficients adjusted within their prior.
+    pub base: Fit,
+    pub base_held_out: HeldOut,
+    pub base_lack_of_fit: f64,
+    /// Best first: smallest χ² of the size chosen, then the others.
+    pub candidates: Vec<Candidate>,
+    /// Places in `candidates` of what the data cannot tell from the best, the best included.
+    pub set: Vec<usize>,
+    pub gates: Gates,
+    /// How many of `candidates`, from the first, were fitted under the final whitening and can be compared.
+    finalists: usize,
+}
+
+impl Selection {
+    /// The best candidate, where a cause was found.
+    pub fn best(&self) -> Option<&Candidate> {
+        self.set.first().map(|&k| &self.candidates[k])
+    }
+}
+
+fn candidate(study: &Study, base: &Fit, fit: Fit) -> Candidate {
+    Candidate {
+        delta_chi2: base.objective - fit.objective,
+        held_out: leave_condition_out(study, &fit),
+        lack_of_fit: lack_of_fit::statistic(study.observations, &fit.white),
+        fit,
+    }
+}
+
+/// Fits `ids` from every start of the first, the others from `values`.
+fn fit_best(study: &Study, ids: &[usize], values: &[f64]) -> Fit {
+    let mut fits: Vec<Fit> = vec![study.fit(ids, values)];
+    for (k, &id) in ids.iter().enumerate() {
+        for &start in starts(id).iter().skip(1) {
+            let mut from = values.to_vec();
+            from[k] = start;
+            fits.push(study.fit(ids, &from));
+        }
+    }
+    fits.into_iter().min_by(|a, b| a.objective.total_cmp(&b.objective)).unwrap_or_else(|| study.recalibrated())
+}
+
+/// Start of a single fit: the linear estimate, held within what is usual for the mechanism.
+fn linear_start(screen: &Screen, scores: &Scores, column: usize) -> f64 {
+    let (id, value) = screen.candidates[column];
+    let entry = &CATALOG[id];
+    let felt = scores.gram[(column, column)];
+    let estimate = if felt > FELT { entry.typical * scores.score[column] / felt } else { 0.0 };
+    let reach = 4.0 * entry.typical;
+    let start = estimate.clamp(-reach, reach).clamp(entry.bounds[0], entry.bounds[1]);
+    if start == 0.0 { value * 0.1 } else { start }
+}
+
+/// Runs the whole selection on `ids`. `rewhiten` builds the whitening on another prediction: once a cause is found,
+/// the trial gains act along the extended model's forces, no longer along the plain one's.
+pub fn select(study: &Study, noise: &Noise, ids: &[usize], rewhiten: impl Fn(&[f64]) -> Whitener) -> Selection {
+    let screen = Screen::new(study, ids);
+    let scores = screen.scores(study.whitener, &study.observations.values);
+    let gates = gates(study, &screen, noise, &scores);
+    let mut selection = singles(study, &screen, &scores, gates, ids);
+    if selection.candidates.first().is_none_or(|c| c.delta_chi2 <= selection.gates.single) {
+        if selection.base_lack_of_fit > selection.gates.lack_of_fit {
+            selection.verdict = Verdict::NoneOfThese;
+        }
+        return selection;
+    }
+    add_pairs(study, &screen, &scores, &mut selection);
+    let whitener = rewhiten(&selection.candidates[0].fit.prediction);
+    refit(&study.rewhitened(&whitener), &mut selection);
+    decide(&mut selection);
+    selection
+}
+
+fn singles(study: &Study, screen: &Screen, scores: &Scores, gates: Gates, ids: &[usize]) -> Selection {
+    let (plain, base) = (study.plain(), study.recalibrated());
+    let columns: Vec<usize> = ids.iter().filter_map(|id| screen.candidates.iter().position(|c| c.0 == *id)).collect();
+    let mut candidates: Vec<Candidate> = parallel::map(&columns, |&column| {
+        let start = linear_start(screen, scores, column);
+        candidate(study, &base, fit_best(study, &[screen.candidates[column].0], &[start]))
+    });
+    candidates.sort_by(|a, b| b.delta_chi2.total_cmp(&a.delta_chi2));
+    Selection {
+        verdict: Verdict::NoiseFloor,
+        plain_held_out: unfitted(study, &plain),
+        base_held_out: leave_condition_out(study, &base),
+        base_lack_of_fit: lack_of_fit::statistic(study.observations, &base.white),
+        plain,
+        base,
+        candidates,
+        set: Vec::new(),
+        gates,
+        finalists: 0,
+    }
+}
+
+/// Fits the best and its nearest rivals again, from where they stand, under a new whitening; the others keep their
+/// distance to the best.
+fn refit(study: &Study, selection: &mut Selection) {
+    let size = selection.candidates[0].fit.ids.len();
+    let same: Vec<usize> = (0..selection.candidates.len())
+        .filter(|&k| selection.candidates[k].fit.ids.len() == size)
+        .take(FINALISTS)
+        .collect();
+    let base = study.recalibrated();
+    let candidates = &selection.candidates;
+    let again = parallel::map(&same, |&k| {
+        let fit = &candidates[k].fit;
+        candidate(study, &base, study.fit_from(fit))
+    });
+    for (k, fresh) in same.into_iter().zip(again) {
+        selection.candidates[k] = fresh;
+    }
+    let finalists = FINALISTS.min(selection.candidates.iter().take_while(|c| c.fit.ids.len() == size).count());
+    selection.candidates[..finalists].sort_by(|a, b| b.delta_chi2.total_cmp(&a.delta_chi2));
+    selection.finalists = finalists;
+}
+
+/// Tries second terms; pairs go to the front where the best of them earns its place.
+fn add_pairs(study: &Study, screen: &Screen, scores: &Scores, selection: &mut Selection) {
+    let best = &selection.candidates[0];
+    let id = best.fit.ids[0];
+    let Some(column) = screen.candidates.iter().position(|c| c.0 == id) else {
+        return;
+    };
+    let gate = screen.second_gate(&scores.gram, column, best.fit.values()[0], selection.gates.inflation);
+    let mut tried: Vec<[usize; 2]> = Vec::new();
+    let second = study.second_terms(&best.fit, screen);
+    let from_best = second.iter().map(|s| [id, s.0]);
+    let linear = screen.pairs(&scores.gram, &scores.score);
+    let from_all = linear.iter().map(|&(_, i, j)| [screen.candidates[i].0, screen.candidates[j].0]);
+    for pair in from_best.take(PAIRS_FITTED / 2).chain(from_all) {
+        if tried.len() < PAIRS_FITTED && !tried.iter().any(|t| *t == pair || *t == [pair[1], pair[0]]) {
+            tried.push(pair);
+        }
+    }
+    let start = |id: usize| {
+        let single = selection.candidates.iter().find(|c| c.fit.ids == [id]);
+        single.map_or(0.0, |c| c.fit.values()[0])
+    };
+    let mut pairs = parallel::map(&tried, |pair| {
+        let mut ids = pair.to_vec();
+        ids.sort_unstable();
+        let values = if pair[0] == id {
+            let other = second.iter().find(|s| s.0 == pair[1]).map_or(0.0, |s| s.1);
+            if ids[0] == id { [start(id), other] } else { [other, start(id)] }
+        } else {
+            [0.5 * start(ids[0]), 0.5 * start(ids[1])]
+        };
+        candidate(study, &selection.base, fit_best(study, &ids, &values))
+    });
+    pairs.sort_by(|a, b| b.delta_chi2.total_cmp(&a.delta_chi2));
+    let earns = pairs.first().is_some_and(|pair| {
+        let deviance = &selection.base_held_out.deviance;
+        let share = (best.held_out.deviance - pair.held_out.deviance) / (deviance - pair.held_out.deviance).max(1e-9);
+        pair.delta_chi2 - best.delta_chi2 > gate && share >= SECOND_TERM_SHARE
+    });
+    if earns {
+        pairs.append(&mut selection.candidates);
+        selection.candidates = pairs;
+    } else {
+        selection.candidates.append(&mut pairs);
+    }
+}
+
+/// Lack of fit, then what the data cannot tell from the best.
+fn decide(selection: &mut Selection) {
+    let best = &selection.candidates[0];
+    if best.lack_of_fit > selection.gates.lack_of_fit {
+        selection.verdict = Verdict::NoneOfThese;
+        return;
+    }
+    let size = best.fit.ids.len();
+    let rivals = selection.candidates.iter().filter(|c| c.fit.ids.len() == size).count().saturating_sub(1).max(1);
+    let limit = normal_quantile(1.0 - REJECTION / rivals as f64) * selection.gates.inflation.sqrt();
+    let stays = |c: &Candidate| {
+        // If the rival were true, χ²_rival − χ²_best would be −d² ± 2d, d the whitened distance between the two.
+        let behind = c.fit.objective - best.fit.objective;
+        let squared = best.fit.distance_squared(&c.fit);
+        behind + squared <= limit * 2.0 * squared.sqrt() && c.delta_chi2 > selection.gates.single
+    };
+    let set: Vec<usize> = (0..selection.finalists).filter(|&k| k == 0 || stays(&selection.candidates[k])).collect();
+    selection.verdict = if set.len() == 1 { Verdict::Named } else { Verdict::Ambiguous };
+    selection.set = set;
+}
+
+/// Quantile of the standard normal distribution (Acklam's rational approximation for the upper tail, |error| < 1e-4).
+fn normal_quantile(share: f64) -> f64 {
+    // Abramowitz & Stegun 26.2.23
+    let t = (-2.0 * (1.0 - share).ln()).sqrt();
+    let top = 2.515517 + t * (0.802853 + t * 0.010328);
+    t - top / (1.0 + t * (1.432788 + t * (0.189269 + t * 0.001308)))
+}
+
+impl Study<'_> {
+    /// Second terms beside a fitted single, best first: catalogue index, linear estimate, Δχ².
+    fn second_terms(&self, first: &Fit, screen: &Screen) -> Vec<(usize, f64, f64)> {
+        let coefficients = self.coefficients(&first.deviations);
+        let (information, _) = first.normal_equations();
+        let Some(inverse) = information.try_inverse() else {
+            return Vec::new();
+        };
+        let others: Vec<_> = screen.candidates.iter().filter(|c| !first.ids.contains(&c.0)).copied().collect();
+        let mut found: Vec<_> = parallel::map(&others, |&(id, value)| {
+            let moved = self.model.predict(&first.mechanisms.with(id, value), &coefficients);
+            let column: Vec<f64> = moved.iter().zip(&first.prediction).map(|(a, b)| (a - b) / value).collect();
+            let white = self.whitener.apply(&column);
+            let cross =
+                nalgebra::DVector::from_fn(first.white_slopes.len(), |i, _| dot(&first.white_slopes[i], &white));
+            let left = dot(&white, &white) - (cross.transpose() * &inverse * &cross)[0];
+            let score = dot(&white, &first.white);
+            let estimate = if left > 1e-12 { score / left } else { 0.0 };
+            let bounds = CATALOG[id].bounds;
+            let held =
+                estimate.clamp(bounds[0], bounds[1]).clamp(-4.0 * CATALOG[id].typical, 4.0 * CATALOG[id].typical);
+            (
+                id,
+                if held == 0.0 { 0.05 * value } else { held },
+                if held * estimate > 0.0 { score * estimate } else { 0.0 },
+            )
+        });
+        found.sort_by(|a, b| b.2.total_cmp(&a.2));
+        let mut seen = Vec::new();
+        found.retain(|f| {
+            !seen.contains(&f.0) && {
+                seen.push(f.0);
+                true
+            }
+        });
+        found
+    }
+}

@@ -1,0 +1,83 @@
+//! The paper, side by side: Li, Zhang & Goldman 2012, "A resistive force model for legged locomotion on granular media",
+//! its figures 2 to 5 and every quantitative sentence of its sections 2 to 6.
+//!
+//! Each part computes its figures and its [`Claim`]s from the models as they are; nothing here is fitted to the paper.
+//!
+//! * [`stresses`]: figure 2. * [`legs`]: figure 3. * [`grains`]: its stand-in data, a simulated experiment.
+//! * [`speeds`]: figure 4. * [`shapes`]: figure 5. * [`assumptions`]: what the paper does not state.
+//! * [`claims`]: verdicts. * [`page`]: the report.
+
+pub mod assumptions;
+pub mod claims;
+mod conclusions;
+mod grains;
+mod legs;
+pub mod page;
+mod shapes;
+mod speeds;
+mod stresses;
+
+pub use claims::{Claim, Verdict};
+
+use crate::error::{Error, Result};
+use crate::plot::{Figure, png};
+use std::path::Path;
+
+/// One figure of the paper with all that belongs to it.
+pub struct Part {
+    pub heading: &'static str,
+    /// File stem and figure.
+    pub figures: Vec<(&'static str, Figure)>,
+    pub tables: Vec<Table>,
+    pub claims: Vec<Claim>,
+}
+
+/// A table of the report.
+pub struct Table {
+    pub caption: String,
+    pub head: Vec<String>,
+    pub rows: Vec<Vec<String>>,
+}
+
+impl Table {
+    fn new(caption: &str, head: &[&str]) -> Self {
+        Self { caption: caption.into(), head: head.iter().map(|h| (*h).to_owned()).collect(), rows: Vec::new() }
+    }
+}
+
+/// Figures of the paper that are reproduced.
+pub const FIGURES: [u8; 4] = [2, 3, 4, 5];
+
+/// Computes the parts for the given figures; the conclusions' claims come with all four.
+pub fn compute(figures: &[u8]) -> Result<Vec<Part>> {
+    let mut parts = Vec::new();
+    for figure in figures {
+        parts.push(match figure {
+            2 => stresses::part()?,
+            3 => legs::part()?,
+            4 => speeds::part()?,
+            5 => shapes::part()?,
+            other => return Err(Error::invalid("--figure", format!("{other} is none of 2, 3, 4, 5"))),
+        });
+    }
+    if figures.len() == FIGURES.len() {
+        parts.push(conclusions::part());
+    }
+    Ok(parts)
+}
+
+/// Writes figures, `report.html` and `claims.json` into `out`.
+pub fn write(parts: &[Part], out: &Path) -> Result<()> {
+    std::fs::create_dir_all(out).map_err(|e| Error::file(out, e))?;
+    let put = |name: &str, text: &str| {
+        let path = out.join(name);
+        std::fs::write(&path, text).map_err(|e| Error::file(&path, e))
+    };
+    for (name, figure) in parts.iter().flat_map(|p| &p.figures) {
+        png::write_both(&figure.svg(), &out.join(format!("{name}.svg")))?;
+    }
+    let claims: Vec<&Claim> = parts.iter().flat_map(|p| &p.claims).collect();
+    let json = serde_json::to_string_pretty(&claims).map_err(|e| Error::Exhausted(e.to_string()))?;
+    put("claims.json", &(json + "\n"))?;
+    put("report.html", &page::page(parts))
+}

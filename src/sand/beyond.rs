@@ -1,0 +1,327 @@
+//! The laws of the mechanisms that act in the sand, for one number or for lanes that each have their own strengths.
+//!
+//! A strength of 0 leaves every bit as plain theory gives it, so lanes without a mechanism do not notice neighbours
+//! that have it.
+
+use super::contact::Ground;
+use super::mechanism::Mechanisms;
+use crate::number::{Real, Vec3};
+
+/// Depth z0 [m] at which `depth_power` leaves the stress as it is.
+const DEPTH_REFERENCE: f64 = 0.02;
+/// Distance [m] over which a footprint fades.
+const FOOTPRINT_REACH: f64 = 0.03;
+/// Length [m] that `packing_grad` refers to.
+const PACKING_LENGTH: f64 = 0.1;
+/// Speed [m/s] that `rate_log` refers to.
+const RATE_REFERENCE: f64 = 0.01;
+/// Normal speed [m/s] over which cohesion builds up.
+const COHESION_SPEED: f64 = 1e-3;
+
+/// Where a segment is, beyond its normal and velocity.
+#[derive(Clone, Copy)]
+pub struct Site<R> {
+    /// Below the surface, ≥ 0 [m].
+    pub depth: R,
+    /// Place in the bed [m]: x_bed + x in force logs, travelled distance in walking.
+    pub x: R,
+    /// [`footprint`] of the pass; 1 on fresh ground.
+    pub footprint: R,
+    /// Width w of the segment across the plane of motion [m].
+    pub width: R,
+    /// dv_n/dt of the leading face [m/s²].
+    pub normal_acceleration: R,
+}
+
+impl<R: Real> Site<R> {
+    /// On fresh ground, in steady motion.
+    #[inline(always)]
+    pub fn fresh(depth: R, x: R) -> Self {
+        Self { depth, x, footprint: R::one(), width: R::zero(), normal_acceleration: R::zero() }
+    }
+}
+
+/// What turns a law's stress per depth into the stress on a segment. Hot loops take it as a type, so that plain theory
+/// pays nothing for what it leaves out.
+pub trait Beyond<R: Real> {
+    /// Stress [Pa] from the law's stress per depth [N/m³] on a segment with unit normal `n` and velocity `v`.
+    fn extend(&self, per_depth: Vec3<R>, n: Vec3<R>, v: Vec3<R>, site: &Site<R>) -> Vec3<R>;
+}
+
+/// Plain resistive force theory: proportional to depth, nothing else.
+#[derive(Clone, Copy)]
+pub struct Plain;
+
+impl<R: Real> Beyond<R> for Plain {
+    #[inline(always)]
+    fn extend(&self, per_depth: Vec3<R>, _n: Vec3<R>, _v: Vec3<R>, site: &Site<R>) -> Vec3<R> {
+        per_depth * site.depth
+    }
+}
+
+/// 1 − κ e^(−pass_dx/3 cm) from the second pass on, 1 before.
+pub fn footprint(kappa: f64, pass: u32, pass_dx: f64) -> f64 {
+    if pass < 2 { 1.0 } else { 1.0 - kappa * (-pass_dx.abs() / FOOTPRINT_REACH).exp() }
+}
+
+/// Depth [m] of the point (x, z) below a surface through the origin that rises toward +x by σ, given as (sin σ, cos σ):
+/// (x tan σ − z) cos σ.
+pub fn slope_depth<R: Real>((sin, cos): (f64, f64), x: R, z: R) -> R {
+    x * R::splat(sin) - z * R::splat(cos)
+}
+
+/// Which laws any lane needs.
+#[derive(Clone, Copy, Default)]
+struct Active {
+    depth_power: bool,
+    packing_grad: bool,
+    rate_log: bool,
+    friction_clip: bool,
+    cohesion: bool,
+    added_mass: bool,
+}
+
+/// The sand side of [`Mechanisms`], ready for evaluation, one lane an environment.
+#[derive(Clone, Copy)]
+pub struct SandMechanisms<R> {
+    active: Active,
+    /// λ ρ [kg/m³]
+    drag: R,
+    /// C_a ρ [kg/m³]
+    added: R,
+    cohesion: R,
+    depth_excess: R,
+    scale: R,
+    /// g over its length [1/m]
+    packing: R,
+    rate: R,
+    inverse_friction: R,
+    /// χ: share of the straight chord in the force on a leg whose concave side leads.
+    pub fill: R,
+}
+
+impl<R: Real> SandMechanisms<R> {
+    /// `bulk_density` ρ in kg/m³.
+    pub fn new(mechanisms: &Mechanisms, bulk_density: f64) -> Self {
+        let zero = R::zero();
+        let mut new = Self {
+            active: Active::default(),
+            drag: zero,
+            added: zero,
+            cohesion: zero,
+            depth_excess: zero,
+            scale: R::one(),
+            packing: zero,
+            rate: zero,
+            inverse_friction: zero,
+            fill: zero,
+        };
+        (0..R::LANES).for_each(|lane| new.set_lane(lane, mechanisms, bulk_density));
+        new
+    }
+
+    /// Gives one lane its own mechanisms.
+    pub fn set_lane(&mut self, lane: usize, m: &Mechanisms, bulk_density: f64) {
+        self.active.depth_power |= m.depth_power != 0.0;
+        self.active.packing_grad |= m.packing_grad != 0.0;
+        self.active.rate_log |= m.rate_log != 0.0;
+        self.active.friction_clip |= m.friction_clip != 0.0;
+        self.active.cohesion |= m.cohesion != 0.0;
+        self.active.added_mass |= m.added_mass != 0.0;
+        self.drag.set_lane(lane, m.inertial_drag * bulk_density);
+        self.added.set_lane(lane, m.added_mass * bulk_density);
+        self.cohesion.set_lane(lane, m.cohesion);
+        self.depth_excess.set_lane(lane, m.depth_power);
+        self.scale.set_lane(lane, 1.0 + m.scale);
+        self.packing.set_lane(lane, m.packing_grad / PACKING_LENGTH);
+        self.rate.set_lane(lane, m.rate_log);
+        self.inverse_friction.set_lane(lane, m.friction_clip);
+        self.fill.set_lane(lane, m.concave_fill);
+    }
+
+    /// Stress [Pa] on a submerged thin segment with unit normal `n` and velocity `v`, both in the surface's frame.
+    #[inline(always)]
+    pub fn stress(&self, ground: &Ground<R>, n: Vec3<R>, v: Vec3<R>, site: &Site<R>) -> Vec3<R> {
+        self.extend(ground.stress(n, &ground.motion(v)), n, v, site)
+    }
+
+    /// |z| → z0 (|z|/z0)^p
+    #[inline(always)]
+    fn depth(&self, depth: R) -> R {
+        if !self.active.depth_power {
+            return depth;
+        }
+        // Powers have no lane arithmetic here: slow, and only reached while this mechanism is on.
+        let mut powered = depth;
+        for lane in 0..R::LANES {
+            let (d, excess) = (depth.lane(lane), self.depth_excess.lane(lane));
+            if excess != 0.0 {
+                powered.set_lane(lane, DEPTH_REFERENCE * (d.max(0.0) / DEPTH_REFERENCE).powf(1.0 + excess));
+            }
+        }
+        powered
+    }
+
+    /// Product of all that multiplies the depth-proportional stress.
+    #[inline(always)]
+    fn factor(&self, v: Vec3<R>, site: &Site<R>) -> R {
+        let mut factor = site.footprint * self.scale;
+        if self.active.packing_grad {
+            factor = factor * self.packing.mul_add(site.x, R::one());
+        }
+        if self.active.rate_log {
+            let speed = v.norm_squared().sqrt() * R::splat(1.0 / RATE_REFERENCE);
+            factor = factor * self.rate.mul_add(log_one_plus(speed), R::one());
+        }
+        factor
+    }
+}
+
+impl<R: Real> Beyond<R> for SandMechanisms<R> {
+    /// The depth-proportional stress carries scale, packing, footprint, rate and the friction cap; inertia, added mass
+    /// and cohesion push against the leading face in addition.
+    #[inline(always)]
+    fn extend(&self, per_depth: Vec3<R>, n: Vec3<R>, v: Vec3<R>, site: &Site<R>) -> Vec3<R> {
+        let mut stress = per_depth * (self.depth(site.depth) * self.factor(v, site));
+        if self.active.friction_clip {
+            stress = capped(stress, n, self.inverse_friction);
+        }
+        let along = n.dot(v);
+        let speed = along.abs();
+        let mut pressure = self.drag * speed * speed;
+        if self.active.added_mass {
+            pressure += self.added * site.width * site.normal_acceleration;
+        }
+        if self.active.cohesion {
+            pressure += self.cohesion * tanh(speed * R::splat(1.0 / COHESION_SPEED));
+        }
+        let toward_front = R::select(along.lt(R::zero()), pressure, -pressure);
+        n.scale_add(toward_front, stress)
+    }
+}
+
+/// `stress` with its part along the face cut to 1/`inverse_mu` times the part along the normal; 0 cuts nothing.
+#[inline(always)]
+fn capped<R: Real>(stress: Vec3<R>, n: Vec3<R>, inverse_mu: R) -> Vec3<R> {
+    let normal = stress.dot(n);
+    let tangential = stress - n * normal;
+    let size = tangential.norm_squared().sqrt();
+    let share = (normal.abs() / (inverse_mu * size + R::splat(1e-30))).min(R::one());
+    tangential.scale_add(share - R::one(), stress)
+}
+
+/// ln(1 + x) for 0 ≤ x < 10⁴, relative error below 1e-7: ln y = 16 artanh((r − 1)/(r + 1)) with r = y^(1/8), the series
+/// cut at the ninth power.
+#[inline(always)]
+fn log_one_plus<R: Real>(x: R) -> R {
+    let root = (x + R::one()).sqrt().sqrt().sqrt();
+    let z = (root - R::one()) / (root + R::one());
+    let z2 = z * z;
+    let series = [1.0 / 11.0, 1.0 / 9.0, 1.0 / 7.0, 1.0 / 5.0, 1.0 / 3.0, 1.0];
+    let mut sum = R::splat(1.0 / 13.0);
+    for c in series {
+        sum = sum.mul_add(z2, R::splat(c));
+    }
+    sum * z * R::splat(16.0)
+}
+
+/// tanh x for x ≥ 0, absolute error below 1e-7: tanh x = 2 t/(1 + t²) with t = tanh(x/2), three times from the
+/// continued fraction of tanh(x/8), which is exact to single precision for x ≤ 9; beyond, 1.
+#[inline(always)]
+fn tanh<R: Real>(x: R) -> R {
+    let y = x.min(R::splat(9.5)) * R::splat(0.125);
+    let y2 = y * y;
+    // y (10395 + 1260 y² + 21 y⁴) / (10395 + 4725 y² + 210 y⁴ + y⁶)
+    let above = R::splat(21.0).mul_add(y2, R::splat(1260.0)).mul_add(y2, R::splat(10395.0));
+    let below = (y2 + R::splat(210.0)).mul_add(y2, R::splat(4725.0)).mul_add(y2, R::splat(10395.0));
+    let mut t = y * above / below;
+    for _ in 0..3 {
+        t = (t + t) / t.mul_add(t, R::one());
+    }
+    t
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sand::{Law, Medium, Surface};
+
+    fn ground() -> Ground<f64> {
+        Ground::new(Law::Li2013, &Medium::named("poppy-loose").unwrap(), &Surface::default())
+    }
+
+    fn stress(m: Mechanisms, v: [f64; 3]) -> Vec3<f64> {
+        let site = Site { depth: 0.03, x: 0.05, footprint: 1.0, width: 0.02, normal_acceleration: 0.0 };
+        SandMechanisms::new(&m, 600.0).stress(&ground(), Vec3::new(0.6, 0.0, -0.8), Vec3::splat(v), &site)
+    }
+
+    #[test]
+    fn drag_is_lambda_rho_v_squared_against_the_motion() {
+        let v = [0.6, 0.0, -0.8];
+        let extra =
+            stress(Mechanisms { inertial_drag: 2.0, ..Default::default() }, v) - stress(Mechanisms::default(), v);
+        // λ ρ v² = 2 · 600 · 1² = 1200 Pa along −n
+        assert!((extra.x + 0.6 * 1200.0).abs() < 1e-9 && (extra.z - 0.8 * 1200.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn factors_multiply_the_stress() {
+        let v = [0.01, 0.0, -0.02];
+        let plain = stress(Mechanisms::default(), v);
+        let m = Mechanisms { scale: 0.5, packing_grad: 0.2, ..Default::default() };
+        // 1.5 · (1 + 0.2 · 0.05/0.1) = 1.65
+        assert!((stress(m, v).z / plain.z - 1.65).abs() < 1e-12);
+        let power = stress(Mechanisms { depth_power: 1.0, ..Default::default() }, v);
+        // (3 cm / 2 cm)^1 times the plain stress
+        assert!((power.z / plain.z - 1.5).abs() < 1e-12);
+    }
+
+    #[test]
+    fn friction_cap_leaves_the_normal_part() {
+        // Along the face: almost all of the stress is tangential.
+        let (v, n) = ([0.04, 0.0, 0.03], Vec3::new(0.6, 0.0, -0.8));
+        let (plain, cut) =
+            (stress(Mechanisms::default(), v), stress(Mechanisms { friction_clip: 10.0, ..Default::default() }, v));
+        assert!((plain.dot(n) - cut.dot(n)).abs() < 1e-9);
+        let along = |f: Vec3<f64>| (f - n * f.dot(n)).norm_squared().sqrt();
+        assert!(along(plain) > 0.2 * plain.dot(n).abs(), "the cap has nothing to cut");
+        let tangential = along(cut);
+        assert!((tangential - 0.1 * cut.dot(n).abs()).abs() < 1e-9, "{tangential}");
+    }
+
+    #[test]
+    fn functions_without_trigonometry() {
+        for i in 0..2000 {
+            let x = f64::from(i) * 0.01;
+            assert!((tanh(x) - x.tanh()).abs() < 1e-7, "tanh {x}: {}", tanh(x));
+            let (y, far) = (log_one_plus(x * x * 20.0), x * x * 20.0);
+            assert!((y - far.ln_1p()).abs() <= 1e-7 * far.ln_1p(), "ln(1 + {far}): {y}");
+        }
+    }
+
+    /// What one lane has must not change a bit of another.
+    #[test]
+    fn neutral_lanes_are_plain() {
+        use crate::number::Portable;
+        let every = Mechanisms {
+            inertial_drag: 1.0,
+            depth_power: 0.2,
+            cohesion: 100.0,
+            scale: 0.1,
+            packing_grad: 0.2,
+            rate_log: 0.1,
+            friction_clip: 3.0,
+            ..Default::default()
+        };
+        let mut beyond = SandMechanisms::<Portable>::new(&Mechanisms::default(), 600.0);
+        beyond.set_lane(0, &every, 600.0);
+        let medium = Medium::named("poppy-loose").unwrap();
+        let ground = Ground::<Portable>::new(Law::Li2013, &medium, &Surface::default());
+        let (n, v) = (Vec3::splat([0.6, 0.0, -0.8]), Vec3::splat([0.1, 0.02, -0.3]));
+        let site = Site::fresh(Portable::splat(0.013), Portable::splat(0.2));
+        let plain = Plain.extend(ground.stress(n, &ground.motion(v)), n, v, &site);
+        let stress = beyond.stress(&ground, n, v, &site);
+        assert_ne!(stress.lane(0), plain.lane(0));
+        assert_eq!(stress.lane(1), plain.lane(1));
+    }
+}

@@ -1,0 +1,66 @@
+//! `sand.toml`: a medium and its mechanisms as a file, written by the diagnosis and loaded by the simulator.
+
+use super::law::Law;
+use super::mechanism::Mechanisms;
+use super::media::{Coefficients, Medium};
+use crate::error::{Error, Result, check_range};
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// Everything a simulation needs to know about the sand.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SandDescription {
+    pub name: String,
+    pub law: Law,
+    /// [kg/m³]
+    pub bulk_density: f64,
+    pub source: String,
+    /// [N/m³]
+    pub coefficients: Coefficients,
+    #[serde(default)]
+    pub mechanisms: Mechanisms,
+}
+
+impl SandDescription {
+    pub fn plain(medium: &Medium) -> Self {
+        Self {
+            name: medium.name.clone(),
+            law: Law::Li2013,
+            bulk_density: medium.bulk_density,
+            source: medium.source.clone(),
+            coefficients: medium.coefficients,
+            mechanisms: Mechanisms::default(),
+        }
+    }
+
+    pub fn medium(&self) -> Medium {
+        Medium {
+            name: self.name.clone(),
+            coefficients: self.coefficients,
+            bulk_density: self.bulk_density,
+            source: self.source.clone(),
+        }
+    }
+
+    pub fn from_toml(text: &str) -> Result<Self> {
+        let sand: Self = toml::from_str(text).map_err(|e| Error::invalid("sand", e.message().to_string()))?;
+        // Twenty times the densest mineral bed: our choice of a guard against unit slips.
+        check_range("bulk_density", sand.bulk_density, 1.0..=20_000.0)?;
+        // 100 N/cm³ and beyond: as in Medium::generic.
+        for c in sand.coefficients.to_array() {
+            check_range("coefficients", c, -1e8..=1e8)?;
+        }
+        sand.mechanisms.validated()?;
+        Ok(sand)
+    }
+
+    pub fn load(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path).map_err(|e| Error::file(path, e))?;
+        Self::from_toml(&text).map_err(|e| Error::file(path, e))
+    }
+
+    pub fn to_toml(&self) -> Result<String> {
+        toml::to_string(self).map_err(|e| Error::invalid("sand", e.to_string()))
+    }
+}

@@ -1,0 +1,170 @@
+//! Mechanisms that plain resistive force theory leaves out: the one list that simulator, diagnosis, report and
+//! documents read. A new mechanism is one new entry of [`CATALOG`]'s table and, if it acts in the sand, one line in
+//! [`super::beyond::SandMechanisms::stress`].
+//!
+//! Every parameter is 0 when its mechanism is off. The equations of the sand side are in
+//! [`super::beyond`]; those of the measuring side (sensors, log, drive) are in `diagnose::forward`.
+
+use crate::error::{Error, Result, check_range};
+use serde::{Deserialize, Serialize};
+
+/// Where a mechanism acts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Side {
+    /// In the sand: the simulator can switch it on.
+    Sand,
+    /// In the force sensor, the depth reference or the log.
+    Sensor,
+    /// In the motor or the leg's mounting.
+    Drive,
+}
+
+/// One entry of the list.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Mechanism {
+    pub id: &'static str,
+    pub symbol: &'static str,
+    /// SI; "1" where dimensionless.
+    pub unit: &'static str,
+    /// Least and greatest value a fit may take: physical where physics says so, otherwise our choice of a wide guard.
+    pub bounds: [f64; 2],
+    /// A strength one would call typical: steps of numerical derivatives and prior scales are multiples of it.
+    pub typical: f64,
+    pub side: Side,
+    /// Can force logs show it?
+    pub intrusion: bool,
+    /// Can walking runs show it?
+    pub walking: bool,
+    /// Optional columns of the intrusion log without which it cannot be tested.
+    pub columns: &'static [&'static str],
+    pub law: &'static str,
+    pub source: &'static str,
+}
+
+fn is_neutral(value: &f64) -> bool {
+    *value == 0.0
+}
+
+macro_rules! mechanisms {
+    ($($id:ident: $symbol:literal, $unit:literal, [$low:expr, $high:expr], $typical:expr, $side:ident,
+       intrusion $intrusion:literal, walking $walking:literal, $columns:expr, $law:literal, $source:literal;)*) => {
+        /// Every mechanism, in the order of [`Mechanisms::values`].
+        pub const CATALOG: [Mechanism; Mechanisms::COUNT] = [$(Mechanism {
+            id: stringify!($id), symbol: $symbol, unit: $unit, bounds: [$low, $high], typical: $typical,
+            side: Side::$side, intrusion: $intrusion, walking: $walking, columns: &$columns, law: $law, source: $source,
+        }),*];
+
+        /// Strengths of all mechanisms; the default is plain resistive force theory.
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+        #[serde(deny_unknown_fields, default)]
+        pub struct Mechanisms {
+            $(#[doc = concat!($symbol, " [", $unit, "]: ", $law)]
+            #[serde(skip_serializing_if = "is_neutral")]
+            pub $id: f64,)*
+        }
+
+        impl Mechanisms {
+            /// None switched on.
+            pub const PLAIN: Self = Self { $($id: 0.0),* };
+            pub const COUNT: usize = [$(stringify!($id)),*].len();
+
+            /// In the order of [`CATALOG`].
+            pub fn values(&self) -> [f64; Self::COUNT] {
+                [$(self.$id),*]
+            }
+
+            /// The inverse of [`Self::values`].
+            pub fn from_values(values: [f64; Self::COUNT]) -> Self {
+                let [$($id),*] = values;
+                Self { $($id),* }
+            }
+        }
+    };
+}
+
+mechanisms! {
+    inertial_drag: "λ", "1", [0.0, 30.0], 0.5, Sand, intrusion true, walking true, [],
+        "extra stress −λ ρ v_n² n on the leading face", "Agarwal et al. 2021 (dynamic RFT): 1.1 oblique plate, 1.4 sphere, 2.8 plane-strain plate";
+    concave_fill: "χ", "1", [0.0, 1.0], 0.2, Sand, intrusion true, walking true, [],
+        "legs whose concave side leads: F = (1−χ) F_segments + χ F_straight hip–tip chord", "our form of the cause named in Li et al. 2012 (grains held in a concave leading surface)";
+    footprint: "κ", "1", [-2.0, 1.0], 0.2, Sand, intrusion true, walking false, ["pass", "pass_dx"],
+        "re-used ground (pass ≥ 2): stress × (1 − κ e^(−pass_dx/3 cm))", "our choice: no published law found";
+    added_mass: "C_a", "1", [0.0, 30.0], 0.5, Sand, intrusion true, walking false, [],
+        "extra stress −C_a ρ w (dv_n/dt) n, w the segment's width", "after Aguilar & Goldman 2016 (added mass of jumping feet); form ours";
+    depth_power: "p − 1", "1", [-0.8, 2.0], 0.1, Sand, intrusion true, walking true, [],
+        "|z| → z0 (|z|/z0)^p, z0 = 2 cm", "power-law depth dependence, e.g. Hill, Yeung & Koehler 2005; form ours";
+    cohesion: "c", "Pa", [0.0, 1e4], 50.0, Sand, intrusion true, walking true, [],
+        "stress −c tanh(v_n / 1 mm/s) n at any depth", "≈ 150 Pa for 1 mm beads, ≈ 600 Pa for fine angular sand; form ours";
+    scale: "ζ/ζ0 − 1", "1", [-0.9, 10.0], 0.1, Sand, intrusion true, walking true, [],
+        "stress × (1 + value)", "Li, Zhang & Goldman 2013: media differ by ζ; batches by 20–40 %";
+    packing_grad: "g", "1", [-0.9, 0.9], 0.1, Sand, intrusion true, walking true, ["x_bed"],
+        "stress × (1 + g (x_bed + x)/10 cm)", "packing changes stress: Gravish, Umbanhowar & Goldman 2010; linear form ours";
+    slope: "σ", "rad", [-0.5, 0.5], 0.03, Sand, intrusion true, walking true, [],
+        "surface rises toward +x: depth = (x tan σ − z) cos σ, stress evaluated in the surface's frame", "geometry";
+    rate_log: "b", "1", [-0.25, 1.0], 0.03, Sand, intrusion true, walking true, [],
+        "stress × (1 + b ln(1 + |v|/1 cm/s))", "logarithmic rate dependence of dry friction; form ours";
+    friction_clip: "1/μ", "1", [0.0, 10.0], 1.0, Sand, intrusion true, walking true, [],
+        "tangential stress capped at μ × normal stress", "Coulomb friction of the intruder's surface, as in Agarwal, Goldman & Kamrin 2023";
+    bias_x: "b_x", "N", [-1e3, 1e3], 0.05, Sensor, intrusion true, walking false, [],
+        "constant offset of Fx", "force sensor zero";
+    bias_z: "b_z", "N", [-1e3, 1e3], 0.05, Sensor, intrusion true, walking false, [],
+        "constant offset of Fz", "force sensor zero";
+    sensor_tilt: "φ", "rad", [-0.8, 0.8], 0.03, Sensor, intrusion true, walking false, [],
+        "measured (Fx, Fz) rotated counter-clockwise", "geometry";
+    depth_zero: "d", "m", [-0.05, 0.05], 0.001, Sensor, intrusion true, walking false, [],
+        "true depth = logged depth + value", "error of the surface's height";
+    delay: "τ_d", "s", [0.0, 1.0], 0.002, Sensor, intrusion true, walking false, [],
+        "force log late", "two clocks";
+    lowpass: "τ_f", "s", [0.0, 1.0], 0.002, Sensor, intrusion true, walking false, [],
+        "first-order filter on the force channels", "amplifier or logger";
+    compliance: "k⁻¹", "rad/(N·m)", [0.0, 5.0], 0.05, Drive, intrusion true, walking false, [],
+        "the leg lags the motor angle by value × torque", "elastic mounting";
+    motor_torque_limit: "τ_max", "N·m", [0.0, 100.0], 0.02, Drive, intrusion false, walking true, [],
+        "hip torque saturates (0: no limit)", "motor data sheet";
+}
+
+impl Mechanisms {
+    /// Place in [`CATALOG`] of a mechanism's id.
+    pub fn index(id: &str) -> Result<usize> {
+        let known = CATALOG.map(|m| m.id);
+        CATALOG.iter().position(|m| m.id == id).ok_or_else(|| Error::unknown("mechanism", id, &known))
+    }
+
+    pub fn get(&self, index: usize) -> f64 {
+        self.values()[index]
+    }
+
+    /// The same with one value changed.
+    pub fn with(&self, index: usize, value: f64) -> Self {
+        let mut values = self.values();
+        values[index] = value;
+        Self::from_values(values)
+    }
+
+    /// Refuses values outside [`Mechanism::bounds`].
+    pub fn validated(self) -> Result<Self> {
+        for (m, value) in CATALOG.iter().zip(self.values()) {
+            check_range(m.id, value, m.bounds[0]..=m.bounds[1])?;
+        }
+        Ok(self)
+    }
+
+    /// Is nothing switched on in the sand?
+    pub fn sand_is_plain(&self) -> bool {
+        CATALOG.iter().zip(self.values()).all(|(m, value)| m.side != Side::Sand || value == 0.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn toml_is_neutral_by_default_and_refuses_unknown_keys() {
+        let m: Mechanisms = toml::from_str("inertial_drag = 1.1").unwrap();
+        assert_eq!(m, Mechanisms { inertial_drag: 1.1, ..Default::default() });
+        assert_eq!(toml::to_string(&m).unwrap().trim(), "inertial_drag = 1.1");
+        assert!(toml::from_str::<Mechanisms>("viscosity = 1.0").is_err());
+    }
+}

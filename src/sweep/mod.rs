@@ -1,0 +1,77 @@
+//! Design studies: how a robot's walk changes with its design and its sand.
+//!
+//! [`parameter`]: what can be varied → [`run`]: all walks over lanes and cores → [`table`]: CSV and figure, or
+//! [`optimize`]: a search for the best design. After Li et al. 2012, section 5.
+
+pub mod optimize;
+pub mod parameter;
+pub mod run;
+pub mod table;
+
+pub use parameter::{Axis, Parameter};
+pub use run::walk_all;
+
+use crate::error::{Error, Result};
+use crate::sim::model::Scene;
+use crate::sim::walk::{Trial, WalkResult};
+use crate::sim::{Model, Robot};
+
+/// One robot on one sand at one stride frequency.
+#[derive(Clone, Debug)]
+pub struct Design {
+    pub robot: Robot,
+    pub scene: Scene,
+    /// [Hz]
+    pub frequency: f64,
+    /// Added to every hip's starting angle [rad].
+    pub phase: f64,
+}
+
+impl Design {
+    pub fn trial(&self) -> Result<Trial> {
+        let model = Model::new(&self.robot, &self.scene)?;
+        Ok(Trial { phase: self.phase, ..Trial::new(model, self.frequency) })
+    }
+}
+
+/// What a study looks at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Measure {
+    Speed,
+    CostOfTransport,
+}
+
+impl Measure {
+    pub fn named(name: &str) -> Result<Self> {
+        match name {
+            "speed" => Ok(Self::Speed),
+            "cost-of-transport" => Ok(Self::CostOfTransport),
+            _ => Err(Error::unknown("measure", name, &["speed", "cost-of-transport"])),
+        }
+    }
+
+    pub fn label(self) -> &'static str {
+        match self {
+            Self::Speed => "forward speed [cm/s]",
+            Self::CostOfTransport => "cost of transport",
+        }
+    }
+
+    /// In the label's unit.
+    pub fn of(self, result: &WalkResult) -> f64 {
+        match self {
+            Self::Speed => 100.0 * result.speed,
+            Self::CostOfTransport => result.cost_of_transport,
+        }
+    }
+
+    /// Smaller is better; a walk that failed, or went backward, is worst.
+    pub fn cost(self, result: &WalkResult) -> f64 {
+        let value = match self {
+            Self::Speed => -result.speed,
+            Self::CostOfTransport if result.speed > 0.0 => result.cost_of_transport,
+            Self::CostOfTransport => f64::INFINITY,
+        };
+        if value.is_finite() { value } else { 1e9 }
+    }
+}

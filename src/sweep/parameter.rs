@@ -1,0 +1,243 @@
+//! What a design study can vary.
+
+use super::Design;
+use crate::error::{Error, Result, check_range};
+use crate::sand::{Law, Medium};
+
+/// A number or name of a design.
+#[derive(Clone, Copy, Debug)]
+pub struct Parameter {
+    pub name: &'static str,
+    /// Unit; empty for names.
+    pub unit: &'static str,
+    set: fn(&mut Design, &str) -> Result<()>,
+}
+
+fn number(text: &str) -> Result<f64> {
+    match text.parse::<f64>() {
+        Ok(value) if value.is_finite() => Ok(value),
+        _ => Err(Error::invalid("value", format!("{text:?} is no finite number"))),
+    }
+}
+
+/// Changes every strip that touches sand.
+fn strips(design: &mut Design, change: impl Fn(&mut crate::sim::robot::Strip)) {
+    design.robot.leg.link.iter_mut().filter_map(|l| l.sand.as_mut()).for_each(change);
+}
+
+impl Parameter {
+    pub const ALL: [Parameter; 17] = [
+        Parameter {
+            name: "xi",
+            unit: "°",
+            set: |d, v| {
+                let shape = format!("xi={}", number(v)?);
+                crate::sand::Shape::named(&shape)?;
+                strips(d, |s| s.shape.clone_from(&shape));
+                Ok(())
+            },
+        },
+        Parameter {
+            name: "leg",
+            unit: "",
+            set: |d, v| {
+                d.robot = d.robot.clone().with_leg_shape(v)?;
+                Ok(())
+            },
+        },
+        Parameter {
+            name: "chord",
+            unit: "m",
+            set: |d, v| {
+                let chord = check_range("chord", number(v)?, 1e-3..=10.0)?;
+                let [x, y, z] = d.robot.leg.link.iter().fold([0.0; 3], |sum, l| [0, 1, 2].map(|i| sum[i] + l.reach[i]));
+                let scale = chord / (x * x + y * y + z * z).sqrt();
+                d.robot.leg.link.iter_mut().for_each(|l| l.reach = l.reach.map(|r| r * scale));
+                Ok(())
+            },
+        },
+        Parameter {
+            name: "width",
+            unit: "m",
+            set: |d, v| {
+                let width = check_range("width", number(v)?, 1e-4..=10.0)?;
+                strips(d, |s| s.width = width);
+                Ok(())
+            },
+        },
+        Parameter {
+            name: "leg-mass",
+            unit: "kg",
+            set: |d, v| {
+                let mass = check_range("leg-mass", number(v)?, 1e-6..=1e3)?;
+                let total: f64 = d.robot.leg.link.iter().map(|l| l.mass).sum();
+                d.robot.leg.link.iter_mut().for_each(|l| l.mass *= mass / total);
+                Ok(())
+            },
+        },
+        Parameter {
+            name: "base-mass",
+            unit: "kg",
+            set: |d, v| {
+                d.robot.base.mass = check_range("base-mass", number(v)?, 1e-4..=1e3)?;
+                Ok(())
+            },
+        },
+        Parameter {
+            name: "hip-height",
+            unit: "m",
+            set: |d, v| {
+                let height = check_range("hip-height", number(v)?, -10.0..=10.0)?;
+                d.robot.hip.iter_mut().for_each(|h| h.position[2] = height);
+                Ok(())
+            },
+        },
+        Parameter {
+            name: "belly",
+            unit: "m",
+            set: |d, v| {
+                let below = check_range("belly", number(v)?, 0.0..=10.0)?;
+                let belly = d.robot.belly.as_mut().ok_or_else(|| Error::invalid("belly", "this robot has none"))?;
+                belly.below = below;
+                Ok(())
+            },
+        },
+        Parameter {
+            name: "frequency",
+            unit: "Hz",
+            set: |d, v| {
+                d.frequency = number(v)?;
+                Ok(())
+            },
+        },
+        Parameter {
+            name: "phase",
+            unit: "rad",
+            set: |d, v| {
+                d.phase = number(v)?;
+                Ok(())
+            },
+        },
+        Parameter {
+            name: "medium",
+            unit: "",
+            set: |d, v| {
+                d.scene.medium = Medium::named(v)?;
+                Ok(())
+            },
+        },
+        Parameter {
+            name: "zeta",
+            unit: "N/cm³",
+            set: |d, v| {
+                d.scene.medium = Medium::generic(number(v)?)?;
+                Ok(())
+            },
+        },
+        Parameter {
+            name: "law",
+            unit: "",
+            set: |d, v| {
+                d.scene.law = Law::named(v)?;
+                Ok(())
+            },
+        },
+        Parameter {
+            name: "slope",
+            unit: "°",
+            set: |d, v| {
+                d.scene.slope_deg = number(v)?;
+                Ok(())
+            },
+        },
+        Parameter {
+            name: "payload",
+            unit: "kg",
+            set: |d, v| {
+                d.scene.payload = number(v)?;
+                Ok(())
+            },
+        },
+        Parameter {
+            name: "torque-limit",
+            unit: "N·m",
+            set: |d, v| {
+                d.robot.servo.torque_limit = Some(check_range("torque-limit", number(v)?, 1e-6..=1e4)?);
+                Ok(())
+            },
+        },
+        Parameter {
+            name: "kp",
+            unit: "N·m/rad",
+            set: |d, v| {
+                d.robot.servo.kp = check_range("kp", number(v)?, 0.0..=1e4)?;
+                Ok(())
+            },
+        },
+    ];
+
+    pub fn named(name: &str) -> Result<Self> {
+        let known = Self::ALL.map(|p| p.name);
+        Self::ALL.into_iter().find(|p| p.name == name).ok_or_else(|| Error::unknown("parameter", name, &known))
+    }
+
+    /// Changes the design; refuses values that no robot or sand can have.
+    pub fn set(&self, design: &mut Design, value: &str) -> Result<()> {
+        (self.set)(design, value)
+    }
+
+    /// Name and unit for an axis.
+    pub fn label(&self) -> String {
+        let name = if self.name == "xi" { "ξ" } else { self.name };
+        if self.unit.is_empty() { name.into() } else { format!("{name} [{}]", self.unit) }
+    }
+}
+
+/// A parameter and the values it takes.
+#[derive(Clone, Debug)]
+pub struct Axis {
+    pub parameter: Parameter,
+    pub values: Vec<String>,
+}
+
+/// More values than this on one axis are refused: our choice of guard against slips.
+const MOST_VALUES: usize = 10_000;
+
+impl Axis {
+    /// `NAME=FIRST:LAST:COUNT` or `NAME=VALUE,VALUE,…` (values of a medium that contain commas cannot be listed).
+    pub fn parse(text: &str) -> Result<Self> {
+        let (name, values) =
+            text.split_once('=').ok_or_else(|| Error::invalid("--vary", format!("{text:?} is not NAME=VALUES")))?;
+        let parameter = Parameter::named(name)?;
+        let parts: Vec<&str> = values.split(':').collect();
+        let values = match parts[..] {
+            [first, last, count] => {
+                let (first, last) = (number(first)?, number(last)?);
+                let count: usize =
+                    count.parse().map_err(|_| Error::invalid("--vary", format!("{count:?} is no count of values")))?;
+                check_range("--vary count", count as f64, 2.0..=MOST_VALUES as f64)?;
+                let step = (last - first) / (count - 1) as f64;
+                (0..count).map(|i| round(first + step * i as f64, step).to_string()).collect()
+            }
+            [list] => list.split(',').map(|v| v.trim().to_owned()).collect::<Vec<_>>(),
+            _ => return Err(Error::invalid("--vary", format!("{values:?} is neither FIRST:LAST:COUNT nor a list"))),
+        };
+        if values.iter().any(String::is_empty) || values.len() > MOST_VALUES {
+            return Err(Error::invalid("--vary", format!("{text:?} has an empty value, or more than {MOST_VALUES}")));
+        }
+        Ok(Self { parameter, values })
+    }
+
+    /// The values as numbers, if they all are.
+    pub fn numbers(&self) -> Option<Vec<f64>> {
+        self.values.iter().map(|v| v.parse().ok()).collect()
+    }
+}
+
+/// To a millionth of the step or 6 significant digits, so that tables read 0.3 and 0, not 0.30000000000000004 and 1e-17.
+fn round(value: f64, step: f64) -> f64 {
+    if value.abs() < 1e-6 * step.abs() {
+        return 0.0;
+    }
+    format!("{value:.5e}").parse().unwrap_or(value)
+}

@@ -1,0 +1,55 @@
+//! Many walks, packed: robots that walk equally long share the lanes of one block, and blocks share the cores.
+
+use crate::error::Result;
+use crate::parallel;
+use crate::sim::engine::EngineKind;
+use crate::sim::walk::{Trial, WalkResult, walk_many};
+
+/// Walks every trial on engine `lanes`, in the order given. `done` is told how many more have finished.
+///
+/// A block has one law, regularisation and time step, and as many plates in every lane; within that, trials are packed by
+/// stride frequency, because a block runs until its slowest robot has finished its strides.
+pub fn walk_all(trials: &[Trial], done: &(impl Fn(usize) + Sync)) -> Result<Vec<WalkResult>> {
+    let mut order: Vec<usize> = (0..trials.len()).collect();
+    order.sort_by(|a, b| {
+        let key = |i: &usize| (kind(&trials[*i]), trials[*i].frequency.abs());
+        let ((ka, fa), (kb, fb)) = (key(a), key(b));
+        ka.cmp(&kb).then(fb.total_cmp(&fa))
+    });
+    let mut blocks: Vec<Vec<usize>> = Vec::new();
+    for index in order {
+        match blocks.last_mut() {
+            Some(block)
+                if block.len() < EngineKind::Lanes.shard_size() && kind(&trials[block[0]]) == kind(&trials[index]) =>
+            {
+                block.push(index);
+            }
+            _ => blocks.push(vec![index]),
+        }
+    }
+    // Slow walks come last in each kind; started first, they do not leave a core waiting at the end.
+    blocks.reverse();
+    let walked = parallel::map(&blocks, |block| {
+        let packed: Vec<Trial> = block.iter().map(|i| trials[*i].clone()).collect();
+        let results = walk_many(EngineKind::Lanes, &packed);
+        done(block.len());
+        results
+    });
+    let mut results = vec![None; trials.len()];
+    for (block, walked) in blocks.iter().zip(walked) {
+        for (index, result) in block.iter().zip(walked?) {
+            results[*index] = Some(result);
+        }
+    }
+    Ok(results.into_iter().flatten().collect())
+}
+
+/// What all robots of a block must have in common.
+fn kind(trial: &Trial) -> (&'static str, [u64; 5], usize, usize, bool) {
+    let (model, scene) = (&trial.model, &trial.model.scene);
+    let surface = &scene.surface;
+    let numbers =
+        [scene.dt, surface.rest_speed, surface.leading_edge_gate, surface.sign_gate, surface.friction.unwrap_or(-1.0)];
+    let plates = model.belly.len() + 1000 * model.legs.iter().flatten().map(|b| b.plates.len()).sum::<usize>();
+    (scene.law.name(), numbers.map(f64::to_bits), model.joints(), plates, trial.frequency == 0.0)
+}

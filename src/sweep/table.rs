@@ -1,0 +1,81 @@
+//! A sweep's results as CSV and as a figure.
+
+use super::{Axis, Measure};
+use crate::plot::{self, Figure, Mark, Panel, Style, color};
+use crate::sim::walk::WalkResult;
+
+/// Rows in the order of the grid, the last axis fastest.
+pub fn csv(axes: &[Axis], results: &[WalkResult]) -> String {
+    let names = axes.iter().map(|a| match a.parameter.unit {
+        "" => a.parameter.name.to_owned(),
+        unit => format!("{} [{unit}]", a.parameter.name),
+    });
+    let heading = "speed [m/s],cost of transport,base height [m],pitch rms [rad],hip torque rms [N·m],hip speed error rms [rad/s]";
+    let mut text = names.chain([heading.to_owned()]).collect::<Vec<_>>().join(",") + "\n";
+    for (i, r) in results.iter().enumerate() {
+        let cells = values(axes, i);
+        let numbers =
+            [r.speed, r.cost_of_transport, r.base_height, r.pitch_rms, r.hip_torque_rms, r.hip_speed_error_rms];
+        text += &cells.into_iter().map(quoted).chain(numbers.map(|n| format!("{n:.6}"))).collect::<Vec<_>>().join(",");
+        text.push('\n');
+    }
+    text
+}
+
+fn quoted(cell: &str) -> String {
+    if cell.contains(',') { format!("\"{cell}\"") } else { cell.to_owned() }
+}
+
+/// The value on each axis of grid point `index`.
+pub fn values(axes: &[Axis], mut index: usize) -> Vec<&str> {
+    let mut cells: Vec<&str> = Vec::new();
+    for axis in axes.iter().rev() {
+        cells.push(&axis.values[index % axis.values.len()]);
+        index /= axis.values.len();
+    }
+    cells.reverse();
+    cells
+}
+
+/// A heat map over two number axes, lines over one; an axis of names makes a line for each name.
+pub fn figure(axes: &[Axis], results: &[WalkResult], measure: Measure, title: &str) -> Figure {
+    let at: Vec<f64> = results.iter().map(|r| measure.of(r)).collect();
+    let panel = match axes {
+        [rows, columns] => match (rows.numbers(), columns.numbers()) {
+            (Some(y), Some(x)) if y.len() > 2 => heat_map(axes, x, y, &at, measure),
+            _ => lines(Some(rows), columns, &at, measure),
+        },
+        [only] => lines(None, only, &at, measure),
+        _ => Panel::default(),
+    };
+    Figure { title: title.into(), panels: vec![panel], columns: 1, note: String::new() }
+}
+
+fn heat_map(axes: &[Axis], x: Vec<f64>, y: Vec<f64>, at: &[f64], measure: Measure) -> Panel {
+    let values = at.chunks(x.len()).map(<[f64]>::to_vec).collect();
+    Panel {
+        x: plot::Axis::new(&axes[1].parameter.label()),
+        y: plot::Axis::new(&axes[0].parameter.label()),
+        marks: vec![Mark::Cells { x, y, values, label: measure.label().into() }],
+        ..Panel::default()
+    }
+}
+
+fn lines(families: Option<&Axis>, along: &Axis, at: &[f64], measure: Measure) -> Panel {
+    // Names have no place on a number axis: they stand at 1, 2, 3 …
+    let x = along.numbers().unwrap_or_else(|| (1..=along.values.len()).map(|i| i as f64).collect());
+    let label = match along.numbers() {
+        Some(_) => along.parameter.label(),
+        None => {
+            let names = along.values.iter().enumerate().map(|(i, v)| format!("{} {v}", i + 1));
+            format!("{}: {}", along.parameter.name, names.collect::<Vec<_>>().join(", "))
+        }
+    };
+    let line = |(k, values): (usize, &[f64])| {
+        let name = families.map_or(String::new(), |f| format!("{} = {}", f.parameter.name, f.values[k]));
+        let style = Style::line(color::CYCLE[k % color::CYCLE.len()]).with_dots();
+        Mark::line(&name, style, x.iter().zip(values).map(|(x, y)| [*x, *y]).collect())
+    };
+    let marks = at.chunks(x.len()).enumerate().map(line).collect();
+    Panel { x: plot::Axis::new(&label), y: plot::Axis::new(measure.label()), marks, ..Panel::default() }
+}

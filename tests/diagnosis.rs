@@ -1,0 +1,245 @@
+//! The diagnosis from outside: hidden effects must be found, bad data must be refused, nothing may panic.
+
+mod testbed;
+
+use rand::{Rng, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
+use sandgait::diagnose::diagnose;
+use sandgait::diagnose::experiment::Experiment;
+use sandgait::diagnose::force_log;
+use sandgait::diagnose::forward::{ForceLogModel, ForwardModel};
+use sandgait::diagnose::report::{Diagnosis, Report};
+use sandgait::diagnose::select::Verdict;
+use sandgait::sand::SandDescription;
+use sandgait::sand::mechanism::{CATALOG, Mechanisms};
+use std::path::{Path, PathBuf};
+use testbed::Hidden;
+
+fn experiment() -> Experiment {
+    Experiment::from_toml(testbed::EXPERIMENT).unwrap()
+}
+
+fn file(directory: &Path, text: &str) -> PathBuf {
+    let path = directory.join("data.csv");
+    std::fs::write(&path, text).unwrap();
+    path
+}
+
+fn diagnosis(text: &str) -> Diagnosis {
+    let directory = tempfile::tempdir().unwrap();
+    diagnose(&file(directory.path(), text), &experiment()).unwrap()
+}
+
+fn hidden(causes: &[(&'static str, f64)]) -> Report {
+    diagnosis(&testbed::log(11, &Hidden { causes: causes.to_vec() }, 0.05).noisy).report
+}
+
+/// Every law against the test-bed's own form of it: within 1 % of the largest force, what 40 and 53 segments differ by.
+#[test]
+fn forward_model_agrees_with_the_laboratory() {
+    let directory = tempfile::tempdir().unwrap();
+    let medium = experiment().medium;
+    for entry in CATALOG.iter().filter(|m| m.intrusion) {
+        let hidden = Hidden { causes: vec![(entry.id, entry.typical)] };
+        let lab = testbed::log(5, &hidden, 0.0);
+        assert!(lab.effect > 0.005, "{} does nothing in the laboratory", entry.id);
+        let log = force_log::read(&file(directory.path(), &lab.clean), &experiment()).unwrap();
+        let model = ForceLogModel::new(&log, &experiment()).unwrap();
+        let mechanisms = Mechanisms::default().with(Mechanisms::index(entry.id).unwrap(), entry.typical);
+        let ours = model.predict(&mechanisms, &medium.coefficients);
+        let o = &log.observations;
+        for unit in &o.units {
+            for channel in 0..2 {
+                let largest = (0..2).flat_map(|c| unit.block(c)).map(|k| o.values[k].abs()).fold(0.1, f64::max);
+                for k in unit.block(channel) {
+                    let off = (ours[k] - o.values[k]).abs() / largest;
+                    assert!(
+                        off < 0.01,
+                        "{}: trial {} channel {channel}: {off:.4} of {largest:.2} N",
+                        entry.id,
+                        unit.id
+                    );
+                }
+            }
+        }
+    }
+}
+
+/// Far enough from every rival (> 12 σ on this design) that the name must be right and the value within its interval's reach.
+#[test]
+fn hidden_causes_are_named() {
+    for (id, value) in
+        [("inertial_drag", 1.0), ("slope", -0.05), ("cohesion", 150.0), ("concave_fill", 0.3), ("sensor_tilt", 0.08)]
+    {
+        let r = hidden(&[(id, value)]);
+        assert_eq!(
+            (r.verdict, r.ambiguity_set.clone()),
+            (Verdict::Named, vec![vec![id.to_string()]]),
+            "{id}: {}",
+            r.summary
+        );
+        assert!((r.causes[0].value / value - 1.0).abs() < 0.15, "{id}: {}", r.summary);
+        assert!(r.gain.reduction.unwrap() > 0.0 && r.gain.ci95.unwrap()[0] > 0.0, "{id}: {:?}", r.gain);
+    }
+}
+
+#[test]
+fn a_pair_is_named() {
+    let r = hidden(&[("inertial_drag", 1.0), ("cohesion", 150.0)]);
+    assert_eq!(r.ambiguity_set, [["inertial_drag", "cohesion"]], "{}", r.summary);
+}
+
+#[test]
+fn nothing_hidden_is_the_noise_floor() {
+    let r = hidden(&[]);
+    assert_eq!(r.verdict, Verdict::NoiseFloor, "{}", r.summary);
+    assert!(r.causes.is_empty() && r.ambiguity_set.is_empty());
+}
+
+#[test]
+fn a_cause_outside_the_library_is_none_of_these() {
+    let r = hidden(&[("wall", 1.0)]);
+    assert_eq!(r.verdict, Verdict::NoneOfThese, "{}", r.summary);
+    assert!(r.causes.is_empty() && !r.correlates_with.is_empty());
+}
+
+#[test]
+fn without_repetitions_nothing_is_said() {
+    let log = testbed::log(11, &Hidden::default(), 0.05).noisy;
+    let once: Vec<&str> = log.lines().filter(|l| l.starts_with("trial") || l.split(',').nth(2) == Some("0")).collect();
+    let r = diagnosis(&once.join("\n")).report;
+    assert_eq!(r.verdict, Verdict::InsufficientData);
+}
+
+#[test]
+fn missing_columns_are_named_with_what_they_keep_from_being_tested() {
+    let log = testbed::log(11, &Hidden::default(), 0.05).noisy;
+    let drop = [9, 10, 11]; // pass, pass_dx, x_bed
+    let keep = |l: &str| {
+        l.split(',').enumerate().filter(|(i, _)| !drop.contains(i)).map(|c| c.1).collect::<Vec<_>>().join(",")
+    };
+    let r = diagnosis(&log.lines().map(keep).collect::<Vec<_>>().join("\n")).report;
+    for id in ["footprint", "packing_grad"] {
+        assert!(r.untestable.iter().any(|u| u.id == id && u.why.contains("no column")), "{:?}", r.untestable);
+    }
+}
+
+/// sand.toml loads back, and predicting the data's conditions with it gives the report's prediction.
+#[test]
+fn the_extended_sand_predicts_what_the_report_shows() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = file(directory.path(), &testbed::log(11, &Hidden { causes: vec![("inertial_drag", 1.0)] }, 0.05).noisy);
+    let diagnosis = diagnose(&path, &experiment()).unwrap();
+    diagnosis.write(&directory.path().join("out")).unwrap();
+    let sand = SandDescription::load(&directory.path().join("out/sand.toml")).unwrap();
+    let log = force_log::read(&path, &experiment()).unwrap();
+    let model = ForceLogModel::new(&log, &experiment()).unwrap();
+    let again = model.predict(&sand.mechanisms, &sand.coefficients);
+    let shown = diagnosis.curves.extended.unwrap();
+    assert!(again.iter().zip(&shown).all(|(a, b)| (a - b).abs() < 1e-9));
+}
+
+#[test]
+fn bad_data_are_refused_with_file_row_and_column() {
+    let log = testbed::log(11, &Hidden::default(), 0.05).noisy;
+    let directory = tempfile::tempdir().unwrap();
+    let says = |text: &str, experiment: &str| {
+        let experiment = Experiment::from_toml(experiment);
+        let outcome = experiment.and_then(|e| diagnose(&file(directory.path(), text), &e));
+        outcome.err().map(|e| e.to_string()).unwrap_or_default()
+    };
+    let row = |from: &str, to: &str| log.replacen(from, to, 1);
+    let header = log.lines().next().unwrap();
+    for (text, expected) in [
+        (row(",Fz", ""), vec!["data.csv", "row 1", "Fz"]),
+        (row("poppy-loose", "mud"), vec!["data.csv", "row 2", "medium", "mud"]),
+        (row(",L,", ",X,"), vec!["data.csv", "row 2", "shape", "\"X\""]),
+        (row("0_0,0,0,leg", "0_0,0,0,wheel"), vec!["row 2", "kind", "wheel"]),
+        (header.to_string(), vec!["row 2", "no rows"]),
+        (
+            log.lines()
+                .take(2)
+                .map(|l| {
+                    l.rsplit_once(',').unwrap().0.to_string() + if l.starts_with("trial") { ",Ty" } else { ",inf" }
+                })
+                .collect::<Vec<_>>()
+                .join("\n"),
+            vec!["row 2", "Ty", "finite"],
+        ),
+        (format!("{header}\n1,2"), vec!["row 2", "2 cells"]),
+        (String::new(), vec!["row 1"]),
+    ] {
+        let message = says(&text, testbed::EXPERIMENT);
+        assert!(
+            expected.iter().all(|e| message.contains(e)) && message.lines().count() == 1,
+            "{expected:?}: {message}"
+        );
+    }
+    let unit = says(&log, &format!("{}[units]\nFx = \"stone\"\n", testbed::EXPERIMENT));
+    assert!(unit.contains("Fx") && unit.contains("stone"), "{unit}");
+}
+
+/// The same log in other units and under other column names gives the same numbers.
+#[test]
+fn units_and_column_names_are_converted() {
+    let log = testbed::log(11, &Hidden::default(), 0.05).noisy;
+    let directory = tempfile::tempdir().unwrap();
+    let read = |text: &str, experiment: &str| {
+        let experiment = Experiment::from_toml(experiment).unwrap();
+        force_log::read(&file(directory.path(), text), &experiment).unwrap().observations.values
+    };
+    let plain = read(&log, testbed::EXPERIMENT);
+    let renamed = log.replacen(",Fz,", ",lift,", 1);
+    let extra = format!("{}[columns]\nFz = \"lift\"\n[units]\nlift = \"mN\"\n", testbed::EXPERIMENT);
+    let scaled = read(&renamed, &extra);
+    // 40 samples of Fx, then 40 of Fz
+    assert_eq!(plain[0], scaled[0]);
+    assert!((plain[45] - 1000.0 * scaled[45]).abs() < 1e-9);
+}
+
+/// Ten thousand damaged files: read without a panic, and those that can still be read are diagnosed without one.
+#[test]
+fn damaged_files_never_panic() {
+    let log = testbed::log(3, &Hidden::default(), 0.05).noisy;
+    // Two conditions, two repetitions, few samples: damage reaches every part of a small file.
+    let small: Vec<&str> = log
+        .lines()
+        .enumerate()
+        .filter(|(i, l)| {
+            *i == 0 || (i % 8 == 1 && ["0_0", "0_1", "9_0", "9_1"].contains(&l.split(',').next().unwrap()))
+        })
+        .map(|l| l.1)
+        .collect();
+    let base = small.join("\n").into_bytes();
+    let directory = tempfile::tempdir().unwrap();
+    let (path, experiment) = (directory.path().join("data.csv"), experiment());
+    let mut rng = Xoshiro256PlusPlus::seed_from_u64(1);
+    let words = [
+        "", "nan", "inf", "-1e308", "1e-320", "0", "-0.0", "\"", ",", "\n", "plate", "leg", "2", "é", "\u{0}", "1e400",
+    ];
+    let mut diagnosed = 0;
+    for round in 0..10_000 {
+        let mut bytes = base.clone();
+        for _ in 0..rng.random_range(1..4) {
+            let (at, end) = (rng.random_range(0..bytes.len()), rng.random_range(0..bytes.len()));
+            match rng.random_range(0..5) {
+                0 => bytes[at] = rng.random_range(0..=255),
+                1 => drop(bytes.drain(at.min(end)..at.max(end).min(at.min(end) + 40))),
+                2 => drop(bytes.splice(at..at, words[rng.random_range(0..words.len())].bytes())),
+                3 => {
+                    let cell = at + bytes[at..].iter().position(|b| *b == b',').unwrap_or(0);
+                    let next = cell + 1 + bytes[cell + 1..].iter().position(|b| *b == b',').unwrap_or(0);
+                    bytes.splice(cell + 1..next.max(cell + 1), words[rng.random_range(0..words.len())].bytes());
+                }
+                _ => bytes.truncate(at.max(1)),
+            }
+        }
+        std::fs::write(&path, &bytes).unwrap();
+        if force_log::read(&path, &experiment).is_ok() && round % 10 == 0 {
+            let report = diagnose(&path, &experiment).unwrap();
+            assert!(report.json().unwrap().contains("verdict"));
+            diagnosed += 1;
+        }
+    }
+    assert!(diagnosed > 20, "{diagnosed} damaged files were still readable");
+}

@@ -1,0 +1,159 @@
+//! Calibration and design studies.
+
+use sandgait::calibrate::calibrate;
+use sandgait::sand::Medium;
+use sandgait::sim::engine::EngineKind;
+use sandgait::sim::model::Scene;
+use sandgait::sim::{Robot, walk};
+use sandgait::sweep::{Axis, Design, Measure, Parameter, optimize, walk_all};
+use sandgait::table::{FORCE, LENGTH, Table};
+use std::path::Path;
+
+const PLATE: f64 = 0.038 * 0.025;
+
+fn design() -> Design {
+    let scene = Scene::flat(Medium::named("poppy-loose").unwrap());
+    Design { robot: Robot::load("xplorer").unwrap(), scene, frequency: 2.0, phase: 0.0 }
+}
+
+/// Plates pushed slowly through grains simulated one by one; their makers give ζ = 0.46 from three such runs.
+#[test]
+fn a_penetration_test_gives_the_scale() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/penetration.csv");
+    let table = Table::read(&path).unwrap();
+    let (depth, force) = (table.numbers("depth", LENGTH, None).unwrap(), table.numbers("force", FORCE, None).unwrap());
+    assert!((0.04..0.06).contains(depth.last().unwrap()), "the header's mm were not read");
+    let c = calibrate(&depth, &force, PLATE).unwrap();
+    assert!(c.zeta_interval[0] < 0.46 && 0.46 < c.zeta_interval[1], "{c:?}");
+    assert!((c.xi_n / c.zeta - 1.0 / 0.87574).abs() < 1e-12);
+}
+
+/// The interval covers the truth nearly as often as it says, in noise that is correlated along the path (see
+/// `calibrate::STRETCHES` for what nearly means).
+#[test]
+fn the_confidence_interval_covers() {
+    use rand::{Rng, SeedableRng};
+    let mut random = rand_xoshiro::Xoshiro256PlusPlus::seed_from_u64(1);
+    let depth: Vec<f64> = (1..=200).map(|i| f64::from(i) * 2.5e-4).collect();
+    let covered = (0..400).filter(|_| {
+        let mut noise = 0.0;
+        let force: Vec<f64> = depth
+            .iter()
+            .map(|z| {
+                noise = 0.8 * noise + random.random_range(-0.5..0.5);
+                0.5e6 * PLATE * z + noise
+            })
+            .collect();
+        let c = calibrate(&depth, &force, PLATE).unwrap();
+        c.zeta_interval[0] < 0.5 && 0.5 < c.zeta_interval[1]
+    });
+    let share = covered.count() as f64 / 400.0;
+    assert!((0.89..=0.99).contains(&share), "{share}");
+}
+
+#[test]
+fn data_that_are_no_penetration_test_are_refused() {
+    let depth: Vec<f64> = (0..100).map(|i| f64::from(i) * 5e-4).collect();
+    let line = |slope: f64| depth.iter().map(|z| slope * z).collect::<Vec<_>>();
+    let back: Vec<f64> = depth.iter().rev().copied().collect();
+    let constant = vec![3.0; 100];
+    for (depth, force, what) in [
+        (&depth, line(-400.0), "pulling"),
+        (&back, line(400.0), "on the way up"),
+        (&depth, constant, "constant"),
+        (&depth[..10].to_vec(), line(400.0)[..10].to_vec(), "short"),
+        (&depth.iter().map(|z| z * 1e3).collect(), line(400.0), "millimetres taken for metres"),
+    ] {
+        let error = calibrate(depth, &force, PLATE).expect_err(what).to_string();
+        assert!(!error.contains('\n'), "{error}");
+    }
+    assert!(calibrate(&depth, &line(400.0), -1.0).is_err());
+}
+
+#[test]
+fn bad_cells_are_named() {
+    let parse =
+        |text: &str| Table::parse(Path::new("x.csv"), text.as_bytes()).and_then(|t| t.numbers("depth", LENGTH, None));
+    assert_eq!(parse("depth (mm)\n1\n2\n").unwrap(), [1e-3, 2e-3]);
+    for (text, says) in [
+        ("depth\n1\nabc\n", "line 3"),
+        ("depth\nnan\n", "line 2"),
+        ("depth,force\n1\n", "line 2"),
+        ("force\n1\n", "no column depth"),
+        ("depth [furlong]\n1\n", "furlong"),
+        ("depth\n", "no rows"),
+        ("depth,depth\n1,2\n", "twice"),
+    ] {
+        let error = parse(text).unwrap_err().to_string();
+        assert!(error.contains(says) && !error.contains('\n'), "{text:?}: {error}");
+    }
+}
+
+/// Packing into lanes and cores does not change a walk by a bit.
+#[test]
+fn packed_walks_are_the_walks_alone() {
+    let mut trials = Vec::new();
+    for (k, law) in ["li2013", "penetration-drag-1d", "agarwal2023", "li2013"].into_iter().enumerate() {
+        for xi in [-40.0, 10.0, 40.0] {
+            let mut d = design();
+            d.frequency = 2.0 + k as f64;
+            Parameter::named("law").unwrap().set(&mut d, law).unwrap();
+            Parameter::named("xi").unwrap().set(&mut d, &xi.to_string()).unwrap();
+            trials.push(d.trial().unwrap());
+        }
+    }
+    let together = walk_all(&trials, &|_| ()).unwrap();
+    for (trial, result) in trials.iter().zip(&together) {
+        assert_eq!(walk::walk(EngineKind::Lanes, trial).unwrap(), *result);
+    }
+}
+
+/// Every law walks alike in the engine that shares none of the other's dynamics.
+#[test]
+fn engines_agree_under_every_law() {
+    for law in sandgait::sand::Law::ALL {
+        for leg in ["L", "revL"] {
+            let mut d = design();
+            d.scene.law = law;
+            Parameter::named("leg").unwrap().set(&mut d, leg).unwrap();
+            let trial = d.trial().unwrap();
+            let [lanes, rapier] =
+                [EngineKind::Lanes, EngineKind::Rapier].map(|kind| walk::walk(kind, &trial).unwrap().speed);
+            assert!((lanes / rapier - 1.0).abs() < 0.02, "{} {leg}: {lanes} {rapier}", law.name());
+        }
+    }
+}
+
+#[test]
+fn parameters_change_the_model() {
+    let mut d = design();
+    for (name, value) in [("chord", "0.05"), ("leg-mass", "0.004"), ("payload", "0.03"), ("slope", "5")] {
+        Parameter::named(name).unwrap().set(&mut d, value).unwrap();
+    }
+    let model = d.trial().unwrap().model;
+    assert!((model.legs[0][0].reach.norm() - 0.05).abs() < 1e-12);
+    assert!((model.total_mass() - (0.138 + 6.0 * 0.004 + 0.03)).abs() < 1e-12);
+    assert!(model.gravity.x < 0.0);
+    for (name, value) in [("xi", "90"), ("width", "-0.01"), ("medium", "mud"), ("kp", "nan"), ("law", "x")] {
+        assert!(Parameter::named(name).unwrap().set(&mut d, value).is_err(), "{name}={value}");
+    }
+    for bad in ["xi", "xi=", "xi=1:2", "xi=1:2:1", "mood=1,2", "xi=a:b:3"] {
+        assert!(Axis::parse(bad).is_err(), "{bad}");
+    }
+    assert_eq!(Axis::parse("xi=-0.1:0.2:4").unwrap().values, ["-0.1", "0", "0.1", "0.2"]);
+}
+
+/// The search finds at least the best of a coarse grid, stays in its bounds, and does so again.
+#[test]
+fn the_search_beats_a_grid() {
+    let axes = [Axis::parse("xi=0:75:2").unwrap()];
+    let grid = (0..=15).map(|k| {
+        let mut d = design();
+        Parameter::named("xi").unwrap().set(&mut d, &(5 * k).to_string()).unwrap();
+        d.trial().unwrap()
+    });
+    let best = walk_all(&grid.collect::<Vec<_>>(), &|_| ()).unwrap().iter().map(|r| r.speed).fold(0.0, f64::max);
+    let [a, b] = [(); 2].map(|()| optimize::optimize(&design(), &axes, Measure::Speed, &|_| ()).unwrap());
+    assert!(a.result.speed >= best * 0.999 && (0.0..=75.0).contains(&a.values[0]), "{} {best}", a.result.speed);
+    assert_eq!(a.values, b.values);
+}
