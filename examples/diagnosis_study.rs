@@ -7,6 +7,7 @@ mod testbed;
 
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
+use sandgait::diagnose::diagnose;
 use sandgait::diagnose::experiment::Experiment;
 use sandgait::diagnose::fit::Study;
 use sandgait::diagnose::force_log;
@@ -15,7 +16,7 @@ use sandgait::diagnose::noise::{ChannelNoise, Noise, magnitudes};
 use sandgait::diagnose::report::Report;
 use sandgait::diagnose::select::Verdict;
 use sandgait::diagnose::whiten::Whitener;
-use sandgait::diagnose::{diagnose, parallel};
+use sandgait::parallel;
 use sandgait::sand::mechanism::CATALOG;
 use std::error::Error;
 use std::path::Path;
