@@ -15,6 +15,7 @@ import re
 import threading
 import weakref
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 # Without this a child forked while a stream is open (gymnasium's AsyncVectorEnv does that) hangs or dies in grpc.
@@ -94,7 +95,7 @@ class Session:
         self.num_envs = num_envs
         self._process = os.getpid()
         request = pb.CreateSessionRequest(task_id=task, num_envs=num_envs, protocol=PROTOCOL)
-        request.options.CopyFrom(_struct(options))
+        request.options.CopyFrom(_struct(_with_sand(options)))
         with _channel(self.address, DEFAULT_MESSAGE_BYTES) as channel:
             reply = _call(channel, self.address, "CreateSession", request, pb.CreateSessionResponse)
         self.task = _task(reply.task)
@@ -250,6 +251,16 @@ def _message_bytes(task: Task, num_envs: int) -> int:
     """Upper bound of one message of this session: every column of every environment, each episode ending."""
     floats = 2 * len(task.observation) + len(task.info) + len(task.action) + 1
     return max(DEFAULT_MESSAGE_BYTES, num_envs * (4 * floats + 16) + 2**16)
+
+
+def _with_sand(options: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The option `sand` is the path of a sand.toml here and its text on the wire: the server may be elsewhere."""
+    if "sand" not in options:
+        return options
+    try:
+        return {**options, "sand": Path(options["sand"]).read_text(encoding="utf-8")}
+    except (OSError, TypeError, UnicodeDecodeError) as error:
+        raise InvalidRequest(f"sand: {options['sand']!r} cannot be read as a file: {error}") from error
 
 
 def _struct(options: Mapping[str, Any]) -> struct_pb2.Struct:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -130,3 +131,23 @@ def test_one_clients_mistakes_do_not_reach_another() -> None:
         with pytest.raises(sandgait.InvalidRequest):
             bad.step(actions + 5)
         assert np.array_equal(good.step(actions)[0], alone.step(actions)[0])
+
+
+def test_sand_is_a_file_of_the_client(tmp_path: Path) -> None:
+    names = ("a00", "a10", "b11", "b01", "bm11", "c11", "c01", "cm11", "d10")
+    numbers = dict(zip(names, (51e3, 47e3, 53e3, 83e3, 20e3, -26e3, 57e3, 0.0, 25e3), strict=True))
+    head = 'name = "x"\nlaw = "li2013"\nbulk_density = 638.0\nsource = "test"\n[coefficients]\n'
+    text = head + "".join(f"{name} = {value}\n" for name, value in numbers.items())
+    speeds = []
+    for drag in (0.0, 4.0):
+        file = tmp_path / f"{drag}.toml"
+        file.write_text(f"{text}[mechanisms]\ninertial_drag = {drag}\n")
+        env = sandgait.SandgaitVectorEnv("sandgait/HexapodGait-v0", 1, sand=str(file), angle_noise=0.0)
+        env.reset(seed=0)
+        for _ in range(100):
+            infos = env.step(np.full((1, 6), 0.8, np.float32))[4]
+        speeds.append(float(infos["speed"][0]))
+        env.close()
+    assert speeds[0] != speeds[1]
+    with pytest.raises(ValueError, match="sand"):
+        sandgait.SandgaitVectorEnv("sandgait/HexapodGait-v0", 1, sand=str(tmp_path / "nowhere.toml"))
