@@ -21,6 +21,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 SUBSTEPS = 40  # 0.5 ms steps in a 50 Hz control step
@@ -75,13 +76,10 @@ def mujoco_step(seconds: float, _cores: int) -> float:
     return timed(step, seconds)
 
 
-def envpool_ant(seconds: float, cores: int) -> float:
-    import envpool
+def ant_steps(pool: Any, envs: int, seconds: float) -> float:
+    """Of a vector of Ants, with random actions drawn beforehand."""
     import numpy as np
 
-    envs = 64
-    pool = envpool.make_gymnasium("Ant-v5", num_envs=envs, num_threads=cores)
-    pool.reset()
     actions = np.random.default_rng(0).uniform(-1, 1, (16, envs, 8))
     turn = iter(range(10**9))
 
@@ -91,25 +89,25 @@ def envpool_ant(seconds: float, cores: int) -> float:
 
     timed(step, seconds / 4)
     return timed(step, seconds)
+
+
+def envpool_ant(seconds: float, cores: int) -> float:
+    import envpool
+
+    envs = 64
+    pool = envpool.make_gymnasium("Ant-v5", num_envs=envs, num_threads=cores)
+    pool.reset()
+    return ant_steps(pool, envs, seconds)
 
 
 def gymnasium_ant(seconds: float, _cores: int) -> float:
     """SyncVectorEnv uses one core whatever there is."""
     import gymnasium
-    import numpy as np
 
     envs = 16
     pool = gymnasium.make_vec("Ant-v5", num_envs=envs, vectorization_mode="sync")
     pool.reset(seed=0)
-    actions = np.random.default_rng(0).uniform(-1, 1, (16, envs, 8))
-    turn = iter(range(10**9))
-
-    def step() -> int:
-        pool.step(actions[next(turn) % 16])
-        return envs
-
-    timed(step, seconds / 4)
-    return timed(step, seconds)
+    return ant_steps(pool, envs, seconds)
 
 
 def sandgait(binary: Path, task: str) -> Callable[[float, int], float]:
