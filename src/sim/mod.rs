@@ -4,6 +4,8 @@
 //!
 //! * [`robot`]: what a user writes in a TOML file.
 //! * [`model`]: the same as numbers: bodies, joints, servos, segments, sand, gravity, time step.
+//! * [`obstacle`]: rigid things in the sand; [`solid`]: their geometry.
+//! * [`overlap`]: how far a robot stands inside obstacles, for tests.
 //! * [`state`]: positions and velocities of one robot.
 //! * [`engine`]: the seam; everything above sees only this.
 //! * [`lanes`]: the fast engine, articulated bodies over SIMD lanes of robots.
@@ -13,11 +15,15 @@
 pub mod engine;
 pub mod lanes;
 pub mod model;
+pub mod obstacle;
+pub mod overlap;
 pub mod rapier;
 pub mod robot;
+pub mod solid;
 pub mod state;
 pub mod walk;
 
 pub use model::Model;
+pub use obstacle::Obstacle;
 pub use robot::Robot;
 pub use state::State;

@@ -1,6 +1,9 @@
 //! Robot, sand and options as numbers an engine can use. Immutable; randomization makes a new one.
 
+use super::obstacle::{self, Obstacle};
 use super::robot::{Link, Robot, Tripod};
+use super::solid::Solid;
+use super::state::ObjectState;
 use crate::error::{Error, Result, check_range};
 use crate::number::Real;
 use crate::sand::{Ground, Law, Mechanisms, Medium, SandDescription, Segment, Shape, Surface};
@@ -13,6 +16,7 @@ type M = nalgebra::Matrix3<f64>;
 
 /// What the robot walks on, and how time advances.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Scene {
     pub medium: Medium,
     pub law: Law,
@@ -27,6 +31,9 @@ pub struct Scene {
     pub dt: f64,
     /// Extra mass at the base's centre [kg].
     pub payload: f64,
+    /// Rigid things in the sand; only engine `rapier` takes any.
+    #[serde(default)]
+    pub obstacles: Vec<Obstacle>,
 }
 
 impl Scene {
@@ -42,6 +49,7 @@ impl Scene {
             slope_deg: 0.0,
             dt: Self::DEFAULT_DT,
             payload: 0.0,
+            obstacles: Vec::new(),
         }
     }
 
@@ -83,6 +91,18 @@ pub struct Plate {
     pub area: f64,
 }
 
+/// A flat, straight part of a link's strip, in the frame of the body that carries it: what rigid obstacles touch.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Piece {
+    /// [m]
+    pub center: V,
+    /// Unit vectors along the strip and across it, in its plane.
+    pub along: V,
+    pub across: V,
+    /// Length and width [m].
+    pub size: [f64; 2],
+}
+
 /// A link's rigid body in its own frame: parallel to the base frame when all angles are 0, origin at its joint.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Body {
@@ -104,6 +124,7 @@ pub struct Body {
     pub chord: Vec<Plate>,
     /// Which side the strip bulges to: 1 if it leads when the joint turns positively, −1 the other, 0 if straight.
     pub bulge: f64,
+    pub pieces: Vec<Piece>,
     /// From the joint to the next one or the tip [m].
     pub reach: V,
 }
@@ -137,6 +158,8 @@ pub struct Model {
     pub motor: Motor,
     /// In the surface's frame [m/s²].
     pub gravity: V,
+    /// Geometry of the scene's obstacles.
+    pub solids: Vec<Solid>,
 }
 
 /// Stands for "no limit": far above anything a servo can do, and finite in `f32`.
@@ -161,9 +184,29 @@ impl Model {
                 speed_limit: robot.servo.speed_limit.unwrap_or(NO_LIMIT),
             },
             gravity: V::new(-slope.sin(), 0.0, -slope.cos()) * GRAVITY,
+            solids: solids(&scene.obstacles)?,
             robot: robot.clone(),
             scene: scene.clone(),
         })
+    }
+
+    /// The same robot and sand with other obstacles.
+    pub fn with_obstacles(&self, obstacles: &[Obstacle]) -> Result<Self> {
+        let solids = solids(obstacles)?;
+        let scene = Scene { obstacles: obstacles.to_vec(), ..self.scene.clone() };
+        Ok(Self { scene, solids, ..self.clone() })
+    }
+
+    /// The obstacles that move, at rest where the scene puts them.
+    pub fn objects_at_rest(&self) -> Vec<ObjectState> {
+        let loose = self.scene.obstacles.iter().filter(|o| o.moves());
+        let at_rest = |o: &Obstacle| ObjectState {
+            position: o.position,
+            orientation: o.orientation,
+            velocity: [0.0; 3],
+            angular_velocity: [0.0; 3],
+        };
+        loose.map(at_rest).collect()
     }
 
     /// Joints of the whole robot.
@@ -206,6 +249,14 @@ impl Model {
 fn torque_limit(robot: &Robot, mechanisms: &Mechanisms) -> f64 {
     let own = robot.servo.torque_limit.unwrap_or(NO_LIMIT);
     if mechanisms.motor_torque_limit > 0.0 { own.min(mechanisms.motor_torque_limit) } else { own }
+}
+
+fn solids(obstacles: &[Obstacle]) -> Result<Vec<Solid>> {
+    if obstacles.len() > obstacle::MOST {
+        let reason = format!("{} are more than {}", obstacles.len(), obstacle::MOST);
+        return Err(Error::invalid("obstacles", reason));
+    }
+    obstacles.iter().map(Obstacle::solid).collect()
 }
 
 fn belly(robot: &Robot) -> Vec<Plate> {
@@ -273,6 +324,38 @@ fn body(link: &Link, joint: V, turn: nalgebra::Rotation3<f64>) -> Result<Body> {
         plates: touching(&segments),
         chord: touching(&Shape::TwoPiece { xi: 0.0 }.segments(reach.norm(), width, count)?),
         bulge: shape.bulge(),
+        pieces: pieces(&segments, width, place, turn * width_axis),
         reach: turn * reach,
     })
 }
+
+/// Straight pieces of a strip: neighbouring segments are one piece while their directions differ by less than
+/// [`BEND`]. `place` takes a segment's coordinates to the body's frame, where `across` is the strip's width.
+fn pieces(segments: &[Segment], width: f64, place: impl Fn([f64; 2]) -> V, across: V) -> Vec<Piece> {
+    let mut runs: Vec<&[Segment]> = Vec::new();
+    let mut start = 0;
+    for end in 1..=segments.len() {
+        let [nx, nz] = segments[start].normal;
+        if segments.get(end).is_none_or(|s| s.normal[0] * nx + s.normal[1] * nz < BEND.cos()) {
+            runs.push(&segments[start..end]);
+            start = end;
+        }
+    }
+    let piece = |run: &[Segment]| {
+        let (first, last) = (&run[0], &run[run.len() - 1]);
+        let [dx, dz] = [0, 1].map(|i| last.center[i] - first.center[i]);
+        let ahead = if dx * first.normal[1] - dz * first.normal[0] < 0.0 { -1.0 } else { 1.0 };
+        let end = |s: &Segment, side: f64| {
+            let half = ahead * side * s.area / width / 2.0;
+            place([s.center[0] + half * s.normal[1], s.center[1] - half * s.normal[0]])
+        };
+        let (from, to) = (end(first, -1.0), end(last, 1.0));
+        let length = (to - from).norm();
+        Piece { center: (from + to) / 2.0, along: (to - from) / length, across, size: [length, width] }
+    };
+    runs.into_iter().map(piece).collect()
+}
+
+/// Sharpest bend inside a piece [rad]: two of a C-leg's twelve segments are one piece, and its chord stays within
+/// 0.2 mm of the arc.
+const BEND: f64 = 0.35;

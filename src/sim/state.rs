@@ -24,6 +24,29 @@ pub struct State {
     pub torques: Vec<f64>,
     /// ∫ Σ|τ ω| dt since the state was set [J].
     pub work: f64,
+    /// The scene's obstacles that move, in their order.
+    #[serde(default)]
+    pub objects: Vec<ObjectState>,
+}
+
+/// Where a loose obstacle is and how it moves; world frame.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ObjectState {
+    /// Centre of mass [m].
+    pub position: [f64; 3],
+    /// Unit quaternion w, x, y, z: own frame to world.
+    pub orientation: [f64; 4],
+    /// Of the centre of mass [m/s].
+    pub velocity: [f64; 3],
+    /// [rad/s]
+    pub angular_velocity: [f64; 3],
+}
+
+impl ObjectState {
+    fn numbers(&self) -> impl Iterator<Item = &f64> {
+        let [position, orientation] = [&self.position[..], &self.orientation];
+        position.iter().chain(orientation).chain(&self.velocity).chain(&self.angular_velocity)
+    }
 }
 
 impl State {
@@ -39,6 +62,7 @@ impl State {
             references: angles.to_vec(),
             torques: vec![0.0; angles.len()],
             work: 0.0,
+            objects: Vec::new(),
         }
     }
 
@@ -52,6 +76,7 @@ impl State {
             && ok(&self.angular_velocity)
             && ok(&self.angles)
             && ok(&self.rates)
+            && self.objects.iter().flat_map(ObjectState::numbers).all(|x| x.abs() < 1e4)
     }
 
     /// Base frame to world, row by row.

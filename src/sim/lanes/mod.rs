@@ -31,6 +31,9 @@ impl LanesEngine {
     }
 
     pub fn with_isa(isa: Isa, model: &Model, count: usize) -> Result<Self> {
+        if !model.scene.obstacles.is_empty() {
+            return Err(Error::invalid("engine", "lanes has no rigid obstacles; rapier does"));
+        }
         let joints = model.legs.first().map_or(0, Vec::len);
         let block: fn(&Model) -> Box<dyn Block> = match (isa, joints) {
             #[cfg(target_arch = "x86_64")]

@@ -3,22 +3,34 @@
 //! * [`world`]: the model as a multibody; what rapier is told and what it answers.
 //! * [`sand`]: force on a body, and the added masses that make it implicit.
 //! * [`inertia`]: mass properties that survive rapier's `f32`.
+//! * [`contact`]: colliders of robot and obstacles; [`rocks`]: obstacles that move.
 //! * [`frame`]: positions, velocities and velocity-product accelerations of the bodies.
 //!
 //! The state is ours, in `f64`; rapier solves for the velocities after each step in `f32`. What must hold for rapier's
 //! multibody to give the right motion stands beside each line that sees to it.
+//!
+//! rapier's contacts remember: impulses to start from, points, the order of pairs. A world with obstacles is therefore
+//! made anew at the start of every `advance`, so a state that is read and set again goes on with the same bits. How a
+//! time is divided into calls of `advance` does matter to the bits there.
 
+mod contact;
 mod frame;
 mod inertia;
+mod rocks;
 mod sand;
 mod world;
 
 use super::engine::Command;
+use super::state::ObjectState;
 use super::{Model, State};
 use crate::sand::Ground;
+pub use contact::hull;
+
+use contact::Shapes;
 use frame::{Frame, V};
 use inertia::{Masses, mass_properties};
 use rapier3d::prelude::MassProperties;
+use rocks::Rock;
 use sand::Wrench;
 use std::f64::consts::TAU;
 use world::World;
@@ -57,6 +69,7 @@ impl RapierEngine {
     /// See [`super::engine::Engine::advance`].
     pub fn advance(&mut self, steps: usize) {
         for robot in &mut self.robots {
+            robot.renew();
             (0..steps).for_each(|_| robot.step());
         }
     }
@@ -70,6 +83,9 @@ struct Robot {
     /// Mass properties of the links with no sand on them.
     dry: Vec<MassProperties>,
     world: World,
+    /// None without obstacles.
+    shapes: Option<Shapes>,
+    rocks: Vec<Rock>,
     state: State,
     command: Command,
 }
@@ -82,7 +98,12 @@ impl Robot {
             ground: model.scene.ground(),
             dry: model.legs.iter().flatten().map(|b| mass_properties(b.mass, b.center, &b.inertia)).collect(),
             world: World::new(model),
-            state: State::at_rest(model.standing_height(&angles), &angles),
+            shapes: Shapes::new(model),
+            rocks: Rock::all(model),
+            state: State {
+                objects: model.objects_at_rest(),
+                ..State::at_rest(model.standing_height(&angles), &angles)
+            },
             command: Command::still(joints),
             next_model: None,
             model: model.clone(),
@@ -104,6 +125,10 @@ impl Robot {
         {
             joint.resize(self.model.joints(), 0.0);
         }
+        // Objects that the state does not name stand where the scene puts them.
+        let objects = &mut self.state.objects;
+        objects.truncate(self.rocks.len());
+        objects.extend(self.model.objects_at_rest().into_iter().skip(objects.len()));
     }
 
     fn set_command(&mut self, command: &Command) {
@@ -112,6 +137,14 @@ impl Robot {
         self.command.torques.resize(self.model.joints(), 0.0);
         let limit = self.model.motor.speed_limit;
         self.command.rates.iter_mut().for_each(|r| *r = r.clamp(-limit, limit));
+    }
+
+    /// Makes a world with obstacles anew: what the next steps do depends on the state alone.
+    fn renew(&mut self) {
+        if let Some(shapes) = self.shapes.as_ref().filter(|_| self.state.is_sound()) {
+            self.world = World::new(&self.model);
+            self.world.furnish(&self.model, shapes, V::from(self.state.position));
+        }
     }
 
     /// Servos → sand → rigid bodies → new positions. A robot whose state is not sound stays as it is.
@@ -129,8 +162,24 @@ impl Robot {
         let base = Frame::base(&self.state);
         self.load_base(&base);
         self.load_legs(&base);
+        let wet = self.load_rocks();
         self.world.solve(&self.model, &mut self.state);
+        for (i, (wet, object)) in wet.iter().zip(&mut self.state.objects).enumerate() {
+            wet.leave(&self.world, i, object);
+        }
         advance_positions(&mut self.state, dt);
+    }
+
+    /// Weight of each rock, and sand around it.
+    fn load_rocks(&mut self) -> Vec<rocks::Wet> {
+        let (model, ground, world) = (&self.model, &self.ground, &mut self.world);
+        let rocks = self.rocks.iter().zip(&mut self.state.objects).enumerate();
+        let load = |(i, (rock, object)): (usize, (&Rock, &mut ObjectState))| {
+            let wet = rock.fall(&model.solids[rock.index], ground, model.gravity, model.scene.dt, object);
+            wet.enter(world, i, object);
+            wet
+        };
+        rocks.map(load).collect()
     }
 
     /// Weight of the base, and sand under it.
@@ -191,15 +240,22 @@ fn fold_turns(state: &mut State) {
 
 /// Semi-implicit Euler: positions move with the velocities after the step.
 fn advance_positions(state: &mut State, dt: f64) {
-    for (position, velocity) in state.position.iter_mut().zip(&state.velocity) {
-        *position += velocity * dt;
+    advance_pose(&mut state.position, &mut state.orientation, state.velocity, state.angular_velocity, dt);
+    for o in &mut state.objects {
+        advance_pose(&mut o.position, &mut o.orientation, o.velocity, o.angular_velocity, dt);
     }
-    let [w, x, y, z] = state.orientation;
-    let turn = nalgebra::UnitQuaternion::from_scaled_axis(V::from(state.angular_velocity) * dt);
-    let q = (turn.into_inner() * nalgebra::Quaternion::new(w, x, y, z)).normalize();
-    state.orientation = [q.w, q.i, q.j, q.k];
     for ((angle, rate), torque) in state.angles.iter_mut().zip(&state.rates).zip(&state.torques) {
         *angle += rate * dt;
         state.work += (torque * rate).abs() * dt;
     }
+}
+
+fn advance_pose(position: &mut [f64; 3], orientation: &mut [f64; 4], velocity: [f64; 3], omega: [f64; 3], dt: f64) {
+    for (position, velocity) in position.iter_mut().zip(velocity) {
+        *position += velocity * dt;
+    }
+    let [w, x, y, z] = *orientation;
+    let turn = nalgebra::UnitQuaternion::from_scaled_axis(V::from(omega) * dt);
+    let q = (turn.into_inner() * nalgebra::Quaternion::new(w, x, y, z)).normalize();
+    *orientation = [q.w, q.i, q.j, q.k];
 }

@@ -70,6 +70,6 @@ pub fn load(ground: &Ground<f64>, plates: &[Plate], one_sided: bool, frame: &Fra
     load
 }
 
-fn lanes(v: V) -> Vec3<f64> {
+pub fn lanes(v: V) -> Vec3<f64> {
     Vec3::new(v.x, v.y, v.z)
 }

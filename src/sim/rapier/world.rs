@@ -1,9 +1,11 @@
 //! One robot as a rapier multibody in a world of its own.
 
+use super::contact::{self, Shapes};
 use super::frame::{M, V};
 use super::inertia::{mass_properties, quat, vec3};
 use super::sand::Wrench;
 use crate::sim::model::{Body, Model, Motor};
+use crate::sim::solid::Pose;
 use crate::sim::{State, engine::Command};
 use rapier3d::glamx::{Pose3, Quat, Vec3};
 use rapier3d::prelude::*;
@@ -21,7 +23,8 @@ pub struct Part(RigidBodyHandle);
 
 /// rapier's objects. They hold no state of ours: coordinates, velocities, masses and forces are written every step.
 ///
-/// The base stands at rapier's origin always, so that `f32` keeps its accuracy however far the robot walks.
+/// The base stands at rapier's origin always, so that `f32` keeps its accuracy however far the robot walks. In a world
+/// with obstacles it stood there when the world was made.
 pub struct World {
     physics: PhysicsWorld,
     base: Part,
@@ -32,6 +35,12 @@ pub struct World {
     pub edge: Part,
     /// Every link of every leg, in the order of the joints.
     pub links: Vec<Part>,
+    /// Obstacles that move, in the order of the state's objects.
+    rocks: Vec<Part>,
+    /// The base's and the links' colliders; none without obstacles.
+    colliders: Vec<ColliderHandle>,
+    /// rapier's origin in the world [m], where there are obstacles.
+    origin: V,
 }
 
 /// Index of a revolute joint's free axis among rapier's six.
@@ -40,6 +49,7 @@ const HINGE: usize = JointAxis::AngX as usize;
 const BASE_DOFS: usize = 6;
 
 impl World {
+    /// Without obstacles, which [`Self::furnish`] adds.
     pub fn new(model: &Model) -> Self {
         let mut physics = PhysicsWorld { gravity: Vec3::ZERO, ..PhysicsWorld::default() };
         let parameters = &mut physics.integration_parameters;
@@ -78,7 +88,41 @@ impl World {
                 multibody.armature_mut()[BASE_DOFS + i] = body.armature as f32;
             }
         }
-        Self { physics, base, drag, edge, links }
+        Self { physics, base, drag, edge, links, rocks: Vec::new(), colliders: Vec::new(), origin: V::zeros() }
+    }
+
+    /// Adds the model's obstacles, with the base at `origin` [m].
+    pub fn furnish(&mut self, model: &Model, shapes: &Shapes, origin: V) {
+        self.origin = origin;
+        let physics = &mut self.physics;
+        contact::tune(&mut physics.integration_parameters);
+        let parts = [self.base].into_iter().chain(self.links.iter().copied());
+        self.colliders = parts.zip(shapes.robot()).map(|(p, c)| physics.insert_collider(c, Some(p.0))).collect();
+        for (obstacle, collider) in shapes.obstacles(model) {
+            if obstacle.moves() {
+                // Gyroscopic moments are ours, with the weight and the sand.
+                let body = RigidBodyBuilder::dynamic().can_sleep(false).gyroscopic_forces_enabled(false);
+                self.rocks.push(Part(physics.insert(body, collider).0));
+            } else {
+                let pose = Pose::new(obstacle.position, obstacle.orientation);
+                physics.insert_collider(collider.position(relative(&pose, origin)), None);
+            }
+        }
+    }
+
+    /// Puts a rock where `pose` says, with mass properties, and velocities of its centre of mass.
+    pub fn place_rock(&mut self, rock: usize, pose: &Pose, masses: MassProperties, velocity: Vec3, omega: Vec3) {
+        let body = &mut self.physics.bodies[self.rocks[rock].0];
+        body.set_position(relative(pose, self.origin), false);
+        body.set_additional_mass_properties(masses, false);
+        body.set_linvel(velocity, false);
+        body.set_angvel(omega, false);
+    }
+
+    /// Velocity of a rock's centre of mass [m/s] and angular velocity [rad/s].
+    pub fn rock_velocity(&self, rock: usize) -> [V; 2] {
+        let body = &self.physics.bodies[self.rocks[rock].0];
+        [body.linvel(), body.angvel()].map(|v| V::new(v.x.into(), v.y.into(), v.z.into()))
     }
 
     fn multibody(&mut self) -> Option<&mut Multibody> {
@@ -89,7 +133,9 @@ impl World {
     /// Puts the robot where `state` says.
     pub fn place(&mut self, state: &State) {
         let [w, x, y, z] = state.orientation.map(|c| c as f32);
-        let pose = Pose3::from_parts(Vec3::ZERO, Quat::from_xyzw(x, y, z, w));
+        let furnished = !self.colliders.is_empty();
+        let place = if furnished { vec3(V::from(state.position) - self.origin) } else { Vec3::ZERO };
+        let pose = Pose3::from_parts(place, Quat::from_xyzw(x, y, z, w));
         self.physics.bodies[self.base.0].set_position(pose, false);
         let Some(multibody) = self.multibody() else { return };
         let velocities = state.velocity.iter().chain(&state.angular_velocity).chain(&state.rates);
@@ -100,6 +146,22 @@ impl World {
         for (link, angle) in hinges.zip(&state.angles) {
             link.joint = MultibodyJoint::new(link.joint.data, false);
             link.joint.apply_displacement(&[*angle as f32]);
+        }
+        if furnished {
+            self.place_colliders();
+        }
+    }
+
+    /// Puts the robot's colliders where the joint angles say: rapier itself moves them at the end of a step only.
+    fn place_colliders(&mut self) {
+        let physics = &mut self.physics;
+        let Some(link) = physics.multibody_joints.rigid_body_link(self.base.0).copied() else { return };
+        let Some(multibody) = physics.multibody_joints.get_multibody_mut(link.multibody) else { return };
+        multibody.forward_kinematics(&physics.bodies, true);
+        for link in multibody.links() {
+            for collider in physics.bodies[link.rigid_body_handle()].colliders() {
+                physics.colliders[*collider].set_position(*link.local_to_world());
+            }
         }
     }
 
@@ -152,6 +214,12 @@ impl World {
             *to = f64::from(*from);
         }
     }
+}
+
+fn relative(pose: &Pose, origin: V) -> Pose3 {
+    let rotation = nalgebra::Rotation3::from_matrix_unchecked(pose.rotation);
+    let turn = nalgebra::UnitQuaternion::from_rotation_matrix(&rotation);
+    Pose3::from_parts(vec3(pose.position - origin), quat(&turn))
 }
 
 /// By how much a servo's torque falls per speed gained in a step [N·m·s/rad].

@@ -1,0 +1,122 @@
+//! Rigid things on and in the sand: steps, walls, hard patches, rocks. Data only; [`super::solid`] knows their geometry.
+//!
+//! Sand and obstacles do not know of each other: a wall does not stop the sand's flow around a leg beside it. No sand
+//! acts on a robot inside or on top of an obstacle, because nothing gets in there.
+
+use super::solid::Solid;
+use crate::error::{Error, Result, check_range};
+use serde::{Deserialize, Serialize};
+
+/// Most obstacles of one scene: our choice of guard, because the cost of a step grows with them.
+pub const MOST: usize = 256;
+
+/// Most corners of a hull: our choice of guard.
+const MOST_CORNERS: usize = 64;
+
+/// How far a step, wall or patch reaches under the surface [m]: further than a leg of the built-in robots does.
+const FOUNDATION: f64 = 0.05;
+
+/// The leg friction that Li, Zhang & Goldman 2012 state; for want of one on rock, ours there too.
+pub const FRICTION: f64 = 0.36;
+
+/// One rigid obstacle.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Obstacle {
+    pub shape: Shape,
+    /// Centre of mass at the start [m].
+    pub position: [f64; 3],
+    /// Unit quaternion w, x, y, z at the start: own frame to world.
+    #[serde(default = "upright")]
+    pub orientation: [f64; 4],
+    /// Uniform density [kg/m³] of an obstacle that moves; none: it is fixed.
+    #[serde(default)]
+    pub density: Option<f64>,
+    /// Coulomb coefficient against the robot; between two obstacles the larger of both counts.
+    #[serde(default = "friction")]
+    pub friction: f64,
+}
+
+/// Lengths in m, about the centre of mass.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase", deny_unknown_fields)]
+pub enum Shape {
+    Sphere {
+        radius: f64,
+    },
+    /// Length, width, height.
+    Box {
+        size: [f64; 3],
+    },
+    /// Convex hull of these points, moved so that its centre of mass is the origin.
+    Hull {
+        points: Vec<[f64; 3]>,
+    },
+}
+
+fn upright() -> [f64; 4] {
+    [1.0, 0.0, 0.0, 0.0]
+}
+
+fn friction() -> f64 {
+    FRICTION
+}
+
+impl Obstacle {
+    /// Fixed, upright, with the default friction.
+    pub fn fixed(shape: Shape, position: [f64; 3]) -> Self {
+        Self { shape, position, orientation: upright(), density: None, friction: FRICTION }
+    }
+
+    /// A step or wall: a fixed block around (x, y) [m] with its top `height` [m] above the surface, turned by `yaw`
+    /// [rad], with a foundation in the sand. Height 0 is a hard patch flush with the sand.
+    pub fn block([x, y]: [f64; 2], [length, width]: [f64; 2], height: f64, yaw: f64) -> Self {
+        let size = [length, width, height + FOUNDATION];
+        Self::fixed(Shape::Box { size }, [x, y, height - size[2] / 2.0]).turned(yaw)
+    }
+
+    /// Turned about the vertical by `yaw` [rad].
+    pub fn turned(self, yaw: f64) -> Self {
+        let (sin, cos) = (yaw / 2.0).sin_cos();
+        Self { orientation: [cos, 0.0, 0.0, sin], ..self }
+    }
+
+    /// The same as a body that moves, of `density` [kg/m³].
+    pub fn loose(self, density: f64) -> Self {
+        Self { density: Some(density), ..self }
+    }
+
+    pub fn moves(&self) -> bool {
+        self.density.is_some()
+    }
+
+    /// Checks every number and builds the geometry. The ranges guard against slips of units: our choice.
+    pub fn solid(&self) -> Result<Solid> {
+        for p in self.position {
+            check_range("obstacle.position", p, -1e3..=1e3)?;
+        }
+        let norm = self.orientation.iter().map(|c| c * c).sum::<f64>().sqrt();
+        check_range("obstacle.orientation (length)", norm, 0.999..=1.001)?;
+        check_range("obstacle.friction", self.friction, 0.0..=10.0)?;
+        check_range("obstacle.density", self.density.unwrap_or(1.0), 1.0..=3e4)?;
+        match &self.shape {
+            Shape::Sphere { radius } => Ok(Solid::sphere(check_range("obstacle.radius", *radius, 1e-3..=10.0)?)),
+            Shape::Box { size } => {
+                for s in size {
+                    check_range("obstacle.size", *s, 1e-3..=100.0)?;
+                }
+                Ok(Solid::cuboid(*size))
+            }
+            Shape::Hull { points } => {
+                if !(4..=MOST_CORNERS).contains(&points.len()) {
+                    let reason = format!("{} is outside [4, {MOST_CORNERS}]", points.len());
+                    return Err(Error::invalid("obstacle.points (number)", reason));
+                }
+                for c in points.iter().flatten() {
+                    check_range("obstacle.points", *c, -10.0..=10.0)?;
+                }
+                Solid::hull(points)
+            }
+        }
+    }
+}

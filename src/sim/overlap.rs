@@ -1,0 +1,74 @@
+//! How far a robot stands inside rigid obstacles: what tests and studies measure, by geometry that no engine uses.
+
+use super::solid::{Pose, Solid};
+use super::{Model, State};
+
+type V = nalgebra::Vector3<f64>;
+
+/// Points along and across a leg's piece, and along each edge of the base.
+const GRID: usize = 5;
+
+/// Deepest overlap [m] of the model's obstacles with the middle surfaces of the legs and with the base; 0 if none.
+/// Legs and base are looked at on a grid of points, obstacles also at their corners.
+pub fn overlap(model: &Model, state: &State) -> f64 {
+    let poses = obstacle_poses(model, state);
+    let points: Vec<V> = leg_points(model, state).chain(base_points(model, state)).collect();
+    let [length, width, top] = model.robot.base.size.map(|s| s / 2.0);
+    let bottom = -model.robot.belly.as_ref().map_or(top, |b| b.below.min(top));
+    let middle = V::new(0.0, 0.0, (top + bottom) / 2.0);
+    let base = Solid::cuboid([2.0 * length, 2.0 * width, top - bottom]);
+    let mut pose = Pose::new(state.position, state.orientation);
+    pose.position += pose.rotation * middle;
+    let deepest = model.solids.iter().zip(&poses).map(|(solid, at)| {
+        let near = points.iter().map(|p| solid.depth(at, *p));
+        let corners = solid.corners.iter().map(|c| base.depth(&pose, at.position + at.rotation * c));
+        near.chain(corners).fold(0.0, f64::max)
+    });
+    deepest.fold(0.0, f64::max)
+}
+
+/// Where each of the scene's obstacles is.
+pub fn obstacle_poses(model: &Model, state: &State) -> Vec<Pose> {
+    let mut loose = state.objects.iter();
+    let pose = |o: &super::Obstacle| match o.moves().then(|| loose.next()).flatten() {
+        Some(object) => Pose::new(object.position, object.orientation),
+        None => Pose::new(o.position, o.orientation),
+    };
+    model.scene.obstacles.iter().map(pose).collect()
+}
+
+fn leg_points(model: &Model, state: &State) -> impl Iterator<Item = V> {
+    let base = Pose::new(state.position, state.orientation);
+    let mut angles = state.angles.iter();
+    let mut points = Vec::new();
+    for chain in &model.legs {
+        let mut at = base;
+        for body in chain {
+            let axis = nalgebra::Unit::new_normalize(body.axis);
+            let angle = angles.next().copied().unwrap_or(0.0);
+            at.position += at.rotation * body.joint;
+            at.rotation *= nalgebra::Rotation3::from_axis_angle(&axis, angle).into_inner();
+            for piece in &body.pieces {
+                for k in 0..GRID * GRID {
+                    let part = |i: usize| i as f64 / (GRID - 1) as f64 - 0.5;
+                    let along = piece.along * (piece.size[0] * part(k / GRID));
+                    let across = piece.across * (piece.size[1] * part(k % GRID));
+                    points.push(at.position + at.rotation * (piece.center + along + across));
+                }
+            }
+        }
+    }
+    points.into_iter()
+}
+
+fn base_points(model: &Model, state: &State) -> impl Iterator<Item = V> {
+    let pose = Pose::new(state.position, state.orientation);
+    let [length, width, height] = model.robot.base.size;
+    let bottom = -model.robot.belly.as_ref().map_or(height / 2.0, |b| b.below.min(height / 2.0));
+    (0..GRID * GRID * 2).map(move |k| {
+        let part = |i: usize| i as f64 / (GRID - 1) as f64 - 0.5;
+        let z = if k < GRID * GRID { bottom } else { height / 2.0 };
+        let [i, j] = [k / GRID % GRID, k % GRID];
+        pose.position + pose.rotation * V::new(length * part(i), width * part(j), z)
+    })
+}

@@ -1,0 +1,138 @@
+//! What touches obstacles: the robot and the obstacles as rapier's colliders, and how contacts are solved.
+//!
+//! Colliders carry no mass: masses are ours (`inertia`, `rocks`). Each body has one collider in its own frame, so that
+//! rapier adds nothing to its mass properties.
+
+use super::frame::V;
+use super::inertia::{quat, vec3};
+use crate::sim::Model;
+use crate::sim::model::Body;
+use crate::sim::obstacle::{Obstacle, Shape};
+use crate::sim::solid::Solid;
+use rapier3d::glamx::{Pose3, Quat, Vec3};
+use rapier3d::parry::transformation::try_convex_hull;
+use rapier3d::prelude::*;
+
+/// Thickness of a leg's strip over its width: 2 mm on the reference robot. Our choice, because the paper does not say.
+const THICKNESS: f64 = 0.2;
+
+/// Sweeps of the projected Gauss-Seidel method over contacts and motors together, where a world has obstacles: with 4
+/// the base sank twice as deep into a step it was driven against as with 8, with 16 no less deep.
+const SWEEPS: usize = 8;
+
+/// Contacts are springs of this frequency [Hz] and damping ratio between the touching bodies' masses: stiff enough
+/// that a servo pushes a leg in by less than its thickness, soft enough that a penetration leaves over many steps.
+const SOFTNESS: SpringCoefficients<f32> = SpringCoefficients { natural_frequency: 300.0, damping_ratio: 10.0 };
+
+/// Nothing here moves faster [m/s]: what may meet within a step at this speed has its contact found before it.
+const TOP_SPEED: f32 = 10.0;
+
+/// Fastest at which a penetration is pushed out [m/s]; our choice, a tenth of rapier's, for bodies a tenth of its size.
+const PUSH_OUT: f32 = 0.3;
+
+const ROBOT: Group = Group::GROUP_1;
+const FIXED: Group = Group::GROUP_2;
+const LOOSE: Group = Group::GROUP_3;
+
+/// Shapes of a model, made once and shared by every world that is made from it.
+pub struct Shapes {
+    base: SharedShape,
+    links: Vec<SharedShape>,
+    obstacles: Vec<SharedShape>,
+}
+
+impl Shapes {
+    /// None if the model has no obstacles.
+    pub fn new(model: &Model) -> Option<Self> {
+        let obstacles = &model.scene.obstacles;
+        if obstacles.is_empty() {
+            return None;
+        }
+        Some(Self {
+            base: base(model),
+            links: model.legs.iter().flatten().map(link).collect(),
+            obstacles: obstacles.iter().zip(&model.solids).map(|(o, s)| obstacle(o, s)).collect(),
+        })
+    }
+
+    /// The base, then the links: one collider each.
+    pub fn robot(&self) -> impl Iterator<Item = ColliderBuilder> {
+        [&self.base].into_iter().chain(&self.links).map(|shape| collider(shape, ROBOT, FIXED | LOOSE, 0.0))
+    }
+
+    /// In the order of the scene.
+    pub fn obstacles<'a>(&'a self, model: &'a Model) -> impl Iterator<Item = (&'a Obstacle, ColliderBuilder)> {
+        self.obstacles.iter().zip(&model.scene.obstacles).map(|(shape, obstacle)| {
+            let (own, others) = if obstacle.moves() { (LOOSE, ROBOT | FIXED | LOOSE) } else { (FIXED, ROBOT | LOOSE) };
+            (obstacle, collider(shape, own, others, obstacle.friction))
+        })
+    }
+}
+
+fn collider(shape: &SharedShape, own: Group, others: Group, friction: f64) -> ColliderBuilder {
+    ColliderBuilder::new(shape.clone())
+        .mass_properties(MassProperties::default())
+        .collision_groups(InteractionGroups::new(own, others, InteractionTestMode::And))
+        .friction(friction as f32)
+        .friction_combine_rule(CoefficientCombineRule::Max)
+}
+
+/// The base's box, cut off at the belly if that is higher than the box's bottom: rock and sand meet the same surface.
+fn base(model: &Model) -> SharedShape {
+    let [length, width, height] = model.robot.base.size;
+    let bottom = model.robot.belly.as_ref().map_or(-height / 2.0, |b| -b.below.min(height / 2.0));
+    let size = V::new(length, width, height / 2.0 - bottom);
+    let middle = Vec3::new(0.0, 0.0, (height / 4.0 + bottom / 2.0) as f32);
+    SharedShape::compound(vec![(Pose3::from_parts(middle, Quat::IDENTITY), cuboid(size))])
+}
+
+/// A link's strip as a chain of thin boxes.
+fn link(body: &Body) -> SharedShape {
+    let piece = |p: &crate::sim::model::Piece| {
+        let axes = [p.along, p.across, p.along.cross(&p.across)];
+        let turn = nalgebra::Rotation3::from_matrix_unchecked(nalgebra::Matrix3::from_columns(&axes));
+        let pose = Pose3::from_parts(vec3(p.center), quat(&nalgebra::UnitQuaternion::from_rotation_matrix(&turn)));
+        (pose, cuboid(V::new(p.size[0], p.size[1], THICKNESS * p.size[1])))
+    };
+    SharedShape::compound(body.pieces.iter().map(piece).collect())
+}
+
+fn cuboid(size: V) -> SharedShape {
+    let half = vec3(size / 2.0);
+    SharedShape::cuboid(half.x, half.y, half.z)
+}
+
+fn obstacle(obstacle: &Obstacle, solid: &Solid) -> SharedShape {
+    match &obstacle.shape {
+        Shape::Sphere { radius } => SharedShape::ball(*radius as f32),
+        Shape::Box { size } => cuboid(V::from(*size)),
+        Shape::Hull { .. } => {
+            let corners: Vec<_> = solid.corners.iter().map(|c| vec3(*c)).collect();
+            // The corners are those of a hull already; a box around them stands in should f32 see it differently.
+            let reach = solid.reach() as f32;
+            SharedShape::convex_hull(&corners).unwrap_or_else(|| SharedShape::cuboid(reach, reach, reach))
+        }
+    }
+}
+
+/// How a world with obstacles solves its contacts.
+pub fn tune(parameters: &mut IntegrationParameters) {
+    parameters.num_internal_pgs_iterations = SWEEPS;
+    // The velocities that push a penetration out must be in what we integrate: positions are ours.
+    parameters.num_internal_stabilization_iterations = 0;
+    parameters.contact_softness = SOFTNESS;
+    parameters.static_contact_softness = SOFTNESS;
+    parameters.normalized_max_corrective_velocity = PUSH_OUT;
+    parameters.normalized_prediction_distance = (TOP_SPEED * parameters.dt).max(2e-3);
+    // Contact points would be kept over 5 cm, a third of the robot.
+    parameters.contact_recycling = false;
+    parameters.friction_model = FrictionModel::Coulomb;
+}
+
+/// Corners [m] and outward triangles of the convex hull of `points`; none if they span no volume.
+pub fn hull(points: &[[f64; 3]]) -> Option<(Vec<V>, Vec<[usize; 3]>)> {
+    let points: Vec<_> = points.iter().map(|p| vec3(V::from(*p))).collect();
+    let (corners, triangles) = try_convex_hull(&points).ok()?;
+    let corners = corners.iter().map(|c| V::new(c.x.into(), c.y.into(), c.z.into()));
+    Some((corners.collect(), triangles.iter().map(|t| t.map(|i| i as usize)).collect()))
+}

@@ -1,0 +1,119 @@
+//! Obstacles that move: weight and sand in `f64`, contacts by rapier.
+//!
+//! A rock's whole surface is one-sided facets of resistive force theory, as a belly's. This is our choice: it has no
+//! more parameters than the sand itself. What it leaves out: grains that pile up before a pushed rock.
+//!
+//! Weight and sand are solved first, linearly implicit as for the robot but with the full 6 × 6 matrix; rapier then
+//! starts from those velocities and adds what contacts change. For it the rock is as heavy as with the sand's added
+//! point masses, the gate's taken in all directions: what touches a rock feels the sand behind it, a little too much.
+
+use super::frame::{M, V};
+use super::inertia::{Masses, vec3};
+use super::sand::lanes;
+use super::world::World;
+use crate::sand::Ground;
+use crate::sim::{Model, Obstacle};
+use crate::sim::solid::{Pose, Solid};
+use crate::sim::state::ObjectState;
+use nalgebra::{Matrix6, Vector6};
+use rapier3d::prelude::MassProperties;
+
+/// A loose obstacle of the model.
+pub struct Rock {
+    /// Its number among the scene's obstacles.
+    pub index: usize,
+    /// [kg]
+    mass: f64,
+    /// About the centre of mass, own frame [kg·m²].
+    inertia: M,
+}
+
+/// A rock as rapier is told of it.
+pub struct Wet {
+    pub pose: Pose,
+    pub properties: MassProperties,
+    /// From the rock's centre to that of rock and sand together, world axes [m].
+    arm: V,
+}
+
+impl Rock {
+    pub fn all(model: &Model) -> Vec<Self> {
+        let obstacles = model.scene.obstacles.iter().zip(&model.solids).enumerate();
+        let rock = |(index, (obstacle, solid)): (usize, (&Obstacle, &Solid))| {
+            let density = obstacle.density?;
+            Some(Self { index, mass: density * solid.volume, inertia: solid.inertia * density })
+        };
+        obstacles.filter_map(rock).collect()
+    }
+
+    /// Gives `object` the velocities after a step of `dt` [s] under weight and sand alone.
+    pub fn fall(&self, solid: &Solid, ground: &Ground<f64>, gravity: V, dt: f64, object: &mut ObjectState) -> Wet {
+        let pose = Pose::new(object.position, object.orientation);
+        let (velocity, omega) = (V::from(object.velocity), V::from(object.angular_velocity));
+        let inertia = pose.rotation * self.inertia * pose.rotation.transpose();
+        let mut force = gravity * self.mass;
+        let mut moment = -omega.cross(&(inertia * omega));
+        let mut matrix = Matrix6::zeros();
+        matrix.fixed_view_mut::<3, 3>(0, 0).fill_diagonal(self.mass);
+        matrix.fixed_view_mut::<3, 3>(3, 3).copy_from(&inertia);
+        let mut masses = Masses::body(self.mass, V::zeros(), self.inertia);
+        let mut sunk = false;
+        for facet in &solid.facets {
+            let arm = pose.rotation * facet.center;
+            let depth = -(pose.position.z + arm.z);
+            if depth <= 0.0 {
+                continue;
+            }
+            let normal = pose.rotation * facet.normal;
+            let contact = ground.one_sided(depth, facet.area, lanes(normal), lanes(velocity + omega.cross(&arm)));
+            let push = V::new(contact.force.x, contact.force.y, contact.force.z);
+            force += push;
+            moment += arm.cross(&push);
+            let resist = (M::identity() * contact.drag + normal * normal.transpose() * contact.edge) * dt;
+            let cross = arm.cross_matrix();
+            let turned = resist * cross;
+            let mut add = |i, j, block: M| {
+                let mut view = matrix.fixed_view_mut::<3, 3>(i, j);
+                view += block;
+            };
+            add(0, 0, resist);
+            add(0, 3, -turned);
+            add(3, 0, -turned.transpose());
+            add(3, 3, cross.transpose() * turned);
+            masses.add(resist.trace() / 3.0, facet.center);
+            sunk = true;
+        }
+        let mut pull = Vector6::zeros();
+        pull.fixed_rows_mut::<3>(0).copy_from(&(force * dt));
+        pull.fixed_rows_mut::<3>(3).copy_from(&(moment * dt));
+        // The matrix is the sum of a positive definite one and of semidefinite ones.
+        let gained = matrix.cholesky().map_or(Vector6::repeat(f64::NAN), |c| c.solve(&pull));
+        object.velocity = (velocity + gained.fixed_rows::<3>(0)).into();
+        object.angular_velocity = (omega + gained.fixed_rows::<3>(3)).into();
+        let arm = if sunk { pose.rotation * masses.center() } else { V::zeros() };
+        Wet { pose, properties: masses.properties(), arm }
+    }
+}
+
+impl Wet {
+    /// Velocity of the wet rock's centre of mass and angular velocity, in rapier's precision: what it holds of a body.
+    fn held(&self, object: &ObjectState) -> [V; 2] {
+        let omega = V::from(object.angular_velocity);
+        [V::from(object.velocity) + omega.cross(&self.arm), omega].map(|v| v.map(|c| f64::from(c as f32)))
+    }
+
+    /// Puts the rock into `world`.
+    pub fn enter(&self, world: &mut World, rock: usize, object: &ObjectState) {
+        let [velocity, omega] = self.held(object);
+        world.place_rock(rock, &self.pose, self.properties, vec3(velocity), vec3(omega));
+    }
+
+    /// Adds to `object`'s velocities what contacts changed in `world`.
+    pub fn leave(&self, world: &World, rock: usize, object: &mut ObjectState) {
+        let held = self.held(object);
+        let [velocity, omega] = world.rock_velocity(rock);
+        let [velocity, omega] = [velocity - held[0], omega - held[1]];
+        object.velocity = (V::from(object.velocity) + velocity - omega.cross(&self.arm)).into();
+        object.angular_velocity = (V::from(object.angular_velocity) + omega).into();
+    }
+}

@@ -1,0 +1,237 @@
+//! Geometry of convex bodies: mass, surface facets for the sand, what is inside and what is on top.
+
+use super::model::Plate;
+use crate::error::{Error, Result, check_range};
+use std::f64::consts::{PI, TAU};
+
+type V = nalgebra::Vector3<f64>;
+type M = nalgebra::Matrix3<f64>;
+
+/// Rings and sectors of a sphere's facets; a box's side has [`GRID`]² of them, a hull's triangle 4. Our choice: facets
+/// are then a fraction of the sizes a rock sinks by.
+const RINGS: usize = 8;
+const SECTORS: usize = 12;
+const GRID: usize = 4;
+
+/// A convex body; own frame, origin at the centre of mass.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Solid {
+    /// [m³]
+    pub volume: f64,
+    /// About the centre of mass, at density 1 [m⁵].
+    pub inertia: M,
+    /// The surface, with outward normals.
+    pub facets: Vec<Plate>,
+    /// Corners [m]; none on a sphere.
+    pub corners: Vec<V>,
+    form: Form,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+enum Form {
+    Sphere { radius: f64 },
+    /// Outward unit normal n and distance d of each side: inside is n·p ≤ d.
+    Sides(Vec<(V, f64)>),
+}
+
+/// Where a body is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose {
+    /// Own axes to world axes.
+    pub rotation: M,
+    /// [m]
+    pub position: V,
+}
+
+impl Pose {
+    pub fn new(position: [f64; 3], orientation: [f64; 4]) -> Self {
+        let [w, x, y, z] = orientation;
+        let turn = nalgebra::UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z));
+        Self { rotation: turn.to_rotation_matrix().into_inner(), position: V::from(position) }
+    }
+
+    fn inward(&self, point: V) -> V {
+        self.rotation.transpose() * (point - self.position)
+    }
+}
+
+impl Solid {
+    pub fn sphere(radius: f64) -> Self {
+        let volume = 4.0 / 3.0 * PI * radius.powi(3);
+        let mut facets = Vec::with_capacity(RINGS * SECTORS);
+        for ring in 0..RINGS {
+            let [top, middle, bottom] = [0.0, 0.5, 1.0].map(|part| PI * (ring as f64 + part) / RINGS as f64);
+            for sector in 0..SECTORS {
+                let (sin, cos) = (TAU * (sector as f64 + 0.5) / SECTORS as f64).sin_cos();
+                let normal = V::new(middle.sin() * cos, middle.sin() * sin, middle.cos());
+                let area = TAU * radius * radius * (top.cos() - bottom.cos()) / SECTORS as f64;
+                facets.push(Plate { center: normal * radius, normal, area });
+            }
+        }
+        let inertia = M::identity() * (0.4 * volume * radius * radius);
+        Self { volume, inertia, facets, corners: Vec::new(), form: Form::Sphere { radius } }
+    }
+
+    pub fn cuboid(size: [f64; 3]) -> Self {
+        let size = V::from(size);
+        let half = size / 2.0;
+        let volume = size.product();
+        let (mut facets, mut sides) = (Vec::new(), Vec::new());
+        for axis in 0..3 {
+            let [u, v] = [(axis + 1) % 3, (axis + 2) % 3];
+            for sign in [-1.0, 1.0] {
+                let normal = V::ith(axis, sign);
+                sides.push((normal, half[axis]));
+                for k in 0..GRID * GRID {
+                    let at = |i: usize, axis: usize| ((i as f64 + 0.5) / GRID as f64 - 0.5) * size[axis];
+                    let center = normal * half[axis] + V::ith(u, at(k / GRID, u)) + V::ith(v, at(k % GRID, v));
+                    facets.push(Plate { center, normal, area: size[u] * size[v] / (GRID * GRID) as f64 });
+                }
+            }
+        }
+        let squares = size.component_mul(&size);
+        let inertia = M::from_diagonal(&(V::repeat(squares.sum()) - squares)) * (volume / 12.0);
+        let sign = |bit: usize, i: usize| if i >> bit & 1 == 0 { -1.0 } else { 1.0 };
+        let corners = (0..8).map(|i| half.component_mul(&V::new(sign(0, i), sign(1, i), sign(2, i))));
+        Self { volume, inertia, facets, corners: corners.collect(), form: Form::Sides(sides) }
+    }
+
+    /// The convex hull of `points` [m].
+    pub fn hull(points: &[[f64; 3]]) -> Result<Self> {
+        let flat = || Error::invalid("obstacle.points", "they span no volume");
+        let middle = points.iter().map(|p| V::from(*p)).sum::<V>() / points.len() as f64;
+        let span = M::from_fn(|i, j| points.iter().map(|p| (V::from(*p) - middle)[i] * (V::from(*p) - middle)[j]).sum());
+        // rapier's hull is made in f32 and needs all three dimensions: thinner than a thousandth is refused.
+        let spread = span.symmetric_eigenvalues();
+        if spread.min() <= 1e-6 * spread.max() {
+            return Err(flat());
+        }
+        let (corners, triangles) = super::rapier::hull(points).ok_or_else(flat)?;
+        let triangles = triangles.iter().map(|t| t.map(|i| corners[i]));
+        // Tetrahedra from the points' mean, which is inside: ∫dV, ∫p dV, ∫p pᵀ dV.
+        let (mut volume, mut first, mut second) = (0.0, V::zeros(), M::zeros());
+        for [a, b, c] in triangles.clone() {
+            let [a, b, c] = [a - middle, b - middle, c - middle];
+            let part = a.dot(&b.cross(&c)) / 6.0;
+            let sum = a + b + c;
+            volume += part;
+            first += sum * (part / 4.0);
+            second += (a * a.transpose() + b * b.transpose() + c * c.transpose() + sum * sum.transpose()) * (part / 20.0);
+        }
+        check_range("obstacle.points (volume)", volume, 1e-9..=1e4)?;
+        let offset = first / volume;
+        second -= offset * offset.transpose() * volume;
+        let center = middle + offset;
+        let (mut facets, mut sides) = (Vec::new(), Vec::new());
+        for t in triangles {
+            let [a, b, c] = t.map(|p| p - center);
+            let across = (b - a).cross(&(c - a));
+            let normal = across.normalize();
+            sides.push((normal, normal.dot(&a)));
+            let [ab, bc, ca] = [(a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0];
+            for part in [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]] {
+                facets.push(Plate { center: part.iter().sum::<V>() / 3.0, normal, area: across.norm() / 8.0 });
+            }
+        }
+        Ok(Self {
+            volume,
+            inertia: M::identity() * second.trace() - second,
+            facets,
+            corners: corners.iter().map(|p| p - center).collect(),
+            form: Form::Sides(sides),
+        })
+    }
+
+    /// How deep `point` [m] of the world lies inside the body at `pose` [m]; negative outside.
+    pub fn depth(&self, pose: &Pose, point: V) -> f64 {
+        let p = pose.inward(point);
+        match &self.form {
+            Form::Sphere { radius } => radius - p.norm(),
+            Form::Sides(sides) => sides.iter().map(|(n, d)| d - n.dot(&p)).fold(f64::INFINITY, f64::min),
+        }
+    }
+
+    /// Height [m] of the body's top above the point (x, y) of the surface; none beside it.
+    pub fn top(&self, pose: &Pose, x: f64, y: f64) -> Option<f64> {
+        let start = pose.inward(V::new(x, y, 0.0));
+        let up = pose.rotation.transpose() * V::z();
+        match &self.form {
+            Form::Sphere { radius } => {
+                let along = start.dot(&up);
+                let under = radius * radius - start.norm_squared() + along * along;
+                (under >= 0.0).then(|| under.sqrt() - along)
+            }
+            Form::Sides(sides) => {
+                let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
+                for (n, d) in sides {
+                    let (rate, gap) = (n.dot(&up), d - n.dot(&start));
+                    if rate.abs() > 1e-12 {
+                        if rate > 0.0 { high = high.min(gap / rate) } else { low = low.max(gap / rate) }
+                    } else if gap < 0.0 {
+                        return None;
+                    }
+                }
+                (low <= high).then_some(high)
+            }
+        }
+    }
+
+    /// Radius of the smallest sphere about the centre of mass that holds the body [m].
+    pub fn reach(&self) -> f64 {
+        match self.form {
+            Form::Sphere { radius } => radius,
+            Form::Sides(_) => self.corners.iter().map(V::norm).fold(0.0, f64::max),
+        }
+    }
+
+    /// Depth of the lowest point under the centre of mass [m] with the body turned as in `pose`.
+    pub fn below(&self, pose: &Pose) -> f64 {
+        match self.form {
+            Form::Sphere { radius } => radius,
+            Form::Sides(_) => self.corners.iter().map(|c| -(pose.rotation * c).z).fold(0.0, f64::max),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn close(a: f64, b: f64) {
+        assert!((a - b).abs() < 1e-5 * b.abs().max(1e-3), "{a} is not {b}");
+    }
+
+    /// A box as a hull of its corners, moved aside, is the box.
+    #[test]
+    fn a_hull_of_a_boxs_corners_is_the_box() {
+        let cuboid = Solid::cuboid([0.2, 0.3, 0.5]);
+        let points: Vec<_> = cuboid.corners.iter().map(|c| [c.x + 0.1, c.y - 0.2, c.z + 0.3]).collect();
+        let hull = Solid::hull(&points).unwrap();
+        close(hull.volume, 0.03);
+        assert!((hull.inertia - cuboid.inertia).norm() < 1e-5 * cuboid.inertia.norm());
+        let area = |s: &Solid| s.facets.iter().map(|f| f.area).sum::<f64>();
+        close(area(&hull), 0.62);
+        close(area(&cuboid), 0.62);
+        let pose = Pose::new([1.0, 2.0, 0.1], [0.8, 0.6, 0.0, 0.0]);
+        for point in [V::new(1.0, 2.0, 0.1), V::new(1.05, 2.1, 0.2), V::new(3.0, 0.0, 0.0)] {
+            close(hull.depth(&pose, point), cuboid.depth(&pose, point));
+        }
+        close(hull.top(&pose, 1.02, 2.03).unwrap(), cuboid.top(&pose, 1.02, 2.03).unwrap());
+        assert!(hull.top(&pose, 1.2, 2.0).is_none());
+        assert!(Solid::hull(&[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0]]).is_err());
+    }
+
+    #[test]
+    fn tops_and_depths_by_hand() {
+        let pose = Pose::new([0.0, 0.0, 0.02], [1.0, 0.0, 0.0, 0.0]);
+        let (ball, cube) = (Solid::sphere(0.05), Solid::cuboid([0.1, 0.1, 0.1]));
+        close(ball.top(&pose, 0.03, 0.0).unwrap(), 0.02 + 0.04);
+        assert!(ball.top(&pose, 0.051, 0.0).is_none());
+        close(ball.depth(&pose, V::new(0.0, 0.0, 0.06)), 0.01);
+        close(cube.top(&pose, 0.049, 0.0).unwrap(), 0.07);
+        close(cube.depth(&pose, V::new(0.04, 0.0, 0.0)), 0.01);
+        close(ball.facets.iter().map(|f| f.area).sum(), 4.0 * PI * 0.05 * 0.05);
+        let closed = |s: &Solid| s.facets.iter().map(|f| f.normal * f.area).sum::<V>().norm();
+        assert!(closed(&ball) < 1e-12 && closed(&cube) < 1e-12);
+    }
+}

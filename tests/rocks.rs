@@ -1,0 +1,244 @@
+//! Rigid obstacles on engine `rapier`: laws first, then what a robot does among them.
+
+use sandgait::sand::Medium;
+use sandgait::sim::engine::{Command, Engine, EngineKind};
+use sandgait::sim::model::Scene;
+use sandgait::sim::obstacle::{MOST, Obstacle, Shape};
+use sandgait::sim::overlap::overlap;
+use sandgait::sim::{Model, Robot, State};
+
+type V = nalgebra::Vector3<f64>;
+
+/// Rock: granite is some 2,650 kg/m³.
+const DENSITY: f64 = 2650.0;
+
+/// The reference robot with servos of 0.05 N·m, as the tasks have them.
+fn model(obstacles: &[Obstacle]) -> Model {
+    let mut robot = Robot::load("xplorer").unwrap();
+    robot.servo.torque_limit = Some(0.05);
+    let mut scene = Scene::flat(Medium::named("poppy-loose").unwrap());
+    scene.obstacles = obstacles.to_vec();
+    Model::new(&robot, &scene).unwrap()
+}
+
+fn start(model: &Model) -> State {
+    let angles = model.tripod_angles();
+    State { objects: model.objects_at_rest(), ..State::at_rest(model.standing_height(&angles), &angles) }
+}
+
+fn hips(frequency: f64) -> Command {
+    Command { rates: vec![std::f64::consts::TAU * frequency; 6], torques: vec![0.0; 6] }
+}
+
+/// Runs in control steps of 20 ms and shows `look` every state.
+fn run(model: &Model, state: &State, command: &Command, time: f64, mut look: impl FnMut(&State)) -> State {
+    let mut engine = Engine::new(EngineKind::Rapier, model, 1).unwrap();
+    engine.set_state(0, state);
+    engine.command(0, command);
+    let mut now = state.clone();
+    for _ in 0..(time / 0.02).round() as usize {
+        engine.advance(40);
+        engine.state(0, &mut now);
+        look(&now);
+    }
+    now
+}
+
+fn rock(size: f64) -> Shape {
+    let at = [[1.0, 0.2, 0.3], [-0.8, 0.5, -0.2], [0.1, -0.9, 0.4], [0.2, 0.7, -0.6], [-0.5, -0.6, -0.5], [0.0, 0.1, 0.9]];
+    Shape::Hull { points: at.map(|p| p.map(|c| c * size / 2.0)).to_vec() }
+}
+
+/// Momentum [kg·m/s] and angular momentum [kg·m²/s] of robot and rocks, and kinetic energy [J]; legs as points.
+fn mechanics(model: &Model, state: &State) -> (V, V, f64) {
+    let [w, x, y, z] = state.orientation;
+    let rotation = nalgebra::UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z));
+    let mut sum = (V::zeros(), V::zeros(), 0.0);
+    let mut add = |mass: f64, inertia: nalgebra::Matrix3<f64>, at: V, v: V, omega: V| {
+        sum.0 += v * mass;
+        sum.1 += at.cross(&v) * mass + inertia * omega;
+        sum.2 += 0.5 * (mass * v.norm_squared() + omega.dot(&(inertia * omega)));
+    };
+    let turned = |m: nalgebra::Matrix3<f64>, r: nalgebra::UnitQuaternion<f64>| {
+        let r = r.to_rotation_matrix().into_inner();
+        r * m * r.transpose()
+    };
+    let (at, v, omega) = (V::from(state.position), V::from(state.velocity), V::from(state.angular_velocity));
+    add(model.base_mass, turned(nalgebra::Matrix3::from_diagonal(&model.base_inertia), rotation), at, v, omega);
+    for (i, body) in model.legs.iter().map(|leg| &leg[0]).enumerate() {
+        let turn = rotation * nalgebra::UnitQuaternion::from_axis_angle(&nalgebra::Unit::new_normalize(body.axis), state.angles[i]);
+        let spin = omega + rotation * body.axis * state.rates[i];
+        let hip = rotation * body.joint;
+        let arm = turn * body.center;
+        add(body.mass, turned(body.inertia, turn), at + hip + arm, v + omega.cross(&hip) + spin.cross(&arm), spin);
+    }
+    let loose = model.scene.obstacles.iter().zip(&model.solids).filter(|(o, _)| o.moves());
+    for ((obstacle, solid), object) in loose.zip(&state.objects) {
+        let density = obstacle.density.unwrap();
+        let [w, x, y, z] = object.orientation;
+        let rotation = nalgebra::UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z));
+        let (v, omega) = (V::from(object.velocity), V::from(object.angular_velocity));
+        add(density * solid.volume, turned(solid.inertia * density, rotation), V::from(object.position), v, omega);
+    }
+    sum
+}
+
+/// A robot that hits a free rock, no weight, no sand: action and reaction.
+#[test]
+fn a_collision_keeps_momentum_and_makes_no_energy() {
+    for shape in [Shape::Sphere { radius: 0.02 }, Shape::Box { size: [0.03, 0.04, 0.05] }, rock(0.05)] {
+        let obstacle = Obstacle::fixed(shape, [0.12, 0.03, 100.0]).loose(DENSITY);
+        let mut model = model(&[obstacle]);
+        model.gravity *= 0.0;
+        let mut state = State { position: [0.0, 0.0, 100.0], velocity: [1.0, 0.0, 0.0], ..start(&model) };
+        state.angles = vec![0.0; 6];
+        state.references = vec![0.0; 6];
+        let about = |mut s: State| {
+            s.position[2] -= 100.0;
+            s.objects[0].position[2] -= 100.0;
+            mechanics(&model, &s)
+        };
+        let before = about(state.clone());
+        let mut most: f64 = 0.0;
+        let end = run(&model, &state, &Command::still(6), 0.2, |s| most = most.max(overlap(&model, s)));
+        let after = about(end.clone());
+        let speed = V::from(end.objects[0].velocity).norm();
+        println!("{before:?} {after:?} {speed} overlap {most:e}");
+        assert!(speed > 0.1, "the rock stayed where it was: {speed}");
+        assert!((after.0 - before.0).norm() < 2e-3 * before.0.norm(), "{} {}", before.0, after.0);
+        assert!((after.1 - before.1).norm() < 2e-3 * before.0.norm() * 0.1, "{} {}", before.1, after.1);
+        // 1e-4 J of 0.075: the servos hold the legs and are springs.
+        assert!(after.2 < before.2 + 1e-4, "{} J -> {} J", before.2, after.2);
+        assert!(most < 1e-3, "{most}");
+    }
+}
+
+/// Set down on the sand, a rock sinks until the sand carries it, and stays.
+#[test]
+fn a_loose_rock_rests() {
+    let size = 0.04;
+    for shape in [Shape::Box { size: [size; 3] }, Shape::Sphere { radius: size / 2.0 }, rock(size)] {
+        let obstacle = Obstacle::fixed(shape.clone(), [0.3, 0.0, size / 2.0]).loose(DENSITY);
+        let model = model(&[obstacle]);
+        let first = start(&model);
+        let settled = run(&model, &first, &Command::still(6), 2.0, |_| ());
+        let end = run(&model, &settled, &Command::still(6), 5.0, |_| ());
+        let moved = V::from(end.objects[0].position) - V::from(settled.objects[0].position);
+        println!("{shape:?}: {:?} moved {:e} mm in 5 s, {:?}", end.objects[0].position, moved.norm() * 1e3, end.objects[0].velocity);
+        assert!(moved.norm() < 1e-4, "{shape:?} moved {moved}");
+        if let Shape::Box { .. } = shape {
+            // m g = 0.254 N/cm³ × depth × area
+            let depth = DENSITY * size * 9.80665 / 0.254e6;
+            assert!((size / 2.0 - end.objects[0].position[2] - depth).abs() < 0.05 * depth + 1e-4, "{depth} {end:?}");
+        }
+    }
+}
+
+/// A rock thrown onto the sand: it never gains energy.
+#[test]
+fn sand_adds_no_energy_to_a_rock() {
+    let obstacle = Obstacle::fixed(rock(0.05), [0.5, 0.0, 0.06]).loose(DENSITY);
+    let model = model(&[obstacle]);
+    let mut state = start(&model);
+    state.objects[0].velocity = [1.0, 0.5, 0.5];
+    state.objects[0].angular_velocity = [10.0, -20.0, 5.0];
+    let density = DENSITY * model.solids[0].volume;
+    let energy = |s: &State| {
+        let robot = State { objects: Vec::new(), ..s.clone() };
+        mechanics(&model, s).2 - mechanics(&model, &robot).2 - density * model.gravity.z * s.objects[0].position[2]
+    };
+    let mut before = energy(&state);
+    let end = run(&model, &state, &Command::still(6), 1.0, |s| {
+        let now = energy(s);
+        assert!(now < before + 1e-3 * before.abs(), "{before} J -> {now} J");
+        before = now;
+    });
+    assert!(V::from(end.objects[0].velocity).norm() < 1e-3, "{end:?}");
+}
+
+/// Driven against a wall with 2 Hz the robot stays before it; without the wall it would be far behind it.
+#[test]
+fn a_wall_stops_the_robot() {
+    let wall = Obstacle::block([0.3, 0.0], [0.02, 2.0], 0.2, 0.0);
+    let walled = model(&[wall]);
+    let mut most: f64 = 0.0;
+    let end = run(&walled, &start(&walled), &hips(2.0), 4.0, |s| most = most.max(overlap(&walled, s)));
+    let free = model(&[]);
+    let far = run(&free, &start(&free), &hips(2.0), 4.0, |_| ());
+    println!("wall: x {} overlap {most:e}; free: x {}", end.position[0], far.position[0]);
+    assert!(far.position[0] > 0.8 && end.position[0] < 0.29 && end.position[0] > 0.1, "{:?}", end.position);
+    assert!(most < 1e-3, "{most}");
+}
+
+/// On a hard patch the robot stands on its leg tips and does not sink; on sand it does.
+#[test]
+fn a_hard_patch_carries_the_robot() {
+    let hard = model(&[Obstacle::block([0.0, 0.0], [0.4, 0.4], 0.0, 0.0)]);
+    let soft = model(&[]);
+    let [on_patch, on_sand] = [&hard, &soft].map(|m| run(m, &start(m), &Command::still(6), 1.0, |_| ()));
+    let later = run(&hard, &on_patch, &Command::still(6), 5.0, |_| ());
+    let moved = V::from(later.position) - V::from(on_patch.position);
+    println!("patch {:?} sand {:?} moved {:e}", on_patch.position, on_sand.position, moved.norm());
+    assert!(on_patch.position[2] > on_sand.position[2] + 1e-3);
+    assert!(moved.norm() < 5e-4, "{moved}");
+    assert!(overlap(&hard, &later) < 3e-4);
+}
+
+#[test]
+fn a_walking_robot_pushes_a_loose_rock() {
+    let light = Obstacle::fixed(Shape::Sphere { radius: 0.015 }, [0.2, 0.0, 0.013]).loose(1000.0);
+    let model = model(&[light]);
+    let mut most: f64 = 0.0;
+    let first = start(&model);
+    let end = run(&model, &first, &hips(2.0), 2.0, |s| most = most.max(overlap(&model, s)));
+    let moved = V::from(end.objects[0].position) - V::from(first.objects[0].position);
+    println!("moved {moved} overlap {most:e} robot {:?}", end.position);
+    assert!(moved.x > 0.02, "{moved}");
+    assert!(most < 1e-3, "{most}");
+}
+
+/// An obstacle out of reach changes how the world is solved, not how the robot walks.
+#[test]
+fn a_far_obstacle_changes_nothing_that_matters() {
+    let (alone, beside) = (model(&[]), model(&[Obstacle::block([0.0, 5.0], [0.1, 0.1], 0.1, 0.0)]));
+    let [a, b] = [&alone, &beside].map(|m| run(m, &start(m), &hips(2.0), 3.0, |_| ()).position[0]);
+    println!("{a} {b}");
+    assert!((a / b - 1.0).abs() < 0.01, "{a} {b}");
+}
+
+#[test]
+fn a_state_with_rocks_resumes_with_the_same_bits() {
+    let obstacles = [
+        Obstacle::block([0.15, 0.0], [0.05, 0.3], 0.015, 0.3),
+        Obstacle::fixed(rock(0.03), [0.13, 0.05, 0.03]).loose(DENSITY),
+        Obstacle::fixed(Shape::Sphere { radius: 0.01 }, [0.14, -0.05, 0.025]).loose(DENSITY),
+    ];
+    let model = model(&obstacles);
+    let first = start(&model);
+    let half = run(&model, &first, &hips(2.0), 0.6, |_| ());
+    let whole = run(&model, &first, &hips(2.0), 1.2, |_| ());
+    assert!(V::from(half.objects[1].position) != V::from(first.objects[1].position));
+    assert_eq!(run(&model, &half, &hips(2.0), 0.6, |_| ()), whole);
+}
+
+#[test]
+fn what_is_refused() {
+    let step = Obstacle::block([0.2, 0.0], [0.1, 0.1], 0.01, 0.0);
+    let error = Engine::new(EngineKind::Lanes, &model(&[step.clone()]), 1).err().unwrap().to_string();
+    assert!(error.contains("lanes has no rigid obstacles"), "{error}");
+    let refused = |obstacle: Obstacle| {
+        let plain = model(&[]);
+        plain.with_obstacles(&[obstacle]).is_err()
+    };
+    assert!(refused(Obstacle { density: Some(0.0), ..step.clone() }));
+    assert!(refused(Obstacle { orientation: [0.0; 4], ..step.clone() }));
+    assert!(refused(Obstacle { friction: f64::NAN, ..step.clone() }));
+    assert!(refused(Obstacle::fixed(Shape::Sphere { radius: -0.1 }, [0.0; 3])));
+    assert!(refused(Obstacle::fixed(Shape::Hull { points: vec![[0.0; 3]; 8] }, [0.0; 3])));
+    assert!(model(&[]).with_obstacles(&vec![step.clone(); MOST + 1]).is_err());
+    let text = serde_json::to_string(&step).unwrap();
+    assert_eq!(serde_json::from_str::<Obstacle>(&text).unwrap(), step);
+    let unknown = r#"{"shape": {"sphere": {"radius": 0.1}}, "position": [0, 0, 0], "colour": 1}"#;
+    assert!(serde_json::from_str::<Obstacle>(unknown).is_err());
+    assert!(serde_json::from_str::<Obstacle>(&unknown.replace(r#", "colour": 1"#, "")).is_ok());
+}
