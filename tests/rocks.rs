@@ -45,7 +45,8 @@ fn run(model: &Model, state: &State, command: &Command, time: f64, mut look: imp
 }
 
 fn rock(size: f64) -> Shape {
-    let at = [[1.0, 0.2, 0.3], [-0.8, 0.5, -0.2], [0.1, -0.9, 0.4], [0.2, 0.7, -0.6], [-0.5, -0.6, -0.5], [0.0, 0.1, 0.9]];
+    let at =
+        [[1.0, 0.2, 0.3], [-0.8, 0.5, -0.2], [0.1, -0.9, 0.4], [0.2, 0.7, -0.6], [-0.5, -0.6, -0.5], [0.0, 0.1, 0.9]];
     Shape::Hull { points: at.map(|p| p.map(|c| c * size / 2.0)).to_vec() }
 }
 
@@ -66,7 +67,8 @@ fn mechanics(model: &Model, state: &State) -> (V, V, f64) {
     let (at, v, omega) = (V::from(state.position), V::from(state.velocity), V::from(state.angular_velocity));
     add(model.base_mass, turned(nalgebra::Matrix3::from_diagonal(&model.base_inertia), rotation), at, v, omega);
     for (i, body) in model.legs.iter().map(|leg| &leg[0]).enumerate() {
-        let turn = rotation * nalgebra::UnitQuaternion::from_axis_angle(&nalgebra::Unit::new_normalize(body.axis), state.angles[i]);
+        let turn = rotation
+            * nalgebra::UnitQuaternion::from_axis_angle(&nalgebra::Unit::new_normalize(body.axis), state.angles[i]);
         let spin = omega + rotation * body.axis * state.rates[i];
         let hip = rotation * body.joint;
         let arm = turn * body.center;
@@ -124,12 +126,18 @@ fn a_loose_rock_rests() {
         let settled = run(&model, &first, &Command::still(6), 2.0, |_| ());
         let end = run(&model, &settled, &Command::still(6), 5.0, |_| ());
         let moved = V::from(end.objects[0].position) - V::from(settled.objects[0].position);
-        println!("{shape:?}: {:?} moved {:e} mm in 5 s, {:?}", end.objects[0].position, moved.norm() * 1e3, end.objects[0].velocity);
+        println!(
+            "{shape:?}: {:?} moved {:e} mm in 5 s, {:?}",
+            end.objects[0].position,
+            moved.norm() * 1e3,
+            end.objects[0].velocity
+        );
         assert!(moved.norm() < 1e-4, "{shape:?} moved {moved}");
         if let Shape::Box { .. } = shape {
-            // m g = 0.254 N/cm³ × depth × area
-            let depth = DENSITY * size * 9.80665 / 0.254e6;
-            assert!((size / 2.0 - end.objects[0].position[2] - depth).abs() < 0.05 * depth + 1e-4, "{depth} {end:?}");
+            // Let go on the surface it stops where ½ 0.254 N/cm³ × area × depth² is the weight's work m g × depth, twice
+            // as deep as where the force alone is m g. On top of that: 1e-5 m/s of creep, and the step.
+            let depth = 2.0 * DENSITY * size * 9.80665 / 0.254e6;
+            assert!((size / 2.0 - end.objects[0].position[2] - depth).abs() < 0.04 * depth, "{depth} {end:?}");
         }
     }
 }

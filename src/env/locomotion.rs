@@ -104,7 +104,8 @@ pub fn begin(setup: &Setup, random: &mut Random) -> (State, Goal) {
     let TaskOptions { angle_noise, command, turn, .. } = setup.options;
     let mut angles = setup.model.tripod_angles();
     angles.iter_mut().for_each(|a| *a += random.uniform(-angle_noise, angle_noise));
-    let goal = Goal { speed: random.uniform(command[0], command[1]), turn: random.uniform(turn[0], turn[1]) };
+    let [speed, turn] = [command, turn].map(|[low, high]| random.uniform(low, high));
+    let goal = Goal { speed, turn, model: None };
     (State::at_rest(setup.model.standing_height(&angles), &angles), goal)
 }
 

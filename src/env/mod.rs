@@ -4,7 +4,7 @@
 //!
 //! * [`spec`]: observation, action and info tables; they generate vectors, replies, Python spaces and docs.
 //! * [`task`]: the trait a task implements, and the registry.
-//! * [`locomotion`]: what walking tasks share; [`gait`]: the task HexapodGait, [`legs`]: HexapodLegs.
+//! * [`locomotion`]: what walking tasks share; [`gait`]: the task HexapodGait, [`legs`]: HexapodLegs, [`rocks`]: HexapodRocks.
 //! * [`shard`]: environments that advance together on one engine; reset, step, autoreset.
 //! * [`random`]: the stream of random numbers of an episode.
 
@@ -13,6 +13,7 @@ pub mod legs;
 pub mod locomotion;
 pub mod options;
 pub mod random;
+pub mod rocks;
 pub mod shard;
 pub mod spec;
 pub mod task;

@@ -1,5 +1,6 @@
 //! Keywords of a task: what `gymnasium.make` takes. Unknown ones are refused; defaults stand here and nowhere else.
 
+use super::rocks::RockOptions;
 use crate::error::{Error, Result, check_range};
 use crate::sand::{Law, Medium, SandDescription};
 use crate::sim::engine::EngineKind;
@@ -45,6 +46,8 @@ pub struct TaskOptions {
     /// Extra mass at the base's centre [kg].
     pub payload: f64,
     pub max_episode_steps: u32,
+    /// Rocks and steps, drawn at every reset; only for the task that has some.
+    pub rocks: Option<RockOptions>,
 }
 
 impl Default for TaskOptions {
@@ -65,6 +68,7 @@ impl Default for TaskOptions {
             slope_deg: 0.0,
             payload: 0.0,
             max_episode_steps: 500,
+            rocks: None,
         }
     }
 }
@@ -79,11 +83,12 @@ pub struct ResetOptions {
     pub payload: Option<f64>,
     pub command: Option<[f64; 2]>,
     pub turn: Option<[f64; 2]>,
+    pub rocks: Option<RockOptions>,
 }
 
 impl ResetOptions {
     /// Names of the keywords, for tables.
-    pub const NAMES: [&'static str; 6] = ["leg", "medium", "slope_deg", "payload", "command", "turn"];
+    pub const NAMES: [&'static str; 7] = ["leg", "medium", "slope_deg", "payload", "command", "turn", "rocks"];
 }
 
 /// What each keyword means, in the order of [`TaskOptions`].
@@ -103,6 +108,10 @@ pub const OPTION_HELP: [(&str, &str); 15] = [
     ("slope_deg", "surface rises toward +x [°]"),
     ("payload", "extra mass at the base's centre [kg]"),
     ("max_episode_steps", "control steps until an episode is truncated"),
+    (
+        "rocks",
+        "obstacles of an episode: count, ranges [low, high] of size and step_height [m], dynamic_fraction, density [kg/m³], friction, field [length, width] [m]",
+    ),
 ];
 
 /// Reads keywords, all of which have defaults, from a JSON object (null: none are given); errors name the keyword.
@@ -149,6 +158,7 @@ impl TaskOptions {
         new.payload = reset.payload.unwrap_or(new.payload);
         new.command = reset.command.unwrap_or(new.command);
         new.turn = reset.turn.unwrap_or(new.turn);
+        new.rocks = reset.rocks.or(new.rocks);
         new
     }
 
@@ -163,6 +173,7 @@ impl TaskOptions {
         check_range("angle_noise", self.angle_noise, 0.0..=std::f64::consts::PI)?;
         check_range("max_episode_steps", f64::from(self.max_episode_steps), 1.0..=1e6)?;
         self.weights.validate()?;
+        self.rocks.as_ref().map_or(Ok(()), RockOptions::validate)?;
         if self.robot.ends_with(".toml") {
             return Err(Error::unknown("robot", &self.robot, &Robot::names()));
         }

@@ -95,7 +95,7 @@ impl Shard {
             seed: 0,
             number: 0,
             steps: 0,
-            goal: Goal { speed: 0.0, turn: 0.0 },
+            goal: Goal { speed: 0.0, turn: 0.0, model: None },
             before: State::at_rest(0.0, &vec![0.0; model.joints()]),
             after: State::at_rest(0.0, &vec![0.0; model.joints()]),
             last_action: vec![0.0; spec.action.len()],
@@ -201,8 +201,11 @@ impl Shard {
         (episode.after, episode.goal) = self.task.begin(&episode.setup, &mut random);
         episode.steps = 0;
         episode.last_action.fill(0.0);
-        if std::mem::take(&mut episode.stale) {
-            self.engine.set_model(i, &episode.setup.model);
+        let stale = std::mem::take(&mut episode.stale);
+        match &episode.goal.model {
+            Some(model) => self.engine.set_model(i, model),
+            None if stale => self.engine.set_model(i, &episode.setup.model),
+            None => (),
         }
         self.engine.set_state(i, &episode.after);
         self.engine.state(i, &mut episode.after);

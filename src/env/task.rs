@@ -4,6 +4,7 @@ use super::gait::HexapodGait;
 use super::legs::HexapodLegs;
 use super::options::{ResetOptions, TaskOptions};
 use super::random::Random;
+use super::rocks::{HexapodRocks, RockOptions};
 use super::spec::Spec;
 use crate::error::{Error, Result};
 use crate::sim::engine::{Command, EngineKind};
@@ -18,6 +19,8 @@ pub struct Goal {
     pub speed: f64,
     /// Commanded yaw speed [rad/s].
     pub turn: f64,
+    /// The setup's model with this episode's obstacles, for tasks that draw them.
+    pub model: Option<Arc<Model>>,
 }
 
 /// What one environment may have been told by a reset: its own options and the model they make.
@@ -82,7 +85,7 @@ pub struct Blueprint {
 const EPISODE_BYTES: usize = 2_000;
 
 /// Ids of all tasks.
-pub const TASK_IDS: [&str; 2] = [HexapodGait::ID, HexapodLegs::ID];
+pub const TASK_IDS: [&str; 3] = [HexapodGait::ID, HexapodLegs::ID, HexapodRocks::ID];
 
 impl Blueprint {
     /// Task `id` with the keywords in `options` (a JSON object; null for defaults).
@@ -90,13 +93,20 @@ impl Blueprint {
         let defaults = match id {
             HexapodGait::ID => TaskOptions::default(),
             HexapodLegs::ID => TaskOptions { robot: "xplorer18".into(), leg: "flat".into(), ..Default::default() },
+            HexapodRocks::ID => {
+                TaskOptions { engine: EngineKind::Rapier, rocks: Some(RockOptions::default()), ..Default::default() }
+            }
             _ => return Err(Error::unknown("task", id, &TASK_IDS)),
         };
         let options = defaults.with(options)?;
+        if id != HexapodRocks::ID && options.rocks.is_some() {
+            return Err(Error::invalid("rocks", format!("{id} has none; {} does", HexapodRocks::ID)));
+        }
         let engine = options.engine;
         let setup = Setup::new(options)?;
         let task: Arc<dyn Task> = match id {
             HexapodLegs::ID => Arc::new(HexapodLegs::new(&setup)?),
+            HexapodRocks::ID => Arc::new(HexapodRocks::new(&setup)?),
             _ => Arc::new(HexapodGait::new(&setup)?),
         };
         let period = 1.0 / task.spec().control_rate;

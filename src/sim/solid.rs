@@ -29,7 +29,9 @@ pub struct Solid {
 
 #[derive(Clone, Debug, PartialEq)]
 enum Form {
-    Sphere { radius: f64 },
+    Sphere {
+        radius: f64,
+    },
     /// Outward unit normal n and distance d of each side: inside is n·p ≤ d.
     Sides(Vec<(V, f64)>),
 }
@@ -100,7 +102,8 @@ impl Solid {
     pub fn hull(points: &[[f64; 3]]) -> Result<Self> {
         let flat = || Error::invalid("obstacle.points", "they span no volume");
         let middle = points.iter().map(|p| V::from(*p)).sum::<V>() / points.len() as f64;
-        let span = M::from_fn(|i, j| points.iter().map(|p| (V::from(*p) - middle)[i] * (V::from(*p) - middle)[j]).sum());
+        let span =
+            M::from_fn(|i, j| points.iter().map(|p| (V::from(*p) - middle)[i] * (V::from(*p) - middle)[j]).sum());
         // rapier's hull is made in f32 and needs all three dimensions: thinner than a thousandth is refused.
         let spread = span.symmetric_eigenvalues();
         if spread.min() <= 1e-6 * spread.max() {
@@ -116,7 +119,8 @@ impl Solid {
             let sum = a + b + c;
             volume += part;
             first += sum * (part / 4.0);
-            second += (a * a.transpose() + b * b.transpose() + c * c.transpose() + sum * sum.transpose()) * (part / 20.0);
+            second +=
+                (a * a.transpose() + b * b.transpose() + c * c.transpose() + sum * sum.transpose()) * (part / 20.0);
         }
         check_range("obstacle.points (volume)", volume, 1e-9..=1e4)?;
         let offset = first / volume;

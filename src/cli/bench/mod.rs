@@ -23,9 +23,9 @@ pub struct Bench {
     /// Task id
     #[arg(long, default_value = "sandgait/HexapodGait-v0")]
     task: String,
-    /// Engine
-    #[arg(long, default_value = "lanes")]
-    engine: String,
+    /// Engine; the task's own if not given
+    #[arg(long)]
+    engine: Option<String>,
     /// Environments
     #[arg(long, default_value_t = 256, value_name = "N")]
     envs: usize,
@@ -91,9 +91,12 @@ impl Bench {
         if !(self.seconds > 0.0 && self.seconds <= 3600.0) {
             return Err(Error::invalid("--seconds", format!("{} is outside (0, 3600]", self.seconds)));
         }
-        let engine = EngineKind::named(&self.engine)?;
-        let options = json!({ "engine": engine.name() });
+        let options = match &self.engine {
+            Some(name) => json!({ "engine": EngineKind::named(name)?.name() }),
+            None => json!({}),
+        };
         let blueprint = Blueprint::new(&self.task, options.clone())?;
+        let engine = blueprint.engine;
         let threads = usize::from(self.threads);
         let mut stepper: Box<dyn Stepper> = match self.through {
             Through::Process => Box::new(Direct::new(&blueprint, self.envs, threads)?),

@@ -16,8 +16,7 @@ use rapier3d::prelude::*;
 /// Thickness of a leg's strip over its width: 2 mm on the reference robot. Our choice, because the paper does not say.
 const THICKNESS: f64 = 0.2;
 
-/// Sweeps of the projected Gauss-Seidel method over contacts and motors together, where a world has obstacles: with 4
-/// the base sank twice as deep into a step it was driven against as with 8, with 16 no less deep.
+/// Sweeps of the projected Gauss-Seidel method over contacts and motors together, where a world has obstacles.
 const SWEEPS: usize = 8;
 
 /// Contacts are springs of this frequency [Hz] and damping ratio between the touching bodies' masses: stiff enough

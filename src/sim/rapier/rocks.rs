@@ -12,9 +12,9 @@ use super::inertia::{Masses, vec3};
 use super::sand::lanes;
 use super::world::World;
 use crate::sand::Ground;
-use crate::sim::{Model, Obstacle};
 use crate::sim::solid::{Pose, Solid};
 use crate::sim::state::ObjectState;
+use crate::sim::{Model, Obstacle};
 use nalgebra::{Matrix6, Vector6};
 use rapier3d::prelude::MassProperties;
 

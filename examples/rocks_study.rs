@@ -1,0 +1,100 @@
+//! Does a robot ever pass through a rock? Random actions among rocks, whole episodes, overlaps measured by geometry that
+//! the engine does not use. `cargo run --release --example rocks_study [EPISODES] [STEPS]`
+//!
+//! Prints the deepest overlap of each episode's legs (middle surface of the strips) and base with any obstacle, looked
+//! at after every control step, as quantiles over episodes.
+
+use sandgait::env::random::Random;
+use sandgait::env::task::Blueprint;
+use sandgait::sim::engine::{Command, Engine, EngineKind};
+use sandgait::sim::overlap::overlap;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// What one episode showed.
+struct Episode {
+    /// Deepest overlap [m].
+    overlap: f64,
+    /// Distance from start to end [m].
+    distance: f64,
+    diverged: bool,
+    obstacles: usize,
+    /// Loose rocks that moved more than 5 mm along the surface.
+    pushed: usize,
+}
+
+fn episode(blueprint: &Blueprint, seed: u64, steps: usize) -> sandgait::Result<Episode> {
+    let task = &blueprint.task;
+    let (mut state, goal) = task.begin(&blueprint.setup, &mut Random::new(seed, 0));
+    let model = goal.model.as_deref().unwrap_or(&blueprint.setup.model);
+    let start = state.clone();
+    let mut engine = Engine::new(EngineKind::Rapier, model, 1)?;
+    engine.set_state(0, &state);
+    let mut random = Random::new(seed, 1);
+    let mut command = Command::still(model.joints());
+    let mut action = vec![0.0; task.spec().action.len()];
+    let substeps = (1.0 / (task.spec().control_rate * model.scene.dt)).round() as usize;
+    let mut most: f64 = 0.0;
+    for step in 0..steps {
+        // A new random action every 0.2 s: long enough to reach speed. Half of the episodes mean to go forward.
+        if step % 10 == 0 {
+            let low = if seed % 2 == 0 { -1.0 } else { 0.0 };
+            action.iter_mut().for_each(|a| *a = random.uniform(low, 1.0) as f32);
+        }
+        task.command(&action, &state, &mut command);
+        engine.command(0, &command);
+        engine.advance(substeps);
+        engine.state(0, &mut state);
+        if !state.is_sound() {
+            break;
+        }
+        most = most.max(overlap(model, &state));
+    }
+    let apart = |a: &[f64; 3], b: &[f64; 3]| (a[0] - b[0]).hypot(a[1] - b[1]);
+    let objects = state.objects.iter().zip(&start.objects);
+    Ok(Episode {
+        overlap: most,
+        distance: apart(&state.position, &start.position),
+        diverged: !state.is_sound(),
+        obstacles: model.scene.obstacles.len(),
+        pushed: objects.filter(|(a, b)| apart(&a.position, &b.position) > 5e-3).count(),
+    })
+}
+
+fn main() -> sandgait::Result<()> {
+    let number = |i, default| std::env::args().nth(i).and_then(|a| a.parse().ok()).unwrap_or(default);
+    let (episodes, steps) = (number(1, 1000), number(2, 250));
+    let blueprint = Blueprint::new("sandgait/HexapodRocks-v0", serde_json::json!({"rocks": {"count": 40}}))?;
+    let next = AtomicU64::new(0);
+    let threads = std::thread::available_parallelism().map_or(1, |n| n.get());
+    let worker = || {
+        let seeds = std::iter::repeat_with(|| next.fetch_add(1, Ordering::Relaxed)).take_while(|s| *s < episodes);
+        seeds
+            .map(|seed| episode(&blueprint, seed, steps as usize).map(|e| (seed, e)))
+            .collect::<sandgait::Result<Vec<_>>>()
+    };
+    let results = std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..threads).map(|_| scope.spawn(worker)).collect();
+        workers.into_iter().flat_map(|w| w.join()).collect::<sandgait::Result<Vec<_>>>()
+    })?;
+    let mut results: Vec<_> = results.into_iter().flatten().collect();
+    results.sort_by(|a, b| a.1.overlap.total_cmp(&b.1.overlap));
+    let sum = |of: fn(&Episode) -> f64| results.iter().map(|(_, e)| of(e)).sum::<f64>();
+    let count = results.len() as f64;
+    println!("{} episodes of {steps} control steps", results.len());
+    println!(
+        "{:.1} obstacles an episode, {:.2} loose rocks pushed",
+        sum(|e| e.obstacles as f64) / count,
+        sum(|e| e.pushed as f64) / count
+    );
+    println!(
+        "{:.2} m from start to end, {} diverged",
+        sum(|e| e.distance) / count,
+        sum(|e| f64::from(u8::from(e.diverged)))
+    );
+    for part in [0.5, 0.9, 0.99, 0.999, 1.0] {
+        let at = ((count * part).ceil() as usize).clamp(1, results.len()) - 1;
+        let (seed, e) = &results[at];
+        println!("overlap, quantile {part}: {:.3} mm (seed {seed})", e.overlap * 1e3);
+    }
+    Ok(())
+}

@@ -1,0 +1,229 @@
+//! `sandgait/HexapodRocks-v0`: HexapodGait among rocks and steps that are drawn anew for every episode.
+
+use super::gait::HexapodGait;
+use super::random::Random;
+use super::spec::{Column, Spec};
+use super::task::{Goal, Setup, Task, Transition};
+use crate::error::{Error, Result, check_range};
+use crate::sim::engine::{Command, EngineKind};
+use crate::sim::obstacle::{FRICTION, Obstacle, Shape};
+use crate::sim::overlap::obstacle_poses;
+use crate::sim::solid::Solid;
+use crate::sim::{Model, State};
+use serde::{Deserialize, Serialize};
+use std::f64::consts::TAU;
+use std::sync::Arc;
+
+/// What lies on the sand.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RockOptions {
+    /// How many obstacles an episode has; fewer where no free place is found.
+    pub count: usize,
+    /// Diameter of a rock, length and width of a step [m]: drawn from this range. Our choice 2 to 6 cm: half to one and
+    /// a half times the reference robot's leg.
+    pub size: [f64; 2],
+    /// Height of a step over the sand [m]: drawn from this range. Our choice: up to half a leg.
+    pub step_height: [f64; 2],
+    /// Share of obstacles that are loose rocks; the others are fixed, half of them rocks and half steps.
+    pub dynamic_fraction: f64,
+    /// Of loose rocks [kg/m³]; granite's is 2,650.
+    pub density: f64,
+    /// Coulomb coefficient between robot and rock.
+    pub friction: f64,
+    /// Length and width of the field [m]; it begins [`BEHIND`] behind the start and the start is in its middle line.
+    pub field: [f64; 2],
+}
+
+impl Default for RockOptions {
+    fn default() -> Self {
+        Self {
+            count: 16,
+            size: [0.02, 0.06],
+            step_height: [0.0, 0.02],
+            dynamic_fraction: 0.5,
+            density: 2650.0,
+            friction: FRICTION,
+            field: [1.6, 0.8],
+        }
+    }
+}
+
+/// The field reaches this far behind the start [m].
+const BEHIND: f64 = 0.3;
+
+/// Nothing lies this near to the start [m]: half the reference robot's length and a leg, and some room.
+const CLEAR: f64 = 0.15;
+
+/// Draws of a place for one obstacle before it is left out.
+const TRIES: usize = 20;
+
+/// Corners of a rock: enough to look irregular.
+const CORNERS: usize = 12;
+
+/// Height scan: points ahead and to the sides of the base's centre [m], in its heading; from behind the base to two
+/// thirds of a body length before it.
+const SCAN_X: [f64; 7] = [-0.05, 0.0, 0.05, 0.1, 0.13, 0.16, 0.2];
+const SCAN_Y: [f64; 5] = [-0.1, -0.05, 0.0, 0.05, 0.1];
+
+/// Bound of a scanned height [m]; what is higher is clipped.
+const SCAN_HEIGHT: f64 = 0.1;
+
+impl RockOptions {
+    pub fn validate(&self) -> Result<()> {
+        check_range("rocks.count", self.count as f64, 0.0..=64.0)?;
+        check_range("rocks.size[0]", self.size[0], 5e-3..=0.5)?;
+        check_range("rocks.size[1]", self.size[1], self.size[0]..=0.5)?;
+        check_range("rocks.step_height[0]", self.step_height[0], 0.0..=0.5)?;
+        check_range("rocks.step_height[1]", self.step_height[1], self.step_height[0]..=0.5)?;
+        check_range("rocks.dynamic_fraction", self.dynamic_fraction, 0.0..=1.0)?;
+        check_range("rocks.density", self.density, 100.0..=2e4)?;
+        check_range("rocks.friction", self.friction, 0.0..=10.0)?;
+        check_range("rocks.field[0]", self.field[0], 0.5..=100.0)?;
+        check_range("rocks.field[1]", self.field[1], 0.4..=100.0).map(drop)
+    }
+
+    /// Draws an episode's obstacles; none overlap at the start.
+    pub fn draw(&self, random: &mut Random) -> Vec<Obstacle> {
+        let mut placed: Vec<([f64; 2], f64)> = vec![([0.0; 2], CLEAR)];
+        let mut obstacles = Vec::with_capacity(self.count);
+        for _ in 0..self.count {
+            let (obstacle, reach) = self.obstacle(random);
+            let place = (0..TRIES).map(|_| self.place(random)).collect::<Vec<_>>();
+            let free = |at: &[f64; 2]| placed.iter().all(|(p, r)| (p[0] - at[0]).hypot(p[1] - at[1]) > r + reach);
+            let Some(at) = place.into_iter().find(free) else { continue };
+            placed.push((at, reach));
+            obstacles.push(Obstacle { position: [at[0], at[1], obstacle.position[2]], ..obstacle });
+        }
+        obstacles
+    }
+
+    fn place(&self, random: &mut Random) -> [f64; 2] {
+        let [length, width] = self.field;
+        [random.uniform(-BEHIND, length - BEHIND), random.uniform(-width / 2.0, width / 2.0)]
+    }
+
+    /// One obstacle over the origin, and the radius [m] that it needs around it.
+    fn obstacle(&self, random: &mut Random) -> (Obstacle, f64) {
+        let size = |random: &mut Random| random.uniform(self.size[0], self.size[1]);
+        let (loose, step) = (random.uniform(0.0, 1.0) < self.dynamic_fraction, random.uniform(0.0, 1.0) < 0.5);
+        let (yaw, height) = (random.uniform(0.0, TAU), random.uniform(self.step_height[0], self.step_height[1]));
+        if step && !loose {
+            let (length, width) = (size(random), size(random));
+            let block = Obstacle::block([0.0; 2], [length, width], height, yaw);
+            return (Obstacle { friction: self.friction, ..block }, length.hypot(width) / 2.0);
+        }
+        let radius = size(random) / 2.0;
+        // Loose rocks are set down on the sand, fixed ones are buried by up to half.
+        let up = if loose { radius } else { radius * random.uniform(0.0, 1.0) };
+        let rock = Obstacle::fixed(rock(radius, random), [0.0, 0.0, up]).turned(yaw);
+        let rock = Obstacle { friction: self.friction, ..rock };
+        (if loose { rock.loose(self.density) } else { rock }, 1.5 * radius)
+    }
+}
+
+/// An irregular rock: hull of points on an ellipsoid with axes of 0.7 to 1 times `radius` [m]. Three pairs of them lie
+/// on its axes, so the hull has a volume.
+fn rock(radius: f64, random: &mut Random) -> Shape {
+    let axes = [0; 3].map(|_| radius * random.uniform(0.7, 1.0));
+    let mut points = Vec::with_capacity(CORNERS);
+    for (axis, length) in axes.into_iter().enumerate() {
+        let mut point = [0.0; 3];
+        point[axis] = length;
+        points.extend([point, point.map(|c: f64| -c)]);
+    }
+    while points.len() < CORNERS {
+        let (z, turn) = (random.uniform(-1.0, 1.0), random.uniform(0.0, TAU));
+        let across = (1.0 - z * z).sqrt();
+        points.push([axes[0] * across * turn.cos(), axes[1] * across * turn.sin(), axes[2] * z]);
+    }
+    Shape::Hull { points }
+}
+
+/// The task; what it shares with HexapodGait is that task's own.
+pub struct HexapodRocks {
+    gait: HexapodGait,
+    spec: Spec,
+}
+
+impl HexapodRocks {
+    pub const ID: &'static str = "sandgait/HexapodRocks-v0";
+
+    pub fn new(setup: &Setup) -> Result<Self> {
+        if setup.options.engine != EngineKind::Rapier {
+            let reason = format!("{} has no rigid obstacles; this task needs rapier", setup.options.engine.name());
+            return Err(Error::invalid("engine", reason));
+        }
+        let gait = HexapodGait::new(setup)?;
+        let mut spec = gait.spec().clone();
+        spec.id = Self::ID;
+        spec.summary =
+            "Follow a commanded forward speed among rocks and steps; actions are hip speeds as fractions of 5 Hz.";
+        let scan = scan_points().map(|[x, y]| {
+            let name =
+                format!("height of what lies {} cm ahead and {} cm to the left", (x * 1e2) as i32, (y * 1e2) as i32);
+            Column::new(name, "m", 0.0, SCAN_HEIGHT)
+        });
+        spec.observation.extend(scan);
+        Ok(Self { gait, spec })
+    }
+}
+
+/// The scan's points in the order of the columns [m].
+fn scan_points() -> impl Iterator<Item = [f64; 2]> {
+    SCAN_X.into_iter().flat_map(|x| SCAN_Y.into_iter().map(move |y| [x, y]))
+}
+
+/// Heights of obstacles over the sand [m] at the scan's points, 0 where there is only sand.
+fn scan(model: &Model, state: &State, row: &mut [f32]) {
+    let rotation = state.rotation();
+    let norm = rotation[0][0].hypot(rotation[1][0]).max(1e-9);
+    let [cos, sin] = [rotation[0][0] / norm, rotation[1][0] / norm];
+    let poses = obstacle_poses(model, state);
+    let reach = SCAN_X[SCAN_X.len() - 1].hypot(SCAN_Y[0]);
+    let near: Vec<(&Solid, _)> = model
+        .solids
+        .iter()
+        .zip(&poses)
+        .filter(|(s, p)| {
+            let away = (p.position.x - state.position[0]).hypot(p.position.y - state.position[1]);
+            away < reach + s.reach()
+        })
+        .collect();
+    for (out, [x, y]) in row.iter_mut().zip(scan_points()) {
+        let at = [state.position[0] + cos * x - sin * y, state.position[1] + sin * x + cos * y];
+        let tops = near.iter().filter_map(|(solid, pose)| solid.top(pose, at[0], at[1]));
+        *out = tops.fold(0.0, f64::max) as f32;
+    }
+}
+
+impl Task for HexapodRocks {
+    fn spec(&self) -> &Spec {
+        &self.spec
+    }
+
+    fn begin(&self, setup: &Setup, random: &mut Random) -> (State, Goal) {
+        let (mut state, goal) = self.gait.begin(setup, random);
+        let rocks = setup.options.rocks.map_or(Vec::new(), |rocks| rocks.draw(random));
+        // What `draw` makes is within every range: a test holds it to that.
+        let model = setup.model.with_obstacles(&rocks).map_or_else(|_| setup.model.clone(), Arc::new);
+        state.objects = model.objects_at_rest();
+        (state, Goal { model: Some(model), ..goal })
+    }
+
+    fn command(&self, action: &[f32], state: &State, command: &mut Command) {
+        self.gait.command(action, state, command);
+    }
+
+    fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]) {
+        let (gait, heights) = row.split_at_mut(self.gait.spec().observation.len());
+        self.gait.observe(goal, state, last_action, gait);
+        if let Some(model) = &goal.model {
+            scan(model, state, heights);
+        }
+    }
+
+    fn judge(&self, transition: &Transition, info: &mut [f32]) -> bool {
+        self.gait.judge(transition, info)
+    }
+}
