@@ -64,7 +64,9 @@ fn main() -> sandgait::Result<()> {
     let number = |i, default| std::env::args().nth(i).and_then(|a| a.parse().ok()).unwrap_or(default);
     let (episodes, steps) = (number(1, 1000), number(2, 250));
     let blueprint = Blueprint::new("sandgait/HexapodRocks-v0", serde_json::json!({"rocks": {"count": 40}}))?;
-    let next = AtomicU64::new(0);
+    let first = number(3, 0);
+    let episodes = first + episodes;
+    let next = AtomicU64::new(first);
     let threads = std::thread::available_parallelism().map_or(1, |n| n.get());
     let worker = || {
         let seeds = std::iter::repeat_with(|| next.fetch_add(1, Ordering::Relaxed)).take_while(|s| *s < episodes);

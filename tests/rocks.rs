@@ -1,5 +1,10 @@
 //! Rigid obstacles on engine `rapier`: laws first, then what a robot does among them.
 
+use sandgait::env::ResetOptions;
+use sandgait::env::random::Random;
+use sandgait::env::rocks::RockOptions;
+use sandgait::env::task::Blueprint;
+use sandgait::pool::{Batch, Pool};
 use sandgait::sand::Medium;
 use sandgait::sim::engine::{Command, Engine, EngineKind};
 use sandgait::sim::model::Scene;
@@ -11,6 +16,9 @@ type V = nalgebra::Vector3<f64>;
 
 /// Rock: granite is some 2,650 kg/m³.
 const DENSITY: f64 = 2650.0;
+
+/// Deepest overlap [m] allowed in random episodes: a leg is 2 mm thick and 10 mm wide.
+const DEEPEST: f64 = 4e-3;
 
 /// The reference robot with servos of 0.05 N·m, as the tasks have them.
 fn model(obstacles: &[Obstacle]) -> Model {
@@ -234,10 +242,7 @@ fn what_is_refused() {
     let step = Obstacle::block([0.2, 0.0], [0.1, 0.1], 0.01, 0.0);
     let error = Engine::new(EngineKind::Lanes, &model(&[step.clone()]), 1).err().unwrap().to_string();
     assert!(error.contains("lanes has no rigid obstacles"), "{error}");
-    let refused = |obstacle: Obstacle| {
-        let plain = model(&[]);
-        plain.with_obstacles(&[obstacle]).is_err()
-    };
+    let refused = |obstacle: Obstacle| model(&[]).with_obstacles(&[obstacle]).is_err();
     assert!(refused(Obstacle { density: Some(0.0), ..step.clone() }));
     assert!(refused(Obstacle { orientation: [0.0; 4], ..step.clone() }));
     assert!(refused(Obstacle { friction: f64::NAN, ..step.clone() }));
@@ -249,4 +254,123 @@ fn what_is_refused() {
     let unknown = r#"{"shape": {"sphere": {"radius": 0.1}}, "position": [0, 0, 0], "colour": 1}"#;
     assert!(serde_json::from_str::<Obstacle>(unknown).is_err());
     assert!(serde_json::from_str::<Obstacle>(&unknown.replace(r#", "colour": 1"#, "")).is_ok());
+}
+
+/// The short form of `examples/rocks_study.rs`, which has 1,000 episodes: random actions, changed every 0.2 s.
+#[test]
+fn a_robot_with_random_actions_passes_through_nothing() {
+    let options = serde_json::json!({"rocks": {"count": 40}});
+    let blueprint = Blueprint::new("sandgait/HexapodRocks-v0", options).unwrap();
+    let (mut deepest, mut touched): (f64, usize) = (0.0, 0);
+    for seed in 0..8 {
+        let mut random = Random::new(seed, 0);
+        let (mut state, goal) = blueprint.task.begin(&blueprint.setup, &mut random);
+        let model = goal.model.unwrap();
+        let mut engine = Engine::new(EngineKind::Rapier, &model, 1).unwrap();
+        engine.set_state(0, &state);
+        let mut command = Command::still(6);
+        let mut most: f64 = 0.0;
+        for step in 0..100 {
+            if step % 10 == 0 {
+                let action: Vec<f32> = (0..6).map(|_| random.uniform(0.0, 1.0) as f32).collect();
+                blueprint.task.command(&action, &state, &mut command);
+                engine.command(0, &command);
+            }
+            engine.advance(40);
+            engine.state(0, &mut state);
+            assert!(state.is_sound(), "seed {seed} diverged");
+            most = most.max(overlap(&model, &state));
+        }
+        deepest = deepest.max(most);
+        touched += usize::from(most > 0.0);
+    }
+    println!("{deepest:e} m, {touched} of 8 touched");
+    assert!(touched > 0, "no robot touched anything: the test shows nothing");
+    assert!(deepest < DEEPEST, "{deepest} m");
+}
+
+#[test]
+fn drawn_rocks_suit_the_scene_and_the_seed() {
+    let options = RockOptions::default();
+    options.validate().unwrap();
+    let widest = RockOptions { count: 64, size: [5e-3, 0.5], step_height: [0.0, 0.5], field: [100.0; 2], ..options };
+    widest.validate().unwrap();
+    for seed in 0..50 {
+        for options in [options, widest] {
+            let draw = |seed| options.draw(&mut Random::new(seed, 0));
+            let rocks = draw(seed);
+            assert!(rocks.len() > options.count / 2, "{}", rocks.len());
+            model(&rocks);
+            assert_eq!(rocks, draw(seed));
+            assert!(rocks != draw(seed + 1));
+            for (i, a) in rocks.iter().enumerate() {
+                let apart = |b: &Obstacle| (a.position[0] - b.position[0]).hypot(a.position[1] - b.position[1]);
+                assert!(rocks[..i].iter().all(|b| apart(b) > 4e-3));
+            }
+        }
+    }
+}
+
+/// Rows of six environments after 30 steps and a reset with other rocks.
+fn rows(threads: usize) -> Vec<f32> {
+    let blueprint = Blueprint::new("sandgait/HexapodRocks-v0", serde_json::json!({"max_episode_steps": 20})).unwrap();
+    let pool = Pool::new(threads);
+    let mut batch = Batch::new(&blueprint, 6).unwrap();
+    let mut rows = Vec::new();
+    let mut read = |batch: &Batch| {
+        for shard in batch.shards() {
+            rows.extend_from_slice(&shard.rows.observations);
+            rows.extend_from_slice(&shard.rows.rewards);
+        }
+    };
+    let reset = batch.reset(None, Some((0..6).collect()), ResetOptions::default()).unwrap();
+    batch = pool.wait(batch, reset).unwrap();
+    for step in 0..60 {
+        if step == 30 {
+            let rocks = Some(RockOptions { count: 30, dynamic_fraction: 1.0, ..RockOptions::default() });
+            let reset = batch.reset(None, None, ResetOptions { rocks, ..ResetOptions::default() }).unwrap();
+            batch = pool.wait(batch, reset).unwrap();
+        }
+        let actions = (0..36).map(|i| ((i * 7 + step) % 11) as f32 / 11.0).collect();
+        let step = batch.step(actions).unwrap();
+        batch = pool.wait(batch, step).unwrap();
+        read(&batch);
+    }
+    rows
+}
+
+#[test]
+fn rows_do_not_depend_on_threads() {
+    let one = rows(1);
+    assert_eq!(one, rows(2));
+    assert_eq!(one, rows(5));
+    assert!(one.iter().all(|x| x.is_finite()));
+}
+
+#[test]
+fn the_task_scans_heights_and_refuses_what_has_no_rocks() {
+    let blueprint = |task: &str, options| Blueprint::new(task, options);
+    let error = |task: &str, options| blueprint(task, options).err().unwrap().to_string();
+    let lanes = error("sandgait/HexapodRocks-v0", serde_json::json!({"engine": "lanes"}));
+    assert!(lanes.contains("lanes has no rigid obstacles"), "{lanes}");
+    let gait = error("sandgait/HexapodGait-v0", serde_json::json!({"rocks": {"count": 1}}));
+    assert!(gait.contains("HexapodRocks"), "{gait}");
+    assert!(
+        error("sandgait/HexapodRocks-v0", serde_json::json!({"rocks": {"size": [0.1, 0.01]}})).contains("rocks.size")
+    );
+    assert!(error("sandgait/HexapodRocks-v0", serde_json::json!({"rocks": {"colour": 1}})).contains("rocks"));
+
+    let rocks = blueprint("sandgait/HexapodRocks-v0", serde_json::Value::Null).unwrap();
+    let (state, mut goal) = rocks.task.begin(&rocks.setup, &mut Random::new(0, 0));
+    // One step 10 to 12 cm ahead of a robot that looks along +y.
+    let step = Obstacle::block([0.0, 0.13], [0.5, 0.02], 0.015, 0.0);
+    goal.model = Some(rocks.setup.model.with_obstacles(&[step]).unwrap().into());
+    let half = std::f64::consts::FRAC_1_SQRT_2;
+    let state = State { orientation: [half, 0.0, 0.0, half], objects: Vec::new(), ..state };
+    let columns = &rocks.task.spec().observation;
+    let mut row = vec![0.0; columns.len()];
+    rocks.task.observe(&goal, &state, &[0.0; 6], &mut row);
+    let seen: Vec<_> = columns.iter().zip(&row).filter(|(c, v)| c.name.starts_with("height") && **v > 0.0).collect();
+    assert_eq!(seen.len(), 5, "{seen:?}");
+    assert!(seen.iter().all(|(c, v)| c.name.contains("13 cm ahead") && (**v - 0.015).abs() < 1e-6), "{seen:?}");
 }

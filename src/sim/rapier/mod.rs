@@ -21,7 +21,6 @@ mod sand;
 mod world;
 
 use super::engine::Command;
-use super::state::ObjectState;
 use super::{Model, State};
 use crate::sand::Ground;
 pub use contact::hull;
@@ -69,7 +68,7 @@ impl RapierEngine {
     /// See [`super::engine::Engine::advance`].
     pub fn advance(&mut self, steps: usize) {
         for robot in &mut self.robots {
-            robot.renew();
+            robot.renew(steps);
             (0..steps).for_each(|_| robot.step());
         }
     }
@@ -86,6 +85,8 @@ struct Robot {
     /// None without obstacles.
     shapes: Option<Shapes>,
     rocks: Vec<Rock>,
+    /// Objects that stay where they are until the world is made anew.
+    resting: Vec<bool>,
     state: State,
     command: Command,
 }
@@ -100,6 +101,7 @@ impl Robot {
             world: World::new(model),
             shapes: Shapes::new(model),
             rocks: Rock::all(model),
+            resting: Vec::new(),
             state: State {
                 objects: model.objects_at_rest(),
                 ..State::at_rest(model.standing_height(&angles), &angles)
@@ -139,11 +141,13 @@ impl Robot {
         self.command.rates.iter_mut().for_each(|r| *r = r.clamp(-limit, limit));
     }
 
-    /// Makes a world with obstacles anew: what the next steps do depends on the state alone.
-    fn renew(&mut self) {
+    /// Makes a world with obstacles anew for `steps` time steps: what they do depends on the state alone.
+    fn renew(&mut self, steps: usize) {
         if let Some(shapes) = self.shapes.as_ref().filter(|_| self.state.is_sound()) {
+            let time = steps as f64 * self.model.scene.dt;
+            self.resting = rocks::resting(&self.model, &self.rocks, &self.ground, &self.state, time);
             self.world = World::new(&self.model);
-            self.world.furnish(&self.model, shapes, V::from(self.state.position));
+            self.world.furnish(&self.model, shapes, &self.state, &self.resting);
         }
     }
 
@@ -164,22 +168,25 @@ impl Robot {
         self.load_legs(&base);
         let wet = self.load_rocks();
         self.world.solve(&self.model, &mut self.state);
-        for (i, (wet, object)) in wet.iter().zip(&mut self.state.objects).enumerate() {
+        for (i, wet) in wet {
+            let object = &mut self.state.objects[i];
             wet.leave(&self.world, i, object);
+            advance_pose(&mut object.position, &mut object.orientation, object.velocity, object.angular_velocity, dt);
         }
         advance_positions(&mut self.state, dt);
     }
 
-    /// Weight of each rock, and sand around it.
-    fn load_rocks(&mut self) -> Vec<rocks::Wet> {
+    /// Weight of each rock that is not at rest, and sand around it.
+    fn load_rocks(&mut self) -> Vec<(usize, rocks::Wet)> {
         let (model, ground, world) = (&self.model, &self.ground, &mut self.world);
-        let rocks = self.rocks.iter().zip(&mut self.state.objects).enumerate();
-        let load = |(i, (rock, object)): (usize, (&Rock, &mut ObjectState))| {
+        let awake = (0..self.rocks.len()).filter(|i| !self.resting[*i]);
+        let load = |i: usize| {
+            let (rock, object) = (&self.rocks[i], &mut self.state.objects[i]);
             let wet = rock.fall(&model.solids[rock.index], ground, model.gravity, model.scene.dt, object);
             wet.enter(world, i, object);
-            wet
+            (i, wet)
         };
-        rocks.map(load).collect()
+        awake.map(load).collect()
     }
 
     /// Weight of the base, and sand under it.
@@ -241,9 +248,6 @@ fn fold_turns(state: &mut State) {
 /// Semi-implicit Euler: positions move with the velocities after the step.
 fn advance_positions(state: &mut State, dt: f64) {
     advance_pose(&mut state.position, &mut state.orientation, state.velocity, state.angular_velocity, dt);
-    for o in &mut state.objects {
-        advance_pose(&mut o.position, &mut o.orientation, o.velocity, o.angular_velocity, dt);
-    }
     for ((angle, rate), torque) in state.angles.iter_mut().zip(&state.rates).zip(&state.torques) {
         *angle += rate * dt;
         state.work += (torque * rate).abs() * dt;

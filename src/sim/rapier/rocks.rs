@@ -12,9 +12,10 @@ use super::inertia::{Masses, vec3};
 use super::sand::lanes;
 use super::world::World;
 use crate::sand::Ground;
+use crate::sim::model::Body;
 use crate::sim::solid::{Pose, Solid};
 use crate::sim::state::ObjectState;
-use crate::sim::{Model, Obstacle};
+use crate::sim::{Model, Obstacle, State};
 use nalgebra::{Matrix6, Vector6};
 use rapier3d::prelude::MassProperties;
 
@@ -26,6 +27,41 @@ pub struct Rock {
     mass: f64,
     /// About the centre of mass, own frame [kg·m²].
     inertia: M,
+}
+
+/// Slower than this [m/s] a rock rests: ten times what the sand creeps at under a constant load.
+const REST: f64 = 1e-4;
+
+/// Nothing that may meet a resting rock moves faster than this [m/s]: our choice, twice the fastest walk.
+const APPROACH: f64 = 2.0;
+
+/// Which objects stay where they are for the next `time` [s]: those that neither move nor fall, and that neither the
+/// robot nor a moving one can reach. A rock that a robot pushes against a resting one within that time meets a fixed
+/// one; at the next look it moves, and the other wakes.
+pub fn resting(model: &Model, rocks: &[Rock], ground: &Ground<f64>, state: &State, time: f64) -> Vec<bool> {
+    let slow = |(rock, object): (&Rock, &ObjectState)| {
+        let (solid, mut after) = (&model.solids[rock.index], *object);
+        rock.fall(solid, ground, model.gravity, model.scene.dt, &mut after);
+        let fast = |o: &ObjectState| V::from(o.velocity).norm() + V::from(o.angular_velocity).norm() * solid.reach();
+        fast(object) < REST && fast(&after) < REST
+    };
+    let slow: Vec<bool> = rocks.iter().zip(&state.objects).map(slow).collect();
+    let robot = (V::from(state.position), reach(model));
+    let near = |i: usize, (place, radius): (V, f64)| {
+        let gap = (V::from(state.objects[i].position) - place).norm() - radius - model.solids[rocks[i].index].reach();
+        gap < APPROACH * time
+    };
+    let moving: Vec<_> = (0..rocks.len()).filter(|i| !slow[*i]).collect();
+    let other = |i: usize| (V::from(state.objects[i].position), model.solids[rocks[i].index].reach());
+    let woken = |i: usize| near(i, robot) || moving.iter().any(|j| near(i, other(*j)));
+    (0..rocks.len()).map(|i| slow[i] && !woken(i)).collect()
+}
+
+/// Radius around the base's centre that the robot stays within [m].
+fn reach(model: &Model) -> f64 {
+    let leg = |chain: &Vec<Body>| chain.iter().map(|b| b.joint.norm() + b.reach.norm()).sum::<f64>();
+    let base = V::from(model.robot.base.size).norm() / 2.0;
+    model.legs.iter().map(leg).fold(base, f64::max)
 }
 
 /// A rock as rapier is told of it.

@@ -91,8 +91,9 @@ impl World {
         Self { physics, base, drag, edge, links, rocks: Vec::new(), colliders: Vec::new(), origin: V::zeros() }
     }
 
-    /// Adds the model's obstacles, with the base at `origin` [m].
-    pub fn furnish(&mut self, model: &Model, shapes: &Shapes, origin: V) {
+    /// Adds the model's obstacles around the robot of `state`; the objects that are `resting` are fixed where they are.
+    pub fn furnish(&mut self, model: &Model, shapes: &Shapes, state: &State, resting: &[bool]) {
+        let origin = V::from(state.position);
         self.origin = origin;
         let physics = &mut self.physics;
         contact::tune(&mut physics.integration_parameters);
@@ -100,9 +101,12 @@ impl World {
         self.colliders = parts.zip(shapes.robot()).map(|(p, c)| physics.insert_collider(c, Some(p.0))).collect();
         for (obstacle, collider) in shapes.obstacles(model) {
             if obstacle.moves() {
+                let (object, rests) = (&state.objects[self.rocks.len()], resting[self.rocks.len()]);
+                let body = if rests { RigidBodyBuilder::fixed() } else { RigidBodyBuilder::dynamic() };
                 // Gyroscopic moments are ours, with the weight and the sand.
-                let body = RigidBodyBuilder::dynamic().can_sleep(false).gyroscopic_forces_enabled(false);
-                self.rocks.push(Part(physics.insert(body, collider).0));
+                let body = body.can_sleep(false).gyroscopic_forces_enabled(false);
+                let pose = relative(&Pose::new(object.position, object.orientation), origin);
+                self.rocks.push(Part(physics.insert(body.pose(pose), collider).0));
             } else {
                 let pose = Pose::new(obstacle.position, obstacle.orientation);
                 physics.insert_collider(collider.position(relative(&pose, origin)), None);
