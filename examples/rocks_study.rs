@@ -1,5 +1,5 @@
 //! Does a robot ever pass through a rock? Random actions among rocks, whole episodes, overlaps measured by geometry that
-//! the engine does not use. `cargo run --release --example rocks_study [EPISODES] [STEPS]`
+//! the engine does not use. `cargo run --release --example rocks_study [EPISODES] [STEPS] [FIRST_SEED]`
 //!
 //! Prints the deepest overlap of each episode's legs (middle surface of the strips) and base with any obstacle, looked
 //! at after every control step, as quantiles over episodes.

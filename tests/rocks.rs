@@ -123,6 +123,26 @@ fn a_collision_keeps_momentum_and_makes_no_energy() {
     }
 }
 
+/// A new world's first step has its contacts too: legs that fly at a ball, one time step a call.
+#[test]
+fn contacts_hold_from_the_first_step_of_a_world() {
+    let ball = Obstacle::fixed(Shape::Sphere { radius: 0.02 }, [0.12, 0.04, 99.97]).loose(DENSITY);
+    let mut model = model(&[ball]);
+    model.gravity *= 0.0;
+    let mut state = State { position: [0.0, 0.0, 100.0], velocity: [1.0, 0.0, 0.0], ..start(&model) };
+    state.angles = vec![0.0; 6];
+    state.references = vec![0.0; 6];
+    let mut engine = Engine::new(EngineKind::Rapier, &model, 1).unwrap();
+    engine.set_state(0, &state);
+    let mut most: f64 = 0.0;
+    for _ in 0..200 {
+        engine.advance(1);
+        engine.state(0, &mut state);
+        most = most.max(overlap(&model, &state));
+    }
+    assert!(most < 5e-4 && state.objects[0].velocity[0] > 0.3, "{most} {:?}", state.objects[0]);
+}
+
 /// Set down on the sand, a rock sinks until the sand carries it, and stays.
 #[test]
 fn a_loose_rock_rests() {
@@ -240,7 +260,7 @@ fn a_state_with_rocks_resumes_with_the_same_bits() {
 #[test]
 fn what_is_refused() {
     let step = Obstacle::block([0.2, 0.0], [0.1, 0.1], 0.01, 0.0);
-    let error = Engine::new(EngineKind::Lanes, &model(&[step.clone()]), 1).err().unwrap().to_string();
+    let error = Engine::new(EngineKind::Lanes, &model(std::slice::from_ref(&step)), 1).err().unwrap().to_string();
     assert!(error.contains("lanes has no rigid obstacles"), "{error}");
     let refused = |obstacle: Obstacle| model(&[]).with_obstacles(&[obstacle]).is_err();
     assert!(refused(Obstacle { density: Some(0.0), ..step.clone() }));

@@ -162,6 +162,8 @@ impl World {
         let Some(link) = physics.multibody_joints.rigid_body_link(self.base.0).copied() else { return };
         let Some(multibody) = physics.multibody_joints.get_multibody_mut(link.multibody) else { return };
         multibody.forward_kinematics(&physics.bodies, true);
+        // In a new world's first step rapier puts colliders where their bodies are.
+        multibody.update_rigid_bodies(&mut physics.bodies, false);
         for link in multibody.links() {
             for collider in physics.bodies[link.rigid_body_handle()].colliders() {
                 physics.colliders[*collider].set_position(*link.local_to_world());
