@@ -37,7 +37,7 @@ fn episode(blueprint: &Blueprint, seed: u64, steps: usize) -> sandgait::Result<E
     for step in 0..steps {
         // A new random action every 0.2 s: long enough to reach speed. Half of the episodes mean to go forward.
         if step % 10 == 0 {
-            let low = if seed % 2 == 0 { -1.0 } else { 0.0 };
+            let low = if seed.is_multiple_of(2) { -1.0 } else { 0.0 };
             action.iter_mut().for_each(|a| *a = random.uniform(low, 1.0) as f32);
         }
         task.command(&action, &state, &mut command);
@@ -76,7 +76,8 @@ fn main() -> sandgait::Result<()> {
     };
     let results = std::thread::scope(|scope| {
         let workers: Vec<_> = (0..threads).map(|_| scope.spawn(worker)).collect();
-        workers.into_iter().flat_map(|w| w.join()).collect::<sandgait::Result<Vec<_>>>()
+        let join = |w: std::thread::ScopedJoinHandle<_>| w.join().unwrap_or_else(|e| std::panic::resume_unwind(e));
+        workers.into_iter().map(join).collect::<sandgait::Result<Vec<_>>>()
     })?;
     let mut results: Vec<_> = results.into_iter().flatten().collect();
     results.sort_by(|a, b| a.1.overlap.total_cmp(&b.1.overlap));

@@ -21,7 +21,7 @@ const THICKNESS: f64 = 0.2;
 const SWEEPS: usize = 16;
 
 /// Contacts are springs of this frequency [Hz] and damping ratio between the touching bodies' masses. Our choice: a
-/// gap in balance closes within some 20 steps of 0.5 ms; what overlaps are left, `examples/rocks_study.rs` measures.
+/// third of an overlap closes in a step of 0.5 ms; what is left of them, `examples/rocks_study.rs` measures.
 const SOFTNESS: SpringCoefficients<f32> = SpringCoefficients { natural_frequency: 1000.0, damping_ratio: 3.0 };
 
 /// Nothing here moves faster [m/s]: what may meet within a step at this speed has its contact found before it.
