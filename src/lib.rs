@@ -1,6 +1,7 @@
 //! sandgait: batched reinforcement-learning environments of legged robots on sand.
 //!
 //! Data flow one way: [`service`] → [`pool`] → [`env`] → [`sim`] → [`sand`]; no layer knows the ones before it.
+pub mod bench;
 pub mod calibrate;
 pub mod diagnose;
 pub mod env;

@@ -13,7 +13,7 @@ const ABSENT: [(&str, &[&str]); 6] = [
 ];
 
 /// Only these may name protobuf.
-const KNOW_PROTO: [&str; 2] = ["service", "cli"];
+const KNOW_PROTO: [&str; 2] = ["service", "bench"];
 
 fn sources(folder: &Path) -> Vec<PathBuf> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };

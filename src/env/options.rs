@@ -92,7 +92,7 @@ impl ResetOptions {
 }
 
 /// What each keyword means, in the order of [`TaskOptions`].
-pub const OPTION_HELP: [(&str, &str); 15] = [
+pub const OPTION_HELP: [(&str, &str); 16] = [
     ("robot", "built-in robot"),
     ("engine", "engine that integrates the motion"),
     ("law", "resistive force law: li2013, penetration-drag-1d or agarwal2023"),

@@ -9,7 +9,7 @@ pub enum Isa {
     Avx512,
     /// 8 lanes of `f32`, fused multiply-add.
     Avx2,
-    /// 8 lanes of `f32` in portable code; every processor.
+    /// 4 lanes of `f32` in portable code; every processor.
     Baseline,
     /// One lane of `f64`: the reference the others are measured against.
     F64,
@@ -31,7 +31,8 @@ impl Isa {
     pub fn lanes(self) -> usize {
         match self {
             Self::Avx512 => 16,
-            Self::Avx2 | Self::Baseline => 8,
+            Self::Avx2 => 8,
+            Self::Baseline => 4,
             Self::F64 => 1,
         }
     }

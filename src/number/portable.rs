@@ -1,38 +1,34 @@
-//! Eight lanes in portable code.
+//! Four lanes in portable code.
 
 use super::Real;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
+use wide::f32x4;
 
-/// Eight lanes of `f32`; the compiler vectorises what it can.
+/// Four lanes of `f32`: the vectors that every processor of the target's kind has (SSE2 on x86-64, NEON on AArch64).
 #[derive(Clone, Copy)]
-pub struct Portable([f32; 8]);
-
-#[inline(always)]
-fn each(f: impl Fn(usize) -> f32) -> Portable {
-    Portable(std::array::from_fn(f))
-}
+pub struct Portable(f32x4);
 
 macro_rules! operator {
-    ($trait:ident, $method:ident, $op:tt) => {
+    ($trait:ident, $method:ident) => {
         impl $trait for Portable {
             type Output = Self;
             #[inline(always)]
             fn $method(self, o: Self) -> Self {
-                each(|i| self.0[i] $op o.0[i])
+                Self($trait::$method(self.0, o.0))
             }
         }
     };
 }
-operator!(Add, add, +);
-operator!(Sub, sub, -);
-operator!(Mul, mul, *);
-operator!(Div, div, /);
+operator!(Add, add);
+operator!(Sub, sub);
+operator!(Mul, mul);
+operator!(Div, div);
 
 impl Neg for Portable {
     type Output = Self;
     #[inline(always)]
     fn neg(self) -> Self {
-        each(|i| -self.0[i])
+        Self(-self.0)
     }
 }
 impl AddAssign for Portable {
@@ -49,57 +45,58 @@ impl SubAssign for Portable {
 }
 
 impl Real for Portable {
-    const LANES: usize = 8;
-    type Mask = [bool; 8];
+    const LANES: usize = 4;
+    /// All bits of a lane set or none.
+    type Mask = f32x4;
 
     #[inline(always)]
     fn splat(value: f64) -> Self {
-        Self([value as f32; 8])
+        Self(f32x4::splat(value as f32))
     }
     #[inline(always)]
     fn lane(&self, index: usize) -> f64 {
-        f64::from(self.0[index])
+        f64::from(self.0.to_array()[index])
     }
     #[inline(always)]
     fn set_lane(&mut self, index: usize, value: f64) {
-        self.0[index] = value as f32;
+        self.0.as_mut_array()[index] = value as f32;
     }
     #[inline(always)]
     fn mul_add(self, a: Self, b: Self) -> Self {
-        each(|i| self.0[i] * a.0[i] + b.0[i])
+        Self(self.0.mul_add(a.0, b.0))
     }
     #[inline(always)]
     fn sqrt(self) -> Self {
-        each(|i| self.0[i].sqrt())
+        Self(self.0.sqrt())
     }
     #[inline(always)]
     fn abs(self) -> Self {
-        each(|i| self.0[i].abs())
+        Self(self.0.abs())
     }
     #[inline(always)]
     fn min(self, o: Self) -> Self {
-        each(|i| if self.0[i] < o.0[i] { self.0[i] } else { o.0[i] })
+        Self(self.0.fast_min(o.0))
     }
     #[inline(always)]
     fn max(self, o: Self) -> Self {
-        each(|i| if self.0[i] > o.0[i] { self.0[i] } else { o.0[i] })
+        Self(self.0.fast_max(o.0))
     }
     /// Adding and taking away 1.5·2²³ leaves the nearest integer; exact for |x| < 2²².
     #[inline(always)]
     fn round(self) -> Self {
-        const MAGIC: f32 = 12_582_912.0;
-        each(|i| (self.0[i] + MAGIC) - MAGIC)
+        let magic = f32x4::splat(12_582_912.0);
+        Self((self.0 + magic) - magic)
     }
     #[inline(always)]
-    fn lt(self, o: Self) -> [bool; 8] {
-        std::array::from_fn(|i| self.0[i] < o.0[i])
+    fn lt(self, o: Self) -> f32x4 {
+        self.0.simd_lt(o.0)
     }
     #[inline(always)]
-    fn select(mask: [bool; 8], yes: Self, no: Self) -> Self {
-        each(|i| if mask[i] { yes.0[i] } else { no.0[i] })
+    fn select(mask: f32x4, yes: Self, no: Self) -> Self {
+        Self(mask.select(yes.0, no.0))
     }
     #[inline(always)]
-    fn any(mask: [bool; 8]) -> bool {
-        mask.iter().any(|m| *m)
+    fn any(mask: f32x4) -> bool {
+        mask.any()
     }
 }

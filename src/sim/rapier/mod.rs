@@ -30,7 +30,7 @@ use frame::{Frame, V};
 use inertia::{Masses, mass_properties};
 use rapier3d::prelude::MassProperties;
 use rocks::Rock;
-use sand::Wrench;
+use sand::{Place, Wrench};
 use std::f64::consts::TAU;
 use world::World;
 
@@ -192,7 +192,8 @@ impl Robot {
     /// Weight of the base, and sand under it.
     fn load_base(&mut self, base: &Frame) {
         let model = &self.model;
-        let sand = sand::load(&self.ground, &model.belly, true, base, &self.state.position, model.scene.dt);
+        let at = Place { frame: base, base: &self.state.position };
+        let sand = sand::load_belly(&self.ground, &model.belly, &at, model.scene.dt);
         let mut wrench = sand.wrench;
         wrench.add_at(V::zeros(), model.gravity * model.base_mass);
         self.world.push_base(&wrench);
@@ -219,7 +220,8 @@ impl Robot {
             let mut frame = *base;
             for body in chain {
                 frame = frame.child(body, state.angles[joint], state.rates[joint]);
-                let sand = sand::load(&self.ground, &body.plates, false, &frame, &self.state.position, model.scene.dt);
+                let at = Place { frame: &frame, base: &state.position };
+                let sand = sand::load_link(&self.ground, body, state.rates[joint], &at, model.scene.dt);
                 let mut wrench = sand.wrench;
                 wrench.add_at(frame.origin + frame.rotation * body.center, model.gravity * body.mass);
                 let (properties, center) = if sand.drag.mass > 0.0 {

@@ -11,7 +11,7 @@ use super::frame::{M, V};
 use super::inertia::{Masses, vec3};
 use super::sand::lanes;
 use super::world::World;
-use crate::sand::Ground;
+use crate::sand::{Ground, Site};
 use crate::sim::model::Body;
 use crate::sim::solid::{Pose, Solid};
 use crate::sim::state::ObjectState;
@@ -101,7 +101,8 @@ impl Rock {
                 continue;
             }
             let normal = pose.rotation * facet.normal;
-            let contact = ground.one_sided(depth, facet.area, lanes(normal), lanes(velocity + omega.cross(&arm)));
+            let site = Site::fresh(depth, pose.position.x + arm.x);
+            let contact = ground.one_sided(&site, facet.area, lanes(normal), lanes(velocity + omega.cross(&arm)));
             let push = V::new(contact.force.x, contact.force.y, contact.force.z);
             force += push;
             moment += arm.cross(&push);

@@ -8,8 +8,8 @@
 use super::frame::{Frame, V};
 use super::inertia::Masses;
 use crate::number::Vec3;
-use crate::sand::{Ground, Site};
-use crate::sim::model::Plate;
+use crate::sand::{Contact, Ground, Site};
+use crate::sim::model::{Body, Plate};
 
 /// Force [N] and moment [N·m] about the base's centre, world axes.
 #[derive(Clone, Copy, Debug)]
@@ -45,29 +45,63 @@ pub struct Load {
     pub edge: Masses,
 }
 
-/// Sand under `plates` of the body at `frame`, whose base centre is at `place` [m].
-pub fn load(ground: &Ground<f64>, plates: &[Plate], one_sided: bool, frame: &Frame, place: &[f64; 3], dt: f64) -> Load {
-    let mut load = Load { wrench: Wrench::none(), drag: Masses::none(), edge: Masses::none() };
-    for plate in plates {
-        let arm = frame.rotation * plate.center;
-        let depth = -(place[2] + frame.origin.z + arm.z);
-        if depth <= 0.0 {
-            continue;
+/// Where a body is: its frame about the base's centre, and that centre [m].
+pub struct Place<'a> {
+    pub frame: &'a Frame,
+    pub base: &'a [f64; 3],
+}
+
+/// Sand under a base.
+pub fn load_belly(ground: &Ground<f64>, plates: &[Plate], at: &Place, dt: f64) -> Load {
+    let mut load = Load::none();
+    load.add(plates, at, dt, |site, area, normal, velocity| ground.one_sided(site, area, normal, velocity));
+    load
+}
+
+/// Sand on a link that turns at `rate` [rad/s]: on its strip, or in part on the straight chord where its concave side
+/// leads and fills.
+pub fn load_link(ground: &Ground<f64>, body: &Body, rate: f64, at: &Place, dt: f64) -> Load {
+    let concave_leads = body.bulge * rate < 0.0;
+    let fill = ground.beyond.as_ref().filter(|_| concave_leads).map_or(0.0, |beyond| beyond.fill);
+    let mut load = Load::none();
+    for (plates, share) in [(&body.plates, 1.0 - fill), (&body.chord, fill)] {
+        if share > 0.0 {
+            load.add(plates, at, dt, |site, area, n, v| ground.thin_plate(site, area * share, n, v));
         }
-        let (normal, velocity) = (frame.rotation * plate.normal, frame.velocity_at(arm));
-        let site = Site::fresh(depth, place[0] + frame.origin.x + arm.x);
-        let contact = if one_sided {
-            ground.one_sided(&site, plate.area, lanes(normal), lanes(velocity))
-        } else {
-            ground.thin_plate(&site, plate.area, lanes(normal), lanes(velocity))
-        };
-        let mass = contact.drag * dt;
-        let force = V::new(contact.force.x, contact.force.y, contact.force.z);
-        load.wrench.add_at(frame.origin + arm, force + frame.acceleration_at(arm) * mass);
-        load.drag.add(mass, plate.center);
-        load.edge.add(contact.edge * dt * normal.z * normal.z, plate.center);
     }
     load
+}
+
+impl Load {
+    fn none() -> Self {
+        Self { wrench: Wrench::none(), drag: Masses::none(), edge: Masses::none() }
+    }
+
+    /// `contact` takes site, area [m²], unit normal and velocity [m/s].
+    fn add(
+        &mut self,
+        plates: &[Plate],
+        at: &Place,
+        dt: f64,
+        contact: impl Fn(&Site<f64>, f64, Vec3<f64>, Vec3<f64>) -> Contact<f64>,
+    ) {
+        let Place { frame, base } = at;
+        for plate in plates {
+            let arm = frame.rotation * plate.center;
+            let depth = -(base[2] + frame.origin.z + arm.z);
+            if depth <= 0.0 {
+                continue;
+            }
+            let (normal, velocity) = (frame.rotation * plate.normal, frame.velocity_at(arm));
+            let site = Site::fresh(depth, base[0] + frame.origin.x + arm.x);
+            let contact = contact(&site, plate.area, lanes(normal), lanes(velocity));
+            let mass = contact.drag * dt;
+            let force = V::new(contact.force.x, contact.force.y, contact.force.z);
+            self.wrench.add_at(frame.origin + arm, force + frame.acceleration_at(arm) * mass);
+            self.drag.add(mass, plate.center);
+            self.edge.add(contact.edge * dt * normal.z * normal.z, plate.center);
+        }
+    }
 }
 
 pub fn lanes(v: V) -> Vec3<f64> {

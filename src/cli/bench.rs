@@ -1,11 +1,8 @@
 //! `sandgait bench`
 
-mod grpc;
-
-use sandgait::env::ResetOptions;
+use sandgait::bench::{Direct, Remote, Stepper, random_actions};
 use sandgait::env::task::Blueprint;
 use sandgait::number::Isa;
-use sandgait::pool::{Batch, Pool};
 use sandgait::sim::engine::EngineKind;
 use sandgait::{Error, Result};
 use serde_json::json;
@@ -56,36 +53,6 @@ enum Through {
     GrpcTcp,
 }
 
-/// Something that makes batched steps.
-trait Stepper {
-    fn step(&mut self, actions: &[f32]) -> Result<()>;
-}
-
-struct Direct {
-    pool: Pool,
-    /// Only empty while the pool has it.
-    batch: Option<Batch>,
-}
-
-impl Direct {
-    fn new(blueprint: &Blueprint, envs: usize, threads: usize) -> Result<Self> {
-        let pool = Pool::new(threads);
-        let mut batch = Batch::new(blueprint, envs)?;
-        let reset = batch.reset(None, Some((0..envs as u64).collect()), ResetOptions::default())?;
-        let batch = Some(pool.wait(batch, reset)?);
-        Ok(Self { pool, batch })
-    }
-}
-
-impl Stepper for Direct {
-    fn step(&mut self, actions: &[f32]) -> Result<()> {
-        let batch = self.batch.take().ok_or_else(|| Error::OutOfOrder("the batch was lost".into()))?;
-        let operation = batch.step(actions.to_vec())?;
-        self.batch = Some(self.pool.wait(batch, operation)?);
-        Ok(())
-    }
-}
-
 impl Bench {
     pub fn run(self) -> Result<String> {
         if !(self.seconds > 0.0 && self.seconds <= 3600.0) {
@@ -101,7 +68,7 @@ impl Bench {
         let mut stepper: Box<dyn Stepper> = match self.through {
             Through::Process => Box::new(Direct::new(&blueprint, self.envs, threads)?),
             through => {
-                Box::new(grpc::Remote::new(&self.task, options, self.envs, threads, through == Through::GrpcTcp)?)
+                Box::new(Remote::new(&self.task, options, self.envs, threads, through == Through::GrpcTcp)?)
             }
         };
         let width = blueprint.task.spec().action.len();
@@ -148,13 +115,7 @@ impl Bench {
 
 /// Environment steps a second of each repeat, ascending.
 fn measure(stepper: &mut dyn Stepper, envs: usize, width: usize, repeats: usize, length: Duration) -> Result<Vec<f64>> {
-    // 16 rows of actions are drawn once and used in turn, so drawing is not part of what is measured.
-    let mut generator = 1u64;
-    let mut draw = || {
-        generator = generator.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (generator >> 40) as f32 / (1 << 23) as f32 - 1.0
-    };
-    let actions: Vec<Vec<f32>> = (0..16).map(|_| (0..envs * width).map(|_| draw()).collect()).collect();
+    let actions = random_actions(envs, width);
     let mut repeat = |length: Duration| -> Result<f64> {
         let (clock, mut steps) = (Instant::now(), 0);
         while clock.elapsed() < length {

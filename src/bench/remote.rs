@@ -2,18 +2,22 @@
 
 use super::Stepper;
 use prost_types::value::Kind;
-use sandgait::service::proto::environment_service_client::EnvironmentServiceClient;
-use sandgait::service::proto::run_session_request::Request;
-use sandgait::service::proto::run_session_response::Response;
-use sandgait::service::proto::{CreateSessionRequest, Reset, RunSessionRequest, RunSessionResponse, Step};
-use sandgait::service::{self, Address, Limits, Listener, PROTOCOL};
-use sandgait::{Error, Result};
+use crate::service::proto::environment_service_client::EnvironmentServiceClient;
+use crate::service::proto::run_session_request::Request;
+use crate::service::proto::run_session_response::Response;
+use crate::service::proto::{CreateSessionRequest, Reset, RunSessionRequest, RunSessionResponse, Step};
+use crate::service::{self, Address, Limits, Listener, PROTOCOL};
+use crate::{Error, Result};
 use serde_json::Value;
+use std::sync::atomic::{AtomicU32, Ordering};
 use tokio::runtime::Runtime;
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tokio_util::sync::CancellationToken;
 use tonic::Streaming;
+
+/// Number of the next socket of this process.
+static NEXT: AtomicU32 = AtomicU32::new(0);
 
 /// A session of a server in this process, one stream, one step in flight.
 pub struct Remote {
@@ -42,7 +46,8 @@ impl Remote {
             },
             protocol: PROTOCOL,
         };
-        let socket = std::env::temp_dir().join(format!("sandgait-bench-{}.sock", std::process::id()));
+        let number = NEXT.fetch_add(1, Ordering::Relaxed);
+        let socket = std::env::temp_dir().join(format!("sandgait-bench-{}-{number}.sock", std::process::id()));
         let address = if tcp { "127.0.0.1:0".into() } else { format!("unix:{}", socket.display()) };
         let (requests, receiver) = mpsc::channel(2);
         let answers = runtime.block_on(async {
