@@ -1,6 +1,6 @@
 //! Engine `rapier`: laws first, then the converged reference walks.
 
-use sandgait::sand::Medium;
+use sandgait::sand::{Mechanisms, Medium};
 use sandgait::sim::engine::{Command, Engine, EngineKind};
 use sandgait::sim::model::Scene;
 use sandgait::sim::rapier::RapierEngine;
@@ -347,8 +347,17 @@ fn stands_still() {
 /// The two engines share the sand and nothing else. Two seconds of walking, or of standing with 18 joints.
 #[test]
 fn agrees_with_the_other_engine() {
-    for (robot, leg, slope_deg) in [("xplorer", "C", 0.0), ("xplorer", "L", 5.0), ("xplorer18", "flat", 10.0)] {
-        let model = model_of(robot, leg, &Scene { slope_deg, ..scene() }, |r| r.servo.torque_limit = Some(0.02));
+    let plain = Mechanisms::PLAIN;
+    let filled = Mechanisms { concave_fill: 0.8, inertial_drag: 2.0, ..plain };
+    for (robot, leg, slope_deg, mechanisms) in [
+        ("xplorer", "C", 0.0, plain),
+        ("xplorer", "revC", 0.0, plain),
+        ("xplorer", "L", 5.0, plain),
+        ("xplorer", "revL", 0.0, filled),
+        ("xplorer18", "flat", 10.0, plain),
+    ] {
+        let scene = Scene { slope_deg, mechanisms, ..scene() };
+        let model = model_of(robot, leg, &scene, |r| r.servo.torque_limit = Some(0.02));
         let start = State::at_rest(0.03, &vec![0.0; model.joints()]);
         let command = if robot == "xplorer" { hips(&model, 2.0) } else { Command::still(18) };
         let a = run(&model, &start, &command, 2.0);

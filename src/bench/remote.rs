@@ -1,13 +1,13 @@
 //! Steps through the real service: a server and a client in this process, joined by a socket.
 
 use super::Stepper;
-use prost_types::value::Kind;
 use crate::service::proto::environment_service_client::EnvironmentServiceClient;
 use crate::service::proto::run_session_request::Request;
 use crate::service::proto::run_session_response::Response;
 use crate::service::proto::{CreateSessionRequest, Reset, RunSessionRequest, RunSessionResponse, Step};
 use crate::service::{self, Address, Limits, Listener, PROTOCOL};
 use crate::{Error, Result};
+use prost_types::value::Kind;
 use serde_json::Value;
 use std::sync::atomic::{AtomicU32, Ordering};
 use tokio::runtime::Runtime;

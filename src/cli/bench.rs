@@ -67,9 +67,7 @@ impl Bench {
         let threads = usize::from(self.threads);
         let mut stepper: Box<dyn Stepper> = match self.through {
             Through::Process => Box::new(Direct::new(&blueprint, self.envs, threads)?),
-            through => {
-                Box::new(Remote::new(&self.task, options, self.envs, threads, through == Through::GrpcTcp)?)
-            }
+            through => Box::new(Remote::new(&self.task, options, self.envs, threads, through == Through::GrpcTcp)?),
         };
         let width = blueprint.task.spec().action.len();
         let rates =
