@@ -61,13 +61,13 @@ impl Remote {
                 .max_encoding_message_size(usize::MAX);
             let session_id = client.create_session(create).await.map_err(failed)?.into_inner().session_id;
             let reset = Reset { seeds: (0..envs as u64).collect(), ..Default::default() };
-            let first = RunSessionRequest { session_id, sequence: 0, request: Some(Request::Reset(reset)) };
+            let first = RunSessionRequest { session_id, sequence: 1, request: Some(Request::Reset(reset)) };
             requests.send(first).await.map_err(failed)?;
             let mut answers = client.run_session(ReceiverStream::new(receiver)).await.map_err(failed)?.into_inner();
             answers.message().await.map_err(failed)?;
             Ok::<_, Error>(answers)
         })?;
-        Ok(Self { runtime, requests, answers, stop, sequence: 0 })
+        Ok(Self { runtime, requests, answers, stop, sequence: 1 })
     }
 }
 
@@ -84,7 +84,7 @@ impl Stepper for Remote {
         match answer.and_then(|a| a.response) {
             Some(Response::Batch(_)) => Ok(()),
             Some(Response::Failure(f)) => Err(failed(f.message)),
-            None => Err(failed("the stream ended")),
+            _ => Err(failed("the stream ended")),
         }
     }
 }

@@ -6,6 +6,7 @@
 //! * [`task`]: the trait a task implements, and the registry.
 //! * [`locomotion`]: what walking tasks share; [`gait`]: the task HexapodGait, [`legs`]: HexapodLegs, [`rocks`]: HexapodRocks.
 //! * [`shard`]: environments that advance together on one engine; reset, step, autoreset.
+//! * [`snapshot`]: episodes as data; [`rollout`]: many steps with actions that are known beforehand.
 //! * [`random`]: the stream of random numbers of an episode.
 
 pub mod gait;
@@ -14,7 +15,9 @@ pub mod locomotion;
 pub mod options;
 pub mod random;
 pub mod rocks;
+pub mod rollout;
 pub mod shard;
+pub mod snapshot;
 pub mod spec;
 pub mod task;
 

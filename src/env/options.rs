@@ -89,6 +89,20 @@ pub struct ResetOptions {
 impl ResetOptions {
     /// Names of the keywords, for tables.
     pub const NAMES: [&'static str; 7] = ["leg", "medium", "slope_deg", "payload", "command", "turn", "rocks"];
+
+    /// Everything of `options` that a reset may change.
+    pub fn all_of(options: &TaskOptions) -> Self {
+        let TaskOptions { leg, medium, slope_deg, payload, command, turn, rocks, .. } = options.clone();
+        Self {
+            leg: Some(leg),
+            medium: Some(medium),
+            slope_deg: Some(slope_deg),
+            payload: Some(payload),
+            command: Some(command),
+            turn: Some(turn),
+            rocks,
+        }
+    }
 }
 
 /// What each keyword means, in the order of [`TaskOptions`].

@@ -1,6 +1,7 @@
 //! Environments that advance together: one engine, one task, flat rows allocated once.
 
 use super::random::Random;
+use super::rollout::Rollout;
 use super::task::{Blueprint, Goal, Setup, Task, Transition};
 use crate::error::Result;
 use crate::sim::State;
@@ -8,17 +9,17 @@ use crate::sim::engine::{Command, Engine};
 use std::sync::Arc;
 
 /// One environment's episode.
-struct Episode {
-    setup: Setup,
+pub(super) struct Episode {
+    pub setup: Setup,
     /// A reset may have changed the setup since the engine was last told.
-    stale: bool,
-    seed: u64,
-    number: u64,
-    steps: u32,
-    goal: Goal,
+    pub stale: bool,
+    pub seed: u64,
+    pub number: u64,
+    pub steps: u32,
+    pub goal: Goal,
     before: State,
-    after: State,
-    last_action: Vec<f32>,
+    pub after: State,
+    pub last_action: Vec<f32>,
 }
 
 impl Episode {
@@ -34,12 +35,13 @@ impl Episode {
 /// A run of environments of one session. Owned by one thread at a time.
 pub struct Shard {
     task: Arc<dyn Task>,
-    engine: Engine,
-    episodes: Vec<Episode>,
+    pub(super) engine: Engine,
+    pub(super) episodes: Vec<Episode>,
     command: Command,
     substeps: usize,
     period: f64,
     pub rows: Rows,
+    pub rollout: Rollout,
 }
 
 /// What the last reset or step gave, one row an environment.
@@ -74,7 +76,7 @@ impl Rows {
     }
 
     /// Ready for the next call: nothing has happened yet.
-    fn clear(&mut self) {
+    pub fn clear(&mut self) {
         self.rewards.fill(0.0);
         self.terminated.fill(0);
         self.truncated.fill(0);
@@ -109,6 +111,7 @@ impl Shard {
             substeps: (period / model.scene.dt).round() as usize,
             period,
             rows: Rows::new(envs, spec.observation.len(), spec.info.len()),
+            rollout: Rollout::default(),
         })
     }
 
@@ -207,6 +210,12 @@ impl Shard {
             None if stale => self.engine.set_model(i, &episode.setup.model),
             None => (),
         }
+        self.take_up(i);
+    }
+
+    /// Hands environment `i`'s state to the engine and fills its observation row.
+    pub(super) fn take_up(&mut self, i: usize) {
+        let episode = &mut self.episodes[i];
         self.engine.set_state(i, &episode.after);
         self.engine.state(i, &mut episode.after);
         let wide = self.task.spec().observation.len();

@@ -1,5 +1,7 @@
 //! All environments of one session, cut into shards.
 
+use super::snapshot::Snapshot;
+use crate::env::snapshot::Resumed;
 use crate::env::task::{Blueprint, Setup};
 use crate::env::{ResetOptions, Shard, Spec, Task};
 use crate::error::{Error, Result};
@@ -18,6 +20,40 @@ pub struct Batch {
 pub enum Operation {
     Reset { chosen: Option<Vec<bool>>, seeds: Option<Vec<u64>>, setup: Option<Box<Setup>> },
     Step { actions: Vec<f32> },
+    Restore { episodes: Vec<Arc<Resumed>> },
+    Roll(Roll),
+}
+
+/// Some steps of a rollout.
+#[derive(Clone)]
+pub struct Roll {
+    /// f32 [steps, envs, action] of the whole rollout.
+    actions: Arc<Vec<f32>>,
+    /// Numbers in one step's actions.
+    row: usize,
+    /// Steps to be made now.
+    steps: std::ops::Range<usize>,
+    /// Keep the rows of every step.
+    record: bool,
+}
+
+impl Roll {
+    /// The part of this rollout that follows the present one and has at most `count` steps; none after the last.
+    pub fn next(&self, count: usize) -> Option<Self> {
+        let total = self.total();
+        let steps = self.steps.end..total.min(self.steps.end + count);
+        (!steps.is_empty()).then(|| Self { steps, ..self.clone() })
+    }
+
+    /// Steps of the whole rollout.
+    pub fn total(&self) -> usize {
+        self.actions.len() / self.row
+    }
+
+    /// Steps that have been made when this part has run.
+    pub fn made(&self) -> usize {
+        self.steps.end
+    }
 }
 
 impl Batch {
@@ -74,24 +110,64 @@ impl Batch {
 
     /// Checks a step: `actions` is f32 [envs, action], each number within its column's bounds.
     pub fn step(&self, actions: Vec<f32>) -> Result<Operation> {
-        if let Some(i) = self.begun.iter().position(|b| !b) {
-            return Err(Error::OutOfOrder(format!("step before reset: environment {i} has not been reset yet")));
+        self.check_begun("step")?;
+        let width = self.spec().action.len();
+        if actions.len() != self.envs * width {
+            let (got, n) = (actions.len(), self.envs);
+            return Err(Error::invalid("actions", format!("{got} numbers, expected {} = [{n}, {width}]", n * width)));
         }
+        self.check_actions(&actions, |row| format!("actions[{row}]"))?;
+        Ok(Operation::Step { actions })
+    }
+
+    /// Checks that environment i can go on as environment `sources[i]` of `snapshot`; without sources as number i
+    /// modulo the snapshot's, so that a snapshot of one environment is forked.
+    pub fn restore(&mut self, snapshot: &Snapshot, sources: Option<&[u32]>) -> Result<Operation> {
+        let episodes = self.resumed(snapshot, sources)?;
+        self.begun.fill(true);
+        Ok(Operation::Restore { episodes })
+    }
+
+    /// Checks a rollout of `actions`, f32 [steps, envs, action]; none of its steps are made by what this returns.
+    pub fn roll(&self, actions: Vec<f32>, record: bool) -> Result<Roll> {
+        self.check_begun("rollout")?;
+        let width = self.spec().action.len();
+        let row = self.envs * width;
+        if actions.is_empty() || !actions.len().is_multiple_of(row) {
+            let (got, n) = (actions.len(), self.envs);
+            return Err(Error::invalid(
+                "actions",
+                format!("{got} numbers, expected a multiple of {row} = [{n}, {width}]"),
+            ));
+        }
+        self.check_actions(&actions, |k| format!("actions[{}][{}]", k / self.envs, k % self.envs))?;
+        Ok(Roll { actions: Arc::new(actions), row, steps: 0..0, record })
+    }
+
+    pub(super) fn setup(&self) -> &Setup {
+        &self.setup
+    }
+
+    pub(super) fn check_begun(&self, what: &str) -> Result<()> {
+        match self.begun.iter().position(|b| !b) {
+            Some(i) => Err(Error::OutOfOrder(format!("{what} before reset: environment {i} has not been reset yet"))),
+            None => Ok(()),
+        }
+    }
+
+    /// Every number within its column's bounds; `name` names a row of actions.
+    fn check_actions(&self, actions: &[f32], name: impl Fn(usize) -> String) -> Result<()> {
         let columns = &self.spec().action;
-        if actions.len() != self.envs * columns.len() {
-            let (got, n, m) = (actions.len(), self.envs, columns.len());
-            return Err(Error::invalid("actions", format!("{got} numbers, expected {} = [{n}, {m}]", n * m)));
-        }
         for (row, values) in actions.chunks_exact(columns.len()).enumerate() {
             for (k, (value, c)) in values.iter().zip(columns).enumerate() {
                 // NaN fails this test too.
                 if !(c.low..=c.high).contains(&f64::from(*value)) {
                     let reason = format!("{value} ({}) is outside [{}, {}]", c.name, c.low, c.high);
-                    return Err(Error::invalid(format!("actions[{row}][{k}]"), reason));
+                    return Err(Error::invalid(format!("{}[{k}]", name(row)), reason));
                 }
             }
         }
-        Ok(Operation::Step { actions })
+        Ok(())
     }
 }
 
@@ -108,6 +184,22 @@ impl Operation {
                 let chosen = |i: usize| chosen.as_ref().is_none_or(|c| c[start + i]);
                 let seeds = seeds.as_ref().map(|s| &s[start..start + envs]);
                 shard.reset(chosen, seeds, setup.as_deref());
+            }
+            Self::Restore { episodes } => {
+                shard.rows.clear();
+                for i in 0..envs {
+                    shard.restore(i, &episodes[start + i]);
+                }
+            }
+            Self::Roll(Roll { actions, row, steps, record }) => {
+                if steps.start == 0 {
+                    shard.begin_rollout();
+                }
+                shard.rollout.steps.clear();
+                let width = shard.actions();
+                for step in steps.clone() {
+                    shard.roll(&actions[step * row + start * width..][..envs * width], *record);
+                }
             }
         }
     }

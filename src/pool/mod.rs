@@ -11,7 +11,9 @@
 //! one. This layer knows nothing of messages; it never runs on the async runtime's threads.
 
 mod batch;
+mod snapshot;
 mod threads;
 
-pub use batch::{Batch, Operation};
+pub use batch::{Batch, Operation, Roll};
+pub use snapshot::Snapshot;
 pub use threads::Pool;

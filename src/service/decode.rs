@@ -4,7 +4,7 @@ use super::proto::{self, run_session_request::Request};
 use super::values;
 use crate::env::{ResetOptions, options};
 use crate::error::{Error, Result};
-use crate::pool::{Batch, Operation};
+use crate::pool::{Batch, Operation, Snapshot};
 
 /// The operation `request` asks of `batch`; on an error the batch is as it was.
 pub fn operation(batch: &mut Batch, request: Option<Request>) -> Result<Operation> {
@@ -16,7 +16,14 @@ pub fn operation(batch: &mut Batch, request: Option<Request>) -> Result<Operatio
             let changes: ResetOptions = options::parse(values::to_json(reset.options)?)?;
             batch.reset(chosen, seeds, changes)
         }
-        None => Err(Error::invalid("request", "neither reset nor step")),
+        Some(Request::Restore(restore)) => {
+            let snapshot = Snapshot::from_bytes(&restore.snapshot)?;
+            let sources = if restore.sources.is_empty() { None } else { Some(indices("sources", &restore.sources)?) };
+            batch.restore(&snapshot, sources.as_deref())
+        }
+        Some(Request::Attach(_) | Request::Save(_) | Request::Rollout(_)) | None => {
+            Err(Error::invalid("request", "neither reset, step, attach, save, restore nor rollout"))
+        }
     }
 }
 
@@ -26,16 +33,25 @@ pub fn is_light(request: &proto::RunSessionRequest) -> bool {
     match &request.request {
         Some(Request::Step(step)) => step.actions.len() <= 16_384,
         Some(Request::Reset(reset)) => reset.options.is_none() && reset.seeds.len() <= 2_048,
-        None => true,
+        Some(Request::Save(_) | Request::Restore(_) | Request::Rollout(_)) => false,
+        Some(Request::Attach(_)) | None => true,
     }
 }
 
-fn floats(field: &str, bytes: &[u8]) -> Result<Vec<f32>> {
+pub fn floats(field: &str, bytes: &[u8]) -> Result<Vec<f32>> {
     let (numbers, rest) = bytes.as_chunks();
     if !rest.is_empty() {
         return Err(Error::invalid(field, format!("{} bytes are no whole number of f32", bytes.len())));
     }
     Ok(numbers.iter().map(|b| f32::from_le_bytes(*b)).collect())
+}
+
+fn indices(field: &str, bytes: &[u8]) -> Result<Vec<u32>> {
+    let (numbers, rest) = bytes.as_chunks();
+    if !rest.is_empty() {
+        return Err(Error::invalid(field, format!("{} bytes are no whole number of u32", bytes.len())));
+    }
+    Ok(numbers.iter().map(|b| u32::from_le_bytes(*b)).collect())
 }
 
 fn flags(field: &str, bytes: &[u8]) -> Result<Vec<bool>> {

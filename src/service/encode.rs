@@ -1,8 +1,10 @@
 //! From rows and tables to messages.
 
 use super::proto;
+use super::sessions::Summary;
 use super::values;
 use crate::env::options::OPTION_HELP;
+use crate::env::rollout::{Recorded, Rollout};
 use crate::env::shard::Rows;
 use crate::env::task::Blueprint;
 use crate::env::{Column, ResetOptions, Spec, TaskOptions};
@@ -24,6 +26,32 @@ pub fn batch(batch: &Batch) -> proto::Batch {
         final_indices: final_indices(batch),
         final_observations: floats(|r| &r.final_observations),
     }
+}
+
+/// The steps of a rollout since the last part; `made` have been made in all.
+pub fn rollout(batch: &Batch, made: usize, is_last: bool) -> proto::RolloutPart {
+    let shards = batch.shards();
+    let steps = shards.first().map_or(0, |s| s.rollout.steps.len());
+    let recorded = |column: fn(&Recorded) -> &[f32]| {
+        floats((0..steps).flat_map(move |step| shards.iter().map(move |s| column(&s.rollout.steps[step]))))
+    };
+    let flags = |column: fn(&Rollout) -> &[u8]| -> Bytes {
+        shards.iter().flat_map(move |s| column(&s.rollout)).copied().collect::<Vec<_>>().into()
+    };
+    let mut part = proto::RolloutPart {
+        first_step: (made - steps) as u32,
+        steps: steps as u32,
+        observations: recorded(|r| &r.observations),
+        rewards: recorded(|r| &r.rewards),
+        ..Default::default()
+    };
+    if is_last {
+        part.returns = shards.iter().flat_map(|s| &s.rollout.returns).flat_map(|r| r.to_le_bytes()).collect();
+        part.lengths = shards.iter().flat_map(|s| &s.rollout.lengths).flat_map(|n| n.to_le_bytes()).collect();
+        part.terminated = flags(|r| &r.terminated);
+        part.truncated = flags(|r| &r.truncated);
+    }
+    part
 }
 
 fn floats<'a>(parts: impl Iterator<Item = &'a [f32]> + Clone) -> Bytes {
@@ -79,4 +107,16 @@ fn options(options: &TaskOptions) -> Vec<proto::Option> {
         at_reset: ResetOptions::NAMES.contains(name),
     };
     OPTION_HELP.iter().map(option).collect()
+}
+
+/// A session for lists and logs.
+pub fn summary(summary: &Summary) -> proto::SessionSummary {
+    proto::SessionSummary {
+        name: summary.name.clone(),
+        task_id: summary.blueprint.task.spec().id.into(),
+        num_envs: summary.envs as u32,
+        attached: summary.attached,
+        sequence: summary.sequence,
+        idle_seconds: summary.idle.as_secs_f64(),
+    }
 }

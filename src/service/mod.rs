@@ -4,13 +4,14 @@
 //!
 //! * [`address`]: where to listen; [`server`]: serving until told to stop.
 //! * [`sessions`]: who holds which environments, and the limits.
-//! * [`stream`]: one RunSession stream, request by request.
+//! * [`stream`]: one RunSession stream, request by request; [`rollout`]: the request of many steps.
 //! * [`decode`], [`encode`], [`values`]: messages from and to the crate's types.
 //! * [`status`]: the one map from errors to gRPC codes.
 
 pub mod address;
 mod decode;
 mod encode;
+mod rollout;
 pub mod server;
 mod sessions;
 mod status;
@@ -34,6 +35,7 @@ use futures_util::Stream;
 use proto::environment_service_server::EnvironmentService;
 use proto::{CloseSessionRequest, CloseSessionResponse, CreateSessionRequest, CreateSessionResponse};
 use proto::{DescribeRequest, DescribeResponse, RunSessionRequest, RunSessionResponse};
+use proto::{DescribeSessionRequest, DescribeSessionResponse, ListSessionsRequest, ListSessionsResponse};
 use serde_json::Value;
 use sessions::Sessions;
 use std::pin::Pin;
@@ -53,9 +55,11 @@ pub struct Service {
 }
 
 impl Service {
-    /// Cancelling `stop` ends every stream after the operation it has in flight.
+    /// Cancelling `stop` ends every stream after the operation it has in flight. Needs a tokio runtime.
     pub fn new(threads: usize, limits: Limits, stop: CancellationToken) -> Self {
-        Self { sessions: Sessions::new(limits, stop), pool: Arc::new(Pool::new(threads)) }
+        let sessions = Sessions::new(limits, stop);
+        tokio::spawn(sessions.clone().expire());
+        Self { sessions, pool: Arc::new(Pool::new(threads)) }
     }
 }
 
@@ -91,16 +95,15 @@ impl EnvironmentService for Service {
         request: Request<CreateSessionRequest>,
     ) -> Result<Response<CreateSessionResponse>, Status> {
         let sessions = self.sessions.clone();
+        let lease_seconds = self.sessions.limits().lease.as_secs_f64();
         let (session_id, task) = off_runtime(move || {
             let CreateSessionRequest { task_id, num_envs, options, protocol } = request.into_inner();
             check_protocol(protocol)?;
             let (id, blueprint) = sessions.create(&task_id, num_envs as usize, values::to_json(options)?)?;
-            // Here and not below: the caller may have gone, and then nothing after the await runs.
-            tokio::spawn(sessions.expire(id.clone()));
             Ok((id, encode::task(&blueprint)))
         })
         .await?;
-        Ok(Response::new(CreateSessionResponse { session_id, task: Some(task) }))
+        Ok(Response::new(CreateSessionResponse { session_id, task: Some(task), lease_seconds }))
     }
 
     type RunSessionStream = Pin<Box<dyn Stream<Item = Result<RunSessionResponse, Status>> + Send>>;
@@ -111,6 +114,20 @@ impl EnvironmentService for Service {
     ) -> Result<Response<Self::RunSessionStream>, Status> {
         let answers = stream::run(request.into_inner(), self.sessions.clone(), self.pool.clone());
         Ok(Response::new(Box::pin(answers)))
+    }
+
+    async fn describe_session(
+        &self,
+        request: Request<DescribeSessionRequest>,
+    ) -> Result<Response<DescribeSessionResponse>, Status> {
+        let summary = self.sessions.describe(&request.into_inner().session_id).map_err(|e| status::status(&e))?;
+        let task = Some(encode::task(&summary.blueprint));
+        Ok(Response::new(DescribeSessionResponse { task, summary: Some(encode::summary(&summary)) }))
+    }
+
+    async fn list_sessions(&self, _: Request<ListSessionsRequest>) -> Result<Response<ListSessionsResponse>, Status> {
+        let sessions = self.sessions.list().iter().map(encode::summary).collect();
+        Ok(Response::new(ListSessionsResponse { sessions }))
     }
 
     async fn close_session(

@@ -27,15 +27,9 @@ const WINDOW: u32 = 4 << 20;
 /// HTTP/2 frame size we accept.
 const FRAME: u32 = 1 << 20;
 
-/// Bytes of a request beyond its columns: ids and options.
-const REQUEST_OVERHEAD: usize = 64 << 10;
-
-/// Bytes one environment adds to the largest request: the actions of a robot of 12 legs with 3 joints.
-const REQUEST_ROW: usize = 12 * 3 * 4;
-
 /// Serves until `stop` is cancelled, then lets every stream finish the operation it has in flight.
 pub async fn serve(listener: Listener, threads: usize, limits: Limits, stop: CancellationToken) -> Result<()> {
-    let largest = limits.environments * REQUEST_ROW + REQUEST_OVERHEAD;
+    let largest = limits.request;
     let service = EnvironmentServiceServer::new(Service::new(threads, limits, stop.clone()))
         .max_decoding_message_size(largest)
         .max_encoding_message_size(u32::MAX as usize);

@@ -1,18 +1,25 @@
 //! Who holds which environments.
 //!
 //! ```text
-//!  create ──▶ idle ──attach──▶ attached ──stream ends──▶ freed
-//!              └──── close, or 30 s without a stream ──────▲
+//!  create ──▶ idle ◀──stream ends──┬──attach──▶ attached
+//!              │                   └── a new stream takes it from the old one
+//!              └── close, or a lease's time without a stream ──▶ freed
 //! ```
+//!
+//! The environments lie here whenever no operation runs on them, so a stream that breaks off loses nothing.
 
+use super::proto::RunSessionResponse;
 use super::status::SESSION;
 use crate::env::task::Blueprint;
 use crate::error::{Error, Result};
 use crate::pool::Batch;
 use serde_json::Value;
+use sha2::{Digest as _, Sha256};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
+use tokio::sync::Notify;
+use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
 /// What one server lends out.
@@ -23,14 +30,26 @@ pub struct Limits {
     pub environments: usize,
     /// Estimated memory of all environments together [bytes].
     pub memory: usize,
-    /// A session nobody has opened a stream for is freed after this time.
-    pub unattached: Duration,
+    /// A session without a stream is freed after this time.
+    pub lease: Duration,
+    /// Largest request [bytes].
+    pub request: usize,
+    /// Requests a second that a session may make; none: as many as it can.
+    pub rate: Option<u32>,
 }
 
 impl Default for Limits {
-    /// Our choice: room for any training, and half of a 16 GiB machine.
+    /// Our choice: room for any training, and half of a 16 GiB machine; requests as large as the steps of the largest
+    /// session, and rollouts of some minutes.
     fn default() -> Self {
-        Self { sessions: 1024, environments: 65_536, memory: 8 << 30, unattached: Duration::from_secs(30) }
+        Self {
+            sessions: 1024,
+            environments: 65_536,
+            memory: 8 << 30,
+            lease: Duration::from_secs(300),
+            request: 256 << 20,
+            rate: None,
+        }
     }
 }
 
@@ -58,11 +77,39 @@ impl Drop for Reservation {
 /// The environments of a session, with the share of the limits they take for as long as they exist.
 pub struct Environments {
     pub batch: Batch,
-    pub reservation: Reservation,
+    pub done: Done,
+    reservation: Reservation,
+}
+
+/// The same without the batch, while the pool has that.
+pub struct Rest {
+    done: Done,
+    reservation: Reservation,
+}
+
+impl Environments {
+    pub fn into_parts(self) -> (Batch, Rest) {
+        (self.batch, Rest { done: self.done, reservation: self.reservation })
+    }
+}
+
+impl Rest {
+    pub fn with(self, batch: Batch) -> Environments {
+        Environments { batch, done: self.done, reservation: self.reservation }
+    }
+}
+
+/// How far a session has come.
+#[derive(Clone, Default)]
+pub struct Done {
+    /// Number of the last request that was carried out or refused.
+    pub sequence: u64,
+    /// Its answer; none for requests that changed nothing and can be carried out again.
+    pub answer: Option<RunSessionResponse>,
 }
 
 /// Frees environments, if any, off the async runtime's threads: it takes a while when they are many.
-pub fn release(environments: Option<Environments>) {
+fn release(environments: Option<Environments>) {
     match tokio::runtime::Handle::try_current() {
         Ok(runtime) if environments.is_some() => drop(runtime.spawn_blocking(|| drop(environments))),
         _ => drop(environments),
@@ -71,10 +118,39 @@ pub fn release(environments: Option<Environments>) {
 
 /// One session.
 struct Entry {
-    /// None while a stream holds them.
+    blueprint: Blueprint,
+    envs: usize,
+    /// None while an operation runs on them.
     environments: Option<Environments>,
-    /// Cancelled when the session is closed or the server stops.
+    /// Told when they are back.
+    back: Arc<Notify>,
+    sequence: u64,
+    /// Number of the stream that has the session, or of the last that had it.
+    stream: u64,
+    attached: bool,
+    /// Since when it has had no stream; from the monotonic clock, which nobody can set.
+    idle_since: Instant,
+    /// Cancelled when the session is closed or the server stops, and for a stream when another takes the session.
     end: CancellationToken,
+    stream_end: CancellationToken,
+}
+
+/// A stream's hold on a session.
+pub struct Hold {
+    pub id: String,
+    stream: u64,
+    /// When this is cancelled the stream shall end.
+    pub end: CancellationToken,
+}
+
+/// What a session looks like from outside.
+pub struct Summary {
+    pub name: String,
+    pub blueprint: Blueprint,
+    pub envs: usize,
+    pub attached: bool,
+    pub sequence: u64,
+    pub idle: Duration,
 }
 
 /// All sessions of a server.
@@ -90,6 +166,12 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+/// What logs and lists call a session: its id is the right to use it.
+pub fn name(id: &str) -> String {
+    let digest = Sha256::digest(id);
+    digest.iter().take(4).map(|b| format!("{b:02x}")).collect()
+}
+
 impl Sessions {
     /// Cancelling `stop` ends every stream after the operation it has in flight.
     pub fn new(limits: Limits, stop: CancellationToken) -> Arc<Self> {
@@ -99,6 +181,10 @@ impl Sessions {
     /// Cancelled when the server stops.
     pub fn stop(&self) -> &CancellationToken {
         &self.stop
+    }
+
+    pub fn limits(&self) -> &Limits {
+        &self.limits
     }
 
     /// A new session of `envs` environments, which waits for its stream. Building takes time: not for the async
@@ -115,11 +201,23 @@ impl Sessions {
         }
         let blueprint = Blueprint::new(task, options)?;
         let reservation = self.reserve(envs * blueprint.bytes_per_env())?;
-        let environments = Environments { batch: Batch::new(&blueprint, envs)?, reservation };
-        tracing::debug!(task, envs, "a session was created");
+        let batch = Batch::new(&blueprint, envs)?;
         // 128 random bits: nobody else can guess it, and it is not logged.
         let id = format!("{:032x}", rand::random::<u128>());
-        let entry = Entry { environments: Some(environments), end: self.stop.child_token() };
+        tracing::debug!(session = name(&id), task, envs, "a session was created");
+        let end = self.stop.child_token();
+        let entry = Entry {
+            blueprint: blueprint.clone(),
+            envs,
+            environments: Some(Environments { batch, done: Done::default(), reservation }),
+            back: Arc::default(),
+            sequence: 0,
+            stream: 0,
+            attached: false,
+            idle_since: Instant::now(),
+            stream_end: end.child_token(),
+            end,
+        };
         lock(&self.entries).insert(id.clone(), entry);
         Ok((id, blueprint))
     }
@@ -141,35 +239,104 @@ impl Sessions {
         Ok(Reservation { usage: self.usage.clone(), memory })
     }
 
-    /// Hands the session's environments to a stream. When `end` is cancelled the stream shall end.
-    pub fn attach(&self, id: &str) -> Result<(Environments, CancellationToken)> {
+    /// Gives the session to a new stream, taking it from the one that has it.
+    pub fn attach(&self, id: &str) -> Result<Hold> {
         let mut entries = lock(&self.entries);
         let entry = entries.get_mut(id).ok_or_else(|| unknown(id))?;
-        let taken = || Error::OutOfOrder(format!("{SESSION} {id:?} already has a stream"));
-        Ok((entry.environments.take().ok_or_else(taken)?, entry.end.clone()))
+        entry.stream_end.cancel();
+        entry.stream_end = entry.end.child_token();
+        entry.stream += 1;
+        entry.attached = true;
+        Ok(Hold { id: id.into(), stream: entry.stream, end: entry.stream_end.clone() })
     }
 
-    /// Ends a session, whether or not a stream holds it.
+    /// Is the session still there, though not for this stream?
+    pub fn was_taken(&self, hold: &Hold) -> bool {
+        lock(&self.entries).get(&hold.id).is_some_and(|e| e.stream != hold.stream)
+    }
+
+    /// The stream has ended: the lease begins, unless another stream has the session.
+    pub fn detach(&self, hold: &Hold) {
+        if let Some(entry) = lock(&self.entries).get_mut(&hold.id).filter(|e| e.stream == hold.stream) {
+            (entry.attached, entry.idle_since) = (false, Instant::now());
+        }
+    }
+
+    /// The session's environments, once no operation runs on them; to be given back by [`Self::give_back`]. None if
+    /// the session has ended or another stream has it.
+    pub async fn take(&self, hold: &Hold) -> Option<Environments> {
+        loop {
+            let back = {
+                let mut entries = lock(&self.entries);
+                let entry = entries.get_mut(&hold.id).filter(|e| e.stream == hold.stream)?;
+                if let Some(environments) = entry.environments.take() {
+                    return Some(environments);
+                }
+                entry.back.clone()
+            };
+            // `notify_one` keeps a permit, so a return between the look and here is not missed.
+            tokio::select! {
+                () = back.notified() => {}
+                () = hold.end.cancelled() => return None,
+            }
+        }
+    }
+
+    /// Puts environments back after an operation; frees them if the session was closed meanwhile.
+    pub fn give_back(&self, id: &str, environments: Environments) {
+        let mut entries = lock(&self.entries);
+        let Some(entry) = entries.get_mut(id) else {
+            drop(entries);
+            return release(Some(environments));
+        };
+        entry.sequence = environments.done.sequence;
+        entry.environments = Some(environments);
+        entry.back.notify_one();
+    }
+
+    /// Ends a session, whether or not a stream has it.
     pub fn close(&self, id: &str) -> Result<()> {
         let entry = lock(&self.entries).remove(id).ok_or_else(|| unknown(id))?;
-        tracing::debug!("a session was closed");
+        tracing::debug!(session = name(id), "a session was closed");
         entry.end.cancel();
         release(entry.environments);
         Ok(())
     }
 
-    /// Frees the session if no stream has taken it in time.
-    pub async fn expire(self: Arc<Self>, id: String) {
-        tokio::select! {
-            () = tokio::time::sleep(self.limits.unattached) => {}
-            () = self.stop.cancelled() => {}
+    pub fn describe(&self, id: &str) -> Result<Summary> {
+        lock(&self.entries).get(id).map(|e| e.summary(id)).ok_or_else(|| unknown(id))
+    }
+
+    pub fn list(&self) -> Vec<Summary> {
+        let mut all: Vec<_> = lock(&self.entries).iter().map(|(id, entry)| entry.summary(id)).collect();
+        all.sort_by(|a, b| a.name.cmp(&b.name));
+        all
+    }
+
+    /// Frees sessions whose lease has run out, until the server stops.
+    pub async fn expire(self: Arc<Self>) {
+        let pause = (self.limits.lease / 10).clamp(Duration::from_millis(5), Duration::from_secs(5));
+        while self.stop.run_until_cancelled(tokio::time::sleep(pause)).await.is_some() {
+            let late =
+                |e: &Entry| !e.attached && e.environments.is_some() && e.idle_since.elapsed() > self.limits.lease;
+            let late: Vec<_> = lock(&self.entries).extract_if(|_, entry| late(entry)).collect();
+            for (id, entry) in late {
+                tracing::info!(session = name(&id), "a session's lease has run out");
+                release(entry.environments);
+            }
         }
-        let mut entries = lock(&self.entries);
-        if entries.get(&id).is_some_and(|e| e.environments.is_some()) {
-            let entry = entries.remove(&id);
-            drop(entries);
-            release(entry.and_then(|e| e.environments));
-            tracing::debug!("a session expired before it had a stream");
+    }
+}
+
+impl Entry {
+    fn summary(&self, id: &str) -> Summary {
+        Summary {
+            name: name(id),
+            blueprint: self.blueprint.clone(),
+            envs: self.envs,
+            attached: self.attached,
+            sequence: self.sequence,
+            idle: if self.attached { Duration::ZERO } else { self.idle_since.elapsed() },
         }
     }
 }

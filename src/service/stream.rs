@@ -11,15 +11,16 @@
 
 use super::proto::run_session_request::Request;
 use super::proto::run_session_response::Response;
-use super::proto::{RunSessionRequest, RunSessionResponse};
-use super::sessions::{Environments, Sessions};
-use super::{decode, encode, sessions, status};
+use super::proto::{Attached, RunSessionRequest, RunSessionResponse, Snapshot};
+use super::sessions::{Done, Environments, Hold, Sessions};
+use super::{decode, encode, rollout, status};
 use crate::error::Error;
-use crate::pool::Pool;
+use crate::pool::{Operation, Pool};
 use futures_util::{Stream, stream};
 use std::sync::Arc;
-use tokio::sync::oneshot;
-use tokio_util::sync::CancellationToken;
+use std::time::Duration;
+use tokio::sync::mpsc;
+use tokio::time::Instant;
 use tonic::{Status, Streaming};
 
 /// The answers to `requests`.
@@ -28,7 +29,7 @@ pub fn run(
     sessions: Arc<Sessions>,
     pool: Arc<Pool>,
 ) -> impl Stream<Item = Result<RunSessionResponse, Status>> {
-    let run = Run { requests, sessions, pool, attached: None };
+    let run = Run { requests, sessions, pool, attached: None, answers: None, next: Instant::now() };
     stream::try_unfold(run, |mut run| async move { Ok(run.answer().await?.map(|answer| (answer, run))) })
 }
 
@@ -38,113 +39,193 @@ struct Run {
     sessions: Arc<Sessions>,
     pool: Arc<Pool>,
     /// None until the first message has named the session.
-    attached: Option<Attached>,
+    attached: Option<Guard>,
+    /// Where the present request's answers come from.
+    answers: Option<mpsc::Receiver<RunSessionResponse>>,
+    /// No request is read before this time.
+    next: Instant,
 }
 
-/// The session a stream holds; it ends with the stream.
-struct Attached {
-    id: String,
+/// Lets the session go when the stream ends.
+struct Guard {
+    hold: Hold,
     sessions: Arc<Sessions>,
-    /// Cancelled when the session is closed by name or the server stops.
-    end: CancellationToken,
-    /// None while an operation runs.
-    environments: Option<Environments>,
 }
 
-impl Drop for Attached {
+impl Drop for Guard {
     fn drop(&mut self) {
-        sessions::release(self.environments.take());
-        // Fails if the session was closed by name: then it is gone already.
-        let _ = self.sessions.close(&self.id);
+        self.sessions.detach(&self.hold);
     }
 }
 
-/// An operation's result on its way back to the stream.
-struct Answer {
-    environments: Environments,
-    response: Response,
+/// What a request was given for its work; every path but a worker's panic ends in [`Work::finish`].
+pub struct Work {
+    pub environments: Environments,
+    pub sequence: u64,
+    pub sessions: Arc<Sessions>,
+    pub id: String,
+    pub answers: mpsc::Sender<RunSessionResponse>,
 }
 
 impl Run {
-    /// Answers the next request; none when the client has no more.
+    /// The next answer; none when the client has no more requests.
     async fn answer(&mut self) -> Result<Option<RunSessionResponse>, Status> {
-        let Some(request) = self.next_request().await? else { return Ok(None) };
-        let attached = match &mut self.attached {
-            Some(attached) => attached,
-            none => none.insert(Attached::new(&request.session_id, &self.sessions).map_err(|e| status::status(&e))?),
-        };
-        let sequence = request.sequence;
-        let response = match attached.check_id(&request.session_id) {
-            Ok(()) => attached.carry_out(request, &self.pool).await?,
-            Err(error) => Response::Failure(status::failure(&error)),
-        };
-        Ok(Some(RunSessionResponse { sequence, response: Some(response) }))
+        loop {
+            if let Some(answers) = &mut self.answers {
+                if let Some(answer) = answers.recv().await {
+                    return Ok(Some(answer));
+                }
+                self.answers = None;
+            }
+            let Some(request) = self.next_request().await? else { return Ok(None) };
+            if let Some(answer) = self.begin(request).await? {
+                return Ok(Some(answer));
+            }
+        }
     }
 
     /// The next message, unless the session or the server ends first.
     async fn next_request(&mut self) -> Result<Option<RunSessionRequest>, Status> {
-        let end = self.attached.as_ref().map_or(self.sessions.stop(), |a| &a.end);
+        let end = self.attached.as_ref().map_or(self.sessions.stop(), |a| &a.hold.end).clone();
+        if let Some(rate) = self.sessions.limits().rate {
+            tokio::time::sleep_until(self.next).await;
+            self.next = Instant::now() + Duration::from_secs(1) / rate.max(1);
+        }
         tokio::select! {
             biased;
-            () = end.cancelled() => Err(match self.sessions.stop().is_cancelled() {
-                true => Status::unavailable("the server is shutting down"),
-                false => Status::cancelled("the session was closed"),
-            }),
+            () = end.cancelled() => Err(self.ended()),
             message = self.requests.message() => message.map_err(status::unreadable),
         }
     }
-}
 
-impl Attached {
-    fn new(id: &str, sessions: &Arc<Sessions>) -> crate::Result<Self> {
-        let (environments, end) = sessions.attach(id)?;
-        Ok(Self { id: id.into(), sessions: sessions.clone(), end, environments: Some(environments) })
-    }
-
-    /// Only the first message of a stream has to name the session.
-    fn check_id(&self, id: &str) -> crate::Result<()> {
-        if id.is_empty() || id == self.id {
-            return Ok(());
-        }
-        Err(Error::invalid(
-            "session_id",
-            format!("{id:?} is not this stream's session; leave it empty or open a stream"),
-        ))
-    }
-
-    async fn carry_out(&mut self, request: RunSessionRequest, pool: &Arc<Pool>) -> Result<Response, Status> {
-        let lost = || status::bug("the simulation of this session failed");
-        let environments = self.environments.take().ok_or_else(lost)?;
-        let (sender, receiver) = oneshot::channel();
-        let light = decode::is_light(&request);
-        let pool = pool.clone();
-        let begin = move || begin(environments, request.request, &pool, sender);
-        if light {
-            begin();
+    /// Why the stream has no session any more.
+    fn ended(&self) -> Status {
+        let taken = |a: &Guard| self.sessions.was_taken(&a.hold);
+        if self.sessions.stop().is_cancelled() {
+            Status::unavailable("the server is shutting down")
+        } else if self.attached.as_ref().is_some_and(taken) {
+            Status::aborted("another stream has taken the session")
         } else {
-            tokio::task::spawn_blocking(begin);
+            Status::cancelled("the session was closed")
         }
-        let answer = receiver.await.map_err(|_| lost())?;
-        self.environments = Some(answer.environments);
-        Ok(answer.response)
+    }
+
+    /// Starts work on a request. Some: it is answered at once.
+    async fn begin(&mut self, request: RunSessionRequest) -> Result<Option<RunSessionResponse>, Status> {
+        let hold = match &self.attached {
+            Some(attached) => &attached.hold,
+            None => {
+                let hold = self.sessions.attach(&request.session_id).map_err(|e| status::status(&e))?;
+                &self.attached.insert(Guard { hold, sessions: self.sessions.clone() }).hold
+            }
+        };
+        let sequence = request.sequence;
+        let at_once = |response| Ok(Some(RunSessionResponse { sequence, response: Some(response) }));
+        if !request.session_id.is_empty() && request.session_id != hold.id {
+            let reason = format!("{:?} is not this stream's; leave it empty or open a stream", request.session_id);
+            return at_once(Response::Failure(status::failure(&Error::invalid("session_id", reason))));
+        }
+        let Some(environments) = self.sessions.take(hold).await else { return Err(self.ended()) };
+        if matches!(request.request, Some(Request::Attach(_))) {
+            let last_sequence = environments.done.sequence;
+            self.sessions.give_back(&hold.id, environments);
+            return at_once(Response::Attached(Attached { last_sequence }));
+        }
+        if let Some(answer) = repeated(&environments.done, sequence) {
+            self.sessions.give_back(&hold.id, environments);
+            return Ok(Some(answer));
+        }
+        let (sender, receiver) = mpsc::channel(2);
+        self.answers = Some(receiver);
+        let (sessions, id) = (self.sessions.clone(), hold.id.clone());
+        let work = Work { environments, sequence, sessions, id, answers: sender };
+        start(work, request, self.pool.clone());
+        Ok(None)
     }
 }
 
-/// Checks a request and starts its operation. The answer comes through `sender`; if the stream is gone by then, the
-/// environments are freed. If a worker panicked there is no answer.
-fn begin(mut environments: Environments, request: Option<Request>, pool: &Pool, sender: oneshot::Sender<Answer>) {
-    let operation = match decode::operation(&mut environments.batch, request) {
-        Ok(operation) => operation,
-        Err(error) => {
-            let _ = sender.send(Answer { environments, response: Response::Failure(status::failure(&error)) });
-            return;
+/// The answer to a request that is not the next one: the last one's again, or a refusal.
+fn repeated(done: &Done, sequence: u64) -> Option<RunSessionResponse> {
+    match sequence {
+        0 => None,
+        n if n == done.sequence => done.answer.clone(),
+        n if n == done.sequence + 1 => None,
+        n => {
+            let (last, next) = (done.sequence, done.sequence + 1);
+            let reason = format!("sequence: {n} follows {last}; {next} is next, {last} repeats the last answer");
+            let failure = Response::Failure(status::failure(&Error::OutOfOrder(reason)));
+            Some(RunSessionResponse { sequence, response: Some(failure) })
         }
+    }
+}
+
+fn start(work: Work, request: RunSessionRequest, pool: Arc<Pool>) {
+    let light = decode::is_light(&request);
+    let begin = move || carry_out(work, request.request, &pool);
+    if light {
+        begin();
+    } else {
+        tokio::task::spawn_blocking(begin);
+    }
+}
+
+/// Checks a request and starts its operation.
+fn carry_out(mut work: Work, request: Option<Request>, pool: &Arc<Pool>) {
+    let batch = &mut work.environments.batch;
+    let operation = match request {
+        Some(Request::Save(_)) => {
+            let saved = batch.save().and_then(|s| s.to_bytes());
+            return match saved {
+                Ok(data) => work.finish(Response::Snapshot(Snapshot { data: data.into() }), false),
+                Err(error) => work.refuse(&error),
+            };
+        }
+        Some(Request::Rollout(request)) => return rollout::start(work, &request, pool.clone()),
+        request => decode::operation(batch, request),
     };
-    let Environments { batch, reservation } = environments;
-    pool.run(batch, operation, move |batch| {
-        if let Ok(batch) = batch {
-            let response = Response::Batch(encode::batch(&batch));
-            let _ = sender.send(Answer { environments: Environments { batch, reservation }, response });
+    match operation {
+        Ok(operation) => work.run(operation, pool),
+        Err(error) => work.refuse(&error),
+    }
+}
+
+impl Work {
+    /// Carries `operation` out and answers with the batch that it gives.
+    fn run(self, operation: Operation, pool: &Pool) {
+        let Self { environments, sequence, sessions, id, answers } = self;
+        let (batch, rest) = environments.into_parts();
+        pool.run(batch, operation, move |batch| match batch {
+            Ok(batch) => {
+                let response = Response::Batch(encode::batch(&batch));
+                let environments = rest.with(batch);
+                Self { environments, sequence, sessions, id, answers }.finish(response, true);
+            }
+            Err(error) => lost(&sessions, &id, &error),
+        });
+    }
+
+    /// Refuses the request; the environments are as they were.
+    pub fn refuse(self, error: &Error) {
+        self.finish(Response::Failure(status::failure(error)), true);
+    }
+
+    /// Puts the environments back and answers. A request that changed nothing need not keep its answer: it can be
+    /// carried out again.
+    pub fn finish(mut self, response: Response, keep: bool) {
+        let answer = RunSessionResponse { sequence: self.sequence, response: Some(response) };
+        if self.sequence > 0 {
+            self.environments.done = Done { sequence: self.sequence, answer: keep.then(|| answer.clone()) };
         }
-    });
+        self.sessions.give_back(&self.id, self.environments);
+        // The stream may be gone; whoever takes the session next asks for the answer again. The channel has room: this
+        // is the last of a request's answers, and the stream reads them all before it reads the next request.
+        let _ = self.answers.try_send(answer);
+    }
+}
+
+/// A worker panicked and took the environments with it.
+pub fn lost(sessions: &Sessions, id: &str, error: &Error) {
+    tracing::error!(session = super::sessions::name(id), %error, "a session was lost");
+    // It may have been closed meanwhile.
+    let _ = sessions.close(id);
 }

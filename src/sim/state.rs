@@ -47,6 +47,17 @@ impl ObjectState {
         let [position, orientation] = [&self.position[..], &self.orientation];
         position.iter().chain(orientation).chain(&self.velocity).chain(&self.angular_velocity)
     }
+
+    /// The inverse of [`Self::numbers`].
+    fn from_numbers(numbers: &[f64; 13]) -> Self {
+        let [px, py, pz, w, x, y, z, vx, vy, vz, ox, oy, oz] = *numbers;
+        Self {
+            position: [px, py, pz],
+            orientation: [w, x, y, z],
+            velocity: [vx, vy, vz],
+            angular_velocity: [ox, oy, oz],
+        }
+    }
 }
 
 impl State {
@@ -64,6 +75,40 @@ impl State {
             work: 0.0,
             objects: Vec::new(),
         }
+    }
+
+    /// All of it as one row, for [`Self::from_row`].
+    pub fn row(&self) -> Vec<f64> {
+        let mut row = Vec::with_capacity(14 + 4 * self.angles.len() + 13 * self.objects.len());
+        row.extend(self.position.iter().chain(&self.orientation).chain(&self.velocity).chain(&self.angular_velocity));
+        row.push(self.work);
+        row.extend(self.angles.iter().chain(&self.rates).chain(&self.references).chain(&self.torques));
+        row.extend(self.objects.iter().flat_map(ObjectState::numbers));
+        row
+    }
+
+    /// The state of a robot with `joints` joints from its [`Self::row`]; none if the row has another length than such
+    /// robots' have.
+    pub fn from_row(joints: usize, row: &[f64]) -> Option<Self> {
+        let (base, rest) = row.split_at_checked(14)?;
+        let (joint, objects) = rest.split_at_checked(4 * joints)?;
+        let (objects, rest) = objects.as_chunks::<13>();
+        if !rest.is_empty() {
+            return None;
+        }
+        let part = |i: usize| joint[i * joints..][..joints].to_vec();
+        Some(Self {
+            position: base[..3].try_into().ok()?,
+            orientation: base[3..7].try_into().ok()?,
+            velocity: base[7..10].try_into().ok()?,
+            angular_velocity: base[10..13].try_into().ok()?,
+            work: base[13],
+            angles: part(0),
+            rates: part(1),
+            references: part(2),
+            torques: part(3),
+            objects: objects.iter().map(ObjectState::from_numbers).collect(),
+        })
     }
 
     /// Are all numbers finite and small enough that the next step can be computed? 1e4 m or rad/s is far beyond any

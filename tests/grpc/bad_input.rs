@@ -54,7 +54,7 @@ async fn wrong_resets() {
     refused(reset(&[1, 2], &[]), invalid, &["seeds", "2 entries for 3"]).await;
     refused(reset(&[], &[1, 1, 1, 1]), invalid, &["mask", "4 entries for 3"]).await;
     refused(reset(&[], &[1, 7, 0]), invalid, &["mask[1]", "7"]).await;
-    refused(None, invalid, &["neither reset nor step"]).await;
+    refused(None, invalid, &["neither reset, step"]).await;
 }
 
 #[tokio::test]
@@ -141,7 +141,11 @@ async fn a_session_nobody_knows() {
 
 #[tokio::test]
 async fn sessions_are_returned_to_the_limit() {
-    let server = Server::with_limits(1, Limits { sessions: 2, ..Default::default() }).await;
+    let server = Server::with_limits(
+        1,
+        Limits { sessions: 2, lease: std::time::Duration::from_millis(20), ..Default::default() },
+    )
+    .await;
     let (_a, mut b) = (server.session(1).await, server.session(1).await);
     b.reset(0).await;
     let full = Session::create(server.client().await, 1, &[]).await.err().unwrap();

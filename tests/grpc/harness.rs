@@ -3,8 +3,8 @@
 use sandgait::service::proto::environment_service_client::EnvironmentServiceClient;
 use sandgait::service::proto::run_session_request::Request;
 use sandgait::service::proto::run_session_response::Response;
+use sandgait::service::proto::{Attach, DescribeSessionRequest, Step, Task};
 use sandgait::service::proto::{Batch, CreateSessionRequest, Failure, Reset, RunSessionRequest, RunSessionResponse};
-use sandgait::service::proto::{Step, Task};
 use sandgait::service::{Address, Limits, Listener, PROTOCOL, serve};
 use std::time::Duration;
 use tokio::sync::mpsc;
@@ -87,6 +87,13 @@ pub fn create(envs: u32, fields: &[(&str, prost_types::Value)]) -> CreateSession
     CreateSessionRequest { task_id: TASK.into(), num_envs: envs, options: options(fields), protocol: PROTOCOL }
 }
 
+/// A stream: where requests go and answers come from.
+async fn open(client: &mut Client) -> Result<(mpsc::Sender<RunSessionRequest>, Streaming<RunSessionResponse>), Status> {
+    let (requests, receiver) = mpsc::channel(8);
+    let answers = client.run_session(ReceiverStream::new(receiver)).await?.into_inner();
+    Ok((requests, answers))
+}
+
 /// An attached session: a stream on which messages go back and forth.
 pub struct Session {
     pub client: Client,
@@ -99,12 +106,33 @@ pub struct Session {
 }
 
 impl Session {
-    pub async fn create(mut client: Client, envs: u32, fields: &[(&str, prost_types::Value)]) -> Result<Self, Status> {
-        let created = client.create_session(create(envs, fields)).await?.into_inner();
-        let (requests, receiver) = mpsc::channel(8);
-        let answers = client.run_session(ReceiverStream::new(receiver)).await?.into_inner();
+    pub async fn create(client: Client, envs: u32, fields: &[(&str, prost_types::Value)]) -> Result<Self, Status> {
+        Self::create_by(client, create(envs, fields)).await
+    }
+
+    pub async fn create_by(mut client: Client, request: CreateSessionRequest) -> Result<Self, Status> {
+        let envs = request.num_envs;
+        let created = client.create_session(request).await?.into_inner();
+        let (requests, answers) = open(&mut client).await?;
         let task = created.task.unwrap();
         Ok(Self { client, id: created.session_id, task, envs: envs as usize, requests, answers, sequence: 0 })
+    }
+
+    /// Takes the session up on a stream of its own, as a client that lost its stream does; `sequence` is the number of
+    /// the last request that it has an answer to. Gives the number of the last one that the server carried out.
+    pub async fn resume(mut client: Client, id: &str, sequence: u64) -> Result<(Self, u64), Status> {
+        let request = DescribeSessionRequest { session_id: id.into() };
+        let described = client.describe_session(request).await?.into_inner();
+        let (requests, answers) = open(&mut client).await?;
+        let (task, envs) = (described.task.unwrap(), described.summary.unwrap().num_envs as usize);
+        let mut session = Self { client, id: id.into(), task, envs, requests, answers, sequence };
+        let message =
+            RunSessionRequest { session_id: id.into(), sequence: 0, request: Some(Request::Attach(Attach {})) };
+        session.requests.send(message).await.unwrap();
+        match session.receive().await? {
+            (0, Response::Attached(attached)) => Ok((session, attached.last_sequence)),
+            (_, other) => panic!("{other:?}"),
+        }
     }
 
     /// Sends without waiting; the session is named in every message.
@@ -122,7 +150,7 @@ impl Session {
         Ok((answer.sequence, answer.response.unwrap()))
     }
 
-    async fn ask(&mut self, request: Option<Request>) -> Response {
+    pub async fn ask(&mut self, request: Option<Request>) -> Response {
         let sent = self.send(request).await;
         let (sequence, response) = self.receive().await.unwrap();
         assert_eq!(sequence, sent);
@@ -132,14 +160,14 @@ impl Session {
     pub async fn batch(&mut self, request: Request) -> Batch {
         match self.ask(Some(request)).await {
             Response::Batch(batch) => batch,
-            Response::Failure(failure) => panic!("{}", failure.message),
+            other => panic!("{other:?}"),
         }
     }
 
     pub async fn failure(&mut self, request: Option<Request>) -> Failure {
         match self.ask(request).await {
             Response::Failure(failure) => failure,
-            Response::Batch(_) => panic!("the request was carried out"),
+            _ => panic!("the request was carried out"),
         }
     }
 

@@ -4,7 +4,9 @@ mod bad_input;
 mod determinism;
 mod harness;
 mod raw;
+mod rollouts;
 mod sessions;
+mod snapshots;
 mod traps;
 
 use harness::{ACTIONS, Server, Session, TASK, floats, number, options, text};

@@ -2,8 +2,8 @@
 
 use crate::harness::{Server, Session, create, step, wave};
 use sandgait::service::Limits;
-use sandgait::service::proto::run_session_request::Request;
-use sandgait::service::proto::{CloseSessionRequest, Reset, RunSessionRequest};
+use sandgait::service::proto::run_session_response::Response;
+use sandgait::service::proto::{CloseSessionRequest, DescribeSessionRequest, ListSessionsRequest, RunSessionRequest};
 use std::time::Duration;
 use tonic::Code;
 
@@ -44,20 +44,8 @@ async fn two_sessions_do_not_see_each_other() {
 }
 
 #[tokio::test]
-async fn a_session_ends_with_its_stream() {
-    let server = Server::start(1).await;
-    let mut session = server.session(2).await;
-    session.reset(0).await;
-    let id = session.id.clone();
-    drop(session);
-    // A dropped client closes its connection; the server hears of it a moment later.
-    tokio::time::sleep(Duration::from_millis(200)).await;
-    assert!(!is_known(&server, &id).await);
-}
-
-#[tokio::test]
 async fn a_client_that_dies_in_mid_step_leaves_no_trace() {
-    let limits = Limits { sessions: 1, ..Default::default() };
+    let limits = Limits { sessions: 1, lease: Duration::from_millis(20), ..Default::default() };
     let server = Server::with_limits(1, limits).await;
     for _ in 0..5 {
         let mut session = None;
@@ -74,16 +62,70 @@ async fn a_client_that_dies_in_mid_step_leaves_no_trace() {
 }
 
 #[tokio::test]
-async fn one_stream_a_session() {
+async fn the_newest_stream_has_the_session() {
     let server = Server::start(1).await;
-    let (mut first, mut second) = (server.session(1).await, server.session(1).await);
+    let mut first = server.session(1).await;
     first.reset(0).await;
-    second.id = first.id.clone();
-    second.send(Some(Request::Reset(Reset::default()))).await;
-    let status = second.receive().await.unwrap_err();
-    assert_eq!(status.code(), Code::FailedPrecondition);
-    assert!(status.message().contains("already has a stream"));
-    first.step(0).await;
+    let (mut second, last) = Session::resume(server.client().await, &first.id, 1).await.unwrap();
+    assert_eq!(last, 1);
+    let status = first.receive().await.unwrap_err();
+    assert_eq!(status.code(), Code::Aborted);
+    assert!(status.message().contains("another stream has taken"), "{}", status.message());
+    second.step(0).await;
+}
+
+/// What a client that lost its stream does, whether or not its last request was carried out.
+#[tokio::test]
+async fn a_lost_stream_loses_and_doubles_nothing() {
+    let server = Server::start(2).await;
+    let (mut session, mut undisturbed) = (server.session(20).await, server.session(20).await);
+    assert_eq!(session.reset(3).await, undisturbed.reset(3).await);
+    for time in 0..30_u64 {
+        let expected = undisturbed.step(time as usize).await;
+        if time % 3 == 0 {
+            let sent = session.send(Some(step(&wave(0..20, time as usize)))).await;
+            tokio::time::sleep(Duration::from_micros(400 * (time % 7))).await;
+            let id = session.id.clone();
+            drop(session); // in the middle of the step, before it or after
+            let (again, last) = Session::resume(server.client().await, &id, sent - 1).await.unwrap();
+            assert!(last == sent || last == sent - 1, "{last} {sent}");
+            session = again;
+        }
+        assert_eq!(session.step(time as usize).await, expected, "step {time}");
+    }
+}
+
+#[tokio::test]
+async fn a_number_out_of_turn_is_refused_and_changes_nothing() {
+    let server = Server::start(1).await;
+    let (mut session, mut undisturbed) = (server.session(2).await, server.session(2).await);
+    assert_eq!(session.reset(3).await, undisturbed.reset(3).await);
+    for wrong in [3, 9, u64::MAX] {
+        let message = RunSessionRequest { sequence: wrong, request: Some(step(&wave(0..2, 0))), ..Default::default() };
+        session.requests.send(message).await.unwrap();
+        let (sequence, response) = session.receive().await.unwrap();
+        let Response::Failure(failure) = response else { panic!("{response:?}") };
+        assert_eq!((sequence, failure.code), (wrong, Code::FailedPrecondition.into()));
+        assert!(failure.message.contains("2 is next"), "{}", failure.message);
+    }
+    assert_eq!(session.step(1).await, undisturbed.step(1).await);
+}
+
+#[tokio::test]
+async fn lists_name_sessions_without_giving_them_away() {
+    let server = Server::start(1).await;
+    let mut session = server.session(3).await;
+    session.reset(0).await;
+    let mut client = server.client().await;
+    let list = client.list_sessions(ListSessionsRequest {}).await.unwrap().into_inner().sessions;
+    let [summary] = &list[..] else { panic!("{list:?}") };
+    assert_eq!((summary.num_envs, summary.attached, summary.sequence), (3, true, 1));
+    assert!(!session.id.starts_with(&summary.name));
+    let described = client.describe_session(DescribeSessionRequest { session_id: session.id.clone() }).await.unwrap();
+    let described = described.into_inner();
+    assert_eq!((described.task.as_ref(), described.summary.as_ref()), (Some(&session.task), Some(summary)));
+    let status = client.describe_session(DescribeSessionRequest { session_id: "x".into() }).await.unwrap_err();
+    assert_eq!(status.code(), Code::NotFound);
 }
 
 #[tokio::test]
@@ -103,13 +145,13 @@ async fn only_the_first_message_names_the_session() {
     let mut session = server.session(1).await;
     session.reset(0).await;
     let request = Some(step(&wave(0..1, 0)));
-    session.requests.send(RunSessionRequest { session_id: String::new(), sequence: 7, request }).await.unwrap();
-    assert_eq!(session.receive().await.unwrap().0, 7);
+    session.requests.send(RunSessionRequest { session_id: String::new(), sequence: 2, request }).await.unwrap();
+    assert_eq!(session.receive().await.unwrap().0, 2);
 }
 
 #[tokio::test]
 async fn a_session_without_a_stream_expires() {
-    let limits = Limits { unattached: Duration::from_millis(50), ..Default::default() };
+    let limits = Limits { lease: Duration::from_millis(50), ..Default::default() };
     let server = Server::with_limits(1, limits).await;
     let mut attached = server.session(1).await;
     attached.reset(0).await;
