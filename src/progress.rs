@@ -17,3 +17,22 @@ impl Progress for Silent {
         Ok(())
     }
 }
+
+/// A stretch of longer work: its 0 to 1 are `ends` of the whole.
+pub struct Part<'a> {
+    whole: &'a dyn Progress,
+    ends: [f64; 2],
+}
+
+impl<'a> Part<'a> {
+    pub fn new(whole: &'a dyn Progress, ends: [f64; 2]) -> Self {
+        Self { whole, ends }
+    }
+}
+
+impl Progress for Part<'_> {
+    fn report(&self, done: f64, stage: &str) -> Result<()> {
+        let [start, end] = self.ends;
+        self.whole.report(start + (end - start) * done, stage)
+    }
+}

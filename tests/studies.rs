@@ -1,6 +1,7 @@
 //! Calibration and design studies.
 
 use sandgait::calibrate::calibrate;
+use sandgait::progress::Silent;
 use sandgait::sand::Medium;
 use sandgait::sim::engine::EngineKind;
 use sandgait::sim::model::Scene;
@@ -102,7 +103,7 @@ fn packed_walks_are_the_walks_alone() {
             trials.push(d.trial().unwrap());
         }
     }
-    let together = walk_all(&trials, &|_| ()).unwrap();
+    let together = walk_all(EngineKind::Lanes, &trials, &Silent).unwrap();
     for (trial, result) in trials.iter().zip(&together) {
         assert_eq!(walk::walk(EngineKind::Lanes, trial).unwrap(), *result);
     }
@@ -152,8 +153,12 @@ fn the_search_beats_a_grid() {
         Parameter::named("xi").unwrap().set(&mut d, &(5 * k).to_string()).unwrap();
         d.trial().unwrap()
     });
-    let best = walk_all(&grid.collect::<Vec<_>>(), &|_| ()).unwrap().iter().map(|r| r.speed).fold(0.0, f64::max);
-    let [a, b] = [(); 2].map(|()| optimize::optimize(&design(), &axes, Measure::Speed, &|_| ()).unwrap());
+    let best = walk_all(EngineKind::Lanes, &grid.collect::<Vec<_>>(), &Silent)
+        .unwrap()
+        .iter()
+        .map(|r| r.speed)
+        .fold(0.0, f64::max);
+    let [a, b] = [(); 2].map(|()| optimize::optimize(&design(), &axes, Measure::Speed, &Silent).unwrap());
     assert!(a.result.speed >= best * 0.999 && (0.0..=75.0).contains(&a.values[0]), "{} {best}", a.result.speed);
     assert_eq!(a.values, b.values);
 }

@@ -1,6 +1,5 @@
 //! `sandgait walk`
 
-use sandgait::sand::{Law, SandDescription};
 use sandgait::sim::engine::EngineKind;
 use sandgait::sim::model::Scene;
 use sandgait::sim::walk::{Trial, walk};
@@ -57,11 +56,8 @@ impl Walk {
         if let Some(leg) = &self.leg {
             robot = robot.with_leg_shape(leg)?;
         }
-        let mut scene = Scene::flat(super::medium(&self.medium)?);
-        (scene.law, scene.slope_deg, scene.dt) = (Law::named(&self.law)?, self.slope_deg, self.dt);
-        if let Some(sand) = &self.sand {
-            scene.set_sand(&SandDescription::load(sand)?);
-        }
+        let mut scene = Scene::on(&super::sand(&self.medium, &self.law, self.sand.as_deref())?);
+        (scene.slope_deg, scene.dt) = (self.slope_deg, self.dt);
         let engine = EngineKind::named(&self.engine)?;
         let trial = Trial::new(Model::new(&robot, &scene)?, self.frequency);
         let clock = Instant::now();

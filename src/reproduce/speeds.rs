@@ -5,7 +5,9 @@ use super::claims::{Claim, extremes, percent};
 use super::{Part, Table};
 use crate::error::Result;
 use crate::plot::{Axis, Figure, Mark, Panel, Style, color};
+use crate::progress::Silent;
 use crate::sand::Law;
+use crate::sim::engine::EngineKind;
 use crate::sim::walk::WalkResult;
 use crate::sweep::walk_all;
 
@@ -33,7 +35,7 @@ impl Curve {
                 trials.push(design.trial()?);
             }
         }
-        let results = walk_all(&trials, &|_| ())?;
+        let results = walk_all(EngineKind::Lanes, &trials, &Silent)?;
         Ok(Self { rows: results.chunks(width).map(<[WalkResult]>::to_vec).collect() })
     }
 
@@ -126,7 +128,8 @@ fn three_laws() -> Result<(Figure, Table)> {
         let mut marks = Vec::new();
         for (law, hue) in Law::ALL.into_iter().zip([color::BLUE, color::BLACK, color::GREEN]) {
             let trials = frequencies().into_iter().map(|f| robot(law, xi, f)?.trial()).collect::<Result<Vec<_>>>()?;
-            let speeds: Vec<f64> = walk_all(&trials, &|_| ())?.iter().map(|r| 100.0 * r.speed).collect();
+            let speeds: Vec<f64> =
+                walk_all(EngineKind::Lanes, &trials, &Silent)?.iter().map(|r| 100.0 * r.speed).collect();
             let at = |f: f64| frequencies().iter().position(|g| *g == f).map_or(f64::NAN, |i| speeds[i]);
             let cells = [1.0, 2.0, 3.0, 5.0].map(|f| format!("{:.2}", at(f)));
             table.rows.push([name.to_owned(), law.name().to_owned()].into_iter().chain(cells).collect());
