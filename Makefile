@@ -44,7 +44,7 @@ proto:
 	$(PYTHON) -m venv $(VENV)-proto
 	$(VENV)-proto/bin/pip install --quiet "grpcio-tools==1.62.3"
 	$(VENV)-proto/bin/python -m grpc_tools.protoc --proto_path=proto --python_out=python_client/sandgait/_proto \
-		--pyi_out=python_client/sandgait/_proto proto/sandgait/v1/sandgait.proto
+		--pyi_out=python_client/sandgait/_proto proto/sandgait/v1/*.proto
 
 $(VENV)/tools: $(PINS)
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "Python 3.10 or newer is needed")'

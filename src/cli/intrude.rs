@@ -1,7 +1,7 @@
 //! `sandgait intrude`
 
-use sandgait::sand::Shape;
-use sandgait::sand::intrusion::{Load, Rotation};
+use sandgait::sand::intrusion::{CHORD, HIP_HEIGHT, Load, OMEGA, Rotation, WIDTH};
+use sandgait::sand::{Law, Medium, Shape};
 use sandgait::{Error, Result};
 use std::path::PathBuf;
 
@@ -19,22 +19,22 @@ pub struct Intrude {
     #[arg(long, allow_hyphen_values = true)]
     shape: String,
     /// Distance from hip to tip [m]
-    #[arg(long, value_name = "METRES", default_value_t = 0.076)]
+    #[arg(long, value_name = "METRES", default_value_t = CHORD)]
     chord: f64,
     /// Width of the leg [m]
-    #[arg(long, value_name = "METRES", default_value_t = 0.025)]
+    #[arg(long, value_name = "METRES", default_value_t = WIDTH)]
     width: f64,
     /// Height of the hip above the surface [m]
-    #[arg(long, value_name = "METRES", default_value_t = 0.02, allow_negative_numbers = true)]
+    #[arg(long, value_name = "METRES", default_value_t = HIP_HEIGHT, allow_negative_numbers = true)]
     hip_height: f64,
     /// Angular speed [rad/s]; negative turns the tip backward
-    #[arg(long, value_name = "RAD/S", default_value_t = 0.2, allow_negative_numbers = true)]
+    #[arg(long, value_name = "RAD/S", default_value_t = OMEGA, allow_negative_numbers = true)]
     omega: f64,
     /// Sand: a name from `sandgait media`, or zeta=VALUE
-    #[arg(long, default_value = "poppy-loose")]
+    #[arg(long, default_value = Medium::DEFAULT)]
     medium: String,
     /// Resistive force law: li2013, penetration-drag-1d or agarwal2023
-    #[arg(long, default_value = "li2013")]
+    #[arg(long, default_value = Law::Li2013.name())]
     law: String,
     /// A sand.toml, as a diagnosis writes it, in place of --medium and --law
     #[arg(long, value_name = "FILE", conflicts_with_all = ["medium", "law"])]

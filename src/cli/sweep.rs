@@ -2,6 +2,7 @@
 
 use super::Bar;
 use sandgait::plot::png;
+use sandgait::sand::{Law, Medium};
 use sandgait::sim::Robot;
 use sandgait::sim::model::Scene;
 use sandgait::sweep::{Axis, Design, Measure, grid, optimize, table};
@@ -26,16 +27,16 @@ pub struct Sweep {
     #[arg(long, value_name = "NAME=VALUE", allow_hyphen_values = true)]
     set: Vec<String>,
     /// Built-in robot or FILE.toml; legs of one joint
-    #[arg(long, default_value = "xplorer")]
+    #[arg(long, default_value = Robot::DEFAULT)]
     robot: String,
     /// Stride frequency [Hz]
-    #[arg(long, value_name = "HZ", default_value_t = 2.0)]
+    #[arg(long, value_name = "HZ", default_value_t = Design::FREQUENCY)]
     frequency: f64,
     /// Sand: a name from `sandgait media`, zeta=VALUE or mu=VALUE,rho=VALUE
-    #[arg(long, default_value = "poppy-loose")]
+    #[arg(long, default_value = Medium::DEFAULT)]
     medium: String,
     /// Resistive force law: li2013, penetration-drag-1d or agarwal2023
-    #[arg(long, default_value = "li2013")]
+    #[arg(long, default_value = Law::Li2013.name())]
     law: String,
     /// A sand.toml, as a diagnosis writes it, in place of --medium and --law
     #[arg(long, value_name = "FILE", conflicts_with_all = ["medium", "law"])]

@@ -59,10 +59,19 @@ pub struct Rotation {
     pub omega: f64,
 }
 
+/// The experiment of Li et al. 2012, section 3: 2R [m] …
+pub const CHORD: f64 = 0.076;
+/// … width [m] …
+pub const WIDTH: f64 = 0.025;
+/// … hip above the sand [m] …
+pub const HIP_HEIGHT: f64 = 0.02;
+/// … and angular speed [rad/s].
+pub const OMEGA: f64 = 0.2;
+
 impl Rotation {
-    /// The experiment of Li et al. 2012, section 3: 2R = 7.6 cm, width 2.5 cm, 0.2 rad/s, hip 2 cm above the sand.
+    /// In the paper's experiment.
     pub fn of(shape: Shape) -> Self {
-        Self { shape, chord: 0.076, width: 0.025, hip_height: 0.02, omega: 0.2 }
+        Self { shape, chord: CHORD, width: WIDTH, hip_height: HIP_HEIGHT, omega: OMEGA }
     }
 
     /// Angle [rad] and load in `sand`, from θ = −1.75 to 1.75. Mechanisms of sensors and logs do nothing here.

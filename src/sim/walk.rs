@@ -32,7 +32,7 @@ pub struct WalkResult {
     pub hip_torque_rms: f64,
     /// Commanded minus actual speed, over all joints [rad/s].
     pub hip_speed_error_rms: f64,
-    /// ∫ Σ|τ ω| dt over weight times distance.
+    /// ∫ Σ|τ ω| dt over weight times distance; not a number where the robot only stands.
     pub cost_of_transport: f64,
     /// Height that the base lost from the window's start to its end [m].
     pub sink: f64,
@@ -213,7 +213,10 @@ impl<'a> Meter<'a> {
             pitch_rms: mean(self.pitch_squared).sqrt(),
             hip_torque_rms: mean(self.torque_squared).sqrt(),
             hip_speed_error_rms: mean(self.error_squared).sqrt(),
-            cost_of_transport: (work_to - work_from) / (self.trial.model.total_mass() * GRAVITY * drift),
+            cost_of_transport: match self.trial.frequency {
+                0.0 => f64::NAN,
+                _ => (work_to - work_from) / (self.trial.model.total_mass() * GRAVITY * drift),
+            },
             sink: from[2] - to[2],
             drift,
         }

@@ -30,6 +30,9 @@ pub struct Design {
 }
 
 impl Design {
+    /// Stride frequency [Hz] unless another is given: our choice, legs of any shape walk at it.
+    pub const FREQUENCY: f64 = 2.0;
+
     /// Sets parameters by their names, in order.
     pub fn set<'a>(&mut self, settings: impl IntoIterator<Item = (&'a str, &'a str)>) -> Result<()> {
         settings.into_iter().try_for_each(|(name, value)| Parameter::named(name)?.set(self, value))
