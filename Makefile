@@ -30,7 +30,7 @@ test-rust:
 	cargo clippy --release --all-targets -- -D warnings
 	cargo test --release
 
-test-python: $(VENV)/sb3 $(VENV)/dev
+test-python: $(VENV)/sb3 $(VENV)/plot $(VENV)/dev
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
@@ -60,6 +60,6 @@ $(VENV)/wheel: $(SOURCES) $(VENV)/tools
 	@touch $@
 
 # The wheel with one of its extras. torch, which `sb3` brings, is some 5 GB: minutes, once.
-$(VENV)/sb3 $(VENV)/dev: $(VENV)/wheel
+$(VENV)/sb3 $(VENV)/plot $(VENV)/dev: $(VENV)/wheel
 	$(BIN)/pip install --quiet --constraint $(PINS) "$$(echo dist/*.whl)[$(@F)]"
 	@touch $@

@@ -1,10 +1,14 @@
-//! The service from outside, over a real socket: what is promised in `proto/sandgait/v1/sandgait.proto`.
+//! The service from outside, over a real socket: what is promised in `proto/sandgait/v1/`.
 
 mod bad_input;
 mod determinism;
 mod harness;
 mod raw;
 mod sessions;
+mod studies;
+#[expect(dead_code, reason = "the clean log is for other tests")]
+#[path = "../testbed/mod.rs"]
+mod testbed;
 mod traps;
 
 use harness::{ACTIONS, Server, Session, TASK, floats, number, options, text};
