@@ -155,17 +155,21 @@ fn map(html: &mut String, by: &str, misfit: &[Misfit], channels: &[&str]) {
     let _ = write!(html, "<line x1={ZERO} x2={ZERO} y1=22 y2={} stroke='#888'/></svg>", height - 6);
 }
 
-/// The range or group that a row of misfit is about.
-fn place(m: &Misfit) -> String {
-    let number = |v: f64| {
+/// A range with its unit, to a thousandth; one number where it is one.
+fn span(range: [f64; 2], of: &str) -> String {
+    let [low, high] = range.map(|v| {
         let text = format!("{v:.3}");
         text.trim_end_matches('0').trim_end_matches('.').replace('-', "−")
-    };
+    });
+    let unit = unit(of);
+    if low == high { format!("{high} {unit}") } else { format!("{low} … {high} {unit}") }
+}
+
+/// The range or group that a row of misfit is about.
+fn place(m: &Misfit) -> String {
     match (&m.group, m.range) {
         (Some(group), _) => group.clone(),
-        // The few values of a feature that takes few.
-        (None, Some([low, high])) if number(low) == number(high) => format!("{} {}", number(high), unit(&m.unit)),
-        (None, Some([low, high])) => format!("{} … {} {}", number(low), number(high), unit(&m.unit)),
+        (None, Some(range)) => span(range, &m.unit),
         (None, None) => String::new(),
     }
 }
@@ -217,17 +221,23 @@ fn panel(c: &Curves, u: usize, channel: usize) -> Panel {
     let dots = repetitions.flat_map(|v| {
         v.block(channel).zip(&v.progress).map(|(k, p)| [*p, o.values[k]]).step_by(v.samples.div_ceil(DRAWN))
     });
+    let dots: Vec<[f64; 2]> = dots.collect();
+    // The band may be far wider than everything else: it does not set the scale.
+    let shown = dots.iter().copied().chain(at(&|k| c.plain[k])).chain(at(&|k| model[k])).map(|p| p[1]);
+    let [least, most] = shown.fold([f64::MAX, f64::MIN], |r, v| [r[0].min(v), r[1].max(v)]);
+    let air = 0.08 * (most - least).max(1e-9);
     let low = at(&|k| model[k] - c.band[k]);
     let band = low.iter().zip(at(&|k| model[k] + c.band[k])).map(|(l, h)| [l[0], l[1], h[1]]).collect();
-    let mut marks = vec![Mark::band("one σ of a repetition", color::VERMILION, band), measured(dots.collect())];
+    let mut marks = vec![Mark::band("one σ of a repetition", color::VERMILION, band), measured(dots)];
     marks.push(Mark::line("plain", Style::line(color::BLUE).dashed(), at(&|k| c.plain[k])));
     if c.extended.is_some() {
         marks.push(Mark::line("extended", Style::line(color::VERMILION), at(&|k| model[k])));
     }
+    let label = format!("{} [{}]", o.channels[channel].name, o.channels[channel].unit);
     Panel {
         title: format!("{}, condition {}", c.groups[u], o.conditions[unit.condition]),
         x: Axis::new("angle [rad] or place along the path [m]"),
-        y: Axis::new(&format!("{} [{}]", o.channels[channel].name, o.channels[channel].unit)),
+        y: Axis::within(&label, least - air, most + air),
         marks,
     }
 }
@@ -303,7 +313,8 @@ fn unknowns(html: &mut String, r: &Report) {
         }
         html.push_str("</ul>");
     }
-    let ranges: Vec<_> = r.valid_range.iter().map(|(name, v)| format!("{name} {:.4} to {:.4}", v[0], v[1])).collect();
+    let units = |name: &str| r.misfit.iter().find(|m| m.by == name).map_or("", |m| m.unit.as_str());
+    let ranges: Vec<_> = r.valid_range.iter().map(|(name, v)| format!("{name} {}", span(*v, units(name)))).collect();
     let _ = write!(
         html,
         "<h2>Valid for</h2><p>{}</p><p><small>data SHA-256 {}</small></p>",
