@@ -109,6 +109,19 @@ fn packed_walks_are_the_walks_alone() {
     }
 }
 
+/// The window's ends lie between two samples at most frequencies: the work inside must not depend on where.
+#[test]
+fn the_cost_of_transport_is_smooth_in_the_frequency() {
+    let cost = |frequency: f64| {
+        let trial = Design { frequency, ..design() }.trial().unwrap();
+        walk::walk(EngineKind::Lanes, &trial).unwrap().cost_of_transport
+    };
+    for [aligned, between] in [[2.5, 2.497], [2.0, 2.003], [1.0, 0.9995]] {
+        let (a, b) = (cost(aligned), cost(between));
+        assert!((a / b - 1.0).abs() < 0.02, "{aligned} Hz: {a}, {between} Hz: {b}");
+    }
+}
+
 /// Every law walks alike in the engine that shares none of the other's dynamics.
 #[test]
 fn engines_agree_under_every_law() {

@@ -177,11 +177,15 @@ impl<'a> Meter<'a> {
     /// Takes the state of robot `index` at `time`, one `tick` [s] after the last.
     fn sample(&mut self, engine: &Engine, index: usize, time: f64, tick: f64) {
         let window = self.trial.window();
-        if time < window[0] || self.ends[1].is_some() {
+        // From the tick before the window on: its start lies between two samples.
+        if time + tick < window[0] || self.ends[1].is_some() {
             return;
         }
         let before = self.now.work;
         engine.state(index, &mut self.now);
+        if time < window[0] {
+            return;
+        }
         let now = &self.now;
         for (end, at) in self.ends.iter_mut().zip(window) {
             if end.is_none() && time >= at {
