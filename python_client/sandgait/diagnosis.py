@@ -32,8 +32,8 @@ class Diagnosis:
         self.html = html
         #: The extended model as `sand.toml`: the plain one where nothing helps.
         self.sand = sand
-        #: Measured and predicted loads, one row a sample: trial, condition, shape, progress (angle [rad] or path [m]
-        #: travelled), then for each channel C: C, C_plain, C_extended, C_sd.
+        #: Measured and predicted loads, one row a sample: trial, condition, shape, progress (angle [rad] or place
+        #: along the path [m]), then for each channel C: C, C_plain, C_extended, C_sd.
         self.curves = curves
 
     @property
@@ -90,7 +90,7 @@ class Diagnosis:
                 self._draw(ax, chosen, channel)
             row[0].set_title(f"{c['shape'][chosen][0]}, condition {condition}", loc="left", fontsize="medium")
         for ax in grid[-1]:
-            ax.set_xlabel("angle [rad] or path [m] travelled")
+            ax.set_xlabel("angle [rad] or place along the path [m]")
         handles, labels = grid[0][0].get_legend_handles_labels()
         figure = grid[0][0].figure
         figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
