@@ -31,7 +31,7 @@ test-rust:
 	cargo clippy --release --all-targets -- -D warnings
 	cargo test --release
 
-test-python: $(VENV)/sb3 $(VENV)/dev
+test-python: $(VENV)/sb3 $(VENV)/plot $(VENV)/dev
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
@@ -48,7 +48,7 @@ proto:
 	$(PYTHON) -m venv $(VENV)-proto
 	$(VENV)-proto/bin/pip install --quiet "grpcio-tools==1.62.3"
 	$(VENV)-proto/bin/python -m grpc_tools.protoc --proto_path=proto --python_out=python_client/sandgait/_proto \
-		--pyi_out=python_client/sandgait/_proto proto/sandgait/v1/sandgait.proto
+		--pyi_out=python_client/sandgait/_proto proto/sandgait/v1/*.proto
 
 $(VENV)/tools: $(PINS)
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "Python 3.10 or newer is needed")'
@@ -64,6 +64,6 @@ $(VENV)/wheel: $(SOURCES) $(VENV)/tools
 	@touch $@
 
 # The wheel with one of its extras. torch, which `sb3` brings, is some 5 GB: minutes, once.
-$(VENV)/sb3 $(VENV)/dev: $(VENV)/wheel
+$(VENV)/sb3 $(VENV)/plot $(VENV)/dev: $(VENV)/wheel
 	$(BIN)/pip install --quiet --constraint $(PINS) "$$(echo dist/*.whl)[$(@F)]"
 	@touch $@

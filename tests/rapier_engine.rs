@@ -21,7 +21,7 @@ fn model_of(robot: &str, leg: &str, scene: &Scene, change: impl Fn(&mut Robot)) 
 }
 
 fn walk(trials: &[Trial]) -> Vec<WalkResult> {
-    walk_many(EngineKind::Rapier, trials).unwrap()
+    walk_many(EngineKind::Rapier, trials, &|_| Ok(())).unwrap()
 }
 
 /// Total energy [J], momentum [kg·m/s] and angular momentum about the world's origin [kg·m²/s] of a state.
@@ -384,9 +384,9 @@ fn walks_side_by_side_as_alone_and_refuses_what_it_cannot_walk() {
         assert_eq!(walk(std::slice::from_ref(trial))[0], *result);
     }
     assert!(together[2].speed < 0.0);
-    let refused = |trial: Trial| walk_many(EngineKind::Rapier, &[trial]).is_err();
+    let refused = |trial: Trial| walk_many(EngineKind::Rapier, &[trial], &|_| Ok(())).is_err();
     assert!(refused(Trial::new(model("L"), f64::NAN)));
     assert!(refused(Trial::new(model("L"), 1e-9)));
     assert!(refused(Trial::new(model_of("xplorer18", "flat", &scene(), |_| ()), 1.0)));
-    assert!(walk_many(EngineKind::Rapier, &[]).unwrap().is_empty());
+    assert!(walk_many(EngineKind::Rapier, &[], &|_| Ok(())).unwrap().is_empty());
 }

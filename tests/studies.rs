@@ -1,6 +1,7 @@
 //! Calibration and design studies.
 
 use sandgait::calibrate::calibrate;
+use sandgait::progress::Silent;
 use sandgait::sand::Medium;
 use sandgait::sim::engine::EngineKind;
 use sandgait::sim::model::Scene;
@@ -102,9 +103,22 @@ fn packed_walks_are_the_walks_alone() {
             trials.push(d.trial().unwrap());
         }
     }
-    let together = walk_all(&trials, &|_| ()).unwrap();
+    let together = walk_all(EngineKind::Lanes, &trials, &Silent).unwrap();
     for (trial, result) in trials.iter().zip(&together) {
         assert_eq!(walk::walk(EngineKind::Lanes, trial).unwrap(), *result);
+    }
+}
+
+/// The window's ends lie between two samples at most frequencies: the work inside must not depend on where.
+#[test]
+fn the_cost_of_transport_is_smooth_in_the_frequency() {
+    let cost = |frequency: f64| {
+        let trial = Design { frequency, ..design() }.trial().unwrap();
+        walk::walk(EngineKind::Lanes, &trial).unwrap().cost_of_transport
+    };
+    for [aligned, between] in [[2.5, 2.497], [2.0, 2.003], [1.0, 0.9995]] {
+        let (a, b) = (cost(aligned), cost(between));
+        assert!((a / b - 1.0).abs() < 0.02, "{aligned} Hz: {a}, {between} Hz: {b}");
     }
 }
 
@@ -152,8 +166,12 @@ fn the_search_beats_a_grid() {
         Parameter::named("xi").unwrap().set(&mut d, &(5 * k).to_string()).unwrap();
         d.trial().unwrap()
     });
-    let best = walk_all(&grid.collect::<Vec<_>>(), &|_| ()).unwrap().iter().map(|r| r.speed).fold(0.0, f64::max);
-    let [a, b] = [(); 2].map(|()| optimize::optimize(&design(), &axes, Measure::Speed, &|_| ()).unwrap());
+    let best = walk_all(EngineKind::Lanes, &grid.collect::<Vec<_>>(), &Silent)
+        .unwrap()
+        .iter()
+        .map(|r| r.speed)
+        .fold(0.0, f64::max);
+    let [a, b] = [(); 2].map(|()| optimize::optimize(&design(), &axes, Measure::Speed, &Silent).unwrap());
     assert!(a.result.speed >= best * 0.999 && (0.0..=75.0).contains(&a.values[0]), "{} {best}", a.result.speed);
     assert_eq!(a.values, b.values);
 }

@@ -6,6 +6,13 @@
     gymnasium.make_vec("sandgait/HexapodGait-v0", num_envs=256)
     sandgait.make_sb3("sandgait/HexapodGait-v0", num_envs=32)
 
+Studies need no environment, and are the commands of the same names:
+
+    sandgait.intrude("L", medium="poppy-close").plot()
+    sandgait.walk([1, 2, 3], leg="C").speed
+    sandgait.sweep({"xi": range(-75, 76, 5), "frequency": [1, 2, 3, 4]}).plot()
+    sandgait.diagnose("force.csv", "experiment.toml").summary
+
 Each takes `address="host:port"` or `"unix:/path"` of a running server; without one a server is started with, and
 ends with, this process.
 """
@@ -17,9 +24,12 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 
 from .client import describe
+from .diagnosis import Diagnosis, diagnose
 from .env import SandgaitEnv
 from .errors import InvalidRequest, LimitReached, OutOfOrder, SandgaitError, ServerLost, SessionLost
 from .spaces import Column, Option, Task
+from .studies import Intrusion, Sweep, Walks, intrude, sweep, walk
+from .tables import Table
 from .vector_env import SandgaitVectorEnv
 
 if TYPE_CHECKING:
@@ -28,6 +38,8 @@ if TYPE_CHECKING:
 __all__ = [
     "TASKS",
     "Column",
+    "Diagnosis",
+    "Intrusion",
     "InvalidRequest",
     "LimitReached",
     "Option",
@@ -37,9 +49,16 @@ __all__ = [
     "SandgaitVectorEnv",
     "ServerLost",
     "SessionLost",
+    "Sweep",
+    "Table",
     "Task",
+    "Walks",
     "describe",
+    "diagnose",
+    "intrude",
     "make_sb3",
+    "sweep",
+    "walk",
 ]
 
 #: Ids of the tasks that this version registers; a test holds them equal to the server's.

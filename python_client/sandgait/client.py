@@ -1,6 +1,7 @@
 """The wire: the only file of this package that imports grpc.
 
-One `Session` is one stream: one message out for a batched reset or step, one message back.
+`study` asks for one study and waits for its answer. One `Session` is one stream: one message out for a batched reset or
+step, one message back.
 
     send ──▶ queue ──▶ grpc's sender thread ──▶ server
     receive ◀────────── next(responses) ◀────── server
@@ -14,7 +15,7 @@ import queue
 import re
 import threading
 import weakref
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,6 +37,9 @@ PROTOCOL = 1
 
 #: What both ends of gRPC allow a message by default, and the least we ask for [bytes].
 DEFAULT_MESSAGE_BYTES = 4 * 2**20
+
+#: Largest message of a study [bytes]: requests are limited to 64 MiB by the server, results have up to some 100 MiB.
+STUDY_BYTES = 512 * 2**20
 
 #: Longest wait for an answer to Describe or CreateSession [s].
 CALL_TIMEOUT = 60.0
@@ -85,6 +89,38 @@ def describe(address: str | None = None) -> tuple[str, tuple[Task, ...]]:
     return reply.version, tuple(_task(t) for t in reply.tasks)
 
 
+def study(
+    address: str | None,
+    name: str,
+    request: Any,
+    reply: Any,
+    told: Callable[[float, str], None] | None = None,
+) -> Any:
+    """Result of a study at `address` (none: the embedded server); with `told` it is a stream that tells its progress.
+
+    Whatever interrupts the wait, an exception of `told` or Ctrl-C, also stops the study on the server.
+    """
+    address = address or server.address()
+    with _channel(address, STUDY_BYTES) as channel:
+        method = f"/sandgait.v1.StudyService/{name}"
+        kind = channel.unary_unary if told is None else channel.unary_stream
+        call = kind(method, lambda m: m.SerializeToString(), reply.FromString)
+        try:
+            if told is None:
+                return call(request)
+            stream = call(request)
+            try:
+                for message in stream:
+                    if message.WhichOneof("event") != "progress":
+                        return message
+                    told(message.progress.fraction, message.progress.stage)
+            finally:
+                stream.cancel()
+        except grpc.RpcError as error:
+            raise _error(error.code(), str(error.details()), address) from None
+        raise ServerLost(f"{address}: the study ended without a result")
+
+
 class Session:
     """Environments of one task on one server."""
 
@@ -95,7 +131,7 @@ class Session:
         self.num_envs = num_envs
         self._process = os.getpid()
         request = pb.CreateSessionRequest(task_id=task, num_envs=num_envs, protocol=PROTOCOL)
-        request.options.CopyFrom(_struct(_with_sand(options)))
+        request.options.CopyFrom(struct(_with_sand(options)))
         with _channel(self.address, DEFAULT_MESSAGE_BYTES) as channel:
             reply = _call(channel, self.address, "CreateSession", request, pb.CreateSessionResponse)
         self.task = _task(reply.task)
@@ -130,7 +166,7 @@ class Session:
         if mask is not None:
             request.reset.mask = mask.astype(np.uint8).tobytes()
         if options:
-            request.reset.options.CopyFrom(_struct(options))
+            request.reset.options.CopyFrom(struct(options))
         self._send(request)
 
     def send_step(self, actions: npt.NDArray[np.float32]) -> None:
@@ -263,15 +299,15 @@ def _with_sand(options: Mapping[str, Any]) -> Mapping[str, Any]:
         raise InvalidRequest(f"sand: {options['sand']!r} cannot be read as a file: {error}") from error
 
 
-def _struct(options: Mapping[str, Any]) -> struct_pb2.Struct:
+def struct(options: Mapping[str, Any]) -> struct_pb2.Struct:
     """Keywords as the wire carries them; numpy numbers and arrays, tuples, lists and dicts are taken."""
-    struct = struct_pb2.Struct()
+    message = struct_pb2.Struct()
     for name, value in options.items():
         try:
-            struct.update({name: _plain(value)})
+            message.update({name: _plain(value)})
         except (ValueError, TypeError) as error:
             raise InvalidRequest(f"{name}: {value!r} is not a number, text, truth value, list or dict") from error
-    return struct
+    return message
 
 
 def _plain(value: Any) -> Any:

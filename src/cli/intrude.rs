@@ -1,16 +1,9 @@
 //! `sandgait intrude`
 
-use sandgait::error::check_range;
-use sandgait::sand::intrusion::rotating_leg;
-use sandgait::sand::{Ground, Law, Shape, Surface};
+use sandgait::sand::intrusion::{CHORD, HIP_HEIGHT, Load, OMEGA, Rotation, WIDTH};
+use sandgait::sand::{Law, Medium, Shape};
 use sandgait::{Error, Result};
 use std::path::PathBuf;
-
-/// Segments along the leg: fine enough that forces no longer change in the fourth digit.
-const SEGMENTS: usize = 400;
-
-/// θ from −1.75 to 1.75 rad in steps of 0.01.
-const HALF_SWEEP: i32 = 175;
 
 /// Rotate a leg about a hip fixed above sand and record force and torque, as on a robot arm.
 ///
@@ -26,23 +19,26 @@ pub struct Intrude {
     #[arg(long, allow_hyphen_values = true)]
     shape: String,
     /// Distance from hip to tip [m]
-    #[arg(long, value_name = "METRES", default_value_t = 0.076)]
+    #[arg(long, value_name = "METRES", default_value_t = CHORD)]
     chord: f64,
     /// Width of the leg [m]
-    #[arg(long, value_name = "METRES", default_value_t = 0.025)]
+    #[arg(long, value_name = "METRES", default_value_t = WIDTH)]
     width: f64,
     /// Height of the hip above the surface [m]
-    #[arg(long, value_name = "METRES", default_value_t = 0.02, allow_negative_numbers = true)]
+    #[arg(long, value_name = "METRES", default_value_t = HIP_HEIGHT, allow_negative_numbers = true)]
     hip_height: f64,
     /// Angular speed [rad/s]; negative turns the tip backward
-    #[arg(long, value_name = "RAD/S", default_value_t = 0.2, allow_negative_numbers = true)]
+    #[arg(long, value_name = "RAD/S", default_value_t = OMEGA, allow_negative_numbers = true)]
     omega: f64,
     /// Sand: a name from `sandgait media`, or zeta=VALUE
-    #[arg(long, default_value = "poppy-loose")]
+    #[arg(long, default_value = Medium::DEFAULT)]
     medium: String,
     /// Resistive force law: li2013, penetration-drag-1d or agarwal2023
-    #[arg(long, default_value = "li2013")]
+    #[arg(long, default_value = Law::Li2013.name())]
     law: String,
+    /// A sand.toml, as a diagnosis writes it, in place of --medium and --law
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["medium", "law"])]
+    sand: Option<PathBuf>,
     /// File to write the sweep to
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
@@ -50,24 +46,20 @@ pub struct Intrude {
 
 impl Intrude {
     pub fn run(self) -> Result<String> {
-        let segments = Shape::named(&self.shape)?.segments(self.chord, self.width, SEGMENTS)?;
-        // Guards against slips of units: our choice.
-        check_range("hip-height", self.hip_height, -1.0..=1.0)?;
-        check_range("omega", self.omega, -100.0..=100.0)?;
-        let ground = Ground::new(Law::named(&self.law)?, &super::medium(&self.medium)?, &Surface::default());
-        let angles = (-HALF_SWEEP..=HALF_SWEEP).map(|i| f64::from(i) * 0.01);
-        let sweep: Vec<_> =
-            angles.map(|theta| (theta, rotating_leg(&ground, &segments, theta, self.omega, self.hip_height))).collect();
+        let shape = Shape::named(&self.shape)?;
+        let Self { chord, width, hip_height, omega, .. } = self;
+        let sand = super::sand(&self.medium, &self.law, self.sand.as_deref())?;
+        let sweep = Rotation { shape, chord, width, hip_height, omega }.loads(&sand)?;
         if let Some(path) = &self.csv {
             let rows = sweep.iter().map(|(theta, l)| format!("{theta:.2},{:.6},{:.6},{:.8}\n", l.fx, l.fz, l.ty));
             let text: String = std::iter::once("theta,Fx,Fz,Ty\n".to_owned()).chain(rows).collect();
             std::fs::write(path, text).map_err(|e| Error::file(path, e))?;
         }
-        let largest = |name: &str, unit: &str, of: fn(&sandgait::sand::intrusion::Load) -> f64| {
+        let largest = |name: &str, unit: &str, of: fn(&Load) -> f64| {
             let at = sweep.iter().max_by(|a, b| of(&a.1).abs().total_cmp(&of(&b.1).abs()));
             at.map_or_else(String::new, |(t, l)| format!("{name} {:.3} {unit} at {:.0}°", of(l), t.to_degrees()))
         };
         let peaks = [largest("Fx", "N", |l| l.fx), largest("Fz", "N", |l| l.fz), largest("Ty", "N·m", |l| l.ty)];
-        Ok(format!("{} in {}: largest {}\n", self.shape, self.medium, peaks.join(", ")))
+        Ok(format!("{} in {}: largest {}\n", self.shape, sand.name, peaks.join(", ")))
     }
 }

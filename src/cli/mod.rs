@@ -15,9 +15,12 @@ mod walk;
 
 use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
-use sandgait::sand::Medium;
+use indicatif::{ProgressBar, ProgressStyle};
+use sandgait::progress::Progress;
+use sandgait::sand::{Medium, SandDescription};
 use sandgait::{Error, Result};
 use std::io::Write as _;
+use std::path::Path;
 use std::process::ExitCode;
 
 /// Batched reinforcement-learning environments of legged robots on sand.
@@ -92,7 +95,7 @@ fn run(command: Command) -> Result<String> {
 fn exit_code(error: &Error) -> u8 {
     match error {
         Error::Invalid { .. } | Error::Unknown { .. } | Error::File { .. } => 2,
-        Error::OutOfOrder(_) | Error::Exhausted(_) => 1,
+        Error::OutOfOrder(_) | Error::Exhausted(_) | Error::Cancelled(_) => 1,
     }
 }
 
@@ -115,13 +118,41 @@ fn one_line(message: &str) -> String {
     lines.collect::<Vec<_>>().join(" ").trim_start_matches("error: ").replace(" tip:", "; tip:")
 }
 
-/// A medium by name; a warning on stderr if its numbers are extrapolated.
-fn medium(name: &str) -> Result<Medium> {
-    let medium = Medium::named(name)?;
-    if let Some(caution) = Medium::caution(name) {
+/// The sand of a file, or a medium and a law by their names; a warning on stderr if its numbers are extrapolated.
+fn sand(medium: &str, law: &str, file: Option<&Path>) -> Result<SandDescription> {
+    if let Some(file) = file {
+        return SandDescription::load(file);
+    }
+    if let Some(caution) = Medium::caution(medium) {
         eprintln!("sandgait: warning: {caution}");
     }
-    Ok(medium)
+    SandDescription::named(medium, law)
+}
+
+/// How far long work has come, on a terminal only; indicatif stays silent elsewhere.
+struct Bar(ProgressBar);
+
+impl Bar {
+    const STEPS: u64 = 1000;
+
+    fn new() -> Self {
+        let style = ProgressStyle::with_template("{bar:40} {percent} % of {msg}, {eta} left");
+        Self(ProgressBar::new(Self::STEPS).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar())))
+    }
+}
+
+impl Progress for Bar {
+    fn report(&self, done: f64, stage: &str) -> Result<()> {
+        self.0.set_message(stage.to_owned());
+        self.0.set_position((done * Self::STEPS as f64) as u64);
+        Ok(())
+    }
+}
+
+impl Drop for Bar {
+    fn drop(&mut self) {
+        self.0.finish_and_clear();
+    }
 }
 
 /// Pretty JSON with a newline.

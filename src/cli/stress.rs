@@ -36,7 +36,8 @@ pub struct Stress {
 
 impl Stress {
     pub fn run(self) -> Result<String> {
-        let (law, medium) = (Law::named(&self.law)?, super::medium(&self.medium)?);
+        let sand = super::sand(&self.medium, &self.law, None)?;
+        let (law, medium) = (sand.law, sand.medium());
         if let Some(mu) = self.friction {
             sandgait::error::check_range("--friction", mu, 0.0..=10.0)?;
             if law != Law::Agarwal2023 {

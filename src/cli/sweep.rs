@@ -1,16 +1,13 @@
 //! `sandgait sweep`
 
-use indicatif::{ProgressBar, ProgressStyle};
+use super::Bar;
 use sandgait::plot::png;
-use sandgait::sand::Law;
+use sandgait::sand::{Law, Medium};
 use sandgait::sim::Robot;
 use sandgait::sim::model::Scene;
-use sandgait::sweep::{Axis, Design, Measure, Parameter, optimize, table, walk_all};
+use sandgait::sweep::{Axis, Design, Measure, grid, optimize, table};
 use sandgait::{Error, Result};
 use std::path::PathBuf;
-
-/// More walks than this are refused: our choice, about an hour of one core.
-const MOST_WALKS: usize = 500_000;
 
 /// Study a design: walk a robot over a grid of one or two parameters, or search for the best.
 ///
@@ -30,17 +27,20 @@ pub struct Sweep {
     #[arg(long, value_name = "NAME=VALUE", allow_hyphen_values = true)]
     set: Vec<String>,
     /// Built-in robot or FILE.toml; legs of one joint
-    #[arg(long, default_value = "xplorer")]
+    #[arg(long, default_value = Robot::DEFAULT)]
     robot: String,
     /// Stride frequency [Hz]
-    #[arg(long, value_name = "HZ", default_value_t = 2.0)]
+    #[arg(long, value_name = "HZ", default_value_t = Design::FREQUENCY)]
     frequency: f64,
     /// Sand: a name from `sandgait media`, zeta=VALUE or mu=VALUE,rho=VALUE
-    #[arg(long, default_value = "poppy-loose")]
+    #[arg(long, default_value = Medium::DEFAULT)]
     medium: String,
     /// Resistive force law: li2013, penetration-drag-1d or agarwal2023
-    #[arg(long, default_value = "li2013")]
+    #[arg(long, default_value = Law::Li2013.name())]
     law: String,
+    /// A sand.toml, as a diagnosis writes it, in place of --medium and --law
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["medium", "law"])]
+    sand: Option<PathBuf>,
     /// What the figure shows: speed or cost-of-transport
     #[arg(long, default_value = "speed")]
     measure: String,
@@ -67,42 +67,28 @@ impl Sweep {
     }
 
     fn base(&self) -> Result<Design> {
-        let mut scene = Scene::flat(super::medium(&self.medium)?);
-        scene.law = Law::named(&self.law)?;
+        let scene = Scene::on(&super::sand(&self.medium, &self.law, self.sand.as_deref())?);
         let robot = Robot::load(&self.robot)?;
         let mut base = Design { robot, scene, frequency: self.frequency, phase: 0.0 };
-        for setting in &self.set {
-            let (name, value) = setting
-                .split_once('=')
-                .ok_or_else(|| Error::invalid("--set", format!("{setting:?} is not NAME=VALUE")))?;
-            Parameter::named(name)?.set(&mut base, value)?;
-        }
+        let setting = |setting: &'_ String| {
+            let parts = setting.split_once('=').map(|(name, value)| (name.to_owned(), value.to_owned()));
+            parts.ok_or_else(|| Error::invalid("--set", format!("{setting:?} is not NAME=VALUE")))
+        };
+        let settings = self.set.iter().map(setting).collect::<Result<Vec<_>>>()?;
+        base.set(settings.iter().map(|(name, value)| (name.as_str(), value.as_str())))?;
         Ok(base)
     }
 
     fn grid(&self, base: &Design, axes: &[Axis], measure: Measure) -> Result<String> {
-        let count: usize = axes.iter().map(|a| a.values.len()).product();
-        sandgait::error::check_range("number of walks", count as f64, 1.0..=MOST_WALKS as f64)?;
-        let trials = (0..count).map(|i| {
-            let mut design = base.clone();
-            for (axis, value) in axes.iter().zip(table::values(axes, i)) {
-                axis.parameter.set(&mut design, value)?;
-            }
-            let trial = design.trial()?;
-            trial.validate()?;
-            Ok(trial)
-        });
-        let trials = trials.collect::<Result<Vec<_>>>()?;
+        let count = grid::check_grid(base, axes)?;
         self.prepare()?;
-        let (bar, start) = (bar(count), std::time::Instant::now());
-        let results = walk_all(&trials, &|n| bar.inc(n as u64))?;
-        bar.finish_and_clear();
+        let start = std::time::Instant::now();
+        let results = grid(base, axes, &Bar::new())?;
         let seconds = start.elapsed().as_secs_f64();
         self.write("sweep.csv", &table::csv(axes, &results))?;
         let title = title(base, axes);
         png::write_both(&table::figure(axes, &results, measure, &title).svg(), &self.out.join("sweep.svg"))?;
-        let best = (0..count).min_by(|a, b| measure.cost(&results[*a]).total_cmp(&measure.cost(&results[*b])));
-        let best = best.map_or_else(String::new, |i| {
+        let best = measure.best(&results).map_or_else(String::new, |i| {
             let at = axes.iter().zip(table::values(axes, i)).map(|(a, v)| format!("{} = {v}", a.parameter.label()));
             format!(
                 "best {}: {:.3} at {}\n",
@@ -117,11 +103,10 @@ impl Sweep {
     }
 
     fn search(&self, base: &Design, axes: &[Axis], goal: Measure) -> Result<String> {
-        base.trial()?.validate()?;
+        optimize::bounds(base, axes)?;
         self.prepare()?;
-        let (bar, start) = (bar(optimize::WALKS), std::time::Instant::now());
-        let best = optimize::optimize(base, axes, goal, &|n| bar.inc(n as u64))?;
-        bar.finish_and_clear();
+        let start = std::time::Instant::now();
+        let best = optimize::optimize(base, axes, goal, &Bar::new())?;
         let named: Vec<_> =
             axes.iter().zip(&best.values).map(|(a, v)| format!("{} = {v:.6}", a.parameter.label())).collect();
         let mut rows = axes.iter().map(|a| a.parameter.label()).collect::<Vec<_>>().join(",");
@@ -157,10 +142,4 @@ fn title(base: &Design, axes: &[Axis]) -> String {
     let medium = if varied(&["medium", "zeta"]) { "" } else { base.scene.medium.name.as_str() };
     let law = if varied(&["law"]) { "" } else { base.scene.law.name() };
     [base.robot.name.as_str(), medium, law].into_iter().filter(|t| !t.is_empty()).collect::<Vec<_>>().join(", ")
-}
-
-/// On a terminal only; indicatif stays silent elsewhere.
-fn bar(walks: usize) -> ProgressBar {
-    let style = ProgressStyle::with_template("{bar:40} {pos}/{len} walks, {eta} left");
-    ProgressBar::new(walks as u64).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
 }

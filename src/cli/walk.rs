@@ -1,6 +1,6 @@
 //! `sandgait walk`
 
-use sandgait::sand::{Law, SandDescription};
+use sandgait::sand::{Law, Medium};
 use sandgait::sim::engine::EngineKind;
 use sandgait::sim::model::Scene;
 use sandgait::sim::walk::{Trial, walk};
@@ -26,16 +26,16 @@ pub struct Walk {
     #[arg(long, value_name = "HZ", allow_negative_numbers = true)]
     frequency: f64,
     /// Engine that integrates the motion
-    #[arg(long, default_value = "lanes")]
+    #[arg(long, default_value = EngineKind::Lanes.name())]
     engine: String,
     /// Sand: a name from `sandgait media`, or zeta=VALUE
-    #[arg(long, default_value = "poppy-loose")]
+    #[arg(long, default_value = Medium::DEFAULT)]
     medium: String,
     /// A sand.toml, as a diagnosis writes it, in place of --medium and --law
     #[arg(long, value_name = "FILE", conflicts_with_all = ["medium", "law"])]
     sand: Option<std::path::PathBuf>,
     /// Resistive force law: li2013, penetration-drag-1d or agarwal2023
-    #[arg(long, default_value = "li2013")]
+    #[arg(long, default_value = Law::Li2013.name())]
     law: String,
     /// The surface rises in walking direction [°]
     #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
@@ -44,7 +44,7 @@ pub struct Walk {
     #[arg(long, value_name = "S", default_value_t = Scene::DEFAULT_DT)]
     dt: f64,
     /// A built-in robot or a FILE.toml
-    #[arg(long, default_value = "xplorer")]
+    #[arg(long, default_value = Robot::DEFAULT)]
     robot: String,
     /// Machine-readable
     #[arg(long)]
@@ -57,11 +57,8 @@ impl Walk {
         if let Some(leg) = &self.leg {
             robot = robot.with_leg_shape(leg)?;
         }
-        let mut scene = Scene::flat(super::medium(&self.medium)?);
-        (scene.law, scene.slope_deg, scene.dt) = (Law::named(&self.law)?, self.slope_deg, self.dt);
-        if let Some(sand) = &self.sand {
-            scene.set_sand(&SandDescription::load(sand)?);
-        }
+        let mut scene = Scene::on(&super::sand(&self.medium, &self.law, self.sand.as_deref())?);
+        (scene.slope_deg, scene.dt) = (self.slope_deg, self.dt);
         let engine = EngineKind::named(&self.engine)?;
         let trial = Trial::new(Model::new(&robot, &scene)?, self.frequency);
         let clock = Instant::now();

@@ -2,13 +2,15 @@
 
 use super::misfit::Misfit;
 use super::report::{Curves, Diagnosis, Report};
+use crate::plot::{Axis, Figure, Mark, Panel, Style, color, escape};
 use std::fmt::Write;
 
 const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1080px;margin:2em auto;padding:0 1em;color:#222}\
 h1{font-size:1.3em}h2{font-size:1.05em;margin-top:2em;border-bottom:1px solid #ddd}\
 table{border-collapse:collapse}td,th{padding:.15em .8em;text-align:right;border-bottom:1px solid #eee}\
 td:first-child,th:first-child{text-align:left}.verdict{font-size:1.15em;padding:.6em 1em;background:#f4f1ea;border-left:5px solid #b5803a}\
-.maps,.curves{display:flex;flex-wrap:wrap;gap:14px}svg{background:#fff}text{font:11px system-ui,sans-serif;fill:#444}small{color:#666}";
+.maps{display:flex;flex-wrap:wrap;gap:14px}.maps text{font:12px system-ui,sans-serif;fill:#333}\
+svg{background:#fff;max-width:100%;height:auto}small{color:#666}.key{display:inline-block;width:.8em;height:.8em;margin:0 .3em 0 1em}";
 
 /// The page; `json` is embedded so that the page is the whole record.
 pub fn page(diagnosis: &Diagnosis, json: &str) -> String {
@@ -23,11 +25,7 @@ pub fn page(diagnosis: &Diagnosis, json: &str) -> String {
     }
     gain(&mut html, r);
     causes(&mut html, r);
-    html.push_str("<h2>Where the plain model errs</h2><p><small>mean error along the predicted force, in % of it; bars: force channels</small></p><div class=maps>");
-    for by in ["speed", "depth", "angle", "pass", "place", "shape"] {
-        map(&mut html, by, &r.misfit);
-    }
-    html.push_str("</div>");
+    maps(&mut html, &r.misfit);
     curves(&mut html, &diagnosis.curves);
     rivals(&mut html, r);
     unknowns(&mut html, r);
@@ -35,8 +33,9 @@ pub fn page(diagnosis: &Diagnosis, json: &str) -> String {
     html
 }
 
-fn escape(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+/// A unit as it stands behind a number; none where dimensionless.
+fn unit(unit: &str) -> &str {
+    if unit == "1" { "" } else { unit }
 }
 
 fn number(value: Option<f64>, digits: usize) -> String {
@@ -79,109 +78,191 @@ fn causes(html: &mut String, r: &Report) {
             c.value,
             c.ci95[0],
             c.ci95[1],
-            escape(&c.unit)
+            escape(unit(&c.unit))
         );
     }
     html.push_str("</table>");
 }
 
-/// Bars of the mean relative error over the ranges of one feature.
-fn map(html: &mut String, by: &str, misfit: &[Misfit]) {
-    let rows = misfit.iter().filter(|m| m.by == by && m.unit != "N·m" && m.channel != "Ty");
-    let rows: Vec<_> = rows.filter_map(|m| m.relative.map(|r| (r, m))).collect();
-    if rows.is_empty() {
-        return;
+/// What the bars of a map are: the forces, not the torque, which has a size of its own.
+fn mapped(misfit: &[Misfit]) -> Vec<&str> {
+    let mut channels: Vec<&str> = Vec::new();
+    for m in misfit.iter().filter(|m| m.channel != "Ty") {
+        if !channels.contains(&m.channel.as_str()) {
+            channels.push(&m.channel);
+        }
     }
-    let top = rows.iter().map(|r| r.0.abs()).fold(0.05, f64::max);
-    let height = 18 * rows.len() + 26;
-    let _ = write!(html, "<svg width=330 height={height}><text x=4 y=14 font-weight=bold>by {by}</text>");
-    for (k, (relative, m)) in rows.iter().enumerate() {
-        let y = 22 + 18 * k;
-        let label = match (&m.range, &m.group) {
-            (Some(range), _) => format!("{:.3}…{:.3} {}", range[0], range[1], m.unit),
-            (None, group) => group.clone().unwrap_or_default(),
-        };
-        let length = 80.0 * relative.abs() / top;
-        let x = if *relative < 0.0 { 230.0 - length } else { 230.0 };
-        let color = if m.channel == "Fx" { "#4a7fb5" } else { "#b5803a" };
+    channels
+}
+
+fn maps(html: &mut String, misfit: &[Misfit]) {
+    let channels = mapped(misfit);
+    html.push_str("<h2>Where the plain model errs</h2><p><small>mean error along the predicted direction, in % of the mean predicted size:");
+    for (k, channel) in channels.iter().enumerate() {
         let _ = write!(
             html,
-            "<text x=4 y={}>{} {}</text><rect x={x:.1} y={y} width={length:.1} height=13 fill='{color}'/><text x=312 y={} text-anchor=end>{:+.0} %</text>",
-            y + 11,
-            m.channel,
-            escape(&label),
-            y + 11,
-            100.0 * relative
+            "<span class=key style='background:{}'></span>{channel}",
+            color::CYCLE[k % color::CYCLE.len()]
         );
     }
-    let _ = write!(html, "<line x1=230 x2=230 y1=20 y2={height} stroke='#888'/></svg>");
+    html.push_str("</small></p><div class=maps>");
+    let mut features: Vec<&str> = misfit.iter().map(|m| m.by.as_str()).collect();
+    features.dedup();
+    for by in features {
+        map(html, by, misfit, &channels);
+    }
+    html.push_str("</div>");
+}
+
+/// Where bars start and the longest of them, width of a map, and the height of a bar [px].
+const ZERO: f64 = 222.0;
+const LONGEST: f64 = 62.0;
+const MAP: usize = 344;
+const BAR: usize = 17;
+
+/// Bars of the mean relative error over the ranges of one feature.
+fn map(html: &mut String, by: &str, misfit: &[Misfit], channels: &[&str]) {
+    let rows: Vec<_> = misfit
+        .iter()
+        .filter(|m| m.by == by)
+        .filter_map(|m| Some((m.relative?, channels.iter().position(|c| *c == m.channel)?, m)))
+        .collect();
+    // A feature that takes one value only shows nothing.
+    let several = rows.iter().any(|r| place(r.2) != place(rows[0].2));
+    let Some(top) = rows.iter().map(|r| r.0.abs()).reduce(f64::max).filter(|_| several) else { return };
+    let height = BAR * rows.len() + 30;
+    let _ = write!(html, "<svg width={MAP} height={height}><text x=4 y=15 font-weight=bold>by {by}</text>");
+    let mut before = String::new();
+    for (k, (relative, channel, m)) in rows.iter().enumerate() {
+        let y = 24 + BAR * k;
+        let label = place(m);
+        if label != before {
+            let _ = write!(html, "<text x=4 y={}>{}</text>", y + 12, escape(&label));
+        }
+        before = label;
+        let length = LONGEST * relative.abs() / top.max(0.05);
+        let x = if *relative < 0.0 { ZERO - length } else { ZERO };
+        let fill = color::CYCLE[channel % color::CYCLE.len()];
+        let percent = format!("{:+.0} %", 100.0 * relative).replace('-', "−");
+        let _ = write!(
+            html,
+            "<rect x={x:.1} y={y} width={length:.1} height={} fill='{fill}'/><text x={} y={} text-anchor=end>{percent}</text>",
+            BAR - 3,
+            MAP - 2,
+            y + 12,
+        );
+    }
+    let _ = write!(html, "<line x1={ZERO} x2={ZERO} y1=22 y2={} stroke='#888'/></svg>", height - 6);
+}
+
+/// A range with its unit, to a thousandth; one number where it is one.
+fn span(range: [f64; 2], of: &str) -> String {
+    let [low, high] = range.map(|v| {
+        let text = format!("{v:.3}");
+        text.trim_end_matches('0').trim_end_matches('.').replace('-', "−")
+    });
+    let unit = unit(of);
+    if low == high { format!("{high} {unit}") } else { format!("{low} … {high} {unit}") }
+}
+
+/// The range or group that a row of misfit is about.
+fn place(m: &Misfit) -> String {
+    match (&m.group, m.range) {
+        (Some(group), _) => group.clone(),
+        (None, Some(range)) => span(range, &m.unit),
+        (None, None) => String::new(),
+    }
 }
 
 /// Conditions drawn at most, those where the plain model errs most: our choice, a page is to be read.
-const CURVES: usize = 12;
+const CURVES: usize = 9;
+
+/// Samples drawn of a trial at most: our choice, more are not told apart.
+const DRAWN: usize = 100;
 
 fn curves(html: &mut String, c: &Curves) {
-    html.push_str(
-        "<h2>Measured (dots), plain (grey), extended (red) with one-σ band of a repetition</h2><div class=curves>",
-    );
+    html.push_str("<h2>Measured and predicted</h2>");
+    // A run of a robot is one number, a trial of a force log many.
+    let figures = if c.observations.units.iter().all(|u| u.samples == 1) { by_condition(c) } else { by_progress(c) };
+    figures.iter().for_each(|f| html.push_str(&f.svg()));
+}
+
+fn measured(points: Vec<[f64; 2]>) -> Mark {
+    Mark::line("measured", Style { width: 0.0, ..Style::line(color::BLACK).with_dots() }, points)
+}
+
+/// A figure for each force: load over progress, a panel for each of the conditions where the plain model errs most.
+fn by_progress(c: &Curves) -> Vec<Figure> {
     let o = &c.observations;
     let error = |u: usize| {
         o.span(&o.units[u]).map(|k| ((o.values[k] - c.plain[k]) / c.band[k].max(1e-12)).powi(2)).sum::<f64>()
     };
     let mut firsts: Vec<usize> = o.repetitions().iter().filter_map(|g| g.first().copied()).collect();
     firsts.sort_by(|a, b| error(*b).total_cmp(&error(*a)));
-    for &u in firsts.iter().take(CURVES) {
-        for channel in 0..o.channels.len().min(2) {
-            curve(html, c, u, channel);
-        }
-    }
-    html.push_str("</div>");
+    firsts.truncate(CURVES);
+    let figure = |channel: usize| Figure {
+        title: format!("{}: the conditions where the plain model errs most", o.channels[channel].name),
+        panels: firsts.iter().map(|&u| panel(c, u, channel)).collect(),
+        columns: 3,
+        note: "Dots: every repetition. Band: one standard deviation of a repetition about the model.".into(),
+    };
+    (0..o.channels.len()).filter(|k| o.channels[*k].in_rmse).map(figure).collect()
 }
 
-fn curve(html: &mut String, c: &Curves, u: usize, channel: usize) {
+fn panel(c: &Curves, u: usize, channel: usize) -> Panel {
     let (o, unit) = (&c.observations, &c.observations.units[u]);
-    let block = unit.block(channel);
     let model = c.extended.as_ref().unwrap_or(&c.plain);
-    let group: Vec<_> = o.units.iter().filter(|v| v.condition == unit.condition).collect();
-    let mut low = f64::MAX;
-    let mut high = f64::MIN;
-    let all = block.clone().flat_map(|k| [c.plain[k], model[k] + c.band[k], model[k] - c.band[k]]);
-    let measured = group.iter().flat_map(|v| v.block(channel)).map(|k| o.values[k]);
-    all.chain(measured).for_each(|v| (low, high) = (low.min(v), high.max(v)));
-    let (first, last) = (unit.progress[0], unit.progress[unit.samples - 1]);
-    let x = |p: f64| 6.0 + 248.0 * (p - first) / (last - first).max(1e-12);
-    let y = |v: f64| 150.0 - 128.0 * (v - low) / (high - low).max(1e-12);
-    let _ = write!(
-        html,
-        "<svg width=260 height=160><text x=6 y=12>{} · condition {} · {} {:.2}…{:.2} N</text>",
-        escape(&c.groups[u]),
-        escape(&o.conditions[unit.condition]),
-        o.channels[channel].name,
-        low,
-        high
-    );
-    let line = |values: &dyn Fn(usize) -> f64, back: bool| -> String {
-        let points: Vec<String> =
-            block.clone().zip(&unit.progress).map(|(k, p)| format!("{:.1},{:.1}", x(*p), y(values(k)))).collect();
-        if back { points.into_iter().rev().collect::<Vec<_>>().join(" ") } else { points.join(" ") }
+    let block = unit.block(channel);
+    let at = |values: &dyn Fn(usize) -> f64| -> Vec<[f64; 2]> {
+        let points = block.clone().zip(&unit.progress).map(|(k, p)| [*p, values(k)]);
+        points.step_by(unit.samples.div_ceil(DRAWN)).collect()
     };
-    let band = format!("{} {}", line(&|k| model[k] + c.band[k], false), line(&|k| model[k] - c.band[k], true));
-    let _ = write!(html, "<polygon points='{band}' fill='#f3d9d3'/>");
-    for v in group {
-        for (k, p) in v.block(channel).zip(&v.progress) {
-            let _ = write!(html, "<circle cx={:.1} cy={:.1} r=1.1 fill='#333'/>", x(*p), y(o.values[k]));
-        }
-    }
-    let _ =
-        write!(html, "<polyline points='{}' fill=none stroke='#999' stroke-width=1.6 />", line(&|k| c.plain[k], false));
+    let repetitions = o.units.iter().filter(|v| v.condition == unit.condition);
+    let dots = repetitions.flat_map(|v| {
+        v.block(channel).zip(&v.progress).map(|(k, p)| [*p, o.values[k]]).step_by(v.samples.div_ceil(DRAWN))
+    });
+    let dots: Vec<[f64; 2]> = dots.collect();
+    // The band may be far wider than everything else: it does not set the scale.
+    let shown = dots.iter().copied().chain(at(&|k| c.plain[k])).chain(at(&|k| model[k])).map(|p| p[1]);
+    let [least, most] = shown.fold([f64::MAX, f64::MIN], |r, v| [r[0].min(v), r[1].max(v)]);
+    let air = 0.08 * (most - least).max(1e-9);
+    let low = at(&|k| model[k] - c.band[k]);
+    let band = low.iter().zip(at(&|k| model[k] + c.band[k])).map(|(l, h)| [l[0], l[1], h[1]]).collect();
+    let mut marks = vec![Mark::band("one σ of a repetition", color::VERMILION, band), measured(dots)];
+    marks.push(Mark::line("plain", Style::line(color::BLUE).dashed(), at(&|k| c.plain[k])));
     if c.extended.is_some() {
-        let _ = write!(
-            html,
-            "<polyline points='{}' fill=none stroke='#c0392b' stroke-width=1.6 />",
-            line(&|k| model[k], false)
-        );
+        marks.push(Mark::line("extended", Style::line(color::VERMILION), at(&|k| model[k])));
     }
-    html.push_str("</svg>");
+    let label = format!("{} [{}]", o.channels[channel].name, o.channels[channel].unit);
+    Panel {
+        title: format!("{}, condition {}", c.groups[u], o.conditions[unit.condition]),
+        x: Axis::new("angle [rad] or place along the path [m]"),
+        y: Axis::within(&label, least - air, most + air),
+        marks,
+    }
+}
+
+/// One figure: every channel over the conditions in their order.
+fn by_condition(c: &Curves) -> Vec<Figure> {
+    let o = &c.observations;
+    let panel = |channel: usize| {
+        let at = |values: &[f64]| -> Vec<[f64; 2]> {
+            o.units.iter().map(|u| [u.condition as f64 + 1.0, values[u.block(channel).start]]).collect()
+        };
+        let dots = |label: &str, hue: &str, values: &[f64]| {
+            Mark::line(label, Style { width: 0.0, ..Style::line(hue).with_dots() }, at(values))
+        };
+        let mut marks = vec![measured(at(&o.values)), dots("plain", color::BLUE, &c.plain)];
+        marks.extend(c.extended.as_ref().map(|e| dots("extended", color::VERMILION, e)));
+        let name = o.channels[channel].name;
+        let y = Axis::new(&match o.channels[channel].unit {
+            "1" => name.to_owned(),
+            unit => format!("{name} [{unit}]"),
+        });
+        Panel { title: name.into(), x: Axis::new("condition, in the order of the data"), y, marks }
+    };
+    let panels = (0..o.channels.len()).map(panel).collect();
+    vec![Figure { title: "Every run and its predictions".into(), panels, columns: 2, note: String::new() }]
 }
 
 fn rivals(html: &mut String, r: &Report) {
@@ -205,7 +286,11 @@ fn rivals(html: &mut String, r: &Report) {
 }
 
 fn unknowns(html: &mut String, r: &Report) {
-    html.push_str("<h2>What these data cannot tell</h2><ul>");
+    html.push_str("<h2>What these data cannot tell</h2>");
+    if r.ambiguity_set.len() < 2 && r.untestable.is_empty() {
+        html.push_str("<p>nothing that is asked here</p>");
+    }
+    html.push_str("<ul>");
     if r.ambiguity_set.len() > 1 {
         let set: Vec<_> = r.ambiguity_set.iter().map(|ids| ids.join(" + ")).collect();
         let _ = write!(html, "<li>apart: {}", set.join(" | "));
@@ -228,7 +313,8 @@ fn unknowns(html: &mut String, r: &Report) {
         }
         html.push_str("</ul>");
     }
-    let ranges: Vec<_> = r.valid_range.iter().map(|(name, v)| format!("{name} {:.4} to {:.4}", v[0], v[1])).collect();
+    let units = |name: &str| r.misfit.iter().find(|m| m.by == name).map_or("", |m| m.unit.as_str());
+    let ranges: Vec<_> = r.valid_range.iter().map(|(name, v)| format!("{name} {}", span(*v, units(name)))).collect();
     let _ = write!(
         html,
         "<h2>Valid for</h2><p>{}</p><p><small>data SHA-256 {}</small></p>",

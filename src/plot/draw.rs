@@ -217,6 +217,10 @@ fn frame(svg: &mut String, panel: &Panel, [xr, yr]: [[f64; 2]; 2], to_page: &imp
     text(svg, [WIDTH / 2.0, -10.0], "middle", FONT, &panel.title, "font-weight=\"bold\"");
 }
 
+/// Text over marks: on a white rim, so that it can be read.
+const HALO: &str =
+    "fill=\"#555555\" stroke=\"#ffffff\" stroke-width=\"3\" stroke-linejoin=\"round\" paint-order=\"stroke\"";
+
 fn draw_mark(svg: &mut String, mark: &Mark, to_page: &impl Fn([f64; 2]) -> [f64; 2]) {
     match mark {
         Mark::Line { style, points, .. } => {
@@ -238,12 +242,12 @@ fn draw_mark(svg: &mut String, mark: &Mark, to_page: &impl Fn([f64; 2]) -> [f64;
         Mark::Horizontal { at, text: content } => {
             let [_, y] = to_page([0.0, *at]);
             polyline(svg, &Style::thin(color::GREY).dashed(), &[[0.0, y], [WIDTH, y]]);
-            text(svg, [6.0, y - 5.0], "start", 11.0, content, "fill=\"#555555\"");
+            text(svg, [6.0, y - 5.0], "start", 11.0, content, HALO);
         }
         Mark::Vertical { at, text: content } => {
             let [x, _] = to_page([*at, 0.0]);
             polyline(svg, &Style::thin(color::GREY).dashed(), &[[x, 0.0], [x, HEIGHT]]);
-            text(svg, [x + 5.0, 14.0], "start", 11.0, content, "fill=\"#555555\"");
+            text(svg, [x + 5.0, 14.0], "start", 11.0, content, HALO);
         }
         Mark::Cells { x, y, values, .. } => draw_cells(svg, x, y, values, to_page),
     }
@@ -266,7 +270,9 @@ fn polyline(svg: &mut String, style: &Style, points: &[[f64; 2]]) {
 }
 
 fn dot(svg: &mut String, style: &Style, [x, y]: [f64; 2]) {
-    let _ = write!(svg, "<circle cx=\"{x:.2}\" cy=\"{y:.2}\" r=\"2.8\" fill=\"{}\"/>", style.color);
+    // Dots without a line are clouds: smaller.
+    let radius = if style.width > 0.0 { 2.8 } else { 1.7 };
+    let _ = write!(svg, "<circle cx=\"{x:.2}\" cy=\"{y:.2}\" r=\"{radius}\" fill=\"{}\"/>", style.color);
 }
 
 /// Least and greatest value of a heat map; never an empty interval.

@@ -6,7 +6,7 @@ use std::fmt::Write;
 
 const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1080px;margin:2em auto;padding:0 1em;color:#222}\
 h1{font-size:1.5em}h2{font-size:1.2em;margin-top:2.2em;border-bottom:1px solid #ddd}\
-svg{max-width:100%;height:auto}table{border-collapse:collapse;margin:1em 0;font-size:.92em}caption{text-align:left;color:#555;padding-bottom:.4em}\
+svg{display:block;margin:1em auto;max-width:100%;height:auto}sub{line-height:0}table{border-collapse:collapse;margin:1em 0;font-size:.92em}caption{text-align:left;color:#555;padding-bottom:.4em}\
 th,td{text-align:left;vertical-align:top;padding:.25em .7em;border-bottom:1px solid #eee}th{border-bottom:2px solid #ccc}\
 .v{white-space:nowrap;border-radius:3px;padding:.1em .5em;font-size:.9em}.reproduced{background:#d8f0e3}\
 .not{background:#fbdcd0}.none{background:#eee}";
@@ -39,6 +39,19 @@ pub fn page(parts: &[Part]) -> String {
     html + "</html>\n"
 }
 
+/// Escaped, with one letter after an underscore set low: `v_x`, `α_z`.
+fn prose(text: &str) -> String {
+    let escaped = escape(text);
+    let mut parts = escaped.split('_');
+    let mut html = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        let cut = part.chars().next().map_or(0, char::len_utf8);
+        let (low, rest) = part.split_at(cut);
+        let _ = write!(html, "<sub>{low}</sub>{rest}");
+    }
+    html
+}
+
 fn claims(html: &mut String, claims: &[Claim]) {
     *html += "<table><tr><th>the paper<th>value<th>here<th>verdict<th>why</tr>";
     for c in claims {
@@ -50,10 +63,10 @@ fn claims(html: &mut String, claims: &[Claim]) {
         let _ = write!(
             html,
             "<tr><td>{}<td>{}<td>{}<td><span class=\"v {class}\">{word}</span><td>{}</tr>",
-            escape(&c.claim),
-            escape(&c.seed_value),
-            escape(&c.ours),
-            escape(&c.why)
+            prose(&c.claim),
+            prose(&c.seed_value),
+            prose(&c.ours),
+            prose(&c.why)
         );
     }
     *html += "</table>";

@@ -5,7 +5,9 @@ use super::claims::{Claim, extremes};
 use super::{Part, Table};
 use crate::error::Result;
 use crate::plot::{Axis, Figure, Mark, Panel, Style, color};
+use crate::progress::Silent;
 use crate::sand::Law;
+use crate::sim::engine::EngineKind;
 use crate::sim::walk::WalkResult;
 use crate::sweep::walk_all;
 
@@ -27,7 +29,7 @@ fn walk(law: Law, frequency: f64) -> Result<Vec<Vec<WalkResult>>> {
             trials.push(design.trial()?);
         }
     }
-    Ok(walk_all(&trials, &|_| ())?.chunks(width).map(<[WalkResult]>::to_vec).collect())
+    Ok(walk_all(EngineKind::Lanes, &trials, &Silent)?.chunks(width).map(<[WalkResult]>::to_vec).collect())
 }
 
 pub fn part() -> Result<Part> {

@@ -5,7 +5,9 @@ use super::claims::{Claim, extremes, percent};
 use super::{Part, Table};
 use crate::error::Result;
 use crate::plot::{Axis, Figure, Mark, Panel, Style, color};
+use crate::progress::Silent;
 use crate::sand::Law;
+use crate::sim::engine::EngineKind;
 use crate::sim::walk::WalkResult;
 use crate::sweep::walk_all;
 
@@ -33,7 +35,7 @@ impl Curve {
                 trials.push(design.trial()?);
             }
         }
-        let results = walk_all(&trials, &|_| ())?;
+        let results = walk_all(EngineKind::Lanes, &trials, &Silent)?;
         Ok(Self { rows: results.chunks(width).map(<[WalkResult]>::to_vec).collect() })
     }
 
@@ -78,28 +80,32 @@ pub fn part() -> Result<Part> {
 }
 
 fn figure(rft_l: &Curve, rft_r: &Curve, one_l: &Curve, one_r: &Curve) -> Figure {
-    let axis = || (Axis::within("stride frequency f [Hz]", 0.9, 5.1), Axis::new("forward speed v_x [cm/s]"));
+    // Both panels alike, to be compared.
+    let curves = [rft_l, rft_r, one_l, one_r];
+    let highest = 1.05 * curves.iter().flat_map(|c| c.band()).map(|b| b[2]).fold(0.0, f64::max);
+    let axis =
+        || (Axis::within("stride frequency f [Hz]", 0.9, 5.1), Axis::within("forward speed v_x [cm/s]", 0.0, highest));
     let limit = || Mark::Horizontal { at: 100.0 * VALID, text: "RFT is valid below 0.5 m/s".into() };
     let ((xa, ya), (xb, yb)) = (axis(), axis());
     let solid = |hue: &str| Style::line(hue).with_dots();
     let rft = Panel {
-        title: "RFT, with bands over the assumptions".into(),
+        title: "RFT".into(),
         x: xa,
         y: ya,
         marks: vec![
-            Mark::band("", color::BLUE, rft_l.band()),
-            Mark::band("", color::VERMILION, rft_r.band()),
+            Mark::band("L-legs, RFT over the assumptions", color::BLUE, rft_l.band()),
+            Mark::band("reversed L-legs, RFT over the assumptions", color::VERMILION, rft_r.band()),
             Mark::line("L-legs, RFT", solid(color::BLUE), rft_l.line()),
             Mark::line("reversed L-legs, RFT", solid(color::VERMILION), rft_r.line()),
             limit(),
         ],
     };
     let baseline = Panel {
-        title: "1D penetration and drag".into(),
+        title: "1D penetration and drag, RFT without its bands".into(),
         x: xb,
         y: yb,
         marks: vec![
-            Mark::band("", color::GREY, one_l.band()),
+            Mark::band("both, 1D over the assumptions", color::GREY, one_l.band()),
             Mark::band("", color::GREY, one_r.band()),
             Mark::line("", Style::line(color::BLUE), rft_l.line()),
             Mark::line("", Style::line(color::VERMILION), rft_r.line()),
@@ -126,7 +132,8 @@ fn three_laws() -> Result<(Figure, Table)> {
         let mut marks = Vec::new();
         for (law, hue) in Law::ALL.into_iter().zip([color::BLUE, color::BLACK, color::GREEN]) {
             let trials = frequencies().into_iter().map(|f| robot(law, xi, f)?.trial()).collect::<Result<Vec<_>>>()?;
-            let speeds: Vec<f64> = walk_all(&trials, &|_| ())?.iter().map(|r| 100.0 * r.speed).collect();
+            let speeds: Vec<f64> =
+                walk_all(EngineKind::Lanes, &trials, &Silent)?.iter().map(|r| 100.0 * r.speed).collect();
             let at = |f: f64| frequencies().iter().position(|g| *g == f).map_or(f64::NAN, |i| speeds[i]);
             let cells = [1.0, 2.0, 3.0, 5.0].map(|f| format!("{:.2}", at(f)));
             table.rows.push([name.to_owned(), law.name().to_owned()].into_iter().chain(cells).collect());

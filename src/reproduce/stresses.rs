@@ -9,7 +9,7 @@ use crate::sand::{Ground, Law, Medium, Surface};
 use std::f64::consts::PI;
 
 /// Attack angles of the paper's panels (a, c) [rad] and intrusion angles of its panels (b, d).
-const BETAS: [f64; 7] = [0.0, 0.52, 1.05, PI / 2.0, 2.09, 2.62, PI];
+const BETAS: [f64; 6] = [0.0, 0.52, 1.05, PI / 2.0, 2.09, 2.62];
 const GAMMAS: [f64; 13] =
     [PI / 2.0, 1.25, 0.98, PI / 4.0, 0.59, 0.32, 0.0, -0.32, -0.59, -PI / 4.0, -0.98, -1.25, -PI / 2.0];
 
@@ -39,7 +39,9 @@ fn figure(ground: &Ground<f64>) -> Figure {
             let at = |a: f64| if over_gamma { alpha(ground, *fixed, a) } else { alpha(ground, a, *fixed) };
             let style = Style::thin(&color::rainbow(k as f64 / (family.len() - 1) as f64));
             let style = if over_gamma { style } else { style.dashed() };
-            let label = format!("{symbol} = {}", degrees(*fixed));
+            // A thin plate at β = 0 and at 180° is the same plate: one curve for both.
+            let twin = if over_gamma && k == 0 { ", 180°" } else { "" };
+            let label = format!("{symbol} = {}{twin}", degrees(*fixed));
             Mark::line(&label, style, span.map(|a| [a.to_degrees(), at(a)[which]]).collect())
         };
         let x = if over_gamma {

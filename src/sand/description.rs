@@ -23,6 +23,11 @@ pub struct SandDescription {
 }
 
 impl SandDescription {
+    /// A medium and a law by their names, no mechanisms.
+    pub fn named(medium: &str, law: &str) -> Result<Self> {
+        Ok(Self { law: Law::named(law)?, ..Self::plain(&Medium::named(medium)?) })
+    }
+
     pub fn plain(medium: &Medium) -> Self {
         Self {
             name: medium.name.clone(),

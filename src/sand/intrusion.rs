@@ -1,8 +1,10 @@
 //! A leg rotated about a fixed hip: the experiment of Li et al. 2012, section 3.
 
 use super::beyond::Site;
-use super::contact::Ground;
-use super::shape::Segment;
+use super::contact::{Ground, Surface};
+use super::description::SandDescription;
+use super::shape::{Segment, Shape, straight};
+use crate::error::{Result, check_range};
 use crate::number::Vec3;
 
 /// Force and torque on an intruder.
@@ -35,4 +37,72 @@ pub fn rotating_leg(ground: &Ground<f64>, segments: &[Segment], theta: f64, omeg
         load.ty += x * f.z - z * f.x;
     }
     load
+}
+
+/// Segments along the leg: fine enough that forces no longer change in the fourth digit.
+const SEGMENTS: usize = 400;
+
+/// θ from −1.75 to 1.75 rad in steps of 0.01, as in the paper's figure 3.
+const HALF_SWEEP: i32 = 175;
+
+/// A leg that turns once through the sand under a fixed hip.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rotation {
+    pub shape: Shape,
+    /// Distance from hip to tip [m].
+    pub chord: f64,
+    /// [m]
+    pub width: f64,
+    /// Height of the hip above the surface [m]; on sloped sand, above the surface right below it.
+    pub hip_height: f64,
+    /// Angular speed [rad/s]; negative turns the tip backward.
+    pub omega: f64,
+}
+
+/// The experiment of Li et al. 2012, section 3: 2R [m] …
+pub const CHORD: f64 = 0.076;
+/// … width [m] …
+pub const WIDTH: f64 = 0.025;
+/// … hip above the sand [m] …
+pub const HIP_HEIGHT: f64 = 0.02;
+/// … and angular speed [rad/s].
+pub const OMEGA: f64 = 0.2;
+
+impl Rotation {
+    /// In the paper's experiment.
+    pub fn of(shape: Shape) -> Self {
+        Self { shape, chord: CHORD, width: WIDTH, hip_height: HIP_HEIGHT, omega: OMEGA }
+    }
+
+    /// Angle [rad] and load in `sand`, from θ = −1.75 to 1.75. Mechanisms of sensors and logs do nothing here.
+    pub fn loads(&self, sand: &SandDescription) -> Result<Vec<(f64, Load)>> {
+        let segments = self.shape.segments(self.chord, self.width, SEGMENTS)?;
+        // Guards against slips of units: our choice.
+        check_range("hip-height", self.hip_height, -1.0..=1.0)?;
+        check_range("omega", self.omega, -100.0..=100.0)?;
+        let (medium, mechanisms) = (sand.medium(), &sand.mechanisms);
+        let ground = Ground::new(sand.law, &medium, &Surface::default()).with(mechanisms, &medium);
+        let chord = straight([0.0, 0.0], [0.0, -self.chord], self.width, SEGMENTS);
+        // Bulging forward and turning backward, or the reverse: the concave side leads and fills.
+        let concave_leads = self.shape.bulge() * self.omega < 0.0;
+        let fill = if concave_leads { mechanisms.concave_fill } else { 0.0 };
+        let (sin, cos) = mechanisms.slope.sin_cos();
+        let load = |theta: f64| {
+            // In the surface's frame the leg leans the other way; forces are turned back.
+            let at =
+                |s: &[Segment]| rotating_leg(&ground, s, theta - mechanisms.slope, self.omega, self.hip_height * cos);
+            let own = at(&segments);
+            let l = if fill == 0.0 { own } else { own.mixed(&at(&chord), fill) };
+            Load { fx: l.fx * cos - l.fz * sin, fz: l.fx * sin + l.fz * cos, ty: l.ty }
+        };
+        Ok((-HALF_SWEEP..=HALF_SWEEP).map(|i| f64::from(i) * 0.01).map(|theta| (theta, load(theta))).collect())
+    }
+}
+
+impl Load {
+    /// (1 − share) of this and `share` of the other.
+    fn mixed(&self, other: &Load, share: f64) -> Load {
+        let mix = |a: f64, b: f64| (1.0 - share) * a + share * b;
+        Load { fx: mix(self.fx, other.fx), fz: mix(self.fz, other.fz), ty: mix(self.ty, other.ty) }
+    }
 }

@@ -109,6 +109,9 @@ const SCALED: [(&str, f64, f64, &str); 4] = [
 ];
 
 impl Medium {
+    /// Unless another is given: the sand of Li et al. 2012.
+    pub const DEFAULT: &'static str = "poppy-loose";
+
     /// Names that [`Medium::named`] answers to.
     pub fn names() -> Vec<&'static str> {
         MEASURED.iter().map(|m| m.0).chain(SCALED.iter().map(|m| m.0)).collect()

@@ -5,6 +5,7 @@
 //! * [`address`]: where to listen; [`server`]: serving until told to stop.
 //! * [`sessions`]: who holds which environments, and the limits.
 //! * [`stream`]: one RunSession stream, request by request; [`rollout`]: the request of many steps.
+//! * [`studies`]: the offline tools, one at a time.
 //! * [`decode`], [`encode`], [`values`]: messages from and to the crate's types.
 //! * [`status`]: the one map from errors to gRPC codes.
 
@@ -16,9 +17,10 @@ pub mod server;
 mod sessions;
 mod status;
 mod stream;
+mod studies;
 mod values;
 
-/// Generated from `proto/sandgait/v1/sandgait.proto`.
+/// Generated from `proto/sandgait/v1/`.
 pub mod proto {
     tonic::include_proto!("sandgait.v1");
 }

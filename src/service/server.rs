@@ -3,7 +3,9 @@
 use super::Service;
 use super::address::Listener;
 use super::proto::environment_service_server::EnvironmentServiceServer;
+use super::proto::study_service_server::StudyServiceServer;
 use super::sessions::Limits;
+use super::studies::{self, Studies};
 use crate::error::{Error, Result};
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite};
@@ -30,21 +32,30 @@ const FRAME: u32 = 1 << 20;
 /// Serves until `stop` is cancelled, then lets every stream finish the operation it has in flight.
 pub async fn serve(listener: Listener, threads: usize, limits: Limits, stop: CancellationToken) -> Result<()> {
     let largest = limits.request;
-    let service = EnvironmentServiceServer::new(Service::new(threads, limits, stop.clone()))
+    let environments = EnvironmentServiceServer::new(Service::new(threads, limits, stop.clone()))
         .max_decoding_message_size(largest)
         .max_encoding_message_size(u32::MAX as usize);
+    let studies = StudyServiceServer::new(Studies::new(stop.clone()))
+        .max_decoding_message_size(studies::MOST_BYTES)
+        .max_encoding_message_size(u32::MAX as usize);
+    let services = Services { environments, studies };
     match listener {
         Listener::Tcp(listener) => {
             // Without nodelay a small call takes 44 ms; `Server::tcp_nodelay` is ignored when we bring the listener.
             let tcp = TcpIncoming::from(listener).with_nodelay(Some(true)).with_keepalive(Some(KEEPALIVE));
-            drive(service, tcp, Some(KEEPALIVE), stop).await
+            drive(services, tcp, Some(KEEPALIVE), stop).await
         }
-        Listener::Unix(listener, _file) => drive(service, UnixListenerStream::new(listener), None, stop).await,
+        Listener::Unix(listener, _file) => drive(services, UnixListenerStream::new(listener), None, stop).await,
     }
 }
 
+struct Services {
+    environments: EnvironmentServiceServer<Service>,
+    studies: StudyServiceServer<Studies>,
+}
+
 async fn drive<C>(
-    service: EnvironmentServiceServer<Service>,
+    services: Services,
     incoming: impl Stream<Item = std::io::Result<C>>,
     keepalive: Option<Duration>,
     stop: CancellationToken,
@@ -65,7 +76,8 @@ where
         .initial_stream_window_size(WINDOW)
         .initial_connection_window_size(2 * WINDOW)
         .max_frame_size(FRAME)
-        .add_service(service)
+        .add_service(services.environments)
+        .add_service(services.studies)
         .serve_with_incoming_shutdown(incoming, stop.clone().cancelled_owned());
     let too_late = async {
         stop.cancelled().await;

@@ -53,6 +53,13 @@ impl Scene {
         }
     }
 
+    /// A flat one of this sand.
+    pub fn on(sand: &SandDescription) -> Self {
+        let mut scene = Self::flat(sand.medium());
+        scene.set_sand(sand);
+        scene
+    }
+
     /// Replaces medium, law and mechanisms.
     pub fn set_sand(&mut self, sand: &SandDescription) {
         (self.medium, self.law, self.mechanisms) = (sand.medium(), sand.law, sand.mechanisms);

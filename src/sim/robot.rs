@@ -125,20 +125,28 @@ const BUILT_IN: [(&str, &str); 2] = [
 ];
 
 impl Robot {
+    /// The reference robot.
+    pub const DEFAULT: &'static str = "xplorer";
+
     pub fn names() -> Vec<&'static str> {
         BUILT_IN.iter().map(|r| r.0).collect()
     }
 
+    pub fn built_in(name: &str) -> Result<Self> {
+        let text = BUILT_IN.iter().find(|r| r.0 == name).map(|r| r.1);
+        Self::from_toml(text.ok_or_else(|| Error::unknown("robot", name, &Self::names()))?)
+    }
+
     /// A built-in robot by name, or the robot in the file `name` if that ends in `.toml`.
     pub fn load(name: &str) -> Result<Self> {
-        if let Some((_, text)) = BUILT_IN.iter().find(|r| r.0 == name) {
-            return Self::from_toml(text);
+        if name.ends_with(".toml") {
+            let path = std::path::Path::new(name);
+            return Self::from_toml(&std::fs::read_to_string(path).map_err(|e| Error::file(path, e))?);
         }
-        if !name.ends_with(".toml") {
-            return Err(Error::unknown("robot", name, &[&Self::names()[..], &["FILE.toml"]].concat()));
+        match BUILT_IN.iter().any(|r| r.0 == name) {
+            true => Self::built_in(name),
+            false => Err(Error::unknown("robot", name, &[&Self::names()[..], &["FILE.toml"]].concat())),
         }
-        let path = std::path::Path::new(name);
-        Self::from_toml(&std::fs::read_to_string(path).map_err(|e| Error::file(path, e))?)
     }
 
     pub fn from_toml(text: &str) -> Result<Self> {

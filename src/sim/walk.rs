@@ -32,7 +32,7 @@ pub struct WalkResult {
     pub hip_torque_rms: f64,
     /// Commanded minus actual speed, over all joints [rad/s].
     pub hip_speed_error_rms: f64,
-    /// ∫ Σ|τ ω| dt over weight times distance.
+    /// ∫ Σ|τ ω| dt over weight times distance; not a number where the robot only stands.
     pub cost_of_transport: f64,
     /// Height that the base lost from the window's start to its end [m].
     pub sink: f64,
@@ -100,12 +100,16 @@ impl Trial {
 
 /// Runs one trial.
 pub fn walk(kind: EngineKind, trial: &Trial) -> Result<WalkResult> {
-    let results = walk_many(kind, std::slice::from_ref(trial))?;
+    let results = walk_many(kind, std::slice::from_ref(trial), &|_| Ok(()))?;
     results.first().copied().ok_or_else(|| Error::invalid("trials", "none"))
 }
 
-/// Runs `trials` side by side in one engine; all robots must have the same number of joints and plates.
-pub fn walk_many(kind: EngineKind, trials: &[Trial]) -> Result<Vec<WalkResult>> {
+/// Simulated time [s] between two calls of `advanced`: some milliseconds of work, our choice.
+const HEED: f64 = 1.0;
+
+/// Runs `trials` side by side in one engine; all robots must have the same number of joints and plates. `advanced` hears
+/// how many more seconds have been simulated; an error of it stops the walks and is handed back.
+pub fn walk_many(kind: EngineKind, trials: &[Trial], advanced: &dyn Fn(f64) -> Result<()>) -> Result<Vec<WalkResult>> {
     let Some(first) = trials.first() else { return Ok(Vec::new()) };
     let mut engine = Engine::new(kind, &first.model, trials.len())?;
     for (i, trial) in trials.iter().enumerate() {
@@ -122,7 +126,9 @@ pub fn walk_many(kind: EngineKind, trials: &[Trial]) -> Result<Vec<WalkResult>> 
     let end = trials.iter().map(|t| t.window()[1]).fold(0.0, f64::max);
     let mut meters: Vec<_> = trials.iter().map(Meter::new).collect();
     let mut command = Command::still(first.model.joints());
-    for k in 0..=(end / tick).ceil() as usize {
+    let ticks = (end / tick).ceil() as usize;
+    let heed = (HEED / tick).round().max(1.0) as usize;
+    for k in 0..=ticks {
         let time = k as f64 * tick;
         for (i, meter) in meters.iter_mut().enumerate() {
             // The speed in the middle of the tick: the ramp's integral is exact.
@@ -133,7 +139,11 @@ pub fn walk_many(kind: EngineKind, trials: &[Trial]) -> Result<Vec<WalkResult>> 
         for (i, meter) in meters.iter_mut().enumerate() {
             meter.sample(&engine, i, time + tick, tick);
         }
+        if (k + 1) % heed == 0 {
+            advanced(heed as f64 * tick)?;
+        }
     }
+    advanced(((ticks + 1) % heed) as f64 * tick)?;
     Ok(meters.into_iter().map(Meter::result).collect())
 }
 
@@ -167,11 +177,15 @@ impl<'a> Meter<'a> {
     /// Takes the state of robot `index` at `time`, one `tick` [s] after the last.
     fn sample(&mut self, engine: &Engine, index: usize, time: f64, tick: f64) {
         let window = self.trial.window();
-        if time < window[0] || self.ends[1].is_some() {
+        // From the tick before the window on: its start lies between two samples.
+        if time + tick < window[0] || self.ends[1].is_some() {
             return;
         }
         let before = self.now.work;
         engine.state(index, &mut self.now);
+        if time < window[0] {
+            return;
+        }
         let now = &self.now;
         for (end, at) in self.ends.iter_mut().zip(window) {
             if end.is_none() && time >= at {
@@ -203,7 +217,10 @@ impl<'a> Meter<'a> {
             pitch_rms: mean(self.pitch_squared).sqrt(),
             hip_torque_rms: mean(self.torque_squared).sqrt(),
             hip_speed_error_rms: mean(self.error_squared).sqrt(),
-            cost_of_transport: (work_to - work_from) / (self.trial.model.total_mass() * GRAVITY * drift),
+            cost_of_transport: match self.trial.frequency {
+                0.0 => f64::NAN,
+                _ => (work_to - work_from) / (self.trial.model.total_mass() * GRAVITY * drift),
+            },
             sink: from[2] - to[2],
             drift,
         }

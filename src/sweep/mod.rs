@@ -1,13 +1,15 @@
 //! Design studies: how a robot's walk changes with its design and its sand.
 //!
-//! [`parameter`]: what can be varied → [`run`]: all walks over lanes and cores → [`table`]: CSV and figure, or
-//! [`optimize`]: a search for the best design. After Li et al. 2012, section 5.
+//! [`parameter`]: what can be varied → [`grid`]: every design, its walks [`run`] over lanes and cores → [`table`]: CSV and
+//! figure, or [`optimize`]: a search for the best design. After Li et al. 2012, section 5.
 
+pub mod grid;
 pub mod optimize;
 pub mod parameter;
 pub mod run;
 pub mod table;
 
+pub use grid::grid;
 pub use parameter::{Axis, Parameter};
 pub use run::walk_all;
 
@@ -28,6 +30,14 @@ pub struct Design {
 }
 
 impl Design {
+    /// Stride frequency [Hz] unless another is given: our choice, legs of any shape walk at it.
+    pub const FREQUENCY: f64 = 2.0;
+
+    /// Sets parameters by their names, in order.
+    pub fn set<'a>(&mut self, settings: impl IntoIterator<Item = (&'a str, &'a str)>) -> Result<()> {
+        settings.into_iter().try_for_each(|(name, value)| Parameter::named(name)?.set(self, value))
+    }
+
     pub fn trial(&self) -> Result<Trial> {
         let model = Model::new(&self.robot, &self.scene)?;
         Ok(Trial { phase: self.phase, ..Trial::new(model, self.frequency) })
@@ -63,6 +73,11 @@ impl Measure {
             Self::Speed => 100.0 * result.speed,
             Self::CostOfTransport => result.cost_of_transport,
         }
+    }
+
+    /// The best of these walks; none if there are none.
+    pub fn best(self, results: &[WalkResult]) -> Option<usize> {
+        (0..results.len()).min_by(|a, b| self.cost(&results[*a]).total_cmp(&self.cost(&results[*b])))
     }
 
     /// Smaller is better; a walk that failed, or went backward, is worst.

@@ -3,12 +3,15 @@
 
 use super::{Axis, Design, Measure, walk_all};
 use crate::error::{Error, Result};
+use crate::progress::{Part, Progress};
+use crate::sim::engine::EngineKind;
 use crate::sim::walk::{Trial, WalkResult};
 use argmin::core::{CostFunction, Executor, State};
 use argmin::solver::particleswarm::ParticleSwarm;
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use std::borrow::Borrow;
+use std::cell::Cell;
 
 /// Robots in the swarm: two full blocks of lanes, one a core of a small machine.
 const SWARM: usize = 32;
@@ -27,29 +30,40 @@ pub struct Optimum {
     pub result: WalkResult,
 }
 
-struct Problem<'a, F> {
+struct Problem<'a> {
     base: &'a Design,
     axes: &'a [Axis],
     measure: Measure,
-    done: &'a F,
+    progress: &'a dyn Progress,
+    /// Robots that have walked.
+    walked: Cell<usize>,
 }
 
-impl<F: Fn(usize) + Sync> Problem<'_, F> {
+impl Problem<'_> {
     fn trial(&self, values: &[f64]) -> Result<Trial> {
-        let mut design = self.base.clone();
-        for (axis, value) in self.axes.iter().zip(values) {
-            axis.parameter.set(&mut design, &value.to_string())?;
-        }
-        design.trial()
+        trial(self.base, self.axes, values)
     }
 
     fn walk(&self, swarm: &[&[f64]]) -> Result<Vec<WalkResult>> {
         let trials = swarm.iter().map(|values| self.trial(values)).collect::<Result<Vec<_>>>()?;
-        walk_all(&trials, self.done)
+        let before = self.walked.get();
+        self.walked.set(before + swarm.len());
+        let ends = [before, before + swarm.len()].map(|n| (n as f64 / WALKS as f64).min(1.0));
+        walk_all(EngineKind::Lanes, &trials, &Part::new(self.progress, ends))
     }
 }
 
-impl<F: Fn(usize) + Sync> CostFunction for Problem<'_, F> {
+fn trial(base: &Design, axes: &[Axis], values: &[f64]) -> Result<Trial> {
+    let mut design = base.clone();
+    for (axis, value) in axes.iter().zip(values) {
+        axis.parameter.set(&mut design, &value.to_string())?;
+    }
+    let trial = design.trial()?;
+    trial.validate()?;
+    Ok(trial)
+}
+
+impl CostFunction for Problem<'_> {
     type Param = Vec<f64>;
     type Output = f64;
 
@@ -68,27 +82,34 @@ impl<F: Fn(usize) + Sync> CostFunction for Problem<'_, F> {
     }
 }
 
-/// Searches between the least and greatest value of each axis.
-pub fn optimize(base: &Design, axes: &[Axis], measure: Measure, done: &(impl Fn(usize) + Sync)) -> Result<Optimum> {
+/// Least and greatest value of each axis. Wrong bounds are the user's to mend: designs at both ends are tried.
+pub fn bounds(base: &Design, axes: &[Axis]) -> Result<[Vec<f64>; 2]> {
     let (mut low, mut high) = (Vec::new(), Vec::new());
     for axis in axes {
         let reason = format!("{} needs two numbers to search between", axis.parameter.name);
-        let values = axis.numbers().filter(|v| v.len() > 1).ok_or_else(|| Error::invalid("--vary", reason))?;
+        let values = axis.numbers().filter(|v| v.len() > 1).ok_or_else(|| Error::invalid("vary", reason))?;
         low.push(values.iter().copied().fold(f64::INFINITY, f64::min));
         high.push(values.iter().copied().fold(f64::NEG_INFINITY, f64::max));
     }
-    let problem = Problem { base, axes, measure, done };
-    // Wrong bounds are the user's to mend: say so before the search.
-    problem.trial(&low)?;
-    problem.trial(&high)?;
+    trial(base, axes, &low)?;
+    trial(base, axes, &high)?;
+    Ok([low, high])
+}
+
+/// Searches between the least and greatest value of each axis. An error of `progress` stops the search.
+pub fn optimize(base: &Design, axes: &[Axis], measure: Measure, progress: &dyn Progress) -> Result<Optimum> {
+    let [low, high] = bounds(base, axes)?;
+    let problem = Problem { base, axes, measure, progress, walked: Cell::new(0) };
     let random = Xoshiro256PlusPlus::seed_from_u64(SEED);
     let swarm = ParticleSwarm::new((low, high), SWARM).with_rng_generator(random);
     let run = Executor::new(problem, swarm).configure(|state| state.max_iters(MOVES)).run();
-    let run = run.map_err(|e| Error::Exhausted(format!("the search failed: {e}")))?;
+    let failed = |e: argmin::core::Error| match e.downcast::<Error>() {
+        Ok(ours) => ours,
+        Err(other) => Error::Exhausted(format!("the search failed: {other}")),
+    };
+    let run = run.map_err(failed)?;
     let best = run.state.get_best_param().ok_or_else(|| Error::Exhausted("the search found nothing".into()))?;
     let values = best.position.clone();
-    let problem = Problem { base, axes, measure, done: &|_| () };
-    let result = problem.walk(&[&values])?;
-    let result = result.into_iter().next().ok_or_else(|| Error::Exhausted("the search found nothing".into()))?;
+    let result = crate::sim::walk::walk(EngineKind::Lanes, &trial(base, axes, &values)?)?;
     Ok(Optimum { values, result })
 }

@@ -183,7 +183,10 @@ impl Parameter {
 
     /// Changes the design; refuses values that no robot or sand can have.
     pub fn set(&self, design: &mut Design, value: &str) -> Result<()> {
-        (self.set)(design, value)
+        (self.set)(design, value).map_err(|e| match e {
+            Error::Invalid { field, reason } if field == "value" => Error::invalid(self.name, reason),
+            other => other,
+        })
     }
 
     /// Name and unit for an axis.
@@ -204,11 +207,20 @@ pub struct Axis {
 const MOST_VALUES: usize = 10_000;
 
 impl Axis {
+    /// A parameter's name and its values as text, numbers or names.
+    pub fn new(name: &str, values: Vec<String>) -> Result<Self> {
+        let parameter = Parameter::named(name)?;
+        check_range(&format!("{name}: number of values"), values.len() as f64, 1.0..=MOST_VALUES as f64)?;
+        match values.iter().position(String::is_empty) {
+            Some(index) => Err(Error::invalid(format!("{name}[{index}]"), "an empty value")),
+            None => Ok(Self { parameter, values }),
+        }
+    }
+
     /// `NAME=FIRST:LAST:COUNT` or `NAME=VALUE,VALUE,…` (values of a medium that contain commas cannot be listed).
     pub fn parse(text: &str) -> Result<Self> {
         let (name, values) =
             text.split_once('=').ok_or_else(|| Error::invalid("--vary", format!("{text:?} is not NAME=VALUES")))?;
-        let parameter = Parameter::named(name)?;
         let parts: Vec<&str> = values.split(':').collect();
         let values = match parts[..] {
             [first, last, count] => {
@@ -222,10 +234,7 @@ impl Axis {
             [list] => list.split(',').map(|v| v.trim().to_owned()).collect::<Vec<_>>(),
             _ => return Err(Error::invalid("--vary", format!("{values:?} is neither FIRST:LAST:COUNT nor a list"))),
         };
-        if values.iter().any(String::is_empty) || values.len() > MOST_VALUES {
-            return Err(Error::invalid("--vary", format!("{text:?} has an empty value, or more than {MOST_VALUES}")));
-        }
-        Ok(Self { parameter, values })
+        Self::new(name, values)
     }
 
     /// The values as numbers, if they all are.

@@ -2,14 +2,16 @@
 
 use crate::error::Result;
 use crate::parallel;
+use crate::progress::Progress;
 use crate::sim::engine::EngineKind;
 use crate::sim::walk::{Trial, WalkResult, walk_many};
+use std::sync::{Mutex, PoisonError};
 
-/// Walks every trial on engine `lanes`, in the order given. `done` is told how many more have finished.
+/// Walks every trial, in the order given. An error of `progress` stops all of them within a second of simulated time.
 ///
 /// A block has one law, regularisation and time step, and as many plates in every lane; within that, trials are packed by
 /// stride frequency, because a block runs until its slowest robot has finished its strides.
-pub fn walk_all(trials: &[Trial], done: &(impl Fn(usize) + Sync)) -> Result<Vec<WalkResult>> {
+pub fn walk_all(engine: EngineKind, trials: &[Trial], progress: &dyn Progress) -> Result<Vec<WalkResult>> {
     let mut order: Vec<usize> = (0..trials.len()).collect();
     order.sort_by(|a, b| {
         let key = |i: &usize| (kind(&trials[*i]), trials[*i].frequency.abs());
@@ -19,9 +21,7 @@ pub fn walk_all(trials: &[Trial], done: &(impl Fn(usize) + Sync)) -> Result<Vec<
     let mut blocks: Vec<Vec<usize>> = Vec::new();
     for index in order {
         match blocks.last_mut() {
-            Some(block)
-                if block.len() < EngineKind::Lanes.shard_size() && kind(&trials[block[0]]) == kind(&trials[index]) =>
-            {
+            Some(block) if block.len() < engine.shard_size() && kind(&trials[block[0]]) == kind(&trials[index]) => {
                 block.push(index);
             }
             _ => blocks.push(vec![index]),
@@ -29,11 +29,10 @@ pub fn walk_all(trials: &[Trial], done: &(impl Fn(usize) + Sync)) -> Result<Vec<
     }
     // Slow walks come last in each kind; started first, they do not leave a core waiting at the end.
     blocks.reverse();
+    let clock = Clock::of(trials, &blocks, progress);
     let walked = parallel::map(&blocks, |block| {
         let packed: Vec<Trial> = block.iter().map(|i| trials[*i].clone()).collect();
-        let results = walk_many(EngineKind::Lanes, &packed);
-        done(block.len());
-        results
+        walk_many(engine, &packed, &|seconds| clock.advance(seconds))
     });
     let mut results = vec![None; trials.len()];
     for (block, walked) in blocks.iter().zip(walked) {
@@ -42,6 +41,32 @@ pub fn walk_all(trials: &[Trial], done: &(impl Fn(usize) + Sync)) -> Result<Vec<
         }
     }
     Ok(results.into_iter().flatten().collect())
+}
+
+/// Simulated time of all blocks together: the measure of how far the walks have come.
+struct Clock<'a> {
+    /// [s]
+    total: f64,
+    /// [s]
+    passed: Mutex<f64>,
+    stage: String,
+    progress: &'a dyn Progress,
+}
+
+impl<'a> Clock<'a> {
+    fn of(trials: &[Trial], blocks: &[Vec<usize>], progress: &'a dyn Progress) -> Self {
+        let longest = |block: &Vec<usize>| block.iter().map(|i| trials[*i].duration()).fold(0.0, f64::max);
+        let total = blocks.iter().map(longest).sum();
+        Self { total, passed: Mutex::new(0.0), stage: format!("{} walks", trials.len()), progress }
+    }
+
+    fn advance(&self, seconds: f64) -> Result<()> {
+        let mut passed = self.passed.lock().unwrap_or_else(PoisonError::into_inner);
+        *passed += seconds;
+        let share = (*passed / self.total).min(1.0);
+        drop(passed);
+        self.progress.report(share, &self.stage)
+    }
 }
 
 /// What all robots of a block must have in common.

@@ -56,13 +56,16 @@ impl Server {
         Self { address, stop, done, _directory: directory }
     }
 
-    pub async fn client(&self) -> Client {
+    pub async fn channel(&self) -> Channel {
         let uri = match &self.address {
             Address::Tcp(address) => format!("http://{address}"),
             Address::Unix(path) => format!("unix://{}", path.display()),
         };
-        let channel = Endpoint::from_shared(uri).unwrap().connect().await.unwrap();
-        Client::new(channel).max_decoding_message_size(usize::MAX)
+        Endpoint::from_shared(uri).unwrap().connect().await.unwrap()
+    }
+
+    pub async fn client(&self) -> Client {
+        Client::new(self.channel().await).max_decoding_message_size(usize::MAX)
     }
 
     pub async fn session(&self, envs: u32) -> Session {

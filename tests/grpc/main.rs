@@ -1,4 +1,4 @@
-//! The service from outside, over a real socket: what is promised in `proto/sandgait/v1/sandgait.proto`.
+//! The service from outside, over a real socket: what is promised in `proto/sandgait/v1/`.
 
 mod bad_input;
 mod determinism;
@@ -7,6 +7,10 @@ mod raw;
 mod rollouts;
 mod sessions;
 mod snapshots;
+mod studies;
+#[expect(dead_code, reason = "the clean log is for other tests")]
+#[path = "../testbed/mod.rs"]
+mod testbed;
 mod traps;
 
 use harness::{ACTIONS, Server, Session, TASK, floats, number, options, text};

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
+
+import pytest
 
 from conftest import RemoteServer
 
@@ -38,6 +43,37 @@ def test_train_gait_writes_what_it_promises(tmp_path: Path) -> None:
     settings = json.loads((tmp_path / "run" / "settings.json").read_text())
     assert settings["options"]["leg"] == "C"
     assert settings["seed"] == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "writes", "says"),
+    [
+        ("leg_forces", ["leg_forces.png"], r"L +lifts +7\.5 N at +-41°"),
+        ("design_sweep", ["design_sweep.png"], r"fastest: ξ = \d+° at [\d.]+ Hz: [\d.]+ cm/s"),
+        (
+            "diagnose_force_log",
+            [f"diagnose_force_log/{file}" for file in ("curves.png", "walks.png", "report.html", "sand.toml")],
+            r"inertial_drag: 0\.\d+, 95 % interval",
+        ),
+    ],
+)
+def test_a_worked_study_draws_its_figures(name: str, writes: list[str], says: str, tmp_path: Path) -> None:
+    """Under half a minute each, every cell, no warning."""
+    shutil.copytree(ROOT / "examples/data", tmp_path / "examples/data")
+    start = time.monotonic()
+    output = subprocess.run(
+        [sys.executable, "-W", "error", ROOT / f"examples/{name}.py"],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=120,
+        cwd=tmp_path,
+        env={**os.environ, "MPLBACKEND": "Agg"},
+    ).stdout
+    assert time.monotonic() - start < 30
+    assert re.search(says, output), output
+    for file in writes:
+        assert (tmp_path / "runs" / file).stat().st_size > 500
 
 
 def test_the_bench_of_the_client_measures() -> None:

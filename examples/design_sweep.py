@@ -1,0 +1,61 @@
+# %% [markdown]
+# # Which leg walks best?
+#
+# The reference hexapod walks over loose poppy seeds with legs of any knee angle ξ (ξ > 0: the convex side leads, 45° is
+# the L-leg) at any stride frequency. Hundreds of walks take seconds. Run as a script or cell by cell; needs
+# `sandgait[plot]`.
+
+# %%
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import sandgait
+
+OUT = Path("runs/design_sweep.png")
+OUT.parent.mkdir(exist_ok=True)
+
+# %% [markdown]
+# ## A map of two parameters
+
+# %%
+walks = sandgait.sweep({"xi": np.arange(-75, 76, 5), "frequency": np.arange(1.0, 5.01, 0.25)})
+fastest = walks.best()
+cheapest = walks.best("cost-of-transport")
+print(f"{len(walks.speed)} walks")
+for word, best in (("fastest", fastest), ("cheapest", cheapest)):
+    print(f"{word}: ξ = {best['xi']:.0f}° at {best['frequency']:.2f} Hz: ", end="")
+    print(f"{100 * best['speed']:.1f} cm/s at a cost of transport of {best['cost_of_transport']:.2f}")
+
+# %% [markdown]
+# ## A search
+#
+# Knee angle and length of the leg at 2 Hz, both at once: a particle swarm between the bounds.
+
+# %%
+found = sandgait.sweep({"xi": [0, 75], "chord": [0.03, 0.05]}, optimize="speed").best()
+print(f"best at 2 Hz: ξ = {found['xi']:.1f}°, chord {1000 * found['chord']:.1f} mm: {100 * found['speed']:.1f} cm/s")
+
+# %% [markdown]
+# ## Does it hold on other sands?
+
+# %%
+MEDIA = ("poppy-loose", "poppy-close", "quikrete-medium")
+by_medium = sandgait.sweep({"medium": MEDIA, "xi": np.arange(-75, 76, 5)})
+
+# %%
+figure, (speed, cost, sands) = plt.subplots(1, 3, figsize=(14, 4.2), layout="constrained")
+walks.plot(axes=speed)
+walks.plot("cost-of-transport", axes=cost)
+by_medium.plot(axes=sands)
+for axes, best, title in ((speed, fastest, "Speed"), (cost, cheapest, "Cost of transport")):
+    axes.plot(best["frequency"], best["xi"], "*", color="white", markeredgecolor="black", markersize=13, label="best")
+    axes.set(title=title, xlabel="stride frequency [Hz]", ylabel="knee angle ξ [°]", yticks=range(-60, 61, 30))
+    axes.legend(loc="lower left")
+sands.set(title="Speed at 2 Hz by sand", xlabel="knee angle ξ [°]", xticks=range(-60, 61, 30))
+sands.set_ylim(10, 42)
+sands.legend(loc="upper left")
+sands.grid(alpha=0.3)
+figure.savefig(OUT, dpi=120)
+print(f"figure: {OUT}")

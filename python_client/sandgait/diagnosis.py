@@ -1,0 +1,151 @@
+"""Diagnosis: what a simulation gets wrong about measured data, why, and what extending it is worth."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from . import client
+from ._proto.sandgait.v1 import studies_pb2 as pb
+from .errors import InvalidRequest, LimitReached
+from .studies import Display, FilePath, ProgressOption, columns, file
+from .tables import Table, new_axes
+
+#: Largest data a server takes [bytes]; `sandgait diagnose` on the command line reads larger files.
+MOST_BYTES = 63 * 2**20
+
+#: Conditions that a figure shows unless others are asked for: those where the plain model errs most.
+CONDITIONS = 4
+
+
+class Diagnosis:
+    """Verdict, causes and the extended sand of a diagnosis; `report` is `report.json` as a dict."""
+
+    def __init__(self, report_json: str, html: str, sand: str, curves: Table) -> None:
+        self.report_json = report_json
+        self.report: dict[str, Any] = json.loads(report_json)
+        #: `report.html`: one self-contained page.
+        self.html = html
+        #: The extended model as `sand.toml`: the plain one where nothing helps.
+        self.sand = sand
+        #: Measured and predicted loads, one row a sample: trial, condition, shape, progress (angle [rad] or place
+        #: along the path [m]), then for each channel C: C, C_plain, C_extended, C_sd.
+        self.curves = curves
+
+    @property
+    def verdict(self) -> str:
+        """noise_floor, named, ambiguous, none_of_these or insufficient_data."""
+        return cast(str, self.report["verdict"])
+
+    @property
+    def summary(self) -> str:
+        """The verdict in one sentence."""
+        return cast(str, self.report["summary"])
+
+    @property
+    def causes(self) -> list[dict[str, Any]]:
+        """Each with id, value, unit and ci95; empty unless the verdict is named or ambiguous."""
+        return cast(list[dict[str, Any]], self.report["causes"])
+
+    def __repr__(self) -> str:
+        return f"<Diagnosis: {self.verdict}: {self.summary}>"
+
+    def _repr_html_(self) -> str:
+        return f"<b>{self.verdict}</b>: {self.summary}"
+
+    def save(self, out: FilePath) -> None:
+        """Writes report.json, report.html and sand.toml into the directory `out`, as the command line does."""
+        directory = Path(out)
+        directory.mkdir(parents=True, exist_ok=True)
+        for name, text in (("report.json", self.report_json), ("report.html", self.html), ("sand.toml", self.sand)):
+            (directory / name).write_text(text, encoding="utf-8")
+
+    def to_frame(self) -> Any:
+        """The measured and predicted loads as a pandas DataFrame, see `curves`. Needs `sandgait[plot]`."""
+        return self.curves.to_frame()
+
+    def plot(self, conditions: list[str] | None = None, channels: tuple[str, ...] = ("Fx", "Fz")) -> Any:
+        """Measured (dots), plain and extended loads of some conditions, one row a condition, one column a channel.
+
+        `conditions`: as the data name them (none: the 4 where the plain model errs most). Gives the matplotlib figure.
+        Needs `sandgait[plot]`.
+        """
+        c = self.curves
+        unknown = [name for name in channels if name not in c]
+        if unknown:
+            raise InvalidRequest(f"channels: {unknown[0]!r} was not measured")
+        if conditions is None:
+            conditions = self._worst(channels)
+        axes = new_axes(None, len(conditions), len(channels), (4.2 * len(channels), 2.3 * len(conditions) + 0.6))
+        grid = np.asarray(axes, dtype=object).reshape(len(conditions), len(channels))
+        for row, condition in zip(grid, conditions, strict=True):
+            chosen = c["condition"] == condition
+            if not chosen.any():
+                raise InvalidRequest(f"conditions: {condition!r} is not in the data")
+            for ax, channel in zip(row, channels, strict=True):
+                self._draw(ax, chosen, channel)
+            row[0].set_title(f"{c['shape'][chosen][0]}, condition {condition}", loc="left", fontsize="medium")
+        for ax in grid[-1]:
+            ax.set_xlabel("angle [rad] or place along the path [m]")
+        handles, labels = grid[0][0].get_legend_handles_labels()
+        figure = grid[0][0].figure
+        figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+        return figure
+
+    def _worst(self, channels: tuple[str, ...]) -> list[str]:
+        """Conditions in which the plain model is off by the most σ of a repetition."""
+        c = self.curves
+        off = sum(((c[n] - c[f"{n}_plain"]) / np.maximum(c[f"{n}_sd"], 1e-12)) ** 2 for n in channels)
+        names, index = np.unique(c["condition"], return_inverse=True)
+        means = np.bincount(index, weights=off) / np.bincount(index)
+        return [str(name) for name in names[np.argsort(-means, kind="stable")][:CONDITIONS]]
+
+    def _draw(self, ax: Any, chosen: Any, channel: str) -> None:
+        c = self.curves
+        x = c["progress"][chosen]
+        ax.plot(x, c[channel][chosen], ".", color="0.35", markersize=2.5, label="measured")
+        # Repetitions are driven alike: the first trial's curve stands for all.
+        first = chosen & (c["trial"] == c["trial"][chosen][0])
+        x = c["progress"][first]
+        plain, extended, sd = (c[f"{channel}_{what}"][first] for what in ("plain", "extended", "sd"))
+        ax.fill_between(
+            x, extended - sd, extended + sd, color="C3", alpha=0.2, linewidth=0, label="± σ of a repetition"
+        )
+        ax.plot(x, plain, color="C0", linestyle="--", label="plain model")
+        ax.plot(x, extended, color="C3", label="extended model")
+        ax.set_ylabel(c.label(channel))
+        ax.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
+
+
+def diagnose(
+    data: Any, experiment: FilePath | Mapping[str, Any], address: str | None = None, progress: ProgressOption = True
+) -> Diagnosis:
+    """Shows what the simulation gets wrong about `data`, names the cause, extends the model, measures the gain.
+
+    `data`: path of a CSV file, or a pandas DataFrame with the same columns (at most 63 MiB as CSV). `experiment`: path
+    of an EXPERIMENT.toml, or the same tables as a dict. Ctrl-C stops the work on the server too.
+    """
+    request = pb.DiagnoseRequest(data=_csv(data))
+    if len(request.data.content) > MOST_BYTES:
+        size = len(request.data.content) / 2**20
+        raise LimitReached(
+            f"data: {size:.0f} MiB are more than the {MOST_BYTES >> 20} MiB a server takes; "
+            "`sandgait diagnose` on the command line reads files of up to 256 MiB"
+        )
+    if isinstance(experiment, Mapping):
+        request.values.CopyFrom(client.struct(experiment))
+    else:
+        request.file.CopyFrom(file(experiment, "experiment"))
+    with Display(progress) as told:
+        reply = client.study(address, "Diagnose", request, pb.DiagnoseResponse, told).diagnosis
+    return Diagnosis(reply.report_json, reply.report_html, reply.sand_toml, Table(*columns(reply.curves)))
+
+
+def _csv(data: Any) -> pb.File:
+    if hasattr(data, "to_csv"):
+        return pb.File(name="data", content=data.to_csv(index=False).encode())
+    return file(data, "data")

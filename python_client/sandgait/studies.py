@@ -1,0 +1,339 @@
+"""Studies that need no environment: forces on a leg, walks, sweeps over designs.
+
+They are the commands `sandgait intrude`, `walk` and `sweep`, with the same names, defaults and numbers. `address` is
+that of a running server; without one the embedded server computes. A long study can be interrupted with Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Callable, Iterable, Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from . import client
+from ._proto.sandgait.v1 import studies_pb2 as pb
+from .errors import InvalidRequest
+from .tables import Numbers, Table, new_axes
+
+FilePath = str | PathLike[str]
+
+#: True: a line on the terminal (or in the notebook). Or who wants to know: called with the fraction done and the stage.
+ProgressOption = bool | Callable[[float, str], None]
+
+
+class Intrusion(Table):
+    """Forces on a leg that rotates through sand about a fixed hip; one row an angle."""
+
+    @property
+    def theta(self) -> Numbers:
+        """Angle of the leg [rad]: 0 is straight down, positive is the tip forward (+x)."""
+        return self["theta"]
+
+    @property
+    def Fx(self) -> Numbers:  # noqa: N802 - the field's symbol
+        """Horizontal force on the leg [N], positive along +x."""
+        return self["Fx"]
+
+    @property
+    def Fz(self) -> Numbers:  # noqa: N802
+        """Vertical force on the leg [N], positive up."""
+        return self["Fz"]
+
+    @property
+    def Ty(self) -> Numbers:  # noqa: N802
+        """Torque x·Fz − z·Fx about the hip [N·m]."""
+        return self["Ty"]
+
+    def plot(self, axes: Any = None, label: str = "") -> Any:
+        """Forces over the leg's angle on matplotlib `axes`; gives the axes. Needs `sandgait[plot]`."""
+        axes = new_axes(axes)
+        for name, style in (("Fx", "-"), ("Fz", "--")):
+            axes.plot(np.degrees(self.theta), self[name], style, label=f"{name} {label}".strip())
+        axes.set_xlabel("leg angle θ [°], 0: tip straight down")
+        axes.set_ylabel("force on the leg [N]")
+        axes.axhline(0.0, color="0.7", linewidth=0.8, zorder=0)
+        axes.legend()
+        return axes
+
+
+class Walks(Table):
+    """Walks at constant stride frequencies; one row a frequency. What diverged is not a number.
+
+    Columns: frequency [Hz], speed [m/s], base_height [m], pitch_rms [rad], hip_torque_rms [N·m], hip_speed_error_rms
+    [rad/s], cost_of_transport, sink [m], drift [m].
+    """
+
+    @property
+    def frequency(self) -> Numbers:
+        """Turns of the hips a second [Hz]."""
+        return self["frequency"]
+
+    @property
+    def speed(self) -> Numbers:
+        """Net horizontal displacement per time over four strides [m/s]; negative if toward −x."""
+        return self["speed"]
+
+    @property
+    def cost_of_transport(self) -> Numbers:
+        """Work of the hips over weight times distance; not a number where the robot stands."""
+        return self["cost_of_transport"]
+
+    def plot(self, axes: Any = None, label: str = "") -> Any:
+        """Speed over stride frequency on matplotlib `axes`; gives the axes. Needs `sandgait[plot]`."""
+        axes = new_axes(axes)
+        order = np.argsort(self.frequency)
+        axes.plot(self.frequency[order], 100.0 * self.speed[order], "o-", markersize=3, label=label or None)
+        axes.set_xlabel("stride frequency [Hz]")
+        axes.set_ylabel("forward speed [cm/s]")
+        if label:
+            axes.legend()
+        return axes
+
+
+#: Measure → column, factor, label of an axis, and the sign that makes less better.
+_MEASURES = {
+    "speed": ("speed", 100.0, "forward speed [cm/s]", -1.0),
+    "cost-of-transport": ("cost_of_transport", 1.0, "cost of transport", 1.0),
+}
+
+
+class Sweep(Table):
+    """Walks over a grid of designs, one row a design, the last parameter fastest; or the best design found, one row.
+
+    Columns: the `parameters`, in their units, then those of :class:`Walks` without the frequency.
+    """
+
+    def __init__(
+        self,
+        columns: Mapping[str, npt.NDArray[Any]],
+        units: Mapping[str, str],
+        parameters: tuple[str, ...],
+        measure: str,
+    ) -> None:
+        super().__init__(columns, units)
+        #: Names of what was varied, in order.
+        self.parameters = parameters
+        #: What `best` and `plot` look at: speed or cost-of-transport.
+        self.measure = measure
+
+    @property
+    def speed(self) -> Numbers:
+        """[m/s]"""
+        return self["speed"]
+
+    @property
+    def cost_of_transport(self) -> Numbers:
+        """Work of the hips over weight times distance; not a number where the robot stands."""
+        return self["cost_of_transport"]
+
+    def best(self, measure: str | None = None) -> dict[str, Any]:
+        """The row with the greatest speed, or the least cost of transport among those that walk forward."""
+        column, _, _, sign = _MEASURES[_measure(measure or self.measure)]
+        values = sign * self[column]
+        if column == "cost_of_transport":
+            values = np.where(self.speed > 0.0, values, np.inf)
+        index = int(np.argmin(np.where(np.isfinite(values), values, np.inf)))
+        return {name: self[name][index].item() for name in self}
+
+    def plot(self, measure: str | None = None, axes: Any = None) -> Any:
+        """A heat map over two number parameters, or lines over the last one, one for each name of the first.
+
+        On matplotlib `axes`; gives the axes. Needs `sandgait[plot]`.
+        """
+        column, factor, label, _ = _MEASURES[_measure(measure or self.measure)]
+        if len(self.parameters) > 2:
+            raise InvalidRequest(f"plot: {len(self.parameters)} parameters were searched; a figure shows one or two")
+        axes = new_axes(axes)
+        values = factor * self[column]
+        *families, along = self.parameters
+        x = self[along]
+        if not families:
+            axes.plot(x, values, "o-", markersize=3)
+        elif self[families[0]].dtype.kind == "f" and x.dtype.kind == "f":
+            rows, across = np.unique(self[families[0]]), np.unique(x)
+            grid = np.full((len(rows), len(across)), np.nan)
+            grid[np.searchsorted(rows, self[families[0]]), np.searchsorted(across, x)] = values
+            mesh = axes.pcolormesh(across, rows, grid, cmap="viridis", shading="nearest")
+            axes.figure.colorbar(mesh, ax=axes, label=label)
+        else:
+            for name in dict.fromkeys(self[families[0]].tolist()):
+                chosen = self[families[0]] == name
+                axes.plot(x[chosen], values[chosen], "o-", markersize=3, label=f"{families[0]} = {name}")
+            axes.legend()
+        heat = bool(axes.collections)
+        axes.set_xlabel(self.label(along))
+        axes.set_ylabel(self.label(families[0]) if heat else label)
+        return axes
+
+
+def intrude(
+    shape: str,
+    chord: float = 0.076,
+    width: float = 0.025,
+    hip_height: float = 0.02,
+    omega: float = 0.2,
+    medium: str | None = None,
+    law: str | None = None,
+    sand: FilePath | None = None,
+    address: str | None = None,
+) -> Intrusion:
+    """Rotates a leg about a hip fixed above sand and gives force and torque over its angle, −1.75 to 1.75 rad.
+
+    `shape`: L, revL, C, revC, flat or xi=DEGREES. `chord`: distance from hip to tip [m]. `width` [m]. `hip_height`: hip
+    above the surface [m]. `omega`: angular speed [rad/s]; negative turns the tip backward. `medium`: a name from
+    `sandgait media`, zeta=VALUE or mu=VALUE,rho=VALUE (none: poppy-loose). `law`: li2013, penetration-drag-1d or
+    agarwal2023 (none: li2013). `sand`: a sand.toml, as a diagnosis saves it, in place of both.
+    """
+    request = pb.IntrudeRequest(
+        shape=shape, chord=chord, width=width, hip_height=hip_height, omega=omega, sand=_sand(medium, law, sand)
+    )
+    reply = client.study(address, "Intrude", request, pb.IntrudeResponse)
+    return Intrusion(*columns(reply.table))
+
+
+def walk(
+    frequency: float | npt.ArrayLike,
+    leg: str | None = None,
+    engine: str = "lanes",
+    medium: str | None = None,
+    law: str | None = None,
+    sand: FilePath | None = None,
+    slope_deg: float = 0.0,
+    dt: float | None = None,
+    robot: str = "xplorer",
+    address: str | None = None,
+    progress: ProgressOption = False,
+) -> Walks:
+    """Walks with an alternating tripod at each stride frequency [Hz] and measures; 0 stands for 10 s.
+
+    `leg`: L, revL, C, revC, flat or xi=DEGREES (none: the robot's own). `engine`: lanes or rapier. `medium`, `law`,
+    `sand`: as for :func:`intrude`. `slope_deg`: the surface rises in walking direction [°]. `dt`: time step [s] (none:
+    0.5 ms). `robot`: a built-in robot or a file ending in .toml.
+    """
+    frequencies = np.atleast_1d(np.asarray(frequency, dtype=np.float64)).ravel()
+    request = pb.WalkRequest(
+        leg=leg,
+        frequency=frequencies.tolist(),
+        engine=engine,
+        sand=_sand(medium, law, sand),
+        slope_deg=slope_deg,
+        dt=dt,
+        robot=_robot(robot),
+    )
+    with Display(progress) as told:
+        reply = client.study(address, "Walk", request, pb.WalkResponse, told)
+    return Walks(*columns(reply.table))
+
+
+def sweep(
+    vary: Mapping[str, Iterable[float] | Iterable[str]],
+    *,
+    set: Mapping[str, float | str] | None = None,
+    robot: str = "xplorer",
+    frequency: float = 2.0,
+    medium: str | None = None,
+    law: str | None = None,
+    sand: FilePath | None = None,
+    measure: str = "speed",
+    optimize: str | None = None,
+    address: str | None = None,
+    progress: ProgressOption = True,
+) -> Sweep:
+    """Walks a robot over a grid of one or two parameters, or searches for the best design.
+
+    `vary`: parameter → the values it takes; `set`: parameter → its one value. Parameters: xi [°], leg, chord [m],
+    width [m], leg_mass [kg], base_mass [kg], hip_height [m], belly [m], frequency [Hz], phase [rad], medium, zeta
+    [N/cm³], law, slope [°], payload [kg], torque_limit [N·m], kp [N·m/rad]. `robot`, `medium`, `law`, `sand`: as for
+    :func:`walk`.
+    `frequency`: stride frequency [Hz]. `measure`: what the figure shows and `best` means, speed or cost-of-transport.
+    `optimize`: a measure; search between the least and greatest value of each parameter instead of walking the grid.
+    """
+    request = pb.SweepRequest(
+        vary=[_variation(name, list(values)) for name, values in vary.items()],
+        set=[_variation(name, [value]) for name, value in (set or {}).items()],
+        robot=_robot(robot),
+        frequency=frequency,
+        sand=_sand(medium, law, sand),
+        optimize=optimize,
+    )
+    measure = _measure(optimize or measure)
+    with Display(progress) as told:
+        reply = client.study(address, "Sweep", request, pb.SweepResponse, told)
+    arrays, units = columns(reply.table)
+    return Sweep(arrays, units, tuple(arrays)[: len(vary)], measure)
+
+
+def _measure(name: str) -> str:
+    if name not in _MEASURES:
+        raise InvalidRequest(f'measure "{name}" is unknown; known: {", ".join(_MEASURES)}')
+    return name
+
+
+def file(path: FilePath, what: str) -> pb.File:
+    """A file of ours, read here because the server may be elsewhere."""
+    try:
+        return pb.File(name=str(path), content=Path(path).read_bytes())
+    except (OSError, TypeError) as error:
+        raise InvalidRequest(f"{what}: {path!r} cannot be read as a file: {error}") from error
+
+
+def _sand(medium: str | None, law: str | None, path: FilePath | None) -> pb.Sand:
+    return pb.Sand(medium=medium, law=law, file=None if path is None else file(path, "sand"))
+
+
+def _robot(robot: str) -> pb.Robot:
+    return pb.Robot(file=file(robot, "robot")) if robot.endswith(".toml") else pb.Robot(name=robot)
+
+
+def _variation(name: str, values: list[Any]) -> pb.Variation:
+    # A column name such as leg_mass is what the command line calls leg-mass.
+    parameter = name.replace("_", "-")
+    if all(isinstance(value, str) for value in values):
+        return pb.Variation(parameter=parameter, names=values)
+    try:
+        return pb.Variation(parameter=parameter, numbers=[float(value) for value in values])
+    except (TypeError, ValueError) as error:
+        raise InvalidRequest(f"{name}: {values!r} are neither all numbers nor all names") from error
+
+
+def columns(table: pb.Table) -> tuple[dict[str, npt.NDArray[Any]], dict[str, str]]:
+    """Arrays and units of a table, by names fit for Python."""
+    for warning in table.warnings:
+        warnings.warn(warning, stacklevel=3)
+    arrays: dict[str, npt.NDArray[Any]] = {}
+    for series in table.columns:
+        numbers = np.frombuffer(series.numbers, "<f8").astype(np.float64)
+        arrays[series.name.replace("-", "_")] = np.array(series.names) if series.names else numbers
+    return arrays, {series.name.replace("-", "_"): series.unit for series in table.columns}
+
+
+class Display:
+    """How far a study has come: one line that is written over, where somebody watches."""
+
+    def __init__(self, option: ProgressOption) -> None:
+        self._tell = option if callable(option) else None
+        watched = sys.stderr is not None and (sys.stderr.isatty() or "ipykernel" in sys.modules)
+        self._line = option is True and watched
+        self._width = 0
+
+    def __call__(self, fraction: float, stage: str) -> None:
+        if self._tell is not None:
+            self._tell(fraction, stage)
+        elif self._line:
+            text = f"{100.0 * fraction:3.0f} % {stage}"
+            sys.stderr.write(f"\r{text:<{self._width}}")
+            sys.stderr.flush()
+            self._width = len(text)
+
+    def __enter__(self) -> Display:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._width:
+            sys.stderr.write(f"\r{'':<{self._width}}\r")

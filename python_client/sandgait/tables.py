@@ -1,0 +1,60 @@
+"""Results as columns of numpy arrays, each with its unit; pandas and matplotlib only when they are asked for."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Numbers = npt.NDArray[np.float64]
+
+
+class Table(Mapping[str, npt.NDArray[Any]]):
+    """Columns of equal length by name. `units[name]` is SI, "1" where dimensionless, "" for names."""
+
+    def __init__(self, columns: Mapping[str, npt.NDArray[Any]], units: Mapping[str, str]) -> None:
+        self._columns = dict(columns)
+        self.units = dict(units)
+
+    def __getitem__(self, name: str) -> npt.NDArray[Any]:
+        return self._columns[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._columns)
+
+    def __len__(self) -> int:
+        """Number of columns."""
+        return len(self._columns)
+
+    def __repr__(self) -> str:
+        rows = len(next(iter(self._columns.values()), []))
+        return f"<{type(self).__name__}: {rows} rows of {', '.join(self.label(name) for name in self)}>"
+
+    def label(self, name: str) -> str:
+        """Name and unit, as for an axis: `Fx [N]`."""
+        unit = self.units[name]
+        return name if unit in ("", "1") else f"{name} [{unit}]"
+
+    def to_frame(self) -> Any:
+        """A pandas DataFrame with these columns; `frame.attrs["units"]` has the units. Needs `sandgait[plot]`."""
+        frame = optional("pandas").DataFrame(self._columns)
+        frame.attrs["units"] = dict(self.units)
+        return frame
+
+
+def optional(module: str) -> Any:
+    """A module that only tables and plots need."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise ImportError(f"{module} is needed for this: pip install 'sandgait[plot]'") from error
+
+
+def new_axes(axes: Any, rows: int = 1, columns: int = 1, size: tuple[float, float] = (6.4, 4.0)) -> Any:
+    """`axes` if there are some, else those of a new matplotlib figure of `size` [inch]."""
+    if axes is not None:
+        return axes
+    return optional("matplotlib.pyplot").subplots(rows, columns, figsize=size, layout="constrained")[1]

@@ -1,0 +1,154 @@
+//! From requests to studies that are ready to run. Whatever a client sends is checked here, before it waits in line, except
+//! the rows of measured data.
+
+use crate::diagnose::experiment::Experiment;
+use crate::error::{Error, Result, check_range};
+use crate::sand::intrusion::Rotation;
+use crate::sand::{Law, Medium, SandDescription, Shape};
+use crate::service::proto::diagnose_request::Experiment as Source;
+use crate::service::proto::{DiagnoseRequest, File, IntrudeRequest, SweepRequest, Variation, WalkRequest};
+use crate::service::{proto, values};
+use crate::sim::engine::EngineKind;
+use crate::sim::model::Scene;
+use crate::sim::walk::Trial;
+use crate::sim::{Model, Robot};
+use crate::sweep::grid::check_grid;
+use crate::sweep::{Axis, Design, Measure, optimize};
+use std::path::Path;
+
+/// Sand, and what its user should know about it.
+pub struct Sand {
+    pub description: SandDescription,
+    pub warnings: Vec<String>,
+}
+
+pub struct Walks {
+    pub engine: EngineKind,
+    pub trials: Vec<Trial>,
+    pub warnings: Vec<String>,
+}
+
+pub struct Sweep {
+    pub base: Design,
+    pub axes: Vec<Axis>,
+    pub optimize: Option<Measure>,
+    pub warnings: Vec<String>,
+}
+
+/// A file's text. What a client sends is named as the client names it, and wrong files are the client's to mend.
+fn text(file: &File) -> Result<&str> {
+    std::str::from_utf8(&file.content).map_err(|_| Error::invalid(&file.name, "not UTF-8 text"))
+}
+
+/// An error about the file at `path` as one about what the client calls `name`.
+pub fn renamed(error: Error, path: &Path, name: &str) -> Error {
+    match error {
+        Error::File { path: at, reason } if Path::new(&at) == path => Error::invalid(name, reason),
+        other => other,
+    }
+}
+
+fn sand(message: Option<proto::Sand>) -> Result<Sand> {
+    let proto::Sand { medium, law, file } = message.unwrap_or_default();
+    if let Some(file) = file {
+        if medium.is_some() || law.is_some() {
+            return Err(Error::invalid("sand", "a file excludes medium and law"));
+        }
+        let description = SandDescription::from_toml(text(&file)?);
+        let description = description.map_err(|e| Error::invalid(&file.name, e.to_string()))?;
+        return Ok(Sand { description, warnings: Vec::new() });
+    }
+    let (medium, law) = (medium.as_deref().unwrap_or(Medium::DEFAULT), law.as_deref().unwrap_or(Law::Li2013.name()));
+    let description = SandDescription::named(medium, law)?;
+    Ok(Sand { description, warnings: Medium::caution(medium).into_iter().collect() })
+}
+
+fn robot(message: Option<proto::Robot>) -> Result<Robot> {
+    let proto::Robot { name, file } = message.unwrap_or_default();
+    match (name, file) {
+        (Some(_), Some(_)) => Err(Error::invalid("robot", "a file excludes a name")),
+        (None, Some(file)) => Robot::from_toml(text(&file)?),
+        (name, None) => Robot::built_in(name.as_deref().unwrap_or(Robot::DEFAULT)),
+    }
+}
+
+pub fn intrude(request: IntrudeRequest) -> Result<(Rotation, Sand)> {
+    let mut rotation = Rotation::of(Shape::named(&request.shape)?);
+    rotation.chord = request.chord.unwrap_or(rotation.chord);
+    rotation.width = request.width.unwrap_or(rotation.width);
+    rotation.hip_height = request.hip_height.unwrap_or(rotation.hip_height);
+    rotation.omega = request.omega.unwrap_or(rotation.omega);
+    Ok((rotation, sand(request.sand)?))
+}
+
+pub fn walk(request: WalkRequest) -> Result<Walks> {
+    let mut robot = robot(request.robot)?;
+    if let Some(leg) = &request.leg {
+        robot = robot.with_leg_shape(leg)?;
+    }
+    let Sand { description, warnings } = sand(request.sand)?;
+    let mut scene = Scene::on(&description);
+    scene.slope_deg = request.slope_deg;
+    scene.dt = request.dt.unwrap_or(scene.dt);
+    let engine = request.engine.as_deref().map_or(Ok(EngineKind::Lanes), EngineKind::named)?;
+    check_range("number of frequencies", request.frequency.len() as f64, 1.0..=MOST_FREQUENCIES as f64)?;
+    let model = Model::new(&robot, &scene)?;
+    let trial = |frequency: &f64| {
+        let trial = Trial::new(model.clone(), *frequency);
+        trial.validate().map(|()| trial)
+    };
+    Ok(Walks { engine, trials: request.frequency.iter().map(trial).collect::<Result<_>>()?, warnings })
+}
+
+/// Frequencies of one request: our choice, each has a model in memory.
+const MOST_FREQUENCIES: usize = 4096;
+
+pub fn sweep(request: SweepRequest) -> Result<Sweep> {
+    let optimize = request.optimize.as_deref().map(Measure::named).transpose()?;
+    check_range("number of parameters in vary", request.vary.len() as f64, 1.0..=MOST_VARIED as f64)?;
+    if request.vary.len() > 2 && optimize.is_none() {
+        return Err(Error::invalid("vary", "a grid takes one or two parameters; optimize takes more"));
+    }
+    let axes = request.vary.into_iter().map(axis).collect::<Result<Vec<_>>>()?;
+    let Sand { description, warnings } = sand(request.sand)?;
+    let frequency = request.frequency.unwrap_or(Design::FREQUENCY);
+    let mut base = Design { robot: robot(request.robot)?, scene: Scene::on(&description), frequency, phase: 0.0 };
+    for setting in request.set {
+        let axis = axis(setting)?;
+        let [value] = &axis.values[..] else {
+            return Err(Error::invalid(axis.parameter.name, format!("{} values where one is set", axis.values.len())));
+        };
+        base.set([(axis.parameter.name, value.as_str())])?;
+    }
+    match optimize {
+        None => check_grid(&base, &axes).map(drop)?,
+        Some(_) => optimize::bounds(&base, &axes).map(drop)?,
+    }
+    Ok(Sweep { base, axes, optimize, warnings })
+}
+
+/// Parameters of one search: there are no more.
+const MOST_VARIED: usize = crate::sweep::Parameter::ALL.len();
+
+fn axis(variation: Variation) -> Result<Axis> {
+    let Variation { parameter, numbers, names } = variation;
+    if !numbers.is_empty() && !names.is_empty() {
+        return Err(Error::invalid(parameter, "numbers exclude names"));
+    }
+    Axis::new(&parameter, numbers.iter().map(f64::to_string).chain(names).collect())
+}
+
+pub fn diagnose(request: DiagnoseRequest) -> Result<(File, Experiment)> {
+    let data = request.data.ok_or_else(|| Error::invalid("data", "none given"))?;
+    let experiment = match request.experiment {
+        None => return Err(Error::invalid("experiment", "none given")),
+        Some(Source::File(file)) => {
+            Experiment::from_toml(text(&file)?).map_err(|e| Error::invalid(&file.name, e.to_string()))?
+        }
+        Some(Source::Values(tables)) => {
+            let toml = toml::to_string(&values::to_json(Some(tables))?);
+            Experiment::from_toml(&toml.map_err(|e| Error::invalid("experiment", e.to_string()))?)?
+        }
+    };
+    Ok((data, experiment))
+}

@@ -1,0 +1,96 @@
+//! From results to tables: columns of f64 with names and units.
+
+use crate::diagnose::report::Curves;
+use crate::sand::intrusion::Load;
+use crate::service::proto::{Series, Table};
+use crate::sim::walk::{Trial, WalkResult};
+use crate::sweep::optimize::Optimum;
+use crate::sweep::{Axis, table::values};
+
+pub fn table(columns: Vec<Series>, warnings: Vec<String>) -> Table {
+    Table { columns, warnings }
+}
+
+fn numbers(name: &str, unit: &str, values: impl Iterator<Item = f64>) -> Series {
+    let unit = if unit.is_empty() { "1" } else { unit };
+    let numbers = values.flat_map(f64::to_le_bytes).collect::<Vec<_>>().into();
+    Series { name: name.into(), unit: unit.into(), numbers, names: Vec::new() }
+}
+
+fn names<'a>(name: &str, values: impl Iterator<Item = &'a str>) -> Series {
+    Series { name: name.into(), names: values.map(str::to_owned).collect(), ..Series::default() }
+}
+
+pub fn loads(rows: &[(f64, Load)]) -> Vec<Series> {
+    vec![
+        numbers("theta", "rad", rows.iter().map(|r| r.0)),
+        numbers("Fx", "N", rows.iter().map(|r| r.1.fx)),
+        numbers("Fz", "N", rows.iter().map(|r| r.1.fz)),
+        numbers("Ty", "N·m", rows.iter().map(|r| r.1.ty)),
+    ]
+}
+
+pub fn frequencies(trials: &[Trial]) -> Series {
+    numbers("frequency", "Hz", trials.iter().map(|t| t.frequency))
+}
+
+/// Transport has no cost where a robot stands: not a number.
+pub fn walks(results: &[WalkResult]) -> Vec<Series> {
+    type Of = fn(&WalkResult) -> f64;
+    let columns: [(&str, &str, Of); 8] = [
+        ("speed", "m/s", |r| r.speed),
+        ("base_height", "m", |r| r.base_height),
+        ("pitch_rms", "rad", |r| r.pitch_rms),
+        ("hip_torque_rms", "N·m", |r| r.hip_torque_rms),
+        ("hip_speed_error_rms", "rad/s", |r| r.hip_speed_error_rms),
+        ("cost_of_transport", "1", |r| r.cost_of_transport),
+        ("sink", "m", |r| r.sink),
+        ("drift", "m", |r| r.drift),
+    ];
+    columns.iter().map(|(name, unit, of)| numbers(name, unit, results.iter().map(of))).collect()
+}
+
+pub fn grid(axes: &[Axis], results: &[WalkResult]) -> Vec<Series> {
+    let axis = |(k, axis): (usize, &Axis)| {
+        let cells = (0..results.len()).map(|i| values(axes, i)[k]);
+        let parameter = &axis.parameter;
+        match axis.numbers() {
+            Some(_) => numbers(parameter.name, parameter.unit, cells.filter_map(|c| c.parse().ok())),
+            None => names(parameter.name, cells),
+        }
+    };
+    axes.iter().enumerate().map(axis).chain(walks(results)).collect()
+}
+
+pub fn optimum(axes: &[Axis], best: &Optimum) -> Vec<Series> {
+    let value = |(axis, value): (&Axis, &f64)| numbers(axis.parameter.name, axis.parameter.unit, [*value].into_iter());
+    axes.iter().zip(&best.values).map(value).chain(walks(&[best.result])).collect()
+}
+
+/// One row a sample, in the order of the observations.
+pub fn curves(c: &Curves) -> Vec<Series> {
+    let o = &c.observations;
+    let each = |of: &dyn Fn(usize) -> String| -> Vec<String> {
+        o.units.iter().enumerate().flat_map(|(u, unit)| std::iter::repeat_n(of(u), unit.samples)).collect()
+    };
+    let mut columns = vec![
+        Series { name: "trial".into(), names: each(&|u| o.units[u].id.clone()), ..Series::default() },
+        Series {
+            name: "condition".into(),
+            names: each(&|u| o.conditions[o.units[u].condition].clone()),
+            ..Series::default()
+        },
+        Series { name: "shape".into(), names: each(&|u| c.groups[u].clone()), ..Series::default() },
+        numbers("progress", "rad or m", o.units.iter().flat_map(|u| u.progress.iter().copied())),
+    ];
+    for (k, channel) in o.channels.iter().enumerate() {
+        let stack = |name: String, values: &[f64]| {
+            numbers(&name, channel.unit, o.units.iter().flat_map(|u| u.block(k)).map(|i| values[i]))
+        };
+        columns.push(stack(channel.name.into(), &o.values));
+        columns.push(stack(format!("{}_plain", channel.name), &c.plain));
+        columns.push(stack(format!("{}_extended", channel.name), c.extended.as_ref().unwrap_or(&c.plain)));
+        columns.push(stack(format!("{}_sd", channel.name), &c.band));
+    }
+    columns
+}

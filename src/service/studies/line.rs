@@ -1,0 +1,142 @@
+//! One study at a time on all cores; the others wait in line.
+//!
+//! ```text
+//!  enter ──▶ in line ──▶ computed on a blocking thread ──▶ result
+//!              └── call cancelled, or server stops ──▶ gone, its place and the cores free
+//! ```
+
+use crate::error::{Error, Result};
+use crate::progress::Progress;
+use crate::service::proto::Progress as Event;
+use crate::service::status;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use tokio::sync::{Semaphore, mpsc};
+use tokio_stream::wrappers::ReceiverStream;
+use tokio_util::sync::CancellationToken;
+use tonic::Status;
+
+/// Studies in line, the one being computed included: our choice, their requests stay within 1 GiB.
+const PLACES: usize = 16;
+
+/// Events that wait for a slow client; more are left out, never the result.
+const EVENTS: usize = 8;
+
+/// Progress smaller than this is not told: our choice, some 200 events a study.
+const STEP: f64 = 0.005;
+
+/// A message of a study's stream.
+pub trait Answer: Send + 'static {
+    fn progress(event: Event) -> Self;
+}
+
+/// The line of one server.
+pub struct Line {
+    slot: Arc<Semaphore>,
+    taken: Arc<AtomicUsize>,
+    stop: CancellationToken,
+}
+
+/// A place in the line; given back when dropped.
+struct Place {
+    taken: Arc<AtomicUsize>,
+    /// Studies before this one when it came.
+    ahead: usize,
+}
+
+impl Place {
+    fn take(taken: &Arc<AtomicUsize>) -> Result<Self> {
+        let next = |n: usize| (n < PLACES).then_some(n + 1);
+        match taken.fetch_update(Ordering::Relaxed, Ordering::Relaxed, next) {
+            Ok(ahead) => Ok(Self { taken: taken.clone(), ahead }),
+            Err(_) => Err(Error::Exhausted(format!("all {PLACES} places in this server's line of studies are taken"))),
+        }
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        self.taken.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+impl Line {
+    /// Cancelling `stop` ends every study.
+    pub fn new(stop: CancellationToken) -> Self {
+        Self { slot: Arc::new(Semaphore::new(1)), taken: Arc::default(), stop }
+    }
+
+    /// Computes `work` when its turn comes. The stream has its progress and ends with its answer or a status; dropping
+    /// the stream stops the work at its next report.
+    pub fn enter<A: Answer>(
+        &self,
+        work: impl FnOnce(&dyn Progress) -> Result<A> + Send + 'static,
+    ) -> std::result::Result<ReceiverStream<std::result::Result<A, Status>>, Status> {
+        let place = Place::take(&self.taken).map_err(|e| status::status(&e))?;
+        let (events, receiver) = mpsc::channel(EVENTS);
+        let (slot, stop) = (self.slot.clone(), self.stop.clone());
+        tokio::spawn(async move {
+            let turn = async {
+                if place.ahead > 0 {
+                    let stage = match place.ahead {
+                        1 => "waiting for another study of this server".to_owned(),
+                        n => format!("waiting for {n} other studies of this server"),
+                    };
+                    let event = Event { fraction: 0.0, stage, ahead: place.ahead as u32 };
+                    // Whoever has gone is noticed below.
+                    let _ = events.send(Ok(A::progress(event))).await;
+                }
+                slot.acquire_owned().await.ok()
+            };
+            let permit = tokio::select! {
+                permit = turn => permit,
+                () = events.closed() => None,
+                () = stop.cancelled() => None,
+            };
+            let answer = match permit {
+                None => Err(Status::cancelled("the study was stopped before its turn came")),
+                Some(permit) => {
+                    let teller = Teller { events: events.clone(), stop: stop.clone(), last: Mutex::default() };
+                    // The place and the slot are held until the work has really ended.
+                    let held = (permit, place);
+                    let done = tokio::task::spawn_blocking(move || {
+                        let _held = held;
+                        work(&teller)
+                    });
+                    let failed = |_| status::bug("the study failed inside the server");
+                    done.await.map_err(failed).and_then(|done| done.map_err(|e| status::status(&e)))
+                }
+            };
+            let stopped = answer.is_err() && stop.is_cancelled();
+            let answer = if stopped { Err(Status::unavailable("the server stops")) } else { answer };
+            // A caller that has gone misses nothing.
+            let _ = events.send(answer).await;
+        });
+        Ok(ReceiverStream::new(receiver))
+    }
+}
+
+/// Tells the client how far its study has come, and the study that its client has gone.
+struct Teller<A> {
+    events: mpsc::Sender<std::result::Result<A, Status>>,
+    stop: CancellationToken,
+    /// What was told last. Reports of several threads come out of order; what is told only grows.
+    last: Mutex<Option<(f64, String)>>,
+}
+
+impl<A: Answer> Progress for Teller<A> {
+    fn report(&self, done: f64, stage: &str) -> Result<()> {
+        if self.events.is_closed() || self.stop.is_cancelled() {
+            return Err(Error::Cancelled("the study was stopped".into()));
+        }
+        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let before = last.as_ref().map_or(0.0, |l| l.0);
+        let fraction = done.clamp(before, 1.0);
+        let news = last.as_ref().is_none_or(|l| l.1 != stage) || fraction >= before + STEP;
+        let event = Event { fraction, stage: stage.to_owned(), ahead: 0 };
+        if news && self.events.try_send(Ok(A::progress(event))).is_ok() {
+            *last = Some((fraction, stage.to_owned()));
+        }
+        Ok(())
+    }
+}

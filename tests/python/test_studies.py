@@ -1,0 +1,307 @@
+"""Studies from Python: the command line's numbers, its refusals, and an end when they are interrupted."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+import pandas as pd
+import pytest
+
+import sandgait
+from conftest import RemoteServer
+from sandgait import server
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
+DATA = Path(__file__).parents[2] / "examples/data"
+LOG, EXPERIMENT = DATA / "force_log.csv", DATA / "force_log.toml"
+
+TABLES: dict[str, Any] = {
+    "kind": "intrusion",
+    "medium": "poppy-loose",
+    "bulk_density": 640,
+    "coefficient_sd": 0.08,
+    "shape": {
+        name: {"type": "leg", "chord": 0.076, "width": 0.025, "xi_deg": xi}
+        for name, xi in (("L", 45), ("revL", -45.0), ("flat", np.float64(0.0)))
+    },
+}
+
+#: Takes minutes.
+LONG = {"xi": np.arange(-75, 75, 0.5), "frequency": np.linspace(1, 4, 300)}
+
+
+def command(*arguments: str | Path) -> str:
+    run = [server.find_binary(), *map(str, arguments)]
+    return subprocess.run(run, capture_output=True, text=True, check=True).stdout
+
+
+def rows(path: Path) -> dict[str, list[str]]:
+    with path.open(newline="") as file:
+        return {column[0]: list(column[1:]) for column in zip(*csv.reader(file), strict=True)}
+
+
+def close(ours: Any, texts: list[str], digits: int = 6) -> None:
+    assert len(ours) == len(texts)
+    assert np.allclose(ours, [float(t) for t in texts], rtol=0, atol=0.51 * 10.0**-digits, equal_nan=True)
+
+
+@pytest.fixture(scope="module")
+def diagnosis() -> sandgait.Diagnosis:
+    return sandgait.diagnose(LOG, EXPERIMENT, progress=False)
+
+
+@pytest.fixture(autouse=True)
+def _no_figures() -> Any:
+    yield
+    plt.close("all")
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"shape": "L"},
+        {"shape": "xi=-30", "medium": "quikrete-fine", "hip_height": 0.01, "omega": -3.0},
+        {"shape": "revC", "chord": 0.05, "width": 0.03, "law": "agarwal2023", "medium": "poppy-close"},
+    ],
+)
+def test_intrude_is_the_command(options: dict[str, Any], tmp_path: Path) -> None:
+    words = [f"--{name.replace('_', '-')}={value}" for name, value in options.items()]
+    command("intrude", *words, "--csv", tmp_path / "f.csv")
+    forces, theirs = sandgait.intrude(**options), rows(tmp_path / "f.csv")
+    assert list(forces) == list(theirs) == ["theta", "Fx", "Fz", "Ty"]
+    close(forces.theta, theirs["theta"], 2)
+    close(forces.Fx, theirs["Fx"])
+    close(forces.Fz, theirs["Fz"])
+    close(forces.Ty, theirs["Ty"], 8)
+    assert forces.units == {"theta": "rad", "Fx": "N", "Fz": "N", "Ty": "N·m"}
+
+
+def test_walk_is_the_command() -> None:
+    walks = sandgait.walk([2.0, -1.5, 0.0], leg="revC", medium="zeta=0.4", slope_deg=-5, dt=2.5e-4)
+    for k, frequency in enumerate(walks.frequency):
+        words = ["--leg=revC", "--medium=zeta=0.4", "--slope-deg=-5", "--dt=2.5e-4", f"--frequency={frequency}"]
+        theirs = json.loads(command("walk", *words, "--json"))
+        for name in ("speed", "base_height", "pitch_rms", "hip_torque_rms", "cost_of_transport", "sink", "drift"):
+            ours = walks[name][k]
+            assert ours == theirs[name] if theirs[name] is not None else np.isnan(ours), name
+    assert sandgait.walk(2).speed == json.loads(command("walk", "--frequency=2", "--json"))["speed"]
+    by_rapier = json.loads(command("walk", "--frequency=2", "--engine=rapier", "--json"))["speed"]
+    assert sandgait.walk(2, engine="rapier").speed == by_rapier
+
+
+def test_sweep_is_the_command(tmp_path: Path) -> None:
+    ours = sandgait.sweep(
+        {"leg": ["L", "C"], "frequency": [1, 2.5]}, set={"leg_mass": 0.003}, medium="poppy-close", progress=False
+    )
+    words = ["--vary=leg=L,C", "--vary=frequency=1,2.5", "--set=leg-mass=0.003", "--medium=poppy-close"]
+    command("sweep", *words, "--out", tmp_path)
+    theirs = rows(tmp_path / "sweep.csv")
+    assert ours["leg"].tolist() == theirs["leg"]
+    assert ours.parameters == ("leg", "frequency")
+    for name, label in (
+        ("frequency", "frequency [Hz]"),
+        ("speed", "speed [m/s]"),
+        ("cost_of_transport", "cost of transport"),
+        ("base_height", "base height [m]"),
+        ("pitch_rms", "pitch rms [rad]"),
+        ("hip_torque_rms", "hip torque rms [N·m]"),
+        ("hip_speed_error_rms", "hip speed error rms [rad/s]"),
+    ):
+        close(ours[name], theirs[label])
+    best = ours.best()
+    assert best["speed"] == ours.speed.max()
+    assert best["frequency"] == 2.5
+    assert ours.best("cost-of-transport")["cost_of_transport"] == ours.cost_of_transport.min()
+
+
+def test_a_search_is_the_command(tmp_path: Path) -> None:
+    ours = sandgait.sweep({"xi": [0, 75]}, optimize="cost-of-transport", progress=False)
+    command("sweep", "--vary=xi=0:75:2", "--optimize=cost-of-transport", "--out", tmp_path)
+    theirs = rows(tmp_path / "optimum.csv")
+    close(ours["xi"], theirs["ξ [°]"])
+    close(ours.cost_of_transport, theirs["cost of transport"])
+
+
+def test_diagnose_is_the_command(diagnosis: sandgait.Diagnosis, tmp_path: Path) -> None:
+    command("diagnose", LOG, "--experiment", EXPERIMENT, "--out", tmp_path / "theirs")
+    diagnosis.save(tmp_path / "ours")
+    for name in ("report.json", "report.html", "sand.toml"):
+        assert (tmp_path / "ours" / name).read_bytes() == (tmp_path / "theirs" / name).read_bytes(), name
+    assert diagnosis.verdict == "named"
+    assert diagnosis.causes[0]["id"] == "inertial_drag"
+    assert diagnosis.summary in repr(diagnosis)
+
+
+def test_a_frame_and_tables_are_as_good_as_files(diagnosis: sandgait.Diagnosis) -> None:
+    told: list[tuple[float, str]] = []
+    other = sandgait.diagnose(pd.read_csv(LOG), TABLES, progress=lambda share, stage: told.append((share, stage)))
+    for name in ("verdict", "causes", "gain", "candidates"):
+        assert other.report[name] == diagnosis.report[name]
+    shares = [share for share, _ in told]
+    assert len(told) > 4
+    assert shares == sorted(shares)
+    assert all(stage for _, stage in told)
+
+
+def test_the_curves_are_the_data(diagnosis: sandgait.Diagnosis) -> None:
+    log, frame = pd.read_csv(LOG), diagnosis.to_frame()
+    assert len(frame) == len(log)
+    assert frame.attrs["units"]["Fz"] == "N"
+    for name in ("Fx", "Fz", "Ty"):
+        assert sorted(frame[name]) == sorted(log[name])
+    plain = np.square(frame["Fx"] - frame["Fx_plain"]).mean()
+    assert np.square(frame["Fx"] - frame["Fx_extended"]).mean() < plain
+
+
+def test_the_diagnosed_sand_goes_into_every_study(diagnosis: sandgait.Diagnosis, tmp_path: Path) -> None:
+    diagnosis.save(tmp_path)
+    sand = tmp_path / "sand.toml"
+    command("intrude", "--shape=L", "--omega=10", "--sand", sand, "--csv", tmp_path / "f.csv")
+    forces = sandgait.intrude("L", omega=10, sand=sand)
+    close(forces.Fz, rows(tmp_path / "f.csv")["Fz"])
+    assert forces.Fz.max() != sandgait.intrude("L", omega=10).Fz.max()
+    speed = sandgait.walk(4, sand=sand).speed[0]
+    assert speed == json.loads(command("walk", "--frequency=4", "--sand", sand, "--json"))["speed"]
+    assert sandgait.sweep({"frequency": [4]}, sand=sand, progress=False).speed[0] == speed
+
+
+def test_a_robot_of_the_clients(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[2] / "robots/xplorer.toml").read_text()
+    path = tmp_path / "mine.toml"
+    path.write_text(text.replace("mass = 0.138", "mass = 0.2"))
+    speed = sandgait.walk(2, robot=str(path)).speed[0]
+    assert speed != sandgait.walk(2).speed[0]
+    assert speed == json.loads(command("walk", "--frequency=2", "--robot", path, "--json"))["speed"]
+
+
+def test_another_server(remote: RemoteServer) -> None:
+    assert sandgait.walk(2, address=remote.address).speed == sandgait.walk(2).speed
+    assert np.array_equal(sandgait.intrude("C", address=remote.address).Fz, sandgait.intrude("C").Fz)
+    with pytest.raises(sandgait.ServerLost):
+        sandgait.intrude("C", address="127.0.0.1:1")
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda: sandgait.intrude("Q"), 'leg shape "Q" is unknown; known: L, revL'),
+        (lambda: sandgait.intrude("L", width=-1), r"width: -1 is outside \[0.0001, 10\]"),
+        (lambda: sandgait.intrude("L", medium="moon"), "moon"),
+        (lambda: sandgait.intrude("L", sand="/no/such/sand.toml"), "sand: .*/no/such/sand.toml"),
+        (lambda: sandgait.intrude("L", sand=LOG), r"force_log.csv: sand"),
+        (lambda: sandgait.intrude("L", medium="poppy-loose", sand=EXPERIMENT), "sand: a file excludes medium and law"),
+        (lambda: sandgait.walk([1, 30]), r"frequency: 30 is outside \[-20, 20\]"),
+        (lambda: sandgait.walk([]), "number of frequencies: 0"),
+        (lambda: sandgait.walk(1, robot="tank"), 'robot "tank" is unknown'),
+        (lambda: sandgait.walk(1, address="nowhere"), "address"),
+        (lambda: sandgait.sweep({"mood": [1]}), 'parameter "mood" is unknown'),
+        (lambda: sandgait.sweep({"xi": [1, 95]}), "xi_deg: 95"),
+        (lambda: sandgait.sweep({"width": [0.01, "wide"]}), "width: .*neither all numbers nor all names"),
+        (lambda: sandgait.sweep({"xi": []}), "xi: number of values: 0 is outside"),
+        (lambda: sandgait.sweep({"xi": [1], "kp": [1], "chord": [0.04]}), "vary: a grid takes one or two"),
+        (lambda: sandgait.sweep({"xi": [1]}, measure="joy"), 'measure "joy" is unknown'),
+        (lambda: sandgait.sweep({"xi": [1]}, set={"kp": -1}), "kp: -1 is outside"),
+        (lambda: sandgait.diagnose("nowhere.csv", EXPERIMENT), "data: 'nowhere.csv' cannot be read"),
+        (lambda: sandgait.diagnose(LOG, "nowhere.toml"), "experiment: 'nowhere.toml' cannot be read"),
+        (lambda: sandgait.diagnose(LOG, {"kind": "digging"}), "experiment: .*digging"),
+        (lambda: sandgait.diagnose(LOG, {**TABLES, "mood": 1}), "experiment: .*mood"),
+        (lambda: sandgait.diagnose(pd.DataFrame({"trial": [1]}), EXPERIMENT), "data: "),
+        (lambda: sandgait.diagnose(EXPERIMENT, EXPERIMENT), "force_log.toml: "),
+    ],
+)
+def test_wrong_use(call: Any, says: str) -> None:
+    with pytest.raises(sandgait.InvalidRequest, match=says) as caught:
+        call()
+    assert "\n" not in str(caught.value)
+
+
+def test_data_that_are_too_many() -> None:
+    class Large:
+        def to_csv(self, index: bool) -> str:
+            return "x" * (64 * 2**20)
+
+    with pytest.raises(sandgait.LimitReached, match="64 MiB are more than the 63 MiB"):
+        sandgait.diagnose(Large(), EXPERIMENT)
+
+
+def test_extrapolated_sand_warns() -> None:
+    with pytest.warns(UserWarning, match="extrapolated"):
+        sandgait.intrude("L", medium="mu=1.3,rho=1500", law="agarwal2023")
+
+
+def test_an_interrupted_study_frees_the_server() -> None:
+    def interrupt(_share: float, _stage: str) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        sandgait.sweep(LONG, progress=interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        sandgait.diagnose(LOG, EXPERIMENT, progress=interrupt)
+    start = time.monotonic()
+    sandgait.walk(2)
+    assert time.monotonic() - start < 10, "the sweep takes minutes"
+
+
+def test_ctrl_c_while_a_study_computes(remote: RemoteServer) -> None:
+    code = f"""
+import numpy as np, sandgait
+told = lambda share, stage: print(stage, flush=True)
+try: sandgait.sweep({{"xi": np.arange(-75, 75, 0.5), "frequency": np.linspace(1, 4, 300)}},
+                    address={remote.address!r}, progress=told)
+except KeyboardInterrupt: print("interrupted")
+"""
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, start_new_session=True)
+    assert process.stdout is not None
+    assert "walks" in process.stdout.readline()
+    os.killpg(process.pid, signal.SIGINT)
+    assert process.communicate(timeout=10)[0].split()[-1] == "interrupted"
+    start = time.monotonic()
+    sandgait.walk(2, address=remote.address)
+    assert time.monotonic() - start < 10
+
+
+def test_figures_have_axes_units_and_legends(diagnosis: sandgait.Diagnosis) -> None:
+    forces = sandgait.intrude("L").plot(label="L")
+    assert forces.get_ylabel() == "force on the leg [N]"
+    assert [t.get_text() for t in forces.get_legend().get_texts()] == ["Fx L", "Fz L"]
+    assert sandgait.walk([2, 1]).plot().get_xlabel() == "stride frequency [Hz]"
+    grid = sandgait.sweep({"xi": [40, -40, 0], "frequency": [1, 2]}, progress=False)
+    heat = grid.plot()
+    assert (heat.get_xlabel(), heat.get_ylabel()) == ("frequency [Hz]", "xi [°]")
+    shown = np.asarray(heat.collections[0].get_array()).reshape(3, 2)
+    # Rows ascend whatever the order of the values: ξ = −40, 0, 40.
+    assert np.array_equal(shown, 100 * grid.speed.reshape(3, 2)[[1, 2, 0]])
+    lines = sandgait.sweep({"leg": ["L", "C"], "frequency": [1, 2]}, progress=False).plot("cost-of-transport")
+    assert lines.get_ylabel() == "cost of transport"
+    assert len(lines.get_legend().get_texts()) == 2
+    figure = diagnosis.plot(["0", "1", "2"], channels=("Fx", "Fz", "Ty"))
+    assert len(figure.axes) == 9
+    assert figure.axes[2].get_ylabel() == "Ty [N·m]"
+    with pytest.raises(sandgait.InvalidRequest, match="conditions: 'x' is not in the data"):
+        diagnosis.plot(["x"])
+
+
+@pytest.mark.parametrize("module", ["pandas", "matplotlib.pyplot"])
+def test_without_the_extra_it_says_what_to_install(module: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    forces = sandgait.intrude("L")
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(ImportError, match=r"pip install 'sandgait\[plot\]'"):
+        forces.to_frame() if module == "pandas" else forces.plot()
+
+
+def test_importing_sandgait_imports_neither_pandas_nor_matplotlib() -> None:
+    code = "import sys, sandgait; print([m for m in ('pandas', 'matplotlib', 'torch') if m in sys.modules])"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "[]"
