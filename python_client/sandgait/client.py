@@ -1,7 +1,7 @@
 """The wire: the only file of this package that imports grpc.
 
-`study` asks for one study and waits for its answer. One `Session` is one stream: one message out for a batched reset or
-step, one message back.
+`study` asks for one study and waits for its answer. A `Stream` takes one message for a batched reset or step and gives
+one back; `session` makes a session of streams.
 
     send ──▶ queue ──▶ grpc's sender thread ──▶ server
     receive ◀────────── next(responses) ◀────── server
@@ -9,12 +9,12 @@ step, one message back.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
 import queue
 import re
 import threading
-import weakref
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -121,119 +121,119 @@ def study(
         raise ServerLost(f"{address}: the study ended without a result")
 
 
-class Session:
-    """Environments of one task on one server."""
+class Created(NamedTuple):
+    """A session that a server has made."""
 
-    def __init__(self, address: str | None, task: str, num_envs: int, options: Mapping[str, Any]) -> None:
-        if not 1 <= num_envs < 2**32:
-            raise InvalidRequest(f"num_envs: {num_envs} is outside [1, {2**32 - 1}]")
-        self.address = address or server.address()
-        self.num_envs = num_envs
-        self._process = os.getpid()
-        request = pb.CreateSessionRequest(task_id=task, num_envs=num_envs, protocol=PROTOCOL)
-        request.options.CopyFrom(struct(_with_sand(options)))
-        with _channel(self.address, DEFAULT_MESSAGE_BYTES) as channel:
-            reply = _call(channel, self.address, "CreateSession", request, pb.CreateSessionResponse)
-        self.task = _task(reply.task)
-        self._id: str = reply.session_id
-        self._broken: str | None = None
-        self._sequence = 0
-        channel = _channel(self.address, _message_bytes(self.task, num_envs))
+    session_id: str
+    task: Task
+
+
+def create_session(address: str, task: str, num_envs: int, options: Mapping[str, Any]) -> Created:
+    """Reserves environments on the server at `address`. They have no state before their first reset."""
+    request = pb.CreateSessionRequest(task_id=task, num_envs=num_envs, protocol=PROTOCOL)
+    request.options.CopyFrom(struct(_with_sand(options)))
+    with _channel(address, DEFAULT_MESSAGE_BYTES) as channel:
+        reply = _call(channel, address, "CreateSession", request, pb.CreateSessionResponse)
+    return Created(reply.session_id, _task(reply.task))
+
+
+class Stream:
+    """One stream to one session. Answers come in the order of the requests."""
+
+    def __init__(self, address: str, session_id: str) -> None:
+        self.address = address
+        self._channel = _channel(address, -1)
         self._requests: queue.SimpleQueue[pb.RunSessionRequest | None] = queue.SimpleQueue()
-        self._responses = channel.stream_stream(
+        self._responses = self._channel.stream_stream(
             _method("RunSession"), pb.RunSessionRequest.SerializeToString, pb.RunSessionResponse.FromString
         )(iter(self._requests.get, None))
-        # The server frees a session that has no stream within 30 s; this message takes the session, no more. Its
-        # answer, number 0, is dropped by the first `receive`.
-        self._requests.put(pb.RunSessionRequest(session_id=self._id))
-        # Runs once: when called, when this object is collected, or when Python ends.
-        self.close = weakref.finalize(self, _close, channel, self._requests, self._responses, self._id, self._process)
+        first = pb.RunSessionRequest(session_id=session_id)
+        first.attach.SetInParent()
+        self._requests.put(first)
+        #: Number of the last request that the session has carried out or refused.
+        self.last_sequence: int = self.receive().attached.last_sequence
 
-    def send_reset(
-        self,
-        seeds: Sequence[int] | None,
-        mask: npt.NDArray[np.bool_] | None,
-        options: Mapping[str, Any],
-    ) -> None:
-        """Asks for a reset. `seeds` and `mask` have one entry an environment; without seeds streams go on."""
-        request = pb.RunSessionRequest()
-        request.reset.SetInParent()
-        if seeds is not None:
-            for i, seed in enumerate(seeds):
-                if not 0 <= seed < 2**64:
-                    raise InvalidRequest(f"seed[{i}]: {seed} is outside [0, 2**64)")
-            request.reset.seeds.extend(seeds)
-        if mask is not None:
-            request.reset.mask = mask.astype(np.uint8).tobytes()
-        if options:
-            request.reset.options.CopyFrom(struct(options))
-        self._send(request)
-
-    def send_step(self, actions: npt.NDArray[np.float32]) -> None:
-        """Asks for a step; `actions` is f32 [num_envs, action]. Bounds are checked by the server."""
-        request = pb.RunSessionRequest()
-        request.step.actions = actions.astype("<f4", copy=False).tobytes()
-        self._send(request)
-
-    def _send(self, request: pb.RunSessionRequest) -> None:
-        self._check_usable()
-        self._sequence += 1
-        request.session_id = self._id
-        request.sequence = self._sequence
+    def send(self, request: pb.RunSessionRequest) -> None:
+        """Sends without waiting."""
         self._requests.put(request)
 
-    def _check_usable(self) -> None:
-        if os.getpid() != self._process:
-            raise SandgaitError("this environment belongs to the process that made it; make it anew after a fork")
-        if not self.close.alive:
-            raise SandgaitError("this environment is closed")
-        if self._broken is not None:
-            raise SessionLost(f"this session has ended ({self._broken}); make the environment anew")
-
-    def receive(self) -> Batch:
-        """Answer to what was sent last; answers to earlier requests that nobody waited for are dropped."""
-        self._check_usable()
+    def receive(self) -> pb.RunSessionResponse:
+        """The next answer. `ServerLost` if the connection broke: the session may still be there."""
         try:
-            response = next(self._responses)
-            while response.sequence < self._sequence:
-                response = next(self._responses)
+            response: pb.RunSessionResponse = next(self._responses)
+            return response
         except StopIteration:
-            self._broken = "the server closed it"
             raise SessionLost(f"{self.address}: the server closed this session; make the environment anew") from None
         except grpc.RpcError as error:
-            self._broken = str(error.details())
-            raise _error(error.code(), str(error.details()), self.address) from None
-        except BaseException:  # grpc cannot take up a read that was broken off
-            self._broken = "a call was interrupted while it waited for the server"
-            raise
-        if response.HasField("failure"):
-            code = _CODES.get(response.failure.code, grpc.StatusCode.UNKNOWN)
-            raise _error(code, response.failure.message, self.address)
-        return _batch(response.batch, self.task, self.num_envs)
+            code = error.code()
+            if code in (grpc.StatusCode.INTERNAL, grpc.StatusCode.UNKNOWN):
+                code = grpc.StatusCode.UNAVAILABLE  # how grpc reports a connection that was cut in mid-message
+            raise _error(code, str(error.details()), self.address) from None
+
+    def close(self) -> None:
+        """Ends the stream; the session stays for the time of its lease."""
+        self._requests.put(None)
+        self._responses.cancel()
+        self._channel.close()
+        if not threading.main_thread().is_alive():
+            # Python is ending. The destructor of grpc's call takes a lock that a thread may hold which Python has
+            # stopped for good: it would wait forever. What is never collected has no destructor.
+            ctypes.pythonapi.Py_IncRef(ctypes.py_object(self._responses))
 
 
-def _close(
-    channel: grpc.Channel,
-    requests: queue.SimpleQueue[pb.RunSessionRequest | None],
-    responses: Any,
-    session_id: str,
-    process: int,
-) -> None:
-    """Ends a session, and frees it on the server before this returns, if the server still answers."""
-    if os.getpid() != process:
-        return  # a forked child: the session is the parent's
-    requests.put(None)
-    try:
+def close_session(address: str, session_id: str) -> None:
+    """Frees a session before this returns, if its server still answers."""
+    with _channel(address, DEFAULT_MESSAGE_BYTES) as channel, contextlib.suppress(grpc.RpcError):
         request = pb.CloseSessionRequest(session_id=session_id)
         _unary(channel, "CloseSession", pb.CloseSessionResponse)(request, timeout=2.0)
-    except grpc.RpcError:
-        pass  # gone already, which is what was asked for
-    responses.cancel()
-    channel.close()
-    if not threading.main_thread().is_alive():
-        # Python is ending. The destructor of grpc's call takes a lock that a thread may hold which Python has stopped
-        # for good: it would wait forever. What is never collected has no destructor.
-        ctypes.pythonapi.Py_IncRef(ctypes.py_object(responses))
+
+
+def reset_request(
+    seeds: Sequence[int] | None, mask: npt.NDArray[np.bool_] | None, options: Mapping[str, Any]
+) -> pb.RunSessionRequest:
+    """A reset. `seeds` and `mask` have one entry an environment; without seeds streams go on."""
+    request = pb.RunSessionRequest()
+    request.reset.SetInParent()
+    if seeds is not None:
+        for i, seed in enumerate(seeds):
+            if not 0 <= seed < 2**64:
+                raise InvalidRequest(f"seed[{i}]: {seed} is outside [0, 2**64)")
+        request.reset.seeds.extend(seeds)
+    if mask is not None:
+        request.reset.mask = mask.astype(np.uint8).tobytes()
+    if options:
+        request.reset.options.CopyFrom(struct(options))
+    return request
+
+
+def step_request(actions: npt.NDArray[np.float32]) -> pb.RunSessionRequest:
+    """A step; `actions` is f32 [num_envs, action]. Bounds are checked by the server."""
+    return pb.RunSessionRequest(step=pb.Step(actions=actions.astype("<f4", copy=False).tobytes()))
+
+
+def save_request() -> pb.RunSessionRequest:
+    """Asks for all environments as data."""
+    return pb.RunSessionRequest(save=pb.Save())
+
+
+def restore_request(snapshot: bytes, sources: npt.NDArray[np.integer[Any]] | None) -> pb.RunSessionRequest:
+    """Environment i becomes number `sources[i]` of the snapshot; without sources, number i modulo theirs."""
+    chosen = b"" if sources is None else sources.astype("<u4").tobytes()
+    return pb.RunSessionRequest(restore=pb.Restore(snapshot=snapshot, sources=chosen))
+
+
+def rollout_request(actions: npt.NDArray[np.float32], trajectories: bool) -> pb.RunSessionRequest:
+    """Runs `actions`, f32 [steps, num_envs, action], from where the environments are, and puts them back."""
+    data = actions.astype("<f4", copy=False).tobytes()
+    return pb.RunSessionRequest(rollout=pb.Rollout(actions=data, trajectories=trajectories))
+
+
+def failure(response: pb.RunSessionResponse, address: str) -> SandgaitError | None:
+    """The error that a response stands for, if it is a refusal."""
+    if not response.HasField("failure"):
+        return None
+    code = _CODES.get(response.failure.code, grpc.StatusCode.UNKNOWN)
+    return _error(code, response.failure.message, address)
 
 
 def _channel(address: str, message_bytes: int) -> grpc.Channel:
@@ -281,12 +281,6 @@ def _error(code: grpc.StatusCode, message: str, address: str) -> SandgaitError:
     if kind is ServerLost:
         return ServerLost(f"{address}: the server cannot be reached: {message}{server.last_words(address)}")
     return kind(message)
-
-
-def _message_bytes(task: Task, num_envs: int) -> int:
-    """Upper bound of one message of this session: every column of every environment, each episode ending."""
-    floats = 2 * len(task.observation) + len(task.info) + len(task.action) + 1
-    return max(DEFAULT_MESSAGE_BYTES, num_envs * (4 * floats + 16) + 2**16)
 
 
 def _with_sand(options: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -338,7 +332,9 @@ def _task(task: pb.Task) -> Task:
     )
 
 
-def _batch(batch: pb.Batch, task: Task, num_envs: int) -> Batch:
+def batch(batch: pb.Batch, task: Task) -> Batch:
+    """The columns of a message as arrays."""
+
     def rows(data: bytes, width: int) -> npt.NDArray[np.float32]:
         return np.frombuffer(data, "<f4").reshape(-1, width)
 

@@ -8,9 +8,11 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from .client import Session
 from .errors import InvalidRequest, OutOfOrder
+from .shards import open_shards
+from .snapshots import FilePath, read_snapshot, write_snapshot
 from .spaces import box
+from .vector_env import SandgaitVectorEnv
 
 Observation = npt.NDArray[np.float32]
 
@@ -18,7 +20,8 @@ Observation = npt.NDArray[np.float32]
 class SandgaitEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     """One environment of `task` on the server at `address` (none: the embedded one).
 
-    For training take `SandgaitVectorEnv`: a step here costs a message there and back as well.
+    For training take `SandgaitVectorEnv`: a step here costs a message there and back as well. `resume`: outlive a
+    server that dies, by snapshots.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}
@@ -28,11 +31,13 @@ class SandgaitEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         task: str,
         address: str | None = None,
         render_mode: str | None = None,
+        resume: bool = False,
         **options: Any,
     ) -> None:
         if render_mode is not None:
             raise InvalidRequest(f"render_mode: {render_mode!r} is not offered; leave it out")
-        self._session = Session(address, task, 1, options)
+        self._address = address
+        self._session = open_shards(address, task, 1, options, resume)
         #: The session's tables: names, units and bounds of every number.
         self.task = self._session.task
         self.metadata = {**self.metadata, "render_fps": self.task.control_rate}
@@ -65,7 +70,7 @@ class SandgaitEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         row = np.asarray(action, dtype=np.float32)
         if row.shape != self.action_space.shape:
             raise InvalidRequest(f"action: shape {row.shape}, expected {self.action_space.shape}")
-        self._session.send_step(row)
+        self._session.send_step(row[None])
         batch = self._session.receive()
         observation = batch.observations[0]
         terminated, truncated = bool(batch.terminated[0]), bool(batch.truncated[0])
@@ -74,6 +79,30 @@ class SandgaitEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             observation = batch.final_observations[0]
         info = dict(zip((c.name for c in self.task.info), batch.infos[:, 0].tolist(), strict=True))
         return observation, float(batch.rewards[0]), terminated, truncated, info
+
+    def save(self, path: FilePath | None = None) -> bytes:
+        """The environment as it is, for `restore`; also written to the file `path`, whole or not at all."""
+        if self._over:
+            raise OutOfOrder("save: the episode is over; call reset first")
+        return write_snapshot(self._session.save(), path)
+
+    def restore(self, snapshot: bytes | FilePath) -> Observation:
+        """Goes on from a snapshot (bytes or a file), with the same bits; gives the observation."""
+        self._session.send_restore(read_snapshot(snapshot), None)
+        self._over, self._next, self._seeded = False, None, True
+        observation: Observation = self._session.receive().observations[0]
+        return observation
+
+    def fork(self, n: int) -> SandgaitVectorEnv:
+        """`n` environments as one batch, each in the state of this one; close it when done."""
+        snapshot = self.save()
+        copies = SandgaitVectorEnv(self.task.id, n, self._address, **self._session.options)
+        try:
+            copies.restore(snapshot)
+        except BaseException:
+            copies.close()
+            raise
+        return copies
 
     def close(self) -> None:
         """Ends the session; calling it again does nothing."""

@@ -150,6 +150,16 @@ def address() -> str:
         return _server.address
 
 
+def is_dead(address: str) -> bool:
+    """Is this the address of an embedded server that has ended? It will not come back there."""
+    server = _server
+    if server is None or server.address != address:
+        return os.path.dirname(address.removeprefix("unix:")) == _private_directory()
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        server.process.wait(0.05)  # its connections close a moment before the process has ended
+    return not server.running()
+
+
 def last_words(address: str) -> str:
     """What the embedded server at `address` said before it ended; empty for any other server."""
     server = _server

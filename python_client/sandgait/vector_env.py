@@ -9,8 +9,11 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from .client import Batch, Session
-from .errors import InvalidRequest, OutOfOrder
+from .client import Batch
+from .errors import InvalidRequest, OutOfOrder, SandgaitError
+from .session import Rollout
+from .shards import Address, open_shards
+from .snapshots import FilePath, read_snapshot, write_snapshot
 from .spaces import box
 
 Observations = npt.NDArray[np.float32]
@@ -19,7 +22,10 @@ Step = tuple[Observations, npt.NDArray[np.float64], Flags, Flags, dict[str, Any]
 
 
 class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDArray[Any]]):
-    """`num_envs` environments of `task` on the server at `address` (none: the embedded one).
+    """`num_envs` environments of `task` on the server at `address` (none: the embedded one; a list: spread over them).
+
+    `resume`: outlive a server that dies, by snapshots; the environments go on where they were when it is back, or at
+    the next address of the list.
 
     Autoreset is SAME_STEP: where an episode ended, the observation is already the next episode's first, and the old
     one's last row stands in `infos["final_obs"]` and its figures in `infos["final_info"]`.
@@ -33,13 +39,15 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
         self,
         task: str,
         num_envs: int = 1,
-        address: str | None = None,
+        address: Address = None,
         render_mode: str | None = None,
+        resume: bool = False,
         **options: Any,
     ) -> None:
         if render_mode is not None:
             raise InvalidRequest(f"render_mode: {render_mode!r} is not offered; leave it out")
-        self._session = Session(address, task, num_envs, options)
+        self._address = address
+        self._session = open_shards(address, task, num_envs, options, resume)
         self.num_envs = num_envs
         #: The session's tables: names, units and bounds of every number.
         self.task = self._session.task
@@ -128,8 +136,13 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
         """`recv` as plain columns, without gymnasium's dictionaries."""
         if not self._in_flight:
             raise OutOfOrder("recv: no step is in flight; call send first")
+        try:
+            batch = self._session.receive()
+        except SandgaitError:
+            self._in_flight = False
+            raise
         self._in_flight = False
-        return self._session.receive()
+        return batch
 
     def recv(self) -> Step:
         """Result of the step that `send` started, as `step` returns it."""
@@ -160,6 +173,52 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
         for (name, mask_name), column in zip(self._keys, columns, strict=True):
             infos[name], infos[mask_name] = column, mask
         return infos
+
+    def save(self, path: FilePath | None = None) -> bytes:
+        """All environments as they are, for `restore`; also written to the file `path`, whole or not at all.
+
+        What follows a restored state has the same bits, on servers of one version and instruction set.
+        """
+        if self._in_flight:
+            raise OutOfOrder("save: a step is in flight; call recv first")
+        return write_snapshot(self._session.save(), path)
+
+    def restore(self, snapshot: bytes | FilePath, indices: npt.ArrayLike | None = None) -> Observations:
+        """Lets environment i go on as number `indices[i]` of a snapshot (bytes or a file); gives the observations.
+
+        Without indices it is number i modulo the snapshot's: one saved environment is forked into all.
+        """
+        sources = None if indices is None else np.asarray(indices)
+        if sources is not None and (sources.shape != (self.num_envs,) or sources.dtype.kind not in "iu"):
+            raise InvalidRequest(f"indices: expected whole numbers [{self.num_envs}], got {indices!r}")
+        if sources is not None and sources.min() < 0:
+            raise InvalidRequest(f"indices: {sources.min()} is below 0")
+        self._in_flight = False
+        self._session.send_restore(read_snapshot(snapshot), sources)
+        self._seeded[:] = True
+        return self._session.receive().observations
+
+    def fork(self, n: int, index: int = 0) -> SandgaitVectorEnv:
+        """`n` new environments, each in the state of environment `index` of this batch; close them when done."""
+        if not 0 <= index < self.num_envs:
+            raise InvalidRequest(f"index: {index} is outside [0, {self.num_envs})")
+        copies = SandgaitVectorEnv(self.task.id, n, self._address, **self._session.options)
+        try:
+            copies.restore(self.save(), np.full(n, index))
+        except BaseException:
+            copies.close()
+            raise
+        return copies
+
+    def rollout(self, actions: npt.ArrayLike, trajectories: bool = False) -> Rollout:
+        """Runs action sequences [steps, num_envs, action] on the server, and puts the environments back.
+
+        One message there and one back for all the steps: for evolution strategies, random shooting and model-predictive
+        control. With `trajectories` every step's observations and rewards come too.
+        """
+        if self._in_flight:
+            raise OutOfOrder("rollout: a step is in flight; call recv first")
+        return self._session.rollout(np.asarray(actions, dtype=np.float32), trajectories)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Ends the session; the environments' memory is freed on the server."""

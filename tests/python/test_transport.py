@@ -7,7 +7,6 @@ import statistics
 import time
 from pathlib import Path
 
-import grpc
 import gymnasium
 import numpy as np
 import pytest
@@ -101,18 +100,21 @@ def test_a_server_that_goes_away(remote: RemoteServer) -> None:
     env.close()
 
 
-def test_a_session_takes_one_stream_and_ends_when_closed_by_name(remote: RemoteServer) -> None:
+def test_two_clients_on_one_session(remote: RemoteServer) -> None:
+    """The newest stream has the session; the other client is told, and does not take it back by itself."""
     env = sandgait.SandgaitVectorEnv(ID, 3, remote.address)
-    name = client.pb.RunSessionRequest(session_id=env._session._id)
-    time.sleep(0.2)  # taken before any reset: a session without a stream lives for 30 s only
-    with client._channel(remote.address, client.DEFAULT_MESSAGE_BYTES) as channel:
-        serialize, parse = client.pb.RunSessionRequest.SerializeToString, client.pb.RunSessionResponse.FromString
-        second = channel.stream_stream(client._method("RunSession"), serialize, parse)(iter([name]))
-        with pytest.raises(grpc.RpcError, match="already has a stream"):
-            next(second)
-        env.reset()
-        request = client.pb.CloseSessionRequest(session_id=env._session._id)
-        client._call(channel, remote.address, "CloseSession", request, client.pb.CloseSessionResponse)
+    env.reset()
+    second = client.Stream(remote.address, env._session._sessions[0]._link.session_id)
+    assert second.last_sequence == 1
+    with pytest.raises(sandgait.SessionLost, match="another stream has taken the session"):
+        env.step(np.zeros((3, 6)))
+    env.close()
+
+
+def test_a_session_ends_when_it_is_closed_by_name(remote: RemoteServer) -> None:
+    env = sandgait.SandgaitVectorEnv(ID, 3, remote.address)
+    env.reset()
+    client.close_session(remote.address, env._session._sessions[0]._link.session_id)
     with pytest.raises(sandgait.SessionLost, match="the session was closed"):
         env.step(np.zeros((3, 6)))
     env.close()

@@ -79,24 +79,98 @@ class CreateSessionRequest(_message.Message):
     def __init__(self, task_id: _Optional[str] = ..., num_envs: _Optional[int] = ..., options: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ..., protocol: _Optional[int] = ...) -> None: ...
 
 class CreateSessionResponse(_message.Message):
-    __slots__ = ("session_id", "task")
+    __slots__ = ("session_id", "task", "lease_seconds")
     SESSION_ID_FIELD_NUMBER: _ClassVar[int]
     TASK_FIELD_NUMBER: _ClassVar[int]
+    LEASE_SECONDS_FIELD_NUMBER: _ClassVar[int]
     session_id: str
     task: Task
-    def __init__(self, session_id: _Optional[str] = ..., task: _Optional[_Union[Task, _Mapping]] = ...) -> None: ...
+    lease_seconds: float
+    def __init__(self, session_id: _Optional[str] = ..., task: _Optional[_Union[Task, _Mapping]] = ..., lease_seconds: _Optional[float] = ...) -> None: ...
+
+class DescribeSessionRequest(_message.Message):
+    __slots__ = ("session_id",)
+    SESSION_ID_FIELD_NUMBER: _ClassVar[int]
+    session_id: str
+    def __init__(self, session_id: _Optional[str] = ...) -> None: ...
+
+class DescribeSessionResponse(_message.Message):
+    __slots__ = ("task", "summary")
+    TASK_FIELD_NUMBER: _ClassVar[int]
+    SUMMARY_FIELD_NUMBER: _ClassVar[int]
+    task: Task
+    summary: SessionSummary
+    def __init__(self, task: _Optional[_Union[Task, _Mapping]] = ..., summary: _Optional[_Union[SessionSummary, _Mapping]] = ...) -> None: ...
+
+class ListSessionsRequest(_message.Message):
+    __slots__ = ()
+    def __init__(self) -> None: ...
+
+class ListSessionsResponse(_message.Message):
+    __slots__ = ("sessions",)
+    SESSIONS_FIELD_NUMBER: _ClassVar[int]
+    sessions: _containers.RepeatedCompositeFieldContainer[SessionSummary]
+    def __init__(self, sessions: _Optional[_Iterable[_Union[SessionSummary, _Mapping]]] = ...) -> None: ...
+
+class SessionSummary(_message.Message):
+    __slots__ = ("name", "task_id", "num_envs", "attached", "sequence", "idle_seconds")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    TASK_ID_FIELD_NUMBER: _ClassVar[int]
+    NUM_ENVS_FIELD_NUMBER: _ClassVar[int]
+    ATTACHED_FIELD_NUMBER: _ClassVar[int]
+    SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    IDLE_SECONDS_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    task_id: str
+    num_envs: int
+    attached: bool
+    sequence: int
+    idle_seconds: float
+    def __init__(self, name: _Optional[str] = ..., task_id: _Optional[str] = ..., num_envs: _Optional[int] = ..., attached: bool = ..., sequence: _Optional[int] = ..., idle_seconds: _Optional[float] = ...) -> None: ...
 
 class RunSessionRequest(_message.Message):
-    __slots__ = ("session_id", "sequence", "reset", "step")
+    __slots__ = ("session_id", "sequence", "reset", "step", "attach", "save", "restore", "rollout")
     SESSION_ID_FIELD_NUMBER: _ClassVar[int]
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     RESET_FIELD_NUMBER: _ClassVar[int]
     STEP_FIELD_NUMBER: _ClassVar[int]
+    ATTACH_FIELD_NUMBER: _ClassVar[int]
+    SAVE_FIELD_NUMBER: _ClassVar[int]
+    RESTORE_FIELD_NUMBER: _ClassVar[int]
+    ROLLOUT_FIELD_NUMBER: _ClassVar[int]
     session_id: str
     sequence: int
     reset: Reset
     step: Step
-    def __init__(self, session_id: _Optional[str] = ..., sequence: _Optional[int] = ..., reset: _Optional[_Union[Reset, _Mapping]] = ..., step: _Optional[_Union[Step, _Mapping]] = ...) -> None: ...
+    attach: Attach
+    save: Save
+    restore: Restore
+    rollout: Rollout
+    def __init__(self, session_id: _Optional[str] = ..., sequence: _Optional[int] = ..., reset: _Optional[_Union[Reset, _Mapping]] = ..., step: _Optional[_Union[Step, _Mapping]] = ..., attach: _Optional[_Union[Attach, _Mapping]] = ..., save: _Optional[_Union[Save, _Mapping]] = ..., restore: _Optional[_Union[Restore, _Mapping]] = ..., rollout: _Optional[_Union[Rollout, _Mapping]] = ...) -> None: ...
+
+class Attach(_message.Message):
+    __slots__ = ()
+    def __init__(self) -> None: ...
+
+class Save(_message.Message):
+    __slots__ = ()
+    def __init__(self) -> None: ...
+
+class Restore(_message.Message):
+    __slots__ = ("snapshot", "sources")
+    SNAPSHOT_FIELD_NUMBER: _ClassVar[int]
+    SOURCES_FIELD_NUMBER: _ClassVar[int]
+    snapshot: bytes
+    sources: bytes
+    def __init__(self, snapshot: _Optional[bytes] = ..., sources: _Optional[bytes] = ...) -> None: ...
+
+class Rollout(_message.Message):
+    __slots__ = ("actions", "trajectories")
+    ACTIONS_FIELD_NUMBER: _ClassVar[int]
+    TRAJECTORIES_FIELD_NUMBER: _ClassVar[int]
+    actions: bytes
+    trajectories: bool
+    def __init__(self, actions: _Optional[bytes] = ..., trajectories: bool = ...) -> None: ...
 
 class Reset(_message.Message):
     __slots__ = ("seeds", "mask", "options")
@@ -115,14 +189,52 @@ class Step(_message.Message):
     def __init__(self, actions: _Optional[bytes] = ...) -> None: ...
 
 class RunSessionResponse(_message.Message):
-    __slots__ = ("sequence", "batch", "failure")
+    __slots__ = ("sequence", "batch", "failure", "attached", "snapshot", "rollout")
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     BATCH_FIELD_NUMBER: _ClassVar[int]
     FAILURE_FIELD_NUMBER: _ClassVar[int]
+    ATTACHED_FIELD_NUMBER: _ClassVar[int]
+    SNAPSHOT_FIELD_NUMBER: _ClassVar[int]
+    ROLLOUT_FIELD_NUMBER: _ClassVar[int]
     sequence: int
     batch: Batch
     failure: Failure
-    def __init__(self, sequence: _Optional[int] = ..., batch: _Optional[_Union[Batch, _Mapping]] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ...) -> None: ...
+    attached: Attached
+    snapshot: Snapshot
+    rollout: RolloutPart
+    def __init__(self, sequence: _Optional[int] = ..., batch: _Optional[_Union[Batch, _Mapping]] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., attached: _Optional[_Union[Attached, _Mapping]] = ..., snapshot: _Optional[_Union[Snapshot, _Mapping]] = ..., rollout: _Optional[_Union[RolloutPart, _Mapping]] = ...) -> None: ...
+
+class Attached(_message.Message):
+    __slots__ = ("last_sequence",)
+    LAST_SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    last_sequence: int
+    def __init__(self, last_sequence: _Optional[int] = ...) -> None: ...
+
+class Snapshot(_message.Message):
+    __slots__ = ("data",)
+    DATA_FIELD_NUMBER: _ClassVar[int]
+    data: bytes
+    def __init__(self, data: _Optional[bytes] = ...) -> None: ...
+
+class RolloutPart(_message.Message):
+    __slots__ = ("first_step", "steps", "observations", "rewards", "returns", "lengths", "terminated", "truncated")
+    FIRST_STEP_FIELD_NUMBER: _ClassVar[int]
+    STEPS_FIELD_NUMBER: _ClassVar[int]
+    OBSERVATIONS_FIELD_NUMBER: _ClassVar[int]
+    REWARDS_FIELD_NUMBER: _ClassVar[int]
+    RETURNS_FIELD_NUMBER: _ClassVar[int]
+    LENGTHS_FIELD_NUMBER: _ClassVar[int]
+    TERMINATED_FIELD_NUMBER: _ClassVar[int]
+    TRUNCATED_FIELD_NUMBER: _ClassVar[int]
+    first_step: int
+    steps: int
+    observations: bytes
+    rewards: bytes
+    returns: bytes
+    lengths: bytes
+    terminated: bytes
+    truncated: bytes
+    def __init__(self, first_step: _Optional[int] = ..., steps: _Optional[int] = ..., observations: _Optional[bytes] = ..., rewards: _Optional[bytes] = ..., returns: _Optional[bytes] = ..., lengths: _Optional[bytes] = ..., terminated: _Optional[bytes] = ..., truncated: _Optional[bytes] = ...) -> None: ...
 
 class Batch(_message.Message):
     __slots__ = ("observations", "rewards", "terminated", "truncated", "infos", "final_indices", "final_observations")

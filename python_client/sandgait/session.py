@@ -1,0 +1,261 @@
+"""A session that outlives its connections.
+
+Requests are numbered. When the stream breaks, the next one asks which number the server came to, and what has no answer
+yet is sent again: nothing is lost and nothing is done twice. With `resume=True` a session also outlives its server: now
+and then it takes a snapshot and keeps every request since then, and plays them again on a server that it can reach.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+import weakref
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from . import client, server
+from ._proto.sandgait.v1 import sandgait_pb2 as pb
+from .client import Batch, Stream
+from .errors import InvalidRequest, SandgaitError, ServerLost, SessionLost
+from .spaces import Task
+
+#: How long a server that does not answer is tried again [s]: without and with `resume`. The lease is 300 s by default.
+RETRY = 2.0
+RETRY_RESUME = 60.0
+
+#: Requests between two snapshots of a session with `resume=True`: some seconds of work to be done again at most.
+SNAPSHOT_EVERY = 200
+
+Request = pb.RunSessionRequest
+
+
+class Rollout(NamedTuple):
+    """What sequences of actions gave; an environment's rollout ends with its episode."""
+
+    #: f64 [num_envs]: sum of rewards until the rollout or the episode ended.
+    returns: npt.NDArray[np.float64]
+    #: [num_envs]: steps until then.
+    lengths: npt.NDArray[np.intp]
+    #: [num_envs]: how the episode ended, if it did.
+    terminated: npt.NDArray[np.bool_]
+    truncated: npt.NDArray[np.bool_]
+    #: f32 [steps, num_envs, observation] after each step, zero where a rollout had ended; empty unless asked for.
+    observations: npt.NDArray[np.float32]
+    #: f32 [steps, num_envs], likewise.
+    rewards: npt.NDArray[np.float32]
+
+
+class _Link:
+    """What has to be let go of when a session ends; a finalizer holds it, so it must not hold the session."""
+
+    def __init__(self) -> None:
+        self.process = os.getpid()
+        self.address = ""
+        self.session_id = ""
+        self.stream: Stream | None = None
+
+    def drop(self) -> None:
+        """Gives up a stream that is broken."""
+        if self.stream is not None:
+            self.stream.close()
+            self.stream = None
+
+    def close(self) -> None:
+        if os.getpid() != self.process:
+            return  # a forked child: the session is the parent's
+        if self.session_id:
+            client.close_session(self.address, self.session_id)
+        self.drop()
+
+
+class Session:
+    """Environments of one task on one server.
+
+    `addresses`: where to go, the first one first; the others only with `resume`. None is the embedded server.
+    """
+
+    def __init__(
+        self,
+        addresses: Sequence[str | None],
+        task: str,
+        num_envs: int,
+        options: Mapping[str, Any],
+        resume: bool = False,
+    ) -> None:
+        if not 1 <= num_envs < 2**32:
+            raise InvalidRequest(f"num_envs: {num_envs} is outside [1, {2**32 - 1}]")
+        self.num_envs = num_envs
+        self.options = dict(options)
+        self._addresses = list(addresses)
+        self._resume = resume
+        self._broken: str | None = None
+        self._sequence = 0
+        #: Requests without an answer, with their numbers, in order.
+        self._unanswered: list[Request] = []
+        #: The last snapshot (empty: none), and what was carried out since.
+        self._snapshot = b""
+        self._since: list[Request] = []
+        self._link = _Link()
+        # Runs once: when called, when this object is collected, or when Python ends.
+        self.close = weakref.finalize(self, self._link.close)
+        self.task = self._create(self._addresses[0], task)
+
+    @property
+    def address(self) -> str:
+        """Of the server that has the session."""
+        return self._link.address
+
+    def _create(self, address: str | None, task: str) -> Task:
+        address = address or server.address()
+        created = client.create_session(address, task, self.num_envs, self.options)
+        self._link.address, self._link.session_id = address, created.session_id
+        self._link.stream = Stream(address, created.session_id)
+        return created.task
+
+    def send(self, request: Request) -> None:
+        """Sends a request without waiting for its answer."""
+        self._check_usable()
+        if self._link.stream is None:
+            self._reconnect(None)
+        self._sequence += 1
+        request.sequence = self._sequence
+        self._unanswered.append(request)
+        assert self._link.stream is not None
+        self._link.stream.send(request)
+
+    def receive(self) -> Batch:
+        """Answer to the reset or step that was sent last; answers that nobody waited for are dropped."""
+        batch: Batch = client.batch(self._receive().batch, self.task)
+        if self._resume and len(self._since) >= SNAPSHOT_EVERY:
+            self.save()
+        return batch
+
+    def save(self) -> bytes:
+        """All environments as data, for `restore`."""
+        self.send(client.save_request())
+        snapshot: bytes = self._receive().snapshot.data
+        self._snapshot, self._since = snapshot, []
+        return snapshot
+
+    def receive_rollout(self) -> Rollout:
+        """Answer to the rollout that was sent last."""
+        parts = [self._receive().rollout]
+        while not parts[-1].returns:
+            parts.append(self._receive().rollout)
+            if parts[-1].first_step == 0:  # the stream broke, and the rollout began anew
+                del parts[:-1]
+        last, shape = parts[-1], (-1, self.num_envs, len(self.task.observation))
+        observations = np.frombuffer(b"".join(p.observations for p in parts), "<f4").reshape(shape)
+        rewards = np.frombuffer(b"".join(p.rewards for p in parts), "<f4").reshape(-1, self.num_envs)
+        return Rollout(
+            returns=np.frombuffer(last.returns, "<f8").astype(np.float64),
+            lengths=np.frombuffer(last.lengths, "<u4").astype(np.intp),
+            terminated=np.frombuffer(last.terminated, np.uint8).astype(np.bool_),
+            truncated=np.frombuffer(last.truncated, np.uint8).astype(np.bool_),
+            observations=observations.astype(np.float32),
+            rewards=rewards.astype(np.float32),
+        )
+
+    def _check_usable(self) -> None:
+        if os.getpid() != self._link.process:
+            raise SandgaitError("this environment belongs to the process that made it; make it anew after a fork")
+        if not self.close.alive:
+            raise SandgaitError("this environment is closed")
+        if self._broken is not None:
+            raise SessionLost(f"this session has ended ({self._broken}); make the environment anew")
+
+    def _receive(self) -> pb.RunSessionResponse:
+        self._check_usable()
+        while True:
+            try:
+                if self._link.stream is None:
+                    self._reconnect(None)
+                assert self._link.stream is not None
+                response = self._link.stream.receive()
+            except ServerLost as error:
+                self._link.drop()
+                self._reconnect(error)
+                continue
+            except SandgaitError as error:
+                self._broken = str(error)
+                raise
+            except BaseException:  # grpc cannot take up a read that was broken off; the session can
+                self._link.drop()
+                raise
+            if response.sequence >= self._sequence:
+                return self._answered(response)
+
+    def _answered(self, response: pb.RunSessionResponse) -> pb.RunSessionResponse:
+        if response.HasField("rollout") and not response.rollout.returns:
+            return response  # the first parts of a rollout: its answer is the last one
+        error = client.failure(response, self.address)
+        if self._resume and error is None:
+            changes = ("reset", "step", "restore")
+            self._since += [r for r in self._unanswered if r.WhichOneof("request") in changes]
+        self._unanswered.clear()
+        if error is not None:
+            raise error
+        return response
+
+    def _reconnect(self, reason: ServerLost | None) -> None:
+        """Takes the session up again, or makes it anew elsewhere; raises what went wrong if that cannot be."""
+        deadline = time.monotonic() + (RETRY_RESUME if self._resume else RETRY)
+        error: SandgaitError | None = reason
+        pause = 0.01
+        while True:
+            if not server.is_dead(self._link.address):
+                try:
+                    return self._attach()
+                except ServerLost as lost:
+                    error = error or lost
+                except SessionLost as lost:  # the server is there, and knows nothing of this session
+                    error = lost if not isinstance(error, ServerLost) else error
+                    if not self._resume:
+                        break
+            elif not self._resume:
+                break
+            if self._resume and self._rebuild():
+                return
+            if time.monotonic() > deadline:
+                break
+            time.sleep(pause)
+            pause = min(2 * pause, 1.0)
+        self._broken = str(error)
+        raise error if error is not None else ServerLost(f"{self.address}: the server cannot be reached")
+
+    def _attach(self) -> None:
+        """Opens another stream to the session and sends again what has no answer."""
+        stream = Stream(self._link.address, self._link.session_id)
+        self._link.stream = stream
+        for request in self._unanswered:
+            if request.sequence >= stream.last_sequence:
+                stream.send(request)
+
+    def _rebuild(self) -> bool:
+        """Makes the session anew on the first server that takes it, and plays everything since the last snapshot."""
+        for address in self._addresses:
+            with contextlib.suppress(ServerLost, SessionLost):
+                self._create(address, self.task.id)
+                self._play_again()
+                return True
+            self._link.drop()
+        return False
+
+    def _play_again(self) -> None:
+        stream = self._link.stream
+        assert stream is not None
+        past = ([client.restore_request(self._snapshot, None)] if self._snapshot else []) + self._since
+        for number, request in enumerate(past + self._unanswered, start=1):
+            request.sequence = number
+        self._sequence = len(past) + len(self._unanswered)
+        for request in past:  # one by one: what is sent ahead waits in this process's memory
+            stream.send(request)
+            error = client.failure(stream.receive(), self.address)
+            if error is not None:
+                raise SandgaitError(f"the session cannot be made anew: {error}")
+        for request in self._unanswered:
+            stream.send(request)

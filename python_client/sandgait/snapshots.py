@@ -1,0 +1,67 @@
+"""Snapshots as one piece of bytes and as files: those of several servers, one after the other."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import struct
+import tempfile
+from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
+
+from .errors import InvalidRequest, SandgaitError
+
+FilePath = str | PathLike[str]
+
+#: Before the snapshots: their number, then the length of each [bytes], u64 little-endian.
+_MAGIC = b"sandgait snapshots\n"
+
+
+def write_snapshot(snapshots: Sequence[bytes], path: FilePath | None) -> bytes:
+    """One piece of bytes. The file is complete or not there: it is written beside `path` and then renamed."""
+    lengths = struct.pack(f"<{1 + len(snapshots)}Q", len(snapshots), *map(len, snapshots))
+    data = _MAGIC + lengths + b"".join(snapshots)
+    if path is None:
+        return data
+    target = Path(path)
+    try:
+        handle, name = tempfile.mkstemp(prefix=target.name, dir=target.parent)
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(name, target)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                os.unlink(name)
+            raise
+    except OSError as error:
+        raise SandgaitError(f"{target}: the snapshot cannot be written: {error.strerror}") from error
+    return data
+
+
+def read_snapshot(snapshot: bytes | FilePath) -> list[bytes]:
+    """The inverse of `write_snapshot`, from its bytes or its file. What is inside is checked by the server."""
+    if not isinstance(snapshot, bytes):
+        try:
+            snapshot = Path(snapshot).read_bytes()
+        except OSError as error:
+            raise InvalidRequest(f"snapshot: {snapshot!r} cannot be read: {error.strerror}") from error
+    if not snapshot.startswith(_MAGIC):
+        raise InvalidRequest("snapshot: this is none of sandgait's")
+    at = len(_MAGIC)
+    try:
+        (count,) = struct.unpack_from("<Q", snapshot, at)
+        lengths = struct.unpack_from(f"<{min(count, 2**16)}Q", snapshot, at + 8)
+    except struct.error as error:
+        raise InvalidRequest("snapshot: it is cut off") from error
+    at += 8 + 8 * count
+    parts = []
+    for length in lengths:
+        parts.append(snapshot[at : at + length])
+        at += length
+    if at != len(snapshot):
+        raise InvalidRequest("snapshot: it is cut off or has something after its end")
+    return parts
