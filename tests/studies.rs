@@ -1,8 +1,13 @@
 //! Calibration and design studies.
 
 use sandgait::calibrate::calibrate;
+use sandgait::diagnose::experiment::Experiment;
+use sandgait::diagnose::force_log;
+use sandgait::diagnose::forward::{ForceLogModel, ForwardModel};
 use sandgait::progress::Silent;
-use sandgait::sand::Medium;
+use sandgait::sand::intrusion::Rotation;
+use sandgait::sand::mechanism::{CATALOG, Mechanisms};
+use sandgait::sand::{Medium, SandDescription, Shape};
 use sandgait::sim::engine::EngineKind;
 use sandgait::sim::model::Scene;
 use sandgait::sim::{Robot, walk};
@@ -174,4 +179,61 @@ fn the_search_beats_a_grid() {
     let [a, b] = [(); 2].map(|()| optimize::optimize(&design(), &axes, Measure::Speed, &Silent).unwrap());
     assert!(a.result.speed >= best * 0.999 && (0.0..=75.0).contains(&a.values[0]), "{} {best}", a.result.speed);
     assert_eq!(a.values, b.values);
+}
+
+/// Legs rotated through sand with a mechanism feel what the diagnosis predicts for a log of that motion, which sums
+/// over other segments and knows slopes and filled legs by code of its own.
+#[test]
+fn mechanisms_do_to_a_rotated_leg_what_the_diagnosis_says() {
+    let acting = ["inertial_drag", "concave_fill", "depth_power", "cohesion", "scale", "packing_grad", "slope"];
+    let sensors = ["bias_x", "bias_z", "sensor_tilt", "depth_zero", "delay", "lowpass", "compliance"];
+    let toml = "kind = \"intrusion\"\nmedium = \"poppy-loose\"\n\
+                [shape.leg]\ntype = \"leg\"\nchord = 0.076\nwidth = 0.025\nxi_deg = -45.0\n";
+    let experiment = Experiment::from_toml(toml).unwrap();
+    let mut log = String::from(
+        "trial,condition,rep,kind,shape,medium,hip_z,plate_beta,plate_gamma,t,theta,omega,x,z,vx,vz,Fx,Fz\n",
+    );
+    for i in (-175..=175).step_by(10) {
+        let theta = f64::from(i) * 0.01;
+        log += &format!("0,0,0,leg,leg,poppy-loose,0.02,,,{},{theta},10,0,0,0,0,0,0\n", (theta + 2.0) / 10.0);
+    }
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("log.csv");
+    std::fs::write(&path, log).unwrap();
+    let log = force_log::read(&path, &experiment).unwrap();
+    let model = ForceLogModel::new(&log, &experiment).unwrap();
+    let rotation = Rotation { omega: 10.0, ..Rotation::of(Shape::named("revL").unwrap()) };
+    let loads = |mechanisms: Mechanisms| {
+        let sand = SandDescription { mechanisms, ..SandDescription::plain(&experiment.medium) };
+        rotation.loads(&sand).unwrap().into_iter().step_by(10).map(|(_, l)| l).collect::<Vec<_>>()
+    };
+    let plain = loads(Mechanisms::PLAIN);
+    for id in acting {
+        let index = Mechanisms::index(id).unwrap();
+        let mechanisms = Mechanisms::PLAIN.with(index, CATALOG[index].typical);
+        let (ours, theirs) = (loads(mechanisms), model.predict(&mechanisms, &experiment.medium.coefficients));
+        let largest = |d: &dyn Fn(usize) -> f64| (0..ours.len()).map(d).fold(0.0, f64::max);
+        let effect = largest(&|k| (ours[k].fx - plain[k].fx).hypot(ours[k].fz - plain[k].fz));
+        let off = largest(&|k| (ours[k].fx - theirs[k]).hypot(ours[k].fz - theirs[ours.len() + k]));
+        // 400 segments here, 40 there: 4 mN apart, the effects are 57 mN and more.
+        assert!(off < 0.005 && effect > 0.05, "{id}: effect {effect} N, off by {off} N");
+    }
+    for id in sensors {
+        let index = Mechanisms::index(id).unwrap();
+        assert_eq!(loads(Mechanisms::PLAIN.with(index, CATALOG[index].typical)), plain, "{id}");
+    }
+}
+
+/// A grid is walked in portions, and says whose value is wrong before it walks.
+#[test]
+fn a_grid_of_any_size_is_its_walks() {
+    let axes = [Axis::parse("xi=-40,40").unwrap(), Axis::parse("frequency=19:20:2100").unwrap()];
+    let results = sandgait::sweep::grid(&design(), &axes, &Silent).unwrap();
+    assert_eq!(results.len(), 4200);
+    let mut last = Design { frequency: 20.0, ..design() };
+    Parameter::named("xi").unwrap().set(&mut last, "40").unwrap();
+    assert_eq!(walk::walk(EngineKind::Lanes, &last.trial().unwrap()).unwrap(), results[4199]);
+    let wrong = [Axis::parse("xi=-40,40").unwrap(), Axis::parse("frequency=2,21").unwrap()];
+    let error = sandgait::sweep::grid(&design(), &wrong, &Silent).unwrap_err().to_string();
+    assert_eq!(error, "frequency: 21 is outside [-20, 20]");
 }

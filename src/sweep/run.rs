@@ -7,7 +7,8 @@ use crate::sim::engine::EngineKind;
 use crate::sim::walk::{Trial, WalkResult, walk_many};
 use std::sync::{Mutex, PoisonError};
 
-/// Walks every trial, in the order given. An error of `progress` stops all of them within a second of simulated time.
+/// Walks every trial, in the order given. An error of `progress` stops all of them within a second of
+/// simulated time.
 ///
 /// A block has one law, regularisation and time step, and as many plates in every lane; within that, trials are packed by
 /// stride frequency, because a block runs until its slowest robot has finished its strides.
@@ -31,6 +32,8 @@ pub fn walk_all(engine: EngineKind, trials: &[Trial], progress: &dyn Progress) -
     blocks.reverse();
     let clock = Clock::of(trials, &blocks, progress);
     let walked = parallel::map(&blocks, |block| {
+        // Once stopped, no further block sets out.
+        clock.advance(0.0)?;
         let packed: Vec<Trial> = block.iter().map(|i| trials[*i].clone()).collect();
         walk_many(engine, &packed, &|seconds| clock.advance(seconds))
     });

@@ -26,10 +26,11 @@ def run(*arguments: str) -> str:
 
 def test_readmes_python(remote: RemoteServer) -> None:
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.DOTALL)
-    assert len(blocks) == 2
+    assert len(blocks) == 3
     speed = float(re.findall(r"robot: ([\d.]+) m/s", run("-c", blocks[0]))[0])
     assert 0.0 < speed < 1.0
     run("-c", "import gymnasium as gym, sandgait\n" + blocks[1].replace("127.0.0.1:50051", remote.address))
+    assert "the misfit is explained by inertial_drag" in run("-c", blocks[2])
 
 
 def test_train_gait_writes_what_it_promises(tmp_path: Path) -> None:
