@@ -57,8 +57,12 @@ pub fn rollout(batch: &Batch, made: usize, is_last: bool) -> proto::RolloutPart 
 fn floats<'a>(parts: impl Iterator<Item = &'a [f32]> + Clone) -> Bytes {
     let length: usize = parts.clone().map(<[f32]>::len).sum();
     let mut bytes = vec![0; 4 * length];
-    for (out, value) in bytes.as_chunks_mut().0.iter_mut().zip(parts.flatten()) {
-        *out = value.to_le_bytes();
+    let mut free = bytes.as_chunks_mut().0;
+    for part in parts {
+        // Slice by slice the compiler makes a copy of this; over one flat iterator it is ten times slower.
+        let (now, later) = free.split_at_mut(part.len());
+        now.iter_mut().zip(part).for_each(|(out, value)| *out = value.to_le_bytes());
+        free = later;
     }
     bytes.into()
 }
