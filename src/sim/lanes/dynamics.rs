@@ -6,10 +6,11 @@
 //! terms are gathered first (accelerations all zero), so the added masses bring none of their own.
 
 use super::model::{LaneBody, LaneModel, LanePlate};
+use super::plane::{Field, Moments, PlaneForces};
 use super::spatial::{Inertia, PointMasses, Symmetric, Twist, Wrench};
 use crate::number::{Mat3, Real, Vec3};
 use crate::sand::law::StressLaw;
-use crate::sand::{Beyond, Form, Plain, Site};
+use crate::sand::{Beyond, Form, Ground, Plain, Site};
 
 /// State of the robots in one block, one lane each; see [`crate::sim::State`].
 #[derive(Clone)]
@@ -139,7 +140,7 @@ fn belly<R: Real, const J: usize>(
     }
 }
 
-/// One-sided plates with a leading-edge gate.
+/// One-sided plates with a leading-edge gate, all facing down in one plane of the base.
 #[inline(always)]
 fn belly_by<R: Real, const J: usize>(
     law: &impl StressLaw<R>,
@@ -150,38 +151,36 @@ fn belly_by<R: Real, const J: usize>(
     inertia: &mut Inertia<R>,
     bias: &mut Wrench<R>,
 ) {
-    let mut drag = PointMasses::zero();
-    let mut sand = Wrench::zero();
+    let (mut forces, mut drag, mut edge) = (PlaneForces::zero(), Moments::zero(), Moments::zero());
+    let turn = &base.rotation;
+    let places = Field { at: turn.z * model.belly_height, by: [turn.x, turn.y] };
+    let velocities = places.velocity(&base.velocity);
+    let normal = -turn.z;
     let mut wet = false;
     for plate in &model.belly {
-        let Some((r, depth)) = submerged(base, plate, position.z) else { continue };
+        let Some(depth) = submerged(&places, plate.center, position.z) else { continue };
         wet = true;
-        let normal = base.rotation.apply(plate.normal);
-        let site = Site::fresh(depth, position.x + r.x);
-        let contact = model.ground.one_sided_by(law, beyond, &site, plate.area, normal, base.velocity.at(r));
-        sand.add_force_at(r, contact.force);
-        drag.add(contact.drag * model.dt, r);
-        let direction = Wrench { moment: r.cross(normal), force: normal };
-        inertia.add_outer(contact.edge * model.dt, &direction);
+        let site = Site::fresh(depth, position.x + places.value(plate.center).x);
+        let velocity = velocities.value(plate.center);
+        let contact = model.ground.one_sided_by(law, beyond, &site, plate.area, normal, velocity);
+        forces.add(contact.force, plate.center);
+        drag.add(contact.drag, plate.center);
+        edge.add(contact.edge, plate.center);
     }
     if wet {
+        let drag = drag.of(&places, model.dt);
         inertia.add(&Inertia::rigid(R::zero(), Vec3::zero(), Symmetric::zero(), &drag));
-        bias.add(&sand.scale_add(-R::one(), &Wrench::zero()));
+        inertia.add_outers(&edge.of(&places.cross(normal), model.dt), normal);
+        bias.add(&forces.wrench(&places).scale_add(-R::one(), &Wrench::zero()));
     }
 }
 
-/// Place and depth of a plate, if any lane has it under the surface.
+/// Depth of a place in a plane, if any lane has it under the surface.
 #[inline(always)]
-fn submerged<R: Real>(body: &Frame<R>, plate: &LanePlate<R>, height: R) -> Option<(Vec3<R>, R)> {
-    let (m, c) = (&body.rotation, plate.center);
-    let z = m.x.z.mul_add(c.x, m.y.z.mul_add(c.y, m.z.z.mul_add(c.z, body.origin.z)));
-    let depth = -(height + z);
-    if !R::any(R::zero().lt(depth)) {
-        return None;
-    }
-    let x = m.x.x.mul_add(c.x, m.y.x.mul_add(c.y, m.z.x.mul_add(c.z, body.origin.x)));
-    let y = m.x.y.mul_add(c.x, m.y.y.mul_add(c.y, m.z.y.mul_add(c.z, body.origin.y)));
-    Some((Vec3::new(x, y, z), depth.max(R::zero())))
+fn submerged<R: Real>(places: &Field<R>, p: [R; 2], height: R) -> Option<R> {
+    let [e0, e1] = &places.by;
+    let depth = -e0.z.mul_add(p[0], e1.z.mul_add(p[1], places.at.z + height));
+    R::any(R::zero().lt(depth)).then(|| depth.max(R::zero()))
 }
 
 /// Sand on a link: on its strip, or in part on the straight chord where its concave side leads and fills.
@@ -193,46 +192,53 @@ fn link_sand<R: Real, const J: usize>(
     link: &Frame<R>,
     position: &Vec3<R>,
 ) -> (Wrench<R>, PointMasses<R>) {
-    let mut total = (Wrench::zero(), PointMasses::zero());
-    let (form, plates) = (&model.ground.form, &body.plates);
-    let Some(beyond) = &model.ground.beyond else {
-        match form {
-            Form::Li2013(law) => strip(law, &Plain, model, plates, link, position, R::one(), &mut total),
-            form => strip(form, &Plain, model, plates, link, position, R::one(), &mut total),
+    if body.plates.is_empty() {
+        return (Wrench::zero(), PointMasses::zero());
+    }
+    let [e0, e1] = &body.plane;
+    let places = Field { at: link.origin, by: [link.rotation.apply(*e0), link.rotation.apply(*e1)] };
+    let velocities = places.velocity(&link.velocity);
+    let mut total = (PlaneForces::zero(), Moments::zero());
+    let (ground, plates) = (&model.ground, &body.plates);
+    match (&ground.form, &ground.beyond) {
+        (Form::Li2013(law), None) => {
+            strip(law, &Plain, ground, plates, &places, &velocities, position, R::one(), &mut total);
         }
-        return total;
-    };
-    let concave_leads = (body.bulge * rate).lt(R::zero());
-    let fill = R::select(concave_leads, beyond.fill, R::zero());
-    for (plates, share) in [(plates, R::one() - fill), (&body.chord, fill)] {
-        if R::any(R::zero().lt(share)) {
-            strip(form, beyond, model, plates, link, position, share, &mut total);
+        (form, None) => strip(form, &Plain, ground, plates, &places, &velocities, position, R::one(), &mut total),
+        (form, Some(beyond)) => {
+            let concave_leads = (body.bulge * rate).lt(R::zero());
+            let fill = R::select(concave_leads, beyond.fill, R::zero());
+            for (plates, share) in [(plates, R::one() - fill), (&body.chord, fill)] {
+                if R::any(R::zero().lt(share)) {
+                    strip(form, beyond, ground, plates, &places, &velocities, position, share, &mut total);
+                }
+            }
         }
     }
-    total
+    (total.0.wrench(&places), total.1.of(&places, model.dt))
 }
 
 /// Adds `share` of the sand on two-sided plates: the hottest loop of the program.
 #[inline(always)]
 #[allow(clippy::too_many_arguments)] // all of them are in registers
-fn strip<R: Real, const J: usize>(
+fn strip<R: Real>(
     law: &impl StressLaw<R>,
     beyond: &impl Beyond<R>,
-    model: &LaneModel<R, J>,
+    ground: &Ground<R>,
     plates: &[LanePlate<R>],
-    link: &Frame<R>,
+    places: &Field<R>,
+    velocities: &Field<R>,
     position: &Vec3<R>,
     share: R,
-    total: &mut (Wrench<R>, PointMasses<R>),
+    total: &mut (PlaneForces<R>, Moments<R>),
 ) {
     for plate in plates {
-        let Some((r, depth)) = submerged(link, plate, position.z) else { continue };
-        let normal = link.rotation.apply(plate.normal);
-        let site = Site::fresh(depth, position.x + r.x);
-        let area = plate.area * share;
-        let contact = model.ground.thin_plate_by(law, beyond, &site, area, normal, link.velocity.at(r));
-        total.0.add_force_at(r, contact.force);
-        total.1.add(contact.drag * model.dt, r);
+        let Some(depth) = submerged(places, plate.center, position.z) else { continue };
+        let (normal, velocity) = (places.change(plate.normal), velocities.value(plate.center));
+        let site = Site::fresh(depth, position.x + places.value(plate.center).x);
+        let contact = ground.thin_plate_by(law, beyond, &site, plate.area * share, normal, velocity);
+        total.0.add(contact.force, plate.center);
+        total.1.add(contact.drag, plate.center);
     }
 }
 

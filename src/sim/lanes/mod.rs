@@ -2,12 +2,14 @@
 //!
 //! * [`dynamics`]: one time step; generic over the number, so it exists once for `f64`, and for 8 and 16 lanes of `f32`.
 //! * [`spatial`]: the algebra it is written in.
+//! * [`plane`]: sand forces on the plates of one plane, summed in its two coordinates.
 //! * [`model`]: the model's numbers, one lane an environment.
 //!
 //! Lanes never read each other: an environment's bits do not depend on its lane, its neighbours or the batch.
 
 mod dynamics;
 mod model;
+mod plane;
 mod spatial;
 
 use super::engine::Command;
@@ -34,6 +36,7 @@ impl LanesEngine {
         if !model.scene.obstacles.is_empty() {
             return Err(Error::invalid("engine", "lanes has no rigid obstacles; rapier does"));
         }
+        model::check_planes(model)?;
         let joints = model.legs.first().map_or(0, Vec::len);
         let block: fn(&Model) -> Box<dyn Block> = match (isa, joints) {
             #[cfg(target_arch = "x86_64")]

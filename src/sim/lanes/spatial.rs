@@ -105,6 +105,13 @@ impl<R: Real> Symmetric<R> {
         *d = Vec3::new(a.x.mul_add(x, d.x), a.y.mul_add(y, d.y), a.z.mul_add(z, d.z));
         *o = Vec3::new(a.x.mul_add(y, o.x), a.x.mul_add(z, o.y), a.y.mul_add(z, o.z));
     }
+    /// Adds `a bᵀ`, of which the sum of all that is added must be symmetric.
+    #[inline(always)]
+    pub fn add_product(&mut self, a: Vec3<R>, b: Vec3<R>) {
+        let (d, o) = (&mut self.diagonal, &mut self.off);
+        *d = Vec3::new(a.x.mul_add(b.x, d.x), a.y.mul_add(b.y, d.y), a.z.mul_add(b.z, d.z));
+        *o = Vec3::new(a.x.mul_add(b.y, o.x), a.x.mul_add(b.z, o.y), a.y.mul_add(b.z, o.z));
+    }
     /// `m self mᵀ` for a rotation `m`.
     #[inline(always)]
     pub fn rotated(&self, m: &Mat3<R>) -> Self {
@@ -137,12 +144,6 @@ impl<R: Real> PointMasses<R> {
     #[inline(always)]
     pub fn zero() -> Self {
         Self { mass: R::zero(), first: Vec3::zero(), second: Symmetric::zero() }
-    }
-    #[inline(always)]
-    pub fn add(&mut self, mass: R, r: Vec3<R>) {
-        self.mass += mass;
-        self.first = r.scale_add(mass, self.first);
-        self.second.add_outer(mass, r);
     }
 }
 
@@ -192,6 +193,17 @@ impl<R: Real> Inertia<R> {
             moment: self.rotary.apply(t.angular) + self.coupling.apply(t.linear),
             force: self.coupling.apply_transposed(t.angular) + self.linear.apply(t.linear),
         }
+    }
+
+    /// Adds Σ s w wᵀ of wrenches w that all have the force `force`; `moments` holds Σs, and Σsm and Σsmmᵀ of their
+    /// moments m.
+    #[inline(always)]
+    pub fn add_outers(&mut self, moments: &PointMasses<R>, force: Vec3<R>) {
+        self.rotary.add(&moments.second);
+        self.linear.add_outer(moments.mass, force);
+        self.coupling.x = moments.first.scale_add(force.x, self.coupling.x);
+        self.coupling.y = moments.first.scale_add(force.y, self.coupling.y);
+        self.coupling.z = moments.first.scale_add(force.z, self.coupling.z);
     }
 
     /// Adds `s w wᵀ`.
