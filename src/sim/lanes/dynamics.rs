@@ -7,7 +7,7 @@
 
 use super::model::{LaneBody, LaneModel, LanePlate};
 use super::plane::{Field, Moments, PlaneForces};
-use super::spatial::{Inertia, PointMasses, Symmetric, Twist, Wrench};
+use super::spatial::{Inertia, Symmetric, Twist, Wrench};
 use crate::number::{Mat3, Real, Vec3};
 use crate::sand::law::StressLaw;
 use crate::sand::{Beyond, Form, Ground, Plain, Site};
@@ -41,7 +41,7 @@ pub struct LaneJoint<R> {
 
 /// What the inward pass leaves for the outward one, a joint.
 #[derive(Clone, Copy)]
-pub struct Hinge<R> {
+struct Hinge<R> {
     axis: Twist<R>,
     /// Articulated inertia times the axis.
     inertia_axis: Wrench<R>,
@@ -53,10 +53,25 @@ pub struct Hinge<R> {
 }
 
 impl<R: Real> Hinge<R> {
-    pub fn empty() -> Self {
+    fn empty() -> Self {
         let zero = R::zero();
         let axis = Twist { angular: Vec3::zero(), linear: Vec3::zero() };
         Self { axis, inertia_axis: Wrench::zero(), inverse: zero, drive: zero, torque: zero, yielding: zero }
+    }
+}
+
+/// Room that a step works in; nothing in it outlives the step.
+pub struct Scratch<R, const J: usize> {
+    /// One a joint.
+    hinges: Vec<Hinge<R>>,
+    /// What each link of the present leg shows to its joint, before the links beyond it are added.
+    links: [(Inertia<R>, Wrench<R>); J],
+}
+
+impl<R: Real, const J: usize> Scratch<R, J> {
+    pub fn new(joints: usize) -> Self {
+        let link = (Inertia::central(R::zero(), Symmetric::zero()), Wrench::zero());
+        Self { hinges: vec![Hinge::empty(); joints], links: [link; J] }
     }
 }
 
@@ -70,9 +85,10 @@ struct Frame<R> {
     bias: Twist<R>,
 }
 
-/// Advances all lanes by one time step. `hinges` is scratch space, one a joint.
+/// Advances all lanes by one time step.
 #[inline(always)]
-pub fn step<R: Real, const J: usize>(model: &LaneModel<R, J>, state: &mut LaneState<R>, hinges: &mut [Hinge<R>]) {
+pub fn step<R: Real, const J: usize>(model: &LaneModel<R, J>, state: &mut LaneState<R>, scratch: &mut Scratch<R, J>) {
+    let Scratch { hinges, links } = scratch;
     let base = base_frame(state);
     let mut position = state.position;
     position.x += state.travelled;
@@ -80,7 +96,7 @@ pub fn step<R: Real, const J: usize>(model: &LaneModel<R, J>, state: &mut LaneSt
     belly(model, &base, &position, &mut inertia, &mut bias);
     for (l, leg) in model.legs.iter().enumerate() {
         let (joints, hinges) = (&state.joints[l * J..][..J], &mut hinges[l * J..][..J]);
-        let (leg_inertia, leg_bias) = fold_leg(model, leg, &base, &position, joints, hinges);
+        let (leg_inertia, leg_bias) = fold_leg(model, leg, &base, &position, joints, hinges, links);
         inertia.add(&leg_inertia);
         bias.add(&leg_bias);
     }
@@ -121,7 +137,7 @@ fn base_inertia<R: Real, const J: usize>(model: &LaneModel<R, J>, base: &Frame<R
     let own = Symmetric { diagonal: model.base_inertia, off: Vec3::zero() }.rotated(&base.rotation);
     let omega = base.velocity.angular;
     let bias = Wrench { moment: omega.cross(own.apply(omega)), force: -(model.gravity * model.base_mass) };
-    (Inertia::rigid(model.base_mass, Vec3::zero(), own, &PointMasses::zero()), bias)
+    (Inertia::central(model.base_mass, own), bias)
 }
 
 /// Sand under the base.
@@ -136,6 +152,7 @@ fn belly<R: Real, const J: usize>(
     match (&model.ground.form, &model.ground.beyond) {
         (Form::Li2013(law), None) => belly_by(law, &Plain, model, base, position, inertia, bias),
         (form, None) => belly_by(form, &Plain, model, base, position, inertia, bias),
+        (Form::Li2013(law), Some(beyond)) => belly_by(law, beyond, model, base, position, inertia, bias),
         (form, Some(beyond)) => belly_by(form, beyond, model, base, position, inertia, bias),
     }
 }
@@ -168,9 +185,8 @@ fn belly_by<R: Real, const J: usize>(
         edge.add(contact.edge, plate.center);
     }
     if wet {
-        let drag = drag.of(&places, model.dt);
-        inertia.add(&Inertia::rigid(R::zero(), Vec3::zero(), Symmetric::zero(), &drag));
-        inertia.add_outers(&edge.of(&places.cross(normal), model.dt), normal);
+        inertia.add(&Inertia::points(&drag.scaled(model.dt).of(&places)));
+        inertia.add_outers(&edge.scaled(model.dt).of(&places.cross(normal)), normal);
         bias.add(&forces.wrench(&places).scale_add(-R::one(), &Wrench::zero()));
     }
 }
@@ -183,39 +199,59 @@ fn submerged<R: Real>(places: &Field<R>, p: [R; 2], height: R) -> Option<R> {
     R::any(R::zero().lt(depth)).then(|| depth.max(R::zero()))
 }
 
-/// Sand on a link: on its strip, or in part on the straight chord where its concave side leads and fills.
+/// A link's inertia with the sand's added masses, and the wrench its motion needs with all joints unaccelerated.
 #[inline(always)]
-fn link_sand<R: Real, const J: usize>(
+fn link<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
     body: &LaneBody<R>,
     rate: R,
-    link: &Frame<R>,
+    frame: &Frame<R>,
     position: &Vec3<R>,
-) -> (Wrench<R>, PointMasses<R>) {
-    if body.plates.is_empty() {
-        return (Wrench::zero(), PointMasses::zero());
-    }
+) -> (Inertia<R>, Wrench<R>) {
     let [e0, e1] = &body.plane;
-    let places = Field { at: link.origin, by: [link.rotation.apply(*e0), link.rotation.apply(*e1)] };
-    let velocities = places.velocity(&link.velocity);
+    let places = Field { at: frame.origin, by: [frame.rotation.apply(*e0), frame.rotation.apply(*e1)] };
+    let velocities = places.velocity(&frame.velocity);
+    let mut accelerations = places.velocity(&frame.bias).plus(&velocities.cross(-frame.velocity.angular));
+    accelerations.at = accelerations.at - model.gravity;
+    let (sand, drag) = link_sand(&model.ground, body, rate, &places, &velocities, position);
+    let bias = body.masses.forces(&accelerations).minus(&sand).wrench(&places);
+    (Inertia::points(&drag.scaled(model.dt).plus(&body.masses).of(&places)), bias)
+}
+
+/// Sand on a link: on its strip, or in part on the straight chord where its concave side leads and fills. Its forces,
+/// and its drags as masses.
+#[inline(always)]
+fn link_sand<R: Real>(
+    ground: &Ground<R>,
+    body: &LaneBody<R>,
+    rate: R,
+    places: &Field<R>,
+    velocities: &Field<R>,
+    position: &Vec3<R>,
+) -> (PlaneForces<R>, Moments<R>) {
     let mut total = (PlaneForces::zero(), Moments::zero());
-    let (ground, plates) = (&model.ground, &body.plates);
-    match (&ground.form, &ground.beyond) {
-        (Form::Li2013(law), None) => {
-            strip(law, &Plain, ground, plates, &places, &velocities, position, R::one(), &mut total);
-        }
-        (form, None) => strip(form, &Plain, ground, plates, &places, &velocities, position, R::one(), &mut total),
-        (form, Some(beyond)) => {
-            let concave_leads = (body.bulge * rate).lt(R::zero());
-            let fill = R::select(concave_leads, beyond.fill, R::zero());
-            for (plates, share) in [(plates, R::one() - fill), (&body.chord, fill)] {
-                if R::any(R::zero().lt(share)) {
-                    strip(form, beyond, ground, plates, &places, &velocities, position, share, &mut total);
-                }
+    let Some(beyond) = &ground.beyond else {
+        let plates = &body.plates;
+        match &ground.form {
+            Form::Li2013(law) => {
+                strip(law, &Plain, ground, plates, places, velocities, position, R::one(), &mut total);
             }
+            form => strip(form, &Plain, ground, plates, places, velocities, position, R::one(), &mut total),
+        }
+        return total;
+    };
+    let concave_leads = (body.bulge * rate).lt(R::zero());
+    let fill = R::select(concave_leads, beyond.fill, R::zero());
+    for (plates, share) in [(&body.plates, R::one() - fill), (&body.chord, fill)] {
+        if !R::any(R::zero().lt(share)) {
+            continue;
+        }
+        match &ground.form {
+            Form::Li2013(law) => strip(law, beyond, ground, plates, places, velocities, position, share, &mut total),
+            form => strip(form, beyond, ground, plates, places, velocities, position, share, &mut total),
         }
     }
-    (total.0.wrench(&places), total.1.of(&places, model.dt))
+    total
 }
 
 /// Adds `share` of the sand on two-sided plates: the hottest loop of the program.
@@ -251,15 +287,13 @@ fn fold_leg<R: Real, const J: usize>(
     position: &Vec3<R>,
     joints: &[LaneJoint<R>],
     hinges: &mut [Hinge<R>],
+    links: &mut [(Inertia<R>, Wrench<R>); J],
 ) -> (Inertia<R>, Wrench<R>) {
     let mut parent = *base;
-    let mut links =
-        [(Inertia::rigid(R::zero(), Vec3::zero(), Symmetric::zero(), &PointMasses::zero()), Wrench::zero()); J];
     for j in 0..J {
         let (frame, axis) = child_frame(&parent, &leg[j], &joints[j]);
         hinges[j].axis = axis;
-        let (sand, drag) = link_sand(model, &leg[j], joints[j].rate, &frame, position);
-        links[j] = link_inertia(&leg[j], &frame, model.gravity, &sand, &drag);
+        links[j] = link(model, &leg[j], joints[j].rate, &frame, position);
         parent = frame;
     }
     let mut carried: Option<(Inertia<R>, Wrench<R>)> = None;
@@ -300,27 +334,6 @@ fn child_frame<R: Real>(parent: &Frame<R>, body: &LaneBody<R>, joint: &LaneJoint
 fn turned<R: Real>(u: Vec3<R>, axis: Vec3<R>, sin: R, cos: R) -> Vec3<R> {
     let along = axis * (axis.dot(u) * (R::one() - cos));
     axis.cross(u).scale_add(sin, u.scale_add(cos, along))
-}
-
-/// A link's inertia with the sand's added masses, and the wrench its motion needs with all joints unaccelerated.
-#[inline(always)]
-fn link_inertia<R: Real>(
-    body: &LaneBody<R>,
-    frame: &Frame<R>,
-    gravity: Vec3<R>,
-    sand: &Wrench<R>,
-    drag: &PointMasses<R>,
-) -> (Inertia<R>, Wrench<R>) {
-    let center = frame.origin + frame.rotation.apply(body.center);
-    let rotary = Symmetric { diagonal: body.inertia[0], off: body.inertia[1] }.rotated(&frame.rotation);
-    let omega = frame.velocity.angular;
-    let acceleration = frame.bias.at(center) + omega.cross(frame.velocity.at(center)) - gravity;
-    let mut bias = Wrench {
-        moment: rotary.apply(frame.bias.angular) + omega.cross(rotary.apply(omega)) - sand.moment,
-        force: -sand.force,
-    };
-    bias.add_force_at(center, acceleration * body.mass);
-    (Inertia::rigid(body.mass, center, rotary, drag), bias)
 }
 
 /// The servo, implicit in angle and speed: τ = τ0 − (dt kd + dt² kp) q̈. Where that would pass the torque limit (judged

@@ -16,7 +16,7 @@ use super::engine::Command;
 use super::{Model, State};
 use crate::error::{Error, Result};
 use crate::number::{Isa, Kernel, Real, Vec3};
-use dynamics::{Hinge, LaneJoint, LaneState};
+use dynamics::{LaneJoint, LaneState, Scratch};
 use model::LaneModel;
 use std::f64::consts::TAU;
 
@@ -97,7 +97,7 @@ trait Block: Send {
 struct Lanes<R: Real, const J: usize> {
     model: LaneModel<R, J>,
     state: LaneState<R>,
-    hinges: Vec<Hinge<R>>,
+    scratch: Scratch<R, J>,
     /// Place of each lane's x and y zero [m]: distances stay small, so `f32` keeps its accuracy however far one walks.
     origins: Vec<[f64; 2]>,
 }
@@ -130,7 +130,7 @@ impl<R: Real, const J: usize> Lanes<R, J> {
         let mut block = Self {
             model: LaneModel::splat(&parked),
             state,
-            hinges: vec![Hinge::empty(); model.joints()],
+            scratch: Scratch::new(model.joints()),
             origins: vec![[0.0; 2]; R::LANES],
         };
         block.model.gravity = Vec3::zero();
@@ -165,7 +165,7 @@ impl<R: Real, const J: usize> Kernel for Advance<'_, R, J> {
     #[inline(always)]
     fn run(self) {
         for _ in 0..self.steps {
-            dynamics::step(&self.block.model, &mut self.block.state, &mut self.block.hinges);
+            dynamics::step(&self.block.model, &mut self.block.state, &mut self.block.scratch);
         }
         self.block.fold();
     }

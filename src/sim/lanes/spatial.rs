@@ -27,12 +27,6 @@ impl<R: Real> Wrench<R> {
         self.moment += o.moment;
         self.force += o.force;
     }
-    /// A force that acts at `point`.
-    #[inline(always)]
-    pub fn add_force_at(&mut self, point: Vec3<R>, force: Vec3<R>) {
-        self.moment += point.cross(force);
-        self.force += force;
-    }
     /// `self * s + o`
     #[inline(always)]
     pub fn scale_add(&self, s: R, o: &Self) -> Self {
@@ -130,7 +124,7 @@ impl<R: Real> Symmetric<R> {
     }
 }
 
-/// Point masses gathered by their moments: what sand's implicit drag adds to a body's inertia.
+/// Point masses gathered by their moments: those of a link, and what sand's implicit drag adds.
 #[derive(Clone, Copy)]
 pub struct PointMasses<R> {
     pub mass: R,
@@ -138,13 +132,6 @@ pub struct PointMasses<R> {
     pub first: Vec3<R>,
     /// Σ m r rᵀ
     pub second: Symmetric<R>,
-}
-
-impl<R: Real> PointMasses<R> {
-    #[inline(always)]
-    pub fn zero() -> Self {
-        Self { mass: R::zero(), first: Vec3::zero(), second: Symmetric::zero() }
-    }
 }
 
 /// Articulated inertia: moment = `rotary` α + `coupling` a, force = `coupling`ᵀ α + `linear` a.
@@ -156,25 +143,30 @@ pub struct Inertia<R> {
 }
 
 impl<R: Real> Inertia<R> {
-    /// A rigid body with `rotary` inertia about its centre of mass, together with point masses.
+    /// A rigid body with `rotary` inertia whose centre of mass is the common point.
     #[inline(always)]
-    pub fn rigid(mass: R, center: Vec3<R>, rotary: Symmetric<R>, extra: &PointMasses<R>) -> Self {
-        let total = mass + extra.mass;
-        let first = center.scale_add(mass, extra.first);
-        let mut second = extra.second;
-        second.add_outer(mass, center);
+    pub fn central(mass: R, rotary: Symmetric<R>) -> Self {
+        let coupling = Mat3::new(Vec3::zero(), Vec3::zero(), Vec3::zero());
+        let linear = Symmetric { diagonal: Vec3::new(mass, mass, mass), off: Vec3::zero() };
+        Self { rotary, coupling, linear }
+    }
+
+    /// Point masses that move as one.
+    #[inline(always)]
+    pub fn points(masses: &PointMasses<R>) -> Self {
+        let (mass, first, second) = (masses.mass, masses.first, &masses.second);
         let trace = second.diagonal.x + second.diagonal.y + second.diagonal.z;
         let trace = Vec3::new(trace, trace, trace);
         let zero = R::zero();
         Self {
-            rotary: Symmetric { diagonal: rotary.diagonal + trace - second.diagonal, off: rotary.off - second.off },
+            rotary: Symmetric { diagonal: trace - second.diagonal, off: -second.off },
             // [first ×] by columns
             coupling: Mat3::new(
                 Vec3::new(zero, first.z, -first.y),
                 Vec3::new(-first.z, zero, first.x),
                 Vec3::new(first.y, -first.x, zero),
             ),
-            linear: Symmetric { diagonal: Vec3::new(total, total, total), off: Vec3::zero() },
+            linear: Symmetric { diagonal: Vec3::new(mass, mass, mass), off: Vec3::zero() },
         }
     }
 
