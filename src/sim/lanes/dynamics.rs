@@ -7,7 +7,7 @@
 
 use super::model::{LaneBody, LaneModel, LanePlate};
 use super::plane::{Field, Moments, PlaneForces};
-use super::spatial::{Inertia, Symmetric, Twist, Wrench};
+use super::spatial::{Inertia, PointMasses, Symmetric, Twist, Wrench};
 use crate::number::{Mat3, Real, Vec3};
 use crate::sand::law::StressLaw;
 use crate::sand::{Beyond, Form, Ground, Plain, Site};
@@ -64,13 +64,13 @@ impl<R: Real> Hinge<R> {
 pub struct Scratch<R, const J: usize> {
     /// One a joint.
     hinges: Vec<Hinge<R>>,
-    /// What each link of the present leg shows to its joint, before the links beyond it are added.
-    links: [(Inertia<R>, Wrench<R>); J],
+    /// Masses of each link of the present leg, with the sand's, and the wrench that its motion needs.
+    links: [(PointMasses<R>, Wrench<R>); J],
 }
 
 impl<R: Real, const J: usize> Scratch<R, J> {
     pub fn new(joints: usize) -> Self {
-        let link = (Inertia::central(R::zero(), Symmetric::zero()), Wrench::zero());
+        let link = (PointMasses::zero(), Wrench::zero());
         Self { hinges: vec![Hinge::empty(); joints], links: [link; J] }
     }
 }
@@ -199,7 +199,7 @@ fn submerged<R: Real>(places: &Field<R>, p: [R; 2], height: R) -> Option<R> {
     R::any(R::zero().lt(depth)).then(|| depth.max(R::zero()))
 }
 
-/// A link's inertia with the sand's added masses, and the wrench its motion needs with all joints unaccelerated.
+/// A link's masses with those that the sand adds, and the wrench its motion needs with all joints unaccelerated.
 #[inline(always)]
 fn link<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
@@ -207,7 +207,7 @@ fn link<R: Real, const J: usize>(
     rate: R,
     frame: &Frame<R>,
     position: &Vec3<R>,
-) -> (Inertia<R>, Wrench<R>) {
+) -> (PointMasses<R>, Wrench<R>) {
     let [e0, e1] = &body.plane;
     let places = Field { at: frame.origin, by: [frame.rotation.apply(*e0), frame.rotation.apply(*e1)] };
     let velocities = places.velocity(&frame.velocity);
@@ -215,7 +215,7 @@ fn link<R: Real, const J: usize>(
     accelerations.at = accelerations.at - model.gravity;
     let (sand, drag) = link_sand(&model.ground, body, rate, &places, &velocities, position);
     let bias = body.masses.forces(&accelerations).minus(&sand).wrench(&places);
-    (Inertia::points(&drag.scaled(model.dt).plus(&body.masses).of(&places)), bias)
+    (drag.scaled(model.dt).plus(&body.masses).of(&places), bias)
 }
 
 /// Sand on a link: on its strip, or in part on the straight chord where its concave side leads and fills. Its forces,
@@ -287,7 +287,7 @@ fn fold_leg<R: Real, const J: usize>(
     position: &Vec3<R>,
     joints: &[LaneJoint<R>],
     hinges: &mut [Hinge<R>],
-    links: &mut [(Inertia<R>, Wrench<R>); J],
+    links: &mut [(PointMasses<R>, Wrench<R>); J],
 ) -> (Inertia<R>, Wrench<R>) {
     let mut parent = *base;
     for j in 0..J {
@@ -298,7 +298,8 @@ fn fold_leg<R: Real, const J: usize>(
     }
     let mut carried: Option<(Inertia<R>, Wrench<R>)> = None;
     for j in (0..J).rev() {
-        let (mut inertia, mut bias) = links[j];
+        let (masses, mut bias) = links[j];
+        let mut inertia = Inertia::points(&masses);
         if let Some((i, b)) = &carried {
             inertia.add(i);
             bias.add(b);
@@ -309,7 +310,7 @@ fn fold_leg<R: Real, const J: usize>(
         let bias = hinge.inertia_axis.scale_add(hinge.drive * hinge.inverse, &bias);
         carried = Some((inertia, bias));
     }
-    carried.unwrap_or(links[0])
+    carried.unwrap_or((Inertia::points(&PointMasses::zero()), Wrench::zero()))
 }
 
 /// Turns `body` about its hinge.

@@ -184,8 +184,9 @@ mod tests {
         let accelerations = places.velocity(&acceleration).plus(&velocities.cross(-velocity.angular));
 
         let (mut forces, mut masses) = (PlaneForces::zero(), Moments::zero());
-        let (mut wrench, mut motion, mut along) = (Wrench::zero(), Wrench::zero(), Inertia::points(&nothing()));
-        let mut gathered = nothing();
+        let (mut wrench, mut motion, mut along) =
+            (Wrench::zero(), Wrench::zero(), Inertia::points(&PointMasses::zero()));
+        let mut gathered = PointMasses::zero();
         for _ in 0..20 {
             let (Vec3 { x, y, z: mass }, force) = (vector(), vector());
             let (p, r) = ([x, y], places.value([x, y]));
@@ -208,7 +209,7 @@ mod tests {
         assert!((planar.mass - gathered.mass).abs() < 1e-12);
         close(planar.first, gathered.first);
         same(&planar.second, &gathered.second);
-        let mut outers = Inertia::points(&nothing());
+        let mut outers = Inertia::points(&PointMasses::zero());
         outers.add_outers(&masses.of(&places.cross(normal)), normal);
         same(&outers.rotary, &along.rotary);
         same(&outers.linear, &along.linear);
@@ -218,9 +219,5 @@ mod tests {
 
     fn at(r: Vec3<f64>, force: Vec3<f64>) -> Wrench<f64> {
         Wrench { moment: r.cross(force), force }
-    }
-
-    fn nothing() -> PointMasses<f64> {
-        Moments::zero().of(&Field { at: Vec3::zero(), by: [Vec3::zero(); 2] })
     }
 }

@@ -134,6 +134,13 @@ pub struct PointMasses<R> {
     pub second: Symmetric<R>,
 }
 
+impl<R: Real> PointMasses<R> {
+    #[inline(always)]
+    pub fn zero() -> Self {
+        Self { mass: R::zero(), first: Vec3::zero(), second: Symmetric::zero() }
+    }
+}
+
 /// Articulated inertia: moment = `rotary` α + `coupling` a, force = `coupling`ᵀ α + `linear` a.
 #[derive(Clone, Copy)]
 pub struct Inertia<R> {
