@@ -62,6 +62,27 @@ fn media_and_tasks_are_listed() {
 }
 
 #[test]
+fn bench_takes_the_task_options() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("sand.toml");
+    let medium = sandgait::sand::Medium::named("poppy-loose").unwrap();
+    let mut sand = sandgait::sand::SandDescription::plain(&medium);
+    sand.mechanisms.inertial_drag = 1.0;
+    std::fs::write(&file, sand.to_toml().unwrap()).unwrap();
+    let sand = format!("sand={}", file.display());
+    let quick = ["bench", "--envs", "4", "--repeats", "5", "--seconds", "0.001"];
+    let bench = |more: &[&str]| json(&[&quick[..], &["--json"], more].concat());
+    let report = bench(&["--option", &sand, "--option", "slope_deg=5", "--option", "leg=C"]);
+    assert!(report["env_steps_per_second"].as_f64().is_some_and(|x| x > 0.0), "{report}");
+    assert_eq!(report["options"][1], "slope_deg=5", "{report}");
+    let refuse = |more: &[&str], words: &[&str]| refused(&[&quick[..], more].concat(), words);
+    refuse(&["--option", "slope_deg"], &["--option", "slope_deg", "KEY=VALUE"]);
+    refuse(&["--option", "slope_deg=80"], &["slope_deg", "80", "35"]);
+    refuse(&["--option", "slop=1"], &["slop"]);
+    refuse(&["--engine", "lanes", "--option", "engine=rapier"], &["--option", "engine", "twice"]);
+}
+
+#[test]
 fn wrong_use_is_one_line() {
     refused(&[], &["command", "--help"]);
     refused(&["wlak"], &["wlak", "walk"]);

@@ -5,7 +5,7 @@ use sandgait::env::task::Blueprint;
 use sandgait::number::Isa;
 use sandgait::sim::engine::EngineKind;
 use sandgait::{Error, Result};
-use serde_json::json;
+use serde_json::{Map, Value, json};
 use std::time::{Duration, Instant};
 
 /// Measure whole environment steps a second: action, servo, sand, dynamics, observation, reward, autoreset.
@@ -15,6 +15,7 @@ use std::time::{Duration, Instant};
 #[command(after_help = "Examples:
   sandgait bench --threads 1 --json
   sandgait bench --envs 256 --through grpc-uds
+  sandgait bench --option sand=sand.toml --option leg=C
   SANDGAIT_ISA=avx2 sandgait bench            (avx512, avx2, baseline or f64)")]
 pub struct Bench {
     /// Task id
@@ -23,6 +24,9 @@ pub struct Bench {
     /// Engine; the task's own if not given
     #[arg(long)]
     engine: Option<String>,
+    /// Option of the task, repeatable; VALUE is JSON or plain text, that of `sand` the path of a sand.toml
+    #[arg(long = "option", value_name = "KEY=VALUE")]
+    options: Vec<String>,
     /// Environments
     #[arg(long, default_value_t = 256, value_name = "N")]
     envs: usize,
@@ -58,10 +62,7 @@ impl Bench {
         if !(self.seconds > 0.0 && self.seconds <= 3600.0) {
             return Err(Error::invalid("--seconds", format!("{} is outside (0, 3600]", self.seconds)));
         }
-        let options = match &self.engine {
-            Some(name) => json!({ "engine": EngineKind::named(name)?.name() }),
-            None => json!({}),
-        };
+        let options = self.task_options()?;
         let blueprint = Blueprint::new(&self.task, options.clone())?;
         let engine = blueprint.engine;
         let threads = usize::from(self.threads);
@@ -73,6 +74,25 @@ impl Bench {
         let rates =
             measure(&mut *stepper, self.envs, width, self.repeats.into(), Duration::from_secs_f64(self.seconds))?;
         self.report(engine, &rates)
+    }
+
+    fn task_options(&self) -> Result<Value> {
+        let mut options = Map::new();
+        if let Some(name) = &self.engine {
+            options.insert("engine".into(), EngineKind::named(name)?.name().into());
+        }
+        for option in &self.options {
+            let wrong = |reason: &str| Error::invalid("--option", format!("{option:?} {reason}"));
+            let (key, text) = option.split_once('=').ok_or_else(|| wrong("is not KEY=VALUE"))?;
+            let value = match key {
+                "sand" => std::fs::read_to_string(text).map_err(|e| Error::file(text.as_ref(), e))?.into(),
+                _ => serde_json::from_str(text).unwrap_or_else(|_| text.into()),
+            };
+            if options.insert(key.into(), value).is_some() {
+                return Err(wrong("is given twice"));
+            }
+        }
+        Ok(options.into())
     }
 
     fn report(&self, engine: EngineKind, rates: &[f64]) -> Result<String> {
@@ -96,6 +116,7 @@ impl Bench {
                 "engine": engine.name(),
                 "isa": isa,
                 "task": self.task,
+                "options": self.options,
                 "envs": self.envs,
                 "threads": threads,
                 "through": through,
@@ -104,7 +125,7 @@ impl Bench {
         }
         Ok(format!(
             "{median:.0} environment steps/s ({min:.0} to {max:.0}) · {} · engine {} ({isa}) · {} environments, {threads} threads, through {through}\n",
-            self.task,
+            [&[self.task.clone()], &self.options[..]].concat().join(" "),
             engine.name(),
             self.envs,
         ))

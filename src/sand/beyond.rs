@@ -46,6 +46,12 @@ impl<R: Real> Site<R> {
 pub trait Beyond<R: Real> {
     /// Stress [Pa] from the law's stress per depth [N/m³] on a segment with unit normal `n` and velocity `v`.
     fn extend(&self, per_depth: Vec3<R>, n: Vec3<R>, v: Vec3<R>, site: &Site<R>) -> Vec3<R>;
+
+    /// Force [N] on a segment of `area` [m²].
+    #[inline(always)]
+    fn force(&self, per_depth: Vec3<R>, n: Vec3<R>, v: Vec3<R>, site: &Site<R>, area: R) -> Vec3<R> {
+        self.extend(per_depth, n, v, site) * area
+    }
 }
 
 /// Plain resistive force theory: proportional to depth, nothing else.
@@ -56,6 +62,11 @@ impl<R: Real> Beyond<R> for Plain {
     #[inline(always)]
     fn extend(&self, per_depth: Vec3<R>, _n: Vec3<R>, _v: Vec3<R>, site: &Site<R>) -> Vec3<R> {
         per_depth * site.depth
+    }
+
+    #[inline(always)]
+    fn force(&self, per_depth: Vec3<R>, _n: Vec3<R>, _v: Vec3<R>, site: &Site<R>, area: R) -> Vec3<R> {
+        per_depth * (site.depth * area)
     }
 }
 

@@ -132,8 +132,11 @@ impl<R: Real> Ground<R> {
     #[inline(always)]
     pub fn motion(&self, v: Vec3<R>) -> Motion<R> {
         let squared = v.norm_squared();
-        let inverse_speed = R::one() / (squared + self.rest_speed_squared).sqrt();
-        Motion { v, inverse_speed, moving: squared * inverse_speed * inverse_speed }
+        let (speed, finite) = ((squared + self.rest_speed_squared).sqrt(), squared + R::splat(1e-24));
+        // Both reciprocals from one division.
+        let inverse = R::one() / (speed * finite);
+        let (inverse_speed, inverse_square) = (finite * inverse, speed * inverse);
+        Motion { v, inverse_speed, moving: squared * inverse_speed * inverse_speed, inverse_square }
     }
 
     /// A thin plate in the sand, both sides together: `area` [m²], unit normal `n`, velocity `v` [m/s].
@@ -158,8 +161,8 @@ impl<R: Real> Ground<R> {
         v: Vec3<R>,
     ) -> Contact<R> {
         let motion = self.motion(v);
-        let force = beyond.extend(law.stress(n, &motion), n, v, site) * area;
-        Contact { force, drag: secant(force, v), edge: R::zero() }
+        let force = beyond.force(law.stress(n, &motion), n, v, site, area);
+        Contact { force, drag: secant(force, &motion), edge: R::zero() }
     }
 
     /// A face of a solid body with outward normal `n`: the sand is on one side only and can push, not pull.
@@ -184,18 +187,18 @@ impl<R: Real> Ground<R> {
         v: Vec3<R>,
     ) -> Contact<R> {
         let motion = self.motion(v);
-        let full = beyond.extend(law.stress(n, &motion), n, v, site) * area;
+        let full = beyond.force(law.stress(n, &motion), n, v, site, area);
         let leading = n.dot(v) * motion.inverse_speed * self.inverse_gate;
         let gate = leading.clamp(R::zero(), R::one());
         let force = full * gate;
         let rising = (-full.dot(n)).max(R::zero()) * motion.inverse_speed * self.inverse_gate;
         let inside = R::select(R::zero().lt(gate), R::select(gate.lt(R::one()), rising, R::zero()), R::zero());
-        Contact { force, drag: secant(force, v), edge: inside }
+        Contact { force, drag: secant(force, &motion), edge: inside }
     }
 }
 
-/// −f·v/v², or 0 where the force does not resist or nothing moves (1e-24 is (1e-12 m/s)², far below creep).
+/// −f·v/v², or 0 where the force does not resist or nothing moves.
 #[inline(always)]
-fn secant<R: Real>(force: Vec3<R>, v: Vec3<R>) -> R {
-    (-force.dot(v)).max(R::zero()) / (v.norm_squared() + R::splat(1e-24))
+fn secant<R: Real>(force: Vec3<R>, motion: &Motion<R>) -> R {
+    (-force.dot(motion.v)).max(R::zero()) * motion.inverse_square
 }

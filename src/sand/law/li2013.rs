@@ -62,8 +62,8 @@ impl<R: Real> StressLaw<R> for PlanarTable<R> {
     #[inline(always)]
     fn stress(&self, n: Vec3<R>, m: &Motion<R>) -> Vec3<R> {
         let along = n.x.mul_add(m.v.x, n.y * m.v.y);
-        // 1e-6 of the speed along the normal decides e only where the motion is vertical to that accuracy.
-        let nudge = R::splat(1e-6) * (m.moving * m.v.norm_squared()).sqrt();
+        // 1e-6 of the vertical speed along the normal decides e only where the motion is vertical to that accuracy.
+        let nudge = R::splat(1e-6) * m.v.z.abs();
         let nudge = R::select(along.lt(R::zero()), -nudge, nudge);
         let (ex, ey) = (n.x.mul_add(nudge, m.v.x), n.y.mul_add(nudge, m.v.y));
         let normal_along = n.x.mul_add(ex, n.y * ey);

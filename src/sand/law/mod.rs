@@ -60,6 +60,8 @@ pub struct Motion<R> {
     pub inverse_speed: R,
     /// v²/(v² + v0²): 0 at rest, 1 when moving.
     pub moving: R,
+    /// 1/(v² + 1e-24) [s²/m²]: 1/v² that stays finite at rest; (1e-12 m/s)² is far below creep.
+    pub inverse_square: R,
 }
 
 /// A law's numbers, one medium a lane.

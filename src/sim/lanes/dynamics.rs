@@ -6,10 +6,11 @@
 //! terms are gathered first (accelerations all zero), so the added masses bring none of their own.
 
 use super::model::{LaneBody, LaneModel, LanePlate};
+use super::plane::{Field, Moments, PlaneForces};
 use super::spatial::{Inertia, PointMasses, Symmetric, Twist, Wrench};
 use crate::number::{Mat3, Real, Vec3};
 use crate::sand::law::StressLaw;
-use crate::sand::{Beyond, Form, Plain, Site};
+use crate::sand::{Beyond, Form, Ground, Plain, Site};
 
 /// State of the robots in one block, one lane each; see [`crate::sim::State`].
 #[derive(Clone)]
@@ -40,7 +41,7 @@ pub struct LaneJoint<R> {
 
 /// What the inward pass leaves for the outward one, a joint.
 #[derive(Clone, Copy)]
-pub struct Hinge<R> {
+struct Hinge<R> {
     axis: Twist<R>,
     /// Articulated inertia times the axis.
     inertia_axis: Wrench<R>,
@@ -52,10 +53,25 @@ pub struct Hinge<R> {
 }
 
 impl<R: Real> Hinge<R> {
-    pub fn empty() -> Self {
+    fn empty() -> Self {
         let zero = R::zero();
         let axis = Twist { angular: Vec3::zero(), linear: Vec3::zero() };
         Self { axis, inertia_axis: Wrench::zero(), inverse: zero, drive: zero, torque: zero, yielding: zero }
+    }
+}
+
+/// Room that a step works in; nothing in it outlives the step.
+pub struct Scratch<R, const J: usize> {
+    /// One a joint.
+    hinges: Vec<Hinge<R>>,
+    /// Masses of each link of the present leg, with the sand's, and the wrench that its motion needs.
+    links: [(PointMasses<R>, Wrench<R>); J],
+}
+
+impl<R: Real, const J: usize> Scratch<R, J> {
+    pub fn new(joints: usize) -> Self {
+        let link = (PointMasses::zero(), Wrench::zero());
+        Self { hinges: vec![Hinge::empty(); joints], links: [link; J] }
     }
 }
 
@@ -69,9 +85,10 @@ struct Frame<R> {
     bias: Twist<R>,
 }
 
-/// Advances all lanes by one time step. `hinges` is scratch space, one a joint.
+/// Advances all lanes by one time step.
 #[inline(always)]
-pub fn step<R: Real, const J: usize>(model: &LaneModel<R, J>, state: &mut LaneState<R>, hinges: &mut [Hinge<R>]) {
+pub fn step<R: Real, const J: usize>(model: &LaneModel<R, J>, state: &mut LaneState<R>, scratch: &mut Scratch<R, J>) {
+    let Scratch { hinges, links } = scratch;
     let base = base_frame(state);
     let mut position = state.position;
     position.x += state.travelled;
@@ -79,7 +96,7 @@ pub fn step<R: Real, const J: usize>(model: &LaneModel<R, J>, state: &mut LaneSt
     belly(model, &base, &position, &mut inertia, &mut bias);
     for (l, leg) in model.legs.iter().enumerate() {
         let (joints, hinges) = (&state.joints[l * J..][..J], &mut hinges[l * J..][..J]);
-        let (leg_inertia, leg_bias) = fold_leg(model, leg, &base, &position, joints, hinges);
+        let (leg_inertia, leg_bias) = fold_leg(model, leg, &base, &position, joints, hinges, links);
         inertia.add(&leg_inertia);
         bias.add(&leg_bias);
     }
@@ -120,7 +137,7 @@ fn base_inertia<R: Real, const J: usize>(model: &LaneModel<R, J>, base: &Frame<R
     let own = Symmetric { diagonal: model.base_inertia, off: Vec3::zero() }.rotated(&base.rotation);
     let omega = base.velocity.angular;
     let bias = Wrench { moment: omega.cross(own.apply(omega)), force: -(model.gravity * model.base_mass) };
-    (Inertia::rigid(model.base_mass, Vec3::zero(), own, &PointMasses::zero()), bias)
+    (Inertia::central(model.base_mass, own), bias)
 }
 
 /// Sand under the base.
@@ -135,11 +152,12 @@ fn belly<R: Real, const J: usize>(
     match (&model.ground.form, &model.ground.beyond) {
         (Form::Li2013(law), None) => belly_by(law, &Plain, model, base, position, inertia, bias),
         (form, None) => belly_by(form, &Plain, model, base, position, inertia, bias),
+        (Form::Li2013(law), Some(beyond)) => belly_by(law, beyond, model, base, position, inertia, bias),
         (form, Some(beyond)) => belly_by(form, beyond, model, base, position, inertia, bias),
     }
 }
 
-/// One-sided plates with a leading-edge gate.
+/// One-sided plates with a leading-edge gate, all facing down in one plane of the base.
 #[inline(always)]
 fn belly_by<R: Real, const J: usize>(
     law: &impl StressLaw<R>,
@@ -150,63 +168,87 @@ fn belly_by<R: Real, const J: usize>(
     inertia: &mut Inertia<R>,
     bias: &mut Wrench<R>,
 ) {
-    let mut drag = PointMasses::zero();
-    let mut sand = Wrench::zero();
+    let (mut forces, mut drag, mut edge) = (PlaneForces::zero(), Moments::zero(), Moments::zero());
+    let turn = &base.rotation;
+    let places = Field { at: turn.z * model.belly_height, by: [turn.x, turn.y] };
+    let velocities = places.velocity(&base.velocity);
+    let normal = -turn.z;
     let mut wet = false;
     for plate in &model.belly {
-        let Some((r, depth)) = submerged(base, plate, position.z) else { continue };
+        let Some(depth) = submerged(&places, plate.center, position.z) else { continue };
         wet = true;
-        let normal = base.rotation.apply(plate.normal);
-        let site = Site::fresh(depth, position.x + r.x);
-        let contact = model.ground.one_sided_by(law, beyond, &site, plate.area, normal, base.velocity.at(r));
-        sand.add_force_at(r, contact.force);
-        drag.add(contact.drag * model.dt, r);
-        let direction = Wrench { moment: r.cross(normal), force: normal };
-        inertia.add_outer(contact.edge * model.dt, &direction);
+        let site = Site::fresh(depth, position.x + places.value(plate.center).x);
+        let velocity = velocities.value(plate.center);
+        let contact = model.ground.one_sided_by(law, beyond, &site, plate.area, normal, velocity);
+        forces.add(contact.force, plate.center);
+        drag.add(contact.drag, plate.center);
+        edge.add(contact.edge, plate.center);
     }
     if wet {
-        inertia.add(&Inertia::rigid(R::zero(), Vec3::zero(), Symmetric::zero(), &drag));
-        bias.add(&sand.scale_add(-R::one(), &Wrench::zero()));
+        inertia.add(&Inertia::points(&drag.scaled(model.dt).of(&places)));
+        inertia.add_outers(&edge.scaled(model.dt).of(&places.cross(normal)), normal);
+        bias.add(&forces.wrench(&places).scale_add(-R::one(), &Wrench::zero()));
     }
 }
 
-/// Place and depth of a plate, if any lane has it under the surface.
+/// Depth of a place in a plane, if any lane has it under the surface.
 #[inline(always)]
-fn submerged<R: Real>(body: &Frame<R>, plate: &LanePlate<R>, height: R) -> Option<(Vec3<R>, R)> {
-    let (m, c) = (&body.rotation, plate.center);
-    let z = m.x.z.mul_add(c.x, m.y.z.mul_add(c.y, m.z.z.mul_add(c.z, body.origin.z)));
-    let depth = -(height + z);
-    if !R::any(R::zero().lt(depth)) {
-        return None;
-    }
-    let x = m.x.x.mul_add(c.x, m.y.x.mul_add(c.y, m.z.x.mul_add(c.z, body.origin.x)));
-    let y = m.x.y.mul_add(c.x, m.y.y.mul_add(c.y, m.z.y.mul_add(c.z, body.origin.y)));
-    Some((Vec3::new(x, y, z), depth.max(R::zero())))
+fn submerged<R: Real>(places: &Field<R>, p: [R; 2], height: R) -> Option<R> {
+    let [e0, e1] = &places.by;
+    let depth = -e0.z.mul_add(p[0], e1.z.mul_add(p[1], places.at.z + height));
+    R::any(R::zero().lt(depth)).then(|| depth.max(R::zero()))
 }
 
-/// Sand on a link: on its strip, or in part on the straight chord where its concave side leads and fills.
+/// A link's masses with those that the sand adds, and the wrench its motion needs with all joints unaccelerated.
 #[inline(always)]
-fn link_sand<R: Real, const J: usize>(
+fn link<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
     body: &LaneBody<R>,
     rate: R,
-    link: &Frame<R>,
+    frame: &Frame<R>,
     position: &Vec3<R>,
-) -> (Wrench<R>, PointMasses<R>) {
-    let mut total = (Wrench::zero(), PointMasses::zero());
-    let (form, plates) = (&model.ground.form, &body.plates);
-    let Some(beyond) = &model.ground.beyond else {
-        match form {
-            Form::Li2013(law) => strip(law, &Plain, model, plates, link, position, R::one(), &mut total),
-            form => strip(form, &Plain, model, plates, link, position, R::one(), &mut total),
+) -> (PointMasses<R>, Wrench<R>) {
+    let [e0, e1] = &body.plane;
+    let places = Field { at: frame.origin, by: [frame.rotation.apply(*e0), frame.rotation.apply(*e1)] };
+    let velocities = places.velocity(&frame.velocity);
+    let mut accelerations = places.velocity(&frame.bias).plus(&velocities.cross(-frame.velocity.angular));
+    accelerations.at = accelerations.at - model.gravity;
+    let (sand, drag) = link_sand(&model.ground, body, rate, &places, &velocities, position);
+    let bias = body.masses.forces(&accelerations).minus(&sand).wrench(&places);
+    (drag.scaled(model.dt).plus(&body.masses).of(&places), bias)
+}
+
+/// Sand on a link: on its strip, or in part on the straight chord where its concave side leads and fills. Its forces,
+/// and its drags as masses.
+#[inline(always)]
+fn link_sand<R: Real>(
+    ground: &Ground<R>,
+    body: &LaneBody<R>,
+    rate: R,
+    places: &Field<R>,
+    velocities: &Field<R>,
+    position: &Vec3<R>,
+) -> (PlaneForces<R>, Moments<R>) {
+    let mut total = (PlaneForces::zero(), Moments::zero());
+    let Some(beyond) = &ground.beyond else {
+        let plates = &body.plates;
+        match &ground.form {
+            Form::Li2013(law) => {
+                strip(law, &Plain, ground, plates, places, velocities, position, R::one(), &mut total);
+            }
+            form => strip(form, &Plain, ground, plates, places, velocities, position, R::one(), &mut total),
         }
         return total;
     };
     let concave_leads = (body.bulge * rate).lt(R::zero());
     let fill = R::select(concave_leads, beyond.fill, R::zero());
-    for (plates, share) in [(plates, R::one() - fill), (&body.chord, fill)] {
-        if R::any(R::zero().lt(share)) {
-            strip(form, beyond, model, plates, link, position, share, &mut total);
+    for (plates, share) in [(&body.plates, R::one() - fill), (&body.chord, fill)] {
+        if !R::any(R::zero().lt(share)) {
+            continue;
+        }
+        match &ground.form {
+            Form::Li2013(law) => strip(law, beyond, ground, plates, places, velocities, position, share, &mut total),
+            form => strip(form, beyond, ground, plates, places, velocities, position, share, &mut total),
         }
     }
     total
@@ -215,24 +257,24 @@ fn link_sand<R: Real, const J: usize>(
 /// Adds `share` of the sand on two-sided plates: the hottest loop of the program.
 #[inline(always)]
 #[allow(clippy::too_many_arguments)] // all of them are in registers
-fn strip<R: Real, const J: usize>(
+fn strip<R: Real>(
     law: &impl StressLaw<R>,
     beyond: &impl Beyond<R>,
-    model: &LaneModel<R, J>,
+    ground: &Ground<R>,
     plates: &[LanePlate<R>],
-    link: &Frame<R>,
+    places: &Field<R>,
+    velocities: &Field<R>,
     position: &Vec3<R>,
     share: R,
-    total: &mut (Wrench<R>, PointMasses<R>),
+    total: &mut (PlaneForces<R>, Moments<R>),
 ) {
     for plate in plates {
-        let Some((r, depth)) = submerged(link, plate, position.z) else { continue };
-        let normal = link.rotation.apply(plate.normal);
-        let site = Site::fresh(depth, position.x + r.x);
-        let area = plate.area * share;
-        let contact = model.ground.thin_plate_by(law, beyond, &site, area, normal, link.velocity.at(r));
-        total.0.add_force_at(r, contact.force);
-        total.1.add(contact.drag * model.dt, r);
+        let Some(depth) = submerged(places, plate.center, position.z) else { continue };
+        let (normal, velocity) = (places.change(plate.normal), velocities.value(plate.center));
+        let site = Site::fresh(depth, position.x + places.value(plate.center).x);
+        let contact = ground.thin_plate_by(law, beyond, &site, plate.area * share, normal, velocity);
+        total.0.add(contact.force, plate.center);
+        total.1.add(contact.drag, plate.center);
     }
 }
 
@@ -245,20 +287,19 @@ fn fold_leg<R: Real, const J: usize>(
     position: &Vec3<R>,
     joints: &[LaneJoint<R>],
     hinges: &mut [Hinge<R>],
+    links: &mut [(PointMasses<R>, Wrench<R>); J],
 ) -> (Inertia<R>, Wrench<R>) {
     let mut parent = *base;
-    let mut links =
-        [(Inertia::rigid(R::zero(), Vec3::zero(), Symmetric::zero(), &PointMasses::zero()), Wrench::zero()); J];
     for j in 0..J {
         let (frame, axis) = child_frame(&parent, &leg[j], &joints[j]);
         hinges[j].axis = axis;
-        let (sand, drag) = link_sand(model, &leg[j], joints[j].rate, &frame, position);
-        links[j] = link_inertia(&leg[j], &frame, model.gravity, &sand, &drag);
+        links[j] = link(model, &leg[j], joints[j].rate, &frame, position);
         parent = frame;
     }
     let mut carried: Option<(Inertia<R>, Wrench<R>)> = None;
     for j in (0..J).rev() {
-        let (mut inertia, mut bias) = links[j];
+        let (masses, mut bias) = links[j];
+        let mut inertia = Inertia::points(&masses);
         if let Some((i, b)) = &carried {
             inertia.add(i);
             bias.add(b);
@@ -269,7 +310,7 @@ fn fold_leg<R: Real, const J: usize>(
         let bias = hinge.inertia_axis.scale_add(hinge.drive * hinge.inverse, &bias);
         carried = Some((inertia, bias));
     }
-    carried.unwrap_or(links[0])
+    carried.unwrap_or((Inertia::points(&PointMasses::zero()), Wrench::zero()))
 }
 
 /// Turns `body` about its hinge.
@@ -294,27 +335,6 @@ fn child_frame<R: Real>(parent: &Frame<R>, body: &LaneBody<R>, joint: &LaneJoint
 fn turned<R: Real>(u: Vec3<R>, axis: Vec3<R>, sin: R, cos: R) -> Vec3<R> {
     let along = axis * (axis.dot(u) * (R::one() - cos));
     axis.cross(u).scale_add(sin, u.scale_add(cos, along))
-}
-
-/// A link's inertia with the sand's added masses, and the wrench its motion needs with all joints unaccelerated.
-#[inline(always)]
-fn link_inertia<R: Real>(
-    body: &LaneBody<R>,
-    frame: &Frame<R>,
-    gravity: Vec3<R>,
-    sand: &Wrench<R>,
-    drag: &PointMasses<R>,
-) -> (Inertia<R>, Wrench<R>) {
-    let center = frame.origin + frame.rotation.apply(body.center);
-    let rotary = Symmetric { diagonal: body.inertia[0], off: body.inertia[1] }.rotated(&frame.rotation);
-    let omega = frame.velocity.angular;
-    let acceleration = frame.bias.at(center) + omega.cross(frame.velocity.at(center)) - gravity;
-    let mut bias = Wrench {
-        moment: rotary.apply(frame.bias.angular) + omega.cross(rotary.apply(omega)) - sand.moment,
-        force: -sand.force,
-    };
-    bias.add_force_at(center, acceleration * body.mass);
-    (Inertia::rigid(body.mass, center, rotary, drag), bias)
 }
 
 /// The servo, implicit in angle and speed: τ = τ0 − (dt kd + dt² kp) q̈. Where that would pass the torque limit (judged

@@ -2,19 +2,21 @@
 //!
 //! * [`dynamics`]: one time step; generic over the number, so it exists once for `f64`, and for 8 and 16 lanes of `f32`.
 //! * [`spatial`]: the algebra it is written in.
+//! * [`plane`]: sand forces on the plates of one plane, summed in its two coordinates.
 //! * [`model`]: the model's numbers, one lane an environment.
 //!
 //! Lanes never read each other: an environment's bits do not depend on its lane, its neighbours or the batch.
 
 mod dynamics;
 mod model;
+mod plane;
 mod spatial;
 
 use super::engine::Command;
 use super::{Model, State};
 use crate::error::{Error, Result};
 use crate::number::{Isa, Kernel, Real, Vec3};
-use dynamics::{Hinge, LaneJoint, LaneState};
+use dynamics::{LaneJoint, LaneState, Scratch};
 use model::LaneModel;
 use std::f64::consts::TAU;
 
@@ -34,6 +36,7 @@ impl LanesEngine {
         if !model.scene.obstacles.is_empty() {
             return Err(Error::invalid("engine", "lanes has no rigid obstacles; rapier does"));
         }
+        model::check_planes(model)?;
         let joints = model.legs.first().map_or(0, Vec::len);
         let block: fn(&Model) -> Box<dyn Block> = match (isa, joints) {
             #[cfg(target_arch = "x86_64")]
@@ -94,7 +97,7 @@ trait Block: Send {
 struct Lanes<R: Real, const J: usize> {
     model: LaneModel<R, J>,
     state: LaneState<R>,
-    hinges: Vec<Hinge<R>>,
+    scratch: Scratch<R, J>,
     /// Place of each lane's x and y zero [m]: distances stay small, so `f32` keeps its accuracy however far one walks.
     origins: Vec<[f64; 2]>,
 }
@@ -127,7 +130,7 @@ impl<R: Real, const J: usize> Lanes<R, J> {
         let mut block = Self {
             model: LaneModel::splat(&parked),
             state,
-            hinges: vec![Hinge::empty(); model.joints()],
+            scratch: Scratch::new(model.joints()),
             origins: vec![[0.0; 2]; R::LANES],
         };
         block.model.gravity = Vec3::zero();
@@ -162,7 +165,7 @@ impl<R: Real, const J: usize> Kernel for Advance<'_, R, J> {
     #[inline(always)]
     fn run(self) {
         for _ in 0..self.steps {
-            dynamics::step(&self.block.model, &mut self.block.state, &mut self.block.hinges);
+            dynamics::step(&self.block.model, &mut self.block.state, &mut self.block.scratch);
         }
         self.block.fold();
     }

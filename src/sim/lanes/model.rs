@@ -1,15 +1,20 @@
 //! A model's numbers with one lane an environment.
 
+use super::plane::Moments;
+use crate::error::{Error, Result};
 use crate::number::{Real, Vec3};
 use crate::sand::Ground;
 use crate::sim::Model;
 use crate::sim::model::{Body, Plate};
 
-/// See [`Plate`].
+type V = nalgebra::Vector3<f64>;
+type M = nalgebra::Matrix3<f64>;
+
+/// A [`Plate`] in the coordinates of the plane that holds all plates of its body.
 #[derive(Clone, Copy)]
 pub struct LanePlate<R> {
-    pub center: Vec3<R>,
-    pub normal: Vec3<R>,
+    pub center: [R; 2],
+    pub normal: [R; 2],
     pub area: R,
 }
 
@@ -18,11 +23,11 @@ pub struct LanePlate<R> {
 pub struct LaneBody<R> {
     pub joint: Vec3<R>,
     pub axis: Vec3<R>,
-    pub mass: R,
-    pub center: Vec3<R>,
-    /// About the centre of mass: xx, yy, zz, then xy, xz, yz.
-    pub inertia: [Vec3<R>; 2],
     pub armature: R,
+    /// Unit vectors e₀ and e₁ of the plane through the joint that holds the body's mass, and its plates with their
+    /// normals.
+    pub plane: [Vec3<R>; 2],
+    pub masses: Moments<R>,
     pub plates: Vec<LanePlate<R>>,
     pub chord: Vec<LanePlate<R>>,
     pub bulge: R,
@@ -33,7 +38,10 @@ pub struct LaneBody<R> {
 pub struct LaneModel<R, const J: usize> {
     pub base_mass: R,
     pub base_inertia: Vec3<R>,
+    /// x and y of the plates, whose normals are −z.
     pub belly: Vec<LanePlate<R>>,
+    /// z of all of them [m].
+    pub belly_height: R,
     pub legs: Vec<[LaneBody<R>; J]>,
     pub kp: R,
     pub kd: R,
@@ -45,32 +53,93 @@ pub struct LaneModel<R, const J: usize> {
     pub dt: R,
 }
 
-fn plate<R: Real>(p: &Plate) -> LanePlate<R> {
-    LanePlate { center: Vec3::splat(p.center.into()), normal: Vec3::splat(p.normal.into()), area: R::splat(p.area) }
+/// How far a plate may be out of its plane [m], and its normal: rounding, far below what a force notices.
+const FLAT: f64 = 1e-9;
+
+/// The plane of a body: e₁ along its reach, e₀ across it toward the normals, or anywhere if the body is a line.
+fn plane(body: &Body) -> [V; 2] {
+    let along = body.reach.normalize();
+    let across = |v: V| v - along * along.dot(&v);
+    let axes = [V::x(), V::y()]; // one of them is not along the reach
+    let normals = body.plates.iter().map(|p| p.normal);
+    let widest = |v: &mut dyn Iterator<Item = V>| v.map(across).max_by(|a, b| a.norm().total_cmp(&b.norm()));
+    let e0 = widest(&mut normals.clone()).or_else(|| widest(&mut axes.into_iter()));
+    [e0.map_or(V::zeros(), |v| v.normalize()), along]
 }
 
-fn set_plate<R: Real>(out: &mut LanePlate<R>, lane: usize, p: &Plate) {
-    out.center.set_lane(lane, p.center.into());
-    out.normal.set_lane(lane, p.normal.into());
+fn in_plane(v: V, [e0, e1]: [V; 2]) -> [f64; 2] {
+    [v.dot(&e0), v.dot(&e1)]
+}
+
+/// Σ m r rᵀ about the joint [kg·m²]; the inertia about the centre of mass is tr(S) − S of the same sum S there.
+fn second_moment(body: &Body) -> M {
+    let about_center = M::identity() * (body.inertia.trace() / 2.0) - body.inertia;
+    about_center + body.center * body.center.transpose() * body.mass
+}
+
+fn moments(body: &Body, [e0, e1]: [V; 2]) -> Moments<f64> {
+    let second = second_moment(body);
+    Moments {
+        mass: body.mass,
+        first: in_plane(body.center * body.mass, [e0, e1]),
+        second: [e0.dot(&(second * e0)), e0.dot(&(second * e1)), e1.dot(&(second * e1))],
+    }
+}
+
+/// This engine takes links in a plane through their joint and level bellies: the only ones that [`Model::new`] makes.
+pub fn check_planes(model: &Model) -> Result<()> {
+    for body in model.legs.iter().flatten() {
+        let [e0, e1] = plane(body);
+        let normal = e0.cross(&e1);
+        let flat = |v: V| v.dot(&normal).abs() < FLAT;
+        let second = second_moment(body);
+        // A width axis up to 1e-3 off the right angle leaves 1e-9 of this.
+        let thin = (second * normal).norm() <= 1e-6 * second.trace();
+        let plates = || body.plates.iter().chain(&body.chord);
+        if !(thin && flat(body.center) && plates().all(|p| flat(p.center) && flat(p.normal))) {
+            return Err(Error::invalid("leg", "engine lanes takes links that lie in a plane through their joint"));
+        }
+    }
+    let height = belly_height(model);
+    if !model.belly.iter().all(|p| (p.center.z - height).abs() < FLAT && (p.normal + V::z()).norm() < FLAT) {
+        return Err(Error::invalid("belly", "engine lanes takes plates of one height that face down"));
+    }
+    Ok(())
+}
+
+fn belly_height(model: &Model) -> f64 {
+    model.belly.first().map_or(0.0, |p| p.center.z)
+}
+
+/// Axes of the base: its belly's plane.
+fn level() -> [V; 2] {
+    [V::x(), V::y()]
+}
+
+fn plate<R: Real>(p: &Plate, plane: [V; 2]) -> LanePlate<R> {
+    let splat = |v: V| in_plane(v, plane).map(R::splat);
+    LanePlate { center: splat(p.center), normal: splat(p.normal), area: R::splat(p.area) }
+}
+
+fn set_plate<R: Real>(out: &mut LanePlate<R>, lane: usize, p: &Plate, plane: [V; 2]) {
+    let [center, normal] = [in_plane(p.center, plane), in_plane(p.normal, plane)];
+    out.center.iter_mut().zip(center).for_each(|(out, v)| out.set_lane(lane, v));
+    out.normal.iter_mut().zip(normal).for_each(|(out, v)| out.set_lane(lane, v));
     out.area.set_lane(lane, p.area);
-}
-
-/// Diagonal, then xy, xz, yz of a symmetric matrix.
-fn symmetric(m: &nalgebra::Matrix3<f64>) -> [[f64; 3]; 2] {
-    [[m[(0, 0)], m[(1, 1)], m[(2, 2)]], [m[(0, 1)], m[(0, 2)], m[(1, 2)]]]
 }
 
 impl<R: Real> LaneBody<R> {
     fn splat(b: &Body) -> Self {
+        let plane = plane(b);
+        let Moments { mass, first, second } = moments(b, plane);
         Self {
             joint: Vec3::splat(b.joint.into()),
             axis: Vec3::splat(b.axis.into()),
-            mass: R::splat(b.mass),
-            center: Vec3::splat(b.center.into()),
-            inertia: symmetric(&b.inertia).map(Vec3::splat),
             armature: R::splat(b.armature),
-            plates: b.plates.iter().map(plate).collect(),
-            chord: b.chord.iter().map(plate).collect(),
+            plane: plane.map(|e| Vec3::splat(e.into())),
+            masses: Moments { mass: R::splat(mass), first: first.map(R::splat), second: second.map(R::splat) },
+            plates: b.plates.iter().map(|p| plate(p, plane)).collect(),
+            chord: b.chord.iter().map(|p| plate(p, plane)).collect(),
             bulge: R::splat(b.bulge),
         }
     }
@@ -78,12 +147,15 @@ impl<R: Real> LaneBody<R> {
     fn set_lane(&mut self, lane: usize, b: &Body) {
         self.joint.set_lane(lane, b.joint.into());
         self.axis.set_lane(lane, b.axis.into());
-        self.mass.set_lane(lane, b.mass);
-        self.center.set_lane(lane, b.center.into());
-        self.inertia.iter_mut().zip(symmetric(&b.inertia)).for_each(|(out, v)| out.set_lane(lane, v));
         self.armature.set_lane(lane, b.armature);
-        self.plates.iter_mut().zip(&b.plates).for_each(|(out, p)| set_plate(out, lane, p));
-        self.chord.iter_mut().zip(&b.chord).for_each(|(out, p)| set_plate(out, lane, p));
+        let plane = plane(b);
+        let Moments { mass, first, second } = moments(b, plane);
+        self.plane.iter_mut().zip(plane).for_each(|(out, e)| out.set_lane(lane, e.into()));
+        self.masses.mass.set_lane(lane, mass);
+        self.masses.first.iter_mut().zip(first).for_each(|(out, m)| out.set_lane(lane, m));
+        self.masses.second.iter_mut().zip(second).for_each(|(out, m)| out.set_lane(lane, m));
+        self.plates.iter_mut().zip(&b.plates).for_each(|(out, p)| set_plate(out, lane, p, plane));
+        self.chord.iter_mut().zip(&b.chord).for_each(|(out, p)| set_plate(out, lane, p, plane));
         self.bulge.set_lane(lane, b.bulge);
     }
 }
@@ -94,7 +166,8 @@ impl<R: Real, const J: usize> LaneModel<R, J> {
         Self {
             base_mass: R::splat(model.base_mass),
             base_inertia: Vec3::splat(model.base_inertia.into()),
-            belly: model.belly.iter().map(plate).collect(),
+            belly: model.belly.iter().map(|p| plate(p, level())).collect(),
+            belly_height: R::splat(belly_height(model)),
             legs: model.legs.iter().map(|leg| std::array::from_fn(|j| LaneBody::splat(&leg[j]))).collect(),
             kp: R::splat(model.motor.kp),
             kd: R::splat(model.motor.kd),
@@ -110,7 +183,8 @@ impl<R: Real, const J: usize> LaneModel<R, J> {
     pub fn set_lane(&mut self, lane: usize, model: &Model) {
         self.base_mass.set_lane(lane, model.base_mass);
         self.base_inertia.set_lane(lane, model.base_inertia.into());
-        self.belly.iter_mut().zip(&model.belly).for_each(|(out, p)| set_plate(out, lane, p));
+        self.belly.iter_mut().zip(&model.belly).for_each(|(out, p)| set_plate(out, lane, p, level()));
+        self.belly_height.set_lane(lane, belly_height(model));
         for (chain, bodies) in self.legs.iter_mut().zip(&model.legs) {
             chain.iter_mut().zip(bodies).for_each(|(out, b)| out.set_lane(lane, b));
         }
@@ -120,5 +194,60 @@ impl<R: Real, const J: usize> LaneModel<R, J> {
         self.speed_limit.set_lane(lane, model.motor.speed_limit);
         self.gravity.set_lane(lane, model.gravity.into());
         self.ground.set_lane(lane, &model.scene.medium, &model.scene.mechanisms);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sand::Medium;
+    use crate::sim::Robot;
+    use crate::sim::model::Scene;
+
+    fn model(robot: &str, shape: &str) -> Model {
+        let robot = Robot::load(robot).unwrap().with_leg_shape(shape).unwrap();
+        Model::new(&robot, &Scene::flat(Medium::named("poppy-loose").unwrap())).unwrap()
+    }
+
+    /// Coordinates in the plane give back every plate, and the inertia about the joint.
+    #[test]
+    fn planes_hold_all_of_a_link() {
+        for (robot, shape) in [("xplorer", "L"), ("xplorer", "revC"), ("xplorer", "flat"), ("xplorer18", "xi=30")] {
+            let model = model(robot, shape);
+            check_planes(&model).unwrap();
+            for body in model.legs.iter().flatten() {
+                let [e0, e1] = plane(body);
+                assert!(e0.dot(&e1).abs() < 1e-12 && (e0.norm() - 1.0).abs() < 1e-12, "{robot} {shape}");
+                let back = |v: V| e0 * in_plane(v, [e0, e1])[0] + e1 * in_plane(v, [e0, e1])[1];
+                for p in body.plates.iter().chain(&body.chord) {
+                    assert!((back(p.center) - p.center).norm() < 1e-12, "{robot} {shape}");
+                    assert!((back(p.normal) - p.normal).norm() < 1e-12, "{robot} {shape}");
+                }
+                let Moments { mass, first, second: [m00, m01, m11] } = moments(body, [e0, e1]);
+                let about = e0 * e0.transpose() * m00
+                    + (e0 * e1.transpose() + e1 * e0.transpose()) * m01
+                    + e1 * e1.transpose() * m11;
+                let (arm, center) = (e0 * first[0] + e1 * first[1], body.center);
+                let inertia =
+                    body.inertia + (M::identity() * center.norm_squared() - center * center.transpose()) * mass;
+                assert!((M::identity() * about.trace() - about - inertia).norm() < 1e-12 * inertia.norm());
+                assert!((arm - center * mass).norm() < 1e-15);
+            }
+        }
+    }
+
+    #[test]
+    fn bodies_out_of_a_plane_are_refused() {
+        let refused = |change: fn(&mut Model), word: &str| {
+            let mut model = model("xplorer", "L");
+            change(&mut model);
+            assert!(check_planes(&model).unwrap_err().to_string().contains(word));
+        };
+        refused(|m| m.legs[2][0].plates[3].center.y += 1e-4, "leg");
+        refused(|m| m.legs[2][0].plates[3].normal.y += 1e-4, "leg");
+        refused(|m| m.legs[2][0].center.y += 1e-4, "leg");
+        refused(|m| m.legs[2][0].inertia[(0, 0)] *= 1.1, "leg");
+        refused(|m| m.belly[4].center.z += 1e-4, "belly");
+        refused(|m| m.belly[4].normal = V::x(), "belly");
     }
 }

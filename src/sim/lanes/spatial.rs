@@ -27,12 +27,6 @@ impl<R: Real> Wrench<R> {
         self.moment += o.moment;
         self.force += o.force;
     }
-    /// A force that acts at `point`.
-    #[inline(always)]
-    pub fn add_force_at(&mut self, point: Vec3<R>, force: Vec3<R>) {
-        self.moment += point.cross(force);
-        self.force += force;
-    }
     /// `self * s + o`
     #[inline(always)]
     pub fn scale_add(&self, s: R, o: &Self) -> Self {
@@ -105,6 +99,13 @@ impl<R: Real> Symmetric<R> {
         *d = Vec3::new(a.x.mul_add(x, d.x), a.y.mul_add(y, d.y), a.z.mul_add(z, d.z));
         *o = Vec3::new(a.x.mul_add(y, o.x), a.x.mul_add(z, o.y), a.y.mul_add(z, o.z));
     }
+    /// Adds `a bᵀ`, of which the sum of all that is added must be symmetric.
+    #[inline(always)]
+    pub fn add_product(&mut self, a: Vec3<R>, b: Vec3<R>) {
+        let (d, o) = (&mut self.diagonal, &mut self.off);
+        *d = Vec3::new(a.x.mul_add(b.x, d.x), a.y.mul_add(b.y, d.y), a.z.mul_add(b.z, d.z));
+        *o = Vec3::new(a.x.mul_add(b.y, o.x), a.x.mul_add(b.z, o.y), a.y.mul_add(b.z, o.z));
+    }
     /// `m self mᵀ` for a rotation `m`.
     #[inline(always)]
     pub fn rotated(&self, m: &Mat3<R>) -> Self {
@@ -123,7 +124,7 @@ impl<R: Real> Symmetric<R> {
     }
 }
 
-/// Point masses gathered by their moments: what sand's implicit drag adds to a body's inertia.
+/// Point masses gathered by their moments: those of a link, and what sand's implicit drag adds.
 #[derive(Clone, Copy)]
 pub struct PointMasses<R> {
     pub mass: R,
@@ -138,12 +139,6 @@ impl<R: Real> PointMasses<R> {
     pub fn zero() -> Self {
         Self { mass: R::zero(), first: Vec3::zero(), second: Symmetric::zero() }
     }
-    #[inline(always)]
-    pub fn add(&mut self, mass: R, r: Vec3<R>) {
-        self.mass += mass;
-        self.first = r.scale_add(mass, self.first);
-        self.second.add_outer(mass, r);
-    }
 }
 
 /// Articulated inertia: moment = `rotary` α + `coupling` a, force = `coupling`ᵀ α + `linear` a.
@@ -155,25 +150,30 @@ pub struct Inertia<R> {
 }
 
 impl<R: Real> Inertia<R> {
-    /// A rigid body with `rotary` inertia about its centre of mass, together with point masses.
+    /// A rigid body with `rotary` inertia whose centre of mass is the common point.
     #[inline(always)]
-    pub fn rigid(mass: R, center: Vec3<R>, rotary: Symmetric<R>, extra: &PointMasses<R>) -> Self {
-        let total = mass + extra.mass;
-        let first = center.scale_add(mass, extra.first);
-        let mut second = extra.second;
-        second.add_outer(mass, center);
+    pub fn central(mass: R, rotary: Symmetric<R>) -> Self {
+        let coupling = Mat3::new(Vec3::zero(), Vec3::zero(), Vec3::zero());
+        let linear = Symmetric { diagonal: Vec3::new(mass, mass, mass), off: Vec3::zero() };
+        Self { rotary, coupling, linear }
+    }
+
+    /// Point masses that move as one.
+    #[inline(always)]
+    pub fn points(masses: &PointMasses<R>) -> Self {
+        let (mass, first, second) = (masses.mass, masses.first, &masses.second);
         let trace = second.diagonal.x + second.diagonal.y + second.diagonal.z;
         let trace = Vec3::new(trace, trace, trace);
         let zero = R::zero();
         Self {
-            rotary: Symmetric { diagonal: rotary.diagonal + trace - second.diagonal, off: rotary.off - second.off },
+            rotary: Symmetric { diagonal: trace - second.diagonal, off: -second.off },
             // [first ×] by columns
             coupling: Mat3::new(
                 Vec3::new(zero, first.z, -first.y),
                 Vec3::new(-first.z, zero, first.x),
                 Vec3::new(first.y, -first.x, zero),
             ),
-            linear: Symmetric { diagonal: Vec3::new(total, total, total), off: Vec3::zero() },
+            linear: Symmetric { diagonal: Vec3::new(mass, mass, mass), off: Vec3::zero() },
         }
     }
 
@@ -192,6 +192,17 @@ impl<R: Real> Inertia<R> {
             moment: self.rotary.apply(t.angular) + self.coupling.apply(t.linear),
             force: self.coupling.apply_transposed(t.angular) + self.linear.apply(t.linear),
         }
+    }
+
+    /// Adds Σ s w wᵀ of wrenches w that all have the force `force`; `moments` holds Σs, and Σsm and Σsmmᵀ of their
+    /// moments m.
+    #[inline(always)]
+    pub fn add_outers(&mut self, moments: &PointMasses<R>, force: Vec3<R>) {
+        self.rotary.add(&moments.second);
+        self.linear.add_outer(moments.mass, force);
+        self.coupling.x = moments.first.scale_add(force.x, self.coupling.x);
+        self.coupling.y = moments.first.scale_add(force.y, self.coupling.y);
+        self.coupling.z = moments.first.scale_add(force.z, self.coupling.z);
     }
 
     /// Adds `s w wᵀ`.

@@ -1,0 +1,224 @@
+//! Bodies that lie in a plane: forces and masses summed in the plane's two coordinates.
+//!
+//! A link is a curve in the plane of its side view, and a belly is flat. A piece is at o + p₀ e₀ + p₁ e₁ then, so its
+//! place, velocity and depth take two products a component, and what all pieces together do to the body follows from
+//! the sums Σf, Σp₀f, Σp₁f and from the moments of their masses up to the second order: turned into a wrench and an
+//! inertia once a body, not once a piece.
+
+use super::spatial::{PointMasses, Symmetric, Twist, Wrench};
+use crate::number::{Real, Vec3};
+
+/// A vector that changes linearly over a plane: `at` + p₀ `by[0]` + p₁ `by[1]`.
+#[derive(Clone, Copy)]
+pub struct Field<R> {
+    pub at: Vec3<R>,
+    pub by: [Vec3<R>; 2],
+}
+
+impl<R: Real> Field<R> {
+    #[inline(always)]
+    pub fn value(&self, p: [R; 2]) -> Vec3<R> {
+        self.by[0].scale_add(p[0], self.by[1].scale_add(p[1], self.at))
+    }
+
+    /// How much it changes along `p`.
+    #[inline(always)]
+    pub fn change(&self, p: [R; 2]) -> Vec3<R> {
+        self.by[0].scale_add(p[0], self.by[1] * p[1])
+    }
+
+    /// Σmx of the values x at points p, from Σm and Σmp.
+    #[inline(always)]
+    pub fn sum(&self, mass: R, first: [R; 2]) -> Vec3<R> {
+        self.at.scale_add(mass, self.change(first))
+    }
+
+    /// Velocities of these places on a body that moves with `twist`.
+    #[inline(always)]
+    pub fn velocity(&self, twist: &Twist<R>) -> Self {
+        Self { at: twist.at(self.at), by: [twist.angular.cross(self.by[0]), twist.angular.cross(self.by[1])] }
+    }
+
+    /// `self + o`
+    #[inline(always)]
+    pub fn plus(&self, o: &Self) -> Self {
+        Self { at: self.at + o.at, by: [self.by[0] + o.by[0], self.by[1] + o.by[1]] }
+    }
+
+    /// Each vector's product with `v`, as in `self` × `v`.
+    #[inline(always)]
+    pub fn cross(&self, v: Vec3<R>) -> Self {
+        Self { at: self.at.cross(v), by: [self.by[0].cross(v), self.by[1].cross(v)] }
+    }
+}
+
+/// Σm, Σmp and Σmppᵀ (00, 01, 11) of masses m at points p of a plane.
+#[derive(Clone, Copy)]
+pub struct Moments<R> {
+    pub mass: R,
+    pub first: [R; 2],
+    pub second: [R; 3],
+}
+
+impl<R: Real> Moments<R> {
+    #[inline(always)]
+    pub fn zero() -> Self {
+        let zero = R::zero();
+        Self { mass: zero, first: [zero; 2], second: [zero; 3] }
+    }
+
+    #[inline(always)]
+    pub fn add(&mut self, mass: R, p: [R; 2]) {
+        let [m0, m1] = [mass * p[0], mass * p[1]];
+        self.mass += mass;
+        self.first[0] += m0;
+        self.first[1] += m1;
+        self.second[0] = m0.mul_add(p[0], self.second[0]);
+        self.second[1] = m0.mul_add(p[1], self.second[1]);
+        self.second[2] = m1.mul_add(p[1], self.second[2]);
+    }
+
+    #[inline(always)]
+    pub fn scaled(&self, s: R) -> Self {
+        let ([m0, m1], [m00, m01, m11]) = (self.first, self.second);
+        Self { mass: self.mass * s, first: [m0 * s, m1 * s], second: [m00 * s, m01 * s, m11 * s] }
+    }
+
+    #[inline(always)]
+    pub fn plus(&self, o: &Self) -> Self {
+        let ([a0, a1], [b0, b1]) = (self.first, o.first);
+        let ([a00, a01, a11], [b00, b01, b11]) = (self.second, o.second);
+        Self { mass: self.mass + o.mass, first: [a0 + b0, a1 + b1], second: [a00 + b00, a01 + b01, a11 + b11] }
+    }
+
+    /// Forces that give the masses `accelerations`.
+    #[inline(always)]
+    pub fn forces(&self, accelerations: &Field<R>) -> PlaneForces<R> {
+        let ([m0, m1], [m00, m01, m11]) = (self.first, self.second);
+        let force = accelerations.sum(self.mass, self.first);
+        PlaneForces { force, first: [accelerations.sum(m0, [m00, m01]), accelerations.sum(m1, [m01, m11])] }
+    }
+
+    /// Σm, Σmx and Σmxxᵀ for the values x of `field`.
+    #[inline(always)]
+    pub fn of(&self, field: &Field<R>) -> PointMasses<R> {
+        let [m00, m01, m11] = self.second;
+        let [e0, e1] = field.by;
+        let arm = field.change(self.first);
+        let sum = field.at.scale_add(self.mass, arm);
+        let mut second = Symmetric::zero();
+        second.add_product(e0, field.change([m00, m01]));
+        second.add_product(e1, field.change([m01, m11]));
+        second.add_product(field.at, sum);
+        second.add_product(arm, field.at);
+        PointMasses { mass: self.mass, first: sum, second }
+    }
+}
+
+/// Forces on the pieces of a plane.
+#[derive(Clone, Copy)]
+pub struct PlaneForces<R> {
+    force: Vec3<R>,
+    /// Σp₀f, Σp₁f
+    first: [Vec3<R>; 2],
+}
+
+impl<R: Real> PlaneForces<R> {
+    #[inline(always)]
+    pub fn zero() -> Self {
+        Self { force: Vec3::zero(), first: [Vec3::zero(); 2] }
+    }
+
+    #[inline(always)]
+    pub fn add(&mut self, force: Vec3<R>, p: [R; 2]) {
+        self.force += force;
+        self.first[0] = force.scale_add(p[0], self.first[0]);
+        self.first[1] = force.scale_add(p[1], self.first[1]);
+    }
+
+    #[inline(always)]
+    pub fn minus(&self, o: &Self) -> Self {
+        let ([a0, a1], [b0, b1]) = (self.first, o.first);
+        Self { force: self.force - o.force, first: [a0 - b0, a1 - b1] }
+    }
+
+    /// Their wrench about the point that `places` count from.
+    #[inline(always)]
+    pub fn wrench(&self, places: &Field<R>) -> Wrench<R> {
+        let [e0, e1] = places.by;
+        let moment = places.at.cross(self.force) + e0.cross(self.first[0]) + e1.cross(self.first[1]);
+        Wrench { moment, force: self.force }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::spatial::Inertia;
+    use super::*;
+    use crate::number::Mat3;
+
+    fn close(a: Vec3<f64>, b: Vec3<f64>) {
+        assert!((a - b).norm_squared().sqrt() < 1e-12, "{a:?} is not {b:?}");
+    }
+
+    fn same(a: &Symmetric<f64>, b: &Symmetric<f64>) {
+        close(a.diagonal, b.diagonal);
+        close(a.off, b.off);
+    }
+
+    /// Pieces of a plane summed in its coordinates are the same pieces summed one by one in space: wrench, inertia,
+    /// the inertia of a slope along the normal, and the wrench of a motion.
+    #[test]
+    fn the_planar_form_is_the_general_form() {
+        let mut k = 0.0_f64;
+        let mut draw = || {
+            k += 1.0;
+            (k * k).sin()
+        };
+        let mut vector = || Vec3::new(draw(), draw(), draw());
+        let (e0, other) = (vector(), vector());
+        let places = Field { at: vector(), by: [e0, e0.cross(other)] };
+        let normal = e0.cross(places.by[1]);
+        let (velocity, acceleration) =
+            (Twist { angular: vector(), linear: vector() }, Twist { angular: vector(), linear: vector() });
+        let velocities = places.velocity(&velocity);
+        let accelerations = places.velocity(&acceleration).plus(&velocities.cross(-velocity.angular));
+
+        let (mut forces, mut masses) = (PlaneForces::zero(), Moments::zero());
+        let (mut wrench, mut motion, mut along) =
+            (Wrench::zero(), Wrench::zero(), Inertia::points(&PointMasses::zero()));
+        let mut gathered = PointMasses::zero();
+        for _ in 0..20 {
+            let (Vec3 { x, y, z: mass }, force) = (vector(), vector());
+            let (p, r) = ([x, y], places.value([x, y]));
+            close(velocity.at(r), velocities.value(p));
+            forces.add(force, p);
+            masses.add(mass, p);
+            wrench.add(&at(r, force));
+            motion.add(&at(r, (acceleration.at(r) + velocity.angular.cross(velocity.at(r))) * mass));
+            along.add_outer(mass, &at(r, normal));
+            gathered.mass += mass;
+            gathered.first += r * mass;
+            gathered.second.add_outer(mass, r);
+        }
+        close(forces.wrench(&places).force, wrench.force);
+        close(forces.wrench(&places).moment, wrench.moment);
+        let moving = masses.forces(&accelerations).wrench(&places);
+        close(moving.force, motion.force);
+        close(moving.moment, motion.moment);
+        let planar = masses.of(&places);
+        assert!((planar.mass - gathered.mass).abs() < 1e-12);
+        close(planar.first, gathered.first);
+        same(&planar.second, &gathered.second);
+        let mut outers = Inertia::points(&PointMasses::zero());
+        outers.add_outers(&masses.of(&places.cross(normal)), normal);
+        same(&outers.rotary, &along.rotary);
+        same(&outers.linear, &along.linear);
+        let columns = |m: Mat3<f64>| [m.x, m.y, m.z];
+        columns(outers.coupling).into_iter().zip(columns(along.coupling)).for_each(|(a, b)| close(a, b));
+    }
+
+    fn at(r: Vec3<f64>, force: Vec3<f64>) -> Wrench<f64> {
+        Wrench { moment: r.cross(force), force }
+    }
+}
