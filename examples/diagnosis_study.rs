@@ -17,6 +17,7 @@ use sandgait::diagnose::report::Report;
 use sandgait::diagnose::select::Verdict;
 use sandgait::diagnose::whiten::Whitener;
 use sandgait::parallel;
+use sandgait::progress::Silent;
 use sandgait::sand::mechanism::CATALOG;
 use std::error::Error;
 use std::path::Path;
@@ -31,7 +32,7 @@ fn experiment() -> Outcome<Experiment> {
 fn report(log: &Log, name: &str) -> Outcome<Report> {
     let path = std::env::temp_dir().join(format!("sandgait-study-{}-{name}.csv", std::process::id()));
     std::fs::write(&path, &log.noisy)?;
-    let diagnosis = diagnose(&path, &experiment()?);
+    let diagnosis = diagnose(&path, &experiment()?, &Silent);
     std::fs::remove_file(&path)?;
     Ok(diagnosis?.report)
 }

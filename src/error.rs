@@ -15,6 +15,9 @@ pub enum Error {
     /// A limit of this server or machine was reached.
     #[error("{0}")]
     Exhausted(String),
+    /// Whoever asked for the work stopped it.
+    #[error("{0}")]
+    Cancelled(String),
     /// A file could not be read or written.
     #[error("{path}: {reason}")]
     File { path: String, reason: String },

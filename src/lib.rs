@@ -9,6 +9,7 @@ pub mod number;
 pub mod parallel;
 pub mod plot;
 pub mod pool;
+pub mod progress;
 pub mod reproduce;
 pub mod sand;
 pub mod service;

@@ -4,15 +4,18 @@ mod testbed;
 
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
+use sandgait::Error;
 use sandgait::diagnose::diagnose;
 use sandgait::diagnose::experiment::Experiment;
 use sandgait::diagnose::force_log;
 use sandgait::diagnose::forward::{ForceLogModel, ForwardModel};
 use sandgait::diagnose::report::{Diagnosis, Report};
 use sandgait::diagnose::select::Verdict;
+use sandgait::progress::{Progress, Silent};
 use sandgait::sand::SandDescription;
 use sandgait::sand::mechanism::{CATALOG, Mechanisms};
 use std::path::{Path, PathBuf};
+use std::sync::Mutex;
 use testbed::Hidden;
 
 fn experiment() -> Experiment {
@@ -27,7 +30,7 @@ fn file(directory: &Path, text: &str) -> PathBuf {
 
 fn diagnosis(text: &str) -> Diagnosis {
     let directory = tempfile::tempdir().unwrap();
-    diagnose(&file(directory.path(), text), &experiment()).unwrap()
+    diagnose(&file(directory.path(), text), &experiment(), &Silent).unwrap()
 }
 
 fn hidden(causes: &[(&'static str, f64)]) -> Report {
@@ -124,12 +127,35 @@ fn missing_columns_are_named_with_what_they_keep_from_being_tested() {
     }
 }
 
+/// Progress grows, and whoever listens can stop the work at every report.
+#[test]
+fn progress_is_told_and_can_stop_the_work() {
+    struct Until(usize, Mutex<Vec<f64>>);
+    impl Progress for Until {
+        fn report(&self, done: f64, stage: &str) -> sandgait::Result<()> {
+            let mut told = self.1.lock().unwrap();
+            told.push(done);
+            if told.len() > self.0 { Err(Error::Cancelled(stage.into())) } else { Ok(()) }
+        }
+    }
+    let directory = tempfile::tempdir().unwrap();
+    let path = file(directory.path(), &testbed::log(11, &Hidden { causes: vec![("inertial_drag", 1.0)] }, 0.05).noisy);
+    let all = Until(usize::MAX, Mutex::default());
+    diagnose(&path, &experiment(), &all).unwrap();
+    let told = all.1.into_inner().unwrap();
+    assert!(told.len() > 5 && told.is_sorted() && told[0] == 0.0 && told[told.len() - 1] <= 1.0, "{told:?}");
+    for stop in 0..told.len() {
+        let outcome = diagnose(&path, &experiment(), &Until(stop, Mutex::default()));
+        assert!(matches!(outcome.err(), Some(Error::Cancelled(_))), "stopped at report {stop}");
+    }
+}
+
 /// sand.toml loads back, and predicting the data's conditions with it gives the report's prediction.
 #[test]
 fn the_extended_sand_predicts_what_the_report_shows() {
     let directory = tempfile::tempdir().unwrap();
     let path = file(directory.path(), &testbed::log(11, &Hidden { causes: vec![("inertial_drag", 1.0)] }, 0.05).noisy);
-    let diagnosis = diagnose(&path, &experiment()).unwrap();
+    let diagnosis = diagnose(&path, &experiment(), &Silent).unwrap();
     diagnosis.write(&directory.path().join("out")).unwrap();
     let sand = SandDescription::load(&directory.path().join("out/sand.toml")).unwrap();
     let log = force_log::read(&path, &experiment()).unwrap();
@@ -145,7 +171,7 @@ fn bad_data_are_refused_with_file_row_and_column() {
     let directory = tempfile::tempdir().unwrap();
     let says = |text: &str, experiment: &str| {
         let experiment = Experiment::from_toml(experiment);
-        let outcome = experiment.and_then(|e| diagnose(&file(directory.path(), text), &e));
+        let outcome = experiment.and_then(|e| diagnose(&file(directory.path(), text), &e, &Silent));
         outcome.err().map(|e| e.to_string()).unwrap_or_default()
     };
     let row = |from: &str, to: &str| log.replacen(from, to, 1);
@@ -236,7 +262,7 @@ fn damaged_files_never_panic() {
         }
         std::fs::write(&path, &bytes).unwrap();
         if force_log::read(&path, &experiment).is_ok() && round % 10 == 0 {
-            let report = diagnose(&path, &experiment).unwrap();
+            let report = diagnose(&path, &experiment, &Silent).unwrap();
             assert!(report.json().unwrap().contains("verdict"));
             diagnosed += 1;
         }

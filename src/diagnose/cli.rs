@@ -4,6 +4,7 @@ use super::diagnose;
 use super::experiment::Experiment;
 use super::report::Diagnosis;
 use crate::error::Result;
+use crate::progress::Silent;
 use std::path::PathBuf;
 
 /// What a simulation gets wrong about measured data, and why.
@@ -22,7 +23,7 @@ pub struct Arguments {
 /// Diagnoses and writes the report; bad input is an error and writes nothing.
 pub fn run(arguments: &Arguments) -> Result<Diagnosis> {
     let experiment = Experiment::load(&arguments.experiment)?;
-    let diagnosis = diagnose(&arguments.data, &experiment)?;
+    let diagnosis = diagnose(&arguments.data, &experiment, &Silent)?;
     diagnosis.write(&arguments.out)?;
     Ok(diagnosis)
 }

@@ -25,6 +25,7 @@ pub mod table;
 pub mod whiten;
 
 use crate::error::{Error, Result};
+use crate::progress::Progress;
 use crate::sand::SandDescription;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
 use cross_validation::HeldOut;
@@ -40,13 +41,15 @@ use whiten::Whitener;
 
 pub use cli::run;
 
-/// Reads the data and diagnoses them.
-pub fn diagnose(data: &Path, experiment: &Experiment) -> Result<Diagnosis> {
+/// Reads the data and diagnoses them. Errors name file, row and column of what cannot be read; an error of `progress`
+/// stops the work and is handed back.
+pub fn diagnose(data: &Path, experiment: &Experiment, progress: &dyn Progress) -> Result<Diagnosis> {
+    progress.report(0.0, "reading the data")?;
     match experiment.kind {
         Kind::Intrusion => {
             let log = force_log::read(data, experiment)?;
             let model = ForceLogModel::new(&log, experiment)?;
-            Ok(diagnose_observations(log.observations, &model, experiment.coefficient_sd, log.sha256))
+            diagnose_observations(log.observations, &model, experiment.coefficient_sd, log.sha256, progress)
         }
         Kind::Walking => Err(Error::invalid("kind", "walking data are not diagnosed yet")),
     }
@@ -58,16 +61,21 @@ pub fn diagnose_observations(
     model: &dyn ForwardModel,
     coefficient_sd: f64,
     sha256: String,
-) -> Diagnosis {
+    progress: &dyn Progress,
+) -> Result<Diagnosis> {
+    progress.report(0.02, "noise from the repetitions")?;
     let plain = model.predict(&Mechanisms::default(), &model.medium().coefficients);
     let size = magnitudes(&observations);
     let noise = Noise::estimate(&observations, &plain, &size, None);
     let whitener = Whitener::new(&observations, &noise, &size, &plain);
     let study = Study::new(&observations, model, &whitener, coefficient_sd);
     let (ids, untestable) = testable(&study);
-    let selection = observations
-        .has_replicates()
-        .then(|| select(&study, &noise, &ids, |m| Whitener::new(&observations, &noise, &size, m)));
+    let rewhiten = |m: &[f64]| Whitener::new(&observations, &noise, &size, m);
+    let selection = match observations.has_replicates() {
+        true => Some(select(&study, &noise, &ids, rewhiten, progress)?),
+        false => None,
+    };
+    progress.report(0.95, "report")?;
     let floor = noise_floor(&observations, &plain, &size);
     let view = View { study: &study, noise: &noise, selection: selection.as_ref(), floor };
     let report = view.report(untestable, sha256);
@@ -83,7 +91,7 @@ pub fn diagnose_observations(
     let band = noise.standard_deviation(&observations, &size, &plain);
     let groups = (0..observations.units.len()).map(|u| model.group(u).to_string()).collect();
     let curves = Curves { groups, plain, extended, band, observations: observations.clone() };
-    Diagnosis { report, sand, curves }
+    Ok(Diagnosis { report, sand, curves })
 }
 
 /// Causes that the data can be asked about, and the others with the reason.

@@ -6,7 +6,9 @@ use super::fit::{Fit, Study, dot};
 use super::lack_of_fit;
 use super::noise::Noise;
 use super::whiten::Whitener;
+use crate::error::Result;
 use crate::parallel;
+use crate::progress::Progress;
 use crate::sand::mechanism::CATALOG;
 use serde::Serialize;
 
@@ -104,22 +106,33 @@ fn linear_start(screen: &Screen, scores: &Scores, column: usize) -> f64 {
 
 /// Runs the whole selection on `ids`. `rewhiten` builds the whitening on another prediction: once a cause is found,
 /// the trial gains act along the extended model's forces, no longer along the plain one's.
-pub fn select(study: &Study, noise: &Noise, ids: &[usize], rewhiten: impl Fn(&[f64]) -> Whitener) -> Selection {
+pub fn select(
+    study: &Study,
+    noise: &Noise,
+    ids: &[usize],
+    rewhiten: impl Fn(&[f64]) -> Whitener,
+    progress: &dyn Progress,
+) -> Result<Selection> {
+    progress.report(0.1, "effect of every cause")?;
     let screen = Screen::new(study, ids);
     let scores = screen.scores(study.whitener, &study.observations.values);
+    progress.report(0.2, "gates on simulated nulls")?;
     let gates = gates(study, &screen, noise, &scores);
+    progress.report(0.4, "single causes")?;
     let mut selection = singles(study, &screen, &scores, gates, ids);
     if selection.candidates.first().is_none_or(|c| c.delta_chi2 <= selection.gates.single) {
         if selection.base_lack_of_fit > selection.gates.lack_of_fit {
             selection.verdict = Verdict::NoneOfThese;
         }
-        return selection;
+        return Ok(selection);
     }
+    progress.report(0.6, "pairs of causes")?;
     add_pairs(study, &screen, &scores, &mut selection);
+    progress.report(0.85, "rivals under the final noise")?;
     let whitener = rewhiten(&selection.candidates[0].fit.prediction);
     refit(&study.rewhitened(&whitener), &mut selection);
     decide(&mut selection);
-    selection
+    Ok(selection)
 }
 
 fn singles(study: &Study, screen: &Screen, scores: &Scores, gates: Gates, ids: &[usize]) -> Selection {

@@ -13,6 +13,7 @@ fn code(error: &Error) -> Code {
         Error::Invalid { .. } | Error::Unknown { .. } => Code::InvalidArgument,
         Error::OutOfOrder(_) => Code::FailedPrecondition,
         Error::Exhausted(_) => Code::ResourceExhausted,
+        Error::Cancelled(_) => Code::Cancelled,
         Error::File { .. } => Code::Internal,
     }
 }
