@@ -12,6 +12,12 @@ use crate::sand::mechanism::{CATALOG, Mechanisms};
 use nalgebra::{DMatrix, DVector};
 
 pub const COEFFICIENTS: usize = 9;
+/// A step that gains less ends a fit: a hundredth of a unit of χ² is far below every threshold in use.
+const SETTLED: f64 = 0.01;
+
+/// Steps of the slopes by the coefficients, in multiples of the model's step: a prior sd moves the prediction about a
+/// fifth as much as a mechanism's typical strength. Our choice.
+const COEFFICIENT_STEP: f64 = 5.0;
 
 /// Data, model and noise: all that a fit needs.
 pub struct Study<'a> {
@@ -37,7 +43,7 @@ pub struct Fit {
     pub white: Vec<f64>,
     /// |W (y − m)|² + |d|²
     pub objective: f64,
-    /// ∂m/∂(value of each id, deviation of each coefficient), not whitened.
+    /// ∂m/∂(coordinate of each id, deviation of each coefficient), not whitened.
     pub slopes: Vec<Vec<f64>>,
     /// The same, whitened.
     pub white_slopes: Vec<Vec<f64>>,
@@ -71,6 +77,11 @@ impl<'a> Study<'a> {
         study
     }
 
+    /// Slopes of the plain model's prediction by the coefficients' deviations.
+    pub fn coefficient_slopes(&self) -> &[Vec<f64>] {
+        &self.coefficient_slopes[0]
+    }
+
     /// The same study under another whitening.
     pub fn rewhitened(&self, whitener: &'a Whitener) -> Self {
         Self::new(self.observations, self.model, whitener, self.coefficient_sd)
@@ -100,13 +111,26 @@ impl<'a> Study<'a> {
 
     /// Fits the values of `ids` and the coefficients from `start`.
     pub fn fit(&self, ids: &[usize], start: &[f64]) -> Fit {
-        let mut mechanisms = Mechanisms::default();
-        for (&id, &value) in ids.iter().zip(start) {
-            mechanisms = mechanisms.with(id, value);
-        }
-        let mut best = self.at(ids, mechanisms, [0.0; COEFFICIENTS]);
+        let mut best = self.begin(ids, start);
         self.refine(&mut best, 12, ids.is_empty());
         best
+    }
+
+    /// Where a fit from `start` begins.
+    fn begin(&self, ids: &[usize], start: &[f64]) -> Fit {
+        let set = |m: Mechanisms, (&id, &value): (&usize, &f64)| m.with(id, value);
+        let mechanisms = ids.iter().zip(start).fold(Mechanisms::default(), set);
+        self.at(ids, mechanisms, [0.0; COEFFICIENTS])
+    }
+
+    /// Fits from the two most promising of several starts.
+    pub fn fit_best(&self, ids: &[usize], starts: &[Vec<f64>]) -> Fit {
+        let mut begun: Vec<Fit> = starts.iter().map(|s| self.begin(ids, s)).collect();
+        begun.sort_by(|a, b| a.objective.total_cmp(&b.objective));
+        begun.truncate(2);
+        begun.iter_mut().for_each(|fit| self.refine(fit, 12, false));
+        let best = begun.into_iter().min_by(|a, b| a.objective.total_cmp(&b.objective));
+        best.unwrap_or_else(|| self.recalibrated())
     }
 
     /// Fits again from where an earlier fit ended.
@@ -140,8 +164,7 @@ impl<'a> Study<'a> {
                 }
                 share *= 0.35;
             }
-            // A hundredth of a unit of χ² is far below every threshold in use.
-            if before - best.objective < 0.01 {
+            if before - best.objective < SETTLED {
                 break;
             }
         }
@@ -162,13 +185,14 @@ impl<'a> Study<'a> {
     }
 
     fn slopes_by_coefficients(&self, fit: &Fit) -> Vec<Vec<f64>> {
-        let slope = |k: usize| {
+        let step = COEFFICIENT_STEP * self.model.step();
+        let state = |k: usize| {
             let mut deviations = fit.deviations;
-            deviations[k] += 0.1;
-            let moved = self.model.predict(&fit.mechanisms, &self.coefficients(&deviations));
-            moved.iter().zip(&fit.prediction).map(|(a, b)| (a - b) / 0.1).collect()
+            deviations[k] += step;
+            (fit.mechanisms, self.coefficients(&deviations))
         };
-        (0..COEFFICIENTS).map(slope).collect()
+        let moved = self.model.predict_many(&(0..COEFFICIENTS).map(state).collect::<Vec<_>>());
+        moved.iter().map(|m| slope(m, &fit.prediction, step)).collect()
     }
 
     /// Puts the slopes by the coefficients in place; those by the values are to follow.
@@ -182,11 +206,11 @@ impl<'a> Study<'a> {
         let coefficients = self.coefficients(&fit.deviations);
         let earlier = fit.slopes.len() - COEFFICIENTS;
         let slopes = fit.ids.iter().map(|&id| {
-            let (entry, value) = (&CATALOG[id], fit.mechanisms.get(id));
-            let step = 0.02 * entry.typical;
-            let step = if value + step > entry.bounds[1] { -step } else { step };
-            let moved = self.model.predict(&fit.mechanisms.with(id, value + step), &coefficients);
-            moved.iter().zip(&fit.prediction).map(|(a, b)| (a - b) / step).collect()
+            let (entry, at) = (&CATALOG[id], CATALOG[id].coordinate(fit.mechanisms.get(id)));
+            let step = self.model.step() * entry.coordinate_typical();
+            let step = if at + step > entry.coordinate_bounds()[1] { -step } else { step };
+            let moved = self.model.predict(&fit.mechanisms.with(id, entry.value(at + step)), &coefficients);
+            slope(&moved, &fit.prediction, step)
         });
         let slopes: Vec<Vec<f64>> = slopes.collect();
         fit.white_slopes.splice(..earlier, slopes.iter().map(|s| self.whitener.apply(s)));
@@ -201,8 +225,8 @@ impl<'a> Study<'a> {
         loop {
             let step = solve(&information, &score, &held);
             let stuck = (0..count).find(|&k| {
-                let (bounds, value) = (CATALOG[fit.ids[k]].bounds, fit.mechanisms.get(fit.ids[k]));
-                !held[k] && ((value <= bounds[0] && step[k] < 0.0) || (value >= bounds[1] && step[k] > 0.0))
+                let (bounds, at) = (CATALOG[fit.ids[k]].coordinate_bounds(), fit.coordinates()[k]);
+                !held[k] && ((at <= bounds[0] && step[k] < 0.0) || (at >= bounds[1] && step[k] > 0.0))
             });
             match stuck {
                 Some(k) => held[k] = true,
@@ -212,11 +236,16 @@ impl<'a> Study<'a> {
     }
 }
 
+/// Change of a prediction per `step`; numbers that a diverged simulation left out change nothing.
+pub fn slope(moved: &[f64], from: &[f64], step: f64) -> Vec<f64> {
+    moved.iter().zip(from).map(|(a, b)| (a - b) / step).map(|s| if s.is_finite() { s } else { 0.0 }).collect()
+}
+
 fn moved(fit: &Fit, step: &[f64], share: f64) -> (Mechanisms, [f64; COEFFICIENTS]) {
     let mut mechanisms = fit.mechanisms;
-    for (k, &id) in fit.ids.iter().enumerate() {
-        let bounds = CATALOG[id].bounds;
-        mechanisms = mechanisms.with(id, (mechanisms.get(id) + share * step[k]).clamp(bounds[0], bounds[1]));
+    for ((&id, at), step) in fit.ids.iter().zip(fit.coordinates()).zip(step) {
+        let (entry, bounds) = (&CATALOG[id], CATALOG[id].coordinate_bounds());
+        mechanisms = mechanisms.with(id, entry.value((at + share * step).clamp(bounds[0], bounds[1])));
     }
     let mut deviations = fit.deviations;
     for (d, s) in deviations.iter_mut().zip(&step[fit.ids.len()..]) {
@@ -270,7 +299,12 @@ impl Fit {
         self.ids.iter().map(|&id| self.mechanisms.get(id)).collect()
     }
 
-    /// Covariance of the fitted values, the coefficients marginalised.
+    /// Coordinates of the fitted mechanisms, in which they are fitted.
+    pub fn coordinates(&self) -> Vec<f64> {
+        self.ids.iter().map(|&id| CATALOG[id].coordinate(self.mechanisms.get(id))).collect()
+    }
+
+    /// Covariance of the fitted coordinates, the coefficients marginalised.
     pub fn covariance(&self) -> DMatrix<f64> {
         let (information, _) = self.normal_equations();
         let count = self.ids.len();

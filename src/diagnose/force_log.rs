@@ -1,7 +1,7 @@
 //! Reads force logs of plates and legs (intrusion CSV) into trials.
 
 use super::experiment::{Experiment, Intruder};
-use super::observations::{Channel, Names, Observations, Unit};
+use super::observations::{Channel, Names, Observations, Size, Unit};
 use super::table::{self, Column, Quantity, Row};
 use crate::error::Result;
 use std::path::Path;
@@ -261,7 +261,7 @@ fn assemble(
             tracks.push(trial.track);
         }
     }
-    let observations = Observations { values, channels, units, conditions };
+    let observations = Observations { size: Size::Force, values, channels, units, conditions };
     ForceLog { observations, tracks, track_of, missing, sha256 }
 }
 

@@ -8,8 +8,10 @@ use super::experiment::{Experiment, Intruder};
 use super::force_log::{ForceLog, Pose, Track};
 use super::next_experiment::Menu;
 use super::observations::Observations;
+use super::shared::Shared;
 use crate::error::Result;
 use crate::number::Vec3;
+use crate::parallel;
 use crate::sand::beyond::{SandMechanisms, Site, footprint, slope_depth};
 use crate::sand::intrusion::Load;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
@@ -30,6 +32,15 @@ pub struct Feature {
 pub trait ForwardModel: Sync {
     /// Same order as `Observations::values`.
     fn predict(&self, mechanisms: &Mechanisms, coefficients: &Coefficients) -> Vec<f64>;
+    /// The same for several states at once.
+    fn predict_many(&self, states: &[(Mechanisms, Coefficients)]) -> Vec<Vec<f64>> {
+        parallel::map(states, |(m, c)| self.predict(m, c))
+    }
+    /// Step of numerical slopes by a mechanism, in typical strengths.
+    fn step(&self) -> f64;
+    /// What a repetition may have in common over all its numbers, where `mechanisms` and `coefficients` predict
+    /// `prediction`.
+    fn shared(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Shared>;
     /// The medium of the plain model.
     fn medium(&self) -> &Medium;
     /// Which mechanisms this kind of data can be asked about: index in the catalogue, or why not.
@@ -361,6 +372,14 @@ impl Arm<'_> {
 }
 
 impl ForwardModel for ForceLogModel {
+    fn step(&self) -> f64 {
+        0.02 // smooth laws in double precision: our choice
+    }
+
+    fn shared(&self, _: &Mechanisms, _: &Coefficients, _: &[f64]) -> Vec<Shared> {
+        Shared::gain()
+    }
+
     fn predict(&self, mechanisms: &Mechanisms, coefficients: &Coefficients) -> Vec<f64> {
         let medium = Medium { coefficients: *coefficients, ..self.medium.clone() };
         // The arm prescribes the motion: nothing rests in the sand, so no creep speed is needed.

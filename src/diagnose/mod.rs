@@ -14,6 +14,7 @@ pub mod fit;
 pub mod force_log;
 pub mod forward;
 pub mod lack_of_fit;
+pub mod minimise;
 pub mod misfit;
 pub mod next_experiment;
 pub mod noise;
@@ -21,10 +22,13 @@ pub mod observations;
 pub mod page;
 pub mod report;
 pub mod select;
+pub mod shared;
 pub mod table;
+pub mod walking_log;
+pub mod walking_model;
 pub mod whiten;
 
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::progress::Progress;
 use crate::sand::SandDescription;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
@@ -32,11 +36,12 @@ use cross_validation::HeldOut;
 use experiment::{Experiment, Kind};
 use fit::{Fit, Study};
 use forward::{ForceLogModel, ForwardModel};
-use noise::{Noise, magnitudes, noise_floor};
+use noise::{Noise, Source, sizes};
 use observations::Observations;
 use report::{Cause, Curves, Diagnosis, Gain, LackOfFit, NextExperiment, NoiseSummary, Report, Tried, Untestable};
 use select::{Candidate, Selection, Verdict, select};
 use std::path::Path;
+use walking_model::WalkingModel;
 use whiten::Whitener;
 
 pub use cli::run;
@@ -51,7 +56,11 @@ pub fn diagnose(data: &Path, experiment: &Experiment, progress: &dyn Progress) -
             let model = ForceLogModel::new(&log, experiment)?;
             diagnose_observations(log.observations, &model, experiment.coefficient_sd, log.sha256, progress)
         }
-        Kind::Walking => Err(Error::invalid("kind", "walking data are not diagnosed yet")),
+        Kind::Walking => {
+            let log = walking_log::read(data, experiment)?;
+            let model = WalkingModel::new(&log, experiment)?;
+            diagnose_observations(log.observations, &model, experiment.coefficient_sd, log.sha256, progress)
+        }
     }
 }
 
@@ -64,20 +73,22 @@ pub fn diagnose_observations(
     progress: &dyn Progress,
 ) -> Result<Diagnosis> {
     progress.report(0.02, "noise from the repetitions")?;
-    let plain = model.predict(&Mechanisms::default(), &model.medium().coefficients);
-    let size = magnitudes(&observations);
-    let noise = Noise::estimate(&observations, &plain, &size, None);
-    let whitener = Whitener::new(&observations, &noise, &size, &plain);
+    let coefficients = model.medium().coefficients;
+    let plain = model.predict(&Mechanisms::default(), &coefficients);
+    let shared = model.shared(&Mechanisms::default(), &coefficients, &plain);
+    let sizes = sizes(&observations);
+    let source = Source { observations: &observations, prediction: &plain, sizes: &sizes, shared: &shared };
+    let noise = source.noise(None);
+    let whitener = Whitener::new(&source, &noise);
     let study = Study::new(&observations, model, &whitener, coefficient_sd);
     let (ids, untestable) = testable(&study);
-    let rewhiten = |m: &[f64]| Whitener::new(&observations, &noise, &size, m);
     let selection = match observations.has_replicates() {
-        true => Some(select(&study, &noise, &ids, rewhiten, progress)?),
+        true => Some(select(&study, &source, &noise, &ids, progress)?),
         false => None,
     };
     progress.report(0.95, "report")?;
-    let floor = noise_floor(&observations, &plain, &size);
-    let view = View { study: &study, noise: &noise, selection: selection.as_ref(), floor };
+    let floor = source.floor();
+    let view = View { study: &study, source: &source, noise: &noise, selection: selection.as_ref(), floor };
     let report = view.report(untestable, sha256);
     let extension = selection.as_ref().and_then(extension);
     let mut sand = SandDescription::plain(model.medium());
@@ -88,7 +99,7 @@ pub fn diagnose_observations(
         sand.mechanisms = fit.mechanisms;
     }
     let extended = extension.map(|c| c.fit.prediction.clone());
-    let band = noise.standard_deviation(&observations, &size, &plain);
+    let band = noise.standard_deviation(&source);
     let groups = (0..observations.units.len()).map(|u| model.group(u).to_string()).collect();
     let curves = Curves { groups, plain, extended, band, observations: observations.clone() };
     Ok(Diagnosis { report, sand, curves })
@@ -135,6 +146,7 @@ fn names(fit: &Fit) -> Vec<String> {
 /// Everything a report is made from.
 struct View<'a> {
     study: &'a Study<'a>,
+    source: &'a Source<'a>,
     noise: &'a Noise,
     selection: Option<&'a Selection>,
     floor: f64,
@@ -173,7 +185,7 @@ impl View<'_> {
             next_experiment: self.next_experiment(),
             valid_range: ranges.collect(),
             noise: self.selection.map(|_| NoiseSummary {
-                trial_gain: self.noise.gain,
+                shared: self.source.shared.iter().zip(&self.noise.shared).map(|(s, sd)| (s.name.into(), *sd)).collect(),
                 channels: channels.map(|(c, n)| (c.name.to_string(), [n.grain, n.sensor, n.phi])).collect(),
             }),
             warnings,
@@ -186,15 +198,18 @@ impl View<'_> {
         let covariance = fit.covariance();
         let inflation = self.selection.map_or(1.0, |s| s.gates.inflation);
         let cause = |(k, &id): (usize, &usize)| {
-            let (entry, value) = (&CATALOG[id], fit.mechanisms.get(id));
+            let (entry, at) = (&CATALOG[id], fit.coordinates()[k]);
             let reach = 1.96 * (covariance[(k, k)] * inflation).sqrt();
-            let held = |v: f64| v.clamp(entry.bounds[0], entry.bounds[1]);
+            let bounds = entry.coordinate_bounds();
+            let held = |u: f64| entry.value(u.clamp(bounds[0], bounds[1]));
+            // A ceiling may be so high as to be none: its greatest value stands for that.
+            let high = if entry.ceiling && held(at - reach) == 0.0 { entry.bounds[1] } else { held(at - reach) };
             Cause {
                 id: entry.id.into(),
-                value,
+                value: entry.value(at),
                 unit: entry.unit.into(),
-                ci95: [held(value - reach), held(value + reach)],
-                at_bound: entry.bounds.contains(&value),
+                ci95: if entry.ceiling { [held(at + reach), high] } else { [held(at - reach), held(at + reach)] },
+                at_bound: bounds.contains(&at),
             }
         };
         fit.ids.iter().enumerate().map(cause).collect()
@@ -266,8 +281,7 @@ impl View<'_> {
         let selection = self.selection.filter(|s| s.set.len() > 1)?;
         let menu = self.study.model.menu()?;
         let set: Vec<&Fit> = selection.set.iter().map(|&k| &selection.candidates[k].fit).collect();
-        let coefficients = |fit: &Fit| self.study.coefficients(&fit.deviations);
-        let conditions = next_experiment::propose(&menu, self.noise, &set, coefficients, 3);
+        let conditions = next_experiment::propose(&menu, self.noise, self.study, &set, 3);
         let why = "these conditions separate the two explanations that the data tell apart least".to_string();
         Some(NextExperiment { why, conditions })
     }

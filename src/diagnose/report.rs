@@ -100,9 +100,10 @@ pub struct Report {
 /// Noise as learnt from the repetitions.
 #[derive(Clone, Debug, Serialize, PartialEq)]
 pub struct NoiseSummary {
-    /// Relative sd of the gain of a trial.
-    pub trial_gain: f64,
-    /// Channel → [grain sd per |F|, sensor sd, correlation from sample to sample].
+    /// What a repetition has in common over all its numbers, and its sd: `trial_gain` (relative, of the force), `bed_strength`
+    /// (relative, of the sand under one walking run).
+    pub shared: BTreeMap<String, f64>,
+    /// Channel → [proportional sd, constant sd, correlation of the proportional part from sample to sample].
     pub channels: BTreeMap<String, [f64; 3]>,
 }
 
