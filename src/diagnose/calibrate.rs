@@ -55,7 +55,7 @@ impl Screen {
     /// Columns about the state of `fit`, for the candidates not in it.
     pub fn new(study: &Study, candidates: &[usize]) -> Self {
         let plain = study.model.predict(&Mechanisms::default(), &study.model.medium().coefficients);
-        let tried = candidates.iter().flat_map(|&id| starts(id).into_iter().map(move |value| (id, value)));
+        let tried = candidates.iter().flat_map(|&id| starts(study, id).into_iter().map(move |value| (id, value)));
         let tried: Vec<_> = tried.collect();
         let coefficients = study.model.medium().coefficients;
         let states: Vec<_> = tried.iter().map(|&(id, v)| (Mechanisms::default().with(id, v), coefficients)).collect();
@@ -151,12 +151,12 @@ fn products(columns: &[Vec<f64>]) -> DMatrix<f64> {
 }
 
 /// Values from which a mechanism's fit starts; more than one where its effect is far from proportional.
-pub fn starts(id: usize) -> Vec<f64> {
+pub fn starts(study: &Study, id: usize) -> Vec<f64> {
     let entry = &CATALOG[id];
     match entry.id {
         "friction_clip" => vec![0.5, 2.0, 5.0],
         _ if entry.ceiling => [2.0, 1.0, 0.5, 0.25].map(|factor| factor * entry.typical).to_vec(),
-        _ => vec![0.5 * entry.typical],
+        _ => vec![study.felt_strength(id)],
     }
 }
 

@@ -36,8 +36,14 @@ pub trait ForwardModel: Sync {
     fn predict_many(&self, states: &[(Mechanisms, Coefficients)]) -> Vec<Vec<f64>> {
         parallel::map(states, |(m, c)| self.predict(m, c))
     }
-    /// Step of numerical slopes by a mechanism, in typical strengths.
-    fn step(&self) -> f64;
+    /// Change [σ of all data together] below which a numerical slope is not to be trusted; none if predictions are smooth.
+    fn roughness(&self) -> Option<f64> {
+        None
+    }
+    /// Step of numerical slopes by a coefficient, in its prior standard deviations.
+    fn coefficient_step(&self) -> f64 {
+        0.1
+    }
     /// What a repetition may have in common over all its numbers, where `mechanisms` and `coefficients` predict
     /// `prediction`.
     fn shared(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Shared>;
@@ -372,10 +378,6 @@ impl Arm<'_> {
 }
 
 impl ForwardModel for ForceLogModel {
-    fn step(&self) -> f64 {
-        0.02 // smooth laws in double precision: our choice
-    }
-
     fn shared(&self, _: &Mechanisms, _: &Coefficients, _: &[f64]) -> Vec<Shared> {
         Shared::gain()
     }

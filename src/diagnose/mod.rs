@@ -38,7 +38,10 @@ use fit::{Fit, Study};
 use forward::{ForceLogModel, ForwardModel};
 use noise::{Noise, Source, sizes};
 use observations::Observations;
-use report::{Cause, Curves, Diagnosis, Gain, LackOfFit, NextExperiment, NoiseSummary, Report, Tried, Untestable};
+use report::digits;
+use report::{
+    Cause, Curves, Diagnosis, Gain, LackOfFit, NextExperiment, NoiseSummary, Report, RunMeans, Tried, Untestable,
+};
 use select::{Candidate, Selection, Verdict, select};
 use std::path::Path;
 use walking_model::WalkingModel;
@@ -50,28 +53,38 @@ pub use cli::run;
 /// stops the work and is handed back.
 pub fn diagnose(data: &Path, experiment: &Experiment, progress: &dyn Progress) -> Result<Diagnosis> {
     progress.report(0.0, "reading the data")?;
+    let coefficient_sd = experiment.coefficient_sd;
     match experiment.kind {
         Kind::Intrusion => {
             let log = force_log::read(data, experiment)?;
             let model = ForceLogModel::new(&log, experiment)?;
-            diagnose_observations(log.observations, &model, experiment.coefficient_sd, log.sha256, progress)
+            let (observations, sha256, notes) = (log.observations, log.sha256, Vec::new());
+            diagnose_measured(Measured { observations, coefficient_sd, sha256, notes }, &model, progress)
         }
         Kind::Walking => {
             let log = walking_log::read(data, experiment)?;
             let model = WalkingModel::new(&log, experiment)?;
-            diagnose_observations(log.observations, &model, experiment.coefficient_sd, log.sha256, progress)
+            let (observations, note) = model.at_default_step(&log.observations)?;
+            let (sha256, notes) = (log.sha256, vec![note]);
+            diagnose_measured(Measured { observations, coefficient_sd, sha256, notes }, &model, progress)
         }
     }
 }
 
+/// Measured numbers, and what is known of them beside.
+pub struct Measured {
+    pub observations: Observations,
+    /// Relative prior standard deviation of each stress coefficient.
+    pub coefficient_sd: f64,
+    /// Of the data file.
+    pub sha256: String,
+    /// What a reader of the report should know about how the numbers were prepared.
+    pub notes: Vec<String>,
+}
+
 /// Diagnoses measured numbers with a forward model of them.
-pub fn diagnose_observations(
-    observations: Observations,
-    model: &dyn ForwardModel,
-    coefficient_sd: f64,
-    sha256: String,
-    progress: &dyn Progress,
-) -> Result<Diagnosis> {
+pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress: &dyn Progress) -> Result<Diagnosis> {
+    let Measured { observations, coefficient_sd, sha256, notes } = measured;
     progress.report(0.02, "noise from the repetitions")?;
     let coefficients = model.medium().coefficients;
     let plain = model.predict(&Mechanisms::default(), &coefficients);
@@ -89,7 +102,7 @@ pub fn diagnose_observations(
     progress.report(0.95, "report")?;
     let floor = source.floor();
     let view = View { study: &study, source: &source, noise: &noise, selection: selection.as_ref(), floor };
-    let report = view.report(untestable, sha256);
+    let report = view.report(untestable, sha256, notes);
     let extension = selection.as_ref().and_then(extension);
     let mut sand = SandDescription::plain(model.medium());
     if let Some(fit) = extension.map(|c| &c.fit) {
@@ -108,18 +121,20 @@ pub fn diagnose_observations(
 /// Causes that the data can be asked about, and the others with the reason.
 fn testable(study: &Study) -> (Vec<usize>, Vec<Untestable>) {
     let (mut ids, mut untestable) = (Vec::new(), Vec::new());
-    let plain = study.model.predict(&Mechanisms::default(), &study.model.medium().coefficients);
-    for (id, why) in study.model.testable() {
-        let moved = || {
-            calibrate::starts(id).into_iter().any(|value| {
-                let there =
-                    study.model.predict(&Mechanisms::default().with(id, value), &study.model.medium().coefficients);
-                let change: Vec<f64> = there.iter().zip(&plain).map(|(a, b)| a - b).collect();
-                let white = study.whitener.apply(&change);
-                fit::dot(&white, &white) > calibrate::FELT
-            })
-        };
-        let why = why.or_else(|| (!moved()).then(|| "no trial of these data excites it".to_string()));
+    let coefficients = study.model.medium().coefficients;
+    let asked = study.model.testable();
+    let tried = asked.iter().flat_map(|&(id, _)| calibrate::starts(study, id).into_iter().map(move |v| (id, v)));
+    let tried: Vec<(usize, f64)> = tried.collect();
+    let states: Vec<_> = tried.iter().map(|&(id, v)| (Mechanisms::default().with(id, v), coefficients)).collect();
+    let there = study.model.predict_many(&states);
+    let plain = study.plain().prediction;
+    let felt = |moved: &[f64]| {
+        let white = study.whitener.apply(&fit::slope(moved, &plain, 1.0));
+        fit::dot(&white, &white) > calibrate::FELT
+    };
+    for (id, why) in asked {
+        let moves = tried.iter().zip(&there).any(|(t, moved)| t.0 == id && felt(moved));
+        let why = why.or_else(|| (!moves).then(|| "no trial of these data excites it".to_string()));
         match why {
             Some(why) => untestable.push(Untestable { id: CATALOG[id].id.into(), why }),
             None => ids.push(id),
@@ -153,7 +168,7 @@ struct View<'a> {
 }
 
 impl View<'_> {
-    fn report(&self, untestable: Vec<Untestable>, data_sha256: String) -> Report {
+    fn report(&self, untestable: Vec<Untestable>, data_sha256: String, notes: Vec<String>) -> Report {
         let observations = self.study.observations;
         let misfit = misfit::misfit(observations, self.study.model, &self.study.plain().prediction);
         let best = self.selection.and_then(Selection::best);
@@ -189,6 +204,8 @@ impl View<'_> {
                 channels: channels.map(|(c, n)| (c.name.to_string(), [n.grain, n.sensor, n.phi])).collect(),
             }),
             warnings,
+            notes,
+            runs: self.runs(),
             data_sha256,
         }
     }
@@ -277,6 +294,31 @@ impl View<'_> {
         )
     }
 
+    /// Measured and predicted means of every condition; for runs, of which each is one number a channel.
+    fn runs(&self) -> Vec<RunMeans> {
+        let o = self.study.observations;
+        if o.units.iter().any(|u| u.samples > 1) {
+            return Vec::new();
+        }
+        let plain = self.study.plain().prediction;
+        let extended = self.selection.and_then(extension).map(|c| &c.fit.prediction);
+        let groups = o.repetitions();
+        let row = |(condition, units): (usize, &Vec<usize>), c: usize| {
+            let mean = |stack: &[f64]| {
+                units.iter().map(|&u| stack[o.units[u].block(c).start]).sum::<f64>() / units.len() as f64
+            };
+            RunMeans {
+                condition: o.conditions[condition].clone(),
+                channel: o.channels[c].name.into(),
+                unit: o.channels[c].unit.into(),
+                measured: mean(&o.values),
+                plain: mean(&plain),
+                extended: extended.map(|e| mean(e)),
+            }
+        };
+        groups.iter().enumerate().flat_map(|g| (0..o.channels.len()).map(move |c| row(g, c))).collect()
+    }
+
     fn next_experiment(&self) -> Option<NextExperiment> {
         let selection = self.selection.filter(|s| s.set.len() > 1)?;
         let menu = self.study.model.menu()?;
@@ -291,7 +333,8 @@ impl View<'_> {
             return "no condition is repeated: without a noise floor nothing can be said".into();
         };
         let said = |c: &Cause| {
-            format!("{} = {:.4} {} (95 % interval {:.4} to {:.4})", c.id, c.value, c.unit, c.ci95[0], c.ci95[1])
+            let [value, low, high] = [c.value, c.ci95[0], c.ci95[1]].map(digits);
+            format!("{} = {value} {} (95 % interval {low} to {high})", c.id, c.unit)
         };
         let found = causes.iter().map(said).collect::<Vec<_>>().join(" with ");
         match selection.verdict {
@@ -315,10 +358,10 @@ impl View<'_> {
     fn not_enough(&self, selection: &Selection) -> String {
         match selection.candidates.first() {
             Some(best) if best.delta_chi2 > selection.gates.single => format!(
-                "none of the known causes is enough: the nearest, {}, leaves a lack of fit of {:.1} where noise leaves up to {:.2}",
+                "none of the known causes is enough: the nearest, {}, leaves a lack of fit of {} where noise leaves up to {}",
                 names(&best.fit).join(" with "),
-                best.lack_of_fit,
-                selection.gates.lack_of_fit
+                digits(best.lack_of_fit),
+                digits(selection.gates.lack_of_fit)
             ),
             _ => "misfit remains and none of the known causes explains any of it".into(),
         }

@@ -80,17 +80,17 @@ fn candidate(study: &Study, base: &Fit, fit: Fit) -> Candidate {
     }
 }
 
-/// Fits `ids` from `values` and from every further start of each.
-fn fit_best(study: &Study, ids: &[usize], values: &[f64]) -> Fit {
+/// Starts of a fit of `ids`: `values`, and every further start of each.
+fn further_starts(study: &Study, ids: &[usize], values: &[f64]) -> (Vec<usize>, Vec<Vec<f64>>) {
     let mut from = vec![values.to_vec()];
     for (k, &id) in ids.iter().enumerate() {
-        for &start in starts(id).iter().skip(1) {
+        for &start in starts(study, id).iter().skip(1) {
             let mut other = values.to_vec();
             other[k] = start;
             from.push(other);
         }
     }
-    study.fit_best(ids, &from)
+    (ids.to_vec(), from)
 }
 
 /// Start of a single fit: the linear estimate, held within what is usual for the mechanism.
@@ -102,7 +102,7 @@ fn linear_start(screen: &Screen, scores: &Scores, column: usize) -> f64 {
         return value; // its effect is far from proportional: an estimate from afar means nothing
     }
     let estimate = if felt > FELT { entry.typical * scores.score[column] / felt } else { 0.0 };
-    let reach = 4.0 * entry.typical;
+    let reach = (4.0 * entry.typical).max(8.0 * value.abs());
     let start = estimate.clamp(-reach, reach).clamp(entry.bounds[0], entry.bounds[1]);
     if start == 0.0 { value * 0.1 } else { start }
 }
@@ -144,10 +144,12 @@ pub fn select(
 fn singles(study: &Study, screen: &Screen, scores: &Scores, gates: Gates, ids: &[usize]) -> Selection {
     let (plain, base) = (study.plain(), study.recalibrated());
     let columns: Vec<usize> = ids.iter().filter_map(|id| screen.candidates.iter().position(|c| c.0 == *id)).collect();
-    let mut candidates: Vec<Candidate> = parallel::map(&columns, |&column| {
-        let start = linear_start(screen, scores, column);
-        candidate(study, &base, fit_best(study, &[screen.candidates[column].0], &[start]))
-    });
+    let start = |&column: &usize| {
+        let value = linear_start(screen, scores, column);
+        further_starts(study, &[screen.candidates[column].0], &[value])
+    };
+    let fits = study.fit_all(&columns.iter().map(start).collect::<Vec<_>>());
+    let mut candidates = parallel::map(&fits, |fit| candidate(study, &base, fit.clone()));
     candidates.sort_by(|a, b| b.delta_chi2.total_cmp(&a.delta_chi2));
     Selection {
         verdict: Verdict::NoiseFloor,
@@ -173,10 +175,8 @@ fn refit(study: &Study, selection: &mut Selection) {
         .collect();
     let base = study.recalibrated();
     let candidates = &selection.candidates;
-    let again = parallel::map(&same, |&k| {
-        let fit = &candidates[k].fit;
-        candidate(study, &base, study.fit_from(fit))
-    });
+    let again = study.fit_from(&same.iter().map(|&k| &candidates[k].fit).collect::<Vec<_>>());
+    let again = parallel::map(&again, |fit| candidate(study, &base, fit.clone()));
     for (k, fresh) in same.into_iter().zip(again) {
         selection.candidates[k] = fresh;
     }
@@ -207,7 +207,7 @@ fn add_pairs(study: &Study, screen: &Screen, scores: &Scores, selection: &mut Se
         let single = selection.candidates.iter().find(|c| c.fit.ids == [id]);
         single.map_or(0.0, |c| c.fit.values()[0])
     };
-    let mut pairs = parallel::map(&tried, |pair| {
+    let starts = |pair: &[usize; 2]| {
         let mut ids = pair.to_vec();
         ids.sort_unstable();
         let values = if pair[0] == id {
@@ -216,8 +216,10 @@ fn add_pairs(study: &Study, screen: &Screen, scores: &Scores, selection: &mut Se
         } else {
             [0.5 * start(ids[0]), 0.5 * start(ids[1])]
         };
-        candidate(study, &selection.base, fit_best(study, &ids, &values))
-    });
+        further_starts(study, &ids, &values)
+    };
+    let fits = study.fit_all(&tried.iter().map(starts).collect::<Vec<_>>());
+    let mut pairs = parallel::map(&fits, |fit| candidate(study, &selection.base, fit.clone()));
     pairs.sort_by(|a, b| b.delta_chi2.total_cmp(&a.delta_chi2));
     let earns = pairs.first().is_some_and(|pair| {
         let deviance = &selection.base_held_out.deviance;
@@ -270,9 +272,10 @@ impl Study<'_> {
             return Vec::new();
         };
         let others: Vec<_> = screen.candidates.iter().filter(|c| !first.ids.contains(&c.0)).copied().collect();
-        let mut found: Vec<_> = parallel::map(&others, |&(id, value)| {
-            let moved = self.model.predict(&first.mechanisms.with(id, value), &coefficients);
-            let column = slope(&moved, &first.prediction, value);
+        let states: Vec<_> = others.iter().map(|&(id, v)| (first.mechanisms.with(id, v), coefficients)).collect();
+        let moved: Vec<_> = others.into_iter().zip(self.model.predict_many(&states)).collect();
+        let mut found: Vec<_> = parallel::map(&moved, |&((id, value), ref moved)| {
+            let column = slope(moved, &first.prediction, value);
             let white = self.whitener.apply(&column);
             let cross =
                 nalgebra::DVector::from_fn(first.white_slopes.len(), |i, _| dot(&first.white_slopes[i], &white));
