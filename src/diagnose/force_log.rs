@@ -347,6 +347,12 @@ pub fn possible(tracks: &[Track]) -> Vec<(Track, String)> {
 }
 
 impl Track {
+    /// A leg on fresh ground at x = 0.
+    pub fn leg(intruder: Intruder, hip_height: f64, poses: Vec<Pose>) -> Self {
+        let (shape, beta, pass, pass_dx, x_bed) = ("leg".into(), 0.0, 1, 0.0, 0.0);
+        Self { shape, intruder, hip_height, beta, pass, pass_dx, x_bed, poses }
+    }
+
     /// Fastest angular speed of a leg [rad/s] or speed of a plate [m/s].
     fn rate(&self) -> f64 {
         let rate = |p: &Pose| match self.intruder {

@@ -16,7 +16,7 @@ use crate::sand::beyond::{SandMechanisms, Site, footprint, slope_depth};
 use crate::sand::intrusion::Load;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
 use crate::sand::shape::{Segment, straight};
-use crate::sand::{Coefficients, Ground, Law, Medium, Shape, Surface};
+use crate::sand::{Coefficients, Ground, Law, Medium, SandDescription, Shape, Surface};
 use std::collections::BTreeMap;
 
 /// What varies along the data and may explain a misfit.
@@ -64,6 +64,9 @@ const SEGMENTS: usize = 40;
 /// Steps per sample interval in which the low-pass filter sees the force; linear in between. Our choice.
 const FILTER_STEPS: usize = 6;
 
+/// The arm prescribes the motion: nothing rests in the sand, so no creep speed is needed.
+const PRESCRIBED: Surface = Surface { rest_speed: 1e-9, ..Surface::DEFAULT };
+
 struct Cut {
     segments: Vec<Segment>,
     /// Straight strip from hip to tip; empty for plates.
@@ -96,6 +99,20 @@ impl ForceLogModel {
             channels: log.observations.channels.len(),
             missing: log.missing.clone(),
         })
+    }
+
+    /// Loads along one track in a described sand.
+    pub fn one(sand: &SandDescription, track: Track) -> Result<Vec<Load>> {
+        let model = Self {
+            medium: sand.medium(),
+            cuts: BTreeMap::from([(track.shape.clone(), cut(&track.intruder)?)]),
+            tracks: Vec::new(),
+            units: Vec::new(),
+            channels: 3,
+            missing: Vec::new(),
+        };
+        let ground = Ground::new(Law::Li2013, &model.medium, &PRESCRIBED);
+        Ok(model.loads(&track, &sand.mechanisms, &ground))
     }
 
     /// A model of other tracks with the same intruders: for experiments not yet made.
@@ -384,9 +401,7 @@ impl ForwardModel for ForceLogModel {
 
     fn predict(&self, mechanisms: &Mechanisms, coefficients: &Coefficients) -> Vec<f64> {
         let medium = Medium { coefficients: *coefficients, ..self.medium.clone() };
-        // The arm prescribes the motion: nothing rests in the sand, so no creep speed is needed.
-        let surface = Surface { rest_speed: 1e-9, ..Surface::default() };
-        let ground = Ground::new(Law::Li2013, &medium, &surface);
+        let ground = Ground::new(Law::Li2013, &medium, &PRESCRIBED);
         let loads: Vec<_> = self.tracks.iter().map(|t| self.loads(t, mechanisms, &ground)).collect();
         let mut stack = vec![0.0; self.units.iter().map(|u| u.2 * self.channels).sum()];
         for &(track, start, samples) in &self.units {

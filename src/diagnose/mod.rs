@@ -348,7 +348,8 @@ impl View<'_> {
                 format!("the misfit is explained by {found}, or by {}: these data cannot tell", rivals.join(", or by "))
             }
             Verdict::NoneOfThese => {
-                let place = misfit::worst(misfit).map_or(String::new(), |w| format!("; the plain model: {w}"));
+                let place = misfit::worst(misfit, &self.study.observations.channels)
+                    .map_or(String::new(), |w| format!("; the plain model: {w}"));
                 self.not_enough(selection) + &place
             }
             Verdict::InsufficientData => String::new(),

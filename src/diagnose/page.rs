@@ -1,7 +1,8 @@
 //! `report.html`: the diagnosis as one self-contained page, made for looking.
 
 use super::misfit::Misfit;
-use super::report::{Curves, Diagnosis, Report};
+use super::observations::Channel;
+use super::report::{Curves, Diagnosis, Report, digits};
 use std::fmt::Write;
 
 const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1080px;margin:2em auto;padding:0 1em;color:#222}\
@@ -21,14 +22,21 @@ pub fn page(diagnosis: &Diagnosis, json: &str) -> String {
     for warning in &r.warnings {
         let _ = write!(html, "<p><b>Warning:</b> {}</p>", escape(warning));
     }
-    gain(&mut html, r);
+    let unit = diagnosis.curves.observations.channels.iter().find(|c| c.in_rmse).map_or("", |c| c.unit);
+    gain(&mut html, r, unit);
     causes(&mut html, r);
-    html.push_str("<h2>Where the plain model errs</h2><p><small>mean error along the predicted force, in % of it; bars: force channels</small></p><div class=maps>");
-    for by in ["speed", "depth", "angle", "pass", "place", "shape"] {
-        map(&mut html, by, &r.misfit);
+    html.push_str("<h2>Where the plain model errs</h2><p><small>mean error along the prediction, in % of it; bars: channels that count in the held-out error</small></p><div class=maps>");
+    let mut features: Vec<&str> = r.misfit.iter().map(|m| m.by.as_str()).collect();
+    features.dedup(); // the table stands feature by feature
+    let counting: Vec<&Channel> = diagnosis.curves.observations.channels.iter().filter(|c| c.in_rmse).collect();
+    for by in features {
+        map(&mut html, by, &r.misfit, &counting);
     }
     html.push_str("</div>");
-    curves(&mut html, &diagnosis.curves);
+    match r.runs.is_empty() {
+        true => curves(&mut html, &diagnosis.curves),
+        false => runs(&mut html, r),
+    }
     rivals(&mut html, r);
     unknowns(&mut html, r);
     let _ = write!(html, "<script type=application/json id=report>{}</script></html>", json.replace("</", "<\\/"));
@@ -43,21 +51,25 @@ fn number(value: Option<f64>, digits: usize) -> String {
     value.map_or("–".into(), |v| format!("{v:.digits$}"))
 }
 
-fn gain(html: &mut String, r: &Report) {
+fn measure(value: Option<f64>) -> String {
+    value.map_or("–".into(), digits)
+}
+
+fn gain(html: &mut String, r: &Report, unit: &str) {
     let g = &r.gain;
     let percent = |v: Option<f64>| v.map_or("–".into(), |v| format!("{:.1} %", 100.0 * v));
     let interval = g.ci95.map_or("–".into(), |c| format!("{:.1} to {:.1} %", 100.0 * c[0], 100.0 * c[1]));
     let _ = write!(
         html,
-        "<h2>Gain on conditions held out</h2><table><tr><td>error of the simulation as it stands<td>{} N\
-         <tr><td>with coefficients adjusted within their prior<td>{} N<tr><td>extended<td>{} N\
-         <tr><td>scatter between repetitions, which no model removes<td>{} N\
+        "<h2>Gain on conditions held out</h2><table><tr><td>error of the simulation as it stands<td>{} {unit}\
+         <tr><td>with coefficients adjusted within their prior<td>{} {unit}<tr><td>extended<td>{} {unit}\
+         <tr><td>scatter between repetitions, which no model removes<td>{} {unit}\
          <tr><td>reduction (95 % interval)<td>{} ({interval})<tr><td>share of what a perfect model would remove<td>{}\
          <tr><td>lack of fit: plain, extended, limit<td>{}, {}, {}</table>",
-        number(g.held_out_rmse_plain, 4),
-        number(g.held_out_rmse_recalibrated, 4),
-        number(g.held_out_rmse_extended, 4),
-        number(g.noise_floor, 4),
+        measure(g.held_out_rmse_plain),
+        measure(g.held_out_rmse_recalibrated),
+        measure(g.held_out_rmse_extended),
+        measure(g.noise_floor),
         percent(g.reduction),
         percent(g.achievable_fraction),
         number(r.lack_of_fit.plain, 2),
@@ -74,11 +86,11 @@ fn causes(html: &mut String, r: &Report) {
     for c in &r.causes {
         let _ = write!(
             html,
-            "<tr><td>{}<td>{:.5}<td>{:.5} to {:.5}<td>{}",
+            "<tr><td>{}<td>{}<td>{} to {}<td>{}",
             c.id,
-            c.value,
-            c.ci95[0],
-            c.ci95[1],
+            digits(c.value),
+            digits(c.ci95[0]),
+            digits(c.ci95[1]),
             escape(&c.unit)
         );
     }
@@ -86,8 +98,8 @@ fn causes(html: &mut String, r: &Report) {
 }
 
 /// Bars of the mean relative error over the ranges of one feature.
-fn map(html: &mut String, by: &str, misfit: &[Misfit]) {
-    let rows = misfit.iter().filter(|m| m.by == by && m.unit != "N·m" && m.channel != "Ty");
+fn map(html: &mut String, by: &str, misfit: &[Misfit], counting: &[&Channel]) {
+    let rows = misfit.iter().filter(|m| m.by == by && counting.iter().any(|c| c.name == m.channel));
     let rows: Vec<_> = rows.filter_map(|m| m.relative.map(|r| (r, m))).collect();
     if rows.is_empty() {
         return;
@@ -103,7 +115,7 @@ fn map(html: &mut String, by: &str, misfit: &[Misfit]) {
         };
         let length = 80.0 * relative.abs() / top;
         let x = if *relative < 0.0 { 230.0 - length } else { 230.0 };
-        let color = if m.channel == "Fx" { "#4a7fb5" } else { "#b5803a" };
+        let color = if m.channel == counting[0].name { "#4a7fb5" } else { "#b5803a" };
         let _ = write!(
             html,
             "<text x=4 y={}>{} {}</text><rect x={x:.1} y={y} width={length:.1} height=13 fill='{color}'/><text x=312 y={} text-anchor=end>{:+.0} %</text>",
@@ -184,10 +196,28 @@ fn curve(html: &mut String, c: &Curves, u: usize, channel: usize) {
     html.push_str("</svg>");
 }
 
+/// Of runs each is one number a channel: a table in place of curves.
+fn runs(html: &mut String, r: &Report) {
+    html.push_str("<h2>Measured and predicted, means over repetitions</h2><table><tr><th>condition<th>channel<th>measured<th>plain<th>extended<th>unit");
+    for run in &r.runs {
+        let _ = write!(
+            html,
+            "<tr><td>{}<td>{}<td>{}<td>{}<td>{}<td>{}",
+            escape(&run.condition),
+            run.channel,
+            digits(run.measured),
+            digits(run.plain),
+            measure(run.extended),
+            run.unit
+        );
+    }
+    html.push_str("</table>");
+}
+
 fn rivals(html: &mut String, r: &Report) {
     html.push_str("<h2>Causes tried</h2><table><tr><th>cause<th>value<th>Δχ²<th>ΔAIC<th>ΔBIC<th>held-out gain<th>lack of fit<th>distance to the best, σ");
     for c in r.candidates.iter().take(16) {
-        let values: Vec<_> = c.values.iter().map(|v| format!("{v:.4}")).collect();
+        let values: Vec<_> = c.values.iter().map(|v| digits(*v)).collect();
         let _ = write!(
             html,
             "<tr><td>{}<td>{}<td>{:.1}<td>{:.1}<td>{:.1}<td>{}<td>{:.2}<td>{}",

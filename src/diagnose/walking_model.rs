@@ -24,6 +24,9 @@ const FINE: f64 = 8.0;
 /// Step of the sand's strength that makes the direction of the shared noise: our choice, about the batches' scatter.
 const STRENGTH_STEP: f64 = 0.05;
 
+/// Initial phases [rad] that show how regular a gait is: the protocol's ±0.2 and half of it.
+const PHASES: [f64; 4] = [-0.2, -0.1, 0.1, 0.2];
+
 type State = (Mechanisms, Coefficients);
 
 /// Predicts the mean of a run's repetitions by one run with all hips at their nominal phase: shifted by ±0.2 rad the
@@ -119,15 +122,19 @@ impl WalkingModel {
             let known = known();
             (0..states.len()).filter(|&k| !known.contains_key(&keys[k]) && !keys[..k].contains(&keys[k])).collect()
         };
-        let trials: Result<Vec<Trial>> = new.iter().flat_map(|&k| self.trials(&states[k])).collect();
-        let results = trials.and_then(|t| walk_all(&t, &|_| ()));
-        let lost = || vec![WalkResult::lost(); self.setups.len() * new.len()];
-        let results = results.unwrap_or_else(|_| lost());
+        let results = self.walked(&new.iter().map(|&k| states[k]).collect::<Vec<_>>(), 0.0);
         let mut known = known();
-        for (&k, own) in new.iter().zip(results.chunks(self.setups.len().max(1))) {
-            known.insert(keys[k].clone(), own.to_vec());
-        }
+        known.extend(new.iter().map(|&k| keys[k].clone()).zip(results));
         keys.iter().map(|key| known[key].clone()).collect()
+    }
+
+    /// Every state's results with all hips `phase` [rad] ahead.
+    fn walked(&self, states: &[State], phase: f64) -> Vec<Vec<WalkResult>> {
+        let ahead = |trial: Result<Trial>| trial.map(|t| Trial { phase, ..t });
+        let trials: Result<Vec<Trial>> = states.iter().flat_map(|s| self.trials(s)).map(ahead).collect();
+        let results = trials.and_then(|t| walk_all(&t, &|_| ()));
+        let results = results.unwrap_or_else(|_| vec![WalkResult::lost(); self.setups.len() * states.len()]);
+        results.chunks(self.setups.len().max(1)).map(<[_]>::to_vec).collect()
     }
 
     fn stack(&self, results: &[WalkResult]) -> Vec<f64> {
@@ -167,12 +174,27 @@ impl ForwardModel for WalkingModel {
         1.0
     }
 
-    /// No two beds are equally strong: what a run reads changes along its slope by the sand's strength.
+    /// No two beds are equally strong: what a run reads changes along its slope by the sand's strength. And where a gait
+    /// sticks, slips or stalls, small differences grow: `gait_scatter` spans what other initial phases, and the curvature
+    /// in the strength, make of the run beside the nominal one. Where the gait is regular both are next to nothing.
     fn shared(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Shared> {
-        let scale = (1.0 + mechanisms.scale) * (1.0 + STRENGTH_STEP) - 1.0;
-        let stronger = self.predict(&Mechanisms { scale, ..*mechanisms }, coefficients);
-        let slope = super::fit::slope(&stronger, prediction, STRENGTH_STEP);
-        vec![Shared { name: "bed_strength", guess: STRENGTH_STEP, along: Along::Stacks(vec![slope]) }]
+        let scaled = |factor: f64| {
+            let scale = (1.0 + mechanisms.scale) * factor - 1.0;
+            (Mechanisms { scale, ..*mechanisms }, *coefficients)
+        };
+        let beds = self.predict_many(&[scaled(1.0 + STRENGTH_STEP), scaled(1.0 - STRENGTH_STEP)]);
+        let slope = super::fit::slope(&beds[0], &beds[1], 2.0 * STRENGTH_STEP);
+        let middle: Vec<f64> = beds[0].iter().zip(&beds[1]).map(|(a, b)| 0.5 * (a + b)).collect();
+        let share = (PHASES.len() as f64).sqrt();
+        let mut scatter = vec![super::fit::slope(&middle, prediction, 1.0)];
+        for phase in PHASES {
+            let other = self.walked(&[(*mechanisms, *coefficients)], phase);
+            scatter.extend(other.iter().map(|results| super::fit::slope(&self.stack(results), prediction, share)));
+        }
+        vec![
+            Shared { name: "bed_strength", guess: STRENGTH_STEP, along: Along::Stacks(vec![slope]) },
+            Shared { name: "gait_scatter", guess: 1.0, along: Along::Stacks(scatter) },
+        ]
     }
 
     fn medium(&self) -> &Medium {
