@@ -1,6 +1,7 @@
 //! Diagnosis: show what the simulation gets wrong, name the cause, extend the model, measure the gain.
 //!
-//! data ([`table`], [`force_log`], [`experiment`]) → [`forward`] model → [`noise`] from repetitions → [`whiten`] → [`fit`]
+//! data ([`table`], [`force_log`] or [`walking_log`], [`experiment`]) → [`forward`] model ([`walking_model`] for runs) →
+//! [`noise`] from repetitions, with what they have in common ([`shared`]) → [`whiten`] → [`fit`]
 //! → gates on simulated nulls ([`calibrate`]) → [`select`] with [`cross_validation`] and [`lack_of_fit`] → [`report`].
 //!
 //! Everything from `noise` on sees only [`observations`] and a [`forward::ForwardModel`]: another kind of data needs its

@@ -228,7 +228,7 @@ pub fn possible(setups: &[Setup]) -> Vec<(Setup, String)> {
     let mut legs: Vec<String> = setups.iter().map(|s| s.leg.clone()).collect();
     legs.extend(["L", "revL"].map(String::from));
     let shape = |leg: &String| Shape::named(leg).ok();
-    legs.sort_by(|a, b| a.cmp(b));
+    legs.sort();
     legs.dedup_by(|a, b| shape(a) == shape(b));
     let mut out = Vec::new();
     for leg in legs {
