@@ -12,9 +12,10 @@ use sandgait::diagnose::experiment::Experiment;
 use sandgait::diagnose::fit::Study;
 use sandgait::diagnose::force_log;
 use sandgait::diagnose::forward::{ForceLogModel, ForwardModel};
-use sandgait::diagnose::noise::{ChannelNoise, Noise, magnitudes};
+use sandgait::diagnose::noise::{ChannelNoise, Noise, Source, sizes};
 use sandgait::diagnose::report::Report;
 use sandgait::diagnose::select::Verdict;
+use sandgait::diagnose::shared::Shared;
 use sandgait::diagnose::whiten::Whitener;
 use sandgait::parallel;
 use sandgait::progress::Silent;
@@ -46,9 +47,11 @@ fn separation(log: &Log, cause: &str, name: &str) -> Outcome<f64> {
     let model = ForceLogModel::new(&read, &experiment)?;
     let channel =
         |arm: f64| ChannelNoise { grain: arm * testbed::GRAIN, sensor: arm * testbed::SENSOR, phi: testbed::PHI };
-    let noise = Noise { channels: vec![channel(1.0), channel(1.0), channel(testbed::ARM)], gain: testbed::GAIN };
+    let noise =
+        Noise { channels: vec![channel(1.0), channel(1.0), channel(testbed::ARM)], shared: vec![testbed::GAIN] };
     let o = &read.observations;
-    let whitener = Whitener::new(o, &noise, &magnitudes(o), &o.values);
+    let source = Source { observations: o, prediction: &o.values, sizes: &sizes(o), shared: &Shared::gain() };
+    let whitener = Whitener::new(&source, &noise);
     let study = Study::new(o, &model, &whitener, experiment.coefficient_sd);
     let truth = CATALOG.iter().position(|m| m.id == cause).map(|id| study.fit(&[id], &[CATALOG[id].typical]).objective);
     let rivals: Vec<usize> = model.testable().into_iter().map(|t| t.0).filter(|&id| CATALOG[id].id != cause).collect();

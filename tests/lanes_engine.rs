@@ -3,7 +3,7 @@
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::number::Isa;
-use sandgait::sand::Medium;
+use sandgait::sand::{Mechanisms, Medium};
 use sandgait::sim::engine::Command;
 use sandgait::sim::lanes::LanesEngine;
 use sandgait::sim::model::Scene;
@@ -167,6 +167,26 @@ fn lanes_never_touch_each_other() {
                 assert_eq!(read(&alone, 0, start), read(&together, i, start), "{name} {} lane {i}", isa.name());
             }
         }
+    }
+}
+
+/// Nor on neighbours that walk in another rhythm on sand that does more than its law says: what acts at any depth must
+/// still not act in the air.
+#[test]
+fn lanes_never_touch_each_other_on_any_sand() {
+    use sandgait::sim::engine::EngineKind;
+    use sandgait::sim::walk::{Trial, walk, walk_many};
+    let trial = |leg: &str, frequency: f64, mechanisms: Mechanisms| {
+        let mut scene = Scene::flat(Medium::named("poppy-loose").unwrap());
+        scene.mechanisms = mechanisms;
+        let robot = Robot::load("xplorer").unwrap().with_leg_shape(leg).unwrap();
+        Trial::new(Model::new(&robot, &scene).unwrap(), frequency)
+    };
+    let sand = Mechanisms { inertial_drag: 1.0, cohesion: 50.0, concave_fill: 0.2, ..Mechanisms::PLAIN };
+    let trials = [trial("L", 4.0, sand), trial("revL", 3.0, sand), trial("C", 5.0, Mechanisms::PLAIN)];
+    let together = walk_many(EngineKind::Lanes, &trials, &|_| Ok(())).unwrap();
+    for (trial, together) in trials.iter().zip(together) {
+        assert_eq!(walk(EngineKind::Lanes, trial).unwrap(), together);
     }
 }
 

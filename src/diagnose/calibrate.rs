@@ -3,9 +3,10 @@
 //! A simulated null has the data's own design, the plain model with coefficients drawn from their prior, and the noise
 //! learnt from the repetitions; its noise is then estimated anew, so the gates know that the noise is not known.
 
+use super::fit::slope;
 use super::fit::{COEFFICIENTS, Study, dot};
 use super::lack_of_fit;
-use super::noise::{Noise, magnitudes};
+use super::noise::{Noise, Source, sizes};
 use super::observations::Observations;
 use super::whiten::Whitener;
 use crate::parallel;
@@ -54,20 +55,16 @@ impl Screen {
     /// Columns about the state of `fit`, for the candidates not in it.
     pub fn new(study: &Study, candidates: &[usize]) -> Self {
         let plain = study.model.predict(&Mechanisms::default(), &study.model.medium().coefficients);
-        let tried = candidates.iter().flat_map(|&id| starts(id).into_iter().map(move |value| (id, value)));
+        let tried = candidates.iter().flat_map(|&id| starts(study, id).into_iter().map(move |value| (id, value)));
         let tried: Vec<_> = tried.collect();
         let coefficients = study.model.medium().coefficients;
-        let columns = parallel::map(&tried, |&(id, value)| {
-            let moved = study.model.predict(&Mechanisms::default().with(id, value), &coefficients);
-            moved.iter().zip(&plain).map(|(a, b)| (a - b) / value * CATALOG[id].typical).collect()
-        });
-        let coefficient_columns = (0..COEFFICIENTS).map(|k| {
-            let mut deviations = [0.0; COEFFICIENTS];
-            deviations[k] = 1.0;
-            let moved = study.model.predict(&Mechanisms::default(), &study.coefficients(&deviations));
-            moved.iter().zip(&plain).map(|(a, b)| a - b).collect()
-        });
-        Self { candidates: tried, columns, coefficient_columns: coefficient_columns.collect(), plain }
+        let states: Vec<_> = tried.iter().map(|&(id, v)| (Mechanisms::default().with(id, v), coefficients)).collect();
+        let moved = study.model.predict_many(&states);
+        let column = |(&(id, value), moved): (&(usize, f64), Vec<f64>)| {
+            slope(&moved, &plain, CATALOG[id].coordinate(value) / CATALOG[id].coordinate_typical())
+        };
+        let columns = tried.iter().zip(moved).map(column).collect();
+        Self { candidates: tried, columns, coefficient_columns: study.coefficient_slopes().to_vec(), plain }
     }
 
     /// Scores of a stack of measured values.
@@ -92,7 +89,7 @@ impl Screen {
 
     /// May the parameter of this column take the sign of `value`?
     fn allowed(&self, column: usize, value: f64) -> bool {
-        value >= 0.0 || CATALOG[self.candidates[column].0].bounds[0] < 0.0
+        value >= 0.0 || CATALOG[self.candidates[column].0].coordinate_bounds()[0] < 0.0
     }
 
     /// Largest Δχ² of any single cause.
@@ -127,7 +124,8 @@ impl Screen {
         let Some(root) = square_root(gram) else {
             return f64::INFINITY;
         };
-        let mean = gram.column(truth) * (value / CATALOG[self.candidates[truth].0].typical);
+        let entry = &CATALOG[self.candidates[truth].0];
+        let mean = gram.column(truth) * (entry.coordinate(value) / entry.coordinate_typical());
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(2);
         let draws: Vec<f64> = (0..1500)
             .map(|_| {
@@ -153,9 +151,13 @@ fn products(columns: &[Vec<f64>]) -> DMatrix<f64> {
 }
 
 /// Values from which a mechanism's fit starts; more than one where its effect is far from proportional.
-pub fn starts(id: usize) -> Vec<f64> {
+pub fn starts(study: &Study, id: usize) -> Vec<f64> {
     let entry = &CATALOG[id];
-    if entry.id == "friction_clip" { vec![0.5, 2.0, 5.0] } else { vec![0.5 * entry.typical] }
+    match entry.id {
+        "friction_clip" => vec![0.5, 2.0, 5.0],
+        _ if entry.ceiling => [2.0, 1.0, 0.5, 0.25].map(|factor| factor * entry.typical).to_vec(),
+        _ => vec![study.felt_strength(id)],
+    }
 }
 
 /// L with L Lᵀ = `gram`, which may be singular; rows and columns that the data do not feel are left at 0.
@@ -175,10 +177,9 @@ fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
 }
 
 /// Gates for this data set.
-pub fn gates(study: &Study, screen: &Screen, noise: &Noise, scores: &Scores) -> Gates {
+pub fn gates(source: &Source, screen: &Screen, noise: &Noise, scores: &Scores) -> Gates {
     let seeds: Vec<u64> = (0..NULLS as u64).collect();
-    let size = magnitudes(study.observations);
-    let nulls = parallel::map(&seeds, |&seed| null(study, screen, noise, &size, seed));
+    let nulls = parallel::map(&seeds, |&seed| null(source, screen, noise, seed));
     let ideal = ideal(screen, &scores.gram);
     let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len().max(1) as f64;
     let best: Vec<f64> = nulls.iter().map(|n| n.0).collect();
@@ -207,18 +208,17 @@ fn ideal(screen: &Screen, gram: &DMatrix<f64>) -> Vec<f64> {
 }
 
 /// One simulated null: (largest single Δχ², lack of fit).
-fn null(study: &Study, screen: &Screen, noise: &Noise, size: &[Vec<f64>], seed: u64) -> (f64, f64) {
+fn null(source: &Source, screen: &Screen, noise: &Noise, seed: u64) -> (f64, f64) {
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(0x5eed ^ seed);
     let mut values = screen.plain.clone();
     for column in &screen.coefficient_columns {
         let share: f64 = StandardNormal.sample(&mut rng);
         values.iter_mut().zip(column).for_each(|(v, c)| *v += share * c);
     }
-    noise.add(study.observations, size, &mut values, &mut rng);
-    let simulated = Observations { values, ..study.observations.clone() };
-    let size = magnitudes(&simulated);
-    let learnt = Noise::estimate(&simulated, &screen.plain, &size, Some(noise));
-    let whitener = Whitener::new(&simulated, &learnt, &size, &screen.plain);
+    noise.add(source, &mut values, &mut rng);
+    let simulated = Observations { values, ..source.observations.clone() };
+    let source = Source { observations: &simulated, sizes: &sizes(&simulated), ..*source };
+    let whitener = Whitener::new(&source, &source.noise(Some(noise)));
     let scores = screen.scores(&whitener, &simulated.values);
     (screen.best_single(&scores.gram, &scores.score), lack_of_fit::statistic(&simulated, &scores.white))
 }

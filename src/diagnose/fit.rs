@@ -12,6 +12,13 @@ use crate::sand::mechanism::{CATALOG, Mechanisms};
 use nalgebra::{DMatrix, DVector};
 
 pub const COEFFICIENTS: usize = 9;
+/// A step that gains less ends a fit: a hundredth of a unit of χ² is far below every threshold in use.
+const SETTLED: f64 = 0.01;
+
+/// Step of numerical slopes of a smooth model, in typical strengths: our choice, laws in double precision.
+const SMOOTH_STEP: f64 = 0.02;
+/// Gauss-Newton steps at most: our choice, most fits settle in four.
+const ROUNDS: usize = 12;
 
 /// Data, model and noise: all that a fit needs.
 pub struct Study<'a> {
@@ -22,6 +29,8 @@ pub struct Study<'a> {
     pub coefficient_sd: f64,
     /// Slopes by the coefficients at the plain model, as they are and whitened: good enough on the way to a fit.
     coefficient_slopes: [Vec<Vec<f64>>; 2],
+    /// Step of the numerical slope by each mechanism, in its coordinate.
+    steps: [f64; Mechanisms::COUNT],
 }
 
 /// A fitted model.
@@ -37,7 +46,7 @@ pub struct Fit {
     pub white: Vec<f64>,
     /// |W (y − m)|² + |d|²
     pub objective: f64,
-    /// ∂m/∂(value of each id, deviation of each coefficient), not whitened.
+    /// ∂m/∂(coordinate of each id, deviation of each coefficient), not whitened.
     pub slopes: Vec<Vec<f64>>,
     /// The same, whitened.
     pub white_slopes: Vec<Vec<f64>>,
@@ -64,11 +73,48 @@ impl<'a> Study<'a> {
         coefficient_sd: f64,
     ) -> Self {
         let coefficient_slopes = [Vec::new(), Vec::new()];
-        let mut study = Self { observations, model, whitener, coefficient_sd, coefficient_slopes };
-        let plain = study.at(&[], Mechanisms::default(), [0.0; COEFFICIENTS]);
-        let slopes = study.slopes_by_coefficients(&plain);
-        study.coefficient_slopes = [slopes.clone(), slopes.iter().map(|s| whitener.apply(s)).collect()];
+        let steps = CATALOG.map(|entry| SMOOTH_STEP * entry.coordinate_typical());
+        let mut study = Self { observations, model, whitener, coefficient_sd, coefficient_slopes, steps };
+        let mut plain = vec![study.plain()];
+        study.set_coefficient_slopes(&mut plain);
+        let plain = plain.swap_remove(0);
+        study.coefficient_slopes = [plain.slopes, plain.white_slopes];
+        if let Some(roughness) = model.roughness() {
+            study.find_steps(roughness, &plain.prediction);
+        }
         study
+    }
+
+    /// Steps whose effect on the data is at least `target` σ altogether, so that a rough simulation has smooth slopes:
+    /// doubled from a tenth of the typical strength until it is, or until a quarter of what may be fitted.
+    fn find_steps(&mut self, target: f64, plain: &[f64]) {
+        let mut open: Vec<usize> =
+            (0..CATALOG.len()).filter(|&id| CATALOG[id].walking && !CATALOG[id].ceiling).collect();
+        open.iter().for_each(|&id| self.steps[id] = 0.1 * CATALOG[id].coordinate_typical());
+        let coefficients = self.model.medium().coefficients;
+        while !open.is_empty() {
+            let state = |&id: &usize| (Mechanisms::default().with(id, self.steps[id]), coefficients);
+            let moved = self.model.predict_many(&open.iter().map(state).collect::<Vec<_>>());
+            let effect = |moved: &[f64]| {
+                let white = self.whitener.apply(&slope(moved, plain, 1.0));
+                dot(&white, &white).sqrt()
+            };
+            let effects: Vec<f64> = moved.iter().map(|m| effect(m)).collect();
+            let weak = |&(id, effect): &(usize, f64)| effect < target && self.steps[id] < 0.125 * CATALOG[id].bounds[1];
+            let weak: Vec<usize> = open.iter().copied().zip(effects).filter(weak).map(|w| w.0).collect();
+            weak.iter().for_each(|&id| self.steps[id] *= 2.0);
+            open = weak;
+        }
+    }
+
+    /// Slopes of the plain model's prediction by the coefficients' deviations.
+    pub fn coefficient_slopes(&self) -> &[Vec<f64>] {
+        &self.coefficient_slopes[0]
+    }
+
+    /// A strength of mechanism `id` that these data feel, in its coordinate: typical, or what a rough model needs.
+    pub fn felt_strength(&self, id: usize) -> f64 {
+        (0.5 * CATALOG[id].coordinate_typical()).max(self.steps[id])
     }
 
     /// The same study under another whitening.
@@ -90,7 +136,7 @@ impl<'a> Study<'a> {
 
     /// The plain model with nothing fitted.
     pub fn plain(&self) -> Fit {
-        self.at(&[], Mechanisms::default(), [0.0; COEFFICIENTS])
+        self.begin(&[(Vec::new(), Vec::new())]).swap_remove(0)
     }
 
     /// The plain model with its coefficients adjusted as far as their prior lets them.
@@ -100,97 +146,161 @@ impl<'a> Study<'a> {
 
     /// Fits the values of `ids` and the coefficients from `start`.
     pub fn fit(&self, ids: &[usize], start: &[f64]) -> Fit {
-        let mut mechanisms = Mechanisms::default();
-        for (&id, &value) in ids.iter().zip(start) {
-            mechanisms = mechanisms.with(id, value);
-        }
-        let mut best = self.at(ids, mechanisms, [0.0; COEFFICIENTS]);
-        self.refine(&mut best, 12, ids.is_empty());
-        best
+        let begun = self.begin(&[(ids.to_vec(), start.to_vec())]);
+        self.refine(begun, ROUNDS, ids.is_empty()).swap_remove(0)
     }
 
-    /// Fits again from where an earlier fit ended.
-    pub fn fit_from(&self, fit: &Fit) -> Fit {
-        let mut again = self.at(&fit.ids, fit.mechanisms, fit.deviations);
-        self.refine(&mut again, 6, true);
-        again
-    }
-
-    /// Gauss-Newton steps within bounds, halved until they help. The objective is exact throughout; `exact` has the
-    /// slopes by the coefficients taken at the end's own state and not at the plain model.
-    fn refine(&self, best: &mut Fit, rounds: usize, exact: bool) {
-        if exact {
-            self.set_coefficient_slopes(best);
-        } else {
-            [best.slopes, best.white_slopes] = self.coefficient_slopes.clone();
-        }
-        for _ in 0..rounds {
-            self.set_value_slopes(best);
-            let step = self.step(best);
-            let before = best.objective;
-            let mut share = 1.0;
-            while share > 0.02 {
-                let (mechanisms, deviations) = moved(best, &step, share);
-                let trial = self.at(&best.ids, mechanisms, deviations);
-                if trial.objective < best.objective {
-                    let slopes = (std::mem::take(&mut best.slopes), std::mem::take(&mut best.white_slopes));
-                    *best = trial;
-                    (best.slopes, best.white_slopes) = slopes;
-                    break;
-                }
-                share *= 0.35;
-            }
-            // A hundredth of a unit of χ² is far below every threshold in use.
-            if before - best.objective < 0.01 {
-                break;
-            }
-        }
-        if exact {
-            self.set_coefficient_slopes(best);
-        }
-        self.set_value_slopes(best);
-    }
-
-    fn at(&self, ids: &[usize], mechanisms: Mechanisms, deviations: [f64; COEFFICIENTS]) -> Fit {
-        let prediction = self.model.predict(&mechanisms, &self.coefficients(&deviations));
-        let residual: Vec<f64> = self.observations.values.iter().zip(&prediction).map(|(y, m)| y - m).collect();
-        let white = self.whitener.apply(&residual);
-        let objective = dot(&white, &white) + dot(&deviations, &deviations);
-        let objective = if objective.is_finite() { objective } else { f64::MAX };
-        let (ids, slopes, white_slopes) = (ids.to_vec(), Vec::new(), Vec::new());
-        Fit { ids, mechanisms, deviations, prediction, white, objective, slopes, white_slopes }
-    }
-
-    fn slopes_by_coefficients(&self, fit: &Fit) -> Vec<Vec<f64>> {
-        let slope = |k: usize| {
-            let mut deviations = fit.deviations;
-            deviations[k] += 0.1;
-            let moved = self.model.predict(&fit.mechanisms, &self.coefficients(&deviations));
-            moved.iter().zip(&fit.prediction).map(|(a, b)| (a - b) / 0.1).collect()
+    /// Fits every set of ids from the two most promising of its starts.
+    pub fn fit_all(&self, sets: &[(Vec<usize>, Vec<Vec<f64>>)]) -> Vec<Fit> {
+        let from = |(ids, starts): &(Vec<usize>, Vec<Vec<f64>>)| {
+            starts.iter().map(|s| (ids.clone(), s.clone())).collect::<Vec<_>>()
         };
-        (0..COEFFICIENTS).map(slope).collect()
+        let mut begun = self.begin(&sets.iter().flat_map(from).collect::<Vec<_>>());
+        let mut promising = Vec::new();
+        for (_, starts) in sets {
+            let mut own: Vec<Fit> = begun.drain(..starts.len()).collect();
+            own.sort_by(|a, b| a.objective.total_cmp(&b.objective));
+            own.truncate(2);
+            promising.push(own.len());
+            begun.extend(own); // behind those still to be sorted out
+        }
+        let mut fitted = self.refine(begun, ROUNDS, false).into_iter();
+        let best = |count: usize| {
+            let own: Vec<Fit> = fitted.by_ref().take(count).collect();
+            own.into_iter().min_by(|a, b| a.objective.total_cmp(&b.objective))
+        };
+        promising.into_iter().filter_map(best).collect()
+    }
+
+    /// Fits again from where earlier fits ended.
+    pub fn fit_from(&self, fits: &[&Fit]) -> Vec<Fit> {
+        let states = fits.iter().map(|f| (f.ids.clone(), f.mechanisms, f.deviations)).collect();
+        self.refine(self.at_all(states), ROUNDS / 2, true)
+    }
+
+    /// Where fits of given ids from given values begin.
+    fn begin(&self, starts: &[(Vec<usize>, Vec<f64>)]) -> Vec<Fit> {
+        let state = |(ids, values): &(Vec<usize>, Vec<f64>)| {
+            let set = |m: Mechanisms, (&id, &value): (&usize, &f64)| m.with(id, value);
+            (ids.clone(), ids.iter().zip(values).fold(Mechanisms::default(), set), [0.0; COEFFICIENTS])
+        };
+        self.at_all(starts.iter().map(state).collect())
+    }
+
+    /// Gauss-Newton steps within bounds, shortened until they help; all fits take theirs together, so that the model
+    /// predicts many states at once. The objective is exact throughout; `exact` has the slopes by the coefficients taken
+    /// at the end's own state and not at the plain model.
+    fn refine(&self, mut fits: Vec<Fit>, rounds: usize, exact: bool) -> Vec<Fit> {
+        if exact {
+            self.set_coefficient_slopes(&mut fits);
+        } else {
+            for fit in &mut fits {
+                [fit.slopes, fit.white_slopes] = self.coefficient_slopes.clone();
+            }
+        }
+        let mut active: Vec<usize> = (0..fits.len()).collect();
+        for _ in 0..rounds {
+            self.set_value_slopes(&mut fits, &active);
+            let before: Vec<f64> = fits.iter().map(|f| f.objective).collect();
+            self.advance(&mut fits, &active);
+            active.retain(|&k| before[k] - fits[k].objective >= SETTLED);
+        }
+        if exact {
+            self.set_coefficient_slopes(&mut fits);
+            active = (0..fits.len()).collect();
+        }
+        // Settled fits have moved next to nothing since their slopes were taken.
+        self.set_value_slopes(&mut fits, &active);
+        fits
+    }
+
+    /// One Gauss-Newton step of each active fit.
+    fn advance(&self, fits: &mut [Fit], active: &[usize]) {
+        let steps: Vec<Vec<f64>> = active.iter().map(|&k| self.step(&fits[k])).collect();
+        let mut pending: Vec<usize> = (0..active.len()).collect();
+        let mut share = 1.0;
+        while !pending.is_empty() && share > 0.02 {
+            let state = |&i: &usize| {
+                let fit = &fits[active[i]];
+                let (mechanisms, deviations) = moved(fit, &steps[i], share);
+                (fit.ids.clone(), mechanisms, deviations)
+            };
+            let trials = self.at_all(pending.iter().map(state).collect());
+            let mut left = Vec::new();
+            for (i, trial) in pending.into_iter().zip(trials) {
+                let fit = &mut fits[active[i]];
+                if trial.objective < fit.objective {
+                    let (slopes, white_slopes) =
+                        (std::mem::take(&mut fit.slopes), std::mem::take(&mut fit.white_slopes));
+                    *fit = Fit { slopes, white_slopes, ..trial };
+                } else {
+                    left.push(i);
+                }
+            }
+            pending = left;
+            share *= 0.35;
+        }
+    }
+
+    /// Fits standing at given mechanisms and deviations, without slopes.
+    fn at_all(&self, states: Vec<(Vec<usize>, Mechanisms, [f64; COEFFICIENTS])>) -> Vec<Fit> {
+        let inputs: Vec<_> = states.iter().map(|(_, m, d)| (*m, self.coefficients(d))).collect();
+        let predictions = self.model.predict_many(&inputs);
+        let fit = |((ids, mechanisms, deviations), prediction): ((Vec<usize>, _, [f64; COEFFICIENTS]), Vec<f64>)| {
+            let residual: Vec<f64> = self.observations.values.iter().zip(&prediction).map(|(y, m)| y - m).collect();
+            let white = self.whitener.apply(&residual);
+            let objective = dot(&white, &white) + dot(&deviations, &deviations);
+            let objective = if objective.is_finite() { objective } else { f64::MAX };
+            let (slopes, white_slopes) = (Vec::new(), Vec::new());
+            Fit { ids, mechanisms, deviations, prediction, white, objective, slopes, white_slopes }
+        };
+        states.into_iter().zip(predictions).map(fit).collect()
     }
 
     /// Puts the slopes by the coefficients in place; those by the values are to follow.
-    fn set_coefficient_slopes(&self, fit: &mut Fit) {
-        fit.slopes = self.slopes_by_coefficients(fit);
-        fit.white_slopes = fit.slopes.iter().map(|s| self.whitener.apply(s)).collect();
+    fn set_coefficient_slopes(&self, fits: &mut [Fit]) {
+        let step = self.model.coefficient_step();
+        let state = |fit: &Fit, k: usize| {
+            let mut deviations = fit.deviations;
+            deviations[k] += step;
+            (fit.mechanisms, self.coefficients(&deviations))
+        };
+        let states: Vec<_> = fits.iter().flat_map(|f| (0..COEFFICIENTS).map(move |k| state(f, k))).collect();
+        let moved = self.model.predict_many(&states);
+        for (fit, moved) in fits.iter_mut().zip(moved.chunks(COEFFICIENTS)) {
+            fit.slopes = moved.iter().map(|m| slope(m, &fit.prediction, step)).collect();
+            fit.white_slopes = fit.slopes.iter().map(|s| self.whitener.apply(s)).collect();
+        }
     }
 
-    /// Puts the slopes by the values before those by the coefficients, or in the place of earlier ones.
-    fn set_value_slopes(&self, fit: &mut Fit) {
-        let coefficients = self.coefficients(&fit.deviations);
-        let earlier = fit.slopes.len() - COEFFICIENTS;
-        let slopes = fit.ids.iter().map(|&id| {
-            let (entry, value) = (&CATALOG[id], fit.mechanisms.get(id));
-            let step = 0.02 * entry.typical;
-            let step = if value + step > entry.bounds[1] { -step } else { step };
-            let moved = self.model.predict(&fit.mechanisms.with(id, value + step), &coefficients);
-            moved.iter().zip(&fit.prediction).map(|(a, b)| (a - b) / step).collect()
-        });
-        let slopes: Vec<Vec<f64>> = slopes.collect();
-        fit.white_slopes.splice(..earlier, slopes.iter().map(|s| self.whitener.apply(s)));
-        fit.slopes.splice(..earlier, slopes);
+    /// Puts the slopes by the values of the active fits before those by the coefficients, or in the place of earlier ones.
+    fn set_value_slopes(&self, fits: &mut [Fit], active: &[usize]) {
+        let (mut steps, mut states) = (Vec::new(), Vec::new());
+        for fit in active.iter().map(|&k| &fits[k]) {
+            for (&id, at) in fit.ids.iter().zip(fit.coordinates()) {
+                let step = self.step_from(id, at);
+                steps.push(step);
+                states
+                    .push((fit.mechanisms.with(id, CATALOG[id].value(at + step)), self.coefficients(&fit.deviations)));
+            }
+        }
+        let mut moved = self.model.predict_many(&states).into_iter().zip(steps);
+        for &k in active {
+            let fit = &mut fits[k];
+            let own = moved.by_ref().take(fit.ids.len());
+            let slopes: Vec<_> = own.map(|(moved, step)| slope(&moved, &fit.prediction, step)).collect();
+            let earlier = fit.slopes.len() - COEFFICIENTS;
+            fit.white_slopes.splice(..earlier, slopes.iter().map(|s| self.whitener.apply(s)));
+            fit.slopes.splice(..earlier, slopes);
+        }
+    }
+
+    /// Step of the numerical slope by mechanism `id` from coordinate `at`.
+    fn step_from(&self, id: usize, at: f64) -> f64 {
+        let entry = &CATALOG[id];
+        // The effect of a ceiling sets in and then grows fast: a twentieth of where it is. Our choice.
+        let step = if entry.ceiling { 0.05 * at.max(entry.coordinate_typical()) } else { self.steps[id] };
+        if at + step > entry.coordinate_bounds()[1] { -step } else { step }
     }
 
     /// The Gauss-Newton step; a value that would leave its bounds is held at the bound it is on.
@@ -201,8 +311,8 @@ impl<'a> Study<'a> {
         loop {
             let step = solve(&information, &score, &held);
             let stuck = (0..count).find(|&k| {
-                let (bounds, value) = (CATALOG[fit.ids[k]].bounds, fit.mechanisms.get(fit.ids[k]));
-                !held[k] && ((value <= bounds[0] && step[k] < 0.0) || (value >= bounds[1] && step[k] > 0.0))
+                let (bounds, at) = (CATALOG[fit.ids[k]].coordinate_bounds(), fit.coordinates()[k]);
+                !held[k] && ((at <= bounds[0] && step[k] < 0.0) || (at >= bounds[1] && step[k] > 0.0))
             });
             match stuck {
                 Some(k) => held[k] = true,
@@ -212,11 +322,16 @@ impl<'a> Study<'a> {
     }
 }
 
+/// Change of a prediction per `step`; numbers that a diverged simulation left out change nothing.
+pub fn slope(moved: &[f64], from: &[f64], step: f64) -> Vec<f64> {
+    moved.iter().zip(from).map(|(a, b)| (a - b) / step).map(|s| if s.is_finite() { s } else { 0.0 }).collect()
+}
+
 fn moved(fit: &Fit, step: &[f64], share: f64) -> (Mechanisms, [f64; COEFFICIENTS]) {
     let mut mechanisms = fit.mechanisms;
-    for (k, &id) in fit.ids.iter().enumerate() {
-        let bounds = CATALOG[id].bounds;
-        mechanisms = mechanisms.with(id, (mechanisms.get(id) + share * step[k]).clamp(bounds[0], bounds[1]));
+    for ((&id, at), step) in fit.ids.iter().zip(fit.coordinates()).zip(step) {
+        let (entry, bounds) = (&CATALOG[id], CATALOG[id].coordinate_bounds());
+        mechanisms = mechanisms.with(id, entry.value((at + share * step).clamp(bounds[0], bounds[1])));
     }
     let mut deviations = fit.deviations;
     for (d, s) in deviations.iter_mut().zip(&step[fit.ids.len()..]) {
@@ -270,7 +385,12 @@ impl Fit {
         self.ids.iter().map(|&id| self.mechanisms.get(id)).collect()
     }
 
-    /// Covariance of the fitted values, the coefficients marginalised.
+    /// Coordinates of the fitted mechanisms, in which they are fitted.
+    pub fn coordinates(&self) -> Vec<f64> {
+        self.ids.iter().map(|&id| CATALOG[id].coordinate(self.mechanisms.get(id))).collect()
+    }
+
+    /// Covariance of the fitted coordinates, the coefficients marginalised.
     pub fn covariance(&self) -> DMatrix<f64> {
         let (information, _) = self.normal_equations();
         let count = self.ids.len();

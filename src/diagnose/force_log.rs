@@ -1,7 +1,7 @@
 //! Reads force logs of plates and legs (intrusion CSV) into trials.
 
 use super::experiment::{Experiment, Intruder};
-use super::observations::{Channel, Names, Observations, Unit};
+use super::observations::{Channel, Names, Observations, Size, Unit};
 use super::table::{self, Column, Quantity, Row};
 use crate::error::Result;
 use std::path::Path;
@@ -261,7 +261,7 @@ fn assemble(
             tracks.push(trial.track);
         }
     }
-    let observations = Observations { values, channels, units, conditions };
+    let observations = Observations { size: Size::Force, values, channels, units, conditions };
     ForceLog { observations, tracks, track_of, missing, sha256 }
 }
 
@@ -347,6 +347,12 @@ pub fn possible(tracks: &[Track]) -> Vec<(Track, String)> {
 }
 
 impl Track {
+    /// A leg on fresh ground at x = 0.
+    pub fn leg(intruder: Intruder, hip_height: f64, poses: Vec<Pose>) -> Self {
+        let (shape, beta, pass, pass_dx, x_bed) = ("leg".into(), 0.0, 1, 0.0, 0.0);
+        Self { shape, intruder, hip_height, beta, pass, pass_dx, x_bed, poses }
+    }
+
     /// Fastest angular speed of a leg [rad/s] or speed of a plate [m/s].
     fn rate(&self) -> f64 {
         let rate = |p: &Pose| match self.intruder {

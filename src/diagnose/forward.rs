@@ -8,13 +8,15 @@ use super::experiment::{Experiment, Intruder};
 use super::force_log::{ForceLog, Pose, Track};
 use super::next_experiment::Menu;
 use super::observations::Observations;
+use super::shared::Shared;
 use crate::error::Result;
 use crate::number::Vec3;
+use crate::parallel;
 use crate::sand::beyond::{SandMechanisms, Site, footprint, slope_depth};
 use crate::sand::intrusion::Load;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
 use crate::sand::shape::{Segment, straight};
-use crate::sand::{Coefficients, Ground, Law, Medium, Shape, Surface};
+use crate::sand::{Coefficients, Ground, Law, Medium, SandDescription, Shape, Surface};
 use std::collections::BTreeMap;
 
 /// What varies along the data and may explain a misfit.
@@ -30,6 +32,21 @@ pub struct Feature {
 pub trait ForwardModel: Sync {
     /// Same order as `Observations::values`.
     fn predict(&self, mechanisms: &Mechanisms, coefficients: &Coefficients) -> Vec<f64>;
+    /// The same for several states at once.
+    fn predict_many(&self, states: &[(Mechanisms, Coefficients)]) -> Vec<Vec<f64>> {
+        parallel::map(states, |(m, c)| self.predict(m, c))
+    }
+    /// Change [σ of all data together] below which a numerical slope is not to be trusted; none if predictions are smooth.
+    fn roughness(&self) -> Option<f64> {
+        None
+    }
+    /// Step of numerical slopes by a coefficient, in its prior standard deviations.
+    fn coefficient_step(&self) -> f64 {
+        0.1
+    }
+    /// What a repetition may have in common over all its numbers, where `mechanisms` and `coefficients` predict
+    /// `prediction`.
+    fn shared(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Shared>;
     /// The medium of the plain model.
     fn medium(&self) -> &Medium;
     /// Which mechanisms this kind of data can be asked about: index in the catalogue, or why not.
@@ -46,6 +63,9 @@ pub trait ForwardModel: Sync {
 const SEGMENTS: usize = 40;
 /// Steps per sample interval in which the low-pass filter sees the force; linear in between. Our choice.
 const FILTER_STEPS: usize = 6;
+
+/// The arm prescribes the motion: nothing rests in the sand, so no creep speed is needed.
+const PRESCRIBED: Surface = Surface { rest_speed: 1e-9, ..Surface::DEFAULT };
 
 struct Cut {
     segments: Vec<Segment>,
@@ -79,6 +99,20 @@ impl ForceLogModel {
             channels: log.observations.channels.len(),
             missing: log.missing.clone(),
         })
+    }
+
+    /// Loads along one track in a described sand.
+    pub fn one(sand: &SandDescription, track: Track) -> Result<Vec<Load>> {
+        let model = Self {
+            medium: sand.medium(),
+            cuts: BTreeMap::from([(track.shape.clone(), cut(&track.intruder)?)]),
+            tracks: Vec::new(),
+            units: Vec::new(),
+            channels: 3,
+            missing: Vec::new(),
+        };
+        let ground = Ground::new(Law::Li2013, &model.medium, &PRESCRIBED);
+        Ok(model.loads(&track, &sand.mechanisms, &ground))
     }
 
     /// A model of other tracks with the same intruders: for experiments not yet made.
@@ -361,11 +395,13 @@ impl Arm<'_> {
 }
 
 impl ForwardModel for ForceLogModel {
+    fn shared(&self, _: &Mechanisms, _: &Coefficients, _: &[f64]) -> Vec<Shared> {
+        Shared::gain()
+    }
+
     fn predict(&self, mechanisms: &Mechanisms, coefficients: &Coefficients) -> Vec<f64> {
         let medium = Medium { coefficients: *coefficients, ..self.medium.clone() };
-        // The arm prescribes the motion: nothing rests in the sand, so no creep speed is needed.
-        let surface = Surface { rest_speed: 1e-9, ..Surface::default() };
-        let ground = Ground::new(Law::Li2013, &medium, &surface);
+        let ground = Ground::new(Law::Li2013, &medium, &PRESCRIBED);
         let loads: Vec<_> = self.tracks.iter().map(|t| self.loads(t, mechanisms, &ground)).collect();
         let mut stack = vec![0.0; self.units.iter().map(|u| u.2 * self.channels).sum()];
         for &(track, start, samples) in &self.units {

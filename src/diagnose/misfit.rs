@@ -1,7 +1,8 @@
 //! Where the plain model errs, and what the error goes along with.
 
 use super::forward::{Feature, ForwardModel};
-use super::observations::Observations;
+use super::observations::{Channel, Observations};
+use super::report::digits;
 use serde::Serialize;
 
 /// Error of the plain model in one range of one feature.
@@ -98,15 +99,22 @@ fn add(
     }
 }
 
-/// In one sentence: the two features over which the mean error changes most, and how.
-pub fn worst(table: &[Misfit]) -> Option<String> {
+/// In one sentence: the two features over which the mean error of a counting channel changes most, and how.
+pub fn worst(table: &[Misfit], channels: &[Channel]) -> Option<String> {
     let mut found: Vec<(f64, String)> = Vec::new();
-    for by in ["speed", "depth", "angle", "pass", "place", "shape"] {
-        let changes = ["Fx", "Fz"].into_iter().filter_map(|channel| {
-            let rows = || table.iter().filter(|m| m.by == by && m.channel == channel);
+    let mut features: Vec<&str> = table.iter().map(|m| m.by.as_str()).collect();
+    features.dedup(); // the table stands feature by feature
+    for by in features {
+        let changes = channels.iter().filter(|c| c.in_rmse).filter_map(|channel| {
+            let rows = || table.iter().filter(|m| m.by == by && m.channel == channel.name);
             let low = rows().min_by(|a, b| a.mean.total_cmp(&b.mean))?;
             let high = rows().max_by(|a, b| a.mean.total_cmp(&b.mean))?;
-            let text = format!("{channel} with {by}: {} to {}", low.in_words(), high.in_words());
+            let text = format!(
+                "{} with {by}: {} to {}",
+                channel.name,
+                low.in_words(channel.unit),
+                high.in_words(channel.unit)
+            );
             Some((high.mean - low.mean, text))
         });
         found.extend(changes.max_by(|a, b| a.0.total_cmp(&b.0)));
@@ -117,15 +125,16 @@ pub fn worst(table: &[Misfit]) -> Option<String> {
 }
 
 impl Misfit {
-    fn in_words(&self) -> String {
+    fn in_words(&self, unit: &str) -> String {
         let place = match (&self.group, self.range) {
             (Some(group), _) => group.clone(),
-            (None, Some(r)) if r[1] - r[0] < 1e-6 * r[1].abs() => format!("{:.3} {}", r[1], self.unit),
-            (None, Some(r)) => format!("{:.3}–{:.3} {}", r[0], r[1], self.unit),
+            (None, Some(r)) if r[1] - r[0] < 1e-6 * r[1].abs() => format!("{} {}", digits(r[1]), self.unit),
+            (None, Some(r)) => format!("{}–{} {}", digits(r[0]), digits(r[1]), self.unit),
             (None, None) => String::new(),
         };
         let share = self.relative.map_or(String::new(), |r| format!(" ({:+.0} %)", 100.0 * r));
-        format!("{:+.2} N{share} at {place}", self.mean)
+        let sign = if self.mean > 0.0 { "+" } else { "" };
+        format!("{sign}{} {unit}{share} at {place}", digits(self.mean))
     }
 }
 

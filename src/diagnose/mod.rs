@@ -1,6 +1,7 @@
 //! Diagnosis: show what the simulation gets wrong, name the cause, extend the model, measure the gain.
 //!
-//! data ([`table`], [`force_log`], [`experiment`]) → [`forward`] model → [`noise`] from repetitions → [`whiten`] → [`fit`]
+//! data ([`table`], [`force_log`] or [`walking_log`], [`experiment`]) → [`forward`] model ([`walking_model`] for runs) →
+//! [`noise`] from repetitions, with what they have in common ([`shared`]) → [`whiten`] → [`fit`]
 //! → gates on simulated nulls ([`calibrate`]) → [`select`] with [`cross_validation`] and [`lack_of_fit`] → [`report`].
 //!
 //! Everything from `noise` on sees only [`observations`] and a [`forward::ForwardModel`]: another kind of data needs its
@@ -14,6 +15,7 @@ pub mod fit;
 pub mod force_log;
 pub mod forward;
 pub mod lack_of_fit;
+pub mod minimise;
 pub mod misfit;
 pub mod next_experiment;
 pub mod noise;
@@ -21,10 +23,13 @@ pub mod observations;
 pub mod page;
 pub mod report;
 pub mod select;
+pub mod shared;
 pub mod table;
+pub mod walking_log;
+pub mod walking_model;
 pub mod whiten;
 
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::progress::Progress;
 use crate::sand::SandDescription;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
@@ -32,11 +37,15 @@ use cross_validation::HeldOut;
 use experiment::{Experiment, Kind};
 use fit::{Fit, Study};
 use forward::{ForceLogModel, ForwardModel};
-use noise::{Noise, magnitudes, noise_floor};
+use noise::{Noise, Source, sizes};
 use observations::Observations;
-use report::{Cause, Curves, Diagnosis, Gain, LackOfFit, NextExperiment, NoiseSummary, Report, Tried, Untestable};
+use report::digits;
+use report::{
+    Cause, Curves, Diagnosis, Gain, LackOfFit, NextExperiment, NoiseSummary, Report, RunMeans, Tried, Untestable,
+};
 use select::{Candidate, Selection, Verdict, select};
 use std::path::Path;
+use walking_model::WalkingModel;
 use whiten::Whitener;
 
 pub use cli::run;
@@ -45,40 +54,56 @@ pub use cli::run;
 /// stops the work and is handed back.
 pub fn diagnose(data: &Path, experiment: &Experiment, progress: &dyn Progress) -> Result<Diagnosis> {
     progress.report(0.0, "reading the data")?;
+    let coefficient_sd = experiment.coefficient_sd;
     match experiment.kind {
         Kind::Intrusion => {
             let log = force_log::read(data, experiment)?;
             let model = ForceLogModel::new(&log, experiment)?;
-            diagnose_observations(log.observations, &model, experiment.coefficient_sd, log.sha256, progress)
+            let (observations, sha256, notes) = (log.observations, log.sha256, Vec::new());
+            diagnose_measured(Measured { observations, coefficient_sd, sha256, notes }, &model, progress)
         }
-        Kind::Walking => Err(Error::invalid("kind", "walking data are not diagnosed yet")),
+        Kind::Walking => {
+            let log = walking_log::read(data, experiment)?;
+            let model = WalkingModel::new(&log, experiment)?;
+            let (observations, note) = model.at_default_step(&log.observations)?;
+            let (sha256, notes) = (log.sha256, vec![note]);
+            diagnose_measured(Measured { observations, coefficient_sd, sha256, notes }, &model, progress)
+        }
     }
 }
 
+/// Measured numbers, and what is known of them beside.
+pub struct Measured {
+    pub observations: Observations,
+    /// Relative prior standard deviation of each stress coefficient.
+    pub coefficient_sd: f64,
+    /// Of the data file.
+    pub sha256: String,
+    /// What a reader of the report should know about how the numbers were prepared.
+    pub notes: Vec<String>,
+}
+
 /// Diagnoses measured numbers with a forward model of them.
-pub fn diagnose_observations(
-    observations: Observations,
-    model: &dyn ForwardModel,
-    coefficient_sd: f64,
-    sha256: String,
-    progress: &dyn Progress,
-) -> Result<Diagnosis> {
+pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress: &dyn Progress) -> Result<Diagnosis> {
+    let Measured { observations, coefficient_sd, sha256, notes } = measured;
     progress.report(0.02, "noise from the repetitions")?;
-    let plain = model.predict(&Mechanisms::default(), &model.medium().coefficients);
-    let size = magnitudes(&observations);
-    let noise = Noise::estimate(&observations, &plain, &size, None);
-    let whitener = Whitener::new(&observations, &noise, &size, &plain);
+    let coefficients = model.medium().coefficients;
+    let plain = model.predict(&Mechanisms::default(), &coefficients);
+    let shared = model.shared(&Mechanisms::default(), &coefficients, &plain);
+    let sizes = sizes(&observations);
+    let source = Source { observations: &observations, prediction: &plain, sizes: &sizes, shared: &shared };
+    let noise = source.noise(None);
+    let whitener = Whitener::new(&source, &noise);
     let study = Study::new(&observations, model, &whitener, coefficient_sd);
     let (ids, untestable) = testable(&study);
-    let rewhiten = |m: &[f64]| Whitener::new(&observations, &noise, &size, m);
     let selection = match observations.has_replicates() {
-        true => Some(select(&study, &noise, &ids, rewhiten, progress)?),
+        true => Some(select(&study, &source, &noise, &ids, progress)?),
         false => None,
     };
     progress.report(0.95, "report")?;
-    let floor = noise_floor(&observations, &plain, &size);
-    let view = View { study: &study, noise: &noise, selection: selection.as_ref(), floor };
-    let report = view.report(untestable, sha256);
+    let floor = source.floor();
+    let view = View { study: &study, source: &source, noise: &noise, selection: selection.as_ref(), floor };
+    let report = view.report(untestable, sha256, notes);
     let extension = selection.as_ref().and_then(extension);
     let mut sand = SandDescription::plain(model.medium());
     if let Some(fit) = extension.map(|c| &c.fit) {
@@ -88,7 +113,7 @@ pub fn diagnose_observations(
         sand.mechanisms = fit.mechanisms;
     }
     let extended = extension.map(|c| c.fit.prediction.clone());
-    let band = noise.standard_deviation(&observations, &size, &plain);
+    let band = noise.standard_deviation(&source);
     let groups = (0..observations.units.len()).map(|u| model.group(u).to_string()).collect();
     let curves = Curves { groups, plain, extended, band, observations: observations.clone() };
     Ok(Diagnosis { report, sand, curves })
@@ -97,18 +122,20 @@ pub fn diagnose_observations(
 /// Causes that the data can be asked about, and the others with the reason.
 fn testable(study: &Study) -> (Vec<usize>, Vec<Untestable>) {
     let (mut ids, mut untestable) = (Vec::new(), Vec::new());
-    let plain = study.model.predict(&Mechanisms::default(), &study.model.medium().coefficients);
-    for (id, why) in study.model.testable() {
-        let moved = || {
-            calibrate::starts(id).into_iter().any(|value| {
-                let there =
-                    study.model.predict(&Mechanisms::default().with(id, value), &study.model.medium().coefficients);
-                let change: Vec<f64> = there.iter().zip(&plain).map(|(a, b)| a - b).collect();
-                let white = study.whitener.apply(&change);
-                fit::dot(&white, &white) > calibrate::FELT
-            })
-        };
-        let why = why.or_else(|| (!moved()).then(|| "no trial of these data excites it".to_string()));
+    let coefficients = study.model.medium().coefficients;
+    let asked = study.model.testable();
+    let tried = asked.iter().flat_map(|&(id, _)| calibrate::starts(study, id).into_iter().map(move |v| (id, v)));
+    let tried: Vec<(usize, f64)> = tried.collect();
+    let states: Vec<_> = tried.iter().map(|&(id, v)| (Mechanisms::default().with(id, v), coefficients)).collect();
+    let there = study.model.predict_many(&states);
+    let plain = study.plain().prediction;
+    let felt = |moved: &[f64]| {
+        let white = study.whitener.apply(&fit::slope(moved, &plain, 1.0));
+        fit::dot(&white, &white) > calibrate::FELT
+    };
+    for (id, why) in asked {
+        let moves = tried.iter().zip(&there).any(|(t, moved)| t.0 == id && felt(moved));
+        let why = why.or_else(|| (!moves).then(|| "no trial of these data excites it".to_string()));
         match why {
             Some(why) => untestable.push(Untestable { id: CATALOG[id].id.into(), why }),
             None => ids.push(id),
@@ -135,13 +162,14 @@ fn names(fit: &Fit) -> Vec<String> {
 /// Everything a report is made from.
 struct View<'a> {
     study: &'a Study<'a>,
+    source: &'a Source<'a>,
     noise: &'a Noise,
     selection: Option<&'a Selection>,
     floor: f64,
 }
 
 impl View<'_> {
-    fn report(&self, untestable: Vec<Untestable>, data_sha256: String) -> Report {
+    fn report(&self, untestable: Vec<Untestable>, data_sha256: String, notes: Vec<String>) -> Report {
         let observations = self.study.observations;
         let misfit = misfit::misfit(observations, self.study.model, &self.study.plain().prediction);
         let best = self.selection.and_then(Selection::best);
@@ -173,10 +201,12 @@ impl View<'_> {
             next_experiment: self.next_experiment(),
             valid_range: ranges.collect(),
             noise: self.selection.map(|_| NoiseSummary {
-                trial_gain: self.noise.gain,
+                shared: self.source.shared.iter().zip(&self.noise.shared).map(|(s, sd)| (s.name.into(), *sd)).collect(),
                 channels: channels.map(|(c, n)| (c.name.to_string(), [n.grain, n.sensor, n.phi])).collect(),
             }),
             warnings,
+            notes,
+            runs: self.runs(),
             data_sha256,
         }
     }
@@ -186,15 +216,18 @@ impl View<'_> {
         let covariance = fit.covariance();
         let inflation = self.selection.map_or(1.0, |s| s.gates.inflation);
         let cause = |(k, &id): (usize, &usize)| {
-            let (entry, value) = (&CATALOG[id], fit.mechanisms.get(id));
+            let (entry, at) = (&CATALOG[id], fit.coordinates()[k]);
             let reach = 1.96 * (covariance[(k, k)] * inflation).sqrt();
-            let held = |v: f64| v.clamp(entry.bounds[0], entry.bounds[1]);
+            let bounds = entry.coordinate_bounds();
+            let held = |u: f64| entry.value(u.clamp(bounds[0], bounds[1]));
+            // A ceiling may be so high as to be none: its greatest value stands for that.
+            let high = if entry.ceiling && held(at - reach) == 0.0 { entry.bounds[1] } else { held(at - reach) };
             Cause {
                 id: entry.id.into(),
-                value,
+                value: entry.value(at),
                 unit: entry.unit.into(),
-                ci95: [held(value - reach), held(value + reach)],
-                at_bound: entry.bounds.contains(&value),
+                ci95: if entry.ceiling { [held(at + reach), high] } else { [held(at - reach), held(at + reach)] },
+                at_bound: bounds.contains(&at),
             }
         };
         fit.ids.iter().enumerate().map(cause).collect()
@@ -262,12 +295,36 @@ impl View<'_> {
         )
     }
 
+    /// Measured and predicted means of every condition; for runs, of which each is one number a channel.
+    fn runs(&self) -> Vec<RunMeans> {
+        let o = self.study.observations;
+        if o.units.iter().any(|u| u.samples > 1) {
+            return Vec::new();
+        }
+        let plain = self.study.plain().prediction;
+        let extended = self.selection.and_then(extension).map(|c| &c.fit.prediction);
+        let groups = o.repetitions();
+        let row = |(condition, units): (usize, &Vec<usize>), c: usize| {
+            let mean = |stack: &[f64]| {
+                units.iter().map(|&u| stack[o.units[u].block(c).start]).sum::<f64>() / units.len() as f64
+            };
+            RunMeans {
+                condition: o.conditions[condition].clone(),
+                channel: o.channels[c].name.into(),
+                unit: o.channels[c].unit.into(),
+                measured: mean(&o.values),
+                plain: mean(&plain),
+                extended: extended.map(|e| mean(e)),
+            }
+        };
+        groups.iter().enumerate().flat_map(|g| (0..o.channels.len()).map(move |c| row(g, c))).collect()
+    }
+
     fn next_experiment(&self) -> Option<NextExperiment> {
         let selection = self.selection.filter(|s| s.set.len() > 1)?;
         let menu = self.study.model.menu()?;
         let set: Vec<&Fit> = selection.set.iter().map(|&k| &selection.candidates[k].fit).collect();
-        let coefficients = |fit: &Fit| self.study.coefficients(&fit.deviations);
-        let conditions = next_experiment::propose(&menu, self.noise, &set, coefficients, 3);
+        let conditions = next_experiment::propose(&menu, self.noise, self.study, &set, 3);
         let why = "these conditions separate the two explanations that the data tell apart least".to_string();
         Some(NextExperiment { why, conditions })
     }
@@ -277,7 +334,8 @@ impl View<'_> {
             return "no condition is repeated: without a noise floor nothing can be said".into();
         };
         let said = |c: &Cause| {
-            format!("{} = {:.4} {} (95 % interval {:.4} to {:.4})", c.id, c.value, c.unit, c.ci95[0], c.ci95[1])
+            let [value, low, high] = [c.value, c.ci95[0], c.ci95[1]].map(digits);
+            format!("{} = {value} {} (95 % interval {low} to {high})", c.id, c.unit)
         };
         let found = causes.iter().map(said).collect::<Vec<_>>().join(" with ");
         match selection.verdict {
@@ -291,7 +349,8 @@ impl View<'_> {
                 format!("the misfit is explained by {found}, or by {}: these data cannot tell", rivals.join(", or by "))
             }
             Verdict::NoneOfThese => {
-                let place = misfit::worst(misfit).map_or(String::new(), |w| format!("; the plain model: {w}"));
+                let place = misfit::worst(misfit, &self.study.observations.channels)
+                    .map_or(String::new(), |w| format!("; the plain model: {w}"));
                 self.not_enough(selection) + &place
             }
             Verdict::InsufficientData => String::new(),
@@ -301,10 +360,10 @@ impl View<'_> {
     fn not_enough(&self, selection: &Selection) -> String {
         match selection.candidates.first() {
             Some(best) if best.delta_chi2 > selection.gates.single => format!(
-                "none of the known causes is enough: the nearest, {}, leaves a lack of fit of {:.1} where noise leaves up to {:.2}",
+                "none of the known causes is enough: the nearest, {}, leaves a lack of fit of {} where noise leaves up to {}",
                 names(&best.fit).join(" with "),
-                best.lack_of_fit,
-                selection.gates.lack_of_fit
+                digits(best.lack_of_fit),
+                digits(selection.gates.lack_of_fit)
             ),
             _ => "misfit remains and none of the known causes explains any of it".into(),
         }

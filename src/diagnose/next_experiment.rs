@@ -1,8 +1,8 @@
 //! The experiment that would tell rivals apart.
 
-use super::fit::Fit;
+use super::fit::{Fit, Study};
 use super::forward::ForwardModel;
-use super::noise::Noise;
+use super::noise::{Noise, Source, sizes};
 use super::observations::Observations;
 use super::whiten::Whitener;
 use serde::Serialize;
@@ -30,30 +30,17 @@ pub struct Proposal {
 const REPETITIONS: usize = 3;
 
 /// The `count` trials of the menu that best separate the two least separated explanations.
-pub fn propose(
-    menu: &Menu,
-    noise: &Noise,
-    set: &[&Fit],
-    coefficients: impl Fn(&Fit) -> crate::sand::Coefficients,
-    count: usize,
-) -> Vec<Proposal> {
-    let predictions: Vec<Vec<f64>> = set.iter().map(|f| menu.model.predict(&f.mechanisms, &coefficients(f))).collect();
-    let Some(first) = predictions.first() else {
+pub fn propose(menu: &Menu, noise: &Noise, study: &Study, set: &[&Fit], count: usize) -> Vec<Proposal> {
+    let states: Vec<_> = set.iter().map(|f| (f.mechanisms, study.coefficients(&f.deviations))).collect();
+    let predictions = menu.model.predict_many(&states);
+    let (Some(first), Some((mechanisms, coefficients))) = (predictions.first(), states.first()) else {
         return Vec::new();
     };
-    let magnitudes: Vec<Vec<f64>> = menu
-        .observations
-        .units
-        .iter()
-        .map(|u| {
-            first[u.block(0)]
-                .iter()
-                .zip(&first[u.block(1.min(menu.observations.channels.len() - 1))])
-                .map(|(x, z)| x.hypot(*z))
-                .collect()
-        })
-        .collect();
-    let whitener = Whitener::new(&menu.observations, noise, &magnitudes, first);
+    let observations = Observations { values: first.clone(), ..menu.observations.clone() };
+    let shared = menu.model.shared(mechanisms, coefficients, first);
+    let source =
+        Source { observations: &observations, prediction: first, sizes: &sizes(&observations), shared: &shared };
+    let whitener = Whitener::new(&source, noise);
     let separation = |a: usize, b: usize| -> Vec<f64> {
         let difference: Vec<f64> = predictions[a].iter().zip(&predictions[b]).map(|(a, b)| a - b).collect();
         let white = whitener.apply(&difference);

@@ -32,9 +32,19 @@ impl Unit {
     }
 }
 
+/// What proportional noise is proportional to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Size {
+    /// The size of the force that the first two channels make.
+    Force,
+    /// Each channel's own value.
+    Channel,
+}
+
 /// Everything measured.
 #[derive(Clone, Debug)]
 pub struct Observations {
+    pub size: Size,
     pub values: Vec<f64>,
     pub channels: Vec<Channel>,
     pub units: Vec<Unit>,

@@ -1,7 +1,7 @@
 //! `report.html`: the diagnosis as one self-contained page, made for looking.
 
 use super::misfit::Misfit;
-use super::report::{Curves, Diagnosis, Report};
+use super::report::{Curves, Diagnosis, Report, digits};
 use crate::plot::{Axis, Figure, Mark, Panel, Style, color, escape};
 use std::fmt::Write;
 
@@ -23,10 +23,14 @@ pub fn page(diagnosis: &Diagnosis, json: &str) -> String {
     for warning in &r.warnings {
         let _ = write!(html, "<p><b>Warning:</b> {}</p>", escape(warning));
     }
-    gain(&mut html, r);
+    let unit = diagnosis.curves.observations.channels.iter().find(|c| c.in_rmse).map_or("", |c| c.unit);
+    gain(&mut html, r, unit);
     causes(&mut html, r);
     maps(&mut html, &r.misfit);
     curves(&mut html, &diagnosis.curves);
+    if !r.runs.is_empty() {
+        runs(&mut html, r);
+    }
     rivals(&mut html, r);
     unknowns(&mut html, r);
     let _ = write!(html, "<script type=application/json id=report>{}</script></html>", json.replace("</", "<\\/"));
@@ -42,21 +46,25 @@ fn number(value: Option<f64>, digits: usize) -> String {
     value.map_or("–".into(), |v| format!("{v:.digits$}"))
 }
 
-fn gain(html: &mut String, r: &Report) {
+fn measure(value: Option<f64>) -> String {
+    value.map_or("–".into(), digits)
+}
+
+fn gain(html: &mut String, r: &Report, unit: &str) {
     let g = &r.gain;
     let percent = |v: Option<f64>| v.map_or("–".into(), |v| format!("{:.1} %", 100.0 * v));
     let interval = g.ci95.map_or("–".into(), |c| format!("{:.1} to {:.1} %", 100.0 * c[0], 100.0 * c[1]));
     let _ = write!(
         html,
-        "<h2>Gain on conditions held out</h2><table><tr><td>error of the simulation as it stands<td>{} N\
-         <tr><td>with coefficients adjusted within their prior<td>{} N<tr><td>extended<td>{} N\
-         <tr><td>scatter between repetitions, which no model removes<td>{} N\
+        "<h2>Gain on conditions held out</h2><table><tr><td>error of the simulation as it stands<td>{} {unit}\
+         <tr><td>with coefficients adjusted within their prior<td>{} {unit}<tr><td>extended<td>{} {unit}\
+         <tr><td>scatter between repetitions, which no model removes<td>{} {unit}\
          <tr><td>reduction (95 % interval)<td>{} ({interval})<tr><td>share of what a perfect model would remove<td>{}\
          <tr><td>lack of fit: plain, extended, limit<td>{}, {}, {}</table>",
-        number(g.held_out_rmse_plain, 4),
-        number(g.held_out_rmse_recalibrated, 4),
-        number(g.held_out_rmse_extended, 4),
-        number(g.noise_floor, 4),
+        measure(g.held_out_rmse_plain),
+        measure(g.held_out_rmse_recalibrated),
+        measure(g.held_out_rmse_extended),
+        measure(g.noise_floor),
         percent(g.reduction),
         percent(g.achievable_fraction),
         number(r.lack_of_fit.plain, 2),
@@ -73,11 +81,11 @@ fn causes(html: &mut String, r: &Report) {
     for c in &r.causes {
         let _ = write!(
             html,
-            "<tr><td>{}<td>{:.5}<td>{:.5} to {:.5}<td>{}",
+            "<tr><td>{}<td>{}<td>{} to {}<td>{}",
             c.id,
-            c.value,
-            c.ci95[0],
-            c.ci95[1],
+            digits(c.value),
+            digits(c.ci95[0]),
+            digits(c.ci95[1]),
             escape(unit(&c.unit))
         );
     }
@@ -265,10 +273,28 @@ fn by_condition(c: &Curves) -> Vec<Figure> {
     vec![Figure { title: "Every run and its predictions".into(), panels, columns: 2, note: String::new() }]
 }
 
+/// Of runs each is one number a channel: a table beside the figure.
+fn runs(html: &mut String, r: &Report) {
+    html.push_str("<h2>Measured and predicted, means over repetitions</h2><table><tr><th>condition<th>channel<th>measured<th>plain<th>extended<th>unit");
+    for run in &r.runs {
+        let _ = write!(
+            html,
+            "<tr><td>{}<td>{}<td>{}<td>{}<td>{}<td>{}",
+            escape(&run.condition),
+            run.channel,
+            digits(run.measured),
+            digits(run.plain),
+            measure(run.extended),
+            run.unit
+        );
+    }
+    html.push_str("</table>");
+}
+
 fn rivals(html: &mut String, r: &Report) {
     html.push_str("<h2>Causes tried</h2><table><tr><th>cause<th>value<th>Δχ²<th>ΔAIC<th>ΔBIC<th>held-out gain<th>lack of fit<th>distance to the best, σ");
     for c in r.candidates.iter().take(16) {
-        let values: Vec<_> = c.values.iter().map(|v| format!("{v:.4}")).collect();
+        let values: Vec<_> = c.values.iter().map(|v| digits(*v)).collect();
         let _ = write!(
             html,
             "<tr><td>{}<td>{}<td>{:.1}<td>{:.1}<td>{:.1}<td>{}<td>{:.2}<td>{}",

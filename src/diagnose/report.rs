@@ -94,15 +94,44 @@ pub struct Report {
     pub valid_range: BTreeMap<String, [f64; 2]>,
     pub noise: Option<NoiseSummary>,
     pub warnings: Vec<String>,
+    /// How the numbers were prepared.
+    pub notes: Vec<String>,
+    /// Of walking data: means by condition and channel; empty for force logs.
+    pub runs: Vec<RunMeans>,
     pub data_sha256: String,
+}
+
+/// One channel of one condition, means over its repetitions.
+#[derive(Clone, Debug, Serialize, PartialEq)]
+pub struct RunMeans {
+    pub condition: String,
+    pub channel: String,
+    pub unit: String,
+    pub measured: f64,
+    pub plain: f64,
+    pub extended: Option<f64>,
+}
+
+/// A number with three significant digits, or the digits before its decimal point if those are more.
+pub fn digits(value: f64) -> String {
+    if value == 0.0 || !value.is_finite() {
+        return value.to_string();
+    }
+    let rounded: f64 = format!("{value:.2e}").parse().unwrap_or(value);
+    let magnitude = rounded.abs().log10().floor();
+    match magnitude {
+        -5.0..6.0 => format!("{value:.*}", (2.0 - magnitude).max(0.0) as usize),
+        _ => format!("{value:.2e}"),
+    }
 }
 
 /// Noise as learnt from the repetitions.
 #[derive(Clone, Debug, Serialize, PartialEq)]
 pub struct NoiseSummary {
-    /// Relative sd of the gain of a trial.
-    pub trial_gain: f64,
-    /// Channel → [grain sd per |F|, sensor sd, correlation from sample to sample].
+    /// What a repetition has in common over all its numbers, and its sd: `trial_gain` (relative, of the force), `bed_strength`
+    /// (relative, of the sand under one walking run).
+    pub shared: BTreeMap<String, f64>,
+    /// Channel → [proportional sd, constant sd, correlation of the proportional part from sample to sample].
     pub channels: BTreeMap<String, [f64; 3]>,
 }
 

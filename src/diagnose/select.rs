@@ -2,9 +2,9 @@
 
 use super::calibrate::{FELT, Gates, Scores, Screen, gates, starts};
 use super::cross_validation::{HeldOut, leave_condition_out, unfitted};
-use super::fit::{Fit, Study, dot};
+use super::fit::{Fit, Study, dot, slope};
 use super::lack_of_fit;
-use super::noise::Noise;
+use super::noise::{Noise, Source};
 use super::whiten::Whitener;
 use crate::error::Result;
 use crate::parallel;
@@ -80,17 +80,17 @@ fn candidate(study: &Study, base: &Fit, fit: Fit) -> Candidate {
     }
 }
 
-/// Fits `ids` from every start of the first, the others from `values`.
-fn fit_best(study: &Study, ids: &[usize], values: &[f64]) -> Fit {
-    let mut fits: Vec<Fit> = vec![study.fit(ids, values)];
+/// Starts of a fit of `ids`: `values`, and every further start of each.
+fn further_starts(study: &Study, ids: &[usize], values: &[f64]) -> (Vec<usize>, Vec<Vec<f64>>) {
+    let mut from = vec![values.to_vec()];
     for (k, &id) in ids.iter().enumerate() {
-        for &start in starts(id).iter().skip(1) {
-            let mut from = values.to_vec();
-            from[k] = start;
-            fits.push(study.fit(ids, &from));
+        for &start in starts(study, id).iter().skip(1) {
+            let mut other = values.to_vec();
+            other[k] = start;
+            from.push(other);
         }
     }
-    fits.into_iter().min_by(|a, b| a.objective.total_cmp(&b.objective)).unwrap_or_else(|| study.recalibrated())
+    (ids.to_vec(), from)
 }
 
 /// Start of a single fit: the linear estimate, held within what is usual for the mechanism.
@@ -98,26 +98,29 @@ fn linear_start(screen: &Screen, scores: &Scores, column: usize) -> f64 {
     let (id, value) = screen.candidates[column];
     let entry = &CATALOG[id];
     let felt = scores.gram[(column, column)];
+    if entry.ceiling {
+        return value; // its effect is far from proportional: an estimate from afar means nothing
+    }
     let estimate = if felt > FELT { entry.typical * scores.score[column] / felt } else { 0.0 };
-    let reach = 4.0 * entry.typical;
+    let reach = (4.0 * entry.typical).max(8.0 * value.abs());
     let start = estimate.clamp(-reach, reach).clamp(entry.bounds[0], entry.bounds[1]);
     if start == 0.0 { value * 0.1 } else { start }
 }
 
-/// Runs the whole selection on `ids`. `rewhiten` builds the whitening on another prediction: once a cause is found,
-/// the trial gains act along the extended model's forces, no longer along the plain one's.
+/// Runs the whole selection on `ids`. Once a cause is found, what a repetition has in common acts along the extended
+/// model's prediction, no longer along the plain one's: noise and whitening are made again.
 pub fn select(
     study: &Study,
+    source: &Source,
     noise: &Noise,
     ids: &[usize],
-    rewhiten: impl Fn(&[f64]) -> Whitener,
     progress: &dyn Progress,
 ) -> Result<Selection> {
     progress.report(0.1, "effect of every cause")?;
     let screen = Screen::new(study, ids);
     let scores = screen.scores(study.whitener, &study.observations.values);
     progress.report(0.2, "gates on simulated nulls")?;
-    let gates = gates(study, &screen, noise, &scores);
+    let gates = gates(source, &screen, noise, &scores);
     progress.report(0.4, "single causes")?;
     let mut selection = singles(study, &screen, &scores, gates, ids);
     if selection.candidates.first().is_none_or(|c| c.delta_chi2 <= selection.gates.single) {
@@ -129,7 +132,10 @@ pub fn select(
     progress.report(0.6, "pairs of causes")?;
     add_pairs(study, &screen, &scores, &mut selection);
     progress.report(0.85, "rivals under the final noise")?;
-    let whitener = rewhiten(&selection.candidates[0].fit.prediction);
+    let best = &selection.candidates[0].fit;
+    let shared = study.model.shared(&best.mechanisms, &study.coefficients(&best.deviations), &best.prediction);
+    let source = Source { prediction: &best.prediction.clone(), shared: &shared, ..*source };
+    let whitener = Whitener::new(&source, &source.noise(Some(noise)));
     refit(&study.rewhitened(&whitener), &mut selection);
     decide(&mut selection);
     Ok(selection)
@@ -138,10 +144,12 @@ pub fn select(
 fn singles(study: &Study, screen: &Screen, scores: &Scores, gates: Gates, ids: &[usize]) -> Selection {
     let (plain, base) = (study.plain(), study.recalibrated());
     let columns: Vec<usize> = ids.iter().filter_map(|id| screen.candidates.iter().position(|c| c.0 == *id)).collect();
-    let mut candidates: Vec<Candidate> = parallel::map(&columns, |&column| {
-        let start = linear_start(screen, scores, column);
-        candidate(study, &base, fit_best(study, &[screen.candidates[column].0], &[start]))
-    });
+    let start = |&column: &usize| {
+        let value = linear_start(screen, scores, column);
+        further_starts(study, &[screen.candidates[column].0], &[value])
+    };
+    let fits = study.fit_all(&columns.iter().map(start).collect::<Vec<_>>());
+    let mut candidates = parallel::map(&fits, |fit| candidate(study, &base, fit.clone()));
     candidates.sort_by(|a, b| b.delta_chi2.total_cmp(&a.delta_chi2));
     Selection {
         verdict: Verdict::NoiseFloor,
@@ -167,10 +175,8 @@ fn refit(study: &Study, selection: &mut Selection) {
         .collect();
     let base = study.recalibrated();
     let candidates = &selection.candidates;
-    let again = parallel::map(&same, |&k| {
-        let fit = &candidates[k].fit;
-        candidate(study, &base, study.fit_from(fit))
-    });
+    let again = study.fit_from(&same.iter().map(|&k| &candidates[k].fit).collect::<Vec<_>>());
+    let again = parallel::map(&again, |fit| candidate(study, &base, fit.clone()));
     for (k, fresh) in same.into_iter().zip(again) {
         selection.candidates[k] = fresh;
     }
@@ -201,7 +207,7 @@ fn add_pairs(study: &Study, screen: &Screen, scores: &Scores, selection: &mut Se
         let single = selection.candidates.iter().find(|c| c.fit.ids == [id]);
         single.map_or(0.0, |c| c.fit.values()[0])
     };
-    let mut pairs = parallel::map(&tried, |pair| {
+    let starts = |pair: &[usize; 2]| {
         let mut ids = pair.to_vec();
         ids.sort_unstable();
         let values = if pair[0] == id {
@@ -210,8 +216,10 @@ fn add_pairs(study: &Study, screen: &Screen, scores: &Scores, selection: &mut Se
         } else {
             [0.5 * start(ids[0]), 0.5 * start(ids[1])]
         };
-        candidate(study, &selection.base, fit_best(study, &ids, &values))
-    });
+        further_starts(study, &ids, &values)
+    };
+    let fits = study.fit_all(&tried.iter().map(starts).collect::<Vec<_>>());
+    let mut pairs = parallel::map(&fits, |fit| candidate(study, &selection.base, fit.clone()));
     pairs.sort_by(|a, b| b.delta_chi2.total_cmp(&a.delta_chi2));
     let earns = pairs.first().is_some_and(|pair| {
         let deviance = &selection.base_held_out.deviance;
@@ -264,18 +272,20 @@ impl Study<'_> {
             return Vec::new();
         };
         let others: Vec<_> = screen.candidates.iter().filter(|c| !first.ids.contains(&c.0)).copied().collect();
-        let mut found: Vec<_> = parallel::map(&others, |&(id, value)| {
-            let moved = self.model.predict(&first.mechanisms.with(id, value), &coefficients);
-            let column: Vec<f64> = moved.iter().zip(&first.prediction).map(|(a, b)| (a - b) / value).collect();
+        let states: Vec<_> = others.iter().map(|&(id, v)| (first.mechanisms.with(id, v), coefficients)).collect();
+        let moved: Vec<_> = others.into_iter().zip(self.model.predict_many(&states)).collect();
+        let mut found: Vec<_> = parallel::map(&moved, |&((id, value), ref moved)| {
+            let column = slope(moved, &first.prediction, value);
             let white = self.whitener.apply(&column);
             let cross =
                 nalgebra::DVector::from_fn(first.white_slopes.len(), |i, _| dot(&first.white_slopes[i], &white));
             let left = dot(&white, &white) - (cross.transpose() * &inverse * &cross)[0];
             let score = dot(&white, &first.white);
             let estimate = if left > 1e-12 { score / left } else { 0.0 };
-            let bounds = CATALOG[id].bounds;
+            let entry = &CATALOG[id];
             let held =
-                estimate.clamp(bounds[0], bounds[1]).clamp(-4.0 * CATALOG[id].typical, 4.0 * CATALOG[id].typical);
+                estimate.clamp(entry.bounds[0], entry.bounds[1]).clamp(-4.0 * entry.typical, 4.0 * entry.typical);
+            let held = if entry.ceiling { value } else { held };
             (
                 id,
                 if held == 0.0 { 0.05 * value } else { held },

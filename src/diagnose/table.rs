@@ -20,6 +20,8 @@ pub enum Quantity {
     Length,
     Time,
     Angle,
+    /// Angles that the column's name says to be in degrees.
+    Degrees,
     AngularSpeed,
     Speed,
     Force,
@@ -29,7 +31,7 @@ pub enum Quantity {
 }
 
 impl Quantity {
-    /// Units and their factor to SI; the first is SI.
+    /// Units and their factor to the first, which is SI but for degrees.
     fn units(self) -> &'static [(&'static str, f64)] {
         const DEGREE: f64 = std::f64::consts::PI / 180.0;
         match self {
@@ -38,6 +40,7 @@ impl Quantity {
             Quantity::Length => &[("m", 1.0), ("cm", 1e-2), ("mm", 1e-3), ("um", 1e-6), ("µm", 1e-6), ("in", 0.0254)],
             Quantity::Time => &[("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("µs", 1e-6), ("min", 60.0)],
             Quantity::Angle => &[("rad", 1.0), ("deg", DEGREE), ("°", DEGREE), ("mrad", 1e-3)],
+            Quantity::Degrees => &[("deg", 1.0), ("°", 1.0), ("rad", 1.0 / DEGREE)],
             Quantity::AngularSpeed => {
                 &[("rad/s", 1.0), ("deg/s", DEGREE), ("°/s", DEGREE), ("rpm", 6.0 * DEGREE), ("Hz", 360.0 * DEGREE)]
             }

@@ -1,7 +1,7 @@
 //! Generalised least squares: a linear map after which the noise is white.
 
-use super::noise::{ChannelFilter, Noise};
-use super::observations::Observations;
+use super::noise::{ChannelFilter, Noise, Source};
+use super::shared::LowRank;
 use std::ops::Range;
 
 struct UnitFilter {
@@ -9,9 +9,7 @@ struct UnitFilter {
     samples: usize,
     /// One after the other, as the channels stand in the stack.
     channels: Vec<ChannelFilter>,
-    /// Unit vector of the whitened prediction, along which the trial gain acts, and what is left of that part.
-    along: Vec<f64>,
-    keep: f64,
+    shared: LowRank,
 }
 
 /// Whitens a stack of numbers unit by unit.
@@ -20,14 +18,14 @@ pub struct Whitener {
 }
 
 impl Whitener {
-    /// `prediction` gives the direction of the trial gains: on the measured mean it would invent a scale error (the
-    /// contract measured −12.6 % on data with nothing hidden).
-    pub fn new(observations: &Observations, noise: &Noise, magnitudes: &[Vec<f64>], prediction: &[f64]) -> Self {
-        let units = observations.units.iter().zip(magnitudes).map(|(unit, magnitude)| {
-            let span = observations.span(unit);
-            let channels = noise.channels.iter().map(|n| ChannelFilter::new(n, magnitude)).collect();
-            let mut filter = UnitFilter { span, samples: unit.samples, channels, along: Vec::new(), keep: 1.0 };
-            filter.set_gain(prediction, noise.gain);
+    /// The source's prediction gives the direction of the trial gains: on the measured mean it would invent a scale error
+    /// (the contract measured −12.6 % on data with nothing hidden).
+    pub fn new(source: &Source, noise: &Noise) -> Self {
+        let units = source.observations.units.iter().zip(source.sizes).map(|(unit, sizes)| {
+            let span = source.observations.span(unit);
+            let channels = noise.channels.iter().zip(sizes).map(|(n, s)| ChannelFilter::new(n, s)).collect();
+            let mut filter = UnitFilter { span, samples: unit.samples, channels, shared: LowRank::new(&[]) };
+            filter.share(source, noise);
             filter
         });
         Self { units: units.collect() }
@@ -37,7 +35,9 @@ impl Whitener {
     pub fn apply(&self, stack: &[f64]) -> Vec<f64> {
         let mut white = stack.to_vec();
         for unit in &self.units {
-            unit.apply(&mut white[unit.span.clone()]);
+            let own = &mut white[unit.span.clone()];
+            unit.filter(own);
+            unit.shared.apply(own);
         }
         white
     }
@@ -50,22 +50,16 @@ impl UnitFilter {
         }
     }
 
-    fn set_gain(&mut self, prediction: &[f64], gain: f64) {
-        let mut along = prediction[self.span.clone()].to_vec();
-        self.filter(&mut along);
-        let length = along.iter().map(|a| a * a).sum::<f64>().sqrt();
-        if length > 0.0 {
-            self.keep = 1.0 / (1.0 + (gain * length).powi(2)).sqrt();
-            along.iter_mut().for_each(|a| *a /= length);
-            self.along = along;
+    fn share(&mut self, source: &Source, noise: &Noise) {
+        let signal = &source.prediction[self.span.clone()];
+        let mut columns = Vec::new();
+        for (shared, sd) in source.shared.iter().zip(&noise.shared) {
+            for vector in shared.vectors(self.span.clone(), signal) {
+                let mut column: Vec<f64> = vector.iter().map(|v| sd * v).collect();
+                self.filter(&mut column);
+                columns.push(column);
+            }
         }
-    }
-
-    fn apply(&self, own: &mut [f64]) {
-        self.filter(own);
-        let part = own.iter().zip(&self.along).map(|(v, a)| v * a).sum::<f64>();
-        for (value, a) in own.iter_mut().zip(&self.along) {
-            *value -= (1.0 - self.keep) * part * a;
-        }
+        self.shared = LowRank::new(&columns);
     }
 }

@@ -206,6 +206,8 @@ impl<R: Real> Beyond<R> for SandMechanisms<R> {
         if self.active.cohesion {
             pressure += self.cohesion * tanh(speed * R::splat(1.0 / COHESION_SPEED));
         }
+        // A dry lane beside a wet one comes here with depth 0: nothing pushes on a segment in the air.
+        let pressure = R::select(R::zero().lt(site.depth), pressure, R::zero());
         let toward_front = R::select(along.lt(R::zero()), pressure, -pressure);
         n.scale_add(toward_front, stress)
     }
@@ -334,5 +336,15 @@ mod tests {
         let stress = beyond.stress(&ground, n, v, &site);
         assert_ne!(stress.lane(0), plain.lane(0));
         assert_eq!(stress.lane(1), plain.lane(1));
+    }
+
+    /// A lane in the air beside one in the sand: inertia and cohesion do not vanish with depth by themselves.
+    #[test]
+    fn nothing_pushes_in_the_air() {
+        let every = Mechanisms { inertial_drag: 1.0, cohesion: 100.0, added_mass: 1.0, ..Default::default() };
+        let site = Site { depth: 0.0, x: 0.0, footprint: 1.0, width: 0.02, normal_acceleration: 1.0 };
+        let (n, v) = (Vec3::new(0.6, 0.0, -0.8), Vec3::new(0.3, 0.0, -0.4));
+        let stress = SandMechanisms::new(&every, 600.0).stress(&ground(), n, v, &site);
+        assert_eq!(stress.norm_squared(), 0.0);
     }
 }

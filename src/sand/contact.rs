@@ -30,11 +30,13 @@ pub struct Surface {
 impl Surface {
     /// No regularisation: for looking at a law itself, not for dynamics.
     pub const BARE: Self = Self { rest_speed: 1e-30, leading_edge_gate: 1e-20, sign_gate: 1e-20, friction: None };
+    /// The regularisation that dynamics needs; each number's reason stands at its field.
+    pub const DEFAULT: Self = Self { rest_speed: 1e-5, leading_edge_gate: 0.2, sign_gate: 0.02, friction: None };
 }
 
 impl Default for Surface {
     fn default() -> Self {
-        Self { rest_speed: 1e-5, leading_edge_gate: 0.2, sign_gate: 0.02, friction: None }
+        Self::DEFAULT
     }
 }
 

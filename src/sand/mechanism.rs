@@ -40,6 +40,39 @@ pub struct Mechanism {
     pub columns: &'static [&'static str],
     pub law: &'static str,
     pub source: &'static str,
+    /// Is the value a ceiling: off at 0, and the lower the stronger?
+    pub ceiling: bool,
+}
+
+impl Mechanism {
+    /// The coordinate in which fits move: 0 is off and more is stronger. The value itself; of a ceiling the inverse.
+    pub fn coordinate(&self, value: f64) -> f64 {
+        if self.ceiling && value > 0.0 { 1.0 / value } else { value }
+    }
+
+    /// The value at a coordinate; a ceiling above its greatest value is none.
+    pub fn value(&self, coordinate: f64) -> f64 {
+        if self.ceiling && coordinate * self.bounds[1] < 1.0 { 0.0 } else { self.coordinate(coordinate) }
+    }
+
+    /// Least and greatest coordinate. A ceiling is followed down to a fiftieth of its typical value: our choice.
+    pub fn coordinate_bounds(&self) -> [f64; 2] {
+        if self.ceiling { [0.0, 50.0 / self.typical] } else { self.bounds }
+    }
+
+    /// The coordinate of a typical strength.
+    pub fn coordinate_typical(&self) -> f64 {
+        self.coordinate(self.typical)
+    }
+}
+
+macro_rules! is_ceiling {
+    () => {
+        false
+    };
+    (ceiling) => {
+        true
+    };
 }
 
 fn is_neutral(value: &f64) -> bool {
@@ -48,11 +81,13 @@ fn is_neutral(value: &f64) -> bool {
 
 macro_rules! mechanisms {
     ($($id:ident: $symbol:literal, $unit:literal, [$low:expr, $high:expr], $typical:expr, $side:ident,
-       intrusion $intrusion:literal, walking $walking:literal, $columns:expr, $law:literal, $source:literal;)*) => {
+       intrusion $intrusion:literal, walking $walking:literal, $columns:expr, $law:literal, $source:literal
+       $(, $ceiling:ident)?;)*) => {
         /// Every mechanism, in the order of [`Mechanisms::values`].
         pub const CATALOG: [Mechanism; Mechanisms::COUNT] = [$(Mechanism {
             id: stringify!($id), symbol: $symbol, unit: $unit, bounds: [$low, $high], typical: $typical,
             side: Side::$side, intrusion: $intrusion, walking: $walking, columns: &$columns, law: $law, source: $source,
+            ceiling: is_ceiling!($($ceiling)?),
         }),*];
 
         /// Strengths of all mechanisms; the default is plain resistive force theory.
@@ -121,7 +156,7 @@ mechanisms! {
     compliance: "k⁻¹", "rad/(N·m)", [0.0, 5.0], 0.05, Drive, intrusion true, walking false, [],
         "the leg lags the motor angle by value × torque", "elastic mounting";
     motor_torque_limit: "τ_max", "N·m", [0.0, 100.0], 0.02, Drive, intrusion false, walking true, [],
-        "hip torque saturates (0: no limit)", "motor data sheet";
+        "hip torque saturates (0: no limit)", "motor data sheet", ceiling;
 }
 
 impl Mechanisms {

@@ -17,6 +17,10 @@ pub struct Trial {
     pub frequency: f64,
     /// Added to every hip's starting angle [rad].
     pub phase: f64,
+    /// Where along the bed the run starts [m]: felt on sand that changes along the way.
+    pub x_bed: f64,
+    /// Strides over which is measured.
+    pub strides: f64,
 }
 
 /// What was measured, over the window that the protocol names; not a number throughout if the simulation diverged.
@@ -26,7 +30,7 @@ pub struct WalkResult {
     pub speed: f64,
     /// Mean height of the base's centre above the surface [m].
     pub base_height: f64,
-    /// Root mean square of the base's pitch [rad].
+    /// Root mean square of the base's pitch about its mean [rad].
     pub pitch_rms: f64,
     /// Over all joints [N·m].
     pub hip_torque_rms: f64,
@@ -38,6 +42,23 @@ pub struct WalkResult {
     pub sink: f64,
     /// Net horizontal displacement [m].
     pub drift: f64,
+}
+
+impl WalkResult {
+    /// Of a walk that could not be simulated.
+    pub fn lost() -> Self {
+        let nan = f64::NAN;
+        Self {
+            speed: nan,
+            base_height: nan,
+            pitch_rms: nan,
+            hip_torque_rms: nan,
+            hip_speed_error_rms: nan,
+            cost_of_transport: nan,
+            sink: nan,
+            drift: nan,
+        }
+    }
 }
 
 const HOLD: f64 = 0.3;
@@ -52,7 +73,7 @@ const TICK: f64 = 1e-3;
 
 impl Trial {
     pub fn new(model: Model, frequency: f64) -> Self {
-        Self { model, frequency, phase: 0.0 }
+        Self { model, frequency, phase: 0.0, x_bed: 0.0, strides: STRIDES_MEASURED }
     }
 
     /// Start and end of the measurement [s].
@@ -61,7 +82,7 @@ impl Trial {
             return [SETTLE, SETTLE + STAND];
         }
         let start = HOLD + RAMP + STRIDES_BEFORE / self.frequency.abs();
-        [start, start + STRIDES_MEASURED / self.frequency.abs()]
+        [start, start + self.strides / self.frequency.abs()]
     }
 
     /// Simulated time that the trial takes [s].
@@ -82,6 +103,9 @@ impl Trial {
             return Err(Error::invalid("frequency", format!("{} is neither 0 nor at least 0.02 Hz", self.frequency)));
         }
         check_range("phase", self.phase, -TAU..=TAU)?;
+        // A bed of 2 km and a walk of 1000 strides are slips of units: our choice of guards.
+        check_range("x_bed", self.x_bed, -1e3..=1e3)?;
+        check_range("strides", self.strides, 0.1..=1e3)?;
         if self.frequency != 0.0 && self.model.legs.iter().any(|l| l.len() != 1) {
             let reason = "the protocol turns hips at constant speed, so every leg must have one joint";
             return Err(Error::invalid("robot", reason));
@@ -94,7 +118,9 @@ impl Trial {
             true => self.model.tripod_angles().iter().map(|a| a + self.phase).collect(),
             false => vec![0.0; self.model.joints()],
         };
-        State::at_rest(self.model.standing_height(&angles), &angles)
+        let mut state = State::at_rest(self.model.standing_height(&angles), &angles);
+        state.position[0] = self.x_bed;
+        state
     }
 }
 
@@ -155,6 +181,7 @@ struct Meter<'a> {
     ends: [Option<([f64; 3], f64)>; 2],
     samples: f64,
     height: f64,
+    pitch: f64,
     pitch_squared: f64,
     torque_squared: f64,
     error_squared: f64,
@@ -168,6 +195,7 @@ impl<'a> Meter<'a> {
             ends: [None; 2],
             samples: 0.0,
             height: 0.0,
+            pitch: 0.0,
             pitch_squared: 0.0,
             torque_squared: 0.0,
             error_squared: 0.0,
@@ -199,7 +227,9 @@ impl<'a> Meter<'a> {
         let target = self.trial.hip_speed(time - 0.5 * tick);
         self.samples += 1.0;
         self.height += now.position[2];
-        self.pitch_squared += now.rotation()[2][0].clamp(-1.0, 1.0).asin().powi(2);
+        let pitch = now.rotation()[2][0].clamp(-1.0, 1.0).asin();
+        self.pitch += pitch;
+        self.pitch_squared += pitch * pitch;
         self.torque_squared += now.torques.iter().map(|t| t * t).sum::<f64>() / joints;
         self.error_squared += now.rates.iter().map(|r| (target - r).powi(2)).sum::<f64>() / joints;
     }
@@ -214,7 +244,7 @@ impl<'a> Meter<'a> {
         WalkResult {
             speed: drift.copysign(to[0] - from[0]) / (end - start),
             base_height: mean(self.height),
-            pitch_rms: mean(self.pitch_squared).sqrt(),
+            pitch_rms: (mean(self.pitch_squared) - mean(self.pitch).powi(2)).max(0.0).sqrt(),
             hip_torque_rms: mean(self.torque_squared).sqrt(),
             hip_speed_error_rms: mean(self.error_squared).sqrt(),
             cost_of_transport: match self.trial.frequency {

@@ -11,13 +11,13 @@ use std::sync::{Mutex, PoisonError};
 /// simulated time.
 ///
 /// A block has one law, regularisation and time step, and as many plates in every lane; within that, trials are packed by
-/// stride frequency, because a block runs until its slowest robot has finished its strides.
+/// duration, because a block runs until its slowest robot has finished its strides.
 pub fn walk_all(engine: EngineKind, trials: &[Trial], progress: &dyn Progress) -> Result<Vec<WalkResult>> {
     let mut order: Vec<usize> = (0..trials.len()).collect();
     order.sort_by(|a, b| {
-        let key = |i: &usize| (kind(&trials[*i]), trials[*i].frequency.abs());
-        let ((ka, fa), (kb, fb)) = (key(a), key(b));
-        ka.cmp(&kb).then(fb.total_cmp(&fa))
+        let key = |i: &usize| (kind(&trials[*i]), trials[*i].duration());
+        let ((ka, da), (kb, db)) = (key(a), key(b));
+        ka.cmp(&kb).then(da.total_cmp(&db))
     });
     let mut blocks: Vec<Vec<usize>> = Vec::new();
     for index in order {

@@ -150,5 +150,9 @@ pub fn diagnose(request: DiagnoseRequest) -> Result<(File, Experiment)> {
             Experiment::from_toml(&toml.map_err(|e| Error::invalid("experiment", e.to_string()))?)?
         }
     };
+    // A server does not read files that a client names.
+    if let Some(robot) = experiment.robot.as_deref().filter(|r| !Robot::names().contains(r)) {
+        return Err(Error::unknown("robot", robot, &Robot::names()));
+    }
     Ok((data, experiment))
 }

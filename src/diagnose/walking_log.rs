@@ -1,0 +1,251 @@
+//! Reads runs of a walking robot (walking CSV): one row a run.
+
+use super::experiment::Experiment;
+use super::observations::{Channel, Names, Observations, Size, Unit};
+use super::table::{self, Column, Quantity, Row};
+use crate::error::{Error, Result};
+use crate::sand::Shape;
+use crate::sim::Robot;
+use std::path::Path;
+
+/// How a run was made; runs made alike share one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Setup {
+    pub robot: String,
+    /// As [`Shape::named`] takes it.
+    pub leg: String,
+    /// [Hz]
+    pub frequency: f64,
+    pub slope_deg: f64,
+    /// [kg]
+    pub payload: f64,
+    /// Where the run starts along the bed [m].
+    pub x_bed: f64,
+    /// Strides over which was measured.
+    pub strides: f64,
+}
+
+/// Runs, read and checked.
+pub struct WalkingLog {
+    pub observations: Observations,
+    pub setups: Vec<Setup>,
+    /// Setup of each unit.
+    pub setup_of: Vec<usize>,
+    /// Optional columns that are absent or blank throughout.
+    pub missing: Vec<&'static str>,
+    pub sha256: String,
+}
+
+macro_rules! columns {
+    ($($place:ident = $name:literal $quantity:ident $required:literal;)*) => {
+        #[allow(non_camel_case_types, clippy::upper_case_acronyms)]
+        enum Place { $($place),* }
+        const COLUMNS: &[Column] =
+            &[$(Column { name: $name, quantity: Quantity::$quantity, required: $required }),*];
+        $(const $place: usize = Place::$place as usize;)*
+    };
+}
+columns! {
+    RUN = "run" Text true;
+    CONDITION = "condition" Text true;
+    REP = "rep" Text true;
+    ROBOT = "robot" Text false;
+    LEG = "leg" Text true;
+    XI = "xi_deg" Degrees false;
+    FREQUENCY = "stride_frequency" Frequency true;
+    SLOPE = "slope_deg" Degrees false;
+    PAYLOAD = "payload" Mass false;
+    X_BED = "x_bed" Length false;
+    DURATION = "duration" Time false;
+    SPEED = "speed" Speed true;
+    HEIGHT = "base_height" Length false;
+    PITCH = "pitch_rms" Angle false;
+    TORQUE = "hip_torque_rms" Torque false;
+    SPEED_ERROR = "hip_speed_error_rms" AngularSpeed false;
+}
+
+/// Measured columns in the order of the channels; `field` of [`crate::sim::walk::WalkResult`].
+const CHANNELS: [(usize, Channel); 5] = [
+    (SPEED, Channel { name: "speed", unit: "m/s", in_rmse: true }),
+    (HEIGHT, Channel { name: "base_height", unit: "m", in_rmse: false }),
+    (PITCH, Channel { name: "pitch_rms", unit: "rad", in_rmse: false }),
+    (TORQUE, Channel { name: "hip_torque_rms", unit: "N·m", in_rmse: false }),
+    (SPEED_ERROR, Channel { name: "hip_speed_error_rms", unit: "rad/s", in_rmse: false }),
+];
+
+/// Strides over which the protocol measures where the data do not say.
+const STRIDES: f64 = 4.0;
+/// Different setups beyond this are refused: every one is simulated some five hundred times. Our choice, ten times the
+/// sixty runs that are to take a minute.
+const MOST_SETUPS: usize = 300;
+
+struct Run {
+    id: String,
+    condition: usize,
+    setup: usize,
+    measured: [Option<f64>; CHANNELS.len()],
+}
+
+/// Reads the runs; `experiment` names robot, medium and units.
+pub fn read(path: &Path, experiment: &Experiment) -> Result<WalkingLog> {
+    let (mut conditions, mut ids) = (Names::default(), Names::default());
+    let (mut runs, mut setups): (Vec<Run>, Vec<Setup>) = (Vec::new(), Vec::new());
+    let optional = [X_BED, SLOPE, PAYLOAD];
+    let mut seen = [false; 3];
+    let summary = table::read(path, experiment, COLUMNS, |row| {
+        for (seen, column) in seen.iter_mut().zip(optional) {
+            *seen |= row.text(column).is_some();
+        }
+        let id = row.needed_text(RUN)?;
+        if ids.place(id) != runs.len() {
+            return Err(row.error(RUN, format!("{id} stands there twice")));
+        }
+        row.needed_text(REP)?;
+        let condition = conditions.place(row.needed_text(CONDITION)?);
+        let setup = setup(row, experiment)?;
+        let known = setups.iter().position(|s| *s == setup);
+        if known.is_none() && setups.len() == MOST_SETUPS {
+            return Err(row.error(CONDITION, format!("more than {MOST_SETUPS} different setups: split the data")));
+        }
+        let place = known.unwrap_or(setups.len());
+        if known.is_none() {
+            setups.push(setup);
+        }
+        let mut measured = [None; CHANNELS.len()];
+        for (value, (column, _)) in measured.iter_mut().zip(CHANNELS) {
+            *value = within(row, column, 1e6)?;
+        }
+        row.needed(SPEED)?;
+        runs.push(Run { id: id.into(), condition, setup: place, measured });
+        Ok(())
+    })?;
+    let missing = optional.iter().zip(seen).filter(|s| !s.1).map(|s| COLUMNS[*s.0].name).collect();
+    let setup_of = runs.iter().map(|r| r.setup).collect();
+    Ok(WalkingLog {
+        observations: observations(runs, conditions.list),
+        setups,
+        setup_of,
+        missing,
+        sha256: summary.sha256,
+    })
+}
+
+/// The cell, refused beyond ±`most`: there it is in the wrong unit or broken. Our choice of guards.
+fn within(row: &Row, column: usize, most: f64) -> Result<Option<f64>> {
+    match row.number(column)? {
+        Some(value) if value.abs() > most => Err(row.error(column, format!("{value} is beyond ±{most}"))),
+        value => Ok(value),
+    }
+}
+
+fn setup(row: &Row, experiment: &Experiment) -> Result<Setup> {
+    let robot = row.text(ROBOT).or(experiment.robot.as_deref());
+    let robot = robot.ok_or_else(|| row.error(ROBOT, "is blank, and the experiment names none"))?;
+    if experiment.robot.as_deref() != Some(robot) && !Robot::names().contains(&robot) {
+        return Err(row.error(ROBOT, Error::unknown("robot", robot, &Robot::names())));
+    }
+    let frequency = within(row, FREQUENCY, 20.0)?.ok_or_else(|| row.error(FREQUENCY, "is blank"))?;
+    if frequency.abs() < 0.02 {
+        return Err(row.error(FREQUENCY, format!("{frequency} Hz is no walk: at least 0.02 Hz")));
+    }
+    let payload = within(row, PAYLOAD, 1e3)?.unwrap_or(0.0);
+    if payload < 0.0 {
+        return Err(row.error(PAYLOAD, format!("{payload} kg is negative")));
+    }
+    let duration = within(row, DURATION, 1e4)?.unwrap_or(STRIDES / frequency.abs());
+    // Speeds are of whole strides: a duration rounded in the log is not a fraction of one.
+    let strides = (duration * frequency.abs()).round();
+    if !(1.0..=100.0).contains(&strides) {
+        return Err(row.error(DURATION, format!("{duration} s are {strides} strides; 1 to 100 can be simulated")));
+    }
+    Ok(Setup {
+        robot: robot.into(),
+        leg: leg(row)?,
+        frequency,
+        slope_deg: within(row, SLOPE, 35.0)?.unwrap_or(0.0),
+        payload,
+        x_bed: within(row, X_BED, 1e3)?.unwrap_or(0.0),
+        strides,
+    })
+}
+
+/// The leg's shape: its name, or for two-piece legs the knee angle where that is given.
+fn leg(row: &Row) -> Result<String> {
+    let name = row.needed_text(LEG)?;
+    if !Shape::NAMES.contains(&name) {
+        return Err(row.error(LEG, format!("leg {name:?} is unknown; known: {}", Shape::NAMES.join(", "))));
+    }
+    let Some(xi) = within(row, XI, 89.9)? else { return Ok(name.into()) };
+    let wrong = match name {
+        "L" => xi <= 0.0,
+        "revL" => xi == 0.0,
+        "flat" => xi != 0.0,
+        _ => return Ok(name.into()), // half circles have no knee
+    };
+    if wrong {
+        return Err(row.error(XI, format!("{xi}° is not the knee angle of a leg {name}")));
+    }
+    // The names stand for 45°; a reversed leg is reversed whether its angle is written with the sign or without.
+    let named = name == "flat" || (xi.abs() - 45.0).abs() < 1e-9;
+    Ok(if named { name.into() } else { format!("xi={}", if name == "revL" { -xi.abs() } else { xi }) })
+}
+
+fn observations(runs: Vec<Run>, conditions: Vec<String>) -> Observations {
+    let complete = |c: &usize| runs.iter().all(|r| r.measured[*c].is_some());
+    let kept: Vec<usize> = (0..CHANNELS.len()).filter(complete).collect();
+    let mut values = Vec::new();
+    let units = runs.iter().map(|run| {
+        let start = values.len();
+        values.extend(kept.iter().filter_map(|&c| run.measured[c]));
+        Unit { id: run.id.clone(), condition: run.condition, start, samples: 1, progress: vec![0.0] }
+    });
+    let units = units.collect();
+    let channels = kept.iter().map(|&c| CHANNELS[c].1).collect();
+    Observations { size: Size::Channel, values, channels, units, conditions }
+}
+
+/// Runs not yet made: one unit a setup, zeros for measurements.
+pub fn planned(setups: Vec<Setup>, channels: Vec<Channel>) -> WalkingLog {
+    let count = channels.len();
+    let unit = |i: usize| Unit { id: i.to_string(), condition: i, start: i * count, samples: 1, progress: vec![0.0] };
+    let observations = Observations {
+        size: Size::Channel,
+        values: vec![0.0; count * setups.len()],
+        channels,
+        units: (0..setups.len()).map(unit).collect(),
+        conditions: (0..setups.len()).map(|i| i.to_string()).collect(),
+    };
+    let setup_of = (0..setups.len()).collect();
+    WalkingLog { observations, setups, setup_of, missing: Vec::new(), sha256: String::new() }
+}
+
+/// Runs within reach of a lab that made `setups`: its legs and their mirror images at the slowest, middle and fastest
+/// stride frequency used, level and up and down 10°, with and without a third of the robot's mass on its back.
+pub fn possible(setups: &[Setup]) -> Vec<(Setup, String)> {
+    let Some(first) = setups.first() else { return Vec::new() };
+    let frequencies = setups.iter().map(|s| s.frequency.abs());
+    let (low, high) = frequencies.fold((f64::MAX, 0.0), |(l, h), f| (f64::min(l, f), f64::max(h, f)));
+    let mut legs: Vec<String> = setups.iter().map(|s| s.leg.clone()).collect();
+    legs.extend(["L", "revL"].map(String::from));
+    let shape = |leg: &String| Shape::named(leg).ok();
+    legs.sort();
+    legs.dedup_by(|a, b| shape(a) == shape(b));
+    let mut out = Vec::new();
+    for leg in legs {
+        for frequency in [low, (low * high).sqrt(), high] {
+            for (slope_deg, payload, x_bed) in
+                [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0), (-10.0, 0.0, 0.0), (0.0, 0.05, 0.0), (0.0, 0.0, -0.3)]
+            {
+                let words = format!(
+                    "leg {leg}, {frequency:.2} Hz, slope {slope_deg:.0}°, payload {:.0} g, start at x = {:.0} cm",
+                    1e3 * payload,
+                    1e2 * x_bed
+                );
+                let leg = leg.clone();
+                let robot = first.robot.clone();
+                out.push((Setup { robot, leg, frequency, slope_deg, payload, x_bed, strides: STRIDES }, words));
+            }
+        }
+    }
+    out
+}

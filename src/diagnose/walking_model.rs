@@ -1,0 +1,257 @@
+//! Predicts walking runs: every run is simulated in closed loop, servo, robot and sand, by engine `lanes`.
+
+use super::experiment::Experiment;
+use super::forward::{Feature, ForwardModel};
+use super::next_experiment::Menu;
+use super::observations::{Channel, Observations};
+use super::shared::{Along, Shared};
+use super::walking_log::{self, Setup, WalkingLog};
+use crate::error::{Error, Result};
+use crate::progress::Silent;
+use crate::sand::mechanism::{CATALOG, Mechanisms};
+use crate::sand::{Coefficients, Medium};
+use crate::sim::engine::EngineKind;
+use crate::sim::model::Scene;
+use crate::sim::walk::{Trial, WalkResult};
+use crate::sim::{Model, Robot};
+use crate::sweep::walk_all;
+use std::collections::HashMap;
+use std::sync::{Mutex, PoisonError};
+
+/// Steps of numerical slopes change the data by this many σ altogether: small against what noise does, and far above the
+/// roughness of a sticking gait (reversed leg at 1 Hz: 0.3 % when its phase shifts by 0.2 rad). Our choice.
+const ROUGHNESS: f64 = 4.0;
+/// How much finer a time step shows what the default one is wrong by: our choice.
+const FINE: f64 = 8.0;
+/// Step of the sand's strength that makes the direction of the shared noise: our choice, about the batches' scatter.
+const STRENGTH_STEP: f64 = 0.05;
+
+/// Initial phases [rad] that show how regular a gait is: the protocol's ±0.2 and half of it.
+const PHASES: [f64; 4] = [-0.2, -0.1, 0.1, 0.2];
+
+type State = (Mechanisms, Coefficients);
+
+/// Predicts the mean of a run's repetitions by one run with all hips at their nominal phase: shifted by ±0.2 rad the
+/// measured numbers change by less than 0.3 %, a tenth of what repetitions scatter.
+pub struct WalkingModel {
+    medium: Medium,
+    setups: Vec<Setup>,
+    robots: HashMap<(String, String), Robot>,
+    /// Setup of each unit.
+    setup_of: Vec<usize>,
+    channels: Vec<Channel>,
+    missing: Vec<&'static str>,
+    /// Simulations already made, by the bits of mechanisms and coefficients: setup by setup.
+    known: Mutex<HashMap<Vec<u64>, Vec<WalkResult>>>,
+}
+
+impl WalkingModel {
+    /// Refuses a setup whose plain simulation does not end in finite numbers.
+    pub fn new(log: &WalkingLog, experiment: &Experiment) -> Result<Self> {
+        let mut robots = HashMap::new();
+        for setup in &log.setups {
+            let robot = Robot::load(&setup.robot)?.with_leg_shape(&setup.leg)?;
+            robots.insert((setup.robot.clone(), setup.leg.clone()), robot);
+        }
+        let model = Self {
+            medium: experiment.medium.clone(),
+            setups: log.setups.clone(),
+            robots,
+            setup_of: log.setup_of.clone(),
+            channels: log.observations.channels.clone(),
+            missing: log.missing.clone(),
+            known: Mutex::default(),
+        };
+        let plain = (Mechanisms::default(), model.medium.coefficients);
+        let trials = model.trials(&plain).into_iter().collect::<Result<Vec<_>>>()?;
+        trials.iter().try_for_each(Trial::validate)?;
+        let walked = model.simulate(&[plain]);
+        let lost = walked.iter().flatten().zip(&model.setups).find(|(result, _)| !result.speed.is_finite());
+        match lost {
+            Some((_, s)) => {
+                Err(Error::invalid("data", format!("the simulation of {} at {} Hz diverges", s.leg, s.frequency)))
+            }
+            None => Ok(model),
+        }
+    }
+
+    /// The setups that are simulated.
+    pub fn setups(&self) -> &[Setup] {
+        &self.setups
+    }
+
+    /// The measured numbers as the simulator with its default time step would see them, and a note that says so. What the
+    /// step itself is wrong by, some tenths of a percent, is no property of the sand: each channel of each setup is scaled
+    /// by the plain simulation's ratio between the default step and an eighth of it, which leaves an eighth of that error.
+    pub fn at_default_step(&self, observations: &Observations) -> Result<(Observations, String)> {
+        let plain = (Mechanisms::default(), self.medium.coefficients);
+        let mut trials = self.trials(&plain).into_iter().collect::<Result<Vec<_>>>()?;
+        trials.iter_mut().for_each(|t| t.model.scene.dt /= FINE);
+        let (fine, coarse) =
+            (self.stack(&walk_all(EngineKind::Lanes, &trials, &Silent)?), self.predict(&plain.0, &plain.1));
+        let ratio = coarse.iter().zip(&fine).map(|(c, f)| if (c / f).is_finite() { c / f } else { 1.0 });
+        let mut largest: f64 = 0.0;
+        let scaled = observations.values.iter().zip(ratio).map(|(y, ratio)| {
+            largest = largest.max((ratio - 1.0).abs());
+            y * ratio
+        });
+        let values = scaled.collect();
+        let (step, fine) = (1e3 * Scene::DEFAULT_DT, 1e3 * Scene::DEFAULT_DT / FINE);
+        let note = format!(
+            "measured numbers are compared as a time step of {step} ms sees them: scaled by the ratio of plain simulations with \
+             {step} and {fine} ms, by at most {} %",
+            super::report::digits(100.0 * largest)
+        );
+        Ok((Observations { values, ..observations.clone() }, note))
+    }
+
+    /// A trial for every setup.
+    fn trials(&self, (mechanisms, coefficients): &State) -> Vec<Result<Trial>> {
+        let trial = |setup: &Setup| {
+            let mut scene = Scene::flat(Medium { coefficients: *coefficients, ..self.medium.clone() });
+            (scene.mechanisms, scene.slope_deg, scene.payload) = (*mechanisms, setup.slope_deg, setup.payload);
+            let robot = &self.robots[&(setup.robot.clone(), setup.leg.clone())];
+            let trial = Trial::new(Model::new(robot, &scene)?, setup.frequency);
+            Ok(Trial { x_bed: setup.x_bed, strides: setup.strides, ..trial })
+        };
+        self.setups.iter().map(trial).collect()
+    }
+
+    /// Results of every state, setup by setup; not a number where a simulation is refused or diverges.
+    fn simulate(&self, states: &[State]) -> Vec<Vec<WalkResult>> {
+        let keys: Vec<Vec<u64>> = states.iter().map(key).collect();
+        let known = || self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        let new: Vec<usize> = {
+            let known = known();
+            (0..states.len()).filter(|&k| !known.contains_key(&keys[k]) && !keys[..k].contains(&keys[k])).collect()
+        };
+        let results = self.walked(&new.iter().map(|&k| states[k]).collect::<Vec<_>>(), 0.0);
+        let mut known = known();
+        known.extend(new.iter().map(|&k| keys[k].clone()).zip(results));
+        keys.iter().map(|key| known[key].clone()).collect()
+    }
+
+    /// Every state's results with all hips `phase` [rad] ahead.
+    fn walked(&self, states: &[State], phase: f64) -> Vec<Vec<WalkResult>> {
+        let ahead = |trial: Result<Trial>| trial.map(|t| Trial { phase, ..t });
+        let trials: Result<Vec<Trial>> = states.iter().flat_map(|s| self.trials(s)).map(ahead).collect();
+        let results = trials.and_then(|t| walk_all(EngineKind::Lanes, &t, &Silent));
+        let results = results.unwrap_or_else(|_| vec![WalkResult::lost(); self.setups.len() * states.len()]);
+        results.chunks(self.setups.len().max(1)).map(<[_]>::to_vec).collect()
+    }
+
+    fn stack(&self, results: &[WalkResult]) -> Vec<f64> {
+        let of = |&setup: &usize| self.channels.iter().map(move |c| channel(&results[setup], c.name));
+        self.setup_of.iter().flat_map(of).collect()
+    }
+}
+
+fn key((mechanisms, coefficients): &State) -> Vec<u64> {
+    mechanisms.values().iter().chain(&coefficients.to_array()).map(|v| v.to_bits()).collect()
+}
+
+fn channel(result: &WalkResult, name: &str) -> f64 {
+    match name {
+        "base_height" => result.base_height,
+        "pitch_rms" => result.pitch_rms,
+        "hip_torque_rms" => result.hip_torque_rms,
+        "hip_speed_error_rms" => result.hip_speed_error_rms,
+        _ => result.speed,
+    }
+}
+
+impl ForwardModel for WalkingModel {
+    fn predict(&self, mechanisms: &Mechanisms, coefficients: &Coefficients) -> Vec<f64> {
+        self.simulate(&[(*mechanisms, *coefficients)]).iter().flat_map(|r| self.stack(r)).collect()
+    }
+
+    fn predict_many(&self, states: &[State]) -> Vec<Vec<f64>> {
+        self.simulate(states).iter().map(|r| self.stack(r)).collect()
+    }
+
+    fn roughness(&self) -> Option<f64> {
+        Some(ROUGHNESS)
+    }
+
+    fn coefficient_step(&self) -> f64 {
+        1.0
+    }
+
+    /// No two beds are equally strong: what a run reads changes along its slope by the sand's strength. And where a gait
+    /// sticks, slips or stalls, small differences grow: `gait_scatter` spans what other initial phases, and the curvature
+    /// in the strength, make of the run beside the nominal one. Where the gait is regular both are next to nothing.
+    fn shared(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Shared> {
+        let scaled = |factor: f64| {
+            let scale = (1.0 + mechanisms.scale) * factor - 1.0;
+            (Mechanisms { scale, ..*mechanisms }, *coefficients)
+        };
+        let beds = self.predict_many(&[scaled(1.0 + STRENGTH_STEP), scaled(1.0 - STRENGTH_STEP)]);
+        let slope = super::fit::slope(&beds[0], &beds[1], 2.0 * STRENGTH_STEP);
+        let middle: Vec<f64> = beds[0].iter().zip(&beds[1]).map(|(a, b)| 0.5 * (a + b)).collect();
+        let share = (PHASES.len() as f64).sqrt();
+        let mut scatter = vec![super::fit::slope(&middle, prediction, 1.0)];
+        for phase in PHASES {
+            let other = self.walked(&[(*mechanisms, *coefficients)], phase);
+            scatter.extend(other.iter().map(|results| super::fit::slope(&self.stack(results), prediction, share)));
+        }
+        vec![
+            Shared { name: "bed_strength", guess: STRENGTH_STEP, along: Along::Stacks(vec![slope]) },
+            Shared { name: "gait_scatter", guess: 1.0, along: Along::Stacks(scatter) },
+        ]
+    }
+
+    fn medium(&self) -> &Medium {
+        &self.medium
+    }
+
+    fn testable(&self) -> Vec<(usize, Option<String>)> {
+        let asked = CATALOG.iter().enumerate().filter(|(_, m)| m.walking);
+        let lacking = |m: &crate::sand::mechanism::Mechanism| {
+            let columns: Vec<_> = m.columns.iter().filter(|c| self.missing.contains(c)).copied().collect();
+            (!columns.is_empty()).then(|| format!("the data have no column {}", columns.join(", ")))
+        };
+        asked.map(|(index, m)| (index, lacking(m))).collect()
+    }
+
+    fn features(&self) -> Vec<Feature> {
+        let per_run = |name, unit, f: &dyn Fn(&Setup) -> f64| Feature {
+            name,
+            unit,
+            values: self.setup_of.iter().map(|&s| vec![f(&self.setups[s])]).collect(),
+        };
+        vec![
+            per_run("stride_frequency", "Hz", &|s| s.frequency),
+            per_run("slope_deg", "°", &|s| s.slope_deg),
+            per_run("payload", "kg", &|s| s.payload),
+            per_run("place", "m", &|s| s.x_bed),
+        ]
+    }
+
+    fn menu(&self) -> Option<Menu> {
+        let (setups, descriptions): (Vec<_>, Vec<_>) = walking_log::possible(&self.setups).into_iter().unzip();
+        let log = walking_log::planned(setups, self.channels.clone());
+        let mut robots = HashMap::new();
+        for setup in &log.setups {
+            let robot = Robot::load(&setup.robot).and_then(|r| r.with_leg_shape(&setup.leg)).ok()?;
+            robots.insert((setup.robot.clone(), setup.leg.clone()), robot);
+        }
+        let model = Self {
+            medium: self.medium.clone(),
+            setups: log.setups,
+            robots,
+            setup_of: log.setup_of,
+            channels: self.channels.clone(),
+            missing: self.missing.clone(),
+            known: Mutex::default(),
+        };
+        (!descriptions.is_empty()).then(|| Menu {
+            model: Box::new(model),
+            observations: log.observations,
+            descriptions,
+        })
+    }
+
+    fn group(&self, unit: usize) -> &str {
+        &self.setups[self.setup_of[unit]].leg
+    }
+}

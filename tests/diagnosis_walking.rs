@@ -1,0 +1,113 @@
+//! The diagnosis of walking runs from outside, on runs of another engine.
+
+#[path = "testbed/walking.rs"]
+mod hall;
+
+use rand_distr::{Distribution, StandardNormal};
+use rand_xoshiro::Xoshiro256PlusPlus;
+use sandgait::diagnose::diagnose;
+use sandgait::diagnose::experiment::Experiment;
+use sandgait::diagnose::report::Diagnosis;
+use sandgait::diagnose::select::Verdict;
+use sandgait::diagnose::walking_log;
+use sandgait::progress::Silent;
+use sandgait::sand::{Mechanisms, SandDescription};
+use sandgait::sim::engine::EngineKind;
+use sandgait::sim::model::Scene;
+use sandgait::sim::walk::Trial;
+use sandgait::sim::{Model, Robot};
+use sandgait::sweep::walk_all;
+use std::path::{Path, PathBuf};
+
+fn normal(rng: &mut Xoshiro256PlusPlus) -> f64 {
+    StandardNormal.sample(rng)
+}
+
+fn file(directory: &Path, text: &str) -> PathBuf {
+    let path = directory.join("runs.csv");
+    std::fs::write(&path, text).unwrap();
+    path
+}
+
+fn diagnosis(directory: &Path, hidden: Mechanisms) -> Diagnosis {
+    let experiment = Experiment::from_toml(hall::EXPERIMENT).unwrap();
+    diagnose(&file(directory, &hall::runs(5, hidden, 0.05)), &experiment, &Silent).unwrap()
+}
+
+/// A hidden slope is named, its value is right, and sand.toml walks as the report says.
+#[test]
+fn a_hidden_slope_is_named_and_its_sand_walks_as_reported() {
+    let directory = tempfile::tempdir().unwrap();
+    let d = diagnosis(directory.path(), Mechanisms { slope: 0.07, ..Mechanisms::PLAIN });
+    assert_eq!(
+        (d.report.verdict, &d.report.ambiguity_set),
+        (Verdict::Named, &vec![vec!["slope".to_string()]]),
+        "{}",
+        d.report.summary
+    );
+    let cause = &d.report.causes[0];
+    assert!((cause.value / 0.07 - 1.0).abs() < 0.2, "{}", d.report.summary);
+    assert!(d.report.gain.reduction.unwrap() > 0.3, "{:?}", d.report.gain);
+    let out = directory.path().join("out");
+    d.write(&out).unwrap();
+    let sand = SandDescription::load(&out.join("sand.toml")).unwrap();
+    let experiment = Experiment::from_toml(hall::EXPERIMENT).unwrap();
+    let log = walking_log::read(&directory.path().join("runs.csv"), &experiment).unwrap();
+    let trials: Vec<Trial> = log
+        .setups
+        .iter()
+        .map(|s| {
+            let mut scene = Scene::flat(sand.medium());
+            scene.set_sand(&sand);
+            (scene.slope_deg, scene.payload) = (s.slope_deg, s.payload);
+            let robot = Robot::load(&s.robot).unwrap().with_leg_shape(&s.leg).unwrap();
+            Trial { x_bed: s.x_bed, strides: s.strides, ..Trial::new(Model::new(&robot, &scene).unwrap(), s.frequency) }
+        })
+        .collect();
+    let walked = walk_all(EngineKind::Lanes, &trials, &Silent).unwrap();
+    let reported = d.report.runs.iter().filter(|r| r.channel == "speed");
+    let mut compared = 0;
+    for (walk, reported) in walked.iter().zip(reported) {
+        let extended = reported.extended.unwrap();
+        assert!((walk.speed / extended - 1.0).abs() < 1e-6, "{}: {} {extended}", reported.condition, walk.speed);
+        compared += 1;
+    }
+    assert_eq!(compared, log.setups.len());
+}
+
+#[test]
+fn nothing_hidden_is_the_noise_floor() {
+    let directory = tempfile::tempdir().unwrap();
+    let r = diagnosis(directory.path(), Mechanisms::PLAIN).report;
+    assert_eq!(r.verdict, Verdict::NoiseFloor, "{}", r.summary);
+}
+
+/// One clear line with row and column for every wrong use.
+#[test]
+fn bad_runs_are_refused() {
+    let directory = tempfile::tempdir().unwrap();
+    let header = "run,condition,rep,robot,leg,xi_deg,stride_frequency,slope_deg,payload,x_bed,duration,speed\n";
+    let says = |text: &str| {
+        let experiment = Experiment::from_toml(hall::EXPERIMENT).unwrap();
+        let outcome = walking_log::read(&file(directory.path(), text), &experiment);
+        outcome.err().map(|e| e.to_string()).unwrap_or_default()
+    };
+    let good = "a,0,0,xplorer,L,45,2,0,0,0,2,0.28\n";
+    assert_eq!(says(&format!("{header}{good}")), "");
+    for (row, column) in [
+        ("b,0,0,spider,L,45,2,0,0,0,2,0.28", "robot"),
+        ("b,0,0,xplorer,M,45,2,0,0,0,2,0.28", "leg"),
+        ("b,0,0,xplorer,L,-45,2,0,0,0,2,0.28", "xi_deg"),
+        ("b,0,0,xplorer,L,45,0,0,0,0,2,0.28", "stride_frequency"),
+        ("b,0,0,xplorer,L,45,2,80,0,0,2,0.28", "slope_deg"),
+        ("b,0,0,xplorer,L,45,2,0,-1,0,2,0.28", "payload"),
+        ("b,0,0,xplorer,L,45,2,0,0,0,0.1,0.28", "duration"),
+        ("b,0,0,xplorer,L,45,2,0,0,0,2,inf", "speed"),
+        ("b,0,0,xplorer,L,45,2,0,0,0,2,", "speed"),
+        ("a,0,0,xplorer,L,45,2,0,0,0,2,0.28", "run"),
+    ] {
+        let message = says(&format!("{header}{good}{row}\n"));
+        let named = message.contains("row 3") && message.contains(&format!("column {column}"));
+        assert!(named && message.lines().count() == 1, "{row}: {message:?}");
+    }
+}
