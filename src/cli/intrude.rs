@@ -19,10 +19,10 @@ pub struct Intrude {
     #[arg(long, allow_hyphen_values = true)]
     shape: String,
     /// Distance from hip to tip [m]
-    #[arg(long, value_name = "METRES", default_value_t = CHORD)]
+    #[arg(long, value_name = "METRES", default_value_t = CHORD, allow_negative_numbers = true)]
     chord: f64,
     /// Width of the leg [m]
-    #[arg(long, value_name = "METRES", default_value_t = WIDTH)]
+    #[arg(long, value_name = "METRES", default_value_t = WIDTH, allow_negative_numbers = true)]
     width: f64,
     /// Height of the hip above the surface [m]
     #[arg(long, value_name = "METRES", default_value_t = HIP_HEIGHT, allow_negative_numbers = true)]

@@ -41,7 +41,7 @@ pub struct Walk {
     #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
     slope_deg: f64,
     /// Time step [s]
-    #[arg(long, value_name = "S", default_value_t = Scene::DEFAULT_DT)]
+    #[arg(long, value_name = "S", default_value_t = Scene::DEFAULT_DT, allow_negative_numbers = true)]
     dt: f64,
     /// A built-in robot or a FILE.toml
     #[arg(long, default_value = Robot::DEFAULT)]
