@@ -28,6 +28,9 @@ pub struct Serve {
     /// Allow addresses that other machines reach, without encryption or token
     #[arg(long)]
     insecure: bool,
+    /// Also speak dm_env_rpc, DeepMind's protocol, on the same address
+    #[arg(long)]
+    dm_env_rpc: bool,
     /// Also stop when stdin is closed, as it is when the process that started this one ends
     #[arg(long)]
     exit_on_stdin_close: bool,
@@ -60,7 +63,8 @@ impl Serve {
         if self.exit_on_stdin_close {
             stop_with_stdin(stop.clone());
         }
-        service::serve(listener, self.threads.into(), Limits::default(), stop).await
+        let limits = Limits { dm_env_rpc: self.dm_env_rpc, ..Limits::default() };
+        service::serve(listener, self.threads.into(), limits, stop).await
     }
 }
 

@@ -124,6 +124,11 @@ impl Shard {
         self.task.spec().action.len()
     }
 
+    /// Is no step of the present episodes made yet?
+    pub fn is_fresh(&self) -> bool {
+        self.episodes.iter().all(|e| e.steps == 0)
+    }
+
     /// Begins new episodes where `chosen` says so, with `setup` in place of the environment's own if it is given.
     /// With `seeds` the environments' streams of random numbers start anew, without they go on.
     pub fn reset(&mut self, chosen: impl Fn(usize) -> bool, seeds: Option<&[u64]>, setup: Option<&Setup>) {

@@ -1,5 +1,7 @@
 //! Tables that say what every number of a row means.
 
+use crate::error::{Error, Result};
+
 /// One number of an observation, action or info row.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Column {
@@ -13,6 +15,15 @@ pub struct Column {
 impl Column {
     pub fn new(name: impl Into<String>, unit: &'static str, low: f64, high: f64) -> Self {
         Self { name: name.into(), unit, low, high }
+    }
+
+    /// Refuses a value beyond the bounds, or none at all (NaN); `field` names it.
+    pub fn check(&self, value: f32, field: impl FnOnce() -> String) -> Result<()> {
+        if (self.low..=self.high).contains(&f64::from(value)) {
+            return Ok(());
+        }
+        let reason = format!("{value} ({}) is outside [{}, {}]", self.name, self.low, self.high);
+        Err(Error::invalid(field(), reason))
     }
 
     /// Without bounds.

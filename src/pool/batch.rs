@@ -144,6 +144,11 @@ impl Batch {
         Ok(Roll { actions: Arc::new(actions), row, steps: 0..0, record })
     }
 
+    /// Has every environment begun its episode, and made no step of it yet?
+    pub fn is_fresh(&self) -> bool {
+        self.begun.iter().all(|b| *b) && self.shards.iter().all(Shard::is_fresh)
+    }
+
     pub(super) fn setup(&self) -> &Setup {
         &self.setup
     }
@@ -160,11 +165,7 @@ impl Batch {
         let columns = &self.spec().action;
         for (row, values) in actions.chunks_exact(columns.len()).enumerate() {
             for (k, (value, c)) in values.iter().zip(columns).enumerate() {
-                // NaN fails this test too.
-                if !(c.low..=c.high).contains(&f64::from(*value)) {
-                    let reason = format!("{value} ({}) is outside [{}, {}]", c.name, c.low, c.high);
-                    return Err(Error::invalid(format!("{}[{k}]", name(row)), reason));
-                }
+                c.check(*value, || format!("{}[{k}]", name(row)))?;
             }
         }
         Ok(())

@@ -6,11 +6,13 @@
 //! * [`sessions`]: who holds which environments, and the limits.
 //! * [`stream`]: one RunSession stream, request by request; [`rollout`]: the request of many steps.
 //! * [`studies`]: the offline tools, one at a time.
+//! * [`dm_env_rpc`]: the same environments for DeepMind's protocol.
 //! * [`decode`], [`encode`], [`values`]: messages from and to the crate's types.
 //! * [`status`]: the one map from errors to gRPC codes.
 
 pub mod address;
 mod decode;
+pub mod dm_env_rpc;
 mod encode;
 mod rollout;
 pub mod server;

@@ -2,6 +2,8 @@
 
 use super::Service;
 use super::address::Listener;
+use super::dm_env_rpc::DmEnvRpc;
+use super::dm_env_rpc::proto::environment_server::EnvironmentServer as DmEnvRpcServer;
 use super::proto::environment_service_server::EnvironmentServiceServer;
 use super::proto::study_service_server::StudyServiceServer;
 use super::sessions::Limits;
@@ -32,13 +34,17 @@ const FRAME: u32 = 1 << 20;
 /// Serves until `stop` is cancelled, then lets every stream finish the operation it has in flight.
 pub async fn serve(listener: Listener, threads: usize, limits: Limits, stop: CancellationToken) -> Result<()> {
     let largest = limits.request;
-    let environments = EnvironmentServiceServer::new(Service::new(threads, limits, stop.clone()))
+    let with_dm_env_rpc = limits.dm_env_rpc;
+    let service = Service::new(threads, limits, stop.clone());
+    let dm_env_rpc = DmEnvRpc::new(service.sessions.clone(), service.pool.clone());
+    let dm_env_rpc = with_dm_env_rpc.then(|| DmEnvRpcServer::new(dm_env_rpc));
+    let environments = EnvironmentServiceServer::new(service)
         .max_decoding_message_size(largest)
         .max_encoding_message_size(u32::MAX as usize);
     let studies = StudyServiceServer::new(Studies::new(stop.clone()))
         .max_decoding_message_size(studies::MOST_BYTES)
         .max_encoding_message_size(u32::MAX as usize);
-    let services = Services { environments, studies };
+    let services = Services { environments, studies, dm_env_rpc };
     match listener {
         Listener::Tcp(listener) => {
             // Without nodelay a small call takes 44 ms; `Server::tcp_nodelay` is ignored when we bring the listener.
@@ -52,6 +58,7 @@ pub async fn serve(listener: Listener, threads: usize, limits: Limits, stop: Can
 struct Services {
     environments: EnvironmentServiceServer<Service>,
     studies: StudyServiceServer<Studies>,
+    dm_env_rpc: Option<DmEnvRpcServer<DmEnvRpc>>,
 }
 
 async fn drive<C>(
@@ -78,6 +85,7 @@ where
         .max_frame_size(FRAME)
         .add_service(services.environments)
         .add_service(services.studies)
+        .add_optional_service(services.dm_env_rpc)
         .serve_with_incoming_shutdown(incoming, stop.clone().cancelled_owned());
     let too_late = async {
         stop.cancelled().await;

@@ -36,6 +36,8 @@ pub struct Limits {
     pub request: usize,
     /// Requests a second that a session may make; none: as many as it can.
     pub rate: Option<u32>,
+    /// Lend to clients of dm_env_rpc too.
+    pub dm_env_rpc: bool,
 }
 
 impl Default for Limits {
@@ -49,6 +51,7 @@ impl Default for Limits {
             lease: Duration::from_secs(300),
             request: 256 << 20,
             rate: None,
+            dm_env_rpc: false,
         }
     }
 }
@@ -241,8 +244,20 @@ impl Sessions {
 
     /// Gives the session to a new stream, taking it from the one that has it.
     pub fn attach(&self, id: &str) -> Result<Hold> {
+        self.hold(id, true)
+    }
+
+    /// Gives the session to a new stream if none has it.
+    pub fn attach_free(&self, id: &str) -> Result<Hold> {
+        self.hold(id, false)
+    }
+
+    fn hold(&self, id: &str, take: bool) -> Result<Hold> {
         let mut entries = lock(&self.entries);
         let entry = entries.get_mut(id).ok_or_else(|| unknown(id))?;
+        if entry.attached && !take {
+            return Err(Error::OutOfOrder("another connection has it".into()));
+        }
         entry.stream_end.cancel();
         entry.stream_end = entry.end.child_token();
         entry.stream += 1;

@@ -36,7 +36,7 @@ fn json(path: &str, value: prost_types::Value) -> Result<Value> {
 }
 
 /// Whole numbers become integers, so that options which are counts accept them.
-fn number(path: &str, x: f64) -> Result<Number> {
+pub fn number(path: &str, x: f64) -> Result<Number> {
     if x.fract() == 0.0 && x.abs() <= EXACT {
         return Ok((x as i64).into());
     }

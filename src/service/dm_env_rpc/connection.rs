@@ -1,0 +1,173 @@
+//! One Process stream: requests are answered one by one, in order.
+//!
+//! ```text
+//!           join               step (its action is ignored)
+//!  outside ──────▶ not running ──────────────────────────▶ running ──┐ step
+//!     ▲                │ ▲                                  │   ▲    │
+//!     └──── leave ─────┘ └── reset, or the episode's end ───┘   └────┘
+//! ```
+
+use super::proto::environment_request::Payload as Request;
+use super::proto::environment_response::Payload as Answer;
+use super::proto::google::rpc;
+use super::proto::{self, EnvironmentRequest, EnvironmentResponse, EnvironmentStateType, StepRequest, StepResponse};
+use super::settings::{self, Changes, Settings};
+use super::tensors::{self, View};
+use super::worlds::{Interrupt, Place, Worlds};
+use crate::error::{Error, Result};
+use crate::service::status;
+use futures_util::{Stream, stream};
+use std::collections::HashMap;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::time::Instant;
+use tonic::{Code, Status, Streaming};
+
+/// The answers to `requests`.
+pub fn run(
+    requests: Streaming<EnvironmentRequest>,
+    worlds: Arc<Worlds>,
+) -> impl Stream<Item = std::result::Result<EnvironmentResponse, Status>> {
+    let connection = Connection { requests, worlds, agent: None, next: Instant::now() };
+    stream::try_unfold(connection, |mut c| async move { Ok(c.answer().await?.map(|answer| (answer, c))) })
+}
+
+struct Connection {
+    requests: Streaming<EnvironmentRequest>,
+    worlds: Arc<Worlds>,
+    /// None: no world is joined.
+    agent: Option<Agent>,
+    /// No request is read before this time.
+    next: Instant,
+}
+
+/// This connection in the world it has joined.
+struct Agent {
+    place: Place,
+    /// What the episode showed last; none while it is not running.
+    last: Option<View>,
+}
+
+impl Connection {
+    /// The next answer; none when the client has no more requests.
+    async fn answer(&mut self) -> std::result::Result<Option<EnvironmentResponse>, Status> {
+        let stop = self.worlds.sessions.stop().clone();
+        if let Some(rate) = self.worlds.sessions.limits().rate {
+            tokio::time::sleep_until(self.next).await;
+            self.next = Instant::now() + Duration::from_secs(1) / rate.max(1);
+        }
+        let message = stop.run_until_cancelled(self.requests.message()).await;
+        let message = message.ok_or_else(|| Status::unavailable("the server is shutting down"))?;
+        let Some(message) = message.map_err(status::unreadable)? else { return Ok(None) };
+        let payload = match message.payload {
+            Some(request) => self.handle(request).await.unwrap_or_else(|e| refusal(&e)),
+            None => refusal(&Error::invalid("payload", "the request is empty")),
+        };
+        Ok(Some(EnvironmentResponse { payload: Some(payload) }))
+    }
+
+    async fn handle(&mut self, request: Request) -> Result<Answer> {
+        Ok(match request {
+            Request::CreateWorld(create) => {
+                let world_name = self.worlds.create(settings::plan(create.settings)?).await?;
+                Answer::CreateWorld(proto::CreateWorldResponse { world_name })
+            }
+            Request::JoinWorld(join) => {
+                let specs = Some(self.join(&join)?);
+                Answer::JoinWorld(proto::JoinWorldResponse { specs })
+            }
+            Request::Step(step) => Answer::Step(self.agent("step")?.step(step).await?),
+            Request::Reset(reset) => {
+                let agent = self.agent("reset")?;
+                agent.reset(reset.settings).await?;
+                Answer::Reset(proto::ResetResponse { specs: Some(agent.place.specs()) })
+            }
+            Request::ResetWorld(reset) => {
+                self.reset_world(reset).await?;
+                Answer::ResetWorld(proto::ResetWorldResponse {})
+            }
+            Request::LeaveWorld(_) => {
+                self.agent = None;
+                Answer::LeaveWorld(proto::LeaveWorldResponse {})
+            }
+            Request::DestroyWorld(destroy) => {
+                self.worlds.destroy(&destroy.world_name)?;
+                Answer::DestroyWorld(proto::DestroyWorldResponse {})
+            }
+            Request::Extension(extension) => {
+                let message = format!("extension: {:?} is not offered; there are no properties", extension.type_url);
+                Answer::Error(rpc::Status { code: Code::Unimplemented.into(), message, details: vec![] })
+            }
+        })
+    }
+
+    fn agent(&mut self, what: &str) -> Result<&mut Agent> {
+        self.agent.as_mut().ok_or_else(|| Error::OutOfOrder(format!("{what}: this connection has joined no world")))
+    }
+
+    fn join(&mut self, join: &proto::JoinWorldRequest) -> Result<proto::ActionObservationSpecs> {
+        if let Some(agent) = &self.agent {
+            let reason = format!("join_world: this connection has joined {:?}; leave it first", agent.place.name());
+            return Err(Error::OutOfOrder(reason));
+        }
+        settings::none(&join.settings)?;
+        let place = self.worlds.join(&join.world_name)?;
+        Ok(self.agent.insert(Agent { place, last: None }).place.specs())
+    }
+
+    async fn reset_world(&mut self, reset: proto::ResetWorldRequest) -> Result<()> {
+        match &mut self.agent {
+            Some(agent) if agent.place.name() == reset.world_name => agent.reset(reset.settings).await,
+            _ => {
+                // The connection it waits for may never step again.
+                let stop = self.worlds.sessions.stop();
+                let done = self.worlds.reset(&reset.world_name, settings::changes(reset.settings)?);
+                let stopped = || Err(Error::Cancelled("the server is shutting down".into()));
+                stop.run_until_cancelled(done).await.unwrap_or_else(stopped)
+            }
+        }
+    }
+}
+
+impl Agent {
+    async fn step(&mut self, request: StepRequest) -> Result<StepResponse> {
+        tensors::check_requested(&request.requested_observations)?;
+        let view = self.next_view(request.actions).await?;
+        let observations = view.tensors(&request.requested_observations);
+        let state = view.state;
+        self.last = (state == EnvironmentStateType::Running).then_some(view);
+        Ok(StepResponse { state: state.into(), observations })
+    }
+
+    async fn next_view(&self, actions: HashMap<u64, proto::Tensor>) -> Result<View> {
+        if let Some(Interrupt { changes, done }) = self.place.interrupt() {
+            let reset = self.place.reset(changes).await;
+            let changed = reset.is_ok();
+            // Whoever asked for it may be gone.
+            let _ = done.send(reset.map(drop));
+            if let (true, Some(last)) = (changed, &self.last) {
+                return Ok(last.interrupted());
+            }
+        }
+        if self.last.is_none() {
+            return self.place.begin().await;
+        }
+        self.place.step(tensors::action(self.place.task.spec(), actions)?).await
+    }
+
+    /// Begins another episode, which the next step shows. An episode that has not been shown yet stays if nothing
+    /// is to change.
+    async fn reset(&mut self, settings: Settings) -> Result<()> {
+        let changes = settings::changes(settings)?;
+        if self.last.is_some() || changes != Changes::default() {
+            self.place.reset(changes).await?;
+        }
+        self.last = None;
+        Ok(())
+    }
+}
+
+fn refusal(error: &Error) -> Answer {
+    let failure = status::failure(error);
+    Answer::Error(rpc::Status { code: failure.code, message: failure.message, details: vec![] })
+}

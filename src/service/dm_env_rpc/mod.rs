@@ -1,0 +1,63 @@
+//! `dm_env_rpc.v1.Environment`: the same tasks for DeepMind's protocol and its clients.
+//!
+//! ```text
+//!  Process stream ──▶ connection ──▶ worlds ──▶ Sessions, Pool
+//!                        └── settings, tensors: messages from and to the crate's types
+//! ```
+//!
+//! A world is a session of one environment, with the session's id as its name, limits and lease. One connection at a
+//! time can join it. Every refusal is an answer inside the stream and changes nothing.
+
+mod connection;
+mod settings;
+mod tensors;
+mod worlds;
+
+/// Generated from `proto/dm_env_rpc/v1/` and `proto/google/rpc/`; nested as their packages are.
+pub mod proto {
+    pub mod google {
+        pub mod rpc {
+            tonic::include_proto!("google.rpc");
+        }
+    }
+    pub mod dm_env_rpc {
+        pub mod v1 {
+            tonic::include_proto!("dm_env_rpc.v1");
+        }
+    }
+    pub use dm_env_rpc::v1::*;
+}
+
+use super::sessions::Sessions;
+use crate::pool::Pool;
+use futures_util::Stream;
+use proto::environment_server::Environment;
+use proto::{EnvironmentRequest, EnvironmentResponse};
+use std::pin::Pin;
+use std::sync::Arc;
+use tonic::{Request, Response, Status, Streaming};
+use worlds::Worlds;
+
+/// The service; it shares sessions and threads with `sandgait.v1`.
+pub struct DmEnvRpc {
+    worlds: Arc<Worlds>,
+}
+
+impl DmEnvRpc {
+    pub fn new(sessions: Arc<Sessions>, pool: Arc<Pool>) -> Self {
+        Self { worlds: Worlds::new(sessions, pool) }
+    }
+}
+
+#[tonic::async_trait]
+impl Environment for DmEnvRpc {
+    type ProcessStream = Pin<Box<dyn Stream<Item = Result<EnvironmentResponse, Status>> + Send>>;
+
+    async fn process(
+        &self,
+        request: Request<Streaming<EnvironmentRequest>>,
+    ) -> Result<Response<Self::ProcessStream>, Status> {
+        let answers = connection::run(request.into_inner(), self.worlds.clone());
+        Ok(Response::new(Box::pin(answers)))
+    }
+}

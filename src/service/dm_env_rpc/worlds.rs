@@ -1,0 +1,235 @@
+//! Worlds: sessions of one environment, and who has joined them.
+
+use super::proto::ActionObservationSpecs;
+use super::settings::{Changes, Plan};
+use super::tensors::{self, View};
+use crate::env::Task;
+use crate::error::{Error, Result};
+use crate::pool::{Batch, Operation, Pool};
+use crate::service::sessions::{Hold, Sessions};
+use crate::service::status::SESSION;
+use crate::service::stream::lost;
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use tokio::sync::oneshot;
+
+/// A ResetWorld that waits for the connection which has joined the world.
+pub struct Interrupt {
+    pub changes: Changes,
+    pub done: oneshot::Sender<Result<()>>,
+}
+
+/// All worlds of a server.
+pub struct Worlds {
+    pub sessions: Arc<Sessions>,
+    pool: Arc<Pool>,
+    /// Worlds that connections have joined, by name.
+    joined: Mutex<HashMap<String, Option<Interrupt>>>,
+}
+
+/// A connection's place in a world; dropping it leaves the world.
+pub struct Place {
+    hold: Hold,
+    worlds: Arc<Worlds>,
+    pub task: Arc<dyn Task>,
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        let mut joined = self.worlds.lock();
+        self.worlds.sessions.detach(&self.hold);
+        // With it goes the sender of a ResetWorld that waits, which then finds the world free.
+        joined.remove(&self.hold.id);
+    }
+}
+
+/// What a world is asked to do.
+enum Ask {
+    /// Show the first observation of an episode that has not been played yet.
+    Begin,
+    /// Begin another episode.
+    Reset(Changes),
+    Step(Vec<f32>),
+}
+
+impl Ask {
+    /// None: nothing moves.
+    fn operation(self, batch: &mut Batch) -> Result<Option<Operation>> {
+        match self {
+            Self::Begin if batch.is_fresh() => Ok(None),
+            Self::Begin => batch.reset(None, None, Default::default()).map(Some),
+            Self::Reset(Changes { options, seed }) => batch.reset(None, seed.map(|s| vec![s]), options).map(Some),
+            Self::Step(action) => batch.step(action).map(Some),
+        }
+    }
+
+    /// May it be prepared on the async runtime's threads? Changed options make a new model.
+    fn is_light(&self) -> bool {
+        !matches!(self, Self::Reset(changes) if changes.options != Default::default())
+    }
+
+    /// How to read what the operation gives.
+    fn view(&self) -> fn(&Batch) -> View {
+        if matches!(self, Self::Step(_)) { View::after_step } else { View::first }
+    }
+}
+
+/// Worlds' words for a session's errors.
+fn of_world(error: Error, name: &str) -> Error {
+    match error {
+        Error::Unknown { what: SESSION, .. } => Error::unknown(SESSION, name, &["worlds that have not been destroyed"]),
+        Error::OutOfOrder(_) => Error::OutOfOrder(format!("world_name: another connection has joined {name:?}")),
+        other => other,
+    }
+}
+
+impl Worlds {
+    pub fn new(sessions: Arc<Sessions>, pool: Arc<Pool>) -> Arc<Self> {
+        Arc::new(Self { sessions, pool, joined: Mutex::default() })
+    }
+
+    /// Every change under this lock is one step, so the data are sound even if a holder panicked.
+    fn lock(&self) -> MutexGuard<'_, HashMap<String, Option<Interrupt>>> {
+        self.joined.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Makes a world, at the start of its first episode, and gives its name.
+    pub async fn create(self: &Arc<Self>, plan: Plan) -> Result<String> {
+        let sessions = self.sessions.clone();
+        let Plan { task, options, seed } = plan;
+        let built = tokio::task::spawn_blocking(move || sessions.create(&task, 1, options).map(|made| made.0)).await;
+        let name = built.map_err(|_| Error::Exhausted("the world could not be built; please report this".into()))??;
+        // Two worlds without a seed shall differ.
+        let seed = Some(seed.unwrap_or_else(rand::random));
+        self.join(&name)?.reset(Changes { seed, ..Default::default() }).await?;
+        Ok(name)
+    }
+
+    /// Takes a place in a world that nobody has joined.
+    pub fn join(self: &Arc<Self>, name: &str) -> Result<Place> {
+        let mut joined = self.lock();
+        self.enter(&mut joined, name)
+    }
+
+    fn enter(self: &Arc<Self>, joined: &mut HashMap<String, Option<Interrupt>>, name: &str) -> Result<Place> {
+        let summary = self.sessions.describe(name).map_err(|e| of_world(e, name))?;
+        if summary.envs != 1 {
+            let reason = format!("{name:?} is a session of {} environments, a world has one", summary.envs);
+            return Err(Error::invalid("world_name", reason));
+        }
+        let hold = self.sessions.attach_free(name).map_err(|e| of_world(e, name))?;
+        joined.insert(name.into(), None);
+        Ok(Place { hold, worlds: self.clone(), task: summary.blueprint.task })
+    }
+
+    /// Begins another episode in a world. If a connection has joined it, this waits until that one has been told.
+    pub async fn reset(self: &Arc<Self>, name: &str, changes: Changes) -> Result<()> {
+        loop {
+            let waiting = {
+                let mut joined = self.lock();
+                match (joined.get_mut(name), changes.clone()) {
+                    (Some(Some(_)), _) => {
+                        let reason = format!("world_name: another reset_world of {name:?} is waiting");
+                        return Err(Error::OutOfOrder(reason));
+                    }
+                    (Some(slot), changes) => {
+                        let (done, waiting) = oneshot::channel();
+                        *slot = Some(Interrupt { changes, done });
+                        Ok(waiting)
+                    }
+                    (None, changes) => Err((self.enter(&mut joined, name)?, changes)),
+                }
+            };
+            match waiting {
+                Err((place, changes)) => return place.reset(changes).await.map(drop),
+                // Without an answer the other connection has left: the world is free now.
+                Ok(waiting) => {
+                    if let Ok(result) = waiting.await {
+                        return result;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Ends a world that nobody has joined.
+    pub fn destroy(&self, name: &str) -> Result<()> {
+        let joined = self.lock();
+        if joined.contains_key(name) {
+            return Err(Error::OutOfOrder(format!(
+                "world_name: a connection has joined {name:?}; it must leave first"
+            )));
+        }
+        self.sessions.close(name).map_err(|e| of_world(e, name))
+    }
+}
+
+impl Place {
+    pub fn name(&self) -> &str {
+        &self.hold.id
+    }
+
+    pub fn specs(&self) -> ActionObservationSpecs {
+        tensors::specs(self.task.spec())
+    }
+
+    /// The ResetWorld of another connection that waits for this one, if any.
+    pub fn interrupt(&self) -> Option<Interrupt> {
+        self.worlds.lock().get_mut(self.name()).and_then(Option::take)
+    }
+
+    /// The first observation of an episode that has not been played yet.
+    pub async fn begin(&self) -> Result<View> {
+        self.run(Ask::Begin).await
+    }
+
+    /// Begins another episode, with `changes`.
+    pub async fn reset(&self, changes: Changes) -> Result<View> {
+        self.run(Ask::Reset(changes)).await
+    }
+
+    /// One control step; `action` is one row within its bounds.
+    pub async fn step(&self, action: Vec<f32>) -> Result<View> {
+        self.run(Ask::Step(action)).await
+    }
+
+    /// Carries `ask` out on the pool. What was begun is finished, and the environment put back, even if nobody waits
+    /// for the answer any more.
+    async fn run(&self, ask: Ask) -> Result<View> {
+        let gone = || Error::Cancelled(format!("world_name: {:?} was closed or taken by another stream", self.name()));
+        let mut environments = self.worlds.sessions.take(&self.hold).await.ok_or_else(gone)?;
+        let (sender, answer) = oneshot::channel();
+        let (sessions, pool, id) = (self.worlds.sessions.clone(), self.worlds.pool.clone(), self.hold.id.clone());
+        let (light, view) = (ask.is_light(), ask.view());
+        let begin = move || {
+            // Whoever waited for an answer may be gone: hence the results of `send` mean nothing.
+            let operation = match ask.operation(&mut environments.batch) {
+                Ok(Some(operation)) => operation,
+                unmoved => {
+                    let seen = unmoved.map(|_| view(&environments.batch));
+                    sessions.give_back(&id, environments);
+                    let _ = sender.send(seen);
+                    return;
+                }
+            };
+            let (batch, rest) = environments.into_parts();
+            pool.run(batch, operation, move |done| {
+                let seen = done.map(|batch| {
+                    let seen = view(&batch);
+                    sessions.give_back(&id, rest.with(batch));
+                    seen
+                });
+                if let Err(error) = &seen {
+                    lost(&sessions, &id, error);
+                }
+                let _ = sender.send(seen);
+            });
+        };
+        if light {
+            begin();
+        } else {
+            tokio::task::spawn_blocking(begin);
+        }
+        answer.await.unwrap_or_else(|_| Err(gone()))
+    }
+}
