@@ -1,7 +1,13 @@
 //! Compiles the protos in pure Rust: no protoc is needed.
+
+use prost::Message as _;
+use std::path::Path;
+
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("cargo:rerun-if-changed=proto");
     let files = protox::compile(["proto/sandgait/v1/sandgait.proto", "proto/sandgait/v1/studies.proto"], ["proto"])?;
+    // What the server tells those who ask it by reflection.
+    std::fs::write(Path::new(&std::env::var("OUT_DIR")?).join("descriptors.bin"), files.encode_to_vec())?;
     tonic_prost_build::configure().bytes(".sandgait.v1").compile_fds(files)?;
     Ok(())
 }
