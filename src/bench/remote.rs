@@ -5,7 +5,7 @@ use crate::service::proto::environment_service_client::EnvironmentServiceClient;
 use crate::service::proto::run_session_request::Request;
 use crate::service::proto::run_session_response::Response;
 use crate::service::proto::{CreateSessionRequest, Reset, RunSessionRequest, RunSessionResponse, Step};
-use crate::service::{self, Address, Limits, Listener, PROTOCOL};
+use crate::service::{self, Address, Listener, PROTOCOL, Setup};
 use crate::{Error, Result};
 use prost_types::value::Kind;
 use serde_json::Value;
@@ -53,7 +53,7 @@ impl Remote {
         let answers = runtime.block_on(async {
             let listener = Listener::bind(&address.parse::<Address>()?).await?;
             let bound = listener.address()?.to_string();
-            tokio::spawn(service::serve(listener, threads, Limits::default(), stop.clone()));
+            tokio::spawn(service::serve(listener, Setup { threads, ..Setup::default() }, stop.clone()));
             let target = if tcp { format!("http://{bound}") } else { bound };
             let endpoint = tonic::transport::Endpoint::from_shared(target).map_err(failed)?.tcp_nodelay(true);
             let mut client = EnvironmentServiceClient::new(endpoint.connect().await.map_err(failed)?)

@@ -3,6 +3,7 @@
 
 mod bench;
 mod calibrate;
+mod config;
 mod diagnose;
 mod intrude;
 mod media;
@@ -14,7 +15,7 @@ mod tasks;
 mod walk;
 
 use clap::error::ErrorKind;
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory as _, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use sandgait::progress::Progress;
 use sandgait::sand::{Medium, SandDescription};
@@ -56,6 +57,9 @@ enum Command {
 
 pub fn main() -> ExitCode {
     let outcome = match Cli::try_parse() {
+        Ok(Cli { command: Command::Serve(serve::Serve { config: Some(file), .. }) }) => {
+            with_file(&file).and_then(|cli| run(cli.command))
+        }
         Ok(cli) => run(cli.command),
         Err(e) if matches!(e.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion) => Ok(e.to_string()),
         Err(e) if e.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => {
@@ -73,6 +77,17 @@ pub fn main() -> ExitCode {
             ExitCode::from(exit_code(&error))
         }
     }
+}
+
+/// The same command line, with a file of options for its command.
+fn with_file(file: &Path) -> Result<Cli> {
+    let mut given = std::env::args_os();
+    let mut all: Vec<_> = given.by_ref().take(2).collect();
+    let cli = Cli::command();
+    let command = all.get(1).and_then(|name| cli.find_subcommand(name));
+    all.extend(config::arguments(command.unwrap_or(&cli), file)?);
+    // The command line alone was understood before, so what is wrong now stands in the file.
+    Cli::try_parse_from(all.into_iter().chain(given)).map_err(|e| Error::file(file, one_line(&e.to_string())))
 }
 
 /// Runs a command; its text goes to stdout.

@@ -1,9 +1,12 @@
 //! `sandgait serve`
 
-use sandgait::service::{self, Address, Limits, Listener};
+use sandgait::service::{self, Address, Limits, Listener, Setup, StateDir, Tls, Token};
 use sandgait::{Error, Result};
 use std::io::{IsTerminal as _, Read as _, Write as _};
+use std::net::SocketAddr;
+use std::path::PathBuf;
 use std::time::Duration;
+use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
@@ -12,12 +15,16 @@ const GRACE: Duration = Duration::from_millis(500);
 
 /// Serve environments over gRPC until SIGTERM or Ctrl-C.
 ///
-/// Prints one line, "listening on ADDRESS", when clients can connect.
+/// Prints one line, "listening on ADDRESS", when clients can connect. See docs/serving.md.
 #[derive(clap::Args)]
-#[command(after_help = "Examples:
+#[command(
+    args_override_self = true,
+    after_help = "Examples:
   sandgait serve --listen unix:/tmp/sand.sock
   sandgait serve --listen 127.0.0.1:0 --threads 8      (any free port; the line printed says which)
-  sandgait serve --listen 0.0.0.0:50051 --insecure     (anyone who reaches this port can use it)")]
+  sandgait serve --listen 0.0.0.0:50051 --tls-cert server.pem --tls-key server.key --token-file token
+  sandgait serve --listen 0.0.0.0:50051 --insecure     (anyone who reaches this port can use it)"
+)]
 pub struct Serve {
     /// HOST:PORT or unix:PATH (a socket only its owner can use)
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:50051")]
@@ -25,37 +32,108 @@ pub struct Serve {
     /// Threads that simulate; 0: one for each processor
     #[arg(long, value_name = "N", default_value_t = 0)]
     threads: u16,
-    /// Allow addresses that other machines reach, without encryption or token
-    #[arg(long)]
-    insecure: bool,
     /// Also speak dm_env_rpc, DeepMind's protocol, on the same address
     #[arg(long)]
     dm_env_rpc: bool,
+    /// Options as TOML, by their long names; those of the command line win
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    #[command(flatten)]
+    security: Security,
+    #[command(flatten)]
+    lent: Lent,
+    /// Answer GET /metrics for Prometheus here
+    #[arg(long, value_name = "HOST:PORT")]
+    metrics: Option<Address>,
+    /// What the log on stderr looks like; SANDGAIT_LOG filters it
+    #[arg(long, value_name = "FORMAT", default_value = "text")]
+    log_format: LogFormat,
+    /// Keep sessions here while no server runs: saved at SIGTERM, taken up at the next start
+    #[arg(long, value_name = "DIR")]
+    state_dir: Option<PathBuf>,
     /// Also stop when stdin is closed, as it is when the process that started this one ends
     #[arg(long)]
     exit_on_stdin_close: bool,
 }
 
+/// Who may use the server.
+#[derive(clap::Args)]
+struct Security {
+    /// Encrypt: the server's certificate, PEM
+    #[arg(long, value_name = "FILE")]
+    tls_cert: Option<PathBuf>,
+    /// Its private key, PEM
+    #[arg(long, value_name = "FILE")]
+    tls_key: Option<PathBuf>,
+    /// Clients must have certificates of this authority, PEM
+    #[arg(long, value_name = "FILE")]
+    client_ca: Option<PathBuf>,
+    /// Clients must know the token in this file
+    #[arg(long, value_name = "FILE")]
+    token_file: Option<PathBuf>,
+    /// Allow addresses that other machines reach without encryption and token
+    #[arg(long)]
+    insecure: bool,
+}
+
+/// What the server lends out at most.
+#[derive(clap::Args)]
+struct Lent {
+    /// Sessions at a time
+    #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(1..))]
+    max_sessions: u32,
+    /// Environments of one session
+    #[arg(long, value_name = "N", default_value_t = 65_536, value_parser = clap::value_parser!(u32).range(1..))]
+    max_envs: u32,
+    /// Memory of all environments together, estimated [MiB]
+    #[arg(long, value_name = "MIB", default_value_t = 8192, value_parser = clap::value_parser!(u32).range(1..))]
+    max_memory_mib: u32,
+    /// Size of a request [MiB]
+    #[arg(long, value_name = "MIB", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..4096))]
+    max_message_mib: u32,
+    /// A session without a client is freed after this time [s]
+    #[arg(long, value_name = "S", default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..))]
+    lease_seconds: u32,
+    /// Requests of one session a second; 0: as many as it can
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    max_requests_per_second: u32,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum LogFormat {
+    Text,
+    Json,
+}
+
 impl Serve {
     pub fn run(self) -> Result<String> {
-        if !self.listen.is_local() && !self.insecure {
-            let reason = format!("{} can be reached from other machines; add --insecure to allow that", self.listen);
-            return Err(Error::invalid("--listen", reason));
-        }
-        let filter = tracing_subscriber::EnvFilter::try_from_env("SANDGAIT_LOG").unwrap_or_else(|_| "info".into());
-        let colour = std::io::stderr().is_terminal();
-        tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(colour).init();
+        self.security.check(&self.listen)?;
+        let metrics = self.metrics.as_ref().map(|address| metrics_address(address, self.security.insecure));
+        let metrics = metrics.transpose()?;
+        self.log_format.start();
+        let mut setup = self.security.setup(&self.listen)?;
+        setup.threads = self.threads.into();
+        setup.limits = self.lent.limits();
+        setup.dm_env_rpc = self.dm_env_rpc;
+        setup.state = self.state_dir.as_deref().map(StateDir::new).transpose()?;
         let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
         let runtime = runtime.map_err(|e| Error::Exhausted(format!("cannot start threads: {e}")))?;
-        let served = runtime.block_on(self.serve());
+        let served = runtime.block_on(self.serve(setup, metrics));
         runtime.shutdown_timeout(GRACE);
         served.map(|()| String::new())
     }
 
-    async fn serve(self) -> Result<()> {
+    async fn serve(self, mut setup: Setup, metrics: Option<SocketAddr>) -> Result<()> {
         let stop = CancellationToken::new();
         on_signals(&stop)?;
         let listener = Listener::bind(&self.listen).await?;
+        if let Some(address) = metrics {
+            let unusable = |e: std::io::Error| Error::invalid("--metrics", format!("{address}: {e}"));
+            let listener = TcpListener::bind(address).await.map_err(unusable)?;
+            let address = listener.local_addr().map_err(unusable)?;
+            tracing::info!(%address, "metrics are at /metrics");
+            setup.metrics = Some(listener);
+        }
         let line = format!("listening on {}\n", listener.address()?);
         let mut out = std::io::stdout();
         // Whoever started this server may not care for its output.
@@ -63,8 +141,81 @@ impl Serve {
         if self.exit_on_stdin_close {
             stop_with_stdin(stop.clone());
         }
-        let limits = Limits { dm_env_rpc: self.dm_env_rpc, ..Limits::default() };
-        service::serve(listener, self.threads.into(), limits, stop).await
+        service::serve(listener, setup, stop).await
+    }
+}
+
+impl Security {
+    /// Is what is asked for safe, or said to be meant?
+    fn check(&self, listen: &Address) -> Result<()> {
+        let missing = |name: &str| Err(Error::invalid(name, "missing; TLS needs a certificate and its key"));
+        match (&self.tls_cert, &self.tls_key) {
+            (Some(_), None) => return missing("--tls-key"),
+            (None, Some(_)) => return missing("--tls-cert"),
+            (None, None) if self.client_ca.is_some() => return missing("--tls-cert"),
+            (Some(_), _) if matches!(listen, Address::Unix(_)) => {
+                return Err(Error::invalid("--tls-cert", format!("{listen} is for its owner only and needs no TLS")));
+            }
+            _ => {}
+        }
+        let lacking = [("--tls-cert and --tls-key", &self.tls_cert), ("--token-file", &self.token_file)];
+        let lacking: Vec<_> = lacking.iter().filter(|(_, given)| given.is_none()).map(|(name, _)| *name).collect();
+        if listen.is_local() || self.insecure || lacking.is_empty() {
+            return Ok(());
+        }
+        let reason = format!(
+            "{listen} can be reached from other machines; add {}, or --insecure to allow that",
+            lacking.join(" and ")
+        );
+        Err(Error::invalid("--listen", reason))
+    }
+
+    fn setup(&self, listen: &Address) -> Result<Setup> {
+        let tls = match (&self.tls_cert, &self.tls_key) {
+            (Some(certificate), Some(key)) => Some(Tls::load(certificate, key, self.client_ca.as_deref())?),
+            _ => None,
+        };
+        let token = self.token_file.as_deref().map(Token::load).transpose()?;
+        if !listen.is_local() && (tls.is_none() || token.is_none()) {
+            tracing::warn!(%listen, "others reach this server without encryption or token, as --insecure allows");
+        }
+        Ok(Setup { tls, token, ..Setup::default() })
+    }
+}
+
+/// Metrics have neither encryption nor token.
+fn metrics_address(address: &Address, insecure: bool) -> Result<SocketAddr> {
+    let Address::Tcp(tcp) = address else {
+        return Err(Error::invalid("--metrics", format!("{address} is not HOST:PORT")));
+    };
+    if !address.is_local() && !insecure {
+        let reason = "can be reached from other machines without encryption or token; add --insecure to allow that";
+        return Err(Error::invalid("--metrics", format!("{address} {reason}")));
+    }
+    Ok(*tcp)
+}
+
+impl Lent {
+    fn limits(&self) -> Limits {
+        Limits {
+            sessions: self.max_sessions as usize,
+            environments: self.max_envs as usize,
+            memory: (self.max_memory_mib as usize) << 20,
+            lease: Duration::from_secs(self.lease_seconds.into()),
+            request: (self.max_message_mib as usize) << 20,
+            rate: Some(self.max_requests_per_second).filter(|n| *n > 0),
+        }
+    }
+}
+
+impl LogFormat {
+    fn start(self) {
+        let filter = tracing_subscriber::EnvFilter::try_from_env("SANDGAIT_LOG").unwrap_or_else(|_| "info".into());
+        let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+        match self {
+            Self::Text => log.with_ansi(std::io::stderr().is_terminal()).init(),
+            Self::Json => log.json().init(),
+        }
     }
 }
 

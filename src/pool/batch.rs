@@ -77,6 +77,11 @@ impl Batch {
         self.envs
     }
 
+    /// Has no environment been reset yet?
+    pub fn is_untouched(&self) -> bool {
+        !self.begun.contains(&true)
+    }
+
     pub fn spec(&self) -> &Spec {
         self.task.spec()
     }

@@ -3,7 +3,8 @@
 //! The only layer that knows protobuf and the network. It never computes on the async runtime's threads.
 //!
 //! * [`address`]: where to listen; [`server`]: serving until told to stop.
-//! * [`sessions`]: who holds which environments, and the limits.
+//! * [`security`]: TLS and the token; [`gate`]: what every call passes; [`metrics`]: what is counted.
+//! * [`sessions`]: who holds which environments, and the limits; [`state`]: sessions that outlive their server.
 //! * [`stream`]: one RunSession stream, request by request; [`rollout`]: the request of many steps.
 //! * [`studies`]: the offline tools, one at a time.
 //! * [`dm_env_rpc`]: the same environments for DeepMind's protocol.
@@ -14,9 +15,13 @@ pub mod address;
 mod decode;
 pub mod dm_env_rpc;
 mod encode;
+mod gate;
+mod metrics;
 mod rollout;
+mod security;
 pub mod server;
 mod sessions;
+mod state;
 mod status;
 mod stream;
 mod studies;
@@ -25,11 +30,16 @@ mod values;
 /// Generated from `proto/sandgait/v1/`.
 pub mod proto {
     tonic::include_proto!("sandgait.v1");
+
+    /// What the protos say, as reflection tells it.
+    pub const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/descriptors.bin"));
 }
 
 pub use address::{Address, Listener};
-pub use server::serve;
+pub use security::{Tls, Token};
+pub use server::{Setup, serve};
 pub use sessions::Limits;
+pub use state::StateDir;
 pub use values::from_json;
 
 use crate::env::task::{Blueprint, TASK_IDS};
@@ -44,7 +54,6 @@ use serde_json::Value;
 use sessions::Sessions;
 use std::pin::Pin;
 use std::sync::Arc;
-use tokio_util::sync::CancellationToken;
 use tonic::{Request, Response, Status, Streaming};
 
 /// Raised whenever a client of the previous number would misread this server.
@@ -58,12 +67,15 @@ pub struct Service {
     pool: Arc<Pool>,
 }
 
-impl Service {
-    /// Cancelling `stop` ends every stream after the operation it has in flight. Needs a tokio runtime.
-    pub fn new(threads: usize, limits: Limits, stop: CancellationToken) -> Self {
-        let sessions = Sessions::new(limits, stop);
-        tokio::spawn(sessions.clone().expire());
-        Self { sessions, pool: Arc::new(Pool::new(threads)) }
+/// A session that was made for a call; closed if the call ends before it is answered.
+struct Unclaimed(Arc<Sessions>, Option<String>);
+
+impl Drop for Unclaimed {
+    fn drop(&mut self) {
+        if let Some(id) = &self.1 {
+            // It may have been closed meanwhile.
+            let _ = self.0.close(id);
+        }
     }
 }
 
@@ -100,13 +112,14 @@ impl EnvironmentService for Service {
     ) -> Result<Response<CreateSessionResponse>, Status> {
         let sessions = self.sessions.clone();
         let lease_seconds = self.sessions.limits().lease.as_secs_f64();
-        let (session_id, task) = off_runtime(move || {
+        let (mut unclaimed, task) = off_runtime(move || {
             let CreateSessionRequest { task_id, num_envs, options, protocol } = request.into_inner();
             check_protocol(protocol)?;
             let (id, blueprint) = sessions.create(&task_id, num_envs as usize, values::to_json(options)?)?;
-            Ok((id, encode::task(&blueprint)))
+            Ok((Unclaimed(sessions, Some(id)), encode::task(&blueprint)))
         })
         .await?;
+        let session_id = unclaimed.1.take().unwrap_or_default();
         Ok(Response::new(CreateSessionResponse { session_id, task: Some(task), lease_seconds }))
     }
 

@@ -2,13 +2,14 @@
 //! then everything is put back to where it was.
 
 use super::proto;
+use super::proto::RunSessionResponse;
 use super::proto::run_session_response::Response;
-use super::proto::{RolloutPart, RunSessionResponse};
 use super::stream::{Work, lost};
 use super::{decode, encode};
 use crate::error::Result;
 use crate::pool::{Batch, Operation, Pool, Roll};
 use std::sync::Arc;
+use std::time::Instant;
 use tokio::sync::oneshot;
 
 /// Steps between two looks at who else waits: some milliseconds of work on a shard.
@@ -32,34 +33,42 @@ pub fn start(mut work: Work, request: &proto::Rollout, pool: Arc<Pool>) {
 async fn run(work: Work, roll: Roll, back: Operation, trajectories: bool, pool: Arc<Pool>) {
     let Work { environments, sequence, sessions, id, answers } = work;
     let (batch, rest) = environments.into_parts();
+    let begun = Instant::now();
     let part = |part| RunSessionResponse { sequence, response: Some(Response::Rollout(part)) };
+    let stop = sessions.stop();
     let rolled = async {
         let (mut batch, mut next) = (batch, roll.next(STEPS));
-        let mut last = RolloutPart::default();
+        let mut answer = None;
         while let Some(steps) = next {
             let (made, is_last) = (steps.made(), steps.made() == steps.total());
             next = steps.next(STEPS);
             batch = pooled(&pool, batch, Operation::Roll(steps)).await?;
-            last = encode::rollout(&batch, made, is_last);
-            // A client that does not read slows this down; one that has gone ends it.
-            if answers.is_closed() || (trajectories && !is_last && answers.send(part(last.clone())).await.is_err()) {
+            let rows = encode::rollout(&batch, made, is_last);
+            if is_last {
+                answer = Some(rows);
+            } else if answers.is_closed() || stop.is_cancelled() {
                 break;
+            } else if trajectories {
+                // A client that does not read slows this down; one that has gone ends it, and so does the server's end.
+                let sent = stop.run_until_cancelled(answers.send(part(rows))).await;
+                if !matches!(sent, Some(Ok(()))) {
+                    break;
+                }
             }
         }
-        if !trajectories {
-            (last.first_step, last.steps) = (0, roll.total() as u32);
-        }
-        pooled(&pool, batch, back).await.map(|batch| (batch, last))
+        sessions.metrics.rolled(begun.elapsed(), &batch);
+        pooled(&pool, batch, back).await.map(|batch| (batch, answer))
     };
     match rolled.await {
-        Ok((batch, last)) => {
+        Ok((batch, answer)) => {
+            let environments = rest.with(batch);
             // The stream has room for the last answer once it has read those before.
-            if answers.reserve().await.is_ok() {
-                let environments = rest.with(batch);
-                Work { environments, sequence, sessions, id, answers }.finish(Response::Rollout(last), false);
-            } else {
-                sessions.give_back(&id, rest.with(batch));
+            let room = stop.run_until_cancelled(answers.reserve()).await.is_some_and(|room| room.is_ok());
+            let Some(mut last) = answer.filter(|_| room) else { return sessions.give_back(&id, environments) };
+            if !trajectories {
+                (last.first_step, last.steps) = (0, roll.total() as u32);
             }
+            Work { environments, sequence, sessions, id, answers }.finish(Response::Rollout(last), false);
         }
         Err(error) => lost(&sessions, &id, &error),
     }

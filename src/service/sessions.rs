@@ -8,6 +8,7 @@
 //!
 //! The environments lie here whenever no operation runs on them, so a stream that breaks off loses nothing.
 
+use super::metrics::Metrics;
 use super::proto::RunSessionResponse;
 use super::status::SESSION;
 use crate::env::task::Blueprint;
@@ -36,8 +37,6 @@ pub struct Limits {
     pub request: usize,
     /// Requests a second that a session may make; none: as many as it can.
     pub rate: Option<u32>,
-    /// Lend to clients of dm_env_rpc too.
-    pub dm_env_rpc: bool,
 }
 
 impl Default for Limits {
@@ -51,21 +50,23 @@ impl Default for Limits {
             lease: Duration::from_secs(300),
             request: 256 << 20,
             rate: None,
-            dm_env_rpc: false,
         }
     }
 }
 
 /// What is lent out now.
-#[derive(Default)]
-struct Usage {
-    sessions: usize,
-    memory: usize,
+#[derive(Clone, Copy, Default)]
+pub struct Usage {
+    pub sessions: usize,
+    pub environments: usize,
+    /// Estimated [bytes].
+    pub memory: usize,
 }
 
 /// A session's share of the server's limits; given back when it is dropped.
 pub struct Reservation {
     usage: Arc<Mutex<Usage>>,
+    environments: usize,
     memory: usize,
 }
 
@@ -73,6 +74,7 @@ impl Drop for Reservation {
     fn drop(&mut self) {
         let mut usage = lock(&self.usage);
         usage.sessions -= 1;
+        usage.environments -= self.environments;
         usage.memory -= self.memory;
     }
 }
@@ -138,6 +140,14 @@ struct Entry {
     stream_end: CancellationToken,
 }
 
+/// A session that no client can reach: before it is added, or after the server has stopped.
+pub struct Session {
+    pub id: String,
+    pub blueprint: Blueprint,
+    /// None: an operation still runs on them.
+    pub environments: Option<Environments>,
+}
+
 /// A stream's hold on a session.
 pub struct Hold {
     pub id: String,
@@ -156,12 +166,16 @@ pub struct Summary {
     pub idle: Duration,
 }
 
+/// How often a server that stops looks whether its operations have ended.
+const LOOK: Duration = Duration::from_millis(2);
+
 /// All sessions of a server.
 pub struct Sessions {
     limits: Limits,
     usage: Arc<Mutex<Usage>>,
     entries: Mutex<HashMap<String, Entry>>,
     stop: CancellationToken,
+    pub metrics: Arc<Metrics>,
 }
 
 /// Every change under these locks is one step, so the data are sound even if a holder panicked.
@@ -178,7 +192,7 @@ pub fn name(id: &str) -> String {
 impl Sessions {
     /// Cancelling `stop` ends every stream after the operation it has in flight.
     pub fn new(limits: Limits, stop: CancellationToken) -> Arc<Self> {
-        Arc::new(Self { limits, usage: Arc::default(), entries: Mutex::default(), stop })
+        Arc::new(Self { limits, usage: Arc::default(), entries: Mutex::default(), stop, metrics: Arc::default() })
     }
 
     /// Cancelled when the server stops.
@@ -190,9 +204,24 @@ impl Sessions {
         &self.limits
     }
 
+    pub fn usage(&self) -> Usage {
+        *lock(&self.usage)
+    }
+
     /// A new session of `envs` environments, which waits for its stream. Building takes time: not for the async
     /// runtime's threads.
     pub fn create(&self, task: &str, envs: usize, options: Value) -> Result<(String, Blueprint)> {
+        let blueprint = Blueprint::new(task, options)?;
+        let environments = self.build(&blueprint, envs)?;
+        // 128 random bits: nobody else can guess it, and it is not logged.
+        let id = format!("{:032x}", rand::random::<u128>());
+        tracing::info!(session = name(&id), task, envs, "a session was created");
+        self.add(id.clone(), blueprint.clone(), environments)?;
+        Ok((id, blueprint))
+    }
+
+    /// Environments that count as used until they are dropped.
+    pub fn build(&self, blueprint: &Blueprint, envs: usize) -> Result<Environments> {
         if envs == 0 || envs > self.limits.environments {
             let range = format!("{envs} is outside [1, {}]", self.limits.environments);
             let error = if envs == 0 {
@@ -202,30 +231,39 @@ impl Sessions {
             };
             return Err(error);
         }
-        let blueprint = Blueprint::new(task, options)?;
-        let reservation = self.reserve(envs * blueprint.bytes_per_env())?;
-        let batch = Batch::new(&blueprint, envs)?;
-        // 128 random bits: nobody else can guess it, and it is not logged.
-        let id = format!("{:032x}", rand::random::<u128>());
-        tracing::debug!(session = name(&id), task, envs, "a session was created");
+        let reservation = self.reserve(envs, envs * blueprint.bytes_per_env())?;
+        Ok(Environments { batch: Batch::new(blueprint, envs)?, done: Done::default(), reservation })
+    }
+
+    /// Lets clients reach a session.
+    pub fn add(&self, id: String, blueprint: Blueprint, environments: Environments) -> Result<()> {
         let end = self.stop.child_token();
         let entry = Entry {
-            blueprint: blueprint.clone(),
-            envs,
-            environments: Some(Environments { batch, done: Done::default(), reservation }),
+            blueprint,
+            envs: environments.batch.envs(),
+            sequence: environments.done.sequence,
+            environments: Some(environments),
             back: Arc::default(),
-            sequence: 0,
             stream: 0,
             attached: false,
             idle_since: Instant::now(),
             stream_end: end.child_token(),
             end,
         };
-        lock(&self.entries).insert(id.clone(), entry);
-        Ok((id, blueprint))
+        let mut entries = lock(&self.entries);
+        if self.stop.is_cancelled() {
+            return Err(Error::Cancelled("the server is shutting down".into()));
+        }
+        let same = name(&id);
+        if entries.keys().any(|other| name(other) == same) {
+            // Once in four thousand million: the names of logs, lists and files are those of one session each.
+            return Err(Error::Exhausted("the session's name is taken; try again".into()));
+        }
+        entries.insert(id, entry);
+        Ok(())
     }
 
-    fn reserve(&self, memory: usize) -> Result<Reservation> {
+    fn reserve(&self, environments: usize, memory: usize) -> Result<Reservation> {
         let mut usage = lock(&self.usage);
         if usage.sessions >= self.limits.sessions {
             return Err(Error::Exhausted(format!("all {} sessions of this server are taken", self.limits.sessions)));
@@ -238,8 +276,9 @@ impl Sessions {
             )));
         }
         usage.sessions += 1;
+        usage.environments += environments;
         usage.memory += memory;
-        Ok(Reservation { usage: self.usage.clone(), memory })
+        Ok(Reservation { usage: self.usage.clone(), environments, memory })
     }
 
     /// Gives the session to a new stream, taking it from the one that has it.
@@ -278,12 +317,13 @@ impl Sessions {
     }
 
     /// The session's environments, once no operation runs on them; to be given back by [`Self::give_back`]. None if
-    /// the session has ended or another stream has it.
+    /// the session or the server has ended or another stream has it.
     pub async fn take(&self, hold: &Hold) -> Option<Environments> {
         loop {
             let back = {
                 let mut entries = lock(&self.entries);
-                let entry = entries.get_mut(&hold.id).filter(|e| e.stream == hold.stream)?;
+                let running = |e: &&mut Entry| e.stream == hold.stream && !self.stop.is_cancelled();
+                let entry = entries.get_mut(&hold.id).filter(running)?;
                 if let Some(environments) = entry.environments.take() {
                     return Some(environments);
                 }
@@ -312,10 +352,20 @@ impl Sessions {
     /// Ends a session, whether or not a stream has it.
     pub fn close(&self, id: &str) -> Result<()> {
         let entry = lock(&self.entries).remove(id).ok_or_else(|| unknown(id))?;
-        tracing::debug!(session = name(id), "a session was closed");
+        tracing::info!(session = name(id), "a session was closed");
         entry.end.cancel();
         release(entry.environments);
         Ok(())
+    }
+
+    /// All sessions, taken out once no operation runs on them or `deadline` has passed. The server has stopped: no
+    /// operation begins any more.
+    pub async fn drain(&self, deadline: Instant) -> Vec<Session> {
+        while Instant::now() < deadline && lock(&self.entries).values().any(|e| e.environments.is_none()) {
+            tokio::time::sleep(LOOK).await;
+        }
+        let out = |(id, e): (String, Entry)| Session { id, blueprint: e.blueprint, environments: e.environments };
+        lock(&self.entries).drain().map(out).collect()
     }
 
     pub fn describe(&self, id: &str) -> Result<Summary> {

@@ -5,7 +5,7 @@ use sandgait::service::proto::run_session_request::Request;
 use sandgait::service::proto::run_session_response::Response;
 use sandgait::service::proto::{Attach, DescribeSessionRequest, Step, Task};
 use sandgait::service::proto::{Batch, CreateSessionRequest, Failure, Reset, RunSessionRequest, RunSessionResponse};
-use sandgait::service::{Address, Limits, Listener, PROTOCOL, serve};
+use sandgait::service::{Address, Limits, Listener, PROTOCOL, Setup, serve};
 use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
@@ -39,21 +39,34 @@ impl Server {
     }
 
     pub async fn with_limits(threads: usize, limits: Limits) -> Self {
+        Self::with(Setup { threads, limits, ..Setup::default() }).await
+    }
+
+    pub async fn with(setup: Setup) -> Self {
         let directory = tempfile::tempdir().unwrap();
         let address = Address::Unix(directory.path().join("sock"));
-        Self::listen(threads, limits, address, directory).await
+        Self::listen(setup, address, directory).await
     }
 
-    pub async fn tcp() -> Self {
-        let address = "127.0.0.1:0".parse().unwrap();
-        Self::listen(1, Limits::default(), address, tempfile::tempdir().unwrap()).await
+    /// On a port of the loopback.
+    pub async fn tcp(setup: Setup) -> Self {
+        Self::listen(setup, "127.0.0.1:0".parse().unwrap(), tempfile::tempdir().unwrap()).await
     }
 
-    async fn listen(threads: usize, limits: Limits, address: Address, directory: tempfile::TempDir) -> Self {
+    async fn listen(setup: Setup, address: Address, directory: tempfile::TempDir) -> Self {
         let listener = Listener::bind(&address).await.unwrap();
         let (address, stop) = (listener.address().unwrap(), CancellationToken::new());
-        let done = Some(tokio::spawn(serve(listener, threads, limits, stop.clone())));
+        let done = Some(tokio::spawn(serve(listener, setup, stop.clone())));
         Self { address, stop, done, _directory: directory }
+    }
+
+    /// Stops the server and waits for its end; gives the time that took.
+    pub async fn end(mut self) -> Duration {
+        let begun = std::time::Instant::now();
+        self.stop.cancel();
+        let done = tokio::time::timeout(Duration::from_secs(10), self.done.take().unwrap()).await;
+        done.unwrap().unwrap().unwrap();
+        begun.elapsed()
     }
 
     pub async fn channel(&self) -> Channel {

@@ -1,15 +1,15 @@
 //! Traps that were measured once and must not come back.
 
 use crate::harness::Server;
-use sandgait::service::Address;
 use sandgait::service::proto::DescribeRequest;
+use sandgait::service::{Address, Setup};
 use std::os::unix::fs::PermissionsExt as _;
 use std::time::Instant;
 
 /// With Nagle's algorithm a small call takes 44 ms.
 #[tokio::test]
 async fn a_unary_call_over_tcp_is_not_delayed() {
-    let server = Server::tcp().await;
+    let server = Server::tcp(Setup { threads: 1, ..Setup::default() }).await;
     let mut client = server.client().await;
     let mut times = Vec::new();
     for _ in 0..21 {

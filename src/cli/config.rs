@@ -1,0 +1,42 @@
+//! A file of options: what stands in it is put before the options of the command line, which therefore win.
+
+use clap::Command;
+use sandgait::{Error, Result};
+use std::ffi::OsString;
+use std::fs;
+use std::path::Path;
+
+/// Options that only the command line has.
+const NOT_IN_FILES: [&str; 2] = ["config", "help"];
+
+/// The options in the TOML file `path` as arguments of `command`.
+///
+/// # Errors
+/// Names the file and the key that `command` does not know or whose value is no text, number or truth value.
+pub fn arguments(command: &Command, path: &Path) -> Result<Vec<OsString>> {
+    let text = fs::read_to_string(path).map_err(|e| Error::file(path, e))?;
+    let table: toml::Table = text.parse().map_err(|e: toml::de::Error| Error::file(path, e.message()))?;
+    let known = command.get_arguments().filter_map(|a| a.get_long()).filter(|name| !NOT_IN_FILES.contains(name));
+    let known: Vec<_> = known.collect();
+    let mut arguments = Vec::new();
+    for (key, value) in table {
+        if !known.contains(&key.as_str()) {
+            return Err(Error::file(path, format!("{key:?} is unknown; known: {}", known.join(", "))));
+        }
+        let is_flag = command.get_arguments().any(|a| a.get_long() == Some(&key) && !a.get_action().takes_values());
+        let value = match value {
+            toml::Value::Boolean(set) if is_flag => {
+                arguments.extend(set.then(|| format!("--{key}").into()));
+                continue;
+            }
+            toml::Value::String(text) if !is_flag => text,
+            toml::Value::Integer(number) if !is_flag => number.to_string(),
+            other => {
+                let expected = if is_flag { "true or false" } else { "text or a whole number" };
+                return Err(Error::file(path, format!("{key}: {} where {expected} is expected", other.type_str())));
+            }
+        };
+        arguments.push(format!("--{key}={value}").into());
+    }
+    Ok(arguments)
+}

@@ -1,0 +1,149 @@
+//! Who may talk to this server: encryption, client certificates, the token.
+
+use crate::error::{Error, Result};
+use futures_util::StreamExt as _;
+use sha2::{Digest as _, Sha256};
+use std::fs;
+use std::io;
+use std::os::unix::fs::PermissionsExt as _;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+use subtle::ConstantTimeEq as _;
+use tokio::net::TcpStream;
+use tokio_rustls::TlsAcceptor;
+use tokio_rustls::rustls::crypto::ring;
+use tokio_rustls::rustls::pki_types::pem::PemObject as _;
+use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
+use tokio_rustls::rustls::server::WebPkiClientVerifier;
+use tokio_rustls::rustls::{RootCertStore, ServerConfig};
+use tokio_rustls::server::TlsStream;
+use tokio_stream::Stream;
+
+/// How long a TLS handshake may take: our choice, ten times what a slow line needs.
+const HANDSHAKE: Duration = Duration::from_secs(5);
+
+/// Handshakes at a time; further connections wait to be accepted.
+const HANDSHAKES: usize = 256;
+
+/// What a client must say to use this server. Only its digest is kept.
+#[derive(Clone)]
+pub struct Token([u8; 32]);
+
+impl Token {
+    /// The token in a file: its text without the blanks around it.
+    ///
+    /// # Errors
+    /// The file cannot be read, is empty, or has characters that do not fit into a header. A file that others can read is
+    /// used, with a warning in the log.
+    pub fn load(path: &Path) -> Result<Self> {
+        let text = fs::read_to_string(path).map_err(|e| Error::file(path, e))?;
+        let token = text.trim();
+        if token.is_empty() {
+            return Err(Error::file(path, "the token is empty"));
+        }
+        if !token.bytes().all(|b| b.is_ascii_graphic()) {
+            return Err(Error::file(path, "the token has characters other than visible ASCII ones"));
+        }
+        if fs::metadata(path).is_ok_and(|m| m.permissions().mode() & 0o077 != 0) {
+            tracing::warn!(file = %path.display(), "others than its owner can use the file of the token");
+        }
+        Ok(Self::new(token))
+    }
+
+    pub fn new(token: &str) -> Self {
+        Self(Sha256::digest(token).into())
+    }
+
+    /// Is this the value of an `authorization` header that holds this token? Takes the same time for every wrong one of
+    /// its length.
+    pub fn admits(&self, authorization: &[u8]) -> bool {
+        let Some((scheme, given)) = authorization.split_at_checked(SCHEME.len()) else { return false };
+        scheme.eq_ignore_ascii_case(SCHEME) && bool::from(Sha256::digest(given).as_slice().ct_eq(&self.0))
+    }
+}
+
+const SCHEME: &[u8] = b"Bearer ";
+
+/// TLS as a server: its certificate, its key, and whose certificates clients must have.
+#[derive(Clone)]
+pub struct Tls(TlsAcceptor);
+
+impl Tls {
+    /// PEM files: the certificate (with those between it and the root, if any), its private key, and, if clients must have
+    /// certificates too, those of the authorities that issue them.
+    pub fn load(certificate: &Path, key: &Path, client_ca: Option<&Path>) -> Result<Self> {
+        let chain = certificates(certificate)?;
+        let secret = PrivateKeyDer::from_pem_file(key).map_err(|e| Error::file(key, format!("no private key: {e}")))?;
+        let provider = Arc::new(ring::default_provider());
+        let versions = ServerConfig::builder_with_provider(provider.clone()).with_safe_default_protocol_versions();
+        let versions = versions.map_err(|e| Error::Exhausted(format!("TLS cannot be used: {e}")))?;
+        let clients = match client_ca {
+            None => versions.with_no_client_auth(),
+            Some(path) => {
+                let mut roots = RootCertStore::empty();
+                for authority in certificates(path)? {
+                    roots.add(authority).map_err(|e| Error::file(path, e))?;
+                }
+                let verifier = WebPkiClientVerifier::builder_with_provider(roots.into(), provider).build();
+                versions.with_client_cert_verifier(verifier.map_err(|e| Error::file(path, e))?)
+            }
+        };
+        let unusable = |e| Error::file(key, format!("not the key of {}: {e}", certificate.display()));
+        let mut config = clients.with_single_cert(chain, secret).map_err(unusable)?;
+        config.alpn_protocols = vec![b"h2".to_vec()];
+        Ok(Self(Arc::new(config).into()))
+    }
+
+    /// Connections whose handshake succeeded. The others are logged and dropped.
+    pub(super) fn accept(
+        self,
+        incoming: impl Stream<Item = io::Result<TcpStream>>,
+    ) -> impl Stream<Item = io::Result<TlsStream<TcpStream>>> {
+        let shake_hands = move |connection: io::Result<TcpStream>| {
+            let acceptor = self.0.clone();
+            async move {
+                let stream = match connection {
+                    Ok(stream) => stream,
+                    Err(error) => return Some(Err(error)),
+                };
+                let peer = stream.peer_addr().map_or_else(|_| "unknown".into(), |a| a.to_string());
+                let reason = match tokio::time::timeout(HANDSHAKE, acceptor.accept(stream)).await {
+                    Ok(Ok(stream)) => return Some(Ok(stream)),
+                    Ok(Err(error)) => error.to_string(),
+                    Err(_) => format!("not done within {} s", HANDSHAKE.as_secs()),
+                };
+                tracing::warn!(peer, reason, "a TLS handshake failed");
+                None
+            }
+        };
+        incoming.map(shake_hands).buffer_unordered(HANDSHAKES).filter_map(std::future::ready)
+    }
+}
+
+/// At least one certificate.
+fn certificates(path: &Path) -> Result<Vec<CertificateDer<'static>>> {
+    let read = CertificateDer::pem_file_iter(path).and_then(Iterator::collect::<std::result::Result<Vec<_>, _>>);
+    let found = read.map_err(|e| Error::file(path, e))?;
+    if found.is_empty() {
+        return Err(Error::file(path, "holds no certificate"));
+    }
+    Ok(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_the_token_is_admitted() {
+        let token = Token::new("s3cret");
+        for right in [&b"Bearer s3cret"[..], b"bearer s3cret"] {
+            assert!(token.admits(right));
+        }
+        for wrong in [&b""[..], b"Bearer", b"Bearer ", b"s3cret", b"Basic s3cret", b"Bearer s3cret ", b"Bearer S3cret"]
+        {
+            assert!(!token.admits(wrong), "{wrong:?}");
+        }
+    }
+}

@@ -1,0 +1,157 @@
+//! Sessions that outlive their server: one file each, written when it stops and taken up by the next one.
+//!
+//! A file holds everything a client needs that finds its server restarted: the session's id, the number of its last
+//! request with the answer to it, and the environments as a snapshot. It is the right to use the session, so only its owner
+//! can read it; it is written whole or not at all, and removed once it is taken up.
+
+use super::proto::RunSessionResponse;
+use super::sessions::{Done, Environments, Session, Sessions, name};
+use crate::env::TaskOptions;
+use crate::env::task::Blueprint;
+use crate::error::{Error, Result};
+use crate::pool::{Pool, Snapshot};
+use prost::Message;
+use std::fs;
+use std::io::Write as _;
+use std::os::unix::fs::{DirBuilderExt as _, PermissionsExt as _};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+const MAGIC: &[u8] = b"sandgait session\n";
+const ENDING: &str = "session";
+/// What a file is called while it is written.
+const UNFINISHED: &str = ".unfinished-";
+
+/// The rest of a file. Snapshots bear their version and checksum themselves.
+#[derive(Clone, PartialEq, Message)]
+struct Saved {
+    #[prost(string, tag = "1")]
+    id: String,
+    #[prost(string, tag = "2")]
+    task: String,
+    /// CBOR: keeps every float.
+    #[prost(bytes = "vec", tag = "3")]
+    options: Vec<u8>,
+    #[prost(uint64, tag = "4")]
+    envs: u64,
+    #[prost(uint64, tag = "5")]
+    sequence: u64,
+    #[prost(message, optional, tag = "6")]
+    answer: Option<RunSessionResponse>,
+    /// Absent before the first reset.
+    #[prost(bytes = "vec", optional, tag = "7")]
+    snapshot: Option<Vec<u8>>,
+}
+
+/// The directory of these files.
+#[derive(Clone, Debug)]
+pub struct StateDir(PathBuf);
+
+impl StateDir {
+    /// Makes the directory, which only its owner can enter, if it is not there.
+    pub fn new(path: &Path) -> Result<Self> {
+        let made = fs::DirBuilder::new().recursive(true).mode(0o700).create(path);
+        made.map_err(|e| Error::file(path, e))?;
+        let open = fs::metadata(path).map_err(|e| Error::file(path, e))?.permissions().mode() & 0o077 != 0;
+        if open {
+            tracing::warn!(directory = %path.display(), "others than its owner can enter the directory of sessions");
+        }
+        Ok(Self(path.into()))
+    }
+
+    /// Takes up every session whose file is here. What cannot be taken up is logged, and its file stays.
+    pub fn take_up(&self, sessions: &Sessions, pool: &Pool) -> Result<()> {
+        for entry in fs::read_dir(&self.0).map_err(|e| Error::file(&self.0, e))? {
+            let path = entry.map_err(|e| Error::file(&self.0, e))?.path();
+            let unfinished = path.file_name().is_some_and(|n| n.to_string_lossy().starts_with(UNFINISHED));
+            if unfinished {
+                // A server was killed while it wrote; if it cannot be removed it does no harm.
+                let _ = fs::remove_file(&path);
+            }
+            if unfinished || path.extension().is_none_or(|e| e != ENDING) {
+                continue;
+            }
+            let file = path.display();
+            match load(&path).and_then(|saved| adopt(saved, sessions, pool)) {
+                Ok(session) => tracing::info!(session, "a session was taken up"),
+                Err(error) => {
+                    tracing::error!(%file, %error, "a session could not be taken up; its file stays");
+                    continue;
+                }
+            }
+            if let Err(error) = fs::remove_file(&path) {
+                tracing::error!(%file, %error, "the file of a session that goes on could not be removed");
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes every session until `deadline`; what cannot be written is logged.
+    pub fn save(&self, sessions: Vec<Session>, deadline: Instant) {
+        for session in sessions {
+            let name = name(&session.id);
+            let written = if Instant::now() < deadline {
+                Saved::of(session).and_then(|saved| self.write(&name, &saved))
+            } else {
+                Err(Error::Exhausted("the time for the end of the server was over".into()))
+            };
+            match written {
+                Ok(()) => tracing::info!(session = name, "a session was saved"),
+                Err(error) => tracing::error!(session = name, %error, "a session was lost: it could not be saved"),
+            }
+        }
+    }
+
+    /// The file is complete or not there: it is written beside its place and then renamed.
+    fn write(&self, name: &str, saved: &Saved) -> Result<()> {
+        let path = self.0.join(format!("{name}.{ENDING}"));
+        let unusable = |e: std::io::Error| Error::file(&path, e);
+        // Temporary files are for their owner only (0600).
+        let mut file = tempfile::Builder::new().prefix(UNFINISHED).tempfile_in(&self.0).map_err(unusable)?;
+        file.write_all(MAGIC).and_then(|()| file.write_all(&saved.encode_to_vec())).map_err(unusable)?;
+        file.as_file().sync_all().map_err(unusable)?;
+        file.persist(&path).map_err(|e| unusable(e.error))?;
+        Ok(())
+    }
+}
+
+impl Saved {
+    fn of(session: Session) -> Result<Self> {
+        let Session { id, blueprint, environments } = session;
+        let Some(Environments { batch, done, .. }) = environments else {
+            return Err(Error::Exhausted("a request of it was still being carried out".into()));
+        };
+        let mut options = Vec::new();
+        let unusable = |e| Error::Exhausted(format!("its options cannot be written: {e}"));
+        ciborium::into_writer(&blueprint.setup.options, &mut options).map_err(unusable)?;
+        let snapshot = if batch.is_untouched() { None } else { Some(batch.save()?.to_bytes()?) };
+        let task = blueprint.task.spec().id.into();
+        let (envs, Done { sequence, answer }) = (batch.envs() as u64, done);
+        Ok(Self { id, task, options, envs, sequence, answer, snapshot })
+    }
+}
+
+fn load(path: &Path) -> Result<Saved> {
+    let bytes = fs::read(path).map_err(|e| Error::file(path, e))?;
+    let body = bytes.strip_prefix(MAGIC).ok_or_else(|| Error::file(path, "this is no session of sandgait's"))?;
+    Saved::decode(body).map_err(|e| Error::file(path, e))
+}
+
+/// Gives the session's name.
+fn adopt(saved: Saved, sessions: &Sessions, pool: &Pool) -> Result<String> {
+    let Saved { id, task, options, envs, sequence, answer, snapshot } = saved;
+    let unusable = |e: String| Error::invalid("options", e);
+    let options: TaskOptions = ciborium::from_reader(&options[..]).map_err(|e| unusable(e.to_string()))?;
+    let options = serde_json::to_value(options).map_err(|e| unusable(e.to_string()))?;
+    let blueprint = Blueprint::new(&task, options)?;
+    let mut environments = sessions.build(&blueprint, envs as usize)?;
+    if let Some(snapshot) = snapshot {
+        let operation = environments.batch.restore(&Snapshot::from_bytes(&snapshot)?, None)?;
+        let (batch, rest) = environments.into_parts();
+        environments = rest.with(pool.wait(batch, operation)?);
+    }
+    environments.done = Done { sequence, answer };
+    let name = name(&id);
+    sessions.add(id, blueprint, environments)?;
+    Ok(name)
+}
