@@ -48,7 +48,7 @@ enum Ask {
     /// Show the first observation of an episode that has not been played yet.
     Begin,
     /// Begin another episode.
-    Reset(Changes),
+    Reset(Box<Changes>),
     Step(Vec<f32>),
 }
 
@@ -58,7 +58,10 @@ impl Ask {
         match self {
             Self::Begin if batch.is_fresh() => Ok(None),
             Self::Begin => batch.reset(None, None, Default::default()).map(Some),
-            Self::Reset(Changes { options, seed }) => batch.reset(None, seed.map(|s| vec![s]), options).map(Some),
+            Self::Reset(changes) => {
+                let Changes { options, seed } = *changes;
+                batch.reset(None, seed.map(|s| vec![s]), options).map(Some)
+            }
             Self::Step(action) => batch.step(action).map(Some),
         }
     }
@@ -185,7 +188,7 @@ impl Place {
 
     /// Begins another episode, with `changes`.
     pub async fn reset(&self, changes: Changes) -> Result<View> {
-        self.run(Ask::Reset(changes)).await
+        self.run(Ask::Reset(Box::new(changes))).await
     }
 
     /// One control step; `action` is one row within its bounds.
