@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import threading
+import time
 import unittest
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,6 +22,7 @@ from google.rpc import code_pb2
 
 import sandgait
 from conftest import ID, RemoteServer
+from sandgait import client
 
 REPOSITORY = Path(__file__).parents[2]
 
@@ -264,6 +266,26 @@ def test_reset_world_goes_on_when_the_other_leaves(connections: Any) -> None:
     assert not thread.is_alive()
 
 
+def test_a_lost_connection_leaves_its_world(connection: Connection, address: str) -> None:
+    with grpc.insecure_channel(address) as channel:
+        lost = Connection(channel)
+        world = create(lost, seed=3)
+        join(lost, world)
+        first = row(step(lost))
+        step(lost, 0.5)
+    deadline = time.monotonic() + 5.0
+    while True:
+        try:
+            join(connection, world)
+            break
+        except error.DmEnvRpcError:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+    begun = step(connection)
+    assert begun.state == State.RUNNING
+    assert not np.array_equal(row(begun), first), "it was being played, so another episode begins"
+
+
 # --- refusals ------------------------------------------------------------------------------------------------------
 
 
@@ -326,6 +348,14 @@ def test_requests_that_cannot_be_met(connections: Any) -> None:
         got = refusal(sender, request)
         assert got[0] == code
         assert words in got[1]
+
+
+def test_a_batch_is_no_world(connection: Connection, address: str) -> None:
+    session = client.create_session(address, ID, 3, {}).session_id
+    got = refusal(connection, dm_env_rpc_pb2.JoinWorldRequest(world_name=session))
+    assert got[0] == code_pb2.INVALID_ARGUMENT
+    assert "a session of 3 environments" in got[1]
+    client.close_session(address, session)
 
 
 def test_only_where_it_was_asked_for(remote: RemoteServer) -> None:

@@ -35,6 +35,7 @@ def imports(path: Path) -> set[str]:
         ("grpc", {"client.py"}),
         ("google", {"client.py"}),
         ("stable_baselines3", {"sb3.py"}),
+        ("ray", {"ray.py"}),
         ("torch", set()),
         ("pandas", set()),
         ("matplotlib", set()),

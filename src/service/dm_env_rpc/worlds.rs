@@ -43,12 +43,20 @@ impl Drop for Place {
     }
 }
 
+/// How ResetWorld gets at a world.
+enum Way {
+    /// Nobody had joined it.
+    In(Place),
+    /// The connection that has joined it answers here at its next step.
+    Told(oneshot::Receiver<Result<()>>),
+}
+
 /// What a world is asked to do.
 enum Ask {
     /// Show the first observation of an episode that has not been played yet.
     Begin,
     /// Begin another episode.
-    Reset(Changes),
+    Reset(Box<Changes>),
     Step(Vec<f32>),
 }
 
@@ -58,7 +66,10 @@ impl Ask {
         match self {
             Self::Begin if batch.is_fresh() => Ok(None),
             Self::Begin => batch.reset(None, None, Default::default()).map(Some),
-            Self::Reset(Changes { options, seed }) => batch.reset(None, seed.map(|s| vec![s]), options).map(Some),
+            Self::Reset(changes) => {
+                let Changes { options, seed } = *changes;
+                batch.reset(None, seed.map(|s| vec![s]), options).map(Some)
+            }
             Self::Step(action) => batch.step(action).map(Some),
         }
     }
@@ -125,29 +136,26 @@ impl Worlds {
     /// Begins another episode in a world. If a connection has joined it, this waits until that one has been told.
     pub async fn reset(self: &Arc<Self>, name: &str, changes: Changes) -> Result<()> {
         loop {
-            let waiting = {
-                let mut joined = self.lock();
-                match (joined.get_mut(name), changes.clone()) {
-                    (Some(Some(_)), _) => {
-                        let reason = format!("world_name: another reset_world of {name:?} is waiting");
-                        return Err(Error::OutOfOrder(reason));
-                    }
-                    (Some(slot), changes) => {
-                        let (done, waiting) = oneshot::channel();
-                        *slot = Some(Interrupt { changes, done });
-                        Ok(waiting)
-                    }
-                    (None, changes) => Err((self.enter(&mut joined, name)?, changes)),
-                }
+            let told = match self.enter_or_interrupt(name, &changes)? {
+                Way::In(place) => return place.reset(changes).await.map(drop),
+                Way::Told(told) => told,
             };
-            match waiting {
-                Err((place, changes)) => return place.reset(changes).await.map(drop),
-                // Without an answer the other connection has left: the world is free now.
-                Ok(waiting) => {
-                    if let Ok(result) = waiting.await {
-                        return result;
-                    }
-                }
+            // Without an answer the other connection has left: the world is free now.
+            if let Ok(result) = told.await {
+                return result;
+            }
+        }
+    }
+
+    fn enter_or_interrupt(self: &Arc<Self>, name: &str, changes: &Changes) -> Result<Way> {
+        let mut joined = self.lock();
+        match joined.get_mut(name) {
+            None => self.enter(&mut joined, name).map(Way::In),
+            Some(Some(_)) => Err(Error::OutOfOrder(format!("world_name: another reset_world of {name:?} is waiting"))),
+            Some(slot) => {
+                let (done, told) = oneshot::channel();
+                *slot = Some(Interrupt { changes: changes.clone(), done });
+                Ok(Way::Told(told))
             }
         }
     }
@@ -185,7 +193,7 @@ impl Place {
 
     /// Begins another episode, with `changes`.
     pub async fn reset(&self, changes: Changes) -> Result<View> {
-        self.run(Ask::Reset(changes)).await
+        self.run(Ask::Reset(Box::new(changes))).await
     }
 
     /// One control step; `action` is one row within its bounds.

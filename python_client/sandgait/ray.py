@@ -1,0 +1,125 @@
+"""A server on every node of a Ray cluster: environments spread over many machines.
+
+    with sandgait.ray.serve() as servers:
+        env = sandgait.SandgaitVectorEnv(id, 4096, address=servers.addresses)
+
+Every server listens on its node's address in the cluster, without encryption or token, even where Ray itself asks for
+one: whoever reaches the port can use it, so keep the cluster inside a trusted network.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from . import server
+from .errors import InvalidRequest, ServerLost
+
+try:
+    import ray
+    from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
+except ImportError as error:
+    raise ImportError("ray is not installed: pip install 'sandgait[ray]'") from error
+
+#: Longest wait for all servers to start [s]: a cluster may have to start Python on each node first.
+START_TIMEOUT = 60.0
+
+
+class _Server:
+    """An actor that owns a server process. The server ends with it: its standard input is a pipe of this process."""
+
+    def __init__(self, threads: int) -> None:
+        listen = f"{ray.util.get_node_ip_address()}:0"
+        self._process = subprocess.Popen(
+            [
+                server.find_binary(),
+                "serve",
+                "--listen",
+                listen,
+                "--threads",
+                str(threads),
+                "--insecure",
+                "--exit-on-stdin-close",
+            ],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+
+    def address(self) -> str:
+        """Where the server listens; empty if it could not start (its log is the actor's)."""
+        assert self._process.stdout is not None
+        return self._process.stdout.readline().removeprefix("listening on ").strip()
+
+    def stop(self) -> None:
+        """Ends the server after the step in flight."""
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        self._process.wait()
+
+
+@dataclass
+class Servers:
+    """Servers of a cluster, one a node. They end with `close`, or when this is no longer referred to."""
+
+    #: For `address=` of an environment: of all servers, or some.
+    addresses: list[str]
+    #: Ray's id of each server's node, to place its clients there.
+    nodes: list[str]
+    #: Threads of each server.
+    threads: list[int]
+    _actors: list[Any]
+
+    def on(self, k: int) -> dict[str, Any]:
+        """Ray options that place a task or actor on the node of server `k`."""
+        return {"scheduling_strategy": NodeAffinitySchedulingStrategy(self.nodes[k], soft=False)}
+
+    def close(self) -> None:
+        """Ends all servers. Sessions on them are lost."""
+        with contextlib.suppress(ray.exceptions.RayError):  # a node or the cluster may be gone already
+            ray.get([actor.stop.remote() for actor in self._actors], timeout=server.STOP_TIMEOUT)
+        for actor in self._actors:
+            ray.kill(actor)
+        self._actors.clear()
+
+    def __enter__(self) -> Servers:
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self.close()
+
+
+def serve(nodes: Sequence[str] | None = None, threads: int | None = None, num_cpus: float = 0.0) -> Servers:
+    """Starts one server on each of `nodes` (Ray's ids; none: every node that has processors) and waits for all.
+
+    `threads`: of each server; without it, as many as Ray counts processors on the node. `num_cpus`: what each server
+    takes from Ray's count; 0 leaves all to the clients, which wait while their server computes. Ray is initialized by
+    the caller, and this package installed on every node.
+    """
+    if threads is not None and not 1 <= threads <= 65_535:
+        raise InvalidRequest(f"threads: {threads} is outside [1, 65535]")
+    cpus = {n["NodeID"]: int(n["Resources"].get("CPU", 0)) for n in ray.nodes() if n["Alive"]}
+    chosen = [node for node, count in cpus.items() if count > 0] if nodes is None else list(nodes)
+    for k, node in enumerate(chosen):
+        if node not in cpus:
+            raise InvalidRequest(f"nodes[{k}]: {node!r} is no node of this cluster that is alive")
+    if not chosen:
+        raise InvalidRequest("nodes: there is none to serve on")
+    counts = [threads or max(cpus[node], 1) for node in chosen]
+    servers = Servers([], chosen, counts, [])
+    remote = ray.remote(_Server)
+    for k, count in enumerate(counts):
+        servers._actors.append(remote.options(num_cpus=num_cpus, **servers.on(k)).remote(count))
+    try:
+        servers.addresses = ray.get([a.address.remote() for a in servers._actors], timeout=START_TIMEOUT)
+    except ray.exceptions.RayError as error:
+        servers.close()
+        raise ServerLost(f"the servers could not start: {error}") from error
+    for address, node in zip(servers.addresses, chosen, strict=True):
+        if not address:
+            servers.close()
+            raise ServerLost(f"the server on node {node} could not start; its log says why")
+    return servers

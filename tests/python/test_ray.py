@@ -1,0 +1,73 @@
+"""Servers on the nodes of a Ray cluster: two nodes on this machine."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import ray
+from ray.cluster_utils import Cluster
+
+import sandgait
+import sandgait.ray
+from conftest import ID
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+# Ray leaves sockets and files of its own to the garbage collector.
+pytestmark = pytest.mark.filterwarnings(
+    "default::ResourceWarning", "default::FutureWarning", "default::DeprecationWarning"
+)
+
+
+@pytest.fixture(scope="module")
+def servers() -> Iterator[sandgait.ray.Servers]:
+    os.environ["PYTHONPATH"] = os.pathsep.join([str(EXAMPLES), os.environ.get("PYTHONPATH", "")])
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    cluster.add_node(num_cpus=1)
+    ray.init(address=cluster.address, log_to_driver=False)
+    with sandgait.ray.serve() as servers:
+        yield servers
+    ray.shutdown()
+    cluster.shutdown()
+
+
+def test_one_server_a_node(servers: sandgait.ray.Servers) -> None:
+    assert len(set(servers.nodes)) == len(set(servers.addresses)) == 2
+    assert servers.threads == [1, 1]
+
+
+def test_environments_over_the_cluster_give_the_same_numbers(servers: sandgait.ray.Servers) -> None:
+    actions = np.random.default_rng(0).uniform(-1, 1, (20, 5, 6)).astype(np.float32)
+    rows = []
+    for address in (None, servers.addresses):
+        env = sandgait.SandgaitVectorEnv(ID, 5, address=address, max_episode_steps=8)
+        rows.append([env.reset(seed=3)[0]] + [env.step(a)[0] for a in actions])
+        env.close()
+    assert np.array_equal(*rows)
+
+
+def test_the_evolution_strategy_learns(servers: sandgait.ray.Servers) -> None:
+    sys.path.insert(0, str(EXAMPLES))
+    import ray_es
+
+    _, curve = ray_es.evolve(servers, generations=8, population=64)
+    assert np.mean(curve[-2:]) > np.mean(curve[:2]) + 5.0, curve
+
+
+def test_wrong_use_is_named(servers: sandgait.ray.Servers) -> None:
+    with pytest.raises(sandgait.InvalidRequest, match=r"^nodes\[0\]: 'x' is no node"):
+        sandgait.ray.serve(nodes=["x"])
+    with pytest.raises(sandgait.InvalidRequest, match=r"^threads: 0 is outside"):
+        sandgait.ray.serve(threads=0)
+
+
+def test_servers_end_when_closed(servers: sandgait.ray.Servers) -> None:
+    with sandgait.ray.serve(nodes=servers.nodes[:1], threads=2) as more:
+        sandgait.describe(more.addresses[0])
+    with pytest.raises(sandgait.ServerLost):
+        sandgait.describe(more.addresses[0])
