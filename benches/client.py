@@ -70,14 +70,10 @@ def main() -> None:
     if arguments.json:
         print(json.dumps(rows))
         return
-    print(
-        f"{'envs':>6} {'p50 [µs]':>10} {'p99 [µs]':>10} {'own [µs]':>10} {'env-steps/s':>12} {'in process':>12} {'share':>6}"
-    )
-    for r in rows:
-        print(
-            f"{r['envs']:>6} {r['p50_us']:>10.0f} {r['p99_us']:>10.0f} {r['own_us']:>10.0f} {r['env_steps_per_second']:>12.0f} "
-            f"{r['in_process']:>12.0f} {r['share']:>6.0%}"
-        )
+    columns = ["envs", "p50_us", "p99_us", "own_us", "env_steps_per_second", "in_process"]
+    print("  ".join(columns + ["share"]))
+    for row in rows:
+        print("  ".join(f"{row[c]:>{len(c)}.0f}" for c in columns), f"{row['share']:>6.0%}")
 
 
 if __name__ == "__main__":

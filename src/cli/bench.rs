@@ -125,7 +125,7 @@ impl Bench {
         }
         Ok(format!(
             "{median:.0} environment steps/s ({min:.0} to {max:.0}) · {} · engine {} ({isa}) · {} environments, {threads} threads, through {through}\n",
-            [&[self.task.clone()], &self.options[..]].concat().join(" "),
+            [std::slice::from_ref(&self.task), &self.options].concat().join(" "),
             engine.name(),
             self.envs,
         ))
