@@ -71,7 +71,7 @@ def main() -> None:
         print(json.dumps(rows))
         return
     columns = ["envs", "p50_us", "p99_us", "own_us", "env_steps_per_second", "in_process"]
-    print("  ".join(columns + ["share"]))
+    print("  ".join([*columns, "share"]))
     for row in rows:
         print("  ".join(f"{row[c]:>{len(c)}.0f}" for c in columns), f"{row['share']:>6.0%}")
 
