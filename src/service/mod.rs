@@ -13,6 +13,8 @@
 pub mod address;
 mod decode;
 mod encode;
+#[cfg(test)]
+mod fuzz;
 mod gate;
 mod metrics;
 mod rollout;
