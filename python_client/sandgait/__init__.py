@@ -13,7 +13,8 @@ Studies need no environment, and are the commands of the same names:
     sandgait.sweep({"xi": range(-75, 76, 5), "frequency": [1, 2, 3, 4]}).plot()
     sandgait.diagnose("force.csv", "experiment.toml").summary
 
-Each takes `address="host:port"` or `"unix:/path"` of a running server; without one a server is started with, and
+Each takes `address="host:port"` or `"unix:/path"` of a running server, or a `sandgait.Remote` with what it takes to use
+one that asks for TLS or a token; without one a server is started with, and
 ends with, this process.
 """
 
@@ -27,6 +28,7 @@ from .client import describe
 from .diagnosis import Diagnosis, diagnose
 from .env import SandgaitEnv
 from .errors import InvalidRequest, LimitReached, OutOfOrder, SandgaitError, ServerLost, SessionLost
+from .remote import Remote
 from .spaces import Column, Option, Task
 from .studies import Intrusion, Sweep, Walks, intrude, sweep, walk
 from .tables import Table
@@ -44,6 +46,7 @@ __all__ = [
     "LimitReached",
     "Option",
     "OutOfOrder",
+    "Remote",
     "SandgaitEnv",
     "SandgaitError",
     "SandgaitVectorEnv",

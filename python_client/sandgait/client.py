@@ -30,6 +30,7 @@ from google.protobuf import json_format, struct_pb2
 from . import server
 from ._proto.sandgait.v1 import sandgait_pb2 as pb
 from .errors import InvalidRequest, LimitReached, OutOfOrder, SandgaitError, ServerLost, SessionLost
+from .remote import Remote
 from .spaces import Column, Option, Task
 
 #: The wire protocol this client speaks; the server refuses another.
@@ -107,8 +108,8 @@ def study(
         call = kind(method, lambda m: m.SerializeToString(), reply.FromString)
         try:
             if told is None:
-                return call(request)
-            stream = call(request)
+                return call(request, metadata=_metadata(address))
+            stream = call(request, metadata=_metadata(address))
             try:
                 for message in stream:
                     if message.WhichOneof("event") != "progress":
@@ -146,7 +147,7 @@ class Stream:
         self._requests: queue.SimpleQueue[pb.RunSessionRequest | None] = queue.SimpleQueue()
         self._responses = self._channel.stream_stream(
             _method("RunSession"), pb.RunSessionRequest.SerializeToString, pb.RunSessionResponse.FromString
-        )(iter(self._requests.get, None))
+        )(iter(self._requests.get, None), metadata=_metadata(address))
         first = pb.RunSessionRequest(session_id=session_id)
         first.attach.SetInParent()
         self._requests.put(first)
@@ -185,7 +186,9 @@ def close_session(address: str, session_id: str) -> None:
     """Frees a session before this returns, if its server still answers."""
     with _channel(address, DEFAULT_MESSAGE_BYTES) as channel, contextlib.suppress(grpc.RpcError):
         request = pb.CloseSessionRequest(session_id=session_id)
-        _unary(channel, "CloseSession", pb.CloseSessionResponse)(request, timeout=2.0)
+        _unary(channel, "CloseSession", pb.CloseSessionResponse)(
+                request, timeout=2.0, metadata=_metadata(address)
+            )
 
 
 def reset_request(
@@ -252,7 +255,16 @@ def _channel(address: str, message_bytes: int) -> grpc.Channel:
     if address.startswith("unix:"):
         # The default authority is the percent-encoded path, which HTTP/2 servers refuse (RST_STREAM error 1).
         options.append(("grpc.default_authority", "localhost"))
+    if isinstance(address, Remote) and address.tls:
+        credentials = grpc.ssl_channel_credentials(address.ca, address.key, address.cert)
+        return grpc.secure_channel(address, credentials, options=options)
     return grpc.insecure_channel(address, options=options)
+
+
+def _metadata(address: str) -> tuple[tuple[str, str], ...]:
+    """What every call to `address` says."""
+    token = address.token if isinstance(address, Remote) else None
+    return () if token is None else (("authorization", f"Bearer {token}"),)
 
 
 def _method(name: str) -> str:
@@ -265,7 +277,7 @@ def _unary(channel: grpc.Channel, name: str, reply: Any) -> Any:
 
 def _call(channel: grpc.Channel, address: str, name: str, request: Any, reply: Any) -> Any:
     try:
-        return _unary(channel, name, reply)(request, timeout=CALL_TIMEOUT)
+        return _unary(channel, name, reply)(request, timeout=CALL_TIMEOUT, metadata=_metadata(address))
     except grpc.RpcError as error:
         code = error.code()
         if name == "CreateSession" and code == grpc.StatusCode.NOT_FOUND:
@@ -275,6 +287,8 @@ def _call(channel: grpc.Channel, address: str, name: str, request: Any, reply: A
 
 def _error(code: grpc.StatusCode, message: str, address: str) -> SandgaitError:
     """A status as the exception that says what the caller can do."""
+    if code == grpc.StatusCode.UNAUTHENTICATED:
+        return SandgaitError(f"{address}: {message}; sandgait.Remote takes it (token or token_file)")
     kind = _KINDS.get(code)
     if kind is None:
         return SandgaitError(f"{address}: {message} ({code.name})")

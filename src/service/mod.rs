@@ -15,6 +15,8 @@ pub mod address;
 mod decode;
 pub mod dm_env_rpc;
 mod encode;
+#[cfg(test)]
+mod fuzz;
 mod gate;
 mod metrics;
 mod rollout;

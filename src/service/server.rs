@@ -90,7 +90,7 @@ pub async fn serve(listener: Listener, setup: Setup, stop: CancellationToken) ->
     if dm_env_rpc {
         offer.add(DmEnvRpcServer::new(DmEnvRpc::new(sessions.clone(), pool.clone())));
     }
-    add_services(&mut offer, &sessions, pool, &health)?;
+    add_services(&mut offer, &sessions, pool.clone(), &health)?;
     for name in &offer.names {
         health.set_service_status(name, ServingStatus::Serving).await;
     }
@@ -110,7 +110,10 @@ pub async fn serve(listener: Listener, setup: Setup, stop: CancellationToken) ->
             drive(routes.into(), UnixListenerStream::new(listener), None, stop).await?;
         }
     }
-    saved.await.map_err(|e| Error::Exhausted(format!("the sessions could not be saved: {e}")))
+    let saved = saved.await;
+    // Not before: a pool that ends drops the batches whose clients have gone.
+    drop(pool);
+    saved.map_err(|e| Error::Exhausted(format!("the sessions could not be saved: {e}")))
 }
 
 /// Services and their names.

@@ -18,6 +18,7 @@ use super::{decode, encode, rollout, status};
 use crate::error::Error;
 use crate::pool::{Operation, Pool};
 use futures_util::{Stream, stream};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::mpsc;
@@ -65,7 +66,7 @@ impl Drop for Guard {
     }
 }
 
-/// What a request was given for its work; every path but a worker's panic ends in [`Work::finish`].
+/// What a request was given for its work; every path but a panic ends in [`Work::finish`].
 pub struct Work {
     pub environments: Environments,
     pub sequence: u64,
@@ -168,7 +169,13 @@ fn repeated(done: &Done, sequence: u64) -> Option<RunSessionResponse> {
 
 fn start(work: Work, request: RunSessionRequest, pool: Arc<Pool>) {
     let light = decode::is_light(&request);
-    let begin = move || carry_out(work, request.request, &pool);
+    let (sessions, id) = (work.sessions.clone(), work.id.clone());
+    let begin = move || {
+        // A panic here would leave the session without its environments, and its clients waiting.
+        if catch_unwind(AssertUnwindSafe(|| carry_out(work, request.request, &pool))).is_err() {
+            lost(&sessions, &id, &Error::Exhausted("a request could not be prepared".into()));
+        }
+    };
     if light {
         begin();
     } else {
@@ -237,7 +244,7 @@ impl Work {
     }
 }
 
-/// A worker panicked and took the environments with it.
+/// Something panicked and took the environments with it.
 pub fn lost(sessions: &Sessions, id: &str, error: &Error) {
     tracing::error!(session = super::sessions::name(id), %error, "a session was lost");
     // It may have been closed meanwhile.

@@ -152,5 +152,5 @@ async fn sessions_are_returned_to_the_limit() {
     assert_eq!(full.code(), Code::ResourceExhausted);
     assert!(full.message().contains("all 2 sessions"));
     drop(b);
-    crate::sessions::until(async || Session::create(server.client().await, 1, &[]).await.is_ok()).await;
+    crate::harness::until(async || Session::create(server.client().await, 1, &[]).await.is_ok()).await;
 }

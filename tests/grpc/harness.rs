@@ -10,6 +10,8 @@ use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tokio_util::sync::CancellationToken;
+use tonic::service::Interceptor;
+use tonic::service::interceptor::InterceptedService;
 use tonic::transport::{Channel, Endpoint};
 use tonic::{Code, Status, Streaming};
 
@@ -18,7 +20,24 @@ pub const TASK: &str = "sandgait/HexapodGait-v0";
 /// Joints of the reference robot: numbers in an action row.
 pub const ACTIONS: usize = 6;
 
-pub type Client = EnvironmentServiceClient<Channel>;
+pub type Client = EnvironmentServiceClient<InterceptedService<Channel, Bearer>>;
+
+/// What a client says in every call: its token, if it has one.
+#[derive(Clone, Default)]
+pub struct Bearer(pub Option<String>);
+
+impl Interceptor for Bearer {
+    fn call(&mut self, mut call: tonic::Request<()>) -> Result<tonic::Request<()>, Status> {
+        if let Some(token) = &self.0 {
+            call.metadata_mut().insert("authorization", format!("Bearer {token}").parse().unwrap());
+        }
+        Ok(call)
+    }
+}
+
+pub fn client(channel: Channel, bearer: Bearer) -> Client {
+    EnvironmentServiceClient::with_interceptor(channel, bearer).max_decoding_message_size(usize::MAX)
+}
 
 pub struct Server {
     pub address: Address,
@@ -78,7 +97,7 @@ impl Server {
     }
 
     pub async fn client(&self) -> Client {
-        Client::new(self.channel().await).max_decoding_message_size(usize::MAX)
+        client(self.channel().await, Bearer::default())
     }
 
     pub async fn session(&self, envs: u32) -> Session {
@@ -211,4 +230,15 @@ pub fn wave(envs: std::ops::Range<usize>, time: usize) -> Vec<f32> {
 
 pub fn floats(bytes: &[u8]) -> Vec<f32> {
     bytes.chunks_exact(4).map(|b| f32::from_le_bytes(b.try_into().unwrap())).collect()
+}
+
+/// Waits until `ready`, as long as a slow machine may take.
+pub async fn until(mut ready: impl AsyncFnMut() -> bool) {
+    for _ in 0..500 {
+        if ready().await {
+            return;
+        }
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+    panic!("not within 5 s");
 }

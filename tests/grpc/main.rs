@@ -2,7 +2,9 @@
 
 mod bad_input;
 mod determinism;
+mod fuzz;
 mod harness;
+mod mutate;
 mod raw;
 mod rollouts;
 mod sessions;

@@ -1,22 +1,11 @@
 //! Whose environments are whose, and when they end.
 
-use crate::harness::{Server, Session, create, step, wave};
+use crate::harness::{Server, Session, create, step, until, wave};
 use sandgait::service::Limits;
 use sandgait::service::proto::run_session_response::Response;
 use sandgait::service::proto::{CloseSessionRequest, DescribeSessionRequest, ListSessionsRequest, RunSessionRequest};
 use std::time::Duration;
 use tonic::Code;
-
-/// Waits until `ready`, as long as a slow machine may take.
-pub async fn until(mut ready: impl AsyncFnMut() -> bool) {
-    for _ in 0..500 {
-        if ready().await {
-            return;
-        }
-        tokio::time::sleep(Duration::from_millis(10)).await;
-    }
-    panic!("not within 5 s");
-}
 
 /// Does the server still know this session?
 async fn is_known(server: &Server, id: &str) -> bool {

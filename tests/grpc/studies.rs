@@ -314,7 +314,7 @@ async fn the_line_is_limited_and_can_be_left() {
     assert_eq!(status.code(), Code::ResourceExhausted);
     assert!(status.message().contains("all 16 places"), "{status}");
     streams.clear();
-    crate::sessions::until(async || client.walk(walk(&[2.0])).await.is_ok()).await;
+    crate::harness::until(async || client.walk(walk(&[2.0])).await.is_ok()).await;
 }
 
 #[tokio::test]

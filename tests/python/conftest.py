@@ -16,9 +16,9 @@ ID = "sandgait/HexapodGait-v0"
 class RemoteServer:
     """A server that the client did not start."""
 
-    def __init__(self, listen: str, *flags: str) -> None:
+    def __init__(self, listen: str, *options: str) -> None:
         self.process = subprocess.Popen(
-            [server.find_binary(), "serve", "--listen", listen, "--exit-on-stdin-close", *flags],
+            [server.find_binary(), "serve", "--listen", listen, "--exit-on-stdin-close", *options],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,

@@ -1,0 +1,85 @@
+"""Addresses of servers that want to know who calls them."""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+from os import PathLike
+from pathlib import Path
+
+from .errors import InvalidRequest
+
+FilePath = str | PathLike[str]
+
+
+class Remote(str):
+    """The address of a server with what it takes to use it; goes wherever an address does.
+
+        gymnasium.make_vec(id, num_envs=256, address=sandgait.Remote("sand.lab:50051", ca="ca.pem", token_file="token"))
+
+    `address`: `host:port` or `unix:/path`.
+
+    `token`, `token_file`: what the server's `--token-file` has. It is sent in every call, and only over TLS, over a Unix
+    socket or to this machine.
+
+    `ca`: encrypt, and trust certificates of this authority (PEM file). `tls=True`: encrypt, and trust grpc's own
+    authorities.
+
+    `cert`, `key`: this client's certificate and its key (PEM files), for a server with `--client-ca`.
+
+    Files are read once, here. Its text is the address alone: neither `str` nor `repr` shows the token.
+    """
+
+    token: str | None
+    ca: bytes | None
+    cert: bytes | None
+    key: bytes | None
+    tls: bool
+
+    def __new__(
+        cls,
+        address: str,
+        *,
+        token: str | None = None,
+        token_file: FilePath | None = None,
+        ca: FilePath | None = None,
+        cert: FilePath | None = None,
+        key: FilePath | None = None,
+        tls: bool = False,
+    ) -> Remote:
+        self = super().__new__(cls, address)
+        if token is not None and token_file is not None:
+            raise InvalidRequest("token: token_file is given too")
+        if (cert is None) != (key is None):
+            raise InvalidRequest("cert, key: one is given without the other")
+        if token_file is not None:
+            token = _read(token_file, "token_file").decode(errors="replace").strip()
+        if token is not None and not (token.isascii() and token.isprintable() and token and " " not in token):
+            raise InvalidRequest("token: empty, or with characters other than visible ASCII ones")
+        self.token = token
+        self.ca, self.cert, self.key = (
+            None if path is None else _read(path, name) for path, name in ((ca, "ca"), (cert, "cert"), (key, "key"))
+        )
+        self.tls = tls or ca is not None or cert is not None
+        if self.tls and address.startswith("unix:"):
+            raise InvalidRequest(f"address: {address} is a Unix socket, which has no TLS")
+        if token is not None and not self.tls and not _is_local(address):
+            raise InvalidRequest(f"token: it would travel to {address} unencrypted; add ca or tls=True")
+        return self
+
+
+def _read(path: FilePath, name: str) -> bytes:
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise InvalidRequest(f"{name}: {os.fspath(path)!r} cannot be read: {error.strerror}") from error
+
+
+def _is_local(address: str) -> bool:
+    host = address.rpartition(":")[0].strip("[]")
+    if address.startswith("unix:") or host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False

@@ -1,0 +1,88 @@
+//! A server process, what it logs, and clients of it.
+
+use crate::harness::{Bearer, Client, client};
+use std::io::{BufRead as _, BufReader, Read as _};
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
+
+/// The command line of a server that is refused: its exit code and its one line.
+pub fn refused(arguments: &[&str]) -> String {
+    let Output { status, stdout, stderr } =
+        Command::new(env!("CARGO_BIN_EXE_sandgait")).arg("serve").args(arguments).output().unwrap();
+    let text = String::from_utf8(stderr).unwrap();
+    assert_eq!((status.code(), stdout.len()), (Some(2), 0), "{arguments:?}: {text}");
+    assert_eq!(text.lines().count(), 1, "{text}");
+    text
+}
+
+pub struct Process {
+    child: Child,
+    /// As printed.
+    pub address: String,
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // Fails if it has already ended.
+        let _ = self.child.kill();
+    }
+}
+
+impl Process {
+    pub fn start(arguments: &[&str]) -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_sandgait"));
+        command.arg("serve");
+        Self::of(command, arguments)
+    }
+
+    /// `command` is `sandgait serve` in some way.
+    pub fn of(mut command: Command, arguments: &[&str]) -> Self {
+        command.args(arguments).args(["--threads", "1"]);
+        command.env_remove("SANDGAIT_LOG").stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = command.spawn().unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let address = line.trim_end().strip_prefix("listening on ").unwrap_or_default().to_owned();
+        Self { child, address }
+    }
+
+    pub fn signal(&self, name: &str) {
+        let id = self.child.id().to_string();
+        assert!(Command::new("kill").args([name, &id]).status().unwrap().success());
+    }
+
+    /// SIGTERM; the time until the process has ended well, and its log.
+    pub fn end(mut self) -> (Duration, String) {
+        let begun = Instant::now();
+        self.signal("-TERM");
+        let status = self.child.wait().unwrap();
+        let time = begun.elapsed();
+        let mut log = String::new();
+        self.child.stderr.take().unwrap().read_to_string(&mut log).unwrap();
+        assert_eq!(status.code(), Some(0), "{log}");
+        (time, log)
+    }
+
+    pub async fn client(&self) -> Client {
+        let uri = match self.address.strip_prefix("unix:") {
+            Some(path) => format!("unix://{path}"),
+            None => format!("http://{}", self.address),
+        };
+        client(Endpoint::from_shared(uri).unwrap().connect().await.unwrap(), Bearer::default())
+    }
+
+    /// A connection that encrypts, trusts `ca`, and shows `identity` if it has one.
+    pub async fn encrypted(&self, ca: &str, identity: Option<Identity>) -> Result<Channel, String> {
+        let tls = ClientTlsConfig::new().ca_certificate(Certificate::from_pem(ca)).domain_name("localhost");
+        let tls = identity.into_iter().fold(tls, ClientTlsConfig::identity);
+        let endpoint = Endpoint::from_shared(format!("https://{}", self.address)).unwrap().tls_config(tls).unwrap();
+        endpoint.connect().await.map_err(|e| format!("{e:?}"))
+    }
+}
+
+/// A path as an argument.
+pub fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}

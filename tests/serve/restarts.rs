@@ -1,0 +1,171 @@
+//! Sessions that outlive their server.
+
+use crate::harness::{Session, create, step, wave};
+use crate::process::{Process, text};
+use sandgait::service::proto::run_session_response::Response;
+use sandgait::service::proto::{CloseSessionRequest, CreateSessionRequest};
+use std::fs;
+use std::os::unix::fs::PermissionsExt as _;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::Duration;
+use tonic::Code;
+
+struct Place {
+    directory: tempfile::TempDir,
+    address: String,
+}
+
+impl Place {
+    fn new() -> Self {
+        let directory = tempfile::tempdir().unwrap();
+        let address = format!("unix:{}", directory.path().join("sock").display());
+        Self { directory, address }
+    }
+
+    fn state(&self) -> PathBuf {
+        self.directory.path().join("state")
+    }
+
+    fn start(&self) -> Process {
+        Process::start(&["--listen", &self.address, "--state-dir", text(&self.state())])
+    }
+
+    fn files(&self) -> Vec<PathBuf> {
+        let mut all: Vec<_> = fs::read_dir(self.state()).unwrap().map(|e| e.unwrap().path()).collect();
+        all.sort();
+        all
+    }
+}
+
+fn mode(path: &Path) -> u32 {
+    fs::metadata(path).unwrap().permissions().mode() & 0o777
+}
+
+/// Every task; the server ends while a step is asked for, and the client does what it does when a stream broke.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_client_goes_on_where_it_was_with_the_same_bits() {
+    let (place, elsewhere) = (Place::new(), Place::new());
+    let (mut server, undisturbed) = (place.start(), elsewhere.start());
+    for task in sandgait::env::task::TASK_IDS {
+        let request = || CreateSessionRequest { task_id: task.into(), ..create(5, &[]) };
+        let mut one = Session::create_by(server.client().await, request()).await.unwrap();
+        let mut other = Session::create_by(undisturbed.client().await, request()).await.unwrap();
+        let actions = |time: usize, width: usize| {
+            step(&(0..5 * width).map(|k| ((k * 3 + time) as f32 * 0.37).sin()).collect::<Vec<_>>())
+        };
+        let width = one.task.action.len();
+        assert_eq!(one.reset(7).await, other.reset(7).await);
+        for time in 0..24_u64 {
+            let expected = other.batch(actions(time as usize, width)).await;
+            if time % 8 == 5 {
+                let sent = one.send(Some(actions(time as usize, width))).await;
+                tokio::time::sleep(Duration::from_micros(900 * (time % 3))).await;
+                let id = one.id.clone();
+                drop(one);
+                let (_, log) = server.end();
+                assert!(log.contains("a session was saved"), "{log}");
+                let [file] = &place.files()[..] else { panic!("{:?}", place.files()) };
+                assert_eq!((mode(file), mode(&place.state())), (0o600, 0o700));
+                assert!(!text(file).contains(&id));
+                server = place.start();
+                let (again, last) = Session::resume(server.client().await, &id, sent - 1).await.unwrap();
+                assert!(last == sent || last == sent - 1, "{last} {sent}");
+                assert!(place.files().is_empty());
+                one = again;
+            }
+            assert_eq!(one.batch(actions(time as usize, width)).await, expected, "{task}, step {time}");
+        }
+        let close = CloseSessionRequest { session_id: one.id.clone() };
+        one.client.close_session(close).await.unwrap();
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_session_that_was_never_reset_is_kept_too() {
+    let place = Place::new();
+    let server = place.start();
+    let id = server.client().await.create_session(create(3, &[])).await.unwrap().into_inner().session_id;
+    server.end();
+    let server = place.start();
+    let (mut session, last) = Session::resume(server.client().await, &id, 0).await.unwrap();
+    assert_eq!(last, 0);
+    session.reset(1).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_cannot_be_taken_up_stays_and_is_logged() {
+    let place = Place::new();
+    let server = place.start();
+    let mut session = Session::create(server.client().await, 3, &[]).await.unwrap();
+    session.reset(1).await;
+    let id = session.id.clone();
+    server.end();
+    let [file] = &place.files()[..] else { panic!() };
+    let whole = fs::read(file).unwrap();
+    fs::write(place.state().join(".unfinished-x"), "half").unwrap();
+    for damaged in [&b"no session"[..], &whole[..whole.len() / 2], &whole[..20]] {
+        fs::write(file, damaged).unwrap();
+        let (_, log) = place.start().end();
+        assert!(log.contains("could not be taken up; its file stays") && log.contains(text(file)), "{log}");
+        assert_eq!(fs::read(file).unwrap(), damaged);
+    }
+    assert_eq!(place.files().len(), 1, "what a killed server left is removed");
+    fs::write(file, whole).unwrap();
+    let server = place.start();
+    Session::resume(server.client().await, &id, 1).await.unwrap().0.step(0).await;
+}
+
+/// A limit on the size of files stands for a disk that is full in mid-file.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_full_disk_is_logged_and_holds_nothing_up() {
+    let place = Place::new();
+    let mut command = Command::new("sh");
+    command.args(["-c", "trap '' XFSZ; ulimit -f 16; exec \"$@\"", "sh", env!("CARGO_BIN_EXE_sandgait"), "serve"]);
+    let server = Process::of(command, &["--listen", &place.address, "--state-dir", text(&place.state())]);
+    let (mut large, mut small) = (create_in(&server, 500).await, create_in(&server, 1).await);
+    for session in [&mut large, &mut small] {
+        session.reset(1).await;
+        session.step(0).await;
+    }
+    let (time, log) = server.end();
+    assert!(time < Duration::from_secs(5), "{time:?}");
+    assert!(log.contains("a session was lost: it could not be saved") && log.contains("File too large"), "{log}");
+    // What fits is saved all the same, and nothing is there in part.
+    assert_eq!(place.files().len(), 1);
+    let server = place.start();
+    Session::resume(server.client().await, &small.id, 2).await.unwrap().0.step(1).await;
+    let gone = Session::resume(server.client().await, &large.id, 2).await.err().unwrap();
+    assert_eq!(gone.code(), Code::NotFound);
+}
+
+async fn create_in(server: &Process, envs: u32) -> Session {
+    Session::create(server.client().await, envs, &[]).await.unwrap()
+}
+
+/// Its client must be told why the stream ended, and find the answer to what was carried out.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_step_in_flight_is_finished() {
+    let place = Place::new();
+    let server = place.start();
+    let mut session = create_in(&server, 2048).await;
+    session.reset(0).await;
+    let sent = session.send(Some(step(&wave(0..2048, 0)))).await;
+    tokio::time::sleep(Duration::from_millis(5)).await;
+    let end = tokio::task::spawn_blocking(|| server.end());
+    let mut answered = None;
+    let status = loop {
+        match session.receive().await {
+            Ok((sequence, Response::Batch(batch))) => answered = Some((sequence, batch)),
+            Ok(other) => panic!("{other:?}"),
+            Err(status) => break status,
+        }
+    };
+    assert_eq!((status.code(), status.message()), (Code::Unavailable, "the server is shutting down"));
+    let (time, _) = end.await.unwrap();
+    assert!(time < Duration::from_secs(5), "{time:?}");
+    let server = place.start();
+    let (mut again, _) = Session::resume(server.client().await, &session.id, sent - 1).await.unwrap();
+    let batch = again.step(0).await;
+    assert!(answered.is_none_or(|(sequence, first)| sequence == sent && first == batch));
+}
