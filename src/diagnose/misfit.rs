@@ -119,6 +119,8 @@ fn add(
 
 /// An error is said to lie somewhere where it is this many times the least one of the same table: our choice.
 const UNEVEN: f64 = 1.25;
+/// It grows or falls along a feature though it dips by this share of its greatest size: our choice, a dip of noise.
+const DIP: f64 = 0.1;
 
 /// In one sentence: the shape that `prediction` gets wrong most, and where along the features that shape's error lies; none
 /// where it is much the same everywhere.
@@ -131,7 +133,7 @@ pub fn whereabouts(observations: &Observations, model: &dyn ForwardModel, predic
     let own = own.as_ref().unwrap_or(&everything);
     let mut said: Vec<(f64, String)> = Vec::new();
     for feature in model.features() {
-        said.extend(course(&sizes(own, feature.name, observations)));
+        said.extend(course(&sizes(own, feature.name, observations), &unit(observations)));
     }
     said.sort_by(|a, b| b.0.total_cmp(&a.0));
     let places: Vec<String> = said.into_iter().take(3).map(|s| s.1).collect();
@@ -163,20 +165,18 @@ fn sizes<'a>(table: &'a [Misfit], by: &str, observations: &Observations) -> Vec<
 }
 
 /// How an error runs along one feature, and its greatest over its least size; none where it is even.
-fn course(rows: &[(&Misfit, f64)]) -> Option<(f64, String)> {
+fn course(rows: &[(&Misfit, f64)], unit: &str) -> Option<(f64, String)> {
     let low = rows.iter().min_by(|a, b| a.1.total_cmp(&b.1))?;
     let high = rows.iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
-    let ratio = high.1 / low.1;
-    let by = &low.0.by;
-    let said = |row: &(&Misfit, f64)| format!("{} at {}", digits(row.1), row.0.place());
-    let text = match rows {
-        [.., last] if rows.is_sorted_by(|a, b| a.1 <= b.1) => {
-            format!("grows with {by} from {} to {}", said(low), said(last))
-        }
-        [first, ..] if rows.is_sorted_by(|a, b| a.1 >= b.1) => {
-            format!("falls with {by} from {} to {}", said(first), said(low))
-        }
-        _ => format!("is worst by {by} with {}, least with {}", said(high), said(low)),
+    let (first, last) = (rows.first()?, rows.last()?);
+    let (ratio, by, slack) = (high.1 / low.1, &low.0.by, DIP * high.1);
+    let said = |row: &(&Misfit, f64)| format!("{}{unit} at {}", digits(row.1), row.0.place());
+    let text = if rows.is_sorted_by(|a, b| a.1 <= b.1 + slack) {
+        format!("grows with {by} from {} to {}", said(first), said(last))
+    } else if rows.is_sorted_by(|a, b| a.1 + slack >= b.1) {
+        format!("falls with {by} from {} to {}", said(first), said(last))
+    } else {
+        format!("is worst by {by} with {}, least with {}", said(high), said(low))
     };
     (ratio > UNEVEN).then_some((ratio, text))
 }
@@ -185,8 +185,12 @@ impl Misfit {
     fn place(&self) -> String {
         match (&self.group, self.range) {
             (Some(group), _) => group.clone(),
-            (None, Some(r)) if r[1] - r[0] < 1e-6 * r[1].abs() => format!("{}{}", digits(r[1]), after(&self.unit)),
-            (None, Some(r)) => format!("{} to {}{}", digits(r[0]), digits(r[1]), after(&self.unit)),
+            (None, Some(r)) => {
+                // The rounding of a log is not a place.
+                let [low, high] = r.map(|v| digits(if v.abs() < 1e-9 { 0.0 } else { v }));
+                let span = if low == high { high } else { format!("{low} to {high}") };
+                span + &after(&self.unit)
+            }
             (None, None) => String::new(),
         }
     }
