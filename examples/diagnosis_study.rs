@@ -1,11 +1,15 @@
 //! The full study of the diagnosis on data of our own test-bed: writes a table for docs/diagnosis_study.md.
 //!
-//! Usage: diagnosis_study SEEDS NULLS: seeds a mechanism and number of logs with nothing hidden.
+//! Usage: diagnosis_study SEEDS NULLS SETS: seeds a mechanism (3), number of logs with nothing hidden (40), and walking
+//! sets a cause (1).
 
+#[path = "../tests/testbed/walking.rs"]
+mod hall;
 #[path = "../tests/testbed/mod.rs"]
 mod testbed;
 
 use rand::{Rng, SeedableRng};
+use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::diagnose::diagnose;
 use sandgait::diagnose::experiment::Experiment;
@@ -19,7 +23,7 @@ use sandgait::diagnose::shared::Shared;
 use sandgait::diagnose::whiten::Whitener;
 use sandgait::parallel;
 use sandgait::progress::Silent;
-use sandgait::sand::mechanism::CATALOG;
+use sandgait::sand::mechanism::{CATALOG, Mechanisms};
 use std::error::Error;
 use std::path::Path;
 use testbed::{Hidden, Log};
@@ -50,7 +54,8 @@ fn separation(log: &Log, cause: &str, name: &str) -> Outcome<f64> {
     let noise =
         Noise { channels: vec![channel(1.0), channel(1.0), channel(testbed::ARM)], shared: vec![testbed::GAIN] };
     let o = &read.observations;
-    let source = Source { observations: o, prediction: &o.values, sizes: &sizes(o), shared: &Shared::gain() };
+    let source =
+        Source { observations: o, prediction: &o.values, sizes: &sizes(o), shared: &Shared::gain(), model_error: &[] };
     let whitener = Whitener::new(&source, &noise);
     let study = Study::new(o, &model, &whitener, experiment.coefficient_sd);
     let truth = CATALOG.iter().position(|m| m.id == cause).map(|id| study.fit(&[id], &[CATALOG[id].typical]).objective);
@@ -98,7 +103,32 @@ fn main() -> Outcome<()> {
     singles(seeds)?;
     outside(seeds)?;
     pairs(seeds * 2)?;
-    false_alarms(nulls)
+    false_alarms(nulls)?;
+    walking(arguments.get(2).copied().unwrap_or(1))
+}
+
+/// Walking runs of the other engine, with one hidden cause or none.
+fn walking(sets: usize) -> Outcome<()> {
+    let experiment = Experiment::from_toml(hall::EXPERIMENT)?;
+    println!("\n| hidden in walking runs | value | verdict | found | lack of fit, limit |\n|---|---|---|---|---|");
+    for (id, value) in [("", 0.0), ("slope", 0.06), ("inertial_drag", 4.0), ("motor_torque_limit", 0.012)] {
+        for seed in 0..sets as u64 {
+            let hidden = Mechanisms::index(id).map_or(Mechanisms::PLAIN, |i| Mechanisms::PLAIN.with(i, value));
+            let path = std::env::temp_dir().join(format!("sandgait-walks-{}.csv", std::process::id()));
+            std::fs::write(&path, hall::runs(30 + seed, hidden, 0.05))?;
+            let diagnosis = diagnose(&path, &experiment, &Silent);
+            std::fs::remove_file(&path)?;
+            let r = diagnosis?.report;
+            let found: Vec<_> = r.causes.iter().map(|c| format!("{} {:.4}", c.id, c.value)).collect();
+            let fit = (r.lack_of_fit.extended, r.lack_of_fit.limit);
+            println!("| {id} | {value} | {:?} | {} | {fit:.2?} |", r.verdict, found.join(", "));
+        }
+    }
+    Ok(())
+}
+
+fn normal(rng: &mut Xoshiro256PlusPlus) -> f64 {
+    StandardNormal.sample(rng)
 }
 
 fn singles(seeds: usize) -> Outcome<()> {

@@ -47,6 +47,11 @@ pub trait ForwardModel: Sync {
     /// What a repetition may have in common over all its numbers, where `mechanisms` and `coefficients` predict
     /// `prediction`.
     fn shared(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Shared>;
+    /// How far the prediction there may be from the exact solution of the model's own equations: stacks, each a direction
+    /// along which every repetition of a condition errs alike, one standard deviation long. None where it is next to exact.
+    fn model_error(&self, _: &Mechanisms, _: &Coefficients, _prediction: &[f64]) -> Vec<Vec<f64>> {
+        Vec::new()
+    }
     /// The medium of the plain model.
     fn medium(&self) -> &Medium;
     /// Which mechanisms this kind of data can be asked about: index in the catalogue, or why not.

@@ -1,8 +1,8 @@
 //! Where the plain model errs, and what the error goes along with.
 
 use super::forward::{Feature, ForwardModel};
-use super::observations::{Channel, Observations};
-use super::report::digits;
+use super::observations::Observations;
+use super::report::{after, digits};
 use serde::Serialize;
 
 /// Error of the plain model in one range of one feature.
@@ -31,10 +31,20 @@ const RANGES: usize = 5;
 
 /// Error of `prediction` by every feature and shape.
 pub fn misfit(observations: &Observations, model: &dyn ForwardModel, prediction: &[f64]) -> Vec<Misfit> {
+    table(observations, model, prediction, |_| true)
+}
+
+/// The same over the units that `counts` keeps.
+fn table(
+    observations: &Observations,
+    model: &dyn ForwardModel,
+    prediction: &[f64],
+    counts: impl Fn(usize) -> bool,
+) -> Vec<Misfit> {
     let mut table = Vec::new();
     for feature in model.features() {
         for range in ranges(&feature) {
-            let inside = |u: usize, i: usize| (range[0]..=range[1]).contains(&feature.values[u][i]);
+            let inside = |u: usize, i: usize| counts(u) && (range[0]..=range[1]).contains(&feature.values[u][i]);
             add(&mut table, observations, prediction, inside, &feature, Some(range), None);
         }
     }
@@ -43,7 +53,15 @@ pub fn misfit(observations: &Observations, model: &dyn ForwardModel, prediction:
     groups.dedup();
     let shape = Feature { name: "shape", unit: "", values: Vec::new() };
     for group in groups {
-        add(&mut table, observations, prediction, |u, _| model.group(u) == group, &shape, None, Some(group));
+        add(
+            &mut table,
+            observations,
+            prediction,
+            |u, _| counts(u) && model.group(u) == group,
+            &shape,
+            None,
+            Some(group),
+        );
     }
     table
 }
@@ -99,42 +117,82 @@ fn add(
     }
 }
 
-/// In one sentence: the two features over which the mean error of a counting channel changes most, and how.
-pub fn worst(table: &[Misfit], channels: &[Channel]) -> Option<String> {
-    let mut found: Vec<(f64, String)> = Vec::new();
-    let mut features: Vec<&str> = table.iter().map(|m| m.by.as_str()).collect();
-    features.dedup(); // the table stands feature by feature
-    for by in features {
-        let changes = channels.iter().filter(|c| c.in_rmse).filter_map(|channel| {
-            let rows = || table.iter().filter(|m| m.by == by && m.channel == channel.name);
-            let low = rows().min_by(|a, b| a.mean.total_cmp(&b.mean))?;
-            let high = rows().max_by(|a, b| a.mean.total_cmp(&b.mean))?;
-            let text = format!(
-                "{} with {by}: {} to {}",
-                channel.name,
-                low.in_words(channel.unit),
-                high.in_words(channel.unit)
-            );
-            Some((high.mean - low.mean, text))
-        });
-        found.extend(changes.max_by(|a, b| a.0.total_cmp(&b.0)));
+/// An error is said to lie somewhere where it is this many times the least one of the same table: our choice.
+const UNEVEN: f64 = 1.25;
+/// It grows or falls along a feature though it dips by this share of its greatest size: our choice, a dip of noise.
+const DIP: f64 = 0.1;
+
+/// In one sentence: the shape that `prediction` gets wrong most, and where along the features that shape's error lies; none
+/// where it is much the same everywhere.
+pub fn whereabouts(observations: &Observations, model: &dyn ForwardModel, prediction: &[f64]) -> Option<String> {
+    let everything = misfit(observations, model, prediction);
+    let shapes = sizes(&everything, "shape", observations);
+    let worst = shapes.iter().max_by(|a, b| a.1.total_cmp(&b.1)).filter(|_| shapes.len() > 1);
+    let worst = worst.and_then(|(row, _)| row.group.as_deref());
+    let own = worst.map(|shape| table(observations, model, prediction, |u| model.group(u) == shape));
+    let own = own.as_ref().unwrap_or(&everything);
+    let mut said: Vec<(f64, String)> = Vec::new();
+    for feature in model.features() {
+        said.extend(course(&sizes(own, feature.name, observations), &unit(observations)));
     }
-    found.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let said: Vec<String> = found.into_iter().filter(|f| f.0 > 0.0).take(2).map(|f| f.1).collect();
-    (!said.is_empty()).then(|| format!("its error changes most in {}", said.join(" and in ")))
+    said.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let places: Vec<String> = said.into_iter().take(3).map(|s| s.1).collect();
+    let shape = worst.map(|name| {
+        let sizes: Vec<String> =
+            shapes.iter().map(|(row, size)| format!("{} {}", row.place(), digits(*size))).collect();
+        format!("is largest for {name} (rms {}{})", sizes.join(", "), unit(observations))
+    });
+    let of = if worst.is_some() && !places.is_empty() { "; there it " } else { "" };
+    let text = format!("{}{of}{}", shape.unwrap_or_default(), places.join(", "));
+    (!text.is_empty()).then(|| format!("the plain model's error {text}"))
+}
+
+fn unit(observations: &Observations) -> String {
+    after(observations.channels.iter().find(|c| c.in_rmse).map_or("", |c| c.unit))
+}
+
+/// Root mean square error over the channels that count, row by row of the feature `by`.
+fn sizes<'a>(table: &'a [Misfit], by: &str, observations: &Observations) -> Vec<(&'a Misfit, f64)> {
+    let counts = |m: &&Misfit| observations.channels.iter().any(|c| c.in_rmse && c.name == m.channel);
+    let mut rows: Vec<(&Misfit, f64)> = Vec::new();
+    for row in table.iter().filter(|m| m.by == by).filter(counts) {
+        match rows.last_mut().filter(|last| (&last.0.range, &last.0.group) == (&row.range, &row.group)) {
+            Some((_, square)) => *square += row.rms * row.rms,
+            None => rows.push((row, row.rms * row.rms)),
+        }
+    }
+    rows.into_iter().map(|(row, square)| (row, square.sqrt())).collect()
+}
+
+/// How an error runs along one feature, and its greatest over its least size; none where it is even.
+fn course(rows: &[(&Misfit, f64)], unit: &str) -> Option<(f64, String)> {
+    let low = rows.iter().min_by(|a, b| a.1.total_cmp(&b.1))?;
+    let high = rows.iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
+    let (first, last) = (rows.first()?, rows.last()?);
+    let (ratio, by, slack) = (high.1 / low.1, &low.0.by, DIP * high.1);
+    let said = |row: &(&Misfit, f64)| format!("{}{unit} at {}", digits(row.1), row.0.place());
+    let text = if rows.is_sorted_by(|a, b| a.1 <= b.1 + slack) {
+        format!("grows with {by} from {} to {}", said(first), said(last))
+    } else if rows.is_sorted_by(|a, b| a.1 + slack >= b.1) {
+        format!("falls with {by} from {} to {}", said(first), said(last))
+    } else {
+        format!("is worst by {by} with {}, least with {}", said(high), said(low))
+    };
+    (ratio > UNEVEN).then_some((ratio, text))
 }
 
 impl Misfit {
-    fn in_words(&self, unit: &str) -> String {
-        let place = match (&self.group, self.range) {
+    fn place(&self) -> String {
+        match (&self.group, self.range) {
             (Some(group), _) => group.clone(),
-            (None, Some(r)) if r[1] - r[0] < 1e-6 * r[1].abs() => format!("{} {}", digits(r[1]), self.unit),
-            (None, Some(r)) => format!("{}–{} {}", digits(r[0]), digits(r[1]), self.unit),
+            (None, Some(r)) => {
+                // The rounding of a log is not a place.
+                let [low, high] = r.map(|v| digits(if v.abs() < 1e-9 { 0.0 } else { v }));
+                let span = if low == high { high } else { format!("{low} to {high}") };
+                span + &after(&self.unit)
+            }
             (None, None) => String::new(),
-        };
-        let share = self.relative.map_or(String::new(), |r| format!(" ({:+.0} %)", 100.0 * r));
-        let sign = if self.mean > 0.0 { "+" } else { "" };
-        format!("{sign}{} {unit}{share} at {place}", digits(self.mean))
+        }
     }
 }
 

@@ -39,10 +39,10 @@ use fit::{Fit, Study};
 use forward::{ForceLogModel, ForwardModel};
 use noise::{Noise, Source, sizes};
 use observations::Observations;
-use report::digits;
 use report::{
     Cause, Curves, Diagnosis, Gain, LackOfFit, NextExperiment, NoiseSummary, Report, RunMeans, Tried, Untestable,
 };
+use report::{after, digits};
 use select::{Candidate, Selection, Verdict, select};
 use std::path::Path;
 use walking_model::WalkingModel;
@@ -90,8 +90,15 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
     let coefficients = model.medium().coefficients;
     let plain = model.predict(&Mechanisms::default(), &coefficients);
     let shared = model.shared(&Mechanisms::default(), &coefficients, &plain);
+    let model_error = model.model_error(&Mechanisms::default(), &coefficients, &plain);
     let sizes = sizes(&observations);
-    let source = Source { observations: &observations, prediction: &plain, sizes: &sizes, shared: &shared };
+    let source = Source {
+        observations: &observations,
+        prediction: &plain,
+        sizes: &sizes,
+        shared: &shared,
+        model_error: &model_error,
+    };
     let noise = source.noise(None);
     let whitener = Whitener::new(&source, &noise);
     let study = Study::new(&observations, model, &whitener, coefficient_sd);
@@ -172,6 +179,9 @@ impl View<'_> {
     fn report(&self, untestable: Vec<Untestable>, data_sha256: String, notes: Vec<String>) -> Report {
         let observations = self.study.observations;
         let misfit = misfit::misfit(observations, self.study.model, &self.study.plain().prediction);
+        let significant = self.selection.is_some_and(|s| s.verdict != Verdict::NoiseFloor);
+        let whereabouts = misfit::whereabouts(observations, self.study.model, &self.study.plain().prediction);
+        let whereabouts = whereabouts.filter(|_| significant);
         let best = self.selection.and_then(Selection::best);
         let causes = best.map(|c| self.causes(&c.fit)).unwrap_or_default();
         let ranges = self.study.model.features().into_iter().map(|f| {
@@ -184,7 +194,8 @@ impl View<'_> {
         Report {
             schema: "sandgait.diagnosis.v1",
             verdict: self.selection.map_or(Verdict::InsufficientData, |s| s.verdict),
-            summary: self.summary(&causes, &misfit),
+            summary: self.summary(&causes, whereabouts.as_deref()),
+            whereabouts,
             correlations: best.map(|c| correlations(&c.fit)).unwrap_or_default(),
             causes,
             ambiguity_set: set,
@@ -329,32 +340,29 @@ impl View<'_> {
         Some(NextExperiment { why, conditions })
     }
 
-    fn summary(&self, causes: &[Cause], misfit: &[misfit::Misfit]) -> String {
+    fn summary(&self, causes: &[Cause], whereabouts: Option<&str>) -> String {
         let Some(selection) = self.selection else {
             return "no condition is repeated: without a noise floor nothing can be said".into();
         };
         let said = |c: &Cause| {
             let [value, low, high] = [c.value, c.ci95[0], c.ci95[1]].map(digits);
-            format!("{} = {value} {} (95 % interval {low} to {high})", c.id, c.unit)
+            format!("{} = {value}{} (95 % interval {low} to {high})", c.id, after(&c.unit))
         };
         let found = causes.iter().map(said).collect::<Vec<_>>().join(" with ");
-        match selection.verdict {
+        let verdict = match selection.verdict {
             Verdict::NoiseFloor => {
                 "no significant misfit: the plain model is as good as the data repeat themselves".into()
             }
-            Verdict::Named => format!("the misfit is explained by {found}"),
+            Verdict::Named => format!("the misfit is explained by {found}{}", nearest_rival(selection)),
             Verdict::Ambiguous => {
                 let rivals: Vec<_> =
                     selection.set.iter().skip(1).map(|&k| names(&selection.candidates[k].fit).join(" + ")).collect();
                 format!("the misfit is explained by {found}, or by {}: these data cannot tell", rivals.join(", or by "))
             }
-            Verdict::NoneOfThese => {
-                let place = misfit::worst(misfit, &self.study.observations.channels)
-                    .map_or(String::new(), |w| format!("; the plain model: {w}"));
-                self.not_enough(selection) + &place
-            }
+            Verdict::NoneOfThese => self.not_enough(selection),
             Verdict::InsufficientData => String::new(),
-        }
+        };
+        whereabouts.map_or(verdict.clone(), |place| format!("{verdict}; {place}"))
     }
 
     fn not_enough(&self, selection: &Selection) -> String {
@@ -368,6 +376,14 @@ impl View<'_> {
             _ => "misfit remains and none of the known causes explains any of it".into(),
         }
     }
+}
+
+/// Which rival comes nearest to the one cause named, and how near.
+fn nearest_rival(selection: &Selection) -> String {
+    let nearest = selection.rivals().min_by(|a, b| a.1.total_cmp(&b.1));
+    nearest.map_or(String::new(), |(rival, away)| {
+        format!("; the nearest rival, {}, is {} σ away", names(&rival.fit).join(" + "), digits(away))
+    })
 }
 
 fn correlations(fit: &Fit) -> Vec<Vec<f64>> {

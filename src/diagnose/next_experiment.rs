@@ -38,8 +38,11 @@ pub fn propose(menu: &Menu, noise: &Noise, study: &Study, set: &[&Fit], count: u
     };
     let observations = Observations { values: first.clone(), ..menu.observations.clone() };
     let shared = menu.model.shared(mechanisms, coefficients, first);
-    let source =
-        Source { observations: &observations, prediction: first, sizes: &sizes(&observations), shared: &shared };
+    // One unit stands for all repetitions, whose common error their number does not lessen.
+    let mut model_error = menu.model.model_error(mechanisms, coefficients, first);
+    model_error.iter_mut().flatten().for_each(|e| *e *= (REPETITIONS as f64).sqrt());
+    let (sizes, prediction) = (&sizes(&observations), first.as_slice());
+    let source = Source { observations: &observations, prediction, sizes, shared: &shared, model_error: &model_error };
     let whitener = Whitener::new(&source, noise);
     let separation = |a: usize, b: usize| -> Vec<f64> {
         let difference: Vec<f64> = predictions[a].iter().zip(&predictions[b]).map(|(a, b)| a - b).collect();

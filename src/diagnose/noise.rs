@@ -131,6 +131,8 @@ pub struct Source<'a> {
     pub prediction: &'a [f64],
     pub sizes: &'a Sizes,
     pub shared: &'a [Shared],
+    /// What [`super::forward::ForwardModel::model_error`] says at `prediction`. Repetitions differ by none of it.
+    pub model_error: &'a [Vec<f64>],
 }
 
 impl Source<'_> {
@@ -149,7 +151,8 @@ impl Source<'_> {
         let high = group.iter().map(|u| ends(u).1).fold(f64::MAX, f64::min);
         let slack = 1e-9 + 1e-6 * (high - low).abs(); // rounding of the log
         let common = |i: &usize| (low - slack..=high + slack).contains(&first.progress[*i]);
-        let kept: Vec<usize> = (0..first.samples).filter(common).collect();
+        let touching = |i: &usize| group.iter().any(|&u| self.reads_at(u, first.progress[*i]));
+        let kept: Vec<usize> = (0..first.samples).filter(common).filter(touching).collect();
         let aligned = |u: usize, c: usize, what: &dyn Fn(usize) -> f64| -> Vec<f64> {
             let unit = &observations.units[u];
             let values: Vec<f64> = unit.block(c).map(what).collect();
@@ -175,6 +178,14 @@ impl Source<'_> {
             shared: self.directions(group[0], &kept, &mean),
             differences: differences.collect(),
         }
+    }
+
+    /// Does unit `u` read anything at `progress`? An exact zero in every channel is a simulated intruder in the air: no
+    /// sensor read it, and a noise that explained its silence would be none at all.
+    fn reads_at(&self, u: usize, progress: f64) -> bool {
+        let unit = &self.observations.units[u];
+        let reads = |c| interpolate(&unit.progress, &self.observations.values[unit.block(c)], progress) != 0.0;
+        (0..self.observations.channels.len()).any(reads)
     }
 
     /// Directions in the `kept` samples of unit `u`, whose mean over repetitions is `mean`.
@@ -255,8 +266,15 @@ impl Noise {
         Self { channels: own.chunks(3).map(channel).collect(), shared: shared.iter().map(|s| s.exp()).collect() }
     }
 
-    /// Adds a draw of this noise to `values`.
+    /// Adds a draw of this noise to `values`, and of the model's error, alike for all repetitions of a condition.
     pub fn add(&self, source: &Source, values: &mut [f64], rng: &mut impl Rng) {
+        for stack in source.model_error {
+            let shares: Vec<f64> = source.observations.conditions.iter().map(|_| normal(rng)).collect();
+            for unit in &source.observations.units {
+                let share = shares[unit.condition];
+                source.observations.span(unit).for_each(|k| values[k] += share * stack[k]);
+            }
+        }
         for (unit, sizes) in source.observations.units.iter().zip(source.sizes) {
             let span = source.observations.span(unit);
             let signal = values[span.clone()].to_vec();
@@ -277,7 +295,7 @@ impl Noise {
         }
     }
 
-    /// Standard deviation of one repetition at every number of the stack.
+    /// Standard deviation of one repetition about the model at every number of the stack.
     pub fn standard_deviation(&self, source: &Source) -> Vec<f64> {
         let mut square = vec![0.0; source.prediction.len()];
         for (unit, sizes) in source.observations.units.iter().zip(source.sizes) {
@@ -292,6 +310,9 @@ impl Noise {
                     square[span.clone()].iter_mut().zip(vector).for_each(|(s, u)| *s += (sd * u).powi(2));
                 }
             }
+        }
+        for stack in source.model_error {
+            square.iter_mut().zip(stack).for_each(|(s, e)| *s += e * e);
         }
         square.into_iter().map(f64::sqrt).collect()
     }

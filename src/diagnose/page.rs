@@ -1,7 +1,7 @@
 //! `report.html`: the diagnosis as one self-contained page, made for looking.
 
 use super::misfit::Misfit;
-use super::report::{Curves, Diagnosis, Report, digits};
+use super::report::{Curves, Diagnosis, Report, after, digits};
 use crate::plot::{Axis, Figure, Mark, Panel, Style, color, escape};
 use std::fmt::Write;
 
@@ -35,11 +35,6 @@ pub fn page(diagnosis: &Diagnosis, json: &str) -> String {
     unknowns(&mut html, r);
     let _ = write!(html, "<script type=application/json id=report>{}</script></html>", json.replace("</", "<\\/"));
     html
-}
-
-/// A unit as it stands behind a number; none where dimensionless.
-fn unit(unit: &str) -> &str {
-    if unit == "1" { "" } else { unit }
 }
 
 fn number(value: Option<f64>, digits: usize) -> String {
@@ -86,7 +81,7 @@ fn causes(html: &mut String, r: &Report) {
             digits(c.value),
             digits(c.ci95[0]),
             digits(c.ci95[1]),
-            escape(unit(&c.unit))
+            escape(after(&c.unit).trim_start())
         );
     }
     html.push_str("</table>");
@@ -169,8 +164,8 @@ fn span(range: [f64; 2], of: &str) -> String {
         let text = format!("{v:.3}");
         text.trim_end_matches('0').trim_end_matches('.').replace('-', "−")
     });
-    let unit = unit(of);
-    if low == high { format!("{high} {unit}") } else { format!("{low} … {high} {unit}") }
+    let unit = after(of);
+    if low == high { format!("{high}{unit}") } else { format!("{low} to {high}{unit}") }
 }
 
 /// The range or group that a row of misfit is about.

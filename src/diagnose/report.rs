@@ -86,6 +86,9 @@ pub struct Report {
     pub lack_of_fit: LackOfFit,
     pub gain: Gain,
     pub misfit: Vec<Misfit>,
+    /// Where the plain model errs most, in one sentence; none without significant misfit.
+    #[serde(rename = "where")]
+    pub whereabouts: Option<String>,
     /// Where no cause was named: what the residual goes along with. Not causes.
     pub correlates_with: Vec<Correlate>,
     pub untestable: Vec<Untestable>,
@@ -123,6 +126,11 @@ pub fn digits(value: f64) -> String {
         -5.0..6.0 => format!("{value:.*}", (2.0 - magnitude).max(0.0) as usize),
         _ => format!("{value:.2e}"),
     }
+}
+
+/// A unit as it stands behind a number, with a space; none where dimensionless.
+pub fn after(unit: &str) -> String {
+    if matches!(unit, "" | "1") { String::new() } else { format!(" {unit}") }
 }
 
 /// Noise as learnt from the repetitions.

@@ -30,6 +30,9 @@ pub enum Verdict {
 
 /// Chance that a true cause is thrown out of the ambiguity set by chance, over all its rivals together.
 const REJECTION: f64 = 1e-3;
+/// Two explanations nearer to each other than this [σ] are not told apart, whatever their χ²: the contract claims no right
+/// names below, and noise learnt from a few repetitions does not have tails to be trusted so far out.
+const APART: f64 = 5.0;
 /// A second term must earn this share of the deviance that the pair explains on held-out conditions (contract, 4).
 const SECOND_TERM_SHARE: f64 = 0.01;
 /// Pairs fitted in full, the best of the linear screen: our choice, for the time they take.
@@ -68,6 +71,13 @@ impl Selection {
     /// The best candidate, where a cause was found.
     pub fn best(&self) -> Option<&Candidate> {
         self.set.first().map(|&k| &self.candidates[k])
+    }
+
+    /// What else explains a significant part, fitted under the final whitening, with its whitened distance [σ] to the best.
+    pub fn rivals(&self) -> impl Iterator<Item = (&Candidate, f64)> {
+        let others = self.candidates.iter().take(self.finalists).skip(1);
+        let explains = others.filter(|c| c.delta_chi2 > self.gates.single);
+        explains.map(|c| (c, self.candidates[0].fit.distance_squared(&c.fit).sqrt()))
     }
 }
 
@@ -133,8 +143,11 @@ pub fn select(
     add_pairs(study, &screen, &scores, &mut selection);
     progress.report(0.85, "rivals under the final noise")?;
     let best = &selection.candidates[0].fit;
-    let shared = study.model.shared(&best.mechanisms, &study.coefficients(&best.deviations), &best.prediction);
-    let source = Source { prediction: &best.prediction.clone(), shared: &shared, ..*source };
+    let coefficients = study.coefficients(&best.deviations);
+    let shared = study.model.shared(&best.mechanisms, &coefficients, &best.prediction);
+    let model_error = study.model.model_error(&best.mechanisms, &coefficients, &best.prediction);
+    let prediction = &best.prediction.clone();
+    let source = Source { prediction, shared: &shared, model_error: &model_error, ..*source };
     let whitener = Whitener::new(&source, &source.noise(Some(noise)));
     refit(&study.rewhitened(&whitener), &mut selection);
     decide(&mut selection);
@@ -248,7 +261,8 @@ fn decide(selection: &mut Selection) {
         // If the rival were true, χ²_rival − χ²_best would be −d² ± 2d, d the whitened distance between the two.
         let behind = c.fit.objective - best.fit.objective;
         let squared = best.fit.distance_squared(&c.fit);
-        behind + squared <= limit * 2.0 * squared.sqrt() && c.delta_chi2 > selection.gates.single
+        let stands = behind + squared <= limit * 2.0 * squared.sqrt() || squared < APART * APART;
+        stands && c.delta_chi2 > selection.gates.single
     };
     let set: Vec<usize> = (0..selection.finalists).filter(|&k| k == 0 || stays(&selection.candidates[k])).collect();
     selection.verdict = if set.len() == 1 { Verdict::Named } else { Verdict::Ambiguous };

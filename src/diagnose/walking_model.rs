@@ -85,10 +85,7 @@ impl WalkingModel {
     /// by the plain simulation's ratio between the default step and an eighth of it, which leaves an eighth of that error.
     pub fn at_default_step(&self, observations: &Observations) -> Result<(Observations, String)> {
         let plain = (Mechanisms::default(), self.medium.coefficients);
-        let mut trials = self.trials(&plain).into_iter().collect::<Result<Vec<_>>>()?;
-        trials.iter_mut().for_each(|t| t.model.scene.dt /= FINE);
-        let (fine, coarse) =
-            (self.stack(&walk_all(EngineKind::Lanes, &trials, &Silent)?), self.predict(&plain.0, &plain.1));
+        let (fine, coarse) = (self.stepped(EngineKind::Lanes, &plain, FINE)?, self.predict(&plain.0, &plain.1));
         let ratio = coarse.iter().zip(&fine).map(|(c, f)| if (c / f).is_finite() { c / f } else { 1.0 });
         let mut largest: f64 = 0.0;
         let scaled = observations.values.iter().zip(ratio).map(|(y, ratio)| {
@@ -138,6 +135,13 @@ impl WalkingModel {
         let results = trials.and_then(|t| walk_all(EngineKind::Lanes, &t, &Silent));
         let results = results.unwrap_or_else(|_| vec![WalkResult::lost(); self.setups.len() * states.len()]);
         results.chunks(self.setups.len().max(1)).map(<[_]>::to_vec).collect()
+    }
+
+    /// Prediction by `engine` with a time step `finer` times smaller than the default one.
+    fn stepped(&self, engine: EngineKind, state: &State, finer: f64) -> Result<Vec<f64>> {
+        let mut trials = self.trials(state).into_iter().collect::<Result<Vec<_>>>()?;
+        trials.iter_mut().for_each(|t| t.model.scene.dt /= finer);
+        Ok(self.stack(&walk_all(engine, &trials, &Silent)?))
     }
 
     fn stack(&self, results: &[WalkResult]) -> Vec<f64> {
@@ -198,6 +202,28 @@ impl ForwardModel for WalkingModel {
             Shared { name: "bed_strength", guess: STRENGTH_STEP, along: Along::Stacks(vec![slope]) },
             Shared { name: "gait_scatter", guess: 1.0, along: Along::Stacks(scatter) },
         ]
+    }
+
+    /// Measured without data, as three differences at the candidate itself: the other engine's answer to the same equations;
+    /// what the time step does there beyond what [`Self::at_default_step`] took out at the plain model; and the eighth of
+    /// the step's error that it leaves. Each channel of each setup errs by their root sum of squares, independently of the
+    /// others, for one difference says how large an error is and not its pattern.
+    fn model_error(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Vec<f64>> {
+        let (state, plain) = ((*mechanisms, *coefficients), (Mechanisms::default(), self.medium.coefficients));
+        let other = self.stepped(EngineKind::Rapier, &state, 1.0);
+        let (fine, plain_fine) =
+            (self.stepped(EngineKind::Lanes, &state, FINE), self.stepped(EngineKind::Lanes, &plain, FINE));
+        let (Ok(other), Ok(fine), Ok(plain_fine)) = (other, fine, plain_fine) else { return Vec::new() };
+        let plain_coarse = self.predict(&plain.0, &plain.1);
+        let size = |k: usize| {
+            let exact = fine[k] * plain_coarse[k] / plain_fine[k];
+            let differences = [other[k] - prediction[k], exact - prediction[k], (fine[k] - prediction[k]) / FINE];
+            // A simulation that diverged says nothing of the others.
+            differences.into_iter().filter(|d| d.is_finite()).map(|d| d * d).sum::<f64>().sqrt()
+        };
+        let count = self.channels.len();
+        let of = |c: usize| (0..prediction.len()).map(|k| if k % count == c { size(k) } else { 0.0 }).collect();
+        (0..count).map(of).collect()
     }
 
     fn medium(&self) -> &Medium {

@@ -21,11 +21,12 @@ impl Whitener {
     /// The source's prediction gives the direction of the trial gains: on the measured mean it would invent a scale error
     /// (the contract measured −12.6 % on data with nothing hidden).
     pub fn new(source: &Source, noise: &Noise) -> Self {
+        let repetitions = source.observations.repetitions();
         let units = source.observations.units.iter().zip(source.sizes).map(|(unit, sizes)| {
             let span = source.observations.span(unit);
             let channels = noise.channels.iter().zip(sizes).map(|(n, s)| ChannelFilter::new(n, s)).collect();
             let mut filter = UnitFilter { span, samples: unit.samples, channels, shared: LowRank::new(&[]) };
-            filter.share(source, noise);
+            filter.share(source, noise, (repetitions[unit.condition].len() as f64).sqrt());
             filter
         });
         Self { units: units.collect() }
@@ -50,7 +51,10 @@ impl UnitFilter {
         }
     }
 
-    fn share(&mut self, source: &Source, noise: &Noise) {
+    /// What a repetition has in common. An error of the model is the same in all n repetitions of a condition, so their
+    /// mean has all of its variance e² and not a share of it; a unit is whitened with n e², which gives that mean its due.
+    /// How repetitions differ, which then counts for less, says nothing of a cause.
+    fn share(&mut self, source: &Source, noise: &Noise, root_of_repetitions: f64) {
         let signal = &source.prediction[self.span.clone()];
         let mut columns = Vec::new();
         for (shared, sd) in source.shared.iter().zip(&noise.shared) {
@@ -59,6 +63,11 @@ impl UnitFilter {
                 self.filter(&mut column);
                 columns.push(column);
             }
+        }
+        for stack in source.model_error {
+            let mut column: Vec<f64> = stack[self.span.clone()].iter().map(|e| root_of_repetitions * e).collect();
+            self.filter(&mut column);
+            columns.push(column);
         }
         self.shared = LowRank::new(&columns);
     }
