@@ -58,6 +58,25 @@ fn with_checksum(snapshot: &[u8], random: &mut Xoshiro256PlusPlus) -> Option<Vec
     Some([head, Sha256::digest(&body).as_slice(), &body].concat())
 }
 
+/// A request that is wrong inside: its message can be read.
+fn spoiled(random: &mut Xoshiro256PlusPlus, mut request: Request) -> Request {
+    let mut spoil = |field: &mut bytes::Bytes| *field = mutate::mutated(random, field, &[]).into();
+    match &mut request {
+        Request::Step(step) => spoil(&mut step.actions),
+        Request::Rollout(rollout) => spoil(&mut rollout.actions),
+        Request::Reset(reset) => {
+            spoil(&mut reset.mask);
+            reset.seeds.truncate(random.random_range(0..5));
+        }
+        Request::Restore(restore) => {
+            spoil(&mut restore.sources);
+            restore.snapshot = with_checksum(&restore.snapshot, random).unwrap_or_default().into();
+        }
+        _ => {}
+    }
+    request
+}
+
 /// What a stream does with a message.
 fn operation(batch: &mut Batch, request: Option<Request>) -> Option<Operation> {
     match request {
@@ -73,26 +92,39 @@ fn operation(batch: &mut Batch, request: Option<Request>) -> Option<Operation> {
 fn wrong_requests_are_refused_or_carried_out() {
     let pool = Pool::new(1);
     let mut random = Xoshiro256PlusPlus::seed_from_u64(20);
-    let (mut decoded, mut carried_out) = (0, 0);
+    let (mut read, mut carried_out) = (0, 0);
     for task in &TASK_IDS[..2] {
         let mut batch = begun(task, &pool);
         let valid = requests(&batch);
-        for _ in 0..45_000 {
+        for k in 0..45_000 {
             let [one, other] = [(); 2].map(|()| &valid[random.random_range(0..valid.len())]);
-            let message = mutate::mutated(&mut random, one, other);
-            let Ok(mut message) = RunSessionRequest::decode(&message[..]) else { continue };
-            decoded += 1;
-            if let Some(Request::Restore(restore)) = &mut message.request {
-                let damaged = with_checksum(&restore.snapshot, &mut random);
-                restore.snapshot = damaged.map_or_else(|| restore.snapshot.clone(), Into::into);
-            }
-            let Some(operation) = operation(&mut batch, message.request) else { continue };
+            let request = if k % 2 == 0 {
+                let message = mutate::mutated(&mut random, one, other);
+                RunSessionRequest::decode(&message[..]).map(|message| message.request)
+            } else {
+                let whole = RunSessionRequest::decode(&one[..]).unwrap().request;
+                Ok(whole.map(|request| spoiled(&mut random, request)))
+            };
+            let Ok(request) = request else { continue };
+            read += 1;
+            let Some(operation) = operation(&mut batch, request) else { continue };
             carried_out += 1;
             batch = pool.wait(batch, operation).expect("no worker panics");
         }
     }
+    println!("of 90000 requests {read} could be read and {carried_out} were carried out");
     // Neither only noise nor only what was right before.
-    assert!(decoded > 30_000 && carried_out > 3_000 && carried_out < 60_000, "{decoded} {carried_out}");
+    assert!(read > 45_000 && carried_out > 4_500 && carried_out < 45_000, "{read} {carried_out}");
+}
+
+/// What an option seldom is.
+fn wrong_value(random: &mut Xoshiro256PlusPlus) -> prost_types::Value {
+    let number = |x| prost_types::Value { kind: Some(prost_types::value::Kind::NumberValue(x)) };
+    let numbers = [f64::NAN, f64::INFINITY, -f64::INFINITY, f64::MAX, -1.0, -0.0, 1e-320, 0.5, 1.0, 1e9, 4e18];
+    let others =
+        [json!(null), json!(true), json!(""), json!("C"), json!("xi=1e400"), json!([]), json!([0.1, 0.2]), json!({})];
+    let k = random.random_range(0..numbers.len() + others.len());
+    numbers.get(k).map_or_else(|| values::from_json(&others[k - numbers.len()]), |x| number(*x))
 }
 
 #[tokio::test]
@@ -111,10 +143,16 @@ async fn wrong_sessions_are_refused_or_made() {
     let valid: Vec<_> = TASK_IDS.iter().flat_map(|t| [create(t, &keywords), create(t, &json!({"leg": "C"}))]).collect();
     let valid: Vec<_> = valid.iter().map(prost::Message::encode_to_vec).collect();
     let (mut decoded, mut made) = (0, 0);
-    for _ in 0..10_000 {
+    for k in 0..10_000 {
         let [one, other] = [(); 2].map(|()| &valid[random.random_range(0..valid.len())]);
-        let message = mutate::mutated(&mut random, one, other);
-        let Ok(message) = CreateSessionRequest::decode(&message[..]) else { continue };
+        let message = if k % 2 == 0 { mutate::mutated(&mut random, one, other) } else { one.clone() };
+        let Ok(mut message) = CreateSessionRequest::decode(&message[..]) else { continue };
+        if k % 2 == 1 {
+            let fields = message.options.iter_mut().flat_map(|o| o.fields.values_mut());
+            let wrong = wrong_value(&mut random);
+            fields.take(random.random_range(1..4)).for_each(|value| *value = wrong.clone());
+            message.num_envs = [0, 1, 3, 65, u32::MAX][random.random_range(0..5)];
+        }
         decoded += 1;
         let created = values::to_json(message.options)
             .and_then(|keywords| sessions.create(&message.task_id, message.num_envs as usize, keywords));
@@ -123,5 +161,6 @@ async fn wrong_sessions_are_refused_or_made() {
             sessions.close(&id).unwrap();
         }
     }
-    assert!(decoded > 2_000 && made > 50 && made < decoded, "{decoded} {made}");
+    println!("of 10000 sessions {decoded} could be read and {made} were made");
+    assert!(decoded > 5_000 && made > 100 && made < decoded, "{decoded} {made}");
 }

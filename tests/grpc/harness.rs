@@ -79,15 +79,6 @@ impl Server {
         Self { address, stop, done, _directory: directory }
     }
 
-    /// Stops the server and waits for its end; gives the time that took.
-    pub async fn end(mut self) -> Duration {
-        let begun = std::time::Instant::now();
-        self.stop.cancel();
-        let done = tokio::time::timeout(Duration::from_secs(10), self.done.take().unwrap()).await;
-        done.unwrap().unwrap().unwrap();
-        begun.elapsed()
-    }
-
     pub async fn channel(&self) -> Channel {
         let uri = match &self.address {
             Address::Tcp(address) => format!("http://{address}"),

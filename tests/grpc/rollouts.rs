@@ -85,7 +85,7 @@ async fn wrong_rollouts_are_refused() {
         let failure = session.failure(Some(Request::Rollout(Rollout { actions, trajectories: false }))).await;
         assert!(failure.message.contains(word), "{}", failure.message);
     }
-    let mut actions = vec![0.0_f32; 2 * 2 * ACTIONS];
+    let mut actions = [0.0_f32; 2 * 2 * ACTIONS];
     actions[ACTIONS * 3 + 4] = 2.0;
     let actions = actions.iter().flat_map(|a| a.to_le_bytes()).collect();
     let failure = session.failure(Some(Request::Rollout(Rollout { actions, trajectories: false }))).await;
