@@ -186,9 +186,7 @@ def close_session(address: str, session_id: str) -> None:
     """Frees a session before this returns, if its server still answers."""
     with _channel(address, DEFAULT_MESSAGE_BYTES) as channel, contextlib.suppress(grpc.RpcError):
         request = pb.CloseSessionRequest(session_id=session_id)
-        _unary(channel, "CloseSession", pb.CloseSessionResponse)(
-                request, timeout=2.0, metadata=_metadata(address)
-            )
+        _unary(channel, "CloseSession", pb.CloseSessionResponse)(request, timeout=2.0, metadata=_metadata(address))
 
 
 def reset_request(

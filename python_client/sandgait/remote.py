@@ -19,8 +19,8 @@ class Remote(str):
 
     `address`: `host:port` or `unix:/path`.
 
-    `token`, `token_file`: what the server's `--token-file` has. It is sent in every call, and only over TLS, over a Unix
-    socket or to this machine.
+    `token`, `token_file`: what the server's `--token-file` has. It is sent in every call, but only over TLS, over a
+    Unix socket or to this machine.
 
     `ca`: encrypt, and trust certificates of this authority (PEM file). `tls=True`: encrypt, and trust grpc's own
     authorities.
