@@ -44,14 +44,9 @@ impl<R: Real> Site<R> {
 /// What turns a law's stress per depth into the stress on a segment. Hot loops take it as a type, so that plain theory
 /// pays nothing for what it leaves out.
 pub trait Beyond<R: Real> {
-    /// Stress [Pa] from the law's stress per depth [N/m³] on a segment with unit normal `n` and velocity `v`.
-    fn extend(&self, per_depth: Vec3<R>, n: Vec3<R>, v: Vec3<R>, site: &Site<R>) -> Vec3<R>;
-
-    /// Force [N] on a segment of `area` [m²].
-    #[inline(always)]
-    fn force(&self, per_depth: Vec3<R>, n: Vec3<R>, v: Vec3<R>, site: &Site<R>, area: R) -> Vec3<R> {
-        self.extend(per_depth, n, v, site) * area
-    }
+    /// Force [N] on a segment of `area` [m²] with unit normal `n` and velocity `v`, from the law's stress per depth
+    /// [N/m³]. Where nothing goes beyond the law it has the bits of [`Plain`]: depth times area comes first.
+    fn force(&self, per_depth: Vec3<R>, n: Vec3<R>, v: Vec3<R>, site: &Site<R>, area: R) -> Vec3<R>;
 }
 
 /// Plain resistive force theory: proportional to depth, nothing else.
@@ -59,11 +54,6 @@ pub trait Beyond<R: Real> {
 pub struct Plain;
 
 impl<R: Real> Beyond<R> for Plain {
-    #[inline(always)]
-    fn extend(&self, per_depth: Vec3<R>, _n: Vec3<R>, _v: Vec3<R>, site: &Site<R>) -> Vec3<R> {
-        per_depth * site.depth
-    }
-
     #[inline(always)]
     fn force(&self, per_depth: Vec3<R>, _n: Vec3<R>, _v: Vec3<R>, site: &Site<R>, area: R) -> Vec3<R> {
         per_depth * (site.depth * area)
@@ -153,7 +143,7 @@ impl<R: Real> SandMechanisms<R> {
     /// Stress [Pa] on a submerged thin segment with unit normal `n` and velocity `v`, both in the surface's frame.
     #[inline(always)]
     pub fn stress(&self, ground: &Ground<R>, n: Vec3<R>, v: Vec3<R>, site: &Site<R>) -> Vec3<R> {
-        self.extend(ground.stress(n, &ground.motion(v)), n, v, site)
+        self.force(ground.stress(n, &ground.motion(v)), n, v, site, R::one())
     }
 
     /// |z| → z0 (|z|/z0)^p
@@ -192,10 +182,10 @@ impl<R: Real> Beyond<R> for SandMechanisms<R> {
     /// The depth-proportional stress carries scale, packing, footprint, rate and the friction cap; inertia, added mass
     /// and cohesion push against the leading face in addition.
     #[inline(always)]
-    fn extend(&self, per_depth: Vec3<R>, n: Vec3<R>, v: Vec3<R>, site: &Site<R>) -> Vec3<R> {
-        let mut stress = per_depth * (self.depth(site.depth) * self.factor(v, site));
+    fn force(&self, per_depth: Vec3<R>, n: Vec3<R>, v: Vec3<R>, site: &Site<R>, area: R) -> Vec3<R> {
+        let mut force = per_depth * (self.depth(site.depth) * self.factor(v, site) * area);
         if self.active.friction_clip {
-            stress = capped(stress, n, self.inverse_friction);
+            force = capped(force, n, self.inverse_friction);
         }
         let along = n.dot(v);
         let speed = along.abs();
@@ -207,20 +197,20 @@ impl<R: Real> Beyond<R> for SandMechanisms<R> {
             pressure += self.cohesion * tanh(speed * R::splat(1.0 / COHESION_SPEED));
         }
         // A dry lane beside a wet one comes here with depth 0: nothing pushes on a segment in the air.
-        let pressure = R::select(R::zero().lt(site.depth), pressure, R::zero());
-        let toward_front = R::select(along.lt(R::zero()), pressure, -pressure);
-        n.scale_add(toward_front, stress)
+        let push = R::select(R::zero().lt(site.depth), pressure * area, R::zero());
+        let toward_front = R::select(along.lt(R::zero()), push, -push);
+        n.scale_add(toward_front, force)
     }
 }
 
-/// `stress` with its part along the face cut to 1/`inverse_mu` times the part along the normal; 0 cuts nothing.
+/// `force` with its part along the face cut to 1/`inverse_mu` times the part along the normal; 0 cuts nothing.
 #[inline(always)]
-fn capped<R: Real>(stress: Vec3<R>, n: Vec3<R>, inverse_mu: R) -> Vec3<R> {
-    let normal = stress.dot(n);
-    let tangential = stress - n * normal;
+fn capped<R: Real>(force: Vec3<R>, n: Vec3<R>, inverse_mu: R) -> Vec3<R> {
+    let normal = force.dot(n);
+    let tangential = force - n * normal;
     let size = tangential.norm_squared().sqrt();
     let share = (normal.abs() / (inverse_mu * size + R::splat(1e-30))).min(R::one());
-    tangential.scale_add(share - R::one(), stress)
+    tangential.scale_add(share - R::one(), force)
 }
 
 /// ln(1 + x) for 0 ≤ x < 10⁴, relative error below 1e-7: ln y = 32 artanh((r − 1)/(r + 1)) with r = y^(1/16), the series
@@ -332,7 +322,7 @@ mod tests {
         let ground = Ground::<Portable>::new(Law::Li2013, &medium, &Surface::default());
         let (n, v) = (Vec3::splat([0.6, 0.0, -0.8]), Vec3::splat([0.1, 0.02, -0.3]));
         let site = Site::fresh(Portable::splat(0.013), Portable::splat(0.2));
-        let plain = Plain.extend(ground.stress(n, &ground.motion(v)), n, v, &site);
+        let plain = Plain.force(ground.stress(n, &ground.motion(v)), n, v, &site, Portable::splat(1.0));
         let stress = beyond.stress(&ground, n, v, &site);
         assert_ne!(stress.lane(0), plain.lane(0));
         assert_eq!(stress.lane(1), plain.lane(1));
