@@ -63,6 +63,7 @@ class EmbeddedServer:
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=self._log,
+            env={"SANDGAIT_LOG": "warn", **os.environ},  # its last words are about what went wrong
             start_new_session=True,  # Ctrl-C is for Python; the pipe tells the server when to end
         )
         try:

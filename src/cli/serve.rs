@@ -111,11 +111,17 @@ impl Serve {
         let metrics = self.metrics.as_ref().map(|address| metrics_address(address, self.security.insecure));
         let metrics = metrics.transpose()?;
         self.log_format.start();
-        let mut setup = self.security.setup(&self.listen)?;
+        let mut setup = self.security.setup()?;
         setup.threads = self.threads.into();
         setup.limits = self.lent.limits();
         setup.dm_env_rpc = self.dm_env_rpc;
         setup.state = self.state_dir.as_deref().map(StateDir::new).transpose()?;
+        let secrets = [&self.security.token_file, &self.security.tls_key, &self.state_dir];
+        let open = setup.tls.is_none() || setup.token.is_none();
+        if open && !self.listen.is_local() {
+            tracing::warn!(listen = %self.listen, "others reach this server without encryption or token, as --insecure allows");
+        }
+        secrets.into_iter().flatten().for_each(|path| service::warn_if_shared(path));
         let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
         let runtime = runtime.map_err(|e| Error::Exhausted(format!("cannot start threads: {e}")))?;
         let served = runtime.block_on(self.serve(setup, metrics));
@@ -170,15 +176,12 @@ impl Security {
         Err(Error::invalid("--listen", reason))
     }
 
-    fn setup(&self, listen: &Address) -> Result<Setup> {
+    fn setup(&self) -> Result<Setup> {
         let tls = match (&self.tls_cert, &self.tls_key) {
             (Some(certificate), Some(key)) => Some(Tls::load(certificate, key, self.client_ca.as_deref())?),
             _ => None,
         };
         let token = self.token_file.as_deref().map(Token::load).transpose()?;
-        if !listen.is_local() && (tls.is_none() || token.is_none()) {
-            tracing::warn!(%listen, "others reach this server without encryption or token, as --insecure allows");
-        }
         Ok(Setup { tls, token, ..Setup::default() })
     }
 }

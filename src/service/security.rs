@@ -34,8 +34,7 @@ impl Token {
     /// The token in a file: its text without the blanks around it.
     ///
     /// # Errors
-    /// The file cannot be read, is empty, or has characters that do not fit into a header. A file that others can read is
-    /// used, with a warning in the log.
+    /// The file cannot be read, is empty, or has characters that do not fit into a header.
     pub fn load(path: &Path) -> Result<Self> {
         let text = fs::read_to_string(path).map_err(|e| Error::file(path, e))?;
         let token = text.trim();
@@ -44,9 +43,6 @@ impl Token {
         }
         if !token.bytes().all(|b| b.is_ascii_graphic()) {
             return Err(Error::file(path, "the token has characters other than visible ASCII ones"));
-        }
-        if fs::metadata(path).is_ok_and(|m| m.permissions().mode() & 0o077 != 0) {
-            tracing::warn!(file = %path.display(), "others than its owner can use the file of the token");
         }
         Ok(Self::new(token))
     }
@@ -118,6 +114,13 @@ impl Tls {
             }
         };
         incoming.map(shake_hands).buffer_unordered(HANDSHAKES).filter_map(std::future::ready)
+    }
+}
+
+/// A file or directory of secrets that others can read is used, but not in silence.
+pub fn warn_if_shared(path: &Path) {
+    if fs::metadata(path).is_ok_and(|m| m.permissions().mode() & 0o077 != 0) {
+        tracing::warn!(path = %path.display(), "others than its owner can use this, which holds secrets");
     }
 }
 

@@ -13,7 +13,7 @@ use crate::pool::{Pool, Snapshot};
 use prost::Message;
 use std::fs;
 use std::io::Write as _;
-use std::os::unix::fs::{DirBuilderExt as _, PermissionsExt as _};
+use std::os::unix::fs::DirBuilderExt as _;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -52,10 +52,6 @@ impl StateDir {
     pub fn new(path: &Path) -> Result<Self> {
         let made = fs::DirBuilder::new().recursive(true).mode(0o700).create(path);
         made.map_err(|e| Error::file(path, e))?;
-        let open = fs::metadata(path).map_err(|e| Error::file(path, e))?.permissions().mode() & 0o077 != 0;
-        if open {
-            tracing::warn!(directory = %path.display(), "others than its owner can enter the directory of sessions");
-        }
         Ok(Self(path.into()))
     }
 
