@@ -171,6 +171,15 @@ class Stream:
                 code = grpc.StatusCode.UNAVAILABLE  # how grpc reports a connection that was cut in mid-message
             raise _error(code, str(error.details()), self.address) from None
 
+    def abandon(self) -> None:
+        """Leaves a read that was broken off, by Ctrl-C for example.
+
+        The exception may have struck while a lock of grpc's was held, and then whoever asks for that lock waits
+        forever: nothing of this stream is called or collected again.
+        """
+        self._requests.put(None)
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(self))
+
     def close(self) -> None:
         """Ends the stream; the session stays for the time of its lease."""
         self._requests.put(None)

@@ -64,6 +64,12 @@ class _Link:
             self.stream.close()
             self.stream = None
 
+    def abandon(self) -> None:
+        """Gives up a stream whose read was interrupted."""
+        stream, self.stream = self.stream, None
+        if stream is not None:
+            stream.abandon()
+
     def close(self) -> None:
         if os.getpid() != self.process:
             return  # a forked child: the session is the parent's
@@ -184,7 +190,7 @@ class Session:
                 self._broken = str(error)
                 raise
             except BaseException:  # grpc cannot take up a read that was broken off; the session can
-                self._link.drop()
+                self._link.abandon()
                 raise
             if response.sequence >= self._sequence:
                 return self._answered(response)
