@@ -5,6 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PINS := python_client/constraints.txt
 ARGS ?=
+TASK ?= HexapodGait
 
 # What the wheel is made from.
 SOURCES := $(shell find src proto robots python_client build.rs Cargo.toml Cargo.lock pyproject.toml README.md \
@@ -15,7 +16,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .PHONY: help train test test-rust test-python bench bench-peers study study-convergence study-rocks proto
 
 help:
-	@echo "make train   train a hexapod to walk on sand (5 minutes), results in runs/; ARGS=--help for options"
+	@echo "make train   train a hexapod to walk on sand (5 minutes), results in runs/; TASK=HexapodLegs, ARGS=--help"
 	@echo "make test    formatting, lints and all tests, Rust and Python"
 	@echo "make bench   speed of the Python client through an embedded server"
 	@echo "make bench-peers   sandgait beside EnvPool, MuJoCo and gymnasium's Ant, in one run"
@@ -25,7 +26,7 @@ help:
 	@echo "make proto   generate the Python messages from proto/ anew"
 
 train: $(VENV)/sb3
-	$(BIN)/python examples/train_gait.py $(ARGS)
+	$(BIN)/python examples/train.py --task $(TASK) $(ARGS)
 
 test: test-rust test-python
 
