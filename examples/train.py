@@ -90,6 +90,8 @@ def main() -> None:
     arguments = parse()
     out, settings = arguments.out, arguments.settings
     out.mkdir(parents=True, exist_ok=True)
+    about = {name: getattr(arguments, name) for name in ("task", "algorithm", "seed", "options", "address")}
+    made_by = {**provenance(), **about}
     torch.set_num_threads(1)  # networks this small are slower on several
     training = prepare(
         arguments.algorithm,
@@ -103,8 +105,7 @@ def main() -> None:
     )
     training.run(arguments.checkpoint_every, out)
     progress = training.progress
-    made_by = {name: getattr(arguments, name) for name in ("task", "algorithm", "seed", "options", "address")}
-    save(out, training, {**provenance(), **made_by, "hyperparameters": settings})
+    save(out, training, {**made_by, "hyperparameters": settings})
     name = f"learnt ({arguments.algorithm.upper()})"
     policy = learnt(training.model, training.normalized)
     scores = [evaluate(name, policy, arguments.id, arguments.address, **arguments.options)]
