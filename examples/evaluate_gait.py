@@ -35,6 +35,8 @@ class Score:
     commanded: Values
     #: Mechanical power [W].
     power: Values
+    #: Mechanical work / (weight · distance); NaN where the task does not tell the weight.
+    cost_of_transport: Values
     #: Whether the robot flipped or sank.
     fell: npt.NDArray[np.bool_]
 
@@ -67,8 +69,9 @@ def evaluate(
         running &= ~(terminated | truncated)
     env.close()
     steps = sums["steps"]
-    power = sums["work"] / steps * env.task.control_rate
-    return Score(name, sums["reward"], sums["speed"] / steps, sums["commanded_speed"] / steps, power, fell)
+    speed, power = sums["speed"] / steps, sums["work"] / steps * env.task.control_rate
+    cost = power / (infos.get("weight", np.nan) * np.maximum(speed, 1e-9))
+    return Score(name, sums["reward"], speed, sums["commanded_speed"] / steps, power, cost, fell)
 
 
 def constant_rate(frequency: float) -> Policy:
@@ -113,7 +116,7 @@ def interval(values: npt.NDArray[Any], digits: int) -> str:
 
 def table(scores: list[Score]) -> str:
     """One line a gait."""
-    head = ("gait", "return", "speed [m/s]", "speed error [m/s]", "error [%]", "power [W]", "fell")
+    head = ("gait", "return", "speed [m/s]", "speed error [m/s]", "error [%]", "power [W]", "cost of transport", "fell")
     rows = [
         (
             score.name,
@@ -122,6 +125,7 @@ def table(scores: list[Score]) -> str:
             interval(score.error, 3),
             interval(100 * score.relative_error, 1),
             interval(score.power, 2),
+            interval(score.cost_of_transport, 2),
             f"{100 * score.fell.mean():.0f} %",
         )
         for score in scores
