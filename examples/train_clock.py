@@ -201,16 +201,7 @@ def main() -> None:
     scores = judge(clocks, address, options)
     text = "\n".join([table(scores), "", *log])
     (out / "evaluation.txt").write_text(text + "\n")
-    chosen = {
-        name: rows[0].tolist() if np.ptp(rows, axis=0).max() == 0 else rows.tolist() for name, rows in clocks.items()
-    }
-    (out / "clocks.json").write_text(json.dumps({**made_by, "commands": COMMANDS.tolist(), "clocks": chosen}) + "\n")
-    with (out / "grid.csv").open("w", newline="") as file:
-        rows = zip(
-            two_speed[:, :4], searched.speed, searched.cost_of_transport, searched.rewards.mean(axis=1), strict=True
-        )
-        csv.writer(file).writerow(("frequency", "duty", "sweep", "offset", "speed", "cost_of_transport", "reward"))
-        csv.writer(file).writerows([*clock, *figures] for clock, *figures in rows)
+    save(out, clocks, made_by)
     draw(tripod, searched, scores[2], out / "front.png")
     print(f"\n{text}\n\nEverything is in {out}/.")
 
