@@ -50,6 +50,12 @@ class Score:
         """|mean speed − commanded speed| / |commanded speed|."""
         return self.error / np.abs(self.commanded)
 
+    def summary(self) -> dict[str, Any]:
+        """Means, and the half width of the return's 95 % interval."""
+        figures = {name: float(getattr(self, name).mean()) for name in ("speed", "relative_error", "power")}
+        mean, half = float(self.returns.mean()), half_width(self.returns)
+        return {"episodes": len(self.returns), "return": mean, "return_95": half, **figures}
+
 
 def evaluate(
     name: str, policy: Policy, task: str = GAIT, address: str | None = None, seeds: int = 100, **options: Any
@@ -108,10 +114,14 @@ def compare(task: str, address: str | None = None, **options: Any) -> list[Score
     return [*tripod, evaluate("random actions", random_actions(width), task, address, **options)]
 
 
+def half_width(values: npt.NDArray[Any]) -> float:
+    """Of the 95 % interval of the mean."""
+    return float(1.96 * np.std(values, ddof=1) / np.sqrt(len(values)))
+
+
 def interval(values: npt.NDArray[Any], digits: int) -> str:
     """Mean and the half width of its 95 % interval."""
-    half = 1.96 * np.std(values, ddof=1) / np.sqrt(len(values))
-    return f"{np.mean(values):.{digits}f} ± {half:.{digits}f}"
+    return f"{np.mean(values):.{digits}f} ± {half_width(values):.{digits}f}"
 
 
 def table(scores: list[Score]) -> str:

@@ -25,7 +25,6 @@ from training import (
     ALGORITHMS,
     BadSettings,
     Row,
-    Training,
     hyperparameters,
     last_checkpoint,
     prepare,
@@ -51,9 +50,7 @@ def draw(algorithm: str, curve: list[Row], scores: list[Score], path: Path) -> N
     figure.savefig(path, dpi=150)
 
 
-def save(out: Path, training: Training, settings: dict[str, Any]) -> None:
-    training.model.save(out / "policy.zip")
-    training.normalized.save(str(out / "normalize.pkl"))
+def write_settings(out: Path, settings: dict[str, Any]) -> None:
     (out / "settings.json").write_text(json.dumps(settings, indent=2) + "\n")
 
 
@@ -91,7 +88,8 @@ def main() -> None:
     out, settings = arguments.out, arguments.settings
     out.mkdir(parents=True, exist_ok=True)
     about = {name: getattr(arguments, name) for name in ("task", "algorithm", "seed", "options", "address")}
-    made_by = {**provenance(), **about}
+    made_by = {**provenance(), **about, "hyperparameters": settings}
+    write_settings(out, made_by)
     torch.set_num_threads(1)  # networks this small are slower on several
     training = prepare(
         arguments.algorithm,
@@ -105,11 +103,13 @@ def main() -> None:
     )
     training.run(arguments.checkpoint_every, out)
     progress = training.progress
-    save(out, training, {**made_by, "hyperparameters": settings})
+    training.model.save(out / "policy.zip")
+    training.normalized.save(str(out / "normalize.pkl"))
     name = f"learnt ({arguments.algorithm.upper()})"
     policy = learnt(training.model, training.normalized)
     scores = [evaluate(name, policy, arguments.id, arguments.address, **arguments.options)]
     scores += compare(arguments.id, arguments.address, **arguments.options)
+    write_settings(out, {**made_by, "steps": training.model.num_timesteps, "score": scores[0].summary()})
     text = table(scores)
     (out / "evaluation.txt").write_text(text + "\n")
     draw(arguments.algorithm, progress.curve, scores, out / "curve.png")
