@@ -23,6 +23,7 @@ from stable_baselines3.common.callbacks import BaseCallback, CallbackList, Check
 from stable_baselines3.common.utils import FloatSchedule
 from stable_baselines3.common.vec_env import VecEnvWrapper, VecMonitor, VecNormalize
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
+from symmetry import Mirror, MirroredPolicy, MirroredStatistics, mirror
 from tqdm import tqdm
 
 import sandgait
@@ -33,7 +34,7 @@ ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC}
 HYPERPARAMETERS = Path(__file__).parent / "hyperparameters"
 
 #: Keys of an entry that are this script's; the others are the algorithm's.
-OWN_KEYS = ("n_envs", "n_timesteps", "seconds", "normalize", "learning_rate")
+OWN_KEYS = ("n_envs", "n_timesteps", "seconds", "normalize", "learning_rate", "mirror", "env_kwargs")
 
 CHECKPOINT = re.compile(r"model_(\d+)_steps\.zip")
 
@@ -193,6 +194,8 @@ class Training:
     model: BaseAlgorithm
     normalized: VecNormalize
     progress: Progress
+    #: Others than progress and checkpoints.
+    callbacks: list[BaseCallback]
 
     def run(self, checkpoint_every: int, out: Path) -> None:
         """Learns until steps or time are up; every so many steps a checkpoint: policy, normalization, replay buffer."""
@@ -200,17 +203,41 @@ class Training:
         where = str(out / "checkpoints")
         checkpoints = Checkpoints(every, where, "model", save_replay_buffer=True, save_vecnormalize=True)
         left = max(0, self.progress.total_steps - self.model.num_timesteps)
-        callbacks = CallbackList([self.progress, checkpoints])
+        callbacks = CallbackList([self.progress, checkpoints, *self.callbacks])
         self.model.learn(left, callback=callbacks, reset_num_timesteps=False, log_interval=10, tb_log_name="log")
         self.normalized.training = False
 
 
+def steps_of(checkpoint: Path) -> int:
+    found = CHECKPOINT.fullmatch(checkpoint.name)
+    return int(found[1]) if found else -1
+
+
 def last_checkpoint(out: Path) -> Path:
     """The newest `model_STEPS_steps.zip` of a training."""
-    found = [(int(m[1]), p) for p in (out / "checkpoints").glob("*.zip") if (m := CHECKPOINT.fullmatch(p.name))]
+    found = [path for path in (out / "checkpoints").glob("*.zip") if steps_of(path) >= 0]
     if not found:
         raise BadSettings(f"--resume: no checkpoint in {out / 'checkpoints'}")
-    return max(found)[1]
+    return max(found, key=steps_of)
+
+
+def create(
+    kind: type[BaseAlgorithm], env: VecNormalize, settings: dict[str, Any], seed: int, log: Path
+) -> BaseAlgorithm:
+    """A model that knows nothing yet."""
+    rest = {name: value for name, value in settings.items() if name not in OWN_KEYS}
+    if settings.get("mirror"):
+        mirrors = dict(zip(("observation", "action"), mirrors_of(env), strict=True))
+        rest["policy"] = MirroredPolicy
+        rest["policy_kwargs"] = {**settings.get("policy_kwargs", {}), **mirrors}
+    rate, _ = learning_rate(settings["learning_rate"])
+    return kind(env=env, learning_rate=rate, seed=seed, device="cpu", tensorboard_log=str(log), **rest)
+
+
+def mirrors_of(env: VecNormalize) -> tuple[Mirror, Mirror]:
+    """Of observations and actions."""
+    task = env.get_attr("task", [0])[0]
+    return mirror([c.name for c in task.observation]), mirror([c.name for c in task.action])
 
 
 def prepare(
@@ -226,20 +253,20 @@ def prepare(
     """A new training, or the one in `out` from a checkpoint on."""
     timed = Timed(VecMonitor(sandgait.make_sb3(task, int(settings["n_envs"]), address, **options)))
     kind = ALGORITHMS[algorithm]
+    curve: list[Row] = []
     if checkpoint is None:
         flag = bool(settings["normalize"])
         normalized = VecNormalize(timed, norm_obs=flag, norm_reward=flag, gamma=settings["gamma"])
-        rest = {name: value for name, value in settings.items() if name not in OWN_KEYS}
-        rate, _ = learning_rate(settings["learning_rate"])
-        log = str(out / "tensorboard")
-        model = kind(env=normalized, learning_rate=rate, seed=seed, device="cpu", tensorboard_log=log, **rest)
-        return Training(model, normalized, Progress(timed, settings, out / "curve.csv", []))
-    steps = int(CHECKPOINT.fullmatch(checkpoint.name)[1])  # type: ignore[index]
-    normalized = VecNormalize.load(str(checkpoint.with_name(f"model_vecnormalize_{steps}_steps.pkl")), timed)
-    model = kind.load(checkpoint, env=normalized, device="cpu")
-    buffer = checkpoint.with_name(f"model_replay_buffer_{steps}_steps.pkl")
-    if isinstance(model, SAC):
-        model.load_replay_buffer(buffer)
-    normalized.seed(seed + steps)  # other episodes than those it has seen
-    curve = read_curve(out / "curve.csv", until=steps)
-    return Training(model, normalized, Progress(timed, settings, out / "curve.csv", curve))
+        model = create(kind, normalized, settings, seed, out / "tensorboard")
+    else:
+        steps = steps_of(checkpoint)
+        normalized = VecNormalize.load(str(checkpoint.with_name(f"model_vecnormalize_{steps}_steps.pkl")), timed)
+        model = kind.load(checkpoint, env=normalized, device="cpu")
+        if isinstance(model, SAC):
+            model.load_replay_buffer(checkpoint.with_name(f"model_replay_buffer_{steps}_steps.pkl"))
+        normalized.seed(seed + steps)  # other episodes than those it has seen
+        curve = read_curve(out / "curve.csv", until=steps)
+    progress = Progress(timed, settings, out / "curve.csv", curve)
+    symmetric = settings.get("mirror") and settings["normalize"]
+    callbacks: list[BaseCallback] = [MirroredStatistics(mirrors_of(normalized)[0])] if symmetric else []
+    return Training(model, normalized, progress, callbacks)
