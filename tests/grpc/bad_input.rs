@@ -38,7 +38,7 @@ async fn wrong_actions() {
     let invalid = Code::InvalidArgument;
     refused(Some(step(&wave(0..4, 0))), invalid, &["actions", "24 numbers", "18", "[3, 6]"]).await;
     refused(Some(step(&[])), invalid, &["actions", "0 numbers"]).await;
-    refused(Some(Request::Step(Step { actions: vec![0; 70].into() })), invalid, &["actions", "70 bytes"]).await;
+    refused(Some(Request::Step(Step { actions: vec![0; 70].into(), ..Default::default() })), invalid, &["actions", "70 bytes"]).await;
     for (value, name) in [(f32::NAN, "NaN"), (1.5, "1.5"), (-1.001, "-1.001"), (f32::INFINITY, "inf")] {
         refused(spoiled(value), invalid, &["actions[2][4]", name, "left-middle", "[-1, 1]"]).await;
     }
