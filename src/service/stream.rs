@@ -121,6 +121,10 @@ impl Run {
     async fn begin(&mut self, request: RunSessionRequest) -> Result<Option<RunSessionResponse>, Status> {
         let hold = match &self.attached {
             Some(attached) => &attached.hold,
+            None if request.session_id.is_empty() => {
+                let reason = "missing; a stream's first message names its session";
+                return Err(status::status(&Error::invalid("session_id", reason)));
+            }
             None => {
                 let hold = self.sessions.attach(&request.session_id).map_err(|e| status::status(&e))?;
                 &self.attached.insert(Guard { hold, sessions: self.sessions.clone() }).hold
