@@ -177,6 +177,7 @@ impl Shard {
         let row = &mut self.rows.infos[i * info..][..info];
         let terminated = self.task.judge(
             &Transition {
+                options: &episode.setup.options,
                 model: episode.goal.model.as_ref().unwrap_or(&episode.setup.model),
                 goal: &episode.goal,
                 before: &episode.before,
