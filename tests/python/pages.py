@@ -67,7 +67,7 @@ class Block:
             text = instead + "\n"
         for replacement in self.said("replace"):
             old, _, new = (part.strip() for part in replacement.partition("->"))
-            assert old and old in text, f"{self}: {old!r} is to be replaced and does not stand there"
+            assert old in text, f"{self}: {old!r} is to be replaced and does not stand there"
             text = text.replace(old, new)
         return text
 
@@ -198,7 +198,8 @@ class Run:
         runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)
         runner.run(example, out=report.append, clear_globs=False)
         self._names.update(example.globs)
-        assert example.examples and not report, f"{block}:\n" + "".join(report)
+        assert example.examples, f"{block}: no examples after `>>> `"
+        assert not report, f"{block}:\n" + "".join(report)
 
 
 def _console(text: str) -> list[tuple[str, str]]:

@@ -109,3 +109,38 @@ def test_figures_of_speed_are_those_measured() -> None:
     measured = (ROOT / "benches/RESULTS.md").read_text(encoding="utf-8")
     assert len(quoted) > 10
     assert not {figure for figure in quoted if figure not in measured}
+
+
+def test_messages_are_those_of_the_sources() -> None:
+    """Every message in the first column of a table on troubleshooting is one that the program can give."""
+    sources = [*ROOT.glob("src/**/*.rs"), *ROOT.glob("python_client/sandgait/*.py"), ROOT / "Makefile"]
+    text = " ".join(source.read_text(encoding="utf-8") for source in sources).replace('\\"', '"')
+    text = re.sub(r'\\\n\s*|"\n\s*f?"', "", text)
+    page = (ROOT / "docs/troubleshooting.md").read_text(encoding="utf-8")
+    page = re.sub(r"\| it says \|.*?\n\n", "", page, flags=re.DOTALL)  # these are grpc's
+    messages = re.findall(r"^\| `([^`]*)` \|", page, flags=re.MULTILINE)
+    assert len(messages) > 40
+    parts = [(message, part.strip(" :;,.")) for message in messages for part in re.split("…|: ", message)]
+    assert not [(message, part) for message, part in parts if part not in text]
+
+
+def test_the_page_on_physics_has_the_numbers_of_the_sources() -> None:
+    """Mechanisms with unit, law, bounds and source, and the coefficients of both laws."""
+    page = (ROOT / "docs/physics.md").read_text(encoding="utf-8").replace("\\|", "|").replace("−", "-")
+    entry = r'(\w+): "(.*?)", "(.*?)", \[(.*?), (.*?)\], [\d.]+, (\w+),.*\n\s*"(.*?)", "(.*?)"(?:, ceiling)?;'
+    mechanisms = re.findall(entry, (ROOT / "src/sand/mechanism.rs").read_text(encoding="utf-8"))
+    assert len(mechanisms) > 15
+    for name, symbol, unit, low, high, side, law, source in mechanisms:
+        value = symbol if unit == "1" else f"{symbol} [{unit}]"
+        bounds = f"{float(low):g} to {float(high):g}"
+        row = f"| `{name}` | {value} | {law} | {side.lower()} | {bounds} | {source} |".replace("−", "-")
+        assert row in page, row
+    spatial = (ROOT / "src/sand/law/agarwal2023.rs").read_text(encoding="utf-8")
+    for numbers in re.findall(r"^    \[(-?\d\.\d{5}), (.*?), (.*?)\],$", spatial, flags=re.MULTILINE):
+        assert f" | {' | '.join(numbers)} |" in page, numbers
+    planar = (ROOT / "src/sand/media.rs").read_text(encoding="utf-8")
+    sets = re.findall(r"per_cm3\(\[([-\d., ]+)\]\)", planar)
+    assert len(sets) == 3
+    for numbers in sets:
+        shown = [re.sub(r"^(-?)0(?=\.\d*[1-9])", r"\1", n) if float(n) else "0" for n in numbers.split(", ")]
+        assert f" | {' | '.join(shown)} |" in page, shown
