@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from markdown_it import MarkdownIt
+from markdown_it.token import Token
 
 ROOT = Path(__file__).parents[2]
 
@@ -96,10 +97,17 @@ def _comment(html: str) -> tuple[str, str] | None:
 
 def inline_code(page: Path) -> Iterator[str]:
     """Every piece of `code` in its text."""
+    yield from (token.content for token in _inline(page) if token.type == "code_inline")
+
+
+def links(page: Path) -> Iterator[str]:
+    """Where its links lead and its pictures are."""
+    yield from (str(token.attrs[a]) for token in _inline(page) for a in ("href", "src") if a in token.attrs)
+
+
+def _inline(page: Path) -> Iterator[Token]:
     for token in MarkdownIt("commonmark").enable("table").parse(page.read_text(encoding="utf-8")):
-        for child in token.children or ():
-            if child.type == "code_inline":
-                yield child.content
+        yield from token.children or ()
 
 
 class Run:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from pages import PAGES, ROOT, RUN, SHOWN, Run, blocks, inline_code
+from pages import PAGES, ROOT, RUN, SHOWN, Run, blocks, inline_code, links
 from sandgait import server
 
 #: Pages with something to run.
@@ -79,6 +79,11 @@ def test_commands_and_files_in_the_text_exist(page: Path) -> None:
     for code in inline_code(page):
         if re.fullmatch(r"(src|tests|docs|examples|benches|robots|python_client|proto)/[\w./-]*\w", code):
             assert (ROOT / code).exists(), f"{name(page)}: there is no {code}"
+        if match := re.match(r"cargo (?:run|test) --release --(example|test) (\w+)", code):
+            at = ROOT / f"{match[1]}s"
+            assert (at / f"{match[2]}.rs").exists() or (at / match[2]).is_dir(), f"{name(page)}: there is no {code}"
+        if match := re.match(r"python ([\w/]+\.py)", code):
+            assert (ROOT / match[1]).exists(), f"{name(page)}: there is no {code}"
         if match := re.match(r"make ([a-z][a-z-]+)", code):
             assert f"\n{match[1]}:" in (ROOT / "Makefile").read_text(), f"{name(page)}: there is no {code}"
         if match := re.match(r"sandgait ([a-z]+)(?![:.])", code):
@@ -86,6 +91,14 @@ def test_commands_and_files_in_the_text_exist(page: Path) -> None:
             assert done.returncode == 0, f"{name(page)}: there is no {code}"
             for option in re.findall(r" (--[a-z-]+)", code):
                 assert option in done.stdout, f"{name(page)}: {code} has no {option}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_links_within_the_repository_lead_somewhere(page: Path) -> None:
+    """On GitHub; the site's are checked when it is built."""
+    for link in links(page):
+        target = link.partition("#")[0]
+        assert "://" in link or (page.parent / target).exists(), f"{name(page)}: {link}"
 
 
 def test_the_site_is_whole_and_needs_no_other_host(tmp_path: Path) -> None:
