@@ -42,7 +42,7 @@ test-python: $(VENV)/sb3 $(VENV)/plot $(VENV)/docs $(VENV)/dev
 	$(BIN)/pytest
 
 docs: $(VENV)/docs
-	$(BIN)/mkdocs build --strict --quiet
+	$(BIN)/mkdocs build --strict
 
 bench: $(VENV)/wheel
 	$(BIN)/python benches/client.py $(ARGS)
