@@ -12,11 +12,16 @@ SOURCES := $(shell find src proto robots python_client build.rs Cargo.toml Cargo
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
+<<<<<<< HEAD
 .PHONY: help train test test-rust test-python bench bench-peers study study-convergence study-rocks study-load proto task-pages
+=======
+.PHONY: help train test test-rust test-python docs bench bench-peers study study-convergence study-rocks proto
+>>>>>>> docs
 
 help:
 	@echo "make train   train a hexapod to walk on sand (5 minutes), results in runs/; ARGS=--help for options"
 	@echo "make test    formatting, lints and all tests, Rust and Python"
+	@echo "make docs    the documentation as a site in site/; every command in it is run by make test"
 	@echo "make bench   speed of the Python client through an embedded server"
 	@echo "make bench-peers   sandgait beside EnvPool, MuJoCo and gymnasium's Ant, in one run"
 	@echo "make study   how often the diagnosis is right, on data of known cause (some 20 minutes)"
@@ -36,11 +41,14 @@ test-rust:
 	cargo clippy --release --all-targets -- -D warnings
 	cargo test --release
 
-test-python: $(VENV)/sb3 $(VENV)/plot $(VENV)/dev
+test-python: $(VENV)/sb3 $(VENV)/plot $(VENV)/docs $(VENV)/dev
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/pytest
+
+docs: $(VENV)/docs
+	$(BIN)/mkdocs build --strict
 
 bench: $(VENV)/wheel
 	$(BIN)/python benches/client.py $(ARGS)
@@ -88,7 +96,7 @@ $(VENV)/wheel: $(SOURCES) $(VENV)/tools
 	@touch $@
 
 # The wheel with one of its extras. torch, which `sb3` brings, is some 5 GB: minutes, once.
-$(VENV)/sb3 $(VENV)/plot $(VENV)/dev: $(VENV)/wheel
+$(VENV)/sb3 $(VENV)/plot $(VENV)/docs $(VENV)/dev: $(VENV)/wheel
 	$(BIN)/pip install --quiet --constraint $(PINS) "$$(echo dist/*.whl)[$(@F)]"
 	@touch $@
 
