@@ -1,19 +1,21 @@
 """Policies that treat left and right alike.
 
-A hexapod's mirror image is a hexapod, and sand has no handedness: what a good policy does in a mirrored situation is the
-mirror image of what it does. A network that is averaged with its own mirror image cannot do otherwise. That matters for
-walking straight: tasks do not show the heading, so nothing else corrects a gait that turns a little with each stride.
+A hexapod's mirror image is a hexapod, and sand has no handedness: what a good policy does in a mirrored situation is
+the mirror image of what it does. A network that is averaged with its own mirror image cannot do otherwise. That matters
+for walking straight: tasks do not show the heading, so nothing else corrects a gait that turns a little in each stride.
 """
 
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.type_aliases import Schedule
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
@@ -32,14 +34,27 @@ def mirror(names: list[str]) -> Mirror:
     return [names.index(image) for image in images], [-1.0 if TURNED.search(name) else 1.0 for name in names]
 
 
+class Reflection(nn.Module):
+    """Rows as they look in the mirror."""
+
+    order: torch.Tensor
+    signs: torch.Tensor
+
+    def __init__(self, mirrored: Mirror) -> None:
+        super().__init__()
+        self.register_buffer("order", torch.tensor(mirrored[0]))
+        self.register_buffer("signs", torch.tensor(mirrored[1]))
+
+    def forward(self, rows: torch.Tensor) -> torch.Tensor:
+        return rows[:, self.order] * self.signs
+
+
 class MirroredNetworks(nn.Module):
     """Actor f and critic v, averaged with their mirror images: (f(s) + M f(M s)) / 2 and (v(s) + v(M s)) / 2."""
 
     def __init__(self, sizes: list[int], observation: Mirror, action: Mirror) -> None:
         super().__init__()
-        for name, (order, signs) in {"observation": observation, "action": action}.items():
-            self.register_buffer(f"{name}_order", torch.tensor(order))
-            self.register_buffer(f"{name}_signs", torch.tensor(signs))
+        self.observation, self.action = Reflection(observation), Reflection(action)
         self.latent_dim_pi, self.latent_dim_vf = len(action[0]), sizes[-1]
         self.actor = _layers([len(observation[0]), *sizes], [self.latent_dim_pi])
         self.critic = _layers([len(observation[0]), *sizes], [])
@@ -48,27 +63,27 @@ class MirroredNetworks(nn.Module):
         return self.forward_actor(rows), self.forward_critic(rows)
 
     def forward_actor(self, rows: torch.Tensor) -> torch.Tensor:
-        image = self.actor(rows[:, self.observation_order] * self.observation_signs)
-        return 0.5 * (self.actor(rows) + image[:, self.action_order] * self.action_signs)
+        mean: torch.Tensor = self.actor(rows) + self.action(self.actor(self.observation(rows)))
+        return 0.5 * mean
 
     def forward_critic(self, rows: torch.Tensor) -> torch.Tensor:
-        image = self.critic(rows[:, self.observation_order] * self.observation_signs)
-        return 0.5 * (self.critic(rows) + image)
+        value: torch.Tensor = self.critic(rows) + self.critic(self.observation(rows))
+        return 0.5 * value
 
 
 def _layers(hidden: list[int], last: list[int]) -> nn.Sequential:
     """Tanh layers, then a linear one that begins small, as stable-baselines3 begins PPO's."""
     layers: list[nn.Module] = []
-    for before, after in zip(hidden, hidden[1:], strict=False):
-        layers += [nn.Linear(before, after), nn.Tanh()]
-        nn.init.orthogonal_(layers[-2].weight, gain=2.0**0.5)
-    for after in last:
-        layers.append(nn.Linear(hidden[-1], after))
-        nn.init.orthogonal_(layers[-1].weight, gain=0.01)
-    for layer in layers:
-        if isinstance(layer, nn.Linear):
-            nn.init.zeros_(layer.bias)
-    return nn.Sequential(*layers)
+    for before, after in pairwise(hidden):
+        layers += [_linear(before, after, 2.0**0.5), nn.Tanh()]
+    return nn.Sequential(*layers, *(_linear(hidden[-1], after, 0.01) for after in last))
+
+
+def _linear(before: int, after: int, gain: float) -> nn.Linear:
+    layer = nn.Linear(before, after)
+    nn.init.orthogonal_(layer.weight, gain=gain)
+    nn.init.zeros_(layer.bias)
+    return layer
 
 
 class MirroredPolicy(ActorCriticPolicy):
@@ -76,7 +91,7 @@ class MirroredPolicy(ActorCriticPolicy):
 
     def __init__(self, *args: Any, observation: Mirror, action: Mirror, **kwargs: Any) -> None:
         self.mirrors = observation, action
-        super().__init__(*args, ortho_init=False, **kwargs)
+        super().__init__(*args, **{**kwargs, "ortho_init": False})
 
     def _build_mlp_extractor(self) -> None:
         assert isinstance(self.net_arch, list)
@@ -85,7 +100,7 @@ class MirroredPolicy(ActorCriticPolicy):
     def _build(self, lr_schedule: Schedule) -> None:
         super()._build(lr_schedule)
         self.action_net = nn.Identity()  # the mean is mirrored; a layer behind it would undo that
-        self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
+        self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)  # type: ignore[call-arg]
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         observation, action = self.mirrors
@@ -103,8 +118,9 @@ class MirroredStatistics(BaseCallback):
         normalized = self.training_env
         assert isinstance(normalized, VecNormalize)
         statistics = normalized.obs_rms
-        statistics.mean = 0.5 * (statistics.mean + statistics.mean[self.order] * self.signs)  # type: ignore[union-attr]
-        statistics.var = 0.5 * (statistics.var + statistics.var[self.order])  # type: ignore[union-attr]
+        assert isinstance(statistics, RunningMeanStd)
+        statistics.mean = 0.5 * (statistics.mean + statistics.mean[self.order] * self.signs)
+        statistics.var = 0.5 * (statistics.var + statistics.var[self.order])
 
     def _on_step(self) -> bool:
         return True

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from evaluate_gait import FIRST_SEED, Policy, learnt
 from PIL import Image
 from stable_baselines3.common.callbacks import BaseCallback
@@ -25,7 +26,7 @@ def film(policy: Policy, path: Path, task: str, address: str | None = None, **op
         observation, _, terminated, truncated, _ = env.step(policy(observation[None])[0])
         step, over = step + 1, terminated or truncated
         if step % STRIDE == 0:
-            pictures.append(Image.fromarray(env.render()))
+            pictures.append(Image.fromarray(np.asarray(env.render())))
     env.close()
     milliseconds = round(1000 * STRIDE / env.task.control_rate)
     pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=milliseconds, loop=0)
