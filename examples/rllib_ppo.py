@@ -47,7 +47,7 @@ def build(servers: sandgait.ray.Servers, runners: int, envs: int, seed: int = 0,
             gym_env_vectorize_mode="vector_entry_point",
             rollout_fragment_length=STEPS,
         )
-        .training(train_batch_size_per_learner=runners * envs * STEPS, **TRAINING)
+        .training(train_batch_size_per_learner=max(runners, 1) * envs * STEPS, **TRAINING)
         .debugging(seed=seed, log_level="ERROR")
     )
     return config.build_algo()
