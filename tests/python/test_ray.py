@@ -81,7 +81,7 @@ def test_rllib_trains_on_both_nodes(servers: sandgait.ray.Servers) -> None:
 def test_only_who_has_the_token_is_served(servers: sandgait.ray.Servers) -> None:
     address = servers.addresses[0]
     for stranger in (str(address), sandgait.Remote(address, ca=address.ca)):
-        with pytest.raises(sandgait.SandgaitError, match="bearer token|cannot be reached"):
+        with pytest.raises(sandgait.SandgaitError, match=r"bearer token|cannot be reached"):
             sandgait.describe(stranger)
     processes = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, check=True).stdout
     assert "--tls-self-signed" in processes
