@@ -86,7 +86,7 @@ def test_only_who_has_the_token_is_served(servers: sandgait.ray.Servers) -> None
     for stranger in (str(address), sandgait.Remote(address, ca=address.ca)):
         with pytest.raises(sandgait.SandgaitError, match=r"bearer token|cannot be reached"):
             sandgait.describe(stranger)
-    processes = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, check=True).stdout
+    processes = subprocess.run(["ps", "-ewwo", "args"], capture_output=True, text=True, check=True).stdout
     assert "--tls-self-signed" in processes
     assert address.token
     for shown in (processes, repr(servers), str(servers)):
