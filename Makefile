@@ -12,7 +12,7 @@ SOURCES := $(shell find src proto robots python_client build.rs Cargo.toml Cargo
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help train test test-rust test-python docs bench bench-peers study study-convergence study-rocks proto
+.PHONY: help train test test-rust test-python docs bench bench-peers study study-convergence study-rocks study-load proto
 
 help:
 	@echo "make train   train a hexapod to walk on sand (5 minutes), results in runs/; ARGS=--help for options"
@@ -23,6 +23,7 @@ help:
 	@echo "make study   how often the diagnosis is right, on data of known cause (some 20 minutes)"
 	@echo "make study-convergence   walking speed against the time step, both engines (some 3 minutes)"
 	@echo "make study-rocks   overlaps of robot and rocks in 1,000 random episodes (some 7 minutes)"
+	@echo "make study-load      24 clients against one server: its memory and its numbers (5 minutes)"
 	@echo "make proto   generate the Python messages from proto/ anew"
 
 train: $(VENV)/sb3
@@ -65,6 +66,9 @@ study-convergence:
 
 study-rocks:
 	cargo run --release --example rocks_study
+
+study-load:
+	SANDGAIT_LOAD_SECONDS=300 cargo test --release --test faults -- --nocapture under_load
 
 # The oldest generator whose output still runs on every protobuf from 4.25 on; in an environment of its own.
 proto:
