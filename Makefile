@@ -13,8 +13,7 @@ SOURCES := $(shell find src proto robots python_client build.rs Cargo.toml Cargo
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help train test test-rust test-python docs bench bench-peers study study-convergence study-rocks study-load \
-	proto task-pages
+.PHONY: help train test test-rust test-python bench bench-peers study study-convergence study-rocks study-load proto task-pages docs
 
 help:
 	@echo "make train   train a hexapod to walk on sand (5 minutes), results in runs/; TASK=HexapodLegs, ARGS=--help"

@@ -4,7 +4,7 @@
     python examples/train_stroke.py --generations 20 --out runs/try
 
 A circular stroke locks the knee and turns the hip at one speed; searched are knee angle, where the hip starts, and
-speed. CMA-ES searches the speeds of hip and knee at some times of the stroke, with straight lines between them, from the
+speed. CMA-ES searches the speeds of both joints at some times of the stroke, with straight lines between them, from the
 start the task has by itself. Both are judged by the task's return: efficiency less what is missing of lift. Written to
 the output directory: strokes.json, strokes.png, evaluation.txt.
 """
