@@ -13,10 +13,11 @@ SOURCES := $(shell find src proto robots python_client build.rs Cargo.toml Cargo
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help train test test-rust test-python bench bench-peers study study-convergence study-rocks study-load proto task-pages docs
+.PHONY: help train policies test test-rust test-python bench bench-peers study study-convergence study-rocks study-load proto task-pages docs
 
 help:
 	@echo "make train   train a hexapod to walk on sand (5 minutes), results in runs/; TASK=HexapodLegs, ARGS=--help"
+	@echo "make policies   the trained policies in examples/policies anew (some 70 minutes)"
 	@echo "make test    formatting, lints and all tests, Rust and Python"
 	@echo "make docs    the documentation as a site in site/; every command in it is run by make test"
 	@echo "make bench   speed of the Python client through an embedded server"
@@ -30,6 +31,17 @@ help:
 
 train: $(VENV)/sb3
 	$(BIN)/python examples/train.py --task $(TASK) $(ARGS)
+
+# Everything in examples/policies, made anew: trainings of three seeds, clocks and strokes; some 70 minutes on two cores.
+policies: $(VENV)/sb3
+	for task in HexapodGait HexapodLegs; do \
+		for seed in 0 1 2; do \
+			$(BIN)/python examples/train.py --task $$task --seed $$seed --out runs/$$task-$$seed || exit 1; \
+		done; \
+		$(BIN)/python examples/train_keep.py runs/$$task-0 runs/$$task-1 runs/$$task-2 || exit 1; \
+	done
+	$(BIN)/python examples/train_clock.py --out examples/policies/HexapodGait-clock
+	$(BIN)/python examples/train_stroke.py --out examples/policies/LegStroke
 
 test: test-rust test-python
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -94,6 +95,14 @@ def random_actions(width: int, seed: int = 0) -> Policy:
 def learnt(model: Any, normalize: Any) -> Policy:
     """A stable-baselines3 model behind the VecNormalize it was trained with, without exploration."""
     return lambda rows: model.predict(normalize.normalize_obs(rows), deterministic=True)[0]
+
+
+def from_onnx(path: Path) -> Policy:
+    """A policy as `sandgait.export_onnx` writes it."""
+    from onnx.reference import ReferenceEvaluator  # slow to import, and trainings do without
+
+    network = ReferenceEvaluator(str(path))
+    return lambda rows: np.asarray(network.run(None, {"observation": rows})[0])
 
 
 def best_tripod(address: str | None = None, **options: Any) -> Score:

@@ -7,7 +7,7 @@
     tensorboard --logdir runs
 
 Settings stand in examples/hyperparameters/, one file an algorithm and one entry a task. The output directory gets
-policy.zip, normalize.pkl, settings.json, curve.csv, curve.png, evaluation.txt, checkpoints/ and tensorboard/.
+policy.zip, normalize.pkl, settings.json, curve.csv, curve.png, evaluation.txt, checkpoints/, videos/ and tensorboard/.
 """
 
 from __future__ import annotations
@@ -30,6 +30,9 @@ from training import (
     prepare,
     provenance,
 )
+from video import Video
+
+import sandgait
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -68,6 +71,9 @@ def parse() -> argparse.Namespace:
     parser.add_argument(
         "--checkpoint-every", type=int, default=1_000_000, metavar="STEPS", help="steps between two (%(default)s)"
     )
+    parser.add_argument(
+        "--video-every", type=int, default=1_000_000, metavar="STEPS", help="steps between two films; 0: none (%(default)s)"
+    )
     parser.add_argument("--address", help="host:port or unix:/path of a running server; none: one is started")
     parser.add_argument("--options", type=json.loads, default={}, help='task options as JSON: \'{"leg": "C"}\'')
     arguments = parser.parse_args()
@@ -77,6 +83,7 @@ def parse() -> argparse.Namespace:
     arguments.out = arguments.out or Path("runs") / f"{arguments.task}-{arguments.algorithm}"
     try:
         arguments.settings = hyperparameters(arguments.algorithm, arguments.id, arguments.set + given)
+        arguments.options = {**arguments.settings.get("env_kwargs", {}), **arguments.options}
         arguments.checkpoint = last_checkpoint(arguments.out) if arguments.resume else None
     except BadSettings as error:
         parser.error(str(error))
@@ -101,6 +108,9 @@ def main() -> None:
         arguments.options,
         arguments.checkpoint,
     )
+    if arguments.video_every and "rgb_array" in sandgait.SandgaitEnv.metadata["render_modes"]:
+        films = Video(arguments.video_every, out / "videos", arguments.id, arguments.address, arguments.options)
+        training.callbacks.append(films)
     training.run(arguments.checkpoint_every, out)
     progress = training.progress
     training.model.save(out / "policy.zip")
