@@ -15,6 +15,7 @@ from .session import Rollout
 from .shards import Address, open_shards
 from .snapshots import FilePath, read_snapshot, write_snapshot
 from .spaces import box
+from .view import RENDER_MODES, SIZE, View
 
 Observations = npt.NDArray[np.float32]
 Flags = npt.NDArray[np.bool_]
@@ -30,10 +31,13 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
     Autoreset is SAME_STEP: where an episode ended, the observation is already the next episode's first, and the old
     one's last row stands in `infos["final_obs"]` and its figures in `infos["final_info"]`.
 
+    `render_mode`: "rgb_array" for pictures of `render_size` (width, height), one an environment; "human" for the first
+    four in a window.
+
     To let the learner and the simulation overlap, split a batch over two of these and alternate `send` and `recv`.
     """
 
-    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
+    metadata: dict[str, Any] = {"render_modes": RENDER_MODES, "autoreset_mode": AutoresetMode.SAME_STEP}
 
     def __init__(
         self,
@@ -42,12 +46,17 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
         address: Address = None,
         render_mode: str | None = None,
         resume: bool = False,
+        render_size: tuple[int, int] = SIZE,
         **options: Any,
     ) -> None:
-        if render_mode is not None:
-            raise InvalidRequest(f"render_mode: {render_mode!r} is not offered; leave it out")
         self._address = address
         self._session = open_shards(address, task, num_envs, options, resume)
+        self.render_mode = render_mode
+        try:
+            self._view = View(self._session, render_mode, render_size)
+        except BaseException:
+            self._session.close()
+            raise
         self.num_envs = num_envs
         #: The session's tables: names, units and bounds of every number.
         self.task = self._session.task
@@ -82,6 +91,7 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
         if goes_on.any():
             batch = self._reset(None, goes_on, options)
         self._seeded |= mask
+        self._view.moved(record_ended=True, show_ended=False)
         return batch.observations, {}
 
     def _reset(self, seeds: list[int] | None, mask: Flags, options: dict[str, Any]) -> Batch:
@@ -142,6 +152,7 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
             self._in_flight = False
             raise
         self._in_flight = False
+        self._view.moved(record_ended=True, show_ended=False)
         return batch
 
     def recv(self) -> Step:
@@ -220,6 +231,26 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
             raise OutOfOrder("rollout: a step is in flight; call recv first")
         return self._session.rollout(np.asarray(actions, dtype=np.float32), trajectories)
 
+    def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
+        """Every robot as it is now: u8 [height, width, 3] each; in mode "human" they are shown instead."""
+        if self.render_mode is None:
+            raise InvalidRequest('render_mode: none was chosen; make the environments with render_mode="rgb_array"')
+        if self._in_flight:
+            raise OutOfOrder("render: a step is in flight; call recv first")
+        if self.render_mode == "human":
+            self._view.show()
+            return None
+        return tuple(self._view.pictures(list(range(self.num_envs))))
+
+    def record(self, path: FilePath, index: int = 0) -> None:
+        """Writes every moment of environment `index` from the next reset or step on to the file `path`."""
+        self._view.record(path, index)
+
+    def stop_recording(self) -> None:
+        """Completes the recording; see `sandgait.read_recording` and `sandgait replay`."""
+        self._view.stop_recording()
+
     def close_extras(self, **kwargs: Any) -> None:
         """Ends the session; the environments' memory is freed on the server."""
+        self._view.close()
         self._session.close()

@@ -7,11 +7,13 @@
 //! * [`locomotion`]: what walking tasks share; [`gait`]: the task HexapodGait, [`legs`]: HexapodLegs, [`rocks`]: HexapodRocks.
 //! * [`shard`]: environments that advance together on one engine; reset, step, autoreset.
 //! * [`snapshot`]: episodes as data; [`rollout`]: many steps with actions that are known beforehand.
+//! * [`look`]: one environment for those who only look.
 //! * [`random`]: the stream of random numbers of an episode.
 
 pub mod gait;
 pub mod legs;
 pub mod locomotion;
+pub mod look;
 pub mod options;
 pub mod random;
 pub mod rocks;
@@ -21,6 +23,7 @@ pub mod snapshot;
 pub mod spec;
 pub mod task;
 
+pub use look::Look;
 pub use options::{ResetOptions, TaskOptions};
 pub use shard::Shard;
 pub use spec::{Column, Spec};

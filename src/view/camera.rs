@@ -68,11 +68,6 @@ impl Camera {
         (p - self.eye).dot(&self.forward)
     }
 
-    /// Pixels that a metre takes at `depth` [m].
-    pub fn scale(&self, depth: f64) -> f64 {
-        self.focal / depth.max(NEAR)
-    }
-
     /// Where a point appears; none if it is behind the camera.
     pub fn see(&self, p: V) -> Option<Seen> {
         let depth = self.depth(p);
@@ -142,7 +137,6 @@ mod tests {
         assert!(at(&level, 0.05, 0.0, 0.0).0[0] > middle[0] + 20.0);
         assert!(at(&level, 0.0, 0.0, 0.05).0[1] < middle[1] - 20.0);
         assert!(at(&level, 0.0, 0.05, 0.0).1 > at(&level, 0.0, -0.05, 0.0).1);
-        // Ahead on the surface is as far down the picture as the same place turned back on a slope's surface is not.
         let rise = |c: &Camera| at(c, -0.1, 0.0, 0.0).0[1] - at(c, 0.1, 0.0, 0.0).0[1];
         assert!(rise(&camera(20.0)) > rise(&level) + 20.0);
         assert!(rise(&camera(-20.0)) < rise(&level) - 20.0);

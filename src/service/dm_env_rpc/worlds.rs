@@ -224,6 +224,7 @@ impl Place {
             pool.run(batch, operation, move |done| {
                 let seen = done.map(|batch| {
                     let seen = view(&batch);
+                    sessions.watchers.saw(&id, &batch);
                     sessions.give_back(&id, rest.with(batch));
                     seen
                 });
