@@ -34,9 +34,9 @@ pub fn is_light(request: &proto::RunSessionRequest) -> bool {
     match &request.request {
         Some(Request::Step(step)) => step.actions.len() <= 16_384,
         Some(Request::Reset(reset)) => reset.options.is_none() && reset.seeds.len() <= 2_048,
-        Some(Request::Save(_) | Request::Restore(_) | Request::Rollout(_) | Request::Render(_) | Request::Observe(_)) => {
-            false
-        }
+        Some(
+            Request::Save(_) | Request::Restore(_) | Request::Rollout(_) | Request::Render(_) | Request::Observe(_),
+        ) => false,
         Some(Request::Attach(_)) | None => true,
     }
 }

@@ -194,7 +194,14 @@ pub fn name(id: &str) -> String {
 impl Sessions {
     /// Cancelling `stop` ends every stream after the operation it has in flight.
     pub fn new(limits: Limits, stop: CancellationToken) -> Arc<Self> {
-        Arc::new(Self { limits, usage: Arc::default(), entries: Mutex::default(), stop, metrics: Arc::default(), watchers: Arc::default() })
+        Arc::new(Self {
+            limits,
+            usage: Arc::default(),
+            entries: Mutex::default(),
+            stop,
+            metrics: Arc::default(),
+            watchers: Arc::default(),
+        })
     }
 
     /// Cancelled when the server stops.

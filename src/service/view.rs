@@ -6,8 +6,8 @@ use crate::error::{Error, Result};
 use crate::pool::Batch;
 use crate::view::{self, About, Moment};
 
-/// Most pixels of one request, all its pictures together: our choice of guard, 64 pictures of 1024 × 1024.
-const MOST_PIXELS: u64 = 1 << 26;
+/// Most pixels of one request, all its pictures together: our choice of guard, 100 MB.
+const MOST_PIXELS: u64 = 1 << 25;
 
 /// Pictures of environments.
 pub fn render(batch: &Batch, request: &Render) -> Result<Pictures> {

@@ -74,9 +74,8 @@ fn bodies(model: &Model) -> Vec<Value> {
 }
 
 fn link(body: &Body, parent: usize, leg: usize) -> Value {
-    let piece = |p: &Piece| {
-        json!({"center": list(p.center), "along": list(p.along), "across": list(p.across), "size": p.size})
-    };
+    let piece =
+        |p: &Piece| json!({"center": list(p.center), "along": list(p.along), "across": list(p.across), "size": p.size});
     json!({
         "parent": parent,
         "leg": leg,

@@ -195,7 +195,8 @@ impl Canvas {
             self.map.fill_rect(all, &sky, Transform::identity(), None);
         }
         let far = 200.0 * self.radius;
-        let surface = [[-far, -far], [far, -far], [far, far], [-far, far]].map(|[x, y]| self.middle + V::new(x, y, 0.0));
+        let surface =
+            [[-far, -far], [far, -far], [far, far], [-far, far]].map(|[x, y]| self.middle + V::new(x, y, 0.0));
         // Cut to the picture's surroundings: coordinates of millions of pixels are beyond the rasteriser.
         let near = clip(&surface, |p| self.camera.depth(p) - 0.5 * self.radius);
         let seen = self.camera.polygon(&near).and_then(|points| closed(&points));

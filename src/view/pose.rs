@@ -60,7 +60,8 @@ impl Pose {
         let ground: Ground<f64> = model.scene.ground();
         let base = Frame::base(state);
         let at = V::from(state.position);
-        let mut pose = Self { bodies: vec![(base.rotation, at)], loads: Vec::new(), leg_forces: Vec::new(), stance: Vec::new() };
+        let mut pose =
+            Self { bodies: vec![(base.rotation, at)], loads: Vec::new(), leg_forces: Vec::new(), stance: Vec::new() };
         pose.press(&model.belly, &base, at, |site, area, n, v| ground.one_sided(site, area, n, v));
         let mut joint = 0;
         for chain in &model.legs {
@@ -84,9 +85,7 @@ impl Pose {
     fn press_link(&mut self, model: &Model, ground: &Ground<f64>, body: &Body, rate: f64, frame: &Frame, at: V) {
         let concave_leads = body.bulge * rate < 0.0;
         let fill = ground.beyond.as_ref().filter(|_| concave_leads).map_or(0.0, |beyond| beyond.fill);
-        let plate = |share: f64| {
-            move |site: &Site<f64>, area: f64, n, v| ground.thin_plate(site, area * share, n, v)
-        };
+        let plate = |share: f64| move |site: &Site<f64>, area: f64, n, v| ground.thin_plate(site, area * share, n, v);
         self.press(&body.plates, frame, at, plate(1.0 - fill));
         if model.scene.mechanisms.concave_fill > 0.0 {
             self.press(&body.chord, frame, at, plate(fill));

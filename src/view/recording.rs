@@ -181,11 +181,13 @@ fn broken(why: impl std::fmt::Display) -> Error {
 pub fn read(file: &[u8]) -> Result<Vec<Section>> {
     let mut stream = Vec::new();
     let unpacked = MultiGzDecoder::new(file).take(MOST_UNPACKED).read_to_end(&mut stream);
-    unpacked.map_err(|e| broken(if e.kind() == io::ErrorKind::UnexpectedEof {
-        "it is cut off".into()
-    } else {
-        format!("this is none of sandgait's ({e})")
-    }))?;
+    unpacked.map_err(|e| {
+        broken(if e.kind() == io::ErrorKind::UnexpectedEof {
+            "it is cut off".into()
+        } else {
+            format!("this is none of sandgait's ({e})")
+        })
+    })?;
     if stream.len() as u64 == MOST_UNPACKED {
         return Err(broken(format!("it has more than {MOST_UNPACKED} bytes")));
     }
@@ -230,7 +232,8 @@ mod tests {
         for k in 0..3 {
             let mut state = State::at_rest(0.03 - 0.001 * f64::from(k), &model.tripod_angles());
             state.velocity[2] = -0.05;
-            let moment = Moment { time: 0.02 * f64::from(k), state: &state, action: &[0.5, -0.5], reward: 1.5, info: &[0.25] };
+            let moment =
+                Moment { time: 0.02 * f64::from(k), state: &state, action: &[0.5, -0.5], reward: 1.5, info: &[0.25] };
             writer.row(&row(&model, &moment)).unwrap();
         }
         writer.section(&head).unwrap();

@@ -42,7 +42,8 @@ fn drawn() -> Option<Letters> {
             c => c.to_string(),
         };
         let x = i * CELL[0];
-        let _ = write!(svg, "<text x='{x}' y='12.5' font-family='DejaVu Sans Mono' font-size='{SIZE}'>{escaped}</text>");
+        let _ =
+            write!(svg, "<text x='{x}' y='12.5' font-family='DejaVu Sans Mono' font-size='{SIZE}'>{escaped}</text>");
     }
     svg.push_str("</svg>");
     let mut fonts = usvg::fontdb::Database::new();
@@ -51,9 +52,8 @@ fn drawn() -> Option<Letters> {
     let tree = usvg::Tree::from_str(&svg, &options).ok()?;
     let mut map = Pixmap::new(width as u32, height as u32)?;
     resvg::render(&tree, Transform::identity(), &mut map.as_mut());
-    let cell = |i: usize| std::array::from_fn(|k| {
-        map.pixels()[k / CELL[0] * width + i * CELL[0] + k % CELL[0]].alpha()
-    });
+    let cell =
+        |i: usize| std::array::from_fn(|k| map.pixels()[k / CELL[0] * width + i * CELL[0] + k % CELL[0]].alpha());
     Some(Letters { cells: (0..all.len()).map(cell).collect() })
 }
 

@@ -8,3 +8,4 @@ mod operations;
 mod process;
 mod restarts;
 mod security;
+mod viewer;

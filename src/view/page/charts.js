@@ -129,18 +129,18 @@ function keys(context, lines, left, y, right) {
   context.textBaseline = "middle";
   for (const line of lines.filter((l) => l.label)) {
     const width = context.measureText(line.label).width;
-    if (x + 18 + width > right) break;
+    if (x + 14 + width > right + 6) break;
     context.strokeStyle = line.color;
     context.lineWidth = 3;
     context.setLineDash(line.dash || []);
     context.beginPath();
     context.moveTo(x, y);
-    context.lineTo(x + 13, y);
+    context.lineTo(x + 10, y);
     context.stroke();
     context.setLineDash([]);
     context.fillStyle = "#22262b";
-    context.fillText(line.label, x + 17, y);
-    x += 17 + width + 11;
+    context.fillText(line.label, x + 14, y);
+    x += 14 + width + 9;
   }
 }
 

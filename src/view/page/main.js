@@ -85,7 +85,8 @@ function show() {
   readout(a.section, a.row);
   chart_all(recording, time, a.section);
   const newton = 0.01 / world.arrows.scale;
-  $("scale").textContent = world.layers.arrows ? `force: 10 mm stand for ${newton.toPrecision(2)} N` : "";
+  const arrows = world.layers.arrows ? `arrows: 10 mm stand for ${newton.toPrecision(2)} N, ` : "";
+  $("scale").textContent = `${arrows}lines: 0.1 m apart`;
   const scrub = $("scrub");
   [scrub.min, scrub.max] = [recording.start, recording.end];
   scrub.value = time;

@@ -36,8 +36,9 @@ class Prints {
     this.changed += 1;
   }
 
-  /** Marks what happened from moment `a` to moment `b` of a section. */
+  /** Marks what happened from moment `a` to moment `b` of a section, unless moments between them are missing. */
   add(section, a, b) {
+    if (b.at - a.at > 2.5 / section.header.rate) return;
     for (let look = 0; look < LOOKS; look += 1) {
       const { bodies } = section.pose(a.row, b.row, look / LOOKS);
       const time = a.at + (b.at - a.at) * (look / LOOKS);
