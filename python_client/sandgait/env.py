@@ -22,8 +22,8 @@ class SandgaitEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     """One environment of `task` on the server at `address` (none: the embedded one).
 
     For training take `SandgaitVectorEnv`: a step here costs a message there and back as well. `resume`: outlive a
-    server that dies, by snapshots. `render_mode`: "rgb_array" for pictures of `render_size` (width, height), "human" for
-    the same in a window.
+    server that dies, by snapshots. `render_mode`: "rgb_array" for pictures of `render_size` (width, height), "human"
+    for the same in a window.
     """
 
     metadata: dict[str, Any] = {"render_modes": RENDER_MODES}

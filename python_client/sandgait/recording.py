@@ -12,7 +12,7 @@ import struct
 from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -133,7 +133,7 @@ class Recorder:
     def __init__(self, path: FilePath) -> None:
         self._path = Path(path)
         try:
-            self._file: BinaryIO = gzip.open(self._path, "wb")  # type: ignore[assignment]
+            self._file = gzip.GzipFile(self._path, "wb")
         except OSError as error:
             raise SandgaitError(f"{path}: the recording cannot be written: {error.strerror}") from error
         self._header = ""

@@ -5,13 +5,13 @@ use crate::sim::{Model, State};
 
 /// Towards the robot's front from its right side, and above the horizon [rad]: our choice, so that no leg hides another.
 const AZIMUTH: f64 = 0.55;
-const ELEVATION: f64 = 0.42;
+const ELEVATION: f64 = 0.32;
 
 /// Height of the picture as an angle [rad]: our choice, a normal lens.
-const FIELD_OF_VIEW: f64 = 0.6;
+const FIELD_OF_VIEW: f64 = 0.72;
 
 /// Distance in robot radii: our choice, the robot takes half of the picture's width.
-const DISTANCE: f64 = 6.2;
+const DISTANCE: f64 = 3.9;
 
 /// Nothing nearer than this is drawn [m].
 const NEAR: f64 = 0.02;

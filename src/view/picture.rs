@@ -28,8 +28,8 @@ const ROCK: Rgb = [150.0, 142.0, 134.0];
 const ARROW: Rgb = [200.0, 30.0, 60.0];
 const INK: [u8; 3] = [40, 44, 50];
 
-/// Where light comes from: over the camera's left shoulder.
-const LIGHT: [f64; 3] = [-0.25, -0.5, 0.83];
+/// Where light comes from: over the camera's right shoulder, so that the robot's front is bright.
+const LIGHT: [f64; 3] = [0.35, -0.45, 0.82];
 
 /// Lines on the sand [m]: fine ones, and coarse ones with their x written beside.
 const FINE: f64 = 0.05;
@@ -206,7 +206,7 @@ impl Canvas {
 
     /// Lines at round x and y, and where to write the x of the coarse ones.
     fn lines(&mut self, model: &Model, state: &State) -> Vec<([i64; 2], String)> {
-        let reach = (8.0 * self.radius).max(4.0 * FINE);
+        let reach = (12.0 * self.radius).max(4.0 * FINE);
         let mut labels = Vec::new();
         for (spacing, alpha) in [(FINE, 0.35), (COARSE, 0.8)] {
             let mut path = PathBuilder::new();

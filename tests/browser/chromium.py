@@ -39,7 +39,7 @@ class Page:
         self._in, back = os.pipe()
         arguments = [program(), *FLAGS, f"--user-data-dir={profile}", "about:blank"]
         # Chromium reads from descriptor 3 and writes to 4.
-        line = ["sh", "-c", f'exec "$@" 3<&{there} 4>&{back}', "sh", *arguments]
+        line = ["bash", "-c", f'exec "$@" 3<&{there} 4>&{back}', "bash", *arguments]
         self._process = subprocess.Popen(line, pass_fds=(there, back), stderr=subprocess.DEVNULL)
         os.close(there)
         os.close(back)
@@ -91,6 +91,7 @@ class Page:
 
     def open(self, url: str) -> None:
         self.call("Page.navigate", url=url)
+        self.until("document.readyState === 'complete' && location.href !== 'about:blank'")
 
     def ask(self, expression: str) -> Any:
         """The value of a JavaScript expression; promises are awaited."""

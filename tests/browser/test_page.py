@@ -90,7 +90,7 @@ def test_a_recording_plays(page: Page, tmp_path: Path, name: str, options: dict[
     page.open(f"file://{html}")
     page.until("player.world?.pose !== undefined && player.world.pose !== null")
     first = page.ask("player.time")
-    page.until(f"player.time > {first} + 0.3", 120)
+    page.until(f"player.time > {first} + 0.3")
     page.ask("player.play(false)")
     for k in (0, 55, 200):
         page.ask(f"player.time = {k / 50 + 1e-4}")
@@ -113,13 +113,16 @@ def test_slow_motion_and_pause(page: Page, tmp_path: Path) -> None:
     page.open(f"file://{html}")
     page.until("player.world?.pose !== undefined")
     page.ask("(() => { const s = document.getElementById('pace'); s.value = '0.1'; s.onchange(); player.time = 1; })()")
-    seconds = "new Promise(done => { const [t, w] = [player.time, performance.now()]; setTimeout(() => " + (
-        "done((player.time - t) / ((performance.now() - w) / 1000)), 2000); })"
-    )
-    assert page.ask(seconds) == pytest.approx(0.1, abs=0.06)
+    # A fifth of a second for the viewer; by hand, because without a GPU frames come as they can.
+    moved = "(() => { const t = player.time; tick(0.2); return player.time - t; })()"
+    assert page.ask(moved) == pytest.approx(0.02, abs=1e-9)
+    at = page.ask("player.time")
+    page.until(f"player.time > {at} + 0.05")
     page.ask("document.getElementById('play').click()")
     assert page.ask("document.getElementById('play').textContent") == "Play"
-    assert page.ask(seconds) == 0
+    assert page.ask(moved) == 0
+    page.ask("(() => { const s = document.getElementById('scrub'); s.value = 6.5; s.oninput(); })()")
+    page.until("document.getElementById('readout').textContent.includes('6.50 s')")
     assert not page.troubles
 
 
@@ -169,7 +172,8 @@ def test_the_live_page_follows_a_session(page: Page, tmp_path: Path) -> None:
         page.until(f"player.world.pose.bodies[0].position.x > {x} + 0.1")
         assert "sandgait/HexapodGait-v0" in page.ask("document.getElementById('status').textContent")
         page.until("player.recording.end - player.recording.start > 4.5")
-        assert page.ask("player.recording.end - player.time") < 1.1, "it keeps up"
+        drawn = "new Promise(done => requestAnimationFrame(() => done(player.recording.end - player.time)))"
+        assert page.ask(drawn) < 1.1, "it keeps up"
         page.picture(shots(tmp_path) / "live.png")
         page.ask("player.play(false)")
         time.sleep(0.3)

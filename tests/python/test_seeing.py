@@ -117,14 +117,14 @@ def test_wrong_uses_are_told() -> None:
 
 def test_record_video(tmp_path: Path) -> None:
     env = gymnasium.make(ID, render_mode="rgb_array", max_episode_steps=25)
-    env = gymnasium.wrappers.RecordVideo(env, str(tmp_path), episode_trigger=lambda _: True, disable_logger=True)
+    env = gymnasium.wrappers.RecordVideo(env, str(tmp_path / "videos"), episode_trigger=lambda _: True)
     env.reset(seed=1)
     over = False
     while not over:
         _, _, terminated, truncated, _ = env.step(ACTION)
         over = terminated or truncated
     env.close()
-    (video,) = tmp_path.glob("*.mp4")
+    (video,) = (tmp_path / "videos").glob("*.mp4")
     assert video.stat().st_size > 2000
 
 
@@ -132,13 +132,13 @@ def test_vec_video_recorder(tmp_path: Path) -> None:
     from stable_baselines3.common.vec_env import VecVideoRecorder
 
     env = sandgait.make_sb3(ID, 4, render_mode="rgb_array", render_size=(160, 120))
-    recorder = VecVideoRecorder(env, str(tmp_path), record_video_trigger=lambda step: step == 0, video_length=20)
+    recorder = VecVideoRecorder(env, str(tmp_path / "videos"), record_video_trigger=lambda step: step == 0, video_length=20)
     recorder.reset()
     for _ in range(25):
         recorder.step(np.stack([ACTION] * 4))
     assert recorder.render().shape == (240, 320, 3)
     recorder.close()
-    (video,) = tmp_path.glob("*.mp4")
+    (video,) = (tmp_path / "videos").glob("*.mp4")
     assert video.stat().st_size > 2000
 
 

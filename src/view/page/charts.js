@@ -164,12 +164,12 @@ function gait(canvas, recording, now, section) {
   const moments = between(recording, span[0], now);
   moments.forEach((m, n) => {
     const until = n + 1 < moments.length ? moments[n + 1].at : now;
-    const [from, to] = [Math.max(left, frame.x(m.at)), Math.max(left, frame.x(until))];
+    const [from, to] = [frame.x(m.at), frame.x(until)].map((x) => Math.round(Math.max(left, x)));
     const stance = m.section.get(m.row, "stance");
     m.section.header.legs.forEach((leg, k) => {
       if (stance[k] < 0.5 || k >= legs.length) return;
       context.fillStyle = LEG_COLORS[leg.tripod];
-      context.fillRect(from, frame.top + k * high + 2, to - from + 0.5, high - 4);
+      context.fillRect(from, frame.top + k * high + 2, to - from, high - 4);
     });
   });
 }

@@ -43,7 +43,7 @@ function mark() {
 }
 
 function text(value, digits) {
-  return value.toFixed(digits).replace("-", "−").padStart(digits + 4);
+  return value.toFixed(digits).replace("-", "−").padStart(7);
 }
 
 /** The numbers beside the picture. */
@@ -53,7 +53,7 @@ function readout(section, row) {
   if (section.places.has("commanded_speed")) lines.push(`command ${text(one("commanded_speed"), 3)} m/s`);
   lines.push(`x       ${text(one("position"), 3)} m`);
   if (section.header.slope_deg) lines.push(`slope   ${text(section.header.slope_deg, 1)}°`);
-  if (section.header.episode !== null) lines.push(`episode ${String(section.header.episode).padStart(4)}`);
+  if (section.header.episode !== null) lines.push(`episode ${String(section.header.episode).padStart(7)}`);
   $("readout").textContent = lines.join("\n");
 }
 
@@ -69,7 +69,7 @@ function tick(passed) {
     }
     player.time = Math.min(Math.max(player.time, recording.start), recording.end);
   } else if (player.time > recording.end) {
-    player.time = recording.start;
+    player.time = player.playing ? recording.start : recording.end;
   }
 }
 

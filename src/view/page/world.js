@@ -236,7 +236,7 @@ class Figures {
   trunk(header, paint) {
     const [length, width, height] = header.base;
     const trunk = this.bodies[0];
-    trunk.add(new THREE.Mesh(new THREE.BoxGeometry(length, width, height), paint(0x565e6a)));
+    trunk.add(new THREE.Mesh(new THREE.BoxGeometry(length, width, height), paint(0x7c8696)));
     const front = new THREE.Mesh(new THREE.BoxGeometry(0.006, 0.7 * width, 0.6 * height), paint(0xce7030));
     front.position.x = length / 2;
     trunk.add(front);
@@ -366,7 +366,7 @@ class World {
       this.target = place;
     }
     this.sun.target.position.copy(place);
-    this.sun.position.copy(place).add(new THREE.Vector3(-0.5, -0.7, 1.2));
+    this.sun.position.copy(place).add(new THREE.Vector3(0.45, -0.7, 1.2));
     this.pose = pose;
   }
 
