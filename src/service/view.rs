@@ -51,7 +51,7 @@ pub fn header(look: &Look) -> String {
         rate: spec.control_rate,
         episode: Some(look.episode),
         info: spec.info.iter().map(|c| (c.name.as_str(), c.unit)).collect(),
-        reward_terms: spec.reward_terms,
+        reward_terms: spec.reward.len(),
         actions: spec.action.len(),
     };
     view::header(look.model, &about)
