@@ -91,14 +91,15 @@ class SandgaitEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         info = dict(zip((c.name for c in self.task.info), batch.infos[:, 0].tolist(), strict=True))
         return observation, float(batch.rewards[0]), terminated, truncated, info
 
-    def render(self) -> npt.NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> npt.NDArray[np.uint8] | None:
         """The robot as it is now: u8 [height, width, 3]; in mode "human" it is shown instead."""
         if self.render_mode is None:
             raise InvalidRequest('render_mode: none was chosen; make the environment with render_mode="rgb_array"')
         if self.render_mode == "human":
             self._view.show(self._over)
             return None
-        return self._view.pictures([0], self._over)[0]
+        picture: npt.NDArray[np.uint8] = self._view.pictures([0], self._over)[0]
+        return picture
 
     def record(self, path: FilePath) -> None:
         """Writes every moment from the next reset or step on to the file `path`, until `stop_recording` or `close`."""

@@ -132,7 +132,9 @@ def test_vec_video_recorder(tmp_path: Path) -> None:
     from stable_baselines3.common.vec_env import VecVideoRecorder
 
     env = sandgait.make_sb3(ID, 4, render_mode="rgb_array", render_size=(160, 120))
-    recorder = VecVideoRecorder(env, str(tmp_path / "videos"), record_video_trigger=lambda step: step == 0, video_length=20)
+    recorder = VecVideoRecorder(
+        env, str(tmp_path / "videos"), record_video_trigger=lambda step: step == 0, video_length=20
+    )
     recorder.reset()
     for _ in range(25):
         recorder.step(np.stack([ACTION] * 4))
