@@ -108,7 +108,7 @@ fn recorded(engine: EngineKind, trial: &Trial, path: &Path) -> Result<WalkResult
     let mut writer = view::Writer::new(Vec::new(), &view::header(&trial.model, &about)).map_err(failed)?;
     let mut written = Ok(());
     let mut see = |time: f64, state: &sandgait::sim::State| {
-        let moment = Moment { time, state, action: &[], reward: 0.0, info: &[] };
+        let moment = Moment { time, state, footing: &[], action: &[], reward: 0.0, info: &[] };
         if written.is_ok() {
             written = writer.row(&view::row(&trial.model, &moment));
         }

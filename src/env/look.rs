@@ -11,6 +11,8 @@ pub struct Look<'a> {
     pub model: &'a Model,
     pub state: &'a State,
     pub goal: &'a Goal,
+    /// Share of fresh ground's stress that each leg finds; empty where all is fresh.
+    pub footing: &'a [f64],
     /// Seed and number of the episode.
     pub episode: (u64, u64),
     /// Since the episode began [s].
@@ -48,6 +50,7 @@ impl Shard {
             model: goal.model.as_deref().unwrap_or(&setup.model),
             state: if old.is_some() { &episode.before } else { after },
             goal,
+            footing: goal.ground.as_ref().map_or(&[], |g| &g.footing),
             episode: (*seed, number - u64::from(old.is_some())),
             time: f64::from(steps) / spec.control_rate,
             action,

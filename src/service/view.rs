@@ -20,7 +20,7 @@ pub fn render(batch: &Batch, request: &Render) -> Result<Pictures> {
     let mut all = Vec::with_capacity(3 * pixels as usize);
     for index in indices {
         let look = batch.look(*index as usize, *ended)?;
-        all.extend(view::draw(look.model, look.state, [*width, *height], &captions(&look))?);
+        all.extend(view::draw(look.model, look.state, look.footing, [*width, *height], &captions(&look))?);
     }
     Ok(Pictures { pixels: all.into() })
 }
@@ -59,6 +59,6 @@ pub fn header(look: &Look) -> String {
 
 /// The moment's numbers.
 pub fn row(look: &Look) -> Vec<f32> {
-    let Look { model, state, time, action, reward, info, .. } = look;
-    view::row(model, &Moment { time: *time, state, action, reward: *reward, info })
+    let Look { model, state, footing, time, action, reward, info, .. } = look;
+    view::row(model, &Moment { time: *time, state, footing, action, reward: *reward, info })
 }

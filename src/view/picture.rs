@@ -48,18 +48,19 @@ struct Face {
     color: Rgb,
 }
 
-/// An image of `size` [px], RGB rows from the top; `captions` are written into its upper left corner.
+/// An image of `size` [px], RGB rows from the top; `captions` are written into its upper left corner. `footing` is as
+/// [`Pose::of`] takes it.
 ///
 /// # Errors
 /// Names the side that is out of [`SIZES`].
-pub fn draw(model: &Model, state: &State, size: [u32; 2], captions: &[String]) -> Result<Vec<u8>> {
+pub fn draw(model: &Model, state: &State, footing: &[f64], size: [u32; 2], captions: &[String]) -> Result<Vec<u8>> {
     for (name, side) in ["width", "height"].into_iter().zip(size) {
         if !SIZES.contains(&side) {
             let range = format!("{side} is outside [{}, {}]", SIZES.start(), SIZES.end());
             return Err(Error::invalid(name, range));
         }
     }
-    let pose = Pose::of(model, state);
+    let pose = Pose::of(model, state, footing);
     let mut canvas = Canvas::new(model, state, size)?;
     canvas.sand();
     let labels = canvas.lines(model, state);

@@ -55,8 +55,10 @@ pub fn segments(model: &Model) -> Vec<Segment<'_>> {
 }
 
 impl Pose {
-    /// Forces are those of the sand at this moment's velocities, by the functions the engines use, in `f64`.
-    pub fn of(model: &Model, state: &State) -> Self {
+    /// Forces are those of the sand at this moment's velocities, by the functions the engines use, in `f64`. `footing` is
+    /// the share of the stress that each leg finds, as [`crate::sim::engine::Engine::set_footing`] takes it; none given: all
+    /// of it.
+    pub fn of(model: &Model, state: &State, footing: &[f64]) -> Self {
         let ground: Ground<f64> = model.scene.ground();
         let base = Frame::base(state);
         let at = V::from(state.position);
@@ -64,14 +66,15 @@ impl Pose {
             Self { bodies: vec![(base.rotation, at)], loads: Vec::new(), leg_forces: Vec::new(), stance: Vec::new() };
         pose.press(&model.belly, &base, at, |site, area, n, v| ground.one_sided(site, area, n, v));
         let mut joint = 0;
-        for chain in &model.legs {
+        for (leg, chain) in model.legs.iter().enumerate() {
+            let found = footing.get(leg).copied().unwrap_or(1.0);
             let first = pose.loads.len();
             let mut frame = base;
             for body in chain {
                 let rate = state.rates[joint];
                 frame = frame.child(body, state.angles[joint], rate);
                 pose.bodies.push((frame.rotation, at + frame.origin));
-                pose.press_link(model, &ground, body, rate, &frame, at);
+                pose.press_link(model, &ground, body, [rate, found], &frame, at);
                 joint += 1;
             }
             pose.leg_forces.push(pose.loads[first..].iter().map(|l| l.force).sum());
@@ -81,11 +84,21 @@ impl Pose {
         pose
     }
 
-    /// Sand on a link: on its strip, or in part on the straight chord where its concave side leads and fills.
-    fn press_link(&mut self, model: &Model, ground: &Ground<f64>, body: &Body, rate: f64, frame: &Frame, at: V) {
+    /// Sand on a link: on its strip, or in part on the straight chord where its concave side leads and fills. `found` is
+    /// the share of its stress.
+    fn press_link(
+        &mut self,
+        model: &Model,
+        ground: &Ground<f64>,
+        body: &Body,
+        [rate, found]: [f64; 2],
+        frame: &Frame,
+        at: V,
+    ) {
         let concave_leads = body.bulge * rate < 0.0;
         let fill = ground.beyond.as_ref().filter(|_| concave_leads).map_or(0.0, |beyond| beyond.fill);
-        let plate = |share: f64| move |site: &Site<f64>, area: f64, n, v| ground.thin_plate(site, area * share, n, v);
+        let plate =
+            |share: f64| move |site: &Site<f64>, area: f64, n, v| ground.thin_plate(site, area * share * found, n, v);
         self.press(&body.plates, frame, at, plate(1.0 - fill));
         if model.scene.mechanisms.concave_fill > 0.0 {
             self.press(&body.chord, frame, at, plate(fill));
@@ -155,7 +168,7 @@ mod tests {
         for _ in 0..2000 {
             engine.advance(2);
             engine.state(0, &mut state);
-            let pose = Pose::of(&model, &state);
+            let pose = Pose::of(&model, &state, &[]);
             sum += pose.loads.iter().map(|l| l.force).sum::<V>();
             stances += pose.stance.iter().filter(|s| **s).count();
         }
@@ -168,11 +181,23 @@ mod tests {
     }
 
     #[test]
+    fn a_leg_on_used_ground_finds_its_share() {
+        let model = model("xplorer");
+        let mut state = State::at_rest(0.03, &model.tripod_angles());
+        state.velocity[2] = -0.05;
+        let footing = [0.5, 1.0, 1.0, 1.0, 1.0, 1.0];
+        let (fresh, used) = (Pose::of(&model, &state, &[]), Pose::of(&model, &state, &footing));
+        assert!(fresh.leg_forces[0].norm() > 0.01);
+        assert!((used.leg_forces[0] * 2.0 - fresh.leg_forces[0]).norm() < 1e-12);
+        assert_eq!(used.leg_forces[2], fresh.leg_forces[2]);
+    }
+
+    #[test]
     fn nothing_pushes_in_the_air() {
         for robot in ["xplorer", "xplorer18"] {
             let model = model(robot);
             let state = State::at_rest(0.5, &vec![0.3; model.joints()]);
-            let pose = Pose::of(&model, &state);
+            let pose = Pose::of(&model, &state, &[]);
             assert_eq!(pose.loads.len(), segments(&model).len());
             assert_eq!(pose.bodies.len(), 1 + model.joints());
             assert!(pose.loads.iter().all(|l| l.force == V::zeros() && l.position.z > 0.3));

@@ -38,6 +38,8 @@ pub struct Moment<'a> {
     /// Since the episode began [s].
     pub time: f64,
     pub state: &'a State,
+    /// As [`Pose::of`] takes it.
+    pub footing: &'a [f64],
     pub action: &'a [f32],
     pub reward: f32,
     pub info: &'a [f32],
@@ -45,7 +47,7 @@ pub struct Moment<'a> {
 
 /// The numbers of a moment, in the order of the header's columns.
 pub fn row(model: &Model, moment: &Moment) -> Vec<f32> {
-    let (state, pose) = (moment.state, Pose::of(model, moment.state));
+    let (state, pose) = (moment.state, Pose::of(model, moment.state, moment.footing));
     let mut row = Vec::with_capacity(32 + 4 * state.angles.len() + 3 * pose.loads.len());
     let mut extend = |numbers: &[f64]| row.extend(numbers.iter().map(|x| *x as f32));
     extend(&[moment.time]);
@@ -232,8 +234,14 @@ mod tests {
         for k in 0..3 {
             let mut state = State::at_rest(0.03 - 0.001 * f64::from(k), &model.tripod_angles());
             state.velocity[2] = -0.05;
-            let moment =
-                Moment { time: 0.02 * f64::from(k), state: &state, action: &[0.5, -0.5], reward: 1.5, info: &[0.25] };
+            let moment = Moment {
+                time: 0.02 * f64::from(k),
+                state: &state,
+                footing: &[],
+                action: &[0.5, -0.5],
+                reward: 1.5,
+                info: &[0.25],
+            };
             writer.row(&row(&model, &moment)).unwrap();
         }
         writer.section(&head).unwrap();
