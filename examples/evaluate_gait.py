@@ -53,7 +53,8 @@ class Score:
 
     def summary(self) -> dict[str, Any]:
         """Means, and the half width of the return's 95 % interval."""
-        figures = {name: float(getattr(self, name).mean()) for name in ("speed", "relative_error", "power")}
+        names = ("speed", "relative_error", "power", "cost_of_transport")
+        figures = {name: float(getattr(self, name).mean()) for name in names}
         mean, half = float(self.returns.mean()), half_width(self.returns)
         return {"episodes": len(self.returns), "return": mean, "return_95": half, **figures}
 

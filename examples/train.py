@@ -32,8 +32,6 @@ from training import (
 )
 from video import Video
 
-import sandgait
-
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
@@ -72,7 +70,7 @@ def parse() -> argparse.Namespace:
         "--checkpoint-every", type=int, default=1_000_000, metavar="STEPS", help="steps between two (%(default)s)"
     )
     parser.add_argument(
-        "--video-every", type=int, default=1_000_000, metavar="STEPS", help="steps between two films; 0: none (%(default)s)"
+        "--video-every", type=int, default=1_000_000, metavar="STEPS", help="steps between films; 0: none (%(default)s)"
     )
     parser.add_argument("--address", help="host:port or unix:/path of a running server; none: one is started")
     parser.add_argument("--options", type=json.loads, default={}, help='task options as JSON: \'{"leg": "C"}\'')
@@ -108,7 +106,7 @@ def main() -> None:
         arguments.options,
         arguments.checkpoint,
     )
-    if arguments.video_every and "rgb_array" in sandgait.SandgaitEnv.metadata["render_modes"]:
+    if arguments.video_every:
         films = Video(arguments.video_every, out / "videos", arguments.id, arguments.address, arguments.options)
         training.callbacks.append(films)
     training.run(arguments.checkpoint_every, out)
