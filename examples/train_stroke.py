@@ -4,9 +4,9 @@
     python examples/train_stroke.py --generations 20 --out runs/try
 
 A circular stroke locks the knee and turns the hip at one speed; searched are knee angle, where the hip starts, and
-speed. From the best of them CMA-ES searches where it starts, and the speeds of both joints at ten times of the stroke with straight lines
-between them. Both are judged by the task's return: efficiency less what is missing of lift. Written to the output
-directory: strokes.json, strokes.png, evaluation.txt.
+speed. From the best of them CMA-ES searches where it starts, and the speeds of both joints at ten times of the stroke,
+with straight lines between them. Both are judged by the task's return: efficiency less what is missing of lift. Written
+to the output directory: strokes.json, strokes.png, evaluation.txt.
 """
 
 from __future__ import annotations
