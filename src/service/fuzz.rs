@@ -153,7 +153,7 @@ async fn wrong_sessions_are_refused_or_made() {
         .collect();
     let valid: Vec<_> = valid.iter().map(prost::Message::encode_to_vec).collect();
     let (mut decoded, mut made) = (0, 0);
-    for k in 0..10_000 {
+    for k in 0..15_000 {
         let [one, other] = [(); 2].map(|()| &valid[random.random_range(0..valid.len())]);
         let message = if k % 2 == 0 { mutate::mutated(&mut random, one, other) } else { one.clone() };
         let Ok(mut message) = CreateSessionRequest::decode(&message[..]) else { continue };
@@ -171,6 +171,6 @@ async fn wrong_sessions_are_refused_or_made() {
             sessions.close(&id).unwrap();
         }
     }
-    println!("of 10000 sessions {decoded} could be read and {made} were made");
-    assert!(decoded > 5_000 && made > 100 && made < decoded, "{decoded} {made}");
+    println!("of 15000 sessions {decoded} could be read and {made} were made");
+    assert!(decoded > 7_500 && made > 100 && made < decoded, "{decoded} {made}");
 }
