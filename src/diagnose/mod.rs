@@ -192,7 +192,9 @@ impl View<'_> {
             (f.name.to_string(), all.fold([f64::MAX, f64::MIN], |r, v| [r[0].min(v), r[1].max(v)]))
         });
         let set = self.selection.map_or(Vec::new(), |s| s.set.iter().map(|&k| names(&s.candidates[k].fit)).collect());
-        let warnings = causes.iter().filter(|c| c.at_bound).map(|c| format!("{} sits at its bound", c.id)).collect();
+        let mut warnings: Vec<String> =
+            causes.iter().filter(|c| c.at_bound).map(|c| format!("{} sits at its bound", c.id)).collect();
+        warnings.extend(self.selection.and_then(extension).and_then(|c| far_coefficients(&c.fit)));
         let channels = observations.channels.iter().zip(&self.noise.channels);
         Report {
             schema: "sandgait.diagnosis.v1",
@@ -405,6 +407,18 @@ impl View<'_> {
             _ => "misfit remains and none of the known causes explains any of it".into(),
         }
     }
+}
+
+/// A warning where the fit needs coefficients that their declared uncertainty hardly allows: beyond three of its standard
+/// deviations, our choice.
+fn far_coefficients(fit: &Fit) -> Option<String> {
+    let furthest = fit.deviations.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs()))?;
+    (furthest.abs() > 3.0).then(|| {
+        format!(
+            "the fit moves a stress coefficient by {furthest:+.1} of its declared standard deviations: the medium's table or \
+             coefficient_sd does not fit this sand"
+        )
+    })
 }
 
 /// Which rival comes nearest to the one cause named, and how near.

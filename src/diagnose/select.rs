@@ -257,8 +257,14 @@ fn add_pairs(study: &Study, screen: &Screen, scores: &Scores, selection: &mut Se
     let mut pairs = parallel::map(&fits, |fit| candidate(study, &base, fit.clone()));
     pairs.sort_by(|a, b| b.delta_chi2.total_cmp(&a.delta_chi2));
     let earns = pairs.first().is_some_and(|pair| {
-        let deviance = leave_condition_out(study, &base).deviance;
-        let share = (best.held_out.deviance - pair.held_out.deviance) / (deviance - pair.held_out.deviance).max(1e-9);
+        // What coefficients far from their prior explain is not explained: their deviations are charged as in a fit.
+        let charged = |fit: &Fit, held_out: &HeldOut| held_out.deviance + dot(&fit.deviations, &fit.deviations);
+        let [none, one, two] = [
+            charged(&base, &leave_condition_out(study, &base)),
+            charged(&best.fit, &best.held_out),
+            charged(&pair.fit, &pair.held_out),
+        ];
+        let share = (one - two) / (none - two).max(1e-9);
         pair.delta_chi2 - best.delta_chi2 > gate && share >= SECOND_TERM_SHARE
     });
     if earns {
