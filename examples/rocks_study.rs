@@ -2,24 +2,65 @@
 //! the engine does not use. `cargo run --release --example rocks_study [EPISODES] [STEPS] [FIRST_SEED]`
 //!
 //! Prints the deepest overlap of each episode's legs (middle surface of the strips) and base with any obstacle, looked
-//! at after every control step, as quantiles over episodes.
+//! at after every control step, as quantiles over episodes. So that nothing slips through between two looks, it also
+//! prints how deep the robot went on the way from one to the next (poses in between, angles and places linear), as a
+//! share of the depth of the obstacle's centre: what passes through a middle comes close to 1.
 
 use sandgait::env::random::Random;
 use sandgait::env::task::Blueprint;
 use sandgait::sim::engine::{Command, Engine, EngineKind};
-use sandgait::sim::overlap::overlap;
+use sandgait::sim::overlap::{overlap, overlap_share};
+use sandgait::sim::state::{ObjectState, State};
+use std::f64::consts::{PI, TAU};
 use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Poses looked at from one control step to the next: a leg's tip moves at most 4 mm in between.
+const BETWEEN: usize = 8;
+
+/// More than this share of the depth of an obstacle's centre counts as passing through: our choice, half way in.
+const THROUGH: f64 = 0.5;
 
 /// What one episode showed.
 struct Episode {
     /// Deepest overlap [m].
     overlap: f64,
+    /// Largest share of an obstacle's own depth, poses between the control steps included.
+    share: f64,
     /// Distance from start to end [m].
     distance: f64,
     diverged: bool,
     obstacles: usize,
     /// Loose rocks that moved more than 5 mm along the surface.
     pushed: usize,
+}
+
+fn mix<const N: usize>(a: [f64; N], b: [f64; N], part: f64) -> [f64; N] {
+    std::array::from_fn(|i| a[i] + part * (b[i] - a[i]))
+}
+
+/// Between two orientations less than half a turn apart.
+fn mix_turn(a: [f64; 4], b: [f64; 4], part: f64) -> [f64; 4] {
+    let same_side = a.iter().zip(&b).map(|(a, b)| a * b).sum::<f64>() >= 0.0;
+    let q = mix(a, b.map(|c| if same_side { c } else { -c }), part);
+    let norm = q.iter().map(|c| c * c).sum::<f64>().sqrt();
+    q.map(|c| c / norm)
+}
+
+/// The pose `part` of the way from `a` to `b`; speeds are `a`'s.
+fn between(a: &State, b: &State, part: f64) -> State {
+    let mut pose = a.clone();
+    pose.position = mix(a.position, b.position, part);
+    pose.orientation = mix_turn(a.orientation, b.orientation, part);
+    // The shorter way round: a hinge turns less than half a turn in a control step.
+    let shorter = |turn: f64| (turn + PI).rem_euclid(TAU) - PI;
+    pose.angles.iter_mut().zip(&b.angles).for_each(|(angle, end)| *angle += part * shorter(end - *angle));
+    let object = |(a, b): (&ObjectState, &ObjectState)| ObjectState {
+        position: mix(a.position, b.position, part),
+        orientation: mix_turn(a.orientation, b.orientation, part),
+        ..*a
+    };
+    pose.objects = a.objects.iter().zip(&b.objects).map(object).collect();
+    pose
 }
 
 fn episode(blueprint: &Blueprint, seed: u64, steps: usize) -> sandgait::Result<Episode> {
@@ -33,7 +74,7 @@ fn episode(blueprint: &Blueprint, seed: u64, steps: usize) -> sandgait::Result<E
     let mut command = Command::still(model.joints());
     let mut action = vec![0.0; task.spec().action.len()];
     let substeps = (1.0 / (task.spec().control_rate * model.scene.dt)).round() as usize;
-    let mut most: f64 = 0.0;
+    let (mut most, mut share): (f64, f64) = (0.0, 0.0);
     for step in 0..steps {
         // A new random action every 0.2 s: long enough to reach speed. Half of the episodes mean to go forward.
         if step % 10 == 0 {
@@ -43,16 +84,20 @@ fn episode(blueprint: &Blueprint, seed: u64, steps: usize) -> sandgait::Result<E
         task.command(&action, &state, &mut command);
         engine.command(0, &command);
         engine.advance(substeps);
+        let before = state.clone();
         engine.state(0, &mut state);
         if !state.is_sound() {
             break;
         }
         most = most.max(overlap(model, &state));
+        let parts = (1..=BETWEEN).map(|k| k as f64 / BETWEEN as f64);
+        share = parts.map(|part| overlap_share(model, &between(&before, &state, part))).fold(share, f64::max);
     }
     let apart = |a: &[f64; 3], b: &[f64; 3]| (a[0] - b[0]).hypot(a[1] - b[1]);
     let objects = state.objects.iter().zip(&start.objects);
     Ok(Episode {
         overlap: most,
+        share,
         distance: apart(&state.position, &start.position),
         diverged: !state.is_sound(),
         obstacles: model.scene.obstacles.len(),
@@ -99,5 +144,14 @@ fn main() -> sandgait::Result<()> {
         let (seed, e) = &results[at];
         println!("overlap, quantile {part}: {:.3} mm (seed {seed})", e.overlap * 1e3);
     }
+    let deepest = results.iter().max_by(|a, b| a.1.share.total_cmp(&b.1.share));
+    let through = results.iter().filter(|(_, e)| e.share > THROUGH).count();
+    if let Some((seed, e)) = deepest {
+        println!("deepest on the way: {:.2} of an obstacle's own depth (seed {seed})", e.share);
+    }
+    println!(
+        "{through} of {} episodes passed through an obstacle (more than {THROUGH} of its own depth)",
+        results.len()
+    );
     Ok(())
 }

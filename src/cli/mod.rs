@@ -11,6 +11,7 @@ mod reproduce;
 mod serve;
 mod stress;
 mod sweep;
+mod task_page;
 mod tasks;
 mod walk;
 

@@ -11,6 +11,17 @@ const GRID: usize = 5;
 /// Deepest overlap [m] of the model's obstacles with the middle surfaces of the legs and with the base; 0 if none.
 /// Legs and base are looked at on a grid of points, obstacles also at their corners.
 pub fn overlap(model: &Model, state: &State) -> f64 {
+    overlaps(model, state).fold(0.0, |deepest, (_, depth)| depth.max(deepest))
+}
+
+/// The deepest overlap as a share of its obstacle's own depth, surface to centre: 0 outside all, 1 where something
+/// stands in a centre. Whatever goes through an obstacle's middle comes close to 1 on its way.
+pub fn overlap_share(model: &Model, state: &State) -> f64 {
+    overlaps(model, state).fold(0.0, |deepest, (solid, depth)| (depth / solid.depth_of_centre()).max(deepest))
+}
+
+/// Each obstacle with its overlap [m], negative where there is none.
+fn overlaps<'a>(model: &'a Model, state: &State) -> impl Iterator<Item = (&'a Solid, f64)> {
     let poses = obstacle_poses(model, state);
     let points: Vec<V> = leg_points(model, state).chain(base_points(model, state)).collect();
     let [length, width, top] = model.robot.base.size.map(|s| s / 2.0);
@@ -19,12 +30,11 @@ pub fn overlap(model: &Model, state: &State) -> f64 {
     let base = Solid::cuboid([2.0 * length, 2.0 * width, top - bottom]);
     let mut pose = Pose::new(state.position, state.orientation);
     pose.position += pose.rotation * middle;
-    let deepest = model.solids.iter().zip(&poses).map(|(solid, at)| {
-        let near = points.iter().map(|p| solid.depth(at, *p));
+    model.solids.iter().zip(poses).map(move |(solid, at)| {
+        let near = points.iter().map(|p| solid.depth(&at, *p));
         let corners = solid.corners.iter().map(|c| base.depth(&pose, at.position + at.rotation * c));
-        near.chain(corners).fold(0.0, f64::max)
-    });
-    deepest.fold(0.0, f64::max)
+        (solid, near.chain(corners).fold(f64::NEG_INFINITY, f64::max))
+    })
 }
 
 /// Where each of the scene's obstacles is.

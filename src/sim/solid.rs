@@ -155,6 +155,14 @@ impl Solid {
         }
     }
 
+    /// Depth [m] of the centre of mass under the surface.
+    pub fn depth_of_centre(&self) -> f64 {
+        match &self.form {
+            Form::Sphere { radius } => *radius,
+            Form::Sides(sides) => sides.iter().map(|(_, d)| *d).fold(f64::INFINITY, f64::min),
+        }
+    }
+
     /// Height [m] of the body's top above the point (x, y) of the surface; none beside it.
     pub fn top(&self, pose: &Pose, x: f64, y: f64) -> Option<f64> {
         let start = pose.inward(V::new(x, y, 0.0));
