@@ -1,8 +1,8 @@
 //! What every task keeps to: left and right are alike, and its page is what its code says.
 
+use sandgait::env::Column;
 use sandgait::env::random::Random;
 use sandgait::env::task::{Blueprint, Goal, Transition};
-use sandgait::env::Column;
 use sandgait::number::Isa;
 use sandgait::sim::engine::Command;
 use sandgait::sim::lanes::LanesEngine;

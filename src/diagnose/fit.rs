@@ -192,6 +192,19 @@ impl<'a> Study<'a> {
         self.refine(again, ROUNDS / 2, true)
     }
 
+    /// A rough model has minima beside the one that a fit fell into: the fit with each value a slope's step to either side,
+    /// to begin again from; none of a smooth model.
+    pub fn beside(&self, fit: &Fit) -> Vec<Fit> {
+        let values = if self.model.roughness().is_some() { fit.ids.len() } else { 0 };
+        let moved = |(k, side): (usize, f64)| {
+            let (id, at) = (fit.ids[k], fit.coordinates()[k]);
+            let bounds = CATALOG[id].coordinate_bounds();
+            let value = CATALOG[id].value((at + side * self.step_from(id, at)).clamp(bounds[0], bounds[1]));
+            Fit { mechanisms: fit.mechanisms.with(id, value), ..fit.clone() }
+        };
+        (0..values).flat_map(|k| [(k, 1.0), (k, -1.0)]).map(moved).collect()
+    }
+
     /// Where fits of given ids from given values begin.
     fn begin(&self, starts: &[(Vec<usize>, Vec<f64>)]) -> Vec<Fit> {
         let state = |(ids, values): &(Vec<usize>, Vec<f64>)| {

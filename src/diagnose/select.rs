@@ -209,7 +209,13 @@ fn refit(study: &Study, selection: &mut Selection) {
         .collect();
     let base = study.recalibrated();
     let candidates = &selection.candidates;
-    let again = study.fit_from(&same.iter().map(|&k| &candidates[k].fit).collect::<Vec<_>>());
+    let beside = study.beside(&candidates[0].fit);
+    let mut again = study.fit_from(&same.iter().map(|&k| &candidates[k].fit).chain(&beside).collect::<Vec<_>>());
+    for other in again.split_off(same.len()) {
+        if other.objective < again[0].objective {
+            again[0] = other;
+        }
+    }
     let again = parallel::map(&again, |fit| candidate(study, &base, fit.clone()));
     for (k, fresh) in same.into_iter().zip(again) {
         selection.candidates[k] = fresh;

@@ -8,8 +8,8 @@ use std::io::{BufReader, Read};
 use std::path::Path;
 
 /// Rows beyond this are refused: the fits of a log so long fill most of 1 GiB. Our choice.
-pub const MOST_ROWS: usize = 60_000;
-/// Files beyond this many bytes are refused unread: over 4 kB a row at [`MOST_ROWS`]. Our choice.
+pub const MOST_ROWS: usize = 40_000;
+/// Files beyond this many bytes are refused unread: over 6 kB a row at [`MOST_ROWS`]. Our choice.
 const MOST_BYTES: u64 = 256 << 20;
 
 /// Kind of quantity in a column: decides which units it takes.
