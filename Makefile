@@ -12,11 +12,7 @@ SOURCES := $(shell find src proto robots python_client build.rs Cargo.toml Cargo
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-<<<<<<< HEAD
-.PHONY: help train test test-rust test-python bench bench-peers study study-convergence study-rocks study-load proto task-pages
-=======
-.PHONY: help train test test-rust test-python docs bench bench-peers study study-convergence study-rocks proto
->>>>>>> docs
+.PHONY: help train test test-rust test-python bench bench-peers study study-convergence study-rocks study-load proto task-pages docs
 
 help:
 	@echo "make train   train a hexapod to walk on sand (5 minutes), results in runs/; ARGS=--help for options"
