@@ -387,6 +387,7 @@ impl View<'_> {
             100.0 * (1.0 - now / before)
         );
         match extension(selection) {
+            None if now >= before => "; none of them predicts conditions held out better than the plain model".into(),
             Some(_) => format!("; as a stand-in and not as the cause, {name} lowers the error {gain}"),
             None => format!(
                 "; nothing surely helps: {name}, which does best, changes the error {gain}, so the sand stays plain"
