@@ -3,12 +3,13 @@
 use std::path::{Path, PathBuf};
 
 /// A folder of `src/` and the words that may not stand in its code.
-const ABSENT: [(&str, &[&str]); 6] = [
+const ABSENT: [(&str, &[&str]); 7] = [
     ("number", &["sand", "sim", "env", "pool", "service", "rand", "tokio", "tonic", "rapier3d"]),
     ("sand", &["sim", "env", "pool", "service", "rand", "tokio", "tonic", "rapier", "rapier3d"]),
     ("sim", &["env", "pool", "service", "rand", "tokio", "tonic"]),
     ("env", &["pool", "service", "tokio", "tonic", "rapier3d"]),
     ("pool", &["service", "tokio", "tonic", "rapier3d"]),
+    ("view", &["env", "pool", "service", "rand", "tokio", "tonic", "rapier", "rapier3d"]),
     ("diagnose", &["env", "pool", "service", "tokio", "tonic"]),
 ];
 

@@ -28,6 +28,7 @@ from .client import describe
 from .diagnosis import Diagnosis, diagnose
 from .env import SandgaitEnv
 from .errors import InvalidRequest, LimitReached, OutOfOrder, SandgaitError, ServerLost, SessionLost
+from .recording import Recording, Section, read_recording
 from .remote import Remote
 from .spaces import Column, Option, Task
 from .studies import Intrusion, Sweep, Walks, intrude, sweep, walk
@@ -46,10 +47,12 @@ __all__ = [
     "LimitReached",
     "Option",
     "OutOfOrder",
+    "Recording",
     "Remote",
     "SandgaitEnv",
     "SandgaitError",
     "SandgaitVectorEnv",
+    "Section",
     "ServerLost",
     "SessionLost",
     "Sweep",
@@ -60,6 +63,7 @@ __all__ = [
     "diagnose",
     "intrude",
     "make_sb3",
+    "read_recording",
     "sweep",
     "walk",
 ]

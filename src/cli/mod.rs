@@ -7,6 +7,7 @@ mod config;
 mod diagnose;
 mod intrude;
 mod media;
+mod replay;
 mod reproduce;
 mod serve;
 mod stress;
@@ -50,6 +51,7 @@ enum Command {
     Intrude(intrude::Intrude),
     Media(media::Media),
     Stress(stress::Stress),
+    Replay(replay::Replay),
     Reproduce(reproduce::Reproduce),
     Calibrate(calibrate::Calibrate),
     Sweep(sweep::Sweep),
@@ -101,6 +103,7 @@ fn run(command: Command) -> Result<String> {
         Command::Intrude(c) => c.run(),
         Command::Media(c) => c.run(),
         Command::Stress(c) => c.run(),
+        Command::Replay(c) => c.run(),
         Command::Reproduce(c) => c.run(),
         Command::Calibrate(c) => c.run(),
         Command::Sweep(c) => c.run(),

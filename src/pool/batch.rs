@@ -3,7 +3,7 @@
 use super::snapshot::Snapshot;
 use crate::env::snapshot::Resumed;
 use crate::env::task::{Blueprint, Setup};
-use crate::env::{ResetOptions, Shard, Spec, Task};
+use crate::env::{Look, ResetOptions, Shard, Spec, Task};
 use crate::error::{Error, Result};
 use std::sync::Arc;
 
@@ -158,6 +158,22 @@ impl Batch {
         }
         self.check_actions(&actions, |k| format!("actions[{}][{}]", k / self.envs, k % self.envs))?;
         Ok(Roll { actions: Arc::new(actions), row, steps: 0..0, record })
+    }
+
+    /// Environment `index` for those who only look; see [`Shard::look`].
+    pub fn look(&self, index: usize, ended: bool) -> Result<Look<'_>> {
+        let outside = || Error::invalid("index", format!("{index} is outside [0, {})", self.envs));
+        if !*self.begun.get(index).ok_or_else(outside)? {
+            return Err(Error::OutOfOrder(format!("render before reset: environment {index} has not been reset yet")));
+        }
+        let mut first = 0;
+        for shard in &self.shards {
+            if index < first + shard.envs() {
+                return Ok(shard.look(index - first, ended));
+            }
+            first += shard.envs();
+        }
+        Err(outside())
     }
 
     /// Has every environment begun its episode, and made no step of it yet?

@@ -7,6 +7,7 @@
 //! * [`obstacle`]: rigid things in the sand; [`solid`]: their geometry.
 //! * [`overlap`]: how far a robot stands inside obstacles, for tests.
 //! * [`state`]: positions and velocities of one robot.
+//! * [`frame`]: positions, velocities and velocity-product accelerations of the bodies.
 //! * [`engine`]: the seam; everything above sees only this.
 //! * [`lanes`]: the fast engine, articulated bodies over SIMD lanes of robots.
 //! * [`rapier`]: rapier3d multibodies, one world a robot.
@@ -15,6 +16,7 @@
 
 pub mod carriage;
 pub mod engine;
+pub mod frame;
 pub mod lanes;
 pub mod model;
 pub mod obstacle;

@@ -7,6 +7,7 @@ mod harness;
 mod mutate;
 mod raw;
 mod rollouts;
+mod seeing;
 mod sessions;
 mod snapshots;
 mod studies;
