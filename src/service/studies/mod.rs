@@ -20,7 +20,7 @@ use tokio_stream::wrappers::ReceiverStream;
 use tokio_util::sync::CancellationToken;
 use tonic::{Request, Response, Status};
 
-/// Largest request [bytes]: 200,000 rows of a force log, the most that are diagnosed, have about 40 MB.
+/// Largest request [bytes]: 40,000 rows of a force log, the most that are diagnosed, have about 8 MB.
 pub const MOST_BYTES: usize = 64 << 20;
 
 /// The studies of one server.
