@@ -47,6 +47,8 @@ class Rollout(NamedTuple):
     observations: npt.NDArray[np.float32]
     #: f32 [steps, num_envs], likewise.
     rewards: npt.NDArray[np.float32]
+    #: f32 [steps, num_envs, action], likewise: what a policy chose in each step; empty for given actions.
+    actions: npt.NDArray[np.float32]
 
 
 class _Link:
@@ -154,16 +156,20 @@ class Session:
             parts.append(self._receive().rollout)
             if parts[-1].first_step == 0:  # the stream broke, and the rollout began anew
                 del parts[:-1]
-        last, shape = parts[-1], (-1, self.num_envs, len(self.task.observation))
-        observations = np.frombuffer(b"".join(p.observations for p in parts), "<f4").reshape(shape)
-        rewards = np.frombuffer(b"".join(p.rewards for p in parts), "<f4").reshape(-1, self.num_envs)
+        last = parts[-1]
+
+        def rows(name: str, *width: int) -> npt.NDArray[np.float32]:
+            data = b"".join(getattr(p, name) for p in parts)
+            return np.frombuffer(data, "<f4").reshape(-1, self.num_envs, *width).astype(np.float32)
+
         return Rollout(
             returns=np.frombuffer(last.returns, "<f8").astype(np.float64),
             lengths=np.frombuffer(last.lengths, "<u4").astype(np.intp),
             terminated=np.frombuffer(last.terminated, np.uint8).astype(np.bool_),
             truncated=np.frombuffer(last.truncated, np.uint8).astype(np.bool_),
-            observations=observations.astype(np.float32),
-            rewards=rewards.astype(np.float32),
+            observations=rows("observations", len(self.task.observation)),
+            rewards=rows("rewards"),
+            actions=rows("actions", len(self.task.action)),
         )
 
     def _check_usable(self) -> None:

@@ -10,7 +10,7 @@ use crate::sim::engine::Command;
 use std::f64::consts::TAU;
 
 /// Hip speed at action 1 [rad/s]: 5 Hz, the highest stride frequency of Li et al. 2012.
-const TOP_SPEED: f64 = 5.0 * TAU;
+pub const TOP_SPEED: f64 = 5.0 * TAU;
 
 /// Bound of the observed hip speed [rad/s]; what goes beyond is clipped.
 const HIP_SPEED: f64 = 3.0 * TOP_SPEED;

@@ -21,8 +21,9 @@ pub fn operation(batch: &mut Batch, request: Option<Request>) -> Result<Operatio
             let sources = if restore.sources.is_empty() { None } else { Some(indices("sources", &restore.sources)?) };
             batch.restore(&snapshot, sources.as_deref())
         }
-        Some(Request::Attach(_) | Request::Save(_) | Request::Rollout(_)) | None => {
-            Err(Error::invalid("request", "neither reset, step, attach, save, restore nor rollout"))
+        Some(Request::Attach(_) | Request::Save(_) | Request::Rollout(_) | Request::PolicyRollout(_)) | None => {
+            let known = "neither reset, step, attach, save, restore, rollout nor policy_rollout";
+            Err(Error::invalid("request", known))
         }
     }
 }
@@ -33,7 +34,7 @@ pub fn is_light(request: &proto::RunSessionRequest) -> bool {
     match &request.request {
         Some(Request::Step(step)) => step.actions.len() <= 16_384,
         Some(Request::Reset(reset)) => reset.options.is_none() && reset.seeds.len() <= 2_048,
-        Some(Request::Save(_) | Request::Restore(_) | Request::Rollout(_)) => false,
+        Some(Request::Save(_) | Request::Restore(_) | Request::Rollout(_) | Request::PolicyRollout(_)) => false,
         Some(Request::Attach(_)) | None => true,
     }
 }

@@ -200,6 +200,7 @@ fn carry_out(mut work: Work, request: Option<Request>, pool: &Arc<Pool>) {
             };
         }
         Some(Request::Rollout(request)) => return rollout::start(work, &request, pool.clone()),
+        Some(Request::PolicyRollout(request)) => return rollout::start_network(work, &request, pool.clone()),
         request => decode::operation(batch, request),
     };
     match operation {

@@ -7,12 +7,14 @@
 //! * [`obstacle`]: rigid things in the sand; [`solid`]: their geometry.
 //! * [`overlap`]: how far a robot stands inside obstacles, for tests.
 //! * [`state`]: positions and velocities of one robot.
+//! * [`feet`]: where the tips of the legs are and how fast they move.
 //! * [`engine`]: the seam; everything above sees only this.
 //! * [`lanes`]: the fast engine, articulated bodies over SIMD lanes of robots.
 //! * [`rapier`]: rapier3d multibodies, one world a robot.
 //! * [`walk`]: the speed protocol of the reference experiments.
 
 pub mod engine;
+pub mod feet;
 pub mod lanes;
 pub mod model;
 pub mod obstacle;

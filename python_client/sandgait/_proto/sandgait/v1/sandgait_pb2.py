@@ -15,7 +15,7 @@ _sym_db = _symbol_database.Default()
 from google.protobuf import struct_pb2 as google_dot_protobuf_dot_struct__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1asandgait/v1/sandgait.proto\x12\x0bsandgait.v1\x1a\x1cgoogle/protobuf/struct.proto\"\x11\n\x0f\x44\x65scribeRequest\"W\n\x10\x44\x65scribeResponse\x12\x0f\n\x07version\x18\x01 \x01(\t\x12\x10\n\x08protocol\x18\x02 \x01(\r\x12 \n\x05tasks\x18\x03 \x03(\x0b\x32\x11.sandgait.v1.Task\"\x82\x02\n\x04Task\x12\n\n\x02id\x18\x01 \x01(\t\x12\x0f\n\x07summary\x18\x02 \x01(\t\x12(\n\x0bobservation\x18\x03 \x03(\x0b\x32\x13.sandgait.v1.Column\x12#\n\x06\x61\x63tion\x18\x04 \x03(\x0b\x32\x13.sandgait.v1.Column\x12!\n\x04info\x18\x05 \x03(\x0b\x32\x13.sandgait.v1.Column\x12\x14\n\x0creward_terms\x18\x06 \x01(\r\x12\x19\n\x11max_episode_steps\x18\x07 \x01(\r\x12\x14\n\x0c\x63ontrol_rate\x18\x08 \x01(\x01\x12$\n\x07options\x18\t \x03(\x0b\x32\x13.sandgait.v1.Option\"?\n\x06\x43olumn\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0c\n\x04unit\x18\x02 \x01(\t\x12\x0b\n\x03low\x18\x03 \x01(\x01\x12\x0c\n\x04high\x18\x04 \x01(\x01\"h\n\x06Option\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0f\n\x07summary\x18\x02 \x01(\t\x12-\n\rdefault_value\x18\x03 \x01(\x0b\x32\x16.google.protobuf.Value\x12\x10\n\x08\x61t_reset\x18\x04 \x01(\x08\"u\n\x14\x43reateSessionRequest\x12\x0f\n\x07task_id\x18\x01 \x01(\t\x12\x10\n\x08num_envs\x18\x02 \x01(\r\x12(\n\x07options\x18\x03 \x01(\x0b\x32\x17.google.protobuf.Struct\x12\x10\n\x08protocol\x18\x04 \x01(\r\"c\n\x15\x43reateSessionResponse\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x1f\n\x04task\x18\x02 \x01(\x0b\x32\x11.sandgait.v1.Task\x12\x15\n\rlease_seconds\x18\x03 \x01(\x01\",\n\x16\x44\x65scribeSessionRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\"h\n\x17\x44\x65scribeSessionResponse\x12\x1f\n\x04task\x18\x01 \x01(\x0b\x32\x11.sandgait.v1.Task\x12,\n\x07summary\x18\x02 \x01(\x0b\x32\x1b.sandgait.v1.SessionSummary\"\x15\n\x13ListSessionsRequest\"E\n\x14ListSessionsResponse\x12-\n\x08sessions\x18\x01 \x03(\x0b\x32\x1b.sandgait.v1.SessionSummary\"{\n\x0eSessionSummary\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0f\n\x07task_id\x18\x02 \x01(\t\x12\x10\n\x08num_envs\x18\x03 \x01(\r\x12\x10\n\x08\x61ttached\x18\x04 \x01(\x08\x12\x10\n\x08sequence\x18\x05 \x01(\x04\x12\x14\n\x0cidle_seconds\x18\x06 \x01(\x01\"\xa8\x02\n\x11RunSessionRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x10\n\x08sequence\x18\x02 \x01(\x04\x12#\n\x05reset\x18\x03 \x01(\x0b\x32\x12.sandgait.v1.ResetH\x00\x12!\n\x04step\x18\x04 \x01(\x0b\x32\x11.sandgait.v1.StepH\x00\x12%\n\x06\x61ttach\x18\x05 \x01(\x0b\x32\x13.sandgait.v1.AttachH\x00\x12!\n\x04save\x18\x06 \x01(\x0b\x32\x11.sandgait.v1.SaveH\x00\x12\'\n\x07restore\x18\x07 \x01(\x0b\x32\x14.sandgait.v1.RestoreH\x00\x12\'\n\x07rollout\x18\x08 \x01(\x0b\x32\x14.sandgait.v1.RolloutH\x00\x42\t\n\x07request\"\x08\n\x06\x41ttach\"\x06\n\x04Save\",\n\x07Restore\x12\x10\n\x08snapshot\x18\x01 \x01(\x0c\x12\x0f\n\x07sources\x18\x02 \x01(\x0c\"0\n\x07Rollout\x12\x0f\n\x07\x61\x63tions\x18\x01 \x01(\x0c\x12\x14\n\x0ctrajectories\x18\x02 \x01(\x08\"N\n\x05Reset\x12\r\n\x05seeds\x18\x01 \x03(\x06\x12\x0c\n\x04mask\x18\x02 \x01(\x0c\x12(\n\x07options\x18\x03 \x01(\x0b\x32\x17.google.protobuf.Struct\"\x17\n\x04Step\x12\x0f\n\x07\x61\x63tions\x18\x01 \x01(\x0c\"\x83\x02\n\x12RunSessionResponse\x12\x10\n\x08sequence\x18\x01 \x01(\x04\x12#\n\x05\x62\x61tch\x18\x02 \x01(\x0b\x32\x12.sandgait.v1.BatchH\x00\x12\'\n\x07\x66\x61ilure\x18\x03 \x01(\x0b\x32\x14.sandgait.v1.FailureH\x00\x12)\n\x08\x61ttached\x18\x04 \x01(\x0b\x32\x15.sandgait.v1.AttachedH\x00\x12)\n\x08snapshot\x18\x05 \x01(\x0b\x32\x15.sandgait.v1.SnapshotH\x00\x12+\n\x07rollout\x18\x06 \x01(\x0b\x32\x18.sandgait.v1.RolloutPartH\x00\x42\n\n\x08response\"!\n\x08\x41ttached\x12\x15\n\rlast_sequence\x18\x01 \x01(\x04\"\x18\n\x08Snapshot\x12\x0c\n\x04\x64\x61ta\x18\x01 \x01(\x0c\"\xa0\x01\n\x0bRolloutPart\x12\x12\n\nfirst_step\x18\x01 \x01(\r\x12\r\n\x05steps\x18\x02 \x01(\r\x12\x14\n\x0cobservations\x18\x03 \x01(\x0c\x12\x0f\n\x07rewards\x18\x04 \x01(\x0c\x12\x0f\n\x07returns\x18\x05 \x01(\x0c\x12\x0f\n\x07lengths\x18\x06 \x01(\x0c\x12\x12\n\nterminated\x18\x07 \x01(\x0c\x12\x11\n\ttruncated\x18\x08 \x01(\x0c\"\x97\x01\n\x05\x42\x61tch\x12\x14\n\x0cobservations\x18\x01 \x01(\x0c\x12\x0f\n\x07rewards\x18\x02 \x01(\x0c\x12\x12\n\nterminated\x18\x03 \x01(\x0c\x12\x11\n\ttruncated\x18\x04 \x01(\x0c\x12\r\n\x05infos\x18\x05 \x01(\x0c\x12\x15\n\rfinal_indices\x18\x06 \x01(\x0c\x12\x1a\n\x12\x66inal_observations\x18\x07 \x01(\x0c\"(\n\x07\x46\x61ilure\x12\x0c\n\x04\x63ode\x18\x01 \x01(\x05\x12\x0f\n\x07message\x18\x02 \x01(\t\")\n\x13\x43loseSessionRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\"\x16\n\x14\x43loseSessionResponse2\x90\x04\n\x12\x45nvironmentService\x12G\n\x08\x44\x65scribe\x12\x1c.sandgait.v1.DescribeRequest\x1a\x1d.sandgait.v1.DescribeResponse\x12V\n\rCreateSession\x12!.sandgait.v1.CreateSessionRequest\x1a\".sandgait.v1.CreateSessionResponse\x12Q\n\nRunSession\x12\x1e.sandgait.v1.RunSessionRequest\x1a\x1f.sandgait.v1.RunSessionResponse(\x01\x30\x01\x12\\\n\x0f\x44\x65scribeSession\x12#.sandgait.v1.DescribeSessionRequest\x1a$.sandgait.v1.DescribeSessionResponse\x12S\n\x0cListSessions\x12 .sandgait.v1.ListSessionsRequest\x1a!.sandgait.v1.ListSessionsResponse\x12S\n\x0c\x43loseSession\x12 .sandgait.v1.CloseSessionRequest\x1a!.sandgait.v1.CloseSessionResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1asandgait/v1/sandgait.proto\x12\x0bsandgait.v1\x1a\x1cgoogle/protobuf/struct.proto\"\x11\n\x0f\x44\x65scribeRequest\"W\n\x10\x44\x65scribeResponse\x12\x0f\n\x07version\x18\x01 \x01(\t\x12\x10\n\x08protocol\x18\x02 \x01(\r\x12 \n\x05tasks\x18\x03 \x03(\x0b\x32\x11.sandgait.v1.Task\"\x82\x02\n\x04Task\x12\n\n\x02id\x18\x01 \x01(\t\x12\x0f\n\x07summary\x18\x02 \x01(\t\x12(\n\x0bobservation\x18\x03 \x03(\x0b\x32\x13.sandgait.v1.Column\x12#\n\x06\x61\x63tion\x18\x04 \x03(\x0b\x32\x13.sandgait.v1.Column\x12!\n\x04info\x18\x05 \x03(\x0b\x32\x13.sandgait.v1.Column\x12\x14\n\x0creward_terms\x18\x06 \x01(\r\x12\x19\n\x11max_episode_steps\x18\x07 \x01(\r\x12\x14\n\x0c\x63ontrol_rate\x18\x08 \x01(\x01\x12$\n\x07options\x18\t \x03(\x0b\x32\x13.sandgait.v1.Option\"?\n\x06\x43olumn\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0c\n\x04unit\x18\x02 \x01(\t\x12\x0b\n\x03low\x18\x03 \x01(\x01\x12\x0c\n\x04high\x18\x04 \x01(\x01\"h\n\x06Option\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0f\n\x07summary\x18\x02 \x01(\t\x12-\n\rdefault_value\x18\x03 \x01(\x0b\x32\x16.google.protobuf.Value\x12\x10\n\x08\x61t_reset\x18\x04 \x01(\x08\"u\n\x14\x43reateSessionRequest\x12\x0f\n\x07task_id\x18\x01 \x01(\t\x12\x10\n\x08num_envs\x18\x02 \x01(\r\x12(\n\x07options\x18\x03 \x01(\x0b\x32\x17.google.protobuf.Struct\x12\x10\n\x08protocol\x18\x04 \x01(\r\"c\n\x15\x43reateSessionResponse\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x1f\n\x04task\x18\x02 \x01(\x0b\x32\x11.sandgait.v1.Task\x12\x15\n\rlease_seconds\x18\x03 \x01(\x01\",\n\x16\x44\x65scribeSessionRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\"h\n\x17\x44\x65scribeSessionResponse\x12\x1f\n\x04task\x18\x01 \x01(\x0b\x32\x11.sandgait.v1.Task\x12,\n\x07summary\x18\x02 \x01(\x0b\x32\x1b.sandgait.v1.SessionSummary\"\x15\n\x13ListSessionsRequest\"E\n\x14ListSessionsResponse\x12-\n\x08sessions\x18\x01 \x03(\x0b\x32\x1b.sandgait.v1.SessionSummary\"{\n\x0eSessionSummary\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0f\n\x07task_id\x18\x02 \x01(\t\x12\x10\n\x08num_envs\x18\x03 \x01(\r\x12\x10\n\x08\x61ttached\x18\x04 \x01(\x08\x12\x10\n\x08sequence\x18\x05 \x01(\x04\x12\x14\n\x0cidle_seconds\x18\x06 \x01(\x01\"\xde\x02\n\x11RunSessionRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\x12\x10\n\x08sequence\x18\x02 \x01(\x04\x12#\n\x05reset\x18\x03 \x01(\x0b\x32\x12.sandgait.v1.ResetH\x00\x12!\n\x04step\x18\x04 \x01(\x0b\x32\x11.sandgait.v1.StepH\x00\x12%\n\x06\x61ttach\x18\x05 \x01(\x0b\x32\x13.sandgait.v1.AttachH\x00\x12!\n\x04save\x18\x06 \x01(\x0b\x32\x11.sandgait.v1.SaveH\x00\x12\'\n\x07restore\x18\x07 \x01(\x0b\x32\x14.sandgait.v1.RestoreH\x00\x12\'\n\x07rollout\x18\x08 \x01(\x0b\x32\x14.sandgait.v1.RolloutH\x00\x12\x34\n\x0epolicy_rollout\x18\x1e \x01(\x0b\x32\x1a.sandgait.v1.PolicyRolloutH\x00\x42\t\n\x07request\"\x08\n\x06\x41ttach\"\x06\n\x04Save\",\n\x07Restore\x12\x10\n\x08snapshot\x18\x01 \x01(\x0c\x12\x0f\n\x07sources\x18\x02 \x01(\x0c\"0\n\x07Rollout\x12\x0f\n\x07\x61\x63tions\x18\x01 \x01(\x0c\x12\x14\n\x0ctrajectories\x18\x02 \x01(\x08\"B\n\rPolicyRollout\x12\x0c\n\x04onnx\x18\x01 \x01(\x0c\x12\r\n\x05steps\x18\x02 \x01(\r\x12\x14\n\x0ctrajectories\x18\x03 \x01(\x08\"N\n\x05Reset\x12\r\n\x05seeds\x18\x01 \x03(\x06\x12\x0c\n\x04mask\x18\x02 \x01(\x0c\x12(\n\x07options\x18\x03 \x01(\x0b\x32\x17.google.protobuf.Struct\"\x17\n\x04Step\x12\x0f\n\x07\x61\x63tions\x18\x01 \x01(\x0c\"\x83\x02\n\x12RunSessionResponse\x12\x10\n\x08sequence\x18\x01 \x01(\x04\x12#\n\x05\x62\x61tch\x18\x02 \x01(\x0b\x32\x12.sandgait.v1.BatchH\x00\x12\'\n\x07\x66\x61ilure\x18\x03 \x01(\x0b\x32\x14.sandgait.v1.FailureH\x00\x12)\n\x08\x61ttached\x18\x04 \x01(\x0b\x32\x15.sandgait.v1.AttachedH\x00\x12)\n\x08snapshot\x18\x05 \x01(\x0b\x32\x15.sandgait.v1.SnapshotH\x00\x12+\n\x07rollout\x18\x06 \x01(\x0b\x32\x18.sandgait.v1.RolloutPartH\x00\x42\n\n\x08response\"!\n\x08\x41ttached\x12\x15\n\rlast_sequence\x18\x01 \x01(\x04\"\x18\n\x08Snapshot\x12\x0c\n\x04\x64\x61ta\x18\x01 \x01(\x0c\"\xb1\x01\n\x0bRolloutPart\x12\x12\n\nfirst_step\x18\x01 \x01(\r\x12\r\n\x05steps\x18\x02 \x01(\r\x12\x14\n\x0cobservations\x18\x03 \x01(\x0c\x12\x0f\n\x07rewards\x18\x04 \x01(\x0c\x12\x0f\n\x07returns\x18\x05 \x01(\x0c\x12\x0f\n\x07lengths\x18\x06 \x01(\x0c\x12\x12\n\nterminated\x18\x07 \x01(\x0c\x12\x11\n\ttruncated\x18\x08 \x01(\x0c\x12\x0f\n\x07\x61\x63tions\x18\x1e \x01(\x0c\"\x97\x01\n\x05\x42\x61tch\x12\x14\n\x0cobservations\x18\x01 \x01(\x0c\x12\x0f\n\x07rewards\x18\x02 \x01(\x0c\x12\x12\n\nterminated\x18\x03 \x01(\x0c\x12\x11\n\ttruncated\x18\x04 \x01(\x0c\x12\r\n\x05infos\x18\x05 \x01(\x0c\x12\x15\n\rfinal_indices\x18\x06 \x01(\x0c\x12\x1a\n\x12\x66inal_observations\x18\x07 \x01(\x0c\"(\n\x07\x46\x61ilure\x12\x0c\n\x04\x63ode\x18\x01 \x01(\x05\x12\x0f\n\x07message\x18\x02 \x01(\t\")\n\x13\x43loseSessionRequest\x12\x12\n\nsession_id\x18\x01 \x01(\t\"\x16\n\x14\x43loseSessionResponse2\x90\x04\n\x12\x45nvironmentService\x12G\n\x08\x44\x65scribe\x12\x1c.sandgait.v1.DescribeRequest\x1a\x1d.sandgait.v1.DescribeResponse\x12V\n\rCreateSession\x12!.sandgait.v1.CreateSessionRequest\x1a\".sandgait.v1.CreateSessionResponse\x12Q\n\nRunSession\x12\x1e.sandgait.v1.RunSessionRequest\x1a\x1f.sandgait.v1.RunSessionResponse(\x01\x30\x01\x12\\\n\x0f\x44\x65scribeSession\x12#.sandgait.v1.DescribeSessionRequest\x1a$.sandgait.v1.DescribeSessionResponse\x12S\n\x0cListSessions\x12 .sandgait.v1.ListSessionsRequest\x1a!.sandgait.v1.ListSessionsResponse\x12S\n\x0c\x43loseSession\x12 .sandgait.v1.CloseSessionRequest\x1a!.sandgait.v1.CloseSessionResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -47,35 +47,37 @@ if _descriptor._USE_C_DESCRIPTORS == False:
   _globals['_SESSIONSUMMARY']._serialized_start=1079
   _globals['_SESSIONSUMMARY']._serialized_end=1202
   _globals['_RUNSESSIONREQUEST']._serialized_start=1205
-  _globals['_RUNSESSIONREQUEST']._serialized_end=1501
-  _globals['_ATTACH']._serialized_start=1503
-  _globals['_ATTACH']._serialized_end=1511
-  _globals['_SAVE']._serialized_start=1513
-  _globals['_SAVE']._serialized_end=1519
-  _globals['_RESTORE']._serialized_start=1521
-  _globals['_RESTORE']._serialized_end=1565
-  _globals['_ROLLOUT']._serialized_start=1567
-  _globals['_ROLLOUT']._serialized_end=1615
-  _globals['_RESET']._serialized_start=1617
-  _globals['_RESET']._serialized_end=1695
-  _globals['_STEP']._serialized_start=1697
-  _globals['_STEP']._serialized_end=1720
-  _globals['_RUNSESSIONRESPONSE']._serialized_start=1723
-  _globals['_RUNSESSIONRESPONSE']._serialized_end=1982
-  _globals['_ATTACHED']._serialized_start=1984
-  _globals['_ATTACHED']._serialized_end=2017
-  _globals['_SNAPSHOT']._serialized_start=2019
-  _globals['_SNAPSHOT']._serialized_end=2043
-  _globals['_ROLLOUTPART']._serialized_start=2046
-  _globals['_ROLLOUTPART']._serialized_end=2206
-  _globals['_BATCH']._serialized_start=2209
-  _globals['_BATCH']._serialized_end=2360
-  _globals['_FAILURE']._serialized_start=2362
-  _globals['_FAILURE']._serialized_end=2402
-  _globals['_CLOSESESSIONREQUEST']._serialized_start=2404
-  _globals['_CLOSESESSIONREQUEST']._serialized_end=2445
-  _globals['_CLOSESESSIONRESPONSE']._serialized_start=2447
-  _globals['_CLOSESESSIONRESPONSE']._serialized_end=2469
-  _globals['_ENVIRONMENTSERVICE']._serialized_start=2472
-  _globals['_ENVIRONMENTSERVICE']._serialized_end=3000
+  _globals['_RUNSESSIONREQUEST']._serialized_end=1555
+  _globals['_ATTACH']._serialized_start=1557
+  _globals['_ATTACH']._serialized_end=1565
+  _globals['_SAVE']._serialized_start=1567
+  _globals['_SAVE']._serialized_end=1573
+  _globals['_RESTORE']._serialized_start=1575
+  _globals['_RESTORE']._serialized_end=1619
+  _globals['_ROLLOUT']._serialized_start=1621
+  _globals['_ROLLOUT']._serialized_end=1669
+  _globals['_POLICYROLLOUT']._serialized_start=1671
+  _globals['_POLICYROLLOUT']._serialized_end=1737
+  _globals['_RESET']._serialized_start=1739
+  _globals['_RESET']._serialized_end=1817
+  _globals['_STEP']._serialized_start=1819
+  _globals['_STEP']._serialized_end=1842
+  _globals['_RUNSESSIONRESPONSE']._serialized_start=1845
+  _globals['_RUNSESSIONRESPONSE']._serialized_end=2104
+  _globals['_ATTACHED']._serialized_start=2106
+  _globals['_ATTACHED']._serialized_end=2139
+  _globals['_SNAPSHOT']._serialized_start=2141
+  _globals['_SNAPSHOT']._serialized_end=2165
+  _globals['_ROLLOUTPART']._serialized_start=2168
+  _globals['_ROLLOUTPART']._serialized_end=2345
+  _globals['_BATCH']._serialized_start=2348
+  _globals['_BATCH']._serialized_end=2499
+  _globals['_FAILURE']._serialized_start=2501
+  _globals['_FAILURE']._serialized_end=2541
+  _globals['_CLOSESESSIONREQUEST']._serialized_start=2543
+  _globals['_CLOSESESSIONREQUEST']._serialized_end=2584
+  _globals['_CLOSESESSIONRESPONSE']._serialized_start=2586
+  _globals['_CLOSESESSIONRESPONSE']._serialized_end=2608
+  _globals['_ENVIRONMENTSERVICE']._serialized_start=2611
+  _globals['_ENVIRONMENTSERVICE']._serialized_end=3139
 # @@protoc_insertion_point(module_scope)
