@@ -146,6 +146,9 @@ fn main() -> sandgait::Result<()> {
     if let Some((seed, e)) = deepest {
         println!("deepest on the way: {:.2} of an obstacle's own depth (seed {seed})", e.share);
     }
-    println!("{through} of {} episodes passed through an obstacle (more than {THROUGH} of its own depth)", results.len());
+    println!(
+        "{through} of {} episodes passed through an obstacle (more than {THROUGH} of its own depth)",
+        results.len()
+    );
     Ok(())
 }

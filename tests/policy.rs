@@ -91,9 +91,10 @@ fn wrong_files_are_refused_in_a_line() {
     refused(b"hello, world", &["no ONNX file"]);
     refused(&vec![0; 5 << 20], &["5242880 bytes", "4 MiB"]);
     let replaced = |from: &str, to: &str| {
-        let text: Vec<u8> = SAC.windows(from.len()).position(|w| w == from.as_bytes()).map_or(Vec::new(), |at| {
-            [&SAC[..at], to.as_bytes(), &SAC[at + from.len()..]].concat()
-        });
+        let text: Vec<u8> = SAC
+            .windows(from.len())
+            .position(|w| w == from.as_bytes())
+            .map_or(Vec::new(), |at| [&SAC[..at], to.as_bytes(), &SAC[at + from.len()..]].concat());
         assert!(!text.is_empty(), "{from} is not in the file");
         text
     };

@@ -86,8 +86,8 @@ def make_sb3(id: str, num_envs: int, address: str | None = None, **options: Any)
 def export_onnx(model: Any, path: FilePath, normalize: Any = None) -> Path:
     """Writes the deterministic policy of a stable-baselines3 `model` (PPO, A2C, SAC, TD3, DDPG) to an ONNX file.
 
-    `normalize`: the VecNormalize it was trained with; its statistics and its clipping become part of the network. The file
-    is what `rollout_policy`, `evaluate` and `sandgait evaluate` take. Gives its path. Needs `sandgait[sb3]`.
+    `normalize`: the VecNormalize it was trained with; its statistics and its clipping become part of the network. The
+    file is what `rollout_policy`, `evaluate` and `sandgait evaluate` take. Gives its path. Needs `sandgait[sb3]`.
     """
     from .export import export_onnx
 

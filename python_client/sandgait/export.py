@@ -27,8 +27,9 @@ except ImportError as error:
 def export_onnx(model: BaseAlgorithm, path: FilePath, normalize: VecNormalize | None = None) -> Path:
     """Writes the deterministic policy of a PPO, A2C, SAC, TD3 or DDPG `model` to the ONNX file `path`; gives that path.
 
-    `normalize`: the VecNormalize it was trained with; its statistics as they are now and its clipping become part of the
-    network. Input: `observation`, f32 [n, observation], as the environments give them. Output: `action`, f32 [n, action].
+    `normalize`: the VecNormalize it was trained with; its statistics as they are now and its clipping become part of
+    the network. Input: `observation`, f32 [n, observation], as the environments give them. Output: `action`, f32
+    [n, action].
     """
     actor = _Actor(model, normalize).eval()
     size = model.observation_space.shape
@@ -100,7 +101,12 @@ def _mean(policy: Any) -> Callable[[Any], Any]:
         return actor_critic
     if isinstance(policy, SACPolicy):
         actor = policy.actor
-        return lambda rows: torch.tanh(actor.mu(actor.latent_pi(actor.extract_features(rows, actor.features_extractor))))
+
+        def squashed(rows: Any) -> Any:
+            features = actor.extract_features(rows, actor.features_extractor)
+            return torch.tanh(actor.mu(actor.latent_pi(features)))
+
+        return squashed
     if isinstance(policy, TD3Policy):
         return policy.actor
     raise InvalidRequest(f"model: {type(policy).__name__} is no policy of PPO, A2C, SAC, TD3 or DDPG")

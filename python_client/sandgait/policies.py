@@ -59,8 +59,9 @@ def evaluate(
 ) -> Evaluation:
     """Plays one episode for each of `seeds` unseen seeds (from 1,000,000 on) on each of `media` and `slopes` [°].
 
-    `policy`: an ONNX file that `sandgait.export_onnx` wrote, or its bytes; or "tripod:HZ", "tripod" (the best rate, searched
-    on other seeds), "clock:N,N,…" or "clock:FILE.json" (one action of `control="clock"`, held), "standing", "random".
+    `policy`: an ONNX file that `sandgait.export_onnx` wrote, or its bytes; or "tripod:HZ", "tripod" (the best rate,
+    searched on other seeds), "clock:N,N,…" or "clock:FILE.json" (one action of `control="clock"`, held), "standing",
+    "random".
     `options`: as for `gymnasium.make`. What `sandgait evaluate` computes.
     """
     request = pb.EvaluateRequest(task_id=task, seeds=seeds, media=list(media), slopes=np.asarray(list(slopes), float))

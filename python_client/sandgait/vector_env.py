@@ -224,9 +224,9 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
     def rollout_policy(self, onnx: bytes | FilePath, steps: int, trajectories: bool = False) -> Rollout:
         """Runs a policy beside the environments for `steps`, from where they are, and puts them back.
 
-        `onnx`: a file that `sandgait.export_onnx` wrote, or its bytes. One message there and one back for all the steps.
-        With `trajectories` every step's observations, rewards and actions come too. An environment's rollout ends with its
-        episode, so `steps` are at most the task's `max_episode_steps`.
+        `onnx`: a file that `sandgait.export_onnx` wrote, or its bytes. One message there and one back for all the
+        steps. With `trajectories` every step's observations, rewards and actions come too. An environment's rollout
+        ends with its episode, so `steps` are at most the task's `max_episode_steps`.
         """
         if self._in_flight:
             raise OutOfOrder("rollout_policy: a step is in flight; call recv first")

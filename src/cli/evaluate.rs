@@ -85,7 +85,8 @@ fn writable(path: &Path) -> Result<()> {
 
 fn report(about: &Value, rows: &[Row]) -> String {
     let range = |key: &str| about[key].as_array().map(|r| format!("{} to {}", r[0], r[1]));
-    let mut head = format!("{}, {}", about["policy"].as_str().unwrap_or_default(), about["task"].as_str().unwrap_or_default());
+    let mut head =
+        format!("{}, {}", about["policy"].as_str().unwrap_or_default(), about["task"].as_str().unwrap_or_default());
     head += &range("seeds").map_or(String::new(), |r| format!(", seeds {r}"));
     head += &range("search_seeds").map_or(String::new(), |r| format!("; rate searched on seeds {r}"));
     format!("{head}\n\n{}\n{}\n", super::table(&table::cells(rows)), table::notes(rows).join("\n"))

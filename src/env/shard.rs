@@ -4,8 +4,8 @@ use super::random::Random;
 use super::rollout::Rollout;
 use super::task::{Blueprint, Goal, Setup, Task, Transition};
 use crate::error::Result;
-use crate::sim::{Model, State};
 use crate::sim::engine::{Command, Engine};
+use crate::sim::{Model, State};
 use std::sync::Arc;
 
 /// One environment's episode.

@@ -66,12 +66,17 @@ fn bootstrap(episodes: &[Episode], term: fn(&Episode) -> [f64; 2], of: fn([f64; 
     let sum = |sum: [f64; 2], t: &[f64; 2]| [sum[0] + t[0], sum[1] + t[1]];
     let mean = of(terms.iter().fold([0.0; 2], sum));
     let mut random = Xoshiro256PlusPlus::seed_from_u64(SEED);
-    let mut resampled = || of((0..terms.len()).fold([0.0; 2], |s, _| sum(s, &terms[random.random_range(0..terms.len())])));
+    let mut resampled =
+        || of((0..terms.len()).fold([0.0; 2], |s, _| sum(s, &terms[random.random_range(0..terms.len())])));
     let mut values: Vec<f64> = (0..RESAMPLES).map(|_| resampled()).collect();
     // What has no value is beyond all that have: the distance was too short, the cost without bound.
     values.sort_by(|a, b| a.is_nan().cmp(&b.is_nan()).then(a.total_cmp(b)));
     let end = |share: f64| values[(share * (RESAMPLES - 1) as f64).round() as usize];
-    if mean.is_nan() { Estimate { mean, low: mean, high: mean } } else { Estimate { mean, low: end(0.025), high: end(0.975) } }
+    if mean.is_nan() {
+        Estimate { mean, low: mean, high: mean }
+    } else {
+        Estimate { mean, low: end(0.025), high: end(0.975) }
+    }
 }
 
 /// 97.5 % point of the normal distribution.
@@ -85,42 +90,4 @@ fn wilson(count: usize, of: usize) -> Estimate {
     let center = (share + z2 / (2.0 * n)) / (1.0 + z2 / n);
     let half = Z / (1.0 + z2 / n) * (share * (1.0 - share) / n + z2 / (4.0 * n * n)).sqrt();
     Estimate { mean: share, low: (center - half).max(0.0), high: (center + half).min(1.0) }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Newcombe, Stat. Med. 17:857 (1998), table I: 81 of 263, 15 of 148, 0 of 20, 1 of 29 by method 3.
-    #[test]
-    fn wilsons_interval_is_the_published_one() {
-        let published = [(81, 263, 0.2553, 0.3662), (15, 148, 0.0624, 0.1605), (0, 20, 0.0, 0.1611), (1, 29, 0.0061, 0.1718)];
-        for (count, of, low, high) in published {
-            let got = wilson(count, of);
-            assert!((got.low - low).abs() < 6e-5 && (got.high - high).abs() < 6e-5, "{count}/{of}: {got:?}");
-        }
-    }
-
-    /// Of many samples drawn from a known distribution, some 95 % have its mean in their interval.
-    #[test]
-    fn the_bootstraps_interval_covers() {
-        let mut random = Xoshiro256PlusPlus::seed_from_u64(5);
-        let covered = (0..400).filter(|_| {
-            let draw = |_| Episode { total_reward: random.random_range(0.0..1.0_f64).powi(2), ..Episode::default() };
-            let episodes: Vec<_> = (0..60).map(draw).collect();
-            let got = bootstrap(&episodes, |e| [e.total_reward, 1.0], |[sum, n]| sum / n);
-            (got.low..=got.high).contains(&(1.0 / 3.0))
-        });
-        let covered = covered.count();
-        assert!((360..=396).contains(&covered), "{covered} of 400");
-    }
-
-    #[test]
-    fn a_cost_without_distance_is_no_number() {
-        let still = Episode { work: 1.0, weight: 1.5, time: 1.0, ..Episode::default() };
-        let walks = Episode { distance: 1.0, ..still };
-        assert!(Figures::of(&[still; 4]).cost_of_transport.mean.is_nan());
-        let half = Figures::of(&[still, walks]).cost_of_transport;
-        assert!(half.mean == 4.0 / 3.0 && half.low == 2.0 / 3.0 && half.high.is_nan(), "{half:?}");
-    }
 }

@@ -37,7 +37,8 @@ impl Wanted {
             ("random", None) => Ok(Self::Random),
             ("tripod", None) => Ok(Self::Tripod(None)),
             ("tripod", Some(rate)) => {
-                let rate = rate.parse().map_err(|_| Error::invalid("tripod", format!("{rate:?} is no number of Hz")))?;
+                let rate =
+                    rate.parse().map_err(|_| Error::invalid("tripod", format!("{rate:?} is no number of Hz")))?;
                 check_range("tripod", rate, -TOP_RATE..=TOP_RATE).map(|rate| Self::Tripod(Some(rate)))
             }
             ("clock", Some(file)) if file.ends_with(".json") => {
@@ -47,7 +48,8 @@ impl Wanted {
                 numbers.map(Self::Clock).map_err(wrong)
             }
             ("clock", Some(numbers)) => {
-                let number = |n: &str| n.trim().parse().map_err(|_| Error::invalid("clock", format!("{n:?} is no number")));
+                let number =
+                    |n: &str| n.trim().parse().map_err(|_| Error::invalid("clock", format!("{n:?} is no number")));
                 numbers.split(',').map(number).collect::<Result<_>>().map(Self::Clock)
             }
             _ if text.ends_with(".onnx") => Ok(Self::Network { name: text.into(), bytes: read(text)? }),

@@ -94,7 +94,8 @@ impl Study {
         let gait = policy.gait(&base)?;
         episode::Columns::of(base.task.spec())?;
         let condition = |medium: &String, slope_deg: f64| {
-            let change = ResetOptions { medium: Some(medium.clone()), slope_deg: Some(slope_deg), ..Default::default() };
+            let change =
+                ResetOptions { medium: Some(medium.clone()), slope_deg: Some(slope_deg), ..Default::default() };
             let blueprint = Blueprint { setup: base.setup.changed(&change)?, ..base.clone() };
             Ok(Condition { medium: medium.clone(), slope_deg, blueprint, gait: gait.clone() })
         };
@@ -110,7 +111,8 @@ impl Study {
         let best = self.search(&Part::new(progress, [0.0, share]))?;
         let seeds: Vec<u64> = (FIRST_SEED..).take(self.seeds).collect();
         let jobs = self.conditions.iter().zip(&best);
-        let jobs: Vec<_> = jobs.map(|(c, (gait, _))| run::Job { blueprint: &c.blueprint, gait, seeds: &seeds }).collect();
+        let jobs: Vec<_> =
+            jobs.map(|(c, (gait, _))| run::Job { blueprint: &c.blueprint, gait, seeds: &seeds }).collect();
         let episodes = run::play(&jobs, &Part::new(progress, [share, 1.0]))?;
         let row = |((c, (_, rate)), episodes): ((&Condition, &(Gait, Option<f64>)), &Vec<_>)| Row {
             medium: c.medium.clone(),
@@ -159,7 +161,8 @@ impl Study {
             Wanted::Standing => "standing".into(),
             Wanted::Random => "random".into(),
         };
-        let search = (request.policy == Wanted::Tripod(None)).then(|| json!([SEARCH_SEEDS.start, SEARCH_SEEDS.end - 1]));
+        let search =
+            (request.policy == Wanted::Tripod(None)).then(|| json!([SEARCH_SEEDS.start, SEARCH_SEEDS.end - 1]));
         json!({
             "policy": name,
             "task": request.task,

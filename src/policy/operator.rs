@@ -21,12 +21,30 @@ impl Function {
     fn of(self, x: f32) -> f32 {
         match self {
             Self::Abs => x.abs(),
-            Self::Elu { alpha } => if x < 0.0 { alpha * x.exp_m1() } else { x },
+            Self::Elu { alpha } => {
+                if x < 0.0 {
+                    alpha * x.exp_m1()
+                } else {
+                    x
+                }
+            }
             Self::Exp => x.exp(),
-            Self::LeakyRelu { alpha } => if x < 0.0 { alpha * x } else { x },
+            Self::LeakyRelu { alpha } => {
+                if x < 0.0 {
+                    alpha * x
+                } else {
+                    x
+                }
+            }
             Self::Neg => -x,
             // max would make 0 of what is not a number.
-            Self::Relu => if x < 0.0 { 0.0 } else { x },
+            Self::Relu => {
+                if x < 0.0 {
+                    0.0
+                } else {
+                    x
+                }
+            }
             Self::Sigmoid => 1.0 / (1.0 + (-x).exp()),
             // ln(1 + eˣ) without overflow.
             Self::Softplus => x.max(0.0) + (-x.abs()).exp().ln_1p(),
@@ -55,8 +73,20 @@ impl Arithmetic {
             Self::Mul => a * b,
             Self::Div => a / b,
             // What is not a number stays so, as ONNX has it.
-            Self::Min => if b < a || b.is_nan() { b } else { a },
-            Self::Max => if b > a || b.is_nan() { b } else { a },
+            Self::Min => {
+                if b < a || b.is_nan() {
+                    b
+                } else {
+                    a
+                }
+            }
+            Self::Max => {
+                if b > a || b.is_nan() {
+                    b
+                } else {
+                    a
+                }
+            }
         }
     }
 }
@@ -71,11 +101,24 @@ pub enum Operand {
 #[derive(Clone, Debug, PartialEq)]
 pub enum Operator {
     /// x·W + b. `weights`: f32 [inputs, outputs]; `bias`: f32 [outputs].
-    Dense { input: usize, weights: Vec<f32>, bias: Vec<f32> },
-    Each { input: usize, function: Function },
+    Dense {
+        input: usize,
+        weights: Vec<f32>,
+        bias: Vec<f32>,
+    },
+    Each {
+        input: usize,
+        function: Function,
+    },
     /// Operands of one number serve for all.
-    Both { left: Operand, right: Operand, arithmetic: Arithmetic },
-    Concat { inputs: Vec<usize> },
+    Both {
+        left: Operand,
+        right: Operand,
+        arithmetic: Arithmetic,
+    },
+    Concat {
+        inputs: Vec<usize>,
+    },
 }
 
 impl Operator {

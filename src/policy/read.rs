@@ -1,11 +1,11 @@
 //! From an ONNX file to a program of checked steps. Whatever a file says, nothing here panics, and nothing is larger than
 //! the limits below.
 
+use super::MOST_BYTES;
 use super::constant::Constant;
 use super::format::{Attribute, FLOAT, Graph, Model, Node, ValueInfo};
 use super::network::{Program, Step};
 use super::operator::{Arithmetic, Function, Operand, Operator};
-use super::MOST_BYTES;
 use crate::error::{Error, Result};
 use prost::Message as _;
 use std::collections::HashMap;
@@ -19,8 +19,32 @@ const MOST_PRODUCTS: usize = 2 << 20;
 const OPSETS: std::ops::RangeInclusive<i64> = 7..=23;
 
 const OPERATORS: [&str; 26] = [
-    "Abs", "Add", "Cast", "Clip", "Concat", "Constant", "Div", "Dropout", "Elu", "Exp", "Flatten", "Gemm", "Identity",
-    "LeakyRelu", "MatMul", "Max", "Min", "Mul", "Neg", "Relu", "Reshape", "Sigmoid", "Softplus", "Sqrt", "Sub", "Tanh",
+    "Abs",
+    "Add",
+    "Cast",
+    "Clip",
+    "Concat",
+    "Constant",
+    "Div",
+    "Dropout",
+    "Elu",
+    "Exp",
+    "Flatten",
+    "Gemm",
+    "Identity",
+    "LeakyRelu",
+    "MatMul",
+    "Max",
+    "Min",
+    "Mul",
+    "Neg",
+    "Relu",
+    "Reshape",
+    "Sigmoid",
+    "Softplus",
+    "Sqrt",
+    "Sub",
+    "Tanh",
 ];
 
 fn invalid(why: impl Into<String>) -> Error {
@@ -123,7 +147,10 @@ impl<'a> Reader<'a> {
     /// What input `k` of a node stands for; none if the node has no such input.
     fn input(&self, node: &Node, k: usize) -> Result<Option<&Named>> {
         let Some(name) = node.input.get(k).filter(|name| !name.is_empty()) else { return Ok(None) };
-        self.names.get(name.as_str()).map(Some).ok_or_else(|| wrong(node, format!("reads {name:?}, which nothing before it makes")))
+        self.names
+            .get(name.as_str())
+            .map(Some)
+            .ok_or_else(|| wrong(node, format!("reads {name:?}, which nothing before it makes")))
     }
 
     /// Input `k` as a value that comes from the observation.
@@ -160,7 +187,9 @@ impl<'a> Reader<'a> {
             "Cast" => whole("to", 0) == i64::from(FLOAT),
             "Flatten" => [1, -1].contains(&whole("axis", 1)),
             "Reshape" => match self.constant(node, 1)?.map(Constant::whole).as_deref() {
-                Some([-1 | 0, width]) => *width == self.widths[value] as i64 || (*width == 0 && whole("allowzero", 0) == 0),
+                Some([-1 | 0, width]) => {
+                    *width == self.widths[value] as i64 || (*width == 0 && whole("allowzero", 0) == 0)
+                }
                 _ => false,
             },
             _ => true,
@@ -174,7 +203,9 @@ impl<'a> Reader<'a> {
         for (k, name, arithmetic) in [(1, "min", Arithmetic::Max), (2, "max", Arithmetic::Min)] {
             let given = self.constant(node, k)?;
             let bound = match given {
-                Some(constant) => Some(constant.scalar().ok_or_else(|| wrong(node, "has a bound that is not one number"))?),
+                Some(constant) => {
+                    Some(constant.scalar().ok_or_else(|| wrong(node, "has a bound that is not one number"))?)
+                }
                 None => attribute(node, name).map(|a| a.f),
             };
             let Some(bound) = bound else { continue };

@@ -57,9 +57,11 @@ async fn wrong_policies_are_refused() {
     session.reset(0).await;
     let mut undisturbed = server.session(2).await;
     undisturbed.reset(0).await;
-    for (onnx, steps, word) in
-        [(PPO, 0, "steps: 0 is outside [1, 500]"), (PPO, 501, "steps: 501"), (&PPO[..900], 5, "policy: this is no ONNX")]
-    {
+    for (onnx, steps, word) in [
+        (PPO, 0, "steps: 0 is outside [1, 500]"),
+        (PPO, 501, "steps: 501"),
+        (&PPO[..900], 5, "policy: this is no ONNX"),
+    ] {
         let failure = session.failure(Some(rollout(onnx, steps, false))).await;
         assert!(failure.message.contains(word), "{}", failure.message);
     }

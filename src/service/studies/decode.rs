@@ -8,7 +8,9 @@ use crate::sand::intrusion::Rotation;
 use crate::sand::{Law, Medium, SandDescription, Shape};
 use crate::service::proto::diagnose_request::Experiment as Source;
 use crate::service::proto::evaluate_request::Policy;
-use crate::service::proto::{DiagnoseRequest, EvaluateRequest, File, IntrudeRequest, SweepRequest, Variation, WalkRequest};
+use crate::service::proto::{
+    DiagnoseRequest, EvaluateRequest, File, IntrudeRequest, SweepRequest, Variation, WalkRequest,
+};
 use crate::service::{proto, values};
 use crate::sim::engine::EngineKind;
 use crate::sim::model::Scene;
