@@ -11,6 +11,7 @@ use sandgait::env::task::Blueprint;
 use sandgait::sim::engine::{Command, Engine, EngineKind};
 use sandgait::sim::overlap::{overlap, overlap_share};
 use sandgait::sim::state::{ObjectState, State};
+use std::f64::consts::{PI, TAU};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Poses looked at from one control step to the next: a leg's tip moves at most 4 mm in between.
@@ -50,7 +51,9 @@ fn between(a: &State, b: &State, part: f64) -> State {
     let mut pose = a.clone();
     pose.position = mix(a.position, b.position, part);
     pose.orientation = mix_turn(a.orientation, b.orientation, part);
-    pose.angles.iter_mut().zip(&b.angles).for_each(|(angle, end)| *angle += part * (end - *angle));
+    // The shorter way round: a hinge turns less than half a turn in a control step.
+    let shorter = |turn: f64| (turn + PI).rem_euclid(TAU) - PI;
+    pose.angles.iter_mut().zip(&b.angles).for_each(|(angle, end)| *angle += part * shorter(end - *angle));
     let object = |(a, b): (&ObjectState, &ObjectState)| ObjectState {
         position: mix(a.position, b.position, part),
         orientation: mix_turn(a.orientation, b.orientation, part),
