@@ -12,7 +12,7 @@ SOURCES := $(shell find src proto robots python_client build.rs Cargo.toml Cargo
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help train test test-rust test-python bench bench-peers study study-convergence study-rocks proto
+.PHONY: help train test test-rust test-python bench bench-peers study study-convergence study-rocks task-pages proto
 
 help:
 	@echo "make train   train a hexapod to walk on sand (5 minutes), results in runs/; ARGS=--help for options"
@@ -22,6 +22,7 @@ help:
 	@echo "make study   how often the diagnosis is right, on data of known cause (some 20 minutes)"
 	@echo "make study-convergence   walking speed against the time step, both engines (some 3 minutes)"
 	@echo "make study-rocks   overlaps of robot and rocks in 1,000 random episodes (some 7 minutes)"
+	@echo "make task-pages   write docs/tasks/ anew from the tasks' tables; what was measured stays"
 	@echo "make proto   generate the Python messages from proto/ anew"
 
 train: $(VENV)/sb3
@@ -86,3 +87,15 @@ $(VENV)/wheel: $(SOURCES) $(VENV)/tools
 $(VENV)/sb3 $(VENV)/plot $(VENV)/dev: $(VENV)/wheel
 	$(BIN)/pip install --quiet --constraint $(PINS) "$$(echo dist/*.whl)[$(@F)]"
 	@touch $@
+
+# A page is what the program prints, then a line "<!-- measured -->" and what was measured.
+task-pages:
+	cargo build --release
+	mkdir -p docs/tasks
+	for id in $$(target/release/sandgait tasks --json | grep -o '"sandgait/[^"]*"' | tr -d '"'); do \
+		page=docs/tasks/$${id#sandgait/}.md; \
+		touch $$page; \
+		measured=$$(sed -n '/<!-- measured -->/,$$p' $$page); \
+		{ target/release/sandgait tasks --markdown $$id; echo "$${measured:-<!-- measured -->}"; } > $$page.new; \
+		mv $$page.new $$page; \
+	done

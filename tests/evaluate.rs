@@ -153,6 +153,25 @@ fn the_best_tripod_is_searched() {
     }
 }
 
+/// Action 0 of the clock is the tripod at 2.5 Hz, by another way of driving the same motors.
+#[test]
+fn a_clock_at_0_is_a_tripod() {
+    let options = json!({"angle_noise": 0.0});
+    let (clock, tripod) =
+        (figures("clock:0,0,0,0,0,0,0,0,0,0", options.clone()), figures("tripod:2.5", options.clone()));
+    assert!((clock.speed.mean / tripod.speed.mean - 1.0).abs() < 1e-3, "{clock:?} {tripod:?}");
+    assert!((clock.cost_of_transport.mean / tripod.cost_of_transport.mean - 1.0).abs() < 1e-2);
+    let file = tempfile::NamedTempFile::with_suffix(".json").unwrap();
+    std::fs::write(file.path(), "[0, 0, 0, 0, 0, 0, 0, 0, 0, 0]").unwrap();
+    assert_eq!(figures(&format!("clock:{}", file.path().display()), options), clock);
+    let refused =
+        |policy: &str, options: Value| Study::new(&request(policy, options)).map(drop).unwrap_err().to_string();
+    assert_eq!(refused("clock:0,0,0", Value::Null), "clock: 3 numbers, an action of this task has 10");
+    assert!(refused("clock:0,0,2,0,0,0,0,0,0,0", Value::Null).starts_with("clock[2]: 2 (stance sweep"));
+    let other = refused("tripod:2", json!({"control": "torque"}));
+    assert_eq!(other, "control: this gait needs \"hip_speed\", not \"torque\"");
+}
+
 #[test]
 fn a_network_is_evaluated() {
     let got = figures("tests/data/policy_ppo.onnx", json!({"max_episode_steps": 60}));

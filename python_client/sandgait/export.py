@@ -57,6 +57,12 @@ def export_onnx(model: BaseAlgorithm, path: FilePath, normalize: VecNormalize | 
 class _Actor(torch.nn.Module):
     """From raw observations to the action that `predict(deterministic=True)` gives."""
 
+    center: torch.Tensor
+    rest: torch.Tensor
+    scale: torch.Tensor
+    low: torch.Tensor
+    high: torch.Tensor
+
     def __init__(self, model: BaseAlgorithm, normalize: VecNormalize | None) -> None:
         super().__init__()
         policy = model.policy.to("cpu")
@@ -94,7 +100,7 @@ def _mean(policy: Any) -> Callable[[Any], Any]:
     if isinstance(policy, ActorCriticPolicy):
 
         def actor_critic(rows: Any) -> Any:
-            features = policy.extract_features(rows, policy.pi_features_extractor)
+            features: Any = policy.extract_features(rows, policy.pi_features_extractor)
             action = policy.action_net(policy.mlp_extractor.forward_actor(features))
             return torch.tanh(action) if policy.squash_output else action
 

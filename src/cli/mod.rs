@@ -12,6 +12,7 @@ mod reproduce;
 mod serve;
 mod stress;
 mod sweep;
+mod task_page;
 mod tasks;
 mod walk;
 

@@ -1,5 +1,7 @@
-//! `sandgait/HexapodGait-v0`: follow a commanded forward speed on flat or sloping sand, one speed command a hip.
+//! `sandgait/HexapodGait-v0`: follow a commanded forward speed on flat or sloping sand with one joint a leg, driven in
+//! one of four ways.
 
+use super::control::{Control, Driver, TOP_SPEED};
 use super::locomotion::{self, BASE_COLUMNS, CONTROL_RATE, Weights};
 use super::random::Random;
 use super::spec::{Column, Spec};
@@ -7,17 +9,31 @@ use super::task::{Goal, Setup, Task, Transition};
 use crate::error::{Error, Result};
 use crate::sim::State;
 use crate::sim::engine::Command;
-use std::f64::consts::TAU;
-
-/// Hip speed at action 1 [rad/s]: 5 Hz, the highest stride frequency of Li et al. 2012.
-pub const TOP_SPEED: f64 = 5.0 * TAU;
+use std::f64::consts::{PI, TAU};
 
 /// Bound of the observed hip speed [rad/s]; what goes beyond is clipped.
 const HIP_SPEED: f64 = 3.0 * TOP_SPEED;
 
+const ABOUT: &str = "\
+The robot starts at rest in the alternating tripod, its joints off by up to `angle_noise`; a speed is drawn from `command`
+and holds for the episode. `control` says how the hips are driven, always within `torque_limit` and, but for `torque`, 5 Hz.
+
+With `control=\"clock\"` an action is a gait: in the share *duty factor* of a stride a leg sweeps the angle *stance sweep*
+about *stance offset* (0: tip straight down) at one speed, in the rest it goes round at another, and each leg has its phase;
+after the Buehler clock of RHex (Saranli, Buehler & Koditschek, Int. J. Robotics Research 20:616, 2001). Action 0 is the
+alternating tripod at one constant speed of 2.5 Hz. The clock is read off the servos' references, so an action may change at
+every step; common shifts of all phases do nothing. It does not walk backward.
+
+An episode terminates when the base lies on its back (`flipped`) or its centre is 15 mm under the surface (`buried`); it is
+truncated after `max_episode_steps`, or when its state can no longer be computed (`diverged`).
+
+Over a stretch of steps the cost of transport is Σ`work` / (`weight` · distance), and slip is 1 − distance / (2R Σ`hip_turn`)
+with 2R the leg's length, 4 cm for `xplorer`.";
+
 pub struct HexapodGait {
     spec: Spec,
     weights: Weights,
+    driver: Driver,
 }
 
 impl HexapodGait {
@@ -30,27 +46,30 @@ impl HexapodGait {
             return Err(Error::invalid("robot", reason));
         }
         let joints = &robot.joint_names();
+        let driver = Driver::new(options.control.unwrap_or(Control::HipSpeed), setup);
         let observation = [
             locomotion::base_columns(),
             Column::each(joints, "sine of hip angle", "1", 1.0),
             Column::each(joints, "cosine of hip angle", "1", 1.0),
             Column::each(joints, "hip speed", "rad/s", HIP_SPEED),
             Column::each(joints, "hip torque", "N·m", options.torque_limit),
-            Column::each(joints, "previous action", "1", 1.0),
+            Column::each(&driver.labels(), "previous action", "1", 1.0),
             vec![locomotion::speed_column()],
         ];
-        let info = locomotion::info_columns(&options.weights);
+        let mut info = locomotion::info_columns();
+        info.push(Column::free("hip_turn", "rad"));
         let spec = Spec {
             id: Self::ID,
-            summary: "Follow a commanded forward speed on sand; actions are hip speeds as fractions of 5 Hz.",
+            summary: format!("Follow a commanded forward speed on sand; actions are {}.", driver.summary()),
             observation: observation.concat(),
-            action: Column::each(joints, "target hip speed / 5 Hz", "1", 1.0),
-            reward_terms: options.weights.named().len(),
+            action: driver.columns(),
+            about: ABOUT,
+            reward: options.weights.terms(),
             info,
             max_episode_steps: options.max_episode_steps,
             control_rate: CONTROL_RATE,
         };
-        Ok(Self { spec, weights: options.weights })
+        Ok(Self { spec, weights: options.weights, driver })
     }
 }
 
@@ -63,10 +82,8 @@ impl Task for HexapodGait {
         locomotion::begin(setup, random)
     }
 
-    fn command(&self, action: &[f32], _state: &State, command: &mut Command) {
-        for (rate, a) in command.rates.iter_mut().zip(action) {
-            *rate = f64::from(*a) * TOP_SPEED;
-        }
+    fn command(&self, action: &[f32], state: &State, command: &mut Command) {
+        self.driver.command(action, state, command);
     }
 
     fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]) {
@@ -79,12 +96,22 @@ impl Task for HexapodGait {
             rest[joints + i] = cos as f32;
             rest[2 * joints + i] = state.rates[i] as f32;
             rest[3 * joints + i] = state.torques[i] as f32;
-            rest[4 * joints + i] = last_action[i];
         }
-        rest[5 * joints] = goal.speed as f32;
+        let (actions, speed) = rest[4 * joints..].split_at_mut(last_action.len());
+        actions.copy_from_slice(last_action);
+        speed[0] = goal.speed as f32;
     }
 
     fn judge(&self, transition: &Transition, info: &mut [f32]) -> bool {
-        locomotion::judge(&self.weights, transition, info)
+        let (turn, walk) = (info.len() - 1, ..info.len() - 1);
+        info[turn] = hip_turn(transition) as f32;
+        locomotion::judge(&self.weights, transition, &mut info[walk])
     }
+}
+
+/// By how much the hips turned in a step, on average [rad]; the distance of a wheel's tread is 2R times that.
+fn hip_turn(t: &Transition) -> f64 {
+    let turned = |(after, before): (&f64, &f64)| (after - before + PI).rem_euclid(TAU) - PI;
+    let hips = t.after.angles.iter().zip(&t.before.angles);
+    hips.map(turned).sum::<f64>() / t.after.angles.len() as f64
 }

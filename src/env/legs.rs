@@ -18,6 +18,16 @@ const JOINT_SPEED: f64 = 3.0 * TARGET_SPEED;
 /// Observed angles may pass their range by this much [rad] under load.
 const OVERSHOOT: f64 = 0.5;
 
+const ABOUT: &str = "\
+The robot starts at rest with its joints off by up to `angle_noise`; a speed is drawn from `command` and a yaw speed from
+`turn`, and both hold for the episode. Each servo's reference moves to its target within the control step, at 13 rad/s or
+less. `slope_deg` tilts the sand.
+
+An episode terminates when the base lies on its back (`flipped`) or its centre is 15 mm under the surface (`buried`); it is
+truncated after `max_episode_steps`, or when its state can no longer be computed (`diverged`).
+
+Over a stretch of steps the cost of transport is Σ`work` / (`weight` · distance).";
+
 pub struct HexapodLegs {
     spec: Spec,
     weights: Weights,
@@ -49,13 +59,15 @@ impl HexapodLegs {
             Column::each(joints, "previous action", "1", 1.0),
             vec![locomotion::speed_column(), Column::new("commanded yaw speed", "rad/s", -MAX_TURN, MAX_TURN)],
         ];
-        let info = locomotion::info_columns(&options.weights);
+        let info = locomotion::info_columns();
         let spec = Spec {
             id: Self::ID,
-            summary: "Follow commanded forward and yaw speeds with three joints a leg; actions are target angles over each joint's range.",
+            summary: "Follow commanded forward and yaw speeds with three joints a leg; actions are target angles over each joint's range."
+                .into(),
             observation: observation.concat(),
             action: Column::each(joints, "target angle over the joint's range", "1", 1.0),
-            reward_terms: options.weights.named().len(),
+            about: ABOUT,
+            reward: options.weights.terms(),
             info,
             max_episode_steps: options.max_episode_steps,
             control_rate: CONTROL_RATE,

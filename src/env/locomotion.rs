@@ -2,10 +2,11 @@
 
 use super::options::{MAX_COMMAND, TaskOptions};
 use super::random::Random;
-use super::spec::Column;
+use super::spec::{Column, Term};
 use super::task::{Goal, Setup, Transition};
 use crate::error::{Result, check_range};
 use crate::sim::State;
+use crate::sim::model::GRAVITY;
 use serde::{Deserialize, Serialize};
 
 /// Control steps a second: 50, usual for legged robots of this size.
@@ -23,21 +24,26 @@ const BASE_TURN: f64 = 100.0; // [rad/s]
 pub const BASE_COLUMNS: usize = 9;
 
 /// Weight of each reward term; all terms are of order 1 a step before weighting. Our choice: tracking dominates, the
-/// others only break ties between gaits of the same speed.
+/// others only break ties between gaits of the same speed. What each term is stands in [`Weights::terms`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Weights {
-    /// exp(−((v − v_cmd)/0.1 m/s)²), v the base's mean forward speed over the control step.
     pub tracking: f64,
-    /// −(lateral speed / 0.1 m/s)², at least −1.
     pub lateral: f64,
-    /// −((ω_z − ω_cmd) / 1 rad/s)², at least −1.
     pub turning: f64,
-    /// −mechanical power / 1 W, at least −1.
     pub power: f64,
-    /// −mean squared change of action.
     pub smoothness: f64,
 }
+
+/// Name and law of each term, in the order of [`Weights`]; v, ω_z: the base's mean velocity over the step and its yaw
+/// speed after it.
+const TERMS: [(&str, &str); 5] = [
+    ("tracking", "exp(−((v_x − commanded speed) / 0.1 m/s)²)"),
+    ("lateral", "−(v_y / 0.1 m/s)², at least −1"),
+    ("turning", "−((ω_z − commanded yaw speed) / 1 rad/s)², at least −1"),
+    ("power", "−mechanical power Σ|τ ω| / 1 W, at least −1"),
+    ("smoothness", "−mean squared change of the action"),
+];
 
 impl Default for Weights {
     fn default() -> Self {
@@ -46,19 +52,19 @@ impl Default for Weights {
 }
 
 impl Weights {
-    /// Name and value, in the order of the info columns.
-    pub fn named(&self) -> [(&'static str, f64); 5] {
-        [
-            ("tracking", self.tracking),
-            ("lateral", self.lateral),
-            ("turning", self.turning),
-            ("power", self.power),
-            ("smoothness", self.smoothness),
-        ]
+    /// In the order of the info columns.
+    fn values(&self) -> [f64; TERMS.len()] {
+        [self.tracking, self.lateral, self.turning, self.power, self.smoothness]
+    }
+
+    /// The reward's terms, in the order of the info columns.
+    pub fn terms(&self) -> Vec<Term> {
+        TERMS.iter().zip(self.values()).map(|((name, law), weight)| Term { name, law, weight }).collect()
     }
 
     pub fn validate(&self) -> Result<()> {
-        self.named().iter().try_for_each(|(name, w)| check_range(&format!("weights.{name}"), *w, 0.0..=1e3).map(drop))
+        let mut terms = self.terms().into_iter();
+        terms.try_for_each(|t| check_range(&format!("weights.{}", t.name), t.weight, 0.0..=1e3).map(drop))
     }
 }
 
@@ -86,12 +92,13 @@ pub fn speed_column() -> Column {
 }
 
 /// Weighted reward terms, then figures of the step.
-pub fn info_columns(weights: &Weights) -> Vec<Column> {
-    let terms = weights.named().map(|(name, _)| Column::free(format!("reward_{name}"), "1"));
+pub fn info_columns() -> Vec<Column> {
+    let terms = TERMS.map(|(name, _)| Column::free(format!("reward_{name}"), "1"));
     let figures = [
         Column::free("speed", "m/s"),
         Column::free("commanded_speed", "m/s"),
         Column::new("work", "J", 0.0, f64::INFINITY),
+        Column::new("weight", "N", 0.0, f64::INFINITY),
         Column::new("flipped", "1", 0.0, 1.0),
         Column::new("buried", "1", 0.0, 1.0),
         Column::new("diverged", "1", 0.0, 1.0),
@@ -126,12 +133,13 @@ pub fn judge(weights: &Weights, t: &Transition, info: &mut [f32]) -> bool {
     let (flipped, buried) = (up < 0.0, t.after.position[2] < BURIED);
     let flag = |b: bool| f32::from(u8::from(b));
     let (rewards, figures) = info.split_at_mut(terms.len());
-    let weighted = terms.iter().zip(weights.named());
-    rewards.iter_mut().zip(weighted).for_each(|(out, (term, (_, w)))| *out = (term * w) as f32);
+    let weighted = terms.iter().zip(weights.values());
+    rewards.iter_mut().zip(weighted).for_each(|(out, (term, w))| *out = (term * w) as f32);
     figures.copy_from_slice(&[
         speed as f32,
         t.goal.speed as f32,
         work as f32,
+        (t.model.total_mass() * GRAVITY) as f32,
         flag(flipped),
         flag(buried),
         flag(t.diverged),

@@ -5,10 +5,13 @@
 //! * [`spec`]: observation, action and info tables; they generate vectors, replies, Python spaces and docs.
 //! * [`task`]: the trait a task implements, and the registry.
 //! * [`locomotion`]: what walking tasks share; [`gait`]: the task HexapodGait, [`legs`]: HexapodLegs, [`rocks`]: HexapodRocks.
+//! * [`control`]: ways of driving hips; [`clock`]: the one that is a gait as parameters.
 //! * [`shard`]: environments that advance together on one engine; reset, step, autoreset.
 //! * [`snapshot`]: episodes as data; [`rollout`]: many steps with actions that are known beforehand.
 //! * [`random`]: the stream of random numbers of an episode.
 
+pub mod clock;
+pub mod control;
 pub mod gait;
 pub mod legs;
 pub mod locomotion;

@@ -1,5 +1,6 @@
 //! Keywords of a task: what `gymnasium.make` takes. Unknown ones are refused; defaults stand here and nowhere else.
 
+use super::control::Control;
 use super::rocks::RockOptions;
 use crate::error::{Error, Result, check_range};
 use crate::sand::{Law, Medium, SandDescription};
@@ -46,6 +47,8 @@ pub struct TaskOptions {
     /// Extra mass at the base's centre [kg].
     pub payload: f64,
     pub max_episode_steps: u32,
+    /// How hips are driven; only for tasks with one joint a leg.
+    pub control: Option<Control>,
     /// Rocks and steps, drawn at every reset; only for the task that has some.
     pub rocks: Option<RockOptions>,
 }
@@ -68,6 +71,7 @@ impl Default for TaskOptions {
             slope_deg: 0.0,
             payload: 0.0,
             max_episode_steps: 500,
+            control: None,
             rocks: None,
         }
     }
@@ -90,6 +94,13 @@ impl ResetOptions {
     /// Names of the keywords, for tables.
     pub const NAMES: [&'static str; 7] = ["leg", "medium", "slope_deg", "payload", "command", "turn", "rocks"];
 
+    /// Names of those that are given.
+    pub fn given(&self) -> Vec<String> {
+        let all = serde_json::to_value(self).unwrap_or_default(); // plain data: serialising it cannot fail
+        let given = all.as_object().into_iter().flatten().filter(|(_, value)| !value.is_null());
+        given.map(|(name, _)| name.clone()).collect()
+    }
+
     /// Everything of `options` that a reset may change.
     pub fn all_of(options: &TaskOptions) -> Self {
         let TaskOptions { leg, medium, slope_deg, payload, command, turn, rocks, .. } = options.clone();
@@ -106,7 +117,7 @@ impl ResetOptions {
 }
 
 /// What each keyword means, in the order of [`TaskOptions`].
-pub const OPTION_HELP: [(&str, &str); 16] = [
+pub const OPTION_HELP: [(&str, &str); 17] = [
     ("robot", "built-in robot"),
     ("engine", "engine that integrates the motion"),
     ("law", "resistive force law: li2013, penetration-drag-1d or agarwal2023"),
@@ -122,6 +133,7 @@ pub const OPTION_HELP: [(&str, &str); 16] = [
     ("slope_deg", "surface rises toward +x [°]"),
     ("payload", "extra mass at the base's centre [kg]"),
     ("max_episode_steps", "control steps until an episode is truncated"),
+    ("control", "what an action is: hip_speed, hip_target, torque or clock"),
     (
         "rocks",
         "obstacles of an episode: count, ranges [low, high] of size and step_height [m], dynamic_fraction, density [kg/m³], friction, field [length, width] [m]",
@@ -147,8 +159,9 @@ pub fn parse<T: DeserializeOwned>(keywords: Value) -> Result<T> {
 }
 
 impl TaskOptions {
-    /// The defaults `self` with the keywords in `given` (a JSON object, or null for none).
-    pub fn with(&self, given: Value) -> Result<Self> {
+    /// The defaults `self` with the keywords in `given` (a JSON object, or null for none); `check` refuses
+    /// names that the task does not have.
+    pub fn with(&self, given: Value, check: impl Fn(&str) -> Result<()>) -> Result<Self> {
         let mut all = serde_json::to_value(self).map_err(|e| Error::invalid("options", e.to_string()))?;
         let given = match given {
             Value::Object(given) => given,
@@ -156,9 +169,8 @@ impl TaskOptions {
             _ => return Err(Error::invalid("options", "not an object of keywords")),
         };
         for (name, value) in given {
-            let known = OPTION_HELP.map(|(name, _)| name);
-            let slot = all.get_mut(&name).ok_or_else(|| Error::unknown("option", &name, &known))?;
-            *slot = value;
+            check(&name)?;
+            all[name] = value;
         }
         parse(all)
     }
@@ -193,6 +205,9 @@ impl TaskOptions {
         }
         let mut robot = Robot::load(&self.robot)?.with_leg_shape(&self.leg)?;
         robot.servo.torque_limit = Some(check_range("torque_limit", self.torque_limit, 1e-4..=1e3)?);
+        if self.control == Some(Control::Torque) {
+            (robot.servo.kp, robot.servo.kd) = (0.0, 0.0);
+        }
         let mut scene = Scene::flat(Medium::named(&self.medium)?);
         (scene.law, scene.slope_deg, scene.dt, scene.payload) = (self.law, self.slope_deg, self.dt, self.payload);
         if !self.sand.is_empty() {

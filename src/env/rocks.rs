@@ -140,6 +140,11 @@ fn rock(radius: f64, random: &mut Random) -> Shape {
     Shape::Hull { points }
 }
 
+const ABOUT: &str = "\
+HexapodGait on a field of obstacles that is drawn anew for every episode: rocks that are fixed in the sand, steps, and loose
+rocks that the robot pushes and the sand holds. The observation ends with a scan of heights around the base. Rigid contacts
+are rapier's; see HexapodGait-v0 for `control`, for how episodes end, and for the cost of transport.";
+
 /// The task; what it shares with HexapodGait is that task's own.
 pub struct HexapodRocks {
     gait: HexapodGait,
@@ -157,8 +162,8 @@ impl HexapodRocks {
         let gait = HexapodGait::new(setup)?;
         let mut spec = gait.spec().clone();
         spec.id = Self::ID;
-        spec.summary =
-            "Follow a commanded forward speed among rocks and steps; actions are hip speeds as fractions of 5 Hz.";
+        spec.about = ABOUT;
+        spec.summary = spec.summary.replace("on sand", "among rocks and steps");
         let scan = scan_points().map(|[x, y]| {
             let name =
                 format!("height of what lies {} cm ahead and {} cm to the left", (x * 1e2) as i32, (y * 1e2) as i32);

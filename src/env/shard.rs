@@ -188,6 +188,7 @@ impl Shard {
         let row = &mut self.rows.infos[i * info..][..info];
         let terminated = self.task.judge(
             &Transition {
+                model: episode.goal.model.as_ref().unwrap_or(&episode.setup.model),
                 goal: &episode.goal,
                 before: &episode.before,
                 after: &episode.after,
@@ -200,7 +201,7 @@ impl Shard {
         );
         let truncated = diverged || (!terminated && episode.steps >= spec.max_episode_steps);
         episode.last_action.copy_from_slice(action);
-        self.rows.rewards[i] = row[..spec.reward_terms].iter().sum();
+        self.rows.rewards[i] = row[..spec.reward.len()].iter().sum();
         self.rows.terminated[i] = u8::from(terminated);
         self.rows.truncated[i] = u8::from(truncated);
         let observation = &mut self.rows.observations[i * wide..][..wide];

@@ -42,18 +42,30 @@ impl Column {
     }
 }
 
+/// One term of the reward.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Term {
+    pub name: &'static str,
+    /// What it is before it is weighted.
+    pub law: &'static str,
+    /// Its weight, where that is an option.
+    pub weight: f64,
+}
+
 /// Everything about a task's rows that does not change while it runs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Spec {
     /// For example `sandgait/HexapodGait-v0`.
     pub id: &'static str,
-    pub summary: &'static str,
+    pub summary: String,
+    /// For the task's page, in Markdown: what an episode is, how it ends, what its figures are good for.
+    pub about: &'static str,
     pub observation: Vec<Column>,
     pub action: Vec<Column>,
     /// Reward terms, weighted, then other figures of the step.
     pub info: Vec<Column>,
-    /// How many leading info columns are reward terms; the reward is their sum.
-    pub reward_terms: usize,
+    /// What the leading info columns are; the reward is their sum.
+    pub reward: Vec<Term>,
     pub max_episode_steps: u32,
     /// Control steps a second of simulated time.
     pub control_rate: f64,

@@ -1,8 +1,9 @@
 //! What a task is, and which there are.
 
+use super::control::Control;
 use super::gait::HexapodGait;
 use super::legs::HexapodLegs;
-use super::options::{ResetOptions, TaskOptions};
+use super::options::{OPTION_HELP, ResetOptions, TaskOptions};
 use super::random::Random;
 use super::rocks::{HexapodRocks, RockOptions};
 use super::spec::Spec;
@@ -26,24 +27,33 @@ pub struct Goal {
 /// What one environment may have been told by a reset: its own options and the model they make.
 #[derive(Clone)]
 pub struct Setup {
+    kind: &'static Kind,
     pub options: TaskOptions,
     pub model: Arc<Model>,
 }
 
 impl Setup {
-    pub fn new(options: TaskOptions) -> Result<Self> {
+    fn new(kind: &'static Kind, options: TaskOptions) -> Result<Self> {
         let model = Arc::new(options.model()?);
-        Ok(Self { options, model })
+        Ok(Self { kind, options, model })
+    }
+
+    /// The same task with all of `options`.
+    pub fn with(&self, options: TaskOptions) -> Result<Self> {
+        Self::new(self.kind, options)
     }
 
     /// This setup with a reset's changes.
     pub fn changed(&self, reset: &ResetOptions) -> Result<Self> {
-        Self::new(self.options.changed(reset))
+        reset.given().iter().try_for_each(|name| self.kind.check(name))?;
+        self.with(self.options.changed(reset))
     }
 }
 
 /// One control step as a task judges it.
 pub struct Transition<'a> {
+    /// What the episode is simulated with.
+    pub model: &'a Model,
     pub goal: &'a Goal,
     pub before: &'a State,
     pub after: &'a State,
@@ -84,37 +94,120 @@ pub struct Blueprint {
 /// States, options and bookkeeping of an episode [bytes], and its share of the messages in flight; measured.
 const EPISODE_BYTES: usize = 2_000;
 
+/// A task before it has options.
+struct Kind {
+    id: &'static str,
+    /// Keywords that it takes beyond [`COMMON`].
+    keywords: &'static [&'static str],
+    defaults: fn() -> TaskOptions,
+    make: fn(&Setup) -> Result<Arc<dyn Task>>,
+}
+
+/// Keywords of every task.
+const COMMON: [&str; 3] = ["law", "dt", "max_episode_steps"];
+
+/// Keywords of every robot that walks, beyond [`COMMON`].
+macro_rules! walking {
+    ($($own:literal),*) => {
+        &["robot", "engine", "torque_limit", "command", "turn", "angle_noise", "weights", "leg", "medium", "sand",
+          "slope_deg", "payload", $($own),*]
+    };
+}
+
+const KINDS: [Kind; 3] = [
+    Kind {
+        id: HexapodGait::ID,
+        keywords: walking!("control"),
+        defaults: || TaskOptions { control: Some(Control::HipSpeed), ..Default::default() },
+        make: |setup| Ok(Arc::new(HexapodGait::new(setup)?)),
+    },
+    Kind {
+        id: HexapodLegs::ID,
+        keywords: walking!(),
+        defaults: || TaskOptions { robot: "xplorer18".into(), leg: "flat".into(), ..Default::default() },
+        make: |setup| Ok(Arc::new(HexapodLegs::new(setup)?)),
+    },
+    Kind {
+        id: HexapodRocks::ID,
+        keywords: walking!("control", "rocks"),
+        defaults: || TaskOptions {
+            engine: EngineKind::Rapier,
+            control: Some(Control::HipSpeed),
+            rocks: Some(RockOptions::default()),
+            ..Default::default()
+        },
+        make: |setup| Ok(Arc::new(HexapodRocks::new(setup)?)),
+    },
+];
+
+impl Kind {
+    fn has(&self, keyword: &str) -> bool {
+        COMMON.contains(&keyword) || self.keywords.contains(&keyword)
+    }
+
+    /// Refuses a keyword that the task does not take.
+    fn check(&self, keyword: &str) -> Result<()> {
+        if self.has(keyword) {
+            return Ok(());
+        }
+        let others: Vec<_> = KINDS.iter().filter(|k| k.has(keyword)).map(|k| k.id).collect();
+        if others.is_empty() {
+            let known: Vec<_> = OPTION_HELP.iter().map(|(name, _)| *name).filter(|name| self.has(name)).collect();
+            return Err(Error::unknown("option", keyword, &known));
+        }
+        Err(Error::invalid(keyword, format!("{} has no such option; {} has", self.id, others.join(", "))))
+    }
+}
+
+/// One keyword of a task, for tables.
+pub struct Keyword {
+    pub name: &'static str,
+    pub summary: &'static str,
+    /// What it is in this session.
+    pub value: Value,
+    /// May a reset change it?
+    pub at_reset: bool,
+}
+
 /// Ids of all tasks.
-pub const TASK_IDS: [&str; 3] = [HexapodGait::ID, HexapodLegs::ID, HexapodRocks::ID];
+pub const TASK_IDS: [&str; KINDS.len()] = {
+    let mut ids = [""; KINDS.len()];
+    let mut i = 0;
+    while i < ids.len() {
+        ids[i] = KINDS[i].id;
+        i += 1;
+    }
+    ids
+};
 
 impl Blueprint {
     /// Task `id` with the keywords in `options` (a JSON object; null for defaults).
     pub fn new(id: &str, options: Value) -> Result<Self> {
-        let defaults = match id {
-            HexapodGait::ID => TaskOptions::default(),
-            HexapodLegs::ID => TaskOptions { robot: "xplorer18".into(), leg: "flat".into(), ..Default::default() },
-            HexapodRocks::ID => {
-                TaskOptions { engine: EngineKind::Rapier, rocks: Some(RockOptions::default()), ..Default::default() }
-            }
-            _ => return Err(Error::unknown("task", id, &TASK_IDS)),
-        };
-        let options = defaults.with(options)?;
-        if id != HexapodRocks::ID && options.rocks.is_some() {
-            return Err(Error::invalid("rocks", format!("{id} has none; {} does", HexapodRocks::ID)));
-        }
+        let kind = KINDS.iter().find(|k| k.id == id).ok_or_else(|| Error::unknown("task", id, &TASK_IDS))?;
+        let options = (kind.defaults)().with(options, |name| kind.check(name))?;
         let engine = options.engine;
-        let setup = Setup::new(options)?;
-        let task: Arc<dyn Task> = match id {
-            HexapodLegs::ID => Arc::new(HexapodLegs::new(&setup)?),
-            HexapodRocks::ID => Arc::new(HexapodRocks::new(&setup)?),
-            _ => Arc::new(HexapodGait::new(&setup)?),
-        };
+        let setup = Setup::new(kind, options)?;
+        let task = (kind.make)(&setup)?;
         let period = 1.0 / task.spec().control_rate;
         let (dt, steps) = (setup.options.dt, period / setup.options.dt);
         if (steps - steps.round()).abs() > 1e-6 * steps {
             return Err(Error::invalid("dt", format!("{dt} does not divide the control period {period} s")));
         }
         Ok(Self { task, engine, setup })
+    }
+
+    /// The keywords that this task takes, with the values they have here.
+    pub fn keywords(&self) -> Vec<Keyword> {
+        // Plain data: serialising it cannot fail, and a missing value would only be shown as null.
+        let values = serde_json::to_value(&self.setup.options).unwrap_or_default();
+        let own = OPTION_HELP.iter().filter(|(name, _)| self.setup.kind.has(name));
+        let keyword = |(name, summary): &(&'static str, &'static str)| Keyword {
+            name,
+            summary,
+            value: values[*name].clone(),
+            at_reset: ResetOptions::NAMES.contains(name),
+        };
+        own.map(keyword).collect()
     }
 
     /// Memory that one environment takes [bytes], roughly: rows twice (final observations), its episode, its robot.

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use std::sync::Arc;
 
 /// Stride frequency at action 1 of a hip that is driven by its speed [Hz].
-const TOP_RATE: f64 = crate::env::gait::TOP_SPEED / std::f64::consts::TAU;
+const TOP_RATE: f64 = crate::env::control::TOP_SPEED / std::f64::consts::TAU;
 
 /// What the command line calls a gait, before it has met its task.
 #[derive(Clone, Debug, PartialEq)]
@@ -60,8 +60,9 @@ impl Wanted {
     /// The way of driving that it needs, if it needs one.
     fn control(&self) -> Option<&'static str> {
         match self {
+            Self::Tripod(_) | Self::Standing => Some("hip_speed"),
             Self::Clock(_) => Some("clock"),
-            _ => None,
+            Self::Network { .. } | Self::Random => None,
         }
     }
 

@@ -123,6 +123,6 @@ impl Batch {
         if mine.changed(&ResetOptions::all_of(options)) != *options {
             return Err(broken("it was taken with options that this session does not have and a reset cannot change"));
         }
-        Setup::new(options.clone())
+        self.setup().with(options.clone())
     }
 }

@@ -3,11 +3,10 @@
 use super::proto;
 use super::sessions::Summary;
 use super::values;
-use crate::env::options::OPTION_HELP;
 use crate::env::rollout::{Recorded, Rollout};
 use crate::env::shard::Rows;
-use crate::env::task::Blueprint;
-use crate::env::{Column, ResetOptions, Spec, TaskOptions};
+use crate::env::task::{Blueprint, Keyword};
+use crate::env::{Column, Spec};
 use crate::pool::Batch;
 use bytes::Bytes;
 
@@ -84,18 +83,18 @@ fn final_indices(batch: &Batch) -> Bytes {
 
 /// A task's tables, its options with the values they have in `blueprint`.
 pub fn task(blueprint: &Blueprint) -> proto::Task {
-    let Spec { id, summary, observation, action, info, reward_terms, max_episode_steps, control_rate } =
+    let Spec { id, summary, observation, action, info, reward, max_episode_steps, control_rate, .. } =
         blueprint.task.spec();
     proto::Task {
         id: (*id).into(),
-        summary: (*summary).into(),
+        summary: summary.clone(),
         observation: columns(observation),
         action: columns(action),
         info: columns(info),
-        reward_terms: *reward_terms as u32,
+        reward_terms: reward.len() as u32,
         max_episode_steps: *max_episode_steps,
         control_rate: *control_rate,
-        options: options(&blueprint.setup.options),
+        options: blueprint.keywords().into_iter().map(option).collect(),
     }
 }
 
@@ -104,16 +103,13 @@ fn columns(table: &[Column]) -> Vec<proto::Column> {
     table.iter().map(column).collect()
 }
 
-fn options(options: &TaskOptions) -> Vec<proto::Option> {
-    // Plain data: serialising it cannot fail, and a missing default would only be shown as null.
-    let values = serde_json::to_value(options).unwrap_or_default();
-    let option = |(name, summary): &(&str, &str)| proto::Option {
-        name: (*name).into(),
-        summary: (*summary).into(),
-        default_value: Some(values::from_json(&values[*name])),
-        at_reset: ResetOptions::NAMES.contains(name),
-    };
-    OPTION_HELP.iter().map(option).collect()
+fn option(keyword: Keyword) -> proto::Option {
+    proto::Option {
+        name: keyword.name.into(),
+        summary: keyword.summary.into(),
+        default_value: Some(values::from_json(&keyword.value)),
+        at_reset: keyword.at_reset,
+    }
 }
 
 /// A session for lists and logs.

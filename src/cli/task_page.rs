@@ -1,0 +1,73 @@
+//! The page of a task: its tables as Markdown, made from the data that make its rows.
+
+use sandgait::Result;
+use sandgait::env::control::Control;
+use sandgait::env::spec::Term;
+use sandgait::env::task::{Blueprint, Keyword};
+use sandgait::env::{Column, Spec};
+use serde_json::{Value, json};
+
+/// Everything about task `id` with its default options.
+pub fn page(id: &str) -> Result<String> {
+    let task = Blueprint::new(id, Value::Null)?;
+    let keywords = task.keywords();
+    let Spec { summary, about, observation, info, reward, max_episode_steps, control_rate, .. } = task.task.spec();
+    let (terms, figures) = info.split_at(reward.len());
+    let actions = if keywords.iter().any(|k| k.name == "control") {
+        Control::NAMES.iter().map(|name| action(id, Some(name))).collect::<Result<String>>()?
+    } else {
+        action(id, None)?
+    };
+    Ok(format!(
+        "# {id}\n\n{summary}\n\n{about}\n\n{control_rate} control steps a second, at most {max_episode_steps} an episode. \
+         This part of the page is what `sandgait tasks --markdown {id}` prints.\n\n\
+         ## Actions\n{actions}\n\
+         ## Reward\n\nThe sum of the weighted terms; each is a column of `info`.\n\n{}\n\
+         ## Figures in `info`\n\n{}\n\
+         ## Observation\n\n{}\n\
+         ## Options\n\nKeywords of `gymnasium.make`; some also of `reset(options=…)`.\n\n{}",
+        rows(&["column", "term", "weight"], terms.iter().zip(reward).map(term)),
+        rows(&["column", "unit", "range"], figures.iter().map(|c| vec![code(&c.name), c.unit.into(), range(c)])),
+        columns(observation),
+        rows(&["option", "default", "at", "meaning"], keywords.iter().map(option)),
+    ))
+}
+
+/// The action's table, of one way of driving where there are several.
+fn action(id: &str, control: Option<&str>) -> Result<String> {
+    let options = control.map_or(Value::Null, |control| json!({"control": control}));
+    let task = Blueprint::new(id, options)?;
+    let title = control.map_or(String::new(), |control| format!("\n`control=\"{control}\"`\n"));
+    Ok(format!("{title}\n{}", columns(&task.task.spec().action)))
+}
+
+fn term((column, term): (&Column, &Term)) -> Vec<String> {
+    vec![code(&column.name), term.law.into(), format!("{}", term.weight)]
+}
+
+fn option(k: &Keyword) -> Vec<String> {
+    let when = if k.at_reset { "make, reset" } else { "make" };
+    vec![code(k.name), code(&k.value.to_string()), when.into(), k.summary.into()]
+}
+
+fn columns(table: &[Column]) -> String {
+    let row = |(i, c): (usize, &Column)| vec![i.to_string(), c.name.clone(), c.unit.into(), range(c)];
+    rows(&["", "name", "unit", "range"], table.iter().enumerate().map(row))
+}
+
+fn code(text: &str) -> String {
+    format!("`{text}`")
+}
+
+fn range(c: &Column) -> String {
+    let bound =
+        |x: f64| if x.is_finite() { format!("{x}") } else { format!("{}∞", if x < 0.0 { "−" } else { "" }) };
+    format!("{} … {}", bound(c.low), bound(c.high))
+}
+
+/// A table with a head.
+fn rows(head: &[&str], body: impl Iterator<Item = Vec<String>>) -> String {
+    let line = |cells: Vec<String>| format!("| {} |\n", cells.join(" | "));
+    let rule = format!("|{}\n", "---|".repeat(head.len()));
+    line(head.iter().map(|h| (*h).to_owned()).collect()) + &rule + &body.map(line).collect::<String>()
+}

@@ -1,0 +1,97 @@
+"""What every task keeps to, whatever it is about: both libraries' checks, equal seeds, snapshots."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+import pytest
+from gymnasium.utils.env_checker import check_env
+from stable_baselines3.common.env_checker import check_env as sb3_check_env
+
+import sandgait
+
+GAIT = "sandgait/HexapodGait-v0"
+
+#: Every task, and every way of driving it.
+TASKS: list[tuple[str, dict[str, Any]]] = [
+    *((task, {}) for task in sandgait.TASKS),
+    *((GAIT, {"control": control}) for control in ("hip_target", "torque", "clock")),
+    ("sandgait/HexapodLegs-v0", {"turn": [-0.5, 0.5], "slope_deg": 5}),
+]
+
+every_task = pytest.mark.parametrize(("task", "options"), TASKS)
+
+
+@every_task
+def test_both_check_envs_find_nothing(task: str, options: dict[str, Any]) -> None:
+    """Warnings are errors here: see pyproject.toml."""
+    env = gymnasium.make(task, **options)
+    check_env(env.unwrapped)
+    sb3_check_env(env.unwrapped)
+    env.close()
+
+
+def history(task: str, envs: int, options: dict[str, Any]) -> list[npt.NDArray[np.float32]]:
+    """Rows of 60 steps; the same actions in every environment."""
+    env = sandgait.SandgaitVectorEnv(task, envs, max_episode_steps=25, **options)
+    actions = np.random.default_rng(1).uniform(-1, 1, (60, len(env.task.action))).astype(np.float32)
+    rows = [env.reset(seed=3)[0]]
+    for action in actions:
+        observations, rewards, *_ = env.step(np.tile(action, (envs, 1)))
+        rows += [observations, rewards.astype(np.float32)]
+    env.close()
+    return rows
+
+
+@every_task
+def test_equal_seeds_give_equal_bits(task: str, options: dict[str, Any]) -> None:
+    """Alone or beside others, over ends of episodes."""
+    first, again, alone = history(task, 3, options), history(task, 3, options), history(task, 1, options)
+    for a, b, c in zip(first, again, alone, strict=True):
+        assert np.array_equal(a, b)
+        assert np.array_equal(a[:1], c)
+
+
+@every_task
+def test_a_snapshot_goes_on_with_the_same_bits(task: str, options: dict[str, Any]) -> None:
+    env = sandgait.SandgaitVectorEnv(task, 2, max_episode_steps=20, **options)
+    env.reset(seed=5)
+    env.action_space.seed(0)
+    actions = [env.action_space.sample() for _ in range(40)]
+    for action in actions[:10]:
+        env.step(action)
+    snapshot = env.save()
+    first = [env.step(action)[0] for action in actions[10:]]
+    env.restore(snapshot)
+    again = [env.step(action)[0] for action in actions[10:]]
+    assert np.array_equal(first, again)
+    env.close()
+
+
+def test_the_clock_walks_without_a_policy() -> None:
+    """Action 0 is the alternating tripod at 2.5 Hz; cost of transport and slip come from `info`."""
+    env = sandgait.SandgaitEnv(GAIT, control="clock")
+    env.reset(seed=0)
+    infos = [env.step(np.zeros(10, np.float32))[4] for _ in range(200)]
+    total = {name: sum(info[name] for info in infos) for name in ("work", "speed", "hip_turn")}
+    distance = total["speed"] / env.task.control_rate
+    assert total["hip_turn"] == pytest.approx(4 * 2.5 * 2 * np.pi, rel=0.02)
+    assert 0.2 < distance / 4 < 0.6
+    assert 0.0 < 1 - distance / (0.04 * total["hip_turn"]) < 1.0, "slip"
+    assert infos[0]["weight"] == pytest.approx(0.15 * 9.80665, rel=1e-5)
+    assert 0.1 < total["work"] / (infos[0]["weight"] * distance) < 10.0, "cost of transport"
+    env.close()
+
+
+def test_wrong_options_are_refused_by_name() -> None:
+    with pytest.raises(sandgait.InvalidRequest, match="control: unknown variant `magic`"):
+        sandgait.SandgaitEnv(GAIT, control="magic")
+    with pytest.raises(sandgait.InvalidRequest, match="control: sandgait/HexapodLegs-v0 has no such option"):
+        sandgait.SandgaitEnv("sandgait/HexapodLegs-v0", control="clock")
+    env = sandgait.SandgaitEnv(GAIT)
+    with pytest.raises(sandgait.InvalidRequest, match="rocks: sandgait/HexapodGait-v0 has no such option"):
+        env.reset(options={"rocks": {"count": 2}})
+    env.close()

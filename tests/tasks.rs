@@ -1,0 +1,227 @@
+//! What every task keeps to: left and right are alike, and its page is what its code says.
+
+use sandgait::env::Column;
+use sandgait::env::random::Random;
+use sandgait::env::task::{Blueprint, Goal, Transition};
+use sandgait::number::Isa;
+use sandgait::sim::engine::Command;
+use sandgait::sim::lanes::LanesEngine;
+use sandgait::sim::{Model, State};
+use serde_json::{Value, json};
+
+const GAIT: &str = "sandgait/HexapodGait-v0";
+const LEGS: &str = "sandgait/HexapodLegs-v0";
+
+fn blueprint(id: &str, options: Value) -> Blueprint {
+    Blueprint::new(id, options).unwrap()
+}
+
+fn refused(id: &str, options: Value) -> String {
+    Blueprint::new(id, options).err().unwrap().to_string()
+}
+
+/// Joint on the other side, and by which factor an angle changes when left and right are exchanged: hinge axes are
+/// axial vectors.
+fn other_side(model: &Model) -> Vec<(usize, f64)> {
+    let names = model.robot.joint_names();
+    let bodies: Vec<_> = model.legs.iter().flatten().collect();
+    let pair = |(i, name): (usize, &String)| {
+        let other = names.iter().position(|n| *n == swapped(name)).unwrap();
+        let (a, b) = (bodies[i].axis, bodies[other].axis);
+        (other, -a.x * b.x + a.y * b.y - a.z * b.z)
+    };
+    names.iter().enumerate().map(pair).collect()
+}
+
+fn swapped(name: &str) -> String {
+    if name.contains("right") { name.replace("right", "left") } else { name.replace("left", "right") }
+}
+
+fn mirrored_state(state: &State, sides: &[(usize, f64)]) -> State {
+    let mut new = state.clone();
+    new.position[1] *= -1.0;
+    for (i, (other, sign)) in sides.iter().enumerate() {
+        new.angles[*other] = sign * state.angles[i];
+        new.references[*other] = sign * state.references[i];
+    }
+    new
+}
+
+/// A row of actions or observations with left and right exchanged. Signs come from what a column's name says it is.
+fn mirrored_row(row: &[f32], columns: &[Column], model: &Model) -> Vec<f32> {
+    let names = model.robot.joint_names();
+    let sides = other_side(model);
+    let sign = |name: &str| {
+        let axial = name.contains("angular velocity") || name.contains("yaw");
+        let odd = if axial { !name.ends_with(" y") } else { name.ends_with(" y") };
+        // Of angles, and all that goes with them; phases and torque limits know no direction.
+        let joint = names.iter().position(|j| name.ends_with(&format!(", {j}")) && !name.contains("cosine"));
+        joint.map_or(if odd { -1.0 } else { 1.0 }, |i| sides[i].1)
+    };
+    let source = |name: &str| columns.iter().position(|c| c.name == swapped(name)).unwrap();
+    columns.iter().map(|c| sign(&c.name) as f32 * row[source(&c.name)]).collect()
+}
+
+/// A task's steps in one engine of two robots, without autoreset.
+struct Twins<'a> {
+    blueprint: &'a Blueprint,
+    engine: LanesEngine,
+    states: [State; 2],
+    goals: [Goal; 2],
+    last: [Vec<f32>; 2],
+}
+
+impl<'a> Twins<'a> {
+    fn new(blueprint: &'a Blueprint) -> Self {
+        let model = &blueprint.setup.model;
+        let (state, goal) = blueprint.task.begin(&blueprint.setup, &mut Random::new(5, 0));
+        let mut engine = LanesEngine::with_isa(Isa::F64, model, 2).unwrap();
+        let states = [state.clone(), mirrored_state(&state, &other_side(model))];
+        states.iter().enumerate().for_each(|(i, s)| engine.set_state(i, s));
+        let turned = Goal { turn: -goal.turn, ..goal.clone() };
+        let last = [(); 2].map(|()| vec![0.0; blueprint.task.spec().action.len()]);
+        Self { blueprint, engine, states, goals: [goal, turned], last }
+    }
+
+    /// Observation and info of each.
+    fn step(&mut self, actions: [Vec<f32>; 2]) -> [(Vec<f32>, Vec<f32>); 2] {
+        let (task, setup) = (&*self.blueprint.task, &self.blueprint.setup);
+        let period = 1.0 / task.spec().control_rate;
+        let mut command = Command::still(setup.model.joints());
+        for (i, action) in actions.iter().enumerate() {
+            task.command(action, &self.states[i], &mut command);
+            self.engine.command(i, &command);
+        }
+        self.engine.advance((period / setup.model.scene.dt).round() as usize);
+        let rows = [0, 1].map(|i| {
+            let before = self.states[i].clone();
+            self.engine.state(i, &mut self.states[i]);
+            self.judge(i, &before, &actions[i], period)
+        });
+        self.last = actions;
+        rows
+    }
+
+    fn judge(&self, i: usize, before: &State, action: &[f32], period: f64) -> (Vec<f32>, Vec<f32>) {
+        let (task, after) = (&self.blueprint.task, &self.states[i]);
+        let (mut row, mut info) = (vec![0.0; task.spec().observation.len()], vec![0.0; task.spec().info.len()]);
+        task.observe(&self.goals[i], after, action, &mut row);
+        let (goal, model) = (&self.goals[i], &*self.blueprint.setup.model);
+        let previous_action = &self.last[i];
+        task.judge(
+            &Transition { model, goal, before, after, action, previous_action, period, diverged: false },
+            &mut info,
+        );
+        (row, info)
+    }
+}
+
+/// Actions that change slowly and differ by joint.
+fn wave(width: usize, time: usize) -> Vec<f32> {
+    (0..width).map(|k| ((k * 7 + time) as f32 * 0.37).sin()).collect()
+}
+
+fn close(a: &[f32], b: &[f32], what: &str) {
+    let far = a.iter().zip(b).map(|(a, b)| (a - b).abs() / (1.0 + b.abs())).fold(0.0, f32::max);
+    assert!(far < 1e-4, "{what}: {far}");
+}
+
+fn every_walk() -> Vec<(&'static str, Value)> {
+    let controls = ["hip_speed", "hip_target", "torque", "clock"].map(|c| (GAIT, json!({"control": c})));
+    controls.into_iter().chain([(LEGS, json!({"turn": [0.5, 0.5]}))]).collect()
+}
+
+/// What is done with left and right exchanged gives the same with left and right exchanged.
+#[test]
+fn tasks_know_no_left_and_right() {
+    for (id, options) in every_walk() {
+        let what = format!("{id} {options}");
+        let blueprint = blueprint(id, options);
+        let (model, spec) = (&*blueprint.setup.model, blueprint.task.spec());
+        let mut twins = Twins::new(&blueprint);
+        let mut aside = 0.0;
+        // Legs without servos fling the robot about: rounding grows, and after a second it shows.
+        for time in 0..30 {
+            let action = wave(spec.action.len(), time);
+            let mirrored = mirrored_row(&action, &spec.action, model);
+            let [(row, info), (other, other_info)] = twins.step([action, mirrored]);
+            close(&mirrored_row(&row, &spec.observation, model), &other, &format!("{what} step {time}"));
+            close(&info, &other_info, &format!("{what} info, step {time}"));
+            aside = f64::max(aside, twins.states[0].position[1].abs());
+        }
+        assert!(aside > 1e-4, "{what} never left its middle line");
+    }
+}
+
+/// The clock's action 0 is the constant-rate tripod: hip speeds of half the greatest.
+#[test]
+fn the_clock_holds_the_constant_rate_tripod() {
+    let quiet = |control| blueprint(GAIT, json!({"control": control, "angle_noise": 0.0}));
+    let (clock, speed) = (quiet("clock"), quiet("hip_speed"));
+    let (mut a, mut b) = (Twins::new(&clock), Twins::new(&speed));
+    for _ in 0..100 {
+        a.step([(); 2].map(|()| vec![0.0; 10]));
+        b.step([(); 2].map(|()| vec![0.5; 6]));
+    }
+    assert!(a.states[0].position[0] > 0.3, "it walks");
+    let far = (a.states[0].position[0] - b.states[0].position[0]).abs();
+    assert!(far < 1e-6, "{far}");
+}
+
+/// A torque action is the torque, as long as it is within the motor's; a target is where the hip goes.
+#[test]
+fn torques_and_targets_are_what_they_say() {
+    let torque = blueprint(GAIT, json!({"control": "torque", "torque_limit": 0.02}));
+    let mut twins = Twins::new(&torque);
+    let action = vec![0.5, -0.25, 0.1, 0.0, 1.0, -1.0];
+    twins.step([(); 2].map(|()| action.clone()));
+    let wanted: Vec<f32> = action.iter().map(|a| 0.02 * a).collect();
+    close(&twins.states[0].torques.iter().map(|t| *t as f32).collect::<Vec<_>>(), &wanted, "torques");
+
+    // Far above the sand nothing pushes back.
+    let target = blueprint(GAIT, json!({"control": "hip_target"}));
+    let mut twins = Twins::new(&target);
+    twins.states[0].position[2] = 50.0;
+    twins.engine.set_state(0, &twins.states[0]);
+    let action = vec![0.5, -0.9, 1.0, 0.0, 0.1, -0.3];
+    for _ in 0..50 {
+        twins.step([(); 2].map(|()| action.clone()));
+    }
+    for (angle, a) in twins.states[0].angles.iter().zip(action) {
+        let away = angle - f64::from(a) * std::f64::consts::PI;
+        assert!(away.sin().abs() < 0.01 && away.cos() > 0.0, "{angle} instead of {a} half turns");
+    }
+}
+
+#[test]
+fn options_of_other_tasks_are_refused() {
+    let legs = refused(LEGS, json!({"control": "clock"}));
+    assert_eq!(
+        legs,
+        "control: sandgait/HexapodLegs-v0 has no such option; sandgait/HexapodGait-v0, sandgait/HexapodRocks-v0 has"
+    );
+    assert!(refused(GAIT, json!({"control": "magic"})).starts_with("control: "));
+    assert!(refused(GAIT, json!({"controls": "clock"})).contains("known: robot, engine"));
+    let reset = serde_json::from_value(json!({"rocks": {"count": 1}})).unwrap();
+    let error = blueprint(GAIT, Value::Null).setup.changed(&reset).err().unwrap().to_string();
+    assert!(error.starts_with("rocks: ") && error.contains("HexapodRocks"), "{error}");
+}
+
+/// What a page has measured stands after this line; the rest is made from the task's data.
+const MEASURED: &str = "<!-- measured -->";
+
+#[test]
+fn pages_are_what_the_code_says() {
+    for id in sandgait::env::task::TASK_IDS {
+        let name = id.trim_start_matches("sandgait/");
+        let path = format!("{}/docs/tasks/{name}.md", env!("CARGO_MANIFEST_DIR"));
+        let page = std::fs::read_to_string(&path).unwrap();
+        let (made, _) = page.split_once(MEASURED).unwrap();
+        let printed = std::process::Command::new(env!("CARGO_BIN_EXE_sandgait"))
+            .args(["tasks", "--markdown", id])
+            .output()
+            .unwrap();
+        assert!(printed.status.success());
+        assert!(String::from_utf8(printed.stdout).unwrap() == made, "{path} is old: run `make task-pages`");
+    }
+}
