@@ -67,8 +67,7 @@ async fn wrong_policies_are_refused() {
     }
     // Weights that are not numbers are noticed when the network runs, after which everything is put back.
     let mut broken = PPO.to_vec();
-    let weights = broken.len() / 2 / 4 * 4;
-    broken[weights..weights + 512].fill(0xff);
+    broken[1000..1500].fill(0xff); // in the first layer's
     session.send(Some(rollout(&broken, 5, true))).await;
     match session.receive().await.unwrap().1 {
         Response::Failure(failure) => assert!(failure.message.starts_with("policy: action["), "{}", failure.message),
