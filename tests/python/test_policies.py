@@ -32,7 +32,8 @@ def untrained(kind: Any) -> tuple[Any, VecNormalize]:
     env.training = False
     with torch.no_grad():
         for weights in model.policy.parameters():
-            weights.copy_(torch.randn_like(weights) * 0.3)
+            # Sums of order 1 in every layer, as in trained networks: what is larger, f32 cannot hold to 1e-5.
+            weights.copy_(torch.randn_like(weights) * (1.5 / weights.shape[-1] ** 0.5 if weights.ndim > 1 else 0.3))
     return model, env
 
 
