@@ -12,16 +12,18 @@ SOURCES := $(shell find src proto robots python_client build.rs Cargo.toml Cargo
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help train test test-rust test-python bench bench-peers study study-convergence study-rocks task-pages proto
+.PHONY: help train test test-rust test-python bench bench-peers study study-convergence study-rocks study-load proto task-pages docs
 
 help:
 	@echo "make train   train a hexapod to walk on sand (5 minutes), results in runs/; ARGS=--help for options"
 	@echo "make test    formatting, lints and all tests, Rust and Python"
+	@echo "make docs    the documentation as a site in site/; every command in it is run by make test"
 	@echo "make bench   speed of the Python client through an embedded server"
 	@echo "make bench-peers   sandgait beside EnvPool, MuJoCo and gymnasium's Ant, in one run"
 	@echo "make study   how often the diagnosis is right, on data of known cause (some 20 minutes)"
 	@echo "make study-convergence   walking speed against the time step, both engines (some 3 minutes)"
 	@echo "make study-rocks   overlaps of robot and rocks in 1,000 random episodes (some 7 minutes)"
+	@echo "make study-load      24 clients against one server: its memory and its numbers (5 minutes)"
 	@echo "make task-pages   write docs/tasks/ anew from the tasks' tables; what was measured stays"
 	@echo "make proto   generate the Python messages from proto/ anew"
 
@@ -35,11 +37,14 @@ test-rust:
 	cargo clippy --release --all-targets -- -D warnings
 	cargo test --release
 
-test-python: $(VENV)/sb3 $(VENV)/plot $(VENV)/dev
+test-python: $(VENV)/sb3 $(VENV)/plot $(VENV)/docs $(VENV)/dev
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/pytest
+
+docs: $(VENV)/docs
+	$(BIN)/mkdocs build --strict
 
 bench: $(VENV)/wheel
 	$(BIN)/python benches/client.py $(ARGS)
@@ -63,6 +68,9 @@ study-convergence:
 study-rocks:
 	cargo run --release --example rocks_study
 
+study-load:
+	SANDGAIT_LOAD_SECONDS=300 cargo test --release --test faults -- --nocapture under_load
+
 # The oldest generator whose output still runs on every protobuf from 4.25 on; in an environment of its own.
 proto:
 	$(PYTHON) -m venv $(VENV)-proto
@@ -84,7 +92,7 @@ $(VENV)/wheel: $(SOURCES) $(VENV)/tools
 	@touch $@
 
 # The wheel with one of its extras. torch, which `sb3` brings, is some 5 GB: minutes, once.
-$(VENV)/sb3 $(VENV)/plot $(VENV)/dev: $(VENV)/wheel
+$(VENV)/sb3 $(VENV)/plot $(VENV)/docs $(VENV)/dev: $(VENV)/wheel
 	$(BIN)/pip install --quiet --constraint $(PINS) "$$(echo dist/*.whl)[$(@F)]"
 	@touch $@
 

@@ -106,10 +106,10 @@ impl<'a> Twins<'a> {
         let (task, after) = (&self.blueprint.task, &self.states[i]);
         let (mut row, mut info) = (vec![0.0; task.spec().observation.len()], vec![0.0; task.spec().info.len()]);
         task.observe(&self.goals[i], after, action, &mut row);
-        let (goal, model) = (&self.goals[i], &*self.blueprint.setup.model);
-        let previous_action = &self.last[i];
+        let (goal, previous_action) = (&self.goals[i], &self.last[i]);
+        let (model, options) = (&*self.blueprint.setup.model, &self.blueprint.setup.options);
         task.judge(
-            &Transition { model, goal, before, after, action, previous_action, period, diverged: false },
+            &Transition { options, model, goal, before, after, action, previous_action, period, diverged: false },
             &mut info,
         );
         (row, info)

@@ -73,7 +73,12 @@ __all__ = [
 ]
 
 #: Ids of the tasks that this version registers; a test holds them equal to the server's.
-TASKS = ("sandgait/HexapodGait-v0", "sandgait/HexapodLegs-v0", "sandgait/HexapodRocks-v0")
+TASKS = (
+    "sandgait/HexapodGait-v0",
+    "sandgait/HexapodLegs-v0",
+    "sandgait/HexapodRocks-v0",
+    "sandgait/LegStroke-v0",
+)
 
 
 def make_sb3(id: str, num_envs: int, address: str | None = None, **options: Any) -> SandgaitVecEnv:

@@ -216,9 +216,10 @@ def reset_request(
     return request
 
 
-def step_request(actions: npt.NDArray[np.float32]) -> pb.RunSessionRequest:
-    """A step; `actions` is f32 [num_envs, action]. Bounds are checked by the server."""
-    return pb.RunSessionRequest(step=pb.Step(actions=actions.astype("<f4", copy=False).tobytes()))
+def step_request(actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None = None) -> pb.RunSessionRequest:
+    """A step; `actions` is f32 [num_envs, action]. Bounds are checked by the server. `held`: who stays as it is."""
+    flags = b"" if held is None else held.astype(np.uint8).tobytes()
+    return pb.RunSessionRequest(step=pb.Step(actions=actions.astype("<f4", copy=False).tobytes(), held=flags))
 
 
 def save_request() -> pb.RunSessionRequest:

@@ -3,20 +3,24 @@
     with sandgait.ray.serve() as servers:
         env = sandgait.SandgaitVectorEnv(id, 4096, address=servers.addresses)
 
-Every server listens on its node's address in the cluster, without encryption or token, even where Ray itself asks for
-one: whoever reaches the port can use it, so keep the cluster inside a trusted network.
+Every server listens on its node's address in the cluster, with TLS and a token. The token is drawn by `serve`, each
+server makes its own certificate, and both travel through Ray: who may use the cluster may use its servers, nobody else.
 """
 
 from __future__ import annotations
 
 import contextlib
+import secrets
 import subprocess
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from . import server
 from .errors import InvalidRequest, ServerLost
+from .remote import Remote
 
 try:
     import ray
@@ -31,28 +35,26 @@ START_TIMEOUT = 60.0
 class _Server:
     """An actor that owns a server process. The server ends with it: its standard input is a pipe of this process."""
 
-    def __init__(self, threads: int) -> None:
+    def __init__(self, threads: int, token: str) -> None:
         listen = f"{ray.util.get_node_ip_address()}:0"
+        #: Only this user can enter it. The server has read and written its files when it says where it listens.
+        self._directory = tempfile.TemporaryDirectory()
+        token_file, self._certificate = (Path(self._directory.name) / name for name in ("token", "certificate"))
+        token_file.touch(0o600)
+        token_file.write_text(token)
+        command = [server.find_binary(), "serve", "--listen", listen, "--threads", str(threads), "--exit-on-stdin-close"]
+        security = ["--token-file", str(token_file), "--tls-self-signed", str(self._certificate)]
         self._process = subprocess.Popen(
-            [
-                server.find_binary(),
-                "serve",
-                "--listen",
-                listen,
-                "--threads",
-                str(threads),
-                "--insecure",
-                "--exit-on-stdin-close",
-            ],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
+            command + security, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
 
-    def address(self) -> str:
-        """Where the server listens; empty if it could not start (its log is the actor's)."""
+    def address(self) -> tuple[str, bytes]:
+        """Where the server listens and its certificate; both empty if it could not start (its log is the actor's)."""
         assert self._process.stdout is not None
-        return self._process.stdout.readline().removeprefix("listening on ").strip()
+        address = self._process.stdout.readline().removeprefix("listening on ").strip()
+        certificate = self._certificate.read_bytes() if address else b""
+        self._directory.cleanup()
+        return address, certificate
 
     def stop(self) -> None:
         """Ends the server after the step in flight."""
@@ -65,8 +67,8 @@ class _Server:
 class Servers:
     """Servers of a cluster, one a node. They end with `close`, or when this is no longer referred to."""
 
-    #: For `address=` of an environment: of all servers, or some.
-    addresses: list[str]
+    #: For `address=` of an environment: of all servers, or some. With what it takes to use them.
+    addresses: list[Remote]
     #: Ray's id of each server's node, to place its clients there.
     nodes: list[str]
     #: Threads of each server.
@@ -110,16 +112,17 @@ def serve(nodes: Sequence[str] | None = None, threads: int | None = None, num_cp
         raise InvalidRequest("nodes: there is none to serve on")
     counts = [threads or max(cpus[node], 1) for node in chosen]
     servers = Servers([], chosen, counts, [])
-    remote = ray.remote(_Server)
+    remote, token = ray.remote(_Server), secrets.token_hex(32)
     for k, count in enumerate(counts):
-        servers._actors.append(remote.options(num_cpus=num_cpus, **servers.on(k)).remote(count))
+        servers._actors.append(remote.options(num_cpus=num_cpus, **servers.on(k)).remote(count, token))
     try:
-        servers.addresses = ray.get([a.address.remote() for a in servers._actors], timeout=START_TIMEOUT)
+        started = ray.get([a.address.remote() for a in servers._actors], timeout=START_TIMEOUT)
     except ray.exceptions.RayError as error:
         servers.close()
         raise ServerLost(f"the servers could not start: {error}") from error
-    for address, node in zip(servers.addresses, chosen, strict=True):
+    for (address, certificate), node in zip(started, chosen, strict=True):
         if not address:
             servers.close()
             raise ServerLost(f"the server on node {node} could not start; its log says why")
+        servers.addresses.append(Remote(address, ca=certificate, token=token))
     return servers

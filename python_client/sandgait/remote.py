@@ -22,7 +22,7 @@ class Remote(str):
     `token`, `token_file`: what the server's `--token-file` has. It is sent in every call, but only over TLS, over a
     Unix socket or to this machine.
 
-    `ca`: encrypt, and trust certificates of this authority (PEM file). `tls=True`: encrypt, and trust grpc's own
+    `ca`: encrypt, and trust certificates of this authority (PEM, as a file or as bytes). `tls=True`: encrypt, and trust grpc's own
     authorities.
 
     `cert`, `key`: this client's certificate and its key (PEM files), for a server with `--client-ca`.
@@ -42,7 +42,7 @@ class Remote(str):
         *,
         token: str | None = None,
         token_file: FilePath | None = None,
-        ca: FilePath | None = None,
+        ca: FilePath | bytes | None = None,
         cert: FilePath | None = None,
         key: FilePath | None = None,
         tls: bool = False,
@@ -58,7 +58,8 @@ class Remote(str):
             raise InvalidRequest("token: empty, or with characters other than visible ASCII ones")
         self.token = token
         self.ca, self.cert, self.key = (
-            None if path is None else _read(path, name) for path, name in ((ca, "ca"), (cert, "cert"), (key, "key"))
+            pem if pem is None or isinstance(pem, bytes) else _read(pem, name)
+            for pem, name in ((ca, "ca"), (cert, "cert"), (key, "key"))
         )
         self.tls = tls or ca is not None or cert is not None
         if self.tls and address.startswith("unix:"):

@@ -64,13 +64,13 @@ class Shards:
             chosen = None if mask is None else mask[part]
             session.send(client.reset_request(None if seeds is None else seeds[part], chosen, options))
 
-    def send_step(self, actions: npt.NDArray[np.float32]) -> None:
-        """Asks for a step; `actions` is f32 [num_envs, action]. Bounds are checked by the server, and here if one
-        server's refusal would leave the others a step ahead."""
+    def send_step(self, actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None = None) -> None:
+        """Asks for a step; `actions` is f32 [num_envs, action], `held` [num_envs] says which environments stay as they
+        are. Bounds are checked by the server, and here if one server's refusal would leave the others a step ahead."""
         if len(self._sessions) > 1:
             self._check(actions)
         for session, part in zip(self._sessions, self._slices, strict=True):
-            session.send(client.step_request(actions[part]))
+            session.send(client.step_request(actions[part], None if held is None else held[part]))
 
     def _check(self, actions: npt.NDArray[np.float32]) -> None:
         low, high = (np.array([getattr(c, end) for c in self.task.action]) for end in ("low", "high"))

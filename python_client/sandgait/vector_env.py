@@ -28,8 +28,9 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
     `resume`: outlive a server that dies, by snapshots; the environments go on where they were when it is back, or at
     the next address of the list.
 
-    Autoreset is SAME_STEP: where an episode ended, the observation is already the next episode's first, and the old
-    one's last row stands in `infos["final_obs"]` and its figures in `infos["final_info"]`.
+    `autoreset_mode`: with SAME_STEP, where an episode ended, the observation is already the next episode's first, and
+    the old one's last row stands in `infos["final_obs"]` and its figures in `infos["final_info"]`. With NEXT_STEP the
+    observation is the old episode's last; the next step ignores that environment's action and gives the new one's first.
 
     To let the learner and the simulation overlap, split a batch over two of these and alternate `send` and `recv`.
     """
@@ -43,16 +44,18 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
         address: Address = None,
         render_mode: str | None = None,
         resume: bool = False,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         **options: Any,
     ) -> None:
         if render_mode is not None:
             raise InvalidRequest(f"render_mode: {render_mode!r} is not offered; leave it out")
+        mode = _autoreset(autoreset_mode)
         self._address = address
         self._session = open_shards(address, task, num_envs, options, resume)
         self.num_envs = num_envs
         #: The session's tables: names, units and bounds of every number.
         self.task = self._session.task
-        self.metadata = {**self.metadata, "render_fps": self.task.control_rate}
+        self.metadata = {**self.metadata, "render_fps": self.task.control_rate, "autoreset_mode": mode}
         self.single_observation_space = box(self.task.observation)
         self.single_action_space = box(self.task.action)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -60,6 +63,9 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
         self._keys = tuple((c.name, f"_{c.name}") for c in self.task.info)
         self._seeded = np.zeros(num_envs, dtype=np.bool_)
         self._in_flight = False
+        #: With NEXT_STEP, who shows the first row of the next episode in the next step; with SAME_STEP nobody.
+        self._ended = np.zeros(num_envs, dtype=np.bool_)
+        self._next_step = mode is AutoresetMode.NEXT_STEP
 
     def reset(
         self,
@@ -83,6 +89,7 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
         if goes_on.any():
             batch = self._reset(None, goes_on, options)
         self._seeded |= mask
+        self._ended &= ~mask
         return batch.observations, {}
 
     def _reset(self, seeds: list[int] | None, mask: Flags, options: dict[str, Any]) -> Batch:
@@ -130,11 +137,15 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
         rows = np.asarray(actions, dtype=np.float32)
         if rows.shape != self.action_space.shape:
             raise InvalidRequest(f"actions: shape {rows.shape}, expected {self.action_space.shape}")
-        self._session.send_step(rows)
+        if self._ended.any():
+            rows = np.where(self._ended[:, None], np.float32(0.0), rows)  # ignored, even if out of bounds
+            self._session.send_step(rows, self._ended)
+        else:
+            self._session.send_step(rows)
         self._in_flight = True
 
     def recv_batch(self) -> Batch:
-        """`recv` as plain columns, without gymnasium's dictionaries."""
+        """`recv` as plain columns of SAME_STEP, without gymnasium's dictionaries."""
         if not self._in_flight:
             raise OutOfOrder("recv: no step is in flight; call send first")
         try:
@@ -148,8 +159,14 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
     def recv(self) -> Step:
         """Result of the step that `send` started, as `step` returns it."""
         batch = self.recv_batch()
-        infos = self._infos(batch)
+        infos = self._infos_of_next_step(batch) if self._next_step else self._infos(batch)
         return batch.observations, batch.rewards.astype(np.float64), batch.terminated, batch.truncated, infos
+
+    def _infos_of_next_step(self, batch: Batch) -> dict[str, Any]:
+        """Columns of those that stepped; puts the last rows of ended episodes where NEXT_STEP has them."""
+        stepped, self._ended = ~self._ended, batch.terminated | batch.truncated
+        batch.observations[batch.final_indices] = batch.final_observations
+        return self._masked(batch.infos, stepped)
 
     def _infos(self, batch: Batch) -> dict[str, Any]:
         """Reward terms and figures as columns [num_envs] with gymnasium's masks, as SyncVectorEnv groups them.
@@ -182,6 +199,8 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
         """
         if self._in_flight:
             raise OutOfOrder("save: a step is in flight; call recv first")
+        if self._ended.any():
+            raise OutOfOrder(f"save: environment {self._ended.argmax()} has ended its episode; step or reset first")
         return write_snapshot(self._session.save(), path)
 
     def restore(self, snapshot: bytes | FilePath, indices: npt.ArrayLike | None = None) -> Observations:
@@ -196,7 +215,7 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
             raise InvalidRequest(f"indices: {sources.min()} is below 0")
         self._in_flight = False
         self._session.send_restore(read_snapshot(snapshot), sources)
-        self._seeded[:] = True
+        self._seeded[:], self._ended[:] = True, False
         return self._session.receive().observations
 
     def fork(self, n: int, index: int = 0) -> SandgaitVectorEnv:
@@ -219,6 +238,8 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
         """
         if self._in_flight:
             raise OutOfOrder("rollout: a step is in flight; call recv first")
+        if self._ended.any():
+            raise OutOfOrder(f"rollout: environment {self._ended.argmax()} has ended its episode; step or reset first")
         return self._session.rollout(np.asarray(actions, dtype=np.float32), trajectories)
 
     def rollout_policy(self, onnx: bytes | FilePath, steps: int, trajectories: bool = False) -> Rollout:
@@ -237,3 +258,11 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
     def close_extras(self, **kwargs: Any) -> None:
         """Ends the session; the environments' memory is freed on the server."""
         self._session.close()
+
+
+def _autoreset(mode: AutoresetMode | str) -> AutoresetMode:
+    """One of the two modes there are, by itself or by its value."""
+    for known in (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP):
+        if mode in (known, known.value, known.name):
+            return known
+    raise InvalidRequest(f"autoreset_mode: {mode!r} is neither SAME_STEP nor NEXT_STEP")

@@ -2,7 +2,7 @@
 
 mod remote;
 
-pub use remote::Remote;
+pub use remote::{Remote, Rollouts};
 
 use crate::env::ResetOptions;
 use crate::env::task::Blueprint;
@@ -11,7 +11,12 @@ use crate::{Error, Result};
 
 /// Something that makes batched steps.
 pub trait Stepper {
-    /// One control step; `actions` is f32 [envs, action].
+    /// Control steps that one call of [`Stepper::step`] makes.
+    fn steps(&self) -> usize {
+        1
+    }
+
+    /// So many control steps; `actions` is f32 [steps, envs, action].
     fn step(&mut self, actions: &[f32]) -> Result<()>;
 }
 

@@ -4,7 +4,7 @@ use super::Stepper;
 use crate::service::proto::environment_service_client::EnvironmentServiceClient;
 use crate::service::proto::run_session_request::Request;
 use crate::service::proto::run_session_response::Response;
-use crate::service::proto::{CreateSessionRequest, Reset, RunSessionRequest, RunSessionResponse, Step};
+use crate::service::proto::{CreateSessionRequest, Reset, Rollout, RunSessionRequest, RunSessionResponse, Step};
 use crate::service::{self, Address, Listener, PROTOCOL, Setup};
 use crate::{Error, Result};
 use prost_types::value::Kind;
@@ -71,21 +71,53 @@ impl Remote {
     }
 }
 
+impl Remote {
+    /// Makes a request and waits for the answer that `is_last`.
+    fn ask(&mut self, request: Option<Request>, is_last: impl Fn(&Response) -> bool) -> Result<()> {
+        self.sequence += 1;
+        let message = RunSessionRequest { session_id: String::new(), sequence: self.sequence, request };
+        self.runtime.block_on(async {
+            self.requests.send(message).await.map_err(failed)?;
+            loop {
+                match self.answers.message().await.map_err(failed)?.and_then(|a| a.response) {
+                    Some(answer) if is_last(&answer) => return Ok(()),
+                    Some(Response::Failure(f)) => return Err(failed(f.message)),
+                    Some(_) => {}
+                    None => return Err(failed("the stream ended")),
+                }
+            }
+        })
+    }
+}
+
 impl Stepper for Remote {
     fn step(&mut self, actions: &[f32]) -> Result<()> {
-        self.sequence += 1;
         let actions: Vec<u8> = actions.iter().flat_map(|a| a.to_le_bytes()).collect();
-        let request = Some(Request::Step(Step { actions: actions.into() }));
-        let message = RunSessionRequest { session_id: String::new(), sequence: self.sequence, request };
-        let answer = self.runtime.block_on(async {
-            self.requests.send(message).await.map_err(failed)?;
-            self.answers.message().await.map_err(failed)
-        })?;
-        match answer.and_then(|a| a.response) {
-            Some(Response::Batch(_)) => Ok(()),
-            Some(Response::Failure(f)) => Err(failed(f.message)),
-            _ => Err(failed("the stream ended")),
-        }
+        let request = Some(Request::Step(Step { actions: actions.into(), ..Default::default() }));
+        self.ask(request, |answer| matches!(answer, Response::Batch(_)))
+    }
+}
+
+/// Control steps of one rollout: our choice, the episode of `examples/ray_es.py`.
+const ROLLOUT: usize = 150;
+
+/// The same session, a rollout at a time.
+pub struct Rollouts {
+    pub remote: Remote,
+    /// Ask for every step's rows.
+    pub trajectories: bool,
+}
+
+impl Stepper for Rollouts {
+    fn steps(&self) -> usize {
+        ROLLOUT
+    }
+
+    fn step(&mut self, actions: &[f32]) -> Result<()> {
+        let actions: Vec<u8> = actions.iter().flat_map(|a| a.to_le_bytes()).collect();
+        let rollout = Rollout { actions: actions.into(), trajectories: self.trajectories };
+        let is_last = |answer: &Response| matches!(answer, Response::Rollout(part) if !part.returns.is_empty());
+        self.remote.ask(Some(Request::Rollout(rollout)), is_last)
     }
 }
 

@@ -1,6 +1,6 @@
 //! `sandgait bench`
 
-use sandgait::bench::{Direct, Remote, Stepper, random_actions};
+use sandgait::bench::{Direct, Remote, Rollouts, Stepper, random_actions};
 use sandgait::env::task::Blueprint;
 use sandgait::number::Isa;
 use sandgait::sim::engine::EngineKind;
@@ -55,6 +55,10 @@ enum Through {
     GrpcUds,
     /// A server on loopback TCP in this process, one stream.
     GrpcTcp,
+    /// A server on a Unix socket in this process, rollouts of 150 steps, returns only.
+    Rollouts,
+    /// The same with every step's rows.
+    Trajectories,
 }
 
 impl Bench {
@@ -68,7 +72,14 @@ impl Bench {
         let threads = usize::from(self.threads);
         let mut stepper: Box<dyn Stepper> = match self.through {
             Through::Process => Box::new(Direct::new(&blueprint, self.envs, threads)?),
-            through => Box::new(Remote::new(&self.task, options, self.envs, threads, through == Through::GrpcTcp)?),
+            through => {
+                let remote = Remote::new(&self.task, options, self.envs, threads, through == Through::GrpcTcp)?;
+                match through {
+                    Through::Rollouts => Box::new(Rollouts { remote, trajectories: false }),
+                    Through::Trajectories => Box::new(Rollouts { remote, trajectories: true }),
+                    _ => Box::new(remote),
+                }
+            }
         };
         let width = blueprint.task.spec().action.len();
         let rates =
@@ -106,6 +117,8 @@ impl Bench {
             Through::Process => "process",
             Through::GrpcUds => "grpc-uds",
             Through::GrpcTcp => "grpc-tcp",
+            Through::Rollouts => "rollouts",
+            Through::Trajectories => "trajectories",
         };
         if self.json {
             return Ok(super::json(&json!({
@@ -134,14 +147,15 @@ impl Bench {
 
 /// Environment steps a second of each repeat, ascending.
 fn measure(stepper: &mut dyn Stepper, envs: usize, width: usize, repeats: usize, length: Duration) -> Result<Vec<f64>> {
-    let actions = random_actions(envs, width);
+    let at_once = stepper.steps();
+    let actions = random_actions(at_once * envs, width);
     let mut repeat = |length: Duration| -> Result<f64> {
-        let (clock, mut steps) = (Instant::now(), 0);
+        let (clock, mut calls) = (Instant::now(), 0);
         while clock.elapsed() < length {
-            stepper.step(&actions[steps % actions.len()])?;
-            steps += 1;
+            stepper.step(&actions[calls % actions.len()])?;
+            calls += 1;
         }
-        Ok((steps * envs) as f64 / clock.elapsed().as_secs_f64())
+        Ok((calls * at_once * envs) as f64 / clock.elapsed().as_secs_f64())
     };
     repeat(length)?; // warm-up: robots leave their start, caches fill
     let mut rates = (0..repeats).map(|_| repeat(length)).collect::<Result<Vec<_>>>()?;

@@ -65,6 +65,9 @@ struct Security {
     /// Its private key, PEM
     #[arg(long, value_name = "FILE")]
     tls_key: Option<PathBuf>,
+    /// Encrypt with a certificate that is made for this run, and write it to this file, PEM, for clients to trust
+    #[arg(long, value_name = "FILE", conflicts_with = "tls_cert")]
+    tls_self_signed: Option<PathBuf>,
     /// Clients must have certificates of this authority, PEM
     #[arg(long, value_name = "FILE")]
     client_ca: Option<PathBuf>,
@@ -111,7 +114,7 @@ impl Serve {
         let metrics = self.metrics.as_ref().map(|address| metrics_address(address, self.security.insecure));
         let metrics = metrics.transpose()?;
         self.log_format.start();
-        let mut setup = self.security.setup()?;
+        let mut setup = self.security.setup(&self.listen)?;
         setup.threads = self.threads.into();
         setup.limits = self.lent.limits();
         setup.dm_env_rpc = self.dm_env_rpc;
@@ -155,16 +158,24 @@ impl Security {
     /// Is what is asked for safe, or said to be meant?
     fn check(&self, listen: &Address) -> Result<()> {
         let missing = |name: &str| Err(Error::invalid(name, "missing; TLS needs a certificate and its key"));
+        let local = |option| Err(Error::invalid(option, format!("{listen} is for its owner only and needs no TLS")));
         match (&self.tls_cert, &self.tls_key) {
             (Some(_), None) => return missing("--tls-key"),
             (None, Some(_)) => return missing("--tls-cert"),
             (None, None) if self.client_ca.is_some() => return missing("--tls-cert"),
-            (Some(_), _) if matches!(listen, Address::Unix(_)) => {
-                return Err(Error::invalid("--tls-cert", format!("{listen} is for its owner only and needs no TLS")));
+            (Some(_), _) if matches!(listen, Address::Unix(_)) => return local("--tls-cert"),
+            _ => {}
+        }
+        match (&self.tls_self_signed, listen) {
+            (Some(_), Address::Unix(_)) => return local("--tls-self-signed"),
+            (Some(_), Address::Tcp(address)) if address.ip().is_unspecified() => {
+                let reason = format!("{listen} is no address that a client calls; listen on one that is");
+                return Err(Error::invalid("--tls-self-signed", reason));
             }
             _ => {}
         }
-        let lacking = [("--tls-cert and --tls-key", &self.tls_cert), ("--token-file", &self.token_file)];
+        let encrypted = self.tls_cert.as_ref().or(self.tls_self_signed.as_ref());
+        let lacking = [("--tls-cert and --tls-key", encrypted), ("--token-file", self.token_file.as_ref())];
         let lacking: Vec<_> = lacking.iter().filter(|(_, given)| given.is_none()).map(|(name, _)| *name).collect();
         if listen.is_local() || self.insecure || lacking.is_empty() {
             return Ok(());
@@ -176,9 +187,14 @@ impl Security {
         Err(Error::invalid("--listen", reason))
     }
 
-    fn setup(&self) -> Result<Setup> {
-        let tls = match (&self.tls_cert, &self.tls_key) {
-            (Some(certificate), Some(key)) => Some(Tls::load(certificate, key, self.client_ca.as_deref())?),
+    fn setup(&self, listen: &Address) -> Result<Setup> {
+        let tls = match (&self.tls_cert, &self.tls_key, &self.tls_self_signed, listen) {
+            (Some(certificate), Some(key), ..) => Some(Tls::load(certificate, key, self.client_ca.as_deref())?),
+            (.., Some(path), Address::Tcp(address)) => {
+                let (tls, certificate) = Tls::self_signed(address.ip())?;
+                std::fs::write(path, certificate).map_err(|e| Error::file(path, e))?;
+                Some(tls)
+            }
             _ => None,
         };
         let token = self.token_file.as_deref().map(Token::load).transpose()?;

@@ -5,6 +5,7 @@
 //! * [`spec`]: observation, action and info tables; they generate vectors, replies, Python spaces and docs.
 //! * [`task`]: the trait a task implements, and the registry.
 //! * [`locomotion`]: what walking tasks share; [`gait`]: the task HexapodGait, [`legs`]: HexapodLegs, [`rocks`]: HexapodRocks.
+//! * [`stroke`]: the task LegStroke.
 //! * [`control`]: ways of driving hips; [`clock`]: the one that is a gait as parameters.
 //! * [`shard`]: environments that advance together on one engine; reset, step, autoreset.
 //! * [`snapshot`]: episodes as data; [`rollout`]: many steps with actions that are known beforehand.
@@ -22,6 +23,7 @@ pub mod rollout;
 pub mod shard;
 pub mod snapshot;
 pub mod spec;
+pub mod stroke;
 pub mod task;
 
 pub use options::{ResetOptions, TaskOptions};

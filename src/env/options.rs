@@ -2,6 +2,7 @@
 
 use super::control::Control;
 use super::rocks::RockOptions;
+use super::stroke::StrokeOptions;
 use crate::error::{Error, Result, check_range};
 use crate::sand::{Law, Medium, SandDescription};
 use crate::sim::engine::EngineKind;
@@ -51,6 +52,8 @@ pub struct TaskOptions {
     pub control: Option<Control>,
     /// Rocks and steps, drawn at every reset; only for the task that has some.
     pub rocks: Option<RockOptions>,
+    /// Carriage and constraint of LegStroke; only for that task.
+    pub stroke: Option<StrokeOptions>,
 }
 
 impl Default for TaskOptions {
@@ -73,6 +76,7 @@ impl Default for TaskOptions {
             max_episode_steps: 500,
             control: None,
             rocks: None,
+            stroke: None,
         }
     }
 }
@@ -88,11 +92,13 @@ pub struct ResetOptions {
     pub command: Option<[f64; 2]>,
     pub turn: Option<[f64; 2]>,
     pub rocks: Option<RockOptions>,
+    pub stroke: Option<StrokeOptions>,
 }
 
 impl ResetOptions {
     /// Names of the keywords, for tables.
-    pub const NAMES: [&'static str; 7] = ["leg", "medium", "slope_deg", "payload", "command", "turn", "rocks"];
+    pub const NAMES: [&'static str; 8] =
+        ["leg", "medium", "slope_deg", "payload", "command", "turn", "rocks", "stroke"];
 
     /// Names of those that are given.
     pub fn given(&self) -> Vec<String> {
@@ -103,7 +109,7 @@ impl ResetOptions {
 
     /// Everything of `options` that a reset may change.
     pub fn all_of(options: &TaskOptions) -> Self {
-        let TaskOptions { leg, medium, slope_deg, payload, command, turn, rocks, .. } = options.clone();
+        let TaskOptions { leg, medium, slope_deg, payload, command, turn, rocks, stroke, .. } = options.clone();
         Self {
             leg: Some(leg),
             medium: Some(medium),
@@ -112,12 +118,13 @@ impl ResetOptions {
             command: Some(command),
             turn: Some(turn),
             rocks,
+            stroke,
         }
     }
 }
 
 /// What each keyword means, in the order of [`TaskOptions`].
-pub const OPTION_HELP: [(&str, &str); 17] = [
+pub const OPTION_HELP: [(&str, &str); 18] = [
     ("robot", "built-in robot"),
     ("engine", "engine that integrates the motion"),
     ("law", "resistive force law: li2013, penetration-drag-1d or agarwal2023"),
@@ -125,7 +132,7 @@ pub const OPTION_HELP: [(&str, &str); 17] = [
     ("torque_limit", "largest servo torque [N·m]"),
     ("command", "range [low, high] the commanded speed is drawn from [m/s]"),
     ("turn", "range [low, high] the commanded yaw speed is drawn from [rad/s]"),
-    ("angle_noise", "initial joint angles are uniform within ± this around the tripod's [rad]"),
+    ("angle_noise", "initial joint angles are uniform within ± this around the task's own [rad]"),
     ("weights", "weight of each reward term"),
     ("leg", "leg shape: L, revL, C, revC, flat or xi=DEGREES"),
     ("medium", "sand: a medium's name, zeta=VALUE or mu=VALUE,rho=VALUE"),
@@ -137,6 +144,10 @@ pub const OPTION_HELP: [(&str, &str); 17] = [
     (
         "rocks",
         "obstacles of an episode: count, ranges [low, high] of size and step_height [m], dynamic_fraction, density [kg/m³], friction, field [length, width] [m]",
+    ),
+    (
+        "stroke",
+        "carriage_speed [m/s], height of the hip over the sand [m], start [hip, knee] [rad], lift: least mean lift [N], lift_weight and exit_weight of the penalties",
     ),
 ];
 
@@ -185,6 +196,7 @@ impl TaskOptions {
         new.command = reset.command.unwrap_or(new.command);
         new.turn = reset.turn.unwrap_or(new.turn);
         new.rocks = reset.rocks.or(new.rocks);
+        new.stroke = reset.stroke.or(new.stroke);
         new
     }
 
@@ -203,7 +215,8 @@ impl TaskOptions {
         if self.robot.ends_with(".toml") {
             return Err(Error::unknown("robot", &self.robot, &Robot::names()));
         }
-        let mut robot = Robot::load(&self.robot)?.with_leg_shape(&self.leg)?;
+        let robot = if self.stroke.is_some() { Robot::stroke_leg() } else { Robot::load(&self.robot) };
+        let mut robot = robot?.with_leg_shape(&self.leg)?;
         robot.servo.torque_limit = Some(check_range("torque_limit", self.torque_limit, 1e-4..=1e3)?);
         if self.control == Some(Control::Torque) {
             (robot.servo.kp, robot.servo.kd) = (0.0, 0.0);
@@ -213,6 +226,8 @@ impl TaskOptions {
         if !self.sand.is_empty() {
             scene.set_sand(&SandDescription::from_toml(&self.sand)?);
         }
-        Model::new(&robot, &scene)
+        let model = Model::new(&robot, &scene)?;
+        self.stroke.as_ref().map_or(Ok(()), |stroke| stroke.validate(&model))?;
+        Ok(model)
     }
 }

@@ -84,6 +84,19 @@ impl Rows {
         self.ended.clear();
         self.final_observations.clear();
     }
+
+    /// The same for environment `i` alone.
+    fn clear_env(&mut self, i: usize) {
+        let envs = self.rewards.len();
+        let (wide, info) = (self.observations.len() / envs, self.infos.len() / envs);
+        self.rewards[i] = 0.0;
+        (self.terminated[i], self.truncated[i]) = (0, 0);
+        self.infos[i * info..][..info].fill(0.0);
+        if let Some(k) = self.ended.iter().position(|e| *e as usize == i) {
+            self.ended.remove(k);
+            self.final_observations.drain(k * wide..(k + 1) * wide);
+        }
+    }
 }
 
 impl Shard {
@@ -174,6 +187,17 @@ impl Shard {
         }
     }
 
+    /// [`Shard::step`] of those environments that `held` does not name. Held ones stay as they are, with zeros in every
+    /// row but the observation. They are stepped like the others and put back: lanes move together.
+    pub fn step_but(&mut self, actions: &[f32], held: impl Fn(usize) -> bool) {
+        let kept: Vec<_> = (0..self.envs()).filter(|i| held(*i)).map(|i| (i, self.keep(i))).collect();
+        self.step(actions);
+        for (i, episode) in kept {
+            self.rows.clear_env(i);
+            self.restore(i, &episode);
+        }
+    }
+
     /// Judges environment `i`'s step and begins the next episode where one ended.
     fn finish(&mut self, i: usize, action: &[f32]) {
         let spec = self.task.spec();
@@ -188,6 +212,7 @@ impl Shard {
         let row = &mut self.rows.infos[i * info..][..info];
         let terminated = self.task.judge(
             &Transition {
+                options: &episode.setup.options,
                 model: episode.goal.model.as_ref().unwrap_or(&episode.setup.model),
                 goal: &episode.goal,
                 before: &episode.before,

@@ -87,6 +87,14 @@ impl Shard {
         }
     }
 
+    /// Environment `i` as it is now, for this shard's own use.
+    pub fn keep(&self, i: usize) -> Resumed {
+        let Episode { setup, seed, number, steps, goal, after, last_action, .. } = &self.episodes[i];
+        let (setup, goal) = (setup.clone(), goal.clone());
+        let (state, last_action) = (after.clone(), last_action.clone());
+        Resumed { setup, seed: *seed, number: *number, steps: *steps, goal, state, last_action }
+    }
+
     /// The options environment `i` has now.
     pub fn setup(&self, i: usize) -> &Setup {
         &self.episodes[i].setup

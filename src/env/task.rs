@@ -7,6 +7,7 @@ use super::options::{OPTION_HELP, ResetOptions, TaskOptions};
 use super::random::Random;
 use super::rocks::{HexapodRocks, RockOptions};
 use super::spec::Spec;
+use super::stroke::{self, LegStroke, StrokeOptions};
 use crate::error::{Error, Result};
 use crate::sim::engine::{Command, EngineKind};
 use crate::sim::{Model, State};
@@ -52,6 +53,7 @@ impl Setup {
 
 /// One control step as a task judges it.
 pub struct Transition<'a> {
+    pub options: &'a TaskOptions,
     /// What the episode is simulated with.
     pub model: &'a Model,
     pub goal: &'a Goal,
@@ -114,7 +116,7 @@ macro_rules! walking {
     };
 }
 
-const KINDS: [Kind; 3] = [
+const KINDS: [Kind; 4] = [
     Kind {
         id: HexapodGait::ID,
         keywords: walking!("control"),
@@ -137,6 +139,20 @@ const KINDS: [Kind; 3] = [
             ..Default::default()
         },
         make: |setup| Ok(Arc::new(HexapodRocks::new(setup)?)),
+    },
+    Kind {
+        id: LegStroke::ID,
+        keywords: &["angle_noise", "medium", "sand", "stroke"],
+        defaults: || TaskOptions {
+            engine: EngineKind::Carriage,
+            leg: "flat".into(),
+            angle_noise: 0.0,
+            dt: stroke::DT,
+            max_episode_steps: stroke::STEPS,
+            stroke: Some(StrokeOptions::default()),
+            ..Default::default()
+        },
+        make: |setup| Ok(Arc::new(LegStroke::new(setup)?)),
     },
 ];
 
@@ -186,6 +202,9 @@ impl Blueprint {
         let kind = KINDS.iter().find(|k| k.id == id).ok_or_else(|| Error::unknown("task", id, &TASK_IDS))?;
         let options = (kind.defaults)().with(options, |name| kind.check(name))?;
         let engine = options.engine;
+        if engine == EngineKind::Carriage && kind.has("engine") {
+            return Err(Error::unknown("engine", engine.name(), &EngineKind::ALL.map(EngineKind::name)));
+        }
         let setup = Setup::new(kind, options)?;
         let task = (kind.make)(&setup)?;
         let period = 1.0 / task.spec().control_rate;

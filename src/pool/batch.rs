@@ -20,7 +20,7 @@ pub struct Batch {
 /// A checked request; only [`Batch`] makes one, so a pool never sees a malformed one.
 pub enum Operation {
     Reset { chosen: Option<Vec<bool>>, seeds: Option<Vec<u64>>, setup: Option<Box<Setup>> },
-    Step { actions: Vec<f32> },
+    Step { actions: Vec<f32>, held: Option<Vec<bool>> },
     Restore { episodes: Vec<Arc<Resumed>> },
     Roll(Roll),
 }
@@ -135,7 +135,18 @@ impl Batch {
             return Err(Error::invalid("actions", format!("{got} numbers, expected {} = [{n}, {width}]", n * width)));
         }
         self.check_actions(&actions, |row| format!("actions[{row}]"))?;
-        Ok(Operation::Step { actions })
+        Ok(Operation::Step { actions, held: None })
+    }
+
+    /// [`Batch::step`] of some: environments that `held` names stay as they are, whatever their actions.
+    pub fn step_but(&self, actions: Vec<f32>, held: Vec<bool>) -> Result<Operation> {
+        if held.len() != self.envs {
+            return Err(Error::invalid("held", format!("{} entries for {} environments", held.len(), self.envs)));
+        }
+        match self.step(actions)? {
+            Operation::Step { actions, .. } => Ok(Operation::Step { actions, held: Some(held) }),
+            other => Ok(other),
+        }
     }
 
     /// Checks that environment i can go on as environment `sources[i]` of `snapshot`; without sources as number i
@@ -201,13 +212,42 @@ impl Batch {
 }
 
 impl Operation {
-    /// Carries this out on one shard whose first environment is number `start` of the batch.
-    pub(super) fn run(&self, shard: &mut Shard, start: usize) {
-        let envs = shard.envs();
+    /// What logs and metrics call it.
+    pub fn name(&self) -> &'static str {
         match self {
-            Self::Step { actions } => {
-                let width = shard.actions();
-                shard.step(&actions[start * width..][..envs * width]);
+            Self::Reset { .. } => "reset",
+            Self::Step { .. } => "step",
+            Self::Restore { .. } => "restore",
+            Self::Roll(_) => "rollout",
+        }
+    }
+
+    /// How many of `envs` environments a step moves; none by other operations.
+    pub fn steps(&self, envs: usize) -> usize {
+        match self {
+            Self::Step { held, .. } => envs - held.iter().flatten().filter(|held| **held).count(),
+            _ => 0,
+        }
+    }
+
+    /// Parts that a worker carries out without looking at who else waits: a control step of a rollout is one.
+    pub(super) fn parts(&self) -> usize {
+        match self {
+            Self::Roll(roll) => roll.steps.len(),
+            _ => 1,
+        }
+    }
+
+    /// Carries part `part` of this out on one shard whose first environment is number `start` of the batch.
+    pub(super) fn run(&self, shard: &mut Shard, start: usize, part: usize) {
+        let (envs, width) = (shard.envs(), shard.actions());
+        match self {
+            Self::Step { actions, held } => {
+                let actions = &actions[start * width..][..envs * width];
+                match held {
+                    Some(held) => shard.step_but(actions, |i| held[start + i]),
+                    None => shard.step(actions),
+                }
             }
             Self::Reset { chosen, seeds, setup } => {
                 let chosen = |i: usize| chosen.as_ref().is_none_or(|c| c[start + i]);
@@ -220,36 +260,35 @@ impl Operation {
                     shard.restore(i, &episodes[start + i]);
                 }
             }
-            Self::Roll(roll) => roll.run(shard, start),
+            Self::Roll(roll) => roll.run(shard, start, part),
         }
     }
 }
 
 impl Roll {
-    /// Makes the present steps on one shard whose first environment is number `start` of the batch.
-    fn run(&self, shard: &mut Shard, start: usize) {
-        if self.steps.start == 0 {
+    /// Makes step `part` of the present ones on one shard whose first environment is number `start` of the batch.
+    fn run(&self, shard: &mut Shard, start: usize, part: usize) {
+        let step = self.steps.start + part;
+        if step == 0 {
             shard.begin_rollout();
         }
-        shard.rollout.steps.clear();
-        let count = shard.envs() * shard.actions();
+        if part == 0 {
+            shard.rollout.steps.clear();
+        }
+        let (first, count) = (start * shard.actions(), shard.envs() * shard.actions());
         match &self.plan {
             Plan::Actions(actions) => {
-                let (row, first) = (actions.len() / self.total, start * shard.actions());
-                for step in self.steps.clone() {
-                    shard.roll(&actions[step * row + first..][..count], self.record);
-                }
+                let row = actions.len() / self.total;
+                shard.roll(&actions[step * row + first..][..count], self.record);
             }
-            Plan::Network(network) => {
+            Plan::Network(network) if shard.rollout.failed.is_none() => {
                 let mut actions = vec![0.0; count];
-                for _ in self.steps.clone() {
-                    if let Err(error) = network.act(&shard.rows.observations, &mut actions) {
-                        shard.rollout.failed = Some(error);
-                        return;
-                    }
-                    shard.roll(&actions, self.record);
+                match network.act(&shard.rows.observations, &mut actions) {
+                    Ok(()) => shard.roll(&actions, self.record),
+                    Err(error) => shard.rollout.failed = Some(error),
                 }
             }
+            Plan::Network(_) => (),
         }
     }
 }

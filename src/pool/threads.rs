@@ -11,11 +11,20 @@ use std::thread::JoinHandle;
 /// Called on a worker thread when a batch has run; never if the pool ends before.
 type Done = Box<dyn FnOnce(Result<Batch>) + Send>;
 
+/// A shard that waits for a worker.
+struct Piece {
+    /// Number of its first environment in the batch.
+    start: usize,
+    shard: Shard,
+    /// Parts of the operation that are done.
+    done: usize,
+}
+
 /// A batch whose shards are being handed out.
 struct Job {
     operation: Arc<Operation>,
-    /// Shards that no worker has taken yet, with the number of their first environment; last one first.
-    waiting: Vec<(usize, Shard)>,
+    /// Shards that no worker has now; last one first.
+    waiting: Vec<Piece>,
     id: u64,
 }
 
@@ -79,10 +88,10 @@ impl Pool {
     /// lost and `done` gets an error; other batches go on.
     pub fn run(&self, mut batch: Batch, operation: Operation, done: impl FnOnce(Result<Batch>) + Send + 'static) {
         let mut start = 0;
-        let mut waiting: Vec<(usize, Shard)> = Vec::with_capacity(batch.shards.len());
+        let mut waiting: Vec<Piece> = Vec::with_capacity(batch.shards.len());
         for shard in batch.shards.drain(..) {
             let envs = shard.envs();
-            waiting.push((start, shard));
+            waiting.push(Piece { start, shard, done: 0 });
             start += envs;
         }
         waiting.reverse();
@@ -127,28 +136,60 @@ impl Drop for Pool {
 }
 
 /// Takes one shard of the foremost job, and puts the job behind all others.
-fn take(queue: &mut Queue) -> Option<(u64, Arc<Operation>, usize, Shard)> {
+fn take(queue: &mut Queue) -> Option<(u64, Arc<Operation>, Piece)> {
     let mut job = queue.jobs.pop_front()?;
-    let (start, shard) = job.waiting.pop()?;
+    let piece = job.waiting.pop()?;
     let (id, operation) = (job.id, job.operation.clone());
     if !job.waiting.is_empty() {
         queue.jobs.push_back(job);
     }
-    Some((id, operation, start, shard))
+    Some((id, operation, piece))
+}
+
+/// Puts a shard with parts to do behind all other jobs.
+fn put_back(queue: &mut Queue, id: u64, operation: Arc<Operation>, piece: Piece) {
+    match queue.jobs.iter_mut().find(|job| job.id == id) {
+        Some(job) => job.waiting.insert(0, piece),
+        None => queue.jobs.push_back(Job { operation, waiting: vec![piece], id }),
+    }
 }
 
 fn worker(shared: &Shared) {
     let mut queue = shared.lock();
     loop {
-        if let Some((id, operation, start, mut shard)) = take(&mut queue) {
+        if let Some((id, operation, mut piece)) = take(&mut queue) {
             drop(queue);
-            let outcome = catch_unwind(AssertUnwindSafe(|| operation.run(&mut shard, start)));
-            drop(operation);
-            queue = give_back(shared, id, start, shard, outcome.is_err());
+            let outcome = catch_unwind(AssertUnwindSafe(|| work(shared, id, &operation, &mut piece)));
+            if matches!(outcome, Ok(false)) {
+                queue = shared.lock();
+                if queue.closed {
+                    return;
+                }
+                put_back(&mut queue, id, operation, piece);
+            } else {
+                drop(operation);
+                queue = give_back(shared, id, piece.start, piece.shard, outcome.is_err());
+            }
         } else if queue.closed {
             return;
         } else {
             queue = shared.work.wait(queue).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+}
+
+/// Goes on with a shard until its operation is done (true) or, after one part at least, another session waits: so that a
+/// session that steps beside a rollout keeps its share, and a rollout alone needs no turns.
+fn work(shared: &Shared, id: u64, operation: &Operation, piece: &mut Piece) -> bool {
+    loop {
+        operation.run(&mut piece.shard, piece.start, piece.done);
+        piece.done += 1;
+        if piece.done >= operation.parts() {
+            return true;
+        }
+        let queue = shared.lock();
+        if queue.closed || queue.jobs.iter().any(|job| job.id != id) {
+            return false;
         }
     }
 }

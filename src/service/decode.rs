@@ -9,7 +9,8 @@ use crate::pool::{Batch, Operation, Snapshot};
 /// The operation `request` asks of `batch`; on an error the batch is as it was.
 pub fn operation(batch: &mut Batch, request: Option<Request>) -> Result<Operation> {
     match request {
-        Some(Request::Step(step)) => batch.step(floats("actions", &step.actions)?),
+        Some(Request::Step(step)) if step.held.is_empty() => batch.step(floats("actions", &step.actions)?),
+        Some(Request::Step(step)) => batch.step_but(floats("actions", &step.actions)?, flags("held", &step.held)?),
         Some(Request::Reset(reset)) => {
             let chosen = if reset.mask.is_empty() { None } else { Some(flags("mask", &reset.mask)?) };
             let seeds = if reset.seeds.is_empty() { None } else { Some(reset.seeds) };

@@ -44,7 +44,8 @@ fn requests(batch: &Batch) -> Vec<Vec<u8>> {
     let all = [
         Request::Reset(Reset { seeds: vec![1, 2, u64::MAX], mask: vec![1, 0, 1].into(), options: None }),
         Request::Reset(Reset { seeds: Vec::new(), mask: bytes::Bytes::new(), options: changes }),
-        Request::Step(Step { actions: floats(ENVS * width) }),
+        Request::Step(Step { actions: floats(ENVS * width), held: bytes::Bytes::new() }),
+        Request::Step(Step { actions: floats(ENVS * width), held: vec![1, 0, 1].into() }),
         Request::Rollout(Rollout { actions: floats(4 * ENVS * width), trajectories: true }),
         Request::Restore(Restore { snapshot: snapshot.into(), sources: vec![0; 4 * ENVS].into() }),
         Request::PolicyRollout(PolicyRollout { onnx: PPO.into(), steps: 4, trajectories: true }),
@@ -66,7 +67,8 @@ fn with_checksum(snapshot: &[u8], random: &mut Xoshiro256PlusPlus) -> Option<Vec
 fn spoiled(random: &mut Xoshiro256PlusPlus, mut request: Request) -> Request {
     let mut spoil = |field: &mut bytes::Bytes| *field = mutate::mutated(random, field, &[]).into();
     match &mut request {
-        Request::Step(step) => spoil(&mut step.actions),
+        Request::Step(step) if step.held.is_empty() => spoil(&mut step.actions),
+        Request::Step(step) => spoil(&mut step.held),
         Request::Rollout(rollout) => spoil(&mut rollout.actions),
         Request::PolicyRollout(rollout) => spoil(&mut rollout.onnx),
         Request::Reset(reset) => {

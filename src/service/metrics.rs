@@ -2,7 +2,7 @@
 
 use super::sessions::Sessions;
 use crate::error::{Error, Result};
-use crate::pool::Batch;
+use crate::pool::{Batch, Operation};
 use axum::http::header::CONTENT_TYPE;
 use axum::response::IntoResponse;
 use axum::routing::get;
@@ -13,7 +13,7 @@ use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
 use prometheus_client::registry::{Registry, Unit};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 use tonic::Code;
@@ -67,13 +67,20 @@ impl Default for Metrics {
 }
 
 impl Metrics {
-    /// A reset, step or restore of all environments was carried out and has just given its rows.
-    pub fn ran(&self, operation: &'static str, time: Duration, batch: &Batch) {
-        self.batches.get_or_create(&[("operation", operation.into())]).observe(time.as_secs_f64());
-        if operation != STEP {
-            return;
+    /// `operation` begins on a batch of `envs` environments; what this returns is called with the batch when it has just
+    /// given its rows. Not for parts of rollouts.
+    pub fn begin(self: &Arc<Self>, operation: &Operation, envs: usize) -> impl FnOnce(&Batch) + Send + use<> {
+        let (name, steps) = (operation.name(), operation.steps(envs));
+        let (all, begun) = (self.clone(), Instant::now());
+        move |batch| {
+            all.batches.get_or_create(&[("operation", name.into())]).observe(begun.elapsed().as_secs_f64());
+            all.steps.inc_by(steps as u64);
+            all.ended_episodes(batch);
         }
-        self.steps.inc_by(batch.envs() as u64);
+    }
+
+    /// Flags are set by steps only.
+    fn ended_episodes(&self, batch: &Batch) {
         let spec = batch.spec();
         let diverged = spec.info.iter().position(|c| c.name == "diverged");
         for rows in batch.shards().iter().map(|s| &s.rows) {
@@ -111,9 +118,6 @@ impl Metrics {
         Ok(page)
     }
 }
-
-/// What [`Metrics::ran`] calls a step.
-pub const STEP: &str = "step";
 
 /// Answers `GET /metrics` until `stop` is cancelled.
 pub async fn serve(listener: TcpListener, sessions: Arc<Sessions>, stop: CancellationToken) -> Result<()> {

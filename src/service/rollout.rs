@@ -1,5 +1,5 @@
-//! A rollout request: some steps at a time, so that other sessions get their turns and a client that leaves is noticed;
-//! then everything is put back to where it was.
+//! A rollout request: some steps at a time, so that a client that leaves is noticed; then everything is put back to where
+//! it was.
 
 use super::proto;
 use super::proto::RunSessionResponse;
@@ -9,12 +9,22 @@ use super::{decode, encode};
 use crate::error::Result;
 use crate::pool::{Batch, Operation, Pool, Roll};
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
 
-/// Steps between two looks at who else waits: our choice, half a millisecond of work on a shard of lanes, so that a session
-/// that steps beside a rollout keeps its share.
-const STEPS: usize = 4;
+/// Time between two looks at whether the client is still there, and the work of one part of trajectories: our choice, long
+/// against the way from the pool to the runtime and back (some 50 µs), short to whoever waits for a server's end. Other
+/// sessions need not wait for it: the pool gives them their turns in between.
+const TURN: Duration = Duration::from_millis(10);
+
+/// A turn has at most this many times the steps of the one before: the first one, of one step, may have been lucky.
+const GROWTH: usize = 4;
+
+/// Steps of the next turn, if the last one's `steps` took `time`.
+fn pace(steps: usize, time: Duration) -> usize {
+    let fitting = steps as f64 * TURN.as_secs_f64() / time.as_secs_f64().max(1e-6);
+    (fitting as usize).clamp(1, GROWTH * steps)
+}
 
 /// Checks a rollout of actions and starts it.
 pub fn start(work: Work, request: &proto::Rollout, pool: Arc<Pool>) {
@@ -49,17 +59,19 @@ async fn run(work: Work, roll: Roll, back: Operation, trajectories: bool, pool: 
     let part = |part| RunSessionResponse { sequence, response: Some(Response::Rollout(part)) };
     let stop = sessions.stop();
     let rolled = async {
-        let (mut batch, mut next) = (batch, roll.next(STEPS));
+        let (mut batch, mut last, mut count) = (batch, roll.clone(), 1);
         let mut answer = None;
         let mut failed = None;
-        while let Some(steps) = next {
+        while let Some(steps) = last.next(count) {
+            last = steps.clone();
             let (made, is_last) = (steps.made(), steps.made() == steps.total());
-            next = steps.next(STEPS);
+            let turn = Instant::now();
             batch = pooled(&pool, batch, Operation::Roll(steps)).await?;
             failed = batch.shards().iter().find_map(|s| s.rollout.failed.clone());
             if failed.is_some() {
                 break;
             }
+            count = pace(count, turn.elapsed());
             let rows = encode::rollout(&batch, made, is_last, roll.chooses());
             if is_last {
                 answer = Some(rows);

@@ -3,8 +3,10 @@
 use crate::error::{Error, Result};
 use futures_util::StreamExt as _;
 use sha2::{Digest as _, Sha256};
+use std::fmt::Display;
 use std::fs;
 use std::io;
+use std::net::IpAddr;
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 use std::sync::Arc;
@@ -71,6 +73,26 @@ impl Tls {
     pub fn load(certificate: &Path, key: &Path, client_ca: Option<&Path>) -> Result<Self> {
         let chain = certificates(certificate)?;
         let secret = PrivateKeyDer::from_pem_file(key).map_err(|e| Error::file(key, format!("no private key: {e}")))?;
+        let unusable = |e| Error::file(key, format!("not the key of {}: {e}", certificate.display()));
+        Self::with(chain, secret, client_ca)?.map_err(unusable)
+    }
+
+    /// A certificate for `host` that is made here, signs itself and lasts as long as its key: until this process ends.
+    /// The text is its PEM, which clients must trust.
+    pub fn self_signed(host: IpAddr) -> Result<(Self, String)> {
+        let failed = |e: &dyn Display| Error::Exhausted(format!("a certificate cannot be made: {e}"));
+        let made = rcgen::generate_simple_self_signed(vec![host.to_string()]).map_err(|e| failed(&e))?;
+        let secret = PrivateKeyDer::Pkcs8(made.signing_key.serialize_der().into());
+        let tls = Self::with(vec![made.cert.der().clone()], secret, None)?.map_err(|e| failed(&e))?;
+        Ok((tls, made.cert.pem()))
+    }
+
+    /// The inner error: the key is not the certificate's.
+    fn with(
+        chain: Vec<CertificateDer<'static>>,
+        secret: PrivateKeyDer<'static>,
+        client_ca: Option<&Path>,
+    ) -> Result<std::result::Result<Self, tokio_rustls::rustls::Error>> {
         let provider = Arc::new(ring::default_provider());
         let versions = ServerConfig::builder_with_provider(provider.clone()).with_safe_default_protocol_versions();
         let versions = versions.map_err(|e| Error::Exhausted(format!("TLS cannot be used: {e}")))?;
@@ -85,10 +107,10 @@ impl Tls {
                 versions.with_client_cert_verifier(verifier.map_err(|e| Error::file(path, e))?)
             }
         };
-        let unusable = |e| Error::file(key, format!("not the key of {}: {e}", certificate.display()));
-        let mut config = clients.with_single_cert(chain, secret).map_err(unusable)?;
-        config.alpn_protocols = vec![b"h2".to_vec()];
-        Ok(Self(Arc::new(config).into()))
+        Ok(clients.with_single_cert(chain, secret).map(|mut config| {
+            config.alpn_protocols = vec![b"h2".to_vec()];
+            Self(Arc::new(config).into())
+        }))
     }
 
     /// Connections whose handshake succeeded. The others are logged and dropped.

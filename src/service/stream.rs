@@ -9,7 +9,6 @@
 //! by flow control. Nothing here computes: a light request is checked on the async thread, a heavy one on a blocking
 //! thread, and the pool's threads step and encode.
 
-use super::metrics::STEP;
 use super::proto::run_session_request::Request;
 use super::proto::run_session_response::Response;
 use super::proto::{Attached, RunSessionRequest, RunSessionResponse, Snapshot};
@@ -122,6 +121,10 @@ impl Run {
     async fn begin(&mut self, request: RunSessionRequest) -> Result<Option<RunSessionResponse>, Status> {
         let hold = match &self.attached {
             Some(attached) => &attached.hold,
+            None if request.session_id.is_empty() => {
+                let reason = "missing; a stream's first message names its session";
+                return Err(status::status(&Error::invalid("session_id", reason)));
+            }
             None => {
                 let hold = self.sessions.attach(&request.session_id).map_err(|e| status::status(&e))?;
                 &self.attached.insert(Guard { hold, sessions: self.sessions.clone() }).hold
@@ -186,11 +189,6 @@ fn start(work: Work, request: RunSessionRequest, pool: Arc<Pool>) {
 /// Checks a request and starts its operation.
 fn carry_out(mut work: Work, request: Option<Request>, pool: &Arc<Pool>) {
     let batch = &mut work.environments.batch;
-    let name = match &request {
-        Some(Request::Reset(_)) => "reset",
-        Some(Request::Restore(_)) => "restore",
-        _ => STEP,
-    };
     let operation = match request {
         Some(Request::Save(_)) => {
             let saved = batch.save().and_then(|s| s.to_bytes());
@@ -204,21 +202,21 @@ fn carry_out(mut work: Work, request: Option<Request>, pool: &Arc<Pool>) {
         request => decode::operation(batch, request),
     };
     match operation {
-        Ok(operation) => work.run(name, operation, pool),
+        Ok(operation) => work.run(operation, pool),
         Err(error) => work.refuse(&error),
     }
 }
 
 impl Work {
-    /// Carries `operation` out and answers with the batch that it gives; metrics call it `name`.
-    fn run(self, name: &'static str, operation: Operation, pool: &Pool) {
-        let begun = Instant::now();
+    /// Carries `operation` out and answers with the batch that it gives.
+    fn run(self, operation: Operation, pool: &Pool) {
         let Self { environments, sequence, sessions, id, answers } = self;
         let (batch, rest) = environments.into_parts();
+        let ran = sessions.metrics.begin(&operation, batch.envs());
         pool.run(batch, operation, move |batch| match batch {
             Ok(batch) => {
                 let response = Response::Batch(encode::batch(&batch));
-                sessions.metrics.ran(name, begun.elapsed(), &batch);
+                ran(&batch);
                 let environments = rest.with(batch);
                 Self { environments, sequence, sessions, id, answers }.finish(response, true);
             }

@@ -1,5 +1,6 @@
 //! The seam between a model and the code that integrates it. Nothing above this file knows which engine runs.
 
+use super::carriage::CarriageEngine;
 use super::lanes::LanesEngine;
 use super::rapier::RapierEngine;
 use super::{Model, State};
@@ -13,22 +14,26 @@ pub enum EngineKind {
     Lanes,
     /// rapier3d multibodies, one world a robot: the oracle of the other, and the one for rigid obstacles; see [`super::rapier`].
     Rapier,
+    /// Legs on driven carriages, for the task that is about one; see [`super::carriage`].
+    Carriage,
 }
 
 impl EngineKind {
+    /// Those that simulate robots, to choose between.
     pub const ALL: [Self; 2] = [Self::Lanes, Self::Rapier];
 
     pub fn name(self) -> &'static str {
         match self {
             Self::Lanes => "lanes",
             Self::Rapier => "rapier",
+            Self::Carriage => "carriage",
         }
     }
 
     /// How many environments a thread takes at a time.
     pub fn shard_size(self) -> usize {
         match self {
-            Self::Lanes => 16,
+            Self::Lanes | Self::Carriage => 16,
             Self::Rapier => 1,
         }
     }
@@ -38,7 +43,8 @@ impl EngineKind {
     pub fn robot_bytes(self) -> usize {
         match self {
             Self::Lanes => 10_000,
-            Self::Rapier => 170_000, // 18 joints; 86,000 with 6
+            Self::Rapier => 170_000,  // 18 joints; 86,000 with 6
+            Self::Carriage => 12_000, // counted: two links of 12 plates, twice, and the robot's description
         }
     }
 
@@ -67,6 +73,7 @@ impl Command {
 pub enum Engine {
     Lanes(LanesEngine),
     Rapier(RapierEngine),
+    Carriage(CarriageEngine),
 }
 
 impl Engine {
@@ -75,6 +82,7 @@ impl Engine {
         Ok(match kind {
             EngineKind::Lanes => Self::Lanes(LanesEngine::new(model, count)?),
             EngineKind::Rapier => Self::Rapier(RapierEngine::new(model, count)),
+            EngineKind::Carriage => Self::Carriage(CarriageEngine::new(model, count)),
         })
     }
 
@@ -83,6 +91,7 @@ impl Engine {
         match self {
             Self::Lanes(e) => e.set_model(index, model),
             Self::Rapier(e) => e.set_model(index, model),
+            Self::Carriage(e) => e.set_model(index, model),
         }
     }
 
@@ -90,6 +99,7 @@ impl Engine {
         match self {
             Self::Lanes(e) => e.set_state(index, state),
             Self::Rapier(e) => e.set_state(index, state),
+            Self::Carriage(e) => e.set_state(index, state),
         }
     }
 
@@ -98,6 +108,7 @@ impl Engine {
         match self {
             Self::Lanes(e) => e.state(index, out),
             Self::Rapier(e) => e.state(index, out),
+            Self::Carriage(e) => e.state(index, out),
         }
     }
 
@@ -105,6 +116,7 @@ impl Engine {
         match self {
             Self::Lanes(e) => e.command(index, command),
             Self::Rapier(e) => e.command(index, command),
+            Self::Carriage(e) => e.command(index, command),
         }
     }
 
@@ -113,6 +125,7 @@ impl Engine {
         match self {
             Self::Lanes(e) => e.advance(steps),
             Self::Rapier(e) => e.advance(steps),
+            Self::Carriage(e) => e.advance(steps),
         }
     }
 }

@@ -11,8 +11,10 @@
 //! * [`engine`]: the seam; everything above sees only this.
 //! * [`lanes`]: the fast engine, articulated bodies over SIMD lanes of robots.
 //! * [`rapier`]: rapier3d multibodies, one world a robot.
+//! * [`carriage`]: a leg on a driven carriage, whose forces are measured.
 //! * [`walk`]: the speed protocol of the reference experiments.
 
+pub mod carriage;
 pub mod engine;
 pub mod feet;
 pub mod lanes;

@@ -128,6 +128,11 @@ impl Robot {
     /// The reference robot.
     pub const DEFAULT: &'static str = "xplorer";
 
+    /// The leg under the carriage of LegStroke: nothing that walks.
+    pub fn stroke_leg() -> Result<Self> {
+        Self::from_toml(include_str!("../../robots/stroke-leg.toml"))
+    }
+
     pub fn names() -> Vec<&'static str> {
         BUILT_IN.iter().map(|r| r.0).collect()
     }
@@ -200,10 +205,10 @@ impl Robot {
         check_range("servo.kd", self.servo.kd, 0.0..=1e3)?;
         check_range("servo.torque_limit", self.servo.torque_limit.unwrap_or(1.0), 1e-6..=1e4)?;
         check_range("servo.speed_limit", self.servo.speed_limit.unwrap_or(1.0), 1e-3..=1e4)?;
-        if !matches!(self.leg.link.len(), 1 | 3) {
+        if !matches!(self.leg.link.len(), 1..=3) {
             return Err(Error::invalid(
                 "leg.link",
-                format!("{} links a leg; 1 or 3 are supported", self.leg.link.len()),
+                format!("{} links a leg; 1 to 3 are supported", self.leg.link.len()),
             ));
         }
         self.leg.link.iter().try_for_each(Link::validate)

@@ -24,6 +24,8 @@ pub struct State {
     pub torques: Vec<f64>,
     /// ∫ Σ|τ ω| dt since the state was set [J].
     pub work: f64,
+    /// ∫ sand's force on the legs dt since the state was set [N·s]; only engine `carriage` measures it.
+    pub impulse: [f64; 3],
     /// The scene's obstacles that move, in their order.
     #[serde(default)]
     pub objects: Vec<ObjectState>,
@@ -73,15 +75,17 @@ impl State {
             references: angles.to_vec(),
             torques: vec![0.0; angles.len()],
             work: 0.0,
+            impulse: [0.0; 3],
             objects: Vec::new(),
         }
     }
 
     /// All of it as one row, for [`Self::from_row`].
     pub fn row(&self) -> Vec<f64> {
-        let mut row = Vec::with_capacity(14 + 4 * self.angles.len() + 13 * self.objects.len());
+        let mut row = Vec::with_capacity(17 + 4 * self.angles.len() + 13 * self.objects.len());
         row.extend(self.position.iter().chain(&self.orientation).chain(&self.velocity).chain(&self.angular_velocity));
         row.push(self.work);
+        row.extend(self.impulse);
         row.extend(self.angles.iter().chain(&self.rates).chain(&self.references).chain(&self.torques));
         row.extend(self.objects.iter().flat_map(ObjectState::numbers));
         row
@@ -90,7 +94,7 @@ impl State {
     /// The state of a robot with `joints` joints from its [`Self::row`]; none if the row has another length than such
     /// robots' have.
     pub fn from_row(joints: usize, row: &[f64]) -> Option<Self> {
-        let (base, rest) = row.split_at_checked(14)?;
+        let (base, rest) = row.split_at_checked(17)?;
         let (joint, objects) = rest.split_at_checked(4 * joints)?;
         let (objects, rest) = objects.as_chunks::<13>();
         if !rest.is_empty() {
@@ -103,6 +107,7 @@ impl State {
             velocity: base[7..10].try_into().ok()?,
             angular_velocity: base[10..13].try_into().ok()?,
             work: base[13],
+            impulse: base[14..].try_into().ok()?,
             angles: part(0),
             rates: part(1),
             references: part(2),

@@ -3,6 +3,10 @@
 #[expect(dead_code, reason = "the rest is for other tests")]
 #[path = "../grpc/harness.rs"]
 mod harness;
+mod load;
+#[expect(dead_code, reason = "the rest is for other tests")]
+#[path = "../serve/process.rs"]
+mod process;
 
 use harness::{Server, Session, create, step, until, wave};
 use sandgait::service::proto::run_session_request::Request;
@@ -15,9 +19,9 @@ use tokio::sync::Mutex;
 /// These tests measure: one at a time.
 static ALONE: Mutex<()> = Mutex::const_new(());
 
-/// Memory of this process [MiB].
-fn resident() -> f64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap();
+/// Memory of a process [MiB].
+fn resident(process: u32) -> f64 {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap();
     let line = status.lines().find_map(|l| l.strip_prefix("VmRSS:")).unwrap();
     line.trim().trim_end_matches(" kB").parse::<f64>().unwrap() / 1024.0
 }
@@ -47,7 +51,7 @@ async fn a_client_that_does_not_read_is_not_stepped_on() {
     });
     let mut other = server.session(2).await;
     other.reset(1).await;
-    let before = resident();
+    let before = resident(std::process::id());
     let begun = Instant::now();
     let mut time = 0;
     while begun.elapsed() < Duration::from_secs(3) {
@@ -57,7 +61,7 @@ async fn a_client_that_does_not_read_is_not_stepped_on() {
     assert!(!ahead.is_finished(), "the server has read 200 requests that it has not answered");
     ahead.abort();
     // The client's own share, its window and what it has not sent, is in the same process.
-    assert!(resident() - before < 64.0, "{before} to {} MiB", resident());
+    assert!(resident(std::process::id()) - before < 64.0, "{before} to {} MiB", resident(std::process::id()));
     assert!(time > 100, "the other session made {time} steps");
 }
 
@@ -131,7 +135,7 @@ async fn a_thousand_sessions_leave_no_memory_behind() {
         }
         until(async || client.list_sessions(ListSessionsRequest {}).await.unwrap().into_inner().sessions.is_empty())
             .await;
-        resident_after.push(resident());
+        resident_after.push(resident(std::process::id()));
     }
     println!("resident after each 200 sessions [MiB]: {resident_after:.1?}, {:.1?}", begun.elapsed());
     assert!(resident_after[4] - resident_after[0] < 16.0, "{resident_after:?}");

@@ -38,7 +38,18 @@ async fn wrong_actions() {
     let invalid = Code::InvalidArgument;
     refused(Some(step(&wave(0..4, 0))), invalid, &["actions", "24 numbers", "18", "[3, 6]"]).await;
     refused(Some(step(&[])), invalid, &["actions", "0 numbers"]).await;
-    refused(Some(Request::Step(Step { actions: vec![0; 70].into() })), invalid, &["actions", "70 bytes"]).await;
+    refused(
+        Some(Request::Step(Step { actions: vec![0; 70].into(), ..Default::default() })),
+        invalid,
+        &["actions", "70 bytes"],
+    )
+    .await;
+    let held = |held: &[u8]| match step(&wave(0..3, 0)) {
+        Request::Step(step) => Some(Request::Step(Step { held: held.to_vec().into(), ..step })),
+        other => Some(other),
+    };
+    refused(held(&[1, 0]), invalid, &["held", "2 entries for 3"]).await;
+    refused(held(&[1, 0, 2]), invalid, &["held[2]", "2 is neither 0 nor 1"]).await;
     for (value, name) in [(f32::NAN, "NaN"), (1.5, "1.5"), (-1.001, "-1.001"), (f32::INFINITY, "inf")] {
         refused(spoiled(value), invalid, &["actions[2][4]", name, "left-middle", "[-1, 1]"]).await;
     }

@@ -9,7 +9,8 @@ use rand::{Rng as _, SeedableRng as _};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::service::Address;
 use sandgait::service::proto::run_session_request::Request;
-use sandgait::service::proto::{Attach, Reset, RunSessionRequest, Save};
+use sandgait::service::proto::run_session_response::Response;
+use sandgait::service::proto::{Attach, Reset, Restore, Rollout, RunSessionRequest, Save};
 use std::time::{Duration, Instant};
 use tokio::net::UnixStream;
 
@@ -41,7 +42,7 @@ fn frame(message: &[u8]) -> Vec<u8> {
 }
 
 /// Valid messages of a session.
-fn messages(id: &str) -> Vec<Vec<u8>> {
+fn messages(id: &str, snapshot: &Bytes) -> Vec<Vec<u8>> {
     let changes = options(&[("leg", text("C")), ("slope_deg", number(2.0))]);
     let all = [
         Request::Attach(Attach {}),
@@ -49,6 +50,11 @@ fn messages(id: &str) -> Vec<Vec<u8>> {
         Request::Reset(Reset { options: changes, ..Default::default() }),
         step(&wave(0..2, 0)),
         Request::Save(Save {}),
+        Request::Restore(Restore { snapshot: snapshot.clone(), sources: vec![0; 8].into() }),
+        Request::Rollout(Rollout {
+            actions: [wave(0..2, 0), wave(0..2, 1)].concat().iter().flat_map(|a| a.to_le_bytes()).collect(),
+            trajectories: true,
+        }),
     ];
     let message = |request| RunSessionRequest { session_id: id.into(), sequence: 0, request: Some(request) };
     all.into_iter().map(|request| message(request).encode_to_vec()).collect()
@@ -59,8 +65,10 @@ async fn wrong_messages_disturb_nobody_else() {
     let (server, calm) = (Server::start(1).await, Server::start(1).await);
     let (mut witness, mut undisturbed) = (server.session(5).await, calm.session(5).await);
     assert_eq!(witness.reset(1).await, undisturbed.reset(1).await);
-    let victim: Session = server.session(2).await;
-    let (valid, creation) = (messages(&victim.id), create(2, &[("leg", text("C"))]).encode_to_vec());
+    let mut victim: Session = server.session(2).await;
+    victim.reset(7).await;
+    let Response::Snapshot(saved) = victim.ask(Some(Request::Save(Save {}))).await else { panic!("no snapshot") };
+    let (valid, creation) = (messages(&victim.id, &saved.data), create(2, &[("leg", text("C"))]).encode_to_vec());
     let mut random = Xoshiro256PlusPlus::seed_from_u64(22);
     let client = connect(&server).await;
     let begun = Instant::now();

@@ -210,7 +210,7 @@ impl Session {
 }
 
 pub fn step(actions: &[f32]) -> Request {
-    Request::Step(Step { actions: actions.iter().flat_map(|a| a.to_le_bytes()).collect() })
+    Request::Step(Step { actions: actions.iter().flat_map(|a| a.to_le_bytes()).collect(), ..Default::default() })
 }
 
 /// Smooth actions of environments `envs` at step `time`.

@@ -138,6 +138,27 @@ async fn only_the_first_message_names_the_session() {
     assert_eq!(session.receive().await.unwrap().0, 2);
 }
 
+/// A first message that asks for nothing is refused by name and takes the session all the same; one that names no
+/// session ends the stream.
+#[tokio::test]
+async fn a_first_message_without_a_request_or_a_session() {
+    let server = Server::start(1).await;
+    let mut session = server.session(2).await;
+    let failure = session.failure(None).await;
+    assert_eq!(failure.code, i32::from(Code::InvalidArgument));
+    assert_eq!(failure.message, "request: neither reset, step, attach, save, restore nor rollout");
+    session.reset(0).await;
+    for request in [None, Some(step(&wave(0..2, 0)))] {
+        let mut nameless = server.session(2).await;
+        let message = RunSessionRequest { session_id: String::new(), sequence: 1, request };
+        nameless.requests.send(message).await.unwrap();
+        let status = nameless.receive().await.unwrap_err();
+        assert_eq!(status.code(), Code::InvalidArgument);
+        assert_eq!(status.message(), "session_id: missing; a stream's first message names its session");
+    }
+    session.step(0).await;
+}
+
 #[tokio::test]
 async fn a_session_without_a_stream_expires() {
     let limits = Limits { lease: Duration::from_millis(50), ..Default::default() };

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+import socket
 import subprocess
 import sys
 import threading
 import time
 import unittest
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -387,3 +389,25 @@ def test_the_example_of_the_document_runs(address: str, capsys: pytest.CaptureFi
     (example,) = re.findall(r"```python\n(.*?)```", text, re.S)
     exec(compile(example.replace("127.0.0.1:50051", address), "docs/dm_env_rpc.md", "exec"), {})
     assert "reward of the last step:" in capsys.readouterr().out
+
+
+def test_what_worlds_do_is_counted() -> None:
+    with socket.socket() as probe:  # any free port, as the server would find it; then it is free again
+        probe.bind(("127.0.0.1", 0))
+        page = f"127.0.0.1:{probe.getsockname()[1]}"
+    with RemoteServer("127.0.0.1:0", "--dm-env-rpc", "--metrics", page) as server:
+        with grpc.insecure_channel(server.address) as channel:
+            connection = Connection(channel)
+            join(connection, create(connection, max_episode_steps=3))
+            for _ in range(6):  # the first and the fifth begin an episode: 3 steps, then 1
+                step(connection, 0.1)
+            with pytest.raises(error.DmEnvRpcError):
+                step(connection, 9.0)
+        text = urllib.request.urlopen(f"http://{page}/metrics").read().decode()
+    for line in (
+        "sandgait_environment_steps_total 4",
+        "sandgait_autoresets_total 1",
+        'sandgait_batch_seconds_count{operation="step"} 4',
+        'sandgait_failures_total{code="InvalidArgument"} 1',
+    ):
+        assert f"\n{line}\n" in text, text

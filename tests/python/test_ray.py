@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import os
+import secrets
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+
+# Without one Ray writes a token into the home of whoever runs the tests.
+os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
 
 import numpy as np
 import pytest
@@ -30,6 +35,7 @@ def servers() -> Iterator[sandgait.ray.Servers]:
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
     cluster.add_node(num_cpus=1)
     ray.init(address=cluster.address, log_to_driver=False)
+    sys.path.insert(0, str(EXAMPLES))
     with sandgait.ray.serve() as servers:
         yield servers
     ray.shutdown()
@@ -52,11 +58,36 @@ def test_environments_over_the_cluster_give_the_same_numbers(servers: sandgait.r
 
 
 def test_the_evolution_strategy_learns(servers: sandgait.ray.Servers) -> None:
-    sys.path.insert(0, str(EXAMPLES))
     import ray_es
 
     _, curve = ray_es.evolve(servers, generations=8, population=64)
     assert np.mean(curve[-2:]) > np.mean(curve[:2]) + 5.0, curve
+
+
+def test_rllib_trains_on_both_nodes(servers: sandgait.ray.Servers) -> None:
+    """Some seconds: every step reaches the learner, episodes end, and each runner has a session beside it."""
+    import rllib_ppo
+
+    algorithm = rllib_ppo.build(servers, runners=2, envs=16, max_episode_steps=40)
+    curve = rllib_ppo.train(algorithm, iterations=2)
+    results = algorithm.env_runner_group.foreach_env_runner(
+        lambda runner: (runner.env.unwrapped._session.addresses, runner.env.unwrapped.num_envs), local_env_runner=False
+    )
+    algorithm.stop()
+    assert np.isfinite(curve).all(), curve
+    assert sorted(results) == sorted(([address], 16) for address in servers.addresses)
+
+
+def test_only_who_has_the_token_is_served(servers: sandgait.ray.Servers) -> None:
+    address = servers.addresses[0]
+    for stranger in (str(address), sandgait.Remote(address, ca=address.ca)):
+        with pytest.raises(sandgait.SandgaitError, match="bearer token|cannot be reached"):
+            sandgait.describe(stranger)
+    processes = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, check=True).stdout
+    assert "--tls-self-signed" in processes
+    assert address.token
+    for shown in (processes, repr(servers), str(servers)):
+        assert address.token not in shown
 
 
 def test_wrong_use_is_named(servers: sandgait.ray.Servers) -> None:

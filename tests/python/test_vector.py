@@ -19,11 +19,11 @@ def make(num_envs: int, **options: Any) -> sandgait.SandgaitVectorEnv:
     return env
 
 
-def synchronous(num_envs: int, **options: Any) -> SyncVectorEnv:
+def synchronous(num_envs: int, mode: AutoresetMode = AutoresetMode.SAME_STEP, **options: Any) -> SyncVectorEnv:
     def one() -> sandgait.SandgaitEnv:
         return sandgait.SandgaitEnv(ID, **options)
 
-    return SyncVectorEnv([one] * num_envs, autoreset_mode=AutoresetMode.SAME_STEP)
+    return SyncVectorEnv([one] * num_envs, autoreset_mode=mode)
 
 
 def assert_same(ours: Any, theirs: Any) -> None:
@@ -85,6 +85,53 @@ def test_same_step_semantics_are_syncvectorenvs() -> None:
     assert ended == {0, 2}
     ours.close()
     theirs.close()
+
+
+@pytest.mark.parametrize("task", sandgait.TASKS)
+def test_next_step_semantics_are_syncvectorenvs(task: str) -> None:
+    """Bit for bit over many ends, some of all environments at once, some of a few, and with wrong actions at resets."""
+    mode = AutoresetMode.NEXT_STEP
+    ours = sandgait.SandgaitVectorEnv(task, 3, autoreset_mode=mode, max_episode_steps=5)
+    theirs = SyncVectorEnv([lambda: sandgait.SandgaitEnv(task, max_episode_steps=5)] * 3, autoreset_mode=mode)
+    assert ours.metadata["autoreset_mode"] is theirs.metadata["autoreset_mode"] is mode
+    assert_same(ours.reset(seed=5)[0], theirs.reset(seed=5)[0])
+    ours.action_space.seed(1)
+    held = np.zeros(3, bool)
+    ended = set()
+    for step in range(30):
+        if step == 2:
+            mask = np.array([True, False, False])
+            assert_same(*(e.reset(seed=[9, 9, 9], options={"reset_mask": mask.copy()})[0] for e in (ours, theirs)))
+        actions = ours.action_space.sample()
+        mine, reference = ours.step(np.where(held[:, None], np.float32(7.0), actions)), theirs.step(actions)
+        for a, b in zip(mine[:4], reference[:4], strict=True):
+            assert_same(a, b)
+        assert_same_infos(mine[4], reference[4])
+        held = mine[2] | mine[3]
+        ended.add(int(held.sum()))
+    assert ended == {0, 1, 2}
+    ours.close()
+    theirs.close()
+
+
+def test_next_step_over_several_servers_and_what_waits_for_the_next_step() -> None:
+    one, two = (
+        make(5, autoreset_mode="NEXT_STEP", max_episode_steps=3, address=address) for address in (None, [None, None])
+    )
+    assert_same(one.reset(seed=2)[0], two.reset(seed=2)[0])
+    for step in range(9):
+        actions = np.full((5, 6), 0.1 * step, np.float32)
+        for a, b in zip(one.step(actions)[:4], two.step(actions)[:4], strict=True):
+            assert_same(a, b)
+        if step == 2:
+            for what in (one.save, lambda: one.rollout(np.zeros((2, 5, 6)))):
+                with pytest.raises(sandgait.OutOfOrder, match="environment 0 has ended its episode"):
+                    what()
+    one.restore(one.save())
+    one.close()
+    two.close()
+    with pytest.raises(sandgait.InvalidRequest, match=r"^autoreset_mode: 'DISABLED' is neither"):
+        make(2, autoreset_mode="DISABLED")
 
 
 def test_infos_where_every_episode_ends_at_once() -> None:

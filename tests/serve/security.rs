@@ -8,7 +8,7 @@ use rcgen::{
 use sandgait::service::proto::DescribeRequest;
 use std::fs;
 use std::path::{Path, PathBuf};
-use tonic::transport::{Channel, Endpoint, Identity};
+use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
 use tonic::{Code, Status};
 
 const TOKEN: &str = "the-token-that-nobody-may-log";
@@ -167,6 +167,30 @@ async fn a_client_does_not_talk_to_a_server_it_cannot_trust() {
     witness.reset(0).await;
 }
 
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_server_can_make_its_own_certificate() {
+    let directory = tempfile::tempdir().unwrap();
+    let (token, certificate) = (write(directory.path(), "token", TOKEN), directory.path().join("certificate"));
+    let arguments = ["--listen", "127.0.0.1:0", "--token-file", text(&token), "--tls-self-signed", text(&certificate)];
+    let server = Process::start(&arguments);
+    let pem = fs::read_to_string(&certificate).unwrap();
+    assert!(pem.starts_with("-----BEGIN CERTIFICATE") && !pem.contains("KEY"), "{pem}");
+    let connect = async |ca: &str, name: &str| {
+        let tls = ClientTlsConfig::new().ca_certificate(Certificate::from_pem(ca)).domain_name(name);
+        let endpoint = Endpoint::from_shared(format!("https://{}", server.address)).unwrap();
+        endpoint.tls_config(tls).unwrap().connect().await.map_err(|e| format!("{e:?}"))
+    };
+    let channel = connect(&pem, "127.0.0.1").await.unwrap();
+    assert_eq!(describe(channel.clone(), Some(TOKEN)).await.unwrap(), env!("CARGO_PKG_VERSION"));
+    assert_eq!(describe(channel, None).await.unwrap_err().code(), Code::Unauthenticated);
+    let error = connect(&pem, "127.0.0.2").await.unwrap_err();
+    assert!(error.contains("NotValidForName"), "{error}");
+    // Another run has another key.
+    let other = Process::start(&arguments);
+    assert_ne!(fs::read_to_string(&certificate).unwrap(), pem);
+    drop(other);
+}
+
 #[test]
 fn servers_that_would_be_open_by_mistake_are_refused() {
     let (directory, authority) = (tempfile::tempdir().unwrap(), Authority::new("ours"));
@@ -177,7 +201,8 @@ fn servers_that_would_be_open_by_mistake_are_refused() {
     let [cert, key, token, empty, other] = [&cert, &key, &token, &empty, &other].map(|p| text(p));
     let tls = ["--tls-cert", cert, "--tls-key", key];
     let everywhere = ["--listen", "0.0.0.0:0"];
-    let cases: [(&[&str], &[&str]); 12] = [
+    let own = ["--tls-self-signed", other];
+    let cases: [(&[&str], &[&str]); 16] = [
         (&everywhere, &["0.0.0.0:0", "--tls-cert and --tls-key and --token-file", "--insecure"]),
         (&[&everywhere[..], &tls].concat(), &["add --token-file, or --insecure"]),
         (&[&everywhere[..], &["--token-file", token]].concat(), &["add --tls-cert and --tls-key, or"]),
@@ -190,6 +215,10 @@ fn servers_that_would_be_open_by_mistake_are_refused() {
         (&["--tls-cert", key, "--tls-key", key], &[key, "holds no certificate"]),
         (&["--tls-cert", cert, "--tls-key", other], &[other, "not the key of"]),
         (&[&["--listen", "unix:/nowhere/sock"][..], &tls].concat(), &["needs no TLS"]),
+        (&[&["--listen", "unix:/nowhere/sock"][..], &own].concat(), &["--tls-self-signed", "needs no TLS"]),
+        (&[&everywhere[..], &own, &["--token-file", token]].concat(), &["--tls-self-signed", "no address"]),
+        (&[&own[..], &tls].concat(), &["--tls-self-signed", "cannot be used with"]),
+        (&["--tls-self-signed", "/nowhere/certificate"], &["/nowhere/certificate"]),
     ];
     for (arguments, words) in cases {
         let line = refused(arguments);

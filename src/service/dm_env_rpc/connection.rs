@@ -63,6 +63,9 @@ impl Connection {
             Some(request) => self.handle(request).await.unwrap_or_else(|e| refusal(&e)),
             None => refusal(&Error::invalid("payload", "the request is empty")),
         };
+        if let Answer::Error(refused) = &payload {
+            self.worlds.sessions.metrics.ended(refused.code.into());
+        }
         Ok(Some(EnvironmentResponse { payload: Some(payload) }))
     }
 

@@ -221,9 +221,11 @@ impl Place {
                 }
             };
             let (batch, rest) = environments.into_parts();
+            let ran = sessions.metrics.begin(&operation, batch.envs());
             pool.run(batch, operation, move |done| {
                 let seen = done.map(|batch| {
                     let seen = view(&batch);
+                    ran(&batch);
                     sessions.give_back(&id, rest.with(batch));
                     seen
                 });

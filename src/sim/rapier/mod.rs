@@ -24,13 +24,15 @@ use super::engine::Command;
 use super::{Model, State};
 use crate::sand::Ground;
 pub use contact::hull;
+pub(super) use frame::Frame;
+pub(super) use sand::{Place, load_link};
 
 use contact::Shapes;
-use frame::{Frame, V};
+use frame::V;
 use inertia::{Masses, mass_properties};
 use rapier3d::prelude::MassProperties;
 use rocks::Rock;
-use sand::{Place, Wrench};
+use sand::Wrench;
 use std::f64::consts::TAU;
 use world::World;
 
@@ -239,7 +241,7 @@ impl Robot {
 }
 
 /// Takes whole turns out of angles together with their references, so that neither grows while a hip turns.
-fn fold_turns(state: &mut State) {
+pub(super) fn fold_turns(state: &mut State) {
     for (angle, reference) in state.angles.iter_mut().zip(&mut state.references) {
         let turns = (*angle / TAU).round() * TAU;
         *angle -= turns;

@@ -195,10 +195,12 @@ class Reset(_message.Message):
     def __init__(self, seeds: _Optional[_Iterable[int]] = ..., mask: _Optional[bytes] = ..., options: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ...) -> None: ...
 
 class Step(_message.Message):
-    __slots__ = ("actions",)
+    __slots__ = ("actions", "held")
     ACTIONS_FIELD_NUMBER: _ClassVar[int]
+    HELD_FIELD_NUMBER: _ClassVar[int]
     actions: bytes
-    def __init__(self, actions: _Optional[bytes] = ...) -> None: ...
+    held: bytes
+    def __init__(self, actions: _Optional[bytes] = ..., held: _Optional[bytes] = ...) -> None: ...
 
 class RunSessionResponse(_message.Message):
     __slots__ = ("sequence", "batch", "failure", "attached", "snapshot", "rollout")

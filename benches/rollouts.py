@@ -1,0 +1,61 @@
+"""Speed of rollouts of 150 steps beside steps in process, as environment steps a second: Rust and Python clients.
+
+usage: taskset -c 0 python benches/rollouts.py [--envs 16 64 256 1024] [--seconds 1]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import time
+
+import numpy as np
+
+import sandgait
+from sandgait import server
+
+ID = "sandgait/HexapodGait-v0"
+STEPS = 150
+
+
+def rust(envs: int, through: str, seconds: float) -> float:
+    """By `sandgait bench`, one thread; the median of five repeats that take `seconds` together."""
+    options = ["--envs", str(envs), "--threads", "1", "--repeats", "5", "--seconds", str(seconds / 5), "--json"]
+    command = [server.find_binary(), "bench", "--through", through, *options]
+    result = subprocess.run(command, capture_output=True, text=True, check=True)
+    return float(json.loads(result.stdout)["env_steps_per_second"])
+
+
+def python(envs: int, trajectories: bool, seconds: float) -> float:
+    """Through a server of its own; the median over single rollouts."""
+    env = sandgait.SandgaitVectorEnv(ID, envs)
+    env.reset(seed=0)
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (STEPS, envs, 6)).astype(np.float32)
+    times = []
+    end = time.perf_counter() + seconds
+    while not times or time.perf_counter() < end:
+        start = time.perf_counter()
+        env.rollout(actions, trajectories)
+        times.append(time.perf_counter() - start)
+    env.close()
+    return STEPS * envs / float(np.median(times))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=str(__doc__).split("\n\n", maxsplit=1)[0])
+    parser.add_argument("--envs", type=int, nargs="+", default=[16, 64, 256, 1024])
+    parser.add_argument("--seconds", type=float, default=1.0, help="length of one measurement")
+    parser.add_argument("--python-only", action="store_true", help="of Rust only the steps in process")
+    arguments = parser.parse_args()
+    print("envs  in process   rust: returns, trajectories   python: returns, trajectories")
+    for envs in arguments.envs:
+        whole = rust(envs, "process", arguments.seconds)
+        ways = [] if arguments.python_only else ["rollouts", "trajectories"]
+        rates = [rust(envs, way, arguments.seconds) for way in ways]
+        rates += [python(envs, trajectories, arguments.seconds) for trajectories in (False, True)]
+        print(f"{envs:4} {whole:11.0f}  ", "  ".join(f"{rate:.0f} ({rate / whole:.1%})" for rate in rates))
+
+
+if __name__ == "__main__":
+    main()

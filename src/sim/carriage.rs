@@ -1,0 +1,113 @@
+//! Legs under driven carriages: the base goes where it is pulled, joints turn as they are told, and the sand's forces are
+//! measured. No masses, no servos: nothing has to be solved for.
+//!
+//! Bodies and sand are those of engine [`super::rapier`], in `f64`. A time step is the midpoint rule.
+
+use super::engine::Command;
+use super::rapier::{Frame, Place, fold_turns, load_link};
+use super::{Model, State};
+use crate::sand::Ground;
+
+/// Carriages that share nothing but the call that advances them.
+pub struct CarriageEngine {
+    carriages: Vec<Carriage>,
+}
+
+struct Carriage {
+    model: Model,
+    ground: Ground<f64>,
+    state: State,
+    /// Of each joint [rad/s].
+    rates: Vec<f64>,
+}
+
+impl CarriageEngine {
+    /// `count` carriages at rest.
+    pub fn new(model: &Model, count: usize) -> Self {
+        Self { carriages: (0..count).map(|_| Carriage::new(model)).collect() }
+    }
+
+    /// See [`super::engine::Engine::set_model`].
+    pub fn set_model(&mut self, index: usize, model: &Model) {
+        let carriage = &mut self.carriages[index];
+        carriage.model = model.clone();
+        carriage.ground = model.scene.ground();
+    }
+
+    /// See [`super::engine::Engine::set_state`]. The velocity is the carriage's for good.
+    pub fn set_state(&mut self, index: usize, state: &State) {
+        self.carriages[index].state.clone_from(state);
+    }
+
+    /// See [`super::engine::Engine::state`].
+    pub fn state(&self, index: usize, out: &mut State) {
+        out.clone_from(&self.carriages[index].state);
+    }
+
+    /// See [`super::engine::Engine::command`]: joints turn at the rates given; torques have no meaning here.
+    pub fn command(&mut self, index: usize, command: &Command) {
+        self.carriages[index].rates.clone_from(&command.rates);
+    }
+
+    /// See [`super::engine::Engine::advance`].
+    pub fn advance(&mut self, steps: usize) {
+        for carriage in &mut self.carriages {
+            (0..steps).for_each(|_| carriage.step());
+            fold_turns(&mut carriage.state);
+        }
+    }
+}
+
+impl Carriage {
+    fn new(model: &Model) -> Self {
+        let joints = model.joints();
+        Self {
+            ground: model.scene.ground(),
+            state: State::at_rest(0.0, &vec![0.0; joints]),
+            rates: vec![0.0; joints],
+            model: model.clone(),
+        }
+    }
+
+    /// Half the way → sand → the other half.
+    fn step(&mut self) {
+        let dt = self.model.scene.dt;
+        self.state.rates.clone_from(&self.rates);
+        self.travel(dt / 2.0);
+        self.feel(dt);
+        self.travel(dt / 2.0);
+        self.state.references.clone_from(&self.state.angles);
+    }
+
+    fn travel(&mut self, time: f64) {
+        let State { position, velocity, angles, rates, .. } = &mut self.state;
+        position.iter_mut().zip(velocity).for_each(|(p, v)| *p += *v * time);
+        angles.iter_mut().zip(rates).for_each(|(a, rate)| *a += *rate * time);
+    }
+
+    /// Adds to impulse and work what the sand does in `dt`, and notes the torques that hold against it.
+    fn feel(&mut self, dt: f64) {
+        let state = &mut self.state;
+        let base = Frame::base(state);
+        let mut first = 0;
+        for chain in &self.model.legs {
+            let mut frame = base;
+            let joints = first..first + chain.len();
+            first = joints.end;
+            state.torques[joints.clone()].fill(0.0);
+            let mut hinges = Vec::with_capacity(chain.len());
+            for (body, joint) in chain.iter().zip(joints) {
+                frame = frame.child(body, state.angles[joint], state.rates[joint]);
+                hinges.push((joint, frame.origin, frame.rotation * body.axis));
+                let at = Place { frame: &frame, base: &state.position };
+                // Without time nothing is added for an implicit step: the wrench is the sand's alone.
+                let sand = load_link(&self.ground, body, state.rates[joint], &at, 0.0).wrench;
+                for (joint, origin, axis) in &hinges {
+                    state.torques[*joint] -= axis.dot(&sand.moment_about(*origin));
+                }
+                state.impulse.iter_mut().zip(&sand.force).for_each(|(sum, f)| *sum += f * dt);
+            }
+        }
+        state.work += state.torques.iter().zip(&state.rates).map(|(t, rate)| (t * rate).abs()).sum::<f64>() * dt;
+    }
+}

@@ -1,0 +1,134 @@
+//! 24 clients that do everything a session can, as fast as they can: the numbers stay those of a calm server, and the
+//! server's memory stays flat.
+//!
+//! 20 s here; `make study-load` sets `SANDGAIT_LOAD_SECONDS=300`.
+
+use crate::harness::{Client, Session, create, number, step, wave};
+use crate::process::Process;
+use crate::{ALONE, rollout};
+use prost::Message as _;
+use sandgait::service::proto::run_session_request::Request;
+use sandgait::service::proto::run_session_response::Response;
+use sandgait::service::proto::{CloseSessionRequest, ListSessionsRequest, Restore, Save};
+use std::hash::{DefaultHasher, Hasher as _};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+const CLIENTS: usize = 24;
+
+/// Environments of the sessions, in turn: less than a shard, some shards, no whole number of lanes.
+const SIZES: [u32; 4] = [1, 8, 17, 40];
+
+/// Growth of memory that counts as none: our choice, a share of the mean, and what a few sessions more or less take [MiB].
+const FLAT: (f64, f64) = (0.05, 2.0);
+
+/// One session's life; what its answers were, in one number.
+async fn life(client: Client, kind: usize) -> (Session, u64) {
+    let mut session = Session::create(client, SIZES[kind], &[("max_episode_steps", number(12.0))]).await.unwrap();
+    let mut digest = DefaultHasher::new();
+    digest.write(&session.reset(100 * kind as u64).await.encode_to_vec());
+    for time in 0..8 {
+        digest.write(&session.step(time).await.encode_to_vec());
+    }
+    let Response::Snapshot(saved) = session.ask(Some(Request::Save(Save {}))).await else { panic!("no snapshot") };
+    digest.write(&saved.data);
+    let mut ways = [vec![], vec![]];
+    for way in &mut ways {
+        for time in 8..20 {
+            way.push(session.step(time).await.encode_to_vec());
+        }
+        let restore = Restore { snapshot: saved.data.clone(), ..Default::default() };
+        digest.write(&session.batch(Request::Restore(restore)).await.encode_to_vec());
+    }
+    assert_eq!(ways[0], ways[1], "a restored session goes on with the same bits");
+    ways[0].iter().for_each(|answer| digest.write(answer));
+    session.failure(Some(step(&[2.0]))).await;
+    session.send(Some(rollout(session.envs, 15, kind % 2 == 0))).await;
+    // Parts are cut by time, so only what they hold together is the same.
+    let (mut rows, mut rewards, mut returns) = (vec![], vec![], bytes::Bytes::new());
+    while returns.is_empty() {
+        let (_, Response::Rollout(part)) = session.receive().await.unwrap() else { panic!("no rollout") };
+        rows.extend_from_slice(&part.observations);
+        rewards.extend_from_slice(&part.rewards);
+        returns = part.returns;
+    }
+    [&rows[..], &rewards, &returns].iter().for_each(|column| digest.write(column));
+    digest.write(&session.batch(step_at(session.envs, 3)).await.encode_to_vec());
+    (session, digest.finish())
+}
+
+fn step_at(envs: usize, time: usize) -> Request {
+    step(&wave(0..envs, time))
+}
+
+/// Sessions one after the other until `end`, each compared with what a calm server answered; every third is left to its
+/// lease, and before every tenth one is made and forgotten at once.
+async fn hammer(client: Client, number: usize, calm: &[u64], end: Instant, lives: &AtomicUsize) {
+    for round in number.. {
+        if Instant::now() >= end {
+            return;
+        }
+        if round % 10 == 0 {
+            client.clone().create_session(create(16, &[])).await.unwrap();
+        }
+        let kind = round % SIZES.len();
+        let (mut session, digest) = life(client.clone(), kind).await;
+        assert_eq!(digest, calm[kind], "client {number}, round {round}");
+        if round % 3 != 0 {
+            let close = CloseSessionRequest { session_id: session.id.clone() };
+            session.client.close_session(close).await.unwrap();
+        }
+        lives.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+/// Slope of a straight line through `points` (time [s], memory [MiB]), and their mean.
+fn line(points: &[(f64, f64)]) -> (f64, f64) {
+    let n = points.len() as f64;
+    let (t, m) = points.iter().fold((0.0, 0.0), |(t, m), p| (t + p.0 / n, m + p.1 / n));
+    let (above, below) = points.iter().fold((0.0, 0.0), |(a, b), p| (a + (p.0 - t) * (p.1 - m), b + (p.0 - t).powi(2)));
+    (above / below, m)
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn memory_stays_flat_and_numbers_equal_under_load() {
+    let _alone = ALONE.lock().await;
+    let seconds = std::env::var("SANDGAIT_LOAD_SECONDS").map_or(20.0, |s| s.parse::<f64>().unwrap());
+    let server = Process::start(&["--listen", "127.0.0.1:0", "--lease-seconds", "1"]);
+    let mut calm = Vec::new();
+    for kind in 0..SIZES.len() {
+        calm.push(life(server.client().await, kind).await.1);
+    }
+    let (begun, length) = (Instant::now(), Duration::from_secs_f64(seconds));
+    let (lives, mut points) = (AtomicUsize::new(0), Vec::new());
+    std::thread::scope(|threads| {
+        for number in 0..CLIENTS {
+            let (server, calm, lives) = (&server, &calm, &lives);
+            threads.spawn(move || {
+                let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+                runtime.block_on(async {
+                    hammer(server.client().await, number, calm, begun + length, lives).await;
+                });
+            });
+        }
+        while begun.elapsed() < length {
+            points.push((begun.elapsed().as_secs_f64(), crate::resident(server.id())));
+            std::thread::sleep(Duration::from_millis(100));
+        }
+    });
+    let warm: Vec<_> = points.iter().copied().filter(|p| p.0 > seconds / 3.0).collect();
+    let ((slope, mean), window) = (line(&warm), seconds * 2.0 / 3.0);
+    let (low, high) = warm.iter().fold((f64::MAX, 0.0_f64), |(l, h), p| (l.min(p.1), h.max(p.1)));
+    println!(
+        "{} sessions of {CLIENTS} clients in {seconds} s; memory of the server after a third of it: mean {mean:.1} MiB ({low:.1} to {high:.1}), {:+.2} MiB a minute",
+        lives.load(Ordering::Relaxed),
+        60.0 * slope
+    );
+    assert!(lives.load(Ordering::Relaxed) > CLIENTS, "every client came round");
+    assert!(slope * window < FLAT.0 * mean + FLAT.1, "{points:.1?}");
+    let mut client = server.client().await;
+    crate::harness::until(async || {
+        client.list_sessions(ListSessionsRequest {}).await.unwrap().into_inner().sessions.is_empty()
+    })
+    .await;
+}

@@ -1,0 +1,177 @@
+"""What the documentation shows works as shown: every command, every block of Python, every link of the site."""
+
+from __future__ import annotations
+
+import functools
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from pages import PAGES, ROOT, RUN, SHOWN, Run, blocks, inline_code, links
+from sandgait import server
+
+#: Pages with something to run.
+RUNNABLE = [page for page in PAGES if any(b.language in RUN and not b.excuse for b in blocks(page))]
+
+
+def name(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+@pytest.fixture
+def directory() -> Iterator[Path]:
+    """A working copy as a reader has one: what a page writes stays here. The name is short for the sake of sockets."""
+    with tempfile.TemporaryDirectory(prefix="docs") as path:
+        for entry in ROOT.iterdir():
+            if not entry.name.startswith(".") and entry.name not in ("runs", "site"):
+                Path(path, entry.name).symlink_to(entry)
+        Path(path, ".venv").symlink_to(sys.prefix)
+        yield Path(path)
+
+
+@pytest.fixture
+def environment() -> Iterator[dict[str, str]]:
+    """`sandgait` and `python` are those under test."""
+    with tempfile.TemporaryDirectory(prefix="docs") as path:
+        for command, program in (("sandgait", server.find_binary()), ("python", sys.executable)):
+            Path(path, command).write_text(f'#!/bin/sh\nexec "{program}" "$@"\n')
+            Path(path, command).chmod(0o755)
+        yield {**os.environ, "PATH": f"{path}:{os.environ['PATH']}", "MPLBACKEND": "Agg"}
+
+
+@pytest.mark.parametrize("page", RUNNABLE, ids=name)
+def test_what_a_page_shows_works(
+    page: Path, directory: Path, environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(directory)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    session = Run(directory, environment)
+    try:
+        for block in blocks(page):
+            if block.language in RUN and not block.excuse:
+                session.run(block)
+    finally:
+        session.stop()
+
+
+def test_every_block_runs_or_says_why_not(capsys: pytest.CaptureFixture[str]) -> None:
+    all_blocks = [block for page in PAGES for block in blocks(page)]
+    for block in all_blocks:
+        assert block.language in RUN + SHOWN, f"{block}: language {block.language!r} is none of {RUN + SHOWN}"
+    excused = [block for block in all_blocks if block.excuse is not None]
+    for block in excused:
+        assert len(str(block.excuse).split()) > 2, f"{block}: {block.excuse!r} is no reason"
+    run = [block for block in all_blocks if block.language in RUN and block.excuse is None]
+    assert len(run) > 3 * len(excused)
+    with capsys.disabled():
+        print(f"\ndocumentation: {len(run)} blocks run, {len(excused)} excused:")
+        for block in excused:
+            print(f"  {block}: {block.excuse}")
+
+
+@functools.cache
+def options(*command: str) -> list[str]:
+    """What `sandgait COMMAND --help` lists; without a command, the commands."""
+    text = subprocess.run([server.find_binary(), *command, "--help"], capture_output=True, text=True).stdout
+    return re.findall(r"--[a-z-]+" if command else r"^  ([a-z]+) ", text, flags=re.MULTILINE)
+
+
+@functools.cache
+def all_options() -> set[str]:
+    """Of every command, example and bench."""
+    scripts = [script.read_text(encoding="utf-8") for script in ROOT.glob("[be]*s/*.py")]
+    found = [option for command in options() for option in options(command)]
+    return {*found, *re.findall(r"--[a-z-]+", " ".join(scripts))}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_commands_and_files_in_the_text_exist(page: Path) -> None:
+    for code in inline_code(page):
+        if match := re.match(r"--[a-z-]+", code):
+            assert match[0] in all_options(), f"{name(page)}: nothing takes {code}"
+        if re.fullmatch(r"(src|tests|docs|examples|benches|robots|python_client|proto)/[\w./-]*\w", code):
+            assert (ROOT / code).exists(), f"{name(page)}: there is no {code}"
+        if match := re.match(r"cargo (?:run|test) --release --(example|test) (\w+)", code):
+            at = ROOT / f"{match[1]}s"
+            assert (at / f"{match[2]}.rs").exists() or (at / match[2]).is_dir(), f"{name(page)}: there is no {code}"
+        if match := re.match(r"python ([\w/]+\.py)", code):
+            assert (ROOT / match[1]).exists(), f"{name(page)}: there is no {code}"
+        if match := re.match(r"make ([a-z][a-z-]+)", code):
+            assert f"\n{match[1]}:" in (ROOT / "Makefile").read_text(), f"{name(page)}: there is no {code}"
+        if match := re.match(r"sandgait ([a-z]+)(?![:.])", code):
+            assert match[1] in options(), f"{name(page)}: there is no {code}"
+            for option in re.findall(r" (--[a-z-]+)", code):
+                assert option in options(match[1]), f"{name(page)}: {code} has no {option}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_links_within_the_repository_lead_somewhere(page: Path) -> None:
+    """On GitHub; the site's are checked when it is built."""
+    for link in links(page):
+        target = link.partition("#")[0]
+        assert "://" in link or (page.parent / target).exists(), f"{name(page)}: {link}"
+
+
+def test_the_site_is_whole_and_needs_no_other_host(tmp_path: Path) -> None:
+    """Every link leads somewhere, every page is in the navigation, and formulas are in the pages themselves."""
+    # Not --quiet: it would hide the warnings that --strict counts.
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)]
+    built = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert built.returncode == 0, built.stderr
+    for file in tmp_path.rglob("*"):
+        if file.suffix == ".html":
+            text = file.read_text(encoding="utf-8")
+            loads = re.findall(r"<(?:script|link|img|iframe)[^>]*(?:src|href)=[\"']?(?:https?:)?//[^>]*", text)
+            assert not loads, f"{file.name}: {loads}"
+        if file.suffix == ".css":
+            assert not re.findall(r"(?:url\(|@import )[\"']?(?:https?:)?//", file.read_text(encoding="utf-8")), file
+    assert "<math" in (tmp_path / "physics.html").read_text(encoding="utf-8")
+
+
+def test_figures_of_speed_are_those_measured() -> None:
+    """What the page on performance quotes stands in the record of measurements."""
+    quoted = set(re.findall(r"\b\d{1,3},\d{3}\b", (ROOT / "docs/performance.md").read_text(encoding="utf-8")))
+    measured = (ROOT / "benches/RESULTS.md").read_text(encoding="utf-8")
+    assert len(quoted) > 10
+    assert not {figure for figure in quoted if figure not in measured}
+
+
+def test_messages_are_those_of_the_sources() -> None:
+    """Every message in the first column of a table on troubleshooting is one that the program can give."""
+    sources = [*ROOT.glob("src/**/*.rs"), *ROOT.glob("python_client/sandgait/*.py"), ROOT / "Makefile"]
+    text = " ".join(source.read_text(encoding="utf-8") for source in sources).replace('\\"', '"')
+    text = re.sub(r'\\\n\s*|"\n\s*f?"', "", text)
+    page = (ROOT / "docs/troubleshooting.md").read_text(encoding="utf-8")
+    page = re.sub(r"\| it says \|.*?\n\n", "", page, flags=re.DOTALL)  # these are grpc's
+    messages = re.findall(r"^\| `([^`]*)` \|", page, flags=re.MULTILINE)
+    assert len(messages) > 40
+    parts = [(message, part.strip(" :;,.")) for message in messages for part in re.split("…|: ", message)]
+    assert not [(message, part) for message, part in parts if part not in text]
+
+
+def test_the_page_on_physics_has_the_numbers_of_the_sources() -> None:
+    """Mechanisms with unit, law, bounds and source, and the coefficients of both laws."""
+    page = (ROOT / "docs/physics.md").read_text(encoding="utf-8").replace("\\|", "|").replace("−", "-")
+    entry = r'(\w+): "(.*?)", "(.*?)", \[(.*?), (.*?)\], [\d.]+, (\w+),.*\n\s*"(.*?)", "(.*?)"(?:, ceiling)?;'
+    mechanisms = re.findall(entry, (ROOT / "src/sand/mechanism.rs").read_text(encoding="utf-8"))
+    assert len(mechanisms) > 15
+    for name, symbol, unit, low, high, side, law, source in mechanisms:
+        value = symbol if unit == "1" else f"{symbol} [{unit}]"
+        bounds = f"{float(low):g} to {float(high):g}"
+        row = f"| `{name}` | {value} | {law} | {side.lower()} | {bounds} | {source} |".replace("−", "-")
+        assert row in page, row
+    spatial = (ROOT / "src/sand/law/agarwal2023.rs").read_text(encoding="utf-8")
+    for numbers in re.findall(r"^    \[(-?\d\.\d{5}), (.*?), (.*?)\],$", spatial, flags=re.MULTILINE):
+        assert f" | {' | '.join(numbers)} |" in page, numbers
+    planar = (ROOT / "src/sand/media.rs").read_text(encoding="utf-8")
+    sets = re.findall(r"per_cm3\(\[([-\d., ]+)\]\)", planar)
+    assert len(sets) == 3
+    for numbers in sets:
+        shown = [re.sub(r"^(-?)0(?=\.\d*[1-9])", r"\1", n) if float(n) else "0" for n in numbers.split(", ")]
+        assert f" | {' | '.join(shown)} |" in page, shown
