@@ -1,7 +1,7 @@
 """RLlib's PPO over a Ray cluster: a server on every node, and beside each a runner that steps a whole batch of it.
 
-RLlib wants environments as one vector with the autoreset mode NEXT_STEP, which `SandgaitVectorEnv` offers. A runner talks
-to the server of its own node, so rows stay on the node; RLlib carries episodes to the learner and weights back.
+RLlib wants environments as one vector with the autoreset mode NEXT_STEP, which `SandgaitVectorEnv` offers. A runner
+talks to the server of its own node, so rows stay on the node; RLlib carries episodes to the learner and weights back.
 
 usage: python examples/rllib_ppo.py [--iterations 30] [--runners 1] [--envs 64] [--ray auto]
 """
@@ -20,12 +20,10 @@ import sandgait.ray
 
 ID = "sandgait/HexapodGait-v0"
 
-#: Control steps of every environment between two updates: 1.3 s of an episode of 10 s. Our choice, as in Stable-baselines3
-#: examples of robots that walk.
+#: Control steps of every environment between two updates: our choice, 1.3 s.
 STEPS = 64
 
-#: PPO's numbers where RLlib's defaults are for games: a minibatch that keeps one core busy, and episodes that are long
-#: against 1/(1 - gamma). Our choice, untuned.
+#: PPO's numbers: our choice, near the defaults of Stable-baselines3, untuned.
 TRAINING = {"lr": 3e-4, "gamma": 0.99, "lambda_": 0.95, "clip_param": 0.2, "num_epochs": 5, "minibatch_size": 512}
 
 
@@ -47,7 +45,7 @@ def build(servers: sandgait.ray.Servers, runners: int, envs: int, seed: int = 0,
             gym_env_vectorize_mode="vector_entry_point",
             rollout_fragment_length=STEPS,
         )
-        .training(train_batch_size_per_learner=runners * envs * STEPS, **TRAINING)
+        .training(train_batch_size_per_learner=max(runners, 1) * envs * STEPS, **TRAINING)
         .debugging(seed=seed, log_level="ERROR")
     )
     return config.build_algo()

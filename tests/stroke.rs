@@ -185,7 +185,8 @@ fn wrong_options_are_refused_in_a_line() {
         (json!({"engine": "lanes"}), "engine: sandgait/LegStroke-v0 has no such option"),
         (json!({"stroke": null}), "stroke: null"),
     ] {
-        assert!(refused(options.clone()).starts_with(said), "{options}: {}", refused(options.clone()));
+        let error = refused(options);
+        assert!(error.starts_with(said), "{error}, not {said}");
     }
     let gait = Blueprint::new("sandgait/HexapodGait-v0", json!({"engine": "carriage"})).err().unwrap().to_string();
     assert_eq!(gait, "engine \"carriage\" is unknown; known: lanes, rapier");

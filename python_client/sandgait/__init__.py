@@ -77,6 +77,7 @@ TASKS = (
     "sandgait/HexapodGait-v0",
     "sandgait/HexapodLegs-v0",
     "sandgait/HexapodRocks-v0",
+    "sandgait/HexapodTerrain-v0",
     "sandgait/LegStroke-v0",
 )
 

@@ -42,11 +42,15 @@ class _Server:
         token_file, self._certificate = (Path(self._directory.name) / name for name in ("token", "certificate"))
         token_file.touch(0o600)
         token_file.write_text(token)
-        command = [server.find_binary(), "serve", "--listen", listen, "--threads", str(threads), "--exit-on-stdin-close"]
-        security = ["--token-file", str(token_file), "--tls-self-signed", str(self._certificate)]
-        self._process = subprocess.Popen(
-            command + security, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
+        command = [server.find_binary(), "serve", "--listen", listen, "--threads", str(threads)]
+        security = [
+            "--exit-on-stdin-close",
+            "--token-file",
+            str(token_file),
+            "--tls-self-signed",
+            str(self._certificate),
+        ]
+        self._process = subprocess.Popen(command + security, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
     def address(self) -> tuple[str, bytes]:
         """Where the server listens and its certificate; both empty if it could not start (its log is the actor's)."""

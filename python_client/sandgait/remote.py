@@ -22,8 +22,8 @@ class Remote(str):
     `token`, `token_file`: what the server's `--token-file` has. It is sent in every call, but only over TLS, over a
     Unix socket or to this machine.
 
-    `ca`: encrypt, and trust certificates of this authority (PEM, as a file or as bytes). `tls=True`: encrypt, and trust grpc's own
-    authorities.
+    `ca`: encrypt, and trust certificates of this authority (PEM, as a file or as bytes). `tls=True`: encrypt, and trust
+    grpc's own authorities.
 
     `cert`, `key`: this client's certificate and its key (PEM files), for a server with `--client-ca`.
 

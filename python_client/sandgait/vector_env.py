@@ -30,7 +30,8 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
 
     `autoreset_mode`: with SAME_STEP, where an episode ended, the observation is already the next episode's first, and
     the old one's last row stands in `infos["final_obs"]` and its figures in `infos["final_info"]`. With NEXT_STEP the
-    observation is the old episode's last; the next step ignores that environment's action and gives the new one's first.
+    observation is the old episode's last; the next step ignores that environment's action and gives the new one's
+    first.
 
     To let the learner and the simulation overlap, split a batch over two of these and alternate `send` and `recv`.
     """

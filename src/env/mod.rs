@@ -5,7 +5,7 @@
 //! * [`spec`]: observation, action and info tables; they generate vectors, replies, Python spaces and docs.
 //! * [`task`]: the trait a task implements, and the registry.
 //! * [`locomotion`]: what walking tasks share; [`gait`]: the task HexapodGait, [`legs`]: HexapodLegs, [`rocks`]: HexapodRocks.
-//! * [`stroke`]: the task LegStroke.
+//! * [`terrain`]: the task HexapodTerrain; [`ground`]: what its episodes remember; [`stroke`]: the task LegStroke.
 //! * [`control`]: ways of driving hips; [`clock`]: the one that is a gait as parameters.
 //! * [`shard`]: environments that advance together on one engine; reset, step, autoreset.
 //! * [`snapshot`]: episodes as data; [`rollout`]: many steps with actions that are known beforehand.
@@ -14,6 +14,7 @@
 pub mod clock;
 pub mod control;
 pub mod gait;
+pub mod ground;
 pub mod legs;
 pub mod locomotion;
 pub mod options;
@@ -25,6 +26,7 @@ pub mod snapshot;
 pub mod spec;
 pub mod stroke;
 pub mod task;
+pub mod terrain;
 
 pub use options::{ResetOptions, TaskOptions};
 pub use shard::Shard;

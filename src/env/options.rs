@@ -3,6 +3,7 @@
 use super::control::Control;
 use super::rocks::RockOptions;
 use super::stroke::StrokeOptions;
+use super::terrain::Randomize;
 use crate::error::{Error, Result, check_range};
 use crate::sand::{Law, Medium, SandDescription};
 use crate::sim::engine::EngineKind;
@@ -52,6 +53,10 @@ pub struct TaskOptions {
     pub control: Option<Control>,
     /// Rocks and steps, drawn at every reset; only for the task that has some.
     pub rocks: Option<RockOptions>,
+    /// What HexapodTerrain draws for an episode; only for that task.
+    pub randomize: Option<Randomize>,
+    /// How much of it, 0 to 1.
+    pub difficulty: Option<f64>,
     /// Carriage and constraint of LegStroke; only for that task.
     pub stroke: Option<StrokeOptions>,
 }
@@ -76,6 +81,8 @@ impl Default for TaskOptions {
             max_episode_steps: 500,
             control: None,
             rocks: None,
+            randomize: None,
+            difficulty: None,
             stroke: None,
         }
     }
@@ -92,13 +99,15 @@ pub struct ResetOptions {
     pub command: Option<[f64; 2]>,
     pub turn: Option<[f64; 2]>,
     pub rocks: Option<RockOptions>,
+    pub randomize: Option<Randomize>,
+    pub difficulty: Option<f64>,
     pub stroke: Option<StrokeOptions>,
 }
 
 impl ResetOptions {
     /// Names of the keywords, for tables.
-    pub const NAMES: [&'static str; 8] =
-        ["leg", "medium", "slope_deg", "payload", "command", "turn", "rocks", "stroke"];
+    pub const NAMES: [&'static str; 10] =
+        ["leg", "medium", "slope_deg", "payload", "command", "turn", "rocks", "randomize", "difficulty", "stroke"];
 
     /// Names of those that are given.
     pub fn given(&self) -> Vec<String> {
@@ -109,7 +118,9 @@ impl ResetOptions {
 
     /// Everything of `options` that a reset may change.
     pub fn all_of(options: &TaskOptions) -> Self {
-        let TaskOptions { leg, medium, slope_deg, payload, command, turn, rocks, stroke, .. } = options.clone();
+        let TaskOptions {
+            leg, medium, slope_deg, payload, command, turn, rocks, randomize, difficulty, stroke, ..
+        } = options.clone();
         Self {
             leg: Some(leg),
             medium: Some(medium),
@@ -118,13 +129,15 @@ impl ResetOptions {
             command: Some(command),
             turn: Some(turn),
             rocks,
+            randomize,
+            difficulty,
             stroke,
         }
     }
 }
 
 /// What each keyword means, in the order of [`TaskOptions`].
-pub const OPTION_HELP: [(&str, &str); 18] = [
+pub const OPTION_HELP: [(&str, &str); 20] = [
     ("robot", "built-in robot"),
     ("engine", "engine that integrates the motion"),
     ("law", "resistive force law: li2013, penetration-drag-1d or agarwal2023"),
@@ -145,6 +158,11 @@ pub const OPTION_HELP: [(&str, &str); 18] = [
         "rocks",
         "obstacles of an episode: count, ranges [low, high] of size and step_height [m], dynamic_fraction, density [kg/m³], friction, field [length, width] [m]",
     ),
+    (
+        "randomize",
+        "ranges [low, high] that an episode draws from: factors zeta and torque_limit, patch_length [m], added slope_deg [°] and payload [kg], footprint κ, turning_point [m]",
+    ),
+    ("difficulty", "how much of randomize: 0 nothing, 1 all"),
     (
         "stroke",
         "carriage_speed [m/s], height of the hip over the sand [m], start [hip, knee] [rad], lift: least mean lift [N], lift_weight and exit_weight of the penalties",
@@ -196,6 +214,8 @@ impl TaskOptions {
         new.command = reset.command.unwrap_or(new.command);
         new.turn = reset.turn.unwrap_or(new.turn);
         new.rocks = reset.rocks.or(new.rocks);
+        new.randomize = reset.randomize.or(new.randomize);
+        new.difficulty = reset.difficulty.or(new.difficulty);
         new.stroke = reset.stroke.or(new.stroke);
         new
     }
@@ -212,6 +232,8 @@ impl TaskOptions {
         check_range("max_episode_steps", f64::from(self.max_episode_steps), 1.0..=1e6)?;
         self.weights.validate()?;
         self.rocks.as_ref().map_or(Ok(()), RockOptions::validate)?;
+        self.randomize.as_ref().map_or(Ok(()), |randomize| randomize.validate(self))?;
+        check_range("difficulty", self.difficulty.unwrap_or(0.0), 0.0..=1.0)?;
         if self.robot.ends_with(".toml") {
             return Err(Error::unknown("robot", &self.robot, &Robot::names()));
         }

@@ -1,5 +1,6 @@
 //! Environments that advance together: one engine, one task, flat rows allocated once.
 
+use super::ground::Change;
 use super::random::Random;
 use super::rollout::Rollout;
 use super::task::{Blueprint, Goal, Setup, Task, Transition};
@@ -110,7 +111,7 @@ impl Shard {
             seed: 0,
             number: 0,
             steps: 0,
-            goal: Goal { speed: 0.0, turn: 0.0, model: None },
+            goal: Goal { speed: 0.0, turn: 0.0, model: None, ground: None },
             before: State::at_rest(0.0, &vec![0.0; model.joints()]),
             after: State::at_rest(0.0, &vec![0.0; model.joints()]),
             last_action: vec![0.0; spec.action.len()],
@@ -229,6 +230,10 @@ impl Shard {
         self.rows.rewards[i] = row[..spec.reward.len()].iter().sum();
         self.rows.terminated[i] = u8::from(terminated);
         self.rows.truncated[i] = u8::from(truncated);
+        let change = self.task.walked(&episode.setup, &mut episode.goal, &episode.after);
+        if change != Change::Nothing {
+            tell(&mut self.engine, i, episode, change);
+        }
         let observation = &mut self.rows.observations[i * wide..][..wide];
         episode.observe(&*self.task, observation);
         if terminated || truncated {
@@ -259,9 +264,22 @@ impl Shard {
     pub(super) fn take_up(&mut self, i: usize) {
         let episode = &mut self.episodes[i];
         self.engine.set_state(i, &episode.after);
+        if episode.goal.ground.is_some() {
+            tell(&mut self.engine, i, episode, Change::Footing);
+        }
         self.engine.state(i, &mut episode.after);
         let wide = self.task.spec().observation.len();
         let row = &mut self.rows.observations[i * wide..][..wide];
         episode.observe(&*self.task, row);
     }
+}
+
+/// Tells the engine what changed in environment `i`'s ground.
+fn tell(engine: &mut Engine, i: usize, episode: &Episode, change: Change) {
+    let (Some(ground), Some(model)) = (&episode.goal.ground, &episode.goal.model) else { return };
+    if change == Change::Patch {
+        engine.set_model(i, model);
+        engine.set_state(i, &episode.after);
+    }
+    engine.set_footing(i, model, &ground.footing);
 }

@@ -3,6 +3,7 @@
 //! [`Shard::save`] and [`Shard::restore`] keep every bit: an environment that was restored goes on exactly as the one
 //! that was saved, in any lane of any batch of the same task.
 
+use super::ground::Ground;
 use super::shard::{Episode, Shard};
 use super::task::{Goal, Setup};
 use crate::error::{Error, Result};
@@ -22,6 +23,8 @@ pub struct SavedEpisode {
     pub goal: [f64; 2],
     /// What the episode is simulated with where it drew something of its own, such as rocks.
     pub drawn: Option<Box<(Robot, Scene)>>,
+    /// Of tasks whose ground changes along the way.
+    pub ground: Option<Ground>,
     /// [`State::row`]
     pub state: Vec<f64>,
     /// f32 [action]
@@ -56,6 +59,14 @@ impl Resumed {
         if saved.last_action.len() != actions || !saved.last_action.iter().all(|a| (-1.0..=1.0).contains(a)) {
             return Err(unfit("its last action"));
         }
+        let legs = setup.model.legs.len();
+        let grounded = setup.options.randomize.is_some();
+        if saved.ground.is_some() != grounded || saved.ground.as_ref().is_some_and(|g| !g.is_sound(legs)) {
+            return Err(unfit("its ground"));
+        }
+        if grounded && model.is_none() {
+            return Err(unfit("its sand"));
+        }
         let [speed, turn] = saved.goal;
         if !(speed.is_finite() && turn.is_finite()) {
             return Err(unfit("its goal"));
@@ -65,7 +76,7 @@ impl Resumed {
             seed: saved.seed,
             number: saved.number,
             steps: saved.steps,
-            goal: Goal { speed, turn, model },
+            goal: Goal { speed, turn, model, ground: saved.ground.clone() },
             state,
             last_action: saved.last_action.clone(),
         })
@@ -82,6 +93,7 @@ impl Shard {
             steps: *steps,
             goal: [goal.speed, goal.turn],
             drawn: goal.model.as_ref().map(|m| Box::new((m.robot.clone(), m.scene.clone()))),
+            ground: goal.ground.clone(),
             state: after.row(),
             last_action: last_action.clone(),
         }

@@ -91,12 +91,12 @@ A carriage moves one leg over the sand at a constant speed and height and measur
 speeds of hip and knee are the action. One stroke is an episode. Forces are those of the sand's law on the leg's 24 segments;
 the leg has no mass, so only sand does work on it.
 
-**What is sought**: thrust per work. Thrust is the sand's mean forward force on the leg; work is Σ∫|τ ω|dt of both joints, so
-work that a joint receives is lost. The figure of merit is the *efficiency* of propulsion,
+**What is sought**: thrust per work. Thrust is the sand's mean forward force on the leg; work is what both joints
+give together, ∫Σ τ ω dt: what goes into the sand and into the carriage. The figure of merit is the *efficiency* of propulsion,
 
     efficiency = thrust impulse [N·s] × carriage speed [m/s] / work [J],
 
-the share of the joints' work that pushes the carriage. It is thrust per work times a constant, has no unit, and cannot pass 1:
+the share of that work which pushes the carriage. It is thrust per work times a constant, has no unit, and cannot pass 1:
 sand only takes energy. Under a carriage that stands still thrust per work has no greatest value: the sand's forces do not
 depend on speed, so the same path at half the speed gives twice the impulse for the same work. A carriage that moves sets the
 speed that counts.
@@ -145,7 +145,7 @@ impl LegStroke {
                 Column::new("share of the stroke made", "1", 0.0, 1.0),
                 Column::new("thrust impulse so far", "N·s", -IMPULSE, IMPULSE),
                 Column::new("lift impulse so far", "N·s", -IMPULSE, IMPULSE),
-                Column::new("work so far", "J", 0.0, WORK),
+                Column::new("work so far", "J", -WORK, WORK),
             ],
         ];
         let reward = vec![
@@ -158,7 +158,7 @@ impl LegStroke {
         let figures = [
             Column::free("thrust", "N"),
             Column::free("lift", "N"),
-            Column::new("work", "J", 0.0, f64::INFINITY),
+            Column::free("work", "J"),
             Column::new("efficiency", "1", -1.0, 1.0),
             Column::free("mean_lift", "N"),
             Column::new("diverged", "1", 0.0, 1.0),
@@ -202,7 +202,7 @@ impl Task for LegStroke {
         let angles = stroke.start.map(|a| a + random.uniform(-noise, noise));
         let mut state = State::at_rest(stroke.height, &angles);
         state.velocity[0] = stroke.carriage_speed;
-        (state, Goal { speed: stroke.carriage_speed, turn: 0.0, model: None })
+        (state, Goal { speed: stroke.carriage_speed, turn: 0.0, model: None, ground: None })
     }
 
     /// Joints with a range stop at its ends.

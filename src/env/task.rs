@@ -2,27 +2,31 @@
 
 use super::control::Control;
 use super::gait::HexapodGait;
+use super::ground::{Change, Ground};
 use super::legs::HexapodLegs;
 use super::options::{OPTION_HELP, ResetOptions, TaskOptions};
 use super::random::Random;
 use super::rocks::{HexapodRocks, RockOptions};
 use super::spec::Spec;
 use super::stroke::{self, LegStroke, StrokeOptions};
+use super::terrain::{HexapodTerrain, Randomize};
 use crate::error::{Error, Result};
 use crate::sim::engine::{Command, EngineKind};
 use crate::sim::{Model, State};
 use serde_json::Value;
 use std::sync::Arc;
 
-/// What an episode is about: drawn or chosen when it begins, constant until it ends.
+/// What an episode is about: drawn or chosen when it begins, and changed by [`Task::walked`] alone.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Goal {
     /// Commanded forward speed [m/s].
     pub speed: f64,
     /// Commanded yaw speed [rad/s].
     pub turn: f64,
-    /// The setup's model with this episode's obstacles, for tasks that draw them.
+    /// The setup's model with what this episode drew, for tasks that draw some of it.
     pub model: Option<Arc<Model>>,
+    /// Ground that changes along the way and remembers, for the task that has it.
+    pub ground: Option<Ground>,
 }
 
 /// What one environment may have been told by a reset: its own options and the model they make.
@@ -78,6 +82,11 @@ pub trait Task: Send + Sync {
     /// What the servos do under `action`.
     fn command(&self, action: &[f32], state: &State, command: &mut Command);
 
+    /// Takes note of where a step has led, after it was judged; says what the engine must be told.
+    fn walked(&self, _setup: &Setup, _goal: &mut Goal, _state: &State) -> Change {
+        Change::Nothing
+    }
+
     /// Fills an observation row.
     fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]);
 
@@ -95,6 +104,9 @@ pub struct Blueprint {
 
 /// States, options and bookkeeping of an episode [bytes], and its share of the messages in flight; measured.
 const EPISODE_BYTES: usize = 2_000;
+
+/// A model of its own and the longest memory of footprints [bytes]; counted.
+const GROUND_BYTES: usize = 24_000;
 
 /// A task before it has options.
 struct Kind {
@@ -116,7 +128,7 @@ macro_rules! walking {
     };
 }
 
-const KINDS: [Kind; 4] = [
+const KINDS: [Kind; 5] = [
     Kind {
         id: HexapodGait::ID,
         keywords: walking!("control"),
@@ -139,6 +151,17 @@ const KINDS: [Kind; 4] = [
             ..Default::default()
         },
         make: |setup| Ok(Arc::new(HexapodRocks::new(setup)?)),
+    },
+    Kind {
+        id: HexapodTerrain::ID,
+        keywords: walking!("control", "randomize", "difficulty"),
+        defaults: || TaskOptions {
+            control: Some(Control::HipSpeed),
+            randomize: Some(Randomize::default()),
+            difficulty: Some(1.0),
+            ..Default::default()
+        },
+        make: |setup| Ok(Arc::new(HexapodTerrain::new(setup)?)),
     },
     Kind {
         id: LegStroke::ID,
@@ -233,6 +256,7 @@ impl Blueprint {
     pub fn bytes_per_env(&self) -> usize {
         let spec = self.task.spec();
         let rows = 4 * (2 * spec.observation.len() + spec.info.len() + spec.action.len());
-        rows + EPISODE_BYTES + self.engine.robot_bytes()
+        let ground = if self.setup.options.randomize.is_some() { GROUND_BYTES } else { 0 };
+        rows + EPISODE_BYTES + ground + self.engine.robot_bytes()
     }
 }

@@ -1,6 +1,8 @@
 //! Legs under driven carriages: the base goes where it is pulled, joints turn as they are told, and the sand's forces are
 //! measured. No masses, no servos: nothing has to be solved for.
 //!
+//! Work is what the joints give in all, ∫ Σ τ ω dt: what goes into the sand and into pulling the carriage.
+//!
 //! Bodies and sand are those of engine [`super::rapier`], in `f64`. A time step is the midpoint rule.
 
 use super::engine::Command;
@@ -32,6 +34,11 @@ impl CarriageEngine {
         let carriage = &mut self.carriages[index];
         carriage.model = model.clone();
         carriage.ground = model.scene.ground();
+    }
+
+    /// See [`super::engine::Engine::set_footing`].
+    pub fn set_footing(&mut self, index: usize, model: &Model, shares: &[f64]) {
+        self.carriages[index].model.scale_areas(model, shares);
     }
 
     /// See [`super::engine::Engine::set_state`]. The velocity is the carriage's for good.
@@ -108,6 +115,6 @@ impl Carriage {
                 state.impulse.iter_mut().zip(&sand.force).for_each(|(sum, f)| *sum += f * dt);
             }
         }
-        state.work += state.torques.iter().zip(&state.rates).map(|(t, rate)| (t * rate).abs()).sum::<f64>() * dt;
+        state.work += state.torques.iter().zip(&state.rates).map(|(t, rate)| t * rate).sum::<f64>() * dt;
     }
 }

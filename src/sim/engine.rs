@@ -95,6 +95,16 @@ impl Engine {
         }
     }
 
+    /// Lets each leg of robot `index`, which has `model`, find only a share of the sand's stress, `shares` [legs]; until
+    /// the model or the shares are set anew. Takes effect at once.
+    pub fn set_footing(&mut self, index: usize, model: &Model, shares: &[f64]) {
+        match self {
+            Self::Lanes(e) => e.set_footing(index, model, shares),
+            Self::Rapier(e) => e.set_footing(index, model, shares),
+            Self::Carriage(e) => e.set_footing(index, model, shares),
+        }
+    }
+
     pub fn set_state(&mut self, index: usize, state: &State) {
         match self {
             Self::Lanes(e) => e.set_state(index, state),

@@ -3,7 +3,7 @@
 use super::obstacle::{self, Obstacle};
 use super::robot::{Link, Robot, Tripod};
 use super::solid::Solid;
-use super::state::ObjectState;
+use super::state::{ObjectState, State};
 use crate::error::{Error, Result, check_range};
 use crate::number::Real;
 use crate::sand::{Ground, Law, Mechanisms, Medium, SandDescription, Segment, Shape, Surface};
@@ -233,6 +233,35 @@ impl Model {
         let turns = |j: usize| j == 0 && links[j].range.is_none();
         let angle = |t: Tripod, j: usize| if t == Tripod::B && turns(j) { std::f64::consts::PI } else { 0.0 };
         self.robot.hip.iter().flat_map(|h| (0..links.len()).map(move |j| angle(h.tripod, j))).collect()
+    }
+
+    /// The same robot on other sand.
+    pub fn with_medium(&self, medium: Medium) -> Self {
+        Self { scene: Scene { medium, ..self.scene.clone() }, ..self.clone() }
+    }
+
+    /// Gives each leg's plates `shares` [legs] of the areas that they have in `full`, the same robot: stress on them is
+    /// that share of the sand's.
+    pub fn scale_areas(&mut self, full: &Self, shares: &[f64]) {
+        for ((chain, full), share) in self.legs.iter_mut().zip(&full.legs).zip(shares) {
+            for (body, full) in chain.iter_mut().zip(full) {
+                let plates = body.plates.iter_mut().chain(&mut body.chord).zip(full.plates.iter().chain(&full.chord));
+                plates.for_each(|(plate, full)| plate.area = full.area * share);
+            }
+        }
+    }
+
+    /// Where leg number `leg` ends [m], in the world.
+    pub fn tip(&self, state: &State, leg: usize) -> [f64; 3] {
+        let rows = state.rotation();
+        let mut turn = nalgebra::Rotation3::from_matrix_unchecked(M::from_fn(|i, j| rows[i][j]));
+        let mut place = V::from(state.position);
+        let chain = &self.legs[leg];
+        for (body, angle) in chain.iter().zip(&state.angles[leg * chain.len()..]) {
+            place += turn * body.joint;
+            turn *= nalgebra::Rotation3::from_axis_angle(&nalgebra::Unit::new_unchecked(body.axis), *angle);
+        }
+        (place + turn * chain.last().map_or(V::zeros(), |body| body.reach)).into()
     }
 
     /// Base height at which the lowest joint or tip touches the surface with the base level and joints at `angles`.

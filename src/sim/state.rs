@@ -22,7 +22,7 @@ pub struct State {
     pub references: Vec<f64>,
     /// Torque each joint applied in the last time step [N·m].
     pub torques: Vec<f64>,
-    /// ∫ Σ|τ ω| dt since the state was set [J].
+    /// ∫ Σ|τ ω| dt since the state was set [J]; of engine `carriage`, whose drives waste nothing, ∫ Σ τ ω dt.
     pub work: f64,
     /// ∫ sand's force on the legs dt since the state was set [N·s]; only engine `carriage` measures it.
     pub impulse: [f64; 3],

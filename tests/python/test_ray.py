@@ -30,7 +30,9 @@ pytestmark = pytest.mark.filterwarnings(
 
 
 @pytest.fixture(scope="module")
-def servers() -> Iterator[sandgait.ray.Servers]:
+def servers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[sandgait.ray.Servers]:
+    home = os.environ.get("HOME", "")
+    os.environ["HOME"] = str(tmp_path_factory.mktemp("home"))  # RLlib writes results there
     os.environ["PYTHONPATH"] = os.pathsep.join([str(EXAMPLES), os.environ.get("PYTHONPATH", "")])
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
     cluster.add_node(num_cpus=1)
@@ -40,6 +42,7 @@ def servers() -> Iterator[sandgait.ray.Servers]:
         yield servers
     ray.shutdown()
     cluster.shutdown()
+    os.environ["HOME"] = home
 
 
 def test_one_server_a_node(servers: sandgait.ray.Servers) -> None:
@@ -81,9 +84,9 @@ def test_rllib_trains_on_both_nodes(servers: sandgait.ray.Servers) -> None:
 def test_only_who_has_the_token_is_served(servers: sandgait.ray.Servers) -> None:
     address = servers.addresses[0]
     for stranger in (str(address), sandgait.Remote(address, ca=address.ca)):
-        with pytest.raises(sandgait.SandgaitError, match="bearer token|cannot be reached"):
+        with pytest.raises(sandgait.SandgaitError, match=r"bearer token|cannot be reached"):
             sandgait.describe(stranger)
-    processes = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, check=True).stdout
+    processes = subprocess.run(["ps", "-ewwo", "args"], capture_output=True, text=True, check=True).stdout
     assert "--tls-self-signed" in processes
     assert address.token
     for shown in (processes, repr(servers), str(servers)):

@@ -95,3 +95,38 @@ def test_wrong_options_are_refused_by_name() -> None:
     with pytest.raises(sandgait.InvalidRequest, match="rocks: sandgait/HexapodGait-v0 has no such option"):
         env.reset(options={"rocks": {"count": 2}})
     env.close()
+
+
+def test_a_curriculum_changes_the_difficulty_at_resets() -> None:
+    env = sandgait.SandgaitVectorEnv("sandgait/HexapodTerrain-v0", 16, difficulty=0.0)
+    actions = np.full((16, 6), 0.4, np.float32)
+    for difficulty, spread in ((None, 0.0), (0.5, 5.0), (1.0, 10.0)):
+        env.reset(seed=0, options={} if difficulty is None else {"difficulty": difficulty})
+        slopes = env.step(actions)[4]["slope_deg"]
+        assert np.abs(slopes).max() <= spread + 1e-5
+        assert np.ptp(slopes) >= spread
+    env.reset(seed=0, options={"randomize": {"slope_deg": [3.0, 3.0]}})
+    assert env.step(actions)[4]["slope_deg"] == pytest.approx(3.0)
+    env.close()
+
+
+def test_a_stroke_returns_its_efficiency() -> None:
+    """A circular stroke: the knee locked, the hip at one speed; every figure from `info` again."""
+    env = sandgait.SandgaitEnv("sandgait/LegStroke-v0")
+    env.reset(seed=0)
+    rewards, infos = [], []
+    for k in range(50):
+        _, reward, terminated, truncated, info = env.step([0.6, 0.0])
+        rewards.append(reward)
+        infos.append(info)
+        assert (terminated, truncated) == (k == 49, False)
+    thrust, work = (sum(info[name] for info in infos) for name in ("thrust", "work"))
+    efficiency = thrust / env.task.control_rate * 0.2 / work
+    assert 0.1 < efficiency < 1.0
+    assert infos[-1]["efficiency"] == pytest.approx(efficiency, rel=1e-4)
+    missing = max(0.0, 1 - infos[-1]["mean_lift"] / 1.7)
+    exit_penalty = sum(info["reward_exit"] for info in infos)
+    assert sum(rewards) == pytest.approx(efficiency - 2 * missing + exit_penalty, abs=1e-4)
+    with pytest.raises(sandgait.InvalidRequest, match=r"stroke.start: .* begins .* mm in the sand"):
+        env.reset(options={"stroke": {"start": [0.0, 0.0]}})
+    env.close()

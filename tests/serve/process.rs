@@ -4,6 +4,7 @@ use crate::harness::{Bearer, Client, client};
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
 
@@ -19,6 +20,8 @@ pub fn refused(arguments: &[&str]) -> String {
 
 pub struct Process {
     child: Child,
+    /// Reads the log as it comes: a server whose log nobody reads stops when the pipe is full.
+    log: Option<JoinHandle<String>>,
     /// As printed.
     pub address: String,
 }
@@ -45,7 +48,13 @@ impl Process {
         let mut line = String::new();
         BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
         let address = line.trim_end().strip_prefix("listening on ").unwrap_or_default().to_owned();
-        Self { child, address }
+        let mut stderr = child.stderr.take().unwrap();
+        let log = std::thread::spawn(move || {
+            let mut log = String::new();
+            stderr.read_to_string(&mut log).unwrap();
+            log
+        });
+        Self { child, log: Some(log), address }
     }
 
     pub fn id(&self) -> u32 {
@@ -62,8 +71,7 @@ impl Process {
         self.signal("-TERM");
         let status = self.child.wait().unwrap();
         let time = begun.elapsed();
-        let mut log = String::new();
-        self.child.stderr.take().unwrap().read_to_string(&mut log).unwrap();
+        let log = self.log.take().unwrap().join().unwrap();
         assert_eq!(status.code(), Some(0), "{log}");
         (time, log)
     }

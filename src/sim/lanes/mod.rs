@@ -64,6 +64,11 @@ impl LanesEngine {
         self.blocks[index / self.lanes].set_model(index % self.lanes, model);
     }
 
+    /// See [`super::engine::Engine::set_footing`].
+    pub fn set_footing(&mut self, index: usize, model: &Model, shares: &[f64]) {
+        self.blocks[index / self.lanes].set_footing(index % self.lanes, model, shares);
+    }
+
     /// See [`super::engine::Engine::set_state`].
     pub fn set_state(&mut self, index: usize, state: &State) {
         self.blocks[index / self.lanes].set_state(index % self.lanes, state);
@@ -88,6 +93,7 @@ impl LanesEngine {
 /// One block of robots, whatever number it is computed in.
 trait Block: Send {
     fn set_model(&mut self, lane: usize, model: &Model);
+    fn set_footing(&mut self, lane: usize, model: &Model, shares: &[f64]);
     fn set_state(&mut self, lane: usize, state: &State);
     fn state(&self, lane: usize, out: &mut State);
     fn command(&mut self, lane: usize, command: &Command);
@@ -174,6 +180,10 @@ impl<R: Real, const J: usize> Kernel for Advance<'_, R, J> {
 impl<R: Real, const J: usize> Block for Lanes<R, J> {
     fn set_model(&mut self, lane: usize, model: &Model) {
         self.model.set_lane(lane, model);
+    }
+
+    fn set_footing(&mut self, lane: usize, model: &Model, shares: &[f64]) {
+        self.model.set_footing(lane, model, shares);
     }
 
     fn set_state(&mut self, lane: usize, state: &State) {

@@ -195,6 +195,17 @@ impl<R: Real, const J: usize> LaneModel<R, J> {
         self.gravity.set_lane(lane, model.gravity.into());
         self.ground.set_lane(lane, &model.scene.medium, &model.scene.mechanisms);
     }
+
+    /// Gives each leg of one lane, which has `model`, a share of its plates' areas: the forces on them are in proportion.
+    pub fn set_footing(&mut self, lane: usize, model: &Model, shares: &[f64]) {
+        for ((chain, bodies), share) in self.legs.iter_mut().zip(&model.legs).zip(shares) {
+            for (out, body) in chain.iter_mut().zip(bodies) {
+                let full = body.plates.iter().chain(&body.chord);
+                let plates = out.plates.iter_mut().chain(&mut out.chord).zip(full);
+                plates.for_each(|(plate, full)| plate.area.set_lane(lane, full.area * share));
+            }
+        }
+    }
 }
 
 #[cfg(test)]

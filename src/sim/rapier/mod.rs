@@ -52,6 +52,11 @@ impl RapierEngine {
         self.robots[index].next_model = Some(model.clone());
     }
 
+    /// See [`super::engine::Engine::set_footing`].
+    pub fn set_footing(&mut self, index: usize, model: &Model, shares: &[f64]) {
+        self.robots[index].model.scale_areas(model, shares);
+    }
+
     /// See [`super::engine::Engine::set_state`].
     pub fn set_state(&mut self, index: usize, state: &State) {
         self.robots[index].set_state(state);

@@ -1,0 +1,200 @@
+//! Ground that differs from place to place and remembers being walked on: what an episode of HexapodTerrain keeps.
+
+use crate::sand::beyond::footprint;
+use crate::sim::{Model, State};
+use serde::{Deserialize, Serialize};
+
+/// Patches after which their sand repeats.
+pub const PATCHES: usize = 16;
+
+/// Footprints that are remembered; older ones count as smoothed over. Our choice: some 80 strides of six legs.
+const PRINTS: usize = 512;
+
+/// An episode's ground, and what the robot has done to it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Ground {
+    /// ζ of each patch over the medium's own.
+    pub zeta: Vec<f64>,
+    /// Length of a patch along x [m]; patch 0 begins at x = 0.
+    pub patch_length: f64,
+    /// κ of re-used ground.
+    pub footprint: f64,
+    /// Distance from the start after which the robot is sent back [m].
+    pub turning_point: f64,
+    /// 0 on the way out; on the way back the sign of x where the robot turned.
+    pub returning: f64,
+    /// The patch whose sand is in force.
+    pub patch: usize,
+    /// Where each leg that is in the sand went in [m].
+    pub standing: Vec<Option<[f64; 2]>>,
+    /// Share of fresh ground's stress that each leg finds.
+    pub footing: Vec<f64>,
+    /// Where legs stood [m], oldest first.
+    pub prints: Vec<[f64; 2]>,
+}
+
+/// What a step did to the ground.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Change {
+    Nothing,
+    /// Some leg's footing.
+    Footing,
+    /// The patch, and with it the sand.
+    Patch,
+}
+
+impl Ground {
+    /// Is it what an episode of a robot with `legs` legs can have come to?
+    pub fn is_sound(&self, legs: usize) -> bool {
+        let number = |x: &f64| x.is_finite();
+        let points = self.prints.iter().chain(self.standing.iter().flatten()).flatten();
+        self.zeta.len() == PATCHES
+            && self.zeta.iter().all(|z| (1e-2..=1e2).contains(z))
+            && self.patch_length >= 1e-2
+            && self.patch < PATCHES
+            && self.standing.len() == legs
+            && self.footing.len() == legs
+            && self.prints.len() <= PRINTS
+            && points.chain(&self.footing).all(number)
+            && [-1.0, 0.0, 1.0].contains(&self.returning)
+            && [self.patch_length, self.footprint, self.turning_point].iter().all(number)
+    }
+
+    /// The patch under `x` [m].
+    fn patch_at(&self, x: f64) -> usize {
+        (x / self.patch_length).floor().rem_euclid(PATCHES as f64) as usize
+    }
+
+    /// Does a robot at `x` [m] turn round: beyond the turning point on the way out, past the start on the way back?
+    pub fn turned(&mut self, x: f64) -> bool {
+        let turned = if self.returning == 0.0 { x.abs() > self.turning_point } else { x * self.returning < 0.0 };
+        if turned {
+            self.returning = if self.returning == 0.0 { x.signum() } else { 0.0 };
+        }
+        turned
+    }
+
+    /// Takes note of where the robot is now.
+    pub fn walked(&mut self, model: &Model, state: &State) -> Change {
+        let mut change = Change::Nothing;
+        for leg in 0..self.standing.len() {
+            let [x, y, z] = model.tip(state, leg);
+            match (z < 0.0, self.standing[leg]) {
+                (true, None) => {
+                    self.standing[leg] = Some([x, y]);
+                    let footing = self.footing_at([x, y]);
+                    if footing != self.footing[leg] {
+                        (self.footing[leg], change) = (footing, Change::Footing);
+                    }
+                }
+                (false, Some(print)) => {
+                    self.standing[leg] = None;
+                    if self.prints.len() == PRINTS {
+                        self.prints.remove(0);
+                    }
+                    self.prints.push(print);
+                }
+                _ => (),
+            }
+        }
+        let patch = self.patch_at(state.position[0]);
+        if patch != self.patch {
+            (self.patch, change) = (patch, Change::Patch);
+        }
+        change
+    }
+
+    /// What a leg finds that goes in at `place` [m]: the nearest print counts.
+    fn footing_at(&self, place: [f64; 2]) -> f64 {
+        if self.footprint == 0.0 {
+            return 1.0;
+        }
+        let away = |p: &[f64; 2]| (p[0] - place[0]).hypot(p[1] - place[1]);
+        let nearest = self.prints.iter().map(away).fold(f64::INFINITY, f64::min);
+        footprint(self.footprint, 2, nearest)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sand::Medium;
+    use crate::sim::Robot;
+    use crate::sim::model::Scene;
+
+    fn ground(footprint: f64) -> Ground {
+        Ground {
+            zeta: vec![1.0; PATCHES],
+            patch_length: 0.3,
+            footprint,
+            turning_point: 1.0,
+            returning: 0.0,
+            patch: 0,
+            standing: vec![None; 6],
+            footing: vec![1.0; 6],
+            prints: Vec::new(),
+        }
+    }
+
+    /// All tips 1 cm in the sand at `x`, or all above it.
+    fn at(model: &Model, x: f64, down: bool) -> State {
+        let mut state = State::at_rest(0.0, &[0.0; 6]);
+        state.position = [x, 0.0, model.standing_height(&state.angles) + if down { -0.01 } else { 0.01 }];
+        state
+    }
+
+    fn model() -> Model {
+        let robot = Robot::built_in("xplorer").unwrap();
+        Model::new(&robot, &Scene::flat(Medium::named("poppy-loose").unwrap())).unwrap()
+    }
+
+    /// The middle leg's print is what the front leg left; where nobody stood the ground is fresh, and so it is for a leg
+    /// that stays where it is.
+    #[test]
+    fn prints_are_found_again() {
+        let (model, mut ground) = (model(), ground(0.5));
+        assert_eq!(ground.walked(&model, &at(&model, 0.0, true)), Change::Nothing);
+        assert_eq!(ground.walked(&model, &at(&model, 0.0, true)), Change::Nothing);
+        assert_eq!(ground.walked(&model, &at(&model, 0.03, false)), Change::Nothing);
+        assert_eq!(ground.prints.len(), 6);
+        // Legs are 6 cm apart along x, the middle ones 5 mm further out.
+        assert_eq!(ground.walked(&model, &at(&model, 0.06, true)), Change::Footing);
+        let near = 1.0 - 0.5 * (-0.005_f64 / 0.03).exp();
+        let fresh = 1.0 - 0.5 * (-0.06_f64 / 0.03).exp();
+        for (leg, expected) in [fresh, near, near, fresh, near, near].into_iter().enumerate() {
+            assert!((ground.footing[leg] - expected).abs() < 1e-9, "leg {leg}: {:?}", ground.footing);
+        }
+    }
+
+    #[test]
+    fn patches_go_on_both_ways() {
+        let (model, mut ground) = (model(), ground(0.0));
+        for (x, patch, change) in [
+            (0.1, 0, Change::Nothing),
+            (0.31, 1, Change::Patch),
+            (0.59, 1, Change::Nothing),
+            (-0.01, 15, Change::Patch),
+            (4.81, 0, Change::Patch),
+        ] {
+            assert_eq!((ground.walked(&model, &at(&model, x, false)), ground.patch), (change, patch), "{x}");
+        }
+    }
+
+    #[test]
+    fn robots_turn_round_at_both_ends() {
+        let mut ground = ground(0.0);
+        let turns = [0.5, 1.1, 1.2, 0.1, -0.1, -0.2, -1.1, -0.5, 0.1].map(|x| ground.turned(x));
+        assert_eq!(turns, [false, true, false, false, true, false, true, false, true]);
+    }
+
+    #[test]
+    fn memory_is_bounded() {
+        let (model, mut ground) = (model(), ground(0.5));
+        for k in 0..1000 {
+            ground.walked(&model, &at(&model, 0.0, k % 2 == 0));
+        }
+        assert_eq!(ground.prints.len(), PRINTS);
+        assert!(ground.is_sound(6) && !ground.is_sound(5));
+    }
+}
