@@ -172,6 +172,16 @@ fn a_clock_at_0_is_a_tripod() {
     assert_eq!(other, "control: this gait needs \"hip_speed\", not \"torque\"");
 }
 
+/// Every task that walks, with whatever its episodes draw.
+#[test]
+fn walking_tasks_can_be_evaluated() {
+    for task in ["sandgait/HexapodLegs-v0", "sandgait/HexapodRocks-v0", "sandgait/HexapodTerrain-v0"] {
+        let request = request("random", json!({"max_episode_steps": 30}));
+        let rows = rows(&Request { task: task.into(), seeds: 3, ..request });
+        assert!(rows[0].figures.total_reward.mean.is_finite() && rows[0].figures.speed.mean.is_finite(), "{task}");
+    }
+}
+
 #[test]
 fn a_network_is_evaluated() {
     let got = figures("tests/data/policy_ppo.onnx", json!({"max_episode_steps": 60}));
@@ -251,4 +261,6 @@ fn wrong_gaits_are_refused() {
     assert!(refused(&moon).contains("moon"));
     let steep = Request { slopes: vec![50.0], ..request("random", Value::Null) };
     assert_eq!(refused(&steep), "slope_deg: 50 is outside [-35, 35]");
+    let leg = Request { task: "sandgait/LegStroke-v0".into(), ..request("random", Value::Null) };
+    assert_eq!(refused(&leg), "task: sandgait/LegStroke-v0 has no speed: it is no walking task");
 }
