@@ -12,17 +12,20 @@ SOURCES := $(shell find src proto robots python_client build.rs Cargo.toml Cargo
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help train test test-rust test-python bench bench-peers study study-convergence study-rocks study-load proto task-pages docs
+.PHONY: help train test test-rust test-python test-browser page-three bench bench-peers study study-convergence \
+	study-rocks study-load proto task-pages docs
 
 help:
 	@echo "make train   train a hexapod to walk on sand (5 minutes), results in runs/; ARGS=--help for options"
 	@echo "make test    formatting, lints and all tests, Rust and Python"
+	@echo "make test-browser   the live page and replays in headless Chromium, which apt installs if it is missing"
 	@echo "make docs    the documentation as a site in site/; every command in it is run by make test"
 	@echo "make bench   speed of the Python client through an embedded server"
 	@echo "make bench-peers   sandgait beside EnvPool, MuJoCo and gymnasium's Ant, in one run"
 	@echo "make study   how often the diagnosis is right, on data of known cause (some 20 minutes)"
 	@echo "make study-convergence   walking speed against the time step, both engines (some 3 minutes)"
 	@echo "make study-rocks   overlaps of robot and rocks in 1,000 random episodes (some 7 minutes)"
+	@echo "make page-three   bundle what the page takes from three.js anew; needs npm"
 	@echo "make study-load      24 clients against one server: its memory and its numbers (5 minutes)"
 	@echo "make task-pages   write docs/tasks/ anew from the tasks' tables; what was measured stays"
 	@echo "make proto   generate the Python messages from proto/ anew"
@@ -42,6 +45,19 @@ test-python: $(VENV)/sb3 $(VENV)/plot $(VENV)/docs $(VENV)/dev
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/pytest
+
+test-browser: $(VENV)/dev
+	command -v chromium chromium-browser google-chrome > /dev/null || { apt-get update && apt-get install --yes chromium; }
+	$(BIN)/pytest tests/browser
+
+page-three:
+	rm -rf target/three && mkdir -p target/three
+	cp src/view/page/three.entry.js target/three/entry.js
+	cd target/three && npm init --yes > /dev/null && npm install --silent three@0.187.0 esbuild@0.28.2
+	cd target/three && npx esbuild entry.js --bundle --minify --format=iife --global-name=THREE \
+		--legal-comments=inline --outfile=three.js
+	cp target/three/three.js src/view/page/three.js
+	cp target/three/node_modules/three/LICENSE src/view/page/three.LICENSE
 
 docs: $(VENV)/docs
 	$(BIN)/mkdocs build --strict

@@ -19,4 +19,5 @@ pub mod service;
 pub mod sim;
 pub mod sweep;
 pub mod table;
+pub mod view;
 pub use error::{Error, Result};

@@ -236,3 +236,32 @@ fn a_stale_socket_is_replaced_and_another_file_is_not() {
     assert_eq!(refused.status.code(), Some(1));
     assert_eq!(std::fs::read_to_string(&path).unwrap(), "precious");
 }
+
+#[test]
+fn a_recorded_walk_is_replayed() {
+    let directory = tempfile::tempdir().unwrap();
+    let [file, page, none] = ["walk.rec", "walk.html", "none.html"].map(|n| directory.path().join(n));
+    let [file, page, none] = [&file, &page, &none].map(|p| p.to_str().unwrap());
+    let plain = ["walk", "--leg", "L", "--frequency", "2", "--json"];
+    let speed = |arguments: &[&str]| json(arguments)["speed"].as_f64().unwrap();
+    let recorded = speed(&[&plain[..], &["--record", file]].concat());
+    assert_eq!(recorded, speed(&plain), "who looks changes nothing");
+    let summary = &json(&["replay", file, "--json"])[0];
+    assert_eq!((&summary["robot"], &summary["medium"]), (&"xplorer".into(), &"poppy-loose".into()));
+    // 0.5 s of start and six strides of 0.5 s, a hundred moments a second; the mean includes the start.
+    assert!((350..=352).contains(&summary["moments"].as_u64().unwrap()), "{summary}");
+    let mean = summary["mean_speed"].as_f64().unwrap();
+    assert!(mean > 0.7 * recorded && mean < recorded, "{mean} {recorded}");
+    assert!(std::fs::metadata(file).unwrap().len() < 400_000);
+    text(&["replay", file, "--html", page]);
+    let html = std::fs::read_to_string(page).unwrap();
+    assert!(html.starts_with("<!doctype html>") && html.contains("walk.rec") && html.contains("id=\"recording\""));
+    refused(&["replay", page], &["walk.html", "none of sandgait's"]);
+    refused(&["replay", page, "--html", none], &["walk.html"]);
+    refused(&["replay", "/nowhere.rec"], &["/nowhere.rec"]);
+    let cut = std::fs::read(file).unwrap();
+    std::fs::write(file, &cut[..cut.len() / 2]).unwrap();
+    refused(&["replay", file, "--html", none], &["cut off"]);
+    assert!(!std::path::Path::new(none).exists());
+    refused(&["walk", "--frequency", "1", "--record", "/nowhere/walk.rec"], &["/nowhere/walk.rec"]);
+}

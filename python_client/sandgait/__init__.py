@@ -30,6 +30,7 @@ from .diagnosis import Diagnosis, diagnose
 from .env import SandgaitEnv
 from .errors import InvalidRequest, LimitReached, OutOfOrder, SandgaitError, ServerLost, SessionLost
 from .policies import Evaluation, evaluate
+from .recording import Recording, Section, read_recording
 from .remote import Remote
 from .spaces import Column, Option, Task
 from .studies import Intrusion, Sweep, Walks, intrude, sweep, walk
@@ -52,10 +53,12 @@ __all__ = [
     "LimitReached",
     "Option",
     "OutOfOrder",
+    "Recording",
     "Remote",
     "SandgaitEnv",
     "SandgaitError",
     "SandgaitVectorEnv",
+    "Section",
     "ServerLost",
     "SessionLost",
     "Sweep",
@@ -68,6 +71,7 @@ __all__ = [
     "export_onnx",
     "intrude",
     "make_sb3",
+    "read_recording",
     "sweep",
     "walk",
 ]

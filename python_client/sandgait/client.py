@@ -244,6 +244,16 @@ def policy_rollout_request(onnx: bytes, steps: int, trajectories: bool) -> pb.Ru
     return pb.RunSessionRequest(policy_rollout=pb.PolicyRollout(onnx=onnx, steps=steps, trajectories=trajectories))
 
 
+def render_request(indices: Sequence[int], width: int, height: int, ended: bool) -> pb.RunSessionRequest:
+    """Asks for a picture of each environment; `ended`: of an episode that has just ended, its last moment."""
+    return pb.RunSessionRequest(render=pb.Render(indices=indices, width=width, height=height, ended=ended))
+
+
+def observe_request(index: int, ended: bool) -> pb.RunSessionRequest:
+    """Asks for the moment of one environment, as recordings hold it."""
+    return pb.RunSessionRequest(observe=pb.Observe(index=index, ended=ended))
+
+
 def failure(response: pb.RunSessionResponse, address: str) -> SandgaitError | None:
     """The error that a response stands for, if it is a refusal."""
     if not response.HasField("failure"):

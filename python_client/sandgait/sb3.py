@@ -95,6 +95,17 @@ class SandgaitVecEnv(VecEnv):
             infos[i]["TimeLimit.truncated"] = bool(batch.truncated[i] and not batch.terminated[i])
         return batch.observations, batch.rewards, batch.terminated | batch.truncated, infos
 
+    def render(self, mode: str | None = None) -> npt.NDArray[np.uint8] | None:
+        """All robots in one picture, or in the window of mode "human"."""
+        if self.render_mode == "human":
+            self.envs.render()
+            return None
+        return super().render(mode)
+
+    def get_images(self) -> Sequence[npt.NDArray[np.uint8] | None]:
+        """A picture of every environment: what SB3's `render` puts side by side."""
+        return self.envs.render() or [None] * self.num_envs
+
     def close(self) -> None:
         self.envs.close()
 

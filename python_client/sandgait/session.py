@@ -149,6 +149,18 @@ class Session:
         self._snapshot, self._since = snapshot, []
         return snapshot
 
+    def render(self, indices: Sequence[int], width: int, height: int, ended: bool) -> bytes:
+        """A picture of each environment: u8 [indices, height, width, 3]."""
+        self.send(client.render_request(indices, width, height, ended))
+        pixels: bytes = self._receive().pictures.pixels
+        return pixels
+
+    def observe(self, index: int, ended: bool) -> tuple[str, bytes]:
+        """Header and row of environment `index`'s moment, as recordings hold them."""
+        self.send(client.observe_request(index, ended))
+        moment = self._receive().observation
+        return moment.header, moment.row
+
     def receive_rollout(self) -> Rollout:
         """Answer to the rollout that was sent last."""
         parts = [self._receive().rollout]

@@ -133,6 +133,18 @@ class Shards:
         rows = [np.concatenate(column, axis=1) for column in zip(*(p[4:] for p in parts), strict=True)]
         return Rollout(*ends, *rows)
 
+    def render(self, indices: Sequence[int], width: int, height: int, ended: bool) -> bytes:
+        """A picture of each environment: u8 [indices, height, width, 3]. `indices` ascend."""
+        parts = zip(self._sessions, self._slices, strict=True)
+        chosen = [(s, [i - part.start for i in indices if part.start <= i < part.stop]) for s, part in parts]
+        return b"".join(session.render(own, width, height, ended) for session, own in chosen if own)
+
+    def observe(self, index: int, ended: bool) -> tuple[str, bytes]:
+        """Header and row of environment `index`'s moment, as recordings hold them."""
+        parts = zip(self._sessions, self._slices, strict=True)
+        session, part = next((s, part) for s, part in parts if part.start <= index < part.stop)
+        return session.observe(index - part.start, ended)
+
     def _all(self, receive: Callable[[Session], Any]) -> list[Any]:
         """Every session's answer. A refusal of one is raised when all have answered, so that none lags behind."""
         answers, errors = [], []

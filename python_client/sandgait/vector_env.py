@@ -16,6 +16,7 @@ from .session import Rollout
 from .shards import Address, open_shards
 from .snapshots import FilePath, read_snapshot, write_snapshot
 from .spaces import box
+from .view import RENDER_MODES, SIZE, View
 
 Observations = npt.NDArray[np.float32]
 Flags = npt.NDArray[np.bool_]
@@ -33,10 +34,13 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
     observation is the old episode's last; the next step ignores that environment's action and gives the new one's
     first.
 
+    `render_mode`: "rgb_array" for pictures of `render_size` (width, height), one an environment; "human" for the first
+    four in a window.
+
     To let the learner and the simulation overlap, split a batch over two of these and alternate `send` and `recv`.
     """
 
-    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
+    metadata: dict[str, Any] = {"render_modes": RENDER_MODES, "autoreset_mode": AutoresetMode.SAME_STEP}
 
     def __init__(
         self,
@@ -46,13 +50,18 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
         render_mode: str | None = None,
         resume: bool = False,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        render_size: tuple[int, int] = SIZE,
         **options: Any,
     ) -> None:
-        if render_mode is not None:
-            raise InvalidRequest(f"render_mode: {render_mode!r} is not offered; leave it out")
         mode = _autoreset(autoreset_mode)
         self._address = address
         self._session = open_shards(address, task, num_envs, options, resume)
+        self.render_mode = render_mode
+        try:
+            self._view = View(self._session, render_mode, render_size)
+        except BaseException:
+            self._session.close()
+            raise
         self.num_envs = num_envs
         #: The session's tables: names, units and bounds of every number.
         self.task = self._session.task
@@ -91,6 +100,7 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
             batch = self._reset(None, goes_on, options)
         self._seeded |= mask
         self._ended &= ~mask
+        self._view.moved(record_ended=True, show_ended=False)
         return batch.observations, {}
 
     def _reset(self, seeds: list[int] | None, mask: Flags, options: dict[str, Any]) -> Batch:
@@ -155,6 +165,7 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
             self._in_flight = False
             raise
         self._in_flight = False
+        self._view.moved(record_ended=True, show_ended=self._next_step)
         return batch
 
     def recv(self) -> Step:
@@ -252,12 +263,35 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
         """
         if self._in_flight:
             raise OutOfOrder("rollout_policy: a step is in flight; call recv first")
+        if self._ended.any():
+            where = f"environment {self._ended.argmax()} has ended its episode"
+            raise OutOfOrder(f"rollout_policy: {where}; step or reset first")
         if not 0 <= steps < 2**32:
             raise InvalidRequest(f"steps: {steps} is outside [1, {self.task.max_episode_steps}]")
         return self._session.rollout_policy(read_policy(onnx), steps, trajectories)
 
+    def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
+        """Every robot as it is now: u8 [height, width, 3] each; in mode "human" they are shown instead."""
+        if self.render_mode is None:
+            raise InvalidRequest('render_mode: none was chosen; make the environments with render_mode="rgb_array"')
+        if self._in_flight:
+            raise OutOfOrder("render: a step is in flight; call recv first")
+        if self.render_mode == "human":
+            self._view.show(self._next_step)
+            return None
+        return tuple(self._view.pictures(list(range(self.num_envs)), self._next_step))
+
+    def record(self, path: FilePath, index: int = 0) -> None:
+        """Writes every moment of environment `index` from the next reset or step on to the file `path`."""
+        self._view.record(path, index)
+
+    def stop_recording(self) -> None:
+        """Completes the recording; see `sandgait.read_recording` and `sandgait replay`."""
+        self._view.stop_recording()
+
     def close_extras(self, **kwargs: Any) -> None:
         """Ends the session; the environments' memory is freed on the server."""
+        self._view.close()
         self._session.close()
 
 

@@ -8,6 +8,7 @@ mod diagnose;
 mod evaluate;
 mod intrude;
 mod media;
+mod replay;
 mod reproduce;
 mod serve;
 mod stress;
@@ -52,6 +53,7 @@ enum Command {
     Intrude(intrude::Intrude),
     Media(media::Media),
     Stress(stress::Stress),
+    Replay(replay::Replay),
     Reproduce(reproduce::Reproduce),
     Calibrate(calibrate::Calibrate),
     Sweep(sweep::Sweep),
@@ -104,6 +106,7 @@ fn run(command: Command) -> Result<String> {
         Command::Intrude(c) => c.run(),
         Command::Media(c) => c.run(),
         Command::Stress(c) => c.run(),
+        Command::Replay(c) => c.run(),
         Command::Reproduce(c) => c.run(),
         Command::Calibrate(c) => c.run(),
         Command::Sweep(c) => c.run(),

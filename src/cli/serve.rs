@@ -22,6 +22,7 @@ const GRACE: Duration = Duration::from_millis(500);
     after_help = "Examples:
   sandgait serve --listen unix:/tmp/sand.sock
   sandgait serve --listen 127.0.0.1:0 --threads 8      (any free port; the line printed says which)
+  sandgait serve --viewer 127.0.0.1:8080               (watch in a browser)
   sandgait serve --listen 0.0.0.0:50051 --tls-cert server.pem --tls-key server.key --token-file token
   sandgait serve --listen 0.0.0.0:50051 --insecure     (anyone who reaches this port can use it)"
 )]
@@ -45,6 +46,9 @@ pub struct Serve {
     /// Answer GET /metrics for Prometheus here
     #[arg(long, value_name = "HOST:PORT")]
     metrics: Option<Address>,
+    /// Show the sessions as they step to browsers here: http://HOST:PORT
+    #[arg(long, value_name = "HOST:PORT")]
+    viewer: Option<Address>,
     /// What the log on stderr looks like; SANDGAIT_LOG filters it
     #[arg(long, value_name = "FORMAT", default_value = "text")]
     log_format: LogFormat,
@@ -111,8 +115,10 @@ enum LogFormat {
 impl Serve {
     pub fn run(self) -> Result<String> {
         self.security.check(&self.listen)?;
-        let metrics = self.metrics.as_ref().map(|address| metrics_address(address, self.security.insecure));
-        let metrics = metrics.transpose()?;
+        let plain = |name: &'static str, address: &Option<Address>| {
+            address.as_ref().map(|a| plain_address(name, a, self.security.insecure)).transpose()
+        };
+        let (metrics, viewer) = (plain("--metrics", &self.metrics)?, plain("--viewer", &self.viewer)?);
         self.log_format.start();
         let mut setup = self.security.setup(&self.listen)?;
         setup.threads = self.threads.into();
@@ -127,21 +133,24 @@ impl Serve {
         secrets.into_iter().flatten().for_each(|path| service::warn_if_shared(path));
         let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
         let runtime = runtime.map_err(|e| Error::Exhausted(format!("cannot start threads: {e}")))?;
-        let served = runtime.block_on(self.serve(setup, metrics));
+        let served = runtime.block_on(self.serve(setup, metrics, viewer));
         runtime.shutdown_timeout(GRACE);
         served.map(|()| String::new())
     }
 
-    async fn serve(self, mut setup: Setup, metrics: Option<SocketAddr>) -> Result<()> {
+    async fn serve(self, mut setup: Setup, metrics: Option<SocketAddr>, viewer: Option<SocketAddr>) -> Result<()> {
         let stop = CancellationToken::new();
         on_signals(&stop)?;
         let listener = Listener::bind(&self.listen).await?;
         if let Some(address) = metrics {
-            let unusable = |e: std::io::Error| Error::invalid("--metrics", format!("{address}: {e}"));
-            let listener = TcpListener::bind(address).await.map_err(unusable)?;
-            let address = listener.local_addr().map_err(unusable)?;
+            let (listener, address) = bind_plain("--metrics", address).await?;
             tracing::info!(%address, "metrics are at /metrics");
             setup.metrics = Some(listener);
+        }
+        if let Some(address) = viewer {
+            let (listener, address) = bind_plain("--viewer", address).await?;
+            tracing::info!("browsers see the sessions at http://{address}");
+            setup.viewer = Some(listener);
         }
         let line = format!("listening on {}\n", listener.address()?);
         let mut out = std::io::stdout();
@@ -202,16 +211,24 @@ impl Security {
     }
 }
 
-/// Metrics have neither encryption nor token.
-fn metrics_address(address: &Address, insecure: bool) -> Result<SocketAddr> {
+/// Metrics and the live page have neither encryption nor token.
+fn plain_address(name: &str, address: &Address, insecure: bool) -> Result<SocketAddr> {
     let Address::Tcp(tcp) = address else {
-        return Err(Error::invalid("--metrics", format!("{address} is not HOST:PORT")));
+        return Err(Error::invalid(name, format!("{address} is not HOST:PORT")));
     };
     if !address.is_local() && !insecure {
         let reason = "can be reached from other machines without encryption or token; add --insecure to allow that";
-        return Err(Error::invalid("--metrics", format!("{address} {reason}")));
+        return Err(Error::invalid(name, format!("{address} {reason}")));
     }
     Ok(*tcp)
+}
+
+/// A listener, and its address with the port that was found if 0 was asked for.
+async fn bind_plain(name: &str, address: SocketAddr) -> Result<(TcpListener, SocketAddr)> {
+    let unusable = |e: std::io::Error| Error::invalid(name, format!("{address}: {e}"));
+    let listener = TcpListener::bind(address).await.map_err(unusable)?;
+    let address = listener.local_addr().map_err(unusable)?;
+    Ok((listener, address))
 }
 
 impl Lent {

@@ -59,15 +59,21 @@ fn code(text: &str) -> String {
     format!("`{text}`")
 }
 
+/// Bounds to four decimals: readers do not need more.
 fn range(c: &Column) -> String {
-    let bound =
-        |x: f64| if x.is_finite() { format!("{x}") } else { format!("{}∞", if x < 0.0 { "−" } else { "" }) };
+    let bound = |x: f64| match x.is_finite() {
+        true => format!("{}", (x * 1e4).round() / 1e4),
+        false => format!("{}∞", if x < 0.0 { "−" } else { "" }),
+    };
     format!("{} … {}", bound(c.low), bound(c.high))
 }
 
-/// A table with a head.
+/// A table with a head; a bar in a cell would end it.
 fn rows(head: &[&str], body: impl Iterator<Item = Vec<String>>) -> String {
-    let line = |cells: Vec<String>| format!("| {} |\n", cells.join(" | "));
+    let line = |cells: Vec<String>| {
+        let cells: Vec<_> = cells.iter().map(|cell| cell.replace('|', "\\|")).collect();
+        format!("| {} |\n", cells.join(" | "))
+    };
     let rule = format!("|{}\n", "---|".repeat(head.len()));
     line(head.iter().map(|h| (*h).to_owned()).collect()) + &rule + &body.map(line).collect::<String>()
 }

@@ -177,7 +177,7 @@ mod tests {
         let action = [-0.2, 0.3, -0.4, 0.2, 0.1, -0.3, 0.5, 0.0, 0.9, -0.6];
         let history = run(&action, &[0.3, -2.0, 1.0, 2.9, -0.4, 0.0], 200);
         let stride = Stride::of(&action);
-        assert_eq!(stride.frequency, 2.0);
+        assert!((stride.frequency - 2.0).abs() < 1e-7, "{}", stride.frequency); // actions are f32
         let clock = Clock::new(&Robot::built_in("xplorer").unwrap());
         let phases = |references: &[f64]| -> Vec<f64> {
             let ahead = |i: usize| clock.tripod[i] + scaled(action[4 + i], PHASE);
@@ -187,7 +187,7 @@ mod tests {
             let all = phases(&history[k]);
             assert!(all.iter().all(|p| wrapped(p - all[0]).abs() < 1e-9), "step {k}: {all:?}");
             let before = phases(&history[k - 1]);
-            assert!((wrapped(all[0] - before[0]) - 2.0 / CONTROL_RATE).abs() < 1e-9);
+            assert!((wrapped(all[0] - before[0]) - stride.frequency / CONTROL_RATE).abs() < 1e-9);
         }
     }
 }

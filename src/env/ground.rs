@@ -78,6 +78,8 @@ impl Ground {
     /// Takes note of where the robot is now.
     pub fn walked(&mut self, model: &Model, state: &State) -> Change {
         let mut change = Change::Nothing;
+        // Prints of this step count from the next one on: the order of the legs must not matter.
+        let mut left = Vec::new();
         for leg in 0..self.standing.len() {
             let [x, y, z] = model.tip(state, leg);
             match (z < 0.0, self.standing[leg]) {
@@ -90,14 +92,13 @@ impl Ground {
                 }
                 (false, Some(print)) => {
                     self.standing[leg] = None;
-                    if self.prints.len() == PRINTS {
-                        self.prints.remove(0);
-                    }
-                    self.prints.push(print);
+                    left.push(print);
                 }
                 _ => (),
             }
         }
+        self.prints.extend(left);
+        self.prints.drain(..self.prints.len().saturating_sub(PRINTS));
         let patch = self.patch_at(state.position[0]);
         if patch != self.patch {
             (self.patch, change) = (patch, Change::Patch);

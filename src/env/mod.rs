@@ -9,6 +9,7 @@
 //! * [`control`]: ways of driving hips; [`clock`]: the one that is a gait as parameters.
 //! * [`shard`]: environments that advance together on one engine; reset, step, autoreset.
 //! * [`snapshot`]: episodes as data; [`rollout`]: many steps with actions that are known beforehand.
+//! * [`look`]: one environment for those who only look.
 //! * [`random`]: the stream of random numbers of an episode.
 
 pub mod clock;
@@ -17,6 +18,7 @@ pub mod gait;
 pub mod ground;
 pub mod legs;
 pub mod locomotion;
+pub mod look;
 pub mod options;
 pub mod random;
 pub mod rocks;
@@ -28,6 +30,7 @@ pub mod stroke;
 pub mod task;
 pub mod terrain;
 
+pub use look::Look;
 pub use options::{ResetOptions, TaskOptions};
 pub use shard::Shard;
 pub use spec::{Column, Spec};

@@ -1,8 +1,10 @@
 //! Environments that advance together: one engine, one task, flat rows allocated once.
 
 use super::ground::Change;
+use super::look::Ended;
 use super::random::Random;
 use super::rollout::Rollout;
+use super::spec::Spec;
 use super::task::{Blueprint, Goal, Setup, Task, Transition};
 use crate::error::Result;
 use crate::sim::engine::{Command, Engine};
@@ -18,9 +20,12 @@ pub(super) struct Episode {
     pub number: u64,
     pub steps: u32,
     pub goal: Goal,
-    before: State,
+    /// The state before the last step; where that ended an episode, the episode's last one.
+    pub before: State,
     pub after: State,
     pub last_action: Vec<f32>,
+    /// The episode before this one, if the last step ended it.
+    pub ended: Option<Ended>,
 }
 
 impl Episode {
@@ -115,6 +120,7 @@ impl Shard {
             before: State::at_rest(0.0, &vec![0.0; model.joints()]),
             after: State::at_rest(0.0, &vec![0.0; model.joints()]),
             last_action: vec![0.0; spec.action.len()],
+            ended: None,
         };
         let period = 1.0 / spec.control_rate;
         Ok(Self {
@@ -131,6 +137,10 @@ impl Shard {
 
     pub fn envs(&self) -> usize {
         self.episodes.len()
+    }
+
+    pub(super) fn spec(&self) -> &Spec {
+        self.task.spec()
     }
 
     /// Numbers in an action row.
@@ -240,6 +250,9 @@ impl Shard {
             self.rows.ended.push(i as u32);
             self.rows.final_observations.extend_from_slice(observation);
             episode.number += 1;
+            let action = episode.last_action.clone();
+            episode.ended = Some(Ended { goal: episode.goal.clone(), steps: episode.steps, action });
+            std::mem::swap(&mut episode.before, &mut episode.after);
             self.begin(i);
         }
     }

@@ -94,7 +94,9 @@ the leg has no mass, so only sand does work on it.
 **What is sought**: thrust per work. Thrust is the sand's mean forward force on the leg; work is what both joints
 give together, ∫Σ τ ω dt: what goes into the sand and into the carriage. The figure of merit is the *efficiency* of propulsion,
 
-    efficiency = thrust impulse [N·s] × carriage speed [m/s] / work [J],
+```text
+efficiency = thrust impulse [N·s] × carriage speed [m/s] / work [J],
+```
 
 the share of that work which pushes the carriage. It is thrust per work times a constant, has no unit, and cannot pass 1:
 sand only takes energy. Under a carriage that stands still thrust per work has no greatest value: the sand's forces do not
@@ -104,7 +106,9 @@ speed that counts.
 **Constraint**: the mean lift over the whole stroke is at least `stroke.lift`, and the leg is out of the sand at the end. What
 is missing is paid for. The reward's terms are differences, so that the return is exactly
 
-    efficiency − lift_weight · (share of the lift that is missing) − exit_weight · (depth at the end / 1 cm, at most 1)
+```text
+efficiency − lift_weight · (share of the lift that is missing) − exit_weight · (depth at the end / 1 cm, at most 1)
+```
 
 with the efficiency clipped to [−1, 1] and work counted as 1 mJ at least. The episode terminates with the stroke.
 

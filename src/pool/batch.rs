@@ -3,7 +3,7 @@
 use super::snapshot::Snapshot;
 use crate::env::snapshot::Resumed;
 use crate::env::task::{Blueprint, Setup};
-use crate::env::{ResetOptions, Shard, Spec, Task};
+use crate::env::{Look, ResetOptions, Shard, Spec, Task};
 use crate::error::{Error, Result, check_range};
 use crate::policy::Network;
 use std::sync::Arc;
@@ -181,6 +181,22 @@ impl Batch {
         check_range("steps", f64::from(total), 1.0..=f64::from(spec.max_episode_steps))?;
         let network = Arc::new(Network::new(onnx, spec)?);
         Ok(Roll { total: total as usize, plan: Plan::Network(network), steps: 0..0, record })
+    }
+
+    /// Environment `index` for those who only look; see [`Shard::look`].
+    pub fn look(&self, index: usize, ended: bool) -> Result<Look<'_>> {
+        let outside = || Error::invalid("index", format!("{index} is outside [0, {})", self.envs));
+        if !*self.begun.get(index).ok_or_else(outside)? {
+            return Err(Error::OutOfOrder(format!("render before reset: environment {index} has not been reset yet")));
+        }
+        let mut first = 0;
+        for shard in &self.shards {
+            if index < first + shard.envs() {
+                return Ok(shard.look(index - first, ended));
+            }
+            first += shard.envs();
+        }
+        Err(outside())
     }
 
     /// Has every environment begun its episode, and made no step of it yet?

@@ -22,8 +22,9 @@ pub fn operation(batch: &mut Batch, request: Option<Request>) -> Result<Operatio
             let sources = if restore.sources.is_empty() { None } else { Some(indices("sources", &restore.sources)?) };
             batch.restore(&snapshot, sources.as_deref())
         }
-        Some(Request::Attach(_) | Request::Save(_) | Request::Rollout(_) | Request::PolicyRollout(_)) | None => {
-            let known = "neither reset, step, attach, save, restore, rollout nor policy_rollout";
+        // The others are no operations: they were answered before.
+        Some(_) | None => {
+            let known = "neither reset, step, attach, save, restore, rollout, policy_rollout, render nor observe";
             Err(Error::invalid("request", known))
         }
     }
@@ -36,6 +37,7 @@ pub fn is_light(request: &proto::RunSessionRequest) -> bool {
         Some(Request::Step(step)) => step.actions.len() <= 16_384,
         Some(Request::Reset(reset)) => reset.options.is_none() && reset.seeds.len() <= 2_048,
         Some(Request::Save(_) | Request::Restore(_) | Request::Rollout(_) | Request::PolicyRollout(_)) => false,
+        Some(Request::Render(_) | Request::Observe(_)) => false,
         Some(Request::Attach(_)) | None => true,
     }
 }

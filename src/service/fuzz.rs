@@ -7,6 +7,7 @@ use super::proto::run_session_request::Request;
 use super::proto::{CreateSessionRequest, PolicyRollout, Reset, Restore, Rollout, RunSessionRequest, Step};
 use super::sessions::{Limits, Sessions};
 use super::{decode, values};
+use crate::env::stroke::LegStroke;
 use crate::env::task::{Blueprint, TASK_IDS};
 use crate::pool::{Batch, Operation, Pool};
 use prost::Message as _;
@@ -151,7 +152,14 @@ async fn wrong_sessions_are_refused_or_made() {
         options: options(keywords),
         protocol: super::PROTOCOL,
     };
-    let valid: Vec<_> = TASK_IDS.iter().flat_map(|t| [create(t, &keywords), create(t, &json!({"leg": "C"}))]).collect();
+    let stroke = json!({"law": "agarwal2023", "max_episode_steps": 50, "sand": "[sand]\nzeta = 0.5"});
+    let valid: Vec<_> = TASK_IDS
+        .iter()
+        .flat_map(|task| match *task {
+            LegStroke::ID => [create(task, &stroke), create(task, &json!({"medium": "poppy-close"}))],
+            _ => [create(task, &keywords), create(task, &json!({"leg": "C"}))],
+        })
+        .collect();
     let valid: Vec<_> = valid.iter().map(prost::Message::encode_to_vec).collect();
     let (mut decoded, mut made) = (0, 0);
     for k in 0..10_000 {

@@ -6,6 +6,7 @@
 //! * [`security`]: TLS and the token; [`gate`]: what every call passes; [`metrics`]: what is counted.
 //! * [`sessions`]: who holds which environments, and the limits; [`state`]: sessions that outlive their server.
 //! * [`stream`]: one RunSession stream, request by request; [`rollout`]: the request of many steps.
+//! * [`view`]: requests that only look; [`viewer`]: the page that follows sessions.
 //! * [`studies`]: the offline tools, one at a time.
 //! * [`dm_env_rpc`]: the same environments for DeepMind's protocol.
 //! * [`decode`], [`encode`], [`values`]: messages from and to the crate's types.
@@ -28,6 +29,8 @@ mod status;
 mod stream;
 mod studies;
 mod values;
+mod view;
+mod viewer;
 
 /// Generated from `proto/sandgait/v1/`.
 pub mod proto {

@@ -16,7 +16,7 @@ use super::security::{Tls, Token};
 use super::sessions::{Limits, Sessions};
 use super::state::StateDir;
 use super::studies::{self, Studies};
-use super::{Service, off_runtime};
+use super::{Service, off_runtime, viewer};
 use crate::error::{Error, Result};
 use crate::pool::Pool;
 use axum::middleware;
@@ -65,6 +65,8 @@ pub struct Setup {
     pub token: Option<Token>,
     /// Where `GET /metrics` is answered.
     pub metrics: Option<TcpListener>,
+    /// Where browsers see the sessions.
+    pub viewer: Option<TcpListener>,
     /// Where sessions are kept while no server runs.
     pub state: Option<StateDir>,
     /// Also serve dm_env_rpc.
@@ -73,7 +75,7 @@ pub struct Setup {
 
 /// Serves until `stop` is cancelled, then lets every stream finish the operation it has in flight.
 pub async fn serve(listener: Listener, setup: Setup, stop: CancellationToken) -> Result<()> {
-    let Setup { threads, limits, tls, token, metrics, state, dm_env_rpc } = setup;
+    let Setup { threads, limits, tls, token, metrics, viewer, state, dm_env_rpc } = setup;
     let (sessions, pool) = (Sessions::new(limits, stop.clone()), Arc::new(Pool::new(threads)));
     if let Some(state) = state.clone() {
         let (sessions, pool) = (sessions.clone(), pool.clone());
@@ -84,6 +86,10 @@ pub async fn serve(listener: Listener, setup: Setup, stop: CancellationToken) ->
     if let Some(listener) = metrics {
         let page = metrics::serve(listener, sessions.clone(), stop.clone());
         tokio::spawn(async { page.await.inspect_err(|error| tracing::error!(%error, "metrics")) });
+    }
+    if let Some(listener) = viewer {
+        let page = viewer::serve(listener, sessions.clone(), stop.clone());
+        tokio::spawn(async { page.await.inspect_err(|error| tracing::error!(%error, "viewer")) });
     }
     let health = HealthReporter::new();
     let mut offer = Offer { routes: Routes::builder(), names: vec![""] };

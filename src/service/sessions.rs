@@ -11,6 +11,7 @@
 use super::metrics::Metrics;
 use super::proto::RunSessionResponse;
 use super::status::SESSION;
+use super::viewer::Watchers;
 use crate::env::task::Blueprint;
 use crate::error::{Error, Result};
 use crate::pool::Batch;
@@ -176,6 +177,7 @@ pub struct Sessions {
     entries: Mutex<HashMap<String, Entry>>,
     stop: CancellationToken,
     pub metrics: Arc<Metrics>,
+    pub watchers: Arc<Watchers>,
 }
 
 /// Every change under these locks is one step, so the data are sound even if a holder panicked.
@@ -192,7 +194,14 @@ pub fn name(id: &str) -> String {
 impl Sessions {
     /// Cancelling `stop` ends every stream after the operation it has in flight.
     pub fn new(limits: Limits, stop: CancellationToken) -> Arc<Self> {
-        Arc::new(Self { limits, usage: Arc::default(), entries: Mutex::default(), stop, metrics: Arc::default() })
+        Arc::new(Self {
+            limits,
+            usage: Arc::default(),
+            entries: Mutex::default(),
+            stop,
+            metrics: Arc::default(),
+            watchers: Arc::default(),
+        })
     }
 
     /// Cancelled when the server stops.

@@ -13,7 +13,7 @@ use super::proto::run_session_request::Request;
 use super::proto::run_session_response::Response;
 use super::proto::{Attached, RunSessionRequest, RunSessionResponse, Snapshot};
 use super::sessions::{Done, Environments, Hold, Sessions};
-use super::{decode, encode, rollout, status};
+use super::{decode, encode, rollout, status, view};
 use crate::error::Error;
 use crate::pool::{Operation, Pool};
 use futures_util::{Stream, stream};
@@ -192,13 +192,18 @@ fn carry_out(mut work: Work, request: Option<Request>, pool: &Arc<Pool>) {
     let operation = match request {
         Some(Request::Save(_)) => {
             let saved = batch.save().and_then(|s| s.to_bytes());
-            return match saved {
-                Ok(data) => work.finish(Response::Snapshot(Snapshot { data: data.into() }), false),
-                Err(error) => work.refuse(&error),
-            };
+            return work.tell(saved.map(|data| Response::Snapshot(Snapshot { data: data.into() })));
         }
         Some(Request::Rollout(request)) => return rollout::start(work, &request, pool.clone()),
         Some(Request::PolicyRollout(request)) => return rollout::start_network(work, &request, pool.clone()),
+        Some(Request::Render(request)) => {
+            let seen = view::render(batch, &request);
+            return work.tell(seen.map(Response::Pictures));
+        }
+        Some(Request::Observe(request)) => {
+            let seen = view::observe(batch, &request);
+            return work.tell(seen.map(Response::Observation));
+        }
         request => decode::operation(batch, request),
     };
     match operation {
@@ -217,11 +222,20 @@ impl Work {
             Ok(batch) => {
                 let response = Response::Batch(encode::batch(&batch));
                 ran(&batch);
+                sessions.watchers.saw(&id, &batch);
                 let environments = rest.with(batch);
                 Self { environments, sequence, sessions, id, answers }.finish(response, true);
             }
             Err(error) => lost(&sessions, &id, &error),
         });
+    }
+
+    /// Answers a request that changes nothing.
+    fn tell(self, answer: crate::Result<Response>) {
+        match answer {
+            Ok(response) => self.finish(response, false),
+            Err(error) => self.refuse(&error),
+        }
     }
 
     /// Refuses the request; the environments are as they were.

@@ -8,6 +8,7 @@
 //! * [`overlap`]: how far a robot stands inside obstacles, for tests.
 //! * [`state`]: positions and velocities of one robot.
 //! * [`feet`]: where the tips of the legs are and how fast they move.
+//! * [`frame`]: positions, velocities and velocity-product accelerations of the bodies.
 //! * [`engine`]: the seam; everything above sees only this.
 //! * [`lanes`]: the fast engine, articulated bodies over SIMD lanes of robots.
 //! * [`rapier`]: rapier3d multibodies, one world a robot.
@@ -17,6 +18,7 @@
 pub mod carriage;
 pub mod engine;
 pub mod feet;
+pub mod frame;
 pub mod lanes;
 pub mod model;
 pub mod obstacle;

@@ -13,6 +13,22 @@ const RINGS: usize = 8;
 const SECTORS: usize = 12;
 const GRID: usize = 4;
 
+/// Two triangles a side of a box; bit k of a corner's number says that it lies on the positive side of axis k.
+const CUBE_FACES: [[u8; 3]; 12] = [
+    [0, 4, 6],
+    [0, 6, 2],
+    [1, 3, 7],
+    [1, 7, 5],
+    [0, 1, 5],
+    [0, 5, 4],
+    [2, 6, 7],
+    [2, 7, 3],
+    [0, 2, 3],
+    [0, 3, 1],
+    [4, 5, 7],
+    [4, 7, 6],
+];
+
 /// A convex body; own frame, origin at the centre of mass.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Solid {
@@ -24,6 +40,8 @@ pub struct Solid {
     pub facets: Vec<Plate>,
     /// Corners [m]; none on a sphere.
     pub corners: Vec<V>,
+    /// Triangles of corners, counter-clockwise seen from outside; none on a sphere.
+    pub faces: Vec<[usize; 3]>,
     form: Form,
 }
 
@@ -71,7 +89,7 @@ impl Solid {
             }
         }
         let inertia = M::identity() * (0.4 * volume * radius * radius);
-        Self { volume, inertia, facets, corners: Vec::new(), form: Form::Sphere { radius } }
+        Self { volume, inertia, facets, corners: Vec::new(), faces: Vec::new(), form: Form::Sphere { radius } }
     }
 
     pub fn cuboid(size: [f64; 3]) -> Self {
@@ -95,7 +113,8 @@ impl Solid {
         let inertia = M::from_diagonal(&(V::repeat(squares.sum()) - squares)) * (volume / 12.0);
         let sign = |bit: usize, i: usize| if i >> bit & 1 == 0 { -1.0 } else { 1.0 };
         let corners = (0..8).map(|i| half.component_mul(&V::new(sign(0, i), sign(1, i), sign(2, i))));
-        Self { volume, inertia, facets, corners: corners.collect(), form: Form::Sides(sides) }
+        let faces = CUBE_FACES.map(|f| f.map(usize::from)).to_vec();
+        Self { volume, inertia, facets, corners: corners.collect(), faces, form: Form::Sides(sides) }
     }
 
     /// The convex hull of `points` [m].
@@ -110,6 +129,7 @@ impl Solid {
             return Err(flat());
         }
         let (corners, triangles) = super::rapier::hull(points).ok_or_else(flat)?;
+        let faces = triangles.clone();
         let triangles = triangles.iter().map(|t| t.map(|i| corners[i]));
         // Tetrahedra from the points' mean, which is inside: ∫dV, ∫p dV, ∫p pᵀ dV.
         let (mut volume, mut first, mut second) = (0.0, V::zeros(), M::zeros());
@@ -142,6 +162,7 @@ impl Solid {
             inertia: M::identity() * second.trace() - second,
             facets,
             corners: corners.iter().map(|p| p - center).collect(),
+            faces,
             form: Form::Sides(sides),
         })
     }
@@ -245,5 +266,8 @@ mod tests {
         close(ball.facets.iter().map(|f| f.area).sum(), 4.0 * PI * 0.05 * 0.05);
         let closed = |s: &Solid| s.facets.iter().map(|f| f.normal * f.area).sum::<V>().norm();
         assert!(closed(&ball) < 1e-12 && closed(&cube) < 1e-12);
+        for [a, b, c] in cube.faces.iter().map(|f| f.map(|i| cube.corners[i])) {
+            assert!((b - a).cross(&(c - a)).dot(&a) > 0.0, "a face looks inward");
+        }
     }
 }

@@ -130,12 +130,37 @@ pub fn walk(kind: EngineKind, trial: &Trial) -> Result<WalkResult> {
     results.first().copied().ok_or_else(|| Error::invalid("trials", "none"))
 }
 
+/// Hears of a walk's states as it goes.
+pub struct Watch<'a> {
+    /// Calls a second of simulated time: at most 1000, the protocol's own pace.
+    pub rate: f64,
+    /// Takes the time [s] and the state.
+    pub see: &'a mut dyn FnMut(f64, &State),
+}
+
+/// [`walk`], with every state seen on the way, the first one included.
+pub fn walk_watched(kind: EngineKind, trial: &Trial, watch: &mut Watch) -> Result<WalkResult> {
+    check_range("rate", watch.rate, 1.0..=1.0 / TICK)?;
+    let results = run(kind, std::slice::from_ref(trial), &|_| Ok(()), Some(watch))?;
+    results.first().copied().ok_or_else(|| Error::invalid("trials", "none"))
+}
+
 /// Simulated time [s] between two calls of `advanced`: some milliseconds of work, our choice.
 const HEED: f64 = 1.0;
 
 /// Runs `trials` side by side in one engine; all robots must have the same number of joints and plates. `advanced` hears
 /// how many more seconds have been simulated; an error of it stops the walks and is handed back.
 pub fn walk_many(kind: EngineKind, trials: &[Trial], advanced: &dyn Fn(f64) -> Result<()>) -> Result<Vec<WalkResult>> {
+    run(kind, trials, advanced, None)
+}
+
+/// [`walk_many`]; `watch` hears of the first trial.
+fn run(
+    kind: EngineKind,
+    trials: &[Trial],
+    advanced: &dyn Fn(f64) -> Result<()>,
+    mut watch: Option<&mut Watch>,
+) -> Result<Vec<WalkResult>> {
     let Some(first) = trials.first() else { return Ok(Vec::new()) };
     let mut engine = Engine::new(kind, &first.model, trials.len())?;
     for (i, trial) in trials.iter().enumerate() {
@@ -154,8 +179,14 @@ pub fn walk_many(kind: EngineKind, trials: &[Trial], advanced: &dyn Fn(f64) -> R
     let mut command = Command::still(first.model.joints());
     let ticks = (end / tick).ceil() as usize;
     let heed = (HEED / tick).round().max(1.0) as usize;
+    let every = watch.as_ref().map_or(1, |w| (1.0 / (w.rate * tick)).round().max(1.0) as usize);
+    let mut seen = first.start();
     for k in 0..=ticks {
         let time = k as f64 * tick;
+        if let Some(watch) = watch.as_mut().filter(|_| k % every == 0) {
+            engine.state(0, &mut seen);
+            (watch.see)(time, &seen);
+        }
         for (i, meter) in meters.iter_mut().enumerate() {
             // The speed in the middle of the tick: the ramp's integral is exact.
             command.rates.fill(meter.trial.hip_speed(time + 0.5 * tick));

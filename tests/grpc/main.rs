@@ -8,6 +8,7 @@ mod mutate;
 mod policies;
 mod raw;
 mod rollouts;
+mod seeing;
 mod sessions;
 mod snapshots;
 mod studies;

@@ -119,7 +119,7 @@ class Run:
         self._names: dict[str, Any] = {"__name__": "__main__"}
         self._servers: list[tuple[str, subprocess.Popen[str]]] = []
         # Ports and paths that the pages name may be taken on this machine.
-        self._elsewhere = {port: str(_free_port()) for port in ("50051", "9464")} | {"/tmp/": f"{directory}/"}
+        self._elsewhere = {port: str(_free_port()) for port in ("50051", "8080", "9464")} | {"/tmp/": f"{directory}/"}
 
     def run(self, block: Block) -> None:
         """Fails with the block's place if it does not work as shown."""

@@ -105,7 +105,7 @@ def test_a_curriculum_changes_the_difficulty_at_resets() -> None:
         slopes = env.step(actions)[4]["slope_deg"]
         assert np.abs(slopes).max() <= spread + 1e-5
         assert np.ptp(slopes) >= spread
-    env.reset(seed=0, options={"randomize": {"slope_deg": [3.0, 3.0]}})
+    env.reset(seed=0, options={"difficulty": 1.0, "randomize": {"slope_deg": [3.0, 3.0]}})
     assert env.step(actions)[4]["slope_deg"] == pytest.approx(3.0)
     env.close()
 

@@ -9,3 +9,4 @@ mod operations;
 mod process;
 mod restarts;
 mod security;
+mod viewer;

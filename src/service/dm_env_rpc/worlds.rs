@@ -226,6 +226,7 @@ impl Place {
                 let seen = done.map(|batch| {
                     let seen = view(&batch);
                     ran(&batch);
+                    sessions.watchers.saw(&id, &batch);
                     sessions.give_back(&id, rest.with(batch));
                     seen
                 });

@@ -3,9 +3,9 @@
 //! Colliders carry no mass: masses are ours (`inertia`, `rocks`). Each body has one collider in its own frame, so that
 //! rapier adds nothing to its mass properties.
 
-use super::frame::V;
 use super::inertia::{quat, vec3};
 use crate::sim::Model;
+use crate::sim::frame::V;
 use crate::sim::model::Body;
 use crate::sim::obstacle::{Obstacle, Shape};
 use crate::sim::solid::Solid;

@@ -1,6 +1,6 @@
 //! Point masses added to rigid bodies, as mass properties that rapier can hold.
 
-use super::frame::{M, V};
+use crate::sim::frame::{M, V};
 use rapier3d::glamx::{Quat, Vec3};
 use rapier3d::prelude::MassProperties;
 

@@ -4,7 +4,6 @@
 //! * [`sand`]: force on a body, and the added masses that make it implicit.
 //! * [`inertia`]: mass properties that survive rapier's `f32`.
 //! * [`contact`]: colliders of robot and obstacles; [`rocks`]: obstacles that move.
-//! * [`frame`]: positions, velocities and velocity-product accelerations of the bodies.
 //!
 //! The state is ours, in `f64`; rapier solves for the velocities after each step in `f32`. What must hold for rapier's
 //! multibody to give the right motion stands beside each line that sees to it.
@@ -14,21 +13,19 @@
 //! time is divided into calls of `advance` does matter to the bits there.
 
 mod contact;
-mod frame;
 mod inertia;
 mod rocks;
 mod sand;
 mod world;
 
 use super::engine::Command;
+use super::frame::{Frame, V};
 use super::{Model, State};
 use crate::sand::Ground;
 pub use contact::hull;
-pub(super) use frame::Frame;
 pub(super) use sand::{Place, load_link};
 
 use contact::Shapes;
-use frame::V;
 use inertia::{Masses, mass_properties};
 use rapier3d::prelude::MassProperties;
 use rocks::Rock;

@@ -7,11 +7,11 @@
 //! starts from those velocities and adds what contacts change. For it the rock is as heavy as with the sand's added
 //! point masses, the gate's taken in all directions: what touches a rock feels the sand behind it, a little too much.
 
-use super::frame::{M, V};
 use super::inertia::{Masses, vec3};
 use super::sand::lanes;
 use super::world::World;
 use crate::sand::{Ground, Site};
+use crate::sim::frame::{M, V};
 use crate::sim::model::Body;
 use crate::sim::solid::{Pose, Solid};
 use crate::sim::state::ObjectState;

@@ -5,10 +5,10 @@
 //! velocities and not momentum it may change from step to step. A mass also brings velocity-product forces of its own
 //! (centrifugal, Coriolis, gyroscopic); each wrench here holds what cancels them.
 
-use super::frame::{Frame, V};
 use super::inertia::Masses;
 use crate::number::Vec3;
 use crate::sand::{Contact, Ground, Site};
+use crate::sim::frame::{Frame, V};
 use crate::sim::model::{Body, Plate};
 
 /// Force [N] and moment [N·m] about the base's centre, world axes.

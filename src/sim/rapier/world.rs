@@ -1,9 +1,9 @@
 //! One robot as a rapier multibody in a world of its own.
 
 use super::contact::{self, Shapes};
-use super::frame::{M, V};
 use super::inertia::{mass_properties, quat, vec3};
 use super::sand::Wrench;
+use crate::sim::frame::{M, V};
 use crate::sim::model::{Body, Model, Motor};
 use crate::sim::solid::Pose;
 use crate::sim::{State, engine::Command};

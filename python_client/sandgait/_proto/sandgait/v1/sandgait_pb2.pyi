@@ -129,7 +129,7 @@ class SessionSummary(_message.Message):
     def __init__(self, name: _Optional[str] = ..., task_id: _Optional[str] = ..., num_envs: _Optional[int] = ..., attached: bool = ..., sequence: _Optional[int] = ..., idle_seconds: _Optional[float] = ...) -> None: ...
 
 class RunSessionRequest(_message.Message):
-    __slots__ = ("session_id", "sequence", "reset", "step", "attach", "save", "restore", "rollout", "policy_rollout")
+    __slots__ = ("session_id", "sequence", "reset", "step", "attach", "save", "restore", "rollout", "policy_rollout", "render", "observe")
     SESSION_ID_FIELD_NUMBER: _ClassVar[int]
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     RESET_FIELD_NUMBER: _ClassVar[int]
@@ -139,6 +139,8 @@ class RunSessionRequest(_message.Message):
     RESTORE_FIELD_NUMBER: _ClassVar[int]
     ROLLOUT_FIELD_NUMBER: _ClassVar[int]
     POLICY_ROLLOUT_FIELD_NUMBER: _ClassVar[int]
+    RENDER_FIELD_NUMBER: _ClassVar[int]
+    OBSERVE_FIELD_NUMBER: _ClassVar[int]
     session_id: str
     sequence: int
     reset: Reset
@@ -148,7 +150,9 @@ class RunSessionRequest(_message.Message):
     restore: Restore
     rollout: Rollout
     policy_rollout: PolicyRollout
-    def __init__(self, session_id: _Optional[str] = ..., sequence: _Optional[int] = ..., reset: _Optional[_Union[Reset, _Mapping]] = ..., step: _Optional[_Union[Step, _Mapping]] = ..., attach: _Optional[_Union[Attach, _Mapping]] = ..., save: _Optional[_Union[Save, _Mapping]] = ..., restore: _Optional[_Union[Restore, _Mapping]] = ..., rollout: _Optional[_Union[Rollout, _Mapping]] = ..., policy_rollout: _Optional[_Union[PolicyRollout, _Mapping]] = ...) -> None: ...
+    render: Render
+    observe: Observe
+    def __init__(self, session_id: _Optional[str] = ..., sequence: _Optional[int] = ..., reset: _Optional[_Union[Reset, _Mapping]] = ..., step: _Optional[_Union[Step, _Mapping]] = ..., attach: _Optional[_Union[Attach, _Mapping]] = ..., save: _Optional[_Union[Save, _Mapping]] = ..., restore: _Optional[_Union[Restore, _Mapping]] = ..., rollout: _Optional[_Union[Rollout, _Mapping]] = ..., policy_rollout: _Optional[_Union[PolicyRollout, _Mapping]] = ..., render: _Optional[_Union[Render, _Mapping]] = ..., observe: _Optional[_Union[Observe, _Mapping]] = ...) -> None: ...
 
 class Attach(_message.Message):
     __slots__ = ()
@@ -184,6 +188,26 @@ class PolicyRollout(_message.Message):
     trajectories: bool
     def __init__(self, onnx: _Optional[bytes] = ..., steps: _Optional[int] = ..., trajectories: bool = ...) -> None: ...
 
+class Render(_message.Message):
+    __slots__ = ("indices", "width", "height", "ended")
+    INDICES_FIELD_NUMBER: _ClassVar[int]
+    WIDTH_FIELD_NUMBER: _ClassVar[int]
+    HEIGHT_FIELD_NUMBER: _ClassVar[int]
+    ENDED_FIELD_NUMBER: _ClassVar[int]
+    indices: _containers.RepeatedScalarFieldContainer[int]
+    width: int
+    height: int
+    ended: bool
+    def __init__(self, indices: _Optional[_Iterable[int]] = ..., width: _Optional[int] = ..., height: _Optional[int] = ..., ended: bool = ...) -> None: ...
+
+class Observe(_message.Message):
+    __slots__ = ("index", "ended")
+    INDEX_FIELD_NUMBER: _ClassVar[int]
+    ENDED_FIELD_NUMBER: _ClassVar[int]
+    index: int
+    ended: bool
+    def __init__(self, index: _Optional[int] = ..., ended: bool = ...) -> None: ...
+
 class Reset(_message.Message):
     __slots__ = ("seeds", "mask", "options")
     SEEDS_FIELD_NUMBER: _ClassVar[int]
@@ -203,20 +227,38 @@ class Step(_message.Message):
     def __init__(self, actions: _Optional[bytes] = ..., held: _Optional[bytes] = ...) -> None: ...
 
 class RunSessionResponse(_message.Message):
-    __slots__ = ("sequence", "batch", "failure", "attached", "snapshot", "rollout")
+    __slots__ = ("sequence", "batch", "failure", "attached", "snapshot", "rollout", "pictures", "observation")
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     BATCH_FIELD_NUMBER: _ClassVar[int]
     FAILURE_FIELD_NUMBER: _ClassVar[int]
     ATTACHED_FIELD_NUMBER: _ClassVar[int]
     SNAPSHOT_FIELD_NUMBER: _ClassVar[int]
     ROLLOUT_FIELD_NUMBER: _ClassVar[int]
+    PICTURES_FIELD_NUMBER: _ClassVar[int]
+    OBSERVATION_FIELD_NUMBER: _ClassVar[int]
     sequence: int
     batch: Batch
     failure: Failure
     attached: Attached
     snapshot: Snapshot
     rollout: RolloutPart
-    def __init__(self, sequence: _Optional[int] = ..., batch: _Optional[_Union[Batch, _Mapping]] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., attached: _Optional[_Union[Attached, _Mapping]] = ..., snapshot: _Optional[_Union[Snapshot, _Mapping]] = ..., rollout: _Optional[_Union[RolloutPart, _Mapping]] = ...) -> None: ...
+    pictures: Pictures
+    observation: Observation
+    def __init__(self, sequence: _Optional[int] = ..., batch: _Optional[_Union[Batch, _Mapping]] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., attached: _Optional[_Union[Attached, _Mapping]] = ..., snapshot: _Optional[_Union[Snapshot, _Mapping]] = ..., rollout: _Optional[_Union[RolloutPart, _Mapping]] = ..., pictures: _Optional[_Union[Pictures, _Mapping]] = ..., observation: _Optional[_Union[Observation, _Mapping]] = ...) -> None: ...
+
+class Pictures(_message.Message):
+    __slots__ = ("pixels",)
+    PIXELS_FIELD_NUMBER: _ClassVar[int]
+    pixels: bytes
+    def __init__(self, pixels: _Optional[bytes] = ...) -> None: ...
+
+class Observation(_message.Message):
+    __slots__ = ("header", "row")
+    HEADER_FIELD_NUMBER: _ClassVar[int]
+    ROW_FIELD_NUMBER: _ClassVar[int]
+    header: str
+    row: bytes
+    def __init__(self, header: _Optional[str] = ..., row: _Optional[bytes] = ...) -> None: ...
 
 class Attached(_message.Message):
     __slots__ = ("last_sequence",)

@@ -1,7 +1,7 @@
 //! Where each body is and how it moves, from the state alone.
 
-use crate::sim::State;
-use crate::sim::model::Body;
+use super::State;
+use super::model::Body;
 
 pub type V = nalgebra::Vector3<f64>;
 pub type M = nalgebra::Matrix3<f64>;

@@ -1,0 +1,156 @@
+"""Recordings: what a robot did, moment by moment, in a file that `sandgait replay` makes a page of.
+
+A file is a gzip stream of blocks; `docs/seeing.md` has the format. It is read without the server.
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+import math
+import struct
+from collections.abc import Iterator
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .errors import InvalidRequest, SandgaitError
+
+FilePath = str | PathLike[str]
+Floats = npt.NDArray[np.float32]
+
+_FORMAT, _VERSION = "sandgait recording", 1
+_BLOCK = struct.Struct("<4sI")
+
+
+class Section:
+    """An episode, or what was recorded of it: `section["angles"]` is f32 [moments, joints]."""
+
+    def __init__(self, header: dict[str, Any], rows: Floats) -> None:
+        #: Names, units and shapes of the columns, geometry of the robot, seed: see docs/seeing.md.
+        self.header = header
+        #: f32 [moments, all columns]
+        self.rows = rows
+        self._places: dict[str, tuple[slice, tuple[int, ...]]] = {}
+        start = 0
+        for column in header["columns"]:
+            shape = tuple(column["shape"])
+            stop = start + math.prod(shape)
+            self._places[column["name"]] = (slice(start, stop), shape)
+            start = stop
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the columns."""
+        return tuple(self._places)
+
+    def __getitem__(self, name: str) -> Floats:
+        if name not in self._places:
+            raise InvalidRequest(f"column {name!r} is unknown; known: {', '.join(self._places)}")
+        place, shape = self._places[name]
+        return self.rows[:, place].reshape(len(self.rows), *shape)
+
+
+class Recording:
+    """All sections of a file: `recording["position"]` is f32 [moments, 3] of all of them, in order."""
+
+    def __init__(self, sections: tuple[Section, ...]) -> None:
+        self.sections = sections
+
+    def __len__(self) -> int:
+        return sum(len(s) for s in self.sections)
+
+    @property
+    def header(self) -> dict[str, Any]:
+        """Of the first section."""
+        return self.sections[0].header
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the columns of the first section."""
+        return self.sections[0].columns
+
+    def __getitem__(self, name: str) -> Floats:
+        parts = [s[name] for s in self.sections]
+        if len({p.shape[1:] for p in parts}) > 1:
+            raise InvalidRequest(f"column {name!r} has another shape in each section; take it from .sections")
+        return np.concatenate(parts)
+
+
+def read_recording(path: FilePath) -> Recording:
+    """The recording in the file `path`, as numpy arrays."""
+    try:
+        stream = gzip.decompress(Path(path).read_bytes())
+    except EOFError:
+        raise InvalidRequest(f"{path}: the recording is cut off") from None
+    except OSError as error:
+        reason = error.strerror or "this is none of sandgait's recordings"
+        raise InvalidRequest(f"{path}: {reason}") from None
+    sections = tuple(_sections(stream, path))
+    if not sections:
+        raise InvalidRequest(f"{path}: the recording is empty")
+    return Recording(sections)
+
+
+def _sections(stream: bytes, path: FilePath) -> Iterator[Section]:
+    header: dict[str, Any] | None = None
+    rows: list[bytes] = []
+    at = 0
+    while at < len(stream):
+        if at + _BLOCK.size > len(stream):
+            raise InvalidRequest(f"{path}: the recording is cut off")
+        kind, length = _BLOCK.unpack_from(stream, at)
+        content = stream[at + _BLOCK.size : at + _BLOCK.size + length]
+        at += _BLOCK.size + length
+        if kind == b"ROWS" and header is not None:
+            rows.append(content)
+        elif kind == b"HEAD":
+            if header is not None:
+                yield _section(header, rows)
+            header, rows = json.loads(content), []
+            if (header.get("format"), header.get("version")) != (_FORMAT, _VERSION):
+                raise InvalidRequest(f"{path}: this is no recording of version {_VERSION}")
+        else:
+            raise InvalidRequest(f"{path}: this is none of sandgait's recordings")
+    if header is not None:
+        yield _section(header, rows)
+
+
+def _section(header: dict[str, Any], rows: list[bytes]) -> Section:
+    width = sum(math.prod(c["shape"]) for c in header["columns"])
+    return Section(header, np.frombuffer(b"".join(rows), "<f4").reshape(-1, width).astype(np.float32))
+
+
+class Recorder:
+    """Writes a recording; moments come as a server gives them."""
+
+    def __init__(self, path: FilePath) -> None:
+        self._path = Path(path)
+        try:
+            self._file = gzip.GzipFile(self._path, "wb")
+        except OSError as error:
+            raise SandgaitError(f"{path}: the recording cannot be written: {error.strerror}") from error
+        self._header = ""
+
+    def add(self, header: str, row: bytes) -> None:
+        """One moment; a header other than the last one begins a section."""
+        if header != self._header:
+            self._header = header
+            self._write(b"HEAD", header.encode())
+        self._write(b"ROWS", row)
+
+    def _write(self, kind: bytes, content: bytes) -> None:
+        try:
+            self._file.write(_BLOCK.pack(kind, len(content)) + content)
+        except OSError as error:
+            raise SandgaitError(f"{self._path}: the recording cannot be written: {error.strerror}") from error
+
+    def close(self) -> None:
+        """Completes the file; before that it cannot be read."""
+        self._file.close()

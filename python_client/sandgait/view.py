@@ -1,0 +1,129 @@
+"""What is seen of environments: pictures, a window, recordings. The server computes all of it; nothing is installed.
+
+`render_mode="rgb_array"` needs no display and no GPU. `"human"` shows the same pictures in a window of pygame's.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .errors import InvalidRequest, OutOfOrder, SandgaitError
+from .recording import FilePath, Recorder
+from .shards import Shards
+
+Pictures = npt.NDArray[np.uint8]
+
+RENDER_MODES = ["rgb_array", "human"]
+
+#: Width and height of a picture unless said otherwise [px].
+SIZE = (480, 360)
+
+
+class Window:
+    """A window that shows one picture after the other, no faster than `rate` a second."""
+
+    def __init__(self, title: str, rate: float) -> None:
+        try:
+            import pygame
+        except ImportError as error:
+            raise SandgaitError(
+                "render_mode: 'human' shows a window by pygame, which is not installed: pip install 'sandgait[human]', "
+                "or take 'rgb_array'"
+            ) from error
+        self._pygame = pygame
+        self._title, self._rate = title, rate
+        self._screen: Any = None
+        self._clock: Any = None
+
+    def show(self, picture: Pictures) -> None:
+        """Shows u8 [height, width, 3]."""
+        pygame = self._pygame
+        height, width, _ = picture.shape
+        if self._screen is None:
+            try:
+                pygame.display.init()
+                self._screen = pygame.display.set_mode((width, height))
+            except pygame.error as error:
+                raise SandgaitError(f"render_mode: 'human' cannot open a window: {error}; take 'rgb_array'") from error
+            pygame.display.set_caption(self._title)
+            self._clock = pygame.time.Clock()
+        self._screen.blit(pygame.image.frombuffer(picture.tobytes(), (width, height), "RGB"), (0, 0))
+        pygame.event.pump()
+        pygame.display.flip()
+        self._clock.tick(self._rate)
+
+    def close(self) -> None:
+        if self._screen is not None:
+            self._screen = None
+            self._pygame.display.quit()
+
+
+class View:
+    """What one environment object, of one or many environments, shows and records."""
+
+    def __init__(self, shards: Shards, render_mode: str | None, size: tuple[int, int]) -> None:
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise InvalidRequest(f"render_mode: {render_mode!r} is unknown; known: {', '.join(RENDER_MODES)}")
+        for name, side in zip(("width", "height"), size, strict=True):
+            if not 16 <= side <= 4096:
+                raise InvalidRequest(f"render_size: {name} {side} is outside [16, 4096]")
+        self._shards = shards
+        self._mode = render_mode
+        self._size = size
+        self._recorder: Recorder | None = None
+        self._index = 0
+        self._window = Window(shards.task.id, shards.task.control_rate) if render_mode == "human" else None
+
+    def pictures(self, indices: list[int], ended: bool = False) -> Pictures:
+        """u8 [indices, height, width, 3]; `ended`: of an episode that has just ended, its last moment."""
+        width, height = self._size
+        pixels = self._shards.render(indices, width, height, ended)
+        return np.frombuffer(pixels, np.uint8).reshape(len(indices), height, width, 3).copy()
+
+    def moved(self, *, record_ended: bool, show_ended: bool) -> None:
+        """A reset or step was answered: records it, and shows it if a person looks.
+
+        Each says whether of an episode that has just ended it is the last moment, not the next one's first.
+        """
+        if self._recorder is not None:
+            self._recorder.add(*self._shards.observe(self._index, record_ended))
+        if self._window is not None:
+            self.show(show_ended)
+
+    def show(self, ended: bool = False) -> None:
+        """Shows the first environments in the window, as many as four."""
+        assert self._window is not None
+        self._window.show(tiles(self.pictures(list(range(min(self._shards.num_envs, 4))), ended)))
+
+    def record(self, path: FilePath, index: int) -> None:
+        """Writes every moment of environment `index` from now on to the file `path`."""
+        if not 0 <= index < self._shards.num_envs:
+            raise InvalidRequest(f"index: {index} is outside [0, {self._shards.num_envs})")
+        if self._recorder is not None:
+            raise OutOfOrder("record: a recording is being made; call stop_recording first")
+        self._recorder, self._index = Recorder(path), index
+
+    def stop_recording(self) -> None:
+        """Completes the recording, if one is being made."""
+        if self._recorder is not None:
+            self._recorder.close()
+            self._recorder = None
+
+    def close(self) -> None:
+        self.stop_recording()
+        if self._window is not None:
+            self._window.close()
+
+
+def tiles(pictures: Pictures) -> Pictures:
+    """Pictures [n, height, width, 3] side by side in rows, as one."""
+    count, height, width, _ = pictures.shape
+    across = math.ceil(math.sqrt(count))
+    down = math.ceil(count / across)
+    grid = np.zeros((down * across, height, width, 3), np.uint8)
+    grid[:count] = pictures
+    return grid.reshape(down, across, height, width, 3).swapaxes(1, 2).reshape(down * height, across * width, 3)

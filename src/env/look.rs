@@ -1,0 +1,61 @@
+//! One environment as those see it who only look.
+
+use super::shard::{Episode, Shard};
+use super::spec::Spec;
+use super::task::Goal;
+use crate::sim::{Model, State};
+
+/// Where an environment stands after its last reset or step, and what its task said of that step.
+pub struct Look<'a> {
+    pub spec: &'a Spec,
+    pub model: &'a Model,
+    pub state: &'a State,
+    pub goal: &'a Goal,
+    /// Share of fresh ground's stress that each leg finds; empty where all is fresh.
+    pub footing: &'a [f64],
+    /// Seed and number of the episode.
+    pub episode: (u64, u64),
+    /// Since the episode began [s].
+    pub time: f64,
+    pub action: &'a [f32],
+    pub reward: f32,
+    pub info: Vec<f32>,
+}
+
+/// What the beginning of an episode overwrites of the one before.
+pub(super) struct Ended {
+    pub goal: Goal,
+    pub steps: u32,
+    pub action: Vec<f32>,
+}
+
+impl Shard {
+    /// Environment `i`. If `ended`, and an episode ended in the last step, it is that episode's last moment; otherwise
+    /// it is where the environment goes on from.
+    pub fn look(&self, i: usize, ended: bool) -> Look<'_> {
+        let spec = self.spec();
+        let episode = &self.episodes[i];
+        let Episode { setup, seed, number, steps, goal, after, last_action, .. } = episode;
+        let just_ended = self.rows.terminated[i] != 0 || self.rows.truncated[i] != 0;
+        let old = episode.ended.as_ref().filter(|_| ended && just_ended);
+        let (goal, steps, action) = match old {
+            Some(old) => (&old.goal, old.steps, &old.action),
+            None => (goal, *steps, last_action),
+        };
+        // Rewards of a step that ended an episode do not belong to the next one's first moment.
+        let rewarded = old.is_some() || !just_ended;
+        let (width, paid) = (spec.info.len(), f32::from(u8::from(rewarded)));
+        Look {
+            spec,
+            model: goal.model.as_deref().unwrap_or(&setup.model),
+            state: if old.is_some() { &episode.before } else { after },
+            goal,
+            footing: goal.ground.as_ref().map_or(&[], |g| &g.footing),
+            episode: (*seed, number - u64::from(old.is_some())),
+            time: f64::from(steps) / spec.control_rate,
+            action,
+            reward: self.rows.rewards[i] * paid,
+            info: self.rows.infos[i * width..][..width].iter().map(|v| v * paid).collect(),
+        }
+    }
+}

@@ -1,0 +1,64 @@
+//! Requests that only look: pictures, and moments as recordings hold them.
+
+use super::proto::{Observation, Observe, Pictures, Render};
+use crate::env::Look;
+use crate::error::{Error, Result};
+use crate::pool::Batch;
+use crate::view::{self, About, Moment};
+
+/// Most pixels of one request, all its pictures together: our choice of guard, 100 MB.
+const MOST_PIXELS: u64 = 1 << 25;
+
+/// Pictures of environments.
+pub fn render(batch: &Batch, request: &Render) -> Result<Pictures> {
+    let Render { indices, width, height, ended } = request;
+    let pixels = (indices.len() as u64).saturating_mul(u64::from(*width) * u64::from(*height));
+    if pixels > MOST_PIXELS {
+        let reason = format!("{} pictures of {width} × {height} have more than {MOST_PIXELS} pixels", indices.len());
+        return Err(Error::invalid("indices", reason));
+    }
+    let mut all = Vec::with_capacity(3 * pixels as usize);
+    for index in indices {
+        let look = batch.look(*index as usize, *ended)?;
+        all.extend(view::draw(look.model, look.state, look.footing, [*width, *height], &captions(&look))?);
+    }
+    Ok(Pictures { pixels: all.into() })
+}
+
+/// What is written into a picture.
+fn captions(look: &Look) -> Vec<String> {
+    let figure = |name: &str| look.spec.info.iter().position(|c| c.name == name).map(|k| look.info[k]);
+    let speed = figure("speed").unwrap_or(0.0);
+    let mut first = format!("{:6.2} s   {speed:6.3} m/s (commanded {:.3})", look.time, look.goal.speed);
+    if look.model.scene.slope_deg != 0.0 {
+        first += &format!("   slope {}°", look.model.scene.slope_deg);
+    }
+    vec![first.replace('-', "−")]
+}
+
+/// One environment's moment.
+pub fn observe(batch: &Batch, request: &Observe) -> Result<Observation> {
+    let look = batch.look(request.index as usize, request.ended)?;
+    let row = row(&look).iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<_>>();
+    Ok(Observation { header: header(&look), row: row.into() })
+}
+
+/// The header of the recording's section that this moment belongs to.
+pub fn header(look: &Look) -> String {
+    let spec = look.spec;
+    let about = About {
+        task: spec.id,
+        rate: spec.control_rate,
+        episode: Some(look.episode),
+        info: spec.info.iter().map(|c| (c.name.as_str(), c.unit)).collect(),
+        reward_terms: spec.reward.len(),
+        actions: spec.action.len(),
+    };
+    view::header(look.model, &about)
+}
+
+/// The moment's numbers.
+pub fn row(look: &Look) -> Vec<f32> {
+    let Look { model, state, footing, time, action, reward, info, .. } = look;
+    view::row(model, &Moment { time: *time, state, footing, action, reward: *reward, info })
+}

@@ -1,0 +1,154 @@
+//! From where a robot is seen: beside and a little before it, level with gravity, at a distance that fits its size.
+
+use crate::sim::frame::V;
+use crate::sim::{Model, State};
+
+/// Towards the robot's front from its right side, and above the horizon [rad]: our choice, so that no leg hides another.
+const AZIMUTH: f64 = 0.55;
+const ELEVATION: f64 = 0.32;
+
+/// Height of the picture as an angle [rad]: our choice, a normal lens.
+const FIELD_OF_VIEW: f64 = 0.72;
+
+/// Distance in robot radii: our choice, the robot takes half of the picture's width.
+const DISTANCE: f64 = 3.9;
+
+/// Nothing nearer than this is drawn [m].
+const NEAR: f64 = 0.02;
+
+/// A camera without distortion.
+pub struct Camera {
+    eye: V,
+    right: V,
+    up: V,
+    forward: V,
+    /// Pixels at distance 1 m per metre.
+    focal: f64,
+    middle: [f64; 2],
+}
+
+/// A point of the picture [px], y downward, and its distance along the line of sight [m].
+pub type Seen = ([f32; 2], f64);
+
+/// Half of the robot's length with its legs stretched [m].
+pub fn radius(model: &Model) -> f64 {
+    let reach = |chain: &Vec<crate::sim::model::Body>| {
+        chain[0].joint.norm() + chain.iter().map(|b| b.reach.norm()).sum::<f64>()
+    };
+    model.legs.iter().map(reach).fold(0.5 * V::from(model.robot.base.size).norm(), f64::max)
+}
+
+impl Camera {
+    /// Looks at the robot over the surface; follows its place, not its tumbling.
+    pub fn following(model: &Model, state: &State, [width, height]: [u32; 2]) -> Self {
+        let radius = radius(model);
+        let up = -model.gravity.normalize();
+        let ahead = (V::x() - up * up.x).normalize();
+        let left = up.cross(&ahead);
+        let target = V::new(state.position[0], state.position[1], 0.25 * radius);
+        let (sin, cos) = AZIMUTH.sin_cos();
+        let away = (ahead * sin - left * cos) * ELEVATION.cos() + up * ELEVATION.sin();
+        let forward = -away;
+        let right = forward.cross(&up).normalize();
+        let focal = f64::from(height) / (2.0 * (FIELD_OF_VIEW / 2.0).tan());
+        // A narrow picture is looked at from further away.
+        let narrow = (4.0 / 3.0 * f64::from(height) / f64::from(width)).max(1.0);
+        Self {
+            eye: target + away * (DISTANCE * radius * narrow),
+            up: right.cross(&forward),
+            right,
+            forward,
+            focal,
+            middle: [f64::from(width) / 2.0, f64::from(height) / 2.0],
+        }
+    }
+
+    /// Distance along the line of sight [m].
+    pub fn depth(&self, p: V) -> f64 {
+        (p - self.eye).dot(&self.forward)
+    }
+
+    /// Where a point appears; none if it is behind the camera.
+    pub fn see(&self, p: V) -> Option<Seen> {
+        let depth = self.depth(p);
+        (depth > NEAR).then(|| (self.place(p), depth))
+    }
+
+    fn place(&self, p: V) -> [f32; 2] {
+        let ray = p - self.eye;
+        let scale = self.focal / ray.dot(&self.forward);
+        let [x, y] = [self.middle[0] + ray.dot(&self.right) * scale, self.middle[1] - ray.dot(&self.up) * scale];
+        [x as f32, y as f32]
+    }
+
+    /// A polygon as it appears, without what is behind the camera; none if nothing is left.
+    pub fn polygon(&self, corners: &[V]) -> Option<Vec<[f32; 2]>> {
+        let inside = clip(corners, |p| self.depth(p) - 1.01 * NEAR);
+        (inside.len() > 1).then(|| inside.iter().map(|p| self.place(*p)).collect())
+    }
+
+    /// Does a face with outward normal `n` at `p` look at the camera?
+    pub fn faces(&self, p: V, n: V) -> bool {
+        (self.eye - p).dot(&n) > 0.0
+    }
+
+    /// Distance from the camera [m].
+    pub fn distance(&self, p: V) -> f64 {
+        (p - self.eye).norm()
+    }
+}
+
+/// The part of a convex polygon, or of a line, where `inside` is positive (Sutherland & Hodgman 1974).
+pub fn clip(corners: &[V], inside: impl Fn(V) -> f64) -> Vec<V> {
+    let mut kept = Vec::with_capacity(corners.len() + 1);
+    for (i, &to) in corners.iter().enumerate() {
+        let from = corners[(i + corners.len() - 1) % corners.len()];
+        let [a, b] = [inside(from), inside(to)];
+        if (a > 0.0) != (b > 0.0) {
+            kept.push(from + (to - from) * (a / (a - b)));
+        }
+        if b > 0.0 {
+            kept.push(to);
+        }
+    }
+    kept
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sand::Medium;
+    use crate::sim::Robot;
+    use crate::sim::model::Scene;
+
+    fn camera(slope_deg: f64) -> Camera {
+        let scene = Scene { slope_deg, ..Scene::flat(Medium::named("poppy-loose").unwrap()) };
+        let model = Model::new(&Robot::load("xplorer").unwrap(), &scene).unwrap();
+        Camera::following(&model, &State::at_rest(0.03, &model.tripod_angles()), [480, 360])
+    }
+
+    /// Right way up: forward is to the right, left is behind, up is up; uphill rises to the right on a slope.
+    #[test]
+    fn the_picture_is_the_right_way_up() {
+        let level = camera(0.0);
+        let at = |c: &Camera, x, y, z| c.see(V::new(x, y, z)).unwrap();
+        let (middle, _) = at(&level, 0.0, 0.0, 0.0);
+        assert!((middle[0] - 240.0).abs() < 1.0 && (middle[1] - 180.0).abs() < 60.0, "{middle:?}");
+        assert!(at(&level, 0.05, 0.0, 0.0).0[0] > middle[0] + 20.0);
+        assert!(at(&level, 0.0, 0.0, 0.05).0[1] < middle[1] - 20.0);
+        assert!(at(&level, 0.0, 0.05, 0.0).1 > at(&level, 0.0, -0.05, 0.0).1);
+        let rise = |c: &Camera| at(c, -0.1, 0.0, 0.0).0[1] - at(c, 0.1, 0.0, 0.0).0[1];
+        assert!(rise(&camera(20.0)) > rise(&level) + 20.0);
+        assert!(rise(&camera(-20.0)) < rise(&level) - 20.0);
+    }
+
+    #[test]
+    fn clipping_keeps_the_inside() {
+        let square = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]].map(|[x, z]| V::new(x, 0.0, z));
+        assert_eq!(clip(&square, |_| 1.0).len(), 4);
+        assert!(clip(&square, |_| -1.0).is_empty());
+        let above = clip(&square, |p| p.z);
+        assert_eq!(above.len(), 4);
+        assert!(above.iter().all(|p| p.z >= 0.0) && above.iter().filter(|p| p.z == 0.0).count() == 2);
+    }
+}

@@ -1,0 +1,136 @@
+//! What stands in a recording beside the numbers of each moment: the robot's geometry and the meaning of every column.
+
+use super::pose::segments;
+use super::recording::{FORMAT, VERSION};
+use crate::sim::frame::V;
+use crate::sim::model::{Body, Piece};
+use crate::sim::solid::Solid;
+use crate::sim::{Model, Obstacle};
+use serde_json::{Value, json};
+
+/// What a section is of, apart from the model: words of the task for those who look.
+#[derive(Clone, Debug, Default)]
+pub struct About<'a> {
+    /// The task's id, or what made the recording.
+    pub task: &'a str,
+    /// Rows a second of simulated time.
+    pub rate: f64,
+    /// Seed and number of the episode.
+    pub episode: Option<(u64, u64)>,
+    /// Name and unit of each of the task's figures.
+    pub info: Vec<(&'a str, &'a str)>,
+    /// How many of them, from the first, are terms of the reward.
+    pub reward_terms: usize,
+    /// Numbers of an action.
+    pub actions: usize,
+}
+
+/// The header of a section as JSON text; `docs/seeing.md` has its fields.
+pub fn header(model: &Model, about: &About) -> String {
+    let robot = &model.robot;
+    let hips: Vec<_> = robot.hip.iter().map(|h| json!({"name": h.name, "tripod": h.tripod})).collect();
+    let head = json!({
+        "format": FORMAT,
+        "version": VERSION,
+        "sandgait": env!("CARGO_PKG_VERSION"),
+        "task": about.task,
+        "rate": about.rate,
+        "seed": about.episode.map(|e| e.0),
+        "episode": about.episode.map(|e| e.1),
+        "reward_terms": about.reward_terms,
+        "robot": robot.name,
+        "mass": model.total_mass(),
+        "medium": model.scene.medium.name,
+        "law": model.scene.law.name(),
+        "slope_deg": model.scene.slope_deg,
+        "gravity": list(model.gravity),
+        "legs": hips,
+        "joints": robot.joint_names(),
+        "base": robot.base.size,
+        "bodies": bodies(model),
+        "segments": segment_list(model),
+        "obstacles": model.scene.obstacles.iter().zip(&model.solids).map(obstacle).collect::<Vec<_>>(),
+        "columns": columns(model, about),
+    });
+    head.to_string()
+}
+
+/// Rounded to 1e-9: far below any length of a robot, and half as long in the file.
+fn list(v: V) -> [f64; 3] {
+    [v.x, v.y, v.z].map(|c| (c * 1e9).round() / 1e9)
+}
+
+fn bodies(model: &Model) -> Vec<Value> {
+    let mut all = Vec::with_capacity(1 + model.joints());
+    all.push(json!({"parent": null, "leg": null, "pieces": []}));
+    for (leg, chain) in model.legs.iter().enumerate() {
+        let mut parent = 0;
+        for body in chain {
+            all.push(link(body, parent, leg));
+            parent = all.len() - 1;
+        }
+    }
+    all
+}
+
+fn link(body: &Body, parent: usize, leg: usize) -> Value {
+    let piece =
+        |p: &Piece| json!({"center": list(p.center), "along": list(p.along), "across": list(p.across), "size": p.size});
+    json!({
+        "parent": parent,
+        "leg": leg,
+        "joint": list(body.joint),
+        "axis": list(body.axis),
+        "reach": list(body.reach),
+        "pieces": body.pieces.iter().map(piece).collect::<Vec<_>>(),
+    })
+}
+
+fn segment_list(model: &Model) -> Vec<Value> {
+    let one = |s: super::pose::Segment| {
+        json!({
+            "body": s.body,
+            "leg": s.leg,
+            "center": list(s.plate.center),
+            "normal": list(s.plate.normal),
+            "area": s.plate.area,
+        })
+    };
+    segments(model).into_iter().map(one).collect()
+}
+
+fn obstacle((obstacle, solid): (&Obstacle, &Solid)) -> Value {
+    let round = solid.corners.is_empty();
+    json!({
+        "moves": obstacle.moves(),
+        "position": obstacle.position,
+        "orientation": obstacle.orientation,
+        "radius": round.then(|| solid.reach()),
+        "corners": solid.corners.iter().map(|c| list(*c)).collect::<Vec<_>>(),
+        "faces": solid.faces,
+    })
+}
+
+/// Name, unit and shape of every column of a row, in the order of [`super::recording::row`].
+fn columns(model: &Model, about: &About) -> Vec<Value> {
+    let (joints, segments) = (model.joints(), segments(model).len());
+    let column = |name: &str, unit: &str, shape: &[usize]| json!({"name": name, "unit": unit, "shape": shape});
+    let mut all = vec![
+        column("time", "s", &[]),
+        column("position", "m", &[3]),
+        column("orientation", "1", &[4]),
+        column("velocity", "m/s", &[3]),
+        column("angular_velocity", "rad/s", &[3]),
+        column("angles", "rad", &[joints]),
+        column("rates", "rad/s", &[joints]),
+        column("references", "rad", &[joints]),
+        column("torques", "N·m", &[joints]),
+        column("action", "1", &[about.actions]),
+        column("reward", "1", &[]),
+    ];
+    all.extend(about.info.iter().map(|(name, unit)| column(name, unit, &[])));
+    all.push(column("stance", "1", &[model.legs.len()]));
+    all.push(column("objects", "m, 1", &[model.objects_at_rest().len(), 7]));
+    all.push(column("forces", "N", &[segments, 3]));
+    all
+}

@@ -1,0 +1,207 @@
+"use strict";
+// The page itself: where moments come from, the clock, and the controls.
+
+const $ = (id) => document.getElementById(id);
+
+/** Moments that a live page keeps: some minutes at 50 a second. */
+const KEPT = 12000;
+
+/** A live page stays this far behind what it has [s], so that the picture does not stutter. */
+const BEHIND = 0.12;
+
+const player = {
+  recording: new Recording(),
+  prints: new Map(),
+  marked: 0,
+  playing: true,
+  pace: 1,
+  time: 0,
+  live: !$("recording"),
+  world: null,
+};
+
+function fail(error) {
+  $("failure").hidden = false;
+  $("failure").textContent = `The page cannot go on: ${error.message || error}`;
+  throw error;
+}
+
+/** Sections whose footprints are kept. */
+const PRINTED = 20;
+
+/** Footprints of what came in since the last look. */
+function mark() {
+  const { moments } = player.recording;
+  for (; player.marked + 1 < moments.length; player.marked += 1) {
+    const [a, b] = [moments[player.marked], moments[player.marked + 1]];
+    if (!player.prints.has(a.section)) {
+      player.prints.set(a.section, new Prints());
+      if (player.prints.size > PRINTED) player.prints.delete(player.prints.keys().next().value);
+    }
+    if (a.section === b.section) player.prints.get(a.section).add(a.section, a, b);
+  }
+}
+
+function text(value, digits) {
+  return value.toFixed(digits).replace("-", "−").padStart(7);
+}
+
+/** The numbers beside the picture. */
+function readout(section, row) {
+  const one = (name) => section.get(row, name)[0];
+  const lines = [`time    ${text(one("time"), 2)} s`, `speed   ${text(one("velocity"), 3)} m/s`];
+  if (section.places.has("commanded_speed")) lines.push(`command ${text(one("commanded_speed"), 3)} m/s`);
+  lines.push(`x       ${text(one("position"), 3)} m`);
+  if (section.header.slope_deg) lines.push(`slope   ${text(section.header.slope_deg, 1)}°`);
+  if (section.header.episode !== null) lines.push(`episode ${String(section.header.episode).padStart(7)}`);
+  $("readout").textContent = lines.join("\n");
+}
+
+/** Advances the clock by `passed` seconds of the viewer's time. */
+function tick(passed) {
+  const { recording } = player;
+  if (player.playing) player.time += passed * player.pace;
+  if (player.live) {
+    if (player.playing && player.pace === 1) {
+      // Keep up with the server without jumping: a little faster or slower, and a leap only when far off.
+      const lag = recording.end - BEHIND - player.time;
+      player.time = Math.abs(lag) > 1 ? recording.end - BEHIND : player.time + 0.05 * lag;
+    }
+    player.time = Math.min(Math.max(player.time, recording.start), recording.end);
+  } else if (player.time > recording.end) {
+    player.time = player.playing ? recording.start : recording.end;
+  }
+}
+
+function show() {
+  const { recording, world, time } = player;
+  if (!recording.moments.length) return;
+  const k = recording.index(time);
+  const a = recording.moments[k];
+  const next = recording.moments[Math.min(k + 1, recording.moments.length - 1)];
+  const b = next.section === a.section ? next : a;
+  const share = b.at > a.at ? Math.min(Math.max((time - a.at) / (b.at - a.at), 0), 1) : 0;
+  world.show(player.prints.get(a.section), a, b, share, time);
+  readout(a.section, a.row);
+  chart_all(recording, time, a.section);
+  const newton = 0.01 / world.arrows.scale;
+  const arrows = world.layers.arrows ? `arrows: 10 mm stand for ${newton.toPrecision(2)} N, ` : "";
+  $("scale").textContent = `${arrows}lines: 0.1 m apart`;
+  const scrub = $("scrub");
+  [scrub.min, scrub.max] = [recording.start, recording.end];
+  scrub.value = time;
+  $("clock").textContent = `${(time - recording.start).toFixed(2)} / ${(recording.end - recording.start).toFixed(2)} s`;
+}
+
+function frame(now) {
+  const passed = Math.min((now - (player.before || now)) / 1000, 0.25);
+  player.before = now;
+  try {
+    mark();
+    tick(passed);
+    show();
+    player.world.draw();
+  } catch (error) {
+    fail(error);
+  }
+  requestAnimationFrame(frame);
+}
+
+function controls() {
+  const play = (on) => {
+    player.playing = on;
+    $("play").textContent = on ? "Pause" : "Play";
+  };
+  $("play").onclick = () => play(!player.playing);
+  $("pace").onchange = () => { player.pace = Number($("pace").value); };
+  $("scrub").oninput = () => {
+    play(false);
+    player.time = Number($("scrub").value);
+  };
+  for (const name of ["arrows", "prints", "glass", "follow"]) {
+    $(name).onchange = () => { player.world.layers[name] = $(name).checked; };
+  }
+  document.addEventListener("keydown", (event) => {
+    if (event.code === "Space" && event.target === document.body) {
+      event.preventDefault();
+      play(!player.playing);
+    }
+  });
+  player.play = play;
+}
+
+/** What the recording is of, in the page's upper right corner. */
+function describe(section) {
+  const { task, robot, medium, law } = section.header;
+  $("status").textContent = [task, robot, medium, law].join(" · ");
+}
+
+function main() {
+  try {
+    player.world = new World($("world"));
+  } catch (error) {
+    fail(error);
+  }
+  controls();
+  const start = player.live ? follow_server() : embedded($("recording").textContent).then((bytes) => {
+    player.recording.feed(bytes);
+    if (!player.recording.moments.length) throw new Error("the recording holds no moment");
+    player.time = player.recording.start;
+    describe(player.recording.sections[0]);
+  });
+  start.catch(fail);
+  requestAnimationFrame(frame);
+}
+
+/** Lists the server's environments, and follows the one that is chosen. */
+async function follow_server() {
+  const choice = $("environment");
+  $("source").hidden = false;
+  let stop = new AbortController();
+  choice.onchange = () => {
+    stop.abort();
+    stop = new AbortController();
+    watch(choice.value, stop.signal);
+  };
+  const list = async () => {
+    const reply = await fetch("sessions");
+    const sessions = await reply.json();
+    const options = sessions.flatMap(({ name, task, envs }) => Array.from({ length: Math.min(envs, 64) }, (_, i) =>
+      [`${name}/${i}`, `${name} · ${task.replace("sandgait/", "")} · ${i + 1} of ${envs}`]));
+    const known = Array.from(choice.options, (o) => o.value).join();
+    if (options.map((o) => o[0]).join() !== known) {
+      const before = choice.value;
+      choice.replaceChildren(...options.map(([value, label]) => new Option(label, value)));
+      if (options.some((o) => o[0] === before)) choice.value = before;
+      else if (options.length) choice.onchange();
+    }
+    if (!options.length) $("status").textContent = "No session yet: make an environment on this server.";
+  };
+  await list();
+  setInterval(() => list().catch(() => { $("status").textContent = "The server does not answer."; }), 2000);
+}
+
+async function watch(place, signal) {
+  const recording = new Recording();
+  Object.assign(player, { recording, prints: new Map(), marked: 0, time: 0 });
+  $("status").textContent = "Waiting for its next step.";
+  let described = null;
+  try {
+    const reply = await fetch(`watch/${place}`, { signal });
+    if (!reply.ok) throw new Error(await reply.text());
+    const reader = reply.body.getReader();
+    for (let part = await reader.read(); !part.done; part = await reader.read()) {
+      recording.feed(part.value);
+      const kept = recording.moments.length;
+      recording.forget(KEPT);
+      player.marked -= kept - recording.moments.length;
+      const section = recording.sections[recording.sections.length - 1];
+      if (recording.moments.length && section !== described) describe(described = section);
+    }
+    if (!signal.aborted) $("status").textContent = "This session has ended.";
+  } catch (error) {
+    if (!signal.aborted) $("status").textContent = `Cannot follow ${place}: ${error.message}`;
+  }
+}
+
+main();

@@ -1,0 +1,319 @@
+//! One moment as an image, drawn by the processor alone: far things first, near things over them.
+
+use super::camera::{Camera, clip, radius};
+use super::pose::Pose;
+use super::text;
+use crate::error::{Error, Result};
+use crate::sim::frame::{M, V};
+use crate::sim::overlap::obstacle_poses;
+use crate::sim::robot::Tripod;
+use crate::sim::{Model, State};
+use resvg::tiny_skia::{
+    Color, FillRule, GradientStop, LineCap, LinearGradient, Paint, Path, PathBuilder, Pixmap, Point, Rect, Shader,
+    SpreadMode, Stroke, Transform,
+};
+
+/// Width and height that a picture may have [px]: our choice of guard.
+pub const SIZES: std::ops::RangeInclusive<u32> = 16..=4096;
+
+type Rgb = [f64; 3];
+
+const SKY: [Rgb; 2] = [[226.0, 234.0, 241.0], [247.0, 246.0, 242.0]];
+const SAND: [Rgb; 2] = [[236.0, 224.0, 198.0], [216.0, 194.0, 152.0]];
+const LINES: Rgb = [172.0, 146.0, 100.0];
+const BASE: Rgb = [86.0, 94.0, 106.0];
+const HEAD: Rgb = [206.0, 112.0, 48.0];
+const LEGS: [Rgb; 2] = [[34.0, 110.0, 178.0], [96.0, 158.0, 96.0]];
+const ROCK: Rgb = [150.0, 142.0, 134.0];
+const ARROW: Rgb = [200.0, 30.0, 60.0];
+const INK: [u8; 3] = [40, 44, 50];
+
+/// Where light comes from: over the camera's right shoulder, so that the robot's front is bright.
+const LIGHT: [f64; 3] = [0.35, -0.45, 0.82];
+
+/// Lines on the sand [m]: fine ones, and coarse ones with their x written beside.
+const FINE: f64 = 0.05;
+const COARSE: f64 = 0.25;
+
+/// Legs are drawn this thick [m]: our choice; the physics takes them as thin strips.
+const THICKNESS: f64 = 0.002;
+
+/// Length of an arrow for the robot's weight, in robot radii: our choice.
+const ARROW_LENGTH: f64 = 0.9;
+
+/// A convex flat piece of something solid.
+struct Face {
+    corners: Vec<V>,
+    normal: V,
+    color: Rgb,
+}
+
+/// An image of `size` [px], RGB rows from the top; `captions` are written into its upper left corner. `footing` is as
+/// [`Pose::of`] takes it.
+///
+/// # Errors
+/// Names the side that is out of [`SIZES`].
+pub fn draw(model: &Model, state: &State, footing: &[f64], size: [u32; 2], captions: &[String]) -> Result<Vec<u8>> {
+    for (name, side) in ["width", "height"].into_iter().zip(size) {
+        if !SIZES.contains(&side) {
+            let range = format!("{side} is outside [{}, {}]", SIZES.start(), SIZES.end());
+            return Err(Error::invalid(name, range));
+        }
+    }
+    let pose = Pose::of(model, state, footing);
+    let mut canvas = Canvas::new(model, state, size)?;
+    canvas.sand();
+    let labels = canvas.lines(model, state);
+    let mut faces = robot_faces(model, &pose);
+    faces.extend(obstacle_faces(model, state));
+    canvas.shadow(&faces);
+    canvas.faces(faces);
+    canvas.arrows(model, &pose);
+    let mut pixels = canvas.pixels();
+    let width = size[0] as usize;
+    for (at, label) in labels {
+        text::write(&mut pixels, width, at, &label, LINES.map(|c| (c * 0.75) as u8))?;
+    }
+    for (n, caption) in captions.iter().enumerate() {
+        text::write(&mut pixels, width, [8, 6 + (n * text::CELL[1]) as i64], caption, INK)?;
+    }
+    Ok(pixels)
+}
+
+/// Six faces of a box about `center`, `half` its half sizes along the columns of `axes`.
+fn cuboid(center: V, axes: M, half: V, color: impl Fn(usize, f64) -> Rgb) -> Vec<Face> {
+    let mut faces = Vec::with_capacity(6);
+    for axis in 0..3 {
+        let [u, v] = [(axis + 1) % 3, (axis + 2) % 3].map(|k| axes.column(k) * half[k]);
+        for sign in [-1.0, 1.0] {
+            let normal = axes.column(axis) * sign;
+            let middle = center + normal * half[axis];
+            let corners = vec![middle - u - v, middle + u - v, middle + u + v, middle - u + v];
+            faces.push(Face { corners, normal, color: color(axis, sign) });
+        }
+    }
+    faces
+}
+
+fn robot_faces(model: &Model, pose: &Pose) -> Vec<Face> {
+    let (turn, at) = pose.bodies[0];
+    let front = |axis, sign| if axis == 0 && sign > 0.0 { HEAD } else { BASE };
+    let mut faces = cuboid(at, turn, V::from(model.robot.base.size) / 2.0, front);
+    let links = model.legs.iter().zip(&model.robot.hip).flat_map(|(chain, hip)| chain.iter().map(move |b| (b, hip)));
+    for ((body, hip), (turn, origin)) in links.zip(&pose.bodies[1..]) {
+        let color = LEGS[usize::from(hip.tripod == Tripod::B)];
+        for piece in &body.pieces {
+            let axes = M::from_columns(&[piece.along, piece.across, piece.along.cross(&piece.across)]);
+            let half = V::new(piece.size[0], piece.size[1], THICKNESS) / 2.0;
+            faces.extend(cuboid(origin + turn * piece.center, turn * axes, half, |_, _| color));
+        }
+    }
+    faces
+}
+
+fn obstacle_faces(model: &Model, state: &State) -> Vec<Face> {
+    let mut faces = Vec::new();
+    for (solid, at) in model.solids.iter().zip(obstacle_poses(model, state)) {
+        if solid.corners.is_empty() {
+            // A sphere, by the facets that sand pushes on.
+            faces.extend(solid.facets.iter().map(|f| {
+                let normal = at.rotation * f.normal;
+                let side = normal.cross(&if normal.z.abs() < 0.9 { V::z() } else { V::x() }).normalize();
+                let (u, v) = (side * (0.55 * f.area.sqrt()), normal.cross(&side) * (0.55 * f.area.sqrt()));
+                let p = at.position + at.rotation * f.center;
+                Face { corners: vec![p - u - v, p + u - v, p + u + v, p - u + v], normal, color: ROCK }
+            }));
+        }
+        for face in &solid.faces {
+            let corners = face.map(|i| at.position + at.rotation * solid.corners[i]).to_vec();
+            let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0])).normalize();
+            faces.push(Face { corners, normal, color: ROCK });
+        }
+    }
+    faces
+}
+
+fn color(c: Rgb, alpha: f64) -> Color {
+    let [r, g, b] = c.map(|v| (v / 255.0).clamp(0.0, 1.0) as f32);
+    Color::from_rgba(r, g, b, alpha as f32).unwrap_or(Color::BLACK)
+}
+
+fn ink(c: Rgb, alpha: f64) -> Paint<'static> {
+    Paint { shader: Shader::SolidColor(color(c, alpha)), ..Default::default() }
+}
+
+fn outline(points: &[[f32; 2]], path: &mut PathBuilder) {
+    for (k, [x, y]) in points.iter().enumerate() {
+        if k == 0 { path.move_to(*x, *y) } else { path.line_to(*x, *y) }
+    }
+}
+
+fn closed(points: &[[f32; 2]]) -> Option<Path> {
+    let mut path = PathBuilder::new();
+    outline(points, &mut path);
+    path.close();
+    path.finish()
+}
+
+struct Canvas {
+    map: Pixmap,
+    camera: Camera,
+    /// Middle of what is seen of the sand [m], and how far it is seen.
+    middle: V,
+    radius: f64,
+}
+
+impl Canvas {
+    fn new(model: &Model, state: &State, [width, height]: [u32; 2]) -> Result<Self> {
+        let memory = || Error::Exhausted("a picture of this size does not fit into memory".into());
+        Ok(Self {
+            map: Pixmap::new(width, height).ok_or_else(memory)?,
+            camera: Camera::following(model, state, [width, height]),
+            middle: V::new(state.position[0], state.position[1], 0.0),
+            radius: radius(model),
+        })
+    }
+
+    /// From top to bottom through two colours.
+    fn gradient(&self, [top, bottom]: [Rgb; 2]) -> Paint<'static> {
+        let stops = vec![GradientStop::new(0.0, color(top, 1.0)), GradientStop::new(1.0, color(bottom, 1.0))];
+        let ends = [Point::from_xy(0.0, 0.0), Point::from_xy(0.0, self.map.height() as f32)];
+        let shader = LinearGradient::new(ends[0], ends[1], stops, SpreadMode::Pad, Transform::identity());
+        Paint { shader: shader.unwrap_or(Shader::SolidColor(color(top, 1.0))), ..Default::default() }
+    }
+
+    fn fill(&mut self, path: Option<Path>, paint: &Paint) {
+        if let Some(path) = path {
+            self.map.fill_path(&path, paint, FillRule::Winding, Transform::identity(), None);
+        }
+    }
+
+    /// Sky, and the surface as far as the horizon.
+    fn sand(&mut self) {
+        let (width, height) = (self.map.width() as f32, self.map.height() as f32);
+        if let Some(all) = Rect::from_xywh(0.0, 0.0, width, height) {
+            let sky = Paint { anti_alias: false, ..self.gradient(SKY) };
+            self.map.fill_rect(all, &sky, Transform::identity(), None);
+        }
+        let far = 200.0 * self.radius;
+        let surface =
+            [[-far, -far], [far, -far], [far, far], [-far, far]].map(|[x, y]| self.middle + V::new(x, y, 0.0));
+        // Cut to the picture's surroundings: coordinates of millions of pixels are beyond the rasteriser.
+        let near = clip(&surface, |p| self.camera.depth(p) - 0.5 * self.radius);
+        let seen = self.camera.polygon(&near).and_then(|points| closed(&points));
+        let paint = self.gradient(SAND);
+        self.fill(seen, &paint);
+    }
+
+    /// Lines at round x and y, and where to write the x of the coarse ones.
+    fn lines(&mut self, model: &Model, state: &State) -> Vec<([i64; 2], String)> {
+        let reach = (12.0 * self.radius).max(4.0 * FINE);
+        let mut labels = Vec::new();
+        for (spacing, alpha) in [(FINE, 0.35), (COARSE, 0.8)] {
+            let mut path = PathBuilder::new();
+            for axis in 0..2 {
+                let from = ((self.middle[axis] - reach) / spacing).ceil() as i64;
+                let to = ((self.middle[axis] + reach) / spacing).floor() as i64;
+                for at in (from..=to).map(|k| k as f64 * spacing) {
+                    let (mut a, mut b) = (self.middle, self.middle);
+                    (a[axis], b[axis]) = (at, at);
+                    (a[1 - axis], b[1 - axis]) = (a[1 - axis] - reach, b[1 - axis] + reach);
+                    let line = clip(&[a, b], |p| self.camera.depth(p) - 0.5 * self.radius);
+                    // A line is clipped as a polygon of two corners, there and back.
+                    if let Some(points) = self.camera.polygon(&line) {
+                        outline(&points, &mut path);
+                    }
+                }
+            }
+            if let Some(path) = path.finish() {
+                let stroke = Stroke { width: 0.8, ..Default::default() };
+                self.map.stroke_path(&path, &ink(LINES, alpha), &stroke, Transform::identity(), None);
+            }
+        }
+        let beside = state.position[1] - 1.6 * radius(model);
+        let from = ((self.middle.x - reach) / COARSE).ceil() as i64;
+        let to = ((self.middle.x + reach) / COARSE).floor() as i64;
+        for x in (from..=to).map(|k| k as f64 * COARSE) {
+            if let Some(([u, v], _)) = self.camera.see(V::new(x, beside, 0.0)) {
+                labels.push(([u as i64 + 3, v as i64 - 8], format!("{x:.2} m")));
+            }
+        }
+        labels
+    }
+
+    /// What lies between the light and the sand, all of it once.
+    fn shadow(&mut self, faces: &[Face]) {
+        let light = V::from(LIGHT);
+        let mut path = PathBuilder::new();
+        for face in faces.iter().filter(|f| f.normal.dot(&light) > 0.0) {
+            let above = clip(&face.corners, |p| p.z);
+            let cast: Vec<V> = above.iter().map(|p| p - light * (p.z / light.z)).collect();
+            if let Some(points) = self.camera.polygon(&cast).filter(|p| p.len() > 2) {
+                // All the same way round, so that shadows that overlap do not cancel.
+                let area = |p: &[[f32; 2]]| -> f32 {
+                    p.iter().zip(p.iter().cycle().skip(1)).map(|(a, b)| a[0] * b[1] - a[1] * b[0]).sum()
+                };
+                let ordered = if area(&points) < 0.0 { points.into_iter().rev().collect() } else { points };
+                outline(&ordered, &mut path);
+                path.close();
+            }
+        }
+        self.fill(path.finish(), &ink([90.0, 70.0, 40.0], 0.28));
+    }
+
+    /// What is under the surface shows faintly through the sand; the rest is solid.
+    fn faces(&mut self, faces: Vec<Face>) {
+        let middle = |f: &Face| f.corners.iter().sum::<V>() / f.corners.len() as f64;
+        let mut seen: Vec<_> = faces.into_iter().filter(|f| self.camera.faces(middle(f), f.normal)).collect();
+        seen.sort_by(|a, b| self.camera.distance(middle(b)).total_cmp(&self.camera.distance(middle(a))));
+        for (above, alpha) in [(-1.0, 0.22), (1.0, 1.0)] {
+            for face in &seen {
+                let part = clip(&face.corners, |p| above * p.z);
+                if part.len() < 3 {
+                    continue;
+                }
+                let light = V::from(LIGHT).normalize();
+                let bright = 0.62 + 0.38 * face.normal.dot(&light).max(-0.4);
+                let path = self.camera.polygon(&part).and_then(|points| closed(&points));
+                let shaded = face.color.map(|c| c * bright + 30.0 * (bright - 0.62));
+                self.fill(path.clone(), &ink(shaded, alpha));
+                if let Some(path) = path.filter(|_| alpha == 1.0) {
+                    // Closes the seams between neighbouring faces and marks the edges.
+                    let stroke = Stroke { width: 0.6, ..Default::default() };
+                    let edge = ink(face.color.map(|c| c * bright * 0.7), 0.9);
+                    self.map.stroke_path(&path, &edge, &stroke, Transform::identity(), None);
+                }
+            }
+        }
+    }
+
+    /// The sand's force on each leg, from where it acts.
+    fn arrows(&mut self, model: &Model, pose: &Pose) {
+        let per_newton = ARROW_LENGTH * self.radius / (model.total_mass() * model.gravity.norm());
+        let thick = self.map.height() as f32 / 180.0;
+        for leg in (0..model.legs.len()).filter(|l| pose.stance[*l]) {
+            let Some((at, force)) = pose.pressed(model, leg) else { continue };
+            let tip = at + force * per_newton;
+            let (Some((from, _)), Some((to, _))) = (self.camera.see(at), self.camera.see(tip)) else { continue };
+            let [dx, dy] = [to[0] - from[0], to[1] - from[1]];
+            let length = dx.hypot(dy).max(1e-3);
+            let [ux, uy] = [dx / length, dy / length];
+            let head = (3.5 * thick).min(length);
+            let neck = [to[0] - ux * head, to[1] - uy * head];
+            let mut shaft = PathBuilder::new();
+            outline(&[from, neck], &mut shaft);
+            if let Some(path) = shaft.finish() {
+                let stroke = Stroke { width: thick, line_cap: LineCap::Round, ..Default::default() };
+                self.map.stroke_path(&path, &ink(ARROW, 1.0), &stroke, Transform::identity(), None);
+            }
+            let half = 0.45 * head;
+            let barbs = [[neck[0] - uy * half, neck[1] + ux * half], to, [neck[0] + uy * half, neck[1] - ux * half]];
+            self.fill(closed(&barbs), &ink(ARROW, 1.0));
+        }
+    }
+
+    /// RGB rows from the top: everything is opaque.
+    fn pixels(&self) -> Vec<u8> {
+        self.map.data().as_chunks::<4>().0.iter().flat_map(|[r, g, b, _]| [*r, *g, *b]).collect()
+    }
+}

@@ -1,0 +1,207 @@
+//! Where everything of a robot is at a moment, and what the sand does to it there.
+
+use crate::number::Vec3;
+use crate::sand::{Contact, Ground, Site};
+use crate::sim::frame::{Frame, M, V};
+use crate::sim::model::{Body, Plate};
+use crate::sim::{Model, State};
+
+/// A leg stands if the sand holds it with more than this part of the robot's weight: our choice, far above what a leg in
+/// the air has (nothing) and far below what one of three legs carries (a third).
+const STANCE: f64 = 0.02;
+
+/// A small flat piece that sand may push on, as a [`Model`] has it.
+#[derive(Clone, Copy, Debug)]
+pub struct Segment<'a> {
+    /// Which body carries it, counted as [`Pose::bodies`].
+    pub body: usize,
+    /// Which leg that belongs to; none: the base.
+    pub leg: Option<usize>,
+    pub plate: &'a Plate,
+}
+
+/// The sand on a segment.
+#[derive(Clone, Copy, Debug)]
+pub struct Load {
+    /// Of the segment's centre in the world [m].
+    pub position: V,
+    /// Of the sand on the segment, in the world's axes [N]; zero outside the sand.
+    pub force: V,
+}
+
+/// A robot at a moment.
+pub struct Pose {
+    /// The base, then every link, leg by leg from the hip outward; origins in the world [m].
+    pub bodies: Vec<(M, V)>,
+    /// In the order of [`segments`].
+    pub loads: Vec<Load>,
+    /// Sum of the forces on each leg [N].
+    pub leg_forces: Vec<V>,
+    /// Whether each leg is held by the sand.
+    pub stance: Vec<bool>,
+}
+
+/// All segments of a robot: the belly's, then each link's, and after those of its strip the ones of its chord if the
+/// sand's mechanisms fill concave sides.
+pub fn segments(model: &Model) -> Vec<Segment<'_>> {
+    let belly = model.belly.iter().map(|plate| Segment { body: 0, leg: None, plate });
+    let fills = model.scene.mechanisms.concave_fill > 0.0;
+    let links = model.legs.iter().enumerate().flat_map(|(leg, chain)| chain.iter().map(move |body| (leg, body)));
+    let strips = links.enumerate().flat_map(move |(i, (leg, body))| {
+        let chord: &[Plate] = if fills { &body.chord } else { &[] };
+        body.plates.iter().chain(chord).map(move |plate| Segment { body: i + 1, leg: Some(leg), plate })
+    });
+    belly.chain(strips).collect()
+}
+
+impl Pose {
+    /// Forces are those of the sand at this moment's velocities, by the functions the engines use, in `f64`. `footing` is
+    /// the share of the stress that each leg finds, as [`crate::sim::engine::Engine::set_footing`] takes it; none given: all
+    /// of it.
+    pub fn of(model: &Model, state: &State, footing: &[f64]) -> Self {
+        let ground: Ground<f64> = model.scene.ground();
+        let base = Frame::base(state);
+        let at = V::from(state.position);
+        let mut pose =
+            Self { bodies: vec![(base.rotation, at)], loads: Vec::new(), leg_forces: Vec::new(), stance: Vec::new() };
+        pose.press(&model.belly, &base, at, |site, area, n, v| ground.one_sided(site, area, n, v));
+        let mut joint = 0;
+        for (leg, chain) in model.legs.iter().enumerate() {
+            let found = footing.get(leg).copied().unwrap_or(1.0);
+            let first = pose.loads.len();
+            let mut frame = base;
+            for body in chain {
+                let rate = state.rates[joint];
+                frame = frame.child(body, state.angles[joint], rate);
+                pose.bodies.push((frame.rotation, at + frame.origin));
+                pose.press_link(model, &ground, body, [rate, found], &frame, at);
+                joint += 1;
+            }
+            pose.leg_forces.push(pose.loads[first..].iter().map(|l| l.force).sum());
+        }
+        let least = STANCE * model.total_mass() * model.gravity.norm();
+        pose.stance = pose.leg_forces.iter().map(|f| f.norm() > least).collect();
+        pose
+    }
+
+    /// Sand on a link: on its strip, or in part on the straight chord where its concave side leads and fills. `found` is
+    /// the share of its stress.
+    fn press_link(
+        &mut self,
+        model: &Model,
+        ground: &Ground<f64>,
+        body: &Body,
+        [rate, found]: [f64; 2],
+        frame: &Frame,
+        at: V,
+    ) {
+        let concave_leads = body.bulge * rate < 0.0;
+        let fill = ground.beyond.as_ref().filter(|_| concave_leads).map_or(0.0, |beyond| beyond.fill);
+        let plate =
+            |share: f64| move |site: &Site<f64>, area: f64, n, v| ground.thin_plate(site, area * share * found, n, v);
+        self.press(&body.plates, frame, at, plate(1.0 - fill));
+        if model.scene.mechanisms.concave_fill > 0.0 {
+            self.press(&body.chord, frame, at, plate(fill));
+        }
+    }
+
+    /// `contact` takes site, area [m²], unit normal and velocity [m/s].
+    fn press(
+        &mut self,
+        plates: &[Plate],
+        frame: &Frame,
+        at: V,
+        contact: impl Fn(&Site<f64>, f64, Vec3<f64>, Vec3<f64>) -> Contact<f64>,
+    ) {
+        let vector = |v: V| Vec3::new(v.x, v.y, v.z);
+        self.loads.extend(plates.iter().map(|plate| {
+            let arm = frame.rotation * plate.center;
+            let position = at + frame.origin + arm;
+            let mut force = V::zeros();
+            if position.z < 0.0 {
+                let site = Site::fresh(-position.z, position.x);
+                let (normal, velocity) = (frame.rotation * plate.normal, frame.velocity_at(arm));
+                let pushed = contact(&site, plate.area, vector(normal), vector(velocity)).force;
+                force = V::new(pushed.x, pushed.y, pushed.z);
+            }
+            Load { position, force }
+        }));
+    }
+
+    /// The leg's force and the point [m] where it acts: the mean of its segments' places, weighted by their forces.
+    pub fn pressed(&self, model: &Model, leg: usize) -> Option<(V, V)> {
+        let force = self.leg_forces[leg];
+        let own = segments(model).into_iter().zip(&self.loads).filter(|(s, _)| s.leg == Some(leg)).map(|(_, l)| l);
+        let (sum, total) = own.fold((V::zeros(), 0.0), |(sum, total), l| {
+            let weight = l.force.norm();
+            (sum + l.position * weight, total + weight)
+        });
+        (total > 0.0).then(|| (sum / total, force))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sand::Medium;
+    use crate::sim::Robot;
+    use crate::sim::engine::{Command, Engine, EngineKind};
+    use crate::sim::model::Scene;
+
+    fn model(robot: &str) -> Model {
+        Model::new(&Robot::load(robot).unwrap(), &Scene::flat(Medium::named("poppy-loose").unwrap())).unwrap()
+    }
+
+    /// What carries a robot over some strides is the sand: the mean of all forces is its weight.
+    #[test]
+    fn the_forces_carry_the_robot() {
+        let model = model("xplorer");
+        let mut engine = Engine::new(EngineKind::Lanes, &model, 1).unwrap();
+        let angles = model.tripod_angles();
+        let mut state = State::at_rest(model.standing_height(&angles), &angles);
+        engine.set_state(0, &state);
+        let command = Command { rates: vec![std::f64::consts::TAU * 2.0; 6], torques: vec![0.0; 6] };
+        engine.command(0, &command);
+        engine.advance(2000);
+        let (mut sum, mut stances) = (V::zeros(), 0);
+        // Four strides of 0.5 s, a look every millisecond.
+        for _ in 0..2000 {
+            engine.advance(2);
+            engine.state(0, &mut state);
+            let pose = Pose::of(&model, &state, &[]);
+            sum += pose.loads.iter().map(|l| l.force).sum::<V>();
+            stances += pose.stance.iter().filter(|s| **s).count();
+        }
+        let weight = model.total_mass() * crate::sand::GRAVITY;
+        let mean = sum / 2000.0;
+        assert!((mean.z / weight - 1.0).abs() < 0.05, "{mean} of {weight} N");
+        assert!(mean.x.abs() < 0.05 * weight && mean.y.abs() < 0.05 * weight, "{mean}");
+        // An alternating tripod has three of six legs down, roughly.
+        assert!((2.0..4.0).contains(&(f64::from(stances as u32) / 2000.0)), "{stances}");
+    }
+
+    #[test]
+    fn a_leg_on_used_ground_finds_its_share() {
+        let model = model("xplorer");
+        let mut state = State::at_rest(0.03, &model.tripod_angles());
+        state.velocity[2] = -0.05;
+        let footing = [0.5, 1.0, 1.0, 1.0, 1.0, 1.0];
+        let (fresh, used) = (Pose::of(&model, &state, &[]), Pose::of(&model, &state, &footing));
+        assert!(fresh.leg_forces[0].norm() > 0.01);
+        assert!((used.leg_forces[0] * 2.0 - fresh.leg_forces[0]).norm() < 1e-12);
+        assert_eq!(used.leg_forces[2], fresh.leg_forces[2]);
+    }
+
+    #[test]
+    fn nothing_pushes_in_the_air() {
+        for robot in ["xplorer", "xplorer18"] {
+            let model = model(robot);
+            let state = State::at_rest(0.5, &vec![0.3; model.joints()]);
+            let pose = Pose::of(&model, &state, &[]);
+            assert_eq!(pose.loads.len(), segments(&model).len());
+            assert_eq!(pose.bodies.len(), 1 + model.joints());
+            assert!(pose.loads.iter().all(|l| l.force == V::zeros() && l.position.z > 0.3));
+            assert!(pose.stance.iter().all(|s| !s));
+        }
+    }
+}

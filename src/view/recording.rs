@@ -1,0 +1,286 @@
+//! Recordings: what a robot did, moment by moment, as a file or as a stream.
+//!
+//! ```text
+//!  file   = gzip(stream)
+//!  stream = block, block, …           block = kind, length u32, content
+//!    "HEAD"  a section begins: JSON, UTF-8; names, units and shapes of the columns, geometry of the robot
+//!    "ROWS"  moments: rows of f32, all columns one after the other
+//! ```
+//!
+//! All numbers are little-endian. A section is an episode, or what is left of it; each may have another robot or other
+//! rocks. Of the header only `format`, `version` and `columns` are needed to read the numbers.
+
+use super::pose::Pose;
+use crate::error::{Error, Result};
+use crate::sim::{Model, State};
+use flate2::Compression;
+use flate2::read::MultiGzDecoder;
+use flate2::write::GzEncoder;
+use serde_json::Value;
+use std::io::{self, Read as _, Write};
+
+/// What the header's `format` and `version` say; a reader refuses any other.
+pub const FORMAT: &str = "sandgait recording";
+pub const VERSION: u32 = 1;
+
+const HEAD: &[u8; 4] = b"HEAD";
+const ROWS: &[u8; 4] = b"ROWS";
+
+/// Largest block that is read [bytes]: our choice of guard, a thousand times a usual header.
+const MOST: usize = 64 << 20;
+
+/// Most that a file may grow to when it is unpacked [bytes]: our choice of guard, some hours of one robot.
+const MOST_UNPACKED: u64 = 1 << 30;
+
+/// One moment of a robot, and what the task says of the step that led to it.
+#[derive(Clone, Copy, Debug)]
+pub struct Moment<'a> {
+    /// Since the episode began [s].
+    pub time: f64,
+    pub state: &'a State,
+    /// As [`Pose::of`] takes it.
+    pub footing: &'a [f64],
+    pub action: &'a [f32],
+    pub reward: f32,
+    pub info: &'a [f32],
+}
+
+/// The numbers of a moment, in the order of the header's columns.
+pub fn row(model: &Model, moment: &Moment) -> Vec<f32> {
+    let (state, pose) = (moment.state, Pose::of(model, moment.state, moment.footing));
+    let mut row = Vec::with_capacity(32 + 4 * state.angles.len() + 3 * pose.loads.len());
+    let mut extend = |numbers: &[f64]| row.extend(numbers.iter().map(|x| *x as f32));
+    extend(&[moment.time]);
+    extend(&state.position);
+    extend(&state.orientation);
+    extend(&state.velocity);
+    extend(&state.angular_velocity);
+    for joints in [&state.angles, &state.rates, &state.references, &state.torques] {
+        extend(joints);
+    }
+    row.extend(moment.action);
+    row.push(moment.reward);
+    row.extend(moment.info);
+    row.extend(pose.stance.iter().map(|s| f32::from(u8::from(*s))));
+    let objects = state.objects.iter().flat_map(|o| o.position.iter().chain(&o.orientation));
+    row.extend(objects.map(|x| *x as f32));
+    row.extend(pose.loads.iter().flat_map(|l| [l.force.x, l.force.y, l.force.z]).map(|x| x as f32));
+    row
+}
+
+/// A block of the stream.
+fn block(kind: &[u8; 4], content: &[u8]) -> Vec<u8> {
+    let length = u32::try_from(content.len()).unwrap_or(u32::MAX);
+    [kind, &length.to_le_bytes()[..], content].concat()
+}
+
+/// The block that begins a section.
+pub fn head_block(header: &str) -> Vec<u8> {
+    block(HEAD, header.as_bytes())
+}
+
+/// The block of one row, or of several.
+pub fn rows_block(rows: &[f32]) -> Vec<u8> {
+    block(ROWS, &rows.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<_>>())
+}
+
+/// Writes a file.
+pub struct Writer<W: Write> {
+    out: GzEncoder<W>,
+}
+
+impl<W: Write> Writer<W> {
+    /// A file that begins with `header`.
+    pub fn new(out: W, header: &str) -> io::Result<Self> {
+        let mut writer = Self { out: GzEncoder::new(out, Compression::default()) };
+        writer.section(header)?;
+        Ok(writer)
+    }
+
+    /// What follows is another section.
+    pub fn section(&mut self, header: &str) -> io::Result<()> {
+        self.out.write_all(&head_block(header))
+    }
+
+    pub fn row(&mut self, row: &[f32]) -> io::Result<()> {
+        self.out.write_all(&rows_block(row))
+    }
+
+    /// Completes the file.
+    pub fn finish(self) -> io::Result<W> {
+        self.out.finish()
+    }
+}
+
+/// A section that was read.
+#[derive(Clone, Debug)]
+pub struct Section {
+    pub header: Value,
+    /// f32 [rows, width]
+    pub rows: Vec<f32>,
+    /// Numbers in a row.
+    pub width: usize,
+}
+
+impl Section {
+    fn new(json: &[u8]) -> Result<Self> {
+        let header: Value = serde_json::from_slice(json).map_err(|e| broken(format!("its header: {e}")))?;
+        if header["format"] != FORMAT || header["version"] != VERSION {
+            let (format, version) = (&header["format"], &header["version"]);
+            return Err(broken(format!("it is {format} {version}, not \"{FORMAT}\" {VERSION}")));
+        }
+        let columns = header["columns"].as_array().ok_or_else(|| broken("its header has no columns"))?;
+        let count = |column: &Value| {
+            let shape = column["shape"].as_array()?.iter().map(Value::as_u64).collect::<Option<Vec<_>>>()?;
+            shape.iter().try_fold(1_u64, |product, n| product.checked_mul(*n).filter(|p| *p <= MOST as u64))
+        };
+        let width = columns.iter().map(count).sum::<Option<u64>>().filter(|w| (1..=MOST as u64).contains(w));
+        let width = width.ok_or_else(|| broken("its columns have no shapes"))? as usize;
+        Ok(Self { header, rows: Vec::new(), width })
+    }
+
+    fn extend(&mut self, content: &[u8]) -> Result<()> {
+        let (numbers, rest) = content.as_chunks();
+        if !rest.is_empty() || numbers.len() % self.width != 0 {
+            return Err(broken(format!("{} bytes are no rows of {} numbers", content.len(), self.width)));
+        }
+        self.rows.extend(numbers.iter().map(|b| f32::from_le_bytes(*b)));
+        Ok(())
+    }
+
+    /// How many moments it has.
+    pub fn len(&self) -> usize {
+        self.rows.len() / self.width
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.rows.is_empty()
+    }
+
+    /// The numbers of column `name` at moment `index`; none if there is no such column or moment.
+    pub fn at(&self, name: &str, index: usize) -> Option<&[f32]> {
+        let mut start = index.checked_mul(self.width)?;
+        for column in self.header["columns"].as_array()? {
+            let shape = column["shape"].as_array()?;
+            let length = shape.iter().filter_map(Value::as_u64).product::<u64>() as usize;
+            if column["name"] == name {
+                return self.rows.get(start..start + length);
+            }
+            start += length;
+        }
+        None
+    }
+}
+
+fn broken(why: impl std::fmt::Display) -> Error {
+    Error::invalid("recording", why.to_string())
+}
+
+/// The sections of a file.
+///
+/// # Errors
+/// It is no recording, of another version, damaged, cut off, or larger than 1 GiB.
+pub fn read(file: &[u8]) -> Result<Vec<Section>> {
+    let mut stream = Vec::new();
+    let unpacked = MultiGzDecoder::new(file).take(MOST_UNPACKED).read_to_end(&mut stream);
+    unpacked.map_err(|e| {
+        broken(if e.kind() == io::ErrorKind::UnexpectedEof {
+            "it is cut off".into()
+        } else {
+            format!("this is none of sandgait's ({e})")
+        })
+    })?;
+    if stream.len() as u64 == MOST_UNPACKED {
+        return Err(broken(format!("it has more than {MOST_UNPACKED} bytes")));
+    }
+    let mut sections: Vec<Section> = Vec::new();
+    let mut rest = &stream[..];
+    while !rest.is_empty() {
+        let (kind, after) = rest.split_first_chunk::<4>().ok_or_else(|| broken("it is cut off"))?;
+        let (length, after) = after.split_first_chunk::<4>().ok_or_else(|| broken("it is cut off"))?;
+        let length = u32::from_le_bytes(*length) as usize;
+        let (content, after) = after.split_at_checked(length).ok_or_else(|| broken("it is cut off"))?;
+        match (kind, sections.last_mut()) {
+            (HEAD, _) => sections.push(Section::new(content)?),
+            (ROWS, Some(section)) => section.extend(content)?,
+            _ => return Err(broken("this is none of sandgait's")),
+        }
+        rest = after;
+    }
+    if sections.is_empty() {
+        return Err(broken("it is empty"));
+    }
+    Ok(sections)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sand::Medium;
+    use crate::sim::Robot;
+    use crate::sim::model::Scene;
+    use crate::view::{About, header};
+
+    fn model() -> Model {
+        let scene = Scene::flat(Medium::named("poppy-loose").unwrap());
+        Model::new(&Robot::load("xplorer").unwrap(), &scene).unwrap()
+    }
+
+    fn file() -> Vec<u8> {
+        let model = model();
+        let about = About { task: "test", rate: 50.0, info: vec![("speed", "m/s")], actions: 2, ..Default::default() };
+        let head = header(&model, &about);
+        let mut writer = Writer::new(Vec::new(), &head).unwrap();
+        for k in 0..3 {
+            let mut state = State::at_rest(0.03 - 0.001 * f64::from(k), &model.tripod_angles());
+            state.velocity[2] = -0.05;
+            let moment = Moment {
+                time: 0.02 * f64::from(k),
+                state: &state,
+                footing: &[],
+                action: &[0.5, -0.5],
+                reward: 1.5,
+                info: &[0.25],
+            };
+            writer.row(&row(&model, &moment)).unwrap();
+        }
+        writer.section(&head).unwrap();
+        writer.finish().unwrap()
+    }
+
+    #[test]
+    fn what_was_written_is_read() {
+        let sections = read(&file()).unwrap();
+        assert_eq!(sections.iter().map(Section::len).collect::<Vec<_>>(), [3, 0]);
+        let first = &sections[0];
+        assert_eq!(first.at("time", 2).unwrap(), [0.04]);
+        assert_eq!(first.at("position", 1).unwrap(), [0.0, 0.0, 0.029]);
+        assert_eq!(first.at("action", 0).unwrap(), [0.5, -0.5]);
+        assert_eq!((first.at("reward", 0).unwrap(), first.at("speed", 0).unwrap()), (&[1.5][..], &[0.25][..]));
+        assert_eq!(first.at("forces", 2).unwrap().len(), 3 * first.header["segments"].as_array().unwrap().len());
+        assert!(first.at("forces", 2).unwrap().iter().any(|f| *f != 0.0), "legs are pressed into the sand");
+        assert!(first.at("forces", 3).is_none() && first.at("nothing", 0).is_none() && sections[1].is_empty());
+    }
+
+    #[test]
+    fn what_is_no_recording_is_refused() {
+        let whole = file();
+        let message = |bytes: &[u8]| read(bytes).unwrap_err().to_string();
+        assert!(message(b"").contains("cut off"), "{}", message(b""));
+        assert!(message(b"no gzip at all").contains("none of sandgait's"));
+        for length in [whole.len() / 3, whole.len() / 2, whole.len() - 1] {
+            assert!(message(&whole[..length]).contains("cut off"));
+        }
+        let packed = |stream: &[u8]| {
+            let mut out = GzEncoder::new(Vec::new(), Compression::fast());
+            out.write_all(stream).unwrap();
+            out.finish().unwrap()
+        };
+        assert!(message(&packed(b"")).contains("empty"));
+        assert!(message(&packed(b"ROWS\0\0\0\0")).contains("none of sandgait's"));
+        assert!(message(&packed(b"HEAD\x02\0\0\0{}")).contains("not \"sandgait recording\" 1"));
+        assert!(message(&packed(b"HEAD\xff\xff\xff\xff{}")).contains("cut off"));
+        let odd = [head_block(&header(&model(), &About::default())), rows_block(&[1.0; 5])].concat();
+        assert!(message(&packed(&odd)).contains("no rows"));
+    }
+}

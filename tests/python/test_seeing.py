@@ -1,0 +1,258 @@
+"""Pictures, windows and recordings of environments."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import sandgait
+from conftest import ID
+from sandgait import server
+
+ACTION = np.full(6, 0.4, dtype=np.float32)
+
+
+def walked(env: gymnasium.Env, steps: int) -> None:
+    env.reset(seed=1)
+    for _ in range(steps):
+        env.step(ACTION)
+
+
+def test_pictures_are_what_gymnasium_expects() -> None:
+    env = gymnasium.make(ID, render_mode="rgb_array")
+    assert env.metadata["render_fps"] == env.unwrapped.task.control_rate
+    check_env(env.unwrapped)
+    walked(env, 5)
+    picture = env.render()
+    assert picture.shape == (360, 480, 3)
+    assert picture.dtype == np.uint8
+    for _ in range(10):
+        env.step(ACTION)
+    assert np.abs(env.render().astype(int) - picture).mean() > 0.5, "it moves"
+    top, bottom = picture[:40].mean(axis=(0, 1)), picture[-40:].mean(axis=(0, 1))
+    assert top[2] > bottom[2] + 30, "the sky is above"
+    env.close()
+
+
+def orange(picture: np.ndarray) -> float:
+    """Mean column of the front of the base, which is painted."""
+    red, green, blue = (picture[..., k].astype(int) for k in range(3))
+    columns = np.nonzero((red - blue > 70) & (red - green > 50) & (green > 50))[1]
+    assert columns.size > 20
+    return float(columns.mean())
+
+
+def test_the_front_is_ahead_and_the_robot_is_followed() -> None:
+    env = sandgait.SandgaitEnv(ID, render_mode="rgb_array", render_size=(640, 480))
+    walked(env, 100)
+    before, picture = env.reset(seed=1)[0], env.render()
+    assert before.shape == (40,)
+    assert orange(picture) > 320
+    walked(env, 100)
+    assert orange(env.render()) == pytest.approx(orange(picture), abs=40)
+    env.close()
+
+
+def test_an_episode_that_ended_is_shown_to_its_end() -> None:
+    env = sandgait.SandgaitEnv(ID, render_mode="rgb_array", max_episode_steps=30)
+    walked(env, 30)
+    last = env.render()
+    env.reset()
+    assert np.abs(env.render().astype(int) - last).mean() > 0.5
+    env.close()
+
+
+def test_every_environment_of_a_batch_has_its_picture() -> None:
+    env = gymnasium.make_vec(ID, num_envs=3, render_mode="rgb_array", render_size=(160, 120))
+    env.reset(seed=1)
+    actions = np.stack([ACTION, 0 * ACTION, -ACTION])
+    for _ in range(20):
+        env.step(actions)
+    pictures = env.render()
+    assert [p.shape for p in pictures] == [(120, 160, 3)] * 3
+    assert (pictures[0] != pictures[1]).any()
+    env.unwrapped.send(actions)
+    with pytest.raises(sandgait.OutOfOrder, match="in flight"):
+        env.unwrapped.render()
+    env.unwrapped.recv()
+    env.close()
+
+
+def test_several_servers_show_their_environments(remote: object) -> None:
+    addresses = [server.address(), remote.address]  # type: ignore[attr-defined]
+    alone = sandgait.SandgaitVectorEnv(ID, 3, render_mode="rgb_array", render_size=(64, 48))
+    spread = sandgait.SandgaitVectorEnv(ID, 3, addresses, render_mode="rgb_array", render_size=(64, 48))
+    for env in (alone, spread):
+        env.reset(seed=4)
+        env.step(np.stack([ACTION, 0 * ACTION, -ACTION]))
+    assert np.array_equal(alone.render(), spread.render())
+    for env in (alone, spread):
+        env.close()
+
+
+def test_wrong_uses_are_told() -> None:
+    with pytest.raises(sandgait.InvalidRequest, match="render_mode: 'ansi' is unknown; known: rgb_array, human"):
+        sandgait.SandgaitEnv(ID, render_mode="ansi")
+    with pytest.raises(sandgait.InvalidRequest, match=r"render_size: height 8 is outside \[16, 4096\]"):
+        sandgait.SandgaitVectorEnv(ID, 2, render_mode="rgb_array", render_size=(64, 8))
+    env = sandgait.SandgaitEnv(ID, render_mode="rgb_array")
+    with pytest.raises(sandgait.OutOfOrder, match="before reset"):
+        env.render()
+    env.close()
+    plain = sandgait.SandgaitVectorEnv(ID, 2)
+    with pytest.raises(sandgait.InvalidRequest, match="rgb_array"):
+        plain.render()
+    with pytest.raises(sandgait.InvalidRequest, match=r"index: 2 is outside \[0, 2\)"):
+        plain.record("nothing.rec", index=2)
+    with pytest.raises(sandgait.SandgaitError, match="cannot be written"):
+        plain.record("/nowhere/walk.rec")
+    plain.close()
+
+
+def test_record_video(tmp_path: Path) -> None:
+    env = gymnasium.make(ID, render_mode="rgb_array", max_episode_steps=25)
+    env = gymnasium.wrappers.RecordVideo(env, str(tmp_path / "videos"), episode_trigger=lambda _: True)
+    env.reset(seed=1)
+    over = False
+    while not over:
+        _, _, terminated, truncated, _ = env.step(ACTION)
+        over = terminated or truncated
+    env.close()
+    (video,) = (tmp_path / "videos").glob("*.mp4")
+    assert video.stat().st_size > 2000
+
+
+def test_vec_video_recorder(tmp_path: Path) -> None:
+    from stable_baselines3.common.vec_env import VecVideoRecorder
+
+    env = sandgait.make_sb3(ID, 4, render_mode="rgb_array", render_size=(160, 120))
+    recorder = VecVideoRecorder(
+        env, str(tmp_path / "videos"), record_video_trigger=lambda step: step == 0, video_length=20
+    )
+    recorder.reset()
+    for _ in range(25):
+        recorder.step(np.stack([ACTION] * 4))
+    assert recorder.render().shape == (240, 320, 3)
+    recorder.close()
+    (video,) = (tmp_path / "videos").glob("*.mp4")
+    assert video.stat().st_size > 2000
+
+
+HUMAN = f"""
+import numpy as np, gymnasium, pygame, sandgait
+env = gymnasium.make("{ID}", render_mode="human")
+env.reset(seed=1)
+for _ in range(5):
+    env.step(np.full(6, 0.4, dtype=np.float32))
+surface = pygame.display.get_surface()
+assert surface.get_size() == (480, 360), surface
+shown = pygame.surfarray.array3d(surface).swapaxes(0, 1)
+other = gymnasium.make("{ID}", render_mode="rgb_array")
+other.reset(seed=1)
+for _ in range(5):
+    other.step(np.full(6, 0.4, dtype=np.float32))
+assert (shown == other.render()).all()
+env.close()
+assert not pygame.display.get_init()
+"""
+
+
+def test_a_window_shows_the_same_pictures() -> None:
+    environment = {"SDL_VIDEODRIVER": "dummy", "PATH": "/usr/bin:/bin", "SANDGAIT_BINARY": server.find_binary()}
+    environment["PYTHONPATH"] = str(Path(sandgait.__file__).parents[1])
+    done = subprocess.run([sys.executable, "-c", HUMAN], env=environment, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+
+
+def test_without_pygame_a_window_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    with pytest.raises(sandgait.SandgaitError, match=r"pip install 'sandgait\[human\]'"):
+        sandgait.SandgaitEnv(ID, render_mode="human")
+
+
+def test_a_recording_is_what_happened(tmp_path: Path) -> None:
+    path = tmp_path / "walk.rec"
+    env = sandgait.SandgaitEnv(ID, max_episode_steps=40, command=[0.2, 0.2])
+    env.record(path)
+    with pytest.raises(sandgait.OutOfOrder, match="stop_recording"):
+        env.record(path)
+    rewards, speeds = [], []
+    for episode in range(2):
+        env.reset(seed=7 if episode == 0 else None)
+        for _ in range(40):
+            _, reward, _, _, info = env.step(ACTION)
+            rewards.append(reward)
+            speeds.append(info["speed"])
+    env.stop_recording()
+    env.close()
+    recording = sandgait.read_recording(path)
+    assert [len(s) for s in recording.sections] == [41, 41]
+    assert [s.header["episode"] for s in recording.sections] == [0, 1]
+    assert recording.header["seed"] == 7
+    made = np.concatenate([s["reward"][1:] for s in recording.sections])
+    assert made == pytest.approx(rewards, abs=1e-6)
+    assert np.concatenate([s["speed"][1:] for s in recording.sections]) == pytest.approx(speeds, abs=1e-6)
+    first = recording.sections[0]
+    assert first["time"] == pytest.approx(np.arange(41) / 50, abs=1e-6)
+    moved = np.diff(first["position"][:, 0]) * 50
+    assert moved == pytest.approx(first["speed"][1:], abs=1e-4)
+    assert first["forces"].shape == (41, len(first.header["segments"]), 3)
+    assert first["angles"].shape == (41, 6) == first["torques"].shape
+    assert recording["position"].shape == (82, 3)
+    assert path.stat().st_size < 82 * 1200
+    with pytest.raises(sandgait.InvalidRequest, match="column 'nothing' is unknown; known: time, position"):
+        recording["nothing"]
+
+
+def test_a_vector_environment_records_one_of_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "rocks.rec"
+    env = sandgait.SandgaitVectorEnv("sandgait/HexapodRocks-v0", 2, max_episode_steps=10)
+    env.record(path, index=1)
+    env.reset(seed=3)
+    for _ in range(20):
+        env.step(np.stack([ACTION] * 2))
+    env.close()
+    recording = sandgait.read_recording(path)
+    assert [len(s) for s in recording.sections] == [11, 10], "a reset's moment comes with explicit resets only"
+    assert recording.header["seed"] == 4
+    assert recording.header["obstacles"]
+    loose = sum(o["moves"] for o in recording.header["obstacles"])
+    assert recording.sections[0]["objects"].shape == (11, loose, 7)
+
+
+def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "walk.rec"
+    with pytest.raises(sandgait.InvalidRequest, match="No such file"):
+        sandgait.read_recording(path)
+    path.write_bytes(b"nothing")
+    with pytest.raises(sandgait.InvalidRequest, match="none of sandgait's recordings"):
+        sandgait.read_recording(path)
+    env = sandgait.SandgaitEnv(ID)
+    env.record(path)
+    env.reset(seed=1)
+    env.close()
+    whole = path.read_bytes()
+    assert len(sandgait.read_recording(path)) == 1
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(sandgait.InvalidRequest, match="cut off"):
+        sandgait.read_recording(path)
+
+
+def test_the_page_of_a_recording(tmp_path: Path) -> None:
+    """What can be said of the page without a browser; `make test-browser` has one."""
+    path, page = tmp_path / "walk.rec", tmp_path / "walk.html"
+    env = sandgait.SandgaitEnv(ID)
+    env.record(path)
+    walked(env, 10)
+    env.close()
+    subprocess.run([server.find_binary(), "replay", str(path), "--html", str(page)], check=True, capture_output=True)
+    html = page.read_text()
+    assert html.count("<script") == html.count("</script>") == 6
+    assert "https://" not in html
+    assert html.count("http://") == html.count("http://www.w3.org/1999/xhtml")
