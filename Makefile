@@ -5,6 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PINS := python_client/constraints.txt
 ARGS ?=
+TASK ?= HexapodGait
 
 # What the wheel is made from.
 SOURCES := $(shell find src proto robots python_client build.rs Cargo.toml Cargo.lock pyproject.toml README.md \
@@ -12,11 +13,12 @@ SOURCES := $(shell find src proto robots python_client build.rs Cargo.toml Cargo
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help train test test-rust test-python test-browser page-three bench bench-peers study study-convergence \
+.PHONY: help train policies test test-rust test-python test-browser page-three bench bench-peers study study-convergence \
 	study-rocks study-load proto task-pages docs
 
 help:
-	@echo "make train   train a hexapod to walk on sand (5 minutes), results in runs/; ARGS=--help for options"
+	@echo "make train   train a hexapod to walk on sand (5 minutes), results in runs/; TASK=HexapodLegs, ARGS=--help"
+	@echo "make policies   the trained policies in examples/policies anew (some 70 minutes)"
 	@echo "make test    formatting, lints and all tests, Rust and Python"
 	@echo "make test-browser   the live page and replays in headless Chromium, which apt installs if it is missing"
 	@echo "make docs    the documentation as a site in site/; every command in it is run by make test"
@@ -31,7 +33,18 @@ help:
 	@echo "make proto   generate the Python messages from proto/ anew"
 
 train: $(VENV)/sb3
-	$(BIN)/python examples/train_gait.py $(ARGS)
+	$(BIN)/python examples/train.py --task $(TASK) $(ARGS)
+
+# Everything in examples/policies, made anew: trainings of three seeds, clocks and strokes; some 70 minutes on two cores.
+policies: $(VENV)/sb3
+	for task in HexapodGait HexapodLegs; do \
+		for seed in 0 1 2; do \
+			$(BIN)/python examples/train.py --task $$task --seed $$seed --out runs/$$task-$$seed || exit 1; \
+		done; \
+		$(BIN)/python examples/train_keep.py runs/$$task-0 runs/$$task-1 runs/$$task-2 || exit 1; \
+	done
+	$(BIN)/python examples/train_clock.py --out examples/policies/HexapodGait-clock
+	$(BIN)/python examples/train_stroke.py --out examples/policies/LegStroke
 
 test: test-rust test-python
 

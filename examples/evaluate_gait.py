@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,12 +12,13 @@ import numpy.typing as npt
 
 import sandgait
 
-ID = "sandgait/HexapodGait-v0"
+GAIT = "sandgait/HexapodGait-v0"
 
 #: Training takes small seeds; evaluation starts here.
 FIRST_SEED = 1_000_000
 
 Rows = npt.NDArray[np.float32]
+Values = npt.NDArray[np.float64]
 #: From observations [num_envs, observation] to actions [num_envs, action].
 Policy = Callable[[Rows], npt.NDArray[Any]]
 
@@ -27,20 +29,41 @@ class Score:
 
     name: str
     #: Sum of rewards.
-    returns: npt.NDArray[np.float64]
+    returns: Values
     #: Mean forward speed [m/s].
-    speed: npt.NDArray[np.float64]
-    #: |mean speed − commanded speed| [m/s].
-    error: npt.NDArray[np.float64]
+    speed: Values
+    #: Commanded forward speed [m/s].
+    commanded: Values
     #: Mechanical power [W].
-    power: npt.NDArray[np.float64]
+    power: Values
+    #: Mechanical work / (weight · distance); NaN where the task does not tell the weight.
+    cost_of_transport: Values
     #: Whether the robot flipped or sank.
     fell: npt.NDArray[np.bool_]
 
+    @property
+    def error(self) -> Values:
+        """|mean speed − commanded speed| [m/s]."""
+        return np.abs(self.speed - self.commanded)
 
-def evaluate(name: str, policy: Policy, seeds: int = 100, address: str | None = None, **options: Any) -> Score:
+    @property
+    def relative_error(self) -> Values:
+        """|mean speed − commanded speed| / |commanded speed|."""
+        return self.error / np.abs(self.commanded)
+
+    def summary(self) -> dict[str, Any]:
+        """Means, and the half width of the return's 95 % interval."""
+        names = ("speed", "relative_error", "power", "cost_of_transport")
+        figures = {name: float(getattr(self, name).mean()) for name in names}
+        mean, half = float(self.returns.mean()), half_width(self.returns)
+        return {"episodes": len(self.returns), "return": mean, "return_95": half, **figures}
+
+
+def evaluate(
+    name: str, policy: Policy, task: str = GAIT, address: str | None = None, seeds: int = 100, **options: Any
+) -> Score:
     """Plays one episode for each of `seeds` unseen seeds."""
-    env = sandgait.SandgaitVectorEnv(ID, seeds, address, **options)
+    env = sandgait.SandgaitVectorEnv(task, seeds, address, **options)
     observations, _ = env.reset(seed=FIRST_SEED)
     sums = {key: np.zeros(seeds) for key in ("reward", "steps", "speed", "commanded_speed", "work")}
     fell = np.zeros(seeds, dtype=np.bool_)
@@ -54,9 +77,9 @@ def evaluate(name: str, policy: Policy, seeds: int = 100, address: str | None = 
         running &= ~(terminated | truncated)
     env.close()
     steps = sums["steps"]
-    speed, commanded = sums["speed"] / steps, sums["commanded_speed"] / steps
-    power = sums["work"] / steps * env.task.control_rate
-    return Score(name, sums["reward"], speed, np.abs(speed - commanded), power, fell)
+    speed, power = sums["speed"] / steps, sums["work"] / steps * env.task.control_rate
+    cost = power / (infos.get("weight", np.nan) * np.maximum(speed, 1e-9))
+    return Score(name, sums["reward"], speed, sums["commanded_speed"] / steps, power, cost, fell)
 
 
 def constant_rate(frequency: float) -> Policy:
@@ -64,10 +87,10 @@ def constant_rate(frequency: float) -> Policy:
     return lambda rows: np.full((len(rows), 6), frequency / 5.0)
 
 
-def random_actions(seed: int = 0) -> Policy:
+def random_actions(width: int, seed: int = 0) -> Policy:
     """Uniform in the action space, anew in every step."""
     generator = np.random.default_rng(seed)
-    return lambda rows: generator.uniform(-1.0, 1.0, (len(rows), 6))
+    return lambda rows: generator.uniform(-1.0, 1.0, (len(rows), width))
 
 
 def learnt(model: Any, normalize: Any) -> Policy:
@@ -75,22 +98,54 @@ def learnt(model: Any, normalize: Any) -> Policy:
     return lambda rows: model.predict(normalize.normalize_obs(rows), deterministic=True)[0]
 
 
+def from_onnx(path: Path) -> Policy:
+    """A policy as `sandgait.export_onnx` writes it."""
+    from onnx.reference import ReferenceEvaluator  # slow to import, and trainings do without
+
+    network = ReferenceEvaluator(str(path))
+    return lambda rows: np.asarray(network.run(None, {"observation": rows})[0])
+
+
+def best_tripod(address: str | None = None, **options: Any) -> Score:
+    """The constant rate of the highest return, up to the motors' 5 Hz."""
+    tripods = [
+        evaluate(f"tripod at {f:.2f} Hz, the best rate", constant_rate(f), GAIT, address, **options)
+        for f in np.arange(0.25, 5.01, 0.25)
+    ]
+    return max(tripods, key=lambda s: float(s.returns.mean()))
+
+
+def compare(task: str, address: str | None = None, **options: Any) -> list[Score]:
+    """What needs no learning, at the same motors and over the same unseen seeds as a learnt gait."""
+    env = sandgait.SandgaitVectorEnv(task, 1, address, **options)
+    width = len(env.task.action)
+    env.close()
+    tripod = [best_tripod(address, **options)] if task == GAIT else []
+    return [*tripod, evaluate("random actions", random_actions(width), task, address, **options)]
+
+
+def half_width(values: npt.NDArray[Any]) -> float:
+    """Of the 95 % interval of the mean."""
+    return float(1.96 * np.std(values, ddof=1) / np.sqrt(len(values)))
+
+
 def interval(values: npt.NDArray[Any], digits: int) -> str:
     """Mean and the half width of its 95 % interval."""
-    half = 1.96 * np.std(values, ddof=1) / np.sqrt(len(values))
-    return f"{np.mean(values):.{digits}f} ± {half:.{digits}f}"
+    return f"{np.mean(values):.{digits}f} ± {half_width(values):.{digits}f}"
 
 
 def table(scores: list[Score]) -> str:
     """One line a gait."""
-    head = ("gait", "return", "speed [m/s]", "speed error [m/s]", "power [W]", "fell")
+    head = ("gait", "return", "speed [m/s]", "speed error [m/s]", "error [%]", "power [W]", "cost of transport", "fell")
     rows = [
         (
             score.name,
             interval(score.returns, 1),
             interval(score.speed, 3),
             interval(score.error, 3),
+            interval(100 * score.relative_error, 1),
             interval(score.power, 2),
+            interval(score.cost_of_transport, 2),
             f"{100 * score.fell.mean():.0f} %",
         )
         for score in scores

@@ -22,17 +22,50 @@ def run(*arguments: str, cwd: Path = ROOT) -> str:
     ).stdout
 
 
-def test_train_gait_writes_what_it_promises(tmp_path: Path) -> None:
+def test_training_writes_what_it_promises_and_goes_on(tmp_path: Path) -> None:
     """A few seconds: the files and the table, not the skill."""
-    arguments = ["--seconds", "4", "--envs", "16", "--options", json.dumps({"leg": "C", "max_episode_steps": 100})]
-    output = run("examples/train_gait.py", *arguments, "--out", str(tmp_path / "run"))
+    options = json.dumps({"leg": "C", "max_episode_steps": 100})
+    arguments = ["--envs", "16", "--options", options, "--checkpoint-every", "1024", "--out", str(tmp_path / "run")]
+    output = run("examples/train.py", *arguments, "--steps", "4096")
     written = {path.name for path in (tmp_path / "run").iterdir()}
-    assert written == {"policy.zip", "normalize.pkl", "settings.json", "curve.csv", "curve.png", "evaluation.txt"}
+    files = {"policy.zip", "normalize.pkl", "settings.json", "curve.csv", "curve.png", "evaluation.txt"}
+    assert written == files | {"checkpoints", "tensorboard"}
     for name in ("learnt (PPO)", "the best rate", "random actions"):
         assert re.search(re.escape(name) + r" .*-?\d+\.\d ± \d+\.\d", output)
     settings = json.loads((tmp_path / "run" / "settings.json").read_text())
     assert settings["options"]["leg"] == "C"
     assert settings["seed"] == 0
+    before = (tmp_path / "run" / "curve.csv").read_text()
+    output = run("examples/train.py", *arguments, "--steps", "6144", "--resume")
+    after = (tmp_path / "run" / "curve.csv").read_text()
+    assert after.startswith(before)
+    assert len(after) > len(before)
+    assert output.startswith("\n6,144 steps")
+
+
+def test_sac_trains_and_goes_on_with_its_buffer(tmp_path: Path) -> None:
+    sac = ["--algorithm", "sac", "--envs", "8", "--set", "learning_starts=200", "--out", str(tmp_path)]
+    options = ["--options", json.dumps({"max_episode_steps": 50}), "--checkpoint-every", "400"]
+    run("examples/train.py", *sac, *options, "--steps", "800")
+    assert run("examples/train.py", *sac, *options, "--steps", "1200", "--resume").startswith("\n1,200 steps")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--task", "Hexapot"], "ppo.yml has no settings for 'sandgait/Hexapot-v0'"),
+        (["--set", "gamma"], "--set 'gamma': expected NAME=VALUE"),
+        (["--set", "learning_rate=fast"], "learning_rate: 'fast' is neither a number nor lin_NUMBER"),
+        (["--set", "gama=0.9"], "gama"),
+        (["--resume"], "--resume: no checkpoint in"),
+    ],
+)
+def test_wrong_settings_are_one_line(arguments: list[str], says: str, tmp_path: Path) -> None:
+    command = [sys.executable, "examples/train.py", "--out", str(tmp_path / "run"), *arguments]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=60, cwd=ROOT, check=False)
+    assert ended.returncode == 2
+    assert says in ended.stderr.splitlines()[-1]
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize(

@@ -103,7 +103,7 @@ def test_attributes_and_methods_of_single_environments() -> None:
 
 
 def test_ppo_learns_a_little_and_is_saved(tmp_path: Any) -> None:
-    """One update through VecMonitor and VecNormalize; that it learns to walk is examples/train_gait.py's to show."""
+    """One update through VecMonitor and VecNormalize; that it learns to walk is examples/train.py's to show."""
     env = VecNormalize(VecMonitor(sandgait.make_sb3(ID, 8, max_episode_steps=50)))
     model = PPO("MlpPolicy", env, n_steps=64, batch_size=512, n_epochs=1, seed=0, device="cpu")
     model.learn(1024)

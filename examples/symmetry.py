@@ -1,0 +1,126 @@
+"""Policies that treat left and right alike.
+
+A hexapod's mirror image is a hexapod, and sand has no handedness: what a good policy does in a mirrored situation is
+the mirror image of what it does. A network that is averaged with its own mirror image cannot do otherwise. That matters
+for walking straight: tasks do not show the heading, so nothing else corrects a gait that turns a little in each stride.
+"""
+
+from __future__ import annotations
+
+import re
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.running_mean_std import RunningMeanStd
+from stable_baselines3.common.type_aliases import Schedule
+from stable_baselines3.common.vec_env import VecNormalize
+from torch import nn
+
+#: Which column holds the mirrored value of each, and its sign.
+Mirror = tuple[list[int], list[float]]
+
+#: In the mirror y points the other way, so vectors change sign along y and turns about x and z; a coxa turns about z.
+TURNED = re.compile(r"(gravity direction|base velocity), body frame, y|angular velocity, body frame, [xz]|coxa|yaw")
+
+
+def mirror(names: list[str]) -> Mirror:
+    """How a row of a task's table looks in the mirror; `names` are its columns'."""
+    swapped = {"right": "left", "left": "right"}
+    images = [re.sub("right|left", lambda found: swapped[found[0]], name) for name in names]
+    return [names.index(image) for image in images], [-1.0 if TURNED.search(name) else 1.0 for name in names]
+
+
+class Reflection(nn.Module):
+    """Rows as they look in the mirror."""
+
+    order: torch.Tensor
+    signs: torch.Tensor
+
+    def __init__(self, mirrored: Mirror) -> None:
+        super().__init__()
+        self.register_buffer("order", torch.tensor(mirrored[0]))
+        self.register_buffer("signs", torch.tensor(mirrored[1]))
+
+    def forward(self, rows: torch.Tensor) -> torch.Tensor:
+        return rows[:, self.order] * self.signs
+
+
+class MirroredNetworks(nn.Module):
+    """Actor f and critic v, averaged with their mirror images: (f(s) + M f(M s)) / 2 and (v(s) + v(M s)) / 2."""
+
+    def __init__(self, sizes: list[int], observation: Mirror, action: Mirror) -> None:
+        super().__init__()
+        self.observation, self.action = Reflection(observation), Reflection(action)
+        self.latent_dim_pi, self.latent_dim_vf = len(action[0]), sizes[-1]
+        self.actor = _layers([len(observation[0]), *sizes], [self.latent_dim_pi])
+        self.critic = _layers([len(observation[0]), *sizes], [])
+
+    def forward(self, rows: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        return self.forward_actor(rows), self.forward_critic(rows)
+
+    def forward_actor(self, rows: torch.Tensor) -> torch.Tensor:
+        mean: torch.Tensor = self.actor(rows) + self.action(self.actor(self.observation(rows)))
+        return 0.5 * mean
+
+    def forward_critic(self, rows: torch.Tensor) -> torch.Tensor:
+        value: torch.Tensor = self.critic(rows) + self.critic(self.observation(rows))
+        return 0.5 * value
+
+
+def _layers(hidden: list[int], last: list[int]) -> nn.Sequential:
+    """Tanh layers, then a linear one that begins small, as stable-baselines3 begins PPO's."""
+    layers: list[nn.Module] = []
+    for before, after in pairwise(hidden):
+        layers += [_linear(before, after, 2.0**0.5), nn.Tanh()]
+    return nn.Sequential(*layers, *(_linear(hidden[-1], after, 0.01) for after in last))
+
+
+def _linear(before: int, after: int, gain: float) -> nn.Linear:
+    layer = nn.Linear(before, after)
+    nn.init.orthogonal_(layer.weight, gain=gain)
+    nn.init.zeros_(layer.bias)
+    return layer
+
+
+class MirroredPolicy(ActorCriticPolicy):
+    """PPO's policy with `MirroredNetworks`; `net_arch` is a list of layer sizes."""
+
+    def __init__(self, *args: Any, observation: Mirror, action: Mirror, **kwargs: Any) -> None:
+        self.mirrors = observation, action
+        super().__init__(*args, **{**kwargs, "ortho_init": False})
+
+    def _build_mlp_extractor(self) -> None:
+        assert isinstance(self.net_arch, list)
+        self.mlp_extractor = MirroredNetworks(self.net_arch, *self.mirrors)  # type: ignore[assignment]
+
+    def _build(self, lr_schedule: Schedule) -> None:
+        super()._build(lr_schedule)
+        self.action_net = nn.Identity()  # the mean is mirrored; a layer behind it would undo that
+        self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)  # type: ignore[call-arg]
+
+    def _get_constructor_parameters(self) -> dict[str, Any]:
+        observation, action = self.mirrors
+        return {**super()._get_constructor_parameters(), "observation": observation, "action": action}
+
+
+class MirroredStatistics(BaseCallback):
+    """Keeps the statistics of VecNormalize symmetric; else normalized rows would not be mirror images of each other."""
+
+    def __init__(self, observation: Mirror) -> None:
+        super().__init__()
+        self.order, self.signs = np.array(observation[0]), np.array(observation[1])
+
+    def _on_rollout_start(self) -> None:
+        normalized = self.training_env
+        assert isinstance(normalized, VecNormalize)
+        statistics = normalized.obs_rms
+        assert isinstance(statistics, RunningMeanStd)
+        statistics.mean = 0.5 * (statistics.mean + statistics.mean[self.order] * self.signs)
+        statistics.var = 0.5 * (statistics.var + statistics.var[self.order])
+
+    def _on_step(self) -> bool:
+        return True

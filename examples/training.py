@@ -1,0 +1,272 @@
+"""What a training is made of: hyperparameters from files, environments, callbacks, and taking up where one ended."""
+
+from __future__ import annotations
+
+import csv
+import datetime
+import inspect
+import re
+import shlex
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import yaml
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList, CheckpointCallback
+from stable_baselines3.common.utils import FloatSchedule
+from stable_baselines3.common.vec_env import VecEnvWrapper, VecMonitor, VecNormalize
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
+from symmetry import Mirror, MirroredPolicy, MirroredStatistics, mirror
+from tqdm import tqdm
+
+import sandgait
+
+ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC}
+
+#: One file an algorithm, one entry a task.
+HYPERPARAMETERS = Path(__file__).parent / "hyperparameters"
+
+#: Keys of an entry that are this script's; the others are the algorithm's.
+OWN_KEYS = ("n_envs", "n_timesteps", "seconds", "normalize", "learning_rate", "mirror", "env_kwargs")
+
+CHECKPOINT = re.compile(r"model_(\d+)_steps\.zip")
+
+
+class BadSettings(ValueError):
+    """Hyperparameters that do not exist or cannot be read; one line."""
+
+
+def hyperparameters(algorithm: str, task: str, changes: list[str]) -> dict[str, Any]:
+    """The task's entry in the algorithm's file, with `changes` (NAME=YAML) in place of what stands there."""
+    path = HYPERPARAMETERS / f"{algorithm}.yml"
+    entries = yaml.safe_load(path.read_text())
+    if task not in entries:
+        raise BadSettings(f"{path.name} has no settings for {task!r}; it has {', '.join(entries)}")
+    settings: dict[str, Any] = dict(entries[task])
+    for change in changes:
+        name, equals, value = change.partition("=")
+        if not equals:
+            raise BadSettings(f"--set {change!r}: expected NAME=VALUE")
+        settings[name] = yaml.safe_load(value)
+    known = {*OWN_KEYS, *inspect.signature(ALGORITHMS[algorithm]).parameters}
+    for name in settings:
+        if name not in known:
+            raise BadSettings(f"--set {name}: {algorithm.upper()} has no such setting")
+    learning_rate(settings["learning_rate"])
+    return settings
+
+
+def learning_rate(setting: Any) -> tuple[float, bool]:
+    """A rate and whether it falls to zero: 0.001, or as rl-zoo3 writes it `lin_0.001`."""
+    text = str(setting)
+    try:
+        return float(text.removeprefix("lin_")), text.startswith("lin_")
+    except ValueError as error:
+        raise BadSettings(f"learning_rate: {setting!r} is neither a number nor lin_NUMBER") from error
+
+
+def provenance() -> dict[str, str]:
+    """What it takes to make a result again: command, commit and date."""
+    git = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--exclude=*"]
+    commit = subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip()
+    command = shlex.join(["python", "examples/" + Path(sys.argv[0]).name, *sys.argv[1:]])
+    return {"command": command, "commit": commit or "unknown", "date": f"{datetime.date.today()}"}
+
+
+class Timed(VecEnvWrapper):
+    """Counts the time that stepping takes: simulation, gRPC and the client."""
+
+    seconds = 0.0
+
+    def reset(self) -> VecEnvObs:
+        return self.venv.reset()
+
+    def step_async(self, actions: npt.NDArray[Any]) -> None:
+        start = time.monotonic()
+        self.venv.step_async(actions)
+        self.seconds += time.monotonic() - start
+
+    def step_wait(self) -> VecEnvStepReturn:
+        start = time.monotonic()
+        result = self.venv.step_wait()
+        self.seconds += time.monotonic() - start
+        return result
+
+
+@dataclass
+class Row:
+    """One point of the learning curve: environment steps and seconds so far, mean return of the episodes that ended."""
+
+    steps: int
+    seconds: float
+    mean_return: float
+
+
+def read_curve(path: Path, until: float = np.inf) -> list[Row]:
+    """The learning curve in a file, up to `until` steps."""
+    with path.open(newline="") as file:
+        rows = [Row(int(r["steps"]), float(r["seconds"]), float(r["return"])) for r in csv.DictReader(file)]
+    return [row for row in rows if row.steps <= until]
+
+
+class Progress(BaseCallback):
+    """Progress bar, learning curve, learning rate, and the end when time is up."""
+
+    def __init__(self, timed: Timed, settings: dict[str, Any], path: Path, curve: list[Row]) -> None:
+        super().__init__()
+        self.timed, self.path, self.curve = timed, path, curve
+        self.total_steps, self.total_seconds = int(settings["n_timesteps"]), float(settings["seconds"])
+        self.rate, self.falls = learning_rate(settings["learning_rate"])
+        #: Since the first training began, without the time between two.
+        self.seconds = self.before = curve[-1].seconds if curve else 0.0
+        #: How much of this training's time went into stepping the environments.
+        self.simulation_share = 0.0
+        self.returns: list[float] = []
+
+    def _on_training_start(self) -> None:
+        self.start = time.monotonic()
+        self.file = self.path.open("w", newline="", buffering=1)
+        self.writer = csv.writer(self.file)
+        self.writer.writerow(("steps", "seconds", "return"))
+        self.writer.writerows((r.steps, r.seconds, r.mean_return) for r in self.curve)
+        form = "{desc}{percentage:3.0f} %|{bar}| {elapsed} < {remaining}"
+        pause = 0.5 if sys.stderr.isatty() else 20.0  # a log file wants few lines
+        self.bar = tqdm(total=1.0, desc="training", bar_format=form, mininterval=pause)
+        self._set_rate()
+
+    @property
+    def share(self) -> float:
+        """How much of the training is done, 0 to 1."""
+        return min(1.0, max(self.seconds / self.total_seconds, self.num_timesteps / self.total_steps))
+
+    def _set_rate(self) -> None:
+        rate = self.rate * (1.0 - self.share) if self.falls else self.rate
+        self.model.lr_schedule = FloatSchedule(rate)
+
+    def _on_step(self) -> bool:
+        self.returns += [info["episode"]["r"] for info in self.locals["infos"] if "episode" in info]
+        now = time.monotonic() - self.start
+        self.seconds = self.before + now
+        self.simulation_share = self.timed.seconds / now
+        return self.seconds < self.total_seconds
+
+    def _on_rollout_end(self) -> None:
+        self._set_rate()
+        # SAC's rollouts are single steps: a point needs some episodes.
+        if len(self.returns) >= self.training_env.num_envs / 8:
+            row = Row(self.num_timesteps, round(self.seconds, 2), float(np.mean(self.returns)))
+            self.returns = []
+            self.curve.append(row)
+            self.writer.writerow((row.steps, row.seconds, row.mean_return))
+            self.bar.set_description(f"{row.steps / 1e6:.2f} M steps, return {row.mean_return:.0f}", refresh=False)
+            self.logger.record("time/simulation_share", self.simulation_share)
+        self.bar.update(self.share - self.bar.n)
+
+    def _on_training_end(self) -> None:
+        self.bar.close()
+        self.file.close()
+
+
+class Checkpoints(CheckpointCallback):
+    """Policy and normalization every so many steps; of replay buffers, which are large, the last one only."""
+
+    def _on_step(self) -> bool:
+        goes_on = super()._on_step()
+        if self.n_calls % self.save_freq == 0:
+            last = self._checkpoint_path("replay_buffer_", extension="pkl")
+            for path in Path(self.save_path).glob("*_replay_buffer_*.pkl"):
+                if str(path) != last:
+                    path.unlink()
+        return goes_on
+
+
+@dataclass
+class Training:
+    """A model with its environments, ready to learn."""
+
+    model: BaseAlgorithm
+    normalized: VecNormalize
+    progress: Progress
+    #: Others than progress and checkpoints.
+    callbacks: list[BaseCallback]
+
+    def run(self, checkpoint_every: int, out: Path) -> None:
+        """Learns until steps or time are up; every so many steps a checkpoint: policy, normalization, replay buffer."""
+        every = max(1, checkpoint_every // self.normalized.num_envs)
+        where = str(out / "checkpoints")
+        checkpoints = Checkpoints(every, where, "model", save_replay_buffer=True, save_vecnormalize=True)
+        left = max(0, self.progress.total_steps - self.model.num_timesteps)
+        callbacks = CallbackList([self.progress, checkpoints, *self.callbacks])
+        self.model.learn(left, callback=callbacks, reset_num_timesteps=False, log_interval=10, tb_log_name="log")
+        self.normalized.training = False
+
+
+def steps_of(checkpoint: Path) -> int:
+    found = CHECKPOINT.fullmatch(checkpoint.name)
+    return int(found[1]) if found else -1
+
+
+def last_checkpoint(out: Path) -> Path:
+    """The newest `model_STEPS_steps.zip` of a training."""
+    found = [path for path in (out / "checkpoints").glob("*.zip") if steps_of(path) >= 0]
+    if not found:
+        raise BadSettings(f"--resume: no checkpoint in {out / 'checkpoints'}")
+    return max(found, key=steps_of)
+
+
+def create(
+    kind: type[BaseAlgorithm], env: VecNormalize, settings: dict[str, Any], seed: int, log: Path
+) -> BaseAlgorithm:
+    """A model that knows nothing yet."""
+    rest = {name: value for name, value in settings.items() if name not in OWN_KEYS}
+    if settings.get("mirror"):
+        mirrors = dict(zip(("observation", "action"), mirrors_of(env), strict=True))
+        rest["policy"] = MirroredPolicy
+        rest["policy_kwargs"] = {**settings.get("policy_kwargs", {}), **mirrors}
+    rate, _ = learning_rate(settings["learning_rate"])
+    return kind(env=env, learning_rate=rate, seed=seed, device="cpu", tensorboard_log=str(log), **rest)
+
+
+def mirrors_of(env: VecNormalize) -> tuple[Mirror, Mirror]:
+    """Of observations and actions."""
+    task = env.get_attr("task", [0])[0]
+    return mirror([c.name for c in task.observation]), mirror([c.name for c in task.action])
+
+
+def prepare(
+    algorithm: str,
+    task: str,
+    settings: dict[str, Any],
+    out: Path,
+    seed: int,
+    address: str | None,
+    options: dict[str, Any],
+    checkpoint: Path | None,
+) -> Training:
+    """A new training, or the one in `out` from a checkpoint on."""
+    timed = Timed(VecMonitor(sandgait.make_sb3(task, int(settings["n_envs"]), address, **options)))
+    kind = ALGORITHMS[algorithm]
+    curve: list[Row] = []
+    if checkpoint is None:
+        flag = bool(settings["normalize"])
+        normalized = VecNormalize(timed, norm_obs=flag, norm_reward=flag, gamma=settings["gamma"])
+        model = create(kind, normalized, settings, seed, out / "tensorboard")
+    else:
+        steps = steps_of(checkpoint)
+        normalized = VecNormalize.load(str(checkpoint.with_name(f"model_vecnormalize_{steps}_steps.pkl")), timed)
+        model = kind.load(checkpoint, env=normalized, device="cpu")
+        if isinstance(model, SAC):
+            model.load_replay_buffer(checkpoint.with_name(f"model_replay_buffer_{steps}_steps.pkl"))
+        normalized.seed(seed + steps)  # other episodes than those it has seen
+        curve = read_curve(out / "curve.csv", until=steps)
+    progress = Progress(timed, settings, out / "curve.csv", curve)
+    symmetric = settings.get("mirror") and settings["normalize"]
+    callbacks: list[BaseCallback] = [MirroredStatistics(mirrors_of(normalized)[0])] if symmetric else []
+    return Training(model, normalized, progress, callbacks)
