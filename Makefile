@@ -24,7 +24,7 @@ help:
 	@echo "make docs    the documentation as a site in site/; every command in it is run by make test"
 	@echo "make bench   speed of the Python client through an embedded server"
 	@echo "make bench-peers   sandgait beside EnvPool, MuJoCo and gymnasium's Ant, in one run"
-	@echo "make study   how often the diagnosis is right, on data of known cause (some 20 minutes)"
+	@echo "make study   how often the diagnosis is right, on data of known cause (some 15 minutes)"
 	@echo "make study-convergence   walking speed against the time step, both engines (some 3 minutes)"
 	@echo "make study-rocks   overlaps of robot and rocks in 1,000 random episodes (some 7 minutes)"
 	@echo "make page-three   bundle what the page takes from three.js anew; needs npm"

@@ -26,7 +26,8 @@ use sandgait::progress::Silent;
 use sandgait::sand::mechanism::{CATALOG, Mechanisms};
 use std::error::Error;
 use std::path::Path;
-use testbed::{Hidden, Log};
+use std::time::Instant;
+use testbed::{Design, Hidden, Log};
 
 type Outcome<T> = Result<T, Box<dyn Error>>;
 
@@ -80,6 +81,17 @@ fn strength(id: &str, rng: &mut Xoshiro256PlusPlus) -> f64 {
     if entry.bounds[0] < 0.0 && rng.random_range(0..2) == 0 { -size } else { size }
 }
 
+/// A strength from a half to three of the mechanism's typical one, its sign by chance; a motor from one that hardly ever
+/// saturates to one that stalls.
+fn walking_strength(id: usize, rng: &mut Xoshiro256PlusPlus) -> f64 {
+    let entry = &CATALOG[id];
+    if entry.ceiling {
+        return rng.random_range(0.011..0.02);
+    }
+    let size = entry.typical * 0.5 * 6f64.powf(rng.random_range(0.0..1.0));
+    if entry.bounds[0] < 0.0 && rng.random_range(0..2) == 0 { -size } else { size }
+}
+
 #[derive(Default)]
 struct Tally {
     exact: usize,
@@ -99,31 +111,55 @@ impl Tally {
 
 fn main() -> Outcome<()> {
     let arguments: Vec<usize> = std::env::args().skip(1).filter_map(|a| a.parse().ok()).collect();
-    let (seeds, nulls) = (arguments.first().copied().unwrap_or(3), arguments.get(1).copied().unwrap_or(40));
-    singles(seeds)?;
-    outside(seeds)?;
-    pairs(seeds * 2)?;
+    let number = |k: usize, default: usize| arguments.get(k).copied().unwrap_or(default);
+    let (seeds, nulls, sets) = (number(0, 3), number(1, 40), number(2, 1));
+    let start = Instant::now();
+    if seeds > 0 {
+        singles(seeds, Design::Crossed)?;
+        singles(seeds.div_ceil(3), Design::Covarying)?;
+        outside(seeds)?;
+        pairs(seeds * 8)?;
+    }
     false_alarms(nulls)?;
-    walking(arguments.get(2).copied().unwrap_or(1))
+    println!("force logs took {:.0} s", start.elapsed().as_secs_f64());
+    walking(sets)?;
+    println!("all took {:.0} s", start.elapsed().as_secs_f64());
+    Ok(())
 }
 
-/// Walking runs of the other engine, with one hidden cause or none.
+/// Walking runs of the other engine, with one hidden cause of drawn strength and sign, or none.
 fn walking(sets: usize) -> Outcome<()> {
     let experiment = Experiment::from_toml(hall::EXPERIMENT)?;
     println!("\n| hidden in walking runs | value | verdict | found | lack of fit, limit |\n|---|---|---|---|---|");
-    for (id, value) in [("", 0.0), ("slope", 0.06), ("inertial_drag", 4.0), ("motor_torque_limit", 0.012)] {
-        for seed in 0..sets as u64 {
-            let hidden = Mechanisms::index(id).map_or(Mechanisms::PLAIN, |i| Mechanisms::PLAIN.with(i, value));
+    let causes = CATALOG.iter().enumerate().filter(|(_, m)| m.walking).map(|(id, _)| Some(id));
+    let (mut tally, mut took) = (Tally::default(), 0.0f64);
+    for (place, id) in causes.chain([None; 4]).enumerate() {
+        for set in 0..sets as u64 {
+            let seed = 30 + 100 * place as u64 + set;
+            let value = id.map_or(0.0, |id| walking_strength(id, &mut Xoshiro256PlusPlus::seed_from_u64(seed)));
+            let hidden = id.map_or(Mechanisms::PLAIN, |id| Mechanisms::PLAIN.with(id, value));
             let path = std::env::temp_dir().join(format!("sandgait-walks-{}.csv", std::process::id()));
-            std::fs::write(&path, hall::runs(30 + seed, hidden, 0.05))?;
+            let conditions = if id.is_some() { hall::drawn(seed) } else { hall::orderly() };
+            std::fs::write(&path, hall::runs(seed, &conditions, hidden, 0.05))?;
+            let start = Instant::now();
             let diagnosis = diagnose(&path, &experiment, &Silent);
+            took = took.max(start.elapsed().as_secs_f64());
             std::fs::remove_file(&path)?;
             let r = diagnosis?.report;
+            let name = id.map_or("nothing", |id| CATALOG[id].id);
+            let contains = r.ambiguity_set.iter().any(|s| s.len() == 1 && s[0] == name);
+            tally.total += 1;
+            tally.exact += usize::from(r.verdict == Verdict::Named && contains);
+            tally.in_set += usize::from(contains);
+            tally.wrong += usize::from(r.verdict == Verdict::Named && !contains);
+            tally.missed += usize::from(r.verdict == Verdict::NoiseFloor && id.is_some());
+            tally.none += usize::from(r.verdict == Verdict::NoneOfThese);
             let found: Vec<_> = r.causes.iter().map(|c| format!("{} {:.4}", c.id, c.value)).collect();
             let fit = (r.lack_of_fit.extended, r.lack_of_fit.limit);
-            println!("| {id} | {value} | {:?} | {} | {fit:.2?} |", r.verdict, found.join(", "));
+            println!("| {name} | {value:.4} | {:?} | {} | {fit:.2?} |", r.verdict, found.join(", "));
         }
     }
+    println!("\n{}\nslowest diagnosis {took:.0} s", tally.row("walking sets"));
     Ok(())
 }
 
@@ -131,14 +167,15 @@ fn normal(rng: &mut Xoshiro256PlusPlus) -> f64 {
     StandardNormal.sample(rng)
 }
 
-fn singles(seeds: usize) -> Outcome<()> {
+fn singles(seeds: usize, design: Design) -> Outcome<()> {
+    println!("\n{design:?}");
     let mut bands = [(); 4].map(|()| Tally::default());
     let (mut errors, mut covered, mut named, mut achieved) = (Vec::new(), 0, 0, Vec::new());
     for entry in CATALOG.iter().filter(|m| m.intrusion) {
         for seed in 0..seeds as u64 {
             let seed = 1000 + seed * 97 + entry.id.len() as u64 * 7919 + u64::from(entry.id.as_bytes()[0]);
             let value = strength(entry.id, &mut Xoshiro256PlusPlus::seed_from_u64(seed));
-            let log = testbed::log(seed, &Hidden { causes: vec![(entry.id, value)] }, 0.05);
+            let log = testbed::log_of(design, seed, &Hidden { causes: vec![(entry.id, value)] }, 0.05);
             let far = separation(&log, entry.id, entry.id)?;
             let r = report(&log, entry.id)?;
             let tally = &mut bands[if far < 3.0 {

@@ -1,14 +1,16 @@
 //! sandgait: batched reinforcement-learning environments of legged robots on sand.
 //!
-//! Data flow one way: [`service`] → [`pool`] → [`env`] → [`sim`] → [`sand`]; no layer knows the ones before it.
+//! Data flow one way: [`service`] → [`pool`] → [`policy`] → [`env`] → [`sim`] → [`sand`]; no layer knows the ones before it.
 pub mod bench;
 pub mod calibrate;
 pub mod diagnose;
 pub mod env;
 pub mod error;
+pub mod evaluate;
 pub mod number;
 pub mod parallel;
 pub mod plot;
+pub mod policy;
 pub mod pool;
 pub mod progress;
 pub mod reproduce;

@@ -83,6 +83,39 @@ fn bench_takes_the_task_options() {
 }
 
 #[test]
+fn evaluate_prints_and_writes() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = |name: &str| directory.path().join(name).to_str().unwrap().to_owned();
+    let quick = ["evaluate", "tripod:2", "--seeds", "4", "--options", r#"{"max_episode_steps": 50}"#];
+    let table = text(&[&quick[..], &["--slopes", "0,-5", "--json", &path("a.json"), "--csv", &path("a.csv")]].concat());
+    for words in
+        ["tripod at 2 Hz", "seeds 1000000 to 1000003", "slope [°]", "cost of transport", "poppy-loose  -5", "Wilson"]
+    {
+        assert!(table.contains(words), "{table:?} lacks {words}");
+    }
+    let read = |name| std::fs::read_to_string(directory.path().join(name)).unwrap();
+    let report: serde_json::Value = serde_json::from_str(&read("a.json")).unwrap();
+    assert_eq!((&report["results"][1]["slope_deg"], &report["results"][1]["episodes"]), (&(-5.0).into(), &4.0.into()));
+    let csv = read("a.csv");
+    assert!(
+        csv.starts_with("medium,slope_deg,episodes,return,return_low,return_high,speed,") && csv.lines().count() == 3
+    );
+    let standing = text(&["evaluate", "standing", "--seeds", "2", "--options", r#"{"max_episode_steps": 2}"#]);
+    assert!(standing.contains("standing, sandgait/HexapodGait-v0"), "{standing}");
+    let refuse = |more: &[&str], words: &[&str]| refused(&[&["evaluate"], more].concat(), words);
+    refuse(&["crawl", "--csv", &path("b.csv")], &["crawl", "tripod"]);
+    refuse(&["tripod:9"], &["tripod", "9", "[-5, 5]"]);
+    refuse(&["random", "--seeds", "0"], &["seeds", "0"]);
+    refuse(&["random", "--options", "leg=C"], &["--options", "JSON"]);
+    refuse(&["random", "--options", r#"{"legs": 3}"#], &["legs", "leg"]);
+    refuse(&["random", "--media", "moon", "--csv", &path("b.csv")], &["moon"]);
+    refuse(&["tests/data/policy_ppo.onnx", "--task", "sandgait/HexapodLegs-v0"], &["40 numbers a row", "83"]);
+    refuse(&["no-such.onnx"], &["no-such.onnx"]);
+    refuse(&["random", "--csv", "/no/such/folder/f.csv"], &["/no/such/folder/f.csv"]);
+    assert!(!directory.path().join("b.csv").exists());
+}
+
+#[test]
 fn wrong_use_is_one_line() {
     refused(&[], &["command", "--help"]);
     refused(&["wlak"], &["wlak", "walk"]);
@@ -114,7 +147,7 @@ fn wrong_use_writes_nothing() {
 #[test]
 fn help_has_examples() {
     assert!(text(&["--help"]).contains("Examples:"));
-    for command in ["serve", "walk", "intrude"] {
+    for command in ["serve", "walk", "intrude", "evaluate"] {
         assert!(text(&[command, "--help"]).contains("Examples:"), "{command}");
     }
     assert!(text(&["--version"]).contains(env!("CARGO_PKG_VERSION")));

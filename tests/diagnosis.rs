@@ -11,6 +11,7 @@ use sandgait::diagnose::force_log;
 use sandgait::diagnose::forward::{ForceLogModel, ForwardModel};
 use sandgait::diagnose::report::{Diagnosis, Report};
 use sandgait::diagnose::select::Verdict;
+use sandgait::diagnose::table;
 use sandgait::diagnose::walking_log;
 use sandgait::progress::{Progress, Silent};
 use sandgait::sand::SandDescription;
@@ -135,7 +136,10 @@ fn progress_is_told_and_can_stop_the_work() {
     impl Progress for Until {
         fn report(&self, done: f64, stage: &str) -> sandgait::Result<()> {
             let mut told = self.1.lock().unwrap();
-            told.push(done);
+            // Long stages ask again whether to go on; how often depends on the machine.
+            if told.last() != Some(&done) {
+                told.push(done);
+            }
             if told.len() > self.0 { Err(Error::Cancelled(stage.into())) } else { Ok(()) }
         }
     }
@@ -204,6 +208,27 @@ fn bad_data_are_refused_with_file_row_and_column() {
     }
     let unit = says(&log, &format!("{}[units]\nFx = \"stone\"\n", testbed::EXPERIMENT));
     assert!(unit.contains("Fx") && unit.contains("stone"), "{unit}");
+}
+
+/// A gigabyte is refused unread, and a log of too many samples while it is read: both in one line that says what to do.
+#[test]
+fn logs_beyond_the_limits_are_refused() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("huge.csv");
+    std::fs::File::create(&path).unwrap().set_len(1 << 30).unwrap();
+    let says = |path: &Path| diagnose(path, &experiment(), &Silent).err().unwrap().to_string();
+    let message = says(&path);
+    assert!(
+        message.contains("huge.csv: 1024 MiB is more than the 256 MiB") && message.lines().count() == 1,
+        "{message}"
+    );
+    let mut text = testbed::log(11, &Hidden::default(), 0.05).noisy.lines().next().unwrap().to_string();
+    for k in 0..=table::MOST_ROWS {
+        text.push_str(&format!("\na,0,0,leg,L,poppy-loose,0.02,,,1,0,0,{k},0,1,,,,,0,0,0"));
+    }
+    let message = says(&file(directory.path(), &text));
+    let said = format!("more than {} rows: keep every n-th sample", table::MOST_ROWS);
+    assert!(message.contains(&said) && message.lines().count() == 1, "{message}");
 }
 
 /// The same log in other units and under other column names gives the same numbers.

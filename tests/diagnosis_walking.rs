@@ -5,12 +5,13 @@ mod hall;
 
 use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
+use sandgait::Error;
 use sandgait::diagnose::diagnose;
 use sandgait::diagnose::experiment::Experiment;
 use sandgait::diagnose::report::Diagnosis;
 use sandgait::diagnose::select::Verdict;
 use sandgait::diagnose::walking_log;
-use sandgait::progress::Silent;
+use sandgait::progress::{Progress, Silent};
 use sandgait::sand::{Mechanisms, SandDescription};
 use sandgait::sim::engine::EngineKind;
 use sandgait::sim::model::Scene;
@@ -18,6 +19,8 @@ use sandgait::sim::walk::Trial;
 use sandgait::sim::{Model, Robot};
 use sandgait::sweep::walk_all;
 use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::time::{Duration, Instant};
 
 fn normal(rng: &mut Xoshiro256PlusPlus) -> f64 {
     StandardNormal.sample(rng)
@@ -29,16 +32,16 @@ fn file(directory: &Path, text: &str) -> PathBuf {
     path
 }
 
-fn diagnosis(directory: &Path, hidden: Mechanisms) -> Diagnosis {
+fn diagnosis(directory: &Path, conditions: &[hall::Condition], hidden: Mechanisms) -> Diagnosis {
     let experiment = Experiment::from_toml(hall::EXPERIMENT).unwrap();
-    diagnose(&file(directory, &hall::runs(5, hidden, 0.05)), &experiment, &Silent).unwrap()
+    diagnose(&file(directory, &hall::runs(5, conditions, hidden, 0.05)), &experiment, &Silent).unwrap()
 }
 
 /// A hidden slope is named, its value is right, and sand.toml walks as the report says.
 #[test]
 fn a_hidden_slope_is_named_and_its_sand_walks_as_reported() {
     let directory = tempfile::tempdir().unwrap();
-    let d = diagnosis(directory.path(), Mechanisms { slope: 0.07, ..Mechanisms::PLAIN });
+    let d = diagnosis(directory.path(), &hall::orderly(), Mechanisms { slope: 0.07, ..Mechanisms::PLAIN });
     assert_eq!(
         (d.report.verdict, &d.report.ambiguity_set),
         (Verdict::Named, &vec![vec!["slope".to_string()]]),
@@ -75,11 +78,52 @@ fn a_hidden_slope_is_named_and_its_sand_walks_as_reported() {
     assert_eq!(compared, log.setups.len());
 }
 
+/// Whoever stops a diagnosis amid its simulations need not wait for them.
+#[test]
+fn a_diagnosis_stops_amid_its_simulations() {
+    /// Says stop when it hears the same twice, which only work inside a stage says.
+    struct Stops(Mutex<(f64, Option<Instant>)>);
+    impl Progress for Stops {
+        fn report(&self, done: f64, _: &str) -> sandgait::Result<()> {
+            let mut heard = self.0.lock().unwrap();
+            if heard.1.is_none() && (done > 0.0 && done == heard.0) {
+                heard.1 = Some(Instant::now());
+            }
+            heard.0 = done;
+            heard.1.map_or(Ok(()), |_| Err(Error::Cancelled("enough".into())))
+        }
+    }
+    let directory = tempfile::tempdir().unwrap();
+    let text = hall::runs(5, &hall::orderly()[..3], Mechanisms::PLAIN, 0.05);
+    let experiment = Experiment::from_toml(hall::EXPERIMENT).unwrap();
+    let stops = Stops(Mutex::default());
+    let outcome = diagnose(&file(directory.path(), &text), &experiment, &stops);
+    assert!(matches!(outcome.err(), Some(Error::Cancelled(_))));
+    // Within a second; ten on a machine that has other things to do.
+    let stopped = stops.0.lock().unwrap().1.unwrap();
+    assert!(stopped.elapsed() < Duration::from_secs(10), "{:?}", stopped.elapsed());
+}
+
 #[test]
 fn nothing_hidden_is_the_noise_floor() {
     let directory = tempfile::tempdir().unwrap();
-    let r = diagnosis(directory.path(), Mechanisms::PLAIN).report;
+    let r = diagnosis(directory.path(), &hall::drawn(5), Mechanisms::PLAIN).report;
     assert_eq!(r.verdict, Verdict::NoiseFloor, "{}", r.summary);
+}
+
+/// A motor so weak that it stalls changes a gait altogether; it is still found, and nothing else is needed.
+#[test]
+fn a_motor_that_stalls_is_named() {
+    let directory = tempfile::tempdir().unwrap();
+    let hidden = Mechanisms { motor_torque_limit: 0.0125, ..Mechanisms::PLAIN };
+    let r = diagnosis(directory.path(), &hall::drawn(5), hidden).report;
+    assert_eq!(
+        (r.verdict, &r.ambiguity_set),
+        (Verdict::Named, &vec![vec!["motor_torque_limit".to_string()]]),
+        "{}",
+        r.summary
+    );
+    assert!((r.causes[0].value / 0.0125 - 1.0).abs() < 0.05, "{}", r.summary);
 }
 
 /// One clear line with row and column for every wrong use.

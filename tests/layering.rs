@@ -3,18 +3,20 @@
 use std::path::{Path, PathBuf};
 
 /// A folder of `src/` and the words that may not stand in its code.
-const ABSENT: [(&str, &[&str]); 7] = [
+const ABSENT: [(&str, &[&str]); 9] = [
     ("number", &["sand", "sim", "env", "pool", "service", "rand", "tokio", "tonic", "rapier3d"]),
     ("sand", &["sim", "env", "pool", "service", "rand", "tokio", "tonic", "rapier", "rapier3d"]),
     ("sim", &["env", "pool", "service", "rand", "tokio", "tonic"]),
-    ("env", &["pool", "service", "tokio", "tonic", "rapier3d"]),
+    ("env", &["policy", "pool", "service", "tokio", "tonic", "rapier3d"]),
+    ("policy", &["pool", "service", "rand", "tokio", "tonic", "rapier3d"]),
+    ("evaluate", &["pool", "service", "tokio", "tonic", "rapier3d"]),
     ("pool", &["service", "tokio", "tonic", "rapier3d"]),
     ("view", &["env", "pool", "service", "rand", "tokio", "tonic", "rapier", "rapier3d"]),
     ("diagnose", &["env", "pool", "service", "tokio", "tonic"]),
 ];
 
-/// Only these may name protobuf.
-const KNOW_PROTO: [&str; 2] = ["service", "bench"];
+/// Only these may name protobuf: messages are the service's, and ONNX files are protobuf too.
+const KNOW_PROTO: [&str; 3] = ["service", "bench", "policy"];
 
 fn sources(folder: &Path) -> Vec<PathBuf> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };

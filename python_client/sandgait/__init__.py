@@ -12,6 +12,7 @@ Studies need no environment, and are the commands of the same names:
     sandgait.walk([1, 2, 3], leg="C").speed
     sandgait.sweep({"xi": range(-75, 76, 5), "frequency": [1, 2, 3, 4]}).plot()
     sandgait.diagnose("force.csv", "experiment.toml").summary
+    sandgait.evaluate("tripod:2", slopes=[0, 10]).to_frame()
 
 Each takes `address="host:port"` or `"unix:/path"` of a running server, or a `sandgait.Remote` with what it takes to use
 one that asks for TLS or a token; without one a server is started with, and
@@ -28,6 +29,7 @@ from .client import describe
 from .diagnosis import Diagnosis, diagnose
 from .env import SandgaitEnv
 from .errors import InvalidRequest, LimitReached, OutOfOrder, SandgaitError, ServerLost, SessionLost
+from .policies import Evaluation, evaluate
 from .recording import Recording, Section, read_recording
 from .remote import Remote
 from .spaces import Column, Option, Task
@@ -36,12 +38,16 @@ from .tables import Table
 from .vector_env import SandgaitVectorEnv
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from .sb3 import SandgaitVecEnv
+    from .snapshots import FilePath
 
 __all__ = [
     "TASKS",
     "Column",
     "Diagnosis",
+    "Evaluation",
     "Intrusion",
     "InvalidRequest",
     "LimitReached",
@@ -61,6 +67,8 @@ __all__ = [
     "Walks",
     "describe",
     "diagnose",
+    "evaluate",
+    "export_onnx",
     "intrude",
     "make_sb3",
     "read_recording",
@@ -83,6 +91,17 @@ def make_sb3(id: str, num_envs: int, address: str | None = None, **options: Any)
     from .sb3 import SandgaitVecEnv
 
     return SandgaitVecEnv(SandgaitVectorEnv(id, num_envs, address, **options))
+
+
+def export_onnx(model: Any, path: FilePath, normalize: Any = None) -> Path:
+    """Writes the deterministic policy of a stable-baselines3 `model` (PPO, A2C, SAC, TD3, DDPG) to an ONNX file.
+
+    `normalize`: the VecNormalize it was trained with; its statistics and its clipping become part of the network. The
+    file is what `rollout_policy`, `evaluate` and `sandgait evaluate` take. Gives its path. Needs `sandgait[sb3]`.
+    """
+    from .export import export_onnx
+
+    return export_onnx(model, path, normalize)
 
 
 for _id in TASKS:

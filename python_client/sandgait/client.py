@@ -132,7 +132,7 @@ class Created(NamedTuple):
 def create_session(address: str, task: str, num_envs: int, options: Mapping[str, Any]) -> Created:
     """Reserves environments on the server at `address`. They have no state before their first reset."""
     request = pb.CreateSessionRequest(task_id=task, num_envs=num_envs, protocol=PROTOCOL)
-    request.options.CopyFrom(struct(_with_sand(options)))
+    request.options.CopyFrom(struct(with_sand(options)))
     with _channel(address, DEFAULT_MESSAGE_BYTES) as channel:
         reply = _call(channel, address, "CreateSession", request, pb.CreateSessionResponse)
     return Created(reply.session_id, _task(reply.task))
@@ -239,6 +239,11 @@ def rollout_request(actions: npt.NDArray[np.float32], trajectories: bool) -> pb.
     return pb.RunSessionRequest(rollout=pb.Rollout(actions=data, trajectories=trajectories))
 
 
+def policy_rollout_request(onnx: bytes, steps: int, trajectories: bool) -> pb.RunSessionRequest:
+    """Runs a network for `steps` from where the environments are, and puts them back."""
+    return pb.RunSessionRequest(policy_rollout=pb.PolicyRollout(onnx=onnx, steps=steps, trajectories=trajectories))
+
+
 def render_request(indices: Sequence[int], width: int, height: int, ended: bool) -> pb.RunSessionRequest:
     """Asks for a picture of each environment; `ended`: of an episode that has just ended, its last moment."""
     return pb.RunSessionRequest(render=pb.Render(indices=indices, width=width, height=height, ended=ended))
@@ -315,7 +320,7 @@ def _error(code: grpc.StatusCode, message: str, address: str) -> SandgaitError:
     return kind(message)
 
 
-def _with_sand(options: Mapping[str, Any]) -> Mapping[str, Any]:
+def with_sand(options: Mapping[str, Any]) -> Mapping[str, Any]:
     """The option `sand` is the path of a sand.toml here and its text on the wire: the server may be elsewhere."""
     if "sand" not in options:
         return options

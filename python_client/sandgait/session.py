@@ -47,6 +47,8 @@ class Rollout(NamedTuple):
     observations: npt.NDArray[np.float32]
     #: f32 [steps, num_envs], likewise.
     rewards: npt.NDArray[np.float32]
+    #: f32 [steps, num_envs, action], likewise: what a policy chose in each step; empty for given actions.
+    actions: npt.NDArray[np.float32]
 
 
 class _Link:
@@ -166,17 +168,21 @@ class Session:
             parts.append(self._receive().rollout)
             if parts[-1].first_step == 0:  # the stream broke, and the rollout began anew
                 del parts[:-1]
-        last, shape = parts[-1], (-1, self.num_envs, len(self.task.observation))
-        # One copy, and no other: these are megabytes.
-        observations = np.concatenate([np.frombuffer(p.observations, "<f4") for p in parts], dtype=np.float32)
-        rewards = np.concatenate([np.frombuffer(p.rewards, "<f4") for p in parts], dtype=np.float32)
+        last = parts[-1]
+
+        def rows(name: str, *width: int) -> npt.NDArray[np.float32]:
+            # One copy, and no other: these are megabytes.
+            data = [np.frombuffer(getattr(p, name), "<f4") for p in parts]
+            return np.concatenate(data, dtype=np.float32).reshape(-1, self.num_envs, *width)
+
         return Rollout(
             returns=np.frombuffer(last.returns, "<f8").astype(np.float64),
             lengths=np.frombuffer(last.lengths, "<u4").astype(np.intp),
             terminated=np.frombuffer(last.terminated, np.uint8).astype(np.bool_),
             truncated=np.frombuffer(last.truncated, np.uint8).astype(np.bool_),
-            observations=observations.reshape(shape),
-            rewards=rewards.reshape(-1, self.num_envs),
+            observations=rows("observations", len(self.task.observation)),
+            rewards=rows("rewards"),
+            actions=rows("actions", len(self.task.action)),
         )
 
     def _check_usable(self) -> None:

@@ -118,6 +118,16 @@ class Shards:
             raise InvalidRequest(f"actions: shape {actions.shape}, expected [steps, {expected[0]}, {expected[1]}]")
         for session, part in zip(self._sessions, self._slices, strict=True):
             session.send(client.rollout_request(actions[:, part], trajectories))
+        return self._rollout()
+
+    def rollout_policy(self, onnx: bytes, steps: int, trajectories: bool) -> Rollout:
+        """Runs a network for `steps` and puts the environments back."""
+        for session in self._sessions:
+            session.send(client.policy_rollout_request(onnx, steps, trajectories))
+        return self._rollout()
+
+    def _rollout(self) -> Rollout:
+        """Answer to the rollout that was sent last."""
         parts: list[Rollout] = self._all(Session.receive_rollout)
         ends = [np.concatenate(column) for column in zip(*(p[:4] for p in parts), strict=True)]
         rows = [np.concatenate(column, axis=1) for column in zip(*(p[4:] for p in parts), strict=True)]

@@ -11,6 +11,7 @@ from gymnasium.vector.utils import batch_space
 
 from .client import Batch
 from .errors import InvalidRequest, OutOfOrder, SandgaitError
+from .policies import read_policy
 from .session import Rollout
 from .shards import Address, open_shards
 from .snapshots import FilePath, read_snapshot, write_snapshot
@@ -252,6 +253,22 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
         if self._ended.any():
             raise OutOfOrder(f"rollout: environment {self._ended.argmax()} has ended its episode; step or reset first")
         return self._session.rollout(np.asarray(actions, dtype=np.float32), trajectories)
+
+    def rollout_policy(self, onnx: bytes | FilePath, steps: int, trajectories: bool = False) -> Rollout:
+        """Runs a policy beside the environments for `steps`, from where they are, and puts them back.
+
+        `onnx`: a file that `sandgait.export_onnx` wrote, or its bytes. One message there and one back for all the
+        steps. With `trajectories` every step's observations, rewards and actions come too. An environment's rollout
+        ends with its episode, so `steps` are at most the task's `max_episode_steps`.
+        """
+        if self._in_flight:
+            raise OutOfOrder("rollout_policy: a step is in flight; call recv first")
+        if self._ended.any():
+            where = f"environment {self._ended.argmax()} has ended its episode"
+            raise OutOfOrder(f"rollout_policy: {where}; step or reset first")
+        if not 0 <= steps < 2**32:
+            raise InvalidRequest(f"steps: {steps} is outside [1, {self.task.max_episode_steps}]")
+        return self._session.rollout_policy(read_policy(onnx), steps, trajectories)
 
     def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
         """Every robot as it is now: u8 [height, width, 3] each; in mode "human" they are shown instead."""

@@ -5,6 +5,7 @@ mod bench;
 mod calibrate;
 mod config;
 mod diagnose;
+mod evaluate;
 mod intrude;
 mod media;
 mod replay;
@@ -48,6 +49,7 @@ enum Command {
     Walk(walk::Walk),
     Bench(bench::Bench),
     Diagnose(diagnose::Diagnose),
+    Evaluate(evaluate::Evaluate),
     Intrude(intrude::Intrude),
     Media(media::Media),
     Stress(stress::Stress),
@@ -100,6 +102,7 @@ fn run(command: Command) -> Result<String> {
         Command::Walk(c) => c.run(),
         Command::Bench(c) => c.run(),
         Command::Diagnose(c) => c.run(),
+        Command::Evaluate(c) => c.run(),
         Command::Intrude(c) => c.run(),
         Command::Media(c) => c.run(),
         Command::Stress(c) => c.run(),

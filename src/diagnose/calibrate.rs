@@ -4,7 +4,7 @@
 //! learnt from the repetitions; its noise is then estimated anew, so the gates know that the noise is not known.
 
 use super::fit::slope;
-use super::fit::{COEFFICIENTS, Study, dot};
+use super::fit::{COEFFICIENTS, Column, Study, dot};
 use super::lack_of_fit;
 use super::noise::{Noise, Source, sizes};
 use super::observations::Observations;
@@ -30,7 +30,7 @@ pub struct Screen {
     /// Catalogue index and the value at which the column was taken.
     pub candidates: Vec<(usize, f64)>,
     columns: Vec<Vec<f64>>,
-    pub coefficient_columns: Vec<Vec<f64>>,
+    pub coefficient_columns: Vec<Column>,
     plain: Vec<f64>,
 }
 
@@ -64,7 +64,7 @@ impl Screen {
             slope(&moved, &plain, CATALOG[id].coordinate(value) / CATALOG[id].coordinate_typical())
         };
         let columns = tried.iter().zip(moved).map(column).collect();
-        Self { candidates: tried, columns, coefficient_columns: study.coefficient_slopes().to_vec(), plain }
+        Self { candidates: tried, columns, coefficient_columns: study.coefficient_slopes(), plain }
     }
 
     /// Scores of a stack of measured values.
@@ -150,12 +150,16 @@ fn products(columns: &[Vec<f64>]) -> DMatrix<f64> {
     gram
 }
 
+/// Starts of a ceiling: from twice its typical value down to a quarter, each √2 lower; what a motor does changes altogether
+/// where it begins to stall. Our choice.
+const CEILINGS: usize = 7;
+
 /// Values from which a mechanism's fit starts; more than one where its effect is far from proportional.
 pub fn starts(study: &Study, id: usize) -> Vec<f64> {
     let entry = &CATALOG[id];
     match entry.id {
         "friction_clip" => vec![0.5, 2.0, 5.0],
-        _ if entry.ceiling => [2.0, 1.0, 0.5, 0.25].map(|factor| factor * entry.typical).to_vec(),
+        _ if entry.ceiling => (0..CEILINGS).map(|k| 2.0 * entry.typical * 0.5f64.powf(0.5 * k as f64)).collect(),
         _ => vec![study.felt_strength(id)],
     }
 }
@@ -177,9 +181,11 @@ fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
 }
 
 /// Gates for this data set.
-pub fn gates(source: &Source, screen: &Screen, noise: &Noise, scores: &Scores) -> Gates {
+pub fn gates(study: &Study, source: &Source, screen: &Screen, noise: &Noise, scores: &Scores) -> Gates {
     let seeds: Vec<u64> = (0..NULLS as u64).collect();
-    let nulls = parallel::map(&seeds, |&seed| null(source, screen, noise, seed));
+    let stopped = || study.model.stopped();
+    let nulls =
+        parallel::map(&seeds, |&seed| if stopped() { (0.0, 0.0) } else { null(source, screen, noise, seed, &stopped) });
     let ideal = ideal(screen, &scores.gram);
     let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len().max(1) as f64;
     let best: Vec<f64> = nulls.iter().map(|n| n.0).collect();
@@ -208,17 +214,17 @@ fn ideal(screen: &Screen, gram: &DMatrix<f64>) -> Vec<f64> {
 }
 
 /// One simulated null: (largest single Δχ², lack of fit).
-fn null(source: &Source, screen: &Screen, noise: &Noise, seed: u64) -> (f64, f64) {
+fn null(source: &Source, screen: &Screen, noise: &Noise, seed: u64, stopped: &dyn Fn() -> bool) -> (f64, f64) {
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(0x5eed ^ seed);
     let mut values = screen.plain.clone();
     for column in &screen.coefficient_columns {
         let share: f64 = StandardNormal.sample(&mut rng);
-        values.iter_mut().zip(column).for_each(|(v, c)| *v += share * c);
+        values.iter_mut().zip(column.iter()).for_each(|(v, c)| *v += share * c);
     }
     noise.add(source, &mut values, &mut rng);
     let simulated = Observations { values, ..source.observations.clone() };
     let source = Source { observations: &simulated, sizes: &sizes(&simulated), ..*source };
-    let whitener = Whitener::new(&source, &source.noise(Some(noise)));
+    let whitener = Whitener::new(&source, &source.noise(Some(noise), stopped));
     let scores = screen.scores(&whitener, &simulated.values);
     (screen.best_single(&scores.gram, &scores.score), lack_of_fit::statistic(&simulated, &scores.white))
 }

@@ -10,15 +10,24 @@ use super::whiten::Whitener;
 use crate::sand::Coefficients;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
 use nalgebra::{DMatrix, DVector};
+use std::sync::Arc;
 
 pub const COEFFICIENTS: usize = 9;
+/// A stack that fits share: nine of each fit's columns are usually those of the plain model, and they fill the memory.
+pub type Column = Arc<Vec<f64>>;
 /// A step that gains less ends a fit: a hundredth of a unit of χ² is far below every threshold in use.
 const SETTLED: f64 = 0.01;
+/// The same of a rough model, whose χ² jumps by as much from one state to the next.
+const SETTLED_ROUGHLY: f64 = 0.25;
 
 /// Step of numerical slopes of a smooth model, in typical strengths: our choice, laws in double precision.
 const SMOOTH_STEP: f64 = 0.02;
 /// Gauss-Newton steps at most: our choice, most fits settle in four.
 const ROUNDS: usize = 12;
+/// Steps after which a fit may be given up for being far behind another: the first one may be short. Our choice.
+const HEAD_START: usize = 2;
+/// It is given up where this many more steps as good as its last would not bring it to the best: our choice, steps shrink.
+const REACH: f64 = 4.0;
 
 /// Data, model and noise: all that a fit needs.
 pub struct Study<'a> {
@@ -28,7 +37,7 @@ pub struct Study<'a> {
     /// Relative prior sd of the coefficients.
     pub coefficient_sd: f64,
     /// Slopes by the coefficients at the plain model, as they are and whitened: good enough on the way to a fit.
-    coefficient_slopes: [Vec<Vec<f64>>; 2],
+    coefficient_slopes: [Vec<Column>; 2],
     /// Step of the numerical slope by each mechanism, in its coordinate.
     steps: [f64; Mechanisms::COUNT],
 }
@@ -47,9 +56,9 @@ pub struct Fit {
     /// |W (y − m)|² + |d|²
     pub objective: f64,
     /// ∂m/∂(coordinate of each id, deviation of each coefficient), not whitened.
-    pub slopes: Vec<Vec<f64>>,
+    pub slopes: Vec<Column>,
     /// The same, whitened.
-    pub white_slopes: Vec<Vec<f64>>,
+    pub white_slopes: Vec<Column>,
 }
 
 /// Sum of products, in eight partial sums so that it vectorises.
@@ -76,7 +85,7 @@ impl<'a> Study<'a> {
         let steps = CATALOG.map(|entry| SMOOTH_STEP * entry.coordinate_typical());
         let mut study = Self { observations, model, whitener, coefficient_sd, coefficient_slopes, steps };
         let mut plain = vec![study.plain()];
-        study.set_coefficient_slopes(&mut plain);
+        study.set_coefficient_slopes(&mut plain, &[0]);
         let plain = plain.swap_remove(0);
         study.coefficient_slopes = [plain.slopes, plain.white_slopes];
         if let Some(roughness) = model.roughness() {
@@ -108,8 +117,8 @@ impl<'a> Study<'a> {
     }
 
     /// Slopes of the plain model's prediction by the coefficients' deviations.
-    pub fn coefficient_slopes(&self) -> &[Vec<f64>] {
-        &self.coefficient_slopes[0]
+    pub fn coefficient_slopes(&self) -> Vec<Column> {
+        self.coefficient_slopes[0].clone()
     }
 
     /// A strength of mechanism `id` that these data feel, in its coordinate: typical, or what a rough model needs.
@@ -172,10 +181,28 @@ impl<'a> Study<'a> {
         promising.into_iter().filter_map(best).collect()
     }
 
-    /// Fits again from where earlier fits ended.
+    /// Fits again from where earlier fits ended, at first with their slopes.
     pub fn fit_from(&self, fits: &[&Fit]) -> Vec<Fit> {
         let states = fits.iter().map(|f| (f.ids.clone(), f.mechanisms, f.deviations)).collect();
-        self.refine(self.at_all(states), ROUNDS / 2, true)
+        let mut again = self.at_all(states);
+        for (fit, earlier) in again.iter_mut().zip(fits) {
+            fit.slopes = earlier.slopes.clone();
+            fit.white_slopes = fit.slopes.iter().map(|s| Arc::new(self.whitener.apply(s))).collect();
+        }
+        self.refine(again, ROUNDS / 2, true)
+    }
+
+    /// A rough model has minima beside the one that a fit fell into: the fit with each value a slope's step to either side,
+    /// to begin again from; none of a smooth model.
+    pub fn beside(&self, fit: &Fit) -> Vec<Fit> {
+        let values = if self.model.roughness().is_some() { fit.ids.len() } else { 0 };
+        let moved = |(k, side): (usize, f64)| {
+            let (id, at) = (fit.ids[k], fit.coordinates()[k]);
+            let bounds = CATALOG[id].coordinate_bounds();
+            let value = CATALOG[id].value((at + side * self.step_from(id, at)).clamp(bounds[0], bounds[1]));
+            Fit { mechanisms: fit.mechanisms.with(id, value), ..fit.clone() }
+        };
+        (0..values).flat_map(|k| [(k, 1.0), (k, -1.0)]).map(moved).collect()
     }
 
     /// Where fits of given ids from given values begin.
@@ -189,25 +216,36 @@ impl<'a> Study<'a> {
 
     /// Gauss-Newton steps within bounds, shortened until they help; all fits take theirs together, so that the model
     /// predicts many states at once. The objective is exact throughout; `exact` has the slopes by the coefficients taken
-    /// at the end's own state and not at the plain model.
+    /// at the end's own state and not at the plain model. Fits that can no longer reach the best of them are left as they
+    /// are.
     fn refine(&self, mut fits: Vec<Fit>, rounds: usize, exact: bool) -> Vec<Fit> {
-        if exact {
-            self.set_coefficient_slopes(&mut fits);
-        } else {
-            for fit in &mut fits {
-                [fit.slopes, fit.white_slopes] = self.coefficient_slopes.clone();
-            }
+        for fit in fits.iter_mut().filter(|f| f.slopes.is_empty()) {
+            [fit.slopes, fit.white_slopes] = self.coefficient_slopes.clone();
         }
+        let rough = self.model.roughness().is_some();
+        let settled = if rough { SETTLED_ROUGHLY } else { SETTLED };
         let mut active: Vec<usize> = (0..fits.len()).collect();
-        for _ in 0..rounds {
+        let mut unpolished = Vec::new();
+        for round in 1..=rounds {
+            // A rough model's slopes are dear and change on the way: they are taken anew for those that are still in the race.
+            if exact && (if rough { round > HEAD_START } else { round == 1 }) {
+                self.set_coefficient_slopes(&mut fits, &active);
+            }
             self.set_value_slopes(&mut fits, &active);
             let before: Vec<f64> = fits.iter().map(|f| f.objective).collect();
             self.advance(&mut fits, &active);
-            active.retain(|&k| before[k] - fits[k].objective >= SETTLED);
+            let gained = |k: usize| before[k] - fits[k].objective;
+            active.retain(|&k| gained(k) >= settled || (exact && rough && round <= HEAD_START));
+            let best = fits.iter().map(|f| f.objective).fold(f64::MAX, f64::min);
+            let lost = |k: usize| REACH * gained(k) < fits[k].objective - best;
+            if round >= HEAD_START {
+                unpolished.extend(active.extract_if(.., |k| lost(*k)));
+            }
         }
-        if exact {
-            self.set_coefficient_slopes(&mut fits);
+        active.extend(unpolished);
+        if exact && !rough {
             active = (0..fits.len()).collect();
+            self.set_coefficient_slopes(&mut fits, &active);
         }
         // Settled fits have moved next to nothing since their slopes were taken.
         self.set_value_slopes(&mut fits, &active);
@@ -257,19 +295,21 @@ impl<'a> Study<'a> {
         states.into_iter().zip(predictions).map(fit).collect()
     }
 
-    /// Puts the slopes by the coefficients in place; those by the values are to follow.
-    fn set_coefficient_slopes(&self, fits: &mut [Fit]) {
+    /// Puts the slopes of the active fits by the coefficients in place; those by the values are to follow.
+    fn set_coefficient_slopes(&self, fits: &mut [Fit], active: &[usize]) {
         let step = self.model.coefficient_step();
         let state = |fit: &Fit, k: usize| {
             let mut deviations = fit.deviations;
             deviations[k] += step;
             (fit.mechanisms, self.coefficients(&deviations))
         };
-        let states: Vec<_> = fits.iter().flat_map(|f| (0..COEFFICIENTS).map(move |k| state(f, k))).collect();
+        let states = active.iter().flat_map(|&k| (0..COEFFICIENTS).map(move |c| (k, c)));
+        let states: Vec<_> = states.map(|(k, c)| state(&fits[k], c)).collect();
         let moved = self.model.predict_many(&states);
-        for (fit, moved) in fits.iter_mut().zip(moved.chunks(COEFFICIENTS)) {
-            fit.slopes = moved.iter().map(|m| slope(m, &fit.prediction, step)).collect();
-            fit.white_slopes = fit.slopes.iter().map(|s| self.whitener.apply(s)).collect();
+        for (&k, moved) in active.iter().zip(moved.chunks(COEFFICIENTS)) {
+            let fit = &mut fits[k];
+            fit.slopes = moved.iter().map(|m| Arc::new(slope(m, &fit.prediction, step))).collect();
+            fit.white_slopes = fit.slopes.iter().map(|s| Arc::new(self.whitener.apply(s))).collect();
         }
     }
 
@@ -288,9 +328,9 @@ impl<'a> Study<'a> {
         for &k in active {
             let fit = &mut fits[k];
             let own = moved.by_ref().take(fit.ids.len());
-            let slopes: Vec<_> = own.map(|(moved, step)| slope(&moved, &fit.prediction, step)).collect();
+            let slopes: Vec<_> = own.map(|(moved, step)| Arc::new(slope(&moved, &fit.prediction, step))).collect();
             let earlier = fit.slopes.len() - COEFFICIENTS;
-            fit.white_slopes.splice(..earlier, slopes.iter().map(|s| self.whitener.apply(s)));
+            fit.white_slopes.splice(..earlier, slopes.iter().map(|s| Arc::new(self.whitener.apply(s))));
             fit.slopes.splice(..earlier, slopes);
         }
     }

@@ -12,6 +12,7 @@ use super::shared::Shared;
 use crate::error::Result;
 use crate::number::Vec3;
 use crate::parallel;
+use crate::progress::Latch;
 use crate::sand::beyond::{SandMechanisms, Site, footprint, slope_depth};
 use crate::sand::intrusion::Load;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
@@ -36,6 +37,10 @@ pub trait ForwardModel: Sync {
     fn predict_many(&self, states: &[(Mechanisms, Coefficients)]) -> Vec<Vec<f64>> {
         parallel::map(states, |(m, c)| self.predict(m, c))
     }
+    /// Has whoever waits for the work stopped it? What is predicted from then on is not a number.
+    fn stopped(&self) -> bool {
+        false
+    }
     /// Change [σ of all data together] below which a numerical slope is not to be trusted; none if predictions are smooth.
     fn roughness(&self) -> Option<f64> {
         None
@@ -59,7 +64,7 @@ pub trait ForwardModel: Sync {
     /// What varies along the data.
     fn features(&self) -> Vec<Feature>;
     /// Trials that could be made next with the same apparatus.
-    fn menu(&self) -> Option<Menu>;
+    fn menu(&self) -> Option<Menu<'_>>;
     /// A name for the group a unit belongs to in reports (its shape).
     fn group(&self, unit: usize) -> &str;
 }
@@ -81,7 +86,8 @@ struct Cut {
 }
 
 /// Predicts force logs.
-pub struct ForceLogModel {
+pub struct ForceLogModel<'a> {
+    latch: Option<&'a Latch<'a>>,
     medium: Medium,
     tracks: Vec<Track>,
     cuts: BTreeMap<String, Cut>,
@@ -91,12 +97,13 @@ pub struct ForceLogModel {
     missing: Vec<&'static str>,
 }
 
-impl ForceLogModel {
+impl<'a> ForceLogModel<'a> {
     pub fn new(log: &ForceLog, experiment: &Experiment) -> Result<Self> {
         let cuts =
             experiment.shapes.iter().map(|(name, shape)| Ok((name.clone(), cut(shape)?))).collect::<Result<_>>()?;
         let units = log.observations.units.iter().zip(&log.track_of).map(|(u, &t)| (t, u.start, u.samples)).collect();
         Ok(Self {
+            latch: None,
             medium: experiment.medium.clone(),
             tracks: log.tracks.clone(),
             cuts,
@@ -106,9 +113,15 @@ impl ForceLogModel {
         })
     }
 
+    /// The same, which `latch` may stop.
+    pub fn heeding(self, latch: &'a Latch<'a>) -> Self {
+        Self { latch: Some(latch), ..self }
+    }
+
     /// Loads along one track in a described sand.
     pub fn one(sand: &SandDescription, track: Track) -> Result<Vec<Load>> {
         let model = Self {
+            latch: None,
             medium: sand.medium(),
             cuts: BTreeMap::from([(track.shape.clone(), cut(&track.intruder)?)]),
             tracks: Vec::new(),
@@ -126,6 +139,7 @@ impl ForceLogModel {
         let units = log.observations.units.iter().zip(&log.track_of).map(|(u, &t)| (t, u.start, u.samples)).collect();
         let cuts = self.cuts.iter().map(|(name, c)| (name.clone(), c.copy())).collect();
         let model = Self {
+            latch: self.latch,
             medium: self.medium.clone(),
             tracks: log.tracks,
             cuts,
@@ -399,16 +413,24 @@ impl Arm<'_> {
     }
 }
 
-impl ForwardModel for ForceLogModel {
+impl ForwardModel for ForceLogModel<'_> {
+    fn stopped(&self) -> bool {
+        self.latch.is_some_and(Latch::stopped)
+    }
+
     fn shared(&self, _: &Mechanisms, _: &Coefficients, _: &[f64]) -> Vec<Shared> {
         Shared::gain()
     }
 
     fn predict(&self, mechanisms: &Mechanisms, coefficients: &Coefficients) -> Vec<f64> {
+        let numbers = self.units.iter().map(|u| u.2 * self.channels).sum();
+        if self.stopped() {
+            return vec![f64::NAN; numbers];
+        }
         let medium = Medium { coefficients: *coefficients, ..self.medium.clone() };
         let ground = Ground::new(Law::Li2013, &medium, &PRESCRIBED);
         let loads: Vec<_> = self.tracks.iter().map(|t| self.loads(t, mechanisms, &ground)).collect();
-        let mut stack = vec![0.0; self.units.iter().map(|u| u.2 * self.channels).sum()];
+        let mut stack = vec![0.0; numbers];
         for &(track, start, samples) in &self.units {
             for (i, load) in loads[track].iter().enumerate() {
                 for (channel, value) in [load.fx, load.fz, load.ty].into_iter().take(self.channels).enumerate() {
@@ -465,7 +487,7 @@ impl ForwardModel for ForceLogModel {
         ]
     }
 
-    fn menu(&self) -> Option<Menu> {
+    fn menu(&self) -> Option<Menu<'_>> {
         let (tracks, descriptions): (Vec<_>, Vec<_>) = super::force_log::possible(&self.tracks).into_iter().unzip();
         let (model, observations) = self.for_tracks(tracks);
         (!descriptions.is_empty()).then(|| Menu { model: Box::new(model), observations, descriptions })

@@ -2,7 +2,7 @@
 
 use super::forward::{Feature, ForwardModel};
 use super::observations::Observations;
-use super::report::{after, digits};
+use super::report::{after, digits, span};
 use serde::Serialize;
 
 /// Error of the plain model in one range of one feature.
@@ -127,7 +127,8 @@ const DIP: f64 = 0.1;
 pub fn whereabouts(observations: &Observations, model: &dyn ForwardModel, prediction: &[f64]) -> Option<String> {
     let everything = misfit(observations, model, prediction);
     let shapes = sizes(&everything, "shape", observations);
-    let worst = shapes.iter().max_by(|a, b| a.1.total_cmp(&b.1)).filter(|_| shapes.len() > 1);
+    let least = shapes.iter().map(|s| s.1).fold(f64::MAX, f64::min);
+    let worst = shapes.iter().max_by(|a, b| a.1.total_cmp(&b.1)).filter(|w| w.1 > UNEVEN * least);
     let worst = worst.and_then(|(row, _)| row.group.as_deref());
     let own = worst.map(|shape| table(observations, model, prediction, |u| model.group(u) == shape));
     let own = own.as_ref().unwrap_or(&everything);
@@ -182,15 +183,11 @@ fn course(rows: &[(&Misfit, f64)], unit: &str) -> Option<(f64, String)> {
 }
 
 impl Misfit {
-    fn place(&self) -> String {
+    /// The range or group that it is about, in words.
+    pub fn place(&self) -> String {
         match (&self.group, self.range) {
             (Some(group), _) => group.clone(),
-            (None, Some(r)) => {
-                // The rounding of a log is not a place.
-                let [low, high] = r.map(|v| digits(if v.abs() < 1e-9 { 0.0 } else { v }));
-                let span = if low == high { high } else { format!("{low} to {high}") };
-                span + &after(&self.unit)
-            }
+            (None, Some(range)) => span(range, &self.unit),
             (None, None) => String::new(),
         }
     }

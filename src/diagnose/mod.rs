@@ -30,7 +30,7 @@ pub mod walking_model;
 pub mod whiten;
 
 use crate::error::Result;
-use crate::progress::Progress;
+use crate::progress::{Latch, Progress};
 use crate::sand::SandDescription;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
 use cross_validation::HeldOut;
@@ -53,18 +53,19 @@ pub use cli::run;
 /// Reads the data and diagnoses them. Errors name file, row and column of what cannot be read; an error of `progress`
 /// stops the work and is handed back.
 pub fn diagnose(data: &Path, experiment: &Experiment, progress: &dyn Progress) -> Result<Diagnosis> {
+    let progress = &Latch::new(progress);
     progress.report(0.0, "reading the data")?;
     let coefficient_sd = experiment.coefficient_sd;
     match experiment.kind {
         Kind::Intrusion => {
             let log = force_log::read(data, experiment)?;
-            let model = ForceLogModel::new(&log, experiment)?;
+            let model = ForceLogModel::new(&log, experiment)?.heeding(progress);
             let (observations, sha256, notes) = (log.observations, log.sha256, Vec::new());
             diagnose_measured(Measured { observations, coefficient_sd, sha256, notes }, &model, progress)
         }
         Kind::Walking => {
             let log = walking_log::read(data, experiment)?;
-            let model = WalkingModel::new(&log, experiment)?;
+            let model = WalkingModel::new(&log, experiment, progress)?;
             let (observations, note) = model.at_default_step(&log.observations)?;
             let (sha256, notes) = (log.sha256, vec![note]);
             diagnose_measured(Measured { observations, coefficient_sd, sha256, notes }, &model, progress)
@@ -99,7 +100,7 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
         shared: &shared,
         model_error: &model_error,
     };
-    let noise = source.noise(None);
+    let noise = source.noise(None, &|| model.stopped());
     let whitener = Whitener::new(&source, &noise);
     let study = Study::new(&observations, model, &whitener, coefficient_sd);
     let (ids, untestable) = testable(&study);
@@ -155,11 +156,13 @@ fn testable(study: &Study) -> (Vec<usize>, Vec<Untestable>) {
 /// surely predicts held-out conditions better, as a proxy and not as a cause.
 fn extension(selection: &Selection) -> Option<&Candidate> {
     let helps = |c: &&Candidate| selection.plain_held_out.reduction_interval(&c.held_out)[0] > 0.0;
-    let proxy = || {
-        let order = |a: &&Candidate, b: &&Candidate| a.held_out.rmse().total_cmp(&b.held_out.rmse());
-        selection.candidates.iter().min_by(order).filter(helps)
-    };
+    let proxy = || best_held_out(selection.candidates.iter().filter(helps));
     selection.best().or_else(|| (selection.verdict == Verdict::NoneOfThese).then(proxy).flatten())
+}
+
+/// Which of them predicts held-out conditions best.
+fn best_held_out<'a>(candidates: impl Iterator<Item = &'a Candidate>) -> Option<&'a Candidate> {
+    candidates.min_by(|a, b| a.held_out.rmse().total_cmp(&b.held_out.rmse()))
 }
 
 fn names(fit: &Fit) -> Vec<String> {
@@ -189,7 +192,9 @@ impl View<'_> {
             (f.name.to_string(), all.fold([f64::MAX, f64::MIN], |r, v| [r[0].min(v), r[1].max(v)]))
         });
         let set = self.selection.map_or(Vec::new(), |s| s.set.iter().map(|&k| names(&s.candidates[k].fit)).collect());
-        let warnings = causes.iter().filter(|c| c.at_bound).map(|c| format!("{} sits at its bound", c.id)).collect();
+        let mut warnings: Vec<String> =
+            causes.iter().filter(|c| c.at_bound).map(|c| format!("{} sits at its bound", c.id)).collect();
+        warnings.extend(self.selection.and_then(extension).and_then(|c| far_coefficients(&c.fit)));
         let channels = observations.channels.iter().zip(&self.noise.channels);
         Report {
             schema: "sandgait.diagnosis.v1",
@@ -365,17 +370,56 @@ impl View<'_> {
         whereabouts.map_or(verdict.clone(), |place| format!("{verdict}; {place}"))
     }
 
+    /// What stands in for the cause that was not found: how much better, or how surely not, conditions held out are predicted.
+    fn stand_in(&self, selection: &Selection) -> String {
+        let Some(best) = extension(selection).or_else(|| best_held_out(selection.candidates.iter())) else {
+            return String::new();
+        };
+        let plain = &selection.plain_held_out;
+        let unit = after(self.study.observations.channels.iter().find(|c| c.in_rmse).map_or("", |c| c.unit));
+        let (before, now) = (plain.rmse(), best.held_out.rmse());
+        let [low, high] = plain.reduction_interval(&best.held_out).map(|share| format!("{:.0}", 100.0 * share));
+        let name = names(&best.fit).join(" with ");
+        let gain = format!(
+            "from {} to {}{unit} on conditions held out ({:.0} %, 95 % interval {low} to {high} %)",
+            digits(before),
+            digits(now),
+            100.0 * (1.0 - now / before)
+        );
+        match extension(selection) {
+            None if now >= before => "; none of them predicts conditions held out better than the plain model".into(),
+            Some(_) => format!("; as a stand-in and not as the cause, {name} lowers the error {gain}"),
+            None => format!(
+                "; nothing surely helps: {name}, which does best, changes the error {gain}, so the sand stays plain"
+            ),
+        }
+    }
+
     fn not_enough(&self, selection: &Selection) -> String {
         match selection.candidates.first() {
-            Some(best) if best.delta_chi2 > selection.gates.single => format!(
-                "none of the known causes is enough: the nearest, {}, leaves a lack of fit of {} where noise leaves up to {}",
-                names(&best.fit).join(" with "),
-                digits(best.lack_of_fit),
-                digits(selection.gates.lack_of_fit)
-            ),
+            Some(best) if best.delta_chi2 > selection.gates.single => {
+                format!(
+                    "none of the known causes is enough: the nearest, {}, leaves a lack of fit of {} where noise leaves up to {}",
+                    names(&best.fit).join(" with "),
+                    digits(best.lack_of_fit),
+                    digits(selection.gates.lack_of_fit)
+                ) + &self.stand_in(selection)
+            }
             _ => "misfit remains and none of the known causes explains any of it".into(),
         }
     }
+}
+
+/// A warning where the fit needs coefficients that their declared uncertainty hardly allows: beyond three of its standard
+/// deviations, our choice.
+fn far_coefficients(fit: &Fit) -> Option<String> {
+    let furthest = fit.deviations.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs()))?;
+    (furthest.abs() > 3.0).then(|| {
+        format!(
+            "the fit moves a stress coefficient by {furthest:+.1} of its declared standard deviations: the medium's table or \
+             coefficient_sd does not fit this sand"
+        )
+    })
 }
 
 /// Which rival comes nearest to the one cause named, and how near.

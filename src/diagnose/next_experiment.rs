@@ -8,8 +8,8 @@ use super::whiten::Whitener;
 use serde::Serialize;
 
 /// Trials not yet made.
-pub struct Menu {
-    pub model: Box<dyn ForwardModel>,
+pub struct Menu<'a> {
+    pub model: Box<dyn ForwardModel + 'a>,
     pub observations: Observations,
     /// What each trial is, in words.
     pub descriptions: Vec<String>,

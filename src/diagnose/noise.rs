@@ -226,13 +226,17 @@ impl Source<'_> {
         Noise { channels, shared: self.shared.iter().map(|s| s.guess).collect() }
     }
 
-    /// Learns the noise from the repetitions; `start` is an earlier estimate of nearly the same data.
-    pub fn noise(&self, start: Option<&Noise>) -> Noise {
+    /// Learns the noise from the repetitions; `start` is an earlier estimate of nearly the same data. Once `stopped` it is
+    /// whatever has been found.
+    pub fn noise(&self, start: Option<&Noise>, stopped: &dyn Fn() -> bool) -> Noise {
         let repeats = self.repeats();
         let center = self.guess(&repeats).pack();
         let channels = self.observations.channels.len();
         // A prior of three e-folds about the guess: it matters only where the data say nothing.
         let deviance = |p: &[f64]| {
+            if stopped() {
+                return f64::INFINITY;
+            }
             let prior: f64 = p.iter().zip(&center).map(|(a, b)| ((a - b) / 3.0).powi(2)).sum();
             prior + Noise::unpack(p, channels).deviance(&repeats)
         };

@@ -1,7 +1,7 @@
 //! `report.html`: the diagnosis as one self-contained page, made for looking.
 
 use super::misfit::Misfit;
-use super::report::{Curves, Diagnosis, Report, after, digits};
+use super::report::{Curves, Diagnosis, Report, after, digits, span};
 use crate::plot::{Axis, Figure, Mark, Panel, Style, color, escape};
 use std::fmt::Write;
 
@@ -131,16 +131,16 @@ fn map(html: &mut String, by: &str, misfit: &[Misfit], channels: &[&str]) {
         .filter_map(|m| Some((m.relative?, channels.iter().position(|c| *c == m.channel)?, m)))
         .collect();
     // A feature that takes one value only shows nothing.
-    let several = rows.iter().any(|r| place(r.2) != place(rows[0].2));
+    let several = rows.iter().any(|r| r.2.place() != rows[0].2.place());
     let Some(top) = rows.iter().map(|r| r.0.abs()).reduce(f64::max).filter(|_| several) else { return };
     let height = BAR * rows.len() + 30;
     let _ = write!(html, "<svg width={MAP} height={height}><text x=4 y=15 font-weight=bold>by {by}</text>");
     let mut before = String::new();
     for (k, (relative, channel, m)) in rows.iter().enumerate() {
         let y = 24 + BAR * k;
-        let label = place(m);
+        let label = m.place();
         if label != before {
-            let _ = write!(html, "<text x=4 y={}>{}</text>", y + 12, escape(&label));
+            let _ = write!(html, "<text x=4 y={}>{}</text>", y + 12, escape(&label.replace('-', "−")));
         }
         before = label;
         let length = LONGEST * relative.abs() / top.max(0.05);
@@ -156,25 +156,6 @@ fn map(html: &mut String, by: &str, misfit: &[Misfit], channels: &[&str]) {
         );
     }
     let _ = write!(html, "<line x1={ZERO} x2={ZERO} y1=22 y2={} stroke='#888'/></svg>", height - 6);
-}
-
-/// A range with its unit, to a thousandth; one number where it is one.
-fn span(range: [f64; 2], of: &str) -> String {
-    let [low, high] = range.map(|v| {
-        let text = format!("{v:.3}");
-        text.trim_end_matches('0').trim_end_matches('.').replace('-', "−")
-    });
-    let unit = after(of);
-    if low == high { format!("{high}{unit}") } else { format!("{low} to {high}{unit}") }
-}
-
-/// The range or group that a row of misfit is about.
-fn place(m: &Misfit) -> String {
-    match (&m.group, m.range) {
-        (Some(group), _) => group.clone(),
-        (None, Some(range)) => span(range, &m.unit),
-        (None, None) => String::new(),
-    }
 }
 
 /// Conditions drawn at most, those where the plain model errs most: our choice, a page is to be read.
@@ -245,24 +226,28 @@ fn panel(c: &Curves, u: usize, channel: usize) -> Panel {
     }
 }
 
+/// A unit behind a name; none where dimensionless.
+fn bracketed(unit: &str) -> String {
+    if unit == "1" { String::new() } else { format!(" [{unit}]") }
+}
+
 /// One figure: every channel over the conditions in their order.
 fn by_condition(c: &Curves) -> Vec<Figure> {
     let o = &c.observations;
     let panel = |channel: usize| {
-        let at = |values: &[f64]| -> Vec<[f64; 2]> {
-            o.units.iter().map(|u| [u.condition as f64 + 1.0, values[u.block(channel).start]]).collect()
+        // Side by side, so that what agrees does not hide.
+        let at = |values: &[f64], aside: f64| -> Vec<[f64; 2]> {
+            o.units.iter().map(|u| [u.condition as f64 + 1.0 + aside, values[u.block(channel).start]]).collect()
         };
-        let dots = |label: &str, hue: &str, values: &[f64]| {
-            Mark::line(label, Style { width: 0.0, ..Style::line(hue).with_dots() }, at(values))
+        let dots = |label: &str, hue: &str, points: Vec<[f64; 2]>| {
+            Mark::line(label, Style { width: 0.0, ..Style::line(hue).with_dots() }, points)
         };
-        let mut marks = vec![measured(at(&o.values)), dots("plain", color::BLUE, &c.plain)];
-        marks.extend(c.extended.as_ref().map(|e| dots("extended", color::VERMILION, e)));
-        let name = o.channels[channel].name;
-        let y = Axis::new(&match o.channels[channel].unit {
-            "1" => name.to_owned(),
-            unit => format!("{name} [{unit}]"),
-        });
-        Panel { title: name.into(), x: Axis::new("condition, in the order of the data"), y, marks }
+        let mut marks = vec![measured(at(&o.values, 0.0)), dots("plain", color::BLUE, at(&c.plain, -0.25))];
+        marks.extend(c.extended.as_ref().map(|e| dots("extended", color::VERMILION, at(e, 0.25))));
+        // In a figure an underscore would make a subscript.
+        let name = o.channels[channel].name.replace('_', " ");
+        let y = Axis::new(&format!("{name}{}", bracketed(o.channels[channel].unit)));
+        Panel { title: name, x: Axis::new("condition, in the order of the data"), y, marks }
     };
     let panels = (0..o.channels.len()).map(panel).collect();
     vec![Figure { title: "Every run and its predictions".into(), panels, columns: 2, note: String::new() }]
@@ -270,7 +255,7 @@ fn by_condition(c: &Curves) -> Vec<Figure> {
 
 /// Of runs each is one number a channel: a table beside the figure.
 fn runs(html: &mut String, r: &Report) {
-    html.push_str("<h2>Measured and predicted, means over repetitions</h2><table><tr><th>condition<th>channel<th>measured<th>plain<th>extended<th>unit");
+    html.push_str("<details><summary>The same as a table, means over repetitions</summary><table><tr><th>condition<th>channel<th>measured<th>plain<th>extended<th>unit");
     for run in &r.runs {
         let _ = write!(
             html,
@@ -283,7 +268,7 @@ fn runs(html: &mut String, r: &Report) {
             run.unit
         );
     }
-    html.push_str("</table>");
+    html.push_str("</table></details>");
 }
 
 fn rivals(html: &mut String, r: &Report) {
@@ -335,7 +320,8 @@ fn unknowns(html: &mut String, r: &Report) {
         html.push_str("</ul>");
     }
     let units = |name: &str| r.misfit.iter().find(|m| m.by == name).map_or("", |m| m.unit.as_str());
-    let ranges: Vec<_> = r.valid_range.iter().map(|(name, v)| format!("{name} {}", span(*v, units(name)))).collect();
+    let ranges: Vec<_> =
+        r.valid_range.iter().map(|(name, v)| format!("{name} {}", span(*v, units(name)).replace('-', "−"))).collect();
     let _ = write!(
         html,
         "<h2>Valid for</h2><p>{}</p><p><small>data SHA-256 {}</small></p>",

@@ -133,6 +133,14 @@ pub fn after(unit: &str) -> String {
     if matches!(unit, "" | "1") { String::new() } else { format!(" {unit}") }
 }
 
+/// A range with its unit; one number where it is one.
+pub fn span(range: [f64; 2], unit: &str) -> String {
+    // The rounding of a log is not a place.
+    let [low, high] = range.map(|v| digits(if v.abs() < 1e-9 { 0.0 } else { v }));
+    let numbers = if low == high { high } else { format!("{low} to {high}") };
+    numbers + &after(unit)
+}
+
 /// Noise as learnt from the repetitions.
 #[derive(Clone, Debug, Serialize, PartialEq)]
 pub struct NoiseSummary {

@@ -37,7 +37,8 @@ const APART: f64 = 5.0;
 const SECOND_TERM_SHARE: f64 = 0.01;
 /// Pairs fitted in full, the best of the linear screen: our choice, for the time they take.
 const PAIRS_FITTED: usize = 14;
-
+/// Times that the noise is made anew for a best candidate that it has moved: our choice, two are usually enough.
+const NOISES: usize = 3;
 /// Rivals fitted again under the final whitening: our choice; one further behind is hundreds of χ² away.
 const FINALISTS: usize = 8;
 
@@ -118,7 +119,8 @@ fn linear_start(screen: &Screen, scores: &Scores, column: usize) -> f64 {
 }
 
 /// Runs the whole selection on `ids`. Once a cause is found, what a repetition has in common acts along the extended
-/// model's prediction, no longer along the plain one's: noise and whitening are made again.
+/// model's prediction, no longer along the plain one's: noise and whitening are made again, before second terms are tried
+/// and once more where one earns its place.
 pub fn select(
     study: &Study,
     source: &Source,
@@ -130,7 +132,7 @@ pub fn select(
     let screen = Screen::new(study, ids);
     let scores = screen.scores(study.whitener, &study.observations.values);
     progress.report(0.2, "gates on simulated nulls")?;
-    let gates = gates(source, &screen, noise, &scores);
+    let gates = gates(study, source, &screen, noise, &scores);
     progress.report(0.4, "single causes")?;
     let mut selection = singles(study, &screen, &scores, gates, ids);
     if selection.candidates.first().is_none_or(|c| c.delta_chi2 <= selection.gates.single) {
@@ -139,19 +141,38 @@ pub fn select(
         }
         return Ok(selection);
     }
+    progress.report(0.5, "singles under the noise of the best")?;
+    let whitener = settle(study, source, noise, &mut selection);
     progress.report(0.6, "pairs of causes")?;
-    add_pairs(study, &screen, &scores, &mut selection);
-    progress.report(0.85, "rivals under the final noise")?;
-    let best = &selection.candidates[0].fit;
-    let coefficients = study.coefficients(&best.deviations);
-    let shared = study.model.shared(&best.mechanisms, &coefficients, &best.prediction);
-    let model_error = study.model.model_error(&best.mechanisms, &coefficients, &best.prediction);
-    let prediction = &best.prediction.clone();
-    let source = Source { prediction, shared: &shared, model_error: &model_error, ..*source };
-    let whitener = Whitener::new(&source, &source.noise(Some(noise)));
-    refit(&study.rewhitened(&whitener), &mut selection);
+    let renewed = study.rewhitened(&whitener);
+    let scores = screen.scores(&whitener, &study.observations.values);
+    if add_pairs(&renewed, &screen, &scores, &mut selection) {
+        progress.report(0.85, "pairs under the noise of the best")?;
+        settle(study, source, noise, &mut selection);
+    }
     decide(&mut selection);
     Ok(selection)
+}
+
+/// Makes the noise that belongs to the best candidate and fits it and its rivals again under it, until that moves the best by
+/// less than one σ; gives the last whitening.
+fn settle(study: &Study, source: &Source, noise: &Noise, selection: &mut Selection) -> Whitener {
+    let mut round = 1;
+    loop {
+        let best = &selection.candidates[0].fit;
+        let coefficients = study.coefficients(&best.deviations);
+        let shared = study.model.shared(&best.mechanisms, &coefficients, &best.prediction);
+        let model_error = study.model.model_error(&best.mechanisms, &coefficients, &best.prediction);
+        let prediction = &best.prediction.clone();
+        let source = Source { prediction, shared: &shared, model_error: &model_error, ..*source };
+        let whitener = Whitener::new(&source, &source.noise(Some(noise), &|| study.model.stopped()));
+        refit(&study.rewhitened(&whitener), selection);
+        let moved = whitener.apply(&slope(&selection.candidates[0].fit.prediction, prediction, 1.0));
+        if round == NOISES || dot(&moved, &moved) < 1.0 {
+            return whitener;
+        }
+        round += 1;
+    }
 }
 
 fn singles(study: &Study, screen: &Screen, scores: &Scores, gates: Gates, ids: &[usize]) -> Selection {
@@ -188,7 +209,13 @@ fn refit(study: &Study, selection: &mut Selection) {
         .collect();
     let base = study.recalibrated();
     let candidates = &selection.candidates;
-    let again = study.fit_from(&same.iter().map(|&k| &candidates[k].fit).collect::<Vec<_>>());
+    let beside = study.beside(&candidates[0].fit);
+    let mut again = study.fit_from(&same.iter().map(|&k| &candidates[k].fit).chain(&beside).collect::<Vec<_>>());
+    for other in again.split_off(same.len()) {
+        if other.objective < again[0].objective {
+            again[0] = other;
+        }
+    }
     let again = parallel::map(&again, |fit| candidate(study, &base, fit.clone()));
     for (k, fresh) in same.into_iter().zip(again) {
         selection.candidates[k] = fresh;
@@ -198,13 +225,14 @@ fn refit(study: &Study, selection: &mut Selection) {
     selection.finalists = finalists;
 }
 
-/// Tries second terms; pairs go to the front where the best of them earns its place.
-fn add_pairs(study: &Study, screen: &Screen, scores: &Scores, selection: &mut Selection) {
+/// Tries second terms; pairs go to the front where the best of them earns its place: does it?
+fn add_pairs(study: &Study, screen: &Screen, scores: &Scores, selection: &mut Selection) -> bool {
     let best = &selection.candidates[0];
     let id = best.fit.ids[0];
     let Some(column) = screen.candidates.iter().position(|c| c.0 == id) else {
-        return;
+        return false;
     };
+    let base = study.recalibrated();
     let gate = screen.second_gate(&scores.gram, column, best.fit.values()[0], selection.gates.inflation);
     let mut tried: Vec<[usize; 2]> = Vec::new();
     let second = study.second_terms(&best.fit, screen);
@@ -232,11 +260,17 @@ fn add_pairs(study: &Study, screen: &Screen, scores: &Scores, selection: &mut Se
         further_starts(study, &ids, &values)
     };
     let fits = study.fit_all(&tried.iter().map(starts).collect::<Vec<_>>());
-    let mut pairs = parallel::map(&fits, |fit| candidate(study, &selection.base, fit.clone()));
+    let mut pairs = parallel::map(&fits, |fit| candidate(study, &base, fit.clone()));
     pairs.sort_by(|a, b| b.delta_chi2.total_cmp(&a.delta_chi2));
     let earns = pairs.first().is_some_and(|pair| {
-        let deviance = &selection.base_held_out.deviance;
-        let share = (best.held_out.deviance - pair.held_out.deviance) / (deviance - pair.held_out.deviance).max(1e-9);
+        // What coefficients far from their prior explain is not explained: their deviations are charged as in a fit.
+        let charged = |fit: &Fit, held_out: &HeldOut| held_out.deviance + dot(&fit.deviations, &fit.deviations);
+        let [none, one, two] = [
+            charged(&base, &leave_condition_out(study, &base)),
+            charged(&best.fit, &best.held_out),
+            charged(&pair.fit, &pair.held_out),
+        ];
+        let share = (one - two) / (none - two).max(1e-9);
         pair.delta_chi2 - best.delta_chi2 > gate && share >= SECOND_TERM_SHARE
     });
     if earns {
@@ -245,6 +279,7 @@ fn add_pairs(study: &Study, screen: &Screen, scores: &Scores, selection: &mut Se
     } else {
         selection.candidates.append(&mut pairs);
     }
+    earns
 }
 
 /// Lack of fit, then what the data cannot tell from the best.

@@ -7,9 +7,9 @@ use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::Path;
 
-/// Rows beyond this are refused: the whitened design matrix of a million samples would not fit in 1 GiB. Our choice.
-pub const MOST_ROWS: usize = 200_000;
-/// Files beyond this many bytes are refused unread: over 1 kB a row at [`MOST_ROWS`]. Our choice.
+/// Rows beyond this are refused: the fits of a log so long fill most of 1 GiB. Our choice.
+pub const MOST_ROWS: usize = 40_000;
+/// Files beyond this many bytes are refused unread: over 6 kB a row at [`MOST_ROWS`]. Our choice.
 const MOST_BYTES: u64 = 256 << 20;
 
 /// Kind of quantity in a column: decides which units it takes.

@@ -7,7 +7,7 @@ use super::observations::{Channel, Observations};
 use super::shared::{Along, Shared};
 use super::walking_log::{self, Setup, WalkingLog};
 use crate::error::{Error, Result};
-use crate::progress::Silent;
+use crate::progress::{Latch, Progress};
 use crate::sand::mechanism::{CATALOG, Mechanisms};
 use crate::sand::{Coefficients, Medium};
 use crate::sim::engine::EngineKind;
@@ -16,7 +16,7 @@ use crate::sim::walk::{Trial, WalkResult};
 use crate::sim::{Model, Robot};
 use crate::sweep::walk_all;
 use std::collections::HashMap;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, OnceLock, PoisonError};
 
 /// Steps of numerical slopes change the data by this many σ altogether: small against what noise does, and far above the
 /// roughness of a sticking gait (reversed leg at 1 Hz: 0.3 % when its phase shifts by 0.2 rad). Our choice.
@@ -31,9 +31,10 @@ const PHASES: [f64; 4] = [-0.2, -0.1, 0.1, 0.2];
 
 type State = (Mechanisms, Coefficients);
 
-/// Predicts the mean of a run's repetitions by one run with all hips at their nominal phase: shifted by ±0.2 rad the
-/// measured numbers change by less than 0.3 %, a tenth of what repetitions scatter.
-pub struct WalkingModel {
+/// Predicts the mean of a run's repetitions by one run with all hips at their nominal phase on a bed of nominal strength. By
+/// how much the mean over other phases and strengths differs is part of [`ForwardModel::model_error`].
+pub struct WalkingModel<'a> {
+    latch: &'a Latch<'a>,
     medium: Medium,
     setups: Vec<Setup>,
     robots: HashMap<(String, String), Robot>,
@@ -43,17 +44,27 @@ pub struct WalkingModel {
     missing: Vec<&'static str>,
     /// Simulations already made, by the bits of mechanisms and coefficients: setup by setup.
     known: Mutex<HashMap<Vec<u64>, Vec<WalkResult>>>,
+    plain_fine: OnceLock<Vec<f64>>,
 }
 
-impl WalkingModel {
-    /// Refuses a setup whose plain simulation does not end in finite numbers.
-    pub fn new(log: &WalkingLog, experiment: &Experiment) -> Result<Self> {
+/// Predictions beside the nominal one.
+struct Others {
+    /// On a stronger and a weaker bed, by [`STRENGTH_STEP`].
+    beds: Vec<Vec<f64>>,
+    /// At the other [`PHASES`].
+    phases: Vec<Vec<f64>>,
+}
+
+impl<'a> WalkingModel<'a> {
+    /// Refuses a setup whose plain simulation does not end in finite numbers. `latch` may stop all simulations.
+    pub fn new(log: &WalkingLog, experiment: &Experiment, latch: &'a Latch<'a>) -> Result<Self> {
         let mut robots = HashMap::new();
         for setup in &log.setups {
             let robot = Robot::load(&setup.robot)?.with_leg_shape(&setup.leg)?;
             robots.insert((setup.robot.clone(), setup.leg.clone()), robot);
         }
         let model = Self {
+            latch,
             medium: experiment.medium.clone(),
             setups: log.setups.clone(),
             robots,
@@ -61,11 +72,15 @@ impl WalkingModel {
             channels: log.observations.channels.clone(),
             missing: log.missing.clone(),
             known: Mutex::default(),
+            plain_fine: OnceLock::new(),
         };
         let plain = (Mechanisms::default(), model.medium.coefficients);
         let trials = model.trials(&plain).into_iter().collect::<Result<Vec<_>>>()?;
         trials.iter().try_for_each(Trial::validate)?;
-        let walked = model.simulate(&[plain]);
+        let walked = model.simulate(&[plain], 0.0);
+        if let Some(error) = latch.error() {
+            return Err(error);
+        }
         let lost = walked.iter().flatten().zip(&model.setups).find(|(result, _)| !result.speed.is_finite());
         match lost {
             Some((_, s)) => {
@@ -85,8 +100,8 @@ impl WalkingModel {
     /// by the plain simulation's ratio between the default step and an eighth of it, which leaves an eighth of that error.
     pub fn at_default_step(&self, observations: &Observations) -> Result<(Observations, String)> {
         let plain = (Mechanisms::default(), self.medium.coefficients);
-        let (fine, coarse) = (self.stepped(EngineKind::Lanes, &plain, FINE)?, self.predict(&plain.0, &plain.1));
-        let ratio = coarse.iter().zip(&fine).map(|(c, f)| if (c / f).is_finite() { c / f } else { 1.0 });
+        let (fine, coarse) = (self.plain_fine()?, self.predict(&plain.0, &plain.1));
+        let ratio = coarse.iter().zip(fine).map(|(c, f)| if (c / f).is_finite() { c / f } else { 1.0 });
         let mut largest: f64 = 0.0;
         let scaled = observations.values.iter().zip(ratio).map(|(y, ratio)| {
             largest = largest.max((ratio - 1.0).abs());
@@ -114,15 +129,16 @@ impl WalkingModel {
         self.setups.iter().map(trial).collect()
     }
 
-    /// Results of every state, setup by setup; not a number where a simulation is refused or diverges.
-    fn simulate(&self, states: &[State]) -> Vec<Vec<WalkResult>> {
-        let keys: Vec<Vec<u64>> = states.iter().map(key).collect();
+    /// Results of every state with all hips `phase` [rad] ahead, setup by setup; not a number where a simulation is refused,
+    /// diverges, or is stopped.
+    fn simulate(&self, states: &[State], phase: f64) -> Vec<Vec<WalkResult>> {
+        let keys: Vec<Vec<u64>> = states.iter().map(|state| key(state, phase)).collect();
         let known = || self.known.lock().unwrap_or_else(PoisonError::into_inner);
         let new: Vec<usize> = {
             let known = known();
             (0..states.len()).filter(|&k| !known.contains_key(&keys[k]) && !keys[..k].contains(&keys[k])).collect()
         };
-        let results = self.walked(&new.iter().map(|&k| states[k]).collect::<Vec<_>>(), 0.0);
+        let results = self.walked(&new.iter().map(|&k| states[k]).collect::<Vec<_>>(), phase);
         let mut known = known();
         known.extend(new.iter().map(|&k| keys[k].clone()).zip(results));
         keys.iter().map(|key| known[key].clone()).collect()
@@ -132,7 +148,7 @@ impl WalkingModel {
     fn walked(&self, states: &[State], phase: f64) -> Vec<Vec<WalkResult>> {
         let ahead = |trial: Result<Trial>| trial.map(|t| Trial { phase, ..t });
         let trials: Result<Vec<Trial>> = states.iter().flat_map(|s| self.trials(s)).map(ahead).collect();
-        let results = trials.and_then(|t| walk_all(EngineKind::Lanes, &t, &Silent));
+        let results = trials.and_then(|t| walk_all(EngineKind::Lanes, &t, self));
         let results = results.unwrap_or_else(|_| vec![WalkResult::lost(); self.setups.len() * states.len()]);
         results.chunks(self.setups.len().max(1)).map(<[_]>::to_vec).collect()
     }
@@ -141,7 +157,28 @@ impl WalkingModel {
     fn stepped(&self, engine: EngineKind, state: &State, finer: f64) -> Result<Vec<f64>> {
         let mut trials = self.trials(state).into_iter().collect::<Result<Vec<_>>>()?;
         trials.iter_mut().for_each(|t| t.model.scene.dt /= finer);
-        Ok(self.stack(&walk_all(engine, &trials, &Silent)?))
+        Ok(self.stack(&walk_all(engine, &trials, self)?))
+    }
+
+    /// The plain model's prediction with the fine time step, made once.
+    fn plain_fine(&self) -> Result<&[f64]> {
+        if let Some(known) = self.plain_fine.get() {
+            return Ok(known);
+        }
+        let plain = (Mechanisms::default(), self.medium.coefficients);
+        let fine = self.stepped(EngineKind::Lanes, &plain, FINE)?;
+        Ok(self.plain_fine.get_or_init(|| fine))
+    }
+
+    fn others(&self, (mechanisms, coefficients): &State) -> Others {
+        let scaled = |factor: f64| {
+            let scale = (1.0 + mechanisms.scale) * factor - 1.0;
+            (Mechanisms { scale, ..*mechanisms }, *coefficients)
+        };
+        let beds = self.predict_many(&[scaled(1.0 + STRENGTH_STEP), scaled(1.0 - STRENGTH_STEP)]);
+        let state = [(*mechanisms, *coefficients)];
+        let phases = PHASES.iter().flat_map(|&phase| self.simulate(&state, phase)).map(|r| self.stack(&r)).collect();
+        Others { beds, phases }
     }
 
     fn stack(&self, results: &[WalkResult]) -> Vec<f64> {
@@ -150,8 +187,16 @@ impl WalkingModel {
     }
 }
 
-fn key((mechanisms, coefficients): &State) -> Vec<u64> {
-    mechanisms.values().iter().chain(&coefficients.to_array()).map(|v| v.to_bits()).collect()
+/// Walks are stopped as everything else is.
+impl Progress for WalkingModel<'_> {
+    fn report(&self, _done: f64, _stage: &str) -> Result<()> {
+        if self.latch.stopped() { self.latch.error().map_or(Ok(()), Err) } else { Ok(()) }
+    }
+}
+
+fn key((mechanisms, coefficients): &State, phase: f64) -> Vec<u64> {
+    let numbers = mechanisms.values().into_iter().chain(coefficients.to_array()).chain([phase]);
+    numbers.map(f64::to_bits).collect()
 }
 
 fn channel(result: &WalkResult, name: &str) -> f64 {
@@ -164,13 +209,17 @@ fn channel(result: &WalkResult, name: &str) -> f64 {
     }
 }
 
-impl ForwardModel for WalkingModel {
+impl ForwardModel for WalkingModel<'_> {
+    fn stopped(&self) -> bool {
+        self.latch.stopped()
+    }
+
     fn predict(&self, mechanisms: &Mechanisms, coefficients: &Coefficients) -> Vec<f64> {
-        self.simulate(&[(*mechanisms, *coefficients)]).iter().flat_map(|r| self.stack(r)).collect()
+        self.simulate(&[(*mechanisms, *coefficients)], 0.0).iter().flat_map(|r| self.stack(r)).collect()
     }
 
     fn predict_many(&self, states: &[State]) -> Vec<Vec<f64>> {
-        self.simulate(states).iter().map(|r| self.stack(r)).collect()
+        self.simulate(states, 0.0).iter().map(|r| self.stack(r)).collect()
     }
 
     fn roughness(&self) -> Option<f64> {
@@ -185,39 +234,37 @@ impl ForwardModel for WalkingModel {
     /// sticks, slips or stalls, small differences grow: `gait_scatter` spans what other initial phases, and the curvature
     /// in the strength, make of the run beside the nominal one. Where the gait is regular both are next to nothing.
     fn shared(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Shared> {
-        let scaled = |factor: f64| {
-            let scale = (1.0 + mechanisms.scale) * factor - 1.0;
-            (Mechanisms { scale, ..*mechanisms }, *coefficients)
-        };
-        let beds = self.predict_many(&[scaled(1.0 + STRENGTH_STEP), scaled(1.0 - STRENGTH_STEP)]);
+        let Others { beds, phases } = self.others(&(*mechanisms, *coefficients));
         let slope = super::fit::slope(&beds[0], &beds[1], 2.0 * STRENGTH_STEP);
         let middle: Vec<f64> = beds[0].iter().zip(&beds[1]).map(|(a, b)| 0.5 * (a + b)).collect();
         let share = (PHASES.len() as f64).sqrt();
         let mut scatter = vec![super::fit::slope(&middle, prediction, 1.0)];
-        for phase in PHASES {
-            let other = self.walked(&[(*mechanisms, *coefficients)], phase);
-            scatter.extend(other.iter().map(|results| super::fit::slope(&self.stack(results), prediction, share)));
-        }
+        scatter.extend(phases.iter().map(|other| super::fit::slope(other, prediction, share)));
         vec![
             Shared { name: "bed_strength", guess: STRENGTH_STEP, along: Along::Stacks(vec![slope]) },
             Shared { name: "gait_scatter", guess: 1.0, along: Along::Stacks(scatter) },
         ]
     }
 
-    /// Measured without data, as three differences at the candidate itself: the other engine's answer to the same equations;
-    /// what the time step does there beyond what [`Self::at_default_step`] took out at the plain model; and the eighth of
-    /// the step's error that it leaves. Each channel of each setup errs by their root sum of squares, independently of the
+    /// Measured without data, as four differences at the candidate itself: the other engine's answer to the same equations;
+    /// what the time step does there beyond what [`Self::at_default_step`] took out at the plain model; the eighth of the
+    /// step's error that it leaves; and how far the mean over other phases and beds lies from the nominal run, which is
+    /// next to nothing where a gait is regular. Each channel of each setup errs by their root sum of squares, independently of the
     /// others, for one difference says how large an error is and not its pattern.
     fn model_error(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Vec<f64>> {
         let (state, plain) = ((*mechanisms, *coefficients), (Mechanisms::default(), self.medium.coefficients));
-        let other = self.stepped(EngineKind::Rapier, &state, 1.0);
-        let (fine, plain_fine) =
-            (self.stepped(EngineKind::Lanes, &state, FINE), self.stepped(EngineKind::Lanes, &plain, FINE));
-        let (Ok(other), Ok(fine), Ok(plain_fine)) = (other, fine, plain_fine) else { return Vec::new() };
+        let (other, fine) =
+            (self.stepped(EngineKind::Rapier, &state, 1.0), self.stepped(EngineKind::Lanes, &state, FINE));
+        let (Ok(other), Ok(fine), Ok(plain_fine)) = (other, fine, self.plain_fine()) else { return Vec::new() };
         let plain_coarse = self.predict(&plain.0, &plain.1);
+        let Others { beds, phases } = self.others(&state);
+        let mean =
+            |runs: &[Vec<f64>], k: usize| runs.iter().map(|r| r[k] - prediction[k]).sum::<f64>() / runs.len() as f64;
         let size = |k: usize| {
             let exact = fine[k] * plain_coarse[k] / plain_fine[k];
-            let differences = [other[k] - prediction[k], exact - prediction[k], (fine[k] - prediction[k]) / FINE];
+            let average = mean(&beds, k) + mean(&phases, k);
+            let differences =
+                [other[k] - prediction[k], exact - prediction[k], (fine[k] - prediction[k]) / FINE, average];
             // A simulation that diverged says nothing of the others.
             differences.into_iter().filter(|d| d.is_finite()).map(|d| d * d).sum::<f64>().sqrt()
         };
@@ -253,7 +300,7 @@ impl ForwardModel for WalkingModel {
         ]
     }
 
-    fn menu(&self) -> Option<Menu> {
+    fn menu(&self) -> Option<Menu<'_>> {
         let (setups, descriptions): (Vec<_>, Vec<_>) = walking_log::possible(&self.setups).into_iter().unzip();
         let log = walking_log::planned(setups, self.channels.clone());
         let mut robots = HashMap::new();
@@ -262,6 +309,7 @@ impl ForwardModel for WalkingModel {
             robots.insert((setup.robot.clone(), setup.leg.clone()), robot);
         }
         let model = Self {
+            latch: self.latch,
             medium: self.medium.clone(),
             setups: log.setups,
             robots,
@@ -269,6 +317,7 @@ impl ForwardModel for WalkingModel {
             channels: self.channels.clone(),
             missing: self.missing.clone(),
             known: Mutex::default(),
+            plain_fine: OnceLock::new(),
         };
         (!descriptions.is_empty()).then(|| Menu {
             model: Box::new(model),

@@ -1,8 +1,10 @@
-//! Many steps with actions that are known beforehand, for planners and evolution strategies.
+//! Many steps in one go: with actions that are known beforehand, for planners and evolution strategies, or with those of a
+//! policy that runs beside the environments.
 //!
 //! An environment's rollout ends with its episode: what it would do after that counts nothing and is reported as zeros.
 
 use super::shard::Shard;
+use crate::error::Error;
 
 /// What a rollout gave so far; one row an environment.
 #[derive(Default)]
@@ -17,6 +19,8 @@ pub struct Rollout {
     pub truncated: Vec<u8>,
     /// Every step since the last call, where they were asked for.
     pub steps: Vec<Recorded>,
+    /// Why there are no actions for the next step; none are made after that.
+    pub failed: Option<Error>,
 }
 
 /// One step of a rollout, zeros where an environment's rollout had ended before.
@@ -25,6 +29,8 @@ pub struct Recorded {
     pub observations: Vec<f32>,
     /// f32 [envs]
     pub rewards: Vec<f32>,
+    /// f32 [envs, action]: what the step was made with.
+    pub actions: Vec<f32>,
 }
 
 impl Rollout {
@@ -35,6 +41,7 @@ impl Rollout {
             terminated: vec![0; envs],
             truncated: vec![0; envs],
             steps: Vec::new(),
+            failed: None,
         }
     }
 
@@ -61,21 +68,23 @@ impl Shard {
             rollout.truncated[i] = rows.truncated[i];
         }
         if record {
-            let step = self.recorded(&over);
+            let step = self.recorded(actions, &over);
             self.rollout.steps.push(step);
         }
     }
 
     /// The last step's rows, zeros where `over`.
-    fn recorded(&self, over: &[bool]) -> Recorded {
+    fn recorded(&self, actions: &[f32], over: &[bool]) -> Recorded {
         let rows = &self.rows;
-        let wide = rows.observations.len() / over.len();
-        let mut step = Recorded { observations: rows.observations.clone(), rewards: rows.rewards.clone() };
+        let [wide, width] = [rows.observations.len(), actions.len()].map(|n| n / over.len());
+        let (observations, rewards) = (rows.observations.clone(), rows.rewards.clone());
+        let mut step = Recorded { observations, rewards, actions: actions.to_vec() };
         for (i, last) in rows.ended.iter().zip(rows.final_observations.chunks_exact(wide)) {
             step.observations[*i as usize * wide..][..wide].copy_from_slice(last);
         }
         for i in (0..over.len()).filter(|i| over[*i]) {
             step.observations[i * wide..][..wide].fill(0.0);
+            step.actions[i * width..][..width].fill(0.0);
             step.rewards[i] = 0.0;
         }
         step

@@ -7,8 +7,8 @@ use super::rollout::Rollout;
 use super::spec::Spec;
 use super::task::{Blueprint, Goal, Setup, Task, Transition};
 use crate::error::Result;
-use crate::sim::State;
 use crate::sim::engine::{Command, Engine};
+use crate::sim::{Model, State};
 use std::sync::Arc;
 
 /// One environment's episode.
@@ -146,6 +146,17 @@ impl Shard {
     /// Numbers in an action row.
     pub fn actions(&self) -> usize {
         self.task.spec().action.len()
+    }
+
+    /// Where environment `i` is now; right after an episode's end that is the next one's start.
+    pub fn state(&self, i: usize) -> &State {
+        &self.episodes[i].after
+    }
+
+    /// What environment `i`'s episode is simulated with.
+    pub fn model(&self, i: usize) -> &Model {
+        let Episode { goal, setup, .. } = &self.episodes[i];
+        goal.model.as_ref().unwrap_or(&setup.model)
     }
 
     /// Is no step of the present episodes made yet?

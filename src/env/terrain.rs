@@ -57,24 +57,34 @@ struct Draw {
     torque_limit: f64,
 }
 
+/// One quantity that is drawn.
+struct Quantity {
+    name: &'static str,
+    /// What an episode draws from.
+    range: [f64; 2],
+    /// What the range must lie in.
+    guard: [f64; 2],
+    /// The value that leaves everything as the other options say, if `difficulty` scales the range.
+    neutral: Option<f64>,
+}
+
 impl Randomize {
-    /// Each range with its name, its guards, and the value that leaves everything as the other options say, if
-    /// `difficulty` scales it.
-    fn ranges(&self, options: &TaskOptions) -> [(&'static str, [f64; 2], [f64; 2], Option<f64>); 7] {
+    fn quantities(&self, options: &TaskOptions) -> [Quantity; 7] {
         let slope = [-35.0, 35.0].map(|most| most - options.slope_deg);
+        let quantity = |name, range, guard, neutral| Quantity { name, range, guard, neutral };
         [
-            ("zeta", self.zeta, [0.1, 10.0], Some(1.0)),
-            ("patch_length", self.patch_length, [0.02, 100.0], None),
-            ("slope_deg", self.slope_deg, slope, Some(0.0)),
-            ("payload", self.payload, [0.0, 10.0], Some(0.0)),
-            ("torque_limit", self.torque_limit, [0.01, 1.0], Some(1.0)),
-            ("footprint", self.footprint, [-2.0, 1.0], Some(0.0)),
-            ("turning_point", self.turning_point, [0.05, 1e3], None),
+            quantity("zeta", self.zeta, [0.1, 10.0], Some(1.0)),
+            quantity("patch_length", self.patch_length, [0.02, 100.0], None),
+            quantity("slope_deg", self.slope_deg, slope, Some(0.0)),
+            quantity("payload", self.payload, [0.0, 10.0], Some(0.0)),
+            quantity("torque_limit", self.torque_limit, [0.01, 1.0], Some(1.0)),
+            quantity("footprint", self.footprint, [-2.0, 1.0], Some(0.0)),
+            quantity("turning_point", self.turning_point, [0.05, 1e3], None),
         ]
     }
 
     pub fn validate(&self, options: &TaskOptions) -> Result<()> {
-        for (name, [low, high], [least, most], _) in self.ranges(options) {
+        for Quantity { name, range: [low, high], guard: [least, most], .. } in self.quantities(options) {
             check_range(&format!("randomize.{name}[0]"), low, least..=most)?;
             check_range(&format!("randomize.{name}[1]"), high, low..=most)?;
         }
@@ -83,7 +93,7 @@ impl Randomize {
 
     /// Draws an episode's quantities, always as many numbers in the same order, for a robot with `legs` legs.
     fn draw(&self, options: &TaskOptions, difficulty: f64, legs: usize, random: &mut Random) -> (Draw, Ground) {
-        let ranges = self.ranges(options).map(|(_, range, _, neutral)| {
+        let ranges = self.quantities(options).map(|Quantity { range, neutral, .. }| {
             range.map(|end| neutral.map_or(end, |neutral| neutral + difficulty * (end - neutral)))
         });
         let [zeta, patch_length, slope_deg, payload, torque_limit, footprint, turning_point] = ranges;

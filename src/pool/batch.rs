@@ -4,7 +4,8 @@ use super::snapshot::Snapshot;
 use crate::env::snapshot::Resumed;
 use crate::env::task::{Blueprint, Setup};
 use crate::env::{Look, ResetOptions, Shard, Spec, Task};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, check_range};
+use crate::policy::Network;
 use std::sync::Arc;
 
 /// The environments of one session. `Pool::run` takes it and gives it back.
@@ -27,14 +28,21 @@ pub enum Operation {
 /// Some steps of a rollout.
 #[derive(Clone)]
 pub struct Roll {
-    /// f32 [steps, envs, action] of the whole rollout.
-    actions: Arc<Vec<f32>>,
-    /// Numbers in one step's actions.
-    row: usize,
+    plan: Plan,
+    /// Steps of the whole rollout.
+    total: usize,
     /// Steps to be made now.
     steps: std::ops::Range<usize>,
     /// Keep the rows of every step.
     record: bool,
+}
+
+/// Where a rollout's actions come from.
+#[derive(Clone)]
+enum Plan {
+    /// f32 [steps, envs, action] of the whole rollout.
+    Actions(Arc<Vec<f32>>),
+    Network(Arc<Network>),
 }
 
 impl Roll {
@@ -47,7 +55,12 @@ impl Roll {
 
     /// Steps of the whole rollout.
     pub fn total(&self) -> usize {
-        self.actions.len() / self.row
+        self.total
+    }
+
+    /// Are its actions unknown to whoever asked for it?
+    pub fn chooses(&self) -> bool {
+        matches!(self.plan, Plan::Network(_))
     }
 
     /// Steps that have been made when this part has run.
@@ -157,7 +170,17 @@ impl Batch {
             ));
         }
         self.check_actions(&actions, |k| format!("actions[{}][{}]", k / self.envs, k % self.envs))?;
-        Ok(Roll { actions: Arc::new(actions), row, steps: 0..0, record })
+        Ok(Roll { total: actions.len() / row, plan: Plan::Actions(Arc::new(actions)), steps: 0..0, record })
+    }
+
+    /// Checks a rollout of `total` steps with the actions that the network in `onnx` chooses. Its episode ends a rollout,
+    /// so there are no more steps than an episode has.
+    pub fn roll_network(&self, onnx: &[u8], total: u32, record: bool) -> Result<Roll> {
+        self.check_begun("rollout")?;
+        let spec = self.spec();
+        check_range("steps", f64::from(total), 1.0..=f64::from(spec.max_episode_steps))?;
+        let network = Arc::new(Network::new(onnx, spec)?);
+        Ok(Roll { total: total as usize, plan: Plan::Network(network), steps: 0..0, record })
     }
 
     /// Environment `index` for those who only look; see [`Shard::look`].
@@ -253,16 +276,35 @@ impl Operation {
                     shard.restore(i, &episodes[start + i]);
                 }
             }
-            Self::Roll(Roll { actions, row, steps, record }) => {
-                let step = steps.start + part;
-                if step == 0 {
-                    shard.begin_rollout();
-                }
-                if part == 0 {
-                    shard.rollout.steps.clear();
-                }
-                shard.roll(&actions[step * row + start * width..][..envs * width], *record);
+            Self::Roll(roll) => roll.run(shard, start, part),
+        }
+    }
+}
+
+impl Roll {
+    /// Makes step `part` of the present ones on one shard whose first environment is number `start` of the batch.
+    fn run(&self, shard: &mut Shard, start: usize, part: usize) {
+        let step = self.steps.start + part;
+        if step == 0 {
+            shard.begin_rollout();
+        }
+        if part == 0 {
+            shard.rollout.steps.clear();
+        }
+        let (first, count) = (start * shard.actions(), shard.envs() * shard.actions());
+        match &self.plan {
+            Plan::Actions(actions) => {
+                let row = actions.len() / self.total;
+                shard.roll(&actions[step * row + first..][..count], self.record);
             }
+            Plan::Network(network) if shard.rollout.failed.is_none() => {
+                let mut actions = vec![0.0; count];
+                match network.act(&shard.rows.observations, &mut actions) {
+                    Ok(()) => shard.roll(&actions, self.record),
+                    Err(error) => shard.rollout.failed = Some(error),
+                }
+            }
+            Plan::Network(_) => (),
         }
     }
 }

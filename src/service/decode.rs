@@ -24,7 +24,8 @@ pub fn operation(batch: &mut Batch, request: Option<Request>) -> Result<Operatio
         }
         // The others are no operations: they were answered before.
         Some(_) | None => {
-            Err(Error::invalid("request", "neither reset, step, attach, save, restore, rollout, render nor observe"))
+            let known = "neither reset, step, attach, save, restore, rollout, policy_rollout, render nor observe";
+            Err(Error::invalid("request", known))
         }
     }
 }
@@ -35,9 +36,8 @@ pub fn is_light(request: &proto::RunSessionRequest) -> bool {
     match &request.request {
         Some(Request::Step(step)) => step.actions.len() <= 16_384,
         Some(Request::Reset(reset)) => reset.options.is_none() && reset.seeds.len() <= 2_048,
-        Some(
-            Request::Save(_) | Request::Restore(_) | Request::Rollout(_) | Request::Render(_) | Request::Observe(_),
-        ) => false,
+        Some(Request::Save(_) | Request::Restore(_) | Request::Rollout(_) | Request::PolicyRollout(_)) => false,
+        Some(Request::Render(_) | Request::Observe(_)) => false,
         Some(Request::Attach(_)) | None => true,
     }
 }

@@ -27,8 +27,8 @@ pub fn batch(batch: &Batch) -> proto::Batch {
     }
 }
 
-/// The steps of a rollout since the last part; `made` have been made in all.
-pub fn rollout(batch: &Batch, made: usize, is_last: bool) -> proto::RolloutPart {
+/// The steps of a rollout since the last part; `made` have been made in all. `actions`: they are news to the client.
+pub fn rollout(batch: &Batch, made: usize, is_last: bool, actions: bool) -> proto::RolloutPart {
     let shards = batch.shards();
     let steps = shards.first().map_or(0, |s| s.rollout.steps.len());
     let recorded = |column: fn(&Recorded) -> &[f32]| {
@@ -44,6 +44,9 @@ pub fn rollout(batch: &Batch, made: usize, is_last: bool) -> proto::RolloutPart 
         rewards: recorded(|r| &r.rewards),
         ..Default::default()
     };
+    if actions {
+        part.actions = recorded(|r| &r.actions);
+    }
     if is_last {
         part.returns = shards.iter().flat_map(|s| &s.rollout.returns).flat_map(|r| r.to_le_bytes()).collect();
         part.lengths = shards.iter().flat_map(|s| &s.rollout.lengths).flat_map(|n| n.to_le_bytes()).collect();

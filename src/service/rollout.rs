@@ -26,17 +26,28 @@ fn pace(steps: usize, time: Duration) -> usize {
     (fitting as usize).clamp(1, GROWTH * steps)
 }
 
-/// Checks a rollout and starts it.
-pub fn start(mut work: Work, request: &proto::Rollout, pool: Arc<Pool>) {
+/// Checks a rollout of actions and starts it.
+pub fn start(work: Work, request: &proto::Rollout, pool: Arc<Pool>) {
+    let trajectories = request.trajectories;
+    let roll = |batch: &Batch| batch.roll(decode::floats("actions", &request.actions)?, trajectories);
+    begin(work, roll, trajectories, pool);
+}
+
+/// Checks a rollout of a network and starts it.
+pub fn start_network(work: Work, request: &proto::PolicyRollout, pool: Arc<Pool>) {
+    let proto::PolicyRollout { onnx, steps, trajectories } = request;
+    begin(work, |batch| batch.roll_network(onnx, *steps, *trajectories), *trajectories, pool);
+}
+
+fn begin(mut work: Work, roll: impl FnOnce(&Batch) -> Result<Roll>, trajectories: bool, pool: Arc<Pool>) {
     let batch = &mut work.environments.batch;
-    let plan = decode::floats("actions", &request.actions).and_then(|actions| {
-        let roll = batch.roll(actions, request.trajectories)?;
+    let plan = roll(batch).and_then(|roll| {
         // Checked before anything runs: once it has, the environments must be put back.
         let back = batch.save().and_then(|snapshot| batch.restore(&snapshot, None))?;
         Ok((roll, back))
     });
     match plan {
-        Ok((roll, back)) => drop(tokio::spawn(run(work, roll, back, request.trajectories, pool))),
+        Ok((roll, back)) => drop(tokio::spawn(run(work, roll, back, trajectories, pool))),
         Err(error) => work.refuse(&error),
     }
 }
@@ -50,13 +61,18 @@ async fn run(work: Work, roll: Roll, back: Operation, trajectories: bool, pool: 
     let rolled = async {
         let (mut batch, mut last, mut count) = (batch, roll.clone(), 1);
         let mut answer = None;
+        let mut failed = None;
         while let Some(steps) = last.next(count) {
             last = steps.clone();
             let (made, is_last) = (steps.made(), steps.made() == steps.total());
             let turn = Instant::now();
             batch = pooled(&pool, batch, Operation::Roll(steps)).await?;
+            failed = batch.shards().iter().find_map(|s| s.rollout.failed.clone());
+            if failed.is_some() {
+                break;
+            }
             count = pace(count, turn.elapsed());
-            let rows = encode::rollout(&batch, made, is_last);
+            let rows = encode::rollout(&batch, made, is_last, roll.chooses());
             if is_last {
                 answer = Some(rows);
             } else if answers.is_closed() || stop.is_cancelled() {
@@ -70,10 +86,13 @@ async fn run(work: Work, roll: Roll, back: Operation, trajectories: bool, pool: 
             }
         }
         sessions.metrics.rolled(begun.elapsed(), &batch);
-        pooled(&pool, batch, back).await.map(|batch| (batch, answer))
+        pooled(&pool, batch, back).await.map(|batch| (batch, answer, failed))
     };
     match rolled.await {
-        Ok((batch, answer)) => {
+        Ok((batch, _, Some(error))) => {
+            Work { environments: rest.with(batch), sequence, sessions, id, answers }.refuse(&error);
+        }
+        Ok((batch, answer, None)) => {
             let environments = rest.with(batch);
             // The stream has room for the last answer once it has read those before.
             let room = stop.run_until_cancelled(answers.reserve()).await.is_some_and(|room| room.is_ok());

@@ -6,11 +6,11 @@
 
 use super::proto::RunSessionResponse;
 use super::sessions::{Done, Environments, Session, Sessions, name};
-use crate::env::TaskOptions;
 use crate::env::task::Blueprint;
 use crate::error::{Error, Result};
 use crate::pool::{Pool, Snapshot};
 use prost::Message;
+use serde_json::Value;
 use std::fs;
 use std::io::Write as _;
 use std::os::unix::fs::DirBuilderExt as _;
@@ -29,7 +29,7 @@ struct Saved {
     id: String,
     #[prost(string, tag = "2")]
     task: String,
-    /// CBOR: keeps every float.
+    /// The keywords that the task takes, as CBOR: keeps every float.
     #[prost(bytes = "vec", tag = "3")]
     options: Vec<u8>,
     #[prost(uint64, tag = "4")]
@@ -119,7 +119,8 @@ impl Saved {
         };
         let mut options = Vec::new();
         let unusable = |e| Error::Exhausted(format!("its options cannot be written: {e}"));
-        ciborium::into_writer(&blueprint.setup.options, &mut options).map_err(unusable)?;
+        let keywords = blueprint.keywords().into_iter().map(|k| (k.name.to_owned(), k.value));
+        ciborium::into_writer(&Value::Object(keywords.collect()), &mut options).map_err(unusable)?;
         let snapshot = if batch.is_untouched() { None } else { Some(batch.save()?.to_bytes()?) };
         let task = blueprint.task.spec().id.into();
         let (envs, Done { sequence, answer }) = (batch.envs() as u64, done);
@@ -136,9 +137,7 @@ fn load(path: &Path) -> Result<Saved> {
 /// Gives the session's name.
 fn adopt(saved: Saved, sessions: &Sessions, pool: &Pool) -> Result<String> {
     let Saved { id, task, options, envs, sequence, answer, snapshot } = saved;
-    let unusable = |e: String| Error::invalid("options", e);
-    let options: TaskOptions = ciborium::from_reader(&options[..]).map_err(|e| unusable(e.to_string()))?;
-    let options = serde_json::to_value(options).map_err(|e| unusable(e.to_string()))?;
+    let options: Value = ciborium::from_reader(&options[..]).map_err(|e| Error::invalid("options", e.to_string()))?;
     let blueprint = Blueprint::new(&task, options)?;
     let mut environments = sessions.build(&blueprint, envs as usize)?;
     if let Some(snapshot) = snapshot {

@@ -195,6 +195,7 @@ fn carry_out(mut work: Work, request: Option<Request>, pool: &Arc<Pool>) {
             return work.tell(saved.map(|data| Response::Snapshot(Snapshot { data: data.into() })));
         }
         Some(Request::Rollout(request)) => return rollout::start(work, &request, pool.clone()),
+        Some(Request::PolicyRollout(request)) => return rollout::start_network(work, &request, pool.clone()),
         Some(Request::Render(request)) => {
             let seen = view::render(batch, &request);
             return work.tell(seen.map(Response::Pictures));

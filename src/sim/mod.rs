@@ -7,6 +7,7 @@
 //! * [`obstacle`]: rigid things in the sand; [`solid`]: their geometry.
 //! * [`overlap`]: how far a robot stands inside obstacles, for tests.
 //! * [`state`]: positions and velocities of one robot.
+//! * [`feet`]: where the tips of the legs are and how fast they move.
 //! * [`frame`]: positions, velocities and velocity-product accelerations of the bodies.
 //! * [`engine`]: the seam; everything above sees only this.
 //! * [`lanes`]: the fast engine, articulated bodies over SIMD lanes of robots.
@@ -16,6 +17,7 @@
 
 pub mod carriage;
 pub mod engine;
+pub mod feet;
 pub mod frame;
 pub mod lanes;
 pub mod model;

@@ -46,7 +46,7 @@ async fn life(client: Client, kind: usize) -> (Session, u64) {
     assert_eq!(ways[0], ways[1], "a restored session goes on with the same bits");
     ways[0].iter().for_each(|answer| digest.write(answer));
     session.failure(Some(step(&[2.0]))).await;
-    session.send(Some(rollout(session.envs, 15, kind % 2 == 0))).await;
+    session.send(Some(rollout(session.envs, 15, kind.is_multiple_of(2)))).await;
     // Parts are cut by time, so only what they hold together is the same.
     let (mut rows, mut rewards, mut returns) = (vec![], vec![], bytes::Bytes::new());
     while returns.is_empty() {

@@ -5,6 +5,7 @@ mod determinism;
 mod fuzz;
 mod harness;
 mod mutate;
+mod policies;
 mod raw;
 mod rollouts;
 mod seeing;

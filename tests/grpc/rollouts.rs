@@ -10,7 +10,7 @@ fn rollout(envs: usize, steps: usize, trajectories: bool) -> Request {
     Request::Rollout(Rollout { actions: actions.iter().flat_map(|a| a.to_le_bytes()).collect(), trajectories })
 }
 
-async fn parts(session: &mut Session, request: Request) -> Vec<RolloutPart> {
+pub async fn parts(session: &mut Session, request: Request) -> Vec<RolloutPart> {
     session.send(Some(request)).await;
     let mut parts: Vec<RolloutPart> = Vec::new();
     while parts.last().is_none_or(|p| p.returns.is_empty()) {

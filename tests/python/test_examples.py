@@ -99,6 +99,17 @@ def test_a_worked_study_draws_its_figures(name: str, writes: list[str], says: st
         assert (tmp_path / "runs" / file).stat().st_size > 500
 
 
+def test_the_loop_closes(tmp_path: Path) -> None:
+    """Two generations: that the figures come, not what they are."""
+    short = ["--seeds", "1", "--generations", "2", "--evaluations", "8"]
+    output = run("-W", "error", "examples/close_the_loop.py", *short, "--out", str(tmp_path))
+    assert "the misfit is explained by" in output
+    for name in ("textbook", "diagnosed", "true"):
+        assert re.search(rf"^{name} +-?\d+\.\d \(-?\d", output, flags=re.MULTILINE), output
+    assert re.search(r"diagnosed minus textbook: [+-]\d+\.\d\d \(", output)
+    assert (tmp_path / "diagnosis/sand.toml").exists()
+
+
 def test_the_bench_of_the_client_measures() -> None:
     rows = json.loads(run("benches/client.py", "--envs", "8", "--seconds", "0.2", "--json"))
     assert rows[0]["envs"] == 8

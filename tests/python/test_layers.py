@@ -34,9 +34,9 @@ def imports(path: Path) -> set[str]:
     [
         ("grpc", {"client.py"}),
         ("google", {"client.py"}),
-        ("stable_baselines3", {"sb3.py"}),
+        ("stable_baselines3", {"sb3.py", "export.py"}),
         ("ray", {"ray.py"}),
-        ("torch", set()),
+        ("torch", {"export.py"}),
         ("pandas", set()),
         ("matplotlib", set()),
         ("pygame", {"view.py"}),

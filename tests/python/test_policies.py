@@ -1,65 +1,139 @@
-"""What is kept in examples/policies plays as well as it stands beside it."""
+"""Policies that the server runs: SB3's own actions, a stepwise run's numbers, and what `sandgait evaluate` prints."""
 
 from __future__ import annotations
 
 import json
-import sys
+import subprocess
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
+import torch
+from stable_baselines3 import DQN, PPO, SAC
+from stable_baselines3.common.vec_env import VecNormalize
 
 import sandgait
+from conftest import ID
+from sandgait import server
 
-ROOT = Path(__file__).parents[2]
-POLICIES = ROOT / "examples/policies"
-sys.path.insert(0, str(ROOT / "examples"))
-
-import evaluate_gait  # noqa: E402
-import train_clock  # noqa: E402
+STEPS = 120
 
 
-def kept(name: str) -> list[Path]:
-    return sorted(POLICIES.glob(f"*/{name}"))
+def untrained(kind: Any) -> tuple[Any, VecNormalize]:
+    """A network with random weights, behind statistics that it has seen some steps of."""
+    env = VecNormalize(sandgait.make_sb3(ID, 4), clip_obs=4.0)
+    arguments = {"buffer_size": 100} if kind is SAC else {}
+    model = kind("MlpPolicy", env, seed=1, device="cpu", **arguments)
+    env.seed(0)
+    env.reset()
+    for _ in range(30):
+        env.step(np.random.default_rng(0).uniform(-1, 1, (4, 6)))
+    env.training = False
+    with torch.no_grad():
+        for weights in model.policy.parameters():
+            # Sums of order 1 in every layer, as in trained networks: what is larger, f32 cannot hold to 1e-5.
+            weights.copy_(torch.randn_like(weights) * (1.5 / weights.shape[-1] ** 0.5 if weights.ndim > 1 else 0.3))
+    return model, env
 
 
-def test_every_folder_is_replayed_and_all_are_small() -> None:
-    known = {path.parent for name in ("policy.onnx", "clocks.json", "strokes.json") for path in kept(name)}
-    assert known == {path for path in POLICIES.iterdir() if path.is_dir()} != set()
-    assert sum(path.stat().st_size for path in POLICIES.rglob("*")) < 2_000_000
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    model, normalize = untrained(PPO)
+    path = sandgait.export_onnx(model, tmp_path_factory.mktemp("policies") / "ppo.onnx", normalize)
+    normalize.close()
+    return path
 
 
-def test_policies_play_as_recorded() -> None:
-    """The same unseen seeds, so that only another instruction set's rounding makes a difference."""
-    for path in kept("policy.onnx"):
-        settings: dict[str, Any] = json.loads((path.parent / "settings.json").read_text())
-        assert settings["command"]
-        assert settings["commit"]
-        recorded = settings["score"]
-        policy, task = evaluate_gait.from_onnx(path), f"sandgait/{settings['task']}-v0"
-        score = evaluate_gait.evaluate(task, policy, task, seeds=recorded["episodes"], **settings["options"])
-        assert abs(score.returns.mean() - recorded["return"]) < recorded["return_95"], path
-        assert abs(score.relative_error.mean() - recorded["relative_error"]) < 0.02, path
+@pytest.mark.parametrize("kind", [PPO, SAC])
+def test_the_servers_actions_are_sb3s(kind: Any, tmp_path: Path) -> None:
+    """Over whole episodes, and step by step the same bits."""
+    model, normalize = untrained(kind)
+    path = sandgait.export_onnx(model, tmp_path / "policy.onnx", normalize)
+    assert path == tmp_path / "policy.onnx"
+    env = sandgait.SandgaitVectorEnv(ID, 20, max_episode_steps=STEPS)
+    rows, _ = env.reset(seed=5)
+    rollout = env.rollout_policy(path, STEPS, trajectories=True)
+    assert rollout.actions.shape == (STEPS, 20, 6)
+    assert (rollout.lengths == STEPS).mean() > 0.5
+    worst, returns = 0.0, np.zeros(20)
+    for k in range(STEPS):
+        running = k < rollout.lengths
+        expected = model.predict(normalize.normalize_obs(rows), deterministic=True)[0]
+        worst = max(worst, float(np.abs(expected - rollout.actions[k])[running].max()))
+        rows, rewards, terminated, truncated, infos = env.step(rollout.actions[k])
+        returns += np.where(running, rewards, 0.0)
+        last = np.array([infos["final_obs"][i] if terminated[i] | truncated[i] else rows[i] for i in range(20)])
+        assert np.array_equal(last[running], rollout.observations[k][running])
+        assert np.array_equal(rewards[running].astype(np.float32), rollout.rewards[k][running])
+    assert worst < 1e-5
+    assert returns == pytest.approx(rollout.returns)
+    env.close()
+    normalize.close()
 
 
-def test_clocks_walk_as_recorded() -> None:
-    for path in kept("clocks.json"):
-        made = json.loads(path.read_text())
-        for name, recorded in made["scores"].items():
-            policy = train_clock.policy(np.array(made["clocks"][name]))
-            options = {**made["options"], "control": "clock"}
-            score = evaluate_gait.evaluate(name, policy, seeds=recorded["episodes"], **options)
-            assert abs(score.returns.mean() - recorded["return"]) < max(recorded["return_95"], 0.5), name
-            assert abs(score.speed.mean() - recorded["speed"]) < 0.005, name
+def test_a_rollout_changes_nothing_and_several_servers_give_the_same(exported: Path, remote: Any) -> None:
+    env = sandgait.SandgaitVectorEnv(ID, 20)
+    spread = sandgait.SandgaitVectorEnv(ID, 20, [server.address(), remote.address])
+    for each in (env, spread):
+        each.reset(seed=2)
+    one, other = (each.rollout_policy(exported.read_bytes(), 30, trajectories=True) for each in (env, spread))
+    assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+    again = env.rollout_policy(exported, 30)
+    assert np.array_equal(one.returns, again.returns)
+    assert again.actions.size == 0
+    for each in (env, spread):
+        each.close()
 
 
-def test_strokes_push_as_recorded() -> None:
-    for path in kept("strokes.json"):
-        made = json.loads(path.read_text())
-        for stroke in made["strokes"]:
-            given = {**made["options"], "stroke": {**made["options"].get("stroke", {}), "start": stroke["start"]}}
-            env = sandgait.SandgaitVectorEnv("sandgait/LegStroke-v0", 1, **given)
-            env.reset(seed=0)
-            actions = np.array(stroke["actions"])[:, None]
-            assert abs(float(env.rollout(actions).returns[0]) - stroke["score"]) < 0.005, stroke["name"]
-            env.close()
+def test_wrong_policies_are_refused(exported: Path, tmp_path: Path) -> None:
+    env = sandgait.SandgaitVectorEnv(ID, 2)
+    env.reset(seed=0)
+    with pytest.raises(sandgait.InvalidRequest, match=r"steps: 501 is outside \[1, 500\]"):
+        env.rollout_policy(exported, 501)
+    with pytest.raises(sandgait.InvalidRequest, match="policy: this is no ONNX file"):
+        env.rollout_policy(b"nothing", 5)
+    with pytest.raises(sandgait.InvalidRequest, match=r"missing\.onnx"):
+        env.rollout_policy("missing.onnx", 5)
+    assert env.step(np.zeros((2, 6)))[0].shape == (2, 40)
+    env.close()
+    legs = sandgait.SandgaitVectorEnv("sandgait/HexapodLegs-v0", 1)
+    legs.reset(seed=0)
+    with pytest.raises(sandgait.InvalidRequest, match="40 numbers a row, this task has 83"):
+        legs.rollout_policy(exported, 5)
+    legs.close()
+
+
+def test_only_policies_of_continuous_actions_are_exported(tmp_path: Path) -> None:
+    with pytest.raises(sandgait.InvalidRequest, match="DQNPolicy is no policy of PPO"):
+        sandgait.export_onnx(DQN("MlpPolicy", "CartPole-v1", buffer_size=10, device="cpu"), tmp_path / "x.onnx")
+    assert not (tmp_path / "x.onnx").exists()
+
+
+@pytest.mark.parametrize("gait", ["tripod:2", "tripod", "policy"])
+def test_an_evaluation_is_the_command_lines(gait: str, exported: Path, tmp_path: Path) -> None:
+    policy = str(exported) if gait == "policy" else gait
+    options = {"max_episode_steps": 60, "leg": "C"}
+    told: list[float] = []
+    table = sandgait.evaluate(policy, seeds=8, slopes=[0, 5], progress=lambda done, _: told.append(done), **options)
+    report = tmp_path / "report.json"
+    arguments = ["--seeds", "8", "--slopes", "0,5", "--options", json.dumps(options), "--json", str(report)]
+    subprocess.run([server.find_binary(), "evaluate", policy, *arguments], check=True, capture_output=True)
+    rows = json.loads(report.read_text())["results"]
+    assert [row["slope_deg"] for row in rows] == [0.0, 5.0]
+    assert set(rows[0]) == set(table)
+    for name in table:
+        for value, row in zip(table[name], rows, strict=True):
+            assert value == row[name] or (row[name] is None and np.isnan(value))
+    assert table.units["speed"] == "m/s"
+    assert told == sorted(told)
+    assert table.to_frame().shape == (2, len(table))
+
+
+def test_wrong_evaluations_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(sandgait.InvalidRequest, match='policy "crawl" is unknown'):
+        sandgait.evaluate("crawl")
+    with pytest.raises(sandgait.InvalidRequest, match=r"no-such\.onnx"):
+        sandgait.evaluate("no-such.onnx")
+    with pytest.raises(sandgait.InvalidRequest, match="seeds: 1 is outside"):
+        sandgait.evaluate("random", seeds=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -164,8 +165,8 @@ assert not pygame.display.get_init()
 
 
 def test_a_window_shows_the_same_pictures() -> None:
-    environment = {"SDL_VIDEODRIVER": "dummy", "PATH": "/usr/bin:/bin", "SANDGAIT_BINARY": server.find_binary()}
-    environment["PYTHONPATH"] = str(Path(sandgait.__file__).parents[1])
+    places = {"SANDGAIT_BINARY": server.find_binary(), "PYTHONPATH": str(Path(sandgait.__file__).parents[1])}
+    environment = {**os.environ, **places, "SDL_VIDEODRIVER": "dummy"}
     done = subprocess.run([sys.executable, "-c", HUMAN], env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
 

@@ -25,52 +25,83 @@ const STEP: f64 = 2.5e-4;
 const SEGMENTS: usize = 17;
 const REPETITIONS: usize = 3;
 
-/// Leg, frequency [Hz], slope [°], payload [kg], start in the bed [m].
-const CONDITIONS: [(&str, f64, f64, f64, f64); 10] = [
-    ("L", 2.0, 0.0, 0.0, 0.2),
-    ("L", 3.0, 0.0, 0.0, -0.2),
-    ("L", 4.0, 0.0, 0.0, 0.0),
-    ("L", 3.0, 5.0, 0.0, 0.1),
-    ("L", 2.5, 0.0, 0.03, -0.1),
-    ("revL", 2.0, 0.0, 0.0, 0.2),
-    ("revL", 3.0, 0.0, 0.0, -0.2),
-    ("revL", 4.0, 0.0, 0.0, 0.0),
-    ("revL", 3.0, 5.0, 0.0, 0.1),
-    ("revL", 2.5, 0.0, 0.03, -0.1),
-];
+/// How a condition is walked.
+#[derive(Clone, Copy, Debug)]
+pub struct Condition {
+    pub leg: &'static str,
+    /// [Hz]
+    pub frequency: f64,
+    pub slope_deg: f64,
+    /// [kg]
+    pub payload: f64,
+    /// Start in the bed [m].
+    pub x_bed: f64,
+}
+
+/// Both legs at three frequencies, uphill, and with a load.
+pub fn orderly() -> Vec<Condition> {
+    let rows = [
+        (2.0, 0.0, 0.0, 0.2),
+        (3.0, 0.0, 0.0, -0.2),
+        (4.0, 0.0, 0.0, 0.0),
+        (3.0, 5.0, 0.0, 0.1),
+        (2.5, 0.0, 0.03, -0.1),
+    ];
+    let of = |leg| {
+        rows.map(|(frequency, slope_deg, payload, x_bed)| Condition { leg, frequency, slope_deg, payload, x_bed })
+    };
+    ["L", "revL"].map(of).concat()
+}
+
+/// As many conditions, drawn.
+pub fn drawn(seed: u64) -> Vec<Condition> {
+    let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed ^ 0xde51);
+    let mut condition = |leg| Condition {
+        leg,
+        frequency: [1.5, 2.0, 2.5, 3.0, 4.0][rng.random_range(0..5)],
+        slope_deg: [0.0, 0.0, 5.0, -5.0][rng.random_range(0..4)],
+        payload: [0.0, 0.0, 0.03][rng.random_range(0..3)],
+        x_bed: rng.random_range(-0.2..0.2),
+    };
+    ["L", "L", "L", "L", "L", "revL", "revL", "revL", "revL", "C"].map(&mut condition).to_vec()
+}
 
 /// Runs as CSV.
-pub fn runs(seed: u64, hidden: Mechanisms, coefficient_error: f64) -> String {
+pub fn runs(seed: u64, conditions: &[Condition], hidden: Mechanisms, coefficient_error: f64) -> String {
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
     let mut medium = Medium::named("poppy-loose").unwrap();
     medium.bulk_density = 638.0;
     let coefficients = medium.coefficients.to_array().map(|c| c * (1.0 + coefficient_error * normal(&mut rng)));
     medium.coefficients = Coefficients::from_array(coefficients);
     let mut trials = Vec::new();
-    for (leg, frequency, slope_deg, payload, x_bed) in CONDITIONS {
-        let mut robot = Robot::load("xplorer").unwrap().with_leg_shape(leg).unwrap();
+    for c in conditions {
+        let mut robot = Robot::load("xplorer").unwrap().with_leg_shape(c.leg).unwrap();
         robot.leg.link[0].sand.as_mut().unwrap().segments = SEGMENTS;
         for _ in 0..REPETITIONS {
             let mut scene = Scene::flat(medium.clone());
-            (scene.mechanisms, scene.slope_deg, scene.payload, scene.dt) = (hidden, slope_deg, payload, STEP);
+            (scene.mechanisms, scene.slope_deg, scene.payload, scene.dt) = (hidden, c.slope_deg, c.payload, STEP);
             scene.mechanisms.scale = (1.0 + hidden.scale) * (1.0 + STRENGTH * normal(&mut rng)) - 1.0;
-            let trial = Trial::new(Model::new(&robot, &scene).unwrap(), frequency);
-            trials.push(Trial { x_bed, phase: rng.random_range(-PHASE..PHASE), ..trial });
+            let trial = Trial::new(Model::new(&robot, &scene).unwrap(), c.frequency);
+            trials.push(Trial { x_bed: c.x_bed, phase: rng.random_range(-PHASE..PHASE), ..trial });
         }
     }
     let walked = parallel::map(&trials, |t| walk(EngineKind::Rapier, t).unwrap());
-    csv(&walked, &mut rng)
+    csv(conditions, &walked, &mut rng)
 }
 
-fn csv(walked: &[WalkResult], rng: &mut Xoshiro256PlusPlus) -> String {
+fn csv(conditions: &[Condition], walked: &[WalkResult], rng: &mut Xoshiro256PlusPlus) -> String {
     let mut text =
         "run,condition,rep,robot,leg,xi_deg,stride_frequency,slope_deg,payload,x_bed,duration,speed,base_height,\
                     pitch_rms,hip_torque_rms,hip_speed_error_rms\n"
             .to_string();
     for (k, w) in walked.iter().enumerate() {
         let (condition, rep) = (k / REPETITIONS, k % REPETITIONS);
-        let (leg, frequency, slope, payload, x_bed) = CONDITIONS[condition];
-        let xi = if leg == "L" { 45.0 } else { -45.0 };
+        let Condition { leg, frequency, slope_deg: slope, payload, x_bed } = conditions[condition];
+        let xi = match leg {
+            "L" => "45",
+            "revL" => "-45",
+            _ => "",
+        };
         let duration = 4.0 / frequency;
         let _ = write!(
             text,

@@ -3,10 +3,14 @@
 
 use crate::diagnose::experiment::Experiment;
 use crate::error::{Error, Result, check_range};
+use crate::evaluate::{self, Wanted};
 use crate::sand::intrusion::Rotation;
 use crate::sand::{Law, Medium, SandDescription, Shape};
 use crate::service::proto::diagnose_request::Experiment as Source;
-use crate::service::proto::{DiagnoseRequest, File, IntrudeRequest, SweepRequest, Variation, WalkRequest};
+use crate::service::proto::evaluate_request::Policy;
+use crate::service::proto::{
+    DiagnoseRequest, EvaluateRequest, File, IntrudeRequest, SweepRequest, Variation, WalkRequest,
+};
 use crate::service::{proto, values};
 use crate::sim::engine::EngineKind;
 use crate::sim::model::Scene;
@@ -136,6 +140,18 @@ fn axis(variation: Variation) -> Result<Axis> {
         return Err(Error::invalid(parameter, "numbers exclude names"));
     }
     Axis::new(&parameter, numbers.iter().map(f64::to_string).chain(names).collect())
+}
+
+pub fn evaluate(request: EvaluateRequest) -> Result<evaluate::Request> {
+    let EvaluateRequest { policy, task_id, options, seeds, media, slopes } = request;
+    let policy = match policy {
+        None => return Err(Error::invalid("policy", "none given")),
+        Some(Policy::Onnx(file)) => Wanted::Network { name: file.name, bytes: file.content.into() },
+        // A server does not read files that a client names.
+        Some(Policy::Gait(text)) => Wanted::parse(&text, |file| Err(Error::invalid(file, "send its content")))?,
+    };
+    let seeds = seeds.map_or(evaluate::Request::SEEDS, |n| n as usize);
+    Ok(evaluate::Request { policy, task: task_id, options: values::to_json(options)?, seeds, media, slopes })
 }
 
 pub fn diagnose(request: DiagnoseRequest) -> Result<(File, Experiment)> {

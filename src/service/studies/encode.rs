@@ -1,6 +1,7 @@
 //! From results to tables: columns of f64 with names and units.
 
 use crate::diagnose::report::Curves;
+use crate::evaluate::{self, Row};
 use crate::sand::intrusion::Load;
 use crate::service::proto::{Series, Table};
 use crate::sim::walk::{Trial, WalkResult};
@@ -65,6 +66,12 @@ pub fn grid(axes: &[Axis], results: &[WalkResult]) -> Vec<Series> {
 pub fn optimum(axes: &[Axis], best: &Optimum) -> Vec<Series> {
     let value = |(axis, value): (&Axis, &f64)| numbers(axis.parameter.name, axis.parameter.unit, [*value].into_iter());
     axes.iter().zip(&best.values).map(value).chain(walks(&[best.result])).collect()
+}
+
+pub fn evaluation(rows: &[Row]) -> Vec<Series> {
+    let media = names("medium", rows.iter().map(|r| r.medium.as_str()));
+    let columns = evaluate::table::columns(rows).into_iter().map(|c| numbers(&c.name, c.unit, c.values.into_iter()));
+    std::iter::once(media).chain(columns).collect()
 }
 
 /// One row a sample, in the order of the observations.

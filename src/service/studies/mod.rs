@@ -10,8 +10,9 @@ mod line;
 use super::off_runtime;
 use super::proto::study_service_server::StudyService;
 use super::proto::{self, DiagnoseRequest, DiagnoseResponse, IntrudeRequest, IntrudeResponse};
-use super::proto::{SweepRequest, SweepResponse, WalkRequest, WalkResponse};
+use super::proto::{EvaluateRequest, EvaluateResponse, SweepRequest, SweepResponse, WalkRequest, WalkResponse};
 use crate::error::{Error, Result};
+use crate::evaluate::Study;
 use crate::progress::Progress;
 use crate::sweep::{grid, optimize, walk_all};
 use line::{Answer, Line};
@@ -20,7 +21,7 @@ use tokio_stream::wrappers::ReceiverStream;
 use tokio_util::sync::CancellationToken;
 use tonic::{Request, Response, Status};
 
-/// Largest request [bytes]: 200,000 rows of a force log, the most that are diagnosed, have about 40 MB.
+/// Largest request [bytes]: 40,000 rows of a force log, the most that are diagnosed, have about 8 MB.
 pub const MOST_BYTES: usize = 64 << 20;
 
 /// The studies of one server.
@@ -80,6 +81,20 @@ impl StudyService for Studies {
         self.line.enter(work).map(Response::new)
     }
 
+    type EvaluateStream = Events<EvaluateResponse>;
+
+    async fn evaluate(
+        &self,
+        request: Request<EvaluateRequest>,
+    ) -> std::result::Result<Response<Self::EvaluateStream>, Status> {
+        let study = off_runtime(move || Study::new(&decode::evaluate(request.into_inner())?)).await?;
+        let work = move |progress: &dyn Progress| {
+            let table = encode::table(encode::evaluation(&study.run(progress)?), Vec::new());
+            Ok(EvaluateResponse { event: Some(proto::evaluate_response::Event::Table(table)) })
+        };
+        self.line.enter(work).map(Response::new)
+    }
+
     type DiagnoseStream = Events<DiagnoseResponse>;
 
     async fn diagnose(
@@ -124,6 +139,12 @@ impl Answer for WalkResponse {
 impl Answer for SweepResponse {
     fn progress(progress: proto::Progress) -> Self {
         Self { event: Some(proto::sweep_response::Event::Progress(progress)) }
+    }
+}
+
+impl Answer for EvaluateResponse {
+    fn progress(progress: proto::Progress) -> Self {
+        Self { event: Some(proto::evaluate_response::Event::Progress(progress)) }
     }
 }
 

@@ -129,7 +129,7 @@ class SessionSummary(_message.Message):
     def __init__(self, name: _Optional[str] = ..., task_id: _Optional[str] = ..., num_envs: _Optional[int] = ..., attached: bool = ..., sequence: _Optional[int] = ..., idle_seconds: _Optional[float] = ...) -> None: ...
 
 class RunSessionRequest(_message.Message):
-    __slots__ = ("session_id", "sequence", "reset", "step", "attach", "save", "restore", "rollout", "render", "observe")
+    __slots__ = ("session_id", "sequence", "reset", "step", "attach", "save", "restore", "rollout", "policy_rollout", "render", "observe")
     SESSION_ID_FIELD_NUMBER: _ClassVar[int]
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     RESET_FIELD_NUMBER: _ClassVar[int]
@@ -138,6 +138,7 @@ class RunSessionRequest(_message.Message):
     SAVE_FIELD_NUMBER: _ClassVar[int]
     RESTORE_FIELD_NUMBER: _ClassVar[int]
     ROLLOUT_FIELD_NUMBER: _ClassVar[int]
+    POLICY_ROLLOUT_FIELD_NUMBER: _ClassVar[int]
     RENDER_FIELD_NUMBER: _ClassVar[int]
     OBSERVE_FIELD_NUMBER: _ClassVar[int]
     session_id: str
@@ -148,9 +149,10 @@ class RunSessionRequest(_message.Message):
     save: Save
     restore: Restore
     rollout: Rollout
+    policy_rollout: PolicyRollout
     render: Render
     observe: Observe
-    def __init__(self, session_id: _Optional[str] = ..., sequence: _Optional[int] = ..., reset: _Optional[_Union[Reset, _Mapping]] = ..., step: _Optional[_Union[Step, _Mapping]] = ..., attach: _Optional[_Union[Attach, _Mapping]] = ..., save: _Optional[_Union[Save, _Mapping]] = ..., restore: _Optional[_Union[Restore, _Mapping]] = ..., rollout: _Optional[_Union[Rollout, _Mapping]] = ..., render: _Optional[_Union[Render, _Mapping]] = ..., observe: _Optional[_Union[Observe, _Mapping]] = ...) -> None: ...
+    def __init__(self, session_id: _Optional[str] = ..., sequence: _Optional[int] = ..., reset: _Optional[_Union[Reset, _Mapping]] = ..., step: _Optional[_Union[Step, _Mapping]] = ..., attach: _Optional[_Union[Attach, _Mapping]] = ..., save: _Optional[_Union[Save, _Mapping]] = ..., restore: _Optional[_Union[Restore, _Mapping]] = ..., rollout: _Optional[_Union[Rollout, _Mapping]] = ..., policy_rollout: _Optional[_Union[PolicyRollout, _Mapping]] = ..., render: _Optional[_Union[Render, _Mapping]] = ..., observe: _Optional[_Union[Observe, _Mapping]] = ...) -> None: ...
 
 class Attach(_message.Message):
     __slots__ = ()
@@ -175,6 +177,16 @@ class Rollout(_message.Message):
     actions: bytes
     trajectories: bool
     def __init__(self, actions: _Optional[bytes] = ..., trajectories: bool = ...) -> None: ...
+
+class PolicyRollout(_message.Message):
+    __slots__ = ("onnx", "steps", "trajectories")
+    ONNX_FIELD_NUMBER: _ClassVar[int]
+    STEPS_FIELD_NUMBER: _ClassVar[int]
+    TRAJECTORIES_FIELD_NUMBER: _ClassVar[int]
+    onnx: bytes
+    steps: int
+    trajectories: bool
+    def __init__(self, onnx: _Optional[bytes] = ..., steps: _Optional[int] = ..., trajectories: bool = ...) -> None: ...
 
 class Render(_message.Message):
     __slots__ = ("indices", "width", "height", "ended")
@@ -261,7 +273,7 @@ class Snapshot(_message.Message):
     def __init__(self, data: _Optional[bytes] = ...) -> None: ...
 
 class RolloutPart(_message.Message):
-    __slots__ = ("first_step", "steps", "observations", "rewards", "returns", "lengths", "terminated", "truncated")
+    __slots__ = ("first_step", "steps", "observations", "rewards", "returns", "lengths", "terminated", "truncated", "actions")
     FIRST_STEP_FIELD_NUMBER: _ClassVar[int]
     STEPS_FIELD_NUMBER: _ClassVar[int]
     OBSERVATIONS_FIELD_NUMBER: _ClassVar[int]
@@ -270,6 +282,7 @@ class RolloutPart(_message.Message):
     LENGTHS_FIELD_NUMBER: _ClassVar[int]
     TERMINATED_FIELD_NUMBER: _ClassVar[int]
     TRUNCATED_FIELD_NUMBER: _ClassVar[int]
+    ACTIONS_FIELD_NUMBER: _ClassVar[int]
     first_step: int
     steps: int
     observations: bytes
@@ -278,7 +291,8 @@ class RolloutPart(_message.Message):
     lengths: bytes
     terminated: bytes
     truncated: bytes
-    def __init__(self, first_step: _Optional[int] = ..., steps: _Optional[int] = ..., observations: _Optional[bytes] = ..., rewards: _Optional[bytes] = ..., returns: _Optional[bytes] = ..., lengths: _Optional[bytes] = ..., terminated: _Optional[bytes] = ..., truncated: _Optional[bytes] = ...) -> None: ...
+    actions: bytes
+    def __init__(self, first_step: _Optional[int] = ..., steps: _Optional[int] = ..., observations: _Optional[bytes] = ..., rewards: _Optional[bytes] = ..., returns: _Optional[bytes] = ..., lengths: _Optional[bytes] = ..., terminated: _Optional[bytes] = ..., truncated: _Optional[bytes] = ..., actions: _Optional[bytes] = ...) -> None: ...
 
 class Batch(_message.Message):
     __slots__ = ("observations", "rewards", "terminated", "truncated", "infos", "final_indices", "final_observations")

@@ -144,6 +144,32 @@ class SweepResponse(_message.Message):
     table: Table
     def __init__(self, progress: _Optional[_Union[Progress, _Mapping]] = ..., table: _Optional[_Union[Table, _Mapping]] = ...) -> None: ...
 
+class EvaluateRequest(_message.Message):
+    __slots__ = ("onnx", "gait", "task_id", "options", "seeds", "media", "slopes")
+    ONNX_FIELD_NUMBER: _ClassVar[int]
+    GAIT_FIELD_NUMBER: _ClassVar[int]
+    TASK_ID_FIELD_NUMBER: _ClassVar[int]
+    OPTIONS_FIELD_NUMBER: _ClassVar[int]
+    SEEDS_FIELD_NUMBER: _ClassVar[int]
+    MEDIA_FIELD_NUMBER: _ClassVar[int]
+    SLOPES_FIELD_NUMBER: _ClassVar[int]
+    onnx: File
+    gait: str
+    task_id: str
+    options: _struct_pb2.Struct
+    seeds: int
+    media: _containers.RepeatedScalarFieldContainer[str]
+    slopes: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, onnx: _Optional[_Union[File, _Mapping]] = ..., gait: _Optional[str] = ..., task_id: _Optional[str] = ..., options: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ..., seeds: _Optional[int] = ..., media: _Optional[_Iterable[str]] = ..., slopes: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class EvaluateResponse(_message.Message):
+    __slots__ = ("progress", "table")
+    PROGRESS_FIELD_NUMBER: _ClassVar[int]
+    TABLE_FIELD_NUMBER: _ClassVar[int]
+    progress: Progress
+    table: Table
+    def __init__(self, progress: _Optional[_Union[Progress, _Mapping]] = ..., table: _Optional[_Union[Table, _Mapping]] = ...) -> None: ...
+
 class DiagnoseRequest(_message.Message):
     __slots__ = ("data", "file", "values")
     DATA_FIELD_NUMBER: _ClassVar[int]

@@ -1,0 +1,93 @@
+//! `sandgait evaluate`
+
+use super::Bar;
+use sandgait::env::gait::HexapodGait;
+use sandgait::evaluate::{Request, Row, Study, Wanted, table};
+use sandgait::{Error, Result};
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+
+/// How good is a gait? Returns, speeds, costs and falls over unseen seeds, per medium and slope.
+///
+/// POLICY is an ONNX file (sandgait.export_onnx writes one), or a gait that needs no learning: tripod:HZ turns every hip at
+/// one rate, tripod searches the best rate on other seeds than those reported, clock:FILE.json and clock:N,N,… hold one
+/// action of control="clock", standing, random. docs/evaluate.md defines every figure.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:
+  sandgait evaluate runs/gait/policy.onnx --media poppy-loose,poppy-close --slopes 0,5,10
+  sandgait evaluate tripod --slopes 0,10 --json tripod.json
+  sandgait evaluate clock:best.json --options '{\"leg\": \"C\"}' --csv clock.csv")]
+pub struct Evaluate {
+    /// FILE.onnx, tripod[:HZ], clock:FILE.json, clock:N,N,…, standing or random
+    #[arg(allow_hyphen_values = true)]
+    policy: String,
+    #[arg(long, value_name = "ID", default_value = HexapodGait::ID)]
+    task: String,
+    /// Options of the task, as for gymnasium.make
+    #[arg(long, value_name = "JSON")]
+    options: Option<String>,
+    /// Episodes, one a seed, from seed 1,000,000 on
+    #[arg(long, value_name = "N", default_value_t = Request::SEEDS)]
+    seeds: usize,
+    /// Sands in place of the options' own
+    #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
+    media: Vec<String>,
+    /// Slopes in place of the options' own [°]
+    #[arg(long, value_name = "DEG,…", value_delimiter = ',', allow_hyphen_values = true)]
+    slopes: Vec<f64>,
+    /// Also write everything here
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+    /// Also write one line a medium and slope here
+    #[arg(long, value_name = "FILE")]
+    csv: Option<PathBuf>,
+}
+
+impl Evaluate {
+    pub fn run(self) -> Result<String> {
+        let read = |file: &str| std::fs::read(file).map_err(|e| Error::file(Path::new(file), e));
+        let options = self.options.as_deref().map_or(Ok(Value::Null), |text| {
+            serde_json::from_str(text).map_err(|e| Error::invalid("--options", format!("not JSON: {e}")))
+        })?;
+        let request = Request {
+            policy: Wanted::parse(&self.policy, read)?,
+            task: self.task,
+            options,
+            seeds: self.seeds,
+            media: self.media,
+            slopes: self.slopes,
+        };
+        let study = Study::new(&request)?;
+        // Found out now, not when the work is done.
+        for path in [&self.json, &self.csv].into_iter().flatten() {
+            writable(path)?;
+        }
+        let rows = study.run(&Bar::new())?;
+        let about = Study::about(&request);
+        let text = report(&about, &rows);
+        let files = [(self.json, super::json(&table::json(about, &rows))), (self.csv, table::csv(&rows))];
+        for (path, content) in files {
+            let Some(path) = path else { continue };
+            std::fs::write(&path, content).map_err(|e| Error::file(&path, e))?;
+        }
+        Ok(text)
+    }
+}
+
+/// Refuses a file whose folder is not there or that is a folder itself; makes nothing.
+fn writable(path: &Path) -> Result<()> {
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    if path.is_dir() || !folder.is_dir() {
+        return Err(Error::file(path, "no file can be written there"));
+    }
+    Ok(())
+}
+
+fn report(about: &Value, rows: &[Row]) -> String {
+    let range = |key: &str| about[key].as_array().map(|r| format!("{} to {}", r[0], r[1]));
+    let mut head =
+        format!("{}, {}", about["policy"].as_str().unwrap_or_default(), about["task"].as_str().unwrap_or_default());
+    head += &range("seeds").map_or(String::new(), |r| format!(", seeds {r}"));
+    head += &range("search_seeds").map_or(String::new(), |r| format!("; rate searched on seeds {r}"));
+    format!("{head}\n\n{}\n{}\n", super::table(&table::cells(rows)), table::notes(rows).join("\n"))
+}

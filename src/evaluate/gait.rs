@@ -1,0 +1,159 @@
+//! Who is evaluated: an uploaded network, or a gait that needs none.
+
+use crate::env::random::Random;
+use crate::env::task::Blueprint;
+use crate::env::{Shard, Spec};
+use crate::error::{Error, Result, check_range};
+use crate::policy::Network;
+use serde_json::{Value, json};
+use std::sync::Arc;
+
+/// Stride frequency at action 1 of a hip that is driven by its speed [Hz].
+const TOP_RATE: f64 = crate::env::control::TOP_SPEED / std::f64::consts::TAU;
+
+/// What the command line calls a gait, before it has met its task.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Wanted {
+    /// An ONNX file: its name for people, and its bytes.
+    Network { name: String, bytes: Vec<u8> },
+    /// Every hip at one rate [Hz]; without one, the best is searched.
+    Tripod(Option<f64>),
+    /// One action of a task with `control="clock"`, held.
+    Clock(Vec<f64>),
+    /// Action 0 throughout: hips that do not turn.
+    Standing,
+    /// Uniform in the action space, anew in every step.
+    Random,
+}
+
+const KNOWN: [&str; 5] = ["FILE.onnx", "tripod[:HZ]", "clock:FILE.json or clock:NUMBERS", "standing", "random"];
+
+impl Wanted {
+    /// What `text` names; files are read by `read`, which may refuse to.
+    pub fn parse(text: &str, read: impl Fn(&str) -> Result<Vec<u8>>) -> Result<Self> {
+        let (kind, rest) = text.split_once(':').map_or((text, None), |(kind, rest)| (kind, Some(rest)));
+        match (kind, rest) {
+            ("standing", None) => Ok(Self::Standing),
+            ("random", None) => Ok(Self::Random),
+            ("tripod", None) => Ok(Self::Tripod(None)),
+            ("tripod", Some(rate)) => {
+                let rate =
+                    rate.parse().map_err(|_| Error::invalid("tripod", format!("{rate:?} is no number of Hz")))?;
+                check_range("tripod", rate, -TOP_RATE..=TOP_RATE).map(|rate| Self::Tripod(Some(rate)))
+            }
+            ("clock", Some(file)) if file.ends_with(".json") => {
+                let content = read(file)?;
+                let numbers = serde_json::from_slice(&content);
+                let wrong = |e| Error::invalid(file, format!("not a list of numbers: {e}"));
+                numbers.map(Self::Clock).map_err(wrong)
+            }
+            ("clock", Some(numbers)) => {
+                let number =
+                    |n: &str| n.trim().parse().map_err(|_| Error::invalid("clock", format!("{n:?} is no number")));
+                numbers.split(',').map(number).collect::<Result<_>>().map(Self::Clock)
+            }
+            _ if text.ends_with(".onnx") => Ok(Self::Network { name: text.into(), bytes: read(text)? }),
+            _ => Err(Error::unknown("policy", text, &KNOWN)),
+        }
+    }
+
+    /// The way of driving that it needs, if it needs one.
+    fn control(&self) -> Option<&'static str> {
+        match self {
+            Self::Tripod(_) | Self::Standing => Some("hip_speed"),
+            Self::Clock(_) => Some("clock"),
+            Self::Network { .. } | Self::Random => None,
+        }
+    }
+
+    /// `options` with what it needs.
+    pub fn with_control(&self, mut options: Value) -> Result<Value> {
+        let Some(needed) = self.control() else { return Ok(options) };
+        if options.is_null() {
+            options = json!({});
+        }
+        let Value::Object(keywords) = &mut options else {
+            return Err(Error::invalid("options", "not an object of keywords"));
+        };
+        match keywords.insert("control".into(), needed.into()) {
+            Some(given) if given != needed => {
+                Err(Error::invalid("control", format!("this gait needs {needed:?}, not {given}")))
+            }
+            _ => Ok(options),
+        }
+    }
+
+    /// Ready to play `blueprint`'s task; none for the tripod whose rate is to be searched.
+    pub fn gait(&self, blueprint: &Blueprint) -> Result<Option<Gait>> {
+        let spec = blueprint.task.spec();
+        let width = spec.action.len();
+        Ok(Some(match self {
+            Self::Network { bytes, .. } => Gait::Network(Arc::new(Network::new(bytes, spec)?)),
+            Self::Tripod(None) => return Ok(None),
+            Self::Tripod(Some(rate)) => Gait::tripod(*rate, spec),
+            Self::Standing => Gait::Held(vec![0.0; width]),
+            Self::Random => Gait::Random,
+            Self::Clock(action) => Gait::Held(held(action, spec)?),
+        }))
+    }
+}
+
+/// A clock's action, checked.
+fn held(action: &[f64], spec: &Spec) -> Result<Vec<f32>> {
+    let columns = &spec.action;
+    if action.len() != columns.len() {
+        let reason = format!("{} numbers, an action of this task has {}", action.len(), columns.len());
+        return Err(Error::invalid("clock", reason));
+    }
+    let row: Vec<f32> = action.iter().map(|a| *a as f32).collect();
+    for (k, (value, column)) in row.iter().zip(columns).enumerate() {
+        column.check(*value, || format!("clock[{k}]"))?;
+    }
+    Ok(row)
+}
+
+/// Chooses the actions of a task.
+#[derive(Clone)]
+pub enum Gait {
+    Network(Arc<Network>),
+    /// f32 [action], in every step.
+    Held(Vec<f32>),
+    Random,
+}
+
+impl Gait {
+    /// Every hip at `rate` [Hz].
+    pub fn tripod(rate: f64, spec: &Spec) -> Self {
+        Self::Held(vec![(rate / TOP_RATE) as f32; spec.action.len()])
+    }
+
+    /// One for the environments of a shard with these seeds.
+    pub fn player(&self, seeds: &[u64]) -> Player<'_> {
+        // Episodes are numbered from 0: this stream is none of theirs.
+        let random = |seed: &u64| Random::new(*seed, u64::MAX);
+        Player { gait: self, random: seeds.iter().map(random).collect() }
+    }
+}
+
+/// A gait that plays.
+pub struct Player<'a> {
+    gait: &'a Gait,
+    random: Vec<Random>,
+}
+
+impl Player<'_> {
+    /// Fills `actions`, f32 [envs, action].
+    pub fn act(&mut self, shard: &Shard, actions: &mut [f32]) -> Result<()> {
+        let width = shard.actions();
+        match self.gait {
+            Gait::Network(network) => return network.act(&shard.rows.observations, actions),
+            Gait::Held(row) => actions.chunks_exact_mut(width).for_each(|a| a.copy_from_slice(row)),
+            Gait::Random => {
+                for (row, random) in actions.chunks_exact_mut(width).zip(&mut self.random) {
+                    row.fill_with(|| random.uniform(-1.0, 1.0) as f32);
+                }
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,75 @@
+//! Episodes side by side: as many seeds in a shard as its engine has room for, shards over the cores.
+
+use super::episode::{Columns, Episode};
+use super::gait::Gait;
+use crate::env::Shard;
+use crate::env::task::Blueprint;
+use crate::error::Result;
+use crate::parallel;
+use crate::progress::Progress;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// One episode a seed of one gait.
+pub struct Job<'a> {
+    pub blueprint: &'a Blueprint,
+    pub gait: &'a Gait,
+    pub seeds: &'a [u64],
+}
+
+/// Control steps between two reports of progress: some milliseconds of work, our choice.
+const HEED: usize = 50;
+
+/// The episodes of every job, in order of its seeds. What an episode does depends on its seed alone, not on its
+/// neighbours, the threads or the other jobs. An error of `progress` stops the work.
+pub fn play(jobs: &[Job], progress: &dyn Progress) -> Result<Vec<Vec<Episode>>> {
+    let size = |job: &Job| job.blueprint.engine.shard_size();
+    let blocks: Vec<(&Job, &[u64])> =
+        jobs.iter().flat_map(|job| job.seeds.chunks(size(job)).map(move |seeds| (job, seeds))).collect();
+    let longest = |job: &Job| job.blueprint.task.spec().max_episode_steps as usize;
+    let total: usize = blocks.iter().map(|(job, _)| longest(job)).sum();
+    let (done, episodes) = (AtomicUsize::new(0), jobs.iter().map(|job| job.seeds.len()).sum::<usize>());
+    let stage = format!("{episodes} episodes");
+    let advance = |steps: usize| {
+        let steps = done.fetch_add(steps, Ordering::Relaxed) + steps;
+        progress.report((steps as f64 / total as f64).min(1.0), &stage)
+    };
+    let played = parallel::map(&blocks, |(job, seeds)| {
+        // Once stopped, no further block sets out.
+        advance(0)?;
+        let (steps, episodes) = block(job, seeds, &|| advance(HEED))?;
+        // Episodes that ended early leave steps undone, and the last ones were not told yet.
+        advance(longest(job) - steps / HEED * HEED)?;
+        Ok(episodes)
+    });
+    let mut played = played.into_iter();
+    jobs.iter()
+        .map(|job| {
+            let blocks = played.by_ref().take(job.seeds.len().div_ceil(size(job)));
+            Ok(blocks.collect::<Result<Vec<_>>>()?.concat())
+        })
+        .collect()
+}
+
+/// Plays until the last of these episodes has ended; gives the steps that took. `heed` is called every [`HEED`] of them.
+fn block(job: &Job, seeds: &[u64], heed: &dyn Fn() -> Result<()>) -> Result<(usize, Vec<Episode>)> {
+    let spec = job.blueprint.task.spec();
+    let (columns, period) = (Columns::of(spec)?, 1.0 / spec.control_rate);
+    let mut shard = Shard::new(job.blueprint, seeds.len())?;
+    shard.reset(|_| true, Some(seeds), None);
+    let mut player = job.gait.player(seeds);
+    let mut actions = vec![0.0; seeds.len() * spec.action.len()];
+    let mut episodes: Vec<_> = seeds.iter().map(|seed| Episode { seed: *seed, ..Episode::default() }).collect();
+    let mut steps = 0;
+    while episodes.iter().any(|e| !e.over) {
+        let running: Vec<usize> = (0..seeds.len()).filter(|i| !episodes[*i].over).collect();
+        running.iter().for_each(|i| episodes[*i].look(&shard, *i, period));
+        player.act(&shard, &mut actions)?;
+        shard.step(&actions);
+        running.iter().for_each(|i| episodes[*i].add(&shard, *i, columns, period));
+        steps += 1;
+        if steps % HEED == 0 {
+            heed()?;
+        }
+    }
+    Ok((steps, episodes))
+}

@@ -1,0 +1,118 @@
+//! Results as a table for people, as CSV and as JSON.
+
+use super::{Estimate, Row};
+use serde_json::{Value, json};
+
+/// Every figure: its name in files, its heading and unit for people, and its decimals.
+const FIGURES: [Figure; 6] = [
+    Figure { name: "return", heading: "return", digits: 1, of: |r| r.figures.total_reward },
+    Figure { name: "speed", heading: "speed [m/s]", digits: 3, of: |r| r.figures.speed },
+    Figure { name: "speed_error", heading: "speed error [m/s]", digits: 3, of: |r| r.figures.speed_error },
+    Figure { name: "cost_of_transport", heading: "cost of transport", digits: 2, of: |r| r.figures.cost_of_transport },
+    Figure { name: "slip", heading: "slip", digits: 3, of: |r| r.figures.slip },
+    Figure { name: "falls", heading: "falls", digits: 2, of: |r| r.figures.falls },
+];
+
+struct Figure {
+    name: &'static str,
+    heading: &'static str,
+    digits: usize,
+    of: fn(&Row) -> Estimate,
+}
+
+/// A column of numbers: name, unit, one number a row.
+pub struct Column {
+    pub name: String,
+    pub unit: &'static str,
+    pub values: Vec<f64>,
+}
+
+/// Everything but the media's names, as columns.
+pub fn columns(rows: &[Row]) -> Vec<Column> {
+    let column = |name: &str, unit, of: &dyn Fn(&Row) -> f64| Column {
+        name: name.into(),
+        unit,
+        values: rows.iter().map(of).collect(),
+    };
+    let mut all = vec![column("slope_deg", "°", &|r| r.slope_deg)];
+    if rows.iter().any(|r| r.rate.is_some()) {
+        all.push(column("rate", "Hz", &|r| r.rate.unwrap_or(f64::NAN)));
+    }
+    all.push(column("episodes", "1", &|r| r.figures.episodes as f64));
+    for Figure { name, of, .. } in FIGURES {
+        let unit = if name.starts_with("speed") { "m/s" } else { "1" };
+        all.push(column(name, unit, &|r| of(r).mean));
+        all.push(column(&format!("{name}_low"), unit, &|r| of(r).low));
+        all.push(column(&format!("{name}_high"), unit, &|r| of(r).high));
+    }
+    all.push(column("diverged", "1", &|r| r.figures.diverged as f64));
+    all
+}
+
+/// One line a row; what is not a number is empty.
+pub fn csv(rows: &[Row]) -> String {
+    let columns = columns(rows);
+    let mut text = String::from("medium");
+    columns.iter().for_each(|c| text += &format!(",{}", c.name));
+    text.push('\n');
+    for (i, row) in rows.iter().enumerate() {
+        let medium = &row.medium;
+        text += &if medium.contains(',') { format!("\"{medium}\"") } else { medium.clone() };
+        for value in columns.iter().map(|c| c.values[i]) {
+            text += &if value.is_finite() { format!(",{value}") } else { ",".into() };
+        }
+        text.push('\n');
+    }
+    text
+}
+
+/// `about` and one object a row; what is not a number is null.
+pub fn json(mut about: Value, rows: &[Row]) -> Value {
+    let columns = columns(rows);
+    let object = |(i, row): (usize, &Row)| {
+        let mut object = json!({"medium": row.medium});
+        columns.iter().for_each(|c| object[&c.name] = json!(c.values[i]));
+        object
+    };
+    about["results"] = rows.iter().enumerate().map(object).collect();
+    about
+}
+
+/// Cells of a table for people, the heading first.
+pub fn cells(rows: &[Row]) -> Vec<Vec<String>> {
+    let searched = rows.iter().any(|r| r.rate.is_some());
+    let mut heading = vec!["medium".to_owned(), "slope [°]".into()];
+    heading.extend(searched.then(|| "rate [Hz]".into()));
+    heading.extend(FIGURES.iter().map(|f| f.heading.to_owned()));
+    let line = |row: &Row| {
+        let mut cells = vec![row.medium.clone(), row.slope_deg.to_string()];
+        cells.extend(row.rate.map(|rate| rate.to_string()));
+        cells.extend(FIGURES.iter().map(|f| cell((f.of)(row), f.digits)));
+        cells
+    };
+    std::iter::once(heading).chain(rows.iter().map(line)).collect()
+}
+
+fn cell(Estimate { mean, low, high }: Estimate, digits: usize) -> String {
+    if mean.is_nan() {
+        return "none".into();
+    }
+    let high = if high.is_nan() { "∞".into() } else { format!("{high:.digits$}") };
+    format!("{mean:.digits$} [{low:.digits$}, {high}]")
+}
+
+/// What the table cannot say by itself; one line each.
+pub fn notes(rows: &[Row]) -> Vec<String> {
+    let mut notes = vec!["[95 % intervals]: bootstrap over episodes; falls: Wilson".to_owned()];
+    if rows.iter().any(|r| r.figures.cost_of_transport.mean.is_nan()) {
+        notes.push("no cost of transport: the robot did not go forward".into());
+    }
+    if rows.iter().any(|r| r.figures.slip.mean.is_nan()) {
+        notes.push("no slip: the feet did not push backward".into());
+    }
+    let diverged: usize = rows.iter().map(|r| r.figures.diverged).sum();
+    if diverged > 0 {
+        notes.push(format!("{diverged} episodes diverged: they count until then"));
+    }
+    notes
+}

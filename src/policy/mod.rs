@@ -1,0 +1,28 @@
+//! Policies that users upload: feed-forward networks as ONNX, computed beside the environments.
+//!
+//! Between env and pool: this layer knows a task's tables, and nothing of threads, sessions or messages.
+//!
+//! * [`format`]: the parts of an ONNX file that are read.
+//! * [`read`]: from a file to a program of checked steps; [`constant`]: its weights.
+//! * [`operator`]: what a step computes, and how wide its result is.
+//! * [`network`]: the program at work.
+//!
+//! A network is computed for [`LANES`] environments at a time, each in a lane of its own, sums in the order of the weights.
+//! So an action's bits depend on the environment's own observation alone, not on its neighbours, the batch or the threads.
+
+mod constant;
+mod format;
+mod network;
+mod operator;
+mod read;
+
+pub use network::Network;
+
+/// Environments side by side: those of one shard of engine lanes.
+const LANES: usize = 16;
+
+/// One number of every lane.
+type Lanes = [f32; LANES];
+
+/// Largest file [bytes]: a million weights, some ten times what walking takes. Our choice.
+pub const MOST_BYTES: usize = 4 << 20;

@@ -1,0 +1,75 @@
+//! A network at work.
+
+use super::operator::Operator;
+use super::read;
+use super::{LANES, Lanes};
+use crate::env::Spec;
+use crate::error::{Error, Result};
+
+/// One step of the program; the result is the next value.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Step {
+    pub operator: Operator,
+    /// Numbers of the result.
+    pub width: usize,
+}
+
+/// What the reader made of a file: value 0 is the observation, value k the result of step k − 1.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Program {
+    pub steps: Vec<Step>,
+    /// Which value the action is.
+    pub action: usize,
+}
+
+/// A deterministic policy of one task; shared by all that run it.
+#[derive(Debug)]
+pub struct Network {
+    program: Program,
+    observation: usize,
+    /// Bounds of each number of an action.
+    bounds: Vec<[f32; 2]>,
+}
+
+impl Network {
+    /// Reads `onnx`, a file's bytes, and checks that it is a policy of the task with this `spec`. See
+    /// `docs/evaluate.md` for what a file may contain.
+    pub fn new(onnx: &[u8], spec: &Spec) -> Result<Self> {
+        let (observation, action) = (spec.observation.len(), spec.action.len());
+        let program = read::program(onnx, [observation, action])?;
+        let bounds = spec.action.iter().map(|c| [c.low as f32, c.high as f32]).collect();
+        Ok(Self { program, observation, bounds })
+    }
+
+    /// Fills `actions`, f32 [n, action], clipped to their bounds, from `observations`, f32 [n, observation]. An action that
+    /// is not a number is an error.
+    pub fn act(&self, observations: &[f32], actions: &mut [f32]) -> Result<()> {
+        let mut values = vec![vec![[0.0; LANES]; self.observation]];
+        values.extend(self.program.steps.iter().map(|step| vec![[0.0; LANES]; step.width]));
+        let (wide, width) = (self.observation * LANES, self.bounds.len() * LANES);
+        for (block, (rows, out)) in observations.chunks(wide).zip(actions.chunks_mut(width)).enumerate() {
+            for (lane, row) in rows.chunks_exact(self.observation).enumerate() {
+                values[0].iter_mut().zip(row).for_each(|(x, number)| x[lane] = *number);
+            }
+            self.compute(&mut values);
+            for (lane, row) in out.chunks_exact_mut(self.bounds.len()).enumerate() {
+                for (k, (out, [low, high])) in row.iter_mut().zip(&self.bounds).enumerate() {
+                    let chosen = values[self.program.action][k][lane];
+                    if chosen.is_nan() {
+                        let which = format!("action[{}][{k}]", block * LANES + lane);
+                        return Err(Error::invalid("policy", format!("{which} is not a number")));
+                    }
+                    *out = chosen.clamp(*low, *high);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn compute(&self, values: &mut [Vec<Lanes>]) {
+        for (k, step) in self.program.steps.iter().enumerate() {
+            let (before, rest) = values.split_at_mut(k + 1);
+            step.operator.compute(before, &mut rest[0]);
+        }
+    }
+}

@@ -1,0 +1,171 @@
+//! What a step of a network computes, as the ONNX operators of the same names define it.
+
+use super::{LANES, Lanes};
+
+/// One number from one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Function {
+    Abs,
+    Elu { alpha: f32 },
+    Exp,
+    LeakyRelu { alpha: f32 },
+    Neg,
+    Relu,
+    Sigmoid,
+    Softplus,
+    Sqrt,
+    Tanh,
+}
+
+impl Function {
+    fn of(self, x: f32) -> f32 {
+        match self {
+            Self::Abs => x.abs(),
+            Self::Elu { alpha } => {
+                if x < 0.0 {
+                    alpha * x.exp_m1()
+                } else {
+                    x
+                }
+            }
+            Self::Exp => x.exp(),
+            Self::LeakyRelu { alpha } => {
+                if x < 0.0 {
+                    alpha * x
+                } else {
+                    x
+                }
+            }
+            Self::Neg => -x,
+            // max would make 0 of what is not a number.
+            Self::Relu => {
+                if x < 0.0 {
+                    0.0
+                } else {
+                    x
+                }
+            }
+            Self::Sigmoid => 1.0 / (1.0 + (-x).exp()),
+            // ln(1 + eˣ) without overflow.
+            Self::Softplus => x.max(0.0) + (-x.abs()).exp().ln_1p(),
+            Self::Sqrt => x.sqrt(),
+            Self::Tanh => x.tanh(),
+        }
+    }
+}
+
+/// One number from two.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Arithmetic {
+    Add,
+    Sub,
+    Mul,
+    Div,
+    Min,
+    Max,
+}
+
+impl Arithmetic {
+    fn of(self, a: f32, b: f32) -> f32 {
+        match self {
+            Self::Add => a + b,
+            Self::Sub => a - b,
+            Self::Mul => a * b,
+            Self::Div => a / b,
+            // What is not a number stays so, as ONNX has it.
+            Self::Min => {
+                if b < a || b.is_nan() {
+                    b
+                } else {
+                    a
+                }
+            }
+            Self::Max => {
+                if b > a || b.is_nan() {
+                    b
+                } else {
+                    a
+                }
+            }
+        }
+    }
+}
+
+/// What a step reads: a value of the network, or numbers that are the same for every environment.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Operand {
+    Value(usize),
+    Row(Vec<f32>),
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub enum Operator {
+    /// x·W + b. `weights`: f32 [inputs, outputs]; `bias`: f32 [outputs].
+    Dense {
+        input: usize,
+        weights: Vec<f32>,
+        bias: Vec<f32>,
+    },
+    Each {
+        input: usize,
+        function: Function,
+    },
+    /// Operands of one number serve for all.
+    Both {
+        left: Operand,
+        right: Operand,
+        arithmetic: Arithmetic,
+    },
+    Concat {
+        inputs: Vec<usize>,
+    },
+}
+
+impl Operator {
+    /// Fills `out`, one entry a number of the result, from the values before it.
+    pub fn compute(&self, values: &[Vec<Lanes>], out: &mut [Lanes]) {
+        match self {
+            Self::Dense { input, weights, bias } => dense(&values[*input], weights, bias, out),
+            Self::Each { input, function } => {
+                out.iter_mut().zip(&values[*input]).for_each(|(out, x)| *out = x.map(|x| function.of(x)));
+            }
+            Self::Both { left, right, arithmetic } => {
+                for (k, out) in out.iter_mut().enumerate() {
+                    let (a, b) = (operand(values, left, k), operand(values, right, k));
+                    *out = std::array::from_fn(|lane| arithmetic.of(a[lane], b[lane]));
+                }
+            }
+            Self::Concat { inputs } => {
+                let all = inputs.iter().flat_map(|i| &values[*i]);
+                out.iter_mut().zip(all).for_each(|(out, x)| *out = *x);
+            }
+        }
+    }
+}
+
+/// Number `k` of an operand, or its only one.
+fn operand(values: &[Vec<Lanes>], operand: &Operand, k: usize) -> Lanes {
+    match operand {
+        Operand::Value(i) => values[*i][if values[*i].len() == 1 { 0 } else { k }],
+        Operand::Row(row) => [row[if row.len() == 1 { 0 } else { k }]; LANES],
+    }
+}
+
+/// Outputs that are summed side by side: each number that was read then serves for as many.
+const TILE: usize = 4;
+
+/// Each sum starts at its bias and goes through the inputs in order, whatever the tile.
+fn dense(input: &[Lanes], weights: &[f32], bias: &[f32], out: &mut [Lanes]) {
+    let width = bias.len();
+    for first in (0..width).step_by(TILE) {
+        let count = TILE.min(width - first);
+        let mut sums: [Lanes; TILE] = std::array::from_fn(|j| [bias[(first + j).min(width - 1)]; LANES]);
+        for (x, row) in input.iter().zip(weights.chunks_exact(width)) {
+            for (j, sum) in sums.iter_mut().enumerate() {
+                let w = row[(first + j).min(width - 1)];
+                sum.iter_mut().zip(x).for_each(|(sum, x)| *sum += w * x);
+            }
+        }
+        out[first..first + count].copy_from_slice(&sums[..count]);
+    }
+}

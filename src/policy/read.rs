@@ -1,0 +1,348 @@
+//! From an ONNX file to a program of checked steps. Whatever a file says, nothing here panics, and nothing is larger than
+//! the limits below.
+
+use super::MOST_BYTES;
+use super::constant::Constant;
+use super::format::{Attribute, FLOAT, Graph, Model, Node, ValueInfo};
+use super::network::{Program, Step};
+use super::operator::{Arithmetic, Function, Operand, Operator};
+use crate::error::{Error, Result};
+use prost::Message as _;
+use std::collections::HashMap;
+
+/// Limits of a network, our choice: far above what walking takes, and some milliseconds of work for a shard.
+const MOST_NODES: usize = 256;
+const MOST_WIDTH: usize = 4096;
+const MOST_PRODUCTS: usize = 2 << 20;
+
+/// Operator sets whose definitions of [`OPERATORS`] are those computed here.
+const OPSETS: std::ops::RangeInclusive<i64> = 7..=23;
+
+const OPERATORS: [&str; 26] = [
+    "Abs",
+    "Add",
+    "Cast",
+    "Clip",
+    "Concat",
+    "Constant",
+    "Div",
+    "Dropout",
+    "Elu",
+    "Exp",
+    "Flatten",
+    "Gemm",
+    "Identity",
+    "LeakyRelu",
+    "MatMul",
+    "Max",
+    "Min",
+    "Mul",
+    "Neg",
+    "Relu",
+    "Reshape",
+    "Sigmoid",
+    "Softplus",
+    "Sqrt",
+    "Sub",
+    "Tanh",
+];
+
+fn invalid(why: impl Into<String>) -> Error {
+    Error::invalid("policy", why)
+}
+
+/// The program in `onnx`, whose observations and actions have the numbers in `sizes`.
+pub fn program(onnx: &[u8], sizes: [usize; 2]) -> Result<Program> {
+    if onnx.len() > MOST_BYTES {
+        return Err(invalid(format!("{} bytes are more than {} MiB", onnx.len(), MOST_BYTES >> 20)));
+    }
+    let model = Model::decode(onnx).map_err(|e| invalid(format!("this is no ONNX file: {e}")))?;
+    let opset = model.opset_import.iter().find(|o| o.domain.is_empty() || o.domain == "ai.onnx").map(|o| o.version);
+    match (opset, model.graph) {
+        (Some(version), _) if !OPSETS.contains(&version) => {
+            let (first, last) = (OPSETS.start(), OPSETS.end());
+            Err(invalid(format!("operator set {version} is outside [{first}, {last}]")))
+        }
+        (Some(_), Some(graph)) => Reader::read(&graph, sizes),
+        _ => Err(invalid("this is no ONNX file: it has no graph or no operator set")),
+    }
+}
+
+/// What a name stands for.
+#[derive(Clone)]
+enum Named {
+    Value(usize),
+    Constant(Constant),
+}
+
+struct Reader<'a> {
+    names: HashMap<&'a str, Named>,
+    /// Numbers of each value.
+    widths: Vec<usize>,
+    steps: Vec<Step>,
+    products: usize,
+}
+
+impl<'a> Reader<'a> {
+    fn read(graph: &'a Graph, [observation, action]: [usize; 2]) -> Result<Program> {
+        if graph.node.len() > MOST_NODES {
+            return Err(invalid(format!("{} nodes are more than {MOST_NODES}", graph.node.len())));
+        }
+        let mut names = HashMap::new();
+        for tensor in &graph.initializer {
+            names.insert(tensor.name.as_str(), Named::Constant(Constant::read(&tensor.name, tensor)?));
+        }
+        // Old files list their weights among the inputs.
+        let inputs: Vec<_> = graph.input.iter().filter(|i| !names.contains_key(i.name.as_str())).collect();
+        let ([input], [output]) = (&inputs[..], &graph.output[..]) else {
+            let (i, o) = (inputs.len(), graph.output.len());
+            return Err(invalid(format!("{i} inputs and {o} outputs; a policy has one observation and one action")));
+        };
+        rows("input", input, observation)?;
+        rows("output", output, action)?;
+        names.insert(&input.name, Named::Value(0));
+        let mut reader = Self { names, widths: vec![observation], steps: Vec::new(), products: 0 };
+        for node in &graph.node {
+            reader.node(node)?;
+        }
+        match reader.names.get(output.name.as_str()) {
+            Some(Named::Value(value)) if reader.widths[*value] == action => {
+                Ok(Program { steps: reader.steps, action: *value })
+            }
+            Some(Named::Value(value)) => {
+                Err(invalid(format!("its output has {} numbers, an action has {action}", reader.widths[*value])))
+            }
+            _ => Err(invalid(format!("its output {:?} does not come from the observation", output.name))),
+        }
+    }
+
+    fn node(&mut self, node: &'a Node) -> Result<()> {
+        let kind = node.op_type.as_str();
+        if !OPERATORS.contains(&kind) || !["", "ai.onnx"].contains(&node.domain.as_str()) {
+            let name = if node.domain.is_empty() { kind.into() } else { format!("{}.{kind}", node.domain) };
+            return Err(invalid(format!("operator {name:?} is not supported; supported: {}", OPERATORS.join(", "))));
+        }
+        let output = node.output.first().ok_or_else(|| wrong(node, "has no output"))?;
+        let result = match kind {
+            "Constant" => Named::Constant(constant(node)?),
+            "Cast" | "Dropout" | "Flatten" | "Identity" | "Reshape" => self.same(node)?,
+            "Clip" => self.clip(node)?,
+            "Concat" => self.concat(node)?,
+            "Gemm" | "MatMul" => self.dense(node)?,
+            "Add" => self.fold(node, Arithmetic::Add)?,
+            "Sub" => self.fold(node, Arithmetic::Sub)?,
+            "Mul" => self.fold(node, Arithmetic::Mul)?,
+            "Div" => self.fold(node, Arithmetic::Div)?,
+            "Min" => self.fold(node, Arithmetic::Min)?,
+            "Max" => self.fold(node, Arithmetic::Max)?,
+            _ => {
+                let input = self.value(node, 0)?;
+                self.step(Operator::Each { input, function: function(node) }, self.widths[input])?
+            }
+        };
+        self.names.insert(output, result);
+        Ok(())
+    }
+
+    /// What input `k` of a node stands for; none if the node has no such input.
+    fn input(&self, node: &Node, k: usize) -> Result<Option<&Named>> {
+        let Some(name) = node.input.get(k).filter(|name| !name.is_empty()) else { return Ok(None) };
+        self.names
+            .get(name.as_str())
+            .map(Some)
+            .ok_or_else(|| wrong(node, format!("reads {name:?}, which nothing before it makes")))
+    }
+
+    /// Input `k` as a value that comes from the observation.
+    fn value(&self, node: &Node, k: usize) -> Result<usize> {
+        match self.input(node, k)? {
+            Some(Named::Value(value)) => Ok(*value),
+            _ => Err(wrong(node, format!("takes what comes from the observation as input {k}"))),
+        }
+    }
+
+    /// Input `k` as numbers of the file, if it is there.
+    fn constant(&self, node: &Node, k: usize) -> Result<Option<&Constant>> {
+        match self.input(node, k)? {
+            None => Ok(None),
+            Some(Named::Constant(constant)) => Ok(Some(constant)),
+            Some(Named::Value(_)) => Err(wrong(node, format!("takes numbers of the file as input {k}"))),
+        }
+    }
+
+    fn step(&mut self, operator: Operator, width: usize) -> Result<Named> {
+        if !(1..=MOST_WIDTH).contains(&width) {
+            return Err(invalid(format!("a layer has {width} numbers, which is outside [1, {MOST_WIDTH}]")));
+        }
+        self.steps.push(Step { operator, width });
+        self.widths.push(width);
+        Ok(Named::Value(self.widths.len() - 1))
+    }
+
+    /// Nodes that do nothing to rows of numbers.
+    fn same(&self, node: &Node) -> Result<Named> {
+        let value = self.value(node, 0)?;
+        let whole = |name, default| attribute(node, name).map_or(default, |a| a.i);
+        let fits = match node.op_type.as_str() {
+            "Cast" => whole("to", 0) == i64::from(FLOAT),
+            "Flatten" => [1, -1].contains(&whole("axis", 1)),
+            "Reshape" => match self.constant(node, 1)?.map(Constant::whole).as_deref() {
+                Some([-1 | 0, width]) => {
+                    *width == self.widths[value] as i64 || (*width == 0 && whole("allowzero", 0) == 0)
+                }
+                _ => false,
+            },
+            _ => true,
+        };
+        if fits { Ok(Named::Value(value)) } else { Err(wrong(node, "makes something else than rows of f32")) }
+    }
+
+    /// Bounds are inputs since operator set 11, attributes before.
+    fn clip(&mut self, node: &Node) -> Result<Named> {
+        let mut value = self.value(node, 0)?;
+        for (k, name, arithmetic) in [(1, "min", Arithmetic::Max), (2, "max", Arithmetic::Min)] {
+            let given = self.constant(node, k)?;
+            let bound = match given {
+                Some(constant) => {
+                    Some(constant.scalar().ok_or_else(|| wrong(node, "has a bound that is not one number"))?)
+                }
+                None => attribute(node, name).map(|a| a.f),
+            };
+            let Some(bound) = bound else { continue };
+            let (left, right) = (Operand::Value(value), Operand::Row(vec![bound]));
+            self.step(Operator::Both { left, right, arithmetic }, self.widths[value])?;
+            value = self.widths.len() - 1;
+        }
+        Ok(Named::Value(value))
+    }
+
+    fn concat(&mut self, node: &Node) -> Result<Named> {
+        if !attribute(node, "axis").is_some_and(|a| [1, -1].contains(&a.i)) {
+            return Err(wrong(node, "joins something else than rows"));
+        }
+        let inputs = (0..node.input.len()).map(|k| self.value(node, k)).collect::<Result<Vec<_>>>()?;
+        let width = inputs.iter().map(|i| self.widths[*i]).sum();
+        self.step(Operator::Concat { inputs }, width)
+    }
+
+    /// Operands one after the other; `Min` and `Max` may have more than two, or one.
+    fn fold(&mut self, node: &Node, arithmetic: Arithmetic) -> Result<Named> {
+        let many = matches!(arithmetic, Arithmetic::Min | Arithmetic::Max);
+        if node.input.is_empty() || (!many && node.input.len() != 2) {
+            return Err(wrong(node, format!("has {} inputs", node.input.len())));
+        }
+        let (mut left, mut wide) = self.operand(node, 0)?;
+        for k in 1..node.input.len() {
+            let (right, width) = self.operand(node, k)?;
+            if matches!((&left, &right), (Operand::Row(_), Operand::Row(_))) {
+                return Err(wrong(node, "joins numbers of the file only; export with constant folding"));
+            }
+            if wide != width && wide != 1 && width != 1 {
+                return Err(wrong(node, format!("joins {wide} numbers and {width}")));
+            }
+            wide = wide.max(width);
+            self.step(Operator::Both { left, right, arithmetic }, wide)?;
+            left = Operand::Value(self.widths.len() - 1);
+        }
+        match left {
+            Operand::Value(value) => Ok(Named::Value(value)),
+            Operand::Row(_) => Err(wrong(node, "joins numbers of the file only; export with constant folding")),
+        }
+    }
+
+    /// Input `k` with its width.
+    fn operand(&self, node: &Node, k: usize) -> Result<(Operand, usize)> {
+        match self.input(node, k)? {
+            Some(Named::Value(value)) => Ok((Operand::Value(*value), self.widths[*value])),
+            Some(Named::Constant(constant)) => match constant.row() {
+                Some(row) if !row.is_empty() => Ok((Operand::Row(row.to_vec()), row.len())),
+                _ => Err(wrong(node, format!("has numbers of shape {:?} where a row is needed", constant.dims))),
+            },
+            None => Err(wrong(node, format!("has no input {k}"))),
+        }
+    }
+
+    /// x·W + b: a `MatMul`, or a `Gemm` with its factors.
+    fn dense(&mut self, node: &Node) -> Result<Named> {
+        let input = self.value(node, 0)?;
+        let matrix = self.constant(node, 1)?.ok_or_else(|| wrong(node, "has no weights"))?;
+        let gemm = node.op_type == "Gemm";
+        let flag = |name| gemm && attribute(node, name).is_some_and(|a| a.i != 0);
+        let factor = |name| if gemm { attribute(node, name).map_or(1.0, |a| a.f) } else { 1.0 };
+        let [rows, columns] = matrix.dims[..] else { return Err(wrong(node, "has weights that are no matrix")) };
+        let [inputs, outputs] = if flag("transB") { [columns, rows] } else { [rows, columns] };
+        if flag("transA") || inputs != self.widths[input] {
+            return Err(wrong(node, format!("takes {inputs} numbers a row and is given {}", self.widths[input])));
+        }
+        let products = self.products + inputs * outputs;
+        if products > MOST_PRODUCTS {
+            return Err(wrong(node, format!("makes the network too large: {MOST_PRODUCTS} products are the most")));
+        }
+        let place = |k: usize, j: usize| if flag("transB") { j * columns + k } else { k * columns + j };
+        let alpha = factor("alpha");
+        let weights = (0..inputs).flat_map(|k| (0..outputs).map(move |j| (k, j)));
+        let weights = weights.map(|(k, j)| alpha * matrix.data[place(k, j)]).collect();
+        let added = if gemm { self.constant(node, 2)? } else { None };
+        let row = match added.map(Constant::row) {
+            None => &[0.0],
+            Some(Some(row)) if row.len() == 1 || row.len() == outputs => row,
+            _ => return Err(wrong(node, format!("adds something else than {outputs} numbers a row"))),
+        };
+        let beta = factor("beta");
+        let bias = (0..outputs).map(|j| beta * row[if row.len() == 1 { 0 } else { j }]).collect();
+        self.products = products;
+        self.step(Operator::Dense { input, weights, bias }, outputs)
+    }
+}
+
+/// An error about a node.
+fn wrong(node: &Node, why: impl std::fmt::Display) -> Error {
+    let name = node.output.first().map_or("", String::as_str);
+    invalid(format!("node {name:?} ({}) {why}", node.op_type))
+}
+
+fn attribute<'a>(node: &'a Node, name: &str) -> Option<&'a Attribute> {
+    node.attribute.iter().find(|a| a.name == name)
+}
+
+/// The function of a node that has one; its default alpha is ONNX's.
+fn function(node: &Node) -> Function {
+    let alpha = |default| attribute(node, "alpha").map_or(default, |a| a.f);
+    match node.op_type.as_str() {
+        "Abs" => Function::Abs,
+        "Elu" => Function::Elu { alpha: alpha(1.0) },
+        "Exp" => Function::Exp,
+        "LeakyRelu" => Function::LeakyRelu { alpha: alpha(0.01) },
+        "Neg" => Function::Neg,
+        "Relu" => Function::Relu,
+        "Sigmoid" => Function::Sigmoid,
+        "Softplus" => Function::Softplus,
+        "Sqrt" => Function::Sqrt,
+        _ => Function::Tanh,
+    }
+}
+
+fn constant(node: &Node) -> Result<Constant> {
+    if let Some(tensor) = attribute(node, "value").and_then(|a| a.t.as_ref()) {
+        return Constant::read(&node.output[0], tensor);
+    }
+    let number = attribute(node, "value_float").map(|a| a.f).or(attribute(node, "value_int").map(|a| a.i as f32));
+    let number = number.ok_or_else(|| wrong(node, "has neither value, value_float nor value_int"))?;
+    Ok(Constant { dims: Vec::new(), data: vec![number] })
+}
+
+/// Checks that the graph's input or output is rows of `numbers` f32.
+fn rows(what: &str, info: &ValueInfo, numbers: usize) -> Result<()> {
+    let tensor = info.kind.as_ref().and_then(|t| t.tensor.as_ref());
+    let dims = tensor.and_then(|t| t.shape.as_ref()).map(|s| &s.dim);
+    let is_rows = tensor.is_some_and(|t| t.elem_type == FLOAT) && dims.is_none_or(|d| d.len() == 2);
+    if !is_rows {
+        return Err(invalid(format!("its {what} {:?} is not f32 [n, {numbers}]", info.name)));
+    }
+    match dims.and_then(|d| d[1].value) {
+        Some(other) if other != numbers as i64 => {
+            Err(invalid(format!("its {what} {:?} has {other} numbers a row, this task has {numbers}", info.name)))
+        }
+        _ => Ok(()),
+    }
+}

@@ -1,0 +1,65 @@
+"""What is kept in examples/policies plays as well as it stands beside it."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import sandgait
+
+ROOT = Path(__file__).parents[2]
+POLICIES = ROOT / "examples/policies"
+sys.path.insert(0, str(ROOT / "examples"))
+
+import evaluate_gait  # noqa: E402
+import train_clock  # noqa: E402
+
+
+def kept(name: str) -> list[Path]:
+    return sorted(POLICIES.glob(f"*/{name}"))
+
+
+def test_every_folder_is_replayed_and_all_are_small() -> None:
+    known = {path.parent for name in ("policy.onnx", "clocks.json", "strokes.json") for path in kept(name)}
+    assert known == {path for path in POLICIES.iterdir() if path.is_dir()} != set()
+    assert sum(path.stat().st_size for path in POLICIES.rglob("*")) < 2_000_000
+
+
+def test_policies_play_as_recorded() -> None:
+    """The same unseen seeds, so that only another instruction set's rounding makes a difference."""
+    for path in kept("policy.onnx"):
+        settings: dict[str, Any] = json.loads((path.parent / "settings.json").read_text())
+        assert settings["command"]
+        assert settings["commit"]
+        recorded = settings["score"]
+        policy, task = evaluate_gait.from_onnx(path), f"sandgait/{settings['task']}-v0"
+        score = evaluate_gait.evaluate(task, policy, task, seeds=recorded["episodes"], **settings["options"])
+        assert abs(score.returns.mean() - recorded["return"]) < recorded["return_95"], path
+        assert abs(score.relative_error.mean() - recorded["relative_error"]) < 0.02, path
+
+
+def test_clocks_walk_as_recorded() -> None:
+    for path in kept("clocks.json"):
+        made = json.loads(path.read_text())
+        for name, recorded in made["scores"].items():
+            policy = train_clock.policy(np.array(made["clocks"][name]))
+            options = {**made["options"], "control": "clock"}
+            score = evaluate_gait.evaluate(name, policy, seeds=recorded["episodes"], **options)
+            assert abs(score.returns.mean() - recorded["return"]) < max(recorded["return_95"], 0.5), name
+            assert abs(score.speed.mean() - recorded["speed"]) < 0.005, name
+
+
+def test_strokes_push_as_recorded() -> None:
+    for path in kept("strokes.json"):
+        made = json.loads(path.read_text())
+        for stroke in made["strokes"]:
+            given = {**made["options"], "stroke": {**made["options"].get("stroke", {}), "start": stroke["start"]}}
+            env = sandgait.SandgaitVectorEnv("sandgait/LegStroke-v0", 1, **given)
+            env.reset(seed=0)
+            actions = np.array(stroke["actions"])[:, None]
+            assert abs(float(env.rollout(actions).returns[0]) - stroke["score"]) < 0.005, stroke["name"]
+            env.close()
