@@ -108,7 +108,12 @@ def from_onnx(path: Path) -> Policy:
     from onnx.reference import ReferenceEvaluator  # slow to import, and trainings do without
 
     network = ReferenceEvaluator(str(path))
-    return lambda rows: np.asarray(network.run(None, {"observation": rows})[0])
+
+    def policy(rows: Rows) -> npt.NDArray[Any]:
+        outputs: Any = network.run(None, {"observation": rows})
+        return np.asarray(outputs[0])
+
+    return policy
 
 
 def best_tripod(address: str | None = None, **options: Any) -> Score:
