@@ -118,6 +118,7 @@ def from_onnx(path: Path) -> Policy:
 
 def best_tripod(address: str | None = None, **options: Any) -> Score:
     """The constant rate of the highest return, up to the motors' 5 Hz."""
+    options = {**options, "control": "hip_speed"}
     tripods = [
         evaluate(f"tripod at {f:.2f} Hz, the best rate", constant_rate(f), GAIT, address, **options)
         for f in np.arange(0.25, 5.01, 0.25)
