@@ -17,6 +17,9 @@ GAIT = "sandgait/HexapodGait-v0"
 #: Training takes small seeds; evaluation starts here.
 FIRST_SEED = 1_000_000
 
+#: Below this [m/s] a robot stands: a tenth of the slowest command.
+LEAST_SPEED = 0.01
+
 Rows = npt.NDArray[np.float32]
 Values = npt.NDArray[np.float64]
 #: From observations [num_envs, observation] to actions [num_envs, action].
@@ -36,7 +39,7 @@ class Score:
     commanded: Values
     #: Mechanical power [W].
     power: Values
-    #: Mechanical work / (weight · distance); NaN where the task does not tell the weight.
+    #: Mechanical work / (weight · distance); NaN where the robot stands or the task does not tell the weight.
     cost_of_transport: Values
     #: Whether the robot flipped or sank.
     fell: npt.NDArray[np.bool_]
@@ -56,6 +59,7 @@ class Score:
         names = ("speed", "relative_error", "power", "cost_of_transport")
         figures = {name: float(getattr(self, name).mean()) for name in names}
         mean, half = float(self.returns.mean()), half_width(self.returns)
+        figures = {name: value for name, value in figures.items() if np.isfinite(value)}
         return {"episodes": len(self.returns), "return": mean, "return_95": half, **figures}
 
 
@@ -78,7 +82,8 @@ def evaluate(
     env.close()
     steps = sums["steps"]
     speed, power = sums["speed"] / steps, sums["work"] / steps * env.task.control_rate
-    cost = power / (infos.get("weight", np.nan) * np.maximum(speed, 1e-9))
+    moving = np.where(speed > LEAST_SPEED, speed, np.nan)
+    cost = power / (infos.get("weight", np.nan) * moving)
     return Score(name, sums["reward"], speed, sums["commanded_speed"] / steps, power, cost, fell)
 
 

@@ -4,9 +4,9 @@
     python examples/train_stroke.py --generations 20 --out runs/try
 
 A circular stroke locks the knee and turns the hip at one speed; searched are knee angle, where the hip starts, and
-speed. CMA-ES searches where it starts, and the speeds of both joints at ten times of the stroke with straight lines
-between them. Both are judged by the task's return: efficiency less what is missing of lift. Written to the output
-directory: strokes.json, strokes.png, evaluation.txt.
+speed. From the best of them CMA-ES searches where it starts, and the speeds of both joints at ten times of the stroke,
+with straight lines between them. Both are judged by the task's return: efficiency less what is missing of lift. Written
+to the output directory: strokes.json, strokes.png, evaluation.txt.
 """
 
 from __future__ import annotations
@@ -110,16 +110,17 @@ def begin(env: sandgait.SandgaitVectorEnv, starts: Values, options: dict[str, An
     return refused
 
 
-def evolved(arguments: argparse.Namespace, options: dict[str, Any]) -> Stroke:
-    """The best stroke that some restarts of CMA-ES found; where it starts is searched too, as for the circular ones."""
+def evolved(first: Stroke, arguments: argparse.Namespace, options: dict[str, Any]) -> Stroke:
+    """The best stroke that some restarts of CMA-ES found from `first`; where it starts is searched too."""
     env = sandgait.SandgaitVectorEnv(TASK, POPULATION, **options)
     steps = env.task.max_episode_steps
     env.reset(seed=0)
     best = Stroke("none", [], np.zeros((steps, 2)), -np.inf)
+    point = [np.repeat(first.actions[0], KNOTS), (np.array(first.start) - START) / REACH]
     for restart in range(arguments.restarts):
         search = CMA(
-            np.zeros(2 * KNOTS + 2),
-            0.4,
+            np.clip(np.concatenate(point), -1.0, 1.0),
+            0.2,
             bounds=np.array([[-1.0, 1.0]] * (2 * KNOTS + 2)),
             seed=arguments.seed + restart,
             population_size=POPULATION,
@@ -197,7 +198,8 @@ def main() -> None:
     out, options = arguments.out, arguments.options
     out.mkdir(parents=True, exist_ok=True)
     made_by = {**provenance(), "seed": arguments.seed, "options": options}
-    strokes = [circular(np.linspace(-2.1, 2.1, arguments.knees), options), evolved(arguments, options)]
+    best = circular(np.linspace(-2.1, 2.1, arguments.knees), options)
+    strokes = [best, evolved(best, arguments, options)]
     tracks = [play(stroke, options) for stroke in strokes]
     text = table(strokes, tracks)
     kept = [{"name": s.name, "start": s.start, "score": s.score, "actions": s.actions.tolist()} for s in strokes]
