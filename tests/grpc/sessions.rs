@@ -146,7 +146,10 @@ async fn a_first_message_without_a_request_or_a_session() {
     let mut session = server.session(2).await;
     let failure = session.failure(None).await;
     assert_eq!(failure.code, i32::from(Code::InvalidArgument));
-    assert_eq!(failure.message, "request: neither reset, step, attach, save, restore nor rollout");
+    assert_eq!(
+        failure.message,
+        "request: neither reset, step, attach, save, restore, rollout, policy_rollout, render nor observe"
+    );
     session.reset(0).await;
     for request in [None, Some(step(&wave(0..2, 0)))] {
         let mut nameless = server.session(2).await;
