@@ -162,9 +162,14 @@ def test_the_whole_suite_runs() -> None:
 # --- the adaptor, and our own client's numbers ---------------------------------------------------------------------
 
 
+WALKING = {"slope_deg": 4.0, "command": [0.2, 0.3], "weights": {"power": 0.3}}
+STROKE = {"angle_noise": 0.1, "stroke": {"carriage_speed": 0.1}}
+
+
 @pytest.mark.parametrize("task", sandgait.TASKS)
 def test_same_numbers_as_gymnasium(connection: Connection, address: str, task: str) -> None:
-    options = {"max_episode_steps": 7, "slope_deg": 4.0, "command": [0.2, 0.3], "weights": {"power": 0.3}}
+    own = STROKE if task == "sandgait/LegStroke-v0" else WALKING
+    options: dict[str, Any] = {"max_episode_steps": 7, **own}
     settings = {"task": task, "seed": 11, **options}
     env, world = dm_env_adaptor.create_and_join_world(connection, settings, {})
     ours = sandgait.SandgaitVectorEnv(task, 1, address, **options)

@@ -59,7 +59,7 @@ def test_wrong_actions(actions: Any, says: str) -> None:
         ({"weights": {"glory": 1.0}}, "glory"),
         ({"max_episode_steps": 0}, "max_episode_steps: 0 is outside"),
         ({"leg": object()}, "leg: .*is not a number"),
-        ({"render_mode": "human"}, "render_mode"),
+        ({"render_mode": "ascii"}, "render_mode"),
         ({"num_envs": 0}, "num_envs: 0 is outside"),
         ({"num_envs": -1}, "num_envs: -1 is outside"),
         ({"address": "nowhere"}, "address: 'nowhere' is neither"),
@@ -73,7 +73,7 @@ def test_wrong_options(options: dict[str, Any], says: str) -> None:
 
 def test_render_mode_of_a_single_environment() -> None:
     with pytest.raises(ValueError, match="render_mode"):
-        sandgait.SandgaitEnv(ID, render_mode="human")
+        sandgait.SandgaitEnv(ID, render_mode="ascii")
 
 
 @pytest.mark.parametrize(
