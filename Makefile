@@ -26,7 +26,7 @@ help:
 	@echo "make bench-peers   sandgait beside EnvPool, MuJoCo and gymnasium's Ant, in one run"
 	@echo "make study   how often the diagnosis is right, on data of known cause (some 15 minutes)"
 	@echo "make study-convergence   walking speed against the time step, both engines (some 3 minutes)"
-	@echo "make study-rocks   overlaps of robot and rocks in 1,000 random episodes (some 7 minutes)"
+	@echo "make study-rocks   overlaps of robot and rocks in 1,000 random episodes (some 10 minutes)"
 	@echo "make page-three   bundle what the page takes from three.js anew; needs npm"
 	@echo "make study-load      24 clients against one server: its memory and its numbers (5 minutes)"
 	@echo "make task-pages   write docs/tasks/ anew from the tasks' tables; what was measured stays"

@@ -3,7 +3,7 @@
     python examples/train_keep.py runs/legs-0 runs/legs-1 runs/legs-2
 
 The first run's policy goes to examples/policies/TASK-ALGORITHM/ as policy.onnx with its settings and score. Of all runs
-the curve and the score are kept; curve.png shows all curves. tests/python/test_policies.py plays the policy again.
+the curve and the score are kept; curve.png shows all curves. tests/python/test_kept_policies.py plays the policy again.
 """
 
 from __future__ import annotations

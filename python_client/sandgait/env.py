@@ -40,11 +40,7 @@ class SandgaitEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._address = address
         self._session = open_shards(address, task, 1, options, resume)
         self.render_mode = render_mode
-        try:
-            self._view = View(self._session, render_mode, render_size)
-        except BaseException:
-            self._session.close()
-            raise
+        self._view = View.of(self._session, render_mode, render_size)
         #: The session's tables: names, units and bounds of every number.
         self.task = self._session.task
         self.metadata = {**self.metadata, "render_fps": self.task.control_rate}

@@ -57,11 +57,7 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
         self._address = address
         self._session = open_shards(address, task, num_envs, options, resume)
         self.render_mode = render_mode
-        try:
-            self._view = View(self._session, render_mode, render_size)
-        except BaseException:
-            self._session.close()
-            raise
+        self._view = View.of(self._session, render_mode, render_size)
         self.num_envs = num_envs
         #: The session's tables: names, units and bounds of every number.
         self.task = self._session.task
@@ -209,10 +205,7 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
 
         What follows a restored state has the same bits, on servers of one version and instruction set.
         """
-        if self._in_flight:
-            raise OutOfOrder("save: a step is in flight; call recv first")
-        if self._ended.any():
-            raise OutOfOrder(f"save: environment {self._ended.argmax()} has ended its episode; step or reset first")
+        self._require_rest("save")
         return write_snapshot(self._session.save(), path)
 
     def restore(self, snapshot: bytes | FilePath, indices: npt.ArrayLike | None = None) -> Observations:
@@ -248,10 +241,7 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
         One message there and one back for all the steps: for evolution strategies, random shooting and model-predictive
         control. With `trajectories` every step's observations and rewards come too.
         """
-        if self._in_flight:
-            raise OutOfOrder("rollout: a step is in flight; call recv first")
-        if self._ended.any():
-            raise OutOfOrder(f"rollout: environment {self._ended.argmax()} has ended its episode; step or reset first")
+        self._require_rest("rollout")
         return self._session.rollout(np.asarray(actions, dtype=np.float32), trajectories)
 
     def rollout_policy(self, onnx: bytes | FilePath, steps: int, trajectories: bool = False) -> Rollout:
@@ -261,14 +251,17 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
         steps. With `trajectories` every step's observations, rewards and actions come too. An environment's rollout
         ends with its episode, so `steps` are at most the task's `max_episode_steps`.
         """
-        if self._in_flight:
-            raise OutOfOrder("rollout_policy: a step is in flight; call recv first")
-        if self._ended.any():
-            where = f"environment {self._ended.argmax()} has ended its episode"
-            raise OutOfOrder(f"rollout_policy: {where}; step or reset first")
+        self._require_rest("rollout_policy")
         if not 0 <= steps < 2**32:
             raise InvalidRequest(f"steps: {steps} is outside [1, {self.task.max_episode_steps}]")
         return self._session.rollout_policy(read_policy(onnx), steps, trajectories)
+
+    def _require_rest(self, call: str) -> None:
+        """Refuses `call` while a step is in flight, or where an episode has ended and the next one has not begun."""
+        if self._in_flight:
+            raise OutOfOrder(f"{call}: a step is in flight; call recv first")
+        if self._ended.any():
+            raise OutOfOrder(f"{call}: environment {self._ended.argmax()} has ended its episode; step or reset first")
 
     def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
         """Every robot as it is now: u8 [height, width, 3] each; in mode "human" they are shown instead."""

@@ -78,6 +78,15 @@ class View:
         self._index = 0
         self._window = Window(shards.task.id, shards.task.control_rate) if render_mode == "human" else None
 
+    @classmethod
+    def of(cls, shards: Shards, render_mode: str | None, size: tuple[int, int]) -> View:
+        """The view of a session; where there can be none, the session is closed."""
+        try:
+            return cls(shards, render_mode, size)
+        except BaseException:
+            shards.close()
+            raise
+
     def pictures(self, indices: list[int], ended: bool = False) -> Pictures:
         """u8 [indices, height, width, 3]; `ended`: of an episode that has just ended, its last moment."""
         width, height = self._size
