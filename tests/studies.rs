@@ -12,7 +12,7 @@ use sandgait::sim::engine::EngineKind;
 use sandgait::sim::model::Scene;
 use sandgait::sim::{Robot, walk};
 use sandgait::sweep::{Axis, Design, Measure, Parameter, optimize, walk_all};
-use sandgait::table::{FORCE, LENGTH, Table};
+use sandgait::table::{self, Asked, Column, Quantity};
 use std::path::Path;
 
 const PLATE: f64 = 0.038 * 0.025;
@@ -26,8 +26,14 @@ fn design() -> Design {
 #[test]
 fn a_penetration_test_gives_the_scale() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/penetration.csv");
-    let table = Table::read(&path).unwrap();
-    let (depth, force) = (table.numbers("depth", LENGTH, None).unwrap(), table.numbers("force", FORCE, None).unwrap());
+    let columns = [Column::needed("depth", Quantity::Length), Column::needed("force", Quantity::Force)];
+    let (mut depth, mut force) = (Vec::new(), Vec::new());
+    let take = |row: &table::Row| {
+        depth.push(row.needed(0)?);
+        force.push(row.needed(1)?);
+        Ok(())
+    };
+    table::read(&path, &Asked::new(&columns), take).unwrap();
     assert!((0.04..0.06).contains(depth.last().unwrap()), "the header's mm were not read");
     let c = calibrate(&depth, &force, PLATE).unwrap();
     assert!(c.zeta_interval[0] < 0.46 && 0.46 < c.zeta_interval[1], "{c:?}");
@@ -78,20 +84,33 @@ fn data_that_are_no_penetration_test_are_refused() {
 
 #[test]
 fn bad_cells_are_named() {
-    let parse =
-        |text: &str| Table::parse(Path::new("x.csv"), text.as_bytes()).and_then(|t| t.numbers("depth", LENGTH, None));
-    assert_eq!(parse("depth (mm)\n1\n2\n").unwrap(), [1e-3, 2e-3]);
-    for (text, says) in [
-        ("depth\n1\nabc\n", "line 3"),
-        ("depth\nnan\n", "line 2"),
-        ("depth,force\n1\n", "line 2"),
-        ("force\n1\n", "no column depth"),
-        ("depth [furlong]\n1\n", "furlong"),
-        ("depth\n", "no rows"),
-        ("depth,depth\n1,2\n", "twice"),
+    let read = |text: &str, units: &[(&str, &str)]| {
+        let columns = [Column::needed("depth", Quantity::Length)];
+        let units = units.iter().map(|(name, unit)| (name.to_string(), unit.to_string())).collect();
+        let mut depth = Vec::new();
+        let asked = Asked { units, ..Asked::new(&columns) };
+        table::parse(Path::new("x.csv"), text.as_bytes(), &asked, |row| row.needed(0).map(|z| depth.push(z)))?;
+        sandgait::Result::Ok(depth)
+    };
+    assert_eq!(read("depth (mm)\n1\n2\n", &[]).unwrap(), [1e-3, 2e-3]);
+    assert_eq!(read("depth\n1\n", &[("depth", "cm")]).unwrap(), [1e-2]);
+    assert_eq!(read("depth [cm]\n1\n", &[("depth", "cm")]).unwrap(), [1e-2]);
+    let long = format!("depth\n{}\n", "x".repeat(100_000));
+    for (text, unit, says) in [
+        ("depth\n1\nabc\n", "m", "row 3, column depth"),
+        ("depth\nnan\n", "m", "row 2, column depth"),
+        ("depth,force\n1\n", "m", "row 2"),
+        ("force\n1\n", "m", "row 1, column depth: missing; the header has force"),
+        ("depth [furlong]\n1\n", "m", "furlong"),
+        ("depth\n1\n", "furlong", "row 1, column depth: unit \"furlong\" is unknown; known: m, cm"),
+        ("depth [mm]\n1\n", "cm", "row 1, column depth: its unit is another in the header"),
+        ("depth\n", "m", "no rows"),
+        ("depth,depth\n1,2\n", "m", "twice"),
+        ("depth [m],depth [mm]\n1,2\n", "m", "twice"),
+        (&long, "m", "row 2, column depth: \"xxx"),
     ] {
-        let error = parse(text).unwrap_err().to_string();
-        assert!(error.contains(says) && !error.contains('\n'), "{text:?}: {error}");
+        let error = read(text, &[("depth", unit)]).unwrap_err().to_string();
+        assert!(error.contains(says) && error.len() < 400 && !error.contains('\n'), "{text:.40?}: {error}");
     }
 }
 

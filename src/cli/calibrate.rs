@@ -2,12 +2,14 @@
 
 use sandgait::calibrate::{self, Calibration};
 use sandgait::plot::png;
-use sandgait::table::{FORCE, LENGTH, Table};
+use sandgait::table::{self, Asked, Column, Quantity};
 use sandgait::{Error, Result};
 use std::path::PathBuf;
 
 /// The plate of Li et al. 2012, section 2: 3.8 × 2.5 cm [m²].
 const PLATE: f64 = 0.038 * 0.025;
+
+const COLUMNS: [Column; 2] = [Column::needed("depth", Quantity::Length), Column::needed("force", Quantity::Force)];
 
 /// Measure your sand: its scale from one slow vertical penetration of a horizontal plate.
 ///
@@ -40,9 +42,15 @@ pub struct Calibrate {
 
 impl Calibrate {
     pub fn run(self) -> Result<String> {
-        let table = Table::read(&self.data)?;
-        let depth = table.numbers("depth", LENGTH, self.depth_unit.as_deref())?;
-        let force = table.numbers("force", FORCE, self.force_unit.as_deref())?;
+        let units = [("depth", self.depth_unit), ("force", self.force_unit)];
+        let units = units.into_iter().filter_map(|(name, unit)| Some((name.to_owned(), unit?)));
+        let asked = Asked { units: units.collect(), ..Asked::new(&COLUMNS) };
+        let (mut depth, mut force) = (Vec::new(), Vec::new());
+        table::read(&self.data, &asked, |row| {
+            depth.push(row.needed(0)?);
+            force.push(row.needed(1)?);
+            Ok(())
+        })?;
         if self.plot.as_ref().is_some_and(|p| p.extension().is_none_or(|e| e != "svg")) {
             return Err(Error::invalid("--plot", "give a file name that ends in .svg"));
         }

@@ -3,9 +3,15 @@
 use sandgait::number::Vec3;
 use sandgait::sand::law::agarwal2023;
 use sandgait::sand::{Ground, Law, Medium, Surface};
-use sandgait::table::{ANGLE, Table};
+use sandgait::table::{self, Asked, Column, Quantity};
 use sandgait::{Error, Result};
 use std::path::PathBuf;
+
+const COLUMNS: [Column; 3] = [
+    Column::needed("beta", Quantity::Angle),
+    Column::needed("gamma", Quantity::Angle),
+    Column::needed("psi", Quantity::Angle),
+];
 
 /// Evaluate a force law: stress per depth at given angles.
 ///
@@ -44,20 +50,22 @@ impl Stress {
                 return Err(Error::invalid("--friction", format!("{} has no friction cap", law.name())));
             }
         }
-        let table = Table::read(&self.input)?;
-        let column = |name| table.numbers(name, ANGLE, None);
-        let (beta, gamma) = (column("beta")?, column("gamma")?);
-        let psi = if law == Law::Agarwal2023 { column("psi")? } else { vec![0.0; beta.len()] };
-        let names: &[&str] = match law {
-            Law::Agarwal2023 => &["alpha_r", "alpha_theta", "alpha_z"],
-            Law::Li2013 | Law::PenetrationDrag1d => &["alpha_x", "alpha_z"],
+        let (names, columns): (&[&str], _) = match law {
+            Law::Agarwal2023 => (&["alpha_r", "alpha_theta", "alpha_z"], &COLUMNS[..]),
+            Law::Li2013 | Law::PenetrationDrag1d => (&["alpha_x", "alpha_z"], &COLUMNS[..2]),
         };
-        let mut text = format!("{},{}\n", table.header.join(","), names.join(","));
-        for (i, (_, cells)) in table.rows.iter().enumerate() {
-            let stress = stress(law, &medium, self.friction, [beta[i], gamma[i], psi[i]]);
-            let stress: Vec<_> = stress.iter().map(|s| format!("{s:.6}")).collect();
-            text.push_str(&format!("{},{}\n", cells.join(","), stress.join(",")));
-        }
+        let mut text = String::new();
+        let summary = table::read(&self.input, &Asked::new(columns), |row| {
+            let mut angles = [0.0; 3];
+            for (k, angle) in angles.iter_mut().enumerate().take(columns.len()) {
+                *angle = row.needed(k)?;
+            }
+            let stress = stress(law, &medium, self.friction, angles).into_iter().map(|s| format!("{s:.6}"));
+            let cells: Vec<_> = row.cells().map(str::to_owned).chain(stress).collect();
+            text.push_str(&format!("{}\n", cells.join(",")));
+            Ok(())
+        })?;
+        text.insert_str(0, &format!("{},{}\n", summary.header.join(","), names.join(",")));
         Ok(text)
     }
 }

@@ -2,9 +2,13 @@
 
 use crate::error::{Error, Result, check_range};
 use crate::sand::{Coefficients, Medium};
+use crate::table::{self, Asked, Column, Row, Summary};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;
+
+/// Rows beyond this are refused: the fits of a log so long fill most of 1 GiB. Our choice.
+pub const MOST_ROWS: usize = 40_000;
 
 /// What was measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
@@ -84,6 +88,12 @@ impl Experiment {
     pub fn load(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(|e| Error::file(path, e))?;
         Self::from_toml(&text).map_err(|e| Error::file(path, e))
+    }
+
+    /// Hands each row of the data to `take`, columns and units as the experiment says.
+    pub fn read(&self, data: &Path, columns: &[Column], take: impl FnMut(&Row) -> Result<()>) -> Result<Summary> {
+        let (renamed, units) = (self.columns.clone(), self.units.clone());
+        table::read(data, &Asked { columns, renamed, units, most_rows: Some(MOST_ROWS) }, take)
     }
 
     pub fn from_toml(text: &str) -> Result<Self> {

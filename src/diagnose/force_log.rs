@@ -2,8 +2,8 @@
 
 use super::experiment::{Experiment, Intruder};
 use super::observations::{Channel, Names, Observations, Size, Unit};
-use super::table::{self, Column, Quantity, Row};
 use crate::error::Result;
+use crate::table::{Column, Quantity, Row};
 use std::path::Path;
 
 /// Pose and motion of an intruder at one sample. Legs use the angle, plates the centre.
@@ -96,7 +96,7 @@ pub fn read(path: &Path, experiment: &Experiment) -> Result<ForceLog> {
     let mut trials: Vec<Growing> = Vec::new();
     let mut medium = None;
     let mut seen = [false; 3];
-    let summary = table::read(path, experiment, COLUMNS, |row| {
+    let summary = experiment.read(path, COLUMNS, |row| {
         check_medium(row, experiment, &mut medium)?;
         for (seen, column) in seen.iter_mut().zip([PASS, PASS_DX, X_BED]) {
             *seen |= row.text(column).is_some();
@@ -155,7 +155,11 @@ fn track_header(row: &Row, experiment: &Experiment) -> Result<Track> {
     let shape = row.needed_text(SHAPE)?;
     let Some(intruder) = experiment.shapes.get(shape) else {
         let known: Vec<_> = experiment.shapes.keys().map(String::as_str).collect();
-        return Err(row.error(SHAPE, format!("shape {shape:?} is unknown; known: {}", known.join(", "))));
+        let known = match known.is_empty() {
+            true => format!("the experiment describes no shape; give a table [shape.NAME]"),
+            false => format!("known: {}", known.join(", ")),
+        };
+        return Err(row.error(SHAPE, format!("shape {shape:?} is unknown; {known}")));
     };
     let kind = row.needed_text(KIND)?;
     let (hip_height, beta) = match (kind, intruder) {

@@ -2,10 +2,10 @@
 
 use super::experiment::Experiment;
 use super::observations::{Channel, Names, Observations, Size, Unit};
-use super::table::{self, Column, Quantity, Row};
 use crate::error::{Error, Result};
 use crate::sand::Shape;
 use crate::sim::Robot;
+use crate::table::{Column, Quantity, Row};
 use std::path::Path;
 
 /// How a run was made; runs made alike share one.
@@ -92,7 +92,7 @@ pub fn read(path: &Path, experiment: &Experiment) -> Result<WalkingLog> {
     let (mut runs, mut setups): (Vec<Run>, Vec<Setup>) = (Vec::new(), Vec::new());
     let optional = [X_BED, SLOPE, PAYLOAD];
     let mut seen = [false; 3];
-    let summary = table::read(path, experiment, COLUMNS, |row| {
+    let summary = experiment.read(path, COLUMNS, |row| {
         for (seen, column) in seen.iter_mut().zip(optional) {
             *seen |= row.text(column).is_some();
         }

@@ -8,7 +8,7 @@ use crate::error::Result;
 use crate::plot::{Axis, Figure, Mark, Panel, Style, color};
 use crate::sand::intrusion::{Load, rotating_leg};
 use crate::sand::{Ground, Law, Medium, Shape, Surface};
-use crate::table::{self, Table as Csv};
+use crate::table::{self, Asked, Column, Quantity};
 
 const DATA: &[u8] = include_bytes!("legs.csv");
 /// ζ [N/cm³] from slow vertical plates in the same grains.
@@ -28,27 +28,31 @@ struct Run {
 }
 
 fn runs() -> Result<Vec<Run>> {
-    let csv = Csv::parse(std::path::Path::new("legs.csv"), DATA)?;
-    let column = |name| csv.numbers(name, table::ANGLE, None);
-    let (theta, omega, fx, fz) = (column("theta")?, column("omega")?, column("Fx")?, column("Fz")?);
-    let shape = csv.texts("shape")?;
+    const COLUMNS: [Column; 5] = [
+        Column::needed("shape", Quantity::Text),
+        Column::needed("theta", Quantity::Angle),
+        Column::needed("omega", Quantity::AngularSpeed),
+        Column::needed("Fx", Quantity::Force),
+        Column::needed("Fz", Quantity::Force),
+    ];
     let mut runs: Vec<Run> = Vec::new();
-    for i in 0..theta.len() {
-        let same = |r: &Run| r.shape == shape[i] && r.omega == omega[i];
-        let k = runs.iter().position(same).unwrap_or_else(|| {
-            runs.push(Run { shape: shape[i].to_owned(), omega: omega[i], samples: Vec::new() });
+    table::parse(std::path::Path::new("legs.csv"), DATA, &Asked::new(&COLUMNS), |row| {
+        let (shape, theta, omega) = (row.needed_text(0)?, row.needed(1)?, row.needed(2)?);
+        let load = Load { fx: row.needed(3)?, fz: row.needed(4)?, ty: 0.0 };
+        let k = runs.iter().position(|r| r.shape == shape && r.omega == omega).unwrap_or_else(|| {
+            runs.push(Run { shape: shape.to_owned(), omega, samples: Vec::new() });
             runs.len() - 1
         });
-        let load = Load { fx: fx[i], fz: fz[i], ty: 0.0 };
         // The beds are sampled at the same angles: the second one meets the first one's rows.
-        match runs[k].samples.iter_mut().find(|s| (s.0 - theta[i]).abs() < 1e-9) {
+        match runs[k].samples.iter_mut().find(|s| (s.0 - theta).abs() < 1e-9) {
             Some((_, mean, half)) => {
                 *half = Load { fx: (mean.fx - load.fx).abs() / 2.0, fz: (mean.fz - load.fz).abs() / 2.0, ty: 0.0 };
                 *mean = Load { fx: (mean.fx + load.fx) / 2.0, fz: (mean.fz + load.fz) / 2.0, ty: 0.0 };
             }
-            None => runs[k].samples.push((theta[i], load, Load::default())),
+            None => runs[k].samples.push((theta, load, Load::default())),
         }
-    }
+        Ok(())
+    })?;
     Ok(runs)
 }
 

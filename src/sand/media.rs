@@ -90,7 +90,7 @@ pub struct Medium {
 
 /// Media measured as a whole set: name, coefficients, bulk density [kg/m³], source.
 const MEASURED: [(&str, Coefficients, f64, &str); 2] = [
-    ("poppy-loose", Coefficients::POPPY_LOOSE, 638.0, "1 mm poppy seeds, loosely packed; the seed paper's medium"),
+    ("poppy-loose", Coefficients::POPPY_LOOSE, 638.0, "1 mm poppy seeds, loosely packed; the sand of Li et al. 2012"),
     (
         "poppy-close",
         Coefficients::POPPY_CLOSE,

@@ -1,0 +1,115 @@
+//! Where the asked columns stand in a header, and their units.
+
+use super::quantity::Quantity;
+use super::shown;
+use crate::error::{Error, Result};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// A column that a reader asks for.
+#[derive(Clone, Copy, Debug)]
+pub struct Column {
+    pub name: &'static str,
+    pub quantity: Quantity,
+    /// Must the header have it? (Its cells may still be blank where the quantity does not apply.)
+    pub required: bool,
+}
+
+impl Column {
+    /// One that the header must have.
+    pub const fn needed(name: &'static str, quantity: Quantity) -> Self {
+        Self { name, quantity, required: true }
+    }
+}
+
+/// What a reader asks of a table.
+#[derive(Clone, Debug)]
+pub struct Asked<'a> {
+    pub columns: &'a [Column],
+    /// Our column name → theirs, where it is another.
+    pub renamed: BTreeMap<String, String>,
+    /// Column, by our name or theirs → unit. A header may name it as well: `depth [mm]` or `depth (mm)`.
+    pub units: BTreeMap<String, String>,
+    /// Longer tables are refused.
+    pub most_rows: Option<usize>,
+}
+
+/// Column of the file, and the factor of its numbers to SI.
+pub(super) struct Place {
+    pub index: usize,
+    pub factor: f64,
+}
+
+impl<'a> Asked<'a> {
+    /// Columns under our own names, of any number of rows, whose units only the header says.
+    pub fn new(columns: &'a [Column]) -> Self {
+        Self { columns, renamed: BTreeMap::new(), units: BTreeMap::new(), most_rows: None }
+    }
+
+    /// Place of each column in `header`; `None` for an optional one that is not there.
+    pub(super) fn places(&self, path: &Path, header: &[String]) -> Result<Vec<Option<Place>>> {
+        for ours in self.renamed.keys() {
+            if !self.columns.iter().any(|c| c.name == ours) {
+                let known: Vec<_> = self.columns.iter().map(|c| c.name).collect();
+                return Err(Error::unknown("column", ours, &known));
+            }
+        }
+        for name in self.units.keys() {
+            if !self.columns.iter().any(|c| c.name == name || self.theirs(c) == name) {
+                return Err(Error::file(path, format!("units: column {name} is not one of this kind of data")));
+            }
+        }
+        self.columns.iter().map(|column| self.place(path, header, column)).collect()
+    }
+
+    fn theirs(&self, column: &Column) -> &str {
+        self.renamed.get(column.name).map_or(column.name, String::as_str)
+    }
+
+    fn place(&self, path: &Path, header: &[String], column: &Column) -> Result<Option<Place>> {
+        let theirs = self.theirs(column);
+        let wrong = |reason: String| Error::file(path, format!("row 1, column {theirs}: {reason}"));
+        let exact = header.iter().any(|h| h == theirs);
+        let is = |cell: &str| if exact { cell == theirs } else { split(cell).0 == theirs };
+        let mut found = header.iter().enumerate().filter(|(_, cell)| is(cell));
+        let place = found.next();
+        if found.next().is_some() {
+            return Err(wrong("stands there twice".into()));
+        }
+        let Some((index, cell)) = place else {
+            if column.required || self.renamed.contains_key(column.name) {
+                return Err(wrong(format!("missing; the header has {}", shown(&header.join(", ")))));
+            }
+            return Ok(None);
+        };
+        let given = self.units.get(column.name).or_else(|| self.units.get(theirs));
+        let given = given.map(|unit| factor(column, unit).map_err(wrong)).transpose()?;
+        let own = match split(cell).1 {
+            // Brackets of a name that was asked for with them may be part of it.
+            Some(unit) if exact => column.quantity.factor(unit),
+            Some(unit) if column.quantity != Quantity::Text => Some(factor(column, unit).map_err(wrong)?),
+            _ => None,
+        };
+        match (given, own) {
+            (Some(given), Some(own)) if given != own => {
+                Err(wrong("its unit is another in the header than the one given beside".into()))
+            }
+            _ => Ok(Some(Place { index, factor: given.or(own).unwrap_or(1.0) })),
+        }
+    }
+}
+
+/// Factor to SI of a unit of this column, or what is wrong with it.
+fn factor(column: &Column, unit: &str) -> std::result::Result<f64, String> {
+    let known: Vec<_> = column.quantity.units().iter().map(|u| u.0).collect();
+    column.quantity.factor(unit).ok_or_else(|| match known.is_empty() {
+        true => format!("unit {unit:?} is given, but it takes none"),
+        false => format!("unit {unit:?} is unknown; known: {}", known.join(", ")),
+    })
+}
+
+/// Name and unit of `name [unit]` or `name (unit)`.
+fn split(header: &str) -> (&str, Option<&str>) {
+    let Some((name, rest)) = header.split_once(['[', '(']) else { return (header, None) };
+    (name.trim(), Some(rest.trim_end_matches([']', ')']).trim()))
+}

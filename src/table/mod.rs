@@ -1,0 +1,161 @@
+//! Tables that users bring: CSV with named columns and units, read row by row; every bad cell is named by file, row and
+//! column. Row 1 is the header, and rows are lines of the file.
+
+mod header;
+mod quantity;
+
+pub use header::{Asked, Column};
+pub use quantity::Quantity;
+
+use crate::error::{Error, Result};
+use header::Place;
+use sha2::{Digest, Sha256};
+use std::fs::File;
+use std::io::{BufReader, Read};
+use std::path::Path;
+
+/// Files beyond this many bytes are refused unread, streams when they get there: over 6 kB a row of the longest log that is
+/// diagnosed. Our choice; also the most that a row without an end takes in memory.
+const MOST_BYTES: u64 = 256 << 20;
+/// Characters of a bad cell or header that an error shows: our choice, a line is to be read.
+const SHOWN: usize = 300;
+
+/// One row, its cells in the order of the asked columns.
+pub struct Row<'a> {
+    file: &'a Path,
+    columns: &'a [Column],
+    places: &'a [Option<Place>],
+    record: &'a csv::StringRecord,
+    /// Line in the file; the header is 1.
+    pub line: u64,
+}
+
+impl Row<'_> {
+    /// The cell's text, `None` where blank or the column is absent.
+    pub fn text(&self, column: usize) -> Option<&str> {
+        let place = self.places[column].as_ref()?;
+        self.record.get(place.index).map(str::trim).filter(|cell| !cell.is_empty())
+    }
+
+    /// The cell in SI units, `None` where blank or absent.
+    pub fn number(&self, column: usize) -> Result<Option<f64>> {
+        let (Some(cell), Some(place)) = (self.text(column), &self.places[column]) else { return Ok(None) };
+        match cell.parse::<f64>() {
+            Ok(value) if value.is_finite() => Ok(Some(value * place.factor)),
+            Ok(_) => Err(self.error(column, format!("{cell} is not finite"))),
+            Err(_) => Err(self.error(column, format!("{:?} is no number", shown(cell)))),
+        }
+    }
+
+    /// The cell in SI units; blank is an error.
+    pub fn needed(&self, column: usize) -> Result<f64> {
+        self.number(column)?.ok_or_else(|| self.error(column, "is blank"))
+    }
+
+    /// The cell's text; blank is an error.
+    pub fn needed_text(&self, column: usize) -> Result<&str> {
+        self.text(column).ok_or_else(|| self.error(column, "is blank"))
+    }
+
+    /// Every cell of the file's row as it stands, asked for or not.
+    pub fn cells(&self) -> impl Iterator<Item = &str> {
+        self.record.iter().map(str::trim)
+    }
+
+    /// An error about the cell, in one line whatever `reason` quotes.
+    pub fn error(&self, column: usize, reason: impl std::fmt::Display) -> Error {
+        let reason = shown(&reason.to_string().replace(['\n', '\r'], " "));
+        Error::file(self.file, format!("row {}, column {}: {reason}", self.line, self.columns[column].name))
+    }
+}
+
+/// What is known of a table once it is read.
+pub struct Summary {
+    /// As in the file, every column of it.
+    pub header: Vec<String>,
+    /// Hexadecimal SHA-256 of the file.
+    pub sha256: String,
+}
+
+/// Hands each row of the file to `take`, in the file's order.
+pub fn read(path: &Path, asked: &Asked, take: impl FnMut(&Row) -> Result<()>) -> Result<Summary> {
+    let file = File::open(path).map_err(|e| Error::file(path, e))?;
+    let bytes = file.metadata().map_err(|e| Error::file(path, e))?.len();
+    if bytes > MOST_BYTES {
+        return Err(Error::file(path, format!("{} MiB is {}", bytes >> 20, too_long())));
+    }
+    parse(path, BufReader::with_capacity(1 << 20, file), asked, take)
+}
+
+/// The same from any source; `path` names it in errors.
+pub fn parse(
+    path: &Path,
+    source: impl Read,
+    asked: &Asked,
+    mut take: impl FnMut(&Row) -> Result<()>,
+) -> Result<Summary> {
+    let mut source = Hashed { inner: source, hash: Sha256::new(), bytes: 0 };
+    let mut reader = csv::ReaderBuilder::new().comment(Some(b'#')).trim(csv::Trim::Headers).from_reader(&mut source);
+    let header = reader.headers().map_err(|e| Error::file(path, format!("row 1: {}", reason(&e))))?;
+    let header: Vec<String> = header.iter().map(|h| h.trim_start_matches('\u{feff}').to_owned()).collect();
+    let places = asked.places(path, &header)?;
+    let mut record = csv::StringRecord::new();
+    let mut rows = 0;
+    while reader.read_record(&mut record).map_err(|e| Error::file(path, reason(&e)))? {
+        rows += 1;
+        if asked.most_rows.is_some_and(|most| rows > most) {
+            return Err(Error::file(
+                path,
+                format!("more than {} rows: keep every n-th sample and try again", rows - 1),
+            ));
+        }
+        let line = record.position().map_or(0, |p| p.line());
+        take(&Row { file: path, columns: asked.columns, places: &places, record: &record, line })?;
+    }
+    if rows == 0 {
+        return Err(Error::file(path, "row 2: no rows below the header"));
+    }
+    drop(reader);
+    let sha256 = source.hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+    Ok(Summary { header, sha256 })
+}
+
+/// Reads through to a hash of everything read; ends in an error where that is too much.
+struct Hashed<R> {
+    inner: R,
+    hash: Sha256,
+    bytes: u64,
+}
+
+impl<R: Read> Read for Hashed<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        let count = self.inner.read(buffer)?;
+        self.hash.update(&buffer[..count]);
+        self.bytes += count as u64;
+        if self.bytes > MOST_BYTES { Err(std::io::Error::other(too_long())) } else { Ok(count) }
+    }
+}
+
+fn too_long() -> String {
+    format!("more than the {} MiB this reads: keep every n-th sample", MOST_BYTES >> 20)
+}
+
+/// The beginning of a text that may be very long.
+fn shown(text: &str) -> String {
+    match text.char_indices().nth(SHOWN) {
+        Some((end, _)) => format!("{} …", &text[..end]),
+        None => text.into(),
+    }
+}
+
+/// One line for a malformed record, with its row.
+fn reason(error: &csv::Error) -> String {
+    let row = error.position().map_or(String::new(), |p| format!("row {}: ", p.line()));
+    match error.kind() {
+        csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
+            format!("{row}{len} cells where the header has {expected_len} columns")
+        }
+        csv::ErrorKind::Utf8 { .. } => format!("{row}text is not UTF-8"),
+        _ => format!("{row}{error}").replace('\n', " "),
+    }
+}

@@ -1,0 +1,63 @@
+//! Kinds of quantity that stand in a column, and their units.
+
+/// Kind of quantity in a column: decides which units it takes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Quantity {
+    Text,
+    Number,
+    Length,
+    Time,
+    Angle,
+    /// Angles that the column's name says to be in degrees.
+    Degrees,
+    AngularSpeed,
+    Speed,
+    Force,
+    Torque,
+    Mass,
+    Frequency,
+}
+
+impl Quantity {
+    /// Units and their factor to the first, which is SI but for degrees.
+    pub fn units(self) -> &'static [(&'static str, f64)] {
+        const DEGREE: f64 = std::f64::consts::PI / 180.0;
+        match self {
+            Quantity::Text => &[],
+            Quantity::Number => &[("1", 1.0), ("%", 0.01)],
+            Quantity::Length => &[("m", 1.0), ("cm", 1e-2), ("mm", 1e-3), ("um", 1e-6), ("µm", 1e-6), ("in", 0.0254)],
+            Quantity::Time => &[("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("µs", 1e-6), ("min", 60.0)],
+            Quantity::Angle => &[("rad", 1.0), ("deg", DEGREE), ("°", DEGREE), ("mrad", 1e-3)],
+            Quantity::Degrees => &[("deg", 1.0), ("°", 1.0), ("rad", 1.0 / DEGREE)],
+            Quantity::AngularSpeed => {
+                &[("rad/s", 1.0), ("deg/s", DEGREE), ("°/s", DEGREE), ("rpm", 6.0 * DEGREE), ("Hz", 360.0 * DEGREE)]
+            }
+            Quantity::Speed => &[("m/s", 1.0), ("cm/s", 1e-2), ("mm/s", 1e-3)],
+            Quantity::Force => {
+                &[("N", 1.0), ("mN", 1e-3), ("kN", 1e3), ("gf", 9.80665e-3), ("kgf", 9.80665), ("lbf", 4.4482216152605)]
+            }
+            Quantity::Torque => &[
+                ("N·m", 1.0),
+                ("N*m", 1.0),
+                ("N m", 1.0),
+                ("Nm", 1.0),
+                ("mN·m", 1e-3),
+                ("mN*m", 1e-3),
+                ("mNm", 1e-3),
+                ("N·cm", 1e-2),
+                ("N*cm", 1e-2),
+                ("Ncm", 1e-2),
+                ("N·mm", 1e-3),
+                ("N*mm", 1e-3),
+                ("Nmm", 1e-3),
+            ],
+            Quantity::Mass => &[("kg", 1.0), ("g", 1e-3)],
+            Quantity::Frequency => &[("Hz", 1.0), ("1/s", 1.0), ("1/min", 1.0 / 60.0)],
+        }
+    }
+
+    /// Factor to SI of a unit, if it is one of this quantity.
+    pub fn factor(self, unit: &str) -> Option<f64> {
+        self.units().iter().find(|u| u.0 == unit).map(|u| u.1)
+    }
+}
