@@ -6,19 +6,18 @@ use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::Error;
 use sandgait::diagnose::diagnose;
-use sandgait::diagnose::experiment::Experiment;
+use sandgait::diagnose::experiment::{self, Experiment};
 use sandgait::diagnose::force_log;
 use sandgait::diagnose::forward::{ForceLogModel, ForwardModel};
 use sandgait::diagnose::report::{Diagnosis, Report};
 use sandgait::diagnose::select::Verdict;
-use sandgait::diagnose::table;
 use sandgait::diagnose::walking_log;
 use sandgait::progress::{Progress, Silent};
 use sandgait::sand::SandDescription;
 use sandgait::sand::mechanism::{CATALOG, Mechanisms};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
-use testbed::Hidden;
+use testbed::{Design, Hidden};
 
 fn experiment() -> Experiment {
     Experiment::from_toml(testbed::EXPERIMENT).unwrap()
@@ -106,6 +105,27 @@ fn a_cause_outside_the_library_is_none_of_these() {
     let r = hidden(&[("wall", 1.0)]);
     assert_eq!(r.verdict, Verdict::NoneOfThese, "{}", r.summary);
     assert!(r.causes.is_empty() && !r.correlates_with.is_empty());
+}
+
+/// A drag of another power of the speed is not called by the law's name where the data exclude the law's power, and where they
+/// do not tell powers apart the report says so.
+#[test]
+fn the_form_of_a_law_is_questioned() {
+    let form = |design, loud, id, value| {
+        let log = testbed::noisy_log(design, loud, 11, &Hidden { causes: vec![(id, value)] }, 0.05);
+        let r = diagnosis(&log.noisy).report;
+        (r.form.clone().unwrap_or_else(|| panic!("{}", r.summary)), r)
+    };
+    let (found, r) = form(Design::Crossed, 0.5, "drag_1.5", 1.5);
+    assert!(found.excluded && (found.found - 1.5).abs() < 0.15, "{found:?}");
+    assert_eq!(r.verdict, Verdict::NoneOfThese, "{}", r.summary);
+    assert!(r.summary.contains("where inertial_drag has 2"), "{}", r.summary);
+    let (found, r) = form(Design::Crossed, 0.5, "inertial_drag", 1.5);
+    assert!(!found.excluded && found.told_apart, "{found:?}");
+    assert_eq!(r.verdict, Verdict::Named, "{}", r.summary);
+    let (found, r) = form(Design::Narrow, 2.0, "drag_1.5", 1.5);
+    assert!(!found.excluded && !found.told_apart, "{found:?}");
+    assert!(r.summary.contains("these data allow every power"), "{}", r.summary);
 }
 
 #[test]
@@ -208,6 +228,14 @@ fn bad_data_are_refused_with_file_row_and_column() {
     }
     let unit = says(&log, &format!("{}[units]\nFx = \"stone\"\n", testbed::EXPERIMENT));
     assert!(unit.contains("Fx") && unit.contains("stone"), "{unit}");
+    let shapeless = testbed::EXPERIMENT.split("[shape").next().unwrap();
+    let shape = says(&log, shapeless);
+    assert!(
+        shape.ends_with(
+            "column shape: shape \"L\" is unknown; the experiment describes no shape; give a table [shape.NAME]"
+        ),
+        "{shape}"
+    );
 }
 
 /// A gigabyte is refused unread, and a log of too many samples while it is read: both in one line that says what to do.
@@ -223,11 +251,11 @@ fn logs_beyond_the_limits_are_refused() {
         "{message}"
     );
     let mut text = testbed::log(11, &Hidden::default(), 0.05).noisy.lines().next().unwrap().to_string();
-    for k in 0..=table::MOST_ROWS {
+    for k in 0..=experiment::MOST_ROWS {
         text.push_str(&format!("\na,0,0,leg,L,poppy-loose,0.02,,,1,0,0,{k},0,1,,,,,0,0,0"));
     }
     let message = says(&file(directory.path(), &text));
-    let said = format!("more than {} rows: keep every n-th sample", table::MOST_ROWS);
+    let said = format!("more than {} rows: keep every n-th sample", experiment::MOST_ROWS);
     assert!(message.contains(&said) && message.lines().count() == 1, "{message}");
 }
 

@@ -21,6 +21,9 @@ const FALSE_ALARM: f64 = 0.003;
 /// Simulated nulls: their mean and spread are then known to some 10 %. Our choice, for the time it takes.
 const NULLS: usize = 80;
 
+/// Numbers that nulls on different cores hold together: 256 MB, our choice, so that many cores do not fill the memory.
+const NUMBERS_AT_ONCE: usize = 32 << 20;
+
 /// A cause is felt by the data if its typical strength moves them by more than 0.01 σ altogether: our choice, far below
 /// anything that could be found.
 pub const FELT: f64 = 1e-4;
@@ -184,8 +187,10 @@ fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
 pub fn gates(study: &Study, source: &Source, screen: &Screen, noise: &Noise, scores: &Scores) -> Gates {
     let seeds: Vec<u64> = (0..NULLS as u64).collect();
     let stopped = || study.model.stopped();
-    let nulls =
-        parallel::map(&seeds, |&seed| if stopped() { (0.0, 0.0) } else { null(source, screen, noise, seed, &stopped) });
+    let of = |&seed: &u64| if stopped() { (0.0, 0.0) } else { null(source, screen, noise, seed, &stopped) };
+    let columns = 2 * (screen.candidates.len() + COEFFICIENTS);
+    let together = (NUMBERS_AT_ONCE / (columns * source.observations.values.len()).max(1)).max(1);
+    let nulls: Vec<_> = seeds.chunks(together).flat_map(|part| parallel::map(part, of)).collect();
     let ideal = ideal(screen, &scores.gram);
     let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len().max(1) as f64;
     let best: Vec<f64> = nulls.iter().map(|n| n.0).collect();

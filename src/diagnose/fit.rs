@@ -126,6 +126,12 @@ impl<'a> Study<'a> {
         (0.5 * CATALOG[id].coordinate_typical()).max(self.steps[id])
     }
 
+    /// The same study of another model whose laws without mechanisms are the same.
+    pub fn with_model<'b>(&'b self, model: &'b dyn ForwardModel) -> Study<'b> {
+        let coefficient_slopes = self.coefficient_slopes.clone();
+        Study { model, coefficient_slopes, ..*self }
+    }
+
     /// The same study under another whitening.
     pub fn rewhitened(&self, whitener: &'a Whitener) -> Self {
         Self::new(self.observations, self.model, whitener, self.coefficient_sd)
@@ -192,6 +198,21 @@ impl<'a> Study<'a> {
         self.refine(again, ROUNDS / 2, true)
     }
 
+    /// The same fit with all slopes taken where it stands.
+    pub fn with_slopes(&self, fit: Fit) -> Fit {
+        let mut fits = vec![fit];
+        self.set_coefficient_slopes(&mut fits, &[0]);
+        self.set_value_slopes(&mut fits, &[0]);
+        fits.swap_remove(0)
+    }
+
+    /// A fit of a model like that of an earlier fit, from where that ended and with its slopes by the coefficients.
+    pub fn fit_near(&self, earlier: &Fit) -> Fit {
+        let mut begun = self.at_all(vec![(earlier.ids.clone(), earlier.mechanisms, earlier.deviations)]);
+        (begun[0].slopes, begun[0].white_slopes) = (earlier.slopes.clone(), earlier.white_slopes.clone());
+        self.refine(begun, ROUNDS / 2, false).swap_remove(0)
+    }
+
     /// A rough model has minima beside the one that a fit fell into: the fit with each value a slope's step to either side,
     /// to begin again from; none of a smooth model.
     pub fn beside(&self, fit: &Fit) -> Vec<Fit> {
@@ -203,6 +224,19 @@ impl<'a> Study<'a> {
             Fit { mechanisms: fit.mechanisms.with(id, value), ..fit.clone() }
         };
         (0..values).flat_map(|k| [(k, 1.0), (k, -1.0)]).map(moved).collect()
+    }
+
+    /// Fits with their parameters moved by a step each, nothing fitted again; they keep the slopes they had.
+    pub fn moved_by(&self, steps: &[(&Fit, Vec<f64>)]) -> Vec<Fit> {
+        let state = |(fit, step): &(&Fit, Vec<f64>)| {
+            let (mechanisms, deviations) = moved(fit, step, 1.0);
+            (fit.ids.clone(), mechanisms, deviations)
+        };
+        let mut there = self.at_all(steps.iter().map(state).collect());
+        for (there, (fit, _)) in there.iter_mut().zip(steps) {
+            (there.slopes, there.white_slopes) = (fit.slopes.clone(), fit.white_slopes.clone());
+        }
+        there
     }
 
     /// Where fits of given ids from given values begin.
@@ -303,13 +337,17 @@ impl<'a> Study<'a> {
             deviations[k] += step;
             (fit.mechanisms, self.coefficients(&deviations))
         };
-        let states = active.iter().flat_map(|&k| (0..COEFFICIENTS).map(move |c| (k, c)));
-        let states: Vec<_> = states.map(|(k, c)| state(&fits[k], c)).collect();
-        let moved = self.model.predict_many(&states);
-        for (&k, moved) in active.iter().zip(moved.chunks(COEFFICIENTS)) {
-            let fit = &mut fits[k];
-            fit.slopes = moved.iter().map(|m| Arc::new(slope(m, &fit.prediction, step))).collect();
-            fit.white_slopes = fit.slopes.iter().map(|s| Arc::new(self.whitener.apply(s))).collect();
+        // A rough model simulates many states at once best; of a smooth one they would only fill the memory.
+        let together = if self.model.roughness().is_some() { active.len().max(1) } else { 1 };
+        for part in active.chunks(together) {
+            let states = part.iter().flat_map(|&k| (0..COEFFICIENTS).map(move |c| (k, c)));
+            let states: Vec<_> = states.map(|(k, c)| state(&fits[k], c)).collect();
+            let moved = self.model.predict_many(&states);
+            for (&k, moved) in part.iter().zip(moved.chunks(COEFFICIENTS)) {
+                let fit = &mut fits[k];
+                fit.slopes = moved.iter().map(|m| Arc::new(slope(m, &fit.prediction, step))).collect();
+                fit.white_slopes = fit.slopes.iter().map(|s| Arc::new(self.whitener.apply(s))).collect();
+            }
         }
     }
 

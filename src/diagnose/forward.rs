@@ -1,23 +1,21 @@
 //! Forward models: what a data set would read if the simulation were right.
 //!
-//! Everything statistical is written against [`ForwardModel`]; [`ForceLogModel`] predicts force logs. The sand side of
-//! a mechanism is evaluated by [`SandMechanisms`]; the measuring side (depth reference, compliance, delay, filter,
-//! tilt, offsets) is here, in that order.
+//! Everything statistical is written against [`ForwardModel`]; [`ForceLogModel`] predicts force logs, track by track
+//! ([`super::arm`]).
 
+use super::arm::{Arm, Cut, PowerDrag};
 use super::experiment::{Experiment, Intruder};
 use super::force_log::{ForceLog, Pose, Track};
 use super::next_experiment::Menu;
 use super::observations::Observations;
 use super::shared::Shared;
 use crate::error::Result;
-use crate::number::Vec3;
 use crate::parallel;
 use crate::progress::Latch;
-use crate::sand::beyond::{SandMechanisms, Site, footprint, slope_depth};
+use crate::sand::beyond::{SandMechanisms, footprint};
 use crate::sand::intrusion::Load;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
-use crate::sand::shape::{Segment, straight};
-use crate::sand::{Coefficients, Ground, Law, Medium, SandDescription, Shape, Surface};
+use crate::sand::{Coefficients, Ground, Law, Medium, SandDescription, Surface};
 use std::collections::BTreeMap;
 
 /// What varies along the data and may explain a misfit.
@@ -57,6 +55,10 @@ pub trait ForwardModel: Sync {
     fn model_error(&self, _: &Mechanisms, _: &Coefficients, _prediction: &[f64]) -> Vec<Vec<f64>> {
         Vec::new()
     }
+    /// The same model with another power of the speed in the law of mechanism `id`; none where it cannot be had.
+    fn with_exponent(&self, _id: usize, _exponent: f64) -> Option<Box<dyn ForwardModel + '_>> {
+        None
+    }
     /// The medium of the plain model.
     fn medium(&self) -> &Medium;
     /// Which mechanisms this kind of data can be asked about: index in the catalogue, or why not.
@@ -69,21 +71,8 @@ pub trait ForwardModel: Sync {
     fn group(&self, unit: usize) -> &str;
 }
 
-/// Segments a plate or leg is cut into: the partly submerged one then errs by < 0.1 % of the peak force. Our choice.
-const SEGMENTS: usize = 40;
-/// Steps per sample interval in which the low-pass filter sees the force; linear in between. Our choice.
-const FILTER_STEPS: usize = 6;
-
 /// The arm prescribes the motion: nothing rests in the sand, so no creep speed is needed.
 const PRESCRIBED: Surface = Surface { rest_speed: 1e-9, ..Surface::DEFAULT };
-
-struct Cut {
-    segments: Vec<Segment>,
-    /// Straight strip from hip to tip; empty for plates.
-    chord: Vec<Segment>,
-    width: f64,
-    half_thickness: f64,
-}
 
 /// Predicts force logs.
 pub struct ForceLogModel<'a> {
@@ -95,12 +84,17 @@ pub struct ForceLogModel<'a> {
     units: Vec<(usize, usize, usize)>,
     channels: usize,
     missing: Vec<&'static str>,
+    /// Form of inertial drag, where it is another than the catalogue's.
+    drag: Option<PowerDrag>,
 }
 
 impl<'a> ForceLogModel<'a> {
     pub fn new(log: &ForceLog, experiment: &Experiment) -> Result<Self> {
-        let cuts =
-            experiment.shapes.iter().map(|(name, shape)| Ok((name.clone(), cut(shape)?))).collect::<Result<_>>()?;
+        let cuts = experiment
+            .shapes
+            .iter()
+            .map(|(name, shape)| Ok((name.clone(), Cut::new(shape)?)))
+            .collect::<Result<_>>()?;
         let units = log.observations.units.iter().zip(&log.track_of).map(|(u, &t)| (t, u.start, u.samples)).collect();
         Ok(Self {
             latch: None,
@@ -110,6 +104,7 @@ impl<'a> ForceLogModel<'a> {
             units,
             channels: log.observations.channels.len(),
             missing: log.missing.clone(),
+            drag: None,
         })
     }
 
@@ -123,11 +118,12 @@ impl<'a> ForceLogModel<'a> {
         let model = Self {
             latch: None,
             medium: sand.medium(),
-            cuts: BTreeMap::from([(track.shape.clone(), cut(&track.intruder)?)]),
+            cuts: BTreeMap::from([(track.shape.clone(), Cut::new(&track.intruder)?)]),
             tracks: Vec::new(),
             units: Vec::new(),
             channels: 3,
             missing: Vec::new(),
+            drag: None,
         };
         let ground = Ground::new(Law::Li2013, &model.medium, &PRESCRIBED);
         Ok(model.loads(&track, &sand.mechanisms, &ground))
@@ -137,15 +133,15 @@ impl<'a> ForceLogModel<'a> {
     pub fn for_tracks(&self, tracks: Vec<Track>) -> (Self, Observations) {
         let log = super::force_log::planned(tracks, self.channels);
         let units = log.observations.units.iter().zip(&log.track_of).map(|(u, &t)| (t, u.start, u.samples)).collect();
-        let cuts = self.cuts.iter().map(|(name, c)| (name.clone(), c.copy())).collect();
         let model = Self {
             latch: self.latch,
             medium: self.medium.clone(),
             tracks: log.tracks,
-            cuts,
+            cuts: self.cuts.clone(),
             units,
             channels: self.channels,
             missing: self.missing.clone(),
+            drag: self.drag,
         };
         (model, log.observations)
     }
@@ -156,260 +152,17 @@ impl<'a> ForceLogModel<'a> {
 
     /// Loads as logged along one track.
     fn loads(&self, track: &Track, m: &Mechanisms, ground: &Ground<f64>) -> Vec<Load> {
-        let sand = SandMechanisms::new(m, self.medium.bulk_density);
-        let cut = &self.cuts[&track.shape];
+        let density = m.inertial_drag * self.medium.bulk_density;
         let arm = Arm {
             track,
-            cut,
+            cut: &self.cuts[&track.shape],
             mechanisms: m,
-            sand,
+            sand: SandMechanisms::new(m, self.medium.bulk_density),
             ground,
             footprint: footprint(m.footprint, track.pass, track.pass_dx),
+            other_drag: self.drag.map(|law| (density, law)),
         };
-        let mut loads: Vec<Load> = if m.lowpass > 0.0 {
-            arm.filtered(m.lowpass)
-        } else {
-            track.poses.iter().enumerate().map(|(i, p)| arm.load(&arm.late(i, p), p.t)).collect()
-        };
-        let (sin, cos) = m.sensor_tilt.sin_cos();
-        for load in &mut loads {
-            let (fx, fz) = (load.fx, load.fz);
-            load.fx = fx * cos - fz * sin + m.bias_x;
-            load.fz = fx * sin + fz * cos + m.bias_z;
-        }
-        loads
-    }
-}
-
-impl Cut {
-    fn copy(&self) -> Self {
-        Cut { segments: self.segments.clone(), chord: self.chord.clone(), ..*self }
-    }
-}
-
-fn cut(intruder: &Intruder) -> Result<Cut> {
-    Ok(match *intruder {
-        Intruder::Leg { chord, width, xi_deg, thickness } => Cut {
-            segments: Shape::two_piece(xi_deg)?.segments(chord, width, SEGMENTS)?,
-            chord: straight([0.0, 0.0], [0.0, -chord], width, SEGMENTS),
-            width,
-            half_thickness: thickness.unwrap_or(0.0) / 2.0,
-        },
-        Intruder::Plate { length, width, thickness } => Cut {
-            segments: straight([-length / 2.0, 0.0], [length / 2.0, 0.0], width, SEGMENTS),
-            chord: Vec::new(),
-            width,
-            half_thickness: thickness.unwrap_or(0.0) / 2.0,
-        },
-    })
-}
-
-/// One track under one set of mechanisms.
-struct Arm<'a> {
-    track: &'a Track,
-    cut: &'a Cut,
-    mechanisms: &'a Mechanisms,
-    sand: SandMechanisms<f64>,
-    ground: &'a Ground<f64>,
-    footprint: f64,
-}
-
-impl Arm<'_> {
-    /// The pose whose force is logged at sample `index`: `delay` earlier.
-    fn late(&self, index: usize, pose: &Pose) -> Pose {
-        if self.mechanisms.delay == 0.0 { *pose } else { self.pose_at(pose.t - self.mechanisms.delay, index) }
-    }
-
-    /// Pose at time `t`: cubic Hermite through the samples, constant velocity beyond them; `near` is a sample close by.
-    fn pose_at(&self, t: f64, near: usize) -> Pose {
-        let poses = &self.track.poses;
-        let mut right = near.min(poses.len() - 1);
-        while right > 0 && poses[right].t > t {
-            right -= 1;
-        }
-        let a = &poses[right];
-        let Some(b) = poses.get(right + 1).filter(|_| t >= a.t) else {
-            let dt = t - a.t;
-            let center = [0, 1].map(|k| a.center[k] + a.velocity[k] * dt);
-            return Pose { t, theta: a.theta + a.omega * dt, center, ..*a };
-        };
-        let h = b.t - a.t;
-        let s = (t - a.t) / h;
-        let hermite = |p: f64, dp: f64, q: f64, dq: f64| {
-            let (s2, s3) = (s * s, s * s * s);
-            (2.0 * s3 - 3.0 * s2 + 1.0) * p
-                + (s3 - 2.0 * s2 + s) * h * dp
-                + (3.0 * s2 - 2.0 * s3) * q
-                + (s3 - s2) * h * dq
-        };
-        let between = |p: f64, q: f64| p + s * (q - p);
-        Pose {
-            t,
-            theta: hermite(a.theta, a.omega, b.theta, b.omega),
-            omega: between(a.omega, b.omega),
-            center: [0, 1].map(|k| hermite(a.center[k], a.velocity[k], b.center[k], b.velocity[k])),
-            velocity: [0, 1].map(|k| between(a.velocity[k], b.velocity[k])),
-        }
-    }
-
-    /// Loads behind a first-order filter of time constant `tau` [s], settled half a sample before the log: τ ẏ = F − y.
-    fn filtered(&self, tau: f64) -> Vec<Load> {
-        let poses = &self.track.poses;
-        let start = poses[0].t - poses.get(1).map_or(0.0, |p| 0.5 * (p.t - poses[0].t));
-        let mut out: Vec<Load> = Vec::with_capacity(poses.len());
-        for i in 0..poses.len() {
-            // A fast filter sees only the last moments: quadrature. A slow one is stepped through the samples.
-            let fast = i == 0 || tau < 2.0 * (poses[i].t - poses[i - 1].t);
-            out.push(if fast { self.remembered(i, tau, start) } else { self.stepped(i, tau, out[i - 1]) });
-        }
-        out
-    }
-
-    /// y(t) = ∫ e^(−u) F(t − τ u) du by Gauss-Laguerre quadrature (Abramowitz & Stegun table 25.9, n = 8).
-    fn remembered(&self, i: usize, tau: f64, start: f64) -> Load {
-        const NODES: [(f64, f64); 8] = [
-            (0.170_279_632_305, 3.691_885_893_42e-1),
-            (0.903_701_776_799, 4.187_867_808_14e-1),
-            (2.251_086_629_87, 1.757_949_866_37e-1),
-            (4.266_700_170_29, 3.334_349_226_12e-2),
-            (7.045_905_402_39, 2.794_536_235_23e-3),
-            (10.758_516_010_2, 9.076_508_773_36e-5),
-            (15.740_678_641_3, 8.485_746_716_27e-7),
-            (22.863_131_736_9, 1.048_001_174_87e-9),
-        ];
-        let t = self.track.poses[i].t;
-        NODES.iter().fold(Load::default(), |sum, (u, weight)| {
-            let then = (t - tau * u).max(start);
-            let f = self.load(&self.pose_at(then - self.mechanisms.delay, i), then);
-            Load { fx: sum.fx + weight * f.fx, fz: sum.fz + weight * f.fz, ty: sum.ty + weight * f.ty }
-        })
-    }
-
-    /// The filter's state at sample `i` from that at the sample before, exact for a force linear between steps.
-    fn stepped(&self, i: usize, tau: f64, mut state: Load) -> Load {
-        let (from, to) = (self.track.poses[i - 1].t, self.track.poses[i].t);
-        let h = (to - from) / FILTER_STEPS as f64;
-        let decay = (-h / tau).exp();
-        // weights of the force at the start and the end of a step
-        let end = 1.0 - (1.0 - decay) * tau / h;
-        let start = 1.0 - decay - end;
-        let at = |step: usize| {
-            let t = from + h * step as f64;
-            self.load(&self.pose_at(t - self.mechanisms.delay, i), t)
-        };
-        let mut before = at(0);
-        for step in 1..=FILTER_STEPS {
-            let now = at(step);
-            let next = |y: f64, a: f64, b: f64| decay * y + start * a + end * b;
-            state = Load {
-                fx: next(state.fx, before.fx, now.fx),
-                fz: next(state.fz, before.fz, now.fz),
-                ty: next(state.ty, before.ty, now.ty),
-            };
-            before = now;
-        }
-        state
-    }
-
-    /// Load at a pose; `t` only finds the acceleration.
-    fn load(&self, pose: &Pose, t: f64) -> Load {
-        let acceleration = if self.mechanisms.added_mass == 0.0 { [0.0; 3] } else { self.acceleration(t) };
-        match self.track.intruder {
-            Intruder::Plate { .. } => self.plate(pose, acceleration),
-            Intruder::Leg { .. } => {
-                let mut lagged = *pose;
-                if self.mechanisms.compliance != 0.0 {
-                    // Two rounds of θ = θ_motor + torque × compliance: the torque changes little over the lag.
-                    for _ in 0..2 {
-                        lagged.theta = pose.theta + self.mechanisms.compliance * self.leg(&lagged, acceleration[0]).ty;
-                    }
-                }
-                self.leg(&lagged, acceleration[0])
-            }
-        }
-    }
-
-    /// Angular acceleration [rad/s²] and the centre's acceleration [m/s²] by central differences of the log.
-    fn acceleration(&self, t: f64) -> [f64; 3] {
-        let poses = &self.track.poses;
-        let i = poses.partition_point(|p| p.t < t).min(poses.len() - 1);
-        let (a, b) = (&poses[i.saturating_sub(1)], &poses[(i + 1).min(poses.len() - 1)]);
-        // A trial of one sample has no acceleration to show.
-        let dt = if b.t > a.t { b.t - a.t } else { f64::INFINITY };
-        [b.omega - a.omega, b.velocity[0] - a.velocity[0], b.velocity[1] - a.velocity[1]].map(|d| d / dt)
-    }
-
-    fn plate(&self, pose: &Pose, acceleration: [f64; 3]) -> Load {
-        let (sin, cos) = self.track.beta.sin_cos();
-        let origin = [pose.center[0], pose.center[1] - self.mechanisms.depth_zero];
-        self.sum(&self.cut.segments, origin, (sin, cos), |_| pose.velocity, |_| [acceleration[1], acceleration[2]])
-    }
-
-    fn leg(&self, pose: &Pose, angular_acceleration: f64) -> Load {
-        let turn = pose.theta.sin_cos();
-        let origin = [0.0, self.track.hip_height - self.mechanisms.depth_zero];
-        let velocity = |r: [f64; 2]| [-pose.omega * r[1], pose.omega * r[0]];
-        // Only the tangential part: the normal turns with the leg, so the centripetal part does not change v·n.
-        let change = |r: [f64; 2]| [-angular_acceleration * r[1], angular_acceleration * r[0]];
-        let full = self.sum(&self.cut.segments, origin, turn, velocity, change);
-        let Intruder::Leg { xi_deg, .. } = self.track.intruder else {
-            return full;
-        };
-        let chi = self.mechanisms.concave_fill;
-        // Bulging forward (ξ > 0) and turning backward, or the reverse: the concave side leads.
-        if chi == 0.0 || xi_deg * pose.omega >= 0.0 {
-            return full;
-        }
-        let chord = self.sum(&self.cut.chord, origin, turn, velocity, change);
-        let mix = |segments: f64, straight: f64| (1.0 - chi) * segments + chi * straight;
-        Load { fx: mix(full.fx, chord.fx), fz: mix(full.fz, chord.fz), ty: mix(full.ty, chord.ty) }
-    }
-
-    /// Sums stress over segments turned by (sin, cos) counter-clockwise about `origin`.
-    fn sum(
-        &self,
-        segments: &[Segment],
-        origin: [f64; 2],
-        (sin, cos): (f64, f64),
-        velocity: impl Fn([f64; 2]) -> [f64; 2],
-        change: impl Fn([f64; 2]) -> [f64; 2],
-    ) -> Load {
-        let turn = |p: [f64; 2]| [p[0] * cos - p[1] * sin, p[0] * sin + p[1] * cos];
-        let mut load = Load::default();
-        let slope = self.mechanisms.slope.sin_cos();
-        for s in segments {
-            let r = turn(s.center);
-            // Well above the surface, whatever side leads: nothing to do.
-            if slope_depth(slope, origin[0] + r[0], origin[1] + r[1]) < -self.cut.half_thickness {
-                continue;
-            }
-            let n = turn(s.normal);
-            let (v, dv) = (velocity(r), change(r));
-            let along = n[0] * v[0] + n[1] * v[1];
-            let lead = if along < 0.0 { -1.0 } else { 1.0 };
-            // The stress acts on the leading face, half a thickness ahead of the mid-surface.
-            let ahead = lead * self.cut.half_thickness;
-            let (x, z) = (origin[0] + r[0] + n[0] * ahead, origin[1] + r[1] + n[1] * ahead);
-            let (depth, (s_sin, s_cos)) = (slope_depth(slope, x, z), slope);
-            if depth <= 0.0 {
-                continue;
-            }
-            let into = |p: [f64; 2]| Vec3::new(p[0] * s_cos + p[1] * s_sin, 0.0, p[1] * s_cos - p[0] * s_sin);
-            let site = Site {
-                depth,
-                x: self.track.x_bed + x,
-                footprint: self.footprint,
-                width: self.cut.width,
-                normal_acceleration: lead * (n[0] * dv[0] + n[1] * dv[1]),
-            };
-            let stress = self.sand.stress(self.ground, into(n), into(v), &site);
-            let fx = (stress.x * s_cos - stress.z * s_sin) * s.area;
-            let fz = (stress.x * s_sin + stress.z * s_cos) * s.area;
-            load.fx += fx;
-            load.fz += fz;
-            load.ty += r[0] * fz - r[1] * fx;
-        }
-        load
+        arm.readings()
     }
 }
 
@@ -439,6 +192,27 @@ impl ForwardModel for ForceLogModel<'_> {
             }
         }
         stack
+    }
+
+    fn with_exponent(&self, id: usize, exponent: f64) -> Option<Box<dyn ForwardModel + '_>> {
+        if CATALOG[id].id != "inertial_drag" {
+            return None;
+        }
+        // At the greatest speed of the data both laws are one: so far up λ stays what it was.
+        let features = self.features();
+        let speed = features.iter().filter(|f| f.name == "speed").flat_map(|f| f.values.iter().flatten());
+        let speed = speed.copied().fold(1e-6, f64::max);
+        let drag = (Some(exponent) != CATALOG[id].exponent).then_some(PowerDrag { exponent, speed });
+        Some(Box::new(Self {
+            latch: self.latch,
+            medium: self.medium.clone(),
+            tracks: self.tracks.clone(),
+            cuts: self.cuts.clone(),
+            units: self.units.clone(),
+            channels: self.channels,
+            missing: self.missing.clone(),
+            drag,
+        }))
     }
 
     fn medium(&self) -> &Medium {

@@ -1,18 +1,20 @@
 //! Diagnosis: show what the simulation gets wrong, name the cause, extend the model, measure the gain.
 //!
-//! data ([`table`], [`force_log`] or [`walking_log`], [`experiment`]) → [`forward`] model ([`walking_model`] for runs) →
+//! data ([`force_log`] or [`walking_log`], [`experiment`]) → [`forward`] model ([`walking_model`] for runs) →
 //! [`noise`] from repetitions, with what they have in common ([`shared`]) → [`whiten`] → [`fit`]
 //! → gates on simulated nulls ([`calibrate`]) → [`select`] with [`cross_validation`] and [`lack_of_fit`] → [`report`].
 //!
 //! Everything from `noise` on sees only [`observations`] and a [`forward::ForwardModel`]: another kind of data needs its
 //! own reader and forward model, nothing else.
 
+pub mod arm;
 pub mod calibrate;
 pub mod cli;
 pub mod cross_validation;
 pub mod experiment;
 pub mod fit;
 pub mod force_log;
+pub mod form;
 pub mod forward;
 pub mod lack_of_fit;
 pub mod minimise;
@@ -21,10 +23,10 @@ pub mod next_experiment;
 pub mod noise;
 pub mod observations;
 pub mod page;
+pub mod profile;
 pub mod report;
 pub mod select;
 pub mod shared;
-pub mod table;
 pub mod walking_log;
 pub mod walking_model;
 pub mod whiten;
@@ -36,6 +38,7 @@ use crate::sand::mechanism::{CATALOG, Mechanisms};
 use cross_validation::HeldOut;
 use experiment::{Experiment, Kind};
 use fit::{Fit, Study};
+use form::Form;
 use forward::{ForceLogModel, ForwardModel};
 use noise::{Noise, Source, sizes};
 use observations::Observations;
@@ -195,6 +198,13 @@ impl View<'_> {
         let mut warnings: Vec<String> =
             causes.iter().filter(|c| c.at_bound).map(|c| format!("{} sits at its bound", c.id)).collect();
         warnings.extend(self.selection.and_then(extension).and_then(|c| far_coefficients(&c.fit)));
+        let mut notes = notes;
+        let form = self.selection.and_then(|s| s.form.clone());
+        let powers =
+            best.iter().flat_map(|c| &c.fit.ids).filter(|&&id| form.is_none() && CATALOG[id].exponent.is_some());
+        notes.extend(
+            powers.map(|&id| format!("these data were not asked for another power of the speed in {}", CATALOG[id].id)),
+        );
         let channels = observations.channels.iter().zip(&self.noise.channels);
         Report {
             schema: "sandgait.diagnosis.v1",
@@ -211,6 +221,7 @@ impl View<'_> {
                 limit: self.selection.map(|s| s.gates.lack_of_fit),
             },
             gain: self.gain(),
+            form,
             misfit,
             correlates_with: self.correlates(),
             untestable,
@@ -234,15 +245,17 @@ impl View<'_> {
         let cause = |(k, &id): (usize, &usize)| {
             let (entry, at) = (&CATALOG[id], fit.coordinates()[k]);
             let reach = 1.96 * (covariance[(k, k)] * inflation).sqrt();
+            let profiled = self.selection.and_then(|s| s.intervals.get(k)).filter(|i| i.iter().all(|u| u.is_finite()));
+            let [low, high] = profiled.copied().unwrap_or([at - reach, at + reach]);
             let bounds = entry.coordinate_bounds();
             let held = |u: f64| entry.value(u.clamp(bounds[0], bounds[1]));
             // A ceiling may be so high as to be none: its greatest value stands for that.
-            let high = if entry.ceiling && held(at - reach) == 0.0 { entry.bounds[1] } else { held(at - reach) };
+            let most = if entry.ceiling && held(low) == 0.0 { entry.bounds[1] } else { held(low) };
             Cause {
                 id: entry.id.into(),
                 value: entry.value(at),
                 unit: entry.unit.into(),
-                ci95: if entry.ceiling { [held(at + reach), high] } else { [held(at - reach), held(at + reach)] },
+                ci95: if entry.ceiling { [held(high), most] } else { [held(low), held(high)] },
                 at_bound: bounds.contains(&at),
             }
         };
@@ -367,6 +380,7 @@ impl View<'_> {
             Verdict::NoneOfThese => self.not_enough(selection),
             Verdict::InsufficientData => String::new(),
         };
+        let verdict = verdict + &selection.form.as_ref().map_or(String::new(), Form::said);
         whereabouts.map_or(verdict.clone(), |place| format!("{verdict}; {place}"))
     }
 
@@ -396,7 +410,12 @@ impl View<'_> {
     }
 
     fn not_enough(&self, selection: &Selection) -> String {
+        let form = selection.form.as_ref().filter(|f| f.excluded);
         match selection.candidates.first() {
+            Some(best) if form.is_some() && best.lack_of_fit <= selection.gates.lack_of_fit => {
+                let name = names(&best.fit).join(" with ");
+                format!("none of the known causes has the right form: {name} comes nearest") + &self.stand_in(selection)
+            }
             Some(best) if best.delta_chi2 > selection.gates.single => {
                 format!(
                     "none of the known causes is enough: the nearest, {}, leaves a lack of fit of {} where noise leaves up to {}",

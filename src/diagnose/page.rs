@@ -26,6 +26,7 @@ pub fn page(diagnosis: &Diagnosis, json: &str) -> String {
     let unit = diagnosis.curves.observations.channels.iter().find(|c| c.in_rmse).map_or("", |c| c.unit);
     gain(&mut html, r, unit);
     causes(&mut html, r);
+    form(&mut html, r);
     maps(&mut html, &r.misfit);
     curves(&mut html, &diagnosis.curves);
     if !r.runs.is_empty() {
@@ -85,6 +86,23 @@ fn causes(html: &mut String, r: &Report) {
         );
     }
     html.push_str("</table>");
+}
+
+/// What the data say of the power of the speed in the law that comes nearest.
+fn form(html: &mut String, r: &Report) {
+    let Some(form) = &r.form else { return };
+    let [low, high] = form.ci95;
+    let said = match (form.excluded, form.told_apart) {
+        (true, _) => "the data exclude the law's",
+        (false, true) => "the data bear out the law's",
+        (false, false) => "the data do not tell the law's from others",
+    };
+    let _ = write!(
+        html,
+        "<h2>Form of the law</h2><table><tr><th>power of the speed in {}<th>the law's<th>fits best<th>95 % interval\
+         <tr><td>{said}<td>{}<td>{:.2}<td>{low:.2} to {high:.2}</table>",
+        form.id, form.law, form.found
+    );
 }
 
 /// What the bars of a map are: the forces, not the torque, which has a size of its own.

@@ -1,5 +1,6 @@
 //! What a diagnosis hands out: `report.json` to the letter of the contract, and `sand.toml`.
 
+use super::form::Form;
 use super::misfit::{Correlate, Misfit};
 use super::next_experiment::Proposal;
 use super::select::Verdict;
@@ -85,6 +86,8 @@ pub struct Report {
     pub candidates: Vec<Tried>,
     pub lack_of_fit: LackOfFit,
     pub gain: Gain,
+    /// Whether the law of the best cause has the right power of the speed; none where it has none or that cannot be asked.
+    pub form: Option<Form>,
     pub misfit: Vec<Misfit>,
     /// Where the plain model errs most, in one sentence; none without significant misfit.
     #[serde(rename = "where")]

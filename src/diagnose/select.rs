@@ -3,8 +3,10 @@
 use super::calibrate::{FELT, Gates, Scores, Screen, gates, starts};
 use super::cross_validation::{HeldOut, leave_condition_out, unfitted};
 use super::fit::{Fit, Study, dot, slope};
+use super::form::{self, Form};
 use super::lack_of_fit;
 use super::noise::{Noise, Source};
+use super::profile;
 use super::whiten::Whitener;
 use crate::error::Result;
 use crate::parallel;
@@ -42,6 +44,9 @@ const NOISES: usize = 3;
 /// Rivals fitted again under the final whitening: our choice; one further behind is hundreds of χ² away.
 const FINALISTS: usize = 8;
 
+/// χ² with one degree of freedom, 95 %.
+const CHI_SQUARED_95: f64 = 3.841;
+
 /// One cause or pair that was tried.
 pub struct Candidate {
     pub fit: Fit,
@@ -64,11 +69,23 @@ pub struct Selection {
     /// Places in `candidates` of what the data cannot tell from the best, the best included.
     pub set: Vec<usize>,
     pub gates: Gates,
+    /// 95 % intervals of the best's coordinates where slopes are not to be trusted; else empty.
+    pub intervals: Vec<[f64; 2]>,
+    /// What the data say of the form of the best's law, where that can be asked.
+    pub form: Option<Form>,
     /// How many of `candidates`, from the first, were fitted under the final whitening and can be compared.
     finalists: usize,
 }
 
 impl Selection {
+    /// Lets go of all slopes but the best's: a smooth model's fits take them anew, and they fill the memory.
+    fn slim(&mut self, study: &Study) {
+        if study.model.roughness().is_none() {
+            let fits = self.candidates.iter_mut().skip(1).map(|c| &mut c.fit);
+            fits.for_each(|f| (f.slopes, f.white_slopes) = (Vec::new(), Vec::new()));
+        }
+    }
+
     /// The best candidate, where a cause was found.
     pub fn best(&self) -> Option<&Candidate> {
         self.set.first().map(|&k| &self.candidates[k])
@@ -142,16 +159,51 @@ pub fn select(
         return Ok(selection);
     }
     progress.report(0.5, "singles under the noise of the best")?;
-    let whitener = settle(study, source, noise, &mut selection);
+    let mut whitener = settle(study, source, noise, &mut selection);
     progress.report(0.6, "pairs of causes")?;
     let renewed = study.rewhitened(&whitener);
     let scores = screen.scores(&whitener, &study.observations.values);
     if add_pairs(&renewed, &screen, &scores, &mut selection) {
         progress.report(0.85, "pairs under the noise of the best")?;
-        settle(study, source, noise, &mut selection);
+        whitener = settle(study, source, noise, &mut selection);
+    }
+    progress.report(0.9, "intervals and the form of the law")?;
+    let renewed = study.rewhitened(&whitener);
+    if study.model.roughness().is_some() {
+        explore(&renewed, &mut selection);
     }
     decide(&mut selection);
+    question_form(&renewed, &mut selection);
     Ok(selection)
+}
+
+/// Finds the lowest place about the best, and how far its values can be moved.
+fn explore(study: &Study, selection: &mut Selection) {
+    let best = &selection.candidates[0];
+    let allowed = CHI_SQUARED_95 * selection.gates.inflation;
+    let (lowest, intervals) = profile::explore(study, &best.fit, allowed);
+    if lowest.objective < best.fit.objective {
+        selection.candidates[0] = candidate(study, &study.recalibrated(), lowest);
+    }
+    selection.intervals = intervals;
+}
+
+/// Asks whether the law of the best cause has the right form. Where the data exclude it, or where the cause alone in another
+/// form explains as much as with a second term, which then only stands in for that, none of the causes is the right one.
+fn question_form(study: &Study, selection: &mut Selection) {
+    let best = &selection.candidates[0].fit;
+    let askable = |id: usize| CATALOG[id].exponent.is_some_and(|law| study.model.with_exponent(id, law).is_some());
+    let Some(&id) = best.ids.iter().find(|id| askable(**id)) else { return };
+    let inflation = selection.gates.inflation;
+    let alone = selection.candidates.iter().find(|c| c.fit.ids == [id]).filter(|_| best.ids.len() > 1);
+    // It was fitted under an earlier noise.
+    let alone = alone.and_then(|c| form::check(study, &study.fit_from(&[&c.fit])[0], inflation));
+    let stands_in = alone.filter(|form| form.excluded && form.objective <= best.objective);
+    selection.form = stands_in.or_else(|| form::check(study, best, inflation));
+    if selection.form.as_ref().is_some_and(|form| form.excluded) {
+        selection.verdict = Verdict::NoneOfThese;
+        selection.set.clear();
+    }
 }
 
 /// Makes the noise that belongs to the best candidate and fits it and its rivals again under it, until that moves the best by
@@ -185,7 +237,7 @@ fn singles(study: &Study, screen: &Screen, scores: &Scores, gates: Gates, ids: &
     let fits = study.fit_all(&columns.iter().map(start).collect::<Vec<_>>());
     let mut candidates = parallel::map(&fits, |fit| candidate(study, &base, fit.clone()));
     candidates.sort_by(|a, b| b.delta_chi2.total_cmp(&a.delta_chi2));
-    Selection {
+    let mut selection = Selection {
         verdict: Verdict::NoiseFloor,
         plain_held_out: unfitted(study, &plain),
         base_held_out: leave_condition_out(study, &base),
@@ -195,8 +247,12 @@ fn singles(study: &Study, screen: &Screen, scores: &Scores, gates: Gates, ids: &
         candidates,
         set: Vec::new(),
         gates,
+        intervals: Vec::new(),
+        form: None,
         finalists: 0,
-    }
+    };
+    selection.slim(study);
+    selection
 }
 
 /// Fits the best and its nearest rivals again, from where they stand, under a new whitening; the others keep their
@@ -223,6 +279,7 @@ fn refit(study: &Study, selection: &mut Selection) {
     let finalists = FINALISTS.min(selection.candidates.iter().take_while(|c| c.fit.ids.len() == size).count());
     selection.candidates[..finalists].sort_by(|a, b| b.delta_chi2.total_cmp(&a.delta_chi2));
     selection.finalists = finalists;
+    selection.slim(study);
 }
 
 /// Tries second terms; pairs go to the front where the best of them earns its place: does it?
@@ -279,6 +336,7 @@ fn add_pairs(study: &Study, screen: &Screen, scores: &Scores, selection: &mut Se
     } else {
         selection.candidates.append(&mut pairs);
     }
+    selection.slim(study);
     earns
 }
 

@@ -42,6 +42,8 @@ pub struct Mechanism {
     pub source: &'static str,
     /// Is the value a ceiling: off at 0, and the lower the stronger?
     pub ceiling: bool,
+    /// Power of the speed in its law, where a diagnosis can ask the data for another.
+    pub exponent: Option<f64>,
 }
 
 impl Mechanism {
@@ -67,11 +69,20 @@ impl Mechanism {
 }
 
 macro_rules! is_ceiling {
-    () => {
-        false
-    };
     (ceiling) => {
         true
+    };
+    ($($other:tt)*) => {
+        false
+    };
+}
+
+macro_rules! exponent {
+    (exponent $power:literal) => {
+        Some($power)
+    };
+    ($($other:tt)*) => {
+        None
     };
 }
 
@@ -82,12 +93,12 @@ fn is_neutral(value: &f64) -> bool {
 macro_rules! mechanisms {
     ($($id:ident: $symbol:literal, $unit:literal, [$low:expr, $high:expr], $typical:expr, $side:ident,
        intrusion $intrusion:literal, walking $walking:literal, $columns:expr, $law:literal, $source:literal
-       $(, $ceiling:ident)?;)*) => {
+       $(, $extra:ident $($power:literal)?)?;)*) => {
         /// Every mechanism, in the order of [`Mechanisms::values`].
         pub const CATALOG: [Mechanism; Mechanisms::COUNT] = [$(Mechanism {
             id: stringify!($id), symbol: $symbol, unit: $unit, bounds: [$low, $high], typical: $typical,
             side: Side::$side, intrusion: $intrusion, walking: $walking, columns: &$columns, law: $law, source: $source,
-            ceiling: is_ceiling!($($ceiling)?),
+            ceiling: is_ceiling!($($extra $($power)?)?), exponent: exponent!($($extra $($power)?)?),
         }),*];
 
         /// Strengths of all mechanisms; the default is plain resistive force theory.
@@ -120,7 +131,8 @@ macro_rules! mechanisms {
 
 mechanisms! {
     inertial_drag: "λ", "1", [0.0, 30.0], 0.5, Sand, intrusion true, walking true, [],
-        "extra stress −λ ρ v_n² n on the leading face", "Agarwal et al. 2021 (dynamic RFT): 1.1 oblique plate, 1.4 sphere, 2.8 plane-strain plate";
+        "extra stress −λ ρ v_n² n on the leading face", "Agarwal et al. 2021 (dynamic RFT): 1.1 oblique plate, 1.4 sphere, 2.8 plane-strain plate",
+        exponent 2.0;
     concave_fill: "χ", "1", [0.0, 1.0], 0.2, Sand, intrusion true, walking true, [],
         "legs whose concave side leads: F = (1−χ) F_segments + χ F_straight hip–tip chord", "our form of the cause named in Li et al. 2012 (grains held in a concave leading surface)";
     footprint: "κ", "1", [-2.0, 1.0], 0.2, Sand, intrusion true, walking false, ["pass", "pass_dx"],

@@ -96,6 +96,8 @@ pub enum Design {
     Crossed,
     /// The faster the deeper: a careless design, in which effects of speed and of depth look alike.
     Covarying,
+    /// As crossed, but all speeds lie within a factor of three.
+    Narrow,
 }
 
 fn design(rng: &mut Xoshiro256PlusPlus, kind: Design) -> Vec<Trial> {
@@ -108,7 +110,8 @@ fn design(rng: &mut Xoshiro256PlusPlus, kind: Design) -> Vec<Trial> {
     for (shape, xi) in [("L", 45f64), ("revL", -45.0), ("flat", 0.0)] {
         for k in 0..3 {
             let (pass, pass_dx, x_bed) = ground(rng);
-            let rate = [0.2, 3.0, 9.0][k] * rng.random_range(0.7..1.3);
+            let rates = if kind == Design::Narrow { [4.0, 6.0, 9.0] } else { [0.2, 3.0, 9.0] };
+            let rate = rates[k] * rng.random_range(0.7..1.3);
             let wobble = if rng.random_range(0..2) == 0 { 0.0 } else { 0.5 };
             let drawn = [0.02, 0.045, 0.03][rng.random_range(0..3)];
             let hip = if kind == Design::Covarying { [0.045, 0.03, 0.02][k] } else { drawn };
@@ -134,7 +137,9 @@ fn design(rng: &mut Xoshiro256PlusPlus, kind: Design) -> Vec<Trial> {
         [(0.0, 90.0), (0.0, 90.0), (45.0, 45.0), (-45.0, 45.0), (90.0, 0.0), (30.0, -60.0f64)].into_iter().enumerate()
     {
         let (pass, pass_dx, x_bed) = ground(rng);
-        let rate = [0.02, 0.8, 0.1, 0.5, 0.3, 0.2][k] * rng.random_range(0.7..1.3);
+        let narrow = [0.35, 0.8, 0.4, 0.5, 0.6, 0.7];
+        let rates = if kind == Design::Narrow { narrow } else { [0.02, 0.8, 0.1, 0.5, 0.3, 0.2] };
+        let rate = rates[k] * rng.random_range(0.7..1.3);
         let start = if gamma <= 0.0 { if gamma < 0.0 { 0.05 } else { 0.03 } } else { 0.0 };
         let wobble = if k % 2 == 1 { 0.45 } else { 0.0 };
         let (beta, gamma) = (f64::to_radians(beta), f64::to_radians(gamma));
@@ -348,6 +353,11 @@ pub fn log(seed: u64, hidden: &Hidden, coefficient_error: f64) -> Log {
 
 /// The same of trials laid out in one way or the other.
 pub fn log_of(kind: Design, seed: u64, hidden: &Hidden, coefficient_error: f64) -> Log {
+    noisy_log(kind, 1.0, seed, hidden, coefficient_error)
+}
+
+/// The same with all noise `loud` times the usual.
+pub fn noisy_log(kind: Design, loud: f64, seed: u64, hidden: &Hidden, coefficient_error: f64) -> Log {
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
     let trials = design(&mut rng, kind);
     let mut c = TABLE;
@@ -362,12 +372,12 @@ pub fn log_of(kind: Design, seed: u64, hidden: &Hidden, coefficient_error: f64) 
         let truth: Vec<[f64; 3]> = times.iter().map(|t| trial.reading(*t, &c, hidden)).collect();
         let plain: Vec<[f64; 3]> = times.iter().map(|t| trial.reading(*t, &c, &Hidden::default())).collect();
         for rep in 0..3 {
-            let gain = 1.0 + GAIN * normal(&mut rng);
+            let gain = 1.0 + loud * GAIN * normal(&mut rng);
             let mut grain = [0; 3].map(|_| normal(&mut rng));
             for (i, t) in times.iter().enumerate() {
                 let f = truth[i];
                 let size = f[0].hypot(f[1]);
-                let arm = [1.0, 1.0, ARM];
+                let arm = [1.0, 1.0, ARM].map(|arm| loud * arm);
                 let measured =
                     [0, 1, 2].map(|k| f[k] * gain + arm[k] * (GRAIN * size * grain[k] + SENSOR * normal(&mut rng)));
                 grain = grain.map(|g| PHI * g + (1.0 - PHI * PHI).sqrt() * normal(&mut rng));

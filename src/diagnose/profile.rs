@@ -1,0 +1,114 @@
+//! How far a fitted value can be moved: the objective at finite steps, everything else fitted again.
+//!
+//! Where a gait sticks or stalls the objective is rough, and a slope at one place says nothing of it a step away: a fit stops in
+//! a minimum beside a deeper one. So the values are moved and their runs simulated; the fit goes to the lowest place, and the
+//! interval reaches from the first to the last place where the objective is within what noise allows (profile likelihood, e.g.
+//! Venzon & Moolgavkar 1988).
+
+use super::fit::{Fit, Study};
+use crate::sand::mechanism::CATALOG;
+use nalgebra::{DMatrix, DVector};
+
+/// Places on either side at which a value is tried, in standard deviations of the slope-based interval. Our choice: close
+/// together where a smooth objective crosses, far out because a rough one may cross there again.
+const STEPS: [f64; 11] = [0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 9.0, 13.0, 20.0];
+
+/// Rounds at most: a lower place that a scan finds is scanned about again. Our choice.
+const ROUNDS: usize = 3;
+/// A place that much lower [χ²] is another minimum: our choice, a quarter of what one σ does.
+const LOWER: f64 = 0.25;
+
+/// The lowest place that scans of each value about `fit` find, and the first and last coordinate of each value at which the
+/// objective is within `allowed` of that.
+pub fn explore(study: &Study, fit: &Fit, allowed: f64) -> (Fit, Vec<[f64; 2]>) {
+    let mut best = fit.clone();
+    let mut round = 1;
+    loop {
+        let scans: Vec<Vec<Fit>> = (0..best.ids.len()).map(|k| scan(study, &best, k)).collect();
+        let lowest = scans.iter().flatten().min_by(|a, b| a.objective.total_cmp(&b.objective));
+        let lower = lowest.filter(|l| round < ROUNDS && l.objective < best.objective - LOWER).cloned();
+        let Some(lower) = lower else {
+            let intervals = scans.iter().enumerate().map(|(k, scan)| interval(&best, scan, k, allowed)).collect();
+            return (if best.objective < fit.objective { study.with_slopes(best) } else { best }, intervals);
+        };
+        best = lower;
+        round += 1;
+    }
+}
+
+fn interval(fit: &Fit, scan: &[Fit], k: usize, allowed: f64) -> [f64; 2] {
+    if scan.is_empty() {
+        return [f64::NAN; 2]; // the slopes have to do
+    }
+    let place = |fit: &Fit| (fit.coordinates()[k], fit.objective);
+    let mut all: Vec<(f64, f64)> = scan.iter().map(place).chain([place(fit)]).collect();
+    all.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let least = all.iter().map(|p| p.1).fold(f64::MAX, f64::min);
+    let [low, high] = within(&all, least, allowed);
+    [low.min(place(fit).0), high.max(place(fit).0)]
+}
+
+/// First and last place of a scan (place, objective) at which the objective is at most `allowed` above `least`. Between a
+/// place inside and its neighbour outside the rise is taken to be quadratic about the least, as it is where smooth.
+pub fn within(scan: &[(f64, f64)], least: f64, allowed: f64) -> [f64; 2] {
+    let inside: Vec<usize> = (0..scan.len()).filter(|&k| scan[k].1 <= least + allowed).collect();
+    let (Some(&first), Some(&last)) = (inside.first(), inside.last()) else { return [f64::NAN; 2] };
+    let root = |k: usize| (scan[k].1 - least).max(0.0).sqrt();
+    let edge = |k: usize, beyond: usize| {
+        let share = (allowed.sqrt() - root(k)) / (root(beyond) - root(k)).max(1e-12);
+        scan[k].0 + share.clamp(0.0, 1.0) * (scan[beyond].0 - scan[k].0)
+    };
+    let low = if first == 0 { scan[0].0 } else { edge(first, first - 1) };
+    let high = if last + 1 == scan.len() { scan[last].0 } else { edge(last, last + 1) };
+    [low, high]
+}
+
+/// Fits with value `k` held at each place about that of `fit`: the others are moved as the slopes at `fit` say, then once more
+/// as the residual there says, where that helps.
+fn scan(study: &Study, fit: &Fit, k: usize) -> Vec<Fit> {
+    let (at, bounds) = (fit.coordinates()[k], CATALOG[fit.ids[k]].coordinate_bounds());
+    let sd = fit.covariance()[(k, k)].sqrt();
+    let places = STEPS.iter().rev().map(|s| -s).chain(STEPS).map(|s| (at + s * sd).clamp(bounds[0], bounds[1]));
+    let mut places: Vec<f64> = places.filter(|p| p.is_finite() && *p != at).collect();
+    places.dedup();
+    let (information, _) = fit.normal_equations();
+    let others: Vec<usize> = (0..information.nrows()).filter(|&i| i != k).collect();
+    let block = DMatrix::from_fn(others.len(), others.len(), |i, j| information[(others[i], others[j])]);
+    let Some(inverse) = block.try_inverse() else { return Vec::new() };
+    let cross = DVector::from_fn(others.len(), |i, _| information[(others[i], k)]);
+    let first = places.iter().map(|place| (fit, whole(&others, &(&inverse * &cross * (at - place)), k, place - at)));
+    let moved = study.moved_by(&first.collect::<Vec<_>>());
+    let again = moved.iter().map(|there| {
+        let (_, score) = there.normal_equations();
+        let step = &inverse * DVector::from_fn(others.len(), |i, _| score[others[i]]);
+        (there, whole(&others, &step, k, 0.0))
+    });
+    let second = study.moved_by(&again.collect::<Vec<_>>());
+    moved.into_iter().zip(second).map(|(a, b)| if b.objective < a.objective { b } else { a }).collect()
+}
+
+/// A step of all parameters from that of the others and that of parameter `k`.
+fn whole(others: &[usize], step: &DVector<f64>, k: usize, own: f64) -> Vec<f64> {
+    let mut all = vec![0.0; others.len() + 1];
+    others.iter().zip(step.iter()).for_each(|(&i, s)| all[i] = *s);
+    all[k] = own;
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::within;
+
+    #[test]
+    fn a_level_set_reaches_from_the_first_to_the_last_place() {
+        let smooth: Vec<(f64, f64)> = (-8..=8).map(|i| (f64::from(i), 5.0 + 0.25 * f64::from(i * i))).collect();
+        let [low, high] = within(&smooth, 5.0, 3.84);
+        assert!(
+            (low + 2.0 * 3.84f64.sqrt()).abs() < 1e-9 && (high - 2.0 * 3.84f64.sqrt()).abs() < 1e-9,
+            "{low} {high}"
+        );
+        // Rough: it comes down again at 6, and the last place is inside.
+        let rough = [(0.0, 1.0), (1.0, 9.0), (2.0, 1.0), (3.0, 50.0), (6.0, 4.0)];
+        assert_eq!(within(&rough, 1.0, 3.84), [0.0, 6.0]);
+    }
+}
