@@ -1,7 +1,8 @@
 //! The full study of the diagnosis on data of our own test-bed: writes a table for docs/diagnosis_study.md.
 //!
-//! Usage: diagnosis_study SEEDS NULLS SETS: seeds a mechanism (3), number of logs with nothing hidden (40), and walking
-//! sets a cause (1).
+//! Usage: diagnosis_study SEEDS NULLS SETS [CAUSES [FIRST]]: seeds a mechanism (3), number of logs with nothing hidden (40),
+//! and walking sets a cause (1). CAUSES, ids with commas between, has only these hidden (`nothing`, `outside`, `forms` and
+//! `pairs` are causes too); FIRST is the number of the first seed (0). So a long study can be made in pieces, whose tables add up.
 
 #[path = "../tests/testbed/walking.rs"]
 mod hall;
@@ -17,7 +18,7 @@ use sandgait::diagnose::fit::Study;
 use sandgait::diagnose::force_log;
 use sandgait::diagnose::forward::{ForceLogModel, ForwardModel};
 use sandgait::diagnose::noise::{ChannelNoise, Noise, Source, sizes};
-use sandgait::diagnose::report::Report;
+use sandgait::diagnose::report::{Cause, Report, Tried};
 use sandgait::diagnose::select::Verdict;
 use sandgait::diagnose::shared::Shared;
 use sandgait::diagnose::whiten::Whitener;
@@ -25,6 +26,7 @@ use sandgait::parallel;
 use sandgait::progress::Silent;
 use sandgait::sand::mechanism::{CATALOG, Mechanisms};
 use std::error::Error;
+use std::ops::Range;
 use std::path::Path;
 use std::time::Instant;
 use testbed::{Design, Hidden, Log};
@@ -81,15 +83,16 @@ fn strength(id: &str, rng: &mut Xoshiro256PlusPlus) -> f64 {
     if entry.bounds[0] < 0.0 && rng.random_range(0..2) == 0 { -size } else { size }
 }
 
-/// A strength from a half to three of the mechanism's typical one, its sign by chance; a motor from one that hardly ever
-/// saturates to one that stalls.
+/// A strength from one to six of the mechanism's typical one, its sign by chance, four fifths of its bound at most; a motor from
+/// one that hardly ever saturates to one that stalls.
 fn walking_strength(id: usize, rng: &mut Xoshiro256PlusPlus) -> f64 {
     let entry = &CATALOG[id];
     if entry.ceiling {
         return rng.random_range(0.011..0.02);
     }
-    let size = entry.typical * 0.5 * 6f64.powf(rng.random_range(0.0..1.0));
-    if entry.bounds[0] < 0.0 && rng.random_range(0..2) == 0 { -size } else { size }
+    let size = entry.typical * 6f64.powf(rng.random_range(0.0..1.0));
+    let negative = entry.bounds[0] < 0.0 && rng.random_range(0..2) == 0;
+    if negative { (-size).max(0.8 * entry.bounds[0]) } else { size.min(0.8 * entry.bounds[1]) }
 }
 
 #[derive(Default)]
@@ -110,31 +113,41 @@ impl Tally {
 }
 
 fn main() -> Outcome<()> {
-    let arguments: Vec<usize> = std::env::args().skip(1).filter_map(|a| a.parse().ok()).collect();
-    let number = |k: usize, default: usize| arguments.get(k).copied().unwrap_or(default);
-    let (seeds, nulls, sets) = (number(0, 3), number(1, 40), number(2, 1));
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let number = |k: usize, default: usize| arguments.get(k).map_or(Ok(default), |a| a.parse());
+    let (seeds, nulls, sets, first) = (number(0, 3)?, number(1, 40)?, number(2, 1)?, number(4, 0)?);
+    let asked = |cause: &str| arguments.get(3).is_none_or(|all| all.split(',').any(|c| c == cause));
     let start = Instant::now();
-    if seeds > 0 {
-        singles(seeds, Design::Crossed)?;
-        singles(seeds.div_ceil(3), Design::Covarying)?;
-        outside(seeds)?;
-        pairs(seeds * 8)?;
+    singles(first..first + seeds, Design::Crossed, &asked)?;
+    singles(first.div_ceil(3)..(first + seeds).div_ceil(3), Design::Covarying, &asked)?;
+    if asked("outside") {
+        outside(first..first + seeds)?;
     }
-    false_alarms(nulls)?;
+    if asked("forms") {
+        forms(first..first + seeds)?;
+    }
+    if asked("pairs") {
+        pairs(8 * first..8 * (first + seeds))?;
+    }
+    false_alarms(first..first + nulls)?;
     println!("force logs took {:.0} s", start.elapsed().as_secs_f64());
-    walking(sets)?;
+    walking(first..first + sets, &asked)?;
     println!("all took {:.0} s", start.elapsed().as_secs_f64());
     Ok(())
 }
 
 /// Walking runs of the other engine, with one hidden cause of drawn strength and sign, or none.
-fn walking(sets: usize) -> Outcome<()> {
+fn walking(sets: Range<usize>, asked: &dyn Fn(&str) -> bool) -> Outcome<()> {
     let experiment = Experiment::from_toml(hall::EXPERIMENT)?;
-    println!("\n| hidden in walking runs | value | verdict | found | lack of fit, limit |\n|---|---|---|---|---|");
+    println!(
+        "\n| hidden in walking runs | seed | value | σ from plain | verdict | found | nearest rivals | lack of fit, limit | time |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|");
     let causes = CATALOG.iter().enumerate().filter(|(_, m)| m.walking).map(|(id, _)| Some(id));
     let (mut tally, mut took) = (Tally::default(), 0.0f64);
     for (place, id) in causes.chain([None; 4]).enumerate() {
-        for set in 0..sets as u64 {
+        let name = id.map_or("nothing", |id| CATALOG[id].id);
+        for set in sets.clone().filter(|_| asked(name)).map(|s| s as u64) {
             let seed = 30 + 100 * place as u64 + set;
             let value = id.map_or(0.0, |id| walking_strength(id, &mut Xoshiro256PlusPlus::seed_from_u64(seed)));
             let hidden = id.map_or(Mechanisms::PLAIN, |id| Mechanisms::PLAIN.with(id, value));
@@ -143,10 +156,10 @@ fn walking(sets: usize) -> Outcome<()> {
             std::fs::write(&path, hall::runs(seed, &conditions, hidden, 0.05))?;
             let start = Instant::now();
             let diagnosis = diagnose(&path, &experiment, &Silent);
-            took = took.max(start.elapsed().as_secs_f64());
+            let seconds = start.elapsed().as_secs_f64();
+            took = took.max(seconds);
             std::fs::remove_file(&path)?;
             let r = diagnosis?.report;
-            let name = id.map_or("nothing", |id| CATALOG[id].id);
             let contains = r.ambiguity_set.iter().any(|s| s.len() == 1 && s[0] == name);
             tally.total += 1;
             tally.exact += usize::from(r.verdict == Verdict::Named && contains);
@@ -154,9 +167,23 @@ fn walking(sets: usize) -> Outcome<()> {
             tally.wrong += usize::from(r.verdict == Verdict::Named && !contains);
             tally.missed += usize::from(r.verdict == Verdict::NoiseFloor && id.is_some());
             tally.none += usize::from(r.verdict == Verdict::NoneOfThese);
-            let found: Vec<_> = r.causes.iter().map(|c| format!("{} {:.4}", c.id, c.value)).collect();
-            let fit = (r.lack_of_fit.extended, r.lack_of_fit.limit);
-            println!("| {name} | {value:.4} | {:?} | {} | {fit:.2?} |", r.verdict, found.join(", "));
+            let interval = |c: &Cause| format!("{} {:.4} ({:.4} to {:.4})", c.id, c.value, c.ci95[0], c.ci95[1]);
+            let found: Vec<_> = r.causes.iter().map(interval).collect();
+            let truth = r.candidates.iter().find(|t| t.ids == [name]);
+            let away = truth.map_or(0.0, |t| t.delta_chi2.max(0.0).sqrt());
+            let rivals = r.candidates.iter().skip(1).take(3);
+            let rival = |t: &Tried| format!("{} {:.1} σ", t.ids.join(" + "), t.distance_to_best.unwrap_or(f64::NAN));
+            let rivals: Vec<_> = rivals.map(rival).collect();
+            let fit = [r.lack_of_fit.plain, r.lack_of_fit.extended, r.lack_of_fit.limit];
+            let fit: Vec<_> = fit.iter().map(|f| f.map_or("–".into(), |f| format!("{f:.2}"))).collect();
+            println!(
+                "| {name} | {seed} | {value:.4} | {:.1} | {:?} | {} | {} | {} | {seconds:.0} s |",
+                away,
+                r.verdict,
+                found.join(", "),
+                rivals.join(", "),
+                fit.join(", ")
+            );
         }
     }
     println!("\n{}\nslowest diagnosis {took:.0} s", tally.row("walking sets"));
@@ -167,13 +194,13 @@ fn normal(rng: &mut Xoshiro256PlusPlus) -> f64 {
     StandardNormal.sample(rng)
 }
 
-fn singles(seeds: usize, design: Design) -> Outcome<()> {
+fn singles(seeds: Range<usize>, design: Design, asked: &dyn Fn(&str) -> bool) -> Outcome<()> {
     println!("\n{design:?}");
     let mut bands = [(); 4].map(|()| Tally::default());
     let (mut errors, mut covered, mut named, mut achieved) = (Vec::new(), 0, 0, Vec::new());
-    for entry in CATALOG.iter().filter(|m| m.intrusion) {
-        for seed in 0..seeds as u64 {
-            let seed = 1000 + seed * 97 + entry.id.len() as u64 * 7919 + u64::from(entry.id.as_bytes()[0]);
+    for entry in CATALOG.iter().filter(|m| m.intrusion && asked(m.id)) {
+        for seed in seeds.clone() {
+            let seed = 1000 + seed as u64 * 97 + entry.id.len() as u64 * 7919 + u64::from(entry.id.as_bytes()[0]);
             let value = strength(entry.id, &mut Xoshiro256PlusPlus::seed_from_u64(seed));
             let log = testbed::log_of(design, seed, &Hidden { causes: vec![(entry.id, value)] }, 0.05);
             let far = separation(&log, entry.id, entry.id)?;
@@ -234,10 +261,10 @@ fn singles(seeds: usize, design: Design) -> Outcome<()> {
     Ok(())
 }
 
-fn outside(seeds: usize) -> Outcome<()> {
+fn outside(seeds: Range<usize>) -> Outcome<()> {
     let mut tally = Tally::default();
     for id in ["wall", "crust", "stick_slip", "buried_stone", "drag_1.5"] {
-        for seed in 0..seeds as u64 {
+        for seed in seeds.clone().map(|s| s as u64) {
             let mut rng = Xoshiro256PlusPlus::seed_from_u64(77 + seed);
             let value = rng.random_range(0.4..1.5);
             let log = testbed::log(5000 + seed * 31 + id.len() as u64, &Hidden { causes: vec![(id, value)] }, 0.05);
@@ -258,10 +285,43 @@ fn outside(seeds: usize) -> Outcome<()> {
     Ok(())
 }
 
-fn pairs(count: usize) -> Outcome<()> {
+/// Drag with the law's power of the speed and with another, over wide and narrow ranges of speed and in less and more noise.
+fn forms(seeds: Range<usize>) -> Outcome<()> {
+    println!(
+        "\n| power | speeds | noise | logs | inertial_drag named | excluded | told apart | interval holds | in the set |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|");
+    for (id, power) in [("inertial_drag", 2.0), ("drag_1.5", 1.5)] {
+        for (design, loud) in [0.5, 1.0, 2.0].iter().flat_map(|l| [Design::Crossed, Design::Narrow].map(|d| (d, *l))) {
+            let (mut named, mut excluded, mut apart, mut holds, mut asked, mut set) = (0, 0, 0, 0, 0, 0);
+            for seed in seeds.clone().map(|s| s as u64) {
+                let value = Xoshiro256PlusPlus::seed_from_u64(700 + seed).random_range(0.4..1.5);
+                let hidden = Hidden { causes: vec![(id, value)] };
+                let r = report(&testbed::noisy_log(design, loud, 7000 + seed * 31, &hidden, 0.05), "form")?;
+                let drag = r.ambiguity_set.iter().any(|s| s == &["inertial_drag"]);
+                set += usize::from(drag);
+                named += usize::from(drag && r.verdict == Verdict::Named);
+                println!("{id} {value:.2} {design:?} ×{loud}: {:?} {:?} {:?}", r.verdict, r.ambiguity_set, r.form);
+                if let Some(form) = &r.form {
+                    asked += 1;
+                    excluded += usize::from(form.excluded);
+                    apart += usize::from(form.told_apart);
+                    holds += usize::from((form.ci95[0]..=form.ci95[1]).contains(&power));
+                }
+            }
+            println!(
+                "| {power} | {design:?} | {loud} | {} | {named} | {excluded} | {apart} | {holds} of {asked} | {set} |",
+                seeds.len()
+            );
+        }
+    }
+    Ok(())
+}
+
+fn pairs(seeds: Range<usize>) -> Outcome<()> {
     let ids: Vec<&'static str> = CATALOG.iter().filter(|m| m.intrusion).map(|m| m.id).collect();
     let (mut both, mut set, mut total) = (0, 0, 0);
-    for seed in 0..count as u64 {
+    for seed in seeds.map(|s| s as u64) {
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(9000 + seed);
         let a = ids[rng.random_range(0..ids.len())];
         let b = ids[rng.random_range(0..ids.len())];
@@ -288,9 +348,9 @@ fn pairs(count: usize) -> Outcome<()> {
     Ok(())
 }
 
-fn false_alarms(count: usize) -> Outcome<()> {
-    let mut alarms = 0;
-    for seed in 0..count as u64 {
+fn false_alarms(seeds: Range<usize>) -> Outcome<()> {
+    let (mut alarms, count) = (0, seeds.len());
+    for seed in seeds.map(|s| s as u64) {
         let r = report(&testbed::log(20_000 + seed, &Hidden::default(), 0.05), "null")?;
         if r.verdict != Verdict::NoiseFloor {
             alarms += 1;
