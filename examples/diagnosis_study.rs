@@ -295,7 +295,8 @@ fn forms(seeds: Range<usize>) -> Outcome<()> {
         for (design, loud) in [0.5, 1.0, 2.0].iter().flat_map(|l| [Design::Crossed, Design::Narrow].map(|d| (d, *l))) {
             let (mut named, mut excluded, mut apart, mut holds, mut asked, mut set) = (0, 0, 0, 0, 0, 0);
             for seed in seeds.clone().map(|s| s as u64) {
-                let value = Xoshiro256PlusPlus::seed_from_u64(700 + seed).random_range(0.4..1.5);
+                let share: f64 = Xoshiro256PlusPlus::seed_from_u64(700 + seed).random_range(0.0..1.0);
+                let value = 0.1 * 15f64.powf(share);
                 let hidden = Hidden { causes: vec![(id, value)] };
                 let r = report(&testbed::noisy_log(design, loud, 7000 + seed * 31, &hidden, 0.05), "form")?;
                 let drag = r.ambiguity_set.iter().any(|s| s == &["inertial_drag"]);

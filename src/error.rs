@@ -34,8 +34,9 @@ impl Error {
         Self::Unknown { what, name: name.into(), known: known.join(", ") }
     }
 
+    /// One line, whatever of the file `reason` quotes.
     pub fn file(path: &std::path::Path, reason: impl std::fmt::Display) -> Self {
-        Self::File { path: path.display().to_string(), reason: reason.to_string() }
+        Self::File { path: path.display().to_string(), reason: reason.to_string().replace(['\n', '\r'], " ") }
     }
 }
 

@@ -123,7 +123,7 @@ fn the_form_of_a_law_is_questioned() {
     let (found, r) = form(Design::Crossed, 0.5, "inertial_drag", 1.5);
     assert!(!found.excluded && found.told_apart, "{found:?}");
     assert_eq!(r.verdict, Verdict::Named, "{}", r.summary);
-    let (found, r) = form(Design::Narrow, 2.0, "drag_1.5", 1.5);
+    let (found, r) = form(Design::Crossed, 2.0, "inertial_drag", 0.3);
     assert!(!found.excluded && !found.told_apart, "{found:?}");
     assert!(r.summary.contains("these data allow every power"), "{}", r.summary);
 }

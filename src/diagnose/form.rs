@@ -37,7 +37,7 @@ pub struct Form {
     pub ci95: [f64; 2],
     /// Do the data exclude the law's exponent?
     pub excluded: bool,
-    /// Do the data tell the law's exponent from those half a power away?
+    /// Do the data exclude the law's exponent, or those half a power away from it?
     pub told_apart: bool,
     /// Objective there, in units of χ².
     #[serde(skip)]
@@ -82,13 +82,14 @@ pub fn check(study: &Study, fit: &Fit, inflation: f64) -> Option<Form> {
     let objective = scan.iter().map(|s| s.1).fold(f64::MAX, f64::min);
     let near = scan.iter().filter(|s| (s.0 - law).abs() <= SAME + 1e-9).map(|s| s.1).fold(f64::MAX, f64::min);
     let ci95 = within(&scan, objective, INTERVAL * inflation);
+    let excluded = near - objective > EXCLUDED * inflation;
     Some(Form {
         id: CATALOG[id].id.into(),
         law,
         found,
         ci95,
-        excluded: near - objective > EXCLUDED * inflation,
-        told_apart: ci95[0] > law - OTHER && ci95[1] < law + OTHER,
+        excluded,
+        told_apart: excluded || (ci95[0] > law - OTHER && ci95[1] < law + OTHER),
         objective,
     })
 }

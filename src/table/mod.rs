@@ -62,9 +62,8 @@ impl Row<'_> {
         self.record.iter().map(str::trim)
     }
 
-    /// An error about the cell, in one line whatever `reason` quotes.
     pub fn error(&self, column: usize, reason: impl std::fmt::Display) -> Error {
-        let reason = shown(&reason.to_string().replace(['\n', '\r'], " "));
+        let reason = shown(&reason.to_string());
         Error::file(self.file, format!("row {}, column {}: {reason}", self.line, self.columns[column].name))
     }
 }
@@ -156,6 +155,6 @@ fn reason(error: &csv::Error) -> String {
             format!("{row}{len} cells where the header has {expected_len} columns")
         }
         csv::ErrorKind::Utf8 { .. } => format!("{row}text is not UTF-8"),
-        _ => format!("{row}{error}").replace('\n', " "),
+        _ => format!("{row}{error}"),
     }
 }
