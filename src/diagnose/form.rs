@@ -52,6 +52,11 @@ impl Form {
             format!(
                 "; the data ask for the power {found:.2} of the speed (95 % interval {low:.2} to {high:.2}) where {id} has {law}"
             )
+        } else if !(low..=high).contains(&law) {
+            format!(
+                "; the data prefer the power {found:.2} of the speed (95 % interval {low:.2} to {high:.2}) to the {law} of {id}, \
+                 without excluding that"
+            )
         } else if !self.told_apart {
             format!("; of the speed in {id} these data allow every power from {low:.1} to {high:.1}, not only {law}")
         } else {
