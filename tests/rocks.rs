@@ -17,8 +17,9 @@ type V = nalgebra::Vector3<f64>;
 /// Rock: granite is some 2,650 kg/m³.
 const DENSITY: f64 = 2650.0;
 
-/// Deepest overlap [m] allowed in random episodes: a leg is 2 mm thick and 10 mm wide.
-const DEEPEST: f64 = 4e-3;
+/// Deepest overlap [m] allowed in random episodes: of 1,000 the deepest was 0.04 mm, where contacts were found wrongly
+/// it was 4 mm.
+const DEEPEST: f64 = 2e-4;
 
 /// The reference robot with servos of 0.05 N·m, as the tasks have them.
 fn model(obstacles: &[Obstacle]) -> Model {
