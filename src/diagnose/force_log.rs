@@ -156,7 +156,7 @@ fn track_header(row: &Row, experiment: &Experiment) -> Result<Track> {
     let Some(intruder) = experiment.shapes.get(shape) else {
         let known: Vec<_> = experiment.shapes.keys().map(String::as_str).collect();
         let known = match known.is_empty() {
-            true => format!("the experiment describes no shape; give a table [shape.NAME]"),
+            true => "the experiment describes no shape; give a table [shape.NAME]".into(),
             false => format!("known: {}", known.join(", ")),
         };
         return Err(row.error(SHAPE, format!("shape {shape:?} is unknown; {known}")));
