@@ -380,9 +380,7 @@ impl View<'_> {
             Verdict::NoneOfThese => self.not_enough(selection),
             Verdict::InsufficientData => String::new(),
         };
-        // Where other misfit remains, the power is fitted to that.
-        let fits = selection.candidates.first().is_some_and(|best| best.lack_of_fit <= selection.gates.lack_of_fit);
-        let verdict = verdict + &selection.form.as_ref().filter(|_| fits).map_or(String::new(), Form::said);
+        let verdict = verdict + &selection.form.as_ref().map_or(String::new(), Form::said);
         whereabouts.map_or(verdict.clone(), |place| format!("{verdict}; {place}"))
     }
 
