@@ -125,7 +125,7 @@ for time, _ in enumerate(sys.stdin):
 
 
 def test_a_client_killed_in_a_step() -> None:
-    """The server finishes the step; whoever takes the session up is given its answer, and a neighbour does not notice."""
+    """The server finishes the step; whoever takes the session up is given its answer. A neighbour does not notice."""
     with Server() as server:
         neighbour = sandgait.SandgaitVectorEnv(ID, 5, server.address, **OPTIONS)
         neighbour.reset(seed=3)
