@@ -25,6 +25,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from shards import ID, speed
@@ -165,6 +166,9 @@ class Halves:
             half.close()
 
 
+KINDS: tuple[type[Whole] | type[Halves], ...] = (Whole, Halves)
+
+
 def places(stack: contextlib.ExitStack, servers: int, delays: list[float]) -> dict[str, list[str]]:
     """Addresses of `servers` servers by the way to them."""
     near = [stack.enter_context(serving(k, None)) for k in range(servers)]
@@ -188,24 +192,32 @@ def round_trip(addresses: list[str]) -> float:
     return float(np.median(times))
 
 
-def measure(arguments: argparse.Namespace) -> list[dict[str, object]]:
-    """A row for each number of servers, way, number of environments and kind of batch."""
-    rows = []
-    for servers in arguments.servers:
-        with contextlib.ExitStack() as stack:
-            ways = places(stack, servers, arguments.delays)
-            trips = {way: round_trip(addresses) for way, addresses in ways.items()}
-            for envs in arguments.envs:
-                cases = list(itertools.product(ways, (Whole, Halves)))
-                batches = [kind(envs, ways[way]) for way, kind in cases]
-                speeds = [[batch.speed(arguments.seconds) for batch in batches] for _ in range(arguments.rounds)]
-                for batch in batches:
-                    batch.close()
-                for (way, kind), of_rounds in zip(cases, zip(*speeds, strict=True), strict=True):
-                    name = kind.__name__.lower()
-                    row = {"servers": servers, "envs": envs, "way": way, "batch": name}
-                    rows.append({**row, "round_trip": trips[way], "speeds": of_rounds})
-    return rows
+class Row(NamedTuple):
+    """What one way of playing one number of environments gave."""
+
+    servers: int
+    envs: int
+    way: str
+    batch: str
+    #: Of a step of one environment a server [s].
+    round_trip: float
+    #: Environment steps a second, one a round.
+    speeds: list[float]
+
+
+def measure(servers: int, all_envs: list[int], delays: list[float], seconds: float, rounds: int) -> Iterator[Row]:
+    """A row for each number of environments, way to the servers and kind of batch."""
+    with contextlib.ExitStack() as stack:
+        ways = places(stack, servers, delays)
+        trips = {way: round_trip(addresses) for way, addresses in ways.items()}
+        for envs in all_envs:
+            cases = list(itertools.product(ways, KINDS))
+            batches = [kind(envs, ways[way]) for way, kind in cases]
+            table = [[batch.speed(seconds) for batch in batches] for _ in range(rounds)]
+            for batch in batches:
+                batch.close()
+            for k, (way, kind) in enumerate(cases):
+                yield Row(servers, envs, way, kind.__name__.lower(), trips[way], [of_round[k] for of_round in table])
 
 
 def main() -> None:
@@ -220,16 +232,16 @@ def main() -> None:
     if os.geteuid() != 0:
         parser.error("network namespaces need root")
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that nothing is left behind
-    rows = measure(arguments)
+    how = (arguments.envs, arguments.delays, arguments.seconds, arguments.rounds)
+    rows = [row for servers in arguments.servers for row in measure(servers, *how)]
     if arguments.json:
-        print(json.dumps(rows))
+        print(json.dumps([row._asdict() for row in rows]))
         return
     for row in rows:
-        speeds = row["speeds"]
         print(
-            f"{row['servers']} servers, {row['envs']:5} envs, {row['way']:13} {row['batch']:6} "
-            f"{np.median(speeds):8.0f} env-steps/s ({min(speeds):.0f} to {max(speeds):.0f}); "
-            f"one environment a server: {1e3 * row['round_trip']:.2f} ms a step"
+            f"{row.servers} servers, {row.envs:5} envs, {row.way:13} {row.batch:6} {np.median(row.speeds):8.0f} "
+            f"env-steps/s ({min(row.speeds):.0f} to {max(row.speeds):.0f}); "
+            f"one environment a server: {1e3 * row.round_trip:.2f} ms a step"
         )
 
 

@@ -42,7 +42,13 @@ async fn a_client_that_dies_in_mid_step_leaves_no_trace() {
     let mut list = async || looks.list_sessions(ListSessionsRequest {}).await.unwrap().into_inner().sessions;
     for _ in 0..2 {
         // A step of these takes some 200 ms.
-        let mut session = server.session(ENVS as u32).await;
+        let mut session = None;
+        until(async || {
+            session = Session::create(server.client().await, ENVS as u32, &[]).await.ok();
+            session.is_some()
+        })
+        .await;
+        let mut session = session.unwrap();
         session.reset(0).await;
         let sent = session.send(Some(step(&wave(0..ENVS, 0)))).await;
         tokio::time::sleep(Duration::from_millis(10)).await;
