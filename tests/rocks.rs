@@ -17,8 +17,9 @@ type V = nalgebra::Vector3<f64>;
 /// Rock: granite is some 2,650 kg/m³.
 const DENSITY: f64 = 2650.0;
 
-/// Deepest overlap [m] allowed in random episodes: a leg is 2 mm thick and 10 mm wide.
-const DEEPEST: f64 = 4e-3;
+/// Deepest overlap [m] allowed in random episodes: of 1,000 the deepest was 0.04 mm, where contacts were found wrongly
+/// it was 4 mm.
+const DEEPEST: f64 = 2e-4;
 
 /// The reference robot with servos of 0.05 N·m, as the tasks have them.
 fn model(obstacles: &[Obstacle]) -> Model {
@@ -115,11 +116,11 @@ fn a_collision_keeps_momentum_and_makes_no_energy() {
         let speed = V::from(end.objects[0].velocity).norm();
         println!("{before:?} {after:?} {speed} overlap {most:e}");
         assert!(speed > 0.1, "the rock stayed where it was: {speed}");
-        assert!((after.0 - before.0).norm() < 2e-3 * before.0.norm(), "{} {}", before.0, after.0);
-        assert!((after.1 - before.1).norm() < 2e-3 * before.0.norm() * 0.1, "{} {}", before.1, after.1);
+        assert!((after.0 - before.0).norm() < 1e-4 * before.0.norm(), "{} {}", before.0, after.0);
+        assert!((after.1 - before.1).norm() < 1e-4 * before.0.norm() * 0.1, "{} {}", before.1, after.1);
         // 1e-4 J of 0.075: the servos hold the legs and are springs.
         assert!(after.2 < before.2 + 1e-4, "{} J -> {} J", before.2, after.2);
-        assert!(most < 1e-3, "{most}");
+        assert!(most < 1e-4, "{most}");
     }
 }
 
@@ -140,7 +141,7 @@ fn contacts_hold_from_the_first_step_of_a_world() {
         engine.state(0, &mut state);
         most = most.max(overlap(&model, &state));
     }
-    assert!(most < 5e-4 && state.objects[0].velocity[0] > 0.3, "{most} {:?}", state.objects[0]);
+    assert!(most < 1e-4 && state.objects[0].velocity[0] > 0.3, "{most} {:?}", state.objects[0]);
 }
 
 /// Set down on the sand, a rock sinks until the sand carries it, and stays.
@@ -203,7 +204,7 @@ fn a_wall_stops_the_robot() {
     let far = run(&free, &start(&free), &hips(2.0), 4.0, |_| ());
     println!("wall: x {} overlap {most:e}; free: x {}", end.position[0], far.position[0]);
     assert!(far.position[0] > 0.8 && end.position[0] < 0.29 && end.position[0] > 0.1, "{:?}", end.position);
-    assert!(most < 1e-3, "{most}");
+    assert!(most < 1e-4, "{most}");
 }
 
 /// On a hard patch the robot stands on its leg tips and does not sink; on sand it does.
@@ -217,7 +218,7 @@ fn a_hard_patch_carries_the_robot() {
     println!("patch {:?} sand {:?} moved {:e}", on_patch.position, on_sand.position, moved.norm());
     assert!(on_patch.position[2] > on_sand.position[2] + 1e-3);
     assert!(moved.norm() < 5e-4, "{moved}");
-    assert!(overlap(&hard, &later) < 3e-4);
+    assert!(overlap(&hard, &later) < 1e-4);
 }
 
 #[test]
@@ -230,7 +231,7 @@ fn a_walking_robot_pushes_a_loose_rock() {
     let moved = V::from(end.objects[0].position) - V::from(first.objects[0].position);
     println!("moved {moved} overlap {most:e} robot {:?}", end.position);
     assert!(moved.x > 0.02, "{moved}");
-    assert!(most < 1e-3, "{most}");
+    assert!(most < 1e-4, "{most}");
 }
 
 /// An obstacle out of reach changes how the world is solved, not how the robot walks.

@@ -3,13 +3,13 @@
 //! Colliders carry no mass: masses are ours (`inertia`, `rocks`). Each body has one collider in its own frame, so that
 //! rapier adds nothing to its mass properties.
 
-use super::inertia::{quat, vec3};
+use super::units::{PER_METRE, quat, scaled, vec3};
 use crate::sim::Model;
 use crate::sim::frame::V;
 use crate::sim::model::Body;
 use crate::sim::obstacle::{Obstacle, Shape};
 use crate::sim::solid::Solid;
-use rapier3d::glamx::{Pose3, Quat, Vec3};
+use rapier3d::glamx::{Pose3, Quat};
 use rapier3d::parry::transformation::try_convex_hull;
 use rapier3d::prelude::*;
 
@@ -82,8 +82,8 @@ fn base(model: &Model) -> SharedShape {
     let [length, width, height] = model.robot.base.size;
     let bottom = model.robot.belly.as_ref().map_or(-height / 2.0, |b| -b.below.min(height / 2.0));
     let size = V::new(length, width, height / 2.0 - bottom);
-    let middle = Vec3::new(0.0, 0.0, (height / 4.0 + bottom / 2.0) as f32);
-    SharedShape::compound(vec![(Pose3::from_parts(middle, Quat::IDENTITY), cuboid(size))])
+    let middle = V::new(0.0, 0.0, height / 4.0 + bottom / 2.0);
+    SharedShape::compound(vec![(Pose3::from_parts(scaled(middle), Quat::IDENTITY), cuboid(size))])
 }
 
 /// A link's strip as a chain of thin boxes.
@@ -91,25 +91,25 @@ fn link(body: &Body) -> SharedShape {
     let piece = |p: &crate::sim::model::Piece| {
         let axes = [p.along, p.across, p.along.cross(&p.across)];
         let turn = nalgebra::Rotation3::from_matrix_unchecked(nalgebra::Matrix3::from_columns(&axes));
-        let pose = Pose3::from_parts(vec3(p.center), quat(&nalgebra::UnitQuaternion::from_rotation_matrix(&turn)));
+        let pose = Pose3::from_parts(scaled(p.center), quat(&nalgebra::UnitQuaternion::from_rotation_matrix(&turn)));
         (pose, cuboid(V::new(p.size[0], p.size[1], THICKNESS * p.size[1])))
     };
     SharedShape::compound(body.pieces.iter().map(piece).collect())
 }
 
 fn cuboid(size: V) -> SharedShape {
-    let half = vec3(size / 2.0);
+    let half = scaled(size / 2.0);
     SharedShape::cuboid(half.x, half.y, half.z)
 }
 
 fn obstacle(obstacle: &Obstacle, solid: &Solid) -> SharedShape {
     match &obstacle.shape {
-        Shape::Sphere { radius } => SharedShape::ball(*radius as f32),
+        Shape::Sphere { radius } => SharedShape::ball((radius * PER_METRE) as f32),
         Shape::Box { size } => cuboid(V::from(*size)),
         Shape::Hull { .. } => {
-            let corners: Vec<_> = solid.corners.iter().map(|c| vec3(*c)).collect();
+            let corners: Vec<_> = solid.corners.iter().map(|c| scaled(*c)).collect();
             // The corners are those of a hull already; a box around them stands in should f32 see it differently.
-            let reach = solid.reach() as f32;
+            let reach = (solid.reach() * PER_METRE) as f32;
             SharedShape::convex_hull(&corners).unwrap_or_else(|| SharedShape::cuboid(reach, reach, reach))
         }
     }
@@ -118,6 +118,8 @@ fn obstacle(obstacle: &Obstacle, solid: &Solid) -> SharedShape {
 /// How a world with obstacles solves its contacts.
 pub fn tune(parameters: &mut IntegrationParameters) {
     parameters.num_internal_pgs_iterations = SWEEPS;
+    // What follows as "normalized" is in metres.
+    parameters.length_unit = PER_METRE as f32;
     // The velocities that push a penetration out must be in what we integrate: positions are ours.
     parameters.num_internal_stabilization_iterations = 0;
     parameters.contact_softness = SOFTNESS;

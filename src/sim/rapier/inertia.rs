@@ -1,7 +1,7 @@
 //! Point masses added to rigid bodies, as mass properties that rapier can hold.
 
+use super::units::{quat, scaled, scaled_twice};
 use crate::sim::frame::{M, V};
-use rapier3d::glamx::{Quat, Vec3};
 use rapier3d::prelude::MassProperties;
 
 /// Point masses, or a whole body, by their moments; in the frame of the body that carries them.
@@ -75,7 +75,7 @@ const RELATIVE_FLOOR: f64 = 1e-4;
 /// The same in kg·m²: rapier multiplies three inverse inertias, whose product must stay finite in `f32`.
 const ABSOLUTE_FLOOR: f64 = 1e-12;
 
-/// Mass properties from an inertia matrix about `center`; no mass gives rapier's "no mass properties".
+/// Mass properties, in rapier's units, from an inertia matrix [kg·m²] about `center` [m]; no mass gives rapier's "no mass properties".
 pub fn mass_properties(mass: f64, center: V, inertia: &M) -> MassProperties {
     if mass <= 0.0 {
         return MassProperties::default();
@@ -84,9 +84,9 @@ pub fn mass_properties(mass: f64, center: V, inertia: &M) -> MassProperties {
     let floor = (moments.max() * RELATIVE_FLOOR).max(ABSOLUTE_FLOOR);
     let frame = nalgebra::UnitQuaternion::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(axes));
     MassProperties::with_principal_inertia_frame(
-        vec3(center),
+        scaled(center),
         mass as f32,
-        vec3(moments.map(|i| i.max(floor))),
+        scaled_twice(moments.map(|i| i.max(floor))),
         quat(&frame),
     )
 }
@@ -111,14 +111,6 @@ fn principal(matrix: &M) -> (V, M) {
         axes *= turn;
     }
     (a.diagonal(), axes)
-}
-
-pub fn vec3(v: V) -> Vec3 {
-    Vec3::new(v.x as f32, v.y as f32, v.z as f32)
-}
-
-pub fn quat(q: &nalgebra::UnitQuaternion<f64>) -> Quat {
-    Quat::from_xyzw(q.i as f32, q.j as f32, q.k as f32, q.w as f32)
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 //!
 //! * [`world`]: the model as a multibody; what rapier is told and what it answers.
 //! * [`sand`]: force on a body, and the added masses that make it implicit.
-//! * [`inertia`]: mass properties that survive rapier's `f32`.
+//! * [`inertia`]: mass properties that survive rapier's `f32`; [`units`]: rapier's unit of length is not a metre.
 //! * [`contact`]: colliders of robot and obstacles; [`rocks`]: obstacles that move.
 //!
 //! The state is ours, in `f64`; rapier solves for the velocities after each step in `f32`. What must hold for rapier's
@@ -16,6 +16,7 @@ mod contact;
 mod inertia;
 mod rocks;
 mod sand;
+mod units;
 mod world;
 
 use super::engine::Command;

@@ -7,7 +7,7 @@
 //! starts from those velocities and adds what contacts change. For it the rock is as heavy as with the sand's added
 //! point masses, the gate's taken in all directions: what touches a rock feels the sand behind it, a little too much.
 
-use super::inertia::{Masses, vec3};
+use super::inertia::Masses;
 use super::sand::lanes;
 use super::world::World;
 use crate::sand::{Ground, Site};
@@ -142,7 +142,7 @@ impl Wet {
     /// Puts the rock into `world`.
     pub fn enter(&self, world: &mut World, rock: usize, object: &ObjectState) {
         let [velocity, omega] = self.held(object);
-        world.place_rock(rock, &self.pose, self.properties, vec3(velocity), vec3(omega));
+        world.place_rock(rock, &self.pose, self.properties, velocity, omega);
     }
 
     /// Adds to `object`'s velocities what contacts changed in `world`.

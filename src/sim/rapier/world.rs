@@ -1,8 +1,9 @@
 //! One robot as a rapier multibody in a world of its own.
 
 use super::contact::{self, Shapes};
-use super::inertia::{mass_properties, quat, vec3};
+use super::inertia::mass_properties;
 use super::sand::Wrench;
+use super::units::{PER_METRE, PER_SQUARE_METRE, metres, plain, quat, scaled, scaled_twice, vec3};
 use crate::sim::frame::{M, V};
 use crate::sim::model::{Body, Model, Motor};
 use crate::sim::solid::Pose;
@@ -85,7 +86,7 @@ impl World {
         if let Some((multibody, _)) = handle.and_then(|h| physics.multibody_joints.get_mut(h)) {
             multibody.damping_mut().fill(0.0);
             for (i, body) in model.legs.iter().flatten().enumerate() {
-                multibody.armature_mut()[BASE_DOFS + i] = body.armature as f32;
+                multibody.armature_mut()[BASE_DOFS + i] = (body.armature * PER_SQUARE_METRE) as f32;
             }
         }
         Self { physics, base, drag, edge, links, rocks: Vec::new(), colliders: Vec::new(), origin: V::zeros() }
@@ -115,18 +116,18 @@ impl World {
     }
 
     /// Puts a rock where `pose` says, with mass properties, and velocities of its centre of mass.
-    pub fn place_rock(&mut self, rock: usize, pose: &Pose, masses: MassProperties, velocity: Vec3, omega: Vec3) {
+    pub fn place_rock(&mut self, rock: usize, pose: &Pose, masses: MassProperties, velocity: V, omega: V) {
         let body = &mut self.physics.bodies[self.rocks[rock].0];
         body.set_position(relative(pose, self.origin), false);
         body.set_additional_mass_properties(masses, false);
-        body.set_linvel(velocity, false);
-        body.set_angvel(omega, false);
+        body.set_linvel(scaled(velocity), false);
+        body.set_angvel(vec3(omega), false);
     }
 
     /// Velocity of a rock's centre of mass [m/s] and angular velocity [rad/s].
     pub fn rock_velocity(&self, rock: usize) -> [V; 2] {
         let body = &self.physics.bodies[self.rocks[rock].0];
-        [body.linvel(), body.angvel()].map(|v| V::new(v.x.into(), v.y.into(), v.z.into()))
+        [metres(body.linvel()), plain(body.angvel())]
     }
 
     fn multibody(&mut self) -> Option<&mut Multibody> {
@@ -138,11 +139,12 @@ impl World {
     pub fn place(&mut self, state: &State) {
         let [w, x, y, z] = state.orientation.map(|c| c as f32);
         let furnished = !self.colliders.is_empty();
-        let place = if furnished { vec3(V::from(state.position) - self.origin) } else { Vec3::ZERO };
+        let place = if furnished { scaled(V::from(state.position) - self.origin) } else { Vec3::ZERO };
         let pose = Pose3::from_parts(place, Quat::from_xyzw(x, y, z, w));
         self.physics.bodies[self.base.0].set_position(pose, false);
         let Some(multibody) = self.multibody() else { return };
-        let velocities = state.velocity.iter().chain(&state.angular_velocity).chain(&state.rates);
+        let velocity = state.velocity.map(|v| v * PER_METRE);
+        let velocities = velocity.iter().chain(&state.angular_velocity).chain(&state.rates);
         for (to, from) in multibody.generalized_velocity_mut().iter_mut().zip(velocities) {
             *to = *from as f32;
         }
@@ -199,8 +201,8 @@ impl World {
         let body = &mut self.physics.bodies[part.0];
         body.reset_forces(false);
         body.reset_torques(false);
-        body.add_force(vec3(wrench.force), false);
-        body.add_torque(vec3(wrench.moment_about(arm)), false);
+        body.add_force(scaled(wrench.force), false);
+        body.add_torque(scaled_twice(wrench.moment_about(arm)), false);
     }
 
     /// Solves for the velocities after one time step and writes them, and the torques applied, into `state`.
@@ -219,13 +221,14 @@ impl World {
         for (to, from) in to.zip(velocities.iter()) {
             *to = f64::from(*from);
         }
+        state.velocity.iter_mut().for_each(|v| *v /= PER_METRE);
     }
 }
 
 fn relative(pose: &Pose, origin: V) -> Pose3 {
     let rotation = nalgebra::Rotation3::from_matrix_unchecked(pose.rotation);
     let turn = nalgebra::UnitQuaternion::from_rotation_matrix(&rotation);
-    Pose3::from_parts(vec3(pose.position - origin), quat(&turn))
+    Pose3::from_parts(scaled(pose.position - origin), quat(&turn))
 }
 
 /// By how much a servo's torque falls per speed gained in a step [N·m·s/rad].
@@ -238,12 +241,12 @@ fn hinge(body: &Body, motor: &Motor, dt: f64) -> GenericJoint {
     let turn = nalgebra::UnitQuaternion::rotation_between(&V::x(), &body.axis);
     let turn = turn.unwrap_or_else(|| nalgebra::UnitQuaternion::from_axis_angle(&V::z_axis(), std::f64::consts::PI));
     let mut joint = GenericJoint::new(JointAxesMask::LOCKED_REVOLUTE_AXES);
-    joint.local_frame1 = Pose3::from_parts(vec3(body.joint), quat(&turn));
+    joint.local_frame1 = Pose3::from_parts(scaled(body.joint), quat(&turn));
     joint.local_frame2 = Pose3::from_parts(Vec3::ZERO, quat(&turn));
     joint.motor_axes = JointAxesMask::ANG_X;
     joint.motors[HINGE] = JointMotor {
-        damping: yielding(motor, dt) as f32,
-        max_force: motor.torque_limit as f32,
+        damping: (yielding(motor, dt) * PER_SQUARE_METRE) as f32,
+        max_force: (motor.torque_limit * PER_SQUARE_METRE) as f32,
         model: MotorModel::ForceBased,
         ..JointMotor::default()
     };
