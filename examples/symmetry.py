@@ -27,11 +27,20 @@ Mirror = tuple[list[int], list[float]]
 TURNED = re.compile(r"(gravity direction|base velocity), body frame, y|angular velocity, body frame, [xz]|coxa|yaw")
 
 
+#: Where a height is looked up: the number changes its sign.
+PLACE = re.compile(r"(-?\d+)(?= cm to the left)")
+
+
 def mirror(names: list[str]) -> Mirror:
     """How a row of a task's table looks in the mirror; `names` are its columns'."""
     swapped = {"right": "left", "left": "right"}
-    images = [re.sub("right|left", lambda found: swapped[found[0]], name) for name in names]
-    return [names.index(image) for image in images], [-1.0 if TURNED.search(name) else 1.0 for name in names]
+
+    def image(name: str) -> str:
+        if PLACE.search(name):
+            return PLACE.sub(lambda found: str(-int(found[0])), name)
+        return re.sub("right|left", lambda found: swapped[found[0]], name)
+
+    return [names.index(image(name)) for name in names], [-1.0 if TURNED.search(name) else 1.0 for name in names]
 
 
 class Reflection(nn.Module):
