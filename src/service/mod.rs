@@ -77,7 +77,7 @@ pub struct Service {
 }
 
 impl Service {
-    pub fn new(sessions: Arc<Sessions>, pool: Arc<Pool>) -> Self {
+    fn new(sessions: Arc<Sessions>, pool: Arc<Pool>) -> Self {
         Self { sessions, pool, builds: Arc::new(Semaphore::new(processors())) }
     }
 }
