@@ -59,7 +59,6 @@ use serde_json::Value;
 use sessions::Sessions;
 use std::pin::Pin;
 use std::sync::Arc;
-use tokio::sync::Semaphore;
 use tonic::{Request, Response, Status, Streaming};
 
 /// Raised whenever a client of the previous number would misread this server.
@@ -71,20 +70,6 @@ const VERSION: &str = env!("CARGO_PKG_VERSION");
 pub struct Service {
     sessions: Arc<Sessions>,
     pool: Arc<Pool>,
-    /// Turns to build environments, one for each processor: very many take seconds, in which others step, save and look on
-    /// the threads that are left.
-    builds: Arc<Semaphore>,
-}
-
-impl Service {
-    fn new(sessions: Arc<Sessions>, pool: Arc<Pool>) -> Self {
-        Self { sessions, pool, builds: Arc::new(Semaphore::new(processors())) }
-    }
-}
-
-/// Processors that this process may use.
-pub fn processors() -> usize {
-    std::thread::available_parallelism().map_or(1, usize::from)
 }
 
 /// A session that was made for a call; closed if the call ends before it is answered.
@@ -132,10 +117,7 @@ impl EnvironmentService for Service {
     ) -> Result<Response<CreateSessionResponse>, Status> {
         let sessions = self.sessions.clone();
         let lease_seconds = self.sessions.limits().lease.as_secs_f64();
-        // Nobody closes these turns, so there always is one in the end.
-        let turn = self.builds.clone().acquire_owned().await.ok();
         let (mut unclaimed, task) = off_runtime(move || {
-            let _turn = turn;
             let CreateSessionRequest { task_id, num_envs, options, protocol } = request.into_inner();
             check_protocol(protocol)?;
             let (id, blueprint) = sessions.create(&task_id, num_envs as usize, values::to_json(options)?)?;

@@ -145,7 +145,7 @@ impl Offer {
 /// Everything a client can call.
 fn add_services(offer: &mut Offer, sessions: &Arc<Sessions>, pool: Arc<Pool>, health: &HealthReporter) -> Result<()> {
     let largest = sessions.limits().request;
-    let environments = Service::new(sessions.clone(), pool);
+    let environments = Service { sessions: sessions.clone(), pool };
     let reflection = || {
         tonic_reflection::server::Builder::configure()
             .register_encoded_file_descriptor_set(DESCRIPTORS)

@@ -9,9 +9,8 @@ mod load;
 mod process;
 
 use harness::{Server, Session, create, step, until, wave};
-use process::Process;
 use sandgait::service::proto::run_session_request::Request;
-use sandgait::service::proto::{CloseSessionRequest, CreateSessionRequest, ListSessionsRequest, Rollout};
+use sandgait::service::proto::{CloseSessionRequest, ListSessionsRequest, Rollout};
 use sandgait::service::{Limits, Setup};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -109,44 +108,6 @@ async fn greedy_sessions_do_not_starve_a_small_one() {
     );
     assert!(steps > 0, "the large session goes on too");
     assert!(beside[0] < whole, "{beside:?} against {whole}: the small session waits for whole batches");
-}
-
-/// Threads for large requests are few; those who build session after session, each a good part of a second's work, leave
-/// some of them to those who step.
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn greedy_builders_do_not_hold_up_large_steps() {
-    let _alone = ALONE.lock().await;
-    let server = Process::start(&["--listen", "127.0.0.1:0"]);
-    // More actions than are checked on the thread that receives them.
-    let mut session = Session::create(server.client().await, 1000, &[]).await.unwrap();
-    session.reset(0).await;
-    static STOP: AtomicBool = AtomicBool::new(false);
-    let mut builders = Vec::new();
-    for _ in 0..6 {
-        let mut client = server.client().await;
-        builders.push(tokio::spawn(async move {
-            let mut times = Vec::new();
-            while !STOP.load(Ordering::Relaxed) || times.is_empty() {
-                let begun = Instant::now();
-                let rocks = CreateSessionRequest { task_id: "sandgait/HexapodRocks-v0".into(), ..create(1000, &[]) };
-                let session_id = client.create_session(rocks).await.unwrap().into_inner().session_id;
-                times.push(begun.elapsed().as_secs_f64() * 1e3);
-                client.close_session(CloseSessionRequest { session_id }).await.unwrap();
-            }
-            times
-        }));
-    }
-    tokio::time::sleep(Duration::from_millis(300)).await;
-    let steps = latencies(&mut session, 40).await;
-    STOP.store(true, Ordering::Relaxed);
-    let mut builds = Vec::new();
-    for builder in builders {
-        builds.extend(builder.await.unwrap());
-    }
-    builds.sort_by(f64::total_cmp);
-    let build = builds[builds.len() / 2];
-    println!("step of 1000 environments beside six builders [ms]: {steps:.1?}; a session for them: {build:.0}");
-    assert!(steps[0] < 0.1 * build, "{steps:?} {build}");
 }
 
 /// Sessions that are opened and dropped leave nothing behind.
