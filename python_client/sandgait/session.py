@@ -215,9 +215,10 @@ class Session:
                 return self._answered(response)
 
     def _answered(self, response: pb.RunSessionResponse) -> pb.RunSessionResponse:
-        if response.HasField("rollout") and not response.rollout.returns:
+        kind = response.WhichOneof("response")
+        if kind == "rollout" and not response.rollout.returns:
             return response  # the first parts of a rollout: its answer is the last one
-        error = client.failure(response, self.address)
+        error = client.failure(response, self.address) if kind == "failure" else None
         if self._resume and error is None:
             changes = ("reset", "step", "restore")
             self._since += [r for r in self._unanswered if r.WhichOneof("request") in changes]

@@ -66,9 +66,11 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
         self.single_action_space = box(self.task.action)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
+        self._action_shape = (num_envs, len(self.task.action))
         self._keys = tuple((c.name, f"_{c.name}") for c in self.task.info)
         self._seeded = np.zeros(num_envs, dtype=np.bool_)
         self._in_flight = False
+        self._everybody = np.ones(num_envs, dtype=np.bool_)
         #: With NEXT_STEP, who shows the first row of the next episode in the next step; with SAME_STEP nobody.
         self._ended = np.zeros(num_envs, dtype=np.bool_)
         self._next_step = mode is AutoresetMode.NEXT_STEP
@@ -142,9 +144,9 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
         if self._in_flight:
             raise OutOfOrder("send: a step is in flight already; call recv first")
         rows = np.asarray(actions, dtype=np.float32)
-        if rows.shape != self.action_space.shape:
-            raise InvalidRequest(f"actions: shape {rows.shape}, expected {self.action_space.shape}")
-        if self._ended.any():
+        if rows.shape != self._action_shape:
+            raise InvalidRequest(f"actions: shape {rows.shape}, expected {self._action_shape}")
+        if self._next_step and self._ended.any():
             rows = np.where(self._ended[:, None], np.float32(0.0), rows)  # ignored, even if out of bounds
             self._session.send_step(rows, self._ended)
         else:
@@ -184,7 +186,7 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
         """
         columns, ended = batch.infos, batch.final_indices
         if not ended.size:
-            return self._masked(columns, np.ones(self.num_envs, dtype=np.bool_))
+            return self._masked(columns, self._everybody.copy())
         done = batch.terminated | batch.truncated
         last = np.full(self.num_envs, None, dtype=object)
         for i, row in zip(ended, batch.final_observations, strict=True):  # only those that ended
