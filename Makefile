@@ -13,8 +13,8 @@ SOURCES := $(shell find src proto robots python_client build.rs Cargo.toml Cargo
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help train policies test test-rust test-python test-browser page-three bench bench-peers study study-convergence \
-	study-rocks study-load proto task-pages docs
+.PHONY: help train policies test test-rust test-python test-browser page-three bench bench-peers bench-network study \
+	study-convergence study-rocks study-load proto task-pages docs
 
 help:
 	@echo "make train   train a hexapod to walk on sand (5 minutes), results in runs/; TASK=HexapodLegs, ARGS=--help"
@@ -24,6 +24,7 @@ help:
 	@echo "make docs    the documentation as a site in site/; every command in it is run by make test"
 	@echo "make bench   speed of the Python client through an embedded server"
 	@echo "make bench-peers   sandgait beside EnvPool, MuJoCo and gymnasium's Ant, in one run"
+	@echo "make bench-network   servers in network namespaces, behind links with and without delay; needs root"
 	@echo "make study   how often the diagnosis is right, on data of known cause (some 15 minutes)"
 	@echo "make study-convergence   walking speed against the time step, both engines (some 3 minutes)"
 	@echo "make study-rocks   overlaps of robot and rocks in 1,000 random episodes (some 10 minutes)"
@@ -82,6 +83,9 @@ bench: $(VENV)/wheel
 bench-peers: $(VENV)-peers/ready
 	cargo build --release
 	$(VENV)-peers/bin/python benches/peers.py $(ARGS)
+
+bench-network: $(VENV)/wheel
+	$(BIN)/python benches/network.py $(ARGS)
 
 $(VENV)-peers/ready:
 	$(PYTHON) -m venv $(VENV)-peers

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -101,19 +100,6 @@ def random_actions(width: int, seed: int = 0) -> Policy:
 def learnt(model: Any, normalize: Any) -> Policy:
     """A stable-baselines3 model behind the VecNormalize it was trained with, without exploration."""
     return lambda rows: model.predict(normalize.normalize_obs(rows), deterministic=True)[0]
-
-
-def from_onnx(path: Path) -> Policy:
-    """A policy as `sandgait.export_onnx` writes it."""
-    from onnx.reference import ReferenceEvaluator  # slow to import, and trainings do without
-
-    network = ReferenceEvaluator(str(path))
-
-    def policy(rows: Rows) -> npt.NDArray[Any]:
-        outputs: Any = network.run(None, {"observation": rows})
-        return np.asarray(outputs[0])
-
-    return policy
 
 
 def best_tripod(address: str | None = None, **options: Any) -> Score:

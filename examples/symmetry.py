@@ -44,18 +44,19 @@ def mirror(names: list[str]) -> Mirror:
 
 
 class Reflection(nn.Module):
-    """Rows as they look in the mirror."""
+    """Rows as they look in the mirror: times a matrix of 0, 1 and −1, which is exact and which ONNX files can hold."""
 
-    order: torch.Tensor
-    signs: torch.Tensor
+    matrix: torch.Tensor
 
     def __init__(self, mirrored: Mirror) -> None:
         super().__init__()
-        self.register_buffer("order", torch.tensor(mirrored[0]))
-        self.register_buffer("signs", torch.tensor(mirrored[1]))
+        order, signs = mirrored
+        matrix = torch.zeros(len(order), len(order))
+        matrix[order, range(len(order))] = torch.tensor(signs)
+        self.register_buffer("matrix", matrix, persistent=False)
 
     def forward(self, rows: torch.Tensor) -> torch.Tensor:
-        return rows[:, self.order] * self.signs
+        return rows @ self.matrix
 
 
 class MirroredNetworks(nn.Module):

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+import os
 from typing import Any
 
 import numpy as np
@@ -44,6 +45,9 @@ class Window:
         pygame = self._pygame
         height, width, _ = picture.shape
         if self._screen is None:
+            # SDL would load OpenGL even for a plain window. Mesa's brings the system's LLVM, its symbols visible to
+            # all, and torch's own LLVM (triton, at the first optimizer) then ends Python with a segmentation fault.
+            os.environ.setdefault("SDL_FRAMEBUFFER_ACCELERATION", "0")
             try:
                 pygame.display.init()
                 self._screen = pygame.display.set_mode((width, height))

@@ -122,6 +122,8 @@ async fn memory_stays_flat_and_numbers_equal_under_load() {
     let warm: Vec<_> = points.iter().copied().filter(|p| p.0 > WARM * seconds).collect();
     let ((slope, mean), window) = (line(&warm), (1.0 - WARM) * seconds);
     let (low, high) = warm.iter().fold((f64::MAX, 0.0_f64), |(l, h), p| (l.min(p.1), h.max(p.1)));
+    let tenths: Vec<_> = points.chunks(points.len().div_ceil(10)).map(|part| line(part).1).collect();
+    println!("memory of the server, means of tenths of the time [MiB]: {tenths:.0?}");
     println!(
         "{} sessions of {CLIENTS} clients in {seconds} s; memory of the server in the second half: mean {mean:.1} MiB ({low:.1} to {high:.1}), {:+.2} MiB a minute",
         lives.load(Ordering::Relaxed),

@@ -32,21 +32,32 @@ async fn two_sessions_do_not_see_each_other() {
     }
 }
 
+/// The client's end comes before the step's; the step is finished all the same, and then the session's lease runs out.
 #[tokio::test]
 async fn a_client_that_dies_in_mid_step_leaves_no_trace() {
-    let limits = Limits { sessions: 1, lease: Duration::from_millis(20), ..Default::default() };
+    const ENVS: usize = 32_768;
+    let limits = Limits { sessions: 1, lease: Duration::from_secs(1), ..Default::default() };
     let server = Server::with_limits(1, limits).await;
-    for _ in 0..5 {
+    let mut looks = server.client().await;
+    let mut list = async || looks.list_sessions(ListSessionsRequest {}).await.unwrap().into_inner().sessions;
+    for _ in 0..2 {
+        // A step of these takes some 200 ms.
         let mut session = None;
         until(async || {
-            session = Session::create(server.client().await, 64, &[]).await.ok();
+            session = Session::create(server.client().await, ENVS as u32, &[]).await.ok();
             session.is_some()
         })
         .await;
         let mut session = session.unwrap();
         session.reset(0).await;
-        session.send(Some(step(&wave(0..64, 0)))).await;
-        tokio::time::sleep(Duration::from_millis(1)).await;
+        let sent = session.send(Some(step(&wave(0..ENVS, 0)))).await;
+        tokio::time::sleep(Duration::from_millis(10)).await;
+        drop(session);
+        let [summary] = &list().await[..] else { panic!("one session") };
+        assert_eq!(summary.sequence, sent - 1, "the step has ended already");
+        until(async || list().await.first().is_none_or(|s| s.sequence == sent)).await;
+        assert_eq!(list().await.len(), 1, "the step was not carried out");
+        until(async || list().await.is_empty()).await;
     }
 }
 

@@ -164,11 +164,36 @@ assert not pygame.display.get_init()
 """
 
 
-def test_a_window_shows_the_same_pictures() -> None:
+def run_with_window(code: str, driver: str) -> None:
     places = {"SANDGAIT_BINARY": server.find_binary(), "PYTHONPATH": str(Path(sandgait.__file__).parents[1])}
-    environment = {**os.environ, **places, "SDL_VIDEODRIVER": "dummy"}
-    done = subprocess.run([sys.executable, "-c", HUMAN], env=environment, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
+    environment = {**os.environ, **places, "SDL_VIDEODRIVER": driver}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, f"{done.returncode}: {done.stderr}"
+
+
+def test_a_window_shows_the_same_pictures() -> None:
+    run_with_window(HUMAN, "dummy")
+
+
+#: The first optimizer makes torch import triton, where it is installed.
+WATCHED_TRAINING = f"""
+import gymnasium, sandgait
+env = gymnasium.make("{ID}", render_mode="human")
+env.reset(seed=1)
+import torch
+torch.optim.Adam([torch.zeros(1, requires_grad=True)])
+loaded = open("/proc/self/maps").read()
+assert "libGL" not in loaded and "libEGL" not in loaded, "SDL has loaded OpenGL for a picture"
+env.close()
+"""
+
+
+def test_who_watches_can_train_in_the_same_process() -> None:
+    """Mesa's OpenGL and torch's triton each bring an LLVM; together they end in a segmentation fault.
+
+    This driver opens a window as one with a display would, OpenGL included where Mesa is installed.
+    """
+    run_with_window(WATCHED_TRAINING, "offscreen")
 
 
 def test_without_pygame_a_window_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
