@@ -48,6 +48,9 @@ impl<'a> Asked<'a> {
 
     /// Place of each column in `header`; `None` for an optional one that is not there.
     pub(super) fn places(&self, path: &Path, header: &[String]) -> Result<Vec<Option<Place>>> {
+        if header.iter().all(String::is_empty) {
+            return Err(Error::file(path, "row 1: empty, where the columns' names should stand"));
+        }
         for ours in self.renamed.keys() {
             if !self.columns.iter().any(|c| c.name == ours) {
                 let known: Vec<_> = self.columns.iter().map(|c| c.name).collect();
