@@ -12,6 +12,10 @@ from sandgait import server
 
 ID = "sandgait/HexapodGait-v0"
 
+#: First line of a program that is to be interrupted: what a shell starts in the background ignores SIGINT, and so would
+#: all its children.
+HEARS_CTRL_C = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+
 
 class RemoteServer:
     """A server that the client did not start."""

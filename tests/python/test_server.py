@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import sandgait
-from conftest import ID
+from conftest import HEARS_CTRL_C, ID
 from sandgait import server
 
 PLAY = f"""
@@ -91,7 +91,8 @@ def test_the_server_ends_with_python(end: str) -> None:
 
 def test_ctrl_c_is_for_python_alone() -> None:
     """The whole foreground group gets SIGINT; the server must live until Python has done with it."""
-    code = "import time\ntry: time.sleep(60)\nexcept KeyboardInterrupt: env.step(numpy.zeros((20, 6))); print('done')"
+    code = f"{HEARS_CTRL_C}\nimport time\ntry: time.sleep(60)\n"
+    code += "except KeyboardInterrupt: env.step(numpy.zeros((20, 6))); print('done')"
     process = subprocess.Popen(
         [sys.executable, "-c", PLAY + code], stdout=subprocess.PIPE, text=True, start_new_session=True
     )

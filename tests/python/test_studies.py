@@ -18,7 +18,7 @@ import pandas as pd
 import pytest
 
 import sandgait
-from conftest import RemoteServer
+from conftest import HEARS_CTRL_C, RemoteServer
 from sandgait import server
 
 matplotlib.use("Agg")
@@ -256,6 +256,7 @@ def test_an_interrupted_study_frees_the_server() -> None:
 
 def test_ctrl_c_while_a_study_computes(remote: RemoteServer) -> None:
     code = f"""
+{HEARS_CTRL_C}
 import numpy as np, sandgait
 told = lambda share, stage: print(stage, flush=True)
 try: sandgait.sweep({{"xi": np.arange(-75, 75, 0.5), "frequency": np.linspace(1, 4, 300)}},
