@@ -3,7 +3,7 @@
 //! Colliders carry no mass: masses are ours (`inertia`, `rocks`). Each body has one collider in its own frame, so that
 //! rapier adds nothing to its mass properties.
 
-use super::units::{PER_METRE, quat, scaled, vec3};
+use super::units::{PER_METRE, plain, quat, scaled, vec3};
 use crate::sim::Model;
 use crate::sim::frame::V;
 use crate::sim::model::Body;
@@ -135,6 +135,5 @@ pub fn tune(parameters: &mut IntegrationParameters) {
 pub fn hull(points: &[[f64; 3]]) -> Option<(Vec<V>, Vec<[usize; 3]>)> {
     let points: Vec<_> = points.iter().map(|p| vec3(V::from(*p))).collect();
     let (corners, triangles) = try_convex_hull(&points).ok()?;
-    let corners = corners.iter().map(|c| V::new(c.x.into(), c.y.into(), c.z.into()));
-    Some((corners.collect(), triangles.iter().map(|t| t.map(|i| i as usize)).collect()))
+    Some((corners.into_iter().map(plain).collect(), triangles.iter().map(|t| t.map(|i| i as usize)).collect()))
 }

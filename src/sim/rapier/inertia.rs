@@ -75,7 +75,8 @@ const RELATIVE_FLOOR: f64 = 1e-4;
 /// The same in kg·m²: rapier multiplies three inverse inertias, whose product must stay finite in `f32`.
 const ABSOLUTE_FLOOR: f64 = 1e-12;
 
-/// Mass properties, in rapier's units, from an inertia matrix [kg·m²] about `center` [m]; no mass gives rapier's "no mass properties".
+/// Mass properties, in rapier's units, from an inertia matrix [kg·m²] about `center` [m]; no mass gives rapier's "no mass
+/// properties".
 pub fn mass_properties(mass: f64, center: V, inertia: &M) -> MassProperties {
     if mass <= 0.0 {
         return MassProperties::default();
