@@ -28,8 +28,9 @@ def draw(paths: list[Path], path: Path, title: str) -> None:
     steps = np.linspace(max(curve[0].steps for curve in curves), last, POINTS)
     returns = np.array([np.interp(steps, [r.steps for r in c], [r.mean_return for r in c]) for c in curves])
     figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
-    axes.fill_between(steps / 1e6, returns.min(axis=0), returns.max(axis=0), alpha=0.25, label="worst to best seed")
-    axes.plot(steps / 1e6, returns.mean(axis=0), label=f"mean of {len(curves)} seeds")
+    if len(curves) > 1:
+        axes.fill_between(steps / 1e6, returns.min(axis=0), returns.max(axis=0), alpha=0.25, label="worst to best seed")
+    axes.plot(steps / 1e6, returns.mean(axis=0), label=f"mean of {len(curves)} seeds" if len(curves) > 1 else "one seed")
     axes.set(title=title, xlabel="environment steps [millions]", ylabel="return of an episode while it explores")
     axes.legend(loc="lower right")
     axes.grid(alpha=0.3)

@@ -251,16 +251,17 @@ def prepare(
     checkpoint: Path | None,
 ) -> Training:
     """A new training, or the one in `out` from a checkpoint on."""
-    timed = Timed(VecMonitor(sandgait.make_sb3(task, int(settings["n_envs"]), address, **options)))
+    timed = Timed(sandgait.make_sb3(task, int(settings["n_envs"]), address, **options))
+    monitored = VecMonitor(timed)
     kind = ALGORITHMS[algorithm]
     curve: list[Row] = []
     if checkpoint is None:
         flag = bool(settings["normalize"])
-        normalized = VecNormalize(timed, norm_obs=flag, norm_reward=flag, gamma=settings["gamma"])
+        normalized = VecNormalize(monitored, norm_obs=flag, norm_reward=flag, gamma=settings["gamma"])
         model = create(kind, normalized, settings, seed, out / "tensorboard")
     else:
         steps = steps_of(checkpoint)
-        normalized = VecNormalize.load(str(checkpoint.with_name(f"model_vecnormalize_{steps}_steps.pkl")), timed)
+        normalized = VecNormalize.load(str(checkpoint.with_name(f"model_vecnormalize_{steps}_steps.pkl")), monitored)
         model = kind.load(checkpoint, env=normalized, device="cpu")
         if isinstance(model, SAC):
             model.load_replay_buffer(checkpoint.with_name(f"model_replay_buffer_{steps}_steps.pkl"))
