@@ -100,8 +100,12 @@ impl Driver {
 /// Speed [rad/s] that takes a reference to `target` [rad] by the shortest way within a control step, no faster than
 /// [`TOP_SPEED`].
 pub fn toward(target: f64, reference: f64) -> f64 {
-    let way = (target - reference + PI).rem_euclid(TAU) - PI;
-    (way * CONTROL_RATE).clamp(-TOP_SPEED, TOP_SPEED)
+    (wrapped(target - reference) * CONTROL_RATE).clamp(-TOP_SPEED, TOP_SPEED)
+}
+
+/// An angle [rad] less its whole turns, in [−π, π).
+pub fn wrapped(angle: f64) -> f64 {
+    (angle + PI).rem_euclid(TAU) - PI
 }
 
 #[cfg(test)]

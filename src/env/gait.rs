@@ -1,7 +1,7 @@
 //! `sandgait/HexapodGait-v0`: follow a commanded forward speed on flat or sloping sand with one joint a leg, driven in
 //! one of four ways.
 
-use super::control::{Control, Driver, TOP_SPEED};
+use super::control::{Control, Driver, TOP_SPEED, wrapped};
 use super::locomotion::{self, BASE_COLUMNS, CONTROL_RATE, Weights};
 use super::random::Random;
 use super::spec::{Column, Spec};
@@ -9,7 +9,6 @@ use super::task::{Goal, Setup, Task, Transition};
 use crate::error::{Error, Result};
 use crate::sim::State;
 use crate::sim::engine::Command;
-use std::f64::consts::{PI, TAU};
 
 /// Bound of the observed hip speed [rad/s]; what goes beyond is clipped.
 const HIP_SPEED: f64 = 3.0 * TOP_SPEED;
@@ -111,7 +110,6 @@ impl Task for HexapodGait {
 
 /// By how much the hips turned in a step, on average [rad]; the distance of a wheel's tread is 2R times that.
 fn hip_turn(t: &Transition) -> f64 {
-    let turned = |(after, before): (&f64, &f64)| (after - before + PI).rem_euclid(TAU) - PI;
     let hips = t.after.angles.iter().zip(&t.before.angles);
-    hips.map(turned).sum::<f64>() / t.after.angles.len() as f64
+    hips.map(|(after, before)| wrapped(after - before)).sum::<f64>() / t.after.angles.len() as f64
 }
