@@ -1,9 +1,11 @@
 //! `sandgait/HexapodGait-v0`: follow a commanded forward speed on flat or sloping sand with one joint a leg, driven in
 //! one of four ways.
 
-use super::control::{Control, Driver, TOP_SPEED, wrapped};
-use super::locomotion::{self, BASE_COLUMNS, CONTROL_RATE, Weights};
+use super::control::Driver;
+use super::locomotion::{self, BASE_COLUMNS, CONTROL_RATE};
+use super::options::{Control, Weights, keywords};
 use super::random::Random;
+use super::reference::{TOP_SPEED, wrapped};
 use super::spec::{Column, Spec};
 use super::task::{Goal, Setup, Task, Transition};
 use crate::error::{Error, Result};
@@ -36,7 +38,7 @@ pub struct HexapodGait {
 }
 
 impl HexapodGait {
-    pub const ID: &'static str = "sandgait/HexapodGait-v0";
+    pub const ID: &'static str = keywords::GAIT.task;
 
     pub fn new(setup: &Setup) -> Result<Self> {
         let (robot, options) = (&setup.model.robot, &setup.options);
