@@ -11,7 +11,7 @@
 
 use super::proto::RunSessionResponse;
 use super::sessions::{Done, Environments, Session, Sessions, name};
-use crate::env::task::Blueprint;
+use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
 use crate::pool::{Pool, Snapshot};
 use prost::Message;
