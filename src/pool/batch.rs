@@ -1,6 +1,5 @@
 //! All environments of one session, cut into shards.
 
-use super::building::Building;
 use super::snapshot::Snapshot;
 use crate::env::registry::Blueprint;
 use crate::env::snapshot::Resumed;
@@ -72,11 +71,6 @@ impl Roll {
 }
 
 impl Batch {
-    /// `envs` environments that wait for their first reset.
-    pub fn new(blueprint: &Blueprint, envs: usize) -> Result<Self> {
-        Building::new(blueprint, envs)?.finish()
-    }
-
     /// These environments of `blueprint`, which wait for their first reset.
     pub(super) fn of(blueprint: &Blueprint, shards: Vec<Shard>) -> Self {
         let envs = shards.iter().map(Shard::envs).sum();

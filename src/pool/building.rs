@@ -2,7 +2,7 @@
 
 use super::batch::Batch;
 use crate::env::Shard;
-use crate::env::task::Blueprint;
+use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
 use std::time::{Duration, Instant};
 
@@ -11,6 +11,13 @@ pub struct Building {
     blueprint: Blueprint,
     envs: usize,
     shards: Vec<Shard>,
+}
+
+impl Batch {
+    /// `envs` environments that wait for their first reset.
+    pub fn new(blueprint: &Blueprint, envs: usize) -> Result<Self> {
+        Building::new(blueprint, envs)?.finish()
+    }
 }
 
 impl Building {
