@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
 
 /// Time between two looks at whether the client is still there, and the work of one part of trajectories: our choice, long
-/// against what a part costs beside its bytes (some 0.3 ms in server and Python client together), short to whoever waits
+/// against what a part costs beside its bytes (some 0.5 ms in server and Python client together), short to whoever waits
 /// for a server's end. Other sessions need not wait for it: the pool gives them their turns in between.
 const TURN: Duration = Duration::from_millis(30);
 
