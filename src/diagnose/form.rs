@@ -4,6 +4,7 @@
 //! look alike. So the objective is scanned over exponents; what it excludes is excluded, and what it does not is said.
 
 use super::fit::{Fit, Study};
+use super::lack_of_fit;
 use super::profile::within;
 use crate::parallel;
 use crate::sand::mechanism::CATALOG;
@@ -39,6 +40,8 @@ pub struct Form {
     pub excluded: bool,
     /// Do the data exclude the law's exponent, or those half a power away from it?
     pub told_apart: bool,
+    /// Mean square of the smooth whitened residual with the exponent found.
+    pub lack_of_fit: f64,
     /// Objective there, in units of χ².
     #[serde(skip)]
     pub objective: f64,
@@ -68,12 +71,13 @@ impl Form {
 /// Scans the exponent of the law of `fit`'s first cause that has one; `inflation` is that of χ² differences.
 pub fn check(study: &Study, fit: &Fit, inflation: f64) -> Option<Form> {
     let (id, law) = fit.ids.iter().find_map(|&id| CATALOG[id].exponent.map(|law| (id, law)))?;
+    let fitted = |exponent: f64| {
+        let model = study.model.with_exponent(id, exponent)?;
+        Some(study.with_model(&*model).fit_near(fit))
+    };
     let at = |exponents: &[f64]| -> Option<Vec<(f64, f64)>> {
-        let objective = |&exponent: &f64| {
-            let model = study.model.with_exponent(id, exponent)?;
-            Some((exponent, study.with_model(&*model).fit_near(fit).objective))
-        };
-        parallel::map(exponents, objective).into_iter().collect()
+        let place = |&exponent: &f64| Some((exponent, fitted(exponent)?.objective));
+        parallel::map(exponents, place).into_iter().collect()
     };
     let mut scan = at(&EXPONENTS)?;
     let (found, curvature) = minimum(&scan);
@@ -84,6 +88,9 @@ pub fn check(study: &Study, fit: &Fit, inflation: f64) -> Option<Form> {
     scan.sort_by(|a, b| a.0.total_cmp(&b.0));
     scan.dedup_by(|a, b| a.0 - b.0 < 1e-6);
     let (found, _) = minimum(&scan);
+    let best = fitted(found)?;
+    scan.push((found, best.objective));
+    scan.sort_by(|a, b| a.0.total_cmp(&b.0));
     let objective = scan.iter().map(|s| s.1).fold(f64::MAX, f64::min);
     let near = scan.iter().filter(|s| (s.0 - law).abs() <= SAME + 1e-9).map(|s| s.1).fold(f64::MAX, f64::min);
     let ci95 = within(&scan, objective, INTERVAL * inflation);
@@ -95,6 +102,7 @@ pub fn check(study: &Study, fit: &Fit, inflation: f64) -> Option<Form> {
         ci95,
         excluded,
         told_apart: excluded || (ci95[0] > law - OTHER && ci95[1] < law + OTHER),
+        lack_of_fit: lack_of_fit::statistic(study.observations, &best.white),
         objective,
     })
 }

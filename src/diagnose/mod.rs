@@ -380,7 +380,9 @@ impl View<'_> {
             Verdict::NoneOfThese => self.not_enough(selection),
             Verdict::InsufficientData => String::new(),
         };
-        let verdict = verdict + &selection.form.as_ref().map_or(String::new(), Form::said);
+        // Where other misfit remains, the power is fitted to that.
+        let form = selection.form.as_ref().filter(|form| form.lack_of_fit <= selection.gates.lack_of_fit);
+        let verdict = verdict + &form.map_or(String::new(), Form::said);
         whereabouts.map_or(verdict.clone(), |place| format!("{verdict}; {place}"))
     }
 
@@ -410,9 +412,10 @@ impl View<'_> {
     }
 
     fn not_enough(&self, selection: &Selection) -> String {
-        let form = selection.form.as_ref().filter(|f| f.excluded);
+        let limit = selection.gates.lack_of_fit;
+        let form = selection.form.as_ref().filter(|f| f.excluded && f.lack_of_fit <= limit);
         match selection.candidates.first() {
-            Some(best) if form.is_some() && best.lack_of_fit <= selection.gates.lack_of_fit => {
+            Some(best) if form.is_some() => {
                 let name = names(&best.fit).join(" with ");
                 format!("none of the known causes has the right form: {name} comes nearest") + &self.stand_in(selection)
             }
