@@ -3,6 +3,7 @@
 //! A wrong exponent is a small misfit that lack of fit alone may not see: over a narrow range of speeds λ v² and λ' v^1.5
 //! look alike. So the objective is scanned over exponents; what it excludes is excluded, and what it does not is said.
 
+use super::chi_squared;
 use super::fit::{Fit, Study};
 use super::lack_of_fit;
 use super::profile::within;
@@ -20,11 +21,10 @@ const SAME: f64 = 0.1;
 /// Exponents further from the law's than this are other laws; where the interval holds one, the data do not tell. Our choice:
 /// half a power, as between the drag of grains that is cited with 2 and laws measured with 1.5.
 const OTHER: f64 = 0.5;
-/// Objective by which a law may be behind another exponent by chance: that of one in a thousand (χ² with one degree of
-/// freedom), as causes are thrown out of the set.
-const EXCLUDED: f64 = 10.83;
-/// The same for 95 %.
-const INTERVAL: f64 = 3.84;
+/// Objective by which a law may be behind another exponent by chance: that of one in a thousand, as causes are thrown out of
+/// the set.
+const EXCLUDED: f64 = chi_squared::AT_999_PER_MILLE;
+const INTERVAL: f64 = chi_squared::AT_95_PERCENT;
 
 /// What the data say of the exponent of the speed in a law.
 #[derive(Clone, Debug, Serialize, PartialEq)]
@@ -68,9 +68,30 @@ impl Form {
     }
 }
 
-/// Scans the exponent of the law of `fit`'s first cause that has one; `inflation` is that of χ² differences.
-pub fn check(study: &Study, fit: &Fit, inflation: f64) -> Option<Form> {
-    let (id, law) = fit.ids.iter().find_map(|&id| CATALOG[id].exponent.map(|law| (id, law)))?;
+/// A law whose exponent can be asked for.
+#[derive(Clone, Copy)]
+pub struct Asked {
+    /// Place in the catalogue.
+    id: usize,
+    /// The law's own exponent.
+    law: f64,
+}
+
+impl Asked {
+    /// The first cause of `fit` that the study's model has with other exponents.
+    pub fn of(study: &Study, fit: &Fit) -> Option<Self> {
+        let laws = fit.ids.iter().filter_map(|&id| Some(Self { id, law: CATALOG[id].exponent? }));
+        laws.into_iter().find(|asked| study.model.with_exponent(asked.id, asked.law).is_some())
+    }
+
+    /// Is this the only cause of `fit`?
+    pub fn alone(&self, fit: &Fit) -> bool {
+        fit.ids == [self.id]
+    }
+}
+
+/// Scans the exponent of the law asked for about `fit`; `inflation` is that of χ² differences.
+pub fn check(study: &Study, fit: &Fit, Asked { id, law }: Asked, inflation: f64) -> Option<Form> {
     let fitted = |exponent: f64| {
         let model = study.model.with_exponent(id, exponent)?;
         Some(study.with_model(&*model).fit_near(fit))

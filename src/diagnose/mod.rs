@@ -9,6 +9,7 @@
 
 pub mod arm;
 pub mod calibrate;
+pub mod chi_squared;
 pub mod cli;
 pub mod cross_validation;
 pub mod experiment;
@@ -244,7 +245,7 @@ impl View<'_> {
         let inflation = self.selection.map_or(1.0, |s| s.gates.inflation);
         let cause = |(k, &id): (usize, &usize)| {
             let (entry, at) = (&CATALOG[id], fit.coordinates()[k]);
-            let reach = 1.96 * (covariance[(k, k)] * inflation).sqrt();
+            let reach = (chi_squared::AT_95_PERCENT * covariance[(k, k)] * inflation).sqrt();
             let profiled = self.selection.and_then(|s| s.intervals.get(k)).filter(|i| i.iter().all(|u| u.is_finite()));
             let [low, high] = profiled.copied().unwrap_or([at - reach, at + reach]);
             let bounds = entry.coordinate_bounds();
@@ -413,9 +414,9 @@ impl View<'_> {
 
     fn not_enough(&self, selection: &Selection) -> String {
         let limit = selection.gates.lack_of_fit;
-        let form = selection.form.as_ref().filter(|f| f.excluded && f.lack_of_fit <= limit);
+        let excluded = selection.form.as_ref().filter(|form| form.excluded);
         match selection.candidates.first() {
-            Some(best) if form.is_some() => {
+            Some(best) if excluded.is_some_and(|form| best.lack_of_fit.min(form.lack_of_fit) <= limit) => {
                 let name = names(&best.fit).join(" with ");
                 format!("none of the known causes has the right form: {name} comes nearest") + &self.stand_in(selection)
             }

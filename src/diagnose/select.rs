@@ -1,9 +1,10 @@
 //! Which cause: singles, then pairs, behind gates; what stands beside them; whether anything is left over.
 
 use super::calibrate::{FELT, Gates, Scores, Screen, gates, starts};
+use super::chi_squared;
 use super::cross_validation::{HeldOut, leave_condition_out, unfitted};
 use super::fit::{Fit, Study, dot, slope};
-use super::form::{self, Form};
+use super::form::{self, Asked, Form};
 use super::lack_of_fit;
 use super::noise::{Noise, Source};
 use super::profile;
@@ -43,9 +44,6 @@ const PAIRS_FITTED: usize = 14;
 const NOISES: usize = 3;
 /// Rivals fitted again under the final whitening: our choice; one further behind is hundreds of χ² away.
 const FINALISTS: usize = 8;
-
-/// χ² with one degree of freedom, 95 %.
-const CHI_SQUARED_95: f64 = 3.841;
 
 /// One cause or pair that was tried.
 pub struct Candidate {
@@ -180,7 +178,7 @@ pub fn select(
 /// Finds the lowest place about the best, and how far its values can be moved.
 fn explore(study: &Study, selection: &mut Selection) {
     let best = &selection.candidates[0];
-    let allowed = CHI_SQUARED_95 * selection.gates.inflation;
+    let allowed = chi_squared::AT_95_PERCENT * selection.gates.inflation;
     let (lowest, intervals) = profile::explore(study, &best.fit, allowed);
     if lowest.objective < best.fit.objective {
         selection.candidates[0] = candidate(study, &study.recalibrated(), lowest);
@@ -192,14 +190,13 @@ fn explore(study: &Study, selection: &mut Selection) {
 /// form explains as much as with a second term, which then only stands in for that, none of the causes is the right one.
 fn question_form(study: &Study, selection: &mut Selection) {
     let best = &selection.candidates[0].fit;
-    let askable = |id: usize| CATALOG[id].exponent.is_some_and(|law| study.model.with_exponent(id, law).is_some());
-    let Some(&id) = best.ids.iter().find(|id| askable(**id)) else { return };
+    let Some(asked) = Asked::of(study, best) else { return };
     let inflation = selection.gates.inflation;
-    let alone = selection.candidates.iter().find(|c| c.fit.ids == [id]).filter(|_| best.ids.len() > 1);
+    let alone = selection.candidates.iter().find(|c| asked.alone(&c.fit)).filter(|_| best.ids.len() > 1);
     // It was fitted under an earlier noise.
-    let alone = alone.and_then(|c| form::check(study, &study.fit_from(&[&c.fit])[0], inflation));
+    let alone = alone.and_then(|c| form::check(study, &study.fit_from(&[&c.fit])[0], asked, inflation));
     let stands_in = alone.filter(|form| form.excluded && form.objective <= best.objective);
-    selection.form = stands_in.or_else(|| form::check(study, best, inflation));
+    selection.form = stands_in.or_else(|| form::check(study, best, asked, inflation));
     if selection.form.as_ref().is_some_and(|form| form.excluded) {
         selection.verdict = Verdict::NoneOfThese;
         selection.set.clear();
