@@ -36,7 +36,7 @@ use crate::error::Result;
 use crate::progress::{Latch, Progress};
 use crate::sand::SandDescription;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
-use cross_validation::HeldOut;
+use cross_validation::{Errors, HeldOut};
 use experiment::{Experiment, Kind};
 use fit::{Fit, Study};
 use form::Form;
@@ -179,7 +179,7 @@ struct View<'a> {
     source: &'a Source<'a>,
     noise: &'a Noise,
     selection: Option<&'a Selection>,
-    floor: f64,
+    floor: Errors,
 }
 
 impl View<'_> {
@@ -297,15 +297,17 @@ impl View<'_> {
         };
         let plain = &selection.plain_held_out;
         let extended: &HeldOut = extension(selection).map_or(plain, |c| &c.held_out);
-        let (before, after) = (plain.rmse(), extended.rmse());
+        let (before, after, floor) = (plain.rmse(), extended.rmse(), self.floor.rmse());
+        // Where the plain model's error can hardly be told from the scatter, a share of their difference is any number.
+        let told = plain.errors.reduction_interval(&self.floor)[0] > 0.0;
         Gain {
             held_out_rmse_plain: Some(before),
             held_out_rmse_recalibrated: Some(selection.base_held_out.rmse()),
             held_out_rmse_extended: Some(after),
-            noise_floor: Some(self.floor),
+            noise_floor: Some(floor),
             reduction: (before > 0.0).then(|| 1.0 - after / before),
             ci95: Some(plain.reduction_interval(extended)),
-            achievable_fraction: (before > self.floor).then(|| (before - after) / (before - self.floor)),
+            achievable_fraction: (told && before > floor).then(|| (before - after) / (before - floor)),
         }
     }
 

@@ -8,6 +8,7 @@
 //! S is |F| in force logs (grains push on all channels alike) and the channel's own mean in walking runs. The parts' sizes
 //! maximise the likelihood of the differences between repetitions, which no wrong model can bias.
 
+use super::cross_validation::Errors;
 use super::minimise::minimise;
 use super::observations::{Observations, Size, interpolate};
 use super::shared::{Along, Likelihood, Shared};
@@ -244,16 +245,21 @@ impl Source<'_> {
         Noise::unpack(&minimise(deviance, from, rounds), channels)
     }
 
-    /// Standard deviation between repetitions over the channels that count in the error: what no model can predict.
-    pub fn floor(&self) -> f64 {
-        let (mut square, mut count) = (0.0, 0.0);
-        for difference in self.repeats().iter().flat_map(|r| &r.differences) {
-            for (values, _) in difference.iter().zip(&self.observations.channels).filter(|d| d.1.in_rmse) {
-                square += values.iter().map(|v| v * v).sum::<f64>();
-                count += values.len() as f64;
+    /// Scatter of repetitions over the channels that count in the error: what no model can predict. Conditions made once have
+    /// none to show.
+    pub fn floor(&self) -> Errors {
+        let of = |group: &Vec<usize>| {
+            let (mut square, mut count) = (0.0, 0.0);
+            for difference in self.repeats_of(group).differences {
+                for (values, _) in difference.iter().zip(&self.observations.channels).filter(|d| d.1.in_rmse) {
+                    square += values.iter().map(|v| v * v).sum::<f64>();
+                    count += values.len() as f64;
+                }
             }
-        }
-        (square / f64::max(count, 1.0)).sqrt()
+            (square, count)
+        };
+        let (square, count) = self.observations.repetitions().iter().map(of).unzip();
+        Errors { square, count }
     }
 }
 

@@ -45,6 +45,9 @@ const NOISES: usize = 3;
 /// Rivals fitted again under the final whitening: our choice; one further behind is hundreds of χ² away.
 const FINALISTS: usize = 8;
 
+/// Typical strengths within which a linear estimate is held: our choice, beyond it a line from the plain model says little.
+const USUAL: f64 = 4.0;
+
 /// One cause or pair that was tried.
 pub struct Candidate {
     pub fit: Fit,
@@ -128,9 +131,17 @@ fn linear_start(screen: &Screen, scores: &Scores, column: usize) -> f64 {
         return value; // its effect is far from proportional: an estimate from afar means nothing
     }
     let estimate = if felt > FELT { entry.typical * scores.score[column] / felt } else { 0.0 };
-    let reach = (4.0 * entry.typical).max(8.0 * value.abs());
+    let reach = (USUAL * entry.typical).max(8.0 * value.abs());
     let start = estimate.clamp(-reach, reach).clamp(entry.bounds[0], entry.bounds[1]);
     if start == 0.0 { value * 0.1 } else { start }
+}
+
+/// A rough model's objective has minima beside the lowest, and the linear estimate may lead into one near the plain model: a
+/// second start, as far out on the same side as estimates are held. None of a smooth model, where the first one has to do.
+fn far_start(study: &Study, id: usize, estimate: f64) -> Option<f64> {
+    let entry = &CATALOG[id];
+    let far = (USUAL * entry.typical).copysign(estimate).clamp(entry.bounds[0], entry.bounds[1]);
+    (study.model.roughness().is_some() && !entry.ceiling).then_some(far)
 }
 
 /// Runs the whole selection on `ids`. Once a cause is found, what a repetition has in common acts along the extended
@@ -229,7 +240,10 @@ fn singles(study: &Study, screen: &Screen, scores: &Scores, gates: Gates, ids: &
     let columns: Vec<usize> = ids.iter().filter_map(|id| screen.candidates.iter().position(|c| c.0 == *id)).collect();
     let start = |&column: &usize| {
         let value = linear_start(screen, scores, column);
-        further_starts(study, &[screen.candidates[column].0], &[value])
+        let id = screen.candidates[column].0;
+        let (ids, mut from) = further_starts(study, &[id], &[value]);
+        from.extend(far_start(study, id, value).map(|far| vec![far]));
+        (ids, from)
     };
     let fits = study.fit_all(&columns.iter().map(start).collect::<Vec<_>>());
     let mut candidates = parallel::map(&fits, |fit| candidate(study, &base, fit.clone()));
@@ -388,7 +402,7 @@ impl Study<'_> {
             let estimate = if left > 1e-12 { score / left } else { 0.0 };
             let entry = &CATALOG[id];
             let held =
-                estimate.clamp(entry.bounds[0], entry.bounds[1]).clamp(-4.0 * entry.typical, 4.0 * entry.typical);
+                estimate.clamp(entry.bounds[0], entry.bounds[1]).clamp(-USUAL * entry.typical, USUAL * entry.typical);
             let held = if entry.ceiling { value } else { held };
             (
                 id,
