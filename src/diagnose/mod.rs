@@ -41,7 +41,7 @@ use experiment::{Experiment, Kind};
 use fit::{Fit, Study};
 use form::Form;
 use forward::{ForceLogModel, ForwardModel};
-use noise::{Noise, Source, sizes};
+use noise::{Noise, Source, scatters, sizes};
 use observations::Observations;
 use report::{
     Cause, Curves, Diagnosis, Gain, LackOfFit, NextExperiment, NoiseSummary, Report, RunMeans, Tried, Untestable,
@@ -108,12 +108,12 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
     let whitener = Whitener::new(&source, &noise);
     let study = Study::new(&observations, model, &whitener, coefficient_sd);
     let (ids, untestable) = testable(&study);
-    let selection = match observations.has_replicates() {
+    let floor = source.floor();
+    let selection = match scatters(&observations, &floor) {
         true => Some(select(&study, &source, &noise, &ids, progress)?),
         false => None,
     };
     progress.report(0.95, "report")?;
-    let floor = source.floor();
     let view = View { study: &study, source: &source, noise: &noise, selection: selection.as_ref(), floor };
     let report = view.report(untestable, sha256, notes);
     let extension = selection.as_ref().and_then(extension);
@@ -363,7 +363,11 @@ impl View<'_> {
 
     fn summary(&self, causes: &[Cause], whereabouts: Option<&str>) -> String {
         let Some(selection) = self.selection else {
-            return "no condition is repeated: without a noise floor nothing can be said".into();
+            let why = match self.study.observations.has_replicates() {
+                true => "repetitions are copies of each other, so their scatter is no noise floor",
+                false => "no condition is repeated",
+            };
+            return format!("{why}: without a noise floor nothing can be said");
         };
         let said = |c: &Cause| {
             let [value, low, high] = [c.value, c.ci95[0], c.ci95[1]].map(digits);

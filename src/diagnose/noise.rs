@@ -34,6 +34,10 @@ pub struct Noise {
     pub shared: Vec<f64>,
 }
 
+/// Repetitions that scatter by less than this share of what they measure are copies, or simulations without noise: our choice,
+/// the rounding of a log with six digits.
+const COPIES: f64 = 1e-6;
+
 /// What the proportional noise of each unit and channel is proportional to, sample by sample: the mean over repetitions,
 /// smoothed over five samples.
 pub type Sizes = Vec<Vec<Vec<f64>>>;
@@ -261,6 +265,14 @@ impl Source<'_> {
         let (square, count) = self.observations.repetitions().iter().map(of).unzip();
         Errors { square, count }
     }
+}
+
+/// Do the repetitions scatter, so that they are a noise floor? Copies do not.
+pub fn scatters(observations: &Observations, floor: &Errors) -> bool {
+    let counted = observations.channels.iter().enumerate().filter(|c| c.1.in_rmse);
+    let blocks = counted.flat_map(|(c, _)| observations.units.iter().map(move |u| u.block(c)));
+    let (square, count) = blocks.flatten().fold((0.0, 0.0), |(s, n), k| (s + observations.values[k].powi(2), n + 1.0));
+    floor.rmse() > COPIES * (square / f64::max(count, 1.0)).sqrt()
 }
 
 impl Noise {

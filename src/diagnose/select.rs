@@ -27,7 +27,7 @@ pub enum Verdict {
     Ambiguous,
     /// Misfit remains after every extension tried.
     NoneOfThese,
-    /// No repetitions, so no noise floor.
+    /// No repetitions, or only copies, so no noise floor.
     InsufficientData,
 }
 
