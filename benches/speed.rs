@@ -2,7 +2,7 @@
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use sandgait::bench::{Direct, Remote, Stepper, random_actions};
-use sandgait::env::task::Blueprint;
+use sandgait::env::registry::Blueprint;
 use sandgait::number::{Isa, Vec3};
 use sandgait::sand::{Ground, Law, Medium, Site, Surface};
 use sandgait::sim::engine::{Command, EngineKind};

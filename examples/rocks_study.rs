@@ -7,7 +7,7 @@
 //! share of the depth of the obstacle's centre: what passes through a middle comes close to 1.
 
 use sandgait::env::random::Random;
-use sandgait::env::task::Blueprint;
+use sandgait::env::registry::Blueprint;
 use sandgait::sim::engine::{Command, Engine, EngineKind};
 use sandgait::sim::overlap::{overlap, overlap_share};
 use sandgait::sim::state::{ObjectState, State};

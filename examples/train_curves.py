@@ -30,7 +30,8 @@ def draw(paths: list[Path], path: Path, title: str) -> None:
     figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
     if len(curves) > 1:
         axes.fill_between(steps / 1e6, returns.min(axis=0), returns.max(axis=0), alpha=0.25, label="worst to best seed")
-    axes.plot(steps / 1e6, returns.mean(axis=0), label=f"mean of {len(curves)} seeds" if len(curves) > 1 else "one seed")
+    mean = f"mean of {len(curves)} seeds" if len(curves) > 1 else "one seed"
+    axes.plot(steps / 1e6, returns.mean(axis=0), label=mean)
     axes.set(title=title, xlabel="environment steps [millions]", ylabel="return of an episode while it explores")
     axes.legend(loc="lower right")
     axes.grid(alpha=0.3)

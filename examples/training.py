@@ -72,12 +72,18 @@ def learning_rate(setting: Any) -> tuple[float, bool]:
         raise BadSettings(f"learning_rate: {setting!r} is neither a number nor lin_NUMBER") from error
 
 
+def git(*words: str) -> str:
+    """What git says of this repository; nothing where there is none."""
+    command = ["git", "-C", str(Path(__file__).parents[1]), *words]
+    return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
+
+
 def provenance() -> dict[str, str]:
-    """What it takes to make a result again: command, commit and date."""
-    git = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--exclude=*"]
-    commit = subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip()
+    """What it takes to make a result again: command, commit and date. Results kept before this one change no commit."""
+    commit = git("rev-parse", "--short", "HEAD") or "unknown"
+    changed = git("status", "--porcelain", "--untracked-files=no", "--", ".", ":!examples/policies")
     command = shlex.join(["python", "examples/" + Path(sys.argv[0]).name, *sys.argv[1:]])
-    return {"command": command, "commit": commit or "unknown", "date": f"{datetime.date.today()}"}
+    return {"command": command, "commit": commit + ("-dirty" if changed else ""), "date": f"{datetime.date.today()}"}
 
 
 class Timed(VecEnvWrapper):

@@ -9,7 +9,7 @@ mod mutate;
 use rand::{Rng as _, SeedableRng as _};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::env::gait::HexapodGait;
-use sandgait::env::task::Blueprint;
+use sandgait::env::registry::Blueprint;
 use sandgait::policy::Network;
 use serde_json::Value;
 use std::time::Instant;

@@ -1,9 +1,9 @@
 //! Rigid obstacles on engine `rapier`: laws first, then what a robot does among them.
 
 use sandgait::env::ResetOptions;
+use sandgait::env::options::RockOptions;
 use sandgait::env::random::Random;
-use sandgait::env::rocks::RockOptions;
-use sandgait::env::task::Blueprint;
+use sandgait::env::registry::Blueprint;
 use sandgait::pool::{Batch, Pool};
 use sandgait::sand::Medium;
 use sandgait::sim::engine::{Command, Engine, EngineKind};

@@ -1,7 +1,7 @@
 //! LegStroke: forces are the sand's, the reward is what its page says, and the claims that its page rests on hold.
 
 use sandgait::env::Shard;
-use sandgait::env::task::Blueprint;
+use sandgait::env::registry::Blueprint;
 use sandgait::sand::{Ground, Law, Medium, Shape, Surface, intrusion};
 use sandgait::sim::carriage::CarriageEngine;
 use sandgait::sim::engine::Command;

@@ -3,7 +3,8 @@
 use sandgait::env::Column;
 use sandgait::env::ground::Change;
 use sandgait::env::random::Random;
-use sandgait::env::task::{Blueprint, Goal, Transition};
+use sandgait::env::registry::Blueprint;
+use sandgait::env::task::{Goal, Transition};
 use sandgait::number::Isa;
 use sandgait::sim::engine::Command;
 use sandgait::sim::lanes::LanesEngine;
@@ -232,7 +233,7 @@ const MEASURED: &str = "<!-- measured -->";
 
 #[test]
 fn pages_are_what_the_code_says() {
-    for id in sandgait::env::task::TASK_IDS {
+    for id in sandgait::env::registry::TASK_IDS {
         let name = id.trim_start_matches("sandgait/");
         let path = format!("{}/docs/tasks/{name}.md", env!("CARGO_MANIFEST_DIR"));
         let page = std::fs::read_to_string(&path).unwrap();

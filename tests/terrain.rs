@@ -1,7 +1,7 @@
 //! HexapodTerrain: what is drawn is in force, ground changes and remembers, and difficulty 0 is the plain task.
 
 use sandgait::env::Shard;
-use sandgait::env::task::Blueprint;
+use sandgait::env::registry::Blueprint;
 use serde_json::{Value, json};
 
 const ID: &str = "sandgait/HexapodTerrain-v0";

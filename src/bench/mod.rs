@@ -5,7 +5,7 @@ mod remote;
 pub use remote::{Remote, Rollouts};
 
 use crate::env::ResetOptions;
-use crate::env::task::Blueprint;
+use crate::env::registry::Blueprint;
 use crate::pool::{Batch, Pool};
 use crate::{Error, Result};
 

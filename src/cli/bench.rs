@@ -1,7 +1,7 @@
 //! `sandgait bench`
 
 use sandgait::bench::{Direct, Remote, Rollouts, Stepper, random_actions};
-use sandgait::env::task::Blueprint;
+use sandgait::env::registry::Blueprint;
 use sandgait::number::Isa;
 use sandgait::sim::engine::EngineKind;
 use sandgait::{Error, Result};

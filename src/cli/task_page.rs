@@ -1,9 +1,9 @@
 //! The page of a task: its tables as Markdown, made from the data that make its rows.
 
 use sandgait::Result;
-use sandgait::env::control::Control;
+use sandgait::env::options::Control;
+use sandgait::env::registry::{Blueprint, Keyword};
 use sandgait::env::spec::Term;
-use sandgait::env::task::{Blueprint, Keyword};
 use sandgait::env::{Column, Spec};
 use serde_json::{Value, json};
 

@@ -3,7 +3,7 @@
 use super::task_page;
 use sandgait::Result;
 use sandgait::env::Column;
-use sandgait::env::task::{Blueprint, Keyword, TASK_IDS};
+use sandgait::env::registry::{Blueprint, Keyword, TASK_IDS};
 use serde_json::{Value, json};
 
 /// List the tasks: what is observed, what an action is, what is paid for, and the options with their defaults.

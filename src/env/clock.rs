@@ -9,8 +9,8 @@
 //! control step later. So snapshots hold it, left and right are alike, and legs that the speed limit holds up are
 //! waited for. Speeds are constant within a control step, which rounds the corners between stance and swing.
 
-use super::control::toward;
 use super::locomotion::CONTROL_RATE;
+use super::reference::toward;
 use super::spec::Column;
 use crate::sim::State;
 use crate::sim::engine::Command;

@@ -2,35 +2,13 @@
 
 use super::clock::Clock;
 use super::locomotion::CONTROL_RATE;
+use super::options::Control;
+use super::reference::{TOP_SPEED, toward};
 use super::spec::Column;
 use super::task::Setup;
 use crate::sim::State;
 use crate::sim::engine::Command;
-use serde::{Deserialize, Serialize};
-use std::f64::consts::{PI, TAU};
-
-/// Fastest a servo's reference moves [rad/s]: 5 Hz, the highest stride frequency of Li et al. 2012. The limit is the
-/// same for every way of driving, so that gaits can be compared.
-pub const TOP_SPEED: f64 = 5.0 * TAU;
-
-/// The keyword `control`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Control {
-    /// The speed of each hip's reference.
-    HipSpeed,
-    /// The angle each hip's reference goes to.
-    HipTarget,
-    /// The torque of each hip; the servo does nothing.
-    Torque,
-    /// A gait as parameters; see [`super::clock`].
-    Clock,
-}
-
-impl Control {
-    /// As the keyword has them.
-    pub const NAMES: [&'static str; 4] = ["hip_speed", "hip_target", "torque", "clock"];
-}
+use std::f64::consts::PI;
 
 /// A way of driving a certain robot.
 pub struct Driver {
@@ -94,36 +72,5 @@ impl Driver {
             }
             Control::Clock => self.clock.command(action, state, command),
         }
-    }
-}
-
-/// Speed [rad/s] that takes a reference to `target` [rad] by the shortest way within a control step, no faster than
-/// [`TOP_SPEED`].
-pub fn toward(target: f64, reference: f64) -> f64 {
-    let way = (target - reference + PI).rem_euclid(TAU) - PI;
-    (way * CONTROL_RATE).clamp(-TOP_SPEED, TOP_SPEED)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn names_are_the_keywords() {
-        use Control::*;
-        let all = [HipSpeed, HipTarget, Torque, Clock].map(|c| serde_json::to_value(c).unwrap());
-        assert_eq!(all, Control::NAMES.map(serde_json::Value::from));
-    }
-
-    /// Half a degree over the top is one degree away from half a degree before it, and speed has its limit.
-    #[test]
-    fn references_go_by_the_shortest_way() {
-        let degree = PI / 180.0;
-        assert!((toward(-179.5 * degree, 179.5 * degree) - degree * CONTROL_RATE).abs() < 1e-9);
-        assert!((toward(0.1 * degree, 0.3 * degree) + 0.2 * degree * CONTROL_RATE).abs() < 1e-9);
-        assert_eq!(toward(2.0, 0.0), TOP_SPEED);
-        assert_eq!(toward(2.0, 5.0), -TOP_SPEED);
-        // References that lag by whole turns are no further away.
-        assert!((toward(0.1, -2.0 * TAU) - 0.1 * CONTROL_RATE).abs() < 1e-9);
     }
 }

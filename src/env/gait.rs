@@ -1,15 +1,16 @@
 //! `sandgait/HexapodGait-v0`: follow a commanded forward speed on flat or sloping sand with one joint a leg, driven in
 //! one of four ways.
 
-use super::control::{Control, Driver, TOP_SPEED};
-use super::locomotion::{self, BASE_COLUMNS, CONTROL_RATE, Weights};
+use super::control::Driver;
+use super::locomotion::{self, BASE_COLUMNS, CONTROL_RATE};
+use super::options::{Control, Weights, keywords};
 use super::random::Random;
+use super::reference::{TOP_SPEED, wrapped};
 use super::spec::{Column, Spec};
 use super::task::{Goal, Setup, Task, Transition};
 use crate::error::{Error, Result};
 use crate::sim::State;
 use crate::sim::engine::Command;
-use std::f64::consts::{PI, TAU};
 
 /// Bound of the observed hip speed [rad/s]; what goes beyond is clipped.
 const HIP_SPEED: f64 = 3.0 * TOP_SPEED;
@@ -37,7 +38,7 @@ pub struct HexapodGait {
 }
 
 impl HexapodGait {
-    pub const ID: &'static str = "sandgait/HexapodGait-v0";
+    pub const ID: &'static str = keywords::GAIT.task;
 
     pub fn new(setup: &Setup) -> Result<Self> {
         let (robot, options) = (&setup.model.robot, &setup.options);
@@ -111,7 +112,6 @@ impl Task for HexapodGait {
 
 /// By how much the hips turned in a step, on average [rad]; the distance of a wheel's tread is 2R times that.
 fn hip_turn(t: &Transition) -> f64 {
-    let turned = |(after, before): (&f64, &f64)| (after - before + PI).rem_euclid(TAU) - PI;
     let hips = t.after.angles.iter().zip(&t.before.angles);
-    hips.map(turned).sum::<f64>() / t.after.angles.len() as f64
+    hips.map(|(after, before)| wrapped(after - before)).sum::<f64>() / t.after.angles.len() as f64
 }

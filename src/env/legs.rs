@@ -1,7 +1,7 @@
 //! `sandgait/HexapodLegs-v0`: foot trajectories of a robot with three joints a leg; speed and turning commands.
 
-use super::locomotion::{self, BASE_COLUMNS, CONTROL_RATE, Weights};
-use super::options::MAX_TURN;
+use super::locomotion::{self, BASE_COLUMNS, CONTROL_RATE};
+use super::options::{MAX_TURN, Weights, keywords};
 use super::random::Random;
 use super::spec::{Column, Spec};
 use super::task::{Goal, Setup, Task, Transition};
@@ -36,7 +36,7 @@ pub struct HexapodLegs {
 }
 
 impl HexapodLegs {
-    pub const ID: &'static str = "sandgait/HexapodLegs-v0";
+    pub const ID: &'static str = keywords::LEGS.task;
 
     pub fn new(setup: &Setup) -> Result<Self> {
         let (model, options) = (&setup.model, &setup.options);

@@ -1,13 +1,11 @@
 //! What every walking task shares: reward terms, how episodes begin and end, and the base's part of the observation.
 
-use super::options::{MAX_COMMAND, TaskOptions};
+use super::options::{MAX_COMMAND, TaskOptions, Weights};
 use super::random::Random;
-use super::spec::{Column, Term};
+use super::spec::Column;
 use super::task::{Goal, Setup, Transition};
-use crate::error::{Result, check_range};
 use crate::sim::State;
 use crate::sim::model::GRAVITY;
-use serde::{Deserialize, Serialize};
 
 /// Control steps a second: 50, usual for legged robots of this size.
 pub const CONTROL_RATE: f64 = 50.0;
@@ -22,51 +20,6 @@ const BASE_TURN: f64 = 100.0; // [rad/s]
 
 /// Numbers of the base in an observation row.
 pub const BASE_COLUMNS: usize = 9;
-
-/// Weight of each reward term; all terms are of order 1 a step before weighting. Our choice: tracking dominates, the
-/// others only break ties between gaits of the same speed. What each term is stands in [`Weights::terms`].
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Weights {
-    pub tracking: f64,
-    pub lateral: f64,
-    pub turning: f64,
-    pub power: f64,
-    pub smoothness: f64,
-}
-
-/// Name and law of each term, in the order of [`Weights`]; v, ω_z: the base's mean velocity over the step and its yaw
-/// speed after it.
-const TERMS: [(&str, &str); 5] = [
-    ("tracking", "exp(−((v_x − commanded speed) / 0.1 m/s)²)"),
-    ("lateral", "−(v_y / 0.1 m/s)², at least −1"),
-    ("turning", "−((ω_z − commanded yaw speed) / 1 rad/s)², at least −1"),
-    ("power", "−mechanical power Σ|τ ω| / 1 W, at least −1"),
-    ("smoothness", "−mean squared change of the action"),
-];
-
-impl Default for Weights {
-    fn default() -> Self {
-        Self { tracking: 1.0, lateral: 0.1, turning: 0.05, power: 0.1, smoothness: 0.05 }
-    }
-}
-
-impl Weights {
-    /// In the order of the info columns.
-    fn values(&self) -> [f64; TERMS.len()] {
-        [self.tracking, self.lateral, self.turning, self.power, self.smoothness]
-    }
-
-    /// The reward's terms, in the order of the info columns.
-    pub fn terms(&self) -> Vec<Term> {
-        TERMS.iter().zip(self.values()).map(|((name, law), weight)| Term { name, law, weight }).collect()
-    }
-
-    pub fn validate(&self) -> Result<()> {
-        let mut terms = self.terms().into_iter();
-        terms.try_for_each(|t| check_range(&format!("weights.{}", t.name), t.weight, 0.0..=1e3).map(drop))
-    }
-}
 
 /// Gravity's direction and the base's velocities, all in the body frame.
 pub fn base_columns() -> Vec<Column> {
@@ -93,7 +46,8 @@ pub fn speed_column() -> Column {
 
 /// Weighted reward terms, then figures of the step.
 pub fn info_columns() -> Vec<Column> {
-    let terms = TERMS.map(|(name, _)| Column::free(format!("reward_{name}"), "1"));
+    let terms = Weights::default().terms();
+    let terms: Vec<_> = terms.iter().map(|t| Column::free(format!("reward_{}", t.name), "1")).collect();
     let figures = [
         Column::free("speed", "m/s"),
         Column::free("commanded_speed", "m/s"),

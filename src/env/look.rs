@@ -22,13 +22,6 @@ pub struct Look<'a> {
     pub info: Vec<f32>,
 }
 
-/// What the beginning of an episode overwrites of the one before.
-pub(super) struct Ended {
-    pub goal: Goal,
-    pub steps: u32,
-    pub action: Vec<f32>,
-}
-
 impl Shard {
     /// Environment `i`. If `ended`, and an episode ended in the last step, it is that episode's last moment; otherwise
     /// it is where the environment goes on from.

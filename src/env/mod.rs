@@ -3,10 +3,10 @@
 //! This layer turns simulated robots into episodes. It knows nothing of threads, sessions or messages.
 //!
 //! * [`spec`]: observation, action and info tables; they generate vectors, replies, Python spaces and docs.
-//! * [`task`]: the trait a task implements, and the registry.
+//! * [`task`]: the trait a task implements; [`options`]: its keywords; [`registry`]: which tasks there are.
 //! * [`locomotion`]: what walking tasks share; [`gait`]: the task HexapodGait, [`legs`]: HexapodLegs, [`rocks`]: HexapodRocks.
 //! * [`terrain`]: the task HexapodTerrain; [`ground`]: what its episodes remember; [`stroke`]: the task LegStroke.
-//! * [`control`]: ways of driving hips; [`clock`]: the one that is a gait as parameters.
+//! * [`control`]: ways of driving hips; [`clock`]: the one that is a gait as parameters; [`reference`](mod@reference): how far references go.
 //! * [`shard`]: environments that advance together on one engine; reset, step, autoreset.
 //! * [`snapshot`]: episodes as data; [`rollout`]: many steps with actions that are known beforehand.
 //! * [`look`]: one environment for those who only look.
@@ -21,6 +21,8 @@ pub mod locomotion;
 pub mod look;
 pub mod options;
 pub mod random;
+pub mod reference;
+pub mod registry;
 pub mod rocks;
 pub mod rollout;
 pub mod shard;

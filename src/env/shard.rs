@@ -1,15 +1,22 @@
 //! Environments that advance together: one engine, one task, flat rows allocated once.
 
 use super::ground::Change;
-use super::look::Ended;
 use super::random::Random;
+use super::registry::Blueprint;
 use super::rollout::Rollout;
 use super::spec::Spec;
-use super::task::{Blueprint, Goal, Setup, Task, Transition};
+use super::task::{Goal, Setup, Task, Transition};
 use crate::error::Result;
 use crate::sim::engine::{Command, Engine};
 use crate::sim::{Model, State};
 use std::sync::Arc;
+
+/// What the beginning of an episode overwrites of the one before.
+pub(super) struct Ended {
+    pub goal: Goal,
+    pub steps: u32,
+    pub action: Vec<f32>,
+}
 
 /// One environment's episode.
 pub(super) struct Episode {

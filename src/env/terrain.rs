@@ -3,52 +3,16 @@
 
 use super::gait::HexapodGait;
 use super::ground::{Change, Ground, PATCHES};
-use super::options::TaskOptions;
+use super::options::{Quantity, Randomize, TaskOptions, keywords};
 use super::random::Random;
 use super::spec::{Column, Spec};
 use super::task::{Goal, Setup, Task, Transition};
-use crate::error::{Error, Result, check_range};
+use crate::error::{Error, Result};
 use crate::sand::Medium;
 use crate::sim::engine::Command;
 use crate::sim::model::Scene;
 use crate::sim::{Model, Robot, State};
-use serde::{Deserialize, Serialize};
 use std::sync::Arc;
-
-/// Ranges [low, high] that an episode's quantities are drawn from, uniformly; changes to what the other options say.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Randomize {
-    /// ζ of each patch over the medium's own. Our choice: on poppy seeds from plastic pellets to twice as stiff as close
-    /// packing makes them; batches alone differ by 20-40 % (Li, Zhang & Goldman 2013).
-    pub zeta: [f64; 2],
-    /// Length of a patch along x [m]. Our choice: one to four body lengths.
-    pub patch_length: [f64; 2],
-    /// Added to `slope_deg` [°]. Our choice.
-    pub slope_deg: [f64; 2],
-    /// Added to `payload` [kg]. Our choice: up to a third of the robot's mass.
-    pub payload: [f64; 2],
-    /// Share of `torque_limit` that the motors have. Our choice.
-    pub torque_limit: [f64; 2],
-    /// κ of re-used ground; see mechanism `footprint`. Our choice: no published law found.
-    pub footprint: [f64; 2],
-    /// Distance after which the robot is sent back, and again when it is back at the start [m]. Our choice.
-    pub turning_point: [f64; 2],
-}
-
-impl Default for Randomize {
-    fn default() -> Self {
-        Self {
-            zeta: [0.45, 2.0],
-            patch_length: [0.15, 0.6],
-            slope_deg: [-10.0, 10.0],
-            payload: [0.0, 0.05],
-            torque_limit: [0.4, 1.0],
-            footprint: [0.0, 0.5],
-            turning_point: [0.3, 1.2],
-        }
-    }
-}
 
 /// What one episode drew that its model holds.
 struct Draw {
@@ -57,43 +21,10 @@ struct Draw {
     torque_limit: f64,
 }
 
-/// One quantity that is drawn.
-struct Quantity {
-    name: &'static str,
-    /// What an episode draws from.
-    range: [f64; 2],
-    /// What the range must lie in.
-    guard: [f64; 2],
-    /// The value that leaves everything as the other options say, if `difficulty` scales the range.
-    neutral: Option<f64>,
-}
-
 impl Randomize {
-    fn quantities(&self, options: &TaskOptions) -> [Quantity; 7] {
-        let slope = [-35.0, 35.0].map(|most| most - options.slope_deg);
-        let quantity = |name, range, guard, neutral| Quantity { name, range, guard, neutral };
-        [
-            quantity("zeta", self.zeta, [0.1, 10.0], Some(1.0)),
-            quantity("patch_length", self.patch_length, [0.02, 100.0], None),
-            quantity("slope_deg", self.slope_deg, slope, Some(0.0)),
-            quantity("payload", self.payload, [0.0, 10.0], Some(0.0)),
-            quantity("torque_limit", self.torque_limit, [0.01, 1.0], Some(1.0)),
-            quantity("footprint", self.footprint, [-2.0, 1.0], Some(0.0)),
-            quantity("turning_point", self.turning_point, [0.05, 1e3], None),
-        ]
-    }
-
-    pub fn validate(&self, options: &TaskOptions) -> Result<()> {
-        for Quantity { name, range: [low, high], guard: [least, most], .. } in self.quantities(options) {
-            check_range(&format!("randomize.{name}[0]"), low, least..=most)?;
-            check_range(&format!("randomize.{name}[1]"), high, low..=most)?;
-        }
-        Ok(())
-    }
-
     /// Draws an episode's quantities, always as many numbers in the same order, for a robot with `legs` legs.
     fn draw(&self, options: &TaskOptions, difficulty: f64, legs: usize, random: &mut Random) -> (Draw, Ground) {
-        let ranges = self.quantities(options).map(|Quantity { range, neutral, .. }| {
+        let ranges = self.quantities(options.slope_deg).map(|Quantity { range, neutral, .. }| {
             range.map(|end| neutral.map_or(end, |neutral| neutral + difficulty * (end - neutral)))
         });
         let [zeta, patch_length, slope_deg, payload, torque_limit, footprint, turning_point] = ranges;
@@ -152,7 +83,7 @@ const DRAWN: [(&str, &str); 9] = [
 ];
 
 impl HexapodTerrain {
-    pub const ID: &'static str = "sandgait/HexapodTerrain-v0";
+    pub const ID: &'static str = keywords::TERRAIN.task;
 
     pub fn new(setup: &Setup) -> Result<Self> {
         if setup.options.randomize.is_none() {

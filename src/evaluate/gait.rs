@@ -1,7 +1,7 @@
 //! Who is evaluated: an uploaded network, or a gait that needs none.
 
 use crate::env::random::Random;
-use crate::env::task::Blueprint;
+use crate::env::registry::Blueprint;
 use crate::env::{Shard, Spec};
 use crate::error::{Error, Result, check_range};
 use crate::policy::Network;
@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use std::sync::Arc;
 
 /// Stride frequency at action 1 of a hip that is driven by its speed [Hz].
-const TOP_RATE: f64 = crate::env::control::TOP_SPEED / std::f64::consts::TAU;
+const TOP_RATE: f64 = crate::env::reference::TOP_SPEED / std::f64::consts::TAU;
 
 /// What the command line calls a gait, before it has met its task.
 #[derive(Clone, Debug, PartialEq)]

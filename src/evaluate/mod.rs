@@ -13,7 +13,7 @@ pub use figures::{Estimate, Figures};
 pub use gait::Wanted;
 
 use crate::env::ResetOptions;
-use crate::env::task::Blueprint;
+use crate::env::registry::Blueprint;
 use crate::error::{Error, Result, check_range};
 use crate::progress::{Part, Progress};
 use gait::Gait;

@@ -3,7 +3,7 @@
 use super::episode::{Columns, Episode};
 use super::gait::Gait;
 use crate::env::Shard;
-use crate::env::task::Blueprint;
+use crate::env::registry::Blueprint;
 use crate::error::Result;
 use crate::parallel;
 use crate::progress::Progress;

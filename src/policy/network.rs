@@ -1,26 +1,10 @@
 //! A network at work.
 
-use super::operator::Operator;
+use super::operator::Program;
 use super::read;
 use super::{LANES, Lanes};
 use crate::env::Spec;
 use crate::error::{Error, Result};
-
-/// One step of the program; the result is the next value.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Step {
-    pub operator: Operator,
-    /// Numbers of the result.
-    pub width: usize,
-}
-
-/// What the reader made of a file: value 0 is the observation, value k the result of step k − 1.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Program {
-    pub steps: Vec<Step>,
-    /// Which value the action is.
-    pub action: usize,
-}
 
 /// A deterministic policy of one task; shared by all that run it.
 #[derive(Debug)]

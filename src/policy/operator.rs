@@ -169,3 +169,19 @@ fn dense(input: &[Lanes], weights: &[f32], bias: &[f32], out: &mut [Lanes]) {
         out[first..first + count].copy_from_slice(&sums[..count]);
     }
 }
+
+/// One step of the program; the result is the next value.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Step {
+    pub operator: Operator,
+    /// Numbers of the result.
+    pub width: usize,
+}
+
+/// What the reader made of a file: value 0 is the observation, value k the result of step k − 1.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Program {
+    pub steps: Vec<Step>,
+    /// Which value the action is.
+    pub action: usize,
+}

@@ -4,8 +4,7 @@
 use super::MOST_BYTES;
 use super::constant::Constant;
 use super::format::{Attribute, FLOAT, Graph, Model, Node, ValueInfo};
-use super::network::{Program, Step};
-use super::operator::{Arithmetic, Function, Operand, Operator};
+use super::operator::{Arithmetic, Function, Operand, Operator, Program, Step};
 use crate::error::{Error, Result};
 use prost::Message as _;
 use std::collections::HashMap;

@@ -1,8 +1,9 @@
 //! All environments of one session, cut into shards.
 
 use super::snapshot::Snapshot;
+use crate::env::registry::Blueprint;
 use crate::env::snapshot::Resumed;
-use crate::env::task::{Blueprint, Setup};
+use crate::env::task::Setup;
 use crate::env::{Look, ResetOptions, Shard, Spec, Task};
 use crate::error::{Error, Result, check_range};
 use crate::policy::Network;

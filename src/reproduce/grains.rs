@@ -3,7 +3,7 @@
 
 use super::Table;
 use super::claims::{extremes, signed};
-use super::legs::{CHORD, COMPONENTS, Component, SEGMENTS, WIDTH};
+use super::legs::{CHORD, COMPONENTS, Component, SEGMENTS, StandIn, WIDTH};
 use crate::error::Result;
 use crate::plot::{Axis, Figure, Mark, Panel, Style, color};
 use crate::sand::intrusion::{Load, rotating_leg};
@@ -91,16 +91,6 @@ fn predict(run: &Run, law: Law, of: Component) -> Result<Vec<f64>> {
 
 fn name(shape: &str) -> &str {
     if shape == "L" { "L-leg" } else { "reversed L-leg" }
-}
-
-/// What the stand-in says.
-pub struct StandIn {
-    pub figure: Figure,
-    pub table: Table,
-    /// One sentence about where RFT stands.
-    pub summary: String,
-    /// Greatest lift of the 1D models over that of the grains at the lower speed: L-leg, reversed L-leg.
-    pub lift_ratios: [f64; 2],
 }
 
 pub fn part() -> Result<StandIn> {

@@ -54,7 +54,7 @@ pub fn compute(figures: &[u8]) -> Result<Vec<Part>> {
     for figure in figures {
         parts.push(match figure {
             2 => stresses::part()?,
-            3 => legs::part()?,
+            3 => legs::part(grains::part()?)?,
             4 => speeds::part()?,
             5 => shapes::part()?,
             other => return Err(Error::invalid("--figure", format!("{other} is none of 2, 3, 4, 5"))),

@@ -3,9 +3,9 @@
 use super::proto;
 use super::sessions::Summary;
 use super::values;
+use crate::env::registry::{Blueprint, Keyword};
 use crate::env::rollout::{Recorded, Rollout};
 use crate::env::shard::Rows;
-use crate::env::task::{Blueprint, Keyword};
 use crate::env::{Column, Spec};
 use crate::pool::Batch;
 use bytes::Bytes;

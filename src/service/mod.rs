@@ -47,7 +47,7 @@ pub use sessions::Limits;
 pub use state::StateDir;
 pub use values::from_json;
 
-use crate::env::task::{Blueprint, TASK_IDS};
+use crate::env::registry::{Blueprint, TASK_IDS};
 use crate::error::Error;
 use crate::pool::Pool;
 use futures_util::Stream;

@@ -12,7 +12,7 @@ use super::metrics::Metrics;
 use super::proto::RunSessionResponse;
 use super::status::SESSION;
 use super::viewer::Watchers;
-use crate::env::task::Blueprint;
+use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
 use crate::pool::Batch;
 use serde_json::Value;

@@ -6,7 +6,7 @@
 
 use super::proto::RunSessionResponse;
 use super::sessions::{Done, Environments, Session, Sessions, name};
-use crate::env::task::Blueprint;
+use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
 use crate::pool::{Pool, Snapshot};
 use prost::Message;

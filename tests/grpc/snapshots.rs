@@ -34,7 +34,7 @@ fn actions(session: &Session, time: usize) -> Request {
 #[tokio::test]
 async fn a_restored_session_goes_on_with_the_same_bits() {
     let server = Server::start(2).await;
-    for task in sandgait::env::task::TASK_IDS {
+    for task in sandgait::env::registry::TASK_IDS {
         let mut one = of_task(&server, task, 5).await;
         one.reset(7).await;
         for time in 0..10 {

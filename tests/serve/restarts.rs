@@ -47,7 +47,7 @@ fn mode(path: &Path) -> u32 {
 async fn a_client_goes_on_where_it_was_with_the_same_bits() {
     let (place, elsewhere) = (Place::new(), Place::new());
     let (mut server, undisturbed) = (place.start(), elsewhere.start());
-    for task in sandgait::env::task::TASK_IDS {
+    for task in sandgait::env::registry::TASK_IDS {
         let request = || CreateSessionRequest { task_id: task.into(), ..create(5, &[]) };
         let mut one = Session::create_by(server.client().await, request()).await.unwrap();
         let mut other = Session::create_by(undisturbed.client().await, request()).await.unwrap();

@@ -5,7 +5,7 @@
 
 use super::proto::Tensor;
 use super::proto::tensor::Payload;
-use crate::env::task::TASK_IDS;
+use crate::env::registry::TASK_IDS;
 use crate::env::{ResetOptions, options};
 use crate::error::{Error, Result};
 use crate::service::values;

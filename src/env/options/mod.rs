@@ -1,9 +1,20 @@
 //! Keywords of a task: what `gymnasium.make` takes. Unknown ones are refused; defaults stand here and nowhere else.
 
-use super::control::Control;
-use super::rocks::RockOptions;
-use super::stroke::StrokeOptions;
-use super::terrain::Randomize;
+mod control;
+pub mod keywords;
+mod randomize;
+mod rocks;
+mod stroke;
+mod weights;
+
+pub use control::Control;
+pub use keywords::OPTION_HELP;
+pub(super) use randomize::Quantity;
+pub use randomize::Randomize;
+pub use rocks::RockOptions;
+pub use stroke::StrokeOptions;
+pub use weights::Weights;
+
 use crate::error::{Error, Result, check_range};
 use crate::sand::{Law, Medium, SandDescription};
 use crate::sim::engine::EngineKind;
@@ -37,7 +48,7 @@ pub struct TaskOptions {
     /// Spread of the initial joint angles around the tripod's [rad], uniform ±.
     pub angle_noise: f64,
     /// Weights of the reward's terms.
-    pub weights: super::locomotion::Weights,
+    pub weights: Weights,
     /// Leg shape: L, revL, C, revC, flat or xi=DEGREES.
     pub leg: String,
     /// Medium's name, zeta=VALUE or mu=VALUE,rho=VALUE.
@@ -136,39 +147,6 @@ impl ResetOptions {
     }
 }
 
-/// What each keyword means, in the order of [`TaskOptions`].
-pub const OPTION_HELP: [(&str, &str); 20] = [
-    ("robot", "built-in robot"),
-    ("engine", "engine that integrates the motion"),
-    ("law", "resistive force law: li2013, penetration-drag-1d or agarwal2023"),
-    ("dt", "time step [s]"),
-    ("torque_limit", "largest servo torque [N·m]"),
-    ("command", "range [low, high] the commanded speed is drawn from [m/s]"),
-    ("turn", "range [low, high] the commanded yaw speed is drawn from [rad/s]"),
-    ("angle_noise", "initial joint angles are uniform within ± this around the task's own [rad]"),
-    ("weights", "weight of each reward term"),
-    ("leg", "leg shape: L, revL, C, revC, flat or xi=DEGREES"),
-    ("medium", "sand: a medium's name, zeta=VALUE or mu=VALUE,rho=VALUE"),
-    ("sand", "a sand.toml, as a diagnosis writes it: replaces medium and law (Python: its path)"),
-    ("slope_deg", "surface rises toward +x [°]"),
-    ("payload", "extra mass at the base's centre [kg]"),
-    ("max_episode_steps", "control steps until an episode is truncated"),
-    ("control", "what an action is: hip_speed, hip_target, torque or clock"),
-    (
-        "rocks",
-        "obstacles of an episode: count, ranges [low, high] of size and step_height [m], dynamic_fraction, density [kg/m³], friction, field [length, width] [m]",
-    ),
-    (
-        "randomize",
-        "ranges [low, high] that an episode draws from: factors zeta and torque_limit, patch_length [m], added slope_deg [°] and payload [kg], footprint κ, turning_point [m]",
-    ),
-    ("difficulty", "how much of randomize: 0 nothing, 1 all"),
-    (
-        "stroke",
-        "carriage_speed [m/s], height of the hip over the sand [m], start [hip, knee] [rad], lift: least mean lift [N], lift_weight and exit_weight of the penalties",
-    ),
-];
-
 /// Reads keywords, all of which have defaults, from a JSON object (null: none are given); errors name the keyword.
 pub fn parse<T: DeserializeOwned>(keywords: Value) -> Result<T> {
     let keywords = match keywords {
@@ -232,7 +210,7 @@ impl TaskOptions {
         check_range("max_episode_steps", f64::from(self.max_episode_steps), 1.0..=1e6)?;
         self.weights.validate()?;
         self.rocks.as_ref().map_or(Ok(()), RockOptions::validate)?;
-        self.randomize.as_ref().map_or(Ok(()), |randomize| randomize.validate(self))?;
+        self.randomize.as_ref().map_or(Ok(()), |randomize| randomize.validate(self.slope_deg))?;
         check_range("difficulty", self.difficulty.unwrap_or(0.0), 0.0..=1.0)?;
         if self.robot.ends_with(".toml") {
             return Err(Error::unknown("robot", &self.robot, &Robot::names()));
