@@ -15,7 +15,10 @@ const NOT_IN_FILES: [&str; 2] = ["config", "help"];
 /// Names the file and the key that `command` does not know or whose value is no text, number or truth value.
 pub fn arguments(command: &Command, path: &Path) -> Result<Vec<OsString>> {
     let text = fs::read_to_string(path).map_err(|e| Error::file(path, e))?;
-    let table: toml::Table = text.parse().map_err(|e: toml::de::Error| Error::file(path, e.message()))?;
+    let table: toml::Table = text.parse().map_err(|e: toml::de::Error| {
+        let line = e.span().map_or(1, |s| 1 + text[..s.start].matches('\n').count());
+        Error::file(path, format!("line {line}: {}", e.message()))
+    })?;
     let known = command.get_arguments().filter_map(|a| a.get_long()).filter(|name| !NOT_IN_FILES.contains(name));
     let known: Vec<_> = known.collect();
     let mut arguments = Vec::new();

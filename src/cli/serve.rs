@@ -10,9 +10,9 @@ use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
-/// Threads beside one for each processor that check large requests, and make and free environments: one for a study, one so
-/// that large requests do not hold up small ones. They compute and never wait, so more would only share the processors;
-/// and each keeps memory of its own (tokio's default is 512).
+/// Threads beside one for each processor, which is what making environments may take, that check large requests and free
+/// environments: one for a study, one so that large requests do not hold up small ones. They compute and never wait, so
+/// more would only share the processors; and each keeps memory of its own (tokio's default is 512).
 const SPARE_THREADS: usize = 2;
 
 /// How long a request that is being prepared may hold up the end of the process.
@@ -136,7 +136,7 @@ impl Serve {
             tracing::warn!(listen = %self.listen, "others reach this server without encryption or token, as --insecure allows");
         }
         secrets.into_iter().flatten().for_each(|path| service::warn_if_shared(path));
-        let beside = std::thread::available_parallelism().map_or(1, usize::from) + SPARE_THREADS;
+        let beside = service::processors() + SPARE_THREADS;
         let runtime = tokio::runtime::Builder::new_multi_thread().max_blocking_threads(beside).enable_all().build();
         let runtime = runtime.map_err(|e| Error::Exhausted(format!("cannot start threads: {e}")))?;
         let served = runtime.block_on(self.serve(setup, metrics, viewer));

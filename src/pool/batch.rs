@@ -71,20 +71,11 @@ impl Roll {
 }
 
 impl Batch {
-    /// `envs` environments that wait for their first reset.
-    pub fn new(blueprint: &Blueprint, envs: usize) -> Result<Self> {
-        if envs == 0 {
-            return Err(Error::invalid("num_envs", "0 is outside [1, 4294967295]"));
-        }
-        let size = blueprint.engine.shard_size();
-        let shards = (0..envs).step_by(size).map(|start| Shard::new(blueprint, size.min(envs - start)));
-        Ok(Self {
-            shards: shards.collect::<Result<_>>()?,
-            task: blueprint.task.clone(),
-            setup: blueprint.setup.clone(),
-            envs,
-            begun: vec![false; envs],
-        })
+    /// These environments of `blueprint`, which wait for their first reset.
+    pub(super) fn of(blueprint: &Blueprint, shards: Vec<Shard>) -> Self {
+        let envs = shards.iter().map(Shard::envs).sum();
+        let (task, setup) = (blueprint.task.clone(), blueprint.setup.clone());
+        Self { shards, task, setup, envs, begun: vec![false; envs] }
     }
 
     pub fn envs(&self) -> usize {

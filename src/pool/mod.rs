@@ -8,12 +8,15 @@
 //!
 //! A shard is owned by one thread while it runs and results never depend on which, or on how many there are. The
 //! queue hands out one shard of each waiting batch in turn, so a session of many environments cannot starve a small
-//! one; of a rollout it hands out one control step of a shard wherever somebody else waits. This layer knows nothing of messages; it never runs on the async runtime's threads.
+//! one; of a rollout it hands out one control step of a shard wherever somebody else waits. This layer knows nothing of
+//! messages; it never runs on the async runtime's threads.
 
 mod batch;
+mod building;
 mod snapshot;
 mod threads;
 
 pub use batch::{Batch, Operation, Roll};
+pub use building::Building;
 pub use snapshot::Snapshot;
 pub use threads::Pool;

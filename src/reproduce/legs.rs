@@ -135,10 +135,8 @@ fn laws_figure() -> Result<Figure> {
 }
 
 fn laws_table() -> Result<Table> {
-    let mut table = Table::new(
-        "Peak forces of the three laws on the same legs [N].",
-        &["leg", "law", "peak lift", "peak drag"],
-    );
+    let mut table =
+        Table::new("Peak forces of the three laws on the same legs [N].", &["leg", "law", "peak lift", "peak drag"]);
     for (xi, name, _) in LEGS {
         for law in Law::ALL {
             let s = stroke(law, xi, HIP)?;

@@ -43,7 +43,7 @@ pub mod proto {
 pub use address::{Address, Listener};
 pub use security::{Tls, Token, warn_if_shared};
 pub use server::{Setup, serve};
-pub use sessions::Limits;
+pub use sessions::{Limits, processors};
 pub use state::StateDir;
 pub use values::from_json;
 
@@ -70,18 +70,6 @@ const VERSION: &str = env!("CARGO_PKG_VERSION");
 pub struct Service {
     sessions: Arc<Sessions>,
     pool: Arc<Pool>,
-}
-
-/// A session that was made for a call; closed if the call ends before it is answered.
-struct Unclaimed(Arc<Sessions>, Option<String>);
-
-impl Drop for Unclaimed {
-    fn drop(&mut self) {
-        if let Some(id) = &self.1 {
-            // It may have been closed meanwhile.
-            let _ = self.0.close(id);
-        }
-    }
 }
 
 /// Runs `work` on a thread that may compute.
@@ -115,16 +103,14 @@ impl EnvironmentService for Service {
         &self,
         request: Request<CreateSessionRequest>,
     ) -> Result<Response<CreateSessionResponse>, Status> {
-        let sessions = self.sessions.clone();
         let lease_seconds = self.sessions.limits().lease.as_secs_f64();
-        let (mut unclaimed, task) = off_runtime(move || {
-            let CreateSessionRequest { task_id, num_envs, options, protocol } = request.into_inner();
+        let CreateSessionRequest { task_id, num_envs, options, protocol } = request.into_inner();
+        let made = async {
             check_protocol(protocol)?;
-            let (id, blueprint) = sessions.create(&task_id, num_envs as usize, values::to_json(options)?)?;
-            Ok((Unclaimed(sessions, Some(id)), encode::task(&blueprint)))
-        })
-        .await?;
-        let session_id = unclaimed.1.take().unwrap_or_default();
+            self.sessions.create(task_id, num_envs as usize, values::to_json(options)?).await
+        };
+        let (session_id, blueprint) = made.await.map_err(|e| status::status(&e))?;
+        let task = encode::task(&blueprint);
         Ok(Response::new(CreateSessionResponse { session_id, task: Some(task), lease_seconds }))
     }
 

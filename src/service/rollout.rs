@@ -13,9 +13,9 @@ use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
 
 /// Time between two looks at whether the client is still there, and the work of one part of trajectories: our choice, long
-/// against the way from the pool to the runtime and back (some 50 µs), short to whoever waits for a server's end. Other
-/// sessions need not wait for it: the pool gives them their turns in between.
-const TURN: Duration = Duration::from_millis(10);
+/// against what a part costs beside its bytes (some 0.5 ms in server and Python client together), short to whoever waits
+/// for a server's end. Other sessions need not wait for it: the pool gives them their turns in between.
+const TURN: Duration = Duration::from_millis(30);
 
 /// A turn has at most this many times the steps of the one before: the first one, of one step, may have been lucky.
 const GROWTH: usize = 4;

@@ -6,6 +6,9 @@
 //!              └── close, or a lease's time without a stream ──▶ freed
 //! ```
 //!
+//! Environments are made in turns of some milliseconds, one turn a processor: whoever asks for very many holds up neither
+//! those who ask for few nor those who step, and who leaves meanwhile ends the work.
+//!
 //! The environments lie here whenever no operation runs on them, so a stream that breaks off loses nothing.
 
 use super::metrics::Metrics;
@@ -14,13 +17,13 @@ use super::status::SESSION;
 use super::viewer::Watchers;
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
-use crate::pool::Batch;
+use crate::pool::{Batch, Building};
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
-use tokio::sync::Notify;
+use tokio::sync::{Notify, Semaphore};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
@@ -115,11 +118,43 @@ pub struct Done {
 }
 
 /// Frees environments, if any, off the async runtime's threads: it takes a while when they are many.
-fn release(environments: Option<Environments>) {
+fn release<T: Send + 'static>(environments: Option<T>) {
     match tokio::runtime::Handle::try_current() {
         Ok(runtime) if environments.is_some() => drop(runtime.spawn_blocking(|| drop(environments))),
         _ => drop(environments),
     }
+}
+
+/// A session that is being made; None once it is.
+struct Making(Option<(Building, Reservation)>);
+
+impl Drop for Making {
+    fn drop(&mut self) {
+        release(self.0.take());
+    }
+}
+
+impl Making {
+    /// Goes on for one turn.
+    fn go_on(mut self) -> Result<Self> {
+        self.0.as_mut().map_or(Ok(()), |(building, _)| building.go_on(TURN))?;
+        Ok(self)
+    }
+
+    fn missing(&self) -> usize {
+        self.0.as_ref().map_or(0, |(building, _)| building.missing())
+    }
+
+    /// All environments.
+    fn finish(mut self) -> Result<Environments> {
+        let (building, reservation) = self.0.take().ok_or_else(not_made)?;
+        Ok(Environments { batch: building.finish()?, done: Done::default(), reservation })
+    }
+}
+
+/// Something panicked.
+fn not_made() -> Error {
+    Error::Exhausted("the session could not be made; please report this as a bug".into())
 }
 
 /// One session.
@@ -167,6 +202,10 @@ pub struct Summary {
     pub idle: Duration,
 }
 
+/// How long a session is made before others have their turn: our choice, short to whoever waits, long against the way from
+/// thread to thread (some 50 µs).
+const TURN: Duration = Duration::from_millis(10);
+
 /// How often a server that stops looks whether its operations have ended.
 const LOOK: Duration = Duration::from_millis(2);
 
@@ -175,9 +214,16 @@ pub struct Sessions {
     limits: Limits,
     usage: Arc<Mutex<Usage>>,
     entries: Mutex<HashMap<String, Entry>>,
+    /// Turns to make environments, one for each processor.
+    turns: Arc<Semaphore>,
     stop: CancellationToken,
     pub metrics: Arc<Metrics>,
     pub watchers: Arc<Watchers>,
+}
+
+/// Processors that this process may use.
+pub fn processors() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
 }
 
 /// Every change under these locks is one step, so the data are sound even if a holder panicked.
@@ -198,6 +244,7 @@ impl Sessions {
             limits,
             usage: Arc::default(),
             entries: Mutex::default(),
+            turns: Arc::new(Semaphore::new(processors())),
             stop,
             metrics: Arc::default(),
             watchers: Arc::default(),
@@ -217,20 +264,43 @@ impl Sessions {
         *lock(&self.usage)
     }
 
-    /// A new session of `envs` environments, which waits for its stream. Building takes time: not for the async
-    /// runtime's threads.
-    pub fn create(&self, task: &str, envs: usize, options: Value) -> Result<(String, Blueprint)> {
-        let blueprint = Blueprint::new(task, options)?;
-        let environments = self.build(&blueprint, envs)?;
+    /// A new session of `envs` environments, which waits for its stream. Nothing of it is left if nobody waits for it any
+    /// more.
+    pub async fn create(self: &Arc<Self>, task: String, envs: usize, options: Value) -> Result<(String, Blueprint)> {
+        let (sessions, id) = (self.clone(), task.clone());
+        let begin = move || {
+            let blueprint = Blueprint::new(&id, options)?;
+            Ok((sessions.begin(&blueprint, envs)?.go_on()?, blueprint))
+        };
+        let (mut making, blueprint) = self.turn(begin).await?;
+        while making.missing() > 0 {
+            making = self.turn(|| making.go_on()).await?;
+        }
         // 128 random bits: nobody else can guess it, and it is not logged.
         let id = format!("{:032x}", rand::random::<u128>());
         tracing::info!(session = name(&id), task, envs, "a session was created");
-        self.add(id.clone(), blueprint.clone(), environments)?;
+        self.add(id.clone(), blueprint.clone(), making.finish()?)?;
         Ok((id, blueprint))
     }
 
-    /// Environments that count as used until they are dropped.
+    /// Computes on a thread that may, in turn.
+    async fn turn<T: Send + 'static>(&self, part: impl FnOnce() -> Result<T> + Send + 'static) -> Result<T> {
+        // Nobody closes these turns, so there always is one in the end. It goes with the work, which goes on if nobody waits.
+        let turn = self.turns.clone().acquire_owned().await;
+        let work = move || {
+            let _turn = turn;
+            part()
+        };
+        tokio::task::spawn_blocking(work).await.unwrap_or_else(|_| Err(not_made()))
+    }
+
+    /// Environments that count as used until they are dropped, made at once: not for the async runtime's threads.
     pub fn build(&self, blueprint: &Blueprint, envs: usize) -> Result<Environments> {
+        self.begin(blueprint, envs)?.finish()
+    }
+
+    /// The same, none of them made yet.
+    fn begin(&self, blueprint: &Blueprint, envs: usize) -> Result<Making> {
         if envs == 0 || envs > self.limits.environments {
             let range = format!("{envs} is outside [1, {}]", self.limits.environments);
             let error = if envs == 0 {
@@ -241,7 +311,7 @@ impl Sessions {
             return Err(error);
         }
         let reservation = self.reserve(envs, envs * blueprint.bytes_per_env())?;
-        Ok(Environments { batch: Batch::new(blueprint, envs)?, done: Done::default(), reservation })
+        Ok(Making(Some((Building::new(blueprint, envs)?, reservation))))
     }
 
     /// Lets clients reach a session.

@@ -1,8 +1,13 @@
 //! Sessions that outlive their server: one file each, written when it stops and taken up by the next one.
 //!
+//! ```text
+//!  "sandgait session\n" │ SHA-256 of the rest │ Saved
+//! ```
+//!
 //! A file holds everything a client needs that finds its server restarted: the session's id, the number of its last
 //! request with the answer to it, and the environments as a snapshot. It is the right to use the session, so only its owner
-//! can read it; it is written whole or not at all, and removed once it is taken up.
+//! can read it; it is written whole or not at all, and removed once it is taken up. One that was cut off or changed since
+//! is refused by its checksum: a message that ends between two fields can be read, and would be another session.
 
 use super::proto::RunSessionResponse;
 use super::sessions::{Done, Environments, Session, Sessions, name};
@@ -11,6 +16,7 @@ use crate::error::{Error, Result};
 use crate::pool::{Pool, Snapshot};
 use prost::Message;
 use serde_json::Value;
+use sha2::{Digest as _, Sha256};
 use std::fs;
 use std::io::Write as _;
 use std::os::unix::fs::DirBuilderExt as _;
@@ -18,11 +24,12 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 const MAGIC: &[u8] = b"sandgait session\n";
+const DIGEST: usize = 32;
 const ENDING: &str = "session";
 /// What a file is called while it is written.
 const UNFINISHED: &str = ".unfinished-";
 
-/// The rest of a file. Snapshots bear their version and checksum themselves.
+/// The rest of a file. Snapshots bear their version themselves.
 #[derive(Clone, PartialEq, Message)]
 struct Saved {
     #[prost(string, tag = "1")]
@@ -104,7 +111,9 @@ impl StateDir {
         let unusable = |e: std::io::Error| Error::file(&path, e);
         // Temporary files are for their owner only (0600).
         let mut file = tempfile::Builder::new().prefix(UNFINISHED).tempfile_in(&self.0).map_err(unusable)?;
-        file.write_all(MAGIC).and_then(|()| file.write_all(&saved.encode_to_vec())).map_err(unusable)?;
+        let body = saved.encode_to_vec();
+        let digest = Sha256::digest(&body);
+        [MAGIC, &digest, &body].into_iter().try_for_each(|part| file.write_all(part)).map_err(unusable)?;
         file.as_file().sync_all().map_err(unusable)?;
         file.persist(&path).map_err(|e| unusable(e.error))?;
         Ok(())
@@ -130,7 +139,9 @@ impl Saved {
 
 fn load(path: &Path) -> Result<Saved> {
     let bytes = fs::read(path).map_err(|e| Error::file(path, e))?;
-    let body = bytes.strip_prefix(MAGIC).ok_or_else(|| Error::file(path, "this is no session of sandgait's"))?;
+    let rest = bytes.strip_prefix(MAGIC).ok_or_else(|| Error::file(path, "this is no session of sandgait's"))?;
+    let sound = rest.split_at_checked(DIGEST).filter(|(digest, body)| Sha256::digest(body).as_slice() == *digest);
+    let (_, body) = sound.ok_or_else(|| Error::file(path, "it is cut off or damaged: its checksum is wrong"))?;
     Saved::decode(body).map_err(|e| Error::file(path, e))
 }
 

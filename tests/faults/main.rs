@@ -9,8 +9,9 @@ mod load;
 mod process;
 
 use harness::{Server, Session, create, step, until, wave};
+use process::Process;
 use sandgait::service::proto::run_session_request::Request;
-use sandgait::service::proto::{CloseSessionRequest, ListSessionsRequest, Rollout};
+use sandgait::service::proto::{CloseSessionRequest, CreateSessionRequest, ListSessionsRequest, Rollout};
 use sandgait::service::{Limits, Setup};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -108,6 +109,72 @@ async fn greedy_sessions_do_not_starve_a_small_one() {
     );
     assert!(steps > 0, "the large session goes on too");
     assert!(beside[0] < whole, "{beside:?} against {whole}: the small session waits for whole batches");
+}
+
+/// Environments in each session of the builders: making them takes a processor some 50 ms.
+const MANY: u32 = 2000;
+
+/// What a step may take beside builders, in steps alone: they have at most a thread for each processor, as the simulation
+/// has at most, so it keeps half of the machine (2); to get onto a processor it waits now and then for one that is taken.
+const BESIDE_BUILDERS: f64 = 4.0;
+
+/// Makes one session after the other until told to stop; how long each took [ms].
+async fn build(mut client: harness::Client, stop: &AtomicBool) -> Vec<f64> {
+    let mut times = Vec::new();
+    while !stop.load(Ordering::Relaxed) {
+        let begun = Instant::now();
+        let rocks = CreateSessionRequest { task_id: "sandgait/HexapodRocks-v0".into(), ..create(MANY, &[]) };
+        let session_id = client.create_session(rocks).await.unwrap().into_inner().session_id;
+        times.push(begun.elapsed().as_secs_f64() * 1e3);
+        client.close_session(CloseSessionRequest { session_id }).await.unwrap();
+    }
+    times
+}
+
+/// Those who ask for one large session after the other hold up neither the large steps of others, which are checked on the
+/// same few threads, nor those who ask for a small session.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn greedy_builders_hold_up_nobody() {
+    let _alone = ALONE.lock().await;
+    let server = Process::start(&["--listen", "127.0.0.1:0"]);
+    // More actions than are checked on the thread that receives them.
+    let mut session = Session::create(server.client().await, 1000, &[]).await.unwrap();
+    session.reset(0).await;
+    let (mut ratios, mut smalls, mut larges) = (vec![], vec![], vec![]);
+    // In turns, so that whatever else the machine does is in both.
+    for _ in 0..5 {
+        let alone = latencies(&mut session, 30).await[0];
+        let stop = AtomicBool::new(false);
+        let mut client = server.client().await;
+        let mut clients = Vec::new();
+        for _ in 0..6 {
+            clients.push(server.client().await);
+        }
+        let measure = async {
+            tokio::time::sleep(Duration::from_millis(200)).await;
+            let beside = latencies(&mut session, 30).await[0];
+            let begun = Instant::now();
+            let session_id = client.create_session(create(8, &[])).await.unwrap().into_inner().session_id;
+            smalls.push(begun.elapsed().as_secs_f64() * 1e3);
+            client.close_session(CloseSessionRequest { session_id }).await.unwrap();
+            stop.store(true, Ordering::Relaxed);
+            (alone, beside)
+        };
+        let builders = futures_util::future::join_all(clients.into_iter().map(|c| build(c, &stop)));
+        let ((alone, beside), times) = tokio::join!(measure, builders);
+        println!("step of 1000 environments [ms]: alone {alone:.1}, beside six builders {beside:.1}");
+        larges.extend(times.concat());
+        ratios.push(beside / alone);
+    }
+    let [ratio, small, large] = [ratios, smalls, larges].map(|mut times| {
+        times.sort_by(f64::total_cmp);
+        times[times.len() / 2]
+    });
+    println!(
+        "steps: {ratio:.2} times as long; a session of 8: {small:.0} ms, of {MANY} rocks: {large:.0} ms (medians)"
+    );
+    assert!(ratio < BESIDE_BUILDERS, "{ratio}");
+    assert!(small < 0.5 * large, "{small} {large}: who asks for few waits for whole sessions of others");
 }
 
 /// Sessions that are opened and dropped leave nothing behind.

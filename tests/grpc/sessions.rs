@@ -4,7 +4,7 @@ use crate::harness::{Server, Session, create, step, until, wave};
 use sandgait::service::Limits;
 use sandgait::service::proto::run_session_response::Response;
 use sandgait::service::proto::{CloseSessionRequest, DescribeSessionRequest, ListSessionsRequest, RunSessionRequest};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tonic::Code;
 
 /// Does the server still know this session?
@@ -41,7 +41,7 @@ async fn a_client_that_dies_in_mid_step_leaves_no_trace() {
     let mut looks = server.client().await;
     let mut list = async || looks.list_sessions(ListSessionsRequest {}).await.unwrap().into_inner().sessions;
     for _ in 0..2 {
-        // A step of these takes some 200 ms.
+        // A step of these takes some 300 ms.
         let mut session = None;
         until(async || {
             session = Session::create(server.client().await, ENVS as u32, &[]).await.ok();
@@ -50,8 +50,12 @@ async fn a_client_that_dies_in_mid_step_leaves_no_trace() {
         .await;
         let mut session = session.unwrap();
         session.reset(0).await;
-        let sent = session.send(Some(step(&wave(0..ENVS, 0)))).await;
-        tokio::time::sleep(Duration::from_millis(10)).await;
+        let begun = Instant::now();
+        session.step(0).await;
+        let whole = begun.elapsed();
+        let sent = session.send(Some(step(&wave(0..ENVS, 1)))).await;
+        // Long enough for the request to arrive, however loaded the machine is, and less than its step.
+        tokio::time::sleep(whole / 4).await;
         drop(session);
         let [summary] = &list().await[..] else { panic!("one session") };
         assert_eq!(summary.sequence, sent - 1, "the step has ended already");

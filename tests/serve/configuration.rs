@@ -37,7 +37,9 @@ fn wrong_files_are_refused_by_name_and_key() {
         ("threads = \"many\"", vec!["many", "--threads"]),
         ("max-sessions = 0", vec!["--max-sessions", "0"]),
         ("listen = \"nowhere\"", vec!["nowhere", "HOST:PORT"]),
-        ("= 5", vec![]),
+        ("threads = 1\n= 5", vec!["line 2: "]),
+        ("threads = 1\nmax-envs = 2\nthreads = 1", vec!["line 3: ", "duplicate key"]),
+        ("threads = ", vec!["line 1: "]),
     ];
     for (content, words) in cases {
         fs::write(&file, content).unwrap();

@@ -173,6 +173,8 @@ async fn a_call_past_its_deadline_leaves_nothing_behind() {
         assert!(begun.elapsed() < Duration::from_secs(10), "the session is still there");
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
+    let (_, log) = tokio::task::spawn_blocking(|| server.end()).await.unwrap();
+    assert!(!log.contains("a session was created"), "making 65,536 environments was not broken off: {log}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -104,7 +104,16 @@ async fn what_cannot_be_taken_up_stays_and_is_logged() {
     let [file] = &place.files()[..] else { panic!() };
     let whole = fs::read(file).unwrap();
     fs::write(place.state().join(".unfinished-x"), "half").unwrap();
-    for damaged in [&b"no session"[..], &whole[..whole.len() / 2], &whole[..20]] {
+    let mut changed = whole.clone();
+    changed[whole.len() / 2] ^= 1;
+    // A file that ends right before a field can be read, as a session without it.
+    let snapshot = whole.windows(17).rposition(|w| w == b"sandgait snapshot").unwrap();
+    assert!(
+        (128..16_384).contains(&(whole.len() - snapshot)),
+        "before it stand the field's number and two bytes of length"
+    );
+    let [cut, tail, half] = [snapshot - 3, whole.len() - 1, whole.len() / 2].map(|length| &whole[..length]);
+    for damaged in [&b"no session"[..], &whole[..20], &changed, cut, tail, half] {
         fs::write(file, damaged).unwrap();
         let (_, log) = place.start().end();
         assert!(log.contains("could not be taken up; its file stays") && log.contains(text(file)), "{log}");

@@ -106,10 +106,8 @@ impl Worlds {
 
     /// Makes a world, at the start of its first episode, and gives its name.
     pub async fn create(self: &Arc<Self>, plan: Plan) -> Result<String> {
-        let sessions = self.sessions.clone();
         let Plan { task, options, seed } = plan;
-        let built = tokio::task::spawn_blocking(move || sessions.create(&task, 1, options).map(|made| made.0)).await;
-        let name = built.map_err(|_| Error::Exhausted("the world could not be built; please report this".into()))??;
+        let (name, _) = self.sessions.create(task, 1, options).await?;
         // Two worlds without a seed shall differ.
         let seed = Some(seed.unwrap_or_else(rand::random));
         self.join(&name)?.reset(Changes { seed, ..Default::default() }).await?;

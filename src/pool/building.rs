@@ -1,0 +1,55 @@
+//! Environments on their way: very many take seconds, so they can be made some at a time.
+
+use super::batch::Batch;
+use crate::env::Shard;
+use crate::env::registry::Blueprint;
+use crate::error::{Error, Result};
+use std::time::{Duration, Instant};
+
+/// A [`Batch`] of which some shards are there.
+pub struct Building {
+    blueprint: Blueprint,
+    envs: usize,
+    shards: Vec<Shard>,
+}
+
+impl Batch {
+    /// `envs` environments that wait for their first reset.
+    pub fn new(blueprint: &Blueprint, envs: usize) -> Result<Self> {
+        Building::new(blueprint, envs)?.finish()
+    }
+}
+
+impl Building {
+    /// `envs` environments, none of which is there yet.
+    pub fn new(blueprint: &Blueprint, envs: usize) -> Result<Self> {
+        if envs == 0 {
+            return Err(Error::invalid("num_envs", "0 is outside [1, 4294967295]"));
+        }
+        Ok(Self { blueprint: blueprint.clone(), envs, shards: Vec::new() })
+    }
+
+    /// Makes more of them, one shard at least, until `time` has passed.
+    pub fn go_on(&mut self, time: Duration) -> Result<()> {
+        let begun = Instant::now();
+        while self.missing() > 0 {
+            let envs = self.missing().min(self.blueprint.engine.shard_size());
+            self.shards.push(Shard::new(&self.blueprint, envs)?);
+            if begun.elapsed() >= time {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// Environments that are to be made yet. All shards but the last are full.
+    pub fn missing(&self) -> usize {
+        self.envs.saturating_sub(self.shards.len() * self.blueprint.engine.shard_size())
+    }
+
+    /// All of them: what is missing is made now.
+    pub fn finish(mut self) -> Result<Batch> {
+        self.go_on(Duration::MAX)?;
+        Ok(Batch::of(&self.blueprint, self.shards))
+    }
+}

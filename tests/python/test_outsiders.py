@@ -1,0 +1,100 @@
+"""Clients that were not written for this server: they are used as their own pages say, unmodified.
+
+dm_env_rpc, stable-baselines3 and RLlib have files of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import grpc
+import gymnasium
+import numpy as np
+import pytest
+from google.protobuf import descriptor_pool, message_factory
+from grpc_health.v1 import health_pb2, health_pb2_grpc
+from grpc_reflection.v1alpha.proto_reflection_descriptor_database import ProtoReflectionDescriptorDatabase
+
+import sandgait
+from conftest import ID, RemoteServer
+
+
+def test_grpcio_health_checking(remote: RemoteServer) -> None:
+    with grpc.insecure_channel(remote.address) as channel:
+        health = health_pb2_grpc.HealthStub(channel)
+        for service in ("", "sandgait.v1.EnvironmentService", "sandgait.v1.StudyService"):
+            reply = health.Check(health_pb2.HealthCheckRequest(service=service), timeout=5)
+            assert reply.status == health_pb2.HealthCheckResponse.SERVING
+        with pytest.raises(grpc.RpcError) as refused:
+            health.Check(health_pb2.HealthCheckRequest(service="nothing"), timeout=5)
+        assert refused.value.code() is grpc.StatusCode.NOT_FOUND
+        watch = health.Watch(health_pb2.HealthCheckRequest(), timeout=10)
+        assert next(watch).status == health_pb2.HealthCheckResponse.SERVING
+        remote.process.terminate()
+        assert next(watch).status == health_pb2.HealthCheckResponse.NOT_SERVING
+
+
+def test_who_has_no_proto_plays_by_reflection(remote: RemoteServer) -> None:
+    """As grpcurl does: services, methods and messages are asked of the server; the numbers are our client's."""
+    with grpc.insecure_channel(remote.address) as channel:
+        database = ProtoReflectionDescriptorDatabase(channel)
+        assert "sandgait.v1.EnvironmentService" in database.get_services()
+        pool = descriptor_pool.DescriptorPool(database)
+        service = pool.FindServiceByName("sandgait.v1.EnvironmentService")
+
+        def method(name: str) -> tuple[str, Callable[..., Any], Callable[..., Any]]:
+            kind = service.methods_by_name[name]
+            request, reply = (message_factory.GetMessageClass(m) for m in (kind.input_type, kind.output_type))
+            return f"/{service.full_name}/{name}", request, reply
+
+        path, create, reply = method("CreateSession")
+        call = channel.unary_unary(path, lambda m: m.SerializeToString(), reply.FromString)
+        session_id = call(create(task_id=ID, num_envs=3, protocol=1), timeout=10).session_id
+        path, request, reply = method("RunSession")
+        actions = np.full((3, 6), 0.25, np.float32)
+        requests = [
+            request(session_id=session_id, reset={"seeds": [5, 6, 7]}),
+            request(step={"actions": actions.tobytes()}),
+        ]
+        stream = channel.stream_stream(path, lambda m: m.SerializeToString(), reply.FromString)
+        rows = [np.frombuffer(answer.batch.observations, "<f4") for answer in stream(iter(requests), timeout=10)]
+    env = sandgait.SandgaitVectorEnv(ID, 3)
+    expected = [env.reset(seed=5)[0], env.step(actions)[0]]
+    env.close()
+    assert [row.tobytes() for row in rows] == [row.tobytes() for row in expected]
+
+
+def test_a_loop_as_cleanrl_writes_it() -> None:
+    """The environments and the loop of CleanRL's ppo_continuous_action.py; its agent acts at random."""
+
+    def make_env(gamma: float) -> Callable[[], gymnasium.Env[Any, Any]]:
+        def thunk() -> gymnasium.Env[Any, Any]:
+            env: gymnasium.Env[Any, Any] = gymnasium.make(ID, max_episode_steps=20)
+            env = gymnasium.wrappers.FlattenObservation(env)
+            env = gymnasium.wrappers.RecordEpisodeStatistics(env)
+            env = gymnasium.wrappers.ClipAction(env)
+            env = gymnasium.wrappers.NormalizeObservation(env)
+            env = gymnasium.wrappers.TransformObservation(env, lambda obs: np.clip(obs, -10, 10), env.observation_space)
+            env = gymnasium.wrappers.NormalizeReward(env, gamma=gamma)
+            return gymnasium.wrappers.TransformReward(env, lambda reward: float(np.clip(reward, -10, 10)))
+
+        return thunk
+
+    envs = gymnasium.vector.SyncVectorEnv([make_env(0.99) for _ in range(4)])
+    assert isinstance(envs.single_action_space, gymnasium.spaces.Box), "only continuous action space is supported"
+    random = np.random.default_rng(1)
+    returns = []
+    next_obs, _ = envs.reset(seed=1)
+    for _ in range(70):
+        action = random.normal(size=envs.action_space.shape or ())
+        next_obs, reward, terminations, truncations, infos = envs.step(action)
+        next_done = np.logical_or(terminations, truncations)
+        assert next_obs.shape == (4, 40)
+        assert np.isfinite(next_obs).all()
+        assert np.isfinite(reward).all()
+        if "episode" in infos:
+            assert (infos["_episode"] == next_done).all()
+            returns += [float(r) for r in infos["episode"]["r"][infos["_episode"]]]
+    assert len(returns) >= 4 * (70 // 21)
+    envs.close()
