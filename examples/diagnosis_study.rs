@@ -223,13 +223,14 @@ fn singles(seeds: Range<usize>, design: Design, asked: &dyn Fn(&str) -> bool) ->
             tally.missed += usize::from(r.verdict == Verdict::NoiseFloor);
             tally.none += usize::from(r.verdict == Verdict::NoneOfThese);
             println!(
-                "{:14} {value:9.5} sep {far:6.1} eff {:5.2} {:?} {:?} {:?} lof {:?}",
+                "{:14} {seed} {value:9.5} sep {far:6.1} eff {:5.2} {:?} {:?} {:?} lof {:?} achieved {:?}",
                 entry.id,
                 log.effect,
                 r.verdict,
                 r.ambiguity_set,
                 r.causes.first().map(|c| (c.value, c.ci95)),
-                r.lack_of_fit
+                r.lack_of_fit,
+                r.gain.achievable_fraction
             );
             if let (true, Some(c)) = (found, r.causes.first()) {
                 named += 1;

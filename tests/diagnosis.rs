@@ -136,6 +136,14 @@ fn without_repetitions_nothing_is_said() {
     assert_eq!(r.verdict, Verdict::InsufficientData);
 }
 
+/// The log without noise: its repetitions are equal to the last digit.
+#[test]
+fn copies_are_no_repetitions() {
+    let r = diagnosis(&testbed::log(11, &Hidden { causes: vec![("inertial_drag", 1.0)] }, 0.05).clean).report;
+    assert_eq!(r.verdict, Verdict::InsufficientData, "{}", r.summary);
+    assert!(r.summary.contains("copies"), "{}", r.summary);
+}
+
 #[test]
 fn missing_columns_are_named_with_what_they_keep_from_being_tested() {
     let log = testbed::log(11, &Hidden::default(), 0.05).noisy;

@@ -125,6 +125,8 @@ fn a_motor_that_stalls_is_named() {
     );
     let cause = &r.causes[0];
     assert!((cause.value / 0.0125 - 1.0).abs() < 0.05, "{}", r.summary);
+    // A stalling gait is rough: slopes gave intervals that held nothing.
+    assert!((cause.ci95[0]..=cause.ci95[1]).contains(&0.0125), "{}", r.summary);
 }
 
 /// One clear line with row and column for every wrong use.

@@ -17,6 +17,9 @@ use crate::sand::{Ground, Shape};
 const SEGMENTS: usize = 40;
 /// Steps per sample interval in which the low-pass filter sees the force; linear in between. Our choice.
 const FILTER_STEPS: usize = 6;
+/// Samples that an acceleration is taken from: our choice. A velocity that swings once in thirteen samples then errs by 0.2 %
+/// inside a trial and by 1 % at its ends, where two samples gave 4 % and a quarter; noise of a velocity counts a third more.
+const STENCIL: usize = 5;
 
 /// An intruder in segments.
 #[derive(Clone)]
@@ -82,7 +85,7 @@ impl Arm<'_> {
         let mut loads: Vec<Load> = if m.lowpass > 0.0 {
             self.filtered(m.lowpass)
         } else {
-            self.track.poses.iter().enumerate().map(|(i, p)| self.load(&self.late(i, p), p.t)).collect()
+            self.track.poses.iter().enumerate().map(|(i, p)| self.load(&self.late(i, p))).collect()
         };
         let (sin, cos) = m.sensor_tilt.sin_cos();
         for load in &mut loads {
@@ -158,7 +161,7 @@ impl Arm<'_> {
         let t = self.track.poses[i].t;
         NODES.iter().fold(Load::default(), |sum, (u, weight)| {
             let then = (t - tau * u).max(start);
-            let f = self.load(&self.pose_at(then - self.mechanisms.delay, i), then);
+            let f = self.load(&self.pose_at(then - self.mechanisms.delay, i));
             Load { fx: sum.fx + weight * f.fx, fz: sum.fz + weight * f.fz, ty: sum.ty + weight * f.ty }
         })
     }
@@ -173,7 +176,7 @@ impl Arm<'_> {
         let start = 1.0 - decay - end;
         let at = |step: usize| {
             let t = from + h * step as f64;
-            self.load(&self.pose_at(t - self.mechanisms.delay, i), t)
+            self.load(&self.pose_at(t - self.mechanisms.delay, i))
         };
         let mut before = at(0);
         for step in 1..=FILTER_STEPS {
@@ -189,9 +192,9 @@ impl Arm<'_> {
         state
     }
 
-    /// Load at a pose; `t` only finds the acceleration.
-    fn load(&self, pose: &Pose, t: f64) -> Load {
-        let acceleration = if self.mechanisms.added_mass == 0.0 { [0.0; 3] } else { self.acceleration(t) };
+    /// Load at a pose.
+    fn load(&self, pose: &Pose) -> Load {
+        let acceleration = if self.mechanisms.added_mass == 0.0 { [0.0; 3] } else { self.acceleration(pose.t) };
         match self.track.intruder {
             Intruder::Plate { .. } => self.plate(pose, acceleration),
             Intruder::Leg { .. } => {
@@ -207,14 +210,24 @@ impl Arm<'_> {
         }
     }
 
-    /// Angular acceleration [rad/s²] and the centre's acceleration [m/s²] by central differences of the log.
+    /// Angular acceleration [rad/s²] and the centre's acceleration [m/s²] at time `t`: slopes of the polynomial through the
+    /// logged velocities of the nearest samples (Lagrange), which needs no even sampling and no sample beyond an end. Before
+    /// and after the log they are those of its ends.
     fn acceleration(&self, t: f64) -> [f64; 3] {
         let poses = &self.track.poses;
-        let i = poses.partition_point(|p| p.t < t).min(poses.len() - 1);
-        let (a, b) = (&poses[i.saturating_sub(1)], &poses[(i + 1).min(poses.len() - 1)]);
-        // A trial of one sample has no acceleration to show.
-        let dt = if b.t > a.t { b.t - a.t } else { f64::INFINITY };
-        [b.omega - a.omega, b.velocity[0] - a.velocity[0], b.velocity[1] - a.velocity[1]].map(|d| d / dt)
+        let t = t.clamp(poses[0].t, poses[poses.len() - 1].t);
+        let count = poses.len().min(STENCIL);
+        let after = poses.partition_point(|p| p.t < t);
+        let nearest = if after > 0 && t - poses[after - 1].t < poses[after].t - t { after - 1 } else { after };
+        let near = &poses[nearest.saturating_sub(STENCIL / 2).min(poses.len() - count)..][..count];
+        let others = |j: usize| (0..count).filter(move |&m| m != j);
+        near.iter().enumerate().fold([0.0; 3], |sum, (j, pose)| {
+            let share = |k: usize| (t - near[k].t) / (pose.t - near[k].t);
+            let without = |m: usize| others(j).filter(|&k| k != m).map(share).product::<f64>();
+            let weight: f64 = others(j).map(|m| without(m) / (pose.t - near[m].t)).sum();
+            let moving = [pose.omega, pose.velocity[0], pose.velocity[1]];
+            [0, 1, 2].map(|axis| sum[axis] + weight * moving[axis])
+        })
     }
 
     fn plate(&self, pose: &Pose, acceleration: [f64; 3]) -> Load {
@@ -289,5 +302,41 @@ impl Arm<'_> {
             load.ty += r[0] * fz - r[1] * fx;
         }
         load
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sand::{Law, Medium, Surface};
+
+    /// A speed that swings once in about thirteen unevenly spaced samples: its change is found at, between and beyond samples.
+    #[test]
+    fn accelerations_are_found_up_to_the_ends_of_a_log() {
+        let swing = 2.0 * std::f64::consts::PI / 13.0;
+        let times = (0..40).map(|i| f64::from(i) + 0.2 * f64::from(i * 7 % 5 - 2) / 2.0);
+        let pose =
+            |t: f64| Pose { t, omega: 3.0 + (swing * t).sin(), velocity: [(swing * t).cos(), 2.0], ..Pose::default() };
+        let poses: Vec<Pose> = times.map(pose).collect();
+        let ends = [poses[0].t, poses[39].t];
+        let intruder = Intruder::Plate { length: 0.04, width: 0.025, thickness: None };
+        let (track, mechanisms) = (Track::leg(intruder, 0.0, poses), Mechanisms::default());
+        let ground = Ground::new(Law::Li2013, &Medium::named("poppy-loose").unwrap(), &Surface::DEFAULT);
+        let arm = Arm {
+            track: &track,
+            cut: &Cut::new(&intruder).unwrap(),
+            mechanisms: &mechanisms,
+            sand: SandMechanisms::new(&mechanisms, 640.0),
+            ground: &ground,
+            footprint: 1.0,
+            other_drag: None,
+        };
+        for k in -20..900 {
+            let t = (0.05 * f64::from(k)).clamp(ends[0], ends[1]);
+            let [turn, x, z] = arm.acceleration(0.05 * f64::from(k));
+            let wrong =
+                (turn - swing * (swing * t).cos()).abs().max((x + swing * (swing * t).sin()).abs()).max(z.abs());
+            assert!(wrong < 0.02 * swing, "{t}: {wrong}");
+        }
     }
 }

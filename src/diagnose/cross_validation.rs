@@ -8,12 +8,46 @@ use nalgebra::{DMatrix, DVector};
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-/// Held-out errors of one model, condition by condition.
+/// Errors over the channels that count, condition by condition.
+#[derive(Clone, Debug)]
+pub struct Errors {
+    /// Sum of squares [unit of the channels, squared] and how many.
+    pub square: Vec<f64>,
+    pub count: Vec<f64>,
+}
+
+impl Errors {
+    /// Root mean square of all.
+    pub fn rmse(&self) -> f64 {
+        (self.square.iter().sum::<f64>() / self.count.iter().sum::<f64>().max(1.0)).sqrt()
+    }
+
+    /// 95 % interval of the fraction by which `other` is smaller: conditions drawn with replacement, 2000 times.
+    pub fn reduction_interval(&self, other: &Errors) -> [f64; 2] {
+        let mut rng = Xoshiro256PlusPlus::seed_from_u64(3);
+        let n = self.square.len();
+        let mut draws: Vec<f64> = (0..2000)
+            .map(|_| {
+                let (mut own, mut others, mut counts) = (0.0, 0.0, [0.0; 2]);
+                for _ in 0..n {
+                    let k = rng.random_range(0..n);
+                    own += self.square[k];
+                    others += other.square[k];
+                    counts = [counts[0] + self.count[k], counts[1] + other.count[k]];
+                }
+                let share = counts[0] / f64::max(counts[1], 1.0);
+                if own > 0.0 { 1.0 - (others / own * share).sqrt() } else { 0.0 }
+            })
+            .collect();
+        draws.sort_by(f64::total_cmp);
+        [draws[49], draws[1949]]
+    }
+}
+
+/// Held-out errors of one model.
 #[derive(Clone, Debug)]
 pub struct HeldOut {
-    /// Sum of squared errors over the channels that count [N²], and their number.
-    square: Vec<f64>,
-    count: Vec<f64>,
+    pub errors: Errors,
     /// |W (y − m)|² of everything held out.
     pub deviance: f64,
 }
@@ -21,27 +55,12 @@ pub struct HeldOut {
 impl HeldOut {
     /// Root mean square of the held-out error [N].
     pub fn rmse(&self) -> f64 {
-        (self.square.iter().sum::<f64>() / self.count.iter().sum::<f64>().max(1.0)).sqrt()
+        self.errors.rmse()
     }
 
-    /// 95 % interval of the fraction by which `extended` lowers the error of `self`: conditions drawn with
-    /// replacement, 2000 times.
+    /// 95 % interval of the fraction by which `extended` lowers the error of `self`.
     pub fn reduction_interval(&self, extended: &HeldOut) -> [f64; 2] {
-        let mut rng = Xoshiro256PlusPlus::seed_from_u64(3);
-        let n = self.square.len();
-        let mut draws: Vec<f64> = (0..2000)
-            .map(|_| {
-                let (mut plain, mut better) = (0.0, 0.0);
-                for _ in 0..n {
-                    let k = rng.random_range(0..n);
-                    plain += self.square[k];
-                    better += extended.square[k];
-                }
-                if plain > 0.0 { 1.0 - (better / plain).sqrt() } else { 0.0 }
-            })
-            .collect();
-        draws.sort_by(f64::total_cmp);
-        [draws[49], draws[1949]]
+        self.errors.reduction_interval(&extended.errors)
     }
 }
 
@@ -104,5 +123,5 @@ fn errors(study: &Study, fit: &Fit, step: impl Fn(usize) -> Vec<f64>) -> HeldOut
         square.push(sum);
         count.push(samples);
     }
-    HeldOut { square, count, deviance }
+    HeldOut { errors: Errors { square, count }, deviance }
 }

@@ -3,7 +3,9 @@
 //! A wrong exponent is a small misfit that lack of fit alone may not see: over a narrow range of speeds λ v² and λ' v^1.5
 //! look alike. So the objective is scanned over exponents; what it excludes is excluded, and what it does not is said.
 
+use super::chi_squared;
 use super::fit::{Fit, Study};
+use super::lack_of_fit;
 use super::profile::within;
 use crate::parallel;
 use crate::sand::mechanism::CATALOG;
@@ -19,11 +21,10 @@ const SAME: f64 = 0.1;
 /// Exponents further from the law's than this are other laws; where the interval holds one, the data do not tell. Our choice:
 /// half a power, as between the drag of grains that is cited with 2 and laws measured with 1.5.
 const OTHER: f64 = 0.5;
-/// Objective by which a law may be behind another exponent by chance: that of one in a thousand (χ² with one degree of
-/// freedom), as causes are thrown out of the set.
-const EXCLUDED: f64 = 10.83;
-/// The same for 95 %.
-const INTERVAL: f64 = 3.84;
+/// Objective by which a law may be behind another exponent by chance: that of one in a thousand, as causes are thrown out of
+/// the set.
+const EXCLUDED: f64 = chi_squared::AT_999_PER_MILLE;
+const INTERVAL: f64 = chi_squared::AT_95_PERCENT;
 
 /// What the data say of the exponent of the speed in a law.
 #[derive(Clone, Debug, Serialize, PartialEq)]
@@ -39,6 +40,8 @@ pub struct Form {
     pub excluded: bool,
     /// Do the data exclude the law's exponent, or those half a power away from it?
     pub told_apart: bool,
+    /// Mean square of the smooth whitened residual with the exponent found.
+    pub lack_of_fit: f64,
     /// Objective there, in units of χ².
     #[serde(skip)]
     pub objective: f64,
@@ -65,15 +68,37 @@ impl Form {
     }
 }
 
-/// Scans the exponent of the law of `fit`'s first cause that has one; `inflation` is that of χ² differences.
-pub fn check(study: &Study, fit: &Fit, inflation: f64) -> Option<Form> {
-    let (id, law) = fit.ids.iter().find_map(|&id| CATALOG[id].exponent.map(|law| (id, law)))?;
+/// A law whose exponent can be asked for.
+#[derive(Clone, Copy)]
+pub struct Asked {
+    /// Place in the catalogue.
+    id: usize,
+    /// The law's own exponent.
+    law: f64,
+}
+
+impl Asked {
+    /// The first cause of `fit` that the study's model has with other exponents.
+    pub fn of(study: &Study, fit: &Fit) -> Option<Self> {
+        let laws = fit.ids.iter().filter_map(|&id| Some(Self { id, law: CATALOG[id].exponent? }));
+        laws.into_iter().find(|asked| study.model.with_exponent(asked.id, asked.law).is_some())
+    }
+
+    /// Is this the only cause of `fit`?
+    pub fn alone(&self, fit: &Fit) -> bool {
+        fit.ids == [self.id]
+    }
+}
+
+/// Scans the exponent of the law asked for about `fit`; `inflation` is that of χ² differences.
+pub fn check(study: &Study, fit: &Fit, Asked { id, law }: Asked, inflation: f64) -> Option<Form> {
+    let fitted = |exponent: f64| {
+        let model = study.model.with_exponent(id, exponent)?;
+        Some(study.with_model(&*model).fit_near(fit))
+    };
     let at = |exponents: &[f64]| -> Option<Vec<(f64, f64)>> {
-        let objective = |&exponent: &f64| {
-            let model = study.model.with_exponent(id, exponent)?;
-            Some((exponent, study.with_model(&*model).fit_near(fit).objective))
-        };
-        parallel::map(exponents, objective).into_iter().collect()
+        let place = |&exponent: &f64| Some((exponent, fitted(exponent)?.objective));
+        parallel::map(exponents, place).into_iter().collect()
     };
     let mut scan = at(&EXPONENTS)?;
     let (found, curvature) = minimum(&scan);
@@ -84,6 +109,9 @@ pub fn check(study: &Study, fit: &Fit, inflation: f64) -> Option<Form> {
     scan.sort_by(|a, b| a.0.total_cmp(&b.0));
     scan.dedup_by(|a, b| a.0 - b.0 < 1e-6);
     let (found, _) = minimum(&scan);
+    let best = fitted(found)?;
+    scan.push((found, best.objective));
+    scan.sort_by(|a, b| a.0.total_cmp(&b.0));
     let objective = scan.iter().map(|s| s.1).fold(f64::MAX, f64::min);
     let near = scan.iter().filter(|s| (s.0 - law).abs() <= SAME + 1e-9).map(|s| s.1).fold(f64::MAX, f64::min);
     let ci95 = within(&scan, objective, INTERVAL * inflation);
@@ -95,6 +123,7 @@ pub fn check(study: &Study, fit: &Fit, inflation: f64) -> Option<Form> {
         ci95,
         excluded,
         told_apart: excluded || (ci95[0] > law - OTHER && ci95[1] < law + OTHER),
+        lack_of_fit: lack_of_fit::statistic(study.observations, &best.white),
         objective,
     })
 }

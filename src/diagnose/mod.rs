@@ -9,6 +9,7 @@
 
 pub mod arm;
 pub mod calibrate;
+pub mod chi_squared;
 pub mod cli;
 pub mod cross_validation;
 pub mod experiment;
@@ -35,12 +36,12 @@ use crate::error::Result;
 use crate::progress::{Latch, Progress};
 use crate::sand::SandDescription;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
-use cross_validation::HeldOut;
+use cross_validation::{Errors, HeldOut};
 use experiment::{Experiment, Kind};
 use fit::{Fit, Study};
 use form::Form;
 use forward::{ForceLogModel, ForwardModel};
-use noise::{Noise, Source, sizes};
+use noise::{Noise, Source, scatters, sizes};
 use observations::Observations;
 use report::{
     Cause, Curves, Diagnosis, Gain, LackOfFit, NextExperiment, NoiseSummary, Report, RunMeans, Tried, Untestable,
@@ -107,12 +108,12 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
     let whitener = Whitener::new(&source, &noise);
     let study = Study::new(&observations, model, &whitener, coefficient_sd);
     let (ids, untestable) = testable(&study);
-    let selection = match observations.has_replicates() {
+    let floor = source.floor();
+    let selection = match scatters(&observations, &floor) {
         true => Some(select(&study, &source, &noise, &ids, progress)?),
         false => None,
     };
     progress.report(0.95, "report")?;
-    let floor = source.floor();
     let view = View { study: &study, source: &source, noise: &noise, selection: selection.as_ref(), floor };
     let report = view.report(untestable, sha256, notes);
     let extension = selection.as_ref().and_then(extension);
@@ -178,7 +179,7 @@ struct View<'a> {
     source: &'a Source<'a>,
     noise: &'a Noise,
     selection: Option<&'a Selection>,
-    floor: f64,
+    floor: Errors,
 }
 
 impl View<'_> {
@@ -244,7 +245,7 @@ impl View<'_> {
         let inflation = self.selection.map_or(1.0, |s| s.gates.inflation);
         let cause = |(k, &id): (usize, &usize)| {
             let (entry, at) = (&CATALOG[id], fit.coordinates()[k]);
-            let reach = 1.96 * (covariance[(k, k)] * inflation).sqrt();
+            let reach = (chi_squared::AT_95_PERCENT * covariance[(k, k)] * inflation).sqrt();
             let profiled = self.selection.and_then(|s| s.intervals.get(k)).filter(|i| i.iter().all(|u| u.is_finite()));
             let [low, high] = profiled.copied().unwrap_or([at - reach, at + reach]);
             let bounds = entry.coordinate_bounds();
@@ -296,15 +297,17 @@ impl View<'_> {
         };
         let plain = &selection.plain_held_out;
         let extended: &HeldOut = extension(selection).map_or(plain, |c| &c.held_out);
-        let (before, after) = (plain.rmse(), extended.rmse());
+        let (before, after, floor) = (plain.rmse(), extended.rmse(), self.floor.rmse());
+        // Where the plain model's error can hardly be told from the scatter, a share of their difference is any number.
+        let told = plain.errors.reduction_interval(&self.floor)[0] > 0.0;
         Gain {
             held_out_rmse_plain: Some(before),
             held_out_rmse_recalibrated: Some(selection.base_held_out.rmse()),
             held_out_rmse_extended: Some(after),
-            noise_floor: Some(self.floor),
+            noise_floor: Some(floor),
             reduction: (before > 0.0).then(|| 1.0 - after / before),
             ci95: Some(plain.reduction_interval(extended)),
-            achievable_fraction: (before > self.floor).then(|| (before - after) / (before - self.floor)),
+            achievable_fraction: (told && before > floor).then(|| (before - after) / (before - floor)),
         }
     }
 
@@ -360,7 +363,11 @@ impl View<'_> {
 
     fn summary(&self, causes: &[Cause], whereabouts: Option<&str>) -> String {
         let Some(selection) = self.selection else {
-            return "no condition is repeated: without a noise floor nothing can be said".into();
+            let why = match self.study.observations.has_replicates() {
+                true => "repetitions are copies of each other, so their scatter is no noise floor",
+                false => "no condition is repeated",
+            };
+            return format!("{why}: without a noise floor nothing can be said");
         };
         let said = |c: &Cause| {
             let [value, low, high] = [c.value, c.ci95[0], c.ci95[1]].map(digits);
@@ -380,7 +387,9 @@ impl View<'_> {
             Verdict::NoneOfThese => self.not_enough(selection),
             Verdict::InsufficientData => String::new(),
         };
-        let verdict = verdict + &selection.form.as_ref().map_or(String::new(), Form::said);
+        // Where other misfit remains, the power is fitted to that.
+        let form = selection.form.as_ref().filter(|form| form.lack_of_fit <= selection.gates.lack_of_fit);
+        let verdict = verdict + &form.map_or(String::new(), Form::said);
         whereabouts.map_or(verdict.clone(), |place| format!("{verdict}; {place}"))
     }
 
@@ -410,9 +419,10 @@ impl View<'_> {
     }
 
     fn not_enough(&self, selection: &Selection) -> String {
-        let form = selection.form.as_ref().filter(|f| f.excluded);
+        let limit = selection.gates.lack_of_fit;
+        let excluded = selection.form.as_ref().filter(|form| form.excluded);
         match selection.candidates.first() {
-            Some(best) if form.is_some() && best.lack_of_fit <= selection.gates.lack_of_fit => {
+            Some(best) if excluded.is_some_and(|form| best.lack_of_fit.min(form.lack_of_fit) <= limit) => {
                 let name = names(&best.fit).join(" with ");
                 format!("none of the known causes has the right form: {name} comes nearest") + &self.stand_in(selection)
             }

@@ -8,6 +8,7 @@
 //! S is |F| in force logs (grains push on all channels alike) and the channel's own mean in walking runs. The parts' sizes
 //! maximise the likelihood of the differences between repetitions, which no wrong model can bias.
 
+use super::cross_validation::Errors;
 use super::minimise::minimise;
 use super::observations::{Observations, Size, interpolate};
 use super::shared::{Along, Likelihood, Shared};
@@ -32,6 +33,10 @@ pub struct Noise {
     /// Standard deviation along each of [`Shared`]'s directions.
     pub shared: Vec<f64>,
 }
+
+/// Repetitions that scatter by less than this share of what they measure are copies, or simulations without noise: our choice,
+/// the rounding of a log with six digits.
+const COPIES: f64 = 1e-6;
 
 /// What the proportional noise of each unit and channel is proportional to, sample by sample: the mean over repetitions,
 /// smoothed over five samples.
@@ -244,17 +249,30 @@ impl Source<'_> {
         Noise::unpack(&minimise(deviance, from, rounds), channels)
     }
 
-    /// Standard deviation between repetitions over the channels that count in the error: what no model can predict.
-    pub fn floor(&self) -> f64 {
-        let (mut square, mut count) = (0.0, 0.0);
-        for difference in self.repeats().iter().flat_map(|r| &r.differences) {
-            for (values, _) in difference.iter().zip(&self.observations.channels).filter(|d| d.1.in_rmse) {
-                square += values.iter().map(|v| v * v).sum::<f64>();
-                count += values.len() as f64;
+    /// Scatter of repetitions over the channels that count in the error: what no model can predict. Conditions made once have
+    /// none to show.
+    pub fn floor(&self) -> Errors {
+        let of = |group: &Vec<usize>| {
+            let (mut square, mut count) = (0.0, 0.0);
+            for difference in self.repeats_of(group).differences {
+                for (values, _) in difference.iter().zip(&self.observations.channels).filter(|d| d.1.in_rmse) {
+                    square += values.iter().map(|v| v * v).sum::<f64>();
+                    count += values.len() as f64;
+                }
             }
-        }
-        (square / f64::max(count, 1.0)).sqrt()
+            (square, count)
+        };
+        let (square, count) = self.observations.repetitions().iter().map(of).unzip();
+        Errors { square, count }
     }
+}
+
+/// Do the repetitions scatter, so that they are a noise floor? Copies do not.
+pub fn scatters(observations: &Observations, floor: &Errors) -> bool {
+    let counted = observations.channels.iter().enumerate().filter(|c| c.1.in_rmse);
+    let blocks = counted.flat_map(|(c, _)| observations.units.iter().map(move |u| u.block(c)));
+    let (square, count) = blocks.flatten().fold((0.0, 0.0), |(s, n), k| (s + observations.values[k].powi(2), n + 1.0));
+    floor.rmse() > COPIES * (square / f64::max(count, 1.0)).sqrt()
 }
 
 impl Noise {

@@ -92,7 +92,9 @@ fn causes(html: &mut String, r: &Report) {
 fn form(html: &mut String, r: &Report) {
     let Some(form) = &r.form else { return };
     let [low, high] = form.ci95;
+    let lacking = r.lack_of_fit.limit.is_some_and(|limit| form.lack_of_fit > limit);
     let said = match (form.excluded, form.told_apart) {
+        _ if lacking => "other misfit remains, so the interval is too narrow",
         (true, _) => "the data exclude the law's",
         (false, true) => "the data bear out the law's",
         (false, false) => "the data do not tell the law's from others",

@@ -57,6 +57,8 @@ pub struct Gain {
     pub noise_floor: Option<f64>,
     pub reduction: Option<f64>,
     pub ci95: Option<[f64; 2]>,
+    /// Share of what a perfect model would remove, plain error less scatter; none where a 95 % interval of that difference
+    /// has 0 in it. By chance it may be a little above 1.
     pub achievable_fraction: Option<f64>,
 }
 

@@ -1,9 +1,10 @@
 //! Which cause: singles, then pairs, behind gates; what stands beside them; whether anything is left over.
 
 use super::calibrate::{FELT, Gates, Scores, Screen, gates, starts};
+use super::chi_squared;
 use super::cross_validation::{HeldOut, leave_condition_out, unfitted};
 use super::fit::{Fit, Study, dot, slope};
-use super::form::{self, Form};
+use super::form::{self, Asked, Form};
 use super::lack_of_fit;
 use super::noise::{Noise, Source};
 use super::profile;
@@ -26,7 +27,7 @@ pub enum Verdict {
     Ambiguous,
     /// Misfit remains after every extension tried.
     NoneOfThese,
-    /// No repetitions, so no noise floor.
+    /// No repetitions, or only copies, so no noise floor.
     InsufficientData,
 }
 
@@ -44,8 +45,8 @@ const NOISES: usize = 3;
 /// Rivals fitted again under the final whitening: our choice; one further behind is hundreds of χ² away.
 const FINALISTS: usize = 8;
 
-/// χ² with one degree of freedom, 95 %.
-const CHI_SQUARED_95: f64 = 3.841;
+/// Typical strengths within which a linear estimate is held: our choice, beyond it a line from the plain model says little.
+const USUAL: f64 = 4.0;
 
 /// One cause or pair that was tried.
 pub struct Candidate {
@@ -130,9 +131,17 @@ fn linear_start(screen: &Screen, scores: &Scores, column: usize) -> f64 {
         return value; // its effect is far from proportional: an estimate from afar means nothing
     }
     let estimate = if felt > FELT { entry.typical * scores.score[column] / felt } else { 0.0 };
-    let reach = (4.0 * entry.typical).max(8.0 * value.abs());
+    let reach = (USUAL * entry.typical).max(8.0 * value.abs());
     let start = estimate.clamp(-reach, reach).clamp(entry.bounds[0], entry.bounds[1]);
     if start == 0.0 { value * 0.1 } else { start }
+}
+
+/// A rough model's objective has minima beside the lowest, and the linear estimate may lead into one near the plain model: a
+/// second start, as far out on the same side as estimates are held. None of a smooth model, where the first one has to do.
+fn far_start(study: &Study, id: usize, estimate: f64) -> Option<f64> {
+    let entry = &CATALOG[id];
+    let far = (USUAL * entry.typical).copysign(estimate).clamp(entry.bounds[0], entry.bounds[1]);
+    (study.model.roughness().is_some() && !entry.ceiling).then_some(far)
 }
 
 /// Runs the whole selection on `ids`. Once a cause is found, what a repetition has in common acts along the extended
@@ -180,7 +189,7 @@ pub fn select(
 /// Finds the lowest place about the best, and how far its values can be moved.
 fn explore(study: &Study, selection: &mut Selection) {
     let best = &selection.candidates[0];
-    let allowed = CHI_SQUARED_95 * selection.gates.inflation;
+    let allowed = chi_squared::AT_95_PERCENT * selection.gates.inflation;
     let (lowest, intervals) = profile::explore(study, &best.fit, allowed);
     if lowest.objective < best.fit.objective {
         selection.candidates[0] = candidate(study, &study.recalibrated(), lowest);
@@ -192,14 +201,13 @@ fn explore(study: &Study, selection: &mut Selection) {
 /// form explains as much as with a second term, which then only stands in for that, none of the causes is the right one.
 fn question_form(study: &Study, selection: &mut Selection) {
     let best = &selection.candidates[0].fit;
-    let askable = |id: usize| CATALOG[id].exponent.is_some_and(|law| study.model.with_exponent(id, law).is_some());
-    let Some(&id) = best.ids.iter().find(|id| askable(**id)) else { return };
+    let Some(asked) = Asked::of(study, best) else { return };
     let inflation = selection.gates.inflation;
-    let alone = selection.candidates.iter().find(|c| c.fit.ids == [id]).filter(|_| best.ids.len() > 1);
+    let alone = selection.candidates.iter().find(|c| asked.alone(&c.fit)).filter(|_| best.ids.len() > 1);
     // It was fitted under an earlier noise.
-    let alone = alone.and_then(|c| form::check(study, &study.fit_from(&[&c.fit])[0], inflation));
+    let alone = alone.and_then(|c| form::check(study, &study.fit_from(&[&c.fit])[0], asked, inflation));
     let stands_in = alone.filter(|form| form.excluded && form.objective <= best.objective);
-    selection.form = stands_in.or_else(|| form::check(study, best, inflation));
+    selection.form = stands_in.or_else(|| form::check(study, best, asked, inflation));
     if selection.form.as_ref().is_some_and(|form| form.excluded) {
         selection.verdict = Verdict::NoneOfThese;
         selection.set.clear();
@@ -232,7 +240,10 @@ fn singles(study: &Study, screen: &Screen, scores: &Scores, gates: Gates, ids: &
     let columns: Vec<usize> = ids.iter().filter_map(|id| screen.candidates.iter().position(|c| c.0 == *id)).collect();
     let start = |&column: &usize| {
         let value = linear_start(screen, scores, column);
-        further_starts(study, &[screen.candidates[column].0], &[value])
+        let id = screen.candidates[column].0;
+        let (ids, mut from) = further_starts(study, &[id], &[value]);
+        from.extend(far_start(study, id, value).map(|far| vec![far]));
+        (ids, from)
     };
     let fits = study.fit_all(&columns.iter().map(start).collect::<Vec<_>>());
     let mut candidates = parallel::map(&fits, |fit| candidate(study, &base, fit.clone()));
@@ -391,7 +402,7 @@ impl Study<'_> {
             let estimate = if left > 1e-12 { score / left } else { 0.0 };
             let entry = &CATALOG[id];
             let held =
-                estimate.clamp(entry.bounds[0], entry.bounds[1]).clamp(-4.0 * entry.typical, 4.0 * entry.typical);
+                estimate.clamp(entry.bounds[0], entry.bounds[1]).clamp(-USUAL * entry.typical, USUAL * entry.typical);
             let held = if entry.ceiling { value } else { held };
             (
                 id,
