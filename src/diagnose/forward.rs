@@ -6,7 +6,6 @@
 use super::arm::{Arm, Cut, PowerDrag};
 use super::experiment::{Experiment, Intruder};
 use super::force_log::{ForceLog, Pose, Track};
-use super::next_experiment::Menu;
 use super::observations::Observations;
 use super::shared::Shared;
 use crate::error::Result;
@@ -25,6 +24,14 @@ pub struct Feature {
     pub unit: &'static str,
     /// One value a sample, unit by unit (not repeated over channels).
     pub values: Vec<Vec<f64>>,
+}
+
+/// Trials not yet made.
+pub struct Menu<'a> {
+    pub model: Box<dyn ForwardModel + 'a>,
+    pub observations: Observations,
+    /// What each trial is, in words.
+    pub descriptions: Vec<String>,
 }
 
 /// Predicts the stack of [`Observations`] for any mechanisms and coefficients.

@@ -2,7 +2,7 @@
 
 use super::forward::{Feature, ForwardModel};
 use super::observations::Observations;
-use super::report::{after, digits, span};
+use super::words::{after, digits, span};
 use serde::Serialize;
 
 /// Error of the plain model in one range of one feature.

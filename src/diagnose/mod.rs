@@ -31,6 +31,7 @@ pub mod shared;
 pub mod walking_log;
 pub mod walking_model;
 pub mod whiten;
+pub mod words;
 
 use crate::error::Result;
 use crate::progress::{Latch, Progress};
@@ -46,11 +47,11 @@ use observations::Observations;
 use report::{
     Cause, Curves, Diagnosis, Gain, LackOfFit, NextExperiment, NoiseSummary, Report, RunMeans, Tried, Untestable,
 };
-use report::{after, digits};
 use select::{Candidate, Selection, Verdict, select};
 use std::path::Path;
 use walking_model::WalkingModel;
 use whiten::Whitener;
+use words::{after, digits};
 
 pub use cli::run;
 

@@ -1,19 +1,11 @@
 //! The experiment that would tell rivals apart.
 
 use super::fit::{Fit, Study};
-use super::forward::ForwardModel;
+use super::forward::Menu;
 use super::noise::{Noise, Source, sizes};
 use super::observations::Observations;
 use super::whiten::Whitener;
 use serde::Serialize;
-
-/// Trials not yet made.
-pub struct Menu<'a> {
-    pub model: Box<dyn ForwardModel + 'a>,
-    pub observations: Observations,
-    /// What each trial is, in words.
-    pub descriptions: Vec<String>,
-}
 
 /// A condition worth measuring.
 #[derive(Clone, Debug, Serialize, PartialEq)]

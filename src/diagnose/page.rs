@@ -1,9 +1,12 @@
-//! `report.html`: the diagnosis as one self-contained page, made for looking.
+//! What a diagnosis writes: `report.json`, `sand.toml`, and `report.html`, one self-contained page made for looking.
 
 use super::misfit::Misfit;
-use super::report::{Curves, Diagnosis, Report, after, digits, span};
+use super::report::{Curves, Diagnosis, Report};
+use super::words::{after, digits, span};
+use crate::error::{Error, Result};
 use crate::plot::{Axis, Figure, Mark, Panel, Style, color, escape};
 use std::fmt::Write;
+use std::path::Path;
 
 const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1080px;margin:2em auto;padding:0 1em;color:#222}\
 h1{font-size:1.3em}h2{font-size:1.05em;margin-top:2em;border-bottom:1px solid #ddd}\
@@ -12,8 +15,23 @@ td:first-child,th:first-child{text-align:left}.verdict{font-size:1.15em;padding:
 .maps{display:flex;flex-wrap:wrap;gap:14px}.maps text{font:12px system-ui,sans-serif;fill:#333}\
 svg{background:#fff;max-width:100%;height:auto}small{color:#666}.key{display:inline-block;width:.8em;height:.8em;margin:0 .3em 0 1em}";
 
+impl Diagnosis {
+    /// Writes report.json, report.html and sand.toml; all are made before the first is written.
+    pub fn write(&self, out: &Path) -> Result<()> {
+        let json = self.json()?;
+        let html = page(self, &json);
+        let sand = format!("# {}\n{}", self.report.summary.replace('\n', " "), self.sand.to_toml()?);
+        std::fs::create_dir_all(out).map_err(|e| Error::file(out, e))?;
+        for (name, text) in [("report.json", &json), ("report.html", &html), ("sand.toml", &sand)] {
+            let path = out.join(name);
+            std::fs::write(&path, text).map_err(|e| Error::file(&path, e))?;
+        }
+        Ok(())
+    }
+}
+
 /// The page; `json` is embedded so that the page is the whole record.
-pub fn page(diagnosis: &Diagnosis, json: &str) -> String {
+fn page(diagnosis: &Diagnosis, json: &str) -> String {
     let r = &diagnosis.report;
     let mut html = format!(
         "<!doctype html><html lang=en><meta charset=utf-8><title>sandgait diagnosis</title><style>{STYLE}</style>\

@@ -8,7 +8,6 @@ use crate::error::{Error, Result};
 use crate::sand::SandDescription;
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::path::Path;
 
 /// A cause with its strength.
 #[derive(Clone, Debug, Serialize, PartialEq)]
@@ -120,32 +119,6 @@ pub struct RunMeans {
     pub extended: Option<f64>,
 }
 
-/// A number with three significant digits, or the digits before its decimal point if those are more.
-pub fn digits(value: f64) -> String {
-    if value == 0.0 || !value.is_finite() {
-        return value.to_string();
-    }
-    let rounded: f64 = format!("{value:.2e}").parse().unwrap_or(value);
-    let magnitude = rounded.abs().log10().floor();
-    match magnitude {
-        -5.0..6.0 => format!("{value:.*}", (2.0 - magnitude).max(0.0) as usize),
-        _ => format!("{value:.2e}"),
-    }
-}
-
-/// A unit as it stands behind a number, with a space; none where dimensionless.
-pub fn after(unit: &str) -> String {
-    if matches!(unit, "" | "1") { String::new() } else { format!(" {unit}") }
-}
-
-/// A range with its unit; one number where it is one.
-pub fn span(range: [f64; 2], unit: &str) -> String {
-    // The rounding of a log is not a place.
-    let [low, high] = range.map(|v| digits(if v.abs() < 1e-9 { 0.0 } else { v }));
-    let numbers = if low == high { high } else { format!("{low} to {high}") };
-    numbers + &after(unit)
-}
-
 /// Noise as learnt from the repetitions.
 #[derive(Clone, Debug, Serialize, PartialEq)]
 pub struct NoiseSummary {
@@ -178,18 +151,5 @@ pub struct Curves {
 impl Diagnosis {
     pub fn json(&self) -> Result<String> {
         serde_json::to_string_pretty(&self.report).map_err(|e| Error::invalid("report", e.to_string()))
-    }
-
-    /// Writes report.json, report.html and sand.toml; all are made before the first is written.
-    pub fn write(&self, out: &Path) -> Result<()> {
-        let json = self.json()?;
-        let html = super::page::page(self, &json);
-        let sand = format!("# {}\n{}", self.report.summary.replace('\n', " "), self.sand.to_toml()?);
-        std::fs::create_dir_all(out).map_err(|e| Error::file(out, e))?;
-        for (name, text) in [("report.json", &json), ("report.html", &html), ("sand.toml", &sand)] {
-            let path = out.join(name);
-            std::fs::write(&path, text).map_err(|e| Error::file(&path, e))?;
-        }
-        Ok(())
     }
 }

@@ -1,8 +1,7 @@
 //! Predicts walking runs: every run is simulated in closed loop, servo, robot and sand, by engine `lanes`.
 
 use super::experiment::Experiment;
-use super::forward::{Feature, ForwardModel};
-use super::next_experiment::Menu;
+use super::forward::{Feature, ForwardModel, Menu};
 use super::observations::{Channel, Observations};
 use super::shared::{Along, Shared};
 use super::walking_log::{self, Setup, WalkingLog};
@@ -112,7 +111,7 @@ impl<'a> WalkingModel<'a> {
         let note = format!(
             "measured numbers are compared as a time step of {step} ms sees them: scaled by the ratio of plain simulations with \
              {step} and {fine} ms, by at most {} %",
-            super::report::digits(100.0 * largest)
+            super::words::digits(100.0 * largest)
         );
         Ok((Observations { values, ..observations.clone() }, note))
     }
