@@ -1,0 +1,27 @@
+//! How numbers are written.
+
+/// A number with three significant digits, or the digits before its decimal point if those are more.
+pub fn digits(value: f64) -> String {
+    if value == 0.0 || !value.is_finite() {
+        return value.to_string();
+    }
+    let rounded: f64 = format!("{value:.2e}").parse().unwrap_or(value);
+    let magnitude = rounded.abs().log10().floor();
+    match magnitude {
+        -5.0..6.0 => format!("{value:.*}", (2.0 - magnitude).max(0.0) as usize),
+        _ => format!("{value:.2e}"),
+    }
+}
+
+/// A unit as it stands behind a number, with a space; none where dimensionless.
+pub fn after(unit: &str) -> String {
+    if matches!(unit, "" | "1") { String::new() } else { format!(" {unit}") }
+}
+
+/// A range with its unit; one number where it is one.
+pub fn span(range: [f64; 2], unit: &str) -> String {
+    // The rounding of a log is not a place.
+    let [low, high] = range.map(|v| digits(if v.abs() < 1e-9 { 0.0 } else { v }));
+    let numbers = if low == high { high } else { format!("{low} to {high}") };
+    numbers + &after(unit)
+}
