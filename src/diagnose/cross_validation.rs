@@ -3,46 +3,9 @@
 //! Trials, never samples, are held out, and all repetitions of a condition together. Leaving a condition out moves the
 //! fitted values little, so each fold is one Gauss-Newton step from the full fit: exact for a linear model.
 
+use super::errors::Errors;
 use super::fit::{COEFFICIENTS, Fit, Study, dot};
 use nalgebra::{DMatrix, DVector};
-use rand::{Rng, SeedableRng};
-use rand_xoshiro::Xoshiro256PlusPlus;
-
-/// Errors over the channels that count, condition by condition.
-#[derive(Clone, Debug)]
-pub struct Errors {
-    /// Sum of squares [unit of the channels, squared] and how many.
-    pub square: Vec<f64>,
-    pub count: Vec<f64>,
-}
-
-impl Errors {
-    /// Root mean square of all.
-    pub fn rmse(&self) -> f64 {
-        (self.square.iter().sum::<f64>() / self.count.iter().sum::<f64>().max(1.0)).sqrt()
-    }
-
-    /// 95 % interval of the fraction by which `other` is smaller: conditions drawn with replacement, 2000 times.
-    pub fn reduction_interval(&self, other: &Errors) -> [f64; 2] {
-        let mut rng = Xoshiro256PlusPlus::seed_from_u64(3);
-        let n = self.square.len();
-        let mut draws: Vec<f64> = (0..2000)
-            .map(|_| {
-                let (mut own, mut others, mut counts) = (0.0, 0.0, [0.0; 2]);
-                for _ in 0..n {
-                    let k = rng.random_range(0..n);
-                    own += self.square[k];
-                    others += other.square[k];
-                    counts = [counts[0] + self.count[k], counts[1] + other.count[k]];
-                }
-                let share = counts[0] / f64::max(counts[1], 1.0);
-                if own > 0.0 { 1.0 - (others / own * share).sqrt() } else { 0.0 }
-            })
-            .collect();
-        draws.sort_by(f64::total_cmp);
-        [draws[49], draws[1949]]
-    }
-}
 
 /// Held-out errors of one model.
 #[derive(Clone, Debug)]

@@ -8,7 +8,7 @@
 //! S is |F| in force logs (grains push on all channels alike) and the channel's own mean in walking runs. The parts' sizes
 //! maximise the likelihood of the differences between repetitions, which no wrong model can bias.
 
-use super::cross_validation::Errors;
+use super::errors::Errors;
 use super::minimise::minimise;
 use super::observations::{Observations, Size, interpolate};
 use super::shared::{Along, Likelihood, Shared};
