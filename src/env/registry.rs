@@ -34,7 +34,7 @@ struct Kind {
     make: fn(&Setup) -> Result<Arc<dyn Task>>,
 }
 
-const KINDS: [Kind; 5] = [
+const KINDS: [Kind; Keywords::ALL.len()] = [
     Kind {
         keywords: &keywords::GAIT,
         defaults: || TaskOptions { control: Some(Control::HipSpeed), ..Default::default() },
@@ -91,11 +91,11 @@ pub struct Keyword {
 }
 
 /// Ids of all tasks.
-pub const TASK_IDS: [&str; KINDS.len()] = {
-    let mut ids = [""; KINDS.len()];
+pub const TASK_IDS: [&str; Keywords::ALL.len()] = {
+    let mut ids = [""; Keywords::ALL.len()];
     let mut i = 0;
     while i < ids.len() {
-        ids[i] = KINDS[i].keywords.task;
+        ids[i] = Keywords::ALL[i].task;
         i += 1;
     }
     ids
