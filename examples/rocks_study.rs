@@ -112,7 +112,7 @@ fn main() -> sandgait::Result<()> {
     let first = number(3, 0);
     let episodes = first + episodes;
     let next = AtomicU64::new(first);
-    let threads = std::thread::available_parallelism().map_or(1, |n| n.get());
+    let threads = sandgait::parallel::processors();
     let worker = || {
         let seeds = std::iter::repeat_with(|| next.fetch_add(1, Ordering::Relaxed)).take_while(|s| *s < episodes);
         seeds

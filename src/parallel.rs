@@ -1,11 +1,16 @@
-//! The same work on many items, spread over the machine's cores.
+//! The machine's processors, and the same work on many items spread over them.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
+/// Processors that this process may use; 1 where the system does not say.
+pub fn processors() -> usize {
+    thread::available_parallelism().map_or(1, usize::from)
+}
+
 /// `f` of every item, in the items' order.
 pub fn map<T: Sync, R: Send>(items: &[T], f: impl Fn(&T) -> R + Sync) -> Vec<R> {
-    let threads = thread::available_parallelism().map_or(1, |n| n.get()).min(items.len().max(1));
+    let threads = processors().min(items.len().max(1));
     let next = AtomicUsize::new(0);
     let work = || {
         let mut done = Vec::new();

@@ -108,7 +108,7 @@ impl Bench {
 
     fn report(&self, engine: EngineKind, rates: &[f64]) -> Result<String> {
         let threads = match self.threads {
-            0 => std::thread::available_parallelism().map_or(1, |n| n.get()),
+            0 => sandgait::parallel::processors(),
             n => n.into(),
         };
         let isa = if engine == EngineKind::Lanes { Isa::choose()?.name() } else { "baseline" };

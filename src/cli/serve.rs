@@ -136,7 +136,7 @@ impl Serve {
             tracing::warn!(listen = %self.listen, "others reach this server without encryption or token, as --insecure allows");
         }
         secrets.into_iter().flatten().for_each(|path| service::warn_if_shared(path));
-        let beside = service::processors() + SPARE_THREADS;
+        let beside = sandgait::parallel::processors() + SPARE_THREADS;
         let runtime = tokio::runtime::Builder::new_multi_thread().max_blocking_threads(beside).enable_all().build();
         let runtime = runtime.map_err(|e| Error::Exhausted(format!("cannot start threads: {e}")))?;
         let served = runtime.block_on(self.serve(setup, metrics, viewer));

@@ -3,6 +3,7 @@
 use super::batch::{Batch, Operation};
 use crate::env::Shard;
 use crate::error::{Error, Result};
+use crate::parallel::processors;
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -68,8 +69,7 @@ impl Shared {
 impl Pool {
     /// `threads` ≥ 1 workers; 0 takes one for each processor.
     pub fn new(threads: usize) -> Self {
-        let available = std::thread::available_parallelism().map_or(1, |n| n.get());
-        let threads = if threads == 0 { available } else { threads };
+        let threads = if threads == 0 { processors() } else { threads };
         let shared = Arc::new(Shared { queue: Mutex::default(), work: Condvar::new() });
         let workers = (0..threads)
             .map(|_| {

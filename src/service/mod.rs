@@ -43,7 +43,7 @@ pub mod proto {
 pub use address::{Address, Listener};
 pub use security::{Tls, Token, warn_if_shared};
 pub use server::{Setup, serve};
-pub use sessions::{Limits, processors};
+pub use sessions::Limits;
 pub use state::StateDir;
 pub use values::from_json;
 

@@ -17,6 +17,7 @@ use super::status::SESSION;
 use super::viewer::Watchers;
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
+use crate::parallel::processors;
 use crate::pool::{Batch, Building};
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
@@ -219,11 +220,6 @@ pub struct Sessions {
     stop: CancellationToken,
     pub metrics: Arc<Metrics>,
     pub watchers: Arc<Watchers>,
-}
-
-/// Processors that this process may use.
-pub fn processors() -> usize {
-    std::thread::available_parallelism().map_or(1, usize::from)
 }
 
 /// Every change under these locks is one step, so the data are sound even if a holder panicked.
