@@ -19,7 +19,7 @@ use std::time::{Duration, Instant};
   SANDGAIT_ISA=avx2 sandgait bench            (avx512, avx2, baseline or f64)")]
 pub struct Bench {
     /// Task id
-    #[arg(long, default_value = "sandgait/HexapodGait-v0")]
+    #[arg(long, default_value = "sandgait/HexapodGait-v1")]
     task: String,
     /// Engine; the task's own if not given
     #[arg(long)]

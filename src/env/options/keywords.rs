@@ -54,11 +54,11 @@ pub struct Keywords {
     own: &'static [&'static str],
 }
 
-pub const GAIT: Keywords = Keywords { task: "sandgait/HexapodGait-v0", own: walking!("control") };
-pub const LEGS: Keywords = Keywords { task: "sandgait/HexapodLegs-v0", own: walking!() };
-pub const ROCKS: Keywords = Keywords { task: "sandgait/HexapodRocks-v0", own: walking!("control", "rocks") };
+pub const GAIT: Keywords = Keywords { task: "sandgait/HexapodGait-v1", own: walking!("control") };
+pub const LEGS: Keywords = Keywords { task: "sandgait/HexapodLegs-v1", own: walking!() };
+pub const ROCKS: Keywords = Keywords { task: "sandgait/HexapodRocks-v1", own: walking!("control", "rocks") };
 pub const TERRAIN: Keywords =
-    Keywords { task: "sandgait/HexapodTerrain-v0", own: walking!("control", "randomize", "difficulty") };
+    Keywords { task: "sandgait/HexapodTerrain-v1", own: walking!("control", "randomize", "difficulty") };
 pub const STROKE: Keywords =
     Keywords { task: "sandgait/LegStroke-v0", own: &["angle_noise", "medium", "sand", "stroke"] };
 
