@@ -7,6 +7,8 @@
 mod denormal;
 mod isa;
 mod portable;
+#[cfg(test)]
+mod tests;
 mod vector;
 #[cfg(target_arch = "x86_64")]
 mod x86;
@@ -18,7 +20,7 @@ pub use isa::Isa;
 pub use portable::Portable;
 pub use vector::{Mat3, Vec3};
 #[cfg(target_arch = "x86_64")]
-pub use x86::{Avx2, Avx512};
+pub(crate) use x86::{Avx2, Avx512};
 
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 

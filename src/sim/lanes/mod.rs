@@ -33,6 +33,9 @@ impl LanesEngine {
     }
 
     pub fn with_isa(isa: Isa, model: &Model, count: usize) -> Result<Self> {
+        if !isa.available() {
+            return Err(Error::invalid("instruction set", format!("this machine has no {}", isa.name())));
+        }
         if !model.scene.obstacles.is_empty() {
             return Err(Error::invalid("engine", "lanes has no rigid obstacles; rapier does"));
         }
