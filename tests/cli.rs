@@ -75,7 +75,13 @@ fn bench_takes_the_task_options() {
     let report = bench(&["--option", &sand, "--option", "slope_deg=5", "--option", "leg=C"]);
     assert!(report["env_steps_per_second"].as_f64().is_some_and(|x| x > 0.0), "{report}");
     assert_eq!(report["options"][1], "slope_deg=5", "{report}");
+    let all = bench(&["--task", "all", "--actions", "zero"]);
+    assert_eq!(all.as_array().map(Vec::len), Some(sandgait::env::registry::TASK_IDS.len()), "{all}");
+    assert_eq!(all[1]["actions"], "zero", "{all}");
     let refuse = |more: &[&str], words: &[&str]| refused(&[&quick[..], more].concat(), words);
+    refuse(&["--actions", "policy"], &["--actions", "--policy FILE.onnx"]);
+    refuse(&["--policy", "x.onnx"], &["--policy", "--actions policy"]);
+    refuse(&["--actions", "policy", "--policy", "Cargo.toml"], &["policy"]);
     refuse(&["--option", "slope_deg"], &["--option", "slope_deg", "KEY=VALUE"]);
     refuse(&["--option", "slope_deg=80"], &["slope_deg", "80", "35"]);
     refuse(&["--option", "slop=1"], &["slop"]);

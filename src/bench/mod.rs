@@ -6,8 +6,18 @@ pub use remote::{Remote, Rollouts};
 
 use crate::env::ResetOptions;
 use crate::env::registry::Blueprint;
+use crate::policy::Network;
 use crate::pool::{Batch, Pool};
 use crate::{Error, Result};
+use std::time::{Duration, Instant};
+
+/// Where a measurement's actions come from.
+pub enum Actions {
+    /// Batches, f32 [envs, action] each, made before the clock starts and used in turn.
+    Made(Vec<Vec<f32>>),
+    /// A policy that looks at each step's observations; its own time is not counted.
+    Policy(Network),
+}
 
 /// Something that makes batched steps.
 pub trait Stepper {
@@ -18,6 +28,11 @@ pub trait Stepper {
 
     /// So many control steps; `actions` is f32 [steps, envs, action].
     fn step(&mut self, actions: &[f32]) -> Result<()>;
+
+    /// What `policy` does now: fills `actions`, f32 [envs, action].
+    fn choose(&self, _policy: &Network, _actions: &mut [f32]) -> Result<()> {
+        Err(Error::invalid("--actions", "a policy is measured in process only: leave --through out"))
+    }
 }
 
 /// The pool, called directly.
@@ -45,6 +60,51 @@ impl Stepper for Direct {
         self.batch = Some(self.pool.wait(batch, operation)?);
         Ok(())
     }
+
+    fn choose(&self, policy: &Network, actions: &mut [f32]) -> Result<()> {
+        let shards = self.batch.iter().flat_map(Batch::shards);
+        let mut rest = actions;
+        for shard in shards {
+            let (rows, later) = rest.split_at_mut(shard.envs() * shard.actions());
+            policy.act(&shard.rows.observations, rows)?;
+            rest = later;
+        }
+        Ok(())
+    }
+}
+
+/// Environment steps a second of each of `repeats` stretches of `length`, ascending.
+pub fn measure(
+    stepper: &mut dyn Stepper,
+    actions: &Actions,
+    size: [usize; 2],
+    repeats: usize,
+    length: Duration,
+) -> Result<Vec<f64>> {
+    let [envs, width] = size;
+    let at_once = stepper.steps();
+    let mut chosen = vec![0.0; envs * width];
+    let mut repeat = |length: Duration| -> Result<f64> {
+        let (mut spent, mut calls) = (Duration::ZERO, 0);
+        while spent < length {
+            let batch = match actions {
+                Actions::Made(batches) => &batches[calls % batches.len()],
+                Actions::Policy(policy) => {
+                    stepper.choose(policy, &mut chosen)?;
+                    &chosen
+                }
+            };
+            let clock = Instant::now();
+            stepper.step(batch)?;
+            spent += clock.elapsed();
+            calls += 1;
+        }
+        Ok((calls * at_once * envs) as f64 / spent.as_secs_f64())
+    };
+    repeat(length)?; // warm-up: robots leave their start, caches fill
+    let mut rates = (0..repeats).map(|_| repeat(length)).collect::<Result<Vec<_>>>()?;
+    rates.sort_by(f64::total_cmp);
+    Ok(rates)
 }
 
 /// 16 batches of uniform random actions, f32 [envs, width] each, always the same: drawn once and used in turn, so that

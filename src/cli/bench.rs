@@ -1,24 +1,29 @@
 //! `sandgait bench`
 
-use sandgait::bench::{Direct, Remote, Rollouts, Stepper, random_actions};
-use sandgait::env::registry::Blueprint;
+use sandgait::bench::{Actions, Direct, Remote, Rollouts, Stepper, measure, random_actions};
+use sandgait::env::Spec;
+use sandgait::env::registry::{Blueprint, TASK_IDS};
 use sandgait::number::Isa;
+use sandgait::policy::Network;
 use sandgait::sim::engine::EngineKind;
 use sandgait::{Error, Result};
 use serde_json::{Map, Value, json};
-use std::time::{Duration, Instant};
+use std::path::PathBuf;
+use std::time::Duration;
 
 /// Measure whole environment steps a second: action, servo, sand, dynamics, observation, reward, autoreset.
 ///
-/// Actions are uniform random numbers, drawn before the clock starts. The figure is the median of the repeats.
+/// The figure is the median of the repeats. Actions are made before the clock starts; a policy's own time is not counted.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait bench --threads 1 --json
   sandgait bench --envs 256 --through grpc-uds
+  sandgait bench --task all --actions zero      (robots that stand)
+  sandgait bench --actions policy --policy policy.onnx
   sandgait bench --option sand=sand.toml --option leg=C
   SANDGAIT_ISA=avx2 sandgait bench            (avx512, avx2, baseline or f64)")]
 pub struct Bench {
-    /// Task id
+    /// Task id, or `all`: every task, one line each
     #[arg(long, default_value = "sandgait/HexapodGait-v1")]
     task: String,
     /// Engine; the task's own if not given
@@ -33,6 +38,12 @@ pub struct Bench {
     /// Threads that simulate; 0: one for each processor
     #[arg(long, default_value_t = 1, value_name = "N")]
     threads: u16,
+    /// What the robots do
+    #[arg(long, value_enum, default_value_t = Chosen::Random)]
+    actions: Chosen,
+    /// Network for `--actions policy`
+    #[arg(long, value_name = "FILE.onnx")]
+    policy: Option<PathBuf>,
     /// What the steps pass through
     #[arg(long, value_enum, default_value_t = Through::Process)]
     through: Through,
@@ -61,19 +72,53 @@ enum Through {
     Trajectories,
 }
 
+#[derive(Clone, Copy, PartialEq, clap::ValueEnum)]
+enum Chosen {
+    /// Uniform over the action space, anew in every step
+    Random,
+    /// 0: hips of the walking tasks stand still
+    Zero,
+    /// 0.4 of every upper bound: HexapodGait walks at 2 Hz
+    Constant,
+    /// What a network chooses
+    Policy,
+}
+
+impl Chosen {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Random => "uniform random",
+            Self::Zero => "zero",
+            Self::Constant => "constant",
+            Self::Policy => "policy",
+        }
+    }
+}
+
 impl Bench {
     pub fn run(self) -> Result<String> {
         if !(self.seconds > 0.0 && self.seconds <= 3600.0) {
             return Err(Error::invalid("--seconds", format!("{} is outside (0, 3600]", self.seconds)));
         }
+        if self.task != "all" {
+            let (json, line) = self.bench(&self.task)?;
+            return Ok(if self.json { super::json(&json) } else { line });
+        }
+        let of_each = TASK_IDS.iter().map(|id| self.bench(id)).collect::<Result<Vec<_>>>()?;
+        let (all, lines): (Vec<_>, Vec<_>) = of_each.into_iter().unzip();
+        Ok(if self.json { super::json(&all.into()) } else { lines.concat() })
+    }
+
+    /// Measures one task: as JSON, and as a line for people.
+    fn bench(&self, task: &str) -> Result<(Value, String)> {
         let options = self.task_options()?;
-        let blueprint = Blueprint::new(&self.task, options.clone())?;
-        let engine = blueprint.engine;
+        let blueprint = Blueprint::new(task, options.clone())?;
+        let (engine, spec) = (blueprint.engine, blueprint.task.spec());
         let threads = usize::from(self.threads);
         let mut stepper: Box<dyn Stepper> = match self.through {
             Through::Process => Box::new(Direct::new(&blueprint, self.envs, threads)?),
             through => {
-                let remote = Remote::new(&self.task, options, self.envs, threads, through == Through::GrpcTcp)?;
+                let remote = Remote::new(task, options, self.envs, threads, through == Through::GrpcTcp)?;
                 match through {
                     Through::Rollouts => Box::new(Rollouts { remote, trajectories: false }),
                     Through::Trajectories => Box::new(Rollouts { remote, trajectories: true }),
@@ -81,10 +126,30 @@ impl Bench {
                 }
             }
         };
-        let width = blueprint.task.spec().action.len();
-        let rates =
-            measure(&mut *stepper, self.envs, width, self.repeats.into(), Duration::from_secs_f64(self.seconds))?;
-        self.report(engine, &rates)
+        let (actions, size) = (self.actions(spec, stepper.steps())?, [self.envs, spec.action.len()]);
+        let length = Duration::from_secs_f64(self.seconds);
+        let rates = measure(&mut *stepper, &actions, size, self.repeats.into(), length)?;
+        Ok(self.report(task, engine, &rates))
+    }
+
+    /// Actions for `at_once` control steps a call.
+    fn actions(&self, spec: &Spec, at_once: usize) -> Result<Actions> {
+        let rows = at_once * self.envs;
+        let held = |share: f64| {
+            let row = spec.action.iter().map(|c| (share * c.high) as f32);
+            Ok(Actions::Made(vec![std::iter::repeat_n(row, rows).flatten().collect()]))
+        };
+        match (self.actions, &self.policy) {
+            (Chosen::Policy, Some(file)) => {
+                let bytes = std::fs::read(file).map_err(|e| Error::file(file, e))?;
+                Network::new(&bytes, spec).map(Actions::Policy)
+            }
+            (Chosen::Policy, None) => Err(Error::invalid("--actions", "policy needs --policy FILE.onnx")),
+            (_, Some(_)) => Err(Error::invalid("--policy", "is for --actions policy")),
+            (Chosen::Random, None) => Ok(Actions::Made(random_actions(rows, spec.action.len()))),
+            (Chosen::Zero, None) => held(0.0),
+            (Chosen::Constant, None) => held(0.4),
+        }
     }
 
     fn task_options(&self) -> Result<Value> {
@@ -106,12 +171,15 @@ impl Bench {
         Ok(options.into())
     }
 
-    fn report(&self, engine: EngineKind, rates: &[f64]) -> Result<String> {
+    fn report(&self, task: &str, engine: EngineKind, rates: &[f64]) -> (Value, String) {
         let threads = match self.threads {
             0 => sandgait::parallel::processors(),
             n => n.into(),
         };
-        let isa = if engine == EngineKind::Lanes { Isa::choose()?.name() } else { "baseline" };
+        let isa = match engine {
+            EngineKind::Lanes => Isa::choose().map_or("unknown", Isa::name),
+            _ => "baseline",
+        };
         let (median, min, max) = (rates[rates.len() / 2], rates[0], rates[rates.len() - 1]);
         let through = match self.through {
             Through::Process => "process",
@@ -120,45 +188,27 @@ impl Bench {
             Through::Rollouts => "rollouts",
             Through::Trajectories => "trajectories",
         };
-        if self.json {
-            return Ok(super::json(&json!({
-                "env_steps_per_second": median.round(),
-                "min": min.round(),
-                "max": max.round(),
-                "repeats": rates.len(),
-                "engine": engine.name(),
-                "isa": isa,
-                "task": self.task,
-                "options": self.options,
-                "envs": self.envs,
-                "threads": threads,
-                "through": through,
-                "actions": "uniform random",
-            })));
-        }
-        Ok(format!(
-            "{median:.0} environment steps/s ({min:.0} to {max:.0}) · {} · engine {} ({isa}) · {} environments, {threads} threads, through {through}\n",
-            [std::slice::from_ref(&self.task), &self.options].concat().join(" "),
+        let json = json!({
+            "env_steps_per_second": median.round(),
+            "min": min.round(),
+            "max": max.round(),
+            "repeats": rates.len(),
+            "engine": engine.name(),
+            "isa": isa,
+            "task": task,
+            "options": self.options,
+            "envs": self.envs,
+            "threads": threads,
+            "through": through,
+            "actions": self.actions.name(),
+        });
+        let line = format!(
+            "{median:.0} environment steps/s ({min:.0} to {max:.0}) · {} · engine {} ({isa}) · {} environments, {threads} threads, through {through}, actions {}\n",
+            [&[task.to_owned()], &self.options[..]].concat().join(" "),
             engine.name(),
             self.envs,
-        ))
+            self.actions.name(),
+        );
+        (json, line)
     }
-}
-
-/// Environment steps a second of each repeat, ascending.
-fn measure(stepper: &mut dyn Stepper, envs: usize, width: usize, repeats: usize, length: Duration) -> Result<Vec<f64>> {
-    let at_once = stepper.steps();
-    let actions = random_actions(at_once * envs, width);
-    let mut repeat = |length: Duration| -> Result<f64> {
-        let (clock, mut calls) = (Instant::now(), 0);
-        while clock.elapsed() < length {
-            stepper.step(&actions[calls % actions.len()])?;
-            calls += 1;
-        }
-        Ok((calls * at_once * envs) as f64 / clock.elapsed().as_secs_f64())
-    };
-    repeat(length)?; // warm-up: robots leave their start, caches fill
-    let mut rates = (0..repeats).map(|_| repeat(length)).collect::<Result<Vec<_>>>()?;
-    rates.sort_by(f64::total_cmp);
-    Ok(rates)
 }

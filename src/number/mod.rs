@@ -4,17 +4,23 @@
 //! source once and runs as `f64` (the reference), as `f32`, or as a vector of `f32` lanes in which lane `i`
 //! carries environment `i` (structure of arrays).
 
+mod denormal;
 mod isa;
 mod portable;
+#[cfg(test)]
+mod tests;
 mod vector;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
+pub use denormal::flushed;
+#[cfg(all(test, target_arch = "x86_64"))]
+pub use denormal::met_denormals;
 pub use isa::Isa;
 pub use portable::Portable;
 pub use vector::{Mat3, Vec3};
 #[cfg(target_arch = "x86_64")]
-pub use x86::{Avx2, Avx512};
+pub(crate) use x86::{Avx2, Avx512};
 
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 

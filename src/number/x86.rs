@@ -1,8 +1,9 @@
 //! Lanes in AVX2 and AVX-512 registers.
 //!
 //! Every `unsafe` here is one of two kinds. Intrinsics need their instruction set: values of these types are computed
-//! with only inside [`Real::dispatch`], which [`super::Isa::available`] guards. Lane access reads the register's memory
-//! as the array of floats it is.
+//! with only inside [`Real::dispatch`], and only where [`super::Isa::available`] has found it. The operators are safe
+//! functions all the same, because the equations are written with operators; so the types stay inside this crate, whose only
+//! use of them is `sim::lanes`, behind that check. Lane access reads the register's memory as the array of floats it is.
 
 use super::{Kernel, Real};
 use std::arch::x86_64::*;

@@ -5,6 +5,7 @@ use super::lanes::LanesEngine;
 use super::rapier::RapierEngine;
 use super::{Model, State};
 use crate::error::{Error, Result};
+use crate::number::flushed;
 use serde::{Deserialize, Serialize};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -130,12 +131,12 @@ impl Engine {
         }
     }
 
-    /// Advances every robot by `steps` time steps.
+    /// Advances every robot by `steps` time steps, with denormal numbers counted as zero: see [`flushed`].
     pub fn advance(&mut self, steps: usize) {
-        match self {
+        flushed(|| match self {
             Self::Lanes(e) => e.advance(steps),
             Self::Rapier(e) => e.advance(steps),
             Self::Carriage(e) => e.advance(steps),
-        }
+        });
     }
 }

@@ -1,7 +1,7 @@
 //! Robot, sand and options as numbers an engine can use. Immutable; randomization makes a new one.
 
 use super::obstacle::{self, Obstacle};
-use super::robot::{Link, Robot, Tripod};
+use super::robot::{Link, Robot, Servo, Tripod};
 use super::solid::Solid;
 use super::state::{ObjectState, State};
 use crate::error::{Error, Result, check_range};
@@ -152,6 +152,28 @@ pub struct Motor {
     pub torque_limit: f64,
     /// [rad/s]
     pub speed_limit: f64,
+    /// Largest distance of the reference from the joint's angle [rad]. With `anti_windup` it is torque_limit/kp: there the
+    /// position gain alone asks for all of the torque, so that a larger lag could not push harder, it would only go on to
+    /// push after the command has changed (integrator windup; clamping is the usual remedy: Åström & Murray, Feedback
+    /// Systems, 2008, section 10.4).
+    pub lag_limit: f64,
+}
+
+impl Motor {
+    fn new(servo: &Servo, mechanisms: &Mechanisms) -> Self {
+        let own = servo.torque_limit.unwrap_or(NO_LIMIT);
+        // The hidden limit of a weak motor, if that is lower.
+        let weak = mechanisms.motor_torque_limit;
+        let torque_limit = if weak > 0.0 { own.min(weak) } else { own };
+        let lag_limit = if servo.anti_windup && servo.kp > 0.0 { torque_limit / servo.kp } else { NO_LIMIT };
+        Self {
+            kp: servo.kp,
+            kd: servo.kd,
+            torque_limit,
+            speed_limit: servo.speed_limit.unwrap_or(NO_LIMIT),
+            lag_limit: lag_limit.min(NO_LIMIT),
+        }
+    }
 }
 
 /// Everything an engine needs, and nothing that changes while it runs.
@@ -188,12 +210,7 @@ impl Model {
             base_inertia: box_inertia * robot.base.mass,
             belly: belly(robot),
             legs: legs.collect::<Result<_>>()?,
-            motor: Motor {
-                kp: robot.servo.kp,
-                kd: robot.servo.kd,
-                torque_limit: torque_limit(robot, &scene.mechanisms),
-                speed_limit: robot.servo.speed_limit.unwrap_or(NO_LIMIT),
-            },
+            motor: Motor::new(&robot.servo, &scene.mechanisms),
             gravity: gravity(scene),
             solids: solids(&scene.obstacles)?,
             robot: robot.clone(),
@@ -255,7 +272,7 @@ impl Model {
     /// Motors that have `share`, at most 1, of the torque limit that the servos have.
     pub fn weaken_motors(&mut self, share: f64) {
         self.robot.servo.torque_limit = self.robot.servo.torque_limit.map(|limit| limit * share);
-        self.motor.torque_limit = torque_limit(&self.robot, &self.scene.mechanisms);
+        self.motor = Motor::new(&self.robot.servo, &self.scene.mechanisms);
     }
 
     /// Gives each leg's plates `shares` [legs] of the areas that they have in `full`, the same robot: stress on them is
@@ -303,12 +320,6 @@ impl Model {
 fn gravity(scene: &Scene) -> V {
     let slope = scene.slope_deg.to_radians() + scene.mechanisms.slope;
     V::new(-slope.sin(), 0.0, -slope.cos()) * GRAVITY
-}
-
-/// The servo's, or the hidden limit of a weak motor if that is lower [N·m].
-fn torque_limit(robot: &Robot, mechanisms: &Mechanisms) -> f64 {
-    let own = robot.servo.torque_limit.unwrap_or(NO_LIMIT);
-    if mechanisms.motor_torque_limit > 0.0 { own.min(mechanisms.motor_torque_limit) } else { own }
 }
 
 fn solids(obstacles: &[Obstacle]) -> Result<Vec<Solid>> {
@@ -369,24 +380,34 @@ fn body(link: &Link, joint: V, turn: nalgebra::Rotation3<f64>) -> Result<Body> {
     });
     let touching = |segments: &[Segment]| match link.sand {
         Some(_) => {
-            segments.iter().map(|s| Plate { center: place(s.center), normal: place(s.normal), area: s.area }).collect()
+            let plate =
+                |s: &Segment| Plate { center: exact(place(s.center)), normal: exact(place(s.normal)), area: s.area };
+            segments.iter().map(plate).collect()
         }
         None => Vec::new(),
     };
     Ok(Body {
-        joint,
-        axis: turn * axis,
+        joint: exact(joint),
+        axis: exact(turn * axis),
         mass: link.mass,
-        center,
-        inertia,
+        center: exact(center),
+        inertia: exact(inertia),
         armature: link.armature,
         range: link.range,
         plates: touching(&segments),
         chord: touching(&Shape::TwoPiece { xi: 0.0 }.segments(reach.norm(), width, count)?),
         bulge: shape.bulge(),
         pieces: pieces(&segments, width, place, turn * width_axis),
-        reach: turn * reach,
+        reach: exact(turn * reach),
     })
+}
+
+/// `v` with its rounding errors replaced by the zeros that they stand for: cos 90° is 6e-17 in `f64`, and what such a number
+/// leaves in a product of two is denormal in `f32`. 1e-12 of the norm is far above rounding and far below any length that a
+/// drawing knows.
+pub(super) fn exact<const R: usize, const C: usize>(v: nalgebra::SMatrix<f64, R, C>) -> nalgebra::SMatrix<f64, R, C> {
+    let least = 1e-12 * v.norm();
+    v.map(|x| if x.abs() < least { 0.0 } else { x })
 }
 
 /// Straight pieces of a strip: neighbouring segments are one piece while their directions differ by less than

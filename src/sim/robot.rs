@@ -97,6 +97,9 @@ pub struct Servo {
     /// Largest speed that can be commanded [rad/s]; no limit if not given.
     #[serde(default)]
     pub speed_limit: Option<f64>,
+    /// Does the reference stop where the motor gives up? See [`super::model::Motor::lag_limit`].
+    #[serde(default)]
+    pub anti_windup: bool,
 }
 
 /// Where a leg is mounted.

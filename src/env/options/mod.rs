@@ -155,6 +155,8 @@ impl TaskOptions {
         let robot = if self.stroke.is_some() { Robot::stroke_leg() } else { Robot::load(&self.robot) };
         let mut robot = robot?.with_leg_shape(&self.leg)?;
         robot.servo.torque_limit = Some(check_range("torque_limit", self.torque_limit, 1e-4..=1e3)?);
+        // What a servo's lag adds up to is not observed. LegStroke's leg has no servos.
+        robot.servo.anti_windup = self.stroke.is_none();
         if self.control == Some(Control::Torque) {
             (robot.servo.kp, robot.servo.kd) = (0.0, 0.0);
         }

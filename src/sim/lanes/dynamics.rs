@@ -382,7 +382,8 @@ fn unfold_leg<R: Real, const J: usize>(
         joint.rate = acceleration.mul_add(model.dt, joint.rate);
         joint.angle = joint.rate.mul_add(model.dt, joint.angle);
         let rate = joint.command_rate.clamp(-model.speed_limit, model.speed_limit);
-        joint.reference = rate.mul_add(model.dt, joint.reference);
+        let reference = rate.mul_add(model.dt, joint.reference);
+        joint.reference = reference.clamp(joint.angle - model.lag_limit, joint.angle + model.lag_limit);
         *work += (joint.torque * joint.rate).abs() * model.dt;
     }
 }

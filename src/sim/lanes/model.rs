@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 use crate::number::{Real, Vec3};
 use crate::sand::Ground;
 use crate::sim::Model;
-use crate::sim::model::{Body, Plate};
+use crate::sim::model::{Body, Plate, exact};
 
 type V = nalgebra::Vector3<f64>;
 type M = nalgebra::Matrix3<f64>;
@@ -47,6 +47,7 @@ pub struct LaneModel<R, const J: usize> {
     pub kd: R,
     pub torque_limit: R,
     pub speed_limit: R,
+    pub lag_limit: R,
     pub gravity: Vec3<R>,
     pub ground: Ground<R>,
     /// The same in all lanes [s].
@@ -64,11 +65,11 @@ fn plane(body: &Body) -> [V; 2] {
     let normals = body.plates.iter().map(|p| p.normal);
     let widest = |v: &mut dyn Iterator<Item = V>| v.map(across).max_by(|a, b| a.norm().total_cmp(&b.norm()));
     let e0 = widest(&mut normals.clone()).or_else(|| widest(&mut axes.into_iter()));
-    [e0.map_or(V::zeros(), |v| v.normalize()), along]
+    [exact(e0.map_or(V::zeros(), |v| v.normalize())), exact(along)]
 }
 
 fn in_plane(v: V, [e0, e1]: [V; 2]) -> [f64; 2] {
-    [v.dot(&e0), v.dot(&e1)]
+    [v.dot(&e0), v.dot(&e1)].map(|x| nonzero(x, v.norm()))
 }
 
 /// Σ m r rᵀ about the joint [kg·m²]; the inertia about the centre of mass is tr(S) − S of the same sum S there.
@@ -79,11 +80,17 @@ fn second_moment(body: &Body) -> M {
 
 fn moments(body: &Body, [e0, e1]: [V; 2]) -> Moments<f64> {
     let second = second_moment(body);
+    let (reach, about) = (body.reach.norm(), second.trace());
     Moments {
         mass: body.mass,
-        first: in_plane(body.center * body.mass, [e0, e1]),
-        second: [e0.dot(&(second * e0)), e0.dot(&(second * e1)), e1.dot(&(second * e1))],
+        first: in_plane(body.center, [e0, e1]).map(|x| nonzero(x, reach) * body.mass),
+        second: [e0.dot(&(second * e0)), e0.dot(&(second * e1)), e1.dot(&(second * e1))].map(|x| nonzero(x, about)),
     }
+}
+
+/// `x`, or zero where it is a rounding error beside `scale`: in `f32` it could become denormal. See [`crate::number::flushed`].
+fn nonzero(x: f64, scale: f64) -> f64 {
+    if x.abs() < 1e-9 * scale { 0.0 } else { x }
 }
 
 /// This engine takes links in a plane through their joint and level bellies: the only ones that [`Model::new`] makes.
@@ -173,6 +180,7 @@ impl<R: Real, const J: usize> LaneModel<R, J> {
             kd: R::splat(model.motor.kd),
             torque_limit: R::splat(model.motor.torque_limit),
             speed_limit: R::splat(model.motor.speed_limit),
+            lag_limit: R::splat(model.motor.lag_limit),
             gravity: Vec3::splat(model.gravity.into()),
             ground: model.scene.ground(),
             dt: R::splat(model.scene.dt),
@@ -192,6 +200,7 @@ impl<R: Real, const J: usize> LaneModel<R, J> {
         self.kd.set_lane(lane, model.motor.kd);
         self.torque_limit.set_lane(lane, model.motor.torque_limit);
         self.speed_limit.set_lane(lane, model.motor.speed_limit);
+        self.lag_limit.set_lane(lane, model.motor.lag_limit);
         self.gravity.set_lane(lane, model.gravity.into());
         self.ground.set_lane(lane, &model.scene.medium, &model.scene.mechanisms);
     }

@@ -179,6 +179,10 @@ impl Robot {
             advance_pose(&mut object.position, &mut object.orientation, object.velocity, object.angular_velocity, dt);
         }
         advance_positions(&mut self.state, dt);
+        let lag = self.model.motor.lag_limit;
+        for (reference, angle) in self.state.references.iter_mut().zip(&self.state.angles) {
+            *reference = reference.clamp(angle - lag, angle + lag);
+        }
     }
 
     /// Weight of each rock that is not at rest, and sand around it.

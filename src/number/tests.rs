@@ -1,6 +1,6 @@
 //! The number types compute what `f64` does, lane by lane.
 
-use sandgait::number::{Kernel, Portable, Real};
+use super::{Kernel, Portable, Real};
 
 /// Largest error of sine and cosine over ±100 rad, and of the other operations, in every lane.
 struct Check<R>(std::marker::PhantomData<R>);
@@ -36,7 +36,7 @@ fn every_number_type_computes_alike() {
     Portable::dispatch(Check::<Portable>(std::marker::PhantomData));
     #[cfg(target_arch = "x86_64")]
     {
-        use sandgait::number::{Avx2, Avx512, Isa};
+        use super::{Avx2, Avx512, Isa};
         if Isa::Avx2.available() {
             Avx2::dispatch(Check::<Avx2>(std::marker::PhantomData));
         }
