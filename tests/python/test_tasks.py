@@ -141,7 +141,7 @@ def test_a_dictionary_given_to_a_reset_changes_its_own_keys_alone() -> None:
 @pytest.mark.parametrize("name", ["HexapodGait", "HexapodLegs", "HexapodRocks", "HexapodTerrain"])
 def test_earlier_versions_name_the_present_one(name: str) -> None:
     old, new = f"sandgait/{name}-v0", f"sandgait/{name}-v1"
-    with pytest.raises(gymnasium.error.DeprecatedEnv, match=new):
+    with pytest.warns(DeprecationWarning, match="v1"), pytest.raises(gymnasium.error.DeprecatedEnv, match=new):
         gymnasium.make(old)
     with pytest.raises(sandgait.InvalidRequest, match=f'task "{old}" has been replaced by "{new}"; see CHANGELOG'):
         sandgait.SandgaitVectorEnv(old, 1)
