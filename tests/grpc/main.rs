@@ -28,7 +28,7 @@ async fn describe_names_every_number() {
     let description = server.client().await.describe(DescribeRequest {}).await.unwrap().into_inner();
     assert_eq!((description.version.as_str(), description.protocol), (env!("CARGO_PKG_VERSION"), PROTOCOL));
     let task = description.tasks.iter().find(|t| t.id == TASK).unwrap();
-    assert_eq!((task.action.len(), task.observation.len()), (ACTIONS, 3 * 3 + 5 * ACTIONS + 1));
+    assert_eq!((task.action.len(), task.observation.len()), (ACTIONS, 3 * 3 + 5 * ACTIONS + 2));
     let tables = [&task.observation, &task.action, &task.info];
     assert!(tables.into_iter().flatten().all(|c| !c.name.is_empty() && !c.unit.is_empty() && c.low < c.high));
     assert!(task.reward_terms > 0 && (task.reward_terms as usize) < task.info.len());
@@ -92,10 +92,10 @@ async fn options_change_at_reset_and_hold() {
     let reset = Reset { seeds: vec![3, 4], mask: vec![1, 0].into(), options: changes };
     let changed = floats(&session.batch(Request::Reset(reset)).await.observations);
     let wide = session.task.observation.len();
-    assert_eq!(changed[wide - 1], 0.25);
+    assert_eq!(changed[wide - 2], 0.25);
     assert_eq!(changed[wide..], floats(&plain)[wide..]);
     let again = floats(&session.reset(3).await.observations);
-    assert_eq!(again[wide - 1], 0.25);
+    assert_eq!(again[wide - 2], 0.25);
 }
 
 #[tokio::test]
