@@ -18,7 +18,7 @@ from ray.tune.registry import register_env
 import sandgait
 import sandgait.ray
 
-ID = "sandgait/HexapodGait-v0"
+ID = "sandgait/HexapodGait-v1"
 
 #: Control steps of every environment between two updates: our choice, 1.3 s.
 STEPS = 64

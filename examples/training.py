@@ -43,6 +43,11 @@ class BadSettings(ValueError):
     """Hyperparameters that do not exist or cannot be read; one line."""
 
 
+def task_id(name: str) -> str:
+    """Id of the present version of task `name`; an unknown name as it is."""
+    return next((task for task in sandgait.TASKS if task.startswith(f"sandgait/{name}-v")), f"sandgait/{name}")
+
+
 def hyperparameters(algorithm: str, task: str, changes: list[str]) -> dict[str, Any]:
     """The task's entry in the algorithm's file, with `changes` (NAME=YAML) in place of what stands there."""
     path = HYPERPARAMETERS / f"{algorithm}.yml"

@@ -9,6 +9,9 @@ pub enum Error {
     /// A name that nothing answers to.
     #[error("{what} {name:?} is unknown; known: {known}")]
     Unknown { what: &'static str, name: String, known: String },
+    /// A name that something else has taken the place of.
+    #[error("{what} {name:?} has been replaced by {new:?}; see CHANGELOG")]
+    Replaced { what: &'static str, name: String, new: String },
     /// A call that is not allowed in the present state (for example a step before any reset).
     #[error("{0}")]
     OutOfOrder(String),

@@ -100,7 +100,7 @@ fn wrong_files_are_refused_in_a_line() {
     };
     refused(&replaced("Relu", "LSTM"), &["\"LSTM\" is not supported", "Relu", "Tanh"]);
     refused(&SAC[..SAC.len() / 2], &["no ONNX file"]);
-    let legs = Blueprint::new("sandgait/HexapodLegs-v0", Value::Null).unwrap();
+    let legs = Blueprint::new("sandgait/HexapodLegs-v1", Value::Null).unwrap();
     let error = Network::new(PPO, legs.task.spec()).unwrap_err().to_string();
     assert_eq!(error, "policy: its input \"observation\" has 40 numbers a row, this task has 83");
 }

@@ -11,9 +11,9 @@ use sandgait::sim::lanes::LanesEngine;
 use sandgait::sim::{Model, State};
 use serde_json::{Value, json};
 
-const GAIT: &str = "sandgait/HexapodGait-v0";
-const LEGS: &str = "sandgait/HexapodLegs-v0";
-const TERRAIN: &str = "sandgait/HexapodTerrain-v0";
+const GAIT: &str = "sandgait/HexapodGait-v1";
+const LEGS: &str = "sandgait/HexapodLegs-v1";
+const TERRAIN: &str = "sandgait/HexapodTerrain-v1";
 
 fn blueprint(id: &str, options: Value) -> Blueprint {
     Blueprint::new(id, options).unwrap()
@@ -218,7 +218,7 @@ fn torques_and_targets_are_what_they_say() {
 fn options_of_other_tasks_are_refused() {
     let legs = refused(LEGS, json!({"control": "clock"}));
     assert!(
-        legs.starts_with("control: sandgait/HexapodLegs-v0 has no such option; sandgait/HexapodGait-v0, "),
+        legs.starts_with("control: sandgait/HexapodLegs-v1 has no such option; sandgait/HexapodGait-v1, "),
         "{legs}"
     );
     assert!(refused(GAIT, json!({"control": "magic"})).starts_with("control: "));

@@ -4,13 +4,13 @@ use sandgait::env::Shard;
 use sandgait::env::registry::Blueprint;
 use serde_json::{Value, json};
 
-const ID: &str = "sandgait/HexapodTerrain-v0";
+const ID: &str = "sandgait/HexapodTerrain-v1";
 
 /// Shards of `envs` environments, reset with seeds 0, 1, …
 fn shard(id: &str, options: Value, envs: usize) -> (Shard, Blueprint) {
     let blueprint = Blueprint::new(id, options).unwrap();
     let mut shard = Shard::new(&blueprint, envs).unwrap();
-    shard.reset(|_| true, Some(&(0..envs as u64).collect::<Vec<_>>()), None);
+    shard.reset(|_| true, Some(&(0..envs as u64).collect::<Vec<_>>()), |_| None);
     (shard, blueprint)
 }
 
@@ -34,7 +34,7 @@ fn difficulty_0_is_the_plain_task() {
         let mut options = near.clone();
         options["engine"] = engine.into();
         let (mut terrain, _) = shard(ID, options, 3);
-        let (mut gait, _) = shard("sandgait/HexapodGait-v0", json!({"engine": engine}), 3);
+        let (mut gait, _) = shard("sandgait/HexapodGait-v1", json!({"engine": engine}), 3);
         for _ in 0..40 {
             walk(&mut terrain);
             walk(&mut gait);
@@ -125,6 +125,6 @@ fn wrong_ranges_are_refused_in_a_line() {
         let error = refused(options);
         assert!(error.starts_with(said), "{error}, not {said}");
     }
-    let gait = Blueprint::new("sandgait/HexapodGait-v0", json!({"difficulty": 0.5})).err().unwrap().to_string();
-    assert!(gait.starts_with("difficulty: sandgait/HexapodGait-v0 has no such option"), "{gait}");
+    let gait = Blueprint::new("sandgait/HexapodGait-v1", json!({"difficulty": 0.5})).err().unwrap().to_string();
+    assert!(gait.starts_with("difficulty: sandgait/HexapodGait-v1 has no such option"), "{gait}");
 }

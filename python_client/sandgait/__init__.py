@@ -2,9 +2,9 @@
 
 `import sandgait` registers the environments with gymnasium:
 
-    gymnasium.make("sandgait/HexapodGait-v0", leg="C", medium="poppy-close", slope_deg=5)
-    gymnasium.make_vec("sandgait/HexapodGait-v0", num_envs=256)
-    sandgait.make_sb3("sandgait/HexapodGait-v0", num_envs=32)
+    gymnasium.make("sandgait/HexapodGait-v1", leg="C", medium="poppy-close", slope_deg=5)
+    gymnasium.make_vec("sandgait/HexapodGait-v1", num_envs=256)
+    sandgait.make_sb3("sandgait/HexapodGait-v1", num_envs=32)
 
 Studies need no environment, and are the commands of the same names:
 
@@ -78,10 +78,10 @@ __all__ = [
 
 #: Ids of the tasks that this version registers; a test holds them equal to the server's.
 TASKS = (
-    "sandgait/HexapodGait-v0",
-    "sandgait/HexapodLegs-v0",
-    "sandgait/HexapodRocks-v0",
-    "sandgait/HexapodTerrain-v0",
+    "sandgait/HexapodGait-v1",
+    "sandgait/HexapodLegs-v1",
+    "sandgait/HexapodRocks-v1",
+    "sandgait/HexapodTerrain-v1",
     "sandgait/LegStroke-v0",
 )
 

@@ -24,7 +24,7 @@ use std::time::Duration;
   SANDGAIT_ISA=avx2 sandgait bench            (avx512, avx2, baseline or f64)")]
 pub struct Bench {
     /// Task id, or `all`: every task, one line each
-    #[arg(long, default_value = "sandgait/HexapodGait-v0")]
+    #[arg(long, default_value = "sandgait/HexapodGait-v1")]
     task: String,
     /// Engine; the task's own if not given
     #[arg(long)]

@@ -116,7 +116,7 @@ fn run(command: Command) -> Result<String> {
 
 fn exit_code(error: &Error) -> u8 {
     match error {
-        Error::Invalid { .. } | Error::Unknown { .. } | Error::File { .. } => 2,
+        Error::Invalid { .. } | Error::Unknown { .. } | Error::Replaced { .. } | Error::File { .. } => 2,
         Error::OutOfOrder(_) | Error::Exhausted(_) | Error::Cancelled(_) => 1,
     }
 }

@@ -120,7 +120,7 @@ impl Batch {
         if mine == options {
             return Ok(self.setup().clone());
         }
-        if mine.changed(&ResetOptions::all_of(options)) != *options {
+        if mine.changed(&ResetOptions::all_of(options))? != *options {
             return Err(broken("it was taken with options that this session does not have and a reset cannot change"));
         }
         self.setup().with(options.clone())

@@ -10,7 +10,7 @@ pub const SESSION: &str = "session";
 fn code(error: &Error) -> Code {
     match error {
         Error::Unknown { what: SESSION, .. } => Code::NotFound,
-        Error::Invalid { .. } | Error::Unknown { .. } => Code::InvalidArgument,
+        Error::Invalid { .. } | Error::Unknown { .. } | Error::Replaced { .. } => Code::InvalidArgument,
         Error::OutOfOrder(_) => Code::FailedPrecondition,
         Error::Exhausted(_) => Code::ResourceExhausted,
         Error::Cancelled(_) => Code::Cancelled,

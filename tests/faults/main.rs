@@ -123,7 +123,7 @@ async fn build(mut client: harness::Client, stop: &AtomicBool) -> Vec<f64> {
     let mut times = Vec::new();
     while !stop.load(Ordering::Relaxed) {
         let begun = Instant::now();
-        let rocks = CreateSessionRequest { task_id: "sandgait/HexapodRocks-v0".into(), ..create(MANY, &[]) };
+        let rocks = CreateSessionRequest { task_id: "sandgait/HexapodRocks-v1".into(), ..create(MANY, &[]) };
         let session_id = client.create_session(rocks).await.unwrap().into_inner().session_id;
         times.push(begun.elapsed().as_secs_f64() * 1e3);
         client.close_session(CloseSessionRequest { session_id }).await.unwrap();

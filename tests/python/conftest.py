@@ -10,7 +10,7 @@ import pytest
 
 from sandgait import server
 
-ID = "sandgait/HexapodGait-v0"
+ID = "sandgait/HexapodGait-v1"
 
 #: First line of a program that is to be interrupted: what a shell starts in the background ignores SIGINT, and so would
 #: all its children.

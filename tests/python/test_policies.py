@@ -97,7 +97,7 @@ def test_wrong_policies_are_refused(exported: Path, tmp_path: Path) -> None:
         env.rollout_policy("missing.onnx", 5)
     assert env.step(np.zeros((2, 6)))[0].shape == (2, 40)
     env.close()
-    legs = sandgait.SandgaitVectorEnv("sandgait/HexapodLegs-v0", 1)
+    legs = sandgait.SandgaitVectorEnv("sandgait/HexapodLegs-v1", 1)
     legs.reset(seed=0)
     with pytest.raises(sandgait.InvalidRequest, match="40 numbers a row, this task has 83"):
         legs.rollout_policy(exported, 5)

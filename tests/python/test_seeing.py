@@ -227,7 +227,7 @@ def test_a_recording_is_what_happened(tmp_path: Path) -> None:
     first = recording.sections[0]
     assert first["time"] == pytest.approx(np.arange(41) / 50, abs=1e-6)
     moved = np.diff(first["position"][:, 0]) * 50
-    assert moved == pytest.approx(first["speed"][1:], abs=1e-4)
+    assert moved == pytest.approx(first["x_velocity"][1:], abs=1e-4)
     assert first["forces"].shape == (41, len(first.header["segments"]), 3)
     assert first["angles"].shape == (41, 6) == first["torques"].shape
     assert recording["position"].shape == (82, 3)
@@ -238,7 +238,7 @@ def test_a_recording_is_what_happened(tmp_path: Path) -> None:
 
 def test_a_vector_environment_records_one_of_its_own(tmp_path: Path) -> None:
     path = tmp_path / "rocks.rec"
-    env = sandgait.SandgaitVectorEnv("sandgait/HexapodRocks-v0", 2, max_episode_steps=10)
+    env = sandgait.SandgaitVectorEnv("sandgait/HexapodRocks-v1", 2, max_episode_steps=10)
     env.record(path, index=1)
     env.reset(seed=3)
     for _ in range(20):

@@ -110,6 +110,9 @@ struct Lanes<R: Real, const J: usize> {
     scratch: Scratch<R, J>,
     /// Place of each lane's x and y zero [m]: distances stay small, so `f32` keeps its accuracy however far one walks.
     origins: Vec<[f64; 2]>,
+    /// Work of each lane up to the last control step [J]; the state has what came after, so that small amounts are not lost
+    /// in a large sum.
+    works: Vec<f64>,
 }
 
 impl<R: Real, const J: usize> Lanes<R, J> {
@@ -144,12 +147,13 @@ impl<R: Real, const J: usize> Lanes<R, J> {
             state,
             scratch: Scratch::new(model.joints()),
             origins: vec![[0.0; 2]; R::LANES],
+            works: vec![0.0; R::LANES],
         };
         block.model.gravity = Vec3::zero();
         Box::new(block)
     }
 
-    /// Moves each lane's x and y into its origin, and whole turns out of angles together with their references.
+    /// Moves each lane's x and y into its origin, its work into the sum, and whole turns out of angles together with their references.
     #[inline(always)]
     fn fold(&mut self) {
         for lane in 0..R::LANES {
@@ -158,7 +162,9 @@ impl<R: Real, const J: usize> Lanes<R, J> {
             *origin = [origin[0] + x, origin[1] + y];
             self.state.travelled.set_lane(lane, origin[0]);
             self.state.position.set_lane(lane, [0.0, 0.0, z]);
+            self.works[lane] += self.state.work.lane(lane);
         }
+        self.state.work = R::zero();
         for joint in &mut self.state.joints {
             let turns = (joint.angle * R::splat(1.0 / TAU)).round() * R::splat(TAU);
             joint.angle -= turns;
@@ -204,7 +210,8 @@ impl<R: Real, const J: usize> Block for Lanes<R, J> {
         s.angular_velocity.set_lane(lane, state.angular_velocity);
         s.change.linear.set_lane(lane, state.velocity_change);
         s.change.angular.set_lane(lane, state.angular_velocity_change);
-        s.work.set_lane(lane, state.work);
+        self.works[lane] = state.work;
+        s.work.set_lane(lane, 0.0);
         for (i, joint) in s.joints.iter_mut().enumerate() {
             joint.angle.set_lane(lane, state.angles[i]);
             joint.rate.set_lane(lane, state.rates[i]);
@@ -224,7 +231,7 @@ impl<R: Real, const J: usize> Block for Lanes<R, J> {
         out.angular_velocity = s.angular_velocity.lane(lane);
         out.velocity_change = s.change.linear.lane(lane);
         out.angular_velocity_change = s.change.angular.lane(lane);
-        out.work = s.work.lane(lane);
+        out.work = self.works[lane] + s.work.lane(lane);
         for (i, joint) in s.joints.iter().enumerate() {
             out.angles[i] = joint.angle.lane(lane);
             out.rates[i] = joint.rate.lane(lane);
