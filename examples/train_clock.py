@@ -105,7 +105,7 @@ def grid(coarse: bool) -> npt.NDArray[np.float64]:
 
 
 def policy(clocks: Values) -> Policy:
-    """The clock for each row's commanded speed, the last observation but one; `clocks` has one an entry of COMMANDS, or one."""
+    """The clock for each row's commanded speed, the last but one; `clocks` has one an entry of COMMANDS, or one."""
     if len(clocks) == 1:
         return lambda rows: np.repeat(clocks, len(rows), axis=0)
     return lambda rows: clocks[np.abs(rows[:, -2:-1] - COMMANDS).argmin(axis=1)]

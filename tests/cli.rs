@@ -115,7 +115,7 @@ fn evaluate_prints_and_writes() {
     refuse(&["random", "--options", "leg=C"], &["--options", "JSON"]);
     refuse(&["random", "--options", r#"{"legs": 3}"#], &["legs", "leg"]);
     refuse(&["random", "--media", "moon", "--csv", &path("b.csv")], &["moon"]);
-    refuse(&["tests/data/policy_ppo.onnx", "--task", "sandgait/HexapodLegs-v1"], &["40 numbers a row", "83"]);
+    refuse(&["tests/data/policy_ppo.onnx", "--task", "sandgait/HexapodLegs-v1"], &["41 numbers a row", "83"]);
     refuse(&["no-such.onnx"], &["no-such.onnx"]);
     refuse(&["random", "--csv", "/no/such/folder/f.csv"], &["/no/such/folder/f.csv"]);
     assert!(!directory.path().join("b.csv").exists());

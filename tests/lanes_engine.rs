@@ -254,3 +254,25 @@ fn mirror_symmetry_and_translation() {
     assert!((a.position[1] + 5.0 + b.position[1]).abs() < 1e-9, "{} {}", a.position[1], b.position[1]);
     assert!((a.position[2] - b.position[2]).abs() < 1e-9);
 }
+
+/// Work of 10⁶ control steps is some kJ, in which an f32 would lose what a time step adds; all else knows nothing of it.
+#[test]
+fn work_does_not_stall() {
+    for name in ROBOTS {
+        let model = model(name, |_| ());
+        let angles = model.tripod_angles();
+        let fresh = State::at_rest(model.standing_height(&angles), &angles);
+        let late = State { work: 1e5, ..fresh.clone() };
+        let mut engine = LanesEngine::new(&model, 2).unwrap();
+        engine.set_state(0, &fresh);
+        engine.set_state(1, &late);
+        let command = Command { rates: vec![2.0; model.joints()], torques: vec![0.0; model.joints()] };
+        for _ in 0..50 {
+            (0..2).for_each(|i| engine.command(i, &command));
+            engine.advance(40);
+        }
+        let (a, b) = (read(&engine, 0, &fresh), read(&engine, 1, &late));
+        assert!(a.work > 1e-3 && (b.work - 1e5 - a.work).abs() < 1e-8, "{} {}", a.work, b.work);
+        assert_eq!(State { work: 0.0, ..a }, State { work: 0.0, ..b });
+    }
+}

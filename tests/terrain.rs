@@ -111,6 +111,61 @@ fn ground_changes_along_the_way_and_remembers() {
     }
 }
 
+/// Only way made good in the commanded direction turns a robot round: one that goes astray the other way is not told to go
+/// on so.
+#[test]
+fn who_goes_astray_is_not_sent_further() {
+    for sign in [1.0, -1.0] {
+        let ranges = json!({
+            "turning_point": [0.3, 0.3], "slope_deg": [0.0, 0.0], "torque_limit": [1.0, 1.0], "footprint": [0.0, 0.0],
+            "zeta": [1.0, 1.0]
+        });
+        let command = 0.3 * sign;
+        let options = json!({"randomize": ranges, "slope_deg": 15.0 * sign, "command": [command, command]});
+        let (mut shard, blueprint) = shard(ID, options, 1);
+        // Downhill, against the command; then as it is told.
+        while sign * shard.state(0).position[0] > -0.35 {
+            shard.step(&[-0.4 * sign as f32; 6]);
+            assert!((info(&shard, &blueprint, "commanded_speed")[0] - command).abs() < 1e-6, "sign {sign}");
+        }
+        shard.step(&[0.4 * sign as f32; 6]);
+        assert!((info(&shard, &blueprint, "commanded_speed")[0] - command).abs() < 1e-6, "sign {sign}");
+    }
+}
+
+/// A command to walk backward turns round behind the start, and again at the start.
+#[test]
+fn backward_commands_turn_round_too() {
+    let ranges = json!({
+        "turning_point": [0.2, 0.2], "slope_deg": [0.0, 0.0], "torque_limit": [1.0, 1.0], "footprint": [0.0, 0.0]
+    });
+    let (mut shard, blueprint) = shard(ID, json!({"randomize": ranges, "command": [-0.3, -0.3]}), 1);
+    let (mut sense, mut turns) = (-1.0, Vec::new());
+    for _ in 0..300 {
+        shard.step(&[0.4 * sense as f32; 6]);
+        // The command of the step just made: it turned, if it did, where the step began.
+        let now = info(&shard, &blueprint, "commanded_speed")[0].signum();
+        if now != sense {
+            turns.push(shard.state(0).position[0]);
+            sense = now;
+        }
+    }
+    assert!(turns.len() >= 2, "{turns:?}");
+    assert!((turns[0] + 0.2).abs() < 0.05 && turns[1].abs() < 0.05, "{turns:?}");
+}
+
+/// What is drawn is in force at the ends of what can be drawn, too.
+#[test]
+fn extreme_draws_are_in_force() {
+    let ranges = json!({"slope_deg": [-70.0, -70.0], "payload": [10.0, 10.0], "torque_limit": [0.01, 0.01]});
+    let options = json!({"randomize": ranges, "slope_deg": 35.0, "payload": 990.0, "torque_limit": 1e-4});
+    let (mut shard, blueprint) = shard(ID, options, 1);
+    walk(&mut shard);
+    let column = |name: &str| info(&shard, &blueprint, name)[0];
+    assert!((column("slope_deg") + 35.0).abs() < 1e-4 && (column("payload") - 1000.0).abs() < 1e-3);
+    assert!((column("torque_limit") - 1e-6).abs() < 1e-12);
+}
+
 #[test]
 fn wrong_ranges_are_refused_in_a_line() {
     let refused = |options: Value| Blueprint::new(ID, options).err().unwrap().to_string();
@@ -118,6 +173,8 @@ fn wrong_ranges_are_refused_in_a_line() {
         (json!({"randomize": {"zeta": [0.0, 1.0]}}), "randomize.zeta[0]: 0 is outside [0.1, 10]"),
         (json!({"randomize": {"payload": [0.2, 0.1]}}), "randomize.payload[1]: 0.1 is outside [0.2, 10]"),
         (json!({"slope_deg": 30}), "randomize.slope_deg[1]: 10 is outside [-10, 5]"),
+        (json!({"payload": 1000}), "randomize.payload[1]: 0.05 is outside [0, 0] (it is added to payload = 1000)"),
+        (json!({"payload": 1001}), "payload: 1001 is outside [0, 1000]"),
         (json!({"randomize": {"mud": [0, 1]}}), "randomize: unknown field `mud`"),
         (json!({"randomize": null}), "randomize: null"),
         (json!({"difficulty": 1.5}), "difficulty: 1.5 is outside [0, 1]"),

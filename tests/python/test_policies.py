@@ -95,11 +95,11 @@ def test_wrong_policies_are_refused(exported: Path, tmp_path: Path) -> None:
         env.rollout_policy(b"nothing", 5)
     with pytest.raises(sandgait.InvalidRequest, match=r"missing\.onnx"):
         env.rollout_policy("missing.onnx", 5)
-    assert env.step(np.zeros((2, 6)))[0].shape == (2, 40)
+    assert env.step(np.zeros((2, 6)))[0].shape == (2, 41)
     env.close()
     legs = sandgait.SandgaitVectorEnv("sandgait/HexapodLegs-v1", 1)
     legs.reset(seed=0)
-    with pytest.raises(sandgait.InvalidRequest, match="40 numbers a row, this task has 83"):
+    with pytest.raises(sandgait.InvalidRequest, match="41 numbers a row, this task has 83"):
         legs.rollout_policy(exported, 5)
     legs.close()
 

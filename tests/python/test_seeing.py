@@ -53,7 +53,7 @@ def test_the_front_is_ahead_and_the_robot_is_followed() -> None:
     env = sandgait.SandgaitEnv(ID, render_mode="rgb_array", render_size=(640, 480))
     walked(env, 100)
     before, picture = env.reset(seed=1)[0], env.render()
-    assert before.shape == (40,)
+    assert before.shape == (41,)
     assert orange(picture) > 320
     walked(env, 100)
     assert orange(env.render()) == pytest.approx(orange(picture), abs=40)

@@ -284,7 +284,7 @@ def test_rollouts(remote: RemoteServer) -> None:
         rolled = env.rollout(plan, trajectories=True)
         returns = env.rollout(plan)
         assert np.array_equal(rolled.returns, returns.returns)
-        assert returns.observations.shape == (0, 5, 40)
+        assert returns.observations.shape == (0, 5, 41)
         assert (rolled.lengths == 17).all()
         assert rolled.truncated.all()
         assert not rolled.terminated.any()

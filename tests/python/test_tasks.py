@@ -110,6 +110,43 @@ def test_a_curriculum_changes_the_difficulty_at_resets() -> None:
     env.close()
 
 
+@pytest.mark.parametrize("mode", ["SAME_STEP", "NEXT_STEP"])
+def test_what_resets_change_adds_up_and_holds(mode: str) -> None:
+    """Environment by environment, over ends of episodes: the rows of environments that were made so."""
+    gait: dict[str, Any] = {"max_episode_steps": 10, "autoreset_mode": mode}
+    env = sandgait.SandgaitVectorEnv(GAIT, 2, **gait)
+    env.reset(seed=0)
+    for options in ({"leg": "C"}, {"slope_deg": 5, "reset_mask": np.array([True, False])}, {"payload": 0.02}):
+        env.reset(seed=0, options=options)
+    actions = np.full((2, 6), 0.3, np.float32)
+    rows = [env.step(actions)[0] for _ in range(35)]
+    env.close()
+    for index, slope in ((0, 5), (1, 0)):
+        made = sandgait.SandgaitVectorEnv(GAIT, 1, leg="C", slope_deg=slope, payload=0.02, **gait)
+        made.reset(seed=index)
+        assert all(np.array_equal(made.step(actions[:1])[0][0], row[index]) for row in rows)
+        made.close()
+
+
+def test_a_dictionary_given_to_a_reset_changes_its_own_keys_alone() -> None:
+    env = sandgait.SandgaitEnv("sandgait/HexapodTerrain-v1", difficulty=0.0, randomize={"turning_point": [0.7, 0.7]})
+    env.reset(seed=0, options={"randomize": {"patch_length": [0.2, 0.2]}})
+    env.reset(seed=0, options={"slope_deg": 3.0})
+    info = env.step(np.zeros(6, np.float32))[4]
+    drawn = [info[name] for name in ("difficulty", "turning_point", "patch_length", "slope_deg")]
+    assert drawn == pytest.approx([0.0, 0.7, 0.2, 3.0])
+    env.close()
+
+
+@pytest.mark.parametrize("name", ["HexapodGait", "HexapodLegs", "HexapodRocks", "HexapodTerrain"])
+def test_earlier_versions_name_the_present_one(name: str) -> None:
+    old, new = f"sandgait/{name}-v0", f"sandgait/{name}-v1"
+    with pytest.warns(DeprecationWarning, match="v1"), pytest.raises(gymnasium.error.DeprecatedEnv, match=new):
+        gymnasium.make(old)
+    with pytest.raises(sandgait.InvalidRequest, match=f'task "{old}" has been replaced by "{new}"; see CHANGELOG'):
+        sandgait.SandgaitVectorEnv(old, 1)
+
+
 def test_a_stroke_returns_its_efficiency() -> None:
     """A circular stroke: the knee locked, the hip at one speed; every figure from `info` again."""
     env = sandgait.SandgaitEnv("sandgait/LegStroke-v0")
