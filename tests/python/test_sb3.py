@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,11 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, VecNormalize, is_vecenv_wrapped
 
 import sandgait
 from conftest import ID
+from sandgait import sb3
 
 
 def test_check_env_finds_nothing() -> None:
@@ -124,3 +126,27 @@ def test_a_missing_stable_baselines3_is_explained() -> None:
 def test_the_package_itself_does_not_import_torch() -> None:
     code = "import sys, sandgait; sys.exit('torch' in sys.modules or 'stable_baselines3' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], timeout=60, check=False).returncode == 0
+
+
+def test_make_sb3_is_monitored(tmp_path: Path) -> None:
+    """`ep_rew_mean` comes from it; a path also writes the episodes."""
+    path = tmp_path / "runs.monitor.csv"
+    env = sandgait.make_sb3(ID, 2, monitor=path, info_keywords=("speed",), max_episode_steps=5)
+    assert is_vecenv_wrapped(env, VecMonitor)
+    model = PPO("MlpPolicy", env, n_steps=16, batch_size=32, n_epochs=1, device="cpu").learn(32)
+    assert model.ep_info_buffer is not None
+    assert [e["l"] for e in model.ep_info_buffer] == [5] * 6
+    env.close()
+    head, columns, *rows = path.read_text().splitlines()
+    assert ID in head
+    assert columns == "r,l,t,speed"
+    assert len(rows) == 6
+    plain = sandgait.make_sb3(ID, 2, monitor=False)
+    assert not is_vecenv_wrapped(plain, VecMonitor)
+    plain.close()
+    with pytest.raises(sandgait.InvalidRequest, match="info_keywords: 'sped' is unknown; known: .*speed"):
+        sandgait.make_sb3(ID, 2, info_keywords=("sped",))
+    with pytest.raises(sandgait.InvalidRequest, match="autoreset_mode: stable-baselines3"):
+        sandgait.make_sb3(ID, 2, autoreset_mode="NEXT_STEP")
+    with pytest.raises(sandgait.InvalidRequest, match="SAME_STEP"):
+        sb3.SandgaitVecEnv(sandgait.SandgaitVectorEnv(ID, 2))
