@@ -69,8 +69,8 @@ def _grpc() -> Any:
     """grpc, with support for forks: without it a child forked while a stream is open (gymnasium's AsyncVectorEnv does
     that) hangs or dies in grpc.
 
-    grpc reads the variable when it is imported and with its first channel. It is put back after that, so that the
-    processes this one starts do not inherit it. Where something else imported grpc before, its choice holds.
+    grpc reads the variable with its first channel. It is put back after that, so that the processes this one starts do
+    not inherit it. Where something else opened a channel before, its choice holds.
     """
     before = os.environ.get(_FORK_SUPPORT)
     os.environ.setdefault(_FORK_SUPPORT, "1")

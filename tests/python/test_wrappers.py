@@ -1,4 +1,4 @@
-"""gymnasium's vector wrappers around our environments, its own SyncVectorEnv inside the same wrapper as the reference."""
+"""gymnasium's vector wrappers around our environments, and the same around its own SyncVectorEnv as the reference."""
 
 from __future__ import annotations
 
