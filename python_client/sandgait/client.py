@@ -70,7 +70,7 @@ def _grpc() -> Any:
     that) hangs or dies in grpc.
 
     grpc reads the variable with its first channel. It is put back after that, so that the processes this one starts do
-    not inherit it. Where something else opened a channel before, its choice holds.
+    not inherit it. It helps also where grpc was imported, or a channel opened and closed, before.
     """
     before = os.environ.get(_FORK_SUPPORT)
     os.environ.setdefault(_FORK_SUPPORT, "1")
