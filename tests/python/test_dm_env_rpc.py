@@ -172,7 +172,7 @@ def test_same_numbers_as_gymnasium(connection: Connection, address: str, task: s
     options: dict[str, Any] = {"max_episode_steps": 7, **own}
     settings = {"task": task, "seed": 11, **options}
     env, world = dm_env_adaptor.create_and_join_world(connection, settings, {})
-    ours = sandgait.SandgaitVectorEnv(task, 1, address, **options)
+    ours = sandgait.SandgaitVectorEnv(task, 1, address, autoreset_mode="SAME_STEP", **options)
     random = np.random.default_rng(0)
     with env:
         assert env.action_spec()["action"].shape == ours.single_action_space.shape

@@ -50,7 +50,8 @@ def test_tcp_does_not_wait_for_more_to_send(remote: RemoteServer) -> None:
 @pytest.mark.parametrize("over", ["unix", "tcp"])
 def test_messages_beyond_4_mib(over: str, remote: RemoteServer) -> None:
     """16,384 environments: observations alone are 2.5 MiB, and twice that where every episode ends."""
-    env = sandgait.SandgaitVectorEnv(ID, 16_384, None if over == "unix" else remote.address, max_episode_steps=2)
+    address = None if over == "unix" else remote.address
+    env = sandgait.SandgaitVectorEnv(ID, 16_384, address, autoreset_mode="SAME_STEP", max_episode_steps=2)
     rows, _ = env.reset(seed=0)
     assert rows.shape == (16_384, 40)
     actions = np.zeros((16_384, 6), np.float32)
