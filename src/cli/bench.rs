@@ -68,6 +68,7 @@ impl Bench {
         }
         let options = self.task_options()?;
         let blueprint = Blueprint::new(&self.task, options.clone())?;
+        super::warn_of_unfelt_option(&options);
         let engine = blueprint.engine;
         let threads = usize::from(self.threads);
         let mut stepper: Box<dyn Stepper> = match self.through {
