@@ -103,10 +103,16 @@ pub fn progress(track: &Track, heading: &Heading) -> Vec<f64> {
 pub fn moving(track: &Track) -> Vec<usize> {
     let poses = &track.poses;
     let usual = usual_speed(track);
+    let seen = |a: usize, b: usize| match a < b {
+        true => between(place(track, &poses[a]), place(track, &poses[b])) / (poses[b].t - poses[a].t),
+        false => f64::INFINITY,
+    };
     let moves = |i: &usize| {
         let logged = speed(track, &poses[*i]);
-        let (a, b) = (&poses[i.saturating_sub(REACH)], &poses[(i + REACH).min(poses.len() - 1)]);
-        let seen = between(place(track, a), place(track, b)) / (b.t - a.t);
+        // At the edge of a rest it is seen on one side.
+        let before = seen(i.saturating_sub(REACH), *i);
+        let after = seen(*i, (i + REACH).min(poses.len() - 1));
+        let seen = before.min(after);
         logged >= NOISY_REST * usual || (logged >= REST * usual && seen >= REST * usual)
     };
     let all = 0..poses.len();
