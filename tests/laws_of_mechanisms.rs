@@ -35,6 +35,9 @@ fn extremes(motor: bool, combinations: usize) -> Vec<(String, Mechanisms)> {
     all
 }
 
+/// The friction cap divides by a power that is kept from zero by this [W]: it may leave as much.
+const GUARD: f64 = 1e-30;
+
 fn unit(random: &mut impl Rng) -> Vec3<f64> {
     loop {
         let [x, y, z] = [(); 3].map(|()| random.random_range(-1.0..1.0));
@@ -109,7 +112,7 @@ fn sand_with_mechanisms_never_adds_energy() {
                     (ground.one_sided(&site, area, s.n, s.v), plain.one_sided(&fresh, area, s.n, s.v)),
                 ] {
                     let (force, power) = (contact.force.norm_squared().sqrt(), contact.force.dot(s.v));
-                    let allowed = given(bare.force) + 1e-12 * force * speed;
+                    let allowed = given(bare.force) + 1e-12 * force * speed + GUARD;
                     let said = || format!("{} {what}: n {:?} v {:?}: {power} W", law.name(), s.n, s.v);
                     assert!(power <= allowed, "{}", said());
                     assert!(contact.drag >= 0.0 && contact.edge >= 0.0, "{}", said());
@@ -120,7 +123,7 @@ fn sand_with_mechanisms_never_adds_energy() {
                 let bare = plain.thin_plate(&fresh, area, s.n, s.v).force;
                 // Before the friction cap there may be more force, and with it more rounding.
                 let size = force + bare.norm_squared().sqrt() * s.most(&m);
-                assert!(power <= given(bare) + 2e-5 * size * speed, "{} {what}: {power} W in f32", law.name());
+                assert!(power <= given(bare) + 2e-5 * size * speed + GUARD, "{} {what}: {power} W in f32", law.name());
             }
         }
     }
