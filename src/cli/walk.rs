@@ -66,7 +66,7 @@ impl Walk {
         if let Some(leg) = &self.leg {
             robot = robot.with_leg_shape(leg)?;
         }
-        let mut scene = Scene::on(&super::sand(&self.medium, &self.law, self.sand.as_deref())?);
+        let mut scene = Scene::on(&super::sand_to_walk_on(&self.medium, &self.law, self.sand.as_deref())?);
         let engine = EngineKind::named(&self.engine)?;
         (scene.slope_deg, scene.dt) = (self.slope_deg, self.dt.unwrap_or(engine.default_dt()));
         let trial = Trial::new(Model::new(&robot, &scene)?, self.frequency);
