@@ -103,9 +103,8 @@ async fn scrape(address: &str) -> HashMap<String, f64> {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn metrics_count_what_was_done() {
-    // Any free port, as the server would find it; then it is free again.
-    let address = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
-    let server = Process::start(&["--listen", "127.0.0.1:0", "--metrics", &address]);
+    let server = Process::start(&["--listen", "127.0.0.1:0", "--metrics", "127.0.0.1:0"]);
+    let address = server.address_of("metrics are at /metrics");
     let limit = [("max_episode_steps", number(4.0))];
     let mut session = Session::create(server.client().await, 20, &limit).await.unwrap();
     session.reset(0).await;
