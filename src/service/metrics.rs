@@ -128,7 +128,7 @@ pub async fn serve(listener: TcpListener, sessions: Arc<Sessions>, refusals: Arc
         Ok::<_, String>(([(CONTENT_TYPE, FORMAT)], page).into_response())
     };
     let app = axum::Router::new().route("/metrics", get(page));
-    pages::serve(listener, app, 0, refusals, stop).await;
+    pages::serve(listener, app, pages::METRICS, refusals, stop).await;
 }
 
 const FORMAT: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";

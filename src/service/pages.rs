@@ -14,19 +14,15 @@ use tokio_util::sync::CancellationToken;
 /// How long a request may take to come: our choice, as for the first bytes of any connection.
 const REQUEST: Duration = Duration::from_secs(10);
 
-/// Connections beside those of watchers: our choice, some browsers with all they ask for at once.
-pub const CONNECTIONS: usize = 32;
+/// Connections to the page of metrics at a time: our choice, some programs that ask at once.
+pub const METRICS: usize = 32;
 
-/// Answers what `listener` gets with `app` until `stop` is cancelled; `watchers` connections may last.
-pub async fn serve(
-    listener: TcpListener,
-    app: Router,
-    watchers: usize,
-    refusals: Arc<Refusals>,
-    stop: CancellationToken,
-) {
-    let all = watchers + CONNECTIONS;
-    let table = Table::new(Caps { all, peer: all, opening: CONNECTIONS / 2 });
+/// Connections to the live page beside those of watchers: our choice, some browsers with all they ask for at once.
+pub const BESIDE_WATCHERS: usize = 128;
+
+/// Answers what `listener` gets with `app` on at most `all` connections until `stop` is cancelled.
+pub async fn serve(listener: TcpListener, app: Router, all: usize, refusals: Arc<Refusals>, stop: CancellationToken) {
+    let table = Table::new(Caps { all, peer: all, opening: all });
     let door = Door { table, tls: None, greeting: Greeting::Any, rate: None, refusals };
     let mut connections = door.open(listener.into(), stop.clone());
     while let Some(connection) = connections.recv().await {

@@ -95,8 +95,9 @@ pub async fn serve(listener: Listener, setup: Setup, stop: CancellationToken) ->
     let Setup { threads, limits, connected, tls, token, metrics, viewer, state, dm_env_rpc } = setup;
     let rate = limits.rate.map(|n| Arc::new(Rate::new(n)));
     // Descriptors for the pages.
-    let others = [metrics.is_some().then_some(0), viewer.is_some().then_some(limits.watchers)];
-    let others = others.iter().flatten().map(|watchers| watchers + pages::CONNECTIONS).sum();
+    let watched = limits.watchers + pages::BESIDE_WATCHERS;
+    let others = [(metrics.is_some(), pages::METRICS), (viewer.is_some(), watched)];
+    let others = others.iter().filter(|(given, _)| *given).map(|(_, connections)| connections).sum();
     let (sessions, pool) = (Sessions::new(limits, stop.clone()), Arc::new(Pool::new(threads)));
     if let Some(state) = state.clone() {
         let (sessions, pool) = (sessions.clone(), pool.clone());

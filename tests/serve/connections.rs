@@ -61,7 +61,7 @@ async fn silent_connections_make_room_and_the_log_stays_short() {
     let silent = silent(&server, 200).await;
     let mut other = Session::create(server.client().await, 3, &[]).await.unwrap();
     assert_eq!(other.reset(1).await, first);
-    until(async || open(&silent) <= 8).await;
+    until(async || open(&silent) <= 31).await;
     for time in 0..5 {
         assert_eq!(session.step(time).await, other.step(time).await);
     }

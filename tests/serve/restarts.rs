@@ -137,8 +137,8 @@ async fn a_full_disk_is_logged_and_holds_nothing_up() {
         session.reset(1).await;
         session.step(0).await;
     }
-    let (time, log) = server.end();
-    assert!(time < Duration::from_secs(5), "{time:?}");
+    let (_, log) = server.end();
+    assert!(!log.contains("took too long") && !log.contains("did not end in time"), "{log}");
     assert!(log.contains("a session was lost: it could not be saved") && log.contains("File too large"), "{log}");
     // What fits is saved all the same, and nothing is there in part.
     assert_eq!(place.files().len(), 1);
@@ -181,8 +181,8 @@ async fn the_step_in_flight_is_finished() {
         }
     };
     assert_eq!((status.code(), status.message()), (Code::Unavailable, "the server is shutting down"));
-    let (time, _) = end.await.unwrap();
-    assert!(time < Duration::from_secs(5), "{time:?}");
+    let (_, log) = end.await.unwrap();
+    assert!(!log.contains("did not end in time"), "{log}");
     let server = place.start();
     let (mut again, last) = Session::resume(server.client().await, &session.id, sent - 1).await.unwrap();
     assert_eq!(last, sent, "it was carried out");

@@ -120,8 +120,8 @@ async fn steps_are_streamed_to_who_looks() {
     let late = ask(&address, &format!("/watch/{name}/0"), &address).await;
     let end = tokio::spawn(watched(late, 1000));
     tokio::time::sleep(Duration::from_millis(200)).await;
-    let (time, log) = tokio::task::spawn_blocking(|| process.end()).await.unwrap();
-    assert!(time < Duration::from_secs(2), "{time:?}: {log}");
+    let (_, log) = tokio::task::spawn_blocking(|| process.end()).await.unwrap();
+    assert!(!log.contains("did not end in time"), "{log}");
     assert!(end.await.unwrap().is_empty());
 }
 

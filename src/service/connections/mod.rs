@@ -19,6 +19,7 @@ pub use wire::{Connection, Greeting, Link};
 use super::rate::Rate;
 use super::refusals::{Refusal, Refusals};
 use super::security::Tls;
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use std::io;
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -57,8 +58,12 @@ impl Caps {
     /// `all` connections, `peer` of one peer: as many of them as this process has descriptors for when `others` are
     /// needed elsewhere. A quarter may be opening, our choice: they take no room from those that are open.
     pub fn new(all: usize, peer: usize, others: usize) -> Self {
-        let descriptors = rustix::process::getrlimit(rustix::process::Resource::Nofile).current;
-        let descriptors = descriptors.map_or(usize::MAX, |n| usize::try_from(n).unwrap_or(usize::MAX));
+        let Rlimit { mut current, maximum } = getrlimit(Resource::Nofile);
+        // The lower limit is for programs that use `select`; this one does not.
+        if setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum }).is_ok() {
+            current = maximum;
+        }
+        let descriptors = current.map_or(usize::MAX, |n| usize::try_from(n).unwrap_or(usize::MAX));
         let room = descriptors.saturating_sub(RESERVE + others).max(4);
         if room < all {
             tracing::info!(

@@ -9,6 +9,10 @@ use tokio_util::sync::CancellationToken;
 /// How long a connection may have no stream: our choice, as long as a session's lease by default.
 const IDLE: Duration = Duration::from_secs(300);
 
+/// How long a connection may take to begin to speak before it makes room for others that have not either: our choice. Many
+/// clients that connect at once on a busy machine need some hundred ms.
+const PATIENCE: Duration = Duration::from_secs(1);
+
 /// Where a connection comes from, as far as limits go.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Peer {
@@ -35,7 +39,7 @@ pub struct Caps {
     pub all: usize,
     /// Of one peer; the owner of a Unix socket has all.
     pub peer: usize,
-    /// Of them, those that have not begun to speak their protocol.
+    /// Of them, those that have not begun to speak their protocol; more for a second.
     pub opening: usize,
 }
 
@@ -109,10 +113,15 @@ impl Table {
     /// no room the connection is closed that has been without a stream for longest: of this peer if it has too many,
     /// otherwise of the peer with most of them.
     pub fn admit(self: &Arc<Self>, peer: Peer) -> Option<Place> {
+        self.admit_at(peer, Instant::now())
+    }
+
+    fn admit_at(self: &Arc<Self>, peer: Peer, since: Instant) -> Option<Place> {
         let (mut entries, caps) = (self.lock(), self.caps);
         if entries.count(|e| e.opening) >= caps.opening {
             let greedy = entries.greediest(|e| e.opening);
-            entries.close_oldest(|e| e.opening && Some(e.peer) == greedy);
+            let slow = |e: &Entry| e.opening && since.saturating_duration_since(e.since) >= PATIENCE;
+            entries.close_oldest(|e| slow(e) && Some(e.peer) == greedy);
         }
         let crowded = peer != Peer::Local && entries.count(|e| e.peer == peer) >= caps.peer;
         if crowded && !entries.close_oldest(|e| e.peer == peer) {
@@ -126,7 +135,6 @@ impl Table {
         }
         let (id, end) = (entries.next, CancellationToken::new());
         entries.next += 1;
-        let since = Instant::now();
         entries.all.insert(id, Entry { peer, opening: true, streams: 0, since, end: end.clone() });
         Some(Place { table: self.clone(), id, end })
     }
@@ -212,12 +220,18 @@ mod tests {
     #[test]
     fn silent_connections_make_room_for_later_ones_the_greediest_peers_first() {
         let table = Table::new(Caps { all: 100, peer: 50, opening: 4 });
-        let mut places: Vec<_> = [1, 2, 2, 2].map(|n| table.admit(peer(n)).unwrap()).into();
-        places.push(table.admit(peer(3)).unwrap());
-        assert_eq!(alive(&places), [0, 2, 3, 4], "the oldest of peer 2, not the oldest of all");
-        places[2].opened();
-        places.push(table.admit(peer(2)).unwrap());
-        assert_eq!(alive(&places), [0, 2, 3, 4, 5], "who has begun to speak takes no such place");
+        let begun = Instant::now();
+        let mut places: Vec<_> = [1, 2, 2, 2, 2].map(|n| table.admit_at(peer(n), begun).unwrap()).into();
+        assert_eq!(alive(&places), [0, 1, 2, 3, 4], "those that come at once have a second");
+        let later = |s| begun + Duration::from_secs(s);
+        places.push(table.admit_at(peer(3), later(1)).unwrap());
+        assert_eq!(alive(&places), [0, 2, 3, 4, 5], "the oldest of peer 2, not the oldest of all");
+        for place in &places[2..4] {
+            place.opened();
+        }
+        places.push(table.admit_at(peer(2), later(2)).unwrap());
+        places.push(table.admit_at(peer(2), later(2)).unwrap());
+        assert_eq!(alive(&places), [0, 2, 3, 5, 6, 7], "who has begun to speak takes no such place");
     }
 
     #[test]

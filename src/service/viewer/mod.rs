@@ -46,7 +46,7 @@ struct Shown {
 
 /// Answers browsers until `stop` is cancelled.
 pub async fn serve(listener: TcpListener, sessions: Arc<Sessions>, refusals: Arc<Refusals>, stop: CancellationToken) {
-    let most = sessions.watchers.most();
+    let all = sessions.watchers.most() + pages::BESIDE_WATCHERS;
     let local = listener.local_addr().is_ok_and(|a| a.ip().is_loopback());
     let mut app = Router::new()
         .route("/", get(show))
@@ -56,7 +56,7 @@ pub async fn serve(listener: TcpListener, sessions: Arc<Sessions>, refusals: Arc
     if local {
         app = app.layer(middleware::from_fn(same_machine));
     }
-    pages::serve(listener, app, most, refusals, stop).await;
+    pages::serve(listener, app, all, refusals, stop).await;
 }
 
 /// A page from elsewhere whose name was made to point at this machine must not read what it serves.
