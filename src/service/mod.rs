@@ -3,7 +3,9 @@
 //! The only layer that knows protobuf and the network. It never computes on the async runtime's threads.
 //!
 //! * [`address`]: where to listen; [`server`]: serving until told to stop.
-//! * [`security`]: TLS and the token; [`gate`]: what every call passes; [`metrics`]: what is counted.
+//! * [`connections`]: who is connected, and who must make room; [`refusals`]: the sampled log of who was refused.
+//! * [`security`]: TLS and the token; [`gate`]: what every call passes; [`rate`]: how many requests a peer may make.
+//! * [`metrics`]: what is counted; [`pages`]: HTTP/1 for metrics and the live page.
 //! * [`sessions`]: who holds which environments, and the limits; [`state`]: sessions that outlive their server.
 //! * [`stream`]: one RunSession stream, request by request; [`rollout`]: the request of many steps.
 //! * [`view`]: requests that only look; [`viewer`]: the page that follows sessions.
@@ -13,6 +15,7 @@
 //! * [`status`]: the one map from errors to gRPC codes.
 
 pub mod address;
+mod connections;
 mod decode;
 pub mod dm_env_rpc;
 mod encode;
@@ -20,6 +23,9 @@ mod encode;
 mod fuzz;
 mod gate;
 mod metrics;
+mod pages;
+mod rate;
+mod refusals;
 mod rollout;
 mod security;
 pub mod server;
@@ -40,9 +46,9 @@ pub mod proto {
     pub const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/descriptors.bin"));
 }
 
-pub use address::{Address, Listener};
+pub use address::{Address, Listener, bind_tcp};
 pub use security::{Tls, Token, warn_if_shared};
-pub use server::{Setup, serve};
+pub use server::{Connected, Setup, serve};
 pub use sessions::Limits;
 pub use state::StateDir;
 pub use values::from_json;
@@ -120,7 +126,8 @@ impl EnvironmentService for Service {
         &self,
         request: Request<Streaming<RunSessionRequest>>,
     ) -> Result<Response<Self::RunSessionStream>, Status> {
-        let answers = stream::run(request.into_inner(), self.sessions.clone(), self.pool.clone());
+        let link = request.extensions().get().cloned();
+        let answers = stream::run(request.into_inner(), link, self.sessions.clone(), self.pool.clone());
         Ok(Response::new(Box::pin(answers)))
     }
 

@@ -9,6 +9,7 @@
 //! by flow control. Nothing here computes: a light request is checked on the async thread, a heavy one on a blocking
 //! thread, and the pool's threads step and encode.
 
+use super::connections::Link;
 use super::proto::run_session_request::Request;
 use super::proto::run_session_response::Response;
 use super::proto::{Attached, RunSessionRequest, RunSessionResponse, Snapshot};
@@ -19,18 +20,17 @@ use crate::pool::{Operation, Pool};
 use futures_util::{Stream, stream};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::time::Duration;
 use tokio::sync::mpsc;
-use tokio::time::Instant;
 use tonic::{Status, Streaming};
 
 /// The answers to `requests`.
 pub fn run(
     requests: Streaming<RunSessionRequest>,
+    link: Option<Link>,
     sessions: Arc<Sessions>,
     pool: Arc<Pool>,
 ) -> impl Stream<Item = Result<RunSessionResponse, Status>> {
-    let run = Run { requests, sessions, pool, attached: None, answers: None, next: Instant::now() };
+    let run = Run { requests, link, first: true, sessions, pool, attached: None, answers: None };
     stream::try_unfold(run, |mut run| async move {
         let answer = run.answer().await?;
         if let Some(RunSessionResponse { response: Some(Response::Failure(refused)), .. }) = &answer {
@@ -43,14 +43,15 @@ pub fn run(
 /// The state of a stream.
 struct Run {
     requests: Streaming<RunSessionRequest>,
+    link: Option<Link>,
+    /// No message was read yet: it counts as one with the call.
+    first: bool,
     sessions: Arc<Sessions>,
     pool: Arc<Pool>,
     /// None until the first message has named the session.
     attached: Option<Guard>,
     /// Where the present request's answers come from.
     answers: Option<mpsc::Receiver<RunSessionResponse>>,
-    /// No request is read before this time.
-    next: Instant,
 }
 
 /// Lets the session go when the stream ends.
@@ -94,14 +95,21 @@ impl Run {
     /// The next message, unless the session or the server ends first.
     async fn next_request(&mut self) -> Result<Option<RunSessionRequest>, Status> {
         let end = self.attached.as_ref().map_or(self.sessions.stop(), |a| &a.hold.end).clone();
-        if let Some(rate) = self.sessions.limits().rate {
-            tokio::time::sleep_until(self.next).await;
-            self.next = Instant::now() + Duration::from_secs(1) / rate.max(1);
-        }
-        tokio::select! {
+        let first = std::mem::take(&mut self.first);
+        let message = async {
+            if let Some(link) = self.link.as_ref().filter(|_| !first) {
+                link.turn().await;
+            }
+            self.requests.message().await
+        };
+        let message = tokio::select! {
             biased;
-            () = end.cancelled() => Err(self.ended()),
-            message = self.requests.message() => message.map_err(status::unreadable),
+            () = end.cancelled() => None,
+            message = message => Some(message),
+        };
+        match message {
+            Some(message) => message.map_err(status::unreadable),
+            None => Err(self.ended()),
         }
     }
 

@@ -1,9 +1,10 @@
 //! Requests that only look: pictures, and moments as recordings hold them.
 
 use super::proto::{Observation, Observe, Pictures, Render};
-use crate::env::Look;
+use crate::env::{Look, Spec};
 use crate::error::{Error, Result};
 use crate::pool::Batch;
+use crate::sim::Model;
 use crate::view::{self, About, Moment};
 
 /// Most pixels of one request, all its pictures together: our choice of guard, 100 MB.
@@ -40,25 +41,24 @@ fn captions(look: &Look) -> Vec<String> {
 pub fn observe(batch: &Batch, request: &Observe) -> Result<Observation> {
     let look = batch.look(request.index as usize, request.ended)?;
     let row = row(&look).iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<_>>();
-    Ok(Observation { header: header(&look), row: row.into() })
+    Ok(Observation { header: header(look.spec, look.model, look.episode), row: row.into() })
 }
 
-/// The header of the recording's section that this moment belongs to.
-pub fn header(look: &Look) -> String {
-    let spec = look.spec;
+/// The header of the recording's section that moments of this episode belong to.
+pub fn header(spec: &Spec, model: &Model, episode: (u64, u64)) -> String {
     let about = About {
         task: spec.id,
         rate: spec.control_rate,
-        episode: Some(look.episode),
+        episode: Some(episode),
         info: spec.info.iter().map(|c| (c.name.as_str(), c.unit)).collect(),
         reward_terms: spec.reward.len(),
         actions: spec.action.len(),
     };
-    view::header(look.model, &about)
+    view::header(model, &about)
 }
 
 /// The moment's numbers.
-pub fn row(look: &Look) -> Vec<f32> {
+fn row(look: &Look) -> Vec<f32> {
     let Look { model, state, footing, time, action, reward, info, .. } = look;
     view::row(model, &Moment { time: *time, state, footing, action, reward: *reward, info })
 }

@@ -57,7 +57,8 @@ impl Environment for DmEnvRpc {
         &self,
         request: Request<Streaming<EnvironmentRequest>>,
     ) -> Result<Response<Self::ProcessStream>, Status> {
-        let answers = connection::run(request.into_inner(), self.worlds.clone());
+        let link = request.extensions().get().cloned();
+        let answers = connection::run(request.into_inner(), link, self.worlds.clone());
         Ok(Response::new(Box::pin(answers)))
     }
 }
