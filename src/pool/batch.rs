@@ -123,11 +123,16 @@ impl Batch {
         self.check_begun("step")?;
         let width = self.spec().action.len();
         if actions.len() != self.envs * width {
-            let (got, n) = (actions.len(), self.envs);
-            return Err(Error::invalid("actions", format!("{got} numbers, expected {} = [{n}, {width}]", n * width)));
+            return Err(self.wrong_actions(actions.len()));
         }
         self.check_actions(&actions, |row| format!("actions[{row}]"))?;
         Ok(Operation::Step { actions, held: None })
+    }
+
+    /// What is said of a step's actions if there are `got` numbers, which is not their number.
+    pub fn wrong_actions(&self, got: usize) -> Error {
+        let (n, width) = (self.envs, self.spec().action.len());
+        Error::invalid("actions", format!("{got} numbers, expected {} = [{n}, {width}]", n * width))
     }
 
     /// [`Batch::step`] of some: environments that `held` names stay as they are, whatever their actions.

@@ -208,7 +208,9 @@ fn give_back(shared: &Shared, id: u64, start: usize, shard: Shard, panicked: boo
     drop(queue);
     pending.finished.sort_unstable_by_key(|f| f.0);
     pending.batch.shards.extend(pending.finished.into_iter().map(|f| f.1));
-    let lost = || Error::Exhausted("the simulation of this session failed; please report this as a bug".into());
-    (pending.done)(if pending.panicked { Err(lost()) } else { Ok(pending.batch) });
+    let lost = || Error::Internal("the simulation of this session failed".into());
+    let Pending { batch, panicked, done, .. } = pending;
+    // A panic in it is for whoever gave it to notice, by what it drops; this thread has other sessions' work to do.
+    drop(catch_unwind(AssertUnwindSafe(|| done(if panicked { Err(lost()) } else { Ok(batch) }))));
     shared.lock()
 }

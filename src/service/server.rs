@@ -8,6 +8,7 @@ use super::address::Listener;
 use super::dm_env_rpc::DmEnvRpc;
 use super::dm_env_rpc::proto::environment_server::EnvironmentServer as DmEnvRpcServer;
 use super::gate::{self, Gate};
+use super::intake::{self, Intake};
 use super::metrics;
 use super::proto::DESCRIPTORS;
 use super::proto::environment_service_server::EnvironmentServiceServer;
@@ -15,7 +16,7 @@ use super::proto::study_service_server::StudyServiceServer;
 use super::security::{Tls, Token};
 use super::sessions::{Limits, Sessions};
 use super::state::StateDir;
-use super::studies::{self, Studies};
+use super::studies::Studies;
 use super::{Service, off_runtime, viewer};
 use crate::error::{Error, Result};
 use crate::pool::Pool;
@@ -96,12 +97,15 @@ pub async fn serve(listener: Listener, setup: Setup, stop: CancellationToken) ->
     if dm_env_rpc {
         offer.add(DmEnvRpcServer::new(DmEnvRpc::new(sessions.clone(), pool.clone())));
     }
-    add_services(&mut offer, &sessions, pool.clone(), &health)?;
+    let intake = Intake::new(sessions.limits());
+    add_services(&mut offer, &sessions, pool.clone(), &intake, &health)?;
     for name in &offer.names {
         health.set_service_status(name, ServingStatus::Serving).await;
     }
     let gate = Gate { token, metrics: sessions.metrics.clone() };
-    let routes = offer.routes.routes().into_axum_router().layer(middleware::from_fn_with_state(gate, gate::pass));
+    let routes = offer.routes.routes().into_axum_router();
+    let routes = routes.layer(middleware::from_fn_with_state(intake, intake::pass));
+    let routes = routes.layer(middleware::from_fn_with_state(gate, gate::pass));
     let saved = tokio::spawn(end(sessions, health, offer.names, state));
     match listener {
         Listener::Tcp(listener) => {
@@ -143,9 +147,16 @@ impl Offer {
 }
 
 /// Everything a client can call.
-fn add_services(offer: &mut Offer, sessions: &Arc<Sessions>, pool: Arc<Pool>, health: &HealthReporter) -> Result<()> {
+fn add_services(
+    offer: &mut Offer,
+    sessions: &Arc<Sessions>,
+    pool: Arc<Pool>,
+    intake: &Arc<Intake>,
+    health: &HealthReporter,
+) -> Result<()> {
+    // The intake has let no message pass that is too large.
     let largest = sessions.limits().request;
-    let environments = Service { sessions: sessions.clone(), pool };
+    let environments = Service { sessions: sessions.clone(), pool, intake: intake.clone() };
     let reflection = || {
         tonic_reflection::server::Builder::configure()
             .register_encoded_file_descriptor_set(DESCRIPTORS)
@@ -160,7 +171,7 @@ fn add_services(offer: &mut Offer, sessions: &Arc<Sessions>, pool: Arc<Pool>, he
         )
         .add(
             StudyServiceServer::new(Studies::new(sessions.stop().clone()))
-                .max_decoding_message_size(studies::MOST_BYTES.min(largest))
+                .max_decoding_message_size(largest)
                 .max_encoding_message_size(u32::MAX as usize),
         )
         .add(tonic_health::pb::health_server::HealthServer::new(HealthService::from_health_reporter(health.clone())))

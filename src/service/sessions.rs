@@ -34,7 +34,7 @@ pub struct Limits {
     pub sessions: usize,
     /// Environments in one session.
     pub environments: usize,
-    /// Estimated memory of all environments together [bytes].
+    /// Memory of all environments, estimated, and of requests together [bytes]; see [`super::intake`].
     pub memory: usize,
     /// A session without a stream is freed after this time.
     pub lease: Duration,
@@ -155,7 +155,7 @@ impl Making {
 
 /// Something panicked.
 fn not_made() -> Error {
-    Error::Exhausted("the session could not be made; please report this as a bug".into())
+    Error::Internal("the session could not be made".into())
 }
 
 /// One session.
@@ -343,7 +343,7 @@ impl Sessions {
         if usage.sessions >= self.limits.sessions {
             return Err(Error::Exhausted(format!("all {} sessions of this server are taken", self.limits.sessions)));
         }
-        let free = self.limits.memory.saturating_sub(usage.memory);
+        let free = self.limits.of_environments().saturating_sub(usage.memory);
         if memory > free {
             let [needed, free] = [memory, free].map(|bytes| bytes.div_ceil(1 << 20));
             return Err(Error::Exhausted(format!(

@@ -14,7 +14,7 @@ fn code(error: &Error) -> Code {
         Error::OutOfOrder(_) => Code::FailedPrecondition,
         Error::Exhausted(_) => Code::ResourceExhausted,
         Error::Cancelled(_) => Code::Cancelled,
-        Error::File { .. } => Code::Internal,
+        Error::File { .. } | Error::Internal(_) => Code::Internal,
     }
 }
 
@@ -26,12 +26,6 @@ pub fn status(error: &Error) -> Status {
 /// Refuses one request of a stream that goes on.
 pub fn failure(error: &Error) -> proto::Failure {
     proto::Failure { code: code(error).into(), message: error.to_string() }
-}
-
-/// A panic or a lost worker: ours to mend, not the caller's.
-pub fn bug(what: &str) -> Status {
-    tracing::error!(what, "bug");
-    Status::internal(format!("{what}; please report this as a bug"))
 }
 
 /// What tonic says about a message it could not read, in the codes that tell a caller whose mistake it was.

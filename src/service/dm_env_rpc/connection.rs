@@ -15,7 +15,9 @@ use super::settings::{self, Changes, Settings};
 use super::tensors::{self, View};
 use super::worlds::{Interrupt, Place, Worlds};
 use crate::error::{Error, Result};
-use crate::service::status;
+use crate::service::frame::Frame;
+use crate::service::intake::Door;
+use crate::service::{status, wire};
 use futures_util::{Stream, stream};
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -25,15 +27,17 @@ use tonic::{Code, Status, Streaming};
 
 /// The answers to `requests`.
 pub fn run(
-    requests: Streaming<EnvironmentRequest>,
+    requests: Streaming<Frame<EnvironmentRequest>>,
+    door: Door,
     worlds: Arc<Worlds>,
 ) -> impl Stream<Item = std::result::Result<EnvironmentResponse, Status>> {
-    let connection = Connection { requests, worlds, agent: None, next: Instant::now() };
+    let connection = Connection { requests, door, worlds, agent: None, next: Instant::now() };
     stream::try_unfold(connection, |mut c| async move { Ok(c.answer().await?.map(|answer| (answer, c))) })
 }
 
 struct Connection {
-    requests: Streaming<EnvironmentRequest>,
+    requests: Streaming<Frame<EnvironmentRequest>>,
+    door: Door,
     worlds: Arc<Worlds>,
     /// None: no world is joined.
     agent: Option<Agent>,
@@ -58,7 +62,8 @@ impl Connection {
         }
         let message = stop.run_until_cancelled(self.requests.message()).await;
         let message = message.ok_or_else(|| Status::unavailable("the server is shutting down"))?;
-        let Some(message) = message.map_err(status::unreadable)? else { return Ok(None) };
+        let Some(frame) = message.map_err(status::unreadable)? else { return Ok(None) };
+        let (message, _share) = frame.receive(&self.door, wire::PLAIN).await?;
         let payload = match message.payload {
             Some(request) => self.handle(request).await.unwrap_or_else(|e| refusal(&e)),
             None => refusal(&Error::invalid("payload", "the request is empty")),
