@@ -59,6 +59,7 @@ _KINDS: dict[grpc.StatusCode, type[SandgaitError]] = {
     grpc.StatusCode.UNAVAILABLE: ServerLost,
     grpc.StatusCode.CANCELLED: SessionLost,
     grpc.StatusCode.DEADLINE_EXCEEDED: ServerLost,
+    grpc.StatusCode.INTERNAL: SandgaitError,
 }
 
 

@@ -154,6 +154,13 @@ impl Batch {
         Ok(Operation::Restore { episodes })
     }
 
+    /// What puts every environment back to where it is now.
+    pub fn keep(&self) -> Result<Operation> {
+        self.check_begun("rollout")?;
+        let all = self.shards.iter().flat_map(|shard| (0..shard.envs()).map(|i| Arc::new(shard.keep(i))));
+        Ok(Operation::Restore { episodes: all.collect() })
+    }
+
     /// Checks a rollout of `actions`, f32 [steps, envs, action]; none of its steps are made by what this returns.
     pub fn roll(&self, actions: Vec<f32>, record: bool) -> Result<Roll> {
         self.check_begun("rollout")?;

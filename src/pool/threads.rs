@@ -214,3 +214,34 @@ fn give_back(shared: &Shared, id: u64, start: usize, shard: Shard, panicked: boo
     drop(catch_unwind(AssertUnwindSafe(|| done(if panicked { Err(lost()) } else { Ok(batch) }))));
     shared.lock()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::env::registry::Blueprint;
+    use serde_json::Value;
+    use std::sync::mpsc;
+
+    /// Whoever is told of a batch panics: the only worker goes on with other batches, and what was told is dropped.
+    #[test]
+    fn a_panic_of_who_is_told_costs_no_worker() {
+        let pool = Pool::new(1);
+        let begun = || {
+            let blueprint = Blueprint::new("sandgait/HexapodGait-v0", Value::Null).unwrap();
+            let mut batch = Batch::new(&blueprint, 2).unwrap();
+            let reset = batch.reset(None, None, Default::default()).unwrap();
+            (batch, reset)
+        };
+        for _ in 0..3 {
+            let (batch, reset) = begun();
+            let (sender, dropped) = mpsc::channel::<()>();
+            pool.run(batch, reset, move |_| {
+                let _sender = sender;
+                panic!("on purpose");
+            });
+            assert!(dropped.recv().is_err());
+        }
+        let (batch, reset) = begun();
+        assert_eq!(pool.wait(batch, reset).unwrap().envs(), 2);
+    }
+}

@@ -4,10 +4,10 @@ use super::proto::{self, run_session_request::Request};
 use super::values;
 use crate::env::{ResetOptions, options};
 use crate::error::{Error, Result};
-use crate::pool::{Batch, Operation, Snapshot};
+use crate::pool::{Batch, Operation, Seal, Snapshot};
 
 /// The operation `request` asks of `batch`; on an error the batch is as it was.
-pub fn operation(batch: &mut Batch, request: Option<Request>) -> Result<Operation> {
+pub fn operation(batch: &mut Batch, request: Option<Request>, seal: &Seal) -> Result<Operation> {
     let envs = batch.envs();
     match request {
         Some(Request::Step(step)) => {
@@ -24,8 +24,9 @@ pub fn operation(batch: &mut Batch, request: Option<Request>) -> Result<Operatio
             batch.reset(chosen, seeds, changes)
         }
         Some(Request::Restore(restore)) => {
-            let snapshot = Snapshot::from_bytes(&restore.snapshot)?;
-            let sources = if restore.sources.is_empty() { None } else { Some(indices("sources", &restore.sources, envs)?) };
+            let sources =
+                if restore.sources.is_empty() { None } else { Some(indices("sources", &restore.sources, envs)?) };
+            let snapshot = Snapshot::from_bytes(&restore.snapshot, seal)?;
             batch.restore(&snapshot, sources.as_deref())
         }
         // The others are no operations: they were answered before.

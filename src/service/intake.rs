@@ -76,6 +76,12 @@ impl Intake {
         Arc::new(Self { shares, room, largest: limits.request.min(room / COPIES) })
     }
 
+    /// What a client may send ahead on a stream [bytes], and twice that on a connection. Our choice: a step of the largest
+    /// usual batch without waiting for credit, or as little as 32 connections can hold within the memory for requests.
+    pub fn window(&self) -> u32 {
+        (self.room / 64).clamp(64 << 10, 4 << 20) as u32
+    }
+
     /// Largest message of the call `path` [bytes].
     fn limit(&self, path: &str) -> usize {
         let limit = match path.rsplit('/').next() {

@@ -46,6 +46,7 @@ pub mod proto {
     pub const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/descriptors.bin"));
 }
 
+pub use crate::pool::Seal;
 pub use address::{Address, Listener};
 pub use security::{Tls, Token, warn_if_shared};
 pub use server::{Setup, serve};

@@ -39,13 +39,9 @@ pub fn start_network(work: Work, request: &proto::PolicyRollout, pool: Arc<Pool>
     begin(work, |batch| batch.roll_network(onnx, *steps, *trajectories), *trajectories, pool);
 }
 
-fn begin(mut work: Work, roll: impl FnOnce(&Batch) -> Result<Roll>, trajectories: bool, pool: Arc<Pool>) {
-    let batch = &mut work.environments.batch;
-    let plan = roll(batch).and_then(|roll| {
-        // Checked before anything runs: once it has, the environments must be put back.
-        let back = batch.save().and_then(|snapshot| batch.restore(&snapshot, None))?;
-        Ok((roll, back))
-    });
+fn begin(work: Work, roll: impl FnOnce(&Batch) -> Result<Roll>, trajectories: bool, pool: Arc<Pool>) {
+    let batch = &work.environments.batch;
+    let plan = roll(batch).and_then(|roll| Ok((roll, batch.keep()?)));
     match plan {
         Ok((roll, back)) => drop(tokio::spawn(run(work, roll, back, trajectories, pool))),
         Err(error) => work.refuse(&error),

@@ -19,7 +19,7 @@ use super::state::StateDir;
 use super::studies::Studies;
 use super::{Service, off_runtime, viewer};
 use crate::error::{Error, Result};
-use crate::pool::Pool;
+use crate::pool::{Pool, Seal};
 use axum::middleware;
 use std::sync::Arc;
 use std::time::Duration;
@@ -48,10 +48,7 @@ const KEEPALIVE: Duration = Duration::from_secs(60);
 /// Time to wait before accepting again when it failed (no file descriptors left).
 const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 
-/// Bytes a client may send ahead on a connection: a step of the largest usual batch without waiting for credit.
-const WINDOW: u32 = 4 << 20;
-
-/// HTTP/2 frame size we accept.
+/// Largest HTTP/2 frame we accept.
 const FRAME: u32 = 1 << 20;
 
 /// What a server is made of, apart from where it listens.
@@ -64,6 +61,8 @@ pub struct Setup {
     pub tls: Option<Tls>,
     /// What every call must say, but those that ask for the server's health.
     pub token: Option<Token>,
+    /// Of snapshots and kept sessions.
+    pub seal: Seal,
     /// Where `GET /metrics` is answered.
     pub metrics: Option<TcpListener>,
     /// Where browsers see the sessions.
@@ -76,8 +75,8 @@ pub struct Setup {
 
 /// Serves until `stop` is cancelled, then lets every stream finish the operation it has in flight.
 pub async fn serve(listener: Listener, setup: Setup, stop: CancellationToken) -> Result<()> {
-    let Setup { threads, limits, tls, token, metrics, viewer, state, dm_env_rpc } = setup;
-    let (sessions, pool) = (Sessions::new(limits, stop.clone()), Arc::new(Pool::new(threads)));
+    let Setup { threads, limits, tls, token, seal, metrics, viewer, state, dm_env_rpc } = setup;
+    let (sessions, pool) = (Sessions::new(limits, seal, stop.clone()), Arc::new(Pool::new(threads)));
     if let Some(state) = state.clone() {
         let (sessions, pool) = (sessions.clone(), pool.clone());
         let taken = off_runtime(move || state.take_up(&sessions, &pool)).await;
@@ -98,6 +97,7 @@ pub async fn serve(listener: Listener, setup: Setup, stop: CancellationToken) ->
         offer.add(DmEnvRpcServer::new(DmEnvRpc::new(sessions.clone(), pool.clone())));
     }
     let intake = Intake::new(sessions.limits());
+    let window = intake.window();
     add_services(&mut offer, &sessions, pool.clone(), &intake, &health)?;
     for name in &offer.names {
         health.set_service_status(name, ServingStatus::Serving).await;
@@ -112,12 +112,12 @@ pub async fn serve(listener: Listener, setup: Setup, stop: CancellationToken) ->
             // Without nodelay a small call takes 44 ms; `Server::tcp_nodelay` is ignored when we bring the listener.
             let tcp = TcpIncoming::from(listener).with_nodelay(Some(true)).with_keepalive(Some(KEEPALIVE));
             match tls {
-                None => drive(routes.into(), tcp, Some(KEEPALIVE), stop).await?,
-                Some(tls) => drive(routes.into(), tls.accept(tcp), Some(KEEPALIVE), stop).await?,
+                None => drive(routes.into(), tcp, Some(KEEPALIVE), window, stop).await?,
+                Some(tls) => drive(routes.into(), tls.accept(tcp), Some(KEEPALIVE), window, stop).await?,
             }
         }
         Listener::Unix(listener, _file) => {
-            drive(routes.into(), UnixListenerStream::new(listener), None, stop).await?;
+            drive(routes.into(), UnixListenerStream::new(listener), None, window, stop).await?;
         }
     }
     let saved = saved.await;
@@ -190,8 +190,9 @@ async fn end(sessions: Arc<Sessions>, mut health: HealthReporter, names: Vec<&'s
         health.clear_service_status(name).await;
     }
     let Some(state) = state else { return };
+    let seal = sessions.seal.clone();
     let sessions = sessions.drain(deadline - SAVED / 4).await;
-    let save = tokio::task::spawn_blocking(move || state.save(sessions, deadline.into_std()));
+    let save = tokio::task::spawn_blocking(move || state.save(sessions, &seal, deadline.into_std()));
     match tokio::time::timeout_at(deadline, save).await {
         Ok(Ok(())) => {}
         Ok(Err(error)) => tracing::error!(%error, "sessions were lost: they could not be saved"),
@@ -203,6 +204,7 @@ async fn drive<C>(
     routes: Routes,
     incoming: impl Stream<Item = std::io::Result<C>>,
     keepalive: Option<Duration>,
+    window: u32,
     stop: CancellationToken,
 ) -> Result<()>
 where
@@ -218,9 +220,9 @@ where
     let serving = tonic::transport::Server::builder()
         .http2_keepalive_interval(keepalive)
         .http2_keepalive_timeout(keepalive)
-        .initial_stream_window_size(WINDOW)
-        .initial_connection_window_size(2 * WINDOW)
-        .max_frame_size(FRAME)
+        .initial_stream_window_size(window)
+        .initial_connection_window_size(2 * window)
+        .max_frame_size(window.min(FRAME))
         .add_routes(routes)
         .serve_with_incoming_shutdown(incoming, stop.clone().cancelled_owned());
     let too_late = async {

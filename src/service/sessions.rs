@@ -18,7 +18,7 @@ use super::viewer::Watchers;
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
 use crate::parallel::processors;
-use crate::pool::{Batch, Building};
+use crate::pool::{Batch, Building, Seal};
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
 use std::collections::HashMap;
@@ -218,6 +218,8 @@ pub struct Sessions {
     /// Turns to make environments, one for each processor.
     turns: Arc<Semaphore>,
     stop: CancellationToken,
+    /// Of snapshots.
+    pub seal: Seal,
     pub metrics: Arc<Metrics>,
     pub watchers: Arc<Watchers>,
 }
@@ -235,13 +237,14 @@ pub fn name(id: &str) -> String {
 
 impl Sessions {
     /// Cancelling `stop` ends every stream after the operation it has in flight.
-    pub fn new(limits: Limits, stop: CancellationToken) -> Arc<Self> {
+    pub fn new(limits: Limits, seal: Seal, stop: CancellationToken) -> Arc<Self> {
         Arc::new(Self {
             limits,
             usage: Arc::default(),
             entries: Mutex::default(),
             turns: Arc::new(Semaphore::new(processors())),
             stop,
+            seal,
             metrics: Arc::default(),
             watchers: Arc::default(),
         })

@@ -181,6 +181,11 @@ impl Run {
             let reason = format!("{:?} is not this stream's; leave it empty or open a stream", request.session_id);
             return at_once(Response::Failure(status::failure(&Error::invalid("session_id", reason))));
         }
+        // Waited for before the environments are taken: this may be broken off.
+        let pictures = match &request.request {
+            Some(Request::Render(render)) => Some(self.intake.share(view::size(render)).await),
+            _ => None,
+        };
         let Some(environments) = self.sessions.take(hold).await else { return Err(self.ended()) };
         if matches!(request.request, Some(Request::Attach(_))) {
             let last_sequence = environments.done.sequence;
@@ -197,15 +202,12 @@ impl Run {
         let reply = Reply { sequence, loan, answers: sender, share: None };
         let mut work = Work { environments, reply };
         self.answers = Some(receiver);
-        if let Some(Request::Render(render)) = &request.request {
-            // The answer takes more than the request.
-            match self.intake.share(view::size(render)).await {
-                Ok(share) => self.share = Some(Arc::new(share)),
-                Err(error) => {
-                    work.refuse(&error);
-                    return Ok(None);
-                }
-            }
+        if let Some(Err(error)) = &pictures {
+            work.refuse(error);
+            return Ok(None);
+        }
+        if let Some(Ok(share)) = pictures {
+            self.share = Some(Arc::new(share));
         }
         work.reply.share = self.share.clone();
         start(work, request, self.pool.clone());
@@ -242,9 +244,10 @@ fn start(work: Work, request: RunSessionRequest, pool: Arc<Pool>) {
 /// Checks a request and starts its operation.
 fn carry_out(mut work: Work, request: Option<Request>, pool: &Arc<Pool>) {
     let batch = &mut work.environments.batch;
+    let seal = &work.reply.loan.sessions.seal;
     let operation = match request {
         Some(Request::Save(_)) => {
-            let saved = batch.save().and_then(|s| s.to_bytes());
+            let saved = batch.save().and_then(|s| s.to_bytes(seal));
             return work.tell(saved.map(|data| Response::Snapshot(Snapshot { data: data.into() })));
         }
         Some(Request::Rollout(request)) => return rollout::start(work, &request, pool.clone()),
@@ -257,7 +260,7 @@ fn carry_out(mut work: Work, request: Option<Request>, pool: &Arc<Pool>) {
             let seen = view::observe(batch, &request);
             return work.tell(seen.map(Response::Observation));
         }
-        request => decode::operation(batch, request),
+        request => decode::operation(batch, request, seal),
     };
     match operation {
         Ok(operation) => work.run(operation, pool),
@@ -313,5 +316,81 @@ impl Work {
     /// Puts the environments back without an answer: nobody waits for it.
     pub fn give_back(mut self) {
         self.reply.loan.give_back(self.environments);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::env::registry::Blueprint;
+    use crate::pool::Seal;
+    use crate::service::sessions::Limits;
+    use serde_json::Value;
+    use tokio_util::sync::CancellationToken;
+    use tonic::Code;
+
+    /// A session's environments on their way, and where its answers arrive.
+    fn lent(sessions: &Arc<Sessions>) -> (Work, mpsc::Receiver<RunSessionResponse>) {
+        let blueprint = Blueprint::new("sandgait/HexapodGait-v0", Value::Null).unwrap();
+        let environments = sessions.build(&blueprint, 2).unwrap();
+        let (answers, receiver) = mpsc::channel(2);
+        sessions.add("one".into(), blueprint.clone(), sessions.build(&blueprint, 1).unwrap()).unwrap();
+        let loan = Loan::new(sessions.clone(), "one".into());
+        (Work { environments, reply: Reply { sequence: 7, loan, answers, share: None } }, receiver)
+    }
+
+    fn sessions() -> Arc<Sessions> {
+        Sessions::new(Limits::default(), Seal::default(), CancellationToken::new())
+    }
+
+    fn check(sessions: &Sessions, mut answers: mpsc::Receiver<RunSessionResponse>) {
+        let RunSessionResponse { sequence, response } = answers.blocking_recv().unwrap();
+        let Some(Response::Failure(failure)) = response else { panic!("{response:?}") };
+        assert_eq!((sequence, failure.code), (7, i32::from(Code::Internal)));
+        assert!(failure.message.ends_with("please report this as a bug"), "{}", failure.message);
+        assert!(answers.blocking_recv().is_none());
+        assert!(sessions.list().is_empty(), "the session has ended");
+    }
+
+    /// In the pool: the worker that runs the last shard encodes the answer.
+    #[test]
+    fn a_panic_while_an_answer_is_made_is_answered() {
+        let (sessions, pool) = (sessions(), Pool::new(1));
+        for _ in 0..2 {
+            let (mut work, answers) = lent(&sessions);
+            let operation = work.environments.batch.reset(None, None, Default::default()).unwrap();
+            let Work { environments, reply } = work;
+            let (batch, rest) = environments.into_parts();
+            pool.run(batch, operation, move |batch| {
+                let _work = reply.with(rest, batch.unwrap());
+                panic!("on purpose");
+            });
+            check(&sessions, answers);
+        }
+        assert_eq!(sessions.usage().sessions, 0);
+    }
+
+    /// In a task of the runtime, as a rollout is.
+    #[test]
+    fn a_panic_between_the_parts_of_a_rollout_is_answered() {
+        let sessions = sessions();
+        let (work, answers) = lent(&sessions);
+        let runtime = tokio::runtime::Runtime::new().unwrap();
+        let task = runtime.spawn(async move {
+            let _work = work;
+            tokio::task::yield_now().await;
+            panic!("on purpose");
+        });
+        assert!(runtime.block_on(task).unwrap_err().is_panic());
+        check(&sessions, answers);
+    }
+
+    #[test]
+    fn a_session_whose_environments_are_back_goes_on() {
+        let sessions = sessions();
+        let (work, mut answers) = lent(&sessions);
+        work.refuse(&Error::invalid("x", "y"));
+        assert!(matches!(answers.blocking_recv().unwrap().response, Some(Response::Failure(_))));
+        assert_eq!(sessions.list().len(), 1);
     }
 }

@@ -187,7 +187,9 @@ mod tests {
         let empty = |count| list(vec![list(Vec::new()); count]);
         check(&creation(empty(1_000)), &CREATE_SESSION).unwrap();
         assert!(refusal(&creation(empty(5_000)), &CREATE_SESSION).starts_with("options: too many values"));
-        assert!(refusal(&creation(list(vec![Value::default(); 5_000])), &CREATE_SESSION).starts_with("options: too many"));
+        assert!(
+            refusal(&creation(list(vec![Value::default(); 5_000])), &CREATE_SESSION).starts_with("options: too many")
+        );
         let nested = |depth| (0..depth).fold(list(Vec::new()), |inner, _| list(vec![inner]));
         check(&creation(nested(10)), &CREATE_SESSION).unwrap();
         assert!(refusal(&creation(nested(40)), &CREATE_SESSION).starts_with("options: too many values"));

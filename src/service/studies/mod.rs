@@ -8,10 +8,10 @@ mod encode;
 mod line;
 
 use super::frame::Frame;
-use super::{off_runtime, wire};
 use super::proto::study_service_server::StudyService;
 use super::proto::{self, DiagnoseRequest, DiagnoseResponse, IntrudeRequest, IntrudeResponse};
 use super::proto::{EvaluateRequest, EvaluateResponse, SweepRequest, SweepResponse, WalkRequest, WalkResponse};
+use super::{off_runtime, wire};
 use crate::error::{Error, Result};
 use crate::evaluate::Study;
 use crate::progress::Progress;
@@ -58,7 +58,10 @@ impl StudyService for Studies {
 
     type WalkStream = Events<WalkResponse>;
 
-    async fn walk(&self, request: Request<Frame<WalkRequest>>) -> std::result::Result<Response<Self::WalkStream>, Status> {
+    async fn walk(
+        &self,
+        request: Request<Frame<WalkRequest>>,
+    ) -> std::result::Result<Response<Self::WalkStream>, Status> {
         let (request, share) = Frame::only(request, wire::PLAIN).await?;
         let walks = off_runtime(move || decode::walk(request)).await?;
         let work = move |progress: &dyn Progress| {
@@ -73,7 +76,10 @@ impl StudyService for Studies {
 
     type SweepStream = Events<SweepResponse>;
 
-    async fn sweep(&self, request: Request<Frame<SweepRequest>>) -> std::result::Result<Response<Self::SweepStream>, Status> {
+    async fn sweep(
+        &self,
+        request: Request<Frame<SweepRequest>>,
+    ) -> std::result::Result<Response<Self::SweepStream>, Status> {
         let (request, share) = Frame::only(request, &wire::SWEEP).await?;
         let sweep = off_runtime(move || decode::sweep(request)).await?;
         let work = move |progress: &dyn Progress| {
