@@ -14,7 +14,11 @@ fn code(error: &Error) -> Code {
         Error::OutOfOrder(_) => Code::FailedPrecondition,
         Error::Exhausted(_) => Code::ResourceExhausted,
         Error::Cancelled(_) => Code::Cancelled,
-        Error::File { .. } | Error::Internal(_) => Code::Internal,
+        Error::File { .. } => Code::Internal,
+        Error::Internal(_) => {
+            tracing::error!(%error, "bug");
+            Code::Internal
+        }
     }
 }
 

@@ -98,25 +98,27 @@ fn rollout(steps: usize, envs: usize) -> Request {
     Request::Rollout(Rollout { actions: row.repeat(steps).into(), trajectories: false })
 }
 
-/// The largest message takes all the memory there is for requests: shares that were not given back would be missed at once.
+/// The largest message takes all the memory there is for requests: a share that was not given back would be missed at once.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn shares_are_given_back() {
     let server = Server::with_limits(1, Limits { memory: 16 * MIB, ..Limits::default() }).await;
-    let mut session = server.session(2).await;
+    let mut session = server.session(64).await;
     session.reset(1).await;
-    let steps = (2 * MIB - 4096) / (2 * 6 * 4);
+    let garbage = || Some(Request::Restore(Restore { snapshot: vec![7; 2 * MIB - 256].into(), ..Default::default() }));
+    let rollout = || Some(rollout((2 * MIB - 256) / (64 * 6 * 4), 64));
     let mut first = None;
     for _ in 0..3 {
-        let Response::Rollout(part) = session.ask(Some(rollout(steps, 2))).await else { panic!("no rollout") };
+        let Response::Rollout(part) = session.ask(rollout()).await else { panic!("no rollout") };
         assert_eq!(*first.get_or_insert_with(|| part.returns.clone()), part.returns);
-        // A client that leaves in mid-rollout.
+        assert!(session.failure(garbage()).await.message.starts_with("snapshot: "));
+    }
+    for request in [rollout(), garbage()] {
+        // A client that leaves while its request is read or carried out.
         let (left, _) = Session::resume(server.client().await, &session.id, 0).await.unwrap();
-        let (id, request) = (left.id.clone(), Some(rollout(steps, 2)));
-        left.requests.send(RunSessionRequest { session_id: id, sequence: 0, request }).await.unwrap();
+        left.requests.send(RunSessionRequest { session_id: left.id.clone(), sequence: 0, request }).await.unwrap();
         drop(left);
-        session = Session::resume(server.client().await, &session.id, 0).await.unwrap().0;
-        session.reset(1).await;
-        session = Session::resume(server.client().await, &session.id, 1).await.unwrap().0;
+        let mut other = server.session(1).await;
+        assert!(other.failure(garbage()).await.message.starts_with("snapshot: "));
     }
 }
 
