@@ -61,6 +61,7 @@ _KINDS: dict[str, type[SandgaitError]] = {
     "UNAVAILABLE": ServerLost,
     "CANCELLED": SessionLost,
     "DEADLINE_EXCEEDED": ServerLost,
+    "INTERNAL": SandgaitError,
 }
 
 

@@ -117,7 +117,7 @@ fn run(command: Command) -> Result<String> {
 fn exit_code(error: &Error) -> u8 {
     match error {
         Error::Invalid { .. } | Error::Unknown { .. } | Error::Replaced { .. } | Error::File { .. } => 2,
-        Error::OutOfOrder(_) | Error::Exhausted(_) | Error::Cancelled(_) => 1,
+        Error::OutOfOrder(_) | Error::Exhausted(_) | Error::Cancelled(_) | Error::Internal(_) => 1,
     }
 }
 

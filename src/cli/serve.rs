@@ -1,6 +1,6 @@
 //! `sandgait serve`
 
-use sandgait::service::{self, Address, Connected, Limits, Listener, Setup, StateDir, Tls, Token};
+use sandgait::service::{self, Address, Connected, Limits, Listener, Seal, Setup, StateDir, Tls, Token};
 use sandgait::{Error, Result};
 use std::io::{IsTerminal as _, Read as _, Write as _};
 use std::net::SocketAddr;
@@ -81,6 +81,9 @@ struct Security {
     /// Clients must know the token in this file
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
+    /// Seal snapshots and kept sessions with the key in this file, and take no others
+    #[arg(long, value_name = "FILE")]
+    snapshot_key: Option<PathBuf>,
     /// Let --listen have an address that other machines reach without encryption and token
     #[arg(long)]
     insecure: bool,
@@ -132,7 +135,7 @@ struct Lent {
     /// Environments of one session
     #[arg(long, value_name = "N", default_value_t = 65_536, value_parser = clap::value_parser!(u32).range(1..))]
     max_envs: u32,
-    /// Memory of all environments together, estimated [MiB]
+    /// Memory of all environments, estimated, and of large requests together [MiB]
     #[arg(long, value_name = "MIB", default_value_t = 8192, value_parser = clap::value_parser!(u32).range(1..))]
     max_memory_mib: u32,
     /// Size of a request [MiB]
@@ -165,7 +168,8 @@ impl Serve {
         setup.connected = self.peers.connected();
         setup.dm_env_rpc = self.dm_env_rpc;
         setup.state = self.state_dir.as_deref().map(StateDir::new).transpose()?;
-        let secrets = [&self.security.token_file, &self.security.tls_key, &self.state_dir];
+        let Security { token_file, tls_key, snapshot_key, .. } = &self.security;
+        let secrets = [token_file, tls_key, snapshot_key, &self.state_dir];
         let open = setup.tls.is_none() || setup.token.is_none();
         if open && !self.listen.is_local() {
             tracing::warn!(listen = %self.listen, "others reach this server without encryption or token, as --insecure allows");
@@ -261,7 +265,8 @@ impl Security {
             _ => None,
         };
         let token = self.token_file.as_deref().map(Token::load).transpose()?;
-        Ok(Setup { tls, token, ..Setup::default() })
+        let seal = self.snapshot_key.as_deref().map(Seal::load).transpose()?.unwrap_or_default();
+        Ok(Setup { tls, token, seal, ..Setup::default() })
     }
 }
 

@@ -18,7 +18,7 @@ use super::viewer::Watchers;
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
 use crate::parallel::processors;
-use crate::pool::{Batch, Building};
+use crate::pool::{Batch, Building, Seal};
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
 use std::collections::HashMap;
@@ -34,7 +34,7 @@ pub struct Limits {
     pub sessions: usize,
     /// Environments in one session.
     pub environments: usize,
-    /// Estimated memory of all environments together [bytes].
+    /// Memory of all environments, estimated, and of requests together [bytes]; see [`super::intake`].
     pub memory: usize,
     /// A session without a stream is freed after this time.
     pub lease: Duration,
@@ -158,7 +158,7 @@ impl Making {
 
 /// Something panicked.
 fn not_made() -> Error {
-    Error::Exhausted("the session could not be made; please report this as a bug".into())
+    Error::Internal("the session could not be made".into())
 }
 
 /// One session.
@@ -221,6 +221,8 @@ pub struct Sessions {
     /// Turns to make environments, one for each processor.
     turns: Arc<Semaphore>,
     stop: CancellationToken,
+    /// Of snapshots.
+    pub seal: Seal,
     pub metrics: Arc<Metrics>,
     pub watchers: Arc<Watchers>,
 }
@@ -238,7 +240,7 @@ pub fn name(id: &str) -> String {
 
 impl Sessions {
     /// Cancelling `stop` ends every stream after the operation it has in flight.
-    pub fn new(limits: Limits, stop: CancellationToken) -> Arc<Self> {
+    pub fn new(limits: Limits, seal: Seal, stop: CancellationToken) -> Arc<Self> {
         let watchers = Watchers::new(limits.watchers);
         Arc::new(Self {
             limits,
@@ -246,6 +248,7 @@ impl Sessions {
             entries: Mutex::default(),
             turns: Arc::new(Semaphore::new(processors())),
             stop,
+            seal,
             metrics: Arc::default(),
             watchers,
         })
@@ -347,7 +350,7 @@ impl Sessions {
         if usage.sessions >= self.limits.sessions {
             return Err(Error::Exhausted(format!("all {} sessions of this server are taken", self.limits.sessions)));
         }
-        let free = self.limits.memory.saturating_sub(usage.memory);
+        let free = self.limits.of_environments().saturating_sub(usage.memory);
         if memory > free {
             let [needed, free] = [memory, free].map(|bytes| bytes.div_ceil(1 << 20));
             return Err(Error::Exhausted(format!(

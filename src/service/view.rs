@@ -10,10 +10,20 @@ use crate::view::{self, About, Moment};
 /// Most pixels of one request, all its pictures together: our choice of guard, 100 MB.
 const MOST_PIXELS: u64 = 1 << 25;
 
+/// Memory of the answer to `request` [bytes]: its pixels, and once more the message that they go in.
+pub fn size(request: &Render) -> usize {
+    2 * 3 * pixels(request).min(MOST_PIXELS) as usize
+}
+
+fn pixels(request: &Render) -> u64 {
+    let one = u64::from(request.width) * u64::from(request.height);
+    (request.indices.len() as u64).saturating_mul(one)
+}
+
 /// Pictures of environments.
 pub fn render(batch: &Batch, request: &Render) -> Result<Pictures> {
     let Render { indices, width, height, ended } = request;
-    let pixels = (indices.len() as u64).saturating_mul(u64::from(*width) * u64::from(*height));
+    let pixels = pixels(request);
     if pixels > MOST_PIXELS {
         let reason = format!("{} pictures of {width} × {height} have more than {MOST_PIXELS} pixels", indices.len());
         return Err(Error::invalid("indices", reason));

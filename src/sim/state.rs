@@ -152,6 +152,17 @@ impl State {
         self.rate_changes.fill(0.0);
     }
 
+    /// [`Self::is_sound`] of a state that comes from outside: forces and sums too, and every orientation of unit length.
+    pub fn is_possible(&self) -> bool {
+        let numbers = || self.references.iter().chain(&self.torques).chain(&self.impulse).chain([&self.work]);
+        let unit = |q: &[f64; 4]| (q.iter().map(|c| c * c).sum::<f64>().sqrt() - 1.0).abs() < 1e-2;
+        // A servo's reference runs on while its joint is held: our choice of a bound, far beyond any episode.
+        self.is_sound()
+            && numbers().all(|x| x.abs() < 1e9)
+            && unit(&self.orientation)
+            && self.objects.iter().all(|o| unit(&o.orientation))
+    }
+
     /// Base frame to world, row by row.
     pub fn rotation(&self) -> [[f64; 3]; 3] {
         let [w, x, y, z] = self.orientation;

@@ -16,7 +16,9 @@ use super::tensors::{self, View};
 use super::worlds::{Interrupt, Place, Worlds};
 use crate::error::{Error, Result};
 use crate::service::connections::Link;
-use crate::service::status;
+use crate::service::frame::Frame;
+use crate::service::intake::Door;
+use crate::service::{status, wire};
 use futures_util::{Stream, stream};
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -24,16 +26,18 @@ use tonic::{Code, Status, Streaming};
 
 /// The answers to `requests`.
 pub fn run(
-    requests: Streaming<EnvironmentRequest>,
+    requests: Streaming<Frame<EnvironmentRequest>>,
+    door: Door,
     link: Option<Link>,
     worlds: Arc<Worlds>,
 ) -> impl Stream<Item = std::result::Result<EnvironmentResponse, Status>> {
-    let connection = Connection { requests, link, first: true, worlds, agent: None };
+    let connection = Connection { requests, door, link, first: true, worlds, agent: None };
     stream::try_unfold(connection, |mut c| async move { Ok(c.answer().await?.map(|answer| (answer, c))) })
 }
 
 struct Connection {
-    requests: Streaming<EnvironmentRequest>,
+    requests: Streaming<Frame<EnvironmentRequest>>,
+    door: Door,
     link: Option<Link>,
     /// No message was read yet: it counts as one with the call.
     first: bool,
@@ -62,7 +66,8 @@ impl Connection {
         };
         let message = stop.run_until_cancelled(message).await;
         let message = message.ok_or_else(|| Status::unavailable("the server is shutting down"))?;
-        let Some(message) = message.map_err(status::unreadable)? else { return Ok(None) };
+        let Some(frame) = message.map_err(status::unreadable)? else { return Ok(None) };
+        let (message, _share) = frame.receive(&self.door, wire::PLAIN).await?;
         let payload = match message.payload {
             Some(request) => self.handle(request).await.unwrap_or_else(|e| refusal(&e)),
             None => refusal(&Error::invalid("payload", "the request is empty")),

@@ -10,7 +10,7 @@ use std::task::Poll;
 /// waits too, must get them. The second takes the news in one of two ways at random, hence the rounds.
 #[tokio::test]
 async fn environments_come_back_to_the_third_stream_though_a_second_waited() {
-    let sessions = Sessions::new(Limits::default(), CancellationToken::new());
+    let sessions = Sessions::new(Limits::default(), crate::pool::Seal::default(), CancellationToken::new());
     let (id, _) = sessions.create(TASK_IDS[0].into(), 1, Value::Null).await.unwrap();
     for round in 0..32 {
         let first = sessions.attach(&id).unwrap();
