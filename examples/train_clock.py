@@ -62,7 +62,7 @@ class Trial:
 def trial(clocks: npt.NDArray[Any], seed: int, address: str | None, options: dict[str, Any]) -> Trial:
     """Plays an episode of each clock [clocks, 10], all from the same start."""
     n = len(clocks)
-    env = sandgait.SandgaitVectorEnv(GAIT, n, address, control="clock", **options)
+    env = sandgait.SandgaitVectorEnv(GAIT, n, address, autoreset_mode="SAME_STEP", control="clock", **options)
     env.reset(seed=[seed] * n)
     distance, work, running = np.zeros(n), np.zeros(n), np.ones(n, dtype=np.bool_)
     rewards = np.zeros((n, len(COMMANDS)))

@@ -24,6 +24,9 @@ pub enum Error {
     /// A file could not be read or written.
     #[error("{path}: {reason}")]
     File { path: String, reason: String },
+    /// A defect of this program, such as a panic: nobody's to mend but ours.
+    #[error("{0}; please report this as a bug")]
+    Internal(String),
 }
 
 pub type Result<T> = std::result::Result<T, Error>;

@@ -2,7 +2,7 @@
 
 use sandgait::env::registry::Blueprint;
 use sandgait::env::{ResetOptions, TaskOptions};
-use sandgait::pool::{Batch, Pool, Snapshot};
+use sandgait::pool::{Batch, Pool, Seal, Snapshot};
 use serde_json::{Value, json};
 
 const GAIT: &str = "sandgait/HexapodGait-v1";
@@ -140,11 +140,11 @@ fn snapshots_keep_what_resets_changed() {
     session.reset(None, json!({"difficulty": 0.5})).unwrap();
     session.reset(Some(&[false, true]), json!({"randomize": {"zeta": [0.9, 1.1]}})).unwrap();
     session.walk(10);
-    let bytes = session.batch().save().unwrap().to_bytes().unwrap();
+    let bytes = session.batch().save().unwrap().to_bytes(&Seal::default()).unwrap();
     let rows = session.walk(20);
     let mut other = Session::new(TERRAIN, json!({}), 2);
     let mut batch = other.batch.take().unwrap();
-    let operation = batch.restore(&Snapshot::from_bytes(&bytes).unwrap(), None).unwrap();
+    let operation = batch.restore(&Snapshot::from_bytes(&bytes, &Seal::default()).unwrap(), None).unwrap();
     other.batch = Some(other.pool.wait(batch, operation).unwrap());
     assert_eq!(other.walk(20), rows);
     other.reset(None, json!({"payload": 0.01})).unwrap();

@@ -26,7 +26,7 @@ fn model(obstacles: &[Obstacle]) -> Model {
     let mut robot = Robot::load("xplorer").unwrap();
     robot.servo.torque_limit = Some(0.05);
     let mut scene = Scene::flat(Medium::named("poppy-loose").unwrap());
-    scene.obstacles = obstacles.to_vec();
+    (scene.obstacles, scene.dt) = (obstacles.to_vec(), EngineKind::Rapier.default_dt());
     Model::new(&robot, &scene).unwrap()
 }
 

@@ -114,6 +114,7 @@ impl Bench {
         let options = self.task_options()?;
         let blueprint = Blueprint::new(task, options.clone())?;
         let (engine, spec) = (blueprint.engine, blueprint.task.spec());
+        super::warn_of_unfelt_option(&options);
         let threads = usize::from(self.threads);
         let mut stepper: Box<dyn Stepper> = match self.through {
             Through::Process => Box::new(Direct::new(&blueprint, self.envs, threads)?),

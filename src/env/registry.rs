@@ -49,6 +49,7 @@ const KINDS: [Kind; Keywords::ALL.len()] = [
         keywords: &keywords::ROCKS,
         defaults: || TaskOptions {
             engine: EngineKind::Rapier,
+            dt: EngineKind::Rapier.default_dt(),
             control: Some(Control::HipSpeed),
             rocks: Some(RockOptions::default()),
             ..Default::default()

@@ -25,7 +25,7 @@ const CLEAR: f64 = 0.15;
 const TRIES: usize = 20;
 
 /// Corners of a rock: enough to look irregular.
-const CORNERS: usize = 12;
+pub(super) const CORNERS: usize = 12;
 
 /// Height scan: points ahead and to the sides of the base's centre [m], in its heading; from behind the base to two
 /// thirds of a body length before it.

@@ -163,11 +163,16 @@ impl Batch {
         self.check_begun("step")?;
         let width = self.spec().action.len();
         if actions.len() != self.envs * width {
-            let (got, n) = (actions.len(), self.envs);
-            return Err(Error::invalid("actions", format!("{got} numbers, expected {} = [{n}, {width}]", n * width)));
+            return Err(self.wrong_actions(actions.len()));
         }
         self.check_actions(&actions, |row| format!("actions[{row}]"))?;
         Ok(Operation::Step { actions, held: None })
+    }
+
+    /// What is said of a step's actions if there are `got` numbers, which is not their number.
+    pub fn wrong_actions(&self, got: usize) -> Error {
+        let (n, width) = (self.envs, self.spec().action.len());
+        Error::invalid("actions", format!("{got} numbers, expected {} = [{n}, {width}]", n * width))
     }
 
     /// [`Batch::step`] of some: environments that `held` names stay as they are, whatever their actions.
@@ -187,6 +192,13 @@ impl Batch {
         let episodes = self.resumed(snapshot, sources)?;
         self.begun.fill(true);
         Ok(Operation::Restore { episodes })
+    }
+
+    /// What puts every environment back to where it is now.
+    pub fn keep(&self) -> Result<Operation> {
+        self.check_begun("rollout")?;
+        let all = self.shards.iter().flat_map(|shard| (0..shard.envs()).map(|i| Arc::new(shard.keep(i))));
+        Ok(Operation::Restore { episodes: all.collect() })
     }
 
     /// Checks a rollout of `actions`, f32 [steps, envs, action]; none of its steps are made by what this returns.

@@ -37,8 +37,9 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// 0.5 ms: the largest step at which the reference walks are within 1.3 % of the converged ones.
-    pub const DEFAULT_DT: f64 = 5e-4;
+    /// Time step of engine lanes, 1 ms: the largest at which its reference walks are within 1 % of the converged ones
+    /// (`docs/convergence.md`). Other engines have their own: [`super::engine::EngineKind::default_dt`].
+    pub const DEFAULT_DT: f64 = 1e-3;
 
     /// Steepest slope, either way [°]: natural slopes of dry sand end near 35°, its angle of repose.
     pub const MAX_SLOPE_DEG: f64 = 35.0;

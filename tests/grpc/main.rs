@@ -4,6 +4,7 @@ mod bad_input;
 mod determinism;
 mod fuzz;
 mod harness;
+mod large;
 mod mutate;
 mod policies;
 mod raw;
@@ -81,21 +82,34 @@ async fn a_masked_reset_leaves_the_others_alone() {
     assert_ne!(row(&before, 1), row(&after, 1));
 }
 
+/// The environment that the reset names goes on as one of a session that was made with these options, also after a reset
+/// without any; the other as one of a session without them.
 #[tokio::test]
 async fn options_change_at_reset_and_hold() {
     let server = Server::start(1).await;
-    let mut session = server.session(2).await;
-    let plain = session.reset(3).await.observations;
     let command = prost_types::ListValue { values: vec![number(0.25), number(0.25)] };
     let command = prost_types::Value { kind: Some(prost_types::value::Kind::ListValue(command)) };
-    let changes = options(&[("leg", text("C")), ("medium", text("poppy-close")), ("command", command)]);
-    let reset = Reset { seeds: vec![3, 4], mask: vec![1, 0].into(), options: changes };
-    let changed = floats(&session.batch(Request::Reset(reset)).await.observations);
+    let changes = [("leg", text("C")), ("medium", text("poppy-close")), ("command", command)];
+    let mut session = server.session(2).await;
+    let mut plain = server.session(2).await;
+    let mut made = Session::create(server.client().await, 2, &changes).await.unwrap();
     let wide = session.task.observation.len();
-    assert_eq!(changed[wide - 2], 0.25);
-    assert_eq!(changed[wide..], floats(&plain)[wide..]);
-    let again = floats(&session.reset(3).await.observations);
-    assert_eq!(again[wide - 2], 0.25);
+    session.reset(3).await;
+    for round in 0..2 {
+        let mask = if round == 0 { vec![1, 0] } else { Vec::new() };
+        let options = if round == 0 { options(&changes) } else { None };
+        session.batch(Request::Reset(Reset { seeds: vec![3, 4], mask: mask.into(), options })).await;
+        plain.reset(3).await;
+        made.reset(3).await;
+        for time in 0..20 {
+            let [changed, plain, made] = [&mut session, &mut plain, &mut made];
+            let (changed, plain, made) = (changed.step(time).await, plain.step(time).await, made.step(time).await);
+            let [changed, plain, made] = [changed, plain, made].map(|batch| floats(&batch.observations));
+            assert_eq!(changed[..wide], made[..wide], "round {round}, step {time}");
+            assert_eq!(changed[wide..], plain[wide..], "round {round}, step {time}");
+            assert_ne!(changed[..wide], plain[..wide], "round {round}, step {time}");
+        }
+    }
 }
 
 #[tokio::test]

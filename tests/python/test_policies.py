@@ -51,7 +51,7 @@ def test_the_servers_actions_are_sb3s(kind: Any, tmp_path: Path) -> None:
     model, normalize = untrained(kind)
     path = sandgait.export_onnx(model, tmp_path / "policy.onnx", normalize)
     assert path == tmp_path / "policy.onnx"
-    env = sandgait.SandgaitVectorEnv(ID, 20, max_episode_steps=STEPS)
+    env = sandgait.SandgaitVectorEnv(ID, 20, autoreset_mode="SAME_STEP", max_episode_steps=STEPS)
     rows, _ = env.reset(seed=5)
     rollout = env.rollout_policy(path, STEPS, trajectories=True)
     assert rollout.actions.shape == (STEPS, 20, 6)

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import gzip
+import json
 import os
+import struct
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 
 import gymnasium
@@ -282,3 +286,29 @@ def test_the_page_of_a_recording(tmp_path: Path) -> None:
     assert html.count("<script") == html.count("</script>") == 6
     assert "https://" not in html
     assert html.count("http://") == html.count("http://www.w3.org/1999/xhtml")
+
+
+def block(kind: bytes, content: bytes, length: int | None = None) -> bytes:
+    return kind + struct.pack("<I", len(content) if length is None else length) + content
+
+
+def test_a_recording_is_unpacked_within_a_bound(tmp_path: Path) -> None:
+    """A file of some kilobytes can unpack to gigabytes, and a block can claim to be that long."""
+    header = {"format": "sandgait recording", "version": 1, "columns": [{"name": "time", "shape": [1]}]}
+    head = block(b"HEAD", json.dumps(header).encode())
+    path = tmp_path / "bomb.rec"
+    path.write_bytes(gzip.compress(head + 64 * block(b"ROWS", bytes(2**20))))
+    assert len(sandgait.read_recording(path)) == 16 * 2**20
+    tracemalloc.start()
+    with pytest.raises(sandgait.InvalidRequest, match="unpacks to more than max_bytes"):
+        sandgait.read_recording(path, max_bytes=2**22)
+    assert tracemalloc.get_traced_memory()[1] < 2**24
+    path.write_bytes(gzip.compress(head + block(b"ROWS", bytes(4), 2**32 - 1)))
+    with pytest.raises(sandgait.InvalidRequest, match="max_bytes"):
+        sandgait.read_recording(path)
+    assert tracemalloc.get_traced_memory()[1] < 2**24
+    tracemalloc.stop()
+    for wrong in (b"[]", b"{", b'{"format": "sandgait recording", "version": 1}', b"[" * 100_000):
+        path.write_bytes(gzip.compress(block(b"HEAD", wrong)))
+        with pytest.raises(sandgait.InvalidRequest, match="none of sandgait's recordings"):
+            sandgait.read_recording(path)

@@ -278,7 +278,7 @@ def test_a_full_disk_leaves_no_half_snapshot() -> None:
 
 def test_rollouts(remote: RemoteServer) -> None:
     for address in (None, [None, remote.address]):
-        env = sandgait.SandgaitVectorEnv(ID, 5, address=address, max_episode_steps=17)
+        env = sandgait.SandgaitVectorEnv(ID, 5, address=address, autoreset_mode="SAME_STEP", max_episode_steps=17)
         env.reset(seed=3)
         plan = np.stack([actions(5, t) for t in range(40)])
         rolled = env.rollout(plan, trajectories=True)

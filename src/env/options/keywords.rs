@@ -7,7 +7,7 @@ pub const OPTION_HELP: [(&str, &str); 20] = [
     ("robot", "built-in robot"),
     ("engine", "engine that integrates the motion"),
     ("law", "resistive force law: li2013, penetration-drag-1d or agarwal2023"),
-    ("dt", "time step [s]"),
+    ("dt", "time step [s]; 1 ms, with engine rapier 0.5 ms"),
     ("torque_limit", "largest servo torque [N·m]"),
     ("command", "range [low, high] the commanded speed is drawn from [m/s]"),
     ("turn", "range [low, high] the commanded yaw speed is drawn from [rad/s]"),

@@ -39,7 +39,7 @@ pub struct TaskOptions {
     pub robot: String,
     pub engine: EngineKind,
     pub law: Law,
-    /// Time step [s]; must divide the control period.
+    /// Time step [s]; must divide the control period. Where an engine is chosen without one, it is that engine's own.
     pub dt: f64,
     /// Largest servo torque [N·m]. Our choice 0.05: some six times the rms torque of a 2 Hz walk.
     pub torque_limit: f64,
@@ -129,11 +129,16 @@ impl TaskOptions {
             Value::Null => Map::new(),
             _ => return Err(Error::invalid("options", "not an object of keywords")),
         };
+        let other_engine = given.contains_key("engine") && !given.contains_key("dt");
         for (name, value) in given {
             check(&name)?;
             all[name] = value;
         }
-        parse(all)
+        let mut options: Self = parse(all)?;
+        if other_engine {
+            options.dt = options.engine.default_dt();
+        }
+        Ok(options)
     }
 
     /// Checks everything and builds the model.

@@ -18,6 +18,7 @@ use crate::error::{Error, Result};
 use crate::number::{Isa, Kernel, Real, Vec3};
 use dynamics::{LaneJoint, LaneState, Scratch};
 use model::LaneModel;
+use spatial::Twist;
 use std::f64::consts::TAU;
 
 /// Robots in blocks of as many as the instruction set has lanes.
@@ -125,6 +126,7 @@ impl<R: Real, const J: usize> Lanes<R, J> {
                 rate: zero,
                 reference: zero,
                 torque: zero,
+                change: zero,
                 command_rate: zero,
                 command_torque: zero,
             }
@@ -136,6 +138,7 @@ impl<R: Real, const J: usize> Lanes<R, J> {
             orientation: (R::one(), Vec3::zero()),
             velocity: Vec3::zero(),
             angular_velocity: Vec3::zero(),
+            change: Twist { angular: Vec3::zero(), linear: Vec3::zero() },
             work: R::zero(),
             joints: vec![joint; model.joints()],
         };
@@ -205,6 +208,8 @@ impl<R: Real, const J: usize> Block for Lanes<R, J> {
         s.orientation.1.set_lane(lane, [state.orientation[1], state.orientation[2], state.orientation[3]]);
         s.velocity.set_lane(lane, state.velocity);
         s.angular_velocity.set_lane(lane, state.angular_velocity);
+        s.change.linear.set_lane(lane, state.velocity_change);
+        s.change.angular.set_lane(lane, state.angular_velocity_change);
         self.works[lane] = state.work;
         s.work.set_lane(lane, 0.0);
         for (i, joint) in s.joints.iter_mut().enumerate() {
@@ -212,6 +217,7 @@ impl<R: Real, const J: usize> Block for Lanes<R, J> {
             joint.rate.set_lane(lane, state.rates[i]);
             joint.reference.set_lane(lane, state.references[i]);
             joint.torque.set_lane(lane, state.torques[i]);
+            joint.change.set_lane(lane, state.rate_changes[i]);
         }
     }
 
@@ -223,12 +229,15 @@ impl<R: Real, const J: usize> Block for Lanes<R, J> {
         out.orientation = [s.orientation.0.lane(lane), i, j, k];
         out.velocity = s.velocity.lane(lane);
         out.angular_velocity = s.angular_velocity.lane(lane);
+        out.velocity_change = s.change.linear.lane(lane);
+        out.angular_velocity_change = s.change.angular.lane(lane);
         out.work = self.works[lane] + s.work.lane(lane);
         for (i, joint) in s.joints.iter().enumerate() {
             out.angles[i] = joint.angle.lane(lane);
             out.rates[i] = joint.rate.lane(lane);
             out.references[i] = joint.reference.lane(lane);
             out.torques[i] = joint.torque.lane(lane);
+            out.rate_changes[i] = joint.change.lane(lane);
         }
     }
 
