@@ -42,6 +42,11 @@ impl Setup {
         self.keywords
     }
 
+    /// The same number for all copies of a setup, another for every other setup that is alive: its model is made with it.
+    pub fn id(&self) -> usize {
+        Arc::as_ptr(&self.model).addr()
+    }
+
     /// The same task with all of `options`.
     pub fn with(&self, options: TaskOptions) -> Result<Self> {
         Self::new(self.keywords, options)

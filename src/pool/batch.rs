@@ -7,7 +7,6 @@ use crate::env::task::Setup;
 use crate::env::{Look, ResetOptions, Shard, Spec, Task};
 use crate::error::{Error, Result, check_range};
 use crate::policy::Network;
-use crate::sim::Model;
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::sync::Arc;
@@ -138,15 +137,14 @@ impl Batch {
     /// What `options` make of the setups of those that are `chosen`. Environments that share a setup go on sharing one.
     fn changed(&self, chosen: Option<&[bool]>, options: &ResetOptions) -> Result<Setups> {
         let mut setups = Setups { all: Vec::new(), of: Vec::with_capacity(self.envs) };
-        let mut known: HashMap<*const Model, u32> = HashMap::new();
+        let mut known: HashMap<usize, u32> = HashMap::new();
         let own = self.shards.iter().flat_map(|shard| (0..shard.envs()).map(|i| shard.setup(i)));
         for (env, old) in own.enumerate() {
             if chosen.is_some_and(|chosen| !chosen[env]) {
                 setups.of.push(None);
                 continue;
             }
-            // A setup's model is made with its options, so one stands for the other.
-            let index = match known.entry(Arc::as_ptr(&old.model)) {
+            let index = match known.entry(old.id()) {
                 Entry::Occupied(known) => *known.get(),
                 Entry::Vacant(new) => {
                     setups.all.push(old.changed(options)?);

@@ -112,8 +112,8 @@ async fn a_damaged_snapshot_is_refused() {
     let mut legs = of_task(&server, "sandgait/HexapodLegs-v1", 2).await;
     let failure = legs.failure(Some(restore(&snapshot, &[]))).await;
     assert!(failure.message.contains(TASK), "{}", failure.message);
-    let mut coarse = Session::create(server.client().await, 2, &[("dt", number(1e-3))]).await.unwrap();
-    let failure = coarse.failure(Some(restore(&snapshot, &[]))).await;
+    let mut fine = Session::create(server.client().await, 2, &[("dt", number(5e-4))]).await.unwrap();
+    let failure = fine.failure(Some(restore(&snapshot, &[]))).await;
     assert!(failure.message.contains("options"), "{}", failure.message);
     assert_eq!(session.step(0).await, undisturbed.step(0).await);
 }
