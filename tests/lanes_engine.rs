@@ -252,10 +252,10 @@ fn translation_changes_no_bit() {
             assert!(here.position[0].hypot(here.position[1]) > 1e-3, "{name} stands still");
             for (i, place) in places.iter().enumerate() {
                 let mut there = read(&engine, i, &start);
-                for k in 0..2 {
-                    let off = there.position[k] - place[k] - here.position[k];
+                for (k, shift) in place.iter().enumerate().take(2) {
+                    let off = there.position[k] - shift - here.position[k];
                     // 20 roundings of half a unit in the last place.
-                    assert!(off.abs() <= 20.0 * f64::EPSILON * place[k].abs().max(1.0), "{name} {}: {off}", isa.name());
+                    assert!(off.abs() <= 20.0 * f64::EPSILON * shift.abs().max(1.0), "{name} {}: {off}", isa.name());
                     there.position[k] = here.position[k];
                 }
                 assert_eq!(there, here, "{name} {} at {place:?}", isa.name());

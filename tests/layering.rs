@@ -29,7 +29,7 @@ const KNOWS: [(&str, &[&str]); 21] = [
             "diagnose", "evaluate",
         ],
     ),
-    ("bench", &["error", "env", "pool", "service"]),
+    ("bench", &["error", "env", "policy", "pool", "service"]),
     (
         "cli",
         &[
