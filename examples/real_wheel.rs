@@ -11,11 +11,11 @@ use std::path::{Path, PathBuf};
 
 /// As wide as the wheels [m].
 const DIAMETER: f64 = 0.06;
-/// Three times what a wheel carries [N]: deeper the discs grow stiffer than in proportion.
-const MOST_FORCE: f64 = 70.0;
-/// μ_s for the discs' file, which says nothing about it: tan(¾ · 35°), ¾ of the friction angle for rough steel in dry sand
-/// (Potyondy 1961), 35° within the 30° to 40° of dry sands.
-const FRICTION: f64 = 0.49;
+/// The most that a wheel carried [N]: deeper the discs grow stiffer than in proportion.
+const MOST_FORCE: f64 = 30.0;
+/// μ_s for the discs' file, which discs say nothing about: tan(0.7 · 35°). Steel in dry sand has 0.54 (smooth) to 0.76 (rough)
+/// of the sand's friction angle (Potyondy 1961), dry sands have 30° to 40°.
+const FRICTION: f64 = 0.46;
 /// Vesic's value of `slip_bearing`.
 const BEARING: f64 = 1.0;
 
@@ -43,10 +43,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     println!("{parameters:?}");
     let said =
         "Fitted on both wheels up to 60°: ζ, depth_power, skid_loss, slip_bearing shared; friction_clip of this wheel.";
-    for (k, file) in ["sand_smooth.toml", "sand_grouser.toml"].iter().enumerate() {
+    for (wheel, file) in wheels.iter().zip(["sand_smooth.toml", "sand_grouser.toml"]) {
         let name = file.trim_end_matches(".toml").replace("sand_", "cmu-");
         let source = "fitted on the wheels' rows at slip angles up to 60°";
-        write(file, said, &parameters.sand(k, &name, source)?)?;
+        write(file, said, &parameters.sand(wheel, &name, source)?)?;
     }
     Ok(())
 }

@@ -16,59 +16,50 @@ const STEP: f64 = 5e-4;
 const SOFTEST: f64 = 200.0;
 /// Largest residual: our choice, rows that find no hold must not outweigh all others.
 const LARGEST: f64 = 8.0;
-/// Friction of sand on sand, for wheels that carry sand between their teeth: tan 35°, within the 30° to 40° of dry sands; the
-/// measured rows say little about it (angle of repose 29°).
-const SAND_ON_SAND: [f64; 2] = [0.70, 0.10];
-/// Smooth wheels: nothing is stated. Wide, around the μ_s of polished to rough plates in sand.
+/// Friction of sand on sand, for wheels that carry sand between their teeth: tan 35°, within the 30° to 40° of dry sands (angle
+/// of repose 29°). Not fitted: rows at slip ≤ 0 hardly tell 0.55 from 0.9.
+const SAND_ON_SAND: f64 = 0.70;
+/// μ_s of a smooth wheel, and how far it may be from that: nothing is stated, so wide, around plates from polished to rough.
 const SMOOTH: [f64; 2] = [0.45, 0.30];
 
-/// What is fitted: ζ [N/cm³], `depth_power`, `skid_loss` and `slip_bearing`, shared by all wheels, and μ_s of each.
+/// What is fitted: ζ [N/cm³], `depth_power`, `skid_loss` and `slip_bearing`, shared by all wheels, and one μ_s of those that
+/// carry no sand.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parameters {
     pub zeta: f64,
     pub depth_power: f64,
     pub skid_loss: f64,
     pub slip_bearing: f64,
-    pub friction: Vec<f64>,
+    pub friction: f64,
 }
 
+/// Least and greatest, in the order of the fields: wide guards, our choice.
 const LOW: [f64; 5] = [0.1, -0.6, 0.0, 0.0, 0.15];
 const HIGH: [f64; 5] = [4.0, 1.0, 6.0, 3.0, 0.95];
-const SHARED: usize = 4;
+/// Where a fit starts: ordinary values.
+const START: [f64; 5] = [0.85, -0.2, 0.6, 0.9, SMOOTH[0]];
 
 impl Parameters {
-    fn start(wheels: &[Wheel]) -> Self {
-        let friction = wheels.iter().map(|w| prior(w)[0]).collect();
-        Self { zeta: 0.85, depth_power: -0.2, skid_loss: 0.6, slip_bearing: 0.9, friction }
-    }
-
-    fn to_vector(&self) -> DVector<f64> {
-        let mut v = vec![self.zeta, self.depth_power, self.skid_loss, self.slip_bearing];
-        v.extend(&self.friction);
-        DVector::from_vec(v)
-    }
-
     fn from_vector(v: &DVector<f64>) -> Self {
-        let at = |k: usize| v[k].clamp(LOW[k.min(SHARED)], HIGH[k.min(SHARED)]);
-        let friction = (SHARED..v.len()).map(at).collect();
-        Self { zeta: at(0), depth_power: at(1), skid_loss: at(2), slip_bearing: at(3), friction }
+        let [zeta, depth_power, skid_loss, slip_bearing, friction] = std::array::from_fn(|k| v[k]);
+        Self { zeta, depth_power, skid_loss, slip_bearing, friction }
     }
 
     /// Rounded to what the data can tell, so that a file has the same text on every machine.
     pub fn rounded(&self) -> Self {
-        let round = |x: f64| (x * 1e3).round() / 1e3;
-        let friction = self.friction.iter().map(|x| round(*x)).collect();
-        let [zeta, depth_power] = [self.zeta, self.depth_power].map(round);
-        Self { zeta, depth_power, skid_loss: round(self.skid_loss), slip_bearing: round(self.slip_bearing), friction }
+        let Self { zeta, depth_power, skid_loss, slip_bearing, friction } = *self;
+        let [zeta, depth_power, skid_loss, slip_bearing, friction] =
+            [zeta, depth_power, skid_loss, slip_bearing, friction].map(|x| (x * 1e3).round() / 1e3);
+        Self { zeta, depth_power, skid_loss, slip_bearing, friction }
     }
 
-    /// The sand of wheel `wheel`.
-    pub fn sand(&self, wheel: usize, name: &str, source: &str) -> Result<SandDescription> {
+    /// The sand of a wheel.
+    pub fn sand(&self, wheel: &Wheel, name: &str, source: &str) -> Result<SandDescription> {
         let mechanisms = Mechanisms {
             depth_power: self.depth_power,
             skid_loss: self.skid_loss,
             slip_bearing: self.slip_bearing,
-            friction_clip: 1.0 / self.friction[wheel],
+            friction_clip: 1.0 / if wheel.carries_sand { SAND_ON_SAND } else { self.friction },
             ..Mechanisms::PLAIN
         };
         let plain = SandDescription::plain(&Medium::generic(self.zeta)?);
@@ -83,13 +74,13 @@ impl Parameters {
     }
 }
 
-fn prior(wheel: &Wheel) -> [f64; 2] {
-    if wheel.carries_sand { SAND_ON_SAND } else { SMOOTH }
+fn within(v: DVector<f64>) -> DVector<f64> {
+    v.map_with_location(|k, _, x| x.clamp(LOW[k], HIGH[k]))
 }
 
 /// Least squares over `rows` of each wheel (Levenberg–Marquardt with numerical derivatives).
 pub fn fit(wheels: &[Wheel], rows: &[Vec<Row>]) -> Result<Parameters> {
-    let mut x = Parameters::start(wheels).to_vector();
+    let mut x = DVector::from_row_slice(&START);
     let mut r = residuals(wheels, rows, &x)?;
     let mut damping = 1e-2;
     for _ in 0..40 {
@@ -105,7 +96,7 @@ pub fn fit(wheels: &[Wheel], rows: &[Vec<Row>]) -> Result<Parameters> {
             let mut damped = normal.clone();
             (0..x.len()).for_each(|k| damped[(k, k)] *= 1.0 + damping);
             let step = damped.lu().solve(&gradient).unwrap_or_else(|| DVector::zeros(x.len()));
-            let next = Parameters::from_vector(&(&x - step)).to_vector();
+            let next = within(&x - step);
             let after = residuals(wheels, rows, &next)?;
             if after.norm_squared() < before {
                 (x, r) = (next, after);
@@ -124,18 +115,17 @@ pub fn fit(wheels: &[Wheel], rows: &[Vec<Row>]) -> Result<Parameters> {
     Ok(Parameters::from_vector(&x))
 }
 
-/// Fx, Fy, Fz at the measured sinkage, the sinkage under the measured load and Fx, Fy there (to first order), and how far each
-/// friction is from what one would expect of its surface.
+/// Fx, Fy, Fz at the measured sinkage, the sinkage under the measured load and Fx, Fy there (to first order), and how far the
+/// friction is from what one would expect.
 fn residuals(wheels: &[Wheel], rows: &[Vec<Row>], x: &DVector<f64>) -> Result<DVector<f64>> {
     let parameters = Parameters::from_vector(x);
     let mut all = Vec::new();
-    for (k, (wheel, rows)) in wheels.iter().zip(rows).enumerate() {
-        let sand = parameters.sand(k, "", "")?;
+    for (wheel, rows) in wheels.iter().zip(rows) {
+        let sand = parameters.sand(wheel, "", "")?;
         let mean = rows.iter().map(|r| r.force[2]).sum::<f64>() / rows.len().max(1) as f64;
         all.extend(parallel::map(rows, |row| of_row(wheel, &sand, row, mean)).into_iter().flatten());
-        let [center, width] = prior(wheel);
-        all.push((parameters.friction[k] - center) / width);
     }
+    all.push((parameters.friction - SMOOTH[0]) / SMOOTH[1]);
     Ok(DVector::from_vec(all))
 }
 

@@ -196,7 +196,7 @@ fn cross_validated(wheels: &[Wheel]) -> Result<Vec<Pair>> {
         let parameters = fit::fit(wheels, &wheels.iter().map(kept).collect::<Vec<_>>())?;
         for (k, wheel) in wheels.iter().enumerate() {
             let rows: Vec<Row> = wheel.rows.iter().filter(|r| angle(r) == left_out).copied().collect();
-            pairs.extend(predict(k, wheel, &parameters.sand(k, "", "")?, &rows));
+            pairs.extend(predict(k, wheel, &parameters.sand(wheel, "", "")?, &rows));
         }
     }
     Ok(pairs)
