@@ -20,7 +20,16 @@ pub fn cylinder(radius: f64, width: f64, size: f64) -> Vec<Plate> {
         for j in 0..across {
             let y = width * ((j as f64 + 0.5) / across as f64 - 0.5);
             let center = Vec3::new(radius * sin, y, -radius * cos);
-            plates.push(Plate { center, normal, area: TAU * radius * width / (around * across) as f64 });
+            plates.push(Plate {
+                center,
+                normal,
+                area: TAU * radius * width / (around * across) as f64,
+                half: [
+                    Vec3::new(cos, 0.0, sin) * (PI * radius / around as f64),
+                    Vec3::new(0.0, width / (2 * across) as f64, 0.0),
+                ],
+                bend: [1.0 / radius, 0.0],
+            });
         }
     }
     let rings = pieces(radius, size, 4);
@@ -35,7 +44,14 @@ pub fn cylinder(radius: f64, width: f64, size: f64) -> Vec<Plate> {
                 let (sin, cos) = ((k as f64 + 0.5) * 2.0 * half).sin_cos();
                 let center = Vec3::new(at * sin, side * width / 2.0, -at * cos);
                 let area = half * (outer * outer - inner * inner);
-                plates.push(Plate { center, normal: Vec3::new(0.0, side, 0.0), area });
+                let (outward, around) = (Vec3::new(sin, 0.0, -cos), Vec3::new(cos, 0.0, sin));
+                plates.push(Plate {
+                    center,
+                    normal: Vec3::new(0.0, side, 0.0),
+                    area,
+                    half: [outward * ((outer - inner) / 2.0), around * (half * at)],
+                    bend: [0.0; 2],
+                });
             }
         }
     }
@@ -56,7 +72,15 @@ pub fn sphere(radius: f64, size: f64) -> Vec<Plate> {
             let (sin, cos) = ((k as f64 + 0.5) / sectors as f64 * TAU).sin_cos();
             let normal = Vec3::new(across * cos, across * sin, z);
             let area = TAU * radius * radius * (high - low) / sectors as f64;
-            plates.push(Plate { center: normal * radius, normal, area });
+            let up = Vec3::new(-z * cos, -z * sin, across);
+            let around = Vec3::new(-sin, cos, 0.0);
+            plates.push(Plate {
+                center: normal * radius,
+                normal,
+                area,
+                half: [up * (PI * radius / (2 * bands) as f64), around * (PI * radius * across / sectors as f64)],
+                bend: [1.0 / radius; 2],
+            });
         }
     }
     plates
@@ -86,7 +110,12 @@ pub fn cuboid(length: f64, width: f64, height: f64, size: f64) -> Vec<Plate> {
                     center[u] = sides[u] * ((i as f64 + 0.5) / counts[u] as f64 - 0.5);
                     center[v] = sides[v] * ((j as f64 + 0.5) / counts[v] as f64 - 0.5);
                     let area = sides[u] * sides[v] / (counts[u] * counts[v]) as f64;
-                    plates.push(Plate { center: vector(center), normal: vector(normal), area });
+                    let half = [u, v].map(|k| {
+                        let mut half = [0.0; 3];
+                        half[k] = sides[k] / (2 * counts[k]) as f64;
+                        vector(half)
+                    });
+                    plates.push(Plate { center: vector(center), normal: vector(normal), area, half, bend: [0.0; 2] });
                 }
             }
         }

@@ -119,11 +119,11 @@ pub fn plates(path: &Path, triangles: &[Triangle], size: f64) -> Result<Vec<Plat
             let n = cross(&triangle);
             let length = n.norm_squared().sqrt();
             if length > 0.0 {
-                plates.push(Plate {
-                    center: (a + b + c) * (1.0 / 3.0),
-                    normal: n * (1.0 / length),
-                    area: length / 2.0,
-                });
+                let normal = n * (1.0 / length);
+                let area = length / 2.0;
+                let edge = (b - a) * (0.5 * area.sqrt() / (b - a).norm_squared().sqrt());
+                let center = (a + b + c) * (1.0 / 3.0);
+                plates.push(Plate { center, normal, area, half: [edge, normal.cross(edge)], bend: [0.0; 2] });
             }
         }
         if (plates.len() + left.len()) as f64 > super::body::MOST_PLATES {

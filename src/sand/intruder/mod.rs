@@ -22,6 +22,23 @@ pub struct Plate {
     pub normal: Vec3<f64>,
     /// [m²]
     pub area: f64,
+    /// From the centre to two neighbouring edges, along the surface [m].
+    pub half: [Vec3<f64>; 2],
+    /// Curvature of the surface along each of them [1/m]; 0 where it is flat.
+    pub bend: [f64; 2],
+}
+
+impl Plate {
+    /// Half of the plate's vertical extent [m].
+    fn rise(&self) -> f64 {
+        self.half[0].z.abs() + self.half[1].z.abs()
+    }
+
+    /// How much n·v differs between the centre and an edge [m/s], for velocity `v` at the centre and spin `spin`.
+    fn unevenness(&self, v: Vec3<f64>, spin: Vec3<f64>) -> f64 {
+        let along = |k: usize| self.bend[k] * self.half[k].dot(v) + self.normal.dot(spin.cross(self.half[k]));
+        along(0).abs() + along(1).abs()
+    }
 }
 
 /// The volume [m³] that plates enclose, by the divergence theorem.

@@ -1,6 +1,6 @@
 //! Steady motions: force and torque at a given depth, or the depth that carries a given load.
 
-use super::Body;
+use super::{Body, Plate};
 use crate::error::{Error, Result, check_range};
 use crate::number::Vec3;
 use crate::parallel;
@@ -105,19 +105,28 @@ pub fn compute_all(body: &Body, sand: &SandDescription, trials: &[Trial]) -> Res
 
 /// What one plate feels: force = growing · D(depth) + constant, D the depth or its power.
 struct Piece {
-    /// Height of the plate over the body's origin [m].
+    /// Height of the centre over the body's origin [m], and half the plate's vertical extent.
     height: f64,
+    rise: f64,
     arm: Vec3<f64>,
     growing: Vec3<f64>,
     constant: Vec3<f64>,
 }
 
-/// A body in motion: its leading plates, lowest first, over all turns.
+/// Shares of a body's height for which pieces are made: a load that a part of it carries needs no others.
+const PARTS: [f64; 2] = [0.4, 1.0];
+
+/// A body in motion: its leading plates below some height, lowest first, over all turns.
 struct Motion<'a> {
     ground: &'a Ground<f64>,
     pieces: Vec<Piece>,
     share: f64,
-    /// Least and greatest height over the origin in a turn [m].
+}
+
+/// One turn or several over a period, and how low and high the body comes [m].
+struct Turns {
+    axis: Vec3<f64>,
+    count: usize,
     heights: [f64; 2],
 }
 
@@ -125,60 +134,88 @@ struct Motion<'a> {
 pub fn compute(body: &Body, sand: &SandDescription, trial: &Trial) -> Outcome {
     let medium = sand.medium();
     let ground = Ground::new(sand.law, &medium, &Surface::BARE).with(&sand.mechanisms, &medium);
-    let motion = Motion::new(body, &ground, trial);
-    let depth = match trial.given {
-        Given::Depth(depth) => Some(depth),
-        Given::Load(load) => motion.depth_under(load),
+    let plain = sand.mechanisms.inertial_drag == 0.0 && sand.mechanisms.cohesion == 0.0;
+    let turns = Turns::of(body, trial);
+    let height = turns.heights[1] - turns.heights[0];
+    let up_to = |depth: f64| Motion::new(body, &ground, trial, &turns, turns.heights[0] + depth, plain);
+    let found = match trial.given {
+        Given::Depth(depth) => Some((depth, up_to(depth))),
+        Given::Load(load) => {
+            let mut from = 0.0;
+            PARTS.iter().find_map(|part| {
+                let motion = up_to(part * height);
+                let depth = motion.depth_under(load, turns.heights[0], [from, part * height], height);
+                from = part * height;
+                depth.map(|depth| (depth, motion))
+            })
+        }
     };
-    let Some(depth) = depth else {
+    let Some((depth, motion)) = found else {
         let none = [f64::NAN; 3];
         return Outcome { force: none, torque: none, depth: f64::NAN, status: Status::NoEquilibrium };
     };
-    let [force, torque] = motion.load(depth).map(|v| v.lane(0));
+    let [force, torque] = motion.load(turns.heights[0] + depth).map(|v| v.lane(0));
     Outcome { force, torque, depth, status: Status::Ok }
 }
 
-impl<'a> Motion<'a> {
-    fn new(body: &Body, ground: &'a Ground<f64>, trial: &Trial) -> Self {
-        let (velocity, spin) = (Vec3::<f64>::splat(trial.velocity), Vec3::<f64>::splat(trial.spin));
+impl Turns {
+    fn of(body: &Body, trial: &Trial) -> Self {
+        let spin = Vec3::<f64>::splat(trial.spin);
         let rate = spin.norm_squared().sqrt();
         let axis = if rate > 0.0 { spin * (1.0 / rate) } else { Vec3::new(0.0, 1.0, 0.0) };
-        let turns = if rate == 0.0 || body.is_round_about(axis) { 1 } else { TURNS };
-        let (mut pieces, mut heights) = (Vec::new(), [f64::INFINITY, f64::NEG_INFINITY]);
-        for turn in 0..turns {
-            let angle = turn as f64 / turns as f64 * std::f64::consts::TAU;
-            let turned = |v: Vec3<f64>| if turn == 0 { v } else { rotated(v, axis, angle) };
-            let [low, high] = body.heights(turned);
-            heights = [heights[0].min(low), heights[1].max(high)];
-            let leading = body.plates.iter().filter_map(|p| {
-                let (arm, normal) = (turned(p.center), turned(p.normal));
-                Piece::of(ground, arm, normal, p.area, velocity, spin)
-            });
-            pieces.extend(leading);
+        let count = if rate == 0.0 || body.is_round_about(axis) { 1 } else { TURNS };
+        let mut turns = Self { axis, count, heights: [f64::INFINITY, f64::NEG_INFINITY] };
+        for k in 0..count {
+            let [low, high] = body.heights(|v| turns.turned(k, v));
+            turns.heights = [turns.heights[0].min(low), turns.heights[1].max(high)];
         }
-        pieces.sort_by(|a, b| a.height.total_cmp(&b.height));
-        Self { ground, pieces, share: 1.0 / turns as f64, heights }
+        turns
     }
 
-    /// Force and torque with the lowest point at `depth`.
-    fn load(&self, depth: f64) -> [Vec3<f64>; 2] {
-        // Height of the surface over the body's origin.
-        let surface = self.heights[0] + depth;
+    fn turned(&self, k: usize, v: Vec3<f64>) -> Vec3<f64> {
+        if k == 0 { v } else { rotated(v, self.axis, k as f64 / self.count as f64 * std::f64::consts::TAU) }
+    }
+}
+
+impl<'a> Motion<'a> {
+    /// Of the plates that begin below `surface` [m] over the origin.
+    fn new(body: &Body, ground: &'a Ground<f64>, trial: &Trial, turns: &Turns, surface: f64, plain: bool) -> Self {
+        let mut pieces = Vec::new();
+        for k in 0..turns.count {
+            let turned = |v| turns.turned(k, v);
+            let plates = body.plates.iter().map(|p| Plate {
+                center: turned(p.center),
+                normal: turned(p.normal),
+                half: p.half.map(turned),
+                ..*p
+            });
+            let below = plates.filter(|p| p.center.z - p.rise() < surface);
+            pieces.extend(below.filter_map(|p| Piece::of(ground, &p, trial, plain)));
+        }
+        if turns.count > 1 {
+            pieces.sort_by(|a, b| (a.height - a.rise).total_cmp(&(b.height - b.rise)));
+        }
+        Self { ground, pieces, share: 1.0 / turns.count as f64 }
+    }
+
+    /// Force and torque with the sand's surface at `surface` [m] over the origin.
+    fn load(&self, surface: f64) -> [Vec3<f64>; 2] {
         let mut sum = [Vec3::zero(), Vec3::zero()];
-        for piece in self.pieces.iter().take_while(|p| p.height < surface) {
-            let force = piece.growing.scale_add(self.ground.grown(surface - piece.height), piece.constant);
+        for piece in self.pieces.iter().take_while(|p| p.height - p.rise < surface) {
+            let (depth, share) = piece.submerged(surface - piece.height);
+            let force = piece.growing.scale_add(self.ground.grown(depth) * share, piece.constant * share);
             sum = [sum[0] + force, sum[1] + piece.arm.cross(force)];
         }
         sum.map(|v| v * self.share)
     }
 
-    /// The least depth that carries `load`, down to the body's own height.
-    fn depth_under(&self, load: f64) -> Option<f64> {
-        let lack = |depth: f64| self.load(depth)[0].z - load;
-        let step = (self.heights[1] - self.heights[0]) / STEPS as f64;
-        let mut before = (0.0, -load);
-        for k in 1..=STEPS {
-            let depth = step * k as f64;
+    /// The least depth within `range` that carries `load`; `low` is the height of the lowest point, `height` the body's.
+    fn depth_under(&self, load: f64, low: f64, range: [f64; 2], height: f64) -> Option<f64> {
+        let lack = |depth: f64| self.load(low + depth)[0].z - load;
+        let steps = ((range[1] - range[0]) / height * STEPS as f64).ceil();
+        let mut before = (range[0], lack(range[0]));
+        for k in 1..=steps as usize {
+            let depth = range[0] + (range[1] - range[0]) * k as f64 / steps;
             let after = (depth, lack(depth));
             if after.1 >= 0.0 {
                 return Some(between(lack, before, after));
@@ -190,30 +227,47 @@ impl<'a> Motion<'a> {
 }
 
 impl Piece {
-    /// None where the plate does not lead.
-    fn of(
-        ground: &Ground<f64>,
-        arm: Vec3<f64>,
-        normal: Vec3<f64>,
-        area: f64,
-        velocity: Vec3<f64>,
-        spin: Vec3<f64>,
-    ) -> Option<Self> {
-        let v = velocity + spin.cross(arm);
-        // Rounding must not decide about a plate that moves along itself, nor on which side a vertical one is looked at.
-        let least = -1e-12 * v.norm_squared().sqrt();
-        if v.norm_squared() == 0.0 || normal.dot(v) < least {
+    /// None where no part of the plate leads; where the leading edge crosses it, in proportion.
+    fn of(ground: &Ground<f64>, plate: &Plate, trial: &Trial, plain: bool) -> Option<Self> {
+        let (velocity, spin) = (Vec3::<f64>::splat(trial.velocity), Vec3::<f64>::splat(trial.spin));
+        let v = velocity + spin.cross(plate.center);
+        let speed = v.norm_squared().sqrt();
+        if speed == 0.0 {
             return None;
         }
-        let normal = if normal.z.abs() < 1e-12 { Vec3::new(normal.x, normal.y, 0.0) } else { normal };
+        // Rounding must not decide about a plate that moves along itself, nor on which side a vertical one is looked at.
+        let least = 1e-12 * speed;
+        let n = plate.normal;
+        let normal = if n.z.abs() < 1e-12 { Vec3::new(n.x, n.y, 0.0) } else { n };
+        let (along, uneven) = (normal.dot(v), plate.unevenness(v, spin));
+        let leading =
+            if uneven > least { (0.5 + 0.5 * along / uneven).clamp(0.0, 1.0) } else { f64::from(along >= -least) };
+        if leading == 0.0 {
+            return None;
+        }
+        // The part that leads does so by half of what the edge does, where the centre does not.
+        let v = if leading < 1.0 { normal.scale_add((along + uneven) / 2.0 - along, v) } else { v };
         let at = |depth| {
-            let site = Site::fresh(depth, arm.x).travelling([velocity.x, velocity.y]);
-            ground.thin_plate(&site, area, normal, v).force
+            let site = Site::fresh(depth, plate.center.x).travelling([velocity.x, velocity.y]);
+            ground.thin_plate(&site, plate.area * leading, normal, v).force
         };
-        let [near, far] = PROBES.map(at);
-        let [less, more] = PROBES.map(|d| ground.grown(d));
-        let growing = (far - near) * (1.0 / (more - less));
-        Some(Self { height: arm.z, arm, growing, constant: near - growing * less })
+        let less = ground.grown(PROBES[0]);
+        let near = at(PROBES[0]);
+        let growing = match plain {
+            true => near * (1.0 / less),
+            false => (at(PROBES[1]) - near) * (1.0 / (ground.grown(PROBES[1]) - less)),
+        };
+        let constant = if plain { Vec3::zero() } else { near - growing * less };
+        Some(Self { height: plate.center.z, rise: plate.rise(), arm: plate.center, growing, constant })
+    }
+
+    /// Mean depth of the part in the sand and its share of the plate, for a centre at `depth`.
+    fn submerged(&self, depth: f64) -> (f64, f64) {
+        if depth >= self.rise {
+            return (depth, 1.0);
+        }
+        let wet = depth + self.rise;
+        (wet / 2.0, wet / (2.0 * self.rise))
     }
 }
 
