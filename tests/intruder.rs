@@ -199,7 +199,7 @@ fn slip_adds_no_energy() {
     let medium = Medium::generic(1.0).unwrap();
     let mut stronger = 0;
     for _ in 0..40_000 {
-        let mut vector = |size: f64| Vec3::splat([0, 1, 2].map(|_| random.random_range(-size..size)));
+        let mut vector = |size: f64| Vec3::<f64>::splat([0, 1, 2].map(|_| random.random_range(-size..size)));
         let (n, v, travel) = (vector(1.0), vector(0.03), vector(0.02));
         let n = n * (1.0 / n.norm_squared().sqrt().max(1e-9));
         let mechanisms = Mechanisms {

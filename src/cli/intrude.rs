@@ -35,7 +35,7 @@ pub struct Intrude {
     /// Friction coefficient μ_s of the body's surface, in place of the sand's friction_clip
     #[arg(long, value_name = "MU", allow_negative_numbers = true, requires = "body")]
     mu_s: Option<f64>,
-    /// Size of the plates that the body is cut into [m]; default: a fortieth of its longest side
+    /// Size of the plates that the body is cut into [m]; default: a fiftieth of its longest side
     #[arg(long, value_name = "METRES", allow_negative_numbers = true, requires = "body")]
     plate_size: Option<f64>,
     /// Distance from hip to tip [m]

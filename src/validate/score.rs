@@ -118,7 +118,7 @@ pub fn scatter(pairs: &[Pair]) -> [f64; 4] {
 pub const REGIMES: [(&str, fn(&Row) -> bool); 6] = [
     ("locked, slip −1", |r| r.slip < -0.9),
     ("skid, −0.9 to −0.55", |r| (-0.9..-0.55).contains(&r.slip)),
-    ("|slip| ≤ 0.55", |r| r.slip.abs() <= 0.55),
+    ("slip −0.55 to 0.55", |r| r.slip.abs() <= 0.55),
     ("spin, above 0.55", |r| r.slip > 0.55),
     ("straight, 0°", |r| r.slip_angle.abs() < 1.0),
     ("sideways, 45° and more", |r| r.slip_angle.abs() >= 45.0),

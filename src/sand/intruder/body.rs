@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 const LENGTHS: std::ops::RangeInclusive<f64> = 1e-4..=10.0;
 /// Plates along the longest side of a body, unless another size is asked for. Our choice: forces are within 1 % of those of
 /// plates ten times finer.
-const ALONG: f64 = 40.0;
+const ALONG: f64 = 50.0;
 /// Most plates of a body: our choice, 2 × 10⁶ take 240 MB.
 pub(super) const MOST_PLATES: f64 = 2e6;
 
@@ -110,7 +110,7 @@ enum Corners {
 }
 
 impl Body {
-    /// Cut into plates of about `size` [m]; none: a fortieth of its longest side.
+    /// Cut into plates of about `size` [m]; none: a fiftieth of its longest side.
     pub fn cut(shape: &BodyShape, size: Option<f64>) -> Result<Self> {
         let (corners, longest, surface) = match *shape {
             BodyShape::Cylinder { radius, width } => {

@@ -35,7 +35,8 @@ pub fn cylinder(radius: f64, width: f64, size: f64) -> Vec<Plate> {
     let rings = pieces(radius, size, 4);
     for side in [-1.0, 1.0] {
         for ring in 0..rings {
-            let [inner, outer] = [ring, ring + 1].map(|r| radius * r as f64 / rings as f64);
+            // Rings of equal area: thin at the rim, which is the part in the sand.
+            let [inner, outer] = [ring, ring + 1].map(|r| radius * (r as f64 / rings as f64).sqrt());
             let sectors = pieces(TAU * outer, size, 12);
             // Distance of a sector's centroid from the axis.
             let half = PI / sectors as f64;
@@ -58,8 +59,9 @@ pub fn cylinder(radius: f64, width: f64, size: f64) -> Vec<Plate> {
     plates
 }
 
-/// Bands of equal width in latitude.
+/// Bands of equal width in latitude; plates two thirds as long as `size`, because n turns along both sides.
 pub fn sphere(radius: f64, size: f64) -> Vec<Plate> {
+    let size = size / 1.5;
     let bands = pieces(PI * radius, size, 8);
     let mut plates = Vec::new();
     for band in 0..bands {
