@@ -58,10 +58,10 @@ fn the_scoreboard_is_written_and_names_its_worst() {
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     let said = String::from_utf8(done.stdout).unwrap();
     assert!(said.starts_with("Worst regime when predicted blind: locked, slip −1"), "{said}");
-    let rows = std::fs::read_to_string(out.join("rows.csv")).unwrap();
+    let rows = std::fs::read_to_string(out.join("validation_rows.csv")).unwrap();
     // 126 rows at slip angles up to 60°, in each of three comparisons.
     assert_eq!(rows.lines().count(), 1 + 3 * 126);
-    for name in ["validation.md", "comparison_0.svg", "comparison_2.png"] {
+    for name in ["validation.md", "validation_0.svg", "validation_2.png"] {
         assert!(out.join(name).metadata().unwrap().len() > 1000, "{name}");
     }
     let missing = sandgait(&["validate", "--data", directory.path().to_str().unwrap()]);

@@ -10,7 +10,7 @@ use std::path::PathBuf;
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait validate
-  sandgait validate --out scoreboard               (validation.md, rows.csv and figures)
+  sandgait validate --out scoreboard               (validation.md, its rows and figures)
   sandgait validate --data my_wheel --out scoreboard")]
 pub struct Validate {
     /// Folder with a validation.toml and its rows

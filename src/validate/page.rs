@@ -8,6 +8,24 @@ use crate::plot::{Axis, Figure, Mark, Panel, Style, color, png};
 use std::fmt::Write as _;
 use std::path::Path;
 
+/// What stands above the scoreboard.
+const INTRODUCTION: &str = "\
+Written by `sandgait validate --out DIR`; the numbers are computed, the words are not. *Blind* means that nothing of the rows
+was used; *left out* that a fit saw the other slip angles of the same wheels; *fitted* is no prediction at all.
+
+What limits it: 3D-RFT loads each plate as if it were alone. A locked wheel sinks 20 mm deeper than predicted, because the sand
+under it is carried away (`skid_loss`); a spinning one sinks less, because a smooth surface carries more than the law
+gives to a plate that moves along itself (`slip_bearing`). With both, oblique skid stays worst: rim and side face are
+loaded as if each had the sand to itself. `depth_power` below 0 is no property of the sand: discs in it grow stiffer with
+depth and with size, so a file fitted on these wheels does not carry over to other sizes or loads. The grouser wheel is a
+cylinder of its tip radius with the friction of sand on sand; its rows at positive slip are not in the program, and
+neither the sinkage there nor the pull of its teeth has been compared with anything here.
+
+Data of your own: a folder with a `validation.toml` as in `tests/data/real_wheel` (title, source, licence, and an
+`[[intruder]]` table for each body: name, body, rows, sand, and fitted where there is one) and rows with the columns vx, vy, wy,
+depth, Fx, Fy, Fz, slip_angle_deg and slip; then `sandgait validate --data FOLDER --out DIR`.
+";
+
 /// One comparison: what was fitted on what, and the rows it was asked about.
 struct Comparison {
     title: String,
@@ -59,7 +77,6 @@ impl Scoreboard {
             let _ = writeln!(text, "**{}**\n\n{}", capital(&c.title), self.table(c));
         }
         let _ = writeln!(text, "The data's own scatter between repetitions, in the same units:\n\n{}", self.scatters());
-        let _ = writeln!(text, "{}", self.worst());
         text
     }
 
@@ -158,20 +175,21 @@ impl Scoreboard {
         Figure { title: c.title.clone(), columns: 2, panels: panels.collect(), note: self.data.source.clone() }
     }
 
-    /// `validation.md`, `rows.csv` and a figure a comparison.
+    /// `validation.md`, `validation_rows.csv` and a figure a comparison.
     pub fn write(&self, folder: &Path) -> Result<()> {
         std::fs::create_dir_all(folder).map_err(|e| Error::file(folder, e))?;
         let save = |name: &str, text: String| {
             let path = folder.join(name);
             std::fs::write(&path, text).map_err(|e| Error::file(&path, e))
         };
-        let mut page = format!("# Scoreboard\n\n{}\n\n{}", self.worst(), self.text());
+        let mut page = format!("# Scoreboard\n\n{}\n\n{INTRODUCTION}\n{}", self.worst(), self.text().trim_end());
+        page.push('\n');
         for (number, c) in self.comparisons.iter().enumerate() {
-            png::write_both(&self.figure(c).svg(), &folder.join(format!("comparison_{number}.svg")))?;
-            let _ = write!(page, "\n![{}](comparison_{number}.png)\n", capital(&c.title));
+            png::write_both(&self.figure(c).svg(), &folder.join(format!("validation_{number}.svg")))?;
+            let _ = write!(page, "\n![{}](validation_{number}.png)\n", capital(&c.title));
         }
         save("validation.md", page)?;
-        save("rows.csv", self.rows())
+        save("validation_rows.csv", self.rows())
     }
 }
 
