@@ -5,7 +5,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::number::Vec3;
 use sandgait::sand::intruder::{Body, BodyShape, Given, Outcome, Status, Trial, compute};
 use sandgait::sand::{Ground, Law, Mechanisms, Medium, SandDescription, Site, Surface};
-use sandgait::validate::{data, score};
+use sandgait::validate::{data, fit, score};
 use std::f64::consts::PI;
 
 fn body(text: &str, size: Option<f64>) -> Body {
@@ -43,7 +43,7 @@ fn plates_have_the_bodys_area_and_volume() {
     }
 }
 
-/// Default plates within 2 % of plates six times as long and wide as fine, four times as many within 0.5 %.
+/// Default plates are within 2 % of plates a sixth as long, four times as many within 0.5 %.
 #[test]
 fn default_plates_are_fine_enough() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(3);
@@ -52,7 +52,11 @@ fn default_plates_are_fine_enough() {
         let sizes = [1.0, 2.0, 6.0].map(|finer| coarse.plate_size / finer);
         let [coarse, fine, finest] = sizes.map(|size| body(name, Some(size)));
         for _ in 0..20 {
-            let v = [0, 1, 2].map(|_| random.random_range(-0.03..0.03));
+            let mut v = [0, 1, 2].map(|_| random.random_range(-0.03..0.03));
+            if name.starts_with("sphere") {
+                // A rising sphere is pushed on a sliver only, by a hundredth of the force on a sinking one.
+                v[2] = -f64::abs(v[2]);
+            }
             // A box that turns is averaged over its turn: that is another test.
             let spin = if name.starts_with("box") { 0.0 } else { random.random_range(-1.0..1.0) };
             let t = trial(v, [0.0, spin, 0.0], Given::Depth(random.random_range(0.005..0.04)));
@@ -242,4 +246,22 @@ fn measured_wheels_are_met() {
     let mid: Vec<_> = pairs(false).into_iter().filter(|p| p.row.slip.abs() <= 0.55).collect();
     // Fy under load: 20 % on the public rows, a third of which have 60° of slip angle.
     within(&mid, [8.0, 9.0, 25.0, 3.8, 14.0, 20.5]);
+}
+
+/// The two fitted files are what the fit gives on the rows beside them.
+#[test]
+fn the_files_are_what_the_fit_gives() {
+    let set = data::own().unwrap();
+    let rows: Vec<_> = set.wheels.iter().map(|w| w.rows.clone()).collect();
+    let parameters = fit::fit(&set.wheels, &rows).unwrap();
+    for wheel in &set.wheels {
+        let file = wheel.fitted.as_ref().unwrap();
+        let fitted = parameters.sand(wheel, &file.name, &file.source).unwrap();
+        let values = |s: &SandDescription| {
+            let m = &s.mechanisms;
+            [s.coefficients.penetration() / 1e6, m.depth_power, m.skid_loss, m.slip_bearing, m.friction_clip]
+        };
+        // Files have three digits; other processors may round the last one otherwise.
+        assert!(values(&fitted).iter().zip(values(file)).all(|(a, b)| (a - b).abs() < 5e-3), "{}", wheel.name);
+    }
 }

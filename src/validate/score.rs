@@ -74,7 +74,7 @@ pub fn intervals(pairs: &[Pair]) -> [[f64; 2]; 6] {
     let drawn: Vec<[f64; 6]> = (0..RESAMPLES)
         .map(|_| {
             let draw = |_| &groups[random.random_range(0..groups.len())];
-            let resample: Vec<Pair> = (0..groups.len()).map(draw).flatten().copied().collect();
+            let resample: Vec<Pair> = (0..groups.len()).flat_map(draw).copied().collect();
             errors(&resample).values
         })
         .collect();
@@ -86,15 +86,15 @@ pub fn intervals(pairs: &[Pair]) -> [[f64; 2]; 6] {
 }
 
 fn conditions(pairs: &[Pair]) -> Vec<Vec<Pair>> {
-    let mut groups: Vec<((usize, (i64, i64)), Vec<Pair>)> = Vec::new();
+    let key = |pair: &Pair| (pair.wheel, pair.row.condition());
+    let mut groups: Vec<Vec<Pair>> = Vec::new();
     for pair in pairs {
-        let key = (pair.wheel, pair.row.condition());
-        match groups.iter_mut().find(|g| g.0 == key) {
-            Some(group) => group.1.push(*pair),
-            None => groups.push((key, vec![*pair])),
+        match groups.iter_mut().find(|group| key(&group[0]) == key(pair)) {
+            Some(group) => group.push(*pair),
+            None => groups.push(vec![*pair]),
         }
     }
-    groups.into_iter().map(|g| g.1).collect()
+    groups
 }
 
 /// The scatter of repetitions about their condition's mean: Fx, Fy, Fz in % of the mean load, sinkage in mm.
@@ -115,7 +115,9 @@ pub fn scatter(pairs: &[Pair]) -> [f64; 4] {
 }
 
 /// Where a model may fail: a name and the rows that belong to it.
-pub const REGIMES: [(&str, fn(&Row) -> bool); 6] = [
+pub type Regime = (&'static str, fn(&Row) -> bool);
+
+pub const REGIMES: [Regime; 6] = [
     ("locked, slip −1", |r| r.slip < -0.9),
     ("skid, −0.9 to −0.55", |r| (-0.9..-0.55).contains(&r.slip)),
     ("slip −0.55 to 0.55", |r| r.slip.abs() <= 0.55),
