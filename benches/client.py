@@ -18,7 +18,7 @@ import numpy as np
 import sandgait
 from sandgait import server
 
-ID = "sandgait/HexapodGait-v0"
+ID = "sandgait/HexapodGait-v1"
 
 
 def in_process(envs: int, threads: int) -> float:

@@ -22,7 +22,7 @@ import sandgait
 from sandgait import client, server
 from sandgait._proto.sandgait.v1 import sandgait_pb2 as pb
 
-ID = "sandgait/HexapodGait-v0"
+ID = "sandgait/HexapodGait-v1"
 SERVICE = "/sandgait.v1.EnvironmentService/"
 OPTIONS = [("grpc.default_authority", "localhost")]
 RUN = (f"{SERVICE}RunSession", pb.RunSessionRequest.SerializeToString, pb.RunSessionResponse.FromString)

@@ -133,8 +133,8 @@ def sandgait(binary: Path, task: str) -> Callable[[float, int], float]:
 
 def rows(binary: Path) -> dict[str, Callable[[float, int], float]]:
     return {
-        "sandgait HexapodGait (6 joints, sand)": sandgait(binary, "sandgait/HexapodGait-v0"),
-        "sandgait HexapodLegs (18 joints, sand)": sandgait(binary, "sandgait/HexapodLegs-v0"),
+        "sandgait HexapodGait (6 joints, sand)": sandgait(binary, "sandgait/HexapodGait-v1"),
+        "sandgait HexapodLegs (18 joints, sand)": sandgait(binary, "sandgait/HexapodLegs-v1"),
         "MuJoCo mj_step, same hexapod, no sand": mujoco_step,
         "EnvPool Ant-v5": envpool_ant,
         "gymnasium Ant-v5, SyncVectorEnv": gymnasium_ant,

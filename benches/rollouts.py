@@ -15,7 +15,7 @@ import numpy as np
 import sandgait
 from sandgait import server
 
-ID = "sandgait/HexapodGait-v0"
+ID = "sandgait/HexapodGait-v1"
 STEPS = 150
 
 

@@ -20,7 +20,7 @@ import numpy as np
 import sandgait
 from sandgait import server
 
-ID = "sandgait/HexapodGait-v0"
+ID = "sandgait/HexapodGait-v1"
 
 #: Threads of each server.
 SETUPS = {"one server, 1 thread": [1], "two servers, 1 thread each": [1, 1], "one server, 2 threads": [2]}

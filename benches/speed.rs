@@ -13,7 +13,7 @@ use sandgait::sim::{Model, Robot, State};
 use serde_json::json;
 use std::hint::black_box;
 
-const TASK: &str = "sandgait/HexapodGait-v0";
+const TASK: &str = "sandgait/HexapodGait-v1";
 
 fn sand() -> Medium {
     Medium::named("poppy-loose").unwrap()

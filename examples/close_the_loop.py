@@ -99,7 +99,7 @@ def noisy(clean: dict[str, Numbers], generator: np.random.Generator) -> dict[str
 # the best ten make the next. All sands get the same budget and the same seeds.
 
 # %%
-ID = "sandgait/HexapodGait-v0"
+ID = "sandgait/HexapodGait-v1"
 STEPS = 200
 GAITS, EPISODES, BEST = 64, 4, 10
 START = np.array([0.2, 0.4, 0.0, 0.0, 0.0, 0.1])

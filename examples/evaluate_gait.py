@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 import sandgait
 
-GAIT = "sandgait/HexapodGait-v0"
+GAIT = "sandgait/HexapodGait-v1"
 
 #: Training takes small seeds; evaluation starts here.
 FIRST_SEED = 1_000_000
@@ -32,7 +32,7 @@ class Score:
     name: str
     #: Sum of rewards.
     returns: Values
-    #: Mean forward speed [m/s].
+    #: Mean speed along x, uphill [m/s].
     speed: Values
     #: Commanded forward speed [m/s].
     commanded: Values
@@ -68,7 +68,7 @@ def evaluate(
     """Plays one episode for each of `seeds` unseen seeds."""
     env = sandgait.SandgaitVectorEnv(task, seeds, address, **options)
     observations, _ = env.reset(seed=FIRST_SEED)
-    sums = {key: np.zeros(seeds) for key in ("reward", "steps", "speed", "commanded_speed", "work")}
+    sums = {key: np.zeros(seeds) for key in ("reward", "steps", "x_velocity", "commanded_speed", "work")}
     fell = np.zeros(seeds, dtype=np.bool_)
     running = np.ones(seeds, dtype=np.bool_)
     while running.any():
@@ -80,7 +80,7 @@ def evaluate(
         running &= ~(terminated | truncated)
     env.close()
     steps = sums["steps"]
-    speed, power = sums["speed"] / steps, sums["work"] / steps * env.task.control_rate
+    speed, power = sums["x_velocity"] / steps, sums["work"] / steps * env.task.control_rate
     moving = np.where(speed > LEAST_SPEED, speed, np.nan)
     cost = power / (infos.get("weight", np.nan) * moving)
     return Score(name, sums["reward"], speed, sums["commanded_speed"] / steps, power, cost, fell)

@@ -20,7 +20,7 @@ import ray
 import sandgait
 import sandgait.ray
 
-ID = "sandgait/HexapodGait-v0"
+ID = "sandgait/HexapodGait-v1"
 Array = npt.NDArray[np.float64]
 
 #: Six mean hip speeds; amplitude, frequency [Hz] and phase [rad] of the wave.

@@ -1,6 +1,6 @@
 """RLlib's PPO over a Ray cluster: a server on every node, and beside each a runner that steps a whole batch of it.
 
-RLlib wants environments as one vector with the autoreset mode NEXT_STEP, which `SandgaitVectorEnv` offers. A runner
+RLlib wants environments as one vector with the autoreset mode NEXT_STEP, as `SandgaitVectorEnv` is. A runner
 talks to the server of its own node, so rows stay on the node; RLlib carries episodes to the learner and weights back.
 
 usage: python examples/rllib_ppo.py [--iterations 30] [--runners 1] [--envs 64] [--ray auto]
@@ -18,7 +18,7 @@ from ray.tune.registry import register_env
 import sandgait
 import sandgait.ray
 
-ID = "sandgait/HexapodGait-v0"
+ID = "sandgait/HexapodGait-v1"
 
 #: Control steps of every environment between two updates: our choice, 1.3 s.
 STEPS = 64
@@ -33,7 +33,7 @@ def build(servers: sandgait.ray.Servers, runners: int, envs: int, seed: int = 0,
 
     def make(context: Any) -> sandgait.SandgaitVectorEnv:
         address = addresses[ray.get_runtime_context().get_node_id()]
-        return sandgait.SandgaitVectorEnv(ID, context["num_envs"], address, autoreset_mode="NEXT_STEP", **options)
+        return sandgait.SandgaitVectorEnv(ID, context["num_envs"], address, **options)
 
     register_env("sandgait", make)
     config = (

@@ -108,7 +108,7 @@ fn episode(blueprint: &Blueprint, seed: u64, steps: usize) -> sandgait::Result<E
 fn main() -> sandgait::Result<()> {
     let number = |i, default| std::env::args().nth(i).and_then(|a| a.parse().ok()).unwrap_or(default);
     let (episodes, steps) = (number(1, 1000), number(2, 250));
-    let blueprint = Blueprint::new("sandgait/HexapodRocks-v0", serde_json::json!({"rocks": {"count": 40}}))?;
+    let blueprint = Blueprint::new("sandgait/HexapodRocks-v1", serde_json::json!({"rocks": {"count": 40}}))?;
     let first = number(3, 0);
     let episodes = first + episodes;
     let next = AtomicU64::new(first);

@@ -2,7 +2,7 @@
 
 A hexapod's mirror image is a hexapod, and sand has no handedness: what a good policy does in a mirrored situation is
 the mirror image of what it does. A network that is averaged with its own mirror image cannot do otherwise. That matters
-for walking straight: tasks do not show the heading, so nothing else corrects a gait that turns a little in each stride.
+for walking straight: tasks do not show the heading, so nothing corrects what a gait has turned in the strides before.
 """
 
 from __future__ import annotations

@@ -29,6 +29,7 @@ from training import (
     last_checkpoint,
     prepare,
     provenance,
+    task_id,
 )
 from video import Video
 
@@ -77,7 +78,7 @@ def parse() -> argparse.Namespace:
     arguments = parser.parse_args()
     changes = {"seconds": arguments.seconds, "n_timesteps": arguments.steps, "n_envs": arguments.envs}
     given = [f"{name}={value}" for name, value in changes.items() if value is not None]
-    arguments.id = f"sandgait/{arguments.task}-v0"
+    arguments.id = task_id(arguments.task)
     arguments.out = arguments.out or Path("runs") / f"{arguments.task}-{arguments.algorithm}"
     try:
         arguments.settings = hyperparameters(arguments.algorithm, arguments.id, arguments.set + given)

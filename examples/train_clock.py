@@ -3,7 +3,7 @@
     python examples/train_clock.py                      # some ten minutes on two cores
     python examples/train_clock.py --generations 20 --coarse --out runs/try
 
-All of them are clocks of `sandgait/HexapodGait-v0` with control="clock": the same motors, sand, start and accounting of
+All of them are clocks of `sandgait/HexapodGait-v1` with control="clock": the same motors, sand, start and accounting of
 energy. Written to the output directory: clocks.json, front.png, evaluation.txt.
 """
 
@@ -51,7 +51,7 @@ POPULATION = 22
 class Trial:
     """What clocks did, one entry a clock."""
 
-    #: Mean forward speed [m/s].
+    #: Mean speed along x [m/s].
     speed: Values
     #: Mechanical work / (weight · distance).
     cost_of_transport: Values
@@ -62,19 +62,18 @@ class Trial:
 def trial(clocks: npt.NDArray[Any], seed: int, address: str | None, options: dict[str, Any]) -> Trial:
     """Plays an episode of each clock [clocks, 10], all from the same start."""
     n = len(clocks)
-    env = sandgait.SandgaitVectorEnv(GAIT, n, address, control="clock", **options)
+    env = sandgait.SandgaitVectorEnv(GAIT, n, address, autoreset_mode="SAME_STEP", control="clock", **options)
     env.reset(seed=[seed] * n)
     distance, work, running = np.zeros(n), np.zeros(n), np.ones(n, dtype=np.bool_)
     rewards = np.zeros((n, len(COMMANDS)))
     for _ in range(STEPS):
         _, reward, terminated, _, infos = env.step(clocks)
         running &= ~terminated
-        speed = infos["speed"]
-        tracking = np.exp(-(((speed[:, None] - COMMANDS) / TRACKING_WIDTH) ** 2))
+        tracking = np.exp(-(((infos["speed"][:, None] - COMMANDS) / TRACKING_WIDTH) ** 2))
         # A clock does not change, so it pays nothing for smoothness: no first step from an action of zero.
         others = reward - infos["reward_tracking"] - infos["reward_smoothness"]
         rewards += np.where(running[:, None], tracking + others[:, None], 0.0)
-        distance += speed / env.task.control_rate
+        distance += infos["x_velocity"] / env.task.control_rate
         work += infos["work"]
     weight = float(infos["weight"][0])
     env.close()
@@ -106,10 +105,10 @@ def grid(coarse: bool) -> npt.NDArray[np.float64]:
 
 
 def policy(clocks: Values) -> Policy:
-    """The clock for each row's commanded speed, the last observation; `clocks` has one an entry of COMMANDS, or one."""
+    """The clock for each row's commanded speed, the last but one; `clocks` has one an entry of COMMANDS, or one."""
     if len(clocks) == 1:
         return lambda rows: np.repeat(clocks, len(rows), axis=0)
-    return lambda rows: clocks[np.abs(rows[:, -1:] - COMMANDS).argmin(axis=1)]
+    return lambda rows: clocks[np.abs(rows[:, -2:-1] - COMMANDS).argmin(axis=1)]
 
 
 def evolve(limit: float, arguments: argparse.Namespace) -> tuple[Values, list[str]]:

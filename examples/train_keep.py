@@ -15,7 +15,7 @@ from pathlib import Path
 
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from train_curves import draw
-from training import ALGORITHMS
+from training import ALGORITHMS, task_id
 
 import sandgait
 
@@ -32,7 +32,7 @@ def main() -> None:
     folder = POLICIES / name
     folder.mkdir(parents=True, exist_ok=True)
     model = ALGORITHMS[settings["algorithm"]].load(arguments.runs[0] / "policy.zip", device="cpu")
-    single = DummyVecEnv([lambda: sandgait.SandgaitEnv(f"sandgait/{settings['task']}-v0", **settings["options"])])
+    single = DummyVecEnv([lambda: sandgait.SandgaitEnv(task_id(settings["task"]), **settings["options"])])
     normalized = VecNormalize.load(str(arguments.runs[0] / "normalize.pkl"), single)
     sandgait.export_onnx(model, folder / "policy.onnx", normalized)
     single.close()

@@ -21,7 +21,7 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList, CheckpointCallback
 from stable_baselines3.common.utils import FloatSchedule
-from stable_baselines3.common.vec_env import VecEnvWrapper, VecMonitor, VecNormalize
+from stable_baselines3.common.vec_env import VecEnvWrapper, VecNormalize
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 from symmetry import Mirror, MirroredPolicy, MirroredStatistics, mirror
 from tqdm import tqdm
@@ -41,6 +41,11 @@ CHECKPOINT = re.compile(r"model_(\d+)_steps\.zip")
 
 class BadSettings(ValueError):
     """Hyperparameters that do not exist or cannot be read; one line."""
+
+
+def task_id(name: str) -> str:
+    """Id of the present version of task `name`; an unknown name as it is."""
+    return next((task for task in sandgait.TASKS if task.startswith(f"sandgait/{name}-v")), f"sandgait/{name}")
 
 
 def hyperparameters(algorithm: str, task: str, changes: list[str]) -> dict[str, Any]:
@@ -258,16 +263,15 @@ def prepare(
 ) -> Training:
     """A new training, or the one in `out` from a checkpoint on."""
     timed = Timed(sandgait.make_sb3(task, int(settings["n_envs"]), address, **options))
-    monitored = VecMonitor(timed)
     kind = ALGORITHMS[algorithm]
     curve: list[Row] = []
     if checkpoint is None:
         flag = bool(settings["normalize"])
-        normalized = VecNormalize(monitored, norm_obs=flag, norm_reward=flag, gamma=settings["gamma"])
+        normalized = VecNormalize(timed, norm_obs=flag, norm_reward=flag, gamma=settings["gamma"])
         model = create(kind, normalized, settings, seed, out / "tensorboard")
     else:
         steps = steps_of(checkpoint)
-        normalized = VecNormalize.load(str(checkpoint.with_name(f"model_vecnormalize_{steps}_steps.pkl")), monitored)
+        normalized = VecNormalize.load(str(checkpoint.with_name(f"model_vecnormalize_{steps}_steps.pkl")), timed)
         model = kind.load(checkpoint, env=normalized, device="cpu")
         if isinstance(model, SAC):
             model.load_replay_buffer(checkpoint.with_name(f"model_replay_buffer_{steps}_steps.pkl"))

@@ -9,6 +9,9 @@ pub enum Error {
     /// A name that nothing answers to.
     #[error("{what} {name:?} is unknown; known: {known}")]
     Unknown { what: &'static str, name: String, known: String },
+    /// A name that something else has taken the place of.
+    #[error("{what} {name:?} has been replaced by {new:?}; see CHANGELOG")]
+    Replaced { what: &'static str, name: String, new: String },
     /// A call that is not allowed in the present state (for example a step before any reset).
     #[error("{0}")]
     OutOfOrder(String),
@@ -21,6 +24,9 @@ pub enum Error {
     /// A file could not be read or written.
     #[error("{path}: {reason}")]
     File { path: String, reason: String },
+    /// A defect of this program, such as a panic: nobody's to mend but ours.
+    #[error("{0}; please report this as a bug")]
+    Internal(String),
 }
 
 pub type Result<T> = std::result::Result<T, Error>;

@@ -57,7 +57,7 @@ fn intrude_writes_the_sweep() {
 fn media_and_tasks_are_listed() {
     assert!(text(&["media"]).contains("poppy-loose") && text(&["media"]).contains("poppy-close"));
     assert_eq!(json(&["media", "--json"])[0]["name"], "poppy-loose");
-    assert!(text(&["tasks"]).contains("sandgait/HexapodGait-v0"));
+    assert!(text(&["tasks"]).contains("sandgait/HexapodGait-v1"));
     assert_eq!(json(&["tasks", "--json"])[0]["action"].as_array().unwrap().len(), 6);
 }
 
@@ -107,7 +107,7 @@ fn evaluate_prints_and_writes() {
         csv.starts_with("medium,slope_deg,episodes,return,return_low,return_high,speed,") && csv.lines().count() == 3
     );
     let standing = text(&["evaluate", "standing", "--seeds", "2", "--options", r#"{"max_episode_steps": 2}"#]);
-    assert!(standing.contains("standing, sandgait/HexapodGait-v0"), "{standing}");
+    assert!(standing.contains("standing, sandgait/HexapodGait-v1"), "{standing}");
     let refuse = |more: &[&str], words: &[&str]| refused(&[&["evaluate"], more].concat(), words);
     refuse(&["crawl", "--csv", &path("b.csv")], &["crawl", "tripod"]);
     refuse(&["tripod:9"], &["tripod", "9", "[-5, 5]"]);
@@ -115,7 +115,7 @@ fn evaluate_prints_and_writes() {
     refuse(&["random", "--options", "leg=C"], &["--options", "JSON"]);
     refuse(&["random", "--options", r#"{"legs": 3}"#], &["legs", "leg"]);
     refuse(&["random", "--media", "moon", "--csv", &path("b.csv")], &["moon"]);
-    refuse(&["tests/data/policy_ppo.onnx", "--task", "sandgait/HexapodLegs-v0"], &["40 numbers a row", "83"]);
+    refuse(&["tests/data/policy_ppo.onnx", "--task", "sandgait/HexapodLegs-v1"], &["41 numbers a row", "83"]);
     refuse(&["no-such.onnx"], &["no-such.onnx"]);
     refuse(&["random", "--csv", "/no/such/folder/f.csv"], &["/no/such/folder/f.csv"]);
     assert!(!directory.path().join("b.csv").exists());

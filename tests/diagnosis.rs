@@ -17,6 +17,7 @@ use sandgait::sand::SandDescription;
 use sandgait::sand::mechanism::{CATALOG, Mechanisms};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
+use testbed::rests::{Rests, with_rests};
 use testbed::{Design, Hidden};
 
 fn experiment() -> Experiment {
@@ -126,6 +127,75 @@ fn the_form_of_a_law_is_questioned() {
     let (found, r) = form(Design::Crossed, 2.0, "inertial_drag", 0.3);
     assert!(!found.excluded && !found.told_apart, "{found:?}");
     assert!(r.summary.contains("these data allow every power"), "{}", r.summary);
+}
+
+/// Rests change nothing: neither a start from rest, as every real drive makes, nor stops, whatever the velocities and forces
+/// logged there.
+#[test]
+fn rests_change_no_verdict() {
+    let rests = [
+        Rests { samples: [1, 0, 0], noise: 0.0, held: 0.0 },
+        Rests { samples: [5, 7, 6], noise: 0.0, held: 0.8 },
+        Rests { samples: [9, 8, 4], noise: 0.02, held: 0.7 },
+    ];
+    for causes in [vec![], vec![("inertial_drag", 1.0)], vec![("scale", 0.3)]] {
+        let log = testbed::log(11, &Hidden { causes }, 0.05).noisy;
+        let base = diagnosis(&log).report;
+        for rests in rests {
+            let r = diagnosis(&with_rests(&log, rests)).report;
+            assert_eq!((r.verdict, &r.ambiguity_set), (base.verdict, &base.ambiguity_set), "{rests:?}: {}", r.summary);
+            for (found, expected) in r.causes.iter().zip(&base.causes) {
+                let off = (found.value - expected.value).abs();
+                assert!(off < 0.03 * expected.value.abs(), "{rests:?}: {} for {}", r.summary, base.summary);
+            }
+            assert!(r.notes.iter().any(|n| n.contains("rests")), "{:?}", r.notes);
+        }
+        assert!(base.notes.iter().all(|n| !n.contains("rests")), "{:?}", base.notes);
+    }
+}
+
+/// The first row's velocity may be exactly zero without there being a rest.
+#[test]
+fn a_first_velocity_of_zero_changes_no_verdict() {
+    let log = testbed::log(11, &Hidden { causes: vec![("inertial_drag", 1.0)] }, 0.05).noisy;
+    let mut last = String::new();
+    let still = log.lines().map(|line| {
+        let mut cells: Vec<&str> = line.split(',').collect();
+        let first = cells[0] != last && cells[0] != "trial";
+        last = cells[0].into();
+        for k in [14, 17, 18].into_iter().filter(|_| first) {
+            cells[k] = "0";
+        }
+        cells.join(",")
+    });
+    let r = diagnosis(&still.collect::<Vec<_>>().join("\n")).report;
+    assert_eq!(
+        (r.verdict, r.ambiguity_set),
+        (Verdict::Named, vec![vec!["inertial_drag".to_string()]]),
+        "{}",
+        r.summary
+    );
+    assert!((r.causes[0].value - 1.0).abs() < 0.1, "{}", r.summary);
+}
+
+/// A plate that starts from rest toward −x is the mirror image of one toward +x, whatever its velocity at rest is noisy by.
+#[test]
+fn plates_that_start_from_rest_are_mirrored() {
+    let directory = tempfile::tempdir().unwrap();
+    let header = "trial,condition,rep,kind,shape,medium,hip_z,plate_beta,plate_gamma,t,theta,omega,x,z,vx,vz,Fx,Fz";
+    let text = |vx: [f64; 4]| {
+        let mut x = 0.0;
+        let rows = vx.iter().enumerate().map(|(i, v)| {
+            x += 0.1 * v;
+            format!("a,0,0,plate,plate,poppy-loose,,0.5,0.3,{},,,{x},-0.02,{v},-0.03,1,1", 0.1 * i as f64)
+        });
+        format!("{header}\n{}", rows.collect::<Vec<_>>().join("\n"))
+    };
+    for (vx, beta) in [([0.0, 0.1, 0.1, 0.1], 0.5), ([0.0, -0.1, -0.1, -0.1], -0.5), ([0.001, -0.1, -0.1, -0.1], -0.5)]
+    {
+        let log = force_log::read(&file(directory.path(), &text(vx)), &experiment()).unwrap();
+        assert_eq!(log.tracks[0].beta, beta, "{vx:?}");
+    }
 }
 
 #[test]

@@ -175,7 +175,7 @@ fn a_clock_at_0_is_a_tripod() {
 /// Every task that walks, with whatever its episodes draw.
 #[test]
 fn walking_tasks_can_be_evaluated() {
-    for task in ["sandgait/HexapodLegs-v0", "sandgait/HexapodRocks-v0", "sandgait/HexapodTerrain-v0"] {
+    for task in ["sandgait/HexapodLegs-v1", "sandgait/HexapodRocks-v1", "sandgait/HexapodTerrain-v1"] {
         let request = request("random", json!({"max_episode_steps": 30}));
         let rows = rows(&Request { task: task.into(), seeds: 3, ..request });
         assert!(rows[0].figures.total_reward.mean.is_finite() && rows[0].figures.speed.mean.is_finite(), "{task}");
@@ -187,9 +187,9 @@ fn a_network_is_evaluated() {
     let got = figures("tests/data/policy_ppo.onnx", json!({"max_episode_steps": 60}));
     assert!(got.total_reward.mean.is_finite() && got.episodes == 20, "{got:?}");
     let mut wrong = request("tests/data/policy_ppo.onnx", Value::Null);
-    wrong.task = "sandgait/HexapodLegs-v0".into();
+    wrong.task = "sandgait/HexapodLegs-v1".into();
     let error = Study::new(&wrong).map(drop).unwrap_err().to_string();
-    assert!(error.contains("40 numbers a row"), "{error}");
+    assert!(error.contains("41 numbers a row"), "{error}");
 }
 
 struct Told(Mutex<Vec<f64>>);
@@ -262,5 +262,5 @@ fn wrong_gaits_are_refused() {
     let steep = Request { slopes: vec![50.0], ..request("random", Value::Null) };
     assert_eq!(refused(&steep), "slope_deg: 50 is outside [-35, 35]");
     let leg = Request { task: "sandgait/LegStroke-v0".into(), ..request("random", Value::Null) };
-    assert_eq!(refused(&leg), "task: sandgait/LegStroke-v0 has no speed: it is no walking task");
+    assert_eq!(refused(&leg), "task: sandgait/LegStroke-v0 has no x_velocity: it is no walking task");
 }

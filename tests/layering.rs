@@ -2,21 +2,73 @@
 
 use std::path::{Path, PathBuf};
 
-/// A folder of `src/` and the words that may not stand in its code.
-const ABSENT: [(&str, &[&str]); 9] = [
-    ("number", &["sand", "sim", "env", "pool", "service", "rand", "tokio", "tonic", "rapier3d"]),
-    ("sand", &["sim", "env", "pool", "service", "rand", "tokio", "tonic", "rapier", "rapier3d"]),
-    ("sim", &["env", "pool", "service", "rand", "tokio", "tonic"]),
-    ("env", &["policy", "pool", "service", "tokio", "tonic", "rapier3d"]),
-    ("policy", &["pool", "service", "rand", "tokio", "tonic", "rapier3d"]),
-    ("evaluate", &["pool", "service", "tokio", "tonic", "rapier3d"]),
-    ("pool", &["service", "tokio", "tonic", "rapier3d"]),
-    ("view", &["env", "pool", "service", "rand", "tokio", "tonic", "rapier", "rapier3d"]),
-    ("diagnose", &["env", "pool", "service", "tokio", "tonic"]),
+/// Every module of `src/`, and those that it may know. Each names only modules further up in this list, so nothing goes in
+/// circles; whatever is not named it must not know.
+const KNOWS: [(&str, &[&str]); 21] = [
+    ("error", &[]),
+    ("parallel", &[]),
+    ("progress", &["error"]),
+    ("number", &["error"]),
+    ("table", &["error"]),
+    ("plot", &["error"]),
+    ("sand", &["error", "number"]),
+    ("sim", &["error", "number", "sand"]),
+    ("env", &["error", "number", "sand", "sim"]),
+    ("policy", &["error", "number", "env"]),
+    ("pool", &["error", "parallel", "progress", "env", "policy"]),
+    ("view", &["error", "number", "plot", "sand", "sim"]),
+    ("calibrate", &["error", "plot", "sand"]),
+    ("sweep", &["error", "parallel", "progress", "table", "plot", "sand", "sim"]),
+    ("diagnose", &["error", "parallel", "progress", "number", "table", "plot", "sand", "sim", "sweep"]),
+    ("reproduce", &["error", "parallel", "progress", "number", "table", "plot", "sand", "sim", "sweep"]),
+    ("evaluate", &["error", "parallel", "progress", "table", "sand", "sim", "env", "policy"]),
+    (
+        "service",
+        &[
+            "error", "parallel", "progress", "table", "sand", "sim", "env", "policy", "pool", "view", "sweep",
+            "diagnose", "evaluate",
+        ],
+    ),
+    ("bench", &["error", "env", "pool", "service"]),
+    (
+        "cli",
+        &[
+            "error",
+            "parallel",
+            "progress",
+            "number",
+            "table",
+            "plot",
+            "sand",
+            "sim",
+            "env",
+            "policy",
+            "pool",
+            "view",
+            "calibrate",
+            "sweep",
+            "diagnose",
+            "reproduce",
+            "evaluate",
+            "service",
+            "bench",
+        ],
+    ),
+    ("main", &["cli"]),
 ];
 
-/// Only these may name protobuf: messages are the service's, and ONNX files are protobuf too.
-const KNOW_PROTO: [&str; 3] = ["service", "bench", "policy"];
+/// Only these may name what stands first: threads that wait, networks and messages, chance, the other engine's library.
+const OUTSIDE: [(&str, &[&str]); 8] = [
+    ("tokio", &["service", "bench", "cli"]),
+    ("tonic", &["service", "bench"]),
+    ("axum", &["service"]),
+    ("proto", &["service", "bench"]),
+    // ONNX files are protobuf too.
+    ("prost", &["service", "policy"]),
+    ("prost_types", &["service", "bench"]),
+    ("rand", &["env", "sweep", "diagnose", "evaluate", "service"]),
+    ("rapier3d", &["sim"]),
+];
 
 fn sources(folder: &Path) -> Vec<PathBuf> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
@@ -46,23 +98,79 @@ fn names(code: &str, word: &str) -> bool {
     })
 }
 
-#[test]
-fn layers_do_not_know_those_above() {
-    let src = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
-    let mut broken = Vec::new();
-    for (layer, absent) in ABSENT {
-        for path in sources(&src.join(layer)) {
-            let code = code(&path);
-            let found = absent.iter().filter(|word| names(&code, word));
-            broken.extend(found.map(|word| format!("{} names {word}", path.display())));
+/// Top-level modules that are named by their path: `crate::word`, `sandgait::word`, or in a list behind one of the two.
+fn modules(code: &str) -> Vec<String> {
+    let mut found = Vec::new();
+    for root in ["crate::", "sandgait::"] {
+        for (at, _) in code.match_indices(root) {
+            let rest = &code[at + root.len()..];
+            match rest.strip_prefix('{') {
+                None => found.push(word(rest)),
+                Some(list) => {
+                    let mut depth = 1;
+                    let mut begins = true;
+                    for (i, c) in list.char_indices() {
+                        if begins && depth == 1 && !c.is_whitespace() {
+                            found.push(word(&list[i..]));
+                        }
+                        begins = c == ',' || (begins && c.is_whitespace());
+                        depth += i32::from(c == '{') - i32::from(c == '}');
+                        if depth == 0 {
+                            break;
+                        }
+                    }
+                }
+            }
         }
     }
-    for path in sources(&src) {
-        let inside = path.strip_prefix(&src).unwrap();
-        let knows = KNOW_PROTO.iter().any(|layer| inside.starts_with(layer));
-        let code = code(&path);
-        let found = ["proto", "prost", "prost_types"].into_iter().filter(|word| !knows && names(&code, word));
-        broken.extend(found.map(|word| format!("{} names {word}", path.display())));
+    found
+}
+
+fn word(text: &str) -> String {
+    text.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect()
+}
+
+/// The files of a module, in its folder or beside.
+fn files(src: &Path, module: &str) -> Vec<PathBuf> {
+    let alone = src.join(format!("{module}.rs"));
+    if alone.is_file() { vec![alone] } else { sources(&src.join(module)) }
+}
+
+#[test]
+fn modules_know_only_those_below() {
+    let src = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let listed: Vec<&str> = KNOWS.iter().map(|k| k.0).collect();
+    let mut broken = Vec::new();
+    for entry in std::fs::read_dir(&src).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_stem().unwrap().to_str().unwrap();
+        if name != "lib" && !listed.contains(&name) {
+            broken.push(format!("src/{name} is in no line of this test: say what it may know"));
+        }
+    }
+    for (place, (module, known)) in KNOWS.iter().enumerate() {
+        for below in *known {
+            assert!(listed[..place].contains(below), "{module} may know {below}, which does not stand above it");
+        }
+        let files = files(&src, module);
+        assert!(!files.is_empty(), "src/{module} is gone");
+        for path in files {
+            let code = code(&path);
+            // A child of the module may have the name of another module; what has no such child is meant itself.
+            let child = |word: &str| {
+                src.join(module).join(word).exists() || src.join(module).join(format!("{word}.rs")).exists()
+            };
+            let by_parent = |word: &&str| !child(word) && names(&code, word);
+            let by_path = modules(&code);
+            let named = listed.iter().filter(|word| by_path.iter().any(|m| m == *word) || by_parent(word));
+            let wrong = named.filter(|word| *word != module && !known.contains(word));
+            broken.extend(wrong.map(|word| format!("{} names {word}", path.display())));
+            let outside = OUTSIDE.iter().filter(|(word, may)| !may.contains(module) && names(&code, word));
+            broken.extend(outside.map(|(word, _)| format!("{} names {word}", path.display())));
+            if *module != "sim" && names(&code, "rapier") {
+                broken.push(format!("{} names rapier", path.display()));
+            }
+        }
     }
     assert!(broken.is_empty(), "{}", broken.join("\n"));
 }
@@ -74,6 +182,10 @@ fn the_reader_of_sources_sees_what_matters() {
     assert!(names("use tokio;", "tokio"));
     assert!(!names("std::env::var(name)", "env"));
     assert!(!names("let pool = 1; spool::x(); self.pool.run()", "pool"));
+    assert_eq!(
+        modules("use crate::{env::{a, b}, pool};\nsandgait::view::x(); crate::table::y()"),
+        ["env", "pool", "table", "view"]
+    );
     let manifest = Path::new(env!("CARGO_MANIFEST_DIR"));
     assert!(sources(&manifest.join("src")).len() > 20);
     assert!(!names(&code(&manifest.join("src/pool/mod.rs")), "tokio"));

@@ -16,7 +16,7 @@ use std::time::Instant;
 
 const PPO: &[u8] = include_bytes!("data/policy_ppo.onnx");
 const SAC: &[u8] = include_bytes!("data/policy_sac.onnx");
-const OBSERVATION: usize = 40;
+const OBSERVATION: usize = 41;
 const ACTION: usize = 6;
 
 fn blueprint() -> Blueprint {
@@ -100,9 +100,9 @@ fn wrong_files_are_refused_in_a_line() {
     };
     refused(&replaced("Relu", "LSTM"), &["\"LSTM\" is not supported", "Relu", "Tanh"]);
     refused(&SAC[..SAC.len() / 2], &["no ONNX file"]);
-    let legs = Blueprint::new("sandgait/HexapodLegs-v0", Value::Null).unwrap();
+    let legs = Blueprint::new("sandgait/HexapodLegs-v1", Value::Null).unwrap();
     let error = Network::new(PPO, legs.task.spec()).unwrap_err().to_string();
-    assert_eq!(error, "policy: its input \"observation\" has 40 numbers a row, this task has 83");
+    assert_eq!(error, "policy: its input \"observation\" has 41 numbers a row, this task has 83");
 }
 
 /// Files that are spoiled anywhere are refused or run; nothing panics, and nothing takes long.

@@ -1,7 +1,7 @@
 //! Rigid obstacles on engine `rapier`: laws first, then what a robot does among them.
 
 use sandgait::env::ResetOptions;
-use sandgait::env::options::RockOptions;
+use sandgait::env::options::{Partial, RockOptions};
 use sandgait::env::random::Random;
 use sandgait::env::registry::Blueprint;
 use sandgait::pool::{Batch, Pool};
@@ -26,7 +26,7 @@ fn model(obstacles: &[Obstacle]) -> Model {
     let mut robot = Robot::load("xplorer").unwrap();
     robot.servo.torque_limit = Some(0.05);
     let mut scene = Scene::flat(Medium::named("poppy-loose").unwrap());
-    scene.obstacles = obstacles.to_vec();
+    (scene.obstacles, scene.dt) = (obstacles.to_vec(), EngineKind::Rapier.default_dt());
     Model::new(&robot, &scene).unwrap()
 }
 
@@ -281,7 +281,7 @@ fn what_is_refused() {
 #[test]
 fn a_robot_with_random_actions_passes_through_nothing() {
     let options = serde_json::json!({"rocks": {"count": 40}});
-    let blueprint = Blueprint::new("sandgait/HexapodRocks-v0", options).unwrap();
+    let blueprint = Blueprint::new("sandgait/HexapodRocks-v1", options).unwrap();
     let (mut deepest, mut touched): (f64, usize) = (0.0, 0);
     for seed in 0..8 {
         let mut random = Random::new(seed, 0);
@@ -334,7 +334,7 @@ fn drawn_rocks_suit_the_scene_and_the_seed() {
 
 /// Rows of six environments after 30 steps and a reset with other rocks.
 fn rows(threads: usize) -> Vec<f32> {
-    let blueprint = Blueprint::new("sandgait/HexapodRocks-v0", serde_json::json!({"max_episode_steps": 20})).unwrap();
+    let blueprint = Blueprint::new("sandgait/HexapodRocks-v1", serde_json::json!({"max_episode_steps": 20})).unwrap();
     let pool = Pool::new(threads);
     let mut batch = Batch::new(&blueprint, 6).unwrap();
     let mut rows = Vec::new();
@@ -348,7 +348,7 @@ fn rows(threads: usize) -> Vec<f32> {
     batch = pool.wait(batch, reset).unwrap();
     for step in 0..60 {
         if step == 30 {
-            let rocks = Some(RockOptions { count: 30, dynamic_fraction: 1.0, ..RockOptions::default() });
+            let rocks = Some(Partial::all(&RockOptions { count: 30, dynamic_fraction: 1.0, ..RockOptions::default() }));
             let reset = batch.reset(None, None, ResetOptions { rocks, ..ResetOptions::default() }).unwrap();
             batch = pool.wait(batch, reset).unwrap();
         }
@@ -372,16 +372,16 @@ fn rows_do_not_depend_on_threads() {
 fn the_task_scans_heights_and_refuses_what_has_no_rocks() {
     let blueprint = |task: &str, options| Blueprint::new(task, options);
     let error = |task: &str, options| blueprint(task, options).err().unwrap().to_string();
-    let lanes = error("sandgait/HexapodRocks-v0", serde_json::json!({"engine": "lanes"}));
+    let lanes = error("sandgait/HexapodRocks-v1", serde_json::json!({"engine": "lanes"}));
     assert!(lanes.contains("lanes has no rigid obstacles"), "{lanes}");
-    let gait = error("sandgait/HexapodGait-v0", serde_json::json!({"rocks": {"count": 1}}));
+    let gait = error("sandgait/HexapodGait-v1", serde_json::json!({"rocks": {"count": 1}}));
     assert!(gait.contains("HexapodRocks"), "{gait}");
     assert!(
-        error("sandgait/HexapodRocks-v0", serde_json::json!({"rocks": {"size": [0.1, 0.01]}})).contains("rocks.size")
+        error("sandgait/HexapodRocks-v1", serde_json::json!({"rocks": {"size": [0.1, 0.01]}})).contains("rocks.size")
     );
-    assert!(error("sandgait/HexapodRocks-v0", serde_json::json!({"rocks": {"colour": 1}})).contains("rocks"));
+    assert!(error("sandgait/HexapodRocks-v1", serde_json::json!({"rocks": {"colour": 1}})).contains("rocks"));
 
-    let rocks = blueprint("sandgait/HexapodRocks-v0", serde_json::Value::Null).unwrap();
+    let rocks = blueprint("sandgait/HexapodRocks-v1", serde_json::Value::Null).unwrap();
     let (state, mut goal) = rocks.task.begin(&rocks.setup, &mut Random::new(0, 0));
     // One step 10 to 12 cm ahead of a robot that looks along +y.
     let step = Obstacle::block([0.0, 0.13], [0.5, 0.02], 0.015, 0.0);

@@ -120,7 +120,7 @@ fn the_time_step_is_fine_enough() {
 fn stroke(options: Value, action: &dyn Fn(usize) -> [f32; 2]) -> (Vec<f32>, Vec<Vec<f32>>, usize) {
     let blueprint = Blueprint::new(ID, options).unwrap();
     let mut shard = Shard::new(&blueprint, 1).unwrap();
-    shard.reset(|_| true, Some(&[0]), None);
+    shard.reset(|_| true, Some(&[0]), |_| None);
     let (mut rewards, mut infos) = (Vec::new(), Vec::new());
     for k in 0..200 {
         shard.step(&action(k));
@@ -188,6 +188,6 @@ fn wrong_options_are_refused_in_a_line() {
         let error = refused(options);
         assert!(error.starts_with(said), "{error}, not {said}");
     }
-    let gait = Blueprint::new("sandgait/HexapodGait-v0", json!({"engine": "carriage"})).err().unwrap().to_string();
+    let gait = Blueprint::new("sandgait/HexapodGait-v1", json!({"engine": "carriage"})).err().unwrap().to_string();
     assert_eq!(gait, "engine \"carriage\" is unknown; known: lanes, rapier");
 }

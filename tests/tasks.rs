@@ -11,9 +11,9 @@ use sandgait::sim::lanes::LanesEngine;
 use sandgait::sim::{Model, State};
 use serde_json::{Value, json};
 
-const GAIT: &str = "sandgait/HexapodGait-v0";
-const LEGS: &str = "sandgait/HexapodLegs-v0";
-const TERRAIN: &str = "sandgait/HexapodTerrain-v0";
+const GAIT: &str = "sandgait/HexapodGait-v1";
+const LEGS: &str = "sandgait/HexapodLegs-v1";
+const TERRAIN: &str = "sandgait/HexapodTerrain-v1";
 
 fn blueprint(id: &str, options: Value) -> Blueprint {
     Blueprint::new(id, options).unwrap()
@@ -146,9 +146,10 @@ fn close(a: &[f32], b: &[f32], what: &str) {
 }
 
 fn every_walk() -> Vec<(&'static str, Value)> {
-    let controls = ["hip_speed", "hip_target", "torque", "clock"].map(|c| (GAIT, json!({"control": c})));
+    let gait = |c| (GAIT, json!({"control": c, "turn": [0.7, 0.7]}));
+    let controls = ["hip_speed", "hip_target", "torque", "clock"].map(gait);
     let ranges = json!({"turning_point": [0.05, 0.05], "patch_length": [0.04, 0.04]});
-    let others = [(LEGS, json!({"turn": [0.5, 0.5]})), (TERRAIN, json!({"randomize": ranges}))];
+    let others = [(LEGS, json!({"turn": [0.5, 0.5]})), (TERRAIN, json!({"randomize": ranges, "turn": [0.3, 0.3]}))];
     controls.into_iter().chain(others).collect()
 }
 
@@ -214,11 +215,96 @@ fn torques_and_targets_are_what_they_say() {
     }
 }
 
+const WALKING: [&str; 4] = [GAIT, LEGS, "sandgait/HexapodRocks-v1", TERRAIN];
+
+/// Both commands stand in the observation, so nobody is paid for what cannot be seen.
+#[test]
+fn what_is_commanded_is_observed() {
+    for id in WALKING {
+        let blueprint = blueprint(id, json!({"turn": [0.5, 0.5], "command": [0.2, 0.2]}));
+        let (task, columns) = (&blueprint.task, &blueprint.task.spec().observation);
+        let (state, goal) = task.begin(&blueprint.setup, &mut Random::new(1, 0));
+        let mut row = vec![0.0; columns.len()];
+        task.observe(&goal, &state, &vec![0.0; task.spec().action.len()], &mut row);
+        let told = |name: &str| row[columns.iter().position(|c| c.name == name).unwrap()];
+        assert_eq!((told("commanded speed"), told("commanded yaw speed")), (0.2, 0.5), "{id}");
+    }
+}
+
+/// `state` turned about the vertical by `yaw` [rad] where it stands.
+fn yawed(state: &State, yaw: f64) -> State {
+    let (sin, cos) = (yaw / 2.0).sin_cos();
+    let [w, x, y, z] = state.orientation;
+    State { orientation: [cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w], ..state.clone() }
+}
+
+/// Info columns of a step of HexapodGait that turns from one heading to another [rad], goes by `moved` [m] and ends with
+/// the yaw speed `turning` [rad/s] and this much `work` [J].
+fn paid(headings: [f64; 2], moved: [f64; 2], turning: f64, work: f64) -> impl Fn(&str) -> f64 {
+    let blueprint = blueprint(GAIT, json!({"command": [0.25, 0.25]}));
+    let (task, setup) = (blueprint.task.clone(), &blueprint.setup);
+    let (state, goal) = task.begin(setup, &mut Random::new(1, 0));
+    let [before, mut after] = headings.map(|yaw| yawed(&state, yaw));
+    after.position = [state.position[0] + moved[0], state.position[1] + moved[1], state.position[2]];
+    (after.angular_velocity[2], after.work) = (turning, work);
+    let mut info = vec![0.0; task.spec().info.len()];
+    let transition = Transition {
+        options: &setup.options,
+        model: &setup.model,
+        goal: &goal,
+        before: &before,
+        after: &after,
+        action: &[0.0; 6],
+        previous_action: &[0.0; 6],
+        period: 0.02,
+        diverged: false,
+    };
+    task.judge(&transition, &mut info);
+    let names: Vec<_> = task.spec().info.iter().map(|c| c.name.clone()).collect();
+    move |name| f64::from(info[names.iter().position(|n| n == name).unwrap()])
+}
+
+/// What is paid does not depend on where the robot heads; a step that turns is seen in the heading halfway.
+#[test]
+fn speeds_are_paid_in_the_heading() {
+    for heading in [0.0, 1.0, 3.0, -2.0] {
+        let (sin, cos) = f64::sin_cos(heading);
+        let [forward, left] = [0.005, 0.001];
+        let moved = [cos * forward - sin * left, sin * forward + cos * left];
+        let got = paid([heading - 0.2, heading + 0.2], moved, 0.0, 0.0);
+        assert!((got("speed") - 0.25).abs() < 1e-6 && (got("reward_tracking") - 1.0).abs() < 1e-6, "{heading}");
+        let lateral = -0.1 * 2.0 * ((1.0_f64 + 0.25).sqrt() - 1.0); // 0.05 m/s are half of the tolerance
+        assert!((got("reward_lateral") - lateral).abs() < 1e-6, "{heading}: {}", got("reward_lateral"));
+        assert!((got("x_velocity") - moved[0] / 0.02).abs() < 1e-6);
+    }
+}
+
+/// However bad it is, worse costs more.
+#[test]
+fn no_cost_ends_anywhere() {
+    let mut last = [0.0; 3];
+    for much in [0.5, 1.0, 2.0, 5.0, 20.0] {
+        let got = paid([0.0; 2], [0.0, 0.002 * much], much, 0.02 * much);
+        let costs = ["reward_lateral", "reward_turning", "reward_power"].map(|name| -got(name));
+        assert!(costs.iter().zip(last).all(|(cost, last)| *cost > 1.2 * last), "{much}: {costs:?} {last:?}");
+        last = costs;
+    }
+}
+
+#[test]
+fn earlier_versions_name_the_present_one() {
+    for id in WALKING {
+        let old = id.replace("-v1", "-v0");
+        assert_eq!(refused(&old, Value::Null), format!("task {old:?} has been replaced by {id:?}; see CHANGELOG"));
+    }
+    assert!(refused("sandgait/HexapodGait-v2", Value::Null).contains("is unknown; known: sandgait/HexapodGait-v1"));
+}
+
 #[test]
 fn options_of_other_tasks_are_refused() {
     let legs = refused(LEGS, json!({"control": "clock"}));
     assert!(
-        legs.starts_with("control: sandgait/HexapodLegs-v0 has no such option; sandgait/HexapodGait-v0, "),
+        legs.starts_with("control: sandgait/HexapodLegs-v1 has no such option; sandgait/HexapodGait-v1, "),
         "{legs}"
     );
     assert!(refused(GAIT, json!({"control": "magic"})).starts_with("control: "));

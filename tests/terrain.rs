@@ -4,13 +4,13 @@ use sandgait::env::Shard;
 use sandgait::env::registry::Blueprint;
 use serde_json::{Value, json};
 
-const ID: &str = "sandgait/HexapodTerrain-v0";
+const ID: &str = "sandgait/HexapodTerrain-v1";
 
 /// Shards of `envs` environments, reset with seeds 0, 1, …
 fn shard(id: &str, options: Value, envs: usize) -> (Shard, Blueprint) {
     let blueprint = Blueprint::new(id, options).unwrap();
     let mut shard = Shard::new(&blueprint, envs).unwrap();
-    shard.reset(|_| true, Some(&(0..envs as u64).collect::<Vec<_>>()), None);
+    shard.reset(|_| true, Some(&(0..envs as u64).collect::<Vec<_>>()), |_| None);
     (shard, blueprint)
 }
 
@@ -34,7 +34,7 @@ fn difficulty_0_is_the_plain_task() {
         let mut options = near.clone();
         options["engine"] = engine.into();
         let (mut terrain, _) = shard(ID, options, 3);
-        let (mut gait, _) = shard("sandgait/HexapodGait-v0", json!({"engine": engine}), 3);
+        let (mut gait, _) = shard("sandgait/HexapodGait-v1", json!({"engine": engine}), 3);
         for _ in 0..40 {
             walk(&mut terrain);
             walk(&mut gait);
@@ -111,6 +111,61 @@ fn ground_changes_along_the_way_and_remembers() {
     }
 }
 
+/// Only way made good in the commanded direction turns a robot round: one that goes astray the other way is not told to go
+/// on so.
+#[test]
+fn who_goes_astray_is_not_sent_further() {
+    for sign in [1.0, -1.0] {
+        let ranges = json!({
+            "turning_point": [0.3, 0.3], "slope_deg": [0.0, 0.0], "torque_limit": [1.0, 1.0], "footprint": [0.0, 0.0],
+            "zeta": [1.0, 1.0]
+        });
+        let command = 0.3 * sign;
+        let options = json!({"randomize": ranges, "slope_deg": 15.0 * sign, "command": [command, command]});
+        let (mut shard, blueprint) = shard(ID, options, 1);
+        // Downhill, against the command; then as it is told.
+        while sign * shard.state(0).position[0] > -0.35 {
+            shard.step(&[-0.4 * sign as f32; 6]);
+            assert!((info(&shard, &blueprint, "commanded_speed")[0] - command).abs() < 1e-6, "sign {sign}");
+        }
+        shard.step(&[0.4 * sign as f32; 6]);
+        assert!((info(&shard, &blueprint, "commanded_speed")[0] - command).abs() < 1e-6, "sign {sign}");
+    }
+}
+
+/// A command to walk backward turns round behind the start, and again at the start.
+#[test]
+fn backward_commands_turn_round_too() {
+    let ranges = json!({
+        "turning_point": [0.2, 0.2], "slope_deg": [0.0, 0.0], "torque_limit": [1.0, 1.0], "footprint": [0.0, 0.0]
+    });
+    let (mut shard, blueprint) = shard(ID, json!({"randomize": ranges, "command": [-0.3, -0.3]}), 1);
+    let (mut sense, mut turns) = (-1.0, Vec::new());
+    for _ in 0..300 {
+        shard.step(&[0.4 * sense as f32; 6]);
+        // The command of the step just made: it turned, if it did, where the step began.
+        let now = info(&shard, &blueprint, "commanded_speed")[0].signum();
+        if now != sense {
+            turns.push(shard.state(0).position[0]);
+            sense = now;
+        }
+    }
+    assert!(turns.len() >= 2, "{turns:?}");
+    assert!((turns[0] + 0.2).abs() < 0.05 && turns[1].abs() < 0.05, "{turns:?}");
+}
+
+/// What is drawn is in force at the ends of what can be drawn, too.
+#[test]
+fn extreme_draws_are_in_force() {
+    let ranges = json!({"slope_deg": [-70.0, -70.0], "payload": [10.0, 10.0], "torque_limit": [0.01, 0.01]});
+    let options = json!({"randomize": ranges, "slope_deg": 35.0, "payload": 990.0, "torque_limit": 1e-4});
+    let (mut shard, blueprint) = shard(ID, options, 1);
+    walk(&mut shard);
+    let column = |name: &str| info(&shard, &blueprint, name)[0];
+    assert!((column("slope_deg") + 35.0).abs() < 1e-4 && (column("payload") - 1000.0).abs() < 1e-3);
+    assert!((column("torque_limit") - 1e-6).abs() < 1e-12);
+}
+
 #[test]
 fn wrong_ranges_are_refused_in_a_line() {
     let refused = |options: Value| Blueprint::new(ID, options).err().unwrap().to_string();
@@ -118,6 +173,8 @@ fn wrong_ranges_are_refused_in_a_line() {
         (json!({"randomize": {"zeta": [0.0, 1.0]}}), "randomize.zeta[0]: 0 is outside [0.1, 10]"),
         (json!({"randomize": {"payload": [0.2, 0.1]}}), "randomize.payload[1]: 0.1 is outside [0.2, 10]"),
         (json!({"slope_deg": 30}), "randomize.slope_deg[1]: 10 is outside [-10, 5]"),
+        (json!({"payload": 1000}), "randomize.payload[1]: 0.05 is outside [0, 0] (it is added to payload = 1000)"),
+        (json!({"payload": 1001}), "payload: 1001 is outside [0, 1000]"),
         (json!({"randomize": {"mud": [0, 1]}}), "randomize: unknown field `mud`"),
         (json!({"randomize": null}), "randomize: null"),
         (json!({"difficulty": 1.5}), "difficulty: 1.5 is outside [0, 1]"),
@@ -125,6 +182,6 @@ fn wrong_ranges_are_refused_in_a_line() {
         let error = refused(options);
         assert!(error.starts_with(said), "{error}, not {said}");
     }
-    let gait = Blueprint::new("sandgait/HexapodGait-v0", json!({"difficulty": 0.5})).err().unwrap().to_string();
-    assert!(gait.starts_with("difficulty: sandgait/HexapodGait-v0 has no such option"), "{gait}");
+    let gait = Blueprint::new("sandgait/HexapodGait-v1", json!({"difficulty": 0.5})).err().unwrap().to_string();
+    assert!(gait.starts_with("difficulty: sandgait/HexapodGait-v1 has no such option"), "{gait}");
 }

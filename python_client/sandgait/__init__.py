@@ -2,9 +2,9 @@
 
 `import sandgait` registers the environments with gymnasium:
 
-    gymnasium.make("sandgait/HexapodGait-v0", leg="C", medium="poppy-close", slope_deg=5)
-    gymnasium.make_vec("sandgait/HexapodGait-v0", num_envs=256)
-    sandgait.make_sb3("sandgait/HexapodGait-v0", num_envs=32)
+    gymnasium.make("sandgait/HexapodGait-v1", leg="C", medium="poppy-close", slope_deg=5)
+    gymnasium.make_vec("sandgait/HexapodGait-v1", num_envs=256)
+    sandgait.make_sb3("sandgait/HexapodGait-v1", num_envs=32)
 
 Studies need no environment, and are the commands of the same names:
 
@@ -28,7 +28,7 @@ import gymnasium
 from .client import describe
 from .diagnosis import Diagnosis, diagnose
 from .env import SandgaitEnv
-from .errors import InvalidRequest, LimitReached, OutOfOrder, SandgaitError, ServerLost, SessionLost
+from .errors import InvalidRequest, LimitReached, OutOfOrder, SandgaitError, ServerLost, SessionLost, UnknownAttribute
 from .policies import Evaluation, evaluate
 from .recording import Recording, Section, read_recording
 from .remote import Remote
@@ -40,7 +40,8 @@ from .vector_env import SandgaitVectorEnv
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from .sb3 import SandgaitVecEnv
+    from .sb3 import Environments
+    from .shards import Address
     from .snapshots import FilePath
 
 __all__ = [
@@ -64,6 +65,7 @@ __all__ = [
     "Sweep",
     "Table",
     "Task",
+    "UnknownAttribute",
     "Walks",
     "describe",
     "diagnose",
@@ -78,19 +80,31 @@ __all__ = [
 
 #: Ids of the tasks that this version registers; a test holds them equal to the server's.
 TASKS = (
-    "sandgait/HexapodGait-v0",
-    "sandgait/HexapodLegs-v0",
-    "sandgait/HexapodRocks-v0",
-    "sandgait/HexapodTerrain-v0",
+    "sandgait/HexapodGait-v1",
+    "sandgait/HexapodLegs-v1",
+    "sandgait/HexapodRocks-v1",
+    "sandgait/HexapodTerrain-v1",
     "sandgait/LegStroke-v0",
 )
 
 
-def make_sb3(id: str, num_envs: int, address: str | None = None, **options: Any) -> SandgaitVecEnv:
-    """`num_envs` environments of task `id` as a stable-baselines3 `VecEnv`; `options` as for `gymnasium.make`."""
-    from .sb3 import SandgaitVecEnv
+def make_sb3(
+    id: str,
+    num_envs: int,
+    address: Address = None,
+    *,
+    monitor: bool | FilePath = True,
+    info_keywords: tuple[str, ...] = (),
+    **options: Any,
+) -> Environments:
+    """`num_envs` environments of task `id` as a stable-baselines3 `VecEnv`; `options` as for `gymnasium.make_vec`.
 
-    return SandgaitVecEnv(SandgaitVectorEnv(id, num_envs, address, **options))
+    They are inside a `VecMonitor`, from which stable-baselines3 has `ep_rew_mean`. `monitor`: a path also writes every
+    episode to that file, with the info columns `info_keywords`; False leaves it out.
+    """
+    from .sb3 import make
+
+    return make(id, num_envs, address, monitor, info_keywords, options)
 
 
 def export_onnx(model: Any, path: FilePath, normalize: Any = None) -> Path:
@@ -104,11 +118,15 @@ def export_onnx(model: Any, path: FilePath, normalize: Any = None) -> Path:
     return export_onnx(model, path, normalize)
 
 
+#: Control steps until gymnasium truncates an episode; a test holds them equal to the server's. LegStroke counts itself:
+#: one episode is one stroke, and ends with it.
+_TIME_LIMITS = {_id: 500 for _id in TASKS if "/Hexapod" in _id}
+
 for _id in TASKS:
-    # No max_episode_steps: the server truncates, and a TimeLimit wrapper would count a second time.
     gymnasium.register(
         _id,
-        entry_point="sandgait.env:SandgaitEnv",
+        entry_point="sandgait.env:registered" if _id in _TIME_LIMITS else "sandgait.env:SandgaitEnv",
         vector_entry_point="sandgait.vector_env:SandgaitVectorEnv",
+        max_episode_steps=_TIME_LIMITS.get(_id),
         kwargs={"task": _id},
     )

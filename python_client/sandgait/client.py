@@ -1,4 +1,4 @@
-"""The wire: the only file of this package that imports grpc.
+"""The wire: the only file of this package that imports grpc, when the first connection is made.
 
 `study` asks for one study and waits for its answer. A `Stream` takes one message for a batched reset or step and gives
 one back; `session` makes a session of streams.
@@ -11,18 +11,15 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import functools
 import os
 import queue
 import re
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-# Without this a child forked while a stream is open (gymnasium's AsyncVectorEnv does that) hangs or dies in grpc.
-os.environ.setdefault("GRPC_ENABLE_FORK_SUPPORT", "1")
-
-import grpc
 import numpy as np
 import numpy.typing as npt
 from google.protobuf import json_format, struct_pb2
@@ -32,6 +29,9 @@ from ._proto.sandgait.v1 import sandgait_pb2 as pb
 from .errors import InvalidRequest, LimitReached, OutOfOrder, SandgaitError, ServerLost, SessionLost
 from .remote import Remote
 from .spaces import Column, Option, Task
+
+if TYPE_CHECKING:
+    import grpc
 
 #: The wire protocol this client speaks; the server refuses another.
 PROTOCOL = 1
@@ -48,18 +48,47 @@ CALL_TIMEOUT = 60.0
 #: How numbers travel; the native float32 of every machine that we have wheels for.
 FLOAT = np.dtype("<f4")
 
-_CODES = {code.value[0]: code for code in grpc.StatusCode}
-_KINDS: dict[grpc.StatusCode, type[SandgaitError]] = {
-    grpc.StatusCode.INVALID_ARGUMENT: InvalidRequest,
-    grpc.StatusCode.OUT_OF_RANGE: InvalidRequest,
-    grpc.StatusCode.FAILED_PRECONDITION: OutOfOrder,
-    grpc.StatusCode.RESOURCE_EXHAUSTED: LimitReached,
-    grpc.StatusCode.NOT_FOUND: SessionLost,
-    grpc.StatusCode.ABORTED: SessionLost,
-    grpc.StatusCode.UNAVAILABLE: ServerLost,
-    grpc.StatusCode.CANCELLED: SessionLost,
-    grpc.StatusCode.DEADLINE_EXCEEDED: ServerLost,
+_FORK_SUPPORT = "GRPC_ENABLE_FORK_SUPPORT"
+
+#: Names of grpc's status codes, and what each asks of the caller.
+_KINDS: dict[str, type[SandgaitError]] = {
+    "INVALID_ARGUMENT": InvalidRequest,
+    "OUT_OF_RANGE": InvalidRequest,
+    "FAILED_PRECONDITION": OutOfOrder,
+    "RESOURCE_EXHAUSTED": LimitReached,
+    "NOT_FOUND": SessionLost,
+    "ABORTED": SessionLost,
+    "UNAVAILABLE": ServerLost,
+    "CANCELLED": SessionLost,
+    "DEADLINE_EXCEEDED": ServerLost,
+    "INTERNAL": SandgaitError,
 }
+
+
+@functools.cache
+def _grpc() -> Any:
+    """grpc, with support for forks: without it a child forked while a stream is open (gymnasium's AsyncVectorEnv does
+    that) hangs or dies in grpc.
+
+    grpc reads the variable with its first channel. It is put back after that, so that the processes this one starts do
+    not inherit it. It helps also where grpc was imported, or a channel opened and closed, before.
+    """
+    before = os.environ.get(_FORK_SUPPORT)
+    os.environ.setdefault(_FORK_SUPPORT, "1")
+    try:
+        import grpc
+
+        grpc.insecure_channel("unix:/").close()
+    finally:
+        if before is None:
+            del os.environ[_FORK_SUPPORT]
+    return grpc
+
+
+@functools.cache
+def _codes() -> dict[int, str]:
+    """Names of grpc's status codes by number."""
+    return {code.value[0]: code.name for code in _grpc().StatusCode}
 
 
 class Batch(NamedTuple):
@@ -120,8 +149,8 @@ def study(
                     told(message.progress.fraction, message.progress.stage)
             finally:
                 stream.cancel()
-        except grpc.RpcError as error:
-            raise _error(error.code(), str(error.details()), address) from None
+        except _grpc().RpcError as error:
+            raise _error(error.code().name, str(error.details()), address) from None
         raise ServerLost(f"{address}: the study ended without a result")
 
 
@@ -168,10 +197,10 @@ class Stream:
             return response
         except StopIteration:
             raise SessionLost(f"{self.address}: the server closed this session; make the environment anew") from None
-        except grpc.RpcError as error:
-            code = error.code()
-            if code in (grpc.StatusCode.INTERNAL, grpc.StatusCode.UNKNOWN):
-                code = grpc.StatusCode.UNAVAILABLE  # how grpc reports a connection that was cut in mid-message
+        except _grpc().RpcError as error:
+            code = error.code().name
+            if code in ("INTERNAL", "UNKNOWN"):
+                code = "UNAVAILABLE"  # how grpc reports a connection that was cut in mid-message
             raise _error(code, str(error.details()), self.address) from None
 
     def abandon(self) -> None:
@@ -194,11 +223,11 @@ class Stream:
             ctypes.pythonapi.Py_IncRef(ctypes.py_object(self._responses))
 
 
-def close_session(address: str, session_id: str) -> None:
-    """Frees a session before this returns, if its server still answers."""
-    with _channel(address, DEFAULT_MESSAGE_BYTES) as channel, contextlib.suppress(grpc.RpcError):
+def close_session(address: str, session_id: str, timeout: float = 2.0) -> None:
+    """Frees a session before this returns, if its server answers within `timeout` [s]."""
+    with _channel(address, DEFAULT_MESSAGE_BYTES) as channel, contextlib.suppress(_grpc().RpcError):
         request = pb.CloseSessionRequest(session_id=session_id)
-        _unary(channel, "CloseSession", pb.CloseSessionResponse)(request, timeout=2.0, metadata=_metadata(address))
+        _unary(channel, "CloseSession", pb.CloseSessionResponse)(request, timeout=timeout, metadata=_metadata(address))
 
 
 def reset_request(
@@ -264,7 +293,7 @@ def failure(response: pb.RunSessionResponse, address: str) -> SandgaitError | No
     """The error that a response stands for, if it is a refusal."""
     if not response.HasField("failure"):
         return None
-    code = _CODES.get(response.failure.code, grpc.StatusCode.UNKNOWN)
+    code = _codes().get(response.failure.code, "UNKNOWN")
     return _error(code, response.failure.message, address)
 
 
@@ -272,6 +301,7 @@ def _channel(address: str, message_bytes: int) -> grpc.Channel:
     """A connection of its own to `address`, `host:port` or `unix:/path`."""
     if not re.fullmatch(r"unix:.+|.+:\d{1,5}", address):
         raise InvalidRequest(f'address: {address!r} is neither "host:port" nor "unix:/path"')
+    grpc = _grpc()
     options: list[tuple[str, Any]] = [
         ("grpc.max_send_message_length", message_bytes),
         ("grpc.max_receive_message_length", message_bytes),
@@ -307,20 +337,20 @@ def _unary(channel: grpc.Channel, name: str, reply: Any) -> Any:
 def _call(channel: grpc.Channel, address: str, name: str, request: Any, reply: Any) -> Any:
     try:
         return _unary(channel, name, reply)(request, timeout=CALL_TIMEOUT, metadata=_metadata(address))
-    except grpc.RpcError as error:
-        code = error.code()
-        if name == "CreateSession" and code == grpc.StatusCode.NOT_FOUND:
-            code = grpc.StatusCode.INVALID_ARGUMENT  # a task or option of that name: there is no session to lose
+    except _grpc().RpcError as error:
+        code = error.code().name
+        if name == "CreateSession" and code == "NOT_FOUND":
+            code = "INVALID_ARGUMENT"  # a task or option of that name: there is no session to lose
         raise _error(code, str(error.details()), address) from None
 
 
-def _error(code: grpc.StatusCode, message: str, address: str) -> SandgaitError:
+def _error(code: str, message: str, address: str) -> SandgaitError:
     """A status as the exception that says what the caller can do."""
-    if code == grpc.StatusCode.UNAUTHENTICATED:
+    if code == "UNAUTHENTICATED":
         return SandgaitError(f"{address}: {message}; sandgait.Remote takes it (token or token_file)")
     kind = _KINDS.get(code)
     if kind is None:
-        return SandgaitError(f"{address}: {message} ({code.name})")
+        return SandgaitError(f"{address}: {message} ({code})")
     if kind is ServerLost:
         return ServerLost(f"{address}: the server cannot be reached: {message}{server.last_words(address)}")
     return kind(message)

@@ -2,28 +2,39 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any
 
 import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from .errors import InvalidRequest, OutOfOrder
-from .shards import open_shards
+from .attributes import refusal
+from .client import Batch
+from .errors import InvalidRequest, OutOfOrder, SandgaitError
+from .pickling import Origin, Pickled
 from .snapshots import FilePath, read_snapshot, write_snapshot
-from .spaces import box
+from .spaces import Actions, box
 from .vector_env import SandgaitVectorEnv
-from .view import RENDER_MODES, SIZE, View
+from .view import RENDER_MODES, SIZE
 
 Observation = npt.NDArray[np.float32]
 
 
-class SandgaitEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
+#: The most steps an episode can have on a server.
+LONGEST_EPISODE = 1_000_000
+
+
+class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     """One environment of `task` on the server at `address` (none: the embedded one).
 
     For training take `SandgaitVectorEnv`: a step here costs a message there and back as well. `resume`: outlive a
-    server that dies, by snapshots. `render_mode`: "rgb_array" for pictures of `render_size` (width, height), "human"
-    for the same in a window.
+    server that dies, by snapshots. `clip_actions`: put actions inside their bounds; without it one that is outside is
+    refused. `threads`: how many of the embedded server simulate; the first environment of a process decides.
+    `render_mode`: "rgb_array" for pictures of `render_size` (width, height), "human" for the same in a window.
+
+    A step that was interrupted (Ctrl-C) has been taken all the same: the next call of `step` gives its answer.
+    Pickling and copying an environment that was reset takes its state along (`pickling`).
     """
 
     metadata: dict[str, Any] = {"render_modes": RENDER_MODES}
@@ -35,26 +46,33 @@ class SandgaitEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         render_mode: str | None = None,
         resume: bool = False,
         render_size: tuple[int, int] = SIZE,
+        clip_actions: bool = False,
+        threads: int | None = None,
         **options: Any,
     ) -> None:
-        self._address = address
-        self._session = open_shards(address, task, 1, options, resume)
+        self._begin(Origin(task, 1, address, resume, threads, options, render_mode, render_size))
         self.render_mode = render_mode
-        self._view = View.of(self._session, render_mode, render_size)
-        #: The session's tables: names, units and bounds of every number.
-        self.task = self._session.task
         self.metadata = {**self.metadata, "render_fps": self.task.control_rate}
         self.observation_space = box(self.task.observation)
         self.action_space = box(self.task.action)
+        self._actions = Actions(self.action_space, "action", clip_actions)
         self._seeded = False
         self._over = False
         #: First row of the next episode: the server has begun it in the step that ended the last one.
         self._next: Observation | None = None
+        #: The action of a step whose answer nobody has taken, and the answer once it has come.
+        self._in_flight: npt.NDArray[np.float32] | None = None
+        self._batch: Batch | None = None
+        #: What is set on it from here on is no business of ours.
+        self._own = frozenset(self.__dict__) | {"_own"}
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Begins an episode. `options`: task options that may change at a reset; they hold from then on."""
+        if self._in_flight is not None:
+            with contextlib.suppress(InvalidRequest):
+                self._answer()  # it may have ended the episode, and then the next one is there
         super().reset(seed=seed)
         first, self._next, self._over = self._next, None, False
         if first is not None and seed is None and not options:
@@ -73,24 +91,60 @@ class SandgaitEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         """One control step; `action` is [action] within its bounds."""
         if self._over:
             raise OutOfOrder("step: the episode is over; call reset first")
-        row = np.asarray(action, dtype=np.float32)
-        if row.shape != self.action_space.shape:
-            raise InvalidRequest(f"action: shape {row.shape}, expected {self.action_space.shape}")
-        self._session.send_step(row[None])
-        batch = self._session.receive()
-        observation = batch.observations[0]
+        row = self._actions.rows(action)
+        if self._in_flight is not None:
+            if not np.array_equal(self._in_flight, row):
+                gymnasium.logger.warn("step: this is the answer of the step that was interrupted, not of this action")
+            return self._answer()
+        session = self._session
+        try:
+            self._in_flight, self._batch = row.copy(), None
+            session.send_step(row[None])
+        except BaseException as error:
+            if isinstance(error, SandgaitError) or not session.owes:
+                self._in_flight = None
+            raise
+        return self._answer()
+
+    def _answer(self) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """What the step in flight came to. An interrupt may strike at any point: it can then be taken again."""
+        if self._batch is None:
+            try:
+                self._batch = self._session.receive()
+            except SandgaitError as error:
+                self._in_flight = None
+                raise self._actions.explain(error) from None
+        batch = self._batch
         terminated, truncated = bool(batch.terminated[0]), bool(batch.truncated[0])
-        if terminated or truncated:
-            self._over, self._next = True, observation
-            observation = batch.final_observations[0]
-        self._view.moved(record_ended=self._over, show_ended=self._over)
+        over = terminated or truncated
+        observation = batch.final_observations[0] if over else batch.observations[0]
+        self._view.moved(record_ended=over, show_ended=over)
         info = dict(zip((c.name for c in self.task.info), batch.infos[:, 0].tolist(), strict=True))
-        return observation, float(batch.rewards[0]), terminated, truncated, info
+        result = observation, float(batch.rewards[0]), terminated, truncated, info
+        if over:
+            self._over, self._next = True, batch.observations[0]
+        self._in_flight, self._batch = None, None
+        return result
+
+    def _in_step(self) -> bool:
+        return self._in_flight is not None
+
+    def _require_rest(self, call: str) -> None:
+        if self._in_flight is not None:
+            raise OutOfOrder(f"{call}: a step was interrupted; call step for its answer, or reset")
+
+    def set_wrapper_attr(self, name: str, value: Any, *, force: bool = True) -> bool:
+        """Refused where it would change nothing; what you added to this object yourself can be set."""
+        ours = name in self._own or hasattr(SandgaitEnv, name) or not hasattr(self, name)
+        if ours and name != "np_random":
+            raise refusal(self.task, name, value)
+        return super().set_wrapper_attr(name, value, force=force)
 
     def render(self) -> npt.NDArray[np.uint8] | None:
         """The robot as it is now: u8 [height, width, 3]; in mode "human" it is shown instead."""
         if self.render_mode is None:
             raise InvalidRequest('render_mode: none was chosen; make the environment with render_mode="rgb_array"')
+        self._require_rest("render")
         if self.render_mode == "human":
             self._view.show(self._over)
             return None
@@ -107,6 +161,7 @@ class SandgaitEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     def save(self, path: FilePath | None = None) -> bytes:
         """The environment as it is, for `restore`; also written to the file `path`, whole or not at all."""
+        self._require_rest("save")
         if self._over:
             raise OutOfOrder("save: the episode is over; call reset first")
         return write_snapshot(self._session.save(), path)
@@ -114,14 +169,14 @@ class SandgaitEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     def restore(self, snapshot: bytes | FilePath) -> Observation:
         """Goes on from a snapshot (bytes or a file), with the same bits; gives the observation."""
         self._session.send_restore(read_snapshot(snapshot), None)
-        self._over, self._next, self._seeded = False, None, True
+        self._over, self._next, self._seeded, self._in_flight = False, None, True, None
         observation: Observation = self._session.receive().observations[0]
         return observation
 
     def fork(self, n: int) -> SandgaitVectorEnv:
         """`n` environments as one batch, each in the state of this one; close it when done."""
         snapshot = self.save()
-        copies = SandgaitVectorEnv(self.task.id, n, self._address, **self._session.options)
+        copies = SandgaitVectorEnv(self.task.id, n, self._origin.address, **self._origin.options)
         try:
             copies.restore(snapshot)
         except BaseException:
@@ -131,5 +186,17 @@ class SandgaitEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     def close(self) -> None:
         """Ends the session; calling it again does nothing."""
-        self._view.close()
-        self._session.close()
+        self._close()
+
+
+def registered(task: str, **options: Any) -> SandgaitEnv:
+    """What `gymnasium.make` calls for a task with a time limit.
+
+    gymnasium keeps `max_episode_steps` to itself and counts in a wrapper (TimeLimit), so the server's own limit is put
+    out of the way.
+    """
+    return SandgaitEnv(task, **{"max_episode_steps": LONGEST_EPISODE, **options})
+
+
+#: gymnasium reads from it which render modes there are.
+registered.metadata = SandgaitEnv.metadata  # type: ignore[attr-defined]

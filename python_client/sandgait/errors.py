@@ -11,6 +11,10 @@ class InvalidRequest(SandgaitError, ValueError):
     """A value is wrong; the message names the field, the index and the range. The session goes on."""
 
 
+class UnknownAttribute(SandgaitError, AttributeError):
+    """An attribute that is not there, or that would change nothing; the message says what to use instead."""
+
+
 class OutOfOrder(SandgaitError):
     """A call that the present state does not allow, such as a step before any reset. The session goes on."""
 

@@ -48,7 +48,7 @@ class Evaluation(Table):
 
 def evaluate(
     policy: bytes | FilePath,
-    task: str = "sandgait/HexapodGait-v0",
+    task: str = "sandgait/HexapodGait-v1",
     *,
     seeds: int = 100,
     media: Iterable[str] = (),

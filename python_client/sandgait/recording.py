@@ -9,10 +9,11 @@ import gzip
 import json
 import math
 import struct
+import zlib
 from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +25,10 @@ Floats = npt.NDArray[np.float32]
 
 _FORMAT, _VERSION = "sandgait recording", 1
 _BLOCK = struct.Struct("<4sI")
+_FOREIGN = "this is none of sandgait's recordings"
+
+#: What a recording may unpack to [bytes]: our choice, four hours of a hexapod with 300 numbers a moment at 50 Hz.
+MAX_BYTES = 2**30
 
 
 class Section:
@@ -83,48 +88,66 @@ class Recording:
         return np.concatenate(parts)
 
 
-def read_recording(path: FilePath) -> Recording:
-    """The recording in the file `path`, as numpy arrays."""
+def read_recording(path: FilePath, max_bytes: int = MAX_BYTES) -> Recording:
+    """The recording in the file `path`, as numpy arrays; refused if it unpacks to more than `max_bytes`."""
+    sections = []
     try:
-        stream = gzip.decompress(Path(path).read_bytes())
-    except EOFError:
+        with gzip.open(path) as stream:
+            for header, rows in _blocks(cast("IO[bytes]", stream), path, max_bytes):
+                sections.append(_section(header, rows, path))
+    except (EOFError, _CutOff):
         raise InvalidRequest(f"{path}: the recording is cut off") from None
-    except OSError as error:
-        reason = error.strerror or "this is none of sandgait's recordings"
+    except (OSError, zlib.error) as error:
+        reason = getattr(error, "strerror", None) or _FOREIGN
         raise InvalidRequest(f"{path}: {reason}") from None
-    sections = tuple(_sections(stream, path))
     if not sections:
         raise InvalidRequest(f"{path}: the recording is empty")
-    return Recording(sections)
+    return Recording(tuple(sections))
 
 
-def _sections(stream: bytes, path: FilePath) -> Iterator[Section]:
-    header: dict[str, Any] | None = None
+class _CutOff(Exception):
+    """The stream ends within a block."""
+
+
+def _blocks(stream: IO[bytes], path: FilePath, left: int) -> Iterator[tuple[bytes, list[bytes]]]:
+    """Header and rows of each section. At most `left` bytes are unpacked, whatever the blocks say of themselves."""
+    header: bytes | None = None
     rows: list[bytes] = []
-    at = 0
-    while at < len(stream):
-        if at + _BLOCK.size > len(stream):
-            raise InvalidRequest(f"{path}: the recording is cut off")
-        kind, length = _BLOCK.unpack_from(stream, at)
-        content = stream[at + _BLOCK.size : at + _BLOCK.size + length]
-        at += _BLOCK.size + length
-        if kind == b"ROWS" and header is not None:
+    while start := stream.read(_BLOCK.size):
+        if len(start) < _BLOCK.size:
+            raise _CutOff
+        kind, length = _BLOCK.unpack(start)
+        if kind != b"HEAD" and (kind != b"ROWS" or header is None):
+            raise InvalidRequest(f"{path}: {_FOREIGN}")
+        left -= _BLOCK.size + length
+        if left < 0:
+            raise InvalidRequest(f"{path}: it unpacks to more than max_bytes; take a larger one if you trust the file")
+        content = stream.read(length)
+        if len(content) < length:
+            raise _CutOff
+        if kind == b"ROWS":
             rows.append(content)
-        elif kind == b"HEAD":
-            if header is not None:
-                yield _section(header, rows)
-            header, rows = json.loads(content), []
-            if (header.get("format"), header.get("version")) != (_FORMAT, _VERSION):
-                raise InvalidRequest(f"{path}: this is no recording of version {_VERSION}")
-        else:
-            raise InvalidRequest(f"{path}: this is none of sandgait's recordings")
+            continue
+        if header is not None:
+            yield header, rows
+        header, rows = content, []
     if header is not None:
-        yield _section(header, rows)
+        yield header, rows
 
 
-def _section(header: dict[str, Any], rows: list[bytes]) -> Section:
-    width = sum(math.prod(c["shape"]) for c in header["columns"])
-    return Section(header, np.frombuffer(b"".join(rows), "<f4").reshape(-1, width).astype(np.float32))
+def _section(head: bytes, rows: list[bytes], path: FilePath) -> Section:
+    try:
+        header = json.loads(head)
+        version = header.get("format"), header.get("version")
+        if version != (_FORMAT, _VERSION):
+            raise InvalidRequest(f"{path}: this is no recording of version {_VERSION}")
+        width = sum(math.prod(c["shape"]) for c in header["columns"])
+        table = np.frombuffer(b"".join(rows), "<f4").reshape(-1, width).astype(np.float32)
+        return Section(header, table)
+    except InvalidRequest:
+        raise
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError):
+        raise InvalidRequest(f"{path}: {_FOREIGN}") from None
 
 
 class Recorder:

@@ -8,11 +8,16 @@ from typing import Any
 import gymnasium
 import numpy as np
 import numpy.typing as npt
+from gymnasium.vector import AutoresetMode
 
+from .attributes import refusal
+from .errors import InvalidRequest, UnknownAttribute
+from .shards import Address
+from .snapshots import FilePath
 from .vector_env import SandgaitVectorEnv
 
 try:
-    from stable_baselines3.common.vec_env import VecEnv
+    from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 except ImportError as error:
     raise ImportError("stable-baselines3 is not installed: pip install 'sandgait[sb3]'") from error
 
@@ -20,24 +25,45 @@ Indices = None | int | Iterable[int]
 
 
 class EnvironmentView:
-    """One environment of a batch, as far as SB3 asks for single ones: attributes and a reset of its own.
+    """One environment of a batch, as far as SB3 asks for single ones: what it can be asked, and a reset of its own.
 
-    What is set on a view stays with it; everything else is read from the batch.
+    Nothing can be set on it: that would stay here and not reach the simulation.
     """
+
+    __slots__ = ("_envs", "_index")
 
     def __init__(self, envs: SandgaitVectorEnv, index: int) -> None:
         self._envs = envs
         self._index = index
-        self.observation_space = envs.single_observation_space
-        self.action_space = envs.single_action_space
+
+    @property
+    def observation_space(self) -> gymnasium.Space[Any]:
+        return self._envs.single_observation_space
+
+    @property
+    def action_space(self) -> gymnasium.Space[Any]:
+        return self._envs.single_action_space
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
             raise AttributeError(name)
-        return getattr(self._envs, name)
+        value = getattr(self._envs, name, self)
+        if value is self:
+            raise UnknownAttribute(f"{name}: no attribute of an environment")
+        if callable(value):
+            raise UnknownAttribute(
+                f"{name}: a method of all environments at once; call vec_env.unwrapped.envs.{name}(...)"
+            )
+        return value
+
+    def has_wrapper_attr(self, name: str) -> bool:
+        return hasattr(self, name)
 
     def get_wrapper_attr(self, name: str) -> Any:
         return getattr(self, name)
+
+    def set_wrapper_attr(self, name: str, value: Any, *, force: bool = True) -> bool:
+        raise refusal(self._envs.task, name, value)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -60,9 +86,13 @@ class SandgaitVecEnv(VecEnv):
     """
 
     def __init__(self, envs: SandgaitVectorEnv) -> None:
+        if envs.metadata["autoreset_mode"] is not AutoresetMode.SAME_STEP:
+            raise InvalidRequest('autoreset_mode: stable-baselines3 expects "SAME_STEP"')
         self.envs = envs
         self._views = [EnvironmentView(envs, i) for i in range(envs.num_envs)]
         self._names = [c.name for c in envs.task.info]
+        #: gymnasium's registration; VecMonitor writes its id.
+        self.spec = gymnasium.registry.get(envs.task.id)
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
 
     def reset(self) -> npt.NDArray[np.float32]:
@@ -113,8 +143,8 @@ class SandgaitVecEnv(VecEnv):
         return [getattr(view, attr_name) for view in self._chosen(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        for view in self._chosen(indices):
-            setattr(view, attr_name, value)
+        """Refused: what is set here would not reach the simulation. The message says what does."""
+        raise refusal(self.envs.task, attr_name, value)
 
     def env_method(self, method_name: str, *args: Any, indices: Indices = None, **kwargs: Any) -> list[Any]:
         return [getattr(view, method_name)(*args, **kwargs) for view in self._chosen(indices)]
@@ -126,3 +156,29 @@ class SandgaitVecEnv(VecEnv):
 
     def _chosen(self, indices: Indices) -> Sequence[EnvironmentView]:
         return [self._views[i] for i in self._get_indices(indices)]
+
+
+#: What `sandgait.make_sb3` gives: with and without a monitor.
+Environments = SandgaitVecEnv | VecMonitor
+
+
+def make(
+    task: str,
+    num_envs: int,
+    address: Address,
+    monitor: bool | FilePath,
+    info_keywords: tuple[str, ...],
+    options: dict[str, Any],
+) -> Environments:
+    """What `sandgait.make_sb3` does."""
+    if "autoreset_mode" in options:
+        raise InvalidRequest("autoreset_mode: stable-baselines3 has only the one it has")
+    envs = SandgaitVecEnv(SandgaitVectorEnv(task, num_envs, address, autoreset_mode="SAME_STEP", **options))
+    if monitor is False:
+        return envs
+    known = [c.name for c in envs.envs.task.info]
+    unknown = [name for name in info_keywords if name not in known]
+    if unknown:
+        envs.close()
+        raise InvalidRequest(f"info_keywords: {unknown[0]!r} is unknown; known: {', '.join(known)}")
+    return VecMonitor(envs, None if monitor is True else str(monitor), tuple(info_keywords))

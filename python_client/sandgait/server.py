@@ -2,6 +2,8 @@
 
 It starts with the first environment that names no address and ends with the process: its standard input is a pipe
 that this process holds, and it exits when the pipe closes, whatever ended Python.
+
+Environments of one process share it, and so its threads: the first number that is asked for holds (`ask_for_threads`).
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ import tempfile
 import threading
 import time
 
-from .errors import SandgaitError, ServerLost
+from .errors import InvalidRequest, SandgaitError, ServerLost
 
 #: Longest wait for the server to answer after its start [s].
 START_TIMEOUT = 20.0
@@ -50,16 +52,22 @@ def find_binary() -> str:
 
 
 class EmbeddedServer:
-    """A server process and its socket."""
+    """A server process and its socket. `threads` simulate; 0: one for each processor."""
 
-    def __init__(self) -> None:
+    def __init__(self, threads: int = 0) -> None:
+        if not hasattr(socket, "AF_UNIX") or not hasattr(os, "getuid"):
+            raise SandgaitError(
+                "address: this system has no Unix sockets, which the embedded server needs; run `sandgait serve` on "
+                "Linux, macOS or in WSL and give its address"
+            )
+        self.threads = threads
         self.binary = find_binary()
         self.owner = os.getpid()
         self.path = os.path.join(_private_directory(), f"{self.owner}-{secrets.token_hex(4)}")
         self.address = f"unix:{self.path}"
         self._log = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process does
         self.process = subprocess.Popen(
-            [self.binary, "serve", "--listen", self.address, "--exit-on-stdin-close"],
+            [self.binary, "serve", "--listen", self.address, "--exit-on-stdin-close", "--threads", str(threads)],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=self._log,
@@ -137,6 +145,46 @@ def _private_directory() -> str:
 _lock = threading.Lock()
 _server: EmbeddedServer | None = None
 _inherited: list[EmbeddedServer] = []
+#: Threads that environments asked for; None: SANDGAIT_THREADS decides.
+_threads: int | None = None
+
+
+def ask_for_threads(threads: int | None) -> None:
+    """Says with how many threads the embedded server is to simulate; None is content with any.
+
+    Refused when a server runs with another number: its environments have their share already.
+    """
+    global _threads
+    if threads is None:
+        return
+    threads = _checked(threads, "threads")
+    with _lock:
+        if _server is not None and _server.running() and _server.threads != threads:
+            has = f"{_server.threads} threads" if _server.threads else "one thread for each processor"
+            raise InvalidRequest(
+                f"threads: {threads} asked for, but the embedded server of this process has {has} already; give the "
+                "number to the first environment, or set SANDGAIT_THREADS"
+            )
+        _threads = threads
+
+
+def _checked(threads: object, name: str) -> int:
+    """A number of threads; text is taken as well."""
+    try:
+        number = int(str(threads))
+    except ValueError:
+        number = 0
+    if not 1 <= number <= 65_535:
+        raise InvalidRequest(f"{name}: {threads!r} is not a whole number in [1, 65535]")
+    return number
+
+
+def _threads_wanted() -> int:
+    """Of a server that starts now; 0: one for each processor."""
+    chosen = os.environ.get("SANDGAIT_THREADS")
+    if _threads is not None:
+        return _threads
+    return _checked(chosen, "SANDGAIT_THREADS") if chosen else 0
 
 
 def address() -> str:
@@ -147,7 +195,7 @@ def address() -> str:
             _server.stop()
             _server = None
         if _server is None:
-            _server = EmbeddedServer()
+            _server = EmbeddedServer(_threads_wanted())
         return _server.address
 
 
@@ -155,10 +203,17 @@ def is_dead(address: str) -> bool:
     """Is this the address of an embedded server that has ended? It will not come back there."""
     server = _server
     if server is None or server.address != address:
-        return os.path.dirname(address.removeprefix("unix:")) == _private_directory()
+        return _is_ours(address)
     with contextlib.suppress(subprocess.TimeoutExpired):
         server.process.wait(0.05)  # its connections close a moment before the process has ended
     return not server.running()
+
+
+def _is_ours(address: str) -> bool:
+    """Is this the address of an embedded server, of this process or another?"""
+    if not address.startswith("unix:") or not hasattr(os, "getuid"):
+        return False
+    return os.path.dirname(address.removeprefix("unix:")) == _private_directory()
 
 
 def last_words(address: str) -> str:
@@ -187,4 +242,5 @@ def _after_fork() -> None:
 
 
 atexit.register(_stop)
-os.register_at_fork(after_in_child=_after_fork)
+if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork
+    os.register_at_fork(after_in_child=_after_fork)

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import contextlib
 import os
+import threading
 import time
 import weakref
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,6 +30,15 @@ RETRY_RESUME = 60.0
 
 #: Requests between two snapshots of a session with `resume=True`: some seconds of work to be done again at most.
 SNAPSHOT_EVERY = 200
+
+#: Longest wait for a server to confirm that a session is closed [s].
+CLOSE_TIMEOUT = 2.0
+
+#: The same where others have used up the time already: enough for a server that is there [s].
+LEAST_PATIENCE = 0.05
+
+#: Until when sessions are closed at the end of Python, once that has begun.
+_last_call: float | None = None
 
 Request = pb.RunSessionRequest
 
@@ -59,6 +69,8 @@ class _Link:
         self.address = ""
         self.session_id = ""
         self.stream: Stream | None = None
+        #: How long `close` waits for the server [s]; after that the lease ends the session.
+        self.patience = CLOSE_TIMEOUT
 
     def drop(self) -> None:
         """Gives up a stream that is broken."""
@@ -76,8 +88,20 @@ class _Link:
         if os.getpid() != self.process:
             return  # a forked child: the session is the parent's
         if self.session_id:
-            client.close_session(self.address, self.session_id)
+            client.close_session(self.address, self.session_id, self.patience)
         self.drop()
+
+
+class Held(NamedTuple):
+    """What is left of a session that nobody refers to any more: enough to close it."""
+
+    link: _Link
+    close: Callable[[], object]
+
+
+def _is_part(response: pb.RunSessionResponse) -> bool:
+    """Is it one of the first parts of a rollout?"""
+    return response.WhichOneof("response") == "rollout" and not response.rollout.returns
 
 
 class Session:
@@ -104,6 +128,8 @@ class Session:
         self._sequence = 0
         #: Requests without an answer, with their numbers, in order.
         self._unanswered: list[Request] = []
+        #: The last answer, until something else is asked: whoever was interrupted while taking it takes it again.
+        self._last: pb.RunSessionResponse | None = None
         #: The last snapshot (empty: none), and what was carried out since.
         self._snapshot = b""
         self._since: list[Request] = []
@@ -111,6 +137,11 @@ class Session:
         # Runs once: when called, when this object is collected, or when Python ends.
         self.close = weakref.finalize(self, self._link.close)
         self.task = self._create(self._addresses[0], task)
+
+    @property
+    def held(self) -> Held:
+        """What it takes to close this session; it does not keep it alive."""
+        return Held(self._link, self.close)
 
     @property
     def address(self) -> str:
@@ -125,28 +156,37 @@ class Session:
         return created.task
 
     def send(self, request: Request) -> None:
-        """Sends a request without waiting for its answer."""
+        """Sends a request without waiting for its answer; with `resume` a snapshot is taken before, now and then."""
         self._check_usable()
+        if self._resume and len(self._since) >= SNAPSHOT_EVERY and not request.HasField("save"):
+            self.save()
         if self._link.stream is None:
             self._reconnect(None)
-        self._sequence += 1
-        request.sequence = self._sequence
+        self._last = None
+        request.sequence = self._sequence = self._sequence + 1
         self._unanswered.append(request)
-        assert self._link.stream is not None
-        self._link.stream.send(request)
+        try:
+            assert self._link.stream is not None
+            self._link.stream.send(request)
+        except BaseException:  # whether it was sent is not known; another stream will send it
+            self._link.abandon()
+            raise
+
+    @property
+    def owes(self) -> bool:
+        """Is there an answer that nobody has taken, or that may be taken again?"""
+        return bool(self._unanswered) or self._last is not None
 
     def receive(self) -> Batch:
         """Answer to the reset or step that was sent last; answers that nobody waited for are dropped."""
         batch: Batch = client.batch(self._receive().batch, self.task)
-        if self._resume and len(self._since) >= SNAPSHOT_EVERY:
-            self.save()
         return batch
 
     def save(self) -> bytes:
         """All environments as data, for `restore`."""
         self.send(client.save_request())
         snapshot: bytes = self._receive().snapshot.data
-        self._snapshot, self._since = snapshot, []
+        self._snapshot, self._since, self._last = snapshot, [], None
         return snapshot
 
     def render(self, indices: Sequence[int], width: int, height: int, ended: bool) -> bytes:
@@ -196,11 +236,15 @@ class Session:
     def _receive(self) -> pb.RunSessionResponse:
         self._check_usable()
         while True:
+            if self._last is not None:
+                return self._answered(self._last)
             try:
                 if self._link.stream is None:
                     self._reconnect(None)
                 assert self._link.stream is not None
                 response = self._link.stream.receive()
+                if response.sequence >= self._sequence and not _is_part(response):
+                    self._last = response
             except ServerLost as error:
                 self._link.drop()
                 self._reconnect(error)
@@ -211,18 +255,15 @@ class Session:
             except BaseException:  # grpc cannot take up a read that was broken off; the session can
                 self._link.abandon()
                 raise
-            if response.sequence >= self._sequence:
-                return self._answered(response)
+            if response.sequence >= self._sequence and self._last is None:
+                return response  # a first part of a rollout: its answer is the last one
 
     def _answered(self, response: pb.RunSessionResponse) -> pb.RunSessionResponse:
-        kind = response.WhichOneof("response")
-        if kind == "rollout" and not response.rollout.returns:
-            return response  # the first parts of a rollout: its answer is the last one
-        error = client.failure(response, self.address) if kind == "failure" else None
+        error = client.failure(response, self.address) if response.WhichOneof("response") == "failure" else None
+        answered, self._unanswered = self._unanswered, []
         if self._resume and error is None:
             changes = ("reset", "step", "restore")
-            self._since += [r for r in self._unanswered if r.WhichOneof("request") in changes]
-        self._unanswered.clear()
+            self._since += [r for r in answered if r.WhichOneof("request") in changes]
         if error is not None:
             raise error
         return response
@@ -285,3 +326,25 @@ class Session:
                 raise SandgaitError(f"the session cannot be made anew: {error}")
         for request in self._unanswered:
             stream.send(request)
+
+
+def close_all(sessions: Sequence[Held]) -> None:
+    """Closes sessions side by side, so that many servers that are dead take about as long as one.
+
+    When Python ends no thread can be started: then one after the other, and all that there are share the time.
+    """
+    if threading.main_thread().is_alive():
+        deadline = time.monotonic() + CLOSE_TIMEOUT
+        threads = [threading.Thread(target=held.close, daemon=True) for held in sessions[1:]]
+        for thread in threads:
+            thread.start()
+        for held in sessions[:1]:
+            held.close()
+        for thread in threads:
+            thread.join(max(0.0, deadline + 1.0 - time.monotonic()))
+        return
+    global _last_call
+    _last_call = _last_call or time.monotonic() + CLOSE_TIMEOUT
+    for held in sessions:
+        held.link.patience = max(LEAST_PATIENCE, _last_call - time.monotonic())
+        held.close()

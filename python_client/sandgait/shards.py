@@ -6,16 +6,17 @@ Environments are numbered through; server k has a run of them. Every server simu
 from __future__ import annotations
 
 import itertools
+import weakref
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from . import client
+from . import client, server
 from .client import Batch
 from .errors import InvalidRequest
-from .session import Rollout, Session
+from .session import Held, Rollout, Session, close_all
 
 #: Where environments are simulated: one server, several, or the embedded one.
 Address = str | Sequence[str] | None
@@ -41,13 +42,19 @@ class Shards:
         self._sessions: list[Session] = []
         cuts = [num_envs * k // len(addresses) for k in range(len(addresses) + 1)]
         self._slices = [slice(a, b) for a, b in itertools.pairwise(cuts)]
+        held: list[Held] = []
         try:
             for k, part in enumerate(self._slices):
                 places = [*addresses[k:], *addresses[:k]]
-                self._sessions.append(Session(places, task, part.stop - part.start, options, resume))
+                session = Session(places, task, part.stop - part.start, options, resume)
+                self._sessions.append(session)
+                held.append(session.held)
         except BaseException:
-            self.close()
+            close_all(held)
             raise
+        # Runs once: when called, when this object is collected, or when Python ends; before those of the sessions,
+        # which were made earlier.
+        self.close = weakref.finalize(self, close_all, held)
         self.task = self._sessions[0].task
         self.options = dict(options)
 
@@ -96,6 +103,11 @@ class Shards:
             final_indices=np.concatenate(indices),
             final_observations=np.concatenate([b.final_observations for b in batches]),
         )
+
+    @property
+    def owes(self) -> bool:
+        """Is there an answer that nobody has taken, or that may be taken again?"""
+        return any(s.owes for s in self._sessions)
 
     def save(self) -> list[bytes]:
         """All environments as data, one snapshot a server."""
@@ -159,13 +171,18 @@ class Shards:
             raise errors[0]
         return answers
 
-    def close(self) -> None:
-        """Frees the environments on every server."""
-        for session in self._sessions:
-            session.close()
 
-
-def open_shards(address: Address, task: str, num_envs: int, options: Mapping[str, Any], resume: bool) -> Shards:
-    """Environments at `address`, which may be several."""
+def open_shards(
+    address: Address,
+    task: str,
+    num_envs: int,
+    options: Mapping[str, Any],
+    resume: bool,
+    threads: int | None = None,
+) -> Shards:
+    """Environments at `address`, which may be several. `threads`: of the embedded server."""
     addresses = [address] if address is None or isinstance(address, str) else list(address)
+    if threads is not None and None not in addresses:
+        raise InvalidRequest("threads: of the embedded server; one that has an address was started with its own")
+    server.ask_for_threads(threads)
     return Shards(addresses, task, num_envs, options, resume)

@@ -12,6 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from .errors import InvalidRequest
+
 
 @dataclass(frozen=True)
 class Column:
@@ -56,3 +58,25 @@ def box(columns: tuple[Column, ...]) -> spaces.Space[npt.NDArray[np.float32]]:
     low = np.array([c.low for c in columns], dtype=np.float32)
     high = np.array([c.high for c in columns], dtype=np.float32)
     return cast("spaces.Space[npt.NDArray[np.float32]]", spaces.Box(low, high, dtype=np.float32))
+
+
+class Actions:
+    """Actions as the wire takes them. `name` is what errors call them; with `clip` they are put inside their bounds."""
+
+    def __init__(self, space: spaces.Space[npt.NDArray[np.float32]], name: str, clip: bool) -> None:
+        box = cast("spaces.Box", space)
+        self._low, self._high, self._name, self._clip = box.low, box.high, name, clip
+
+    def rows(self, actions: npt.ArrayLike) -> npt.NDArray[np.float32]:
+        """The caller's `actions` as float32 of the right shape; an array of its own if it was clipped."""
+        rows = np.asarray(actions, dtype=np.float32)
+        if rows.shape != self._low.shape:
+            raise InvalidRequest(f"{self._name}: shape {rows.shape}, expected {self._low.shape}")
+        return np.clip(rows, self._low, self._high) if self._clip else rows
+
+    def explain(self, error: BaseException) -> BaseException:
+        """The refusal of an action beyond its bounds, with the way out; other errors as they are."""
+        text = str(error)
+        if not isinstance(error, InvalidRequest) or not text.startswith("actions[") or "NaN" in text or "nan" in text:
+            return error
+        return InvalidRequest(f"{text}; clip_actions=True clips")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any
 
 import numpy as np
@@ -9,38 +10,45 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from .attributes import refusal
 from .client import Batch
-from .errors import InvalidRequest, OutOfOrder, SandgaitError
+from .errors import InvalidRequest, OutOfOrder, SandgaitError, UnknownAttribute
+from .pickling import Origin, Pickled
 from .policies import read_policy
 from .session import Rollout
-from .shards import Address, open_shards
+from .shards import Address
 from .snapshots import FilePath, read_snapshot, write_snapshot
-from .spaces import box
-from .view import RENDER_MODES, SIZE, View
+from .spaces import Actions, box
+from .view import RENDER_MODES, SIZE
 
 Observations = npt.NDArray[np.float32]
 Flags = npt.NDArray[np.bool_]
 Step = tuple[Observations, npt.NDArray[np.float64], Flags, Flags, dict[str, Any]]
 
 
-class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDArray[Any]]):
+class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32], npt.NDArray[Any]]):
     """`num_envs` environments of `task` on the server at `address` (none: the embedded one; a list: spread over them).
 
     `resume`: outlive a server that dies, by snapshots; the environments go on where they were when it is back, or at
     the next address of the list.
 
-    `autoreset_mode`: with SAME_STEP, where an episode ended, the observation is already the next episode's first, and
-    the old one's last row stands in `infos["final_obs"]` and its figures in `infos["final_info"]`. With NEXT_STEP the
-    observation is the old episode's last; the next step ignores that environment's action and gives the new one's
-    first.
+    `autoreset_mode`: with NEXT_STEP, as gymnasium has it, the observation where an episode ended is its last one; the
+    next step ignores that environment's action and gives the new episode's first. With SAME_STEP the observation is
+    already the next episode's first, and the old one's last row stands in `infos["final_obs"]` and its figures in
+    `infos["final_info"]`.
+
+    `clip_actions`: put actions inside their bounds; without it one that is outside is refused. `threads`: how many of
+    the embedded server simulate; the first environment of a process decides.
 
     `render_mode`: "rgb_array" for pictures of `render_size` (width, height), one an environment; "human" for the first
     four in a window.
 
+    Pickling and copying an environment that was reset takes its state along (`pickling`).
+
     To let the learner and the simulation overlap, split a batch over two of these and alternate `send` and `recv`.
     """
 
-    metadata: dict[str, Any] = {"render_modes": RENDER_MODES, "autoreset_mode": AutoresetMode.SAME_STEP}
+    metadata: dict[str, Any] = {"render_modes": RENDER_MODES, "autoreset_mode": AutoresetMode.NEXT_STEP}
 
     def __init__(
         self,
@@ -49,27 +57,27 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
         address: Address = None,
         render_mode: str | None = None,
         resume: bool = False,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_size: tuple[int, int] = SIZE,
+        clip_actions: bool = False,
+        threads: int | None = None,
         **options: Any,
     ) -> None:
         mode = _autoreset(autoreset_mode)
-        self._address = address
-        self._session = open_shards(address, task, num_envs, options, resume)
+        self._begin(Origin(task, num_envs, address, resume, threads, options, render_mode, render_size))
         self.render_mode = render_mode
-        self._view = View.of(self._session, render_mode, render_size)
         self.num_envs = num_envs
-        #: The session's tables: names, units and bounds of every number.
-        self.task = self._session.task
         self.metadata = {**self.metadata, "render_fps": self.task.control_rate, "autoreset_mode": mode}
         self.single_observation_space = box(self.task.observation)
         self.single_action_space = box(self.task.action)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._action_shape = (num_envs, len(self.task.action))
+        self._actions = Actions(self.action_space, "actions", clip_actions)
         self._keys = tuple((c.name, f"_{c.name}") for c in self.task.info)
         self._seeded = np.zeros(num_envs, dtype=np.bool_)
         self._in_flight = False
+        #: The answer of the step in flight, once it has come.
+        self._batch: Batch | None = None
         self._everybody = np.ones(num_envs, dtype=np.bool_)
         #: With NEXT_STEP, who shows the first row of the next episode in the next step; with SAME_STEP nobody.
         self._ended = np.zeros(num_envs, dtype=np.bool_)
@@ -91,7 +99,9 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
         seeds = self._seeds(seed, mask)
         goes_on = mask & np.array([s is None for s in seeds])
         anew = mask & ~goes_on
-        self._in_flight = False
+        if self._in_flight:
+            with contextlib.suppress(InvalidRequest, OutOfOrder):
+                self.recv()  # who is not reset may have ended an episode in it
         if anew.any():
             batch = self._reset([s or 0 for s in seeds], anew, options)
         if goes_on.any():
@@ -143,40 +153,51 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
         """Starts a step and returns at once; `recv` waits for it."""
         if self._in_flight:
             raise OutOfOrder("send: a step is in flight already; call recv first")
-        rows = np.asarray(actions, dtype=np.float32)
-        if rows.shape != self._action_shape:
-            raise InvalidRequest(f"actions: shape {rows.shape}, expected {self._action_shape}")
-        if self._next_step and self._ended.any():
-            rows = np.where(self._ended[:, None], np.float32(0.0), rows)  # ignored, even if out of bounds
-            self._session.send_step(rows, self._ended)
-        else:
-            self._session.send_step(rows)
-        self._in_flight = True
+        rows = self._actions.rows(actions)
+        held = self._ended if self._next_step and self._ended.any() else None
+        if held is not None:
+            rows = np.where(held[:, None], np.float32(0.0), rows)  # ignored, even if out of bounds
+        session = self._session
+        try:
+            self._in_flight, self._batch = True, None
+            session.send_step(rows, held)
+        except BaseException as error:
+            self._in_flight = session.owes and not isinstance(error, SandgaitError)
+            raise self._actions.explain(error) from None
 
     def recv_batch(self) -> Batch:
         """`recv` as plain columns of SAME_STEP, without gymnasium's dictionaries."""
+        batch = self._receive()
+        self._in_flight, self._batch = False, None
+        return batch
+
+    def _receive(self) -> Batch:
+        """The answer of the step in flight, which is in flight until whoever calls this says otherwise: an interrupt
+        may strike at any point, and the answer can then be taken again."""
         if not self._in_flight:
             raise OutOfOrder("recv: no step is in flight; call send first")
-        try:
-            batch = self._session.receive()
-        except SandgaitError:
-            self._in_flight = False
-            raise
-        self._in_flight = False
+        if self._batch is None:
+            try:
+                self._batch = self._session.receive()
+            except SandgaitError as error:
+                self._in_flight = False
+                raise self._actions.explain(error) from None
         self._view.moved(record_ended=True, show_ended=self._next_step)
-        return batch
+        return self._batch
 
     def recv(self) -> Step:
         """Result of the step that `send` started, as `step` returns it."""
-        batch = self.recv_batch()
-        infos = self._infos_of_next_step(batch) if self._next_step else self._infos(batch)
-        return batch.observations, batch.rewards.astype(np.float64), batch.terminated, batch.truncated, infos
-
-    def _infos_of_next_step(self, batch: Batch) -> dict[str, Any]:
-        """Columns of those that stepped; puts the last rows of ended episodes where NEXT_STEP has them."""
-        stepped, self._ended = ~self._ended, batch.terminated | batch.truncated
-        batch.observations[batch.final_indices] = batch.final_observations
-        return self._masked(batch.infos, stepped)
+        batch = self._receive()
+        ended = self._ended
+        if self._next_step:
+            infos = self._masked(batch.infos, ~ended)  # of those that stepped
+            batch.observations[batch.final_indices] = batch.final_observations
+            ended = batch.terminated | batch.truncated
+        else:
+            infos = self._infos(batch)
+        result = batch.observations, batch.rewards.astype(np.float64), batch.terminated, batch.truncated, infos
+        self._ended, self._in_flight, self._batch = ended, False, None
+        return result
 
     def _infos(self, batch: Batch) -> dict[str, Any]:
         """Reward terms and figures as columns [num_envs] with gymnasium's masks, as SyncVectorEnv groups them.
@@ -229,7 +250,8 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
         """`n` new environments, each in the state of environment `index` of this batch; close them when done."""
         if not 0 <= index < self.num_envs:
             raise InvalidRequest(f"index: {index} is outside [0, {self.num_envs})")
-        copies = SandgaitVectorEnv(self.task.id, n, self._address, **self._session.options)
+        origin, mode = self._origin, self.metadata["autoreset_mode"]
+        copies = SandgaitVectorEnv(self.task.id, n, origin.address, autoreset_mode=mode, **origin.options)
         try:
             copies.restore(self.save(), np.full(n, index))
         except BaseException:
@@ -284,10 +306,23 @@ class SandgaitVectorEnv(VectorEnv[Observations, npt.NDArray[np.float32], npt.NDA
         """Completes the recording; see `sandgait.read_recording` and `sandgait replay`."""
         self._view.stop_recording()
 
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """Attribute `name` of each environment, as gymnasium's SyncVectorEnv has it; task options are none."""
+        value = getattr(self, name, self)
+        if value is self or callable(value):
+            raise UnknownAttribute(f"{name}: no attribute of single environments")
+        return (value,) * self.num_envs
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Refused: what is set here would not reach the simulation. The message says what does."""
+        raise refusal(self.task, name, values)
+
+    def _in_step(self) -> bool:
+        return self._in_flight
+
     def close_extras(self, **kwargs: Any) -> None:
         """Ends the session; the environments' memory is freed on the server."""
-        self._view.close()
-        self._session.close()
+        self._close()
 
 
 def _autoreset(mode: AutoresetMode | str) -> AutoresetMode:

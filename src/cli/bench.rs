@@ -24,7 +24,7 @@ use std::time::Duration;
   SANDGAIT_ISA=avx2 sandgait bench            (avx512, avx2, baseline or f64)")]
 pub struct Bench {
     /// Task id, or `all`: every task, one line each
-    #[arg(long, default_value = "sandgait/HexapodGait-v0")]
+    #[arg(long, default_value = "sandgait/HexapodGait-v1")]
     task: String,
     /// Engine; the task's own if not given
     #[arg(long)]
@@ -114,6 +114,7 @@ impl Bench {
         let options = self.task_options()?;
         let blueprint = Blueprint::new(task, options.clone())?;
         let (engine, spec) = (blueprint.engine, blueprint.task.spec());
+        super::warn_of_unfelt_option(&options);
         let threads = usize::from(self.threads);
         let mut stepper: Box<dyn Stepper> = match self.through {
             Through::Process => Box::new(Direct::new(&blueprint, self.envs, threads)?),

@@ -9,6 +9,9 @@ use std::path::PathBuf;
 /// The plate of Li et al. 2012, section 2: 3.8 × 2.5 cm [m²].
 const PLATE: f64 = 0.038 * 0.025;
 
+/// Beyond ±1e6 m or N a test is in the wrong unit or broken: our choice, as for force logs.
+const MOST: f64 = 1e6;
+
 const COLUMNS: [Column; 2] = [Column::needed("depth", Quantity::Length), Column::needed("force", Quantity::Force)];
 
 /// Measure your sand: its scale from one slow vertical penetration of a horizontal plate.
@@ -47,8 +50,8 @@ impl Calibrate {
         let asked = Asked { units: units.collect(), ..Asked::new(&COLUMNS) };
         let (mut depth, mut force) = (Vec::new(), Vec::new());
         table::read(&self.data, &asked, |row| {
-            depth.push(row.needed(0)?);
-            force.push(row.needed(1)?);
+            depth.push(row.within(0, MOST)?.ok_or_else(|| row.blank(0))?);
+            force.push(row.within(1, MOST)?.ok_or_else(|| row.blank(1))?);
             Ok(())
         })?;
         if self.plot.as_ref().is_some_and(|p| p.extension().is_none_or(|e| e != "svg")) {

@@ -58,6 +58,7 @@ impl Evaluate {
             slopes: self.slopes,
         };
         let study = Study::new(&request)?;
+        super::warn_of_unfelt_option(&request.options);
         // Found out now, not when the work is done.
         for path in [&self.json, &self.csv].into_iter().flatten() {
             writable(path)?;

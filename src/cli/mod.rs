@@ -120,8 +120,8 @@ fn run(command: Command) -> Result<String> {
 
 fn exit_code(error: &Error) -> u8 {
     match error {
-        Error::Invalid { .. } | Error::Unknown { .. } | Error::File { .. } => 2,
-        Error::OutOfOrder(_) | Error::Exhausted(_) | Error::Cancelled(_) => 1,
+        Error::Invalid { .. } | Error::Unknown { .. } | Error::Replaced { .. } | Error::File { .. } => 2,
+        Error::OutOfOrder(_) | Error::Exhausted(_) | Error::Cancelled(_) | Error::Internal(_) => 1,
     }
 }
 
@@ -153,6 +153,28 @@ fn sand(medium: &str, law: &str, file: Option<&Path>) -> Result<SandDescription>
         eprintln!("sandgait: warning: {caution}");
     }
     SandDescription::named(medium, law)
+}
+
+/// The same for robots that walk, which do not feel every mechanism; a warning on stderr for each of those.
+fn sand_to_walk_on(medium: &str, law: &str, file: Option<&Path>) -> Result<SandDescription> {
+    let sand = sand(medium, law, file)?;
+    warn_of_unfelt(&sand);
+    Ok(sand)
+}
+
+/// The same for the `sand` among a task's options.
+fn warn_of_unfelt_option(options: &serde_json::Value) {
+    let text = options.get("sand").and_then(serde_json::Value::as_str);
+    // A text that is no sand is refused by the task, in its words.
+    if let Some(sand) = text.and_then(|text| SandDescription::from_toml(text).ok()) {
+        warn_of_unfelt(&sand);
+    }
+}
+
+fn warn_of_unfelt(sand: &SandDescription) {
+    for line in sand.mechanisms.unfelt_by_walkers() {
+        eprintln!("sandgait: warning: sand {}: {line}", sand.name);
+    }
 }
 
 /// How far long work has come, on a terminal only; indicatif stays silent elsewhere.

@@ -1,6 +1,6 @@
 //! `sandgait serve`
 
-use sandgait::service::{self, Address, Limits, Listener, Setup, StateDir, Tls, Token};
+use sandgait::service::{self, Address, Connected, Limits, Listener, Seal, Setup, StateDir, Tls, Token};
 use sandgait::{Error, Result};
 use std::io::{IsTerminal as _, Read as _, Write as _};
 use std::net::SocketAddr;
@@ -48,12 +48,10 @@ pub struct Serve {
     security: Security,
     #[command(flatten)]
     lent: Lent,
-    /// Answer GET /metrics for Prometheus here
-    #[arg(long, value_name = "HOST:PORT")]
-    metrics: Option<Address>,
-    /// Show the sessions as they step to browsers here: http://HOST:PORT
-    #[arg(long, value_name = "HOST:PORT")]
-    viewer: Option<Address>,
+    #[command(flatten)]
+    peers: Peers,
+    #[command(flatten)]
+    pages: Pages,
     /// What the log on stderr looks like; SANDGAIT_LOG filters it
     #[arg(long, value_name = "FORMAT", default_value = "text")]
     log_format: LogFormat,
@@ -83,9 +81,49 @@ struct Security {
     /// Clients must know the token in this file
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
-    /// Allow addresses that other machines reach without encryption and token
+    /// Seal snapshots and kept sessions with the key in this file, and take no others
+    #[arg(long, value_name = "FILE")]
+    snapshot_key: Option<PathBuf>,
+    /// Let --listen have an address that other machines reach without encryption and token
     #[arg(long)]
     insecure: bool,
+}
+
+/// Pages without encryption and token.
+#[derive(clap::Args)]
+struct Pages {
+    /// Answer GET /metrics for Prometheus here
+    #[arg(long, value_name = "HOST:PORT")]
+    metrics: Option<Address>,
+    /// Let --metrics have an address that other machines reach
+    #[arg(long)]
+    metrics_insecure: bool,
+    /// Show the sessions as they step to browsers here: http://HOST:PORT
+    #[arg(long, value_name = "HOST:PORT")]
+    viewer: Option<Address>,
+    /// Let --viewer have an address that other machines reach
+    #[arg(long)]
+    viewer_insecure: bool,
+    /// Streams of the live page at a time
+    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..))]
+    max_watchers: u32,
+}
+
+/// What the server takes from whom.
+#[derive(clap::Args)]
+struct Peers {
+    /// Connections at a time; fewer where there are not as many file descriptors
+    #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(1..))]
+    max_connections: u32,
+    /// Of them, those of one address (IPv6: of one /64)
+    #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..))]
+    max_connections_per_peer: u32,
+    /// Calls at a time on one connection; a client's further ones wait
+    #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(1..))]
+    max_streams: u32,
+    /// Requests of one address a second, on all its connections; 0: as many as it can
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    max_requests_per_second: u32,
 }
 
 /// What the server lends out at most.
@@ -97,7 +135,7 @@ struct Lent {
     /// Environments of one session
     #[arg(long, value_name = "N", default_value_t = 65_536, value_parser = clap::value_parser!(u32).range(1..))]
     max_envs: u32,
-    /// Memory of all environments together, estimated [MiB]
+    /// Memory of all environments, estimated, and of large requests together [MiB]
     #[arg(long, value_name = "MIB", default_value_t = 8192, value_parser = clap::value_parser!(u32).range(1..))]
     max_memory_mib: u32,
     /// Size of a request [MiB]
@@ -106,9 +144,6 @@ struct Lent {
     /// A session without a client is freed after this time [s]
     #[arg(long, value_name = "S", default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..))]
     lease_seconds: u32,
-    /// Requests of one session a second; 0: as many as it can
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    max_requests_per_second: u32,
 }
 
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -120,17 +155,21 @@ enum LogFormat {
 impl Serve {
     pub fn run(self) -> Result<String> {
         self.security.check(&self.listen)?;
-        let plain = |name: &'static str, address: &Option<Address>| {
-            address.as_ref().map(|a| plain_address(name, a, self.security.insecure)).transpose()
+        let pages = &self.pages;
+        let plain = |name: &'static str, address: &Option<Address>, open: bool| {
+            address.as_ref().map(|a| plain_address(name, a, open)).transpose()
         };
-        let (metrics, viewer) = (plain("--metrics", &self.metrics)?, plain("--viewer", &self.viewer)?);
+        let metrics = plain("--metrics", &pages.metrics, pages.metrics_insecure)?;
+        let viewer = plain("--viewer", &pages.viewer, pages.viewer_insecure)?;
         self.log_format.start();
         let mut setup = self.security.setup(&self.listen)?;
         setup.threads = self.threads.into();
-        setup.limits = self.lent.limits();
+        setup.limits = self.limits();
+        setup.connected = self.peers.connected();
         setup.dm_env_rpc = self.dm_env_rpc;
         setup.state = self.state_dir.as_deref().map(StateDir::new).transpose()?;
-        let secrets = [&self.security.token_file, &self.security.tls_key, &self.state_dir];
+        let Security { token_file, tls_key, snapshot_key, .. } = &self.security;
+        let secrets = [token_file, tls_key, snapshot_key, &self.state_dir];
         let open = setup.tls.is_none() || setup.token.is_none();
         if open && !self.listen.is_local() {
             tracing::warn!(listen = %self.listen, "others reach this server without encryption or token, as --insecure allows");
@@ -144,17 +183,30 @@ impl Serve {
         served.map(|()| String::new())
     }
 
+    fn limits(&self) -> Limits {
+        let Lent { max_sessions, max_envs, max_memory_mib, max_message_mib, lease_seconds } = self.lent;
+        Limits {
+            sessions: max_sessions as usize,
+            environments: max_envs as usize,
+            memory: (max_memory_mib as usize) << 20,
+            lease: Duration::from_secs(lease_seconds.into()),
+            request: (max_message_mib as usize) << 20,
+            rate: Some(self.peers.max_requests_per_second).filter(|n| *n > 0),
+            watchers: self.pages.max_watchers as usize,
+        }
+    }
+
     async fn serve(self, mut setup: Setup, metrics: Option<SocketAddr>, viewer: Option<SocketAddr>) -> Result<()> {
         let stop = CancellationToken::new();
         on_signals(&stop)?;
         let listener = Listener::bind(&self.listen).await?;
         if let Some(address) = metrics {
-            let (listener, address) = bind_plain("--metrics", address).await?;
+            let (listener, address) = bind_plain("--metrics", address)?;
             tracing::info!(%address, "metrics are at /metrics");
             setup.metrics = Some(listener);
         }
         if let Some(address) = viewer {
-            let (listener, address) = bind_plain("--viewer", address).await?;
+            let (listener, address) = bind_plain("--viewer", address)?;
             tracing::info!("browsers see the sessions at http://{address}");
             setup.viewer = Some(listener);
         }
@@ -213,40 +265,34 @@ impl Security {
             _ => None,
         };
         let token = self.token_file.as_deref().map(Token::load).transpose()?;
-        Ok(Setup { tls, token, ..Setup::default() })
+        let seal = self.snapshot_key.as_deref().map(Seal::load).transpose()?.unwrap_or_default();
+        Ok(Setup { tls, token, seal, ..Setup::default() })
     }
 }
 
 /// Metrics and the live page have neither encryption nor token.
-fn plain_address(name: &str, address: &Address, insecure: bool) -> Result<SocketAddr> {
+fn plain_address(name: &str, address: &Address, open: bool) -> Result<SocketAddr> {
     let Address::Tcp(tcp) = address else {
         return Err(Error::invalid(name, format!("{address} is not HOST:PORT")));
     };
-    if !address.is_local() && !insecure {
-        let reason = "can be reached from other machines without encryption or token; add --insecure to allow that";
-        return Err(Error::invalid(name, format!("{address} {reason}")));
+    if !address.is_local() && !open {
+        let reason = "can be reached from other machines without encryption or token; add";
+        return Err(Error::invalid(name, format!("{address} {reason} {name}-insecure to allow that")));
     }
     Ok(*tcp)
 }
 
 /// A listener, and its address with the port that was found if 0 was asked for.
-async fn bind_plain(name: &str, address: SocketAddr) -> Result<(TcpListener, SocketAddr)> {
+fn bind_plain(name: &str, address: SocketAddr) -> Result<(TcpListener, SocketAddr)> {
     let unusable = |e: std::io::Error| Error::invalid(name, format!("{address}: {e}"));
-    let listener = TcpListener::bind(address).await.map_err(unusable)?;
+    let listener = service::bind_tcp(address).map_err(unusable)?;
     let address = listener.local_addr().map_err(unusable)?;
     Ok((listener, address))
 }
 
-impl Lent {
-    fn limits(&self) -> Limits {
-        Limits {
-            sessions: self.max_sessions as usize,
-            environments: self.max_envs as usize,
-            memory: (self.max_memory_mib as usize) << 20,
-            lease: Duration::from_secs(self.lease_seconds.into()),
-            request: (self.max_message_mib as usize) << 20,
-            rate: Some(self.max_requests_per_second).filter(|n| *n > 0),
-        }
+impl Peers {
+    fn connected(&self) -> Connected {
+        Connected { all: self.max_connections, peer: self.max_connections_per_peer, streams: self.max_streams }
     }
 }
 

@@ -67,7 +67,7 @@ impl Sweep {
     }
 
     fn base(&self) -> Result<Design> {
-        let scene = Scene::on(&super::sand(&self.medium, &self.law, self.sand.as_deref())?);
+        let scene = Scene::on(&super::sand_to_walk_on(&self.medium, &self.law, self.sand.as_deref())?);
         let robot = Robot::load(&self.robot)?;
         let mut base = Design { robot, scene, frequency: self.frequency, phase: 0.0 };
         let setting = |setting: &'_ String| {

@@ -46,9 +46,9 @@ pub struct Walk {
     /// The surface rises in walking direction [°]
     #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
     slope_deg: f64,
-    /// Time step [s]
-    #[arg(long, value_name = "S", default_value_t = Scene::DEFAULT_DT, allow_negative_numbers = true)]
-    dt: f64,
+    /// Time step [s]; 1 ms if not given, 0.5 ms with engine rapier
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
+    dt: Option<f64>,
     /// A built-in robot or a FILE.toml
     #[arg(long, default_value = Robot::DEFAULT)]
     robot: String,
@@ -66,9 +66,9 @@ impl Walk {
         if let Some(leg) = &self.leg {
             robot = robot.with_leg_shape(leg)?;
         }
-        let mut scene = Scene::on(&super::sand(&self.medium, &self.law, self.sand.as_deref())?);
-        (scene.slope_deg, scene.dt) = (self.slope_deg, self.dt);
+        let mut scene = Scene::on(&super::sand_to_walk_on(&self.medium, &self.law, self.sand.as_deref())?);
         let engine = EngineKind::named(&self.engine)?;
+        (scene.slope_deg, scene.dt) = (self.slope_deg, self.dt.unwrap_or(engine.default_dt()));
         let trial = Trial::new(Model::new(&robot, &scene)?, self.frequency);
         let clock = Instant::now();
         let result = match &self.record {

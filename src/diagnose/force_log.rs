@@ -1,6 +1,7 @@
 //! Reads force logs of plates and legs (intrusion CSV) into trials.
 
 use super::experiment::{Experiment, Intruder};
+use super::motion::{Heading, heading, moving, progress};
 use super::observations::{Channel, Names, Observations, Size, Unit};
 use crate::error::Result;
 use crate::table::{Column, Quantity, Row};
@@ -44,6 +45,8 @@ pub struct ForceLog {
     pub track_of: Vec<usize>,
     /// Optional columns that are absent or blank throughout.
     pub missing: Vec<&'static str>,
+    /// What a reader of the report should know about how the log was read.
+    pub notes: Vec<String>,
     pub sha256: String,
 }
 
@@ -86,6 +89,8 @@ struct Growing {
     id: String,
     condition: usize,
     track: Track,
+    /// Intrusion angle [rad] of each row that gives one.
+    gammas: Vec<Option<f64>>,
     loads: Vec<[f64; 2]>,
     torques: Vec<Option<f64>>,
 }
@@ -107,7 +112,8 @@ pub fn read(path: &Path, experiment: &Experiment) -> Result<ForceLog> {
         let place = ids.place(id);
         let track = track_header(row, experiment)?;
         if place == trials.len() {
-            trials.push(Growing { id: id.into(), condition, track, loads: Vec::new(), torques: Vec::new() });
+            let (gammas, loads, torques) = (Vec::new(), Vec::new(), Vec::new());
+            trials.push(Growing { id: id.into(), condition, track, gammas, loads, torques });
         } else {
             check_same(row, &trials[place], &track, condition)?;
         }
@@ -117,8 +123,9 @@ pub fn read(path: &Path, experiment: &Experiment) -> Result<ForceLog> {
             return Err(row.error(T, format!("time does not increase within trial {}", trial.id)));
         }
         trial.track.poses.push(pose);
+        trial.gammas.push(row.within(GAMMA, MOST)?);
         trial.loads.push([bounded(row, FX)?, bounded(row, FZ)?]);
-        trial.torques.push(row.number(TY)?);
+        trial.torques.push(row.within(TY, MOST)?);
         Ok(())
     })?;
     let mut missing: Vec<_> =
@@ -127,13 +134,15 @@ pub fn read(path: &Path, experiment: &Experiment) -> Result<ForceLog> {
     if !torque {
         missing.push("Ty");
     }
+    trials.iter_mut().for_each(mirror);
     Ok(assemble(trials, conditions.list, torque, missing, summary.sha256))
 }
 
 /// Beyond 1 MN or 1e6 of anything a log is in the wrong unit or broken, and squares would overflow: our choice.
+const MOST: f64 = 1e6;
+
 fn bounded(row: &Row, column: usize) -> Result<f64> {
-    let value = row.needed(column)?;
-    if value.abs() > 1e6 { Err(row.error(column, format!("{value} is beyond 1e6"))) } else { Ok(value) }
+    row.within(column, MOST)?.ok_or_else(|| row.blank(column))
 }
 
 fn optional(row: &Row, column: usize, neutral: f64) -> Result<f64> {
@@ -164,7 +173,7 @@ fn track_header(row: &Row, experiment: &Experiment) -> Result<Track> {
     let kind = row.needed_text(KIND)?;
     let (hip_height, beta) = match (kind, intruder) {
         ("leg", Intruder::Leg { .. }) => (bounded(row, HIP_Z)?, 0.0),
-        ("plate", Intruder::Plate { .. }) => (0.0, tilt(row)?),
+        ("plate", Intruder::Plate { .. }) => (0.0, bounded(row, BETA)?),
         ("leg" | "plate", _) => return Err(row.error(KIND, format!("{kind} is not the type of shape {shape}"))),
         _ => return Err(row.error(KIND, format!("{kind:?} is unknown; known: leg, plate"))),
     };
@@ -185,14 +194,19 @@ fn track_header(row: &Row, experiment: &Experiment) -> Result<Track> {
 }
 
 /// β of a plate in our frame. Attack and intrusion angles are stated for motion toward +x (v ∥ (cos γ, −sin γ));
-/// where the logged velocity is the mirror image of that, so is the plate.
-fn tilt(row: &Row) -> Result<f64> {
-    let beta = bounded(row, BETA)?;
-    let Some(gamma) = row.number(GAMMA)? else {
-        return Ok(beta);
-    };
-    let vx = bounded(row, VX)?;
-    Ok(if vx * gamma.cos() < -1e-9 { -beta } else { beta })
+/// where the logged velocity is the mirror image of that, so is the plate. The first way that the plate goes says which: a
+/// plate at rest moves nowhere, and noise of its velocity any way.
+fn mirror(trial: &mut Growing) {
+    let poses = &trial.track.poses;
+    let outward = poses.iter().zip(&trial.gammas).take(heading(&trial.track).until + 1);
+    let (along, speeds) = outward.fold((0.0, 0.0), |(along, speeds), (pose, gamma)| {
+        let [vx, vz] = pose.velocity;
+        (along + vx * gamma.map_or(0.0, f64::cos), speeds + vx.hypot(vz))
+    });
+    // π/2 written with a few digits has a cosine of up to 1e-5.
+    if along < -1e-7 * speeds {
+        trial.track.beta = -trial.track.beta;
+    }
 }
 
 /// Refuses a trial whose rows disagree about what was done.
@@ -244,57 +258,47 @@ fn assemble(
         channels.push(Channel { name: "Ty", unit: "N·m", in_rmse: false });
     }
     let (mut values, mut units, mut tracks, mut track_of) = (Vec::new(), Vec::new(), Vec::<Track>::new(), Vec::new());
+    let mut headings: Vec<Option<Heading>> = vec![None; conditions.len()];
+    let (mut rows, mut resting) = (0, 0);
     for trial in trials {
         let start = values.len();
+        // Repetitions are matched along one direction; one that never moves has none to give.
+        let own = heading(&trial.track);
+        let common = headings[trial.condition].get_or_insert(own);
+        if !common.moves() {
+            *common = own;
+        }
+        let kept = moving(&trial.track);
+        let progress = progress(&trial.track, common);
         for channel in 0..2 {
-            values.extend(trial.loads.iter().map(|l| l[channel]));
+            values.extend(kept.iter().map(|&i| trial.loads[i][channel]));
         }
         if torque {
-            values.extend(trial.torques.iter().flatten());
+            values.extend(kept.iter().filter_map(|&i| trial.torques[i]));
         }
+        rows += trial.loads.len();
+        resting += trial.loads.len() - kept.len();
         let known = tracks.iter().position(|t| *t == trial.track);
         units.push(Unit {
             id: trial.id,
             condition: trial.condition,
             start,
-            samples: trial.loads.len(),
-            progress: progress(&trial.track),
+            samples: kept.len(),
+            progress: kept.iter().map(|&i| progress[i]).collect(),
         });
         track_of.push(known.unwrap_or(tracks.len()));
         if known.is_none() {
             tracks.push(trial.track);
         }
     }
+    let said = || {
+        format!(
+            "{resting} of {rows} rows are left out: there the intruder rests, and resistive force theory says nothing of that"
+        )
+    };
+    let notes = if resting > 0 { vec![said()] } else { Vec::new() };
     let observations = Observations { size: Size::Force, values, channels, units, conditions };
-    ForceLog { observations, tracks, track_of, missing, sha256 }
-}
-
-/// Angle travelled by a leg [rad] or distance along a plate's motion [m], from the place where the frame has zero:
-/// repetitions that start a little later are matched by where they are, not by when.
-fn progress(track: &Track) -> Vec<f64> {
-    let first = track.poses[0];
-    match track.intruder {
-        Intruder::Leg { .. } => {
-            let sign = if first.omega < 0.0 { -1.0 } else { 1.0 };
-            increasing(track.poses.iter().map(|p| sign * p.theta))
-        }
-        Intruder::Plate { .. } => {
-            let speed = first.velocity[0].hypot(first.velocity[1]).max(1e-12);
-            let along = first.velocity.map(|v| v / speed);
-            increasing(track.poses.iter().map(|p| p.center[0] * along[0] + p.center[1] * along[1]))
-        }
-    }
-}
-
-/// Never decreasing: a leg that swings back keeps its furthest progress plus the path since.
-fn increasing(path: impl Iterator<Item = f64>) -> Vec<f64> {
-    let (mut last, mut total) = (None::<f64>, 0.0);
-    path.map(|p| {
-        total = last.map_or(p, |last| total + (p - last).abs());
-        last = Some(p);
-        total
-    })
-    .collect()
+    ForceLog { observations, tracks, track_of, missing, notes, sha256 }
 }
 
 /// A log of trials not yet made: one unit a track, zeros for forces.
@@ -309,6 +313,7 @@ pub fn planned(tracks: Vec<Track>, channels: usize) -> ForceLog {
                 id: i.to_string(),
                 condition: i,
                 track,
+                gammas: Vec::new(),
                 loads: vec![[0.0; 2]; samples],
                 torques: vec![Some(0.0); samples],
             }

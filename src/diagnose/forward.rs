@@ -6,6 +6,7 @@
 use super::arm::{Arm, Cut, PowerDrag};
 use super::experiment::{Experiment, Intruder};
 use super::force_log::{ForceLog, Pose, Track};
+use super::motion::moving;
 use super::observations::Observations;
 use super::shared::Shared;
 use crate::error::Result;
@@ -86,6 +87,8 @@ pub struct ForceLogModel<'a> {
     latch: Option<&'a Latch<'a>>,
     medium: Medium,
     tracks: Vec<Track>,
+    /// Of each track, the poses that are samples: where it moves.
+    kept: Vec<Vec<usize>>,
     cuts: BTreeMap<String, Cut>,
     /// Track, place in the stack and samples of each unit.
     units: Vec<(usize, usize, usize)>,
@@ -107,6 +110,7 @@ impl<'a> ForceLogModel<'a> {
             latch: None,
             medium: experiment.medium.clone(),
             tracks: log.tracks.clone(),
+            kept: log.tracks.iter().map(moving).collect(),
             cuts,
             units,
             channels: log.observations.channels.len(),
@@ -127,6 +131,7 @@ impl<'a> ForceLogModel<'a> {
             medium: sand.medium(),
             cuts: BTreeMap::from([(track.shape.clone(), Cut::new(&track.intruder)?)]),
             tracks: Vec::new(),
+            kept: Vec::new(),
             units: Vec::new(),
             channels: 3,
             missing: Vec::new(),
@@ -143,6 +148,7 @@ impl<'a> ForceLogModel<'a> {
         let model = Self {
             latch: self.latch,
             medium: self.medium.clone(),
+            kept: log.tracks.iter().map(moving).collect(),
             tracks: log.tracks,
             cuts: self.cuts.clone(),
             units,
@@ -192,7 +198,7 @@ impl ForwardModel for ForceLogModel<'_> {
         let loads: Vec<_> = self.tracks.iter().map(|t| self.loads(t, mechanisms, &ground)).collect();
         let mut stack = vec![0.0; numbers];
         for &(track, start, samples) in &self.units {
-            for (i, load) in loads[track].iter().enumerate() {
+            for (i, load) in self.kept[track].iter().map(|&pose| loads[track][pose]).enumerate() {
                 for (channel, value) in [load.fx, load.fz, load.ty].into_iter().take(self.channels).enumerate() {
                     stack[start + channel * samples + i] = value;
                 }
@@ -214,6 +220,7 @@ impl ForwardModel for ForceLogModel<'_> {
             latch: self.latch,
             medium: self.medium.clone(),
             tracks: self.tracks.clone(),
+            kept: self.kept.clone(),
             cuts: self.cuts.clone(),
             units: self.units.clone(),
             channels: self.channels,
@@ -243,8 +250,8 @@ impl ForwardModel for ForceLogModel<'_> {
             values: self
                 .units
                 .iter()
-                .map(|u| &self.tracks[u.0])
-                .map(|t| t.poses.iter().map(|p| f(t, p)).collect())
+                .map(|u| (&self.tracks[u.0], &self.kept[u.0]))
+                .map(|(t, kept)| kept.iter().map(|&i| f(t, &t.poses[i])).collect())
                 .collect(),
         };
         vec![

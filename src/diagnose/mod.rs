@@ -21,6 +21,7 @@ pub mod forward;
 pub mod lack_of_fit;
 pub mod minimise;
 pub mod misfit;
+pub mod motion;
 pub mod next_experiment;
 pub mod noise;
 pub mod observations;
@@ -67,7 +68,7 @@ pub fn diagnose(data: &Path, experiment: &Experiment, progress: &dyn Progress) -
         Kind::Intrusion => {
             let log = force_log::read(data, experiment)?;
             let model = ForceLogModel::new(&log, experiment)?.heeding(progress);
-            let (observations, sha256, notes) = (log.observations, log.sha256, Vec::new());
+            let (observations, sha256, notes) = (log.observations, log.sha256, log.notes);
             diagnose_measured(Measured { observations, coefficient_sd, sha256, notes }, &model, progress)
         }
         Kind::Walking => {
@@ -201,7 +202,10 @@ impl View<'_> {
         let set = self.selection.map_or(Vec::new(), |s| s.set.iter().map(|&k| names(&s.candidates[k].fit)).collect());
         let mut warnings: Vec<String> =
             causes.iter().filter(|c| c.at_bound).map(|c| format!("{} sits at its bound", c.id)).collect();
-        warnings.extend(self.selection.and_then(extension).and_then(|c| far_coefficients(&c.fit)));
+        let extension = self.selection.and_then(extension);
+        warnings.extend(extension.and_then(|c| far_coefficients(&c.fit)));
+        let unfelt = extension.map(|c| c.fit.mechanisms.unfelt_by_walkers()).unwrap_or_default();
+        warnings.extend(unfelt.into_iter().map(|line| format!("sand.toml: {line}")));
         let mut notes = notes;
         let form = self.selection.and_then(|s| s.form.clone());
         let powers =
@@ -221,7 +225,7 @@ impl View<'_> {
             candidates: self.tried(),
             lack_of_fit: LackOfFit {
                 plain: self.selection.map(|s| s.base_lack_of_fit),
-                extended: self.selection.and_then(extension).map(|c| c.lack_of_fit),
+                extended: extension.map(|c| c.lack_of_fit),
                 limit: self.selection.map(|s| s.gates.lack_of_fit),
             },
             gain: self.gain(),

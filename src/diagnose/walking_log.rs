@@ -113,7 +113,7 @@ pub fn read(path: &Path, experiment: &Experiment) -> Result<WalkingLog> {
         }
         let mut measured = [None; CHANNELS.len()];
         for (value, (column, _)) in measured.iter_mut().zip(CHANNELS) {
-            *value = within(row, column, 1e6)?;
+            *value = row.within(column, 1e6)?;
         }
         row.needed(SPEED)?;
         runs.push(Run { id: id.into(), condition, setup: place, measured });
@@ -130,29 +130,21 @@ pub fn read(path: &Path, experiment: &Experiment) -> Result<WalkingLog> {
     })
 }
 
-/// The cell, refused beyond ±`most`: there it is in the wrong unit or broken. Our choice of guards.
-fn within(row: &Row, column: usize, most: f64) -> Result<Option<f64>> {
-    match row.number(column)? {
-        Some(value) if value.abs() > most => Err(row.error(column, format!("{value} is beyond ±{most}"))),
-        value => Ok(value),
-    }
-}
-
 fn setup(row: &Row, experiment: &Experiment) -> Result<Setup> {
     let robot = row.text(ROBOT).or(experiment.robot.as_deref());
     let robot = robot.ok_or_else(|| row.error(ROBOT, "is blank, and the experiment names none"))?;
     if experiment.robot.as_deref() != Some(robot) && !Robot::names().contains(&robot) {
         return Err(row.error(ROBOT, Error::unknown("robot", robot, &Robot::names())));
     }
-    let frequency = within(row, FREQUENCY, 20.0)?.ok_or_else(|| row.error(FREQUENCY, "is blank"))?;
+    let frequency = row.within(FREQUENCY, 20.0)?.ok_or_else(|| row.blank(FREQUENCY))?;
     if frequency.abs() < 0.02 {
         return Err(row.error(FREQUENCY, format!("{frequency} Hz is no walk: at least 0.02 Hz")));
     }
-    let payload = within(row, PAYLOAD, 1e3)?.unwrap_or(0.0);
+    let payload = row.within(PAYLOAD, 1e3)?.unwrap_or(0.0);
     if payload < 0.0 {
         return Err(row.error(PAYLOAD, format!("{payload} kg is negative")));
     }
-    let duration = within(row, DURATION, 1e4)?.unwrap_or(STRIDES / frequency.abs());
+    let duration = row.within(DURATION, 1e4)?.unwrap_or(STRIDES / frequency.abs());
     // Speeds are of whole strides: a duration rounded in the log is not a fraction of one.
     let strides = (duration * frequency.abs()).round();
     if !(1.0..=100.0).contains(&strides) {
@@ -162,9 +154,9 @@ fn setup(row: &Row, experiment: &Experiment) -> Result<Setup> {
         robot: robot.into(),
         leg: leg(row)?,
         frequency,
-        slope_deg: within(row, SLOPE, 35.0)?.unwrap_or(0.0),
+        slope_deg: row.within(SLOPE, 35.0)?.unwrap_or(0.0),
         payload,
-        x_bed: within(row, X_BED, 1e3)?.unwrap_or(0.0),
+        x_bed: row.within(X_BED, 1e3)?.unwrap_or(0.0),
         strides,
     })
 }
@@ -175,7 +167,7 @@ fn leg(row: &Row) -> Result<String> {
     if !Shape::NAMES.contains(&name) {
         return Err(row.error(LEG, format!("leg {name:?} is unknown; known: {}", Shape::NAMES.join(", "))));
     }
-    let Some(xi) = within(row, XI, 89.9)? else { return Ok(name.into()) };
+    let Some(xi) = row.within(XI, 89.9)? else { return Ok(name.into()) };
     let wrong = match name {
         "L" => xi <= 0.0,
         "revL" => xi == 0.0,

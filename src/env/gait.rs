@@ -1,5 +1,5 @@
-//! `sandgait/HexapodGait-v0`: follow a commanded forward speed on flat or sloping sand with one joint a leg, driven in
-//! one of four ways.
+//! `sandgait/HexapodGait-v1`: follow commanded forward and yaw speeds on flat or sloping sand with one joint a leg,
+//! driven in one of four ways.
 
 use super::control::Driver;
 use super::locomotion::{self, BASE_COLUMNS, CONTROL_RATE};
@@ -17,13 +17,17 @@ const HIP_SPEED: f64 = 3.0 * TOP_SPEED;
 
 const ABOUT: &str = "\
 The robot starts at rest in the alternating tripod, its joints off by up to `angle_noise`; a speed is drawn from `command`
-and holds for the episode. `control` says how the hips are driven, always within `torque_limit` and, but for `torque`, 5 Hz.
+and a yaw speed from `turn`, and both hold for the episode. `control` says how the hips are driven, always within `torque_limit` and, but for `torque`, 5 Hz.
 
 With `control=\"clock\"` an action is a gait: in the share *duty factor* of a stride a leg sweeps the angle *stance sweep*
 about *stance offset* (0: tip straight down) at one speed, in the rest it goes round at another, and each leg has its phase;
 after the Buehler clock of RHex (Saranli, Buehler & Koditschek, Int. J. Robotics Research 20:616, 2001). Action 0 is the
 alternating tripod at one constant speed of 2.5 Hz. The clock is read off the servos' references, so an action may change at
 every step; common shifts of all phases do nothing. It does not walk backward.
+
+Velocities are paid for in the base's own heading: v_forward (`speed` in `info`) and v_left are the displacement of its centre
+over a control step along its heading on the surface and to the left of it, the heading halfway through the step, over the
+step's duration. `x_velocity` is the displacement along x, uphill.
 
 An episode terminates when the base lies on its back (`flipped`) or its centre is 15 mm under the surface (`buried`); it is
 truncated after `max_episode_steps`, or when its state can no longer be computed (`diverged`).
@@ -55,13 +59,13 @@ impl HexapodGait {
             Column::each(joints, "hip speed", "rad/s", HIP_SPEED),
             Column::each(joints, "hip torque", "N·m", options.torque_limit),
             Column::each(&driver.labels(), "previous action", "1", 1.0),
-            vec![locomotion::speed_column()],
+            locomotion::command_columns(),
         ];
         let mut info = locomotion::info_columns();
         info.push(Column::free("hip_turn", "rad"));
         let spec = Spec {
             id: Self::ID,
-            summary: format!("Follow a commanded forward speed on sand; actions are {}.", driver.summary()),
+            summary: format!("Follow commanded forward and yaw speeds on sand; actions are {}.", driver.summary()),
             observation: observation.concat(),
             action: driver.columns(),
             about: ABOUT,
@@ -98,9 +102,9 @@ impl Task for HexapodGait {
             rest[2 * joints + i] = state.rates[i] as f32;
             rest[3 * joints + i] = state.torques[i] as f32;
         }
-        let (actions, speed) = rest[4 * joints..].split_at_mut(last_action.len());
+        let (actions, commands) = rest[4 * joints..].split_at_mut(last_action.len());
         actions.copy_from_slice(last_action);
-        speed[0] = goal.speed as f32;
+        locomotion::observe_command(goal, commands);
     }
 
     fn judge(&self, transition: &Transition, info: &mut [f32]) -> bool {

@@ -22,8 +22,10 @@ pub struct Ground {
     pub footprint: f64,
     /// Distance from the start after which the robot is sent back [m].
     pub turning_point: f64,
-    /// 0 on the way out; on the way back the sign of x where the robot turned.
-    pub returning: f64,
+    /// Sign of x on the way out, which is that of the first command.
+    pub outward: f64,
+    /// On the way back to the start?
+    pub returning: bool,
     /// The patch whose sand is in force.
     pub patch: usize,
     /// Where each leg that is in the sand went in [m].
@@ -57,7 +59,7 @@ impl Ground {
             && self.footing.len() == legs
             && self.prints.len() <= PRINTS
             && points.chain(&self.footing).all(number)
-            && [-1.0, 0.0, 1.0].contains(&self.returning)
+            && [-1.0, 1.0].contains(&self.outward)
             && [self.patch_length, self.footprint, self.turning_point].iter().all(number)
     }
 
@@ -66,12 +68,12 @@ impl Ground {
         (x / self.patch_length).floor().rem_euclid(PATCHES as f64) as usize
     }
 
-    /// Does a robot at `x` [m] turn round: beyond the turning point on the way out, past the start on the way back?
+    /// Does a robot at `x` [m] turn round: beyond the turning point on the way out, past the start on the way back? Only
+    /// what is made good in the commanded direction counts: who slips the other way goes on as commanded.
     pub fn turned(&mut self, x: f64) -> bool {
-        let turned = if self.returning == 0.0 { x.abs() > self.turning_point } else { x * self.returning < 0.0 };
-        if turned {
-            self.returning = if self.returning == 0.0 { x.signum() } else { 0.0 };
-        }
+        let out = x * self.outward;
+        let turned = if self.returning { out < 0.0 } else { out > self.turning_point };
+        self.returning ^= turned;
         turned
     }
 
@@ -130,7 +132,8 @@ mod tests {
             patch_length: 0.3,
             footprint,
             turning_point: 1.0,
-            returning: 0.0,
+            outward: 1.0,
+            returning: false,
             patch: 0,
             standing: vec![None; 6],
             footing: vec![1.0; 6],
@@ -182,11 +185,15 @@ mod tests {
         }
     }
 
+    /// Out and back, out and back again, whatever the sign of the first command.
     #[test]
     fn robots_turn_round_at_both_ends() {
-        let mut ground = ground(0.0);
-        let turns = [0.5, 1.1, 1.2, 0.1, -0.1, -0.2, -1.1, -0.5, 0.1].map(|x| ground.turned(x));
-        assert_eq!(turns, [false, true, false, false, true, false, true, false, true]);
+        for outward in [1.0, -1.0] {
+            let mut ground = Ground { outward, ..ground(0.0) };
+            let turns = [0.5, 1.1, 1.2, 0.1, -0.1, -0.2, -1.1, -0.5, 0.1, 1.1, 0.5].map(|x| ground.turned(x * outward));
+            let expected = [false, true, false, false, true, false, false, false, false, true, false];
+            assert_eq!(turns, expected, "outward {outward}");
+        }
     }
 
     #[test]

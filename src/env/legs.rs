@@ -1,7 +1,7 @@
-//! `sandgait/HexapodLegs-v0`: foot trajectories of a robot with three joints a leg; speed and turning commands.
+//! `sandgait/HexapodLegs-v1`: foot trajectories of a robot with three joints a leg; speed and turning commands.
 
 use super::locomotion::{self, BASE_COLUMNS, CONTROL_RATE};
-use super::options::{MAX_TURN, Weights, keywords};
+use super::options::{Weights, keywords};
 use super::random::Random;
 use super::spec::{Column, Spec};
 use super::task::{Goal, Setup, Task, Transition};
@@ -22,6 +22,10 @@ const ABOUT: &str = "\
 The robot starts at rest with its joints off by up to `angle_noise`; a speed is drawn from `command` and a yaw speed from
 `turn`, and both hold for the episode. Each servo's reference moves to its target within the control step, at 13 rad/s or
 less. `slope_deg` tilts the sand.
+
+Velocities are paid for in the base's own heading: v_forward (`speed` in `info`) and v_left are the displacement of its centre
+over a control step along its heading on the surface and to the left of it, the heading halfway through the step, over the
+step's duration. `x_velocity` is the displacement along x, uphill.
 
 An episode terminates when the base lies on its back (`flipped`) or its centre is 15 mm under the surface (`buried`); it is
 truncated after `max_episode_steps`, or when its state can no longer be computed (`diverged`).
@@ -57,7 +61,7 @@ impl HexapodLegs {
             Column::each(joints, "joint speed", "rad/s", JOINT_SPEED),
             Column::each(joints, "joint torque", "N·m", options.torque_limit),
             Column::each(joints, "previous action", "1", 1.0),
-            vec![locomotion::speed_column(), Column::new("commanded yaw speed", "rad/s", -MAX_TURN, MAX_TURN)],
+            locomotion::command_columns(),
         ];
         let info = locomotion::info_columns();
         let spec = Spec {
@@ -104,8 +108,7 @@ impl Task for HexapodLegs {
             rest[2 * joints + i] = state.torques[i] as f32;
             rest[3 * joints + i] = last_action[i];
         }
-        rest[4 * joints] = goal.speed as f32;
-        rest[4 * joints + 1] = goal.turn as f32;
+        locomotion::observe_command(goal, &mut rest[4 * joints..]);
     }
 
     fn judge(&self, transition: &Transition, info: &mut [f32]) -> bool {

@@ -1,6 +1,6 @@
 //! What every walking task shares: reward terms, how episodes begin and end, and the base's part of the observation.
 
-use super::options::{MAX_COMMAND, TaskOptions, Weights};
+use super::options::{MAX_COMMAND, MAX_TURN, TaskOptions, Weights};
 use super::random::Random;
 use super::spec::Column;
 use super::task::{Goal, Setup, Transition};
@@ -39,9 +39,47 @@ pub fn observe_base(state: &State, row: &mut [f32]) {
     row.iter_mut().zip(vectors.as_flattened()).for_each(|(out, v)| *out = *v as f32);
 }
 
-/// Commanded forward speed.
-pub fn speed_column() -> Column {
-    Column::new("commanded speed", "m/s", -MAX_COMMAND, MAX_COMMAND)
+/// What is commanded.
+pub fn command_columns() -> Vec<Column> {
+    vec![
+        Column::new("commanded speed", "m/s", -MAX_COMMAND, MAX_COMMAND),
+        Column::new("commanded yaw speed", "rad/s", -MAX_TURN, MAX_TURN),
+    ]
+}
+
+/// Fills [`command_columns`].
+pub fn observe_command(goal: &Goal, row: &mut [f32]) {
+    row.copy_from_slice(&[goal.speed as f32, goal.turn as f32]);
+}
+
+/// Where the base's x axis points along the surface: cosine and sine of its heading.
+pub fn heading(state: &State) -> [f64; 2] {
+    let rotation = state.rotation();
+    direction([rotation[0][0], rotation[1][0]]).unwrap_or([1.0, 0.0])
+}
+
+/// A vector's direction, unless it has none.
+fn direction([x, y]: [f64; 2]) -> Option<[f64; 2]> {
+    let norm = x.hypot(y);
+    (norm > 1e-9).then(|| [x / norm, y / norm])
+}
+
+/// Mean velocity of the base's centre over a step, forward and to the left [m/s]: its displacement, seen in the heading
+/// halfway between before and after. A robot that cannot observe its heading can follow this. legged_gym
+/// (`_reward_tracking_lin_vel`, base frame) and Isaac Lab (`track_lin_vel_xy_yaw_frame_exp`) pay it too.
+fn heading_velocity(t: &Transition) -> [f64; 2] {
+    let [before, after] = [t.before, t.after].map(heading);
+    // After half a turn within the step there is no halfway.
+    let [cos, sin] = direction([before[0] + after[0], before[1] + after[1]]).unwrap_or(after);
+    let [x, y] = [0, 1].map(|i| (t.after.position[i] - t.before.position[i]) / t.period);
+    [cos * x + sin * y, cos * y - sin * x]
+}
+
+/// What a deviation of `x` tolerances costs: x² where it is small, 2 |x| where it is large (pseudo-Huber loss: Charbonnier
+/// et al. 1994; Barron, CVPR 2019, eq. 1 with α = 1, doubled). Our choice: a bounded cost makes everything beyond its bound
+/// free, and squares of what a tumbling robot does would swamp all other terms.
+fn cost(x: f64) -> f64 {
+    2.0 * ((1.0 + x * x).sqrt() - 1.0)
 }
 
 /// Weighted reward terms, then figures of the step.
@@ -50,6 +88,7 @@ pub fn info_columns() -> Vec<Column> {
     let terms: Vec<_> = terms.iter().map(|t| Column::free(format!("reward_{}", t.name), "1")).collect();
     let figures = [
         Column::free("speed", "m/s"),
+        Column::free("x_velocity", "m/s"),
         Column::free("commanded_speed", "m/s"),
         Column::new("work", "J", 0.0, f64::INFINITY),
         Column::new("weight", "N", 0.0, f64::INFINITY),
@@ -72,25 +111,18 @@ pub fn begin(setup: &Setup, random: &mut Random) -> (State, Goal) {
 
 /// Fills an info row and says whether the robot flipped or is buried.
 pub fn judge(weights: &Weights, t: &Transition, info: &mut [f32]) -> bool {
-    let speed = (t.after.position[0] - t.before.position[0]) / t.period;
-    let lateral = (t.after.position[1] - t.before.position[1]) / t.period;
+    let [forward, left] = heading_velocity(t);
     let work = t.after.work - t.before.work;
-    let changes = t.action.iter().zip(t.previous_action).map(|(a, b)| f64::from(a - b).powi(2));
-    let terms = [
-        (-((speed - t.goal.speed) / 0.1).powi(2)).exp(),
-        -(lateral / 0.1).powi(2).min(1.0),
-        -(t.after.angular_velocity[2] - t.goal.turn).powi(2).min(1.0),
-        -(work / t.period).min(1.0),
-        -changes.sum::<f64>() / t.action.len() as f64,
-    ];
     let up = t.after.rotation()[2][2];
     let (flipped, buried) = (up < 0.0, t.after.position[2] < BURIED);
-    let flag = |b: bool| f32::from(u8::from(b));
-    let (rewards, figures) = info.split_at_mut(terms.len());
-    let weighted = terms.iter().zip(weights.values());
+    let terminated = !t.diverged && (flipped || buried);
+    let (rewards, figures) = info.split_at_mut(weights.values().len());
+    let weighted = terms(t, forward, left, work, terminated).into_iter().zip(weights.values());
     rewards.iter_mut().zip(weighted).for_each(|(out, (term, w))| *out = (term * w) as f32);
+    let flag = |b: bool| f32::from(u8::from(b));
     figures.copy_from_slice(&[
-        speed as f32,
+        forward as f32,
+        ((t.after.position[0] - t.before.position[0]) / t.period) as f32,
         t.goal.speed as f32,
         work as f32,
         (t.model.total_mass() * GRAVITY) as f32,
@@ -98,5 +130,20 @@ pub fn judge(weights: &Weights, t: &Transition, info: &mut [f32]) -> bool {
         flag(buried),
         flag(t.diverged),
     ]);
-    !t.diverged && (flipped || buried)
+    terminated
+}
+
+/// The reward's terms, in the order of [`Weights`].
+fn terms(t: &Transition, forward: f64, left: f64, work: f64, terminated: bool) -> [f64; 7] {
+    let changes = t.action.iter().zip(t.previous_action).map(|(a, b)| f64::from(a - b).powi(2));
+    let ended = f64::from(u8::from(terminated));
+    [
+        (-((forward - t.goal.speed) / 0.1).powi(2)).exp(),
+        -cost(left / 0.1),
+        -cost(t.after.angular_velocity[2] - t.goal.turn),
+        -work / t.period,
+        -changes.sum::<f64>() / t.action.len() as f64,
+        1.0 - ended,
+        -ended,
+    ]
 }

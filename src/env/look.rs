@@ -4,11 +4,12 @@ use super::shard::{Episode, Shard};
 use super::spec::Spec;
 use super::task::Goal;
 use crate::sim::{Model, State};
+use std::sync::Arc;
 
 /// Where an environment stands after its last reset or step, and what its task said of that step.
 pub struct Look<'a> {
     pub spec: &'a Spec,
-    pub model: &'a Model,
+    pub model: &'a Arc<Model>,
     pub state: &'a State,
     pub goal: &'a Goal,
     /// Share of fresh ground's stress that each leg finds; empty where all is fresh.
@@ -40,7 +41,7 @@ impl Shard {
         let (width, paid) = (spec.info.len(), f32::from(u8::from(rewarded)));
         Look {
             spec,
-            model: goal.model.as_deref().unwrap_or(&setup.model),
+            model: goal.model.as_ref().unwrap_or(&setup.model),
             state: if old.is_some() { &episode.before } else { after },
             goal,
             footing: goal.ground.as_ref().map_or(&[], |g| &g.footing),

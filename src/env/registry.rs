@@ -49,6 +49,7 @@ const KINDS: [Kind; Keywords::ALL.len()] = [
         keywords: &keywords::ROCKS,
         defaults: || TaskOptions {
             engine: EngineKind::Rapier,
+            dt: EngineKind::Rapier.default_dt(),
             control: Some(Control::HipSpeed),
             rocks: Some(RockOptions::default()),
             ..Default::default()
@@ -101,10 +102,23 @@ pub const TASK_IDS: [&str; Keywords::ALL.len()] = {
     ids
 };
 
+/// Why there is no task `id`: it is an earlier version of another, or nothing at all.
+fn no_task(id: &str) -> Error {
+    let version = |id: &str| id.rsplit_once("-v").and_then(|(name, v)| Some((name.to_owned(), v.parse::<u32>().ok()?)));
+    let earlier = |new: &&&str| match (version(id), version(new)) {
+        (Some((old, v)), Some((name, w))) => old == name && v < w,
+        _ => false,
+    };
+    match TASK_IDS.iter().find(earlier) {
+        Some(new) => Error::Replaced { what: "task", name: id.into(), new: (*new).into() },
+        None => Error::unknown("task", id, &TASK_IDS),
+    }
+}
+
 impl Blueprint {
     /// Task `id` with the keywords in `options` (a JSON object; null for defaults).
     pub fn new(id: &str, options: Value) -> Result<Self> {
-        let kind = KINDS.iter().find(|k| k.keywords.task == id).ok_or_else(|| Error::unknown("task", id, &TASK_IDS))?;
+        let kind = KINDS.iter().find(|k| k.keywords.task == id).ok_or_else(|| no_task(id))?;
         let options = (kind.defaults)().with(options, |name| kind.keywords.check(name))?;
         let engine = options.engine;
         if engine == EngineKind::Carriage && kind.keywords.has("engine") {

@@ -1,6 +1,7 @@
-//! `sandgait/HexapodRocks-v0`: HexapodGait among rocks and steps that are drawn anew for every episode.
+//! `sandgait/HexapodRocks-v1`: HexapodGait among rocks and steps that are drawn anew for every episode.
 
 use super::gait::HexapodGait;
+use super::locomotion;
 use super::options::{RockOptions, keywords};
 use super::random::Random;
 use super::spec::{Column, Spec};
@@ -24,7 +25,7 @@ const CLEAR: f64 = 0.15;
 const TRIES: usize = 20;
 
 /// Corners of a rock: enough to look irregular.
-const CORNERS: usize = 12;
+pub(super) const CORNERS: usize = 12;
 
 /// Height scan: points ahead and to the sides of the base's centre [m], in its heading; from behind the base to two
 /// thirds of a body length before it.
@@ -95,7 +96,7 @@ fn rock(radius: f64, random: &mut Random) -> Shape {
 const ABOUT: &str = "\
 HexapodGait on a field of obstacles that is drawn anew for every episode: rocks that are fixed in the sand, steps, and loose
 rocks that the robot pushes and the sand holds. The observation ends with a scan of heights around the base. Rigid contacts
-are rapier's; see HexapodGait-v0 for `control`, for how episodes end, and for the cost of transport.";
+are rapier's; see HexapodGait-v1 for `control`, for how episodes end, and for the cost of transport.";
 
 /// The task; what it shares with HexapodGait is that task's own.
 pub struct HexapodRocks {
@@ -133,9 +134,7 @@ fn scan_points() -> impl Iterator<Item = [f64; 2]> {
 
 /// Heights of obstacles over the sand [m] at the scan's points, 0 where there is only sand.
 fn scan(model: &Model, state: &State, row: &mut [f32]) {
-    let rotation = state.rotation();
-    let norm = rotation[0][0].hypot(rotation[1][0]).max(1e-9);
-    let [cos, sin] = [rotation[0][0] / norm, rotation[1][0] / norm];
+    let [cos, sin] = locomotion::heading(state);
     let poses = obstacle_poses(model, state);
     let reach = SCAN_X[SCAN_X.len() - 1].hypot(SCAN_Y[0]);
     let near: Vec<(&Solid, _)> = model

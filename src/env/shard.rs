@@ -171,13 +171,18 @@ impl Shard {
         self.episodes.iter().all(|e| e.steps == 0)
     }
 
-    /// Begins new episodes where `chosen` says so, with `setup` in place of the environment's own if it is given.
+    /// Begins new episodes where `chosen` says so, with `setup` of an environment in place of its own where there is one.
     /// With `seeds` the environments' streams of random numbers start anew, without they go on.
-    pub fn reset(&mut self, chosen: impl Fn(usize) -> bool, seeds: Option<&[u64]>, setup: Option<&Setup>) {
+    pub fn reset<'a>(
+        &mut self,
+        chosen: impl Fn(usize) -> bool,
+        seeds: Option<&[u64]>,
+        setup: impl Fn(usize) -> Option<&'a Setup>,
+    ) {
         self.rows.clear();
         for i in (0..self.episodes.len()).filter(|i| chosen(*i)) {
             let episode = &mut self.episodes[i];
-            if let Some(setup) = setup {
+            if let Some(setup) = setup(i) {
                 episode.stale = true;
                 episode.setup = setup.clone();
             }

@@ -4,10 +4,12 @@
 //! that was saved, in any lane of any batch of the same task.
 
 use super::ground::Ground;
+use super::rocks::CORNERS;
 use super::shard::{Episode, Shard};
 use super::task::{Goal, Setup};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, check_range};
 use crate::sim::model::Scene;
+use crate::sim::obstacle::{Obstacle, Shape};
 use crate::sim::{Model, Robot, State};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -46,15 +48,17 @@ impl Resumed {
     /// Checks that `saved` can go on with `setup` in a task of `actions` actions.
     pub fn new(saved: &SavedEpisode, setup: &Setup, actions: usize) -> Result<Self> {
         let unfit = |why: &str| Error::invalid("snapshot", format!("an environment does not suit this task: {why}"));
-        let model = match saved.drawn.as_deref() {
-            Some((robot, scene)) => Some(Arc::new(Model::new(robot, scene)?)),
-            None => None,
-        };
+        let model = saved.drawn.as_deref().map(|(robot, scene)| drawn(robot, scene, setup)).transpose();
+        let model = model.map_err(|e| unfit(&e.to_string()))?.map(Arc::new);
+        if model.is_some() != (setup.options.rocks.is_some() || setup.options.randomize.is_some()) {
+            return Err(unfit("its robot and sand"));
+        }
         let joints = setup.model.joints();
-        let state = State::from_row(joints, &saved.state).filter(State::is_sound).ok_or_else(|| unfit("its state"))?;
+        let state =
+            State::from_row(joints, &saved.state).filter(State::is_possible).ok_or_else(|| unfit("its state"))?;
         let loose = model.as_deref().unwrap_or(&setup.model).objects_at_rest().len();
-        if model.as_ref().is_some_and(|m| m.joints() != joints) || state.objects.len() != loose {
-            return Err(unfit("its robot or its rocks"));
+        if state.objects.len() != loose {
+            return Err(unfit("its rocks"));
         }
         if saved.last_action.len() != actions || !saved.last_action.iter().all(|a| (-1.0..=1.0).contains(a)) {
             return Err(unfit("its last action"));
@@ -64,12 +68,13 @@ impl Resumed {
         if saved.ground.is_some() != grounded || saved.ground.as_ref().is_some_and(|g| !g.is_sound(legs)) {
             return Err(unfit("its ground"));
         }
-        if grounded && model.is_none() {
-            return Err(unfit("its sand"));
-        }
         let [speed, turn] = saved.goal;
-        if !(speed.is_finite() && turn.is_finite()) {
+        if !saved.goal.iter().all(|g| g.abs() < 1e3) {
             return Err(unfit("its goal"));
+        }
+        // Both are counted up from 0.
+        if saved.steps > setup.options.max_episode_steps || saved.number > u64::MAX / 2 {
+            return Err(unfit("its counters"));
         }
         Ok(Self {
             setup: setup.clone(),
@@ -81,6 +86,34 @@ impl Resumed {
             last_action: saved.last_action.clone(),
         })
     }
+}
+
+/// The model of an episode that drew some of it. Masses, sand and slope are checked like any other input; whatever its size
+/// in memory depends on must be as `setup` has it.
+fn drawn(robot: &Robot, scene: &Scene, setup: &Setup) -> Result<Model> {
+    let own = &setup.model;
+    if !robot.is_variant_of(&own.robot) {
+        return Err(Error::invalid("robot", "not the session's"));
+    }
+    robot.validate()?;
+    let mut same = own.scene.clone();
+    same.medium.coefficients = scene.medium.coefficients;
+    (same.slope_deg, same.payload, same.mechanisms) = (scene.slope_deg, scene.payload, scene.mechanisms);
+    same.obstacles.clone_from(&scene.obstacles);
+    if same != *scene {
+        return Err(Error::invalid("scene", "not the session's"));
+    }
+    // The largest that options allow, times the largest ζ of a patch.
+    for c in scene.medium.coefficients.to_array() {
+        check_range("coefficients", c, -1e9..=1e9)?;
+    }
+    let most = setup.options.rocks.map_or(0, |rocks| rocks.count);
+    check_range("number of rocks", scene.obstacles.len() as f64, 0.0..=most as f64)?;
+    let corners = |o: &Obstacle| if let Shape::Hull { points } = &o.shape { points.len() } else { 0 };
+    if scene.obstacles.iter().any(|o| corners(o) > CORNERS) {
+        return Err(Error::invalid("rocks", format!("one has more than {CORNERS} corners")));
+    }
+    Model::new(robot, scene)
 }
 
 impl Shard {
@@ -124,5 +157,137 @@ impl Shard {
         episode.last_action.clone_from(last_action);
         self.engine.set_model(i, goal.model.as_ref().unwrap_or(&setup.model));
         self.take_up(i);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::env::registry::{Blueprint, TASK_IDS};
+    use serde_json::Value;
+
+    /// An environment of each task after some steps.
+    fn saved() -> Vec<(Blueprint, SavedEpisode)> {
+        let one = |id: &&str| {
+            let blueprint = Blueprint::new(id, Value::Null).unwrap();
+            let mut shard = Shard::new(&blueprint, 1).unwrap();
+            shard.reset(|_| true, Some(&[3]), |_| None);
+            (0..5).for_each(|_| shard.step(&vec![0.3; blueprint.task.spec().action.len()]));
+            let saved = shard.save(0);
+            (blueprint, saved)
+        };
+        TASK_IDS.iter().map(one).collect()
+    }
+
+    fn resume(blueprint: &Blueprint, saved: &SavedEpisode) -> Result<Resumed> {
+        Resumed::new(saved, &blueprint.setup, blueprint.task.spec().action.len())
+    }
+
+    type Change = (&'static str, fn(&mut Robot, &mut Scene));
+
+    /// What an episode cannot have drawn.
+    const CRAFTED: [Change; 20] = [
+        ("many plates", |r, _| r.belly.iter_mut().for_each(|b| b.plates = [6000, 6000])),
+        ("more plates than memory", |r, _| r.belly.iter_mut().for_each(|b| b.plates = [100_000, 100_000])),
+        ("one plate more", |r, _| r.belly.iter_mut().for_each(|b| b.plates[0] += 1)),
+        ("no plates", |r, _| r.belly.iter_mut().for_each(|b| b.plates = [0, 0])),
+        ("a long name", |r, _| r.name = "x".repeat(100_000)),
+        ("segments", |r, _| r.leg.link.iter_mut().filter_map(|l| l.sand.as_mut()).for_each(|s| s.segments = 1 << 40)),
+        ("one segment more", |r, _| {
+            r.leg.link.iter_mut().filter_map(|l| l.sand.as_mut()).for_each(|s| s.segments += 1)
+        }),
+        ("a shape", |r, _| r.leg.link.iter_mut().filter_map(|l| l.sand.as_mut()).for_each(|s| s.shape = "C".into())),
+        ("a hip more", |r, _| r.hip.push(r.hip[0].clone())),
+        ("no hips", |r, _| r.hip.clear()),
+        ("another link", |r, _| r.leg.link.push(r.leg.link[0].clone())),
+        ("no mass", |r, _| r.base.mass = f64::NAN),
+        ("a light link", |r, _| r.leg.link[0].mass = 0.0),
+        ("a servo without end", |r, _| r.servo.kp = f64::INFINITY),
+        ("a steep slope", |_, s| s.slope_deg = 80.0),
+        ("a time step", |_, s| s.dt = 1e-6),
+        ("a payload", |_, s| s.payload = -1.0),
+        ("sand like diamond", |_, s| s.medium.coefficients = s.medium.coefficients.scaled(1e12)),
+        ("a name of sand", |_, s| s.medium.name = "x".repeat(100_000)),
+        ("walls", |_, s| s.obstacles = vec![Obstacle::block([9.0; 2], [0.1; 2], 0.1, 0.0); 257]),
+    ];
+
+    #[test]
+    fn a_crafted_robot_is_refused_in_every_task() {
+        for (blueprint, honest) in saved() {
+            resume(&blueprint, &honest).unwrap();
+            let id = blueprint.task.spec().id;
+            let own = || Box::new((blueprint.setup.model.robot.clone(), blueprint.setup.model.scene.clone()));
+            for (what, change) in CRAFTED {
+                let mut crafted = honest.clone();
+                let drawn = crafted.drawn.get_or_insert_with(own);
+                if what.contains("plate") && drawn.0.belly.is_none() {
+                    continue;
+                }
+                let before = drawn.clone();
+                change(&mut drawn.0, &mut drawn.1);
+                if *drawn == before {
+                    // LegStroke's leg has this shape; with a robot drawn it is refused all the same.
+                    assert_eq!(id, crate::env::stroke::LegStroke::ID, "{what}");
+                }
+                let error = resume(&blueprint, &crafted).err().unwrap_or_else(|| panic!("{id}: {what} is taken"));
+                assert!(
+                    error.to_string().starts_with("snapshot: an environment does not suit"),
+                    "{id}: {what}: {error}"
+                );
+            }
+            let swapped = SavedEpisode { drawn: honest.drawn.clone().xor(Some(own())), ..honest.clone() };
+            assert!(resume(&blueprint, &swapped).is_err(), "{id}");
+        }
+    }
+
+    #[test]
+    fn rocks_are_no_more_than_the_session_draws() {
+        let (blueprint, honest) = saved().into_iter().find(|(b, _)| b.setup.options.rocks.is_some()).unwrap();
+        let with = |change: &dyn Fn(&mut Vec<Obstacle>)| {
+            let mut crafted = honest.clone();
+            change(&mut crafted.drawn.as_mut().unwrap().1.obstacles);
+            resume(&blueprint, &crafted).is_ok()
+        };
+        let fixed = || Obstacle::block([9.0; 2], [0.1; 2], 0.1, 0.0);
+        assert!(with(&|_| ()));
+        assert!(!with(&|all| all.resize(17, fixed())), "the options say 16");
+        let hull = |corners| {
+            let point = |k: usize| [(k as f64).sin(), (k as f64).cos(), (k as f64 * 0.7).sin()].map(|c| 0.01 * c);
+            let points = (0..corners).map(point).collect();
+            Obstacle::fixed(Shape::Hull { points }, [9.0, 0.0, 0.0])
+        };
+        let last_fixed = |all: &[Obstacle]| all.iter().rposition(|o| !o.moves()).unwrap();
+        assert!(with(&|all| {
+            let k = last_fixed(all);
+            all[k] = hull(12);
+        }));
+        assert!(!with(&|all| {
+            let k = last_fixed(all);
+            all[k] = hull(64);
+        }));
+    }
+
+    #[test]
+    fn other_impossible_episodes() {
+        type Change = (&'static str, fn(&mut SavedEpisode));
+        let wrong: [Change; 10] = [
+            ("orientation", |s| s.state[3..7].fill(0.0)),
+            ("position", |s| s.state[0] = f64::NAN),
+            ("references", |s| *s.state.last_mut().unwrap() = f64::INFINITY),
+            ("work", |s| s.state[13] = f64::NAN),
+            ("length", |s| s.state.push(0.0)),
+            ("steps", |s| s.steps = u32::MAX),
+            ("number", |s| s.number = u64::MAX),
+            ("goal", |s| s.goal[0] = 1e300),
+            ("action", |s| s.last_action[0] = 2.0),
+            ("actions", |s| s.last_action.push(0.0)),
+        ];
+        for (blueprint, honest) in saved() {
+            for (what, change) in wrong {
+                let mut crafted = honest.clone();
+                change(&mut crafted);
+                assert!(resume(&blueprint, &crafted).is_err(), "{}: {what}", blueprint.task.spec().id);
+            }
+        }
     }
 }

@@ -55,7 +55,7 @@ pub struct Term {
 /// Everything about a task's rows that does not change while it runs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Spec {
-    /// For example `sandgait/HexapodGait-v0`.
+    /// For example `sandgait/HexapodGait-v1`.
     pub id: &'static str,
     pub summary: String,
     /// For the task's page, in Markdown: what an episode is, how it ends, what its figures are good for.

@@ -50,7 +50,7 @@ impl Setup {
     /// This setup with a reset's changes.
     pub fn changed(&self, reset: &ResetOptions) -> Result<Self> {
         reset.given().iter().try_for_each(|name| self.keywords.check(name))?;
-        self.with(self.options.changed(reset))
+        self.with(self.options.changed(reset)?)
     }
 }
 

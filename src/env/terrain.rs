@@ -1,4 +1,4 @@
-//! `sandgait/HexapodTerrain-v0`: HexapodGait where sand, slope, load and motors are drawn for every episode, the sand
+//! `sandgait/HexapodTerrain-v1`: HexapodGait where sand, slope, load and motors are drawn for every episode, the sand
 //! changes along the way, and the robot is sent back over ground that it has used.
 
 use super::gait::HexapodGait;
@@ -9,9 +9,9 @@ use super::spec::{Column, Spec};
 use super::task::{Goal, Setup, Task, Transition};
 use crate::error::{Error, Result};
 use crate::sand::Medium;
+use crate::sim::State;
 use crate::sim::engine::Command;
 use crate::sim::model::Scene;
-use crate::sim::{Model, Robot, State};
 use std::sync::Arc;
 
 /// What one episode drew that its model holds.
@@ -22,9 +22,11 @@ struct Draw {
 }
 
 impl Randomize {
-    /// Draws an episode's quantities, always as many numbers in the same order, for a robot with `legs` legs.
-    fn draw(&self, options: &TaskOptions, difficulty: f64, legs: usize, random: &mut Random) -> (Draw, Ground) {
-        let ranges = self.quantities(options.slope_deg).map(|Quantity { range, neutral, .. }| {
+    /// Draws an episode's quantities, always as many numbers in the same order, for a robot with `legs` legs that is told to
+    /// go at `speed` [m/s].
+    fn draw(&self, options: &TaskOptions, speed: f64, legs: usize, random: &mut Random) -> (Draw, Ground) {
+        let difficulty = options.difficulty.unwrap_or(1.0);
+        let ranges = self.quantities(options.slope_deg, options.payload).map(|Quantity { range, neutral, .. }| {
             range.map(|end| neutral.map_or(end, |neutral| neutral + difficulty * (end - neutral)))
         });
         let [zeta, patch_length, slope_deg, payload, torque_limit, footprint, turning_point] = ranges;
@@ -38,7 +40,8 @@ impl Randomize {
             patch: 0,
             standing: vec![None; legs],
             footing: vec![1.0; legs],
-            returning: 0.0,
+            outward: if speed < 0.0 { -1.0 } else { 1.0 },
+            returning: false,
             prints: Vec::new(),
         };
         (draw, ground)
@@ -57,11 +60,11 @@ patches are no shorter than the robot by default, and the engine holds one sand 
 **Ground is remembered.** Where a leg's tip went into the sand it leaves a print when it comes out; a leg that goes in at the
 distance d from the nearest print finds, for as long as it stands, 1 − κ e^(−d/3 cm) of fresh ground's stress (mechanism
 `footprint`; `info` has the mean over legs as `footing`). The last 512 prints count, whichever leg made them. The belly leaves
-none. Beyond `turning_point` from where it started, the commanded speed turns round, and again when the robot is back, so it
-walks over its own prints. A clock does not walk backward: give it a far `turning_point`.
+none. Beyond `turning_point` from where it started, in the direction along x of its first command, the commanded speed turns
+round, and again when the robot is back, so it walks over its own prints; slipping the other way turns nothing. A clock does not walk backward: give it a far `turning_point`.
 
 **Curriculum.** `difficulty` from 0 to 1 scales the ranges of ζ, slope, payload, motors and κ from nothing to all of
-`randomize`; a reset may change both. See HexapodGait-v0 for `control`, for how episodes end, and for the cost of transport.";
+`randomize`; a reset may change both. See HexapodGait-v1 for `control`, for how episodes end, and for the cost of transport.";
 
 /// The task; what it shares with HexapodGait is that task's own.
 pub struct HexapodTerrain {
@@ -99,15 +102,6 @@ impl HexapodTerrain {
     }
 }
 
-/// The robot and scene of `setup`'s options with what an episode drew.
-fn drawn(setup: &Setup, draw: &Draw) -> (Robot, Scene) {
-    let (mut robot, mut scene) = (setup.model.robot.clone(), setup.model.scene.clone());
-    robot.servo.torque_limit = robot.servo.torque_limit.map(|limit| limit * draw.torque_limit);
-    scene.slope_deg += draw.slope_deg;
-    scene.payload += draw.payload;
-    (robot, scene)
-}
-
 /// The sand of the patch in force.
 fn sand(setup: &Setup, ground: &Ground) -> Medium {
     let own = &setup.model.scene.medium;
@@ -122,13 +116,12 @@ impl Task for HexapodTerrain {
     fn begin(&self, setup: &Setup, random: &mut Random) -> (State, Goal) {
         let (state, goal) = self.gait.begin(setup, random);
         let (options, legs) = (&setup.options, setup.model.legs.len());
-        let difficulty = options.difficulty.unwrap_or(1.0);
-        let (draw, ground) = options.randomize.unwrap_or_default().draw(options, difficulty, legs, random);
-        let (robot, mut scene) = drawn(setup, &draw);
-        scene.medium = sand(setup, &ground);
-        // What `draw` makes is within every range that was checked with the options.
-        let model = Model::new(&robot, &scene).map_or_else(|_| setup.model.clone(), Arc::new);
-        (state, Goal { model: Some(model), ground: Some(ground), ..goal })
+        let (draw, ground) = options.randomize.unwrap_or_default().draw(options, goal.speed, legs, random);
+        let Scene { slope_deg, payload, .. } = setup.model.scene;
+        let mut model = setup.model.with_medium(sand(setup, &ground));
+        model.set_load(slope_deg + draw.slope_deg, payload + draw.payload);
+        model.weaken_motors(draw.torque_limit);
+        (state, Goal { model: Some(Arc::new(model)), ground: Some(ground), ..goal })
     }
 
     fn command(&self, action: &[f32], state: &State, command: &mut Command) {

@@ -7,7 +7,7 @@ use crate::sim::feet::feet;
 /// Where the figures of a step stand in an info row.
 #[derive(Clone, Copy)]
 pub struct Columns {
-    speed: usize,
+    x_velocity: usize,
     commanded_speed: usize,
     work: usize,
     diverged: usize,
@@ -21,7 +21,7 @@ impl Columns {
             at.ok_or_else(|| Error::invalid("task", format!("{} has no {name}: it is no walking task", spec.id)))
         };
         Ok(Self {
-            speed: place("speed")?,
+            x_velocity: place("x_velocity")?,
             commanded_speed: place("commanded_speed")?,
             work: place("work")?,
             diverged: place("diverged")?,
@@ -77,7 +77,7 @@ impl Episode {
         let figure = |column: usize| f64::from(rows.infos[i * info + column]);
         self.total_reward += f64::from(rows.rewards[i]);
         self.time += period;
-        self.distance += figure(columns.speed) * period;
+        self.distance += figure(columns.x_velocity) * period;
         self.commanded += figure(columns.commanded_speed) * period;
         self.work += figure(columns.work);
         self.fell = rows.terminated[i] > 0;

@@ -55,7 +55,7 @@ fn block(job: &Job, seeds: &[u64], heed: &dyn Fn() -> Result<()>) -> Result<(usi
     let spec = job.blueprint.task.spec();
     let (columns, period) = (Columns::of(spec)?, 1.0 / spec.control_rate);
     let mut shard = Shard::new(job.blueprint, seeds.len())?;
-    shard.reset(|_| true, Some(seeds), None);
+    shard.reset(|_| true, Some(seeds), |_| None);
     let mut player = job.gait.player(seeds);
     let mut actions = vec![0.0; seeds.len() * spec.action.len()];
     let mut episodes: Vec<_> = seeds.iter().map(|seed| Episode { seed: *seed, ..Episode::default() }).collect();

@@ -7,6 +7,9 @@ use crate::env::task::Setup;
 use crate::env::{Look, ResetOptions, Shard, Spec, Task};
 use crate::error::{Error, Result, check_range};
 use crate::policy::Network;
+use crate::sim::Model;
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::sync::Arc;
 
 /// The environments of one session. `Pool::run` takes it and gives it back.
@@ -20,10 +23,24 @@ pub struct Batch {
 
 /// A checked request; only [`Batch`] makes one, so a pool never sees a malformed one.
 pub enum Operation {
-    Reset { chosen: Option<Vec<bool>>, seeds: Option<Vec<u64>>, setup: Option<Box<Setup>> },
+    Reset { chosen: Option<Vec<bool>>, seeds: Option<Vec<u64>>, setups: Option<Setups> },
     Step { actions: Vec<f32>, held: Option<Vec<bool>> },
     Restore { episodes: Vec<Arc<Resumed>> },
     Roll(Roll),
+}
+
+/// What a reset makes of the setups of those that it begins anew.
+pub struct Setups {
+    /// Each different one once.
+    all: Vec<Setup>,
+    /// Which of them an environment gets; none for those that are not chosen.
+    of: Vec<Option<u32>>,
+}
+
+impl Setups {
+    fn get(&self, env: usize) -> Option<&Setup> {
+        self.all.get(self.of[env]? as usize)
+    }
 }
 
 /// Some steps of a rollout.
@@ -96,8 +113,8 @@ impl Batch {
         &self.shards
     }
 
-    /// Checks a reset: `chosen` and `seeds` have one entry an environment if given, and the options suit the
-    /// session's task.
+    /// Checks a reset: `chosen` and `seeds` have one entry an environment if given, and the options, which change those
+    /// that each chosen environment has now, suit all of these.
     pub fn reset(
         &mut self,
         chosen: Option<Vec<bool>>,
@@ -110,12 +127,35 @@ impl Batch {
         };
         chosen.as_ref().map_or(Ok(()), |c| count("mask", c.len()))?;
         seeds.as_ref().map_or(Ok(()), |s| count("seeds", s.len()))?;
-        let setup =
-            if options == ResetOptions::default() { None } else { Some(Box::new(self.setup.changed(&options)?)) };
+        let changes = options != ResetOptions::default();
+        let setups = changes.then(|| self.changed(chosen.as_deref(), &options)).transpose()?;
         for (i, begun) in self.begun.iter_mut().enumerate() {
             *begun |= chosen.as_ref().is_none_or(|c| c[i]);
         }
-        Ok(Operation::Reset { chosen, seeds, setup })
+        Ok(Operation::Reset { chosen, seeds, setups })
+    }
+
+    /// What `options` make of the setups of those that are `chosen`. Environments that share a setup go on sharing one.
+    fn changed(&self, chosen: Option<&[bool]>, options: &ResetOptions) -> Result<Setups> {
+        let mut setups = Setups { all: Vec::new(), of: Vec::with_capacity(self.envs) };
+        let mut known: HashMap<*const Model, u32> = HashMap::new();
+        let own = self.shards.iter().flat_map(|shard| (0..shard.envs()).map(|i| shard.setup(i)));
+        for (env, old) in own.enumerate() {
+            if chosen.is_some_and(|chosen| !chosen[env]) {
+                setups.of.push(None);
+                continue;
+            }
+            // A setup's model is made with its options, so one stands for the other.
+            let index = match known.entry(Arc::as_ptr(&old.model)) {
+                Entry::Occupied(known) => *known.get(),
+                Entry::Vacant(new) => {
+                    setups.all.push(old.changed(options)?);
+                    *new.insert(setups.all.len() as u32 - 1)
+                }
+            };
+            setups.of.push(Some(index));
+        }
+        Ok(setups)
     }
 
     /// Checks a step: `actions` is f32 [envs, action], each number within its column's bounds.
@@ -123,11 +163,16 @@ impl Batch {
         self.check_begun("step")?;
         let width = self.spec().action.len();
         if actions.len() != self.envs * width {
-            let (got, n) = (actions.len(), self.envs);
-            return Err(Error::invalid("actions", format!("{got} numbers, expected {} = [{n}, {width}]", n * width)));
+            return Err(self.wrong_actions(actions.len()));
         }
         self.check_actions(&actions, |row| format!("actions[{row}]"))?;
         Ok(Operation::Step { actions, held: None })
+    }
+
+    /// What is said of a step's actions if there are `got` numbers, which is not their number.
+    pub fn wrong_actions(&self, got: usize) -> Error {
+        let (n, width) = (self.envs, self.spec().action.len());
+        Error::invalid("actions", format!("{got} numbers, expected {} = [{n}, {width}]", n * width))
     }
 
     /// [`Batch::step`] of some: environments that `held` names stay as they are, whatever their actions.
@@ -147,6 +192,13 @@ impl Batch {
         let episodes = self.resumed(snapshot, sources)?;
         self.begun.fill(true);
         Ok(Operation::Restore { episodes })
+    }
+
+    /// What puts every environment back to where it is now.
+    pub fn keep(&self) -> Result<Operation> {
+        self.check_begun("rollout")?;
+        let all = self.shards.iter().flat_map(|shard| (0..shard.envs()).map(|i| Arc::new(shard.keep(i))));
+        Ok(Operation::Restore { episodes: all.collect() })
     }
 
     /// Checks a rollout of `actions`, f32 [steps, envs, action]; none of its steps are made by what this returns.
@@ -257,10 +309,10 @@ impl Operation {
                     None => shard.step(actions),
                 }
             }
-            Self::Reset { chosen, seeds, setup } => {
+            Self::Reset { chosen, seeds, setups } => {
                 let chosen = |i: usize| chosen.as_ref().is_none_or(|c| c[start + i]);
                 let seeds = seeds.as_ref().map(|s| &s[start..start + envs]);
-                shard.reset(chosen, seeds, setup.as_deref());
+                shard.reset(chosen, seeds, |i| setups.as_ref().and_then(|setups| setups.get(start + i)));
             }
             Self::Restore { episodes } => {
                 shard.rows.clear();

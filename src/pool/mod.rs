@@ -13,10 +13,12 @@
 
 mod batch;
 mod building;
+mod seal;
 mod snapshot;
 mod threads;
 
 pub use batch::{Batch, Operation, Roll};
 pub use building::Building;
+pub use seal::Seal;
 pub use snapshot::Snapshot;
 pub use threads::Pool;

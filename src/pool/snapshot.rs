@@ -1,37 +1,91 @@
 //! A batch as bytes: to keep, to send, to go on with elsewhere.
 //!
 //! ```text
-//!  "sandgait snapshot\n" │ length u8, version of sandgait │ SHA-256 of the rest │ CBOR
+//!  "sandgait snapshot\n" │ length u8, version of sandgait │ tag of the rest │ CBOR
 //! ```
 //!
-//! Bits are promised on one version and one instruction set only, so a snapshot of another version is refused.
+//! The tag is a [`Seal`]'s. Bits are promised on one version and one instruction set only, so a snapshot of another version is
+//! refused. Options and episodes are CBOR inside the CBOR and unpacked one by one, only those that are asked for: however
+//! many a snapshot has, a batch that takes it up needs memory for its own environments.
 
 use super::batch::Batch;
+use super::seal::Seal;
 use crate::env::snapshot::{Resumed, SavedEpisode};
 use crate::env::task::Setup;
 use crate::env::{ResetOptions, TaskOptions};
 use crate::error::{Error, Result};
-use serde::{Deserialize, Serialize};
-use sha2::{Digest as _, Sha256};
+use serde::de::{DeserializeOwned, Visitor};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use std::collections::HashMap;
 use std::sync::Arc;
 
 const MAGIC: &[u8] = b"sandgait snapshot\n";
 const VERSION: &str = env!("CARGO_PKG_VERSION");
-const DIGEST: usize = 32;
+
+/// Longest and shortest part [bytes]. Our choice: twice what the longest options allow, and less than any has, so that very
+/// many empty ones are no small snapshot.
+const PART: std::ops::RangeInclusive<usize> = 64..=1 << 19;
 
 /// Environments in the middle of their episodes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Snapshot {
     pub task: String,
-    /// Each different set of options once.
-    options: Vec<TaskOptions>,
-    /// Which options an environment has, and its episode.
-    episodes: Vec<(u32, SavedEpisode)>,
+    /// Each different set of options once: [`TaskOptions`].
+    options: Vec<Part>,
+    /// Which options an environment has, and its episode: [`SavedEpisode`].
+    episodes: Vec<(u32, Part)>,
 }
+
+/// CBOR that has not been looked into.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+struct Part(Vec<u8>);
 
 fn broken(why: impl std::fmt::Display) -> Error {
     Error::invalid("snapshot", why.to_string())
+}
+
+impl Part {
+    fn pack(whole: &impl Serialize) -> Result<Self> {
+        let mut bytes = Vec::new();
+        ciborium::into_writer(whole, &mut bytes).map_err(|e| broken(format!("cannot be written: {e}")))?;
+        Ok(Self(bytes))
+    }
+
+    fn unpack<T: DeserializeOwned>(&self) -> Result<T> {
+        ciborium::from_reader(&self.0[..]).map_err(|e| broken(format!("it cannot be read: {e}")))
+    }
+}
+
+impl Serialize for Part {
+    fn serialize<S: Serializer>(&self, serializer: S) -> std::result::Result<S::Ok, S::Error> {
+        serializer.serialize_bytes(&self.0)
+    }
+}
+
+impl<'de> Deserialize<'de> for Part {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> std::result::Result<Self, D::Error> {
+        struct Bytes;
+        impl Visitor<'_> for Bytes {
+            type Value = Part;
+
+            fn expecting(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+                write!(f, "{} to {} bytes", PART.start(), PART.end())
+            }
+
+            fn visit_bytes<E: serde::de::Error>(self, bytes: &[u8]) -> std::result::Result<Part, E> {
+                self.visit_byte_buf(bytes.to_vec())
+            }
+
+            fn visit_byte_buf<E: serde::de::Error>(self, bytes: Vec<u8>) -> std::result::Result<Part, E> {
+                match PART.contains(&bytes.len()) {
+                    true => Ok(Part(bytes)),
+                    false => Err(E::invalid_length(bytes.len(), &self)),
+                }
+            }
+        }
+        deserializer.deserialize_byte_buf(Bytes)
+    }
 }
 
 impl Snapshot {
@@ -39,20 +93,14 @@ impl Snapshot {
         self.episodes.len()
     }
 
-    /// The first environment's options: what a session that takes the snapshot up is made with.
-    pub fn options(&self) -> Option<&TaskOptions> {
-        let (index, _) = self.episodes.first()?;
-        self.options.get(*index as usize)
-    }
-
-    pub fn to_bytes(&self) -> Result<Vec<u8>> {
+    pub fn to_bytes(&self, seal: &Seal) -> Result<Vec<u8>> {
         let mut body = Vec::new();
         ciborium::into_writer(self, &mut body).map_err(|e| broken(format!("cannot be written: {e}")))?;
         let length = u8::try_from(VERSION.len()).map_err(broken)?;
-        Ok([MAGIC, &[length], VERSION.as_bytes(), Sha256::digest(&body).as_slice(), &body].concat())
+        Ok([MAGIC, &[length], VERSION.as_bytes(), &seal.tag(&body), &body].concat())
     }
 
-    pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
+    pub fn from_bytes(bytes: &[u8], seal: &Seal) -> Result<Self> {
         let rest = bytes.strip_prefix(MAGIC).ok_or_else(|| broken("this is none of sandgait's"))?;
         let short = || broken("it is cut off");
         let (length, rest) = rest.split_first().ok_or_else(short)?;
@@ -61,10 +109,8 @@ impl Snapshot {
             let version = String::from_utf8_lossy(version);
             return Err(broken(format!("it was taken by sandgait {version:?}, this is {VERSION:?}")));
         }
-        let (digest, body) = rest.split_at_checked(DIGEST).ok_or_else(short)?;
-        if Sha256::digest(body).as_slice() != digest {
-            return Err(broken("it is damaged: its checksum is wrong"));
-        }
+        let (tag, body) = rest.split_first_chunk().ok_or_else(short)?;
+        seal.check(tag, body).map_err(broken)?;
         ciborium::from_reader(body).map_err(|e| broken(format!("it cannot be read: {e}")))
     }
 }
@@ -83,10 +129,10 @@ impl Batch {
                     setups.push(setup);
                     setups.len() - 1
                 });
-                episodes.push((index as u32, shard.save(i)));
+                episodes.push((index as u32, Part::pack(&shard.save(i))?));
             }
         }
-        let options = setups.iter().map(|s| s.options.clone()).collect();
+        let options = setups.iter().map(|s| Part::pack(&s.options)).collect::<Result<_>>()?;
         Ok(Snapshot { task: self.spec().id.into(), options, episodes })
     }
 
@@ -100,18 +146,27 @@ impl Batch {
             let got = sources.map_or(0, <[u32]>::len);
             return Err(Error::invalid("sources", format!("{got} entries for {} environments", self.envs())));
         }
-        let setups = snapshot.options.iter().map(|o| self.setup_of(o)).collect::<Result<Vec<_>>>()?;
-        let resume = |(index, saved): &(u32, SavedEpisode)| {
-            let setup = setups.get(*index as usize).ok_or_else(|| broken("it is inconsistent"))?;
-            Resumed::new(saved, setup, self.spec().action.len()).map(Arc::new)
+        let all = &snapshot.episodes;
+        let mut setups: HashMap<&Part, Setup> = HashMap::new();
+        let mut resumed: HashMap<usize, Arc<Resumed>> = HashMap::new();
+        let mut one = |i: usize| {
+            let source = sources.map_or(i % all.len(), |s| s[i] as usize);
+            if let Some(known) = resumed.get(&source) {
+                return Ok(known.clone());
+            }
+            let range = || Error::invalid(format!("sources[{i}]"), format!("{source} is outside [0, {})", all.len()));
+            let (index, episode) = all.get(source).ok_or_else(range)?;
+            let options = snapshot.options.get(*index as usize).ok_or_else(|| broken("it is inconsistent"))?;
+            let setup = match setups.get(options) {
+                Some(setup) => setup,
+                None => setups.entry(options).or_insert(self.setup_of(&options.unpack()?)?),
+            };
+            let episode: SavedEpisode = episode.unpack()?;
+            let new = Arc::new(Resumed::new(&episode, setup, self.spec().action.len())?);
+            resumed.insert(source, new.clone());
+            Ok(new)
         };
-        let all = snapshot.episodes.iter().map(resume).collect::<Result<Vec<_>>>()?;
-        let source = |i: usize| sources.map_or(i % all.len(), |s| s[i] as usize);
-        let one = |i: usize| {
-            let range = || format!("{} is outside [0, {})", source(i), all.len());
-            all.get(source(i)).cloned().ok_or_else(|| Error::invalid(format!("sources[{i}]"), range()))
-        };
-        (0..self.envs()).map(one).collect()
+        (0..self.envs()).map(&mut one).collect()
     }
 
     /// A setup with `options`, which may differ from this session's in what a reset may change.
@@ -120,7 +175,7 @@ impl Batch {
         if mine == options {
             return Ok(self.setup().clone());
         }
-        if mine.changed(&ResetOptions::all_of(options)) != *options {
+        if mine.changed(&ResetOptions::all_of(options))? != *options {
             return Err(broken("it was taken with options that this session does not have and a reset cannot change"));
         }
         self.setup().with(options.clone())

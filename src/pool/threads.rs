@@ -208,7 +208,40 @@ fn give_back(shared: &Shared, id: u64, start: usize, shard: Shard, panicked: boo
     drop(queue);
     pending.finished.sort_unstable_by_key(|f| f.0);
     pending.batch.shards.extend(pending.finished.into_iter().map(|f| f.1));
-    let lost = || Error::Exhausted("the simulation of this session failed; please report this as a bug".into());
-    (pending.done)(if pending.panicked { Err(lost()) } else { Ok(pending.batch) });
+    let lost = || Error::Internal("the simulation of this session failed".into());
+    let Pending { batch, panicked, done, .. } = pending;
+    // A panic in it is for whoever gave it to notice, by what it drops; this thread has other sessions' work to do.
+    drop(catch_unwind(AssertUnwindSafe(|| done(if panicked { Err(lost()) } else { Ok(batch) }))));
     shared.lock()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::env::registry::Blueprint;
+    use serde_json::Value;
+    use std::sync::mpsc;
+
+    /// Whoever is told of a batch panics: the only worker goes on with other batches, and what was told is dropped.
+    #[test]
+    fn a_panic_of_who_is_told_costs_no_worker() {
+        let pool = Pool::new(1);
+        let begun = || {
+            let blueprint = Blueprint::new("sandgait/HexapodGait-v1", Value::Null).unwrap();
+            let mut batch = Batch::new(&blueprint, 2).unwrap();
+            let reset = batch.reset(None, None, Default::default()).unwrap();
+            (batch, reset)
+        };
+        for _ in 0..3 {
+            let (batch, reset) = begun();
+            let (sender, dropped) = mpsc::channel::<()>();
+            pool.run(batch, reset, move |_| {
+                let _sender = sender;
+                panic!("on purpose");
+            });
+            assert!(dropped.recv().is_err());
+        }
+        let (batch, reset) = begun();
+        assert_eq!(pool.wait(batch, reset).unwrap().envs(), 2);
+    }
 }

@@ -65,7 +65,10 @@ impl SandDescription {
         Self::from_toml(&text).map_err(|e| Error::file(path, e))
     }
 
+    /// The file's text; comments on top say which of its mechanisms do nothing to a robot that walks.
     pub fn to_toml(&self) -> Result<String> {
-        toml::to_string(self).map_err(|e| Error::invalid("sand", e.to_string()))
+        let text = toml::to_string(self).map_err(|e| Error::invalid("sand", e.to_string()))?;
+        let comments = self.mechanisms.unfelt_by_walkers().into_iter().map(|line| format!("# {line}\n"));
+        Ok(comments.chain([text]).collect())
     }
 }

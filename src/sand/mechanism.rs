@@ -44,6 +44,8 @@ pub struct Mechanism {
     pub ceiling: bool,
     /// Power of the speed in its law, where a diagnosis can ask the data for another.
     pub exponent: Option<f64>,
+    /// Why a walking robot does not feel it, though it is no matter of the sensor.
+    pub unfelt: Option<&'static str>,
 }
 
 impl Mechanism {
@@ -86,6 +88,15 @@ macro_rules! exponent {
     };
 }
 
+macro_rules! unfelt {
+    (unfelt $why:literal) => {
+        Some($why)
+    };
+    ($($other:tt)*) => {
+        None
+    };
+}
+
 fn is_neutral(value: &f64) -> bool {
     *value == 0.0
 }
@@ -93,12 +104,13 @@ fn is_neutral(value: &f64) -> bool {
 macro_rules! mechanisms {
     ($($id:ident: $symbol:literal, $unit:literal, [$low:expr, $high:expr], $typical:expr, $side:ident,
        intrusion $intrusion:literal, walking $walking:literal, $columns:expr, $law:literal, $source:literal
-       $(, $extra:ident $($power:literal)?)?;)*) => {
+       $(, $extra:ident $($said:literal)?)?;)*) => {
         /// Every mechanism, in the order of [`Mechanisms::values`].
         pub const CATALOG: [Mechanism; Mechanisms::COUNT] = [$(Mechanism {
             id: stringify!($id), symbol: $symbol, unit: $unit, bounds: [$low, $high], typical: $typical,
             side: Side::$side, intrusion: $intrusion, walking: $walking, columns: &$columns, law: $law, source: $source,
-            ceiling: is_ceiling!($($extra $($power)?)?), exponent: exponent!($($extra $($power)?)?),
+            ceiling: is_ceiling!($($extra $($said)?)?), exponent: exponent!($($extra $($said)?)?),
+            unfelt: unfelt!($($extra $($said)?)?),
         }),*];
 
         /// Strengths of all mechanisms; the default is plain resistive force theory.
@@ -136,9 +148,11 @@ mechanisms! {
     concave_fill: "χ", "1", [0.0, 1.0], 0.2, Sand, intrusion true, walking true, [],
         "legs whose concave side leads: F = (1−χ) F_segments + χ F_straight hip–tip chord", "our form of the cause named in Li et al. 2012 (grains held in a concave leading surface)";
     footprint: "κ", "1", [-2.0, 1.0], 0.2, Sand, intrusion true, walking false, ["pass", "pass_dx"],
-        "re-used ground (pass ≥ 2): stress × (1 − κ e^(−pass_dx/3 cm))", "our choice: no published law found";
+        "re-used ground (pass ≥ 2): stress × (1 − κ e^(−pass_dx/3 cm))", "our choice: no published law found",
+        unfelt "all ground is fresh but in HexapodTerrain, whose prints have a strength of their own (randomize.footprint)";
     added_mass: "C_a", "1", [0.0, 30.0], 0.5, Sand, intrusion true, walking false, [],
-        "extra stress −C_a ρ w (dv_n/dt) n, w the segment's width", "after Aguilar & Goldman 2016 (added mass of jumping feet); form ours";
+        "extra stress −C_a ρ w (dv_n/dt) n, w the segment's width", "after Aguilar & Goldman 2016 (added mass of jumping feet); form ours",
+        unfelt "the engines take the sand's stress from velocities alone";
     depth_power: "p − 1", "1", [-0.8, 2.0], 0.1, Sand, intrusion true, walking true, [],
         "|z| → z0 (|z|/z0)^p, z0 = 2 cm", "power-law depth dependence, e.g. Hill, Yeung & Koehler 2005; form ours";
     cohesion: "c", "Pa", [0.0, 1e4], 50.0, Sand, intrusion true, walking true, [],
@@ -146,11 +160,11 @@ mechanisms! {
     scale: "ζ/ζ0 − 1", "1", [-0.9, 10.0], 0.1, Sand, intrusion true, walking true, [],
         "stress × (1 + value)", "Li, Zhang & Goldman 2013: media differ by ζ; batches by 20–40 %";
     packing_grad: "g", "1", [-0.9, 0.9], 0.1, Sand, intrusion true, walking true, ["x_bed"],
-        "stress × (1 + g (x_bed + x)/10 cm)", "packing changes stress: Gravish, Umbanhowar & Goldman 2010; linear form ours";
+        "stress × (1 + g (x_bed + x)/10 cm), the factor at least 0.2", "packing changes stress: Gravish, Umbanhowar & Goldman 2010; linear form ours";
     slope: "σ", "rad", [-0.5, 0.5], 0.03, Sand, intrusion true, walking true, [],
         "surface rises toward +x: depth = (x tan σ − z) cos σ, stress evaluated in the surface's frame", "geometry";
     rate_log: "b", "1", [-0.25, 1.0], 0.03, Sand, intrusion true, walking true, [],
-        "stress × (1 + b ln(1 + |v|/1 cm/s))", "logarithmic rate dependence of dry friction; form ours";
+        "stress × (1 + b ln(1 + |v|/1 cm/s)), the factor at least 0.2", "logarithmic rate dependence of dry friction; form ours";
     friction_clip: "1/μ", "1", [0.0, 10.0], 1.0, Sand, intrusion true, walking true, [],
         "tangential stress capped at μ × normal stress", "Coulomb friction of the intruder's surface, as in Agarwal, Goldman & Kamrin 2023";
     skid_loss: "κ_s", "1", [0.0, 10.0], 0.7, Sand, intrusion false, walking false, [],
@@ -170,7 +184,8 @@ mechanisms! {
     lowpass: "τ_f", "s", [0.0, 1.0], 0.002, Sensor, intrusion true, walking false, [],
         "first-order filter on the force channels", "amplifier or logger";
     compliance: "k⁻¹", "rad/(N·m)", [0.0, 5.0], 0.05, Drive, intrusion true, walking false, [],
-        "the leg lags the motor angle by value × torque", "elastic mounting";
+        "the leg lags the motor angle by value × torque", "elastic mounting",
+        unfelt "the engines' legs are rigid";
     motor_torque_limit: "τ_max", "N·m", [0.0, 100.0], 0.02, Drive, intrusion false, walking true, [],
         "hip torque saturates (0: no limit)", "motor data sheet", ceiling;
 }
@@ -199,6 +214,14 @@ impl Mechanisms {
             check_range(m.id, value, m.bounds[0]..=m.bounds[1])?;
         }
         Ok(self)
+    }
+
+    /// One line for each mechanism that is switched on and does nothing to a robot that walks. Those of a force log's sensor
+    /// are none of a robot's, so they are no news.
+    pub fn unfelt_by_walkers(&self) -> Vec<String> {
+        let on = CATALOG.iter().zip(self.values()).filter(|(_, value)| *value != 0.0);
+        on.filter_map(|(m, _)| m.unfelt.map(|why| format!("{} has no effect on a walking robot: {why}", m.id)))
+            .collect()
     }
 
     /// Is nothing switched on in the sand?

@@ -8,7 +8,7 @@ use std::os::unix::fs::{FileTypeExt as _, MetadataExt as _, PermissionsExt as _}
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
-use tokio::net::{TcpListener, UnixListener, UnixSocket};
+use tokio::net::{TcpListener, TcpSocket, UnixListener, UnixSocket};
 
 /// Connections the kernel keeps until they are accepted.
 const BACKLOG: u32 = 1024;
@@ -68,7 +68,7 @@ impl Listener {
     pub async fn bind(address: &Address) -> Result<Self> {
         let failed = |e: std::io::Error| Error::Exhausted(format!("cannot listen on {address}: {e}"));
         match address {
-            Address::Tcp(socket) => TcpListener::bind(socket).await.map(Self::Tcp).map_err(failed),
+            Address::Tcp(address) => bind_tcp(*address).map(Self::Tcp).map_err(failed),
             Address::Unix(path) => {
                 let (listener, file) = bind_unix(path).map_err(failed)?;
                 Ok(Self::Unix(listener, file))
@@ -102,6 +102,16 @@ impl Drop for SocketFile {
             let _ = fs::remove_file(&self.path);
         }
     }
+}
+
+/// A listener with room for as many connections that nobody has accepted as a Unix socket's; the usual 128 are not many
+/// where a hundred a second come. Needs a tokio runtime.
+pub fn bind_tcp(address: SocketAddr) -> std::io::Result<TcpListener> {
+    let socket = if address.is_ipv4() { TcpSocket::new_v4() } else { TcpSocket::new_v6() }?;
+    // A port whose last connections are still closing can be had again.
+    socket.set_reuseaddr(true)?;
+    socket.bind(address)?;
+    socket.listen(BACKLOG)
 }
 
 /// A socket only its owner can connect to: the mode is set before anyone can, between bind and listen.

@@ -4,22 +4,29 @@ use super::proto::{self, run_session_request::Request};
 use super::values;
 use crate::env::{ResetOptions, options};
 use crate::error::{Error, Result};
-use crate::pool::{Batch, Operation, Snapshot};
+use crate::pool::{Batch, Operation, Seal, Snapshot};
 
 /// The operation `request` asks of `batch`; on an error the batch is as it was.
-pub fn operation(batch: &mut Batch, request: Option<Request>) -> Result<Operation> {
+pub fn operation(batch: &mut Batch, request: Option<Request>, seal: &Seal) -> Result<Operation> {
+    let envs = batch.envs();
     match request {
-        Some(Request::Step(step)) if step.held.is_empty() => batch.step(floats("actions", &step.actions)?),
-        Some(Request::Step(step)) => batch.step_but(floats("actions", &step.actions)?, flags("held", &step.held)?),
+        Some(Request::Step(step)) => {
+            let (actions, held) = (step_actions(batch, &step.actions)?, &step.held);
+            match held.is_empty() {
+                true => batch.step(actions),
+                false => batch.step_but(actions, flags("held", held, envs)?),
+            }
+        }
         Some(Request::Reset(reset)) => {
-            let chosen = if reset.mask.is_empty() { None } else { Some(flags("mask", &reset.mask)?) };
+            let chosen = if reset.mask.is_empty() { None } else { Some(flags("mask", &reset.mask, envs)?) };
             let seeds = if reset.seeds.is_empty() { None } else { Some(reset.seeds) };
             let changes: ResetOptions = options::parse(values::to_json(reset.options)?)?;
             batch.reset(chosen, seeds, changes)
         }
         Some(Request::Restore(restore)) => {
-            let snapshot = Snapshot::from_bytes(&restore.snapshot)?;
-            let sources = if restore.sources.is_empty() { None } else { Some(indices("sources", &restore.sources)?) };
+            let sources =
+                if restore.sources.is_empty() { None } else { Some(indices("sources", &restore.sources, envs)?) };
+            let snapshot = Snapshot::from_bytes(&restore.snapshot, seal)?;
             batch.restore(&snapshot, sources.as_deref())
         }
         // The others are no operations: they were answered before.
@@ -30,12 +37,14 @@ pub fn operation(batch: &mut Batch, request: Option<Request>) -> Result<Operatio
     }
 }
 
-/// Is this request cheap enough to check on the thread that received it? Models are built from reset options, and
-/// 16 KiB of actions (more than 600 hexapods) take microseconds to check.
+/// Bytes that are checked on the thread that received them: 16 KiB of actions (more than 600 hexapods) take microseconds.
+const LIGHT: usize = 16 << 10;
+
+/// Is this request cheap enough to check on the thread that received it? Models are built from reset options.
 pub fn is_light(request: &proto::RunSessionRequest) -> bool {
     match &request.request {
-        Some(Request::Step(step)) => step.actions.len() <= 16_384,
-        Some(Request::Reset(reset)) => reset.options.is_none() && reset.seeds.len() <= 2_048,
+        Some(Request::Step(step)) => step.actions.len() + step.held.len() <= LIGHT,
+        Some(Request::Reset(reset)) => reset.options.is_none() && 8 * reset.seeds.len() + reset.mask.len() <= LIGHT,
         Some(Request::Save(_) | Request::Restore(_) | Request::Rollout(_) | Request::PolicyRollout(_)) => false,
         Some(Request::Render(_) | Request::Observe(_)) => false,
         Some(Request::Attach(_)) | None => true,
@@ -50,19 +59,44 @@ pub fn floats(field: &str, bytes: &[u8]) -> Result<Vec<f32>> {
     Ok(numbers.iter().map(|b| f32::from_le_bytes(*b)).collect())
 }
 
-fn indices(field: &str, bytes: &[u8]) -> Result<Vec<u32>> {
+/// Largest step or reset without options of a session [bytes], its envelope included.
+pub fn largest_step(batch: &Batch) -> usize {
+    let step = 4 * batch.spec().action.len() + 1;
+    let reset = 8 + 1;
+    batch.envs() * step.max(reset) + 256
+}
+
+/// A step's actions; a wrong length is refused before they are unpacked.
+fn step_actions(batch: &Batch, bytes: &[u8]) -> Result<Vec<f32>> {
+    let width = batch.spec().action.len();
+    match bytes.len() == 4 * batch.envs() * width || !bytes.len().is_multiple_of(4) {
+        true => floats("actions", bytes),
+        false => Err(batch.wrong_actions(bytes.len() / 4)),
+    }
+}
+
+fn indices(field: &str, bytes: &[u8], envs: usize) -> Result<Vec<u32>> {
     let (numbers, rest) = bytes.as_chunks();
     if !rest.is_empty() {
         return Err(Error::invalid(field, format!("{} bytes are no whole number of u32", bytes.len())));
     }
+    check_count(field, numbers.len(), envs)?;
     Ok(numbers.iter().map(|b| u32::from_le_bytes(*b)).collect())
 }
 
-fn flags(field: &str, bytes: &[u8]) -> Result<Vec<bool>> {
+fn flags(field: &str, bytes: &[u8], envs: usize) -> Result<Vec<bool>> {
+    check_count(field, bytes.len(), envs)?;
     let flag = |(i, byte): (usize, &u8)| match byte {
         0 => Ok(false),
         1 => Ok(true),
         other => Err(Error::invalid(format!("{field}[{i}]"), format!("{other} is neither 0 nor 1"))),
     };
     bytes.iter().enumerate().map(flag).collect()
+}
+
+fn check_count(field: &str, count: usize, envs: usize) -> Result<()> {
+    if count == envs {
+        return Ok(());
+    }
+    Err(Error::invalid(field, format!("{count} entries for {envs} environments")))
 }

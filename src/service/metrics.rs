@@ -1,5 +1,7 @@
 //! What a server counts, as a page that Prometheus reads.
 
+use super::pages;
+use super::refusals::Refusals;
 use super::sessions::Sessions;
 use crate::error::{Error, Result};
 use crate::pool::{Batch, Operation};
@@ -120,14 +122,13 @@ impl Metrics {
 }
 
 /// Answers `GET /metrics` until `stop` is cancelled.
-pub async fn serve(listener: TcpListener, sessions: Arc<Sessions>, stop: CancellationToken) -> Result<()> {
+pub async fn serve(listener: TcpListener, sessions: Arc<Sessions>, refusals: Arc<Refusals>, stop: CancellationToken) {
     let page = async move || {
         let page = sessions.metrics.page(&sessions).map_err(|e| e.to_string())?;
         Ok::<_, String>(([(CONTENT_TYPE, FORMAT)], page).into_response())
     };
     let app = axum::Router::new().route("/metrics", get(page));
-    let served = axum::serve(listener, app).with_graceful_shutdown(stop.cancelled_owned()).await;
-    served.map_err(|e| Error::Exhausted(format!("the page of metrics failed: {e}")))
+    pages::serve(listener, app, pages::METRICS, refusals, stop).await;
 }
 
 const FORMAT: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";

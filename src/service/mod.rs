@@ -3,23 +3,33 @@
 //! The only layer that knows protobuf and the network. It never computes on the async runtime's threads.
 //!
 //! * [`address`]: where to listen; [`server`]: serving until told to stop.
-//! * [`security`]: TLS and the token; [`gate`]: what every call passes; [`metrics`]: what is counted.
+//! * [`connections`]: who is connected, and who must make room; [`refusals`]: the sampled log of who was refused.
+//! * [`security`]: TLS and the token; [`gate`]: what every call passes; [`rate`]: how many requests a peer may make.
+//! * [`metrics`]: what is counted; [`pages`]: HTTP/1 for metrics and the live page.
 //! * [`sessions`]: who holds which environments, and the limits; [`state`]: sessions that outlive their server.
 //! * [`stream`]: one RunSession stream, request by request; [`rollout`]: the request of many steps.
 //! * [`view`]: requests that only look; [`viewer`]: the page that follows sessions.
 //! * [`studies`]: the offline tools, one at a time.
 //! * [`dm_env_rpc`]: the same environments for DeepMind's protocol.
+//! * [`intake`]: how much memory requests may take; [`frame`], [`wire`]: requests that are sized before they are unpacked.
 //! * [`decode`], [`encode`], [`values`]: messages from and to the crate's types.
 //! * [`status`]: the one map from errors to gRPC codes.
 
 pub mod address;
+mod connections;
 mod decode;
 pub mod dm_env_rpc;
 mod encode;
+mod frame;
 #[cfg(test)]
 mod fuzz;
 mod gate;
+mod intake;
+mod loan;
 mod metrics;
+mod pages;
+mod rate;
+mod refusals;
 mod rollout;
 mod security;
 pub mod server;
@@ -31,18 +41,21 @@ mod studies;
 mod values;
 mod view;
 mod viewer;
+mod wire;
 
 /// Generated from `proto/sandgait/v1/`.
 pub mod proto {
     tonic::include_proto!("sandgait.v1");
+    include!(concat!(env!("OUT_DIR"), "/server/sandgait.v1.rs"));
 
     /// What the protos say, as reflection tells it.
     pub const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/descriptors.bin"));
 }
 
-pub use address::{Address, Listener};
+pub use crate::pool::Seal;
+pub use address::{Address, Listener, bind_tcp};
 pub use security::{Tls, Token, warn_if_shared};
-pub use server::{Setup, serve};
+pub use server::{Connected, Setup, serve};
 pub use sessions::Limits;
 pub use state::StateDir;
 pub use values::from_json;
@@ -50,7 +63,9 @@ pub use values::from_json;
 use crate::env::registry::{Blueprint, TASK_IDS};
 use crate::error::Error;
 use crate::pool::Pool;
+use frame::Frame;
 use futures_util::Stream;
+use intake::{Door, Intake};
 use proto::environment_service_server::EnvironmentService;
 use proto::{CloseSessionRequest, CloseSessionResponse, CreateSessionRequest, CreateSessionResponse};
 use proto::{DescribeRequest, DescribeResponse, RunSessionRequest, RunSessionResponse};
@@ -70,12 +85,14 @@ const VERSION: &str = env!("CARGO_PKG_VERSION");
 pub struct Service {
     sessions: Arc<Sessions>,
     pool: Arc<Pool>,
+    intake: Arc<Intake>,
 }
 
 /// Runs `work` on a thread that may compute.
 async fn off_runtime<T: Send + 'static>(work: impl FnOnce() -> crate::Result<T> + Send + 'static) -> Result<T, Status> {
     let done = tokio::task::spawn_blocking(work).await;
-    done.map_err(|_| status::bug("the request failed inside the server"))?.map_err(|e| status::status(&e))
+    let failed = |_| Err(Error::Internal("the request failed inside the server".into()));
+    done.unwrap_or_else(failed).map_err(|e| status::status(&e))
 }
 
 fn check_protocol(client: u32) -> crate::Result<()> {
@@ -91,7 +108,7 @@ fn check_protocol(client: u32) -> crate::Result<()> {
 
 #[tonic::async_trait]
 impl EnvironmentService for Service {
-    async fn describe(&self, _: Request<DescribeRequest>) -> Result<Response<DescribeResponse>, Status> {
+    async fn describe(&self, _: Request<Frame<DescribeRequest>>) -> Result<Response<DescribeResponse>, Status> {
         let tasks = off_runtime(|| {
             let describe = |id: &&str| Blueprint::new(id, Value::Null).map(|b| encode::task(&b));
             TASK_IDS.iter().map(describe).collect()
@@ -101,10 +118,11 @@ impl EnvironmentService for Service {
 
     async fn create_session(
         &self,
-        request: Request<CreateSessionRequest>,
+        request: Request<Frame<CreateSessionRequest>>,
     ) -> Result<Response<CreateSessionResponse>, Status> {
         let lease_seconds = self.sessions.limits().lease.as_secs_f64();
-        let CreateSessionRequest { task_id, num_envs, options, protocol } = request.into_inner();
+        let (request, _share) = Frame::only(request, &wire::CREATE_SESSION).await?;
+        let CreateSessionRequest { task_id, num_envs, options, protocol } = request;
         let made = async {
             check_protocol(protocol)?;
             self.sessions.create(task_id, num_envs as usize, values::to_json(options)?).await
@@ -118,31 +136,42 @@ impl EnvironmentService for Service {
 
     async fn run_session(
         &self,
-        request: Request<Streaming<RunSessionRequest>>,
+        request: Request<Streaming<Frame<RunSessionRequest>>>,
     ) -> Result<Response<Self::RunSessionStream>, Status> {
-        let answers = stream::run(request.into_inner(), self.sessions.clone(), self.pool.clone());
+        let (door, link) = (Door::of(&request), request.extensions().get().cloned());
+        let answers = stream::run(
+            request.into_inner(),
+            stream::Call { door, intake: self.intake.clone(), link },
+            self.sessions.clone(),
+            self.pool.clone(),
+        );
         Ok(Response::new(Box::pin(answers)))
     }
 
     async fn describe_session(
         &self,
-        request: Request<DescribeSessionRequest>,
+        request: Request<Frame<DescribeSessionRequest>>,
     ) -> Result<Response<DescribeSessionResponse>, Status> {
-        let summary = self.sessions.describe(&request.into_inner().session_id).map_err(|e| status::status(&e))?;
+        let (request, _) = Frame::only(request, &wire::SESSION_ID).await?;
+        let summary = self.sessions.describe(&request.session_id).map_err(|e| status::status(&e))?;
         let task = Some(encode::task(&summary.blueprint));
         Ok(Response::new(DescribeSessionResponse { task, summary: Some(encode::summary(&summary)) }))
     }
 
-    async fn list_sessions(&self, _: Request<ListSessionsRequest>) -> Result<Response<ListSessionsResponse>, Status> {
+    async fn list_sessions(
+        &self,
+        _: Request<Frame<ListSessionsRequest>>,
+    ) -> Result<Response<ListSessionsResponse>, Status> {
         let sessions = self.sessions.list().iter().map(encode::summary).collect();
         Ok(Response::new(ListSessionsResponse { sessions }))
     }
 
     async fn close_session(
         &self,
-        request: Request<CloseSessionRequest>,
+        request: Request<Frame<CloseSessionRequest>>,
     ) -> Result<Response<CloseSessionResponse>, Status> {
-        self.sessions.close(&request.into_inner().session_id).map_err(|e| status::status(&e))?;
+        let (request, _) = Frame::only(request, &wire::SESSION_ID).await?;
+        self.sessions.close(&request.session_id).map_err(|e| status::status(&e))?;
         Ok(Response::new(CloseSessionResponse {}))
     }
 }

@@ -4,7 +4,7 @@
 use super::proto;
 use super::proto::RunSessionResponse;
 use super::proto::run_session_response::Response;
-use super::stream::{Work, lost};
+use super::stream::Work;
 use super::{decode, encode};
 use crate::error::Result;
 use crate::pool::{Batch, Operation, Pool, Roll};
@@ -39,13 +39,9 @@ pub fn start_network(work: Work, request: &proto::PolicyRollout, pool: Arc<Pool>
     begin(work, |batch| batch.roll_network(onnx, *steps, *trajectories), *trajectories, pool);
 }
 
-fn begin(mut work: Work, roll: impl FnOnce(&Batch) -> Result<Roll>, trajectories: bool, pool: Arc<Pool>) {
-    let batch = &mut work.environments.batch;
-    let plan = roll(batch).and_then(|roll| {
-        // Checked before anything runs: once it has, the environments must be put back.
-        let back = batch.save().and_then(|snapshot| batch.restore(&snapshot, None))?;
-        Ok((roll, back))
-    });
+fn begin(work: Work, roll: impl FnOnce(&Batch) -> Result<Roll>, trajectories: bool, pool: Arc<Pool>) {
+    let batch = &work.environments.batch;
+    let plan = roll(batch).and_then(|roll| Ok((roll, batch.keep()?)));
     match plan {
         Ok((roll, back)) => drop(tokio::spawn(run(work, roll, back, trajectories, pool))),
         Err(error) => work.refuse(&error),
@@ -53,8 +49,9 @@ fn begin(mut work: Work, roll: impl FnOnce(&Batch) -> Result<Roll>, trajectories
 }
 
 async fn run(work: Work, roll: Roll, back: Operation, trajectories: bool, pool: Arc<Pool>) {
-    let Work { environments, sequence, sessions, id, answers } = work;
+    let Work { environments, mut reply } = work;
     let (batch, rest) = environments.into_parts();
+    let (sequence, sessions, answers) = (reply.sequence, reply.loan.sessions.clone(), reply.answers.clone());
     let begun = Instant::now();
     let part = |part| RunSessionResponse { sequence, response: Some(Response::Rollout(part)) };
     let stop = sessions.stop();
@@ -90,19 +87,19 @@ async fn run(work: Work, roll: Roll, back: Operation, trajectories: bool, pool: 
     };
     match rolled.await {
         Ok((batch, _, Some(error))) => {
-            Work { environments: rest.with(batch), sequence, sessions, id, answers }.refuse(&error);
+            reply.with(rest, batch).refuse(&error);
         }
         Ok((batch, answer, None)) => {
-            let environments = rest.with(batch);
+            let work = reply.with(rest, batch);
             // The stream has room for the last answer once it has read those before.
             let room = stop.run_until_cancelled(answers.reserve()).await.is_some_and(|room| room.is_ok());
-            let Some(mut last) = answer.filter(|_| room) else { return sessions.give_back(&id, environments) };
+            let Some(mut last) = answer.filter(|_| room) else { return work.give_back() };
             if !trajectories {
                 (last.first_step, last.steps) = (0, roll.total() as u32);
             }
-            Work { environments, sequence, sessions, id, answers }.finish(Response::Rollout(last), false);
+            work.finish(Response::Rollout(last), false);
         }
-        Err(error) => lost(&sessions, &id, &error),
+        Err(error) => reply.lose(&error),
     }
 }
 

@@ -1,7 +1,6 @@
 //! Who may talk to this server: encryption, client certificates, the token.
 
 use crate::error::{Error, Result};
-use futures_util::StreamExt as _;
 use sha2::{Digest as _, Sha256};
 use std::fmt::Display;
 use std::fs;
@@ -10,7 +9,6 @@ use std::net::IpAddr;
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 use std::sync::Arc;
-use std::time::Duration;
 use subtle::ConstantTimeEq as _;
 use tokio::net::TcpStream;
 use tokio_rustls::TlsAcceptor;
@@ -20,13 +18,6 @@ use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use tokio_rustls::rustls::server::WebPkiClientVerifier;
 use tokio_rustls::rustls::{RootCertStore, ServerConfig};
 use tokio_rustls::server::TlsStream;
-use tokio_stream::Stream;
-
-/// How long a TLS handshake may take: our choice, ten times what a slow line needs.
-const HANDSHAKE: Duration = Duration::from_secs(5);
-
-/// Handshakes at a time; further connections wait to be accepted.
-const HANDSHAKES: usize = 256;
 
 /// What a client must say to use this server. Only its digest is kept.
 #[derive(Clone)]
@@ -113,29 +104,9 @@ impl Tls {
         }))
     }
 
-    /// Connections whose handshake succeeded. The others are logged and dropped.
-    pub(super) fn accept(
-        self,
-        incoming: impl Stream<Item = io::Result<TcpStream>>,
-    ) -> impl Stream<Item = io::Result<TlsStream<TcpStream>>> {
-        let shake_hands = move |connection: io::Result<TcpStream>| {
-            let acceptor = self.0.clone();
-            async move {
-                let stream = match connection {
-                    Ok(stream) => stream,
-                    Err(error) => return Some(Err(error)),
-                };
-                let peer = stream.peer_addr().map_or_else(|_| "unknown".into(), |a| a.to_string());
-                let reason = match tokio::time::timeout(HANDSHAKE, acceptor.accept(stream)).await {
-                    Ok(Ok(stream)) => return Some(Ok(stream)),
-                    Ok(Err(error)) => error.to_string(),
-                    Err(_) => format!("not done within {} s", HANDSHAKE.as_secs()),
-                };
-                tracing::warn!(peer, reason, "a TLS handshake failed");
-                None
-            }
-        };
-        incoming.map(shake_hands).buffer_unordered(HANDSHAKES).filter_map(std::future::ready)
+    /// A connection, encrypted.
+    pub(super) async fn shake_hands(&self, stream: TcpStream) -> io::Result<TlsStream<TcpStream>> {
+        self.0.accept(stream).await
     }
 }
 

@@ -5,33 +5,37 @@
 //! ```
 
 use super::address::Listener;
+use super::connections::{Caps, Connection, Door, Greeting, KEEPALIVE, Socket, Table};
 use super::dm_env_rpc::DmEnvRpc;
 use super::dm_env_rpc::proto::environment_server::EnvironmentServer as DmEnvRpcServer;
 use super::gate::{self, Gate};
+use super::intake::{self, Intake};
 use super::metrics;
+use super::pages;
 use super::proto::DESCRIPTORS;
 use super::proto::environment_service_server::EnvironmentServiceServer;
 use super::proto::study_service_server::StudyServiceServer;
+use super::rate::Rate;
+use super::refusals::Refusals;
 use super::security::{Tls, Token};
 use super::sessions::{Limits, Sessions};
 use super::state::StateDir;
-use super::studies::{self, Studies};
+use super::studies::Studies;
 use super::{Service, off_runtime, viewer};
 use crate::error::{Error, Result};
-use crate::pool::Pool;
+use crate::pool::{Pool, Seal};
 use axum::middleware;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::TcpListener;
+use tokio::sync::mpsc;
 use tokio::time::Instant;
-use tokio_stream::wrappers::UnixListenerStream;
-use tokio_stream::{Stream, StreamExt as _};
+use tokio_stream::StreamExt as _;
+use tokio_stream::wrappers::ReceiverStream;
 use tokio_util::sync::CancellationToken;
 use tonic::body::Body;
 use tonic::server::NamedService;
 use tonic::service::{Routes, RoutesBuilder};
-use tonic::transport::server::{Connected, TcpIncoming};
 use tonic_health::ServingStatus;
 use tonic_health::server::{HealthReporter, HealthService};
 
@@ -41,17 +45,27 @@ const GRACE: Duration = Duration::from_secs(3);
 /// When sessions must have been saved after the server was told to stop.
 const SAVED: Duration = Duration::from_secs(4);
 
-/// A TCP peer that is silent for this long is asked for a sign of life, and dropped if it gives none as long.
-const KEEPALIVE: Duration = Duration::from_secs(60);
-
-/// Time to wait before accepting again when it failed (no file descriptors left).
-const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
-
-/// Bytes a client may send ahead on a connection: a step of the largest usual batch without waiting for credit.
-const WINDOW: u32 = 4 << 20;
-
-/// HTTP/2 frame size we accept.
+/// Largest HTTP/2 frame we accept.
 const FRAME: u32 = 1 << 20;
+
+/// How many connections there may be, and how many calls on one.
+#[derive(Clone, Copy, Debug)]
+pub struct Connected {
+    /// At a time.
+    pub all: u32,
+    /// Of one peer.
+    pub peer: u32,
+    /// Calls at a time on one connection.
+    pub streams: u32,
+}
+
+impl Default for Connected {
+    /// Our choice: a connection and a call for each of the sessions that a server lends out by default; a quarter of the
+    /// connections for one peer, so that it takes several to fill a server.
+    fn default() -> Self {
+        Self { all: 1024, peer: 256, streams: 1024 }
+    }
+}
 
 /// What a server is made of, apart from where it listens.
 #[derive(Default)]
@@ -59,10 +73,13 @@ pub struct Setup {
     /// Threads that simulate; 0: one for each processor.
     pub threads: usize,
     pub limits: Limits,
+    pub connected: Connected,
     /// Encryption; for TCP only.
     pub tls: Option<Tls>,
     /// What every call must say, but those that ask for the server's health.
     pub token: Option<Token>,
+    /// Of snapshots and kept sessions.
+    pub seal: Seal,
     /// Where `GET /metrics` is answered.
     pub metrics: Option<TcpListener>,
     /// Where browsers see the sessions.
@@ -75,47 +92,52 @@ pub struct Setup {
 
 /// Serves until `stop` is cancelled, then lets every stream finish the operation it has in flight.
 pub async fn serve(listener: Listener, setup: Setup, stop: CancellationToken) -> Result<()> {
-    let Setup { threads, limits, tls, token, metrics, viewer, state, dm_env_rpc } = setup;
-    let (sessions, pool) = (Sessions::new(limits, stop.clone()), Arc::new(Pool::new(threads)));
+    let Setup { threads, limits, connected, tls, token, seal, metrics, viewer, state, dm_env_rpc } = setup;
+    let rate = limits.rate.map(|n| Arc::new(Rate::new(n)));
+    // Descriptors for the pages.
+    let watched = limits.watchers + pages::BESIDE_WATCHERS;
+    let others = [(metrics.is_some(), pages::METRICS), (viewer.is_some(), watched)];
+    let others = others.iter().filter(|(given, _)| *given).map(|(_, connections)| connections).sum();
+    let (sessions, pool) = (Sessions::new(limits, seal, stop.clone()), Arc::new(Pool::new(threads)));
     if let Some(state) = state.clone() {
         let (sessions, pool) = (sessions.clone(), pool.clone());
         let taken = off_runtime(move || state.take_up(&sessions, &pool)).await;
         taken.map_err(|e| Error::Exhausted(e.message().into()))?;
     }
     tokio::spawn(sessions.clone().expire());
+    let refusals = Arc::<Refusals>::default();
     if let Some(listener) = metrics {
-        let page = metrics::serve(listener, sessions.clone(), stop.clone());
-        tokio::spawn(async { page.await.inspect_err(|error| tracing::error!(%error, "metrics")) });
+        tokio::spawn(metrics::serve(listener, sessions.clone(), refusals.clone(), stop.clone()));
     }
     if let Some(listener) = viewer {
-        let page = viewer::serve(listener, sessions.clone(), stop.clone());
-        tokio::spawn(async { page.await.inspect_err(|error| tracing::error!(%error, "viewer")) });
+        tokio::spawn(viewer::serve(listener, sessions.clone(), refusals.clone(), stop.clone()));
     }
     let health = HealthReporter::new();
     let mut offer = Offer { routes: Routes::builder(), names: vec![""] };
     if dm_env_rpc {
         offer.add(DmEnvRpcServer::new(DmEnvRpc::new(sessions.clone(), pool.clone())));
     }
-    add_services(&mut offer, &sessions, pool.clone(), &health)?;
+    let intake = Intake::new(sessions.limits());
+    let window = intake.window();
+    add_services(&mut offer, &sessions, pool.clone(), &intake, &health)?;
     for name in &offer.names {
         health.set_service_status(name, ServingStatus::Serving).await;
     }
-    let gate = Gate { token, metrics: sessions.metrics.clone() };
-    let routes = offer.routes.routes().into_axum_router().layer(middleware::from_fn_with_state(gate, gate::pass));
+    let gate = Gate { token, metrics: sessions.metrics.clone(), refusals: refusals.clone() };
+    let routes = offer.routes.routes().into_axum_router();
+    let routes = routes.layer(middleware::from_fn_with_state(intake, intake::pass));
+    let routes = routes.layer(middleware::from_fn_with_state(gate, gate::pass));
     let saved = tokio::spawn(end(sessions, health, offer.names, state));
-    match listener {
-        Listener::Tcp(listener) => {
-            // Without nodelay a small call takes 44 ms; `Server::tcp_nodelay` is ignored when we bring the listener.
-            let tcp = TcpIncoming::from(listener).with_nodelay(Some(true)).with_keepalive(Some(KEEPALIVE));
-            match tls {
-                None => drive(routes.into(), tcp, Some(KEEPALIVE), stop).await?,
-                Some(tls) => drive(routes.into(), tls.accept(tcp), Some(KEEPALIVE), stop).await?,
-            }
-        }
-        Listener::Unix(listener, _file) => {
-            drive(routes.into(), UnixListenerStream::new(listener), None, stop).await?;
-        }
-    }
+    // The socket's file stays until all connections have ended.
+    let (socket, _file) = match listener {
+        Listener::Tcp(listener) => (listener.into(), None),
+        Listener::Unix(listener, file) => (Socket::Unix(listener), Some(file)),
+    };
+    let keepalive = matches!(socket, Socket::Tcp(_)).then_some(KEEPALIVE);
+    let table = Table::new(Caps::new(connected.all as usize, connected.peer as usize, others));
+    let door = Door { table, tls, greeting: Greeting::Http2, rate, refusals };
+    let connections = door.open(socket, stop.clone());
+    drive(routes.into(), connections, connected.streams, keepalive, window, stop).await?;
     let saved = saved.await;
     // Not before: a pool that ends drops the batches whose clients have gone.
     drop(pool);
@@ -143,9 +165,16 @@ impl Offer {
 }
 
 /// Everything a client can call.
-fn add_services(offer: &mut Offer, sessions: &Arc<Sessions>, pool: Arc<Pool>, health: &HealthReporter) -> Result<()> {
+fn add_services(
+    offer: &mut Offer,
+    sessions: &Arc<Sessions>,
+    pool: Arc<Pool>,
+    intake: &Arc<Intake>,
+    health: &HealthReporter,
+) -> Result<()> {
+    // The intake has let no message pass that is too large.
     let largest = sessions.limits().request;
-    let environments = Service { sessions: sessions.clone(), pool };
+    let environments = Service { sessions: sessions.clone(), pool, intake: intake.clone() };
     let reflection = || {
         tonic_reflection::server::Builder::configure()
             .register_encoded_file_descriptor_set(DESCRIPTORS)
@@ -160,7 +189,7 @@ fn add_services(offer: &mut Offer, sessions: &Arc<Sessions>, pool: Arc<Pool>, he
         )
         .add(
             StudyServiceServer::new(Studies::new(sessions.stop().clone()))
-                .max_decoding_message_size(studies::MOST_BYTES.min(largest))
+                .max_decoding_message_size(largest)
                 .max_encoding_message_size(u32::MAX as usize),
         )
         .add(tonic_health::pb::health_server::HealthServer::new(HealthService::from_health_reporter(health.clone())))
@@ -179,8 +208,9 @@ async fn end(sessions: Arc<Sessions>, mut health: HealthReporter, names: Vec<&'s
         health.clear_service_status(name).await;
     }
     let Some(state) = state else { return };
+    let seal = sessions.seal.clone();
     let sessions = sessions.drain(deadline - SAVED / 4).await;
-    let save = tokio::task::spawn_blocking(move || state.save(sessions, deadline.into_std()));
+    let save = tokio::task::spawn_blocking(move || state.save(sessions, &seal, deadline.into_std()));
     match tokio::time::timeout_at(deadline, save).await {
         Ok(Ok(())) => {}
         Ok(Err(error)) => tracing::error!(%error, "sessions were lost: they could not be saved"),
@@ -188,28 +218,22 @@ async fn end(sessions: Arc<Sessions>, mut health: HealthReporter, names: Vec<&'s
     }
 }
 
-async fn drive<C>(
+async fn drive(
     routes: Routes,
-    incoming: impl Stream<Item = std::io::Result<C>>,
+    connections: mpsc::Receiver<Connection>,
+    streams: u32,
     keepalive: Option<Duration>,
+    window: u32,
     stop: CancellationToken,
-) -> Result<()>
-where
-    C: AsyncRead + AsyncWrite + Connected + Unpin + Send + 'static,
-{
-    let incoming = incoming.then(async |connection| {
-        if let Err(error) = &connection {
-            tracing::warn!(%error, "cannot accept a connection");
-            tokio::time::sleep(ACCEPT_PAUSE).await;
-        }
-        connection
-    });
+) -> Result<()> {
+    let incoming = ReceiverStream::new(connections).map(Ok::<_, std::io::Error>);
     let serving = tonic::transport::Server::builder()
         .http2_keepalive_interval(keepalive)
         .http2_keepalive_timeout(keepalive)
-        .initial_stream_window_size(WINDOW)
-        .initial_connection_window_size(2 * WINDOW)
-        .max_frame_size(FRAME)
+        .initial_stream_window_size(window)
+        .initial_connection_window_size(2 * window)
+        .max_frame_size(window.min(FRAME))
+        .max_concurrent_streams(streams)
         .add_routes(routes)
         .serve_with_incoming_shutdown(incoming, stop.clone().cancelled_owned());
     let too_late = async {

@@ -18,7 +18,7 @@ use super::viewer::Watchers;
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
 use crate::parallel::processors;
-use crate::pool::{Batch, Building};
+use crate::pool::{Batch, Building, Seal};
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
 use std::collections::HashMap;
@@ -34,14 +34,16 @@ pub struct Limits {
     pub sessions: usize,
     /// Environments in one session.
     pub environments: usize,
-    /// Estimated memory of all environments together [bytes].
+    /// Memory of all environments, estimated, and of requests together [bytes]; see [`super::intake`].
     pub memory: usize,
     /// A session without a stream is freed after this time.
     pub lease: Duration,
     /// Largest request [bytes].
     pub request: usize,
-    /// Requests a second that a session may make; none: as many as it can.
+    /// Requests a second that a peer may make; none: as many as it can.
     pub rate: Option<u32>,
+    /// Those who watch on the live page.
+    pub watchers: usize,
 }
 
 impl Default for Limits {
@@ -55,6 +57,7 @@ impl Default for Limits {
             lease: Duration::from_secs(300),
             request: 256 << 20,
             rate: None,
+            watchers: 64,
         }
     }
 }
@@ -155,7 +158,7 @@ impl Making {
 
 /// Something panicked.
 fn not_made() -> Error {
-    Error::Exhausted("the session could not be made; please report this as a bug".into())
+    Error::Internal("the session could not be made".into())
 }
 
 /// One session.
@@ -218,6 +221,8 @@ pub struct Sessions {
     /// Turns to make environments, one for each processor.
     turns: Arc<Semaphore>,
     stop: CancellationToken,
+    /// Of snapshots.
+    pub seal: Seal,
     pub metrics: Arc<Metrics>,
     pub watchers: Arc<Watchers>,
 }
@@ -235,15 +240,17 @@ pub fn name(id: &str) -> String {
 
 impl Sessions {
     /// Cancelling `stop` ends every stream after the operation it has in flight.
-    pub fn new(limits: Limits, stop: CancellationToken) -> Arc<Self> {
+    pub fn new(limits: Limits, seal: Seal, stop: CancellationToken) -> Arc<Self> {
+        let watchers = Watchers::new(limits.watchers);
         Arc::new(Self {
             limits,
             usage: Arc::default(),
             entries: Mutex::default(),
             turns: Arc::new(Semaphore::new(processors())),
             stop,
+            seal,
             metrics: Arc::default(),
-            watchers: Arc::default(),
+            watchers,
         })
     }
 
@@ -343,7 +350,7 @@ impl Sessions {
         if usage.sessions >= self.limits.sessions {
             return Err(Error::Exhausted(format!("all {} sessions of this server are taken", self.limits.sessions)));
         }
-        let free = self.limits.memory.saturating_sub(usage.memory);
+        let free = self.limits.of_environments().saturating_sub(usage.memory);
         if memory > free {
             let [needed, free] = [memory, free].map(|bytes| bytes.div_ceil(1 << 20));
             return Err(Error::Exhausted(format!(
@@ -395,6 +402,7 @@ impl Sessions {
     /// the session or the server has ended or another stream has it.
     pub async fn take(&self, hold: &Hold) -> Option<Environments> {
         loop {
+            // Counts from here on, so a return between the look and the wait is not missed.
             let back = {
                 let mut entries = lock(&self.entries);
                 let running = |e: &&mut Entry| e.stream == hold.stream && !self.stop.is_cancelled();
@@ -402,11 +410,10 @@ impl Sessions {
                 if let Some(environments) = entry.environments.take() {
                     return Some(environments);
                 }
-                entry.back.clone()
+                entry.back.clone().notified_owned()
             };
-            // `notify_one` keeps a permit, so a return between the look and here is not missed.
             tokio::select! {
-                () = back.notified() => {}
+                () = back => {}
                 () = hold.end.cancelled() => return None,
             }
         }
@@ -421,7 +428,8 @@ impl Sessions {
         };
         entry.sequence = environments.done.sequence;
         entry.environments = Some(environments);
-        entry.back.notify_one();
+        // All who wait: one of them may have lost the session to another meanwhile, and would take the news with it.
+        entry.back.notify_waiters();
     }
 
     /// Ends a session, whether or not a stream has it.
@@ -429,6 +437,7 @@ impl Sessions {
         let entry = lock(&self.entries).remove(id).ok_or_else(|| unknown(id))?;
         tracing::info!(session = name(id), "a session was closed");
         entry.end.cancel();
+        self.watchers.ended(id);
         release(entry.environments);
         Ok(())
     }
@@ -447,6 +456,11 @@ impl Sessions {
         lock(&self.entries).get(id).map(|e| e.summary(id)).ok_or_else(|| unknown(id))
     }
 
+    /// The session that logs and lists call so.
+    pub fn named(&self, session: &str) -> Option<Summary> {
+        lock(&self.entries).iter().find(|(id, _)| name(id) == session).map(|(id, entry)| entry.summary(id))
+    }
+
     pub fn list(&self) -> Vec<Summary> {
         let mut all: Vec<_> = lock(&self.entries).iter().map(|(id, entry)| entry.summary(id)).collect();
         all.sort_by(|a, b| a.name.cmp(&b.name));
@@ -462,6 +476,7 @@ impl Sessions {
             let late: Vec<_> = lock(&self.entries).extract_if(|_, entry| late(entry)).collect();
             for (id, entry) in late {
                 tracing::info!(session = name(&id), "a session's lease has run out");
+                self.watchers.ended(&id);
                 release(entry.environments);
             }
         }
@@ -485,3 +500,6 @@ impl Entry {
 fn unknown(id: &str) -> Error {
     Error::unknown(SESSION, id, &["sessions that have not ended"])
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,22 +1,21 @@
 //! Sessions that outlive their server: one file each, written when it stops and taken up by the next one.
 //!
 //! ```text
-//!  "sandgait session\n" │ SHA-256 of the rest │ Saved
+//!  "sandgait session\n" │ tag of the rest, as in snapshots │ Saved
 //! ```
 //!
 //! A file holds everything a client needs that finds its server restarted: the session's id, the number of its last
 //! request with the answer to it, and the environments as a snapshot. It is the right to use the session, so only its owner
 //! can read it; it is written whole or not at all, and removed once it is taken up. One that was cut off or changed since
-//! is refused by its checksum: a message that ends between two fields can be read, and would be another session.
+//! is refused by its tag: a message that ends between two fields can be read, and would be another session.
 
 use super::proto::RunSessionResponse;
 use super::sessions::{Done, Environments, Session, Sessions, name};
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
-use crate::pool::{Pool, Snapshot};
+use crate::pool::{Pool, Seal, Snapshot};
 use prost::Message;
 use serde_json::Value;
-use sha2::{Digest as _, Sha256};
 use std::fs;
 use std::io::Write as _;
 use std::os::unix::fs::DirBuilderExt as _;
@@ -24,7 +23,6 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 const MAGIC: &[u8] = b"sandgait session\n";
-const DIGEST: usize = 32;
 const ENDING: &str = "session";
 /// What a file is called while it is written.
 const UNFINISHED: &str = ".unfinished-";
@@ -75,7 +73,7 @@ impl StateDir {
                 continue;
             }
             let file = path.display();
-            match load(&path).and_then(|saved| adopt(saved, sessions, pool)) {
+            match load(&path, &sessions.seal).and_then(|saved| adopt(saved, sessions, pool)) {
                 Ok(session) => tracing::info!(session, "a session was taken up"),
                 Err(error) => {
                     tracing::error!(%file, %error, "a session could not be taken up; its file stays");
@@ -90,11 +88,11 @@ impl StateDir {
     }
 
     /// Writes every session until `deadline`; what cannot be written is logged.
-    pub fn save(&self, sessions: Vec<Session>, deadline: Instant) {
+    pub fn save(&self, sessions: Vec<Session>, seal: &Seal, deadline: Instant) {
         for session in sessions {
             let name = name(&session.id);
             let written = if Instant::now() < deadline {
-                Saved::of(session).and_then(|saved| self.write(&name, &saved))
+                Saved::of(session, seal).and_then(|saved| self.write(&name, &saved, seal))
             } else {
                 Err(Error::Exhausted("the time for the end of the server was over".into()))
             };
@@ -106,14 +104,13 @@ impl StateDir {
     }
 
     /// The file is complete or not there: it is written beside its place and then renamed.
-    fn write(&self, name: &str, saved: &Saved) -> Result<()> {
+    fn write(&self, name: &str, saved: &Saved, seal: &Seal) -> Result<()> {
         let path = self.0.join(format!("{name}.{ENDING}"));
         let unusable = |e: std::io::Error| Error::file(&path, e);
         // Temporary files are for their owner only (0600).
         let mut file = tempfile::Builder::new().prefix(UNFINISHED).tempfile_in(&self.0).map_err(unusable)?;
         let body = saved.encode_to_vec();
-        let digest = Sha256::digest(&body);
-        [MAGIC, &digest, &body].into_iter().try_for_each(|part| file.write_all(part)).map_err(unusable)?;
+        [MAGIC, &seal.tag(&body), &body].into_iter().try_for_each(|part| file.write_all(part)).map_err(unusable)?;
         file.as_file().sync_all().map_err(unusable)?;
         file.persist(&path).map_err(|e| unusable(e.error))?;
         Ok(())
@@ -121,7 +118,7 @@ impl StateDir {
 }
 
 impl Saved {
-    fn of(session: Session) -> Result<Self> {
+    fn of(session: Session, seal: &Seal) -> Result<Self> {
         let Session { id, blueprint, environments } = session;
         let Some(Environments { batch, done, .. }) = environments else {
             return Err(Error::Exhausted("a request of it was still being carried out".into()));
@@ -130,18 +127,18 @@ impl Saved {
         let unusable = |e| Error::Exhausted(format!("its options cannot be written: {e}"));
         let keywords = blueprint.keywords().into_iter().map(|k| (k.name.to_owned(), k.value));
         ciborium::into_writer(&Value::Object(keywords.collect()), &mut options).map_err(unusable)?;
-        let snapshot = if batch.is_untouched() { None } else { Some(batch.save()?.to_bytes()?) };
+        let snapshot = if batch.is_untouched() { None } else { Some(batch.save()?.to_bytes(seal)?) };
         let task = blueprint.task.spec().id.into();
         let (envs, Done { sequence, answer }) = (batch.envs() as u64, done);
         Ok(Self { id, task, options, envs, sequence, answer, snapshot })
     }
 }
 
-fn load(path: &Path) -> Result<Saved> {
+fn load(path: &Path, seal: &Seal) -> Result<Saved> {
     let bytes = fs::read(path).map_err(|e| Error::file(path, e))?;
     let rest = bytes.strip_prefix(MAGIC).ok_or_else(|| Error::file(path, "this is no session of sandgait's"))?;
-    let sound = rest.split_at_checked(DIGEST).filter(|(digest, body)| Sha256::digest(body).as_slice() == *digest);
-    let (_, body) = sound.ok_or_else(|| Error::file(path, "it is cut off or damaged: its checksum is wrong"))?;
+    let (tag, body) = rest.split_first_chunk().ok_or_else(|| Error::file(path, "it is cut off"))?;
+    seal.check(tag, body).map_err(|why| Error::file(path, why))?;
     Saved::decode(body).map_err(|e| Error::file(path, e))
 }
 
@@ -152,7 +149,7 @@ fn adopt(saved: Saved, sessions: &Sessions, pool: &Pool) -> Result<String> {
     let blueprint = Blueprint::new(&task, options)?;
     let mut environments = sessions.build(&blueprint, envs as usize)?;
     if let Some(snapshot) = snapshot {
-        let operation = environments.batch.restore(&Snapshot::from_bytes(&snapshot)?, None)?;
+        let operation = environments.batch.restore(&Snapshot::from_bytes(&snapshot, &sessions.seal)?, None)?;
         let (batch, rest) = environments.into_parts();
         environments = rest.with(pool.wait(batch, operation)?);
     }

@@ -10,11 +10,15 @@ pub const SESSION: &str = "session";
 fn code(error: &Error) -> Code {
     match error {
         Error::Unknown { what: SESSION, .. } => Code::NotFound,
-        Error::Invalid { .. } | Error::Unknown { .. } => Code::InvalidArgument,
+        Error::Invalid { .. } | Error::Unknown { .. } | Error::Replaced { .. } => Code::InvalidArgument,
         Error::OutOfOrder(_) => Code::FailedPrecondition,
         Error::Exhausted(_) => Code::ResourceExhausted,
         Error::Cancelled(_) => Code::Cancelled,
         Error::File { .. } => Code::Internal,
+        Error::Internal(_) => {
+            tracing::error!(%error, "bug");
+            Code::Internal
+        }
     }
 }
 
@@ -26,12 +30,6 @@ pub fn status(error: &Error) -> Status {
 /// Refuses one request of a stream that goes on.
 pub fn failure(error: &Error) -> proto::Failure {
     proto::Failure { code: code(error).into(), message: error.to_string() }
-}
-
-/// A panic or a lost worker: ours to mend, not the caller's.
-pub fn bug(what: &str) -> Status {
-    tracing::error!(what, "bug");
-    Status::internal(format!("{what}; please report this as a bug"))
 }
 
 /// What tonic says about a message it could not read, in the codes that tell a caller whose mistake it was.

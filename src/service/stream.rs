@@ -9,28 +9,39 @@
 //! by flow control. Nothing here computes: a light request is checked on the async thread, a heavy one on a blocking
 //! thread, and the pool's threads step and encode.
 
+use super::connections::Link;
+use super::frame::Frame;
+use super::intake::{Door, Intake, Share};
+use super::loan::{Loan, broken};
 use super::proto::run_session_request::Request;
 use super::proto::run_session_response::Response;
 use super::proto::{Attached, RunSessionRequest, RunSessionResponse, Snapshot};
-use super::sessions::{Done, Environments, Hold, Sessions};
-use super::{decode, encode, rollout, status, view};
+use super::sessions::{Done, Environments, Hold, Rest, Sessions};
+use super::{decode, encode, rollout, status, view, wire};
 use crate::error::Error;
-use crate::pool::{Operation, Pool};
+use crate::pool::{Batch, Operation, Pool};
 use futures_util::{Stream, stream};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::time::Duration;
 use tokio::sync::mpsc;
-use tokio::time::Instant;
 use tonic::{Status, Streaming};
+
+/// What belongs to a call from its start.
+pub struct Call {
+    pub door: Door,
+    pub intake: Arc<Intake>,
+    /// None in tests: nobody's connection.
+    pub link: Option<Link>,
+}
 
 /// The answers to `requests`.
 pub fn run(
-    requests: Streaming<RunSessionRequest>,
+    requests: Streaming<Frame<RunSessionRequest>>,
+    call: Call,
     sessions: Arc<Sessions>,
     pool: Arc<Pool>,
 ) -> impl Stream<Item = Result<RunSessionResponse, Status>> {
-    let run = Run { requests, sessions, pool, attached: None, answers: None, next: Instant::now() };
+    let run = Run { requests, call, first: true, sessions, pool, attached: None, answers: None, share: None };
     stream::try_unfold(run, |mut run| async move {
         let answer = run.answer().await?;
         if let Some(RunSessionResponse { response: Some(Response::Failure(refused)), .. }) = &answer {
@@ -42,15 +53,18 @@ pub fn run(
 
 /// The state of a stream.
 struct Run {
-    requests: Streaming<RunSessionRequest>,
+    requests: Streaming<Frame<RunSessionRequest>>,
+    call: Call,
+    /// No message was read yet: it counts as one with the call.
+    first: bool,
     sessions: Arc<Sessions>,
     pool: Arc<Pool>,
     /// None until the first message has named the session.
     attached: Option<Guard>,
     /// Where the present request's answers come from.
     answers: Option<mpsc::Receiver<RunSessionResponse>>,
-    /// No request is read before this time.
-    next: Instant,
+    /// Memory of the present request and its answer: until the next request, for then the answer has been sent.
+    share: Option<Arc<Share>>,
 }
 
 /// Lets the session go when the stream ends.
@@ -65,13 +79,43 @@ impl Drop for Guard {
     }
 }
 
-/// What a request was given for its work; every path but a panic ends in [`Work::finish`].
+/// What a request was given for its work.
 pub struct Work {
     pub environments: Environments,
+    pub reply: Reply,
+}
+
+/// What is owed for the environments of a [`Work`]: they are given back and the request is answered by [`Work::finish`], or,
+/// where a panic prevents that, the request is answered with INTERNAL and the session ends.
+pub struct Reply {
     pub sequence: u64,
-    pub sessions: Arc<Sessions>,
-    pub id: String,
+    pub loan: Loan,
     pub answers: mpsc::Sender<RunSessionResponse>,
+    /// Memory that the request takes.
+    pub share: Option<Arc<Share>>,
+}
+
+impl Drop for Reply {
+    fn drop(&mut self) {
+        if self.loan.is_lost() {
+            self.lose(&broken());
+        }
+    }
+}
+
+impl Reply {
+    /// The environments will not come back: answers and ends the session.
+    pub fn lose(&mut self, error: &Error) {
+        let response = Some(Response::Failure(status::failure(error)));
+        // A stream that does not read loses its session without this answer.
+        let _ = self.answers.try_send(RunSessionResponse { sequence: self.sequence, response });
+        self.loan.lose(error);
+    }
+
+    /// These environments go on.
+    pub fn with(self, rest: Rest, batch: Batch) -> Work {
+        Work { environments: rest.with(batch), reply: self }
+    }
 }
 
 impl Run {
@@ -93,16 +137,25 @@ impl Run {
 
     /// The next message, unless the session or the server ends first.
     async fn next_request(&mut self) -> Result<Option<RunSessionRequest>, Status> {
+        self.share = None;
         let end = self.attached.as_ref().map_or(self.sessions.stop(), |a| &a.hold.end).clone();
-        if let Some(rate) = self.sessions.limits().rate {
-            tokio::time::sleep_until(self.next).await;
-            self.next = Instant::now() + Duration::from_secs(1) / rate.max(1);
-        }
-        tokio::select! {
+        let first = std::mem::take(&mut self.first);
+        let message = async {
+            if let Some(link) = self.call.link.as_ref().filter(|_| !first) {
+                link.turn().await;
+            }
+            self.requests.message().await
+        };
+        let message = tokio::select! {
             biased;
-            () = end.cancelled() => Err(self.ended()),
-            message = self.requests.message() => message.map_err(status::unreadable),
-        }
+            () = end.cancelled() => None,
+            message = message => Some(message),
+        };
+        let Some(message) = message else { return Err(self.ended()) };
+        let Some(frame) = message.map_err(status::unreadable)? else { return Ok(None) };
+        let (request, share) = frame.open(&self.call.door, &wire::RUN_SESSION).map_err(|e| status::status(&e))?;
+        self.share = share.map(Arc::new);
+        Ok(Some(request))
     }
 
     /// Why the stream has no session any more.
@@ -136,6 +189,11 @@ impl Run {
             let reason = format!("{:?} is not this stream's; leave it empty or open a stream", request.session_id);
             return at_once(Response::Failure(status::failure(&Error::invalid("session_id", reason))));
         }
+        // Waited for before the environments are taken: this may be broken off.
+        let pictures = match &request.request {
+            Some(Request::Render(render)) => Some(self.call.intake.share(view::size(render)).await),
+            _ => None,
+        };
         let Some(environments) = self.sessions.take(hold).await else { return Err(self.ended()) };
         if matches!(request.request, Some(Request::Attach(_))) {
             let last_sequence = environments.done.sequence;
@@ -146,10 +204,20 @@ impl Run {
             self.sessions.give_back(&hold.id, environments);
             return Ok(Some(answer));
         }
+        self.call.door.let_pass(decode::largest_step(&environments.batch));
         let (sender, receiver) = mpsc::channel(2);
+        let loan = Loan::new(self.sessions.clone(), hold.id.clone());
+        let reply = Reply { sequence, loan, answers: sender, share: None };
+        let mut work = Work { environments, reply };
         self.answers = Some(receiver);
-        let (sessions, id) = (self.sessions.clone(), hold.id.clone());
-        let work = Work { environments, sequence, sessions, id, answers: sender };
+        if let Some(Err(error)) = &pictures {
+            work.refuse(error);
+            return Ok(None);
+        }
+        if let Some(Ok(share)) = pictures {
+            self.share = Some(Arc::new(share));
+        }
+        work.reply.share = self.share.clone();
         start(work, request, self.pool.clone());
         Ok(None)
     }
@@ -172,13 +240,8 @@ fn repeated(done: &Done, sequence: u64) -> Option<RunSessionResponse> {
 
 fn start(work: Work, request: RunSessionRequest, pool: Arc<Pool>) {
     let light = decode::is_light(&request);
-    let (sessions, id) = (work.sessions.clone(), work.id.clone());
-    let begin = move || {
-        // A panic here would leave the session without its environments, and its clients waiting.
-        if catch_unwind(AssertUnwindSafe(|| carry_out(work, request.request, &pool))).is_err() {
-            lost(&sessions, &id, &Error::Exhausted("a request could not be prepared".into()));
-        }
-    };
+    // A panic drops the work, which then ends its session, and shall not end this thread's other work.
+    let begin = move || drop(catch_unwind(AssertUnwindSafe(|| carry_out(work, request.request, &pool))));
     if light {
         begin();
     } else {
@@ -189,9 +252,10 @@ fn start(work: Work, request: RunSessionRequest, pool: Arc<Pool>) {
 /// Checks a request and starts its operation.
 fn carry_out(mut work: Work, request: Option<Request>, pool: &Arc<Pool>) {
     let batch = &mut work.environments.batch;
+    let seal = &work.reply.loan.sessions.seal;
     let operation = match request {
         Some(Request::Save(_)) => {
-            let saved = batch.save().and_then(|s| s.to_bytes());
+            let saved = batch.save().and_then(|s| s.to_bytes(seal));
             return work.tell(saved.map(|data| Response::Snapshot(Snapshot { data: data.into() })));
         }
         Some(Request::Rollout(request)) => return rollout::start(work, &request, pool.clone()),
@@ -204,7 +268,7 @@ fn carry_out(mut work: Work, request: Option<Request>, pool: &Arc<Pool>) {
             let seen = view::observe(batch, &request);
             return work.tell(seen.map(Response::Observation));
         }
-        request => decode::operation(batch, request),
+        request => decode::operation(batch, request, seal),
     };
     match operation {
         Ok(operation) => work.run(operation, pool),
@@ -215,18 +279,17 @@ fn carry_out(mut work: Work, request: Option<Request>, pool: &Arc<Pool>) {
 impl Work {
     /// Carries `operation` out and answers with the batch that it gives.
     fn run(self, operation: Operation, pool: &Pool) {
-        let Self { environments, sequence, sessions, id, answers } = self;
+        let Self { environments, mut reply } = self;
         let (batch, rest) = environments.into_parts();
-        let ran = sessions.metrics.begin(&operation, batch.envs());
+        let ran = reply.loan.sessions.metrics.begin(&operation, batch.envs());
         pool.run(batch, operation, move |batch| match batch {
             Ok(batch) => {
                 let response = Response::Batch(encode::batch(&batch));
                 ran(&batch);
-                sessions.watchers.saw(&id, &batch);
-                let environments = rest.with(batch);
-                Self { environments, sequence, sessions, id, answers }.finish(response, true);
+                reply.loan.sessions.watchers.saw(&reply.loan.id, &batch);
+                reply.with(rest, batch).finish(response, true);
             }
-            Err(error) => lost(&sessions, &id, &error),
+            Err(error) => reply.lose(&error),
         });
     }
 
@@ -246,20 +309,96 @@ impl Work {
     /// Puts the environments back and answers. A request that changed nothing need not keep its answer: it can be
     /// carried out again.
     pub fn finish(mut self, response: Response, keep: bool) {
-        let answer = RunSessionResponse { sequence: self.sequence, response: Some(response) };
-        if self.sequence > 0 {
-            self.environments.done = Done { sequence: self.sequence, answer: keep.then(|| answer.clone()) };
+        let sequence = self.reply.sequence;
+        let answer = RunSessionResponse { sequence, response: Some(response) };
+        if sequence > 0 {
+            self.environments.done = Done { sequence, answer: keep.then(|| answer.clone()) };
         }
-        self.sessions.give_back(&self.id, self.environments);
+        let answers = self.reply.answers.clone();
+        self.give_back();
         // The stream may be gone; whoever takes the session next asks for the answer again. The channel has room: this
         // is the last of a request's answers, and the stream reads them all before it reads the next request.
-        let _ = self.answers.try_send(answer);
+        let _ = answers.try_send(answer);
+    }
+
+    /// Puts the environments back without an answer: nobody waits for it.
+    pub fn give_back(mut self) {
+        self.reply.loan.give_back(self.environments);
     }
 }
 
-/// Something panicked and took the environments with it.
-pub fn lost(sessions: &Sessions, id: &str, error: &Error) {
-    tracing::error!(session = super::sessions::name(id), %error, "a session was lost");
-    // It may have been closed meanwhile.
-    let _ = sessions.close(id);
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::env::registry::Blueprint;
+    use crate::pool::Seal;
+    use crate::service::sessions::Limits;
+    use serde_json::Value;
+    use tokio_util::sync::CancellationToken;
+    use tonic::Code;
+
+    /// A session's environments on their way, and where its answers arrive.
+    fn lent(sessions: &Arc<Sessions>) -> (Work, mpsc::Receiver<RunSessionResponse>) {
+        let blueprint = Blueprint::new("sandgait/HexapodGait-v1", Value::Null).unwrap();
+        let environments = sessions.build(&blueprint, 2).unwrap();
+        let (answers, receiver) = mpsc::channel(2);
+        sessions.add("one".into(), blueprint.clone(), sessions.build(&blueprint, 1).unwrap()).unwrap();
+        let loan = Loan::new(sessions.clone(), "one".into());
+        (Work { environments, reply: Reply { sequence: 7, loan, answers, share: None } }, receiver)
+    }
+
+    fn sessions() -> Arc<Sessions> {
+        Sessions::new(Limits::default(), Seal::default(), CancellationToken::new())
+    }
+
+    fn check(sessions: &Sessions, mut answers: mpsc::Receiver<RunSessionResponse>) {
+        let RunSessionResponse { sequence, response } = answers.blocking_recv().unwrap();
+        let Some(Response::Failure(failure)) = response else { panic!("{response:?}") };
+        assert_eq!((sequence, failure.code), (7, i32::from(Code::Internal)));
+        assert!(failure.message.ends_with("please report this as a bug"), "{}", failure.message);
+        assert!(answers.blocking_recv().is_none());
+        assert!(sessions.list().is_empty(), "the session has ended");
+    }
+
+    /// In the pool: the worker that runs the last shard encodes the answer.
+    #[test]
+    fn a_panic_while_an_answer_is_made_is_answered() {
+        let (sessions, pool) = (sessions(), Pool::new(1));
+        for _ in 0..2 {
+            let (mut work, answers) = lent(&sessions);
+            let operation = work.environments.batch.reset(None, None, Default::default()).unwrap();
+            let Work { environments, reply } = work;
+            let (batch, rest) = environments.into_parts();
+            pool.run(batch, operation, move |batch| {
+                let _work = reply.with(rest, batch.unwrap());
+                panic!("on purpose");
+            });
+            check(&sessions, answers);
+        }
+        assert_eq!(sessions.usage().sessions, 0);
+    }
+
+    /// In a task of the runtime, as a rollout is.
+    #[test]
+    fn a_panic_between_the_parts_of_a_rollout_is_answered() {
+        let sessions = sessions();
+        let (work, answers) = lent(&sessions);
+        let runtime = tokio::runtime::Runtime::new().unwrap();
+        let task = runtime.spawn(async move {
+            let _work = work;
+            tokio::task::yield_now().await;
+            panic!("on purpose");
+        });
+        assert!(runtime.block_on(task).unwrap_err().is_panic());
+        check(&sessions, answers);
+    }
+
+    #[test]
+    fn a_session_whose_environments_are_back_goes_on() {
+        let sessions = sessions();
+        let (work, mut answers) = lent(&sessions);
+        work.refuse(&Error::invalid("x", "y"));
+        assert!(matches!(answers.blocking_recv().unwrap().response, Some(Response::Failure(_))));
+        assert_eq!(sessions.list().len(), 1);
+    }
 }

@@ -1,18 +1,29 @@
 //! Requests that only look: pictures, and moments as recordings hold them.
 
 use super::proto::{Observation, Observe, Pictures, Render};
-use crate::env::Look;
+use crate::env::{Look, Spec};
 use crate::error::{Error, Result};
 use crate::pool::Batch;
+use crate::sim::Model;
 use crate::view::{self, About, Moment};
 
 /// Most pixels of one request, all its pictures together: our choice of guard, 100 MB.
 const MOST_PIXELS: u64 = 1 << 25;
 
+/// Memory of the answer to `request` [bytes]: its pixels, and once more the message that they go in.
+pub fn size(request: &Render) -> usize {
+    2 * 3 * pixels(request).min(MOST_PIXELS) as usize
+}
+
+fn pixels(request: &Render) -> u64 {
+    let one = u64::from(request.width) * u64::from(request.height);
+    (request.indices.len() as u64).saturating_mul(one)
+}
+
 /// Pictures of environments.
 pub fn render(batch: &Batch, request: &Render) -> Result<Pictures> {
     let Render { indices, width, height, ended } = request;
-    let pixels = (indices.len() as u64).saturating_mul(u64::from(*width) * u64::from(*height));
+    let pixels = pixels(request);
     if pixels > MOST_PIXELS {
         let reason = format!("{} pictures of {width} × {height} have more than {MOST_PIXELS} pixels", indices.len());
         return Err(Error::invalid("indices", reason));
@@ -40,25 +51,24 @@ fn captions(look: &Look) -> Vec<String> {
 pub fn observe(batch: &Batch, request: &Observe) -> Result<Observation> {
     let look = batch.look(request.index as usize, request.ended)?;
     let row = row(&look).iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<_>>();
-    Ok(Observation { header: header(&look), row: row.into() })
+    Ok(Observation { header: header(look.spec, look.model, look.episode), row: row.into() })
 }
 
-/// The header of the recording's section that this moment belongs to.
-pub fn header(look: &Look) -> String {
-    let spec = look.spec;
+/// The header of the recording's section that moments of this episode belong to.
+pub fn header(spec: &Spec, model: &Model, episode: (u64, u64)) -> String {
     let about = About {
         task: spec.id,
         rate: spec.control_rate,
-        episode: Some(look.episode),
+        episode: Some(episode),
         info: spec.info.iter().map(|c| (c.name.as_str(), c.unit)).collect(),
         reward_terms: spec.reward.len(),
         actions: spec.action.len(),
     };
-    view::header(look.model, &about)
+    view::header(model, &about)
 }
 
 /// The moment's numbers.
-pub fn row(look: &Look) -> Vec<f32> {
+fn row(look: &Look) -> Vec<f32> {
     let Look { model, state, footing, time, action, reward, info, .. } = look;
     view::row(model, &Moment { time: *time, state, footing, action, reward: *reward, info })
 }

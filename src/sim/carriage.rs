@@ -45,6 +45,7 @@ impl CarriageEngine {
     /// See [`super::engine::Engine::set_state`]. The velocity is the carriage's for good.
     pub fn set_state(&mut self, index: usize, state: &State) {
         self.carriages[index].state.clone_from(state);
+        self.carriages[index].state.forget_changes();
     }
 
     /// See [`super::engine::Engine::state`].

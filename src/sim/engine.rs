@@ -2,6 +2,7 @@
 
 use super::carriage::CarriageEngine;
 use super::lanes::LanesEngine;
+use super::model::Scene;
 use super::rapier::RapierEngine;
 use super::{Model, State};
 use crate::error::{Error, Result};
@@ -28,6 +29,14 @@ impl EngineKind {
             Self::Lanes => "lanes",
             Self::Rapier => "rapier",
             Self::Carriage => "carriage",
+        }
+    }
+
+    /// Time step [s] that it needs for walks within 1 to 2 % of the converged ones: see `docs/convergence.md`.
+    pub fn default_dt(self) -> f64 {
+        match self {
+            Self::Lanes | Self::Carriage => Scene::DEFAULT_DT,
+            Self::Rapier => 5e-4,
         }
     }
 

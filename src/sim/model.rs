@@ -37,8 +37,15 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// 0.5 ms: the largest step at which the reference walks are within 1.3 % of the converged ones.
-    pub const DEFAULT_DT: f64 = 5e-4;
+    /// Time step of engine lanes, 1 ms: the largest at which its reference walks are within 1 % of the converged ones
+    /// (`docs/convergence.md`). Other engines have their own: [`super::engine::EngineKind::default_dt`].
+    pub const DEFAULT_DT: f64 = 1e-3;
+
+    /// Steepest slope, either way [°]: natural slopes of dry sand end near 35°, its angle of repose.
+    pub const MAX_SLOPE_DEG: f64 = 35.0;
+
+    /// Largest payload [kg].
+    pub const MAX_PAYLOAD: f64 = 1e3;
 
     pub fn flat(medium: Medium) -> Self {
         Self {
@@ -71,11 +78,10 @@ impl Scene {
     }
 
     fn validate(&self) -> Result<()> {
-        // Natural slopes of dry sand end near 35°, its angle of repose.
-        check_range("slope_deg", self.slope_deg, -35.0..=35.0)?;
+        check_range("slope_deg", self.slope_deg, -Self::MAX_SLOPE_DEG..=Self::MAX_SLOPE_DEG)?;
         self.mechanisms.validated()?;
         check_range("dt", self.dt, 1e-6..=5e-3)?;
-        check_range("payload", self.payload, 0.0..=1e3)?;
+        check_range("payload", self.payload, 0.0..=Self::MAX_PAYLOAD)?;
         check_range("surface.rest_speed", self.surface.rest_speed, 1e-9..=1e-2)?;
         check_range("surface.leading_edge_gate", self.surface.leading_edge_gate, 1e-3..=1.0)?;
         check_range("surface.sign_gate", self.surface.sign_gate, 1e-3..=1.0)?;
@@ -199,7 +205,6 @@ impl Model {
         scene.validate()?;
         let size = V::from(robot.base.size).map(|s| s * s);
         let box_inertia = V::new(size.y + size.z, size.x + size.z, size.x + size.y) / 12.0;
-        let slope = scene.slope_deg.to_radians() + scene.mechanisms.slope;
         let legs = robot.hip.iter().map(|hip| leg(robot, hip.position, hip.yaw_deg.to_radians()));
         Ok(Self {
             base_mass: robot.base.mass + scene.payload,
@@ -207,7 +212,7 @@ impl Model {
             belly: belly(robot),
             legs: legs.collect::<Result<_>>()?,
             motor: Motor::new(&robot.servo, &scene.mechanisms),
-            gravity: V::new(-slope.sin(), 0.0, -slope.cos()) * GRAVITY,
+            gravity: gravity(scene),
             solids: solids(&scene.obstacles)?,
             robot: robot.clone(),
             scene: scene.clone(),
@@ -257,6 +262,20 @@ impl Model {
         Self { scene: Scene { medium, ..self.scene.clone() }, ..self.clone() }
     }
 
+    /// Another slope [°] and payload [kg]; what lies beyond a scene's bounds is clipped to them.
+    pub fn set_load(&mut self, slope_deg: f64, payload: f64) {
+        self.scene.slope_deg = slope_deg.clamp(-Scene::MAX_SLOPE_DEG, Scene::MAX_SLOPE_DEG);
+        self.scene.payload = payload.clamp(0.0, Scene::MAX_PAYLOAD);
+        self.base_mass = self.robot.base.mass + self.scene.payload;
+        self.gravity = gravity(&self.scene);
+    }
+
+    /// Motors that have `share`, at most 1, of the torque limit that the servos have.
+    pub fn weaken_motors(&mut self, share: f64) {
+        self.robot.servo.torque_limit = self.robot.servo.torque_limit.map(|limit| limit * share);
+        self.motor = Motor::new(&self.robot.servo, &self.scene.mechanisms);
+    }
+
     /// Gives each leg's plates `shares` [legs] of the areas that they have in `full`, the same robot: stress on them is
     /// that share of the sand's.
     pub fn scale_areas(&mut self, full: &Self, shares: &[f64]) {
@@ -296,6 +315,12 @@ impl Model {
         }
         -lowest
     }
+}
+
+/// In the surface's frame [m/s²].
+fn gravity(scene: &Scene) -> V {
+    let slope = scene.slope_deg.to_radians() + scene.mechanisms.slope;
+    V::new(-slope.sin(), 0.0, -slope.cos()) * GRAVITY
 }
 
 fn solids(obstacles: &[Obstacle]) -> Result<Vec<Solid>> {

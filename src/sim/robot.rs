@@ -182,8 +182,18 @@ impl Robot {
         self.hip.iter().flat_map(|h| self.leg.link.iter().map(move |l| name(h, l))).collect()
     }
 
+    /// Is this `own`, but for masses and the servo?
+    pub fn is_variant_of(&self, own: &Self) -> bool {
+        let mut same = own.clone();
+        (same.base.mass, same.servo) = (self.base.mass, self.servo);
+        for (same, link) in same.leg.link.iter_mut().zip(&self.leg.link) {
+            (same.mass, same.armature) = (link.mass, link.armature);
+        }
+        same == *self
+    }
+
     /// The ranges guard against slips of units: our choice, far outside what RFT was measured for.
-    fn validate(&self) -> Result<()> {
+    pub fn validate(&self) -> Result<()> {
         check_range("base.mass", self.base.mass, 1e-4..=1e3)?;
         for s in self.base.size {
             check_range("base.size", s, 1e-3..=10.0)?;

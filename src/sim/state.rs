@@ -22,6 +22,12 @@ pub struct State {
     pub references: Vec<f64>,
     /// Torque each joint applied in the last time step [N·m].
     pub torques: Vec<f64>,
+    /// What the last time step added to `velocity` [m/s] and to `angular_velocity` [rad/s]; zero at the start. Engine
+    /// `lanes` expects the next step to add the same: see [`super::lanes`].
+    pub velocity_change: [f64; 3],
+    pub angular_velocity_change: [f64; 3],
+    /// What the last time step added to `rates` [rad/s].
+    pub rate_changes: Vec<f64>,
     /// ∫ Σ|τ ω| dt since the state was set [J]; of engine `carriage`, whose drives waste nothing, ∫ Σ τ ω dt.
     pub work: f64,
     /// ∫ sand's force on the legs dt since the state was set [N·s]; only engine `carriage` measures it.
@@ -74,6 +80,9 @@ impl State {
             rates: vec![0.0; angles.len()],
             references: angles.to_vec(),
             torques: vec![0.0; angles.len()],
+            velocity_change: [0.0; 3],
+            angular_velocity_change: [0.0; 3],
+            rate_changes: vec![0.0; angles.len()],
             work: 0.0,
             impulse: [0.0; 3],
             objects: Vec::new(),
@@ -82,11 +91,13 @@ impl State {
 
     /// All of it as one row, for [`Self::from_row`].
     pub fn row(&self) -> Vec<f64> {
-        let mut row = Vec::with_capacity(17 + 4 * self.angles.len() + 13 * self.objects.len());
+        let mut row = Vec::with_capacity(23 + 5 * self.angles.len() + 13 * self.objects.len());
         row.extend(self.position.iter().chain(&self.orientation).chain(&self.velocity).chain(&self.angular_velocity));
         row.push(self.work);
         row.extend(self.impulse);
+        row.extend(self.velocity_change.iter().chain(&self.angular_velocity_change));
         row.extend(self.angles.iter().chain(&self.rates).chain(&self.references).chain(&self.torques));
+        row.extend(&self.rate_changes);
         row.extend(self.objects.iter().flat_map(ObjectState::numbers));
         row
     }
@@ -94,8 +105,8 @@ impl State {
     /// The state of a robot with `joints` joints from its [`Self::row`]; none if the row has another length than such
     /// robots' have.
     pub fn from_row(joints: usize, row: &[f64]) -> Option<Self> {
-        let (base, rest) = row.split_at_checked(17)?;
-        let (joint, objects) = rest.split_at_checked(4 * joints)?;
+        let (base, rest) = row.split_at_checked(23)?;
+        let (joint, objects) = rest.split_at_checked(5 * joints)?;
         let (objects, rest) = objects.as_chunks::<13>();
         if !rest.is_empty() {
             return None;
@@ -107,11 +118,14 @@ impl State {
             velocity: base[7..10].try_into().ok()?,
             angular_velocity: base[10..13].try_into().ok()?,
             work: base[13],
-            impulse: base[14..].try_into().ok()?,
+            impulse: base[14..17].try_into().ok()?,
+            velocity_change: base[17..20].try_into().ok()?,
+            angular_velocity_change: base[20..].try_into().ok()?,
             angles: part(0),
             rates: part(1),
             references: part(2),
             torques: part(3),
+            rate_changes: part(4),
             objects: objects.iter().map(ObjectState::from_numbers).collect(),
         })
     }
@@ -126,7 +140,27 @@ impl State {
             && ok(&self.angular_velocity)
             && ok(&self.angles)
             && ok(&self.rates)
+            && ok(&self.velocity_change)
+            && ok(&self.angular_velocity_change)
+            && ok(&self.rate_changes)
             && self.objects.iter().flat_map(ObjectState::numbers).all(|x| x.abs() < 1e4)
+    }
+
+    /// Forgets what the last time step added: for engines that make no use of it.
+    pub fn forget_changes(&mut self) {
+        (self.velocity_change, self.angular_velocity_change) = ([0.0; 3], [0.0; 3]);
+        self.rate_changes.fill(0.0);
+    }
+
+    /// [`Self::is_sound`] of a state that comes from outside: forces and sums too, and every orientation of unit length.
+    pub fn is_possible(&self) -> bool {
+        let numbers = || self.references.iter().chain(&self.torques).chain(&self.impulse).chain([&self.work]);
+        let unit = |q: &[f64; 4]| (q.iter().map(|c| c * c).sum::<f64>().sqrt() - 1.0).abs() < 1e-2;
+        // A servo's reference runs on while its joint is held: our choice of a bound, far beyond any episode.
+        self.is_sound()
+            && numbers().all(|x| x.abs() < 1e9)
+            && unit(&self.orientation)
+            && self.objects.iter().all(|o| unit(&o.orientation))
     }
 
     /// Base frame to world, row by row.

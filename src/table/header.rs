@@ -51,6 +51,10 @@ impl<'a> Asked<'a> {
         if header.iter().all(String::is_empty) {
             return Err(Error::file(path, "row 1: empty, where the columns' names should stand"));
         }
+        let twice = |(i, name): &(usize, &String)| !name.is_empty() && header[..*i].contains(name);
+        if let Some((_, name)) = header.iter().enumerate().find(twice) {
+            return Err(Error::file(path, format!("row 1, column {}: stands there twice", shown(name))));
+        }
         for ours in self.renamed.keys() {
             if !self.columns.iter().any(|c| c.name == ours) {
                 let known: Vec<_> = self.columns.iter().map(|c| c.name).collect();
@@ -73,7 +77,11 @@ impl<'a> Asked<'a> {
         let theirs = self.theirs(column);
         let wrong = |reason: String| Error::file(path, format!("row 1, column {theirs}: {reason}"));
         let exact = header.iter().any(|h| h == theirs);
-        let is = |cell: &str| if exact { cell == theirs } else { split(cell).0 == theirs };
+        // Beside the name itself, the same one with a unit is a second column; with other words in brackets it is not.
+        let doubles = |(name, unit): (&str, Option<&str>)| {
+            name == theirs && unit.is_some_and(|unit| column.quantity.factor(unit).is_some())
+        };
+        let is = |cell: &str| if exact { cell == theirs || doubles(split(cell)) } else { split(cell).0 == theirs };
         let mut found = header.iter().enumerate().filter(|(_, cell)| is(cell));
         let place = found.next();
         if found.next().is_some() {

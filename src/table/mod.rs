@@ -40,21 +40,34 @@ impl Row<'_> {
     /// The cell in SI units, `None` where blank or absent.
     pub fn number(&self, column: usize) -> Result<Option<f64>> {
         let (Some(cell), Some(place)) = (self.text(column), &self.places[column]) else { return Ok(None) };
-        match cell.parse::<f64>() {
-            Ok(value) if value.is_finite() => Ok(Some(value * place.factor)),
+        match cell.parse::<f64>().map(|value| value * place.factor) {
+            Ok(value) if value.is_finite() => Ok(Some(value)),
             Ok(_) => Err(self.error(column, format!("{cell} is not finite"))),
             Err(_) => Err(self.error(column, format!("{:?} is no number", shown(cell)))),
         }
     }
 
+    /// The cell in SI units, refused beyond ±`most`: there it is in the wrong unit or broken, and its square may overflow.
+    pub fn within(&self, column: usize, most: f64) -> Result<Option<f64>> {
+        match self.number(column)? {
+            Some(value) if value.abs() > most => Err(self.error(column, format!("{value} is beyond ±{most}"))),
+            value => Ok(value),
+        }
+    }
+
     /// The cell in SI units; blank is an error.
     pub fn needed(&self, column: usize) -> Result<f64> {
-        self.number(column)?.ok_or_else(|| self.error(column, "is blank"))
+        self.number(column)?.ok_or_else(|| self.blank(column))
     }
 
     /// The cell's text; blank is an error.
     pub fn needed_text(&self, column: usize) -> Result<&str> {
-        self.text(column).ok_or_else(|| self.error(column, "is blank"))
+        self.text(column).ok_or_else(|| self.blank(column))
+    }
+
+    /// The error of a cell that must not be blank.
+    pub fn blank(&self, column: usize) -> Error {
+        self.error(column, "is blank")
     }
 
     /// Every cell of the file's row as it stands, asked for or not.

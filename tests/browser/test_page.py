@@ -21,7 +21,7 @@ from chromium import Page
 import sandgait
 from sandgait import server
 
-ID = "sandgait/HexapodGait-v0"
+ID = "sandgait/HexapodGait-v1"
 ACTION = np.full(6, 0.4, dtype=np.float32)
 
 
@@ -170,7 +170,7 @@ def test_the_live_page_follows_a_session(page: Page, tmp_path: Path) -> None:
         page.until("player.recording.moments.length > 20")
         x = page.ask("player.world.pose.bodies[0].position.x")
         page.until(f"player.world.pose.bodies[0].position.x > {x} + 0.1")
-        assert "sandgait/HexapodGait-v0" in page.ask("document.getElementById('status').textContent")
+        assert "sandgait/HexapodGait-v1" in page.ask("document.getElementById('status').textContent")
         page.until("player.recording.end - player.recording.start > 4.5")
         drawn = "new Promise(done => requestAnimationFrame(() => done(player.recording.end - player.time)))"
         assert page.ask(drawn) < 1.1, "it keeps up"

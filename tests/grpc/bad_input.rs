@@ -119,7 +119,7 @@ async fn not_created(request: CreateSessionRequest, code: Code, words: &[&str]) 
 async fn sessions_that_cannot_be() {
     let invalid = Code::InvalidArgument;
     let task_id = "sandgait/Swim-v0".to_owned();
-    not_created(CreateSessionRequest { task_id, ..create(1, &[]) }, invalid, &["Swim", "HexapodGait-v0"]).await;
+    not_created(CreateSessionRequest { task_id, ..create(1, &[]) }, invalid, &["Swim", "HexapodGait-v1"]).await;
     let protocol = PROTOCOL + 1;
     not_created(CreateSessionRequest { protocol, ..create(1, &[]) }, invalid, &["protocol", "update the server"]).await;
     not_created(CreateSessionRequest { protocol: 0, ..create(1, &[]) }, invalid, &["update the client"]).await;

@@ -15,7 +15,7 @@ use tonic::service::interceptor::InterceptedService;
 use tonic::transport::{Channel, Endpoint};
 use tonic::{Code, Status, Streaming};
 
-pub const TASK: &str = "sandgait/HexapodGait-v0";
+pub const TASK: &str = "sandgait/HexapodGait-v1";
 
 /// Joints of the reference robot: numbers in an action row.
 pub const ACTIONS: usize = 6;

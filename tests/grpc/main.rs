@@ -4,6 +4,7 @@ mod bad_input;
 mod determinism;
 mod fuzz;
 mod harness;
+mod large;
 mod mutate;
 mod policies;
 mod raw;
@@ -28,7 +29,7 @@ async fn describe_names_every_number() {
     let description = server.client().await.describe(DescribeRequest {}).await.unwrap().into_inner();
     assert_eq!((description.version.as_str(), description.protocol), (env!("CARGO_PKG_VERSION"), PROTOCOL));
     let task = description.tasks.iter().find(|t| t.id == TASK).unwrap();
-    assert_eq!((task.action.len(), task.observation.len()), (ACTIONS, 3 * 3 + 5 * ACTIONS + 1));
+    assert_eq!((task.action.len(), task.observation.len()), (ACTIONS, 3 * 3 + 5 * ACTIONS + 2));
     let tables = [&task.observation, &task.action, &task.info];
     assert!(tables.into_iter().flatten().all(|c| !c.name.is_empty() && !c.unit.is_empty() && c.low < c.high));
     assert!(task.reward_terms > 0 && (task.reward_terms as usize) < task.info.len());
@@ -81,21 +82,34 @@ async fn a_masked_reset_leaves_the_others_alone() {
     assert_ne!(row(&before, 1), row(&after, 1));
 }
 
+/// The environment that the reset names goes on as one of a session that was made with these options, also after a reset
+/// without any; the other as one of a session without them.
 #[tokio::test]
 async fn options_change_at_reset_and_hold() {
     let server = Server::start(1).await;
-    let mut session = server.session(2).await;
-    let plain = session.reset(3).await.observations;
     let command = prost_types::ListValue { values: vec![number(0.25), number(0.25)] };
     let command = prost_types::Value { kind: Some(prost_types::value::Kind::ListValue(command)) };
-    let changes = options(&[("leg", text("C")), ("medium", text("poppy-close")), ("command", command)]);
-    let reset = Reset { seeds: vec![3, 4], mask: vec![1, 0].into(), options: changes };
-    let changed = floats(&session.batch(Request::Reset(reset)).await.observations);
+    let changes = [("leg", text("C")), ("medium", text("poppy-close")), ("command", command)];
+    let mut session = server.session(2).await;
+    let mut plain = server.session(2).await;
+    let mut made = Session::create(server.client().await, 2, &changes).await.unwrap();
     let wide = session.task.observation.len();
-    assert_eq!(changed[wide - 1], 0.25);
-    assert_eq!(changed[wide..], floats(&plain)[wide..]);
-    let again = floats(&session.reset(3).await.observations);
-    assert_eq!(again[wide - 1], 0.25);
+    session.reset(3).await;
+    for round in 0..2 {
+        let mask = if round == 0 { vec![1, 0] } else { Vec::new() };
+        let options = if round == 0 { options(&changes) } else { None };
+        session.batch(Request::Reset(Reset { seeds: vec![3, 4], mask: mask.into(), options })).await;
+        plain.reset(3).await;
+        made.reset(3).await;
+        for time in 0..20 {
+            let [changed, plain, made] = [&mut session, &mut plain, &mut made];
+            let (changed, plain, made) = (changed.step(time).await, plain.step(time).await, made.step(time).await);
+            let [changed, plain, made] = [changed, plain, made].map(|batch| floats(&batch.observations));
+            assert_eq!(changed[..wide], made[..wide], "round {round}, step {time}");
+            assert_eq!(changed[wide..], plain[wide..], "round {round}, step {time}");
+            assert_ne!(changed[..wide], plain[..wide], "round {round}, step {time}");
+        }
+    }
 }
 
 #[tokio::test]

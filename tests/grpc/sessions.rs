@@ -189,22 +189,33 @@ async fn a_session_without_a_stream_expires() {
     attached.step(0).await;
 }
 
+/// A server that stops a quarter of the way into a step finishes and answers it; then the stream ends with a status that says
+/// why. Where the machine was so slow that the step had not been read when the server stopped, it is tried again.
 #[tokio::test]
 async fn shutdown_answers_the_step_in_flight() {
-    let mut server = Server::start(1).await;
-    let mut session = server.session(256).await;
-    session.reset(0).await;
-    session.send(Some(step(&wave(0..256, 0)))).await;
-    tokio::time::sleep(Duration::from_millis(2)).await;
-    server.stop.cancel();
-    // Whether the step was read before the stop or not, the stream ends with a status that says why.
-    let mut last = session.receive().await;
-    if last.is_ok() {
-        last = session.receive().await;
+    let mut answered = 0;
+    for _ in 0..10 {
+        let mut server = Server::start(1).await;
+        let mut session = server.session(1024).await;
+        session.reset(0).await;
+        let begun = std::time::Instant::now();
+        session.step(0).await;
+        let alone = begun.elapsed();
+        session.send(Some(step(&wave(0..1024, 1)))).await;
+        tokio::time::sleep(alone / 4).await;
+        server.stop.cancel();
+        let mut last = session.receive().await;
+        if last.is_ok() {
+            answered += 1;
+            last = session.receive().await;
+        }
+        let status = last.unwrap_err();
+        assert_eq!(status.code(), Code::Unavailable);
+        assert!(status.message().contains("shutting down"));
+        server.done.take().unwrap().await.unwrap().unwrap();
+        if answered > 0 {
+            return;
+        }
     }
-    let status = last.unwrap_err();
-    assert_eq!(status.code(), Code::Unavailable);
-    assert!(status.message().contains("shutting down"));
-    let done = tokio::time::timeout(Duration::from_secs(5), server.done.take().unwrap()).await;
-    done.unwrap().unwrap().unwrap();
+    panic!("no step in flight was answered");
 }

@@ -109,7 +109,7 @@ async fn a_damaged_snapshot_is_refused() {
     older[19..][..5].copy_from_slice(b"0.0.0");
     let failure = session.failure(Some(restore(&older, &[]))).await;
     assert!(failure.message.contains("0.0.0"), "{}", failure.message);
-    let mut legs = of_task(&server, "sandgait/HexapodLegs-v0", 2).await;
+    let mut legs = of_task(&server, "sandgait/HexapodLegs-v1", 2).await;
     let failure = legs.failure(Some(restore(&snapshot, &[]))).await;
     assert!(failure.message.contains(TASK), "{}", failure.message);
     let mut coarse = Session::create(server.client().await, 2, &[("dt", number(1e-3))]).await.unwrap();

@@ -228,7 +228,7 @@ async fn wrong_data_are_refused_as_on_the_command_line() {
     let status = failed(&mut client, request).await.unwrap_err();
     assert!(status.code() == Code::InvalidArgument && status.message().contains("mood"), "{status}");
     let large = DiagnoseRequest { data: file("force.csv", &"x".repeat(65 << 20)), experiment: None };
-    assert_eq!(failed(&mut client, large).await.unwrap_err().code(), Code::OutOfRange);
+    assert_eq!(failed(&mut client, large).await.unwrap_err().code(), Code::ResourceExhausted);
 }
 
 #[tokio::test]

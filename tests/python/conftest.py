@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
+import tempfile
+import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from sandgait import server
 
-ID = "sandgait/HexapodGait-v0"
+ID = "sandgait/HexapodGait-v1"
 
 #: First line of a program that is to be interrupted: what a shell starts in the background ignores SIGINT, and so would
 #: all its children.
@@ -21,16 +25,28 @@ class RemoteServer:
     """A server that the client did not start."""
 
     def __init__(self, listen: str, *options: str) -> None:
+        self._log = tempfile.NamedTemporaryFile("w")  # noqa: SIM115, closed in __exit__
         self.process = subprocess.Popen(
             [server.find_binary(), "serve", "--listen", listen, "--exit-on-stdin-close", *options],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
+            stderr=self._log,
             text=True,
         )
         assert self.process.stdout is not None
         #: As the server prints it once clients can connect.
         self.address = self.process.stdout.readline().removeprefix("listening on ").strip()
+
+    def address_of(self, words: str) -> str:
+        """The address in the log's line with `words`, which the server writes before it says that it listens."""
+        for _ in range(1000):
+            for line in Path(self._log.name).read_text().splitlines():
+                if words in line:
+                    found = re.search(r"127\.0\.0\.1:\d+", line)
+                    assert found, line
+                    return found[0]
+            time.sleep(0.01)
+        raise AssertionError(f"no {words!r} in the log")
 
     def kill(self) -> None:
         self.process.kill()
@@ -42,6 +58,7 @@ class RemoteServer:
     def __exit__(self, *_: Any) -> None:
         self.process.kill()
         self.process.communicate()
+        self._log.close()
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import socket
 import subprocess
 import sys
 import threading
@@ -172,7 +171,7 @@ def test_same_numbers_as_gymnasium(connection: Connection, address: str, task: s
     options: dict[str, Any] = {"max_episode_steps": 7, **own}
     settings = {"task": task, "seed": 11, **options}
     env, world = dm_env_adaptor.create_and_join_world(connection, settings, {})
-    ours = sandgait.SandgaitVectorEnv(task, 1, address, **options)
+    ours = sandgait.SandgaitVectorEnv(task, 1, address, autoreset_mode="SAME_STEP", **options)
     random = np.random.default_rng(0)
     with env:
         assert env.action_spec()["action"].shape == ours.single_action_space.shape
@@ -397,10 +396,8 @@ def test_the_example_of_the_document_runs(address: str, capsys: pytest.CaptureFi
 
 
 def test_what_worlds_do_is_counted() -> None:
-    with socket.socket() as probe:  # any free port, as the server would find it; then it is free again
-        probe.bind(("127.0.0.1", 0))
-        page = f"127.0.0.1:{probe.getsockname()[1]}"
-    with RemoteServer("127.0.0.1:0", "--dm-env-rpc", "--metrics", page) as server:
+    with RemoteServer("127.0.0.1:0", "--dm-env-rpc", "--metrics", "127.0.0.1:0") as server:
+        page = server.address_of("metrics are at /metrics")
         with grpc.insecure_channel(server.address) as channel:
             connection = Connection(channel)
             join(connection, create(connection, max_episode_steps=3))

@@ -63,7 +63,7 @@ def test_wrong_actions(actions: Any, says: str) -> None:
         ({"num_envs": 0}, "num_envs: 0 is outside"),
         ({"num_envs": -1}, "num_envs: -1 is outside"),
         ({"address": "nowhere"}, "address: 'nowhere' is neither"),
-        ({"task": "sandgait/Flying-v0"}, "Flying-v0.*HexapodGait-v0"),
+        ({"task": "sandgait/Flying-v0"}, "Flying-v0.*HexapodGait-v1"),
     ],
 )
 def test_wrong_options(options: dict[str, Any], says: str) -> None:
@@ -142,7 +142,7 @@ def test_sand_is_a_file_of_the_client(tmp_path: Path) -> None:
     for drag in (0.0, 4.0):
         file = tmp_path / f"{drag}.toml"
         file.write_text(f"{text}[mechanisms]\ninertial_drag = {drag}\n")
-        env = sandgait.SandgaitVectorEnv("sandgait/HexapodGait-v0", 1, sand=str(file), angle_noise=0.0)
+        env = sandgait.SandgaitVectorEnv("sandgait/HexapodGait-v1", 1, sand=str(file), angle_noise=0.0)
         env.reset(seed=0)
         for _ in range(100):
             infos = env.step(np.full((1, 6), 0.8, np.float32))[4]
@@ -150,4 +150,4 @@ def test_sand_is_a_file_of_the_client(tmp_path: Path) -> None:
         env.close()
     assert speeds[0] != speeds[1]
     with pytest.raises(ValueError, match="sand"):
-        sandgait.SandgaitVectorEnv("sandgait/HexapodGait-v0", 1, sand=str(tmp_path / "nowhere.toml"))
+        sandgait.SandgaitVectorEnv("sandgait/HexapodGait-v1", 1, sand=str(tmp_path / "nowhere.toml"))

@@ -53,7 +53,7 @@ def test_sac_trains_and_goes_on_with_its_buffer(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--task", "Hexapot"], "ppo.yml has no settings for 'sandgait/Hexapot-v0'"),
+        (["--task", "Hexapot"], "ppo.yml has no settings for 'sandgait/Hexapot'"),
         (["--set", "gamma"], "--set 'gamma': expected NAME=VALUE"),
         (["--set", "learning_rate=fast"], "learning_rate: 'fast' is neither a number nor lin_NUMBER"),
         (["--set", "gama=0.9"], "gama"),

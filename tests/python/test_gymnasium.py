@@ -31,11 +31,11 @@ def test_tables_make_the_spaces() -> None:
     assert isinstance(env, sandgait.SandgaitEnv)
     task = env.task
     assert env.action_space == gymnasium.spaces.Box(-1.0, 1.0, (6,))
-    assert env.observation_space.shape == (40,) == (len(task.observation),)
+    assert env.observation_space.shape == (41,) == (len(task.observation),)
     assert np.isfinite(env.observation_space.low).all()
     assert np.isfinite(env.observation_space.high).all()
     names = [c.name for c in task.observation]
-    assert len(set(names)) == 40
+    assert len(set(names)) == 41
     assert all(c.unit for c in (*task.observation, *task.action, *task.info))
     assert {"leg", "medium", "slope_deg", "command"} <= {o.name for o in task.options if o.at_reset}
     assert {o.name: o.default for o in task.options}["leg"] == "L"

@@ -17,6 +17,7 @@ sys.path.insert(0, str(ROOT / "examples"))
 
 import evaluate_gait  # noqa: E402
 import train_clock  # noqa: E402
+import training  # noqa: E402
 
 
 def kept(name: str) -> list[Path]:
@@ -35,7 +36,7 @@ def test_policies_play_as_recorded() -> None:
         settings: dict[str, Any] = json.loads((path.parent / "settings.json").read_text())
         assert settings["command"]
         assert settings["commit"]
-        recorded, task = settings["score"], f"sandgait/{settings['task']}-v0"
+        recorded, task = settings["score"], training.task_id(settings["task"])
         made = sandgait.evaluate(path, task, seeds=recorded["episodes"], progress=False, **settings["options"])
         assert abs(made["return"][0] - recorded["return"]) < recorded["return_95"], path
         assert abs(made.speed[0] - recorded["speed"]) < 0.01, path

@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -28,8 +29,8 @@ ENVS = 10_000
 
 STEPS = 14
 
-#: Episodes end within these steps.
-OPTIONS = {"max_episode_steps": 9}
+#: Episodes end within these steps. SAME_STEP is what the wire carries.
+OPTIONS: dict[str, Any] = {"max_episode_steps": 9, "autoreset_mode": "SAME_STEP"}
 
 Row = tuple[npt.NDArray[np.generic], ...]
 

@@ -51,7 +51,7 @@ def test_the_servers_actions_are_sb3s(kind: Any, tmp_path: Path) -> None:
     model, normalize = untrained(kind)
     path = sandgait.export_onnx(model, tmp_path / "policy.onnx", normalize)
     assert path == tmp_path / "policy.onnx"
-    env = sandgait.SandgaitVectorEnv(ID, 20, max_episode_steps=STEPS)
+    env = sandgait.SandgaitVectorEnv(ID, 20, autoreset_mode="SAME_STEP", max_episode_steps=STEPS)
     rows, _ = env.reset(seed=5)
     rollout = env.rollout_policy(path, STEPS, trajectories=True)
     assert rollout.actions.shape == (STEPS, 20, 6)
@@ -95,11 +95,11 @@ def test_wrong_policies_are_refused(exported: Path, tmp_path: Path) -> None:
         env.rollout_policy(b"nothing", 5)
     with pytest.raises(sandgait.InvalidRequest, match=r"missing\.onnx"):
         env.rollout_policy("missing.onnx", 5)
-    assert env.step(np.zeros((2, 6)))[0].shape == (2, 40)
+    assert env.step(np.zeros((2, 6)))[0].shape == (2, 41)
     env.close()
-    legs = sandgait.SandgaitVectorEnv("sandgait/HexapodLegs-v0", 1)
+    legs = sandgait.SandgaitVectorEnv("sandgait/HexapodLegs-v1", 1)
     legs.reset(seed=0)
-    with pytest.raises(sandgait.InvalidRequest, match="40 numbers a row, this task has 83"):
+    with pytest.raises(sandgait.InvalidRequest, match="41 numbers a row, this task has 83"):
         legs.rollout_policy(exported, 5)
     legs.close()
 

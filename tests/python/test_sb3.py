@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,11 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, VecNormalize
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, VecNormalize, is_vecenv_wrapped
 
 import sandgait
 from conftest import ID
+from sandgait import sb3
 
 
 def test_check_env_finds_nothing() -> None:
@@ -31,7 +33,7 @@ def one() -> sandgait.SandgaitEnv:
 
 
 def test_steps_are_dummyvecenvs() -> None:
-    ours, theirs = sandgait.make_sb3(ID, 3, max_episode_steps=7), DummyVecEnv([one] * 3)
+    ours, theirs = sandgait.make_sb3(ID, 3, monitor=False, max_episode_steps=7), DummyVecEnv([one] * 3)
     assert isinstance(ours, VecEnv)
     assert ours.seed(4) == theirs.seed(4) == [4, 5, 6]
     assert np.array_equal(ours.reset(), theirs.reset())
@@ -75,9 +77,9 @@ def test_seeds_and_options_count_for_one_reset() -> None:
     assert not np.array_equal(first, env.reset())
     env.seed(1)
     env.set_options([{"command": [0.2, 0.2]}, {"command": [0.3, 0.3]}])
-    assert env.reset()[:, -1] == pytest.approx([0.2, 0.3])
+    assert env.reset()[:, -2] == pytest.approx([0.2, 0.3])
     env.set_options({"command": [0.4, 0.4]})
-    assert env.reset()[:, -1] == pytest.approx([0.4, 0.4])
+    assert env.reset()[:, -2] == pytest.approx([0.4, 0.4])
 
 
 def test_attributes_and_methods_of_single_environments() -> None:
@@ -85,9 +87,7 @@ def test_attributes_and_methods_of_single_environments() -> None:
     assert env.get_attr("render_mode") == [None] * 3
     assert env.get_attr("task", indices=1)[0].id == ID
     assert env.get_attr("action_space", indices=[0, 2]) == [env.action_space] * 2
-    env.set_attr("stage", 2, indices=[0, 1])
-    assert env.get_attr("stage", indices=[0, 1]) == [2, 2]
-    assert not env.has_attr("stage"), "the third has none"
+    assert not env.has_attr("stage")
     assert env.has_attr("task")
     with pytest.raises(AttributeError, match="nothing"):
         env.env_method("nothing")
@@ -103,14 +103,14 @@ def test_attributes_and_methods_of_single_environments() -> None:
 
 
 def test_ppo_learns_a_little_and_is_saved(tmp_path: Any) -> None:
-    """One update through VecMonitor and VecNormalize; that it learns to walk is examples/train.py's to show."""
-    env = VecNormalize(VecMonitor(sandgait.make_sb3(ID, 8, max_episode_steps=50)))
+    """One update; that it learns to walk is examples/train.py's to show."""
+    env = VecNormalize(sandgait.make_sb3(ID, 8, max_episode_steps=50))
     model = PPO("MlpPolicy", env, n_steps=64, batch_size=512, n_epochs=1, seed=0, device="cpu")
     model.learn(1024)
     assert len(model.ep_info_buffer or ()) == 16
     model.save(tmp_path / "policy")
     env.save(str(tmp_path / "normalize.pkl"))
-    evaluation = VecNormalize.load(str(tmp_path / "normalize.pkl"), VecMonitor(sandgait.make_sb3(ID, 2)))
+    evaluation = VecNormalize.load(str(tmp_path / "normalize.pkl"), sandgait.make_sb3(ID, 2))
     evaluation.training = False
     mean, _ = evaluate_policy(PPO.load(tmp_path / "policy", device="cpu"), evaluation, n_eval_episodes=2)
     assert np.isfinite(mean)
@@ -126,3 +126,27 @@ def test_a_missing_stable_baselines3_is_explained() -> None:
 def test_the_package_itself_does_not_import_torch() -> None:
     code = "import sys, sandgait; sys.exit('torch' in sys.modules or 'stable_baselines3' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], timeout=60, check=False).returncode == 0
+
+
+def test_make_sb3_is_monitored(tmp_path: Path) -> None:
+    """`ep_rew_mean` comes from it; a path also writes the episodes."""
+    path = tmp_path / "runs.monitor.csv"
+    env = sandgait.make_sb3(ID, 2, monitor=path, info_keywords=("speed",), max_episode_steps=5)
+    assert is_vecenv_wrapped(env, VecMonitor)
+    model = PPO("MlpPolicy", env, n_steps=16, batch_size=32, n_epochs=1, device="cpu").learn(32)
+    assert model.ep_info_buffer is not None
+    assert [e["l"] for e in model.ep_info_buffer] == [5] * 6
+    env.close()
+    head, columns, *rows = path.read_text().splitlines()
+    assert ID in head
+    assert columns == "r,l,t,speed"
+    assert len(rows) == 6
+    plain = sandgait.make_sb3(ID, 2, monitor=False)
+    assert not is_vecenv_wrapped(plain, VecMonitor)
+    plain.close()
+    with pytest.raises(sandgait.InvalidRequest, match=r"info_keywords: 'sped' is unknown; known: .*speed"):
+        sandgait.make_sb3(ID, 2, info_keywords=("sped",))
+    with pytest.raises(sandgait.InvalidRequest, match="autoreset_mode: stable-baselines3"):
+        sandgait.make_sb3(ID, 2, autoreset_mode="NEXT_STEP")
+    with pytest.raises(sandgait.InvalidRequest, match="SAME_STEP"):
+        sb3.SandgaitVecEnv(sandgait.SandgaitVectorEnv(ID, 2))

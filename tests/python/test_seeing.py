@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import gzip
+import json
 import os
+import struct
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 
 import gymnasium
@@ -53,7 +57,7 @@ def test_the_front_is_ahead_and_the_robot_is_followed() -> None:
     env = sandgait.SandgaitEnv(ID, render_mode="rgb_array", render_size=(640, 480))
     walked(env, 100)
     before, picture = env.reset(seed=1)[0], env.render()
-    assert before.shape == (40,)
+    assert before.shape == (41,)
     assert orange(picture) > 320
     walked(env, 100)
     assert orange(env.render()) == pytest.approx(orange(picture), abs=40)
@@ -227,7 +231,7 @@ def test_a_recording_is_what_happened(tmp_path: Path) -> None:
     first = recording.sections[0]
     assert first["time"] == pytest.approx(np.arange(41) / 50, abs=1e-6)
     moved = np.diff(first["position"][:, 0]) * 50
-    assert moved == pytest.approx(first["speed"][1:], abs=1e-4)
+    assert moved == pytest.approx(first["x_velocity"][1:], abs=1e-4)
     assert first["forces"].shape == (41, len(first.header["segments"]), 3)
     assert first["angles"].shape == (41, 6) == first["torques"].shape
     assert recording["position"].shape == (82, 3)
@@ -238,7 +242,7 @@ def test_a_recording_is_what_happened(tmp_path: Path) -> None:
 
 def test_a_vector_environment_records_one_of_its_own(tmp_path: Path) -> None:
     path = tmp_path / "rocks.rec"
-    env = sandgait.SandgaitVectorEnv("sandgait/HexapodRocks-v0", 2, max_episode_steps=10)
+    env = sandgait.SandgaitVectorEnv("sandgait/HexapodRocks-v1", 2, max_episode_steps=10)
     env.record(path, index=1)
     env.reset(seed=3)
     for _ in range(20):
@@ -282,3 +286,29 @@ def test_the_page_of_a_recording(tmp_path: Path) -> None:
     assert html.count("<script") == html.count("</script>") == 6
     assert "https://" not in html
     assert html.count("http://") == html.count("http://www.w3.org/1999/xhtml")
+
+
+def block(kind: bytes, content: bytes, length: int | None = None) -> bytes:
+    return kind + struct.pack("<I", len(content) if length is None else length) + content
+
+
+def test_a_recording_is_unpacked_within_a_bound(tmp_path: Path) -> None:
+    """A file of some kilobytes can unpack to gigabytes, and a block can claim to be that long."""
+    header = {"format": "sandgait recording", "version": 1, "columns": [{"name": "time", "shape": [1]}]}
+    head = block(b"HEAD", json.dumps(header).encode())
+    path = tmp_path / "bomb.rec"
+    path.write_bytes(gzip.compress(head + 64 * block(b"ROWS", bytes(2**20))))
+    assert len(sandgait.read_recording(path)) == 16 * 2**20
+    tracemalloc.start()
+    with pytest.raises(sandgait.InvalidRequest, match="unpacks to more than max_bytes"):
+        sandgait.read_recording(path, max_bytes=2**22)
+    assert tracemalloc.get_traced_memory()[1] < 2**24
+    path.write_bytes(gzip.compress(head + block(b"ROWS", bytes(4), 2**32 - 1)))
+    with pytest.raises(sandgait.InvalidRequest, match="max_bytes"):
+        sandgait.read_recording(path)
+    assert tracemalloc.get_traced_memory()[1] < 2**24
+    tracemalloc.stop()
+    for wrong in (b"[]", b"{", b'{"format": "sandgait recording", "version": 1}', b"[" * 100_000):
+        path.write_bytes(gzip.compress(block(b"HEAD", wrong)))
+        with pytest.raises(sandgait.InvalidRequest, match="none of sandgait's recordings"):
+            sandgait.read_recording(path)

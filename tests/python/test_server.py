@@ -105,26 +105,34 @@ def test_ctrl_c_is_for_python_alone() -> None:
     assert process.returncode == 0
 
 
-def test_an_interrupted_call_ends_the_session_but_not_python() -> None:
-    """grpc cannot take up a read that was broken off: the next call says so instead of hanging."""
+def test_an_interrupted_step_is_neither_lost_nor_done_twice() -> None:
+    """grpc cannot take up a read that was broken off, but the session can: its answer is still there to be received."""
     code = """
-import signal, threading, os
-env = sandgait.SandgaitVectorEnv(env.task.id, 4096)
-env.reset(seed=0)
+import signal, os
+pid = server._server.process.pid
+calm = sandgait.SandgaitVectorEnv(env.task.id, 20, max_episode_steps=30)
+env.reset(seed=5)
+calm.reset(seed=5)
+action = lambda k: numpy.sin(numpy.arange(120) * 0.1 * k).reshape(20, 6)
+def same(ours, theirs): return all((a == b).all() for a, b in zip(ours[:4], theirs[:4]))
 def interrupt(*_): raise KeyboardInterrupt
 signal.signal(signal.SIGALRM, interrupt)
-signal.setitimer(signal.ITIMER_REAL, 0.005, 0.005)
+os.kill(pid, signal.SIGSTOP)  # so that the step waits for certain
+signal.setitimer(signal.ITIMER_REAL, 0.5)
 try:
-    while True: env.step(numpy.zeros((4096, 6)))
-except KeyboardInterrupt: signal.setitimer(signal.ITIMER_REAL, 0)
-try: env.step(numpy.zeros((4096, 6)))
-except (sandgait.SessionLost, sandgait.OutOfOrder) as error: print(type(error).__name__)
-env.close()
-sandgait.SandgaitVectorEnv(env.task.id, 2).reset()
-print("again")
+    env.step(action(1))
+    print("not interrupted")
+except KeyboardInterrupt:
+    os.kill(pid, signal.SIGCONT)
+try:
+    env.step(action(2))
+    print("stepped while a step was in flight")
+except sandgait.OutOfOrder:
+    print(same(env.recv(), calm.step(action(1))))
+print(*[same(env.step(action(k)), calm.step(action(k))) for k in range(2, 6)])
 """
     process, *_ = start(code)
-    assert process.communicate(timeout=20)[0].split()[-1] == "again"
+    assert process.communicate(timeout=60)[0].split() == ["True"] * 5
     assert process.returncode == 0
 
 
@@ -166,15 +174,20 @@ def test_a_killed_server_is_named_and_the_next_environment_starts_another() -> N
 
 
 def test_the_socket_is_this_users_alone_and_the_start_is_quick() -> None:
-    start = time.perf_counter()
-    embedded = server.EmbeddedServer()
-    elapsed = time.perf_counter() - start
-    try:
-        assert stat.S_IMODE(os.stat(Path(embedded.path).parent).st_mode) == 0o700
-        assert stat.S_IMODE(os.stat(embedded.path).st_mode) == 0o600
-        assert elapsed < 0.5, "0.02 s on an idle machine"
-    finally:
-        embedded.stop()
+    starts, pythons = [], []
+    for _ in range(5):
+        begun = time.perf_counter()
+        embedded = server.EmbeddedServer()
+        starts.append(time.perf_counter() - begun)
+        try:
+            assert stat.S_IMODE(os.stat(Path(embedded.path).parent).st_mode) == 0o700
+            assert stat.S_IMODE(os.stat(embedded.path).st_mode) == 0o600
+        finally:
+            embedded.stop()
+        begun = time.perf_counter()
+        subprocess.run([sys.executable, "-c", ""], check=True)
+        pythons.append(time.perf_counter() - begun)
+    assert min(starts) < 5 * min(pythons), "0.02 s each on an idle machine"
 
 
 def test_a_directory_that_others_can_enter_is_refused(

@@ -278,13 +278,13 @@ def test_a_full_disk_leaves_no_half_snapshot() -> None:
 
 def test_rollouts(remote: RemoteServer) -> None:
     for address in (None, [None, remote.address]):
-        env = sandgait.SandgaitVectorEnv(ID, 5, address=address, max_episode_steps=17)
+        env = sandgait.SandgaitVectorEnv(ID, 5, address=address, autoreset_mode="SAME_STEP", max_episode_steps=17)
         env.reset(seed=3)
         plan = np.stack([actions(5, t) for t in range(40)])
         rolled = env.rollout(plan, trajectories=True)
         returns = env.rollout(plan)
         assert np.array_equal(rolled.returns, returns.returns)
-        assert returns.observations.shape == (0, 5, 40)
+        assert returns.observations.shape == (0, 5, 41)
         assert (rolled.lengths == 17).all()
         assert rolled.truncated.all()
         assert not rolled.terminated.any()

@@ -38,4 +38,5 @@ def test_what_a_mirrored_policy_does_in_the_mirror_is_mirrored(name: str) -> Non
 def test_heights_and_legs_change_sides() -> None:
     names = ["hip speed, right-rear", "hip speed, left-rear", "what lies 5 cm ahead and -5 cm to the left"]
     names += ["what lies 5 cm ahead and 5 cm to the left", "base velocity, body frame, y"]
-    assert mirror(names) == ([1, 0, 3, 2, 4], [1.0, 1.0, 1.0, 1.0, -1.0])
+    names += ["commanded speed", "commanded yaw speed"]
+    assert mirror(names) == ([1, 0, 3, 2, 4, 5, 6], [1.0, 1.0, 1.0, 1.0, -1.0, 1.0, -1.0])

@@ -13,13 +13,13 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import sandgait
 
-GAIT = "sandgait/HexapodGait-v0"
+GAIT = "sandgait/HexapodGait-v1"
 
 #: Every task, and every way of driving it.
 TASKS: list[tuple[str, dict[str, Any]]] = [
     *((task, {}) for task in sandgait.TASKS),
     *((GAIT, {"control": control}) for control in ("hip_target", "torque", "clock")),
-    ("sandgait/HexapodLegs-v0", {"turn": [-0.5, 0.5], "slope_deg": 5}),
+    ("sandgait/HexapodLegs-v1", {"turn": [-0.5, 0.5], "slope_deg": 5}),
 ]
 
 every_task = pytest.mark.parametrize(("task", "options"), TASKS)
@@ -76,8 +76,8 @@ def test_the_clock_walks_without_a_policy() -> None:
     env = sandgait.SandgaitEnv(GAIT, control="clock")
     env.reset(seed=0)
     infos = [env.step(np.zeros(10, np.float32))[4] for _ in range(200)]
-    total = {name: sum(info[name] for info in infos) for name in ("work", "speed", "hip_turn")}
-    distance = total["speed"] / env.task.control_rate
+    total = {name: sum(info[name] for info in infos) for name in ("work", "x_velocity", "hip_turn")}
+    distance = total["x_velocity"] / env.task.control_rate
     assert total["hip_turn"] == pytest.approx(4 * 2.5 * 2 * np.pi, rel=0.02)
     assert 0.2 < distance / 4 < 0.6
     assert 0.0 < 1 - distance / (0.04 * total["hip_turn"]) < 1.0, "slip"
@@ -89,16 +89,16 @@ def test_the_clock_walks_without_a_policy() -> None:
 def test_wrong_options_are_refused_by_name() -> None:
     with pytest.raises(sandgait.InvalidRequest, match="control: unknown variant `magic`"):
         sandgait.SandgaitEnv(GAIT, control="magic")
-    with pytest.raises(sandgait.InvalidRequest, match="control: sandgait/HexapodLegs-v0 has no such option"):
-        sandgait.SandgaitEnv("sandgait/HexapodLegs-v0", control="clock")
+    with pytest.raises(sandgait.InvalidRequest, match="control: sandgait/HexapodLegs-v1 has no such option"):
+        sandgait.SandgaitEnv("sandgait/HexapodLegs-v1", control="clock")
     env = sandgait.SandgaitEnv(GAIT)
-    with pytest.raises(sandgait.InvalidRequest, match="rocks: sandgait/HexapodGait-v0 has no such option"):
+    with pytest.raises(sandgait.InvalidRequest, match="rocks: sandgait/HexapodGait-v1 has no such option"):
         env.reset(options={"rocks": {"count": 2}})
     env.close()
 
 
 def test_a_curriculum_changes_the_difficulty_at_resets() -> None:
-    env = sandgait.SandgaitVectorEnv("sandgait/HexapodTerrain-v0", 16, difficulty=0.0)
+    env = sandgait.SandgaitVectorEnv("sandgait/HexapodTerrain-v1", 16, difficulty=0.0)
     actions = np.full((16, 6), 0.4, np.float32)
     for difficulty, spread in ((None, 0.0), (0.5, 5.0), (1.0, 10.0)):
         env.reset(seed=0, options={} if difficulty is None else {"difficulty": difficulty})
@@ -108,6 +108,43 @@ def test_a_curriculum_changes_the_difficulty_at_resets() -> None:
     env.reset(seed=0, options={"difficulty": 1.0, "randomize": {"slope_deg": [3.0, 3.0]}})
     assert env.step(actions)[4]["slope_deg"] == pytest.approx(3.0)
     env.close()
+
+
+@pytest.mark.parametrize("mode", ["SAME_STEP", "NEXT_STEP"])
+def test_what_resets_change_adds_up_and_holds(mode: str) -> None:
+    """Environment by environment, over ends of episodes: the rows of environments that were made so."""
+    gait: dict[str, Any] = {"max_episode_steps": 10, "autoreset_mode": mode}
+    env = sandgait.SandgaitVectorEnv(GAIT, 2, **gait)
+    env.reset(seed=0)
+    for options in ({"leg": "C"}, {"slope_deg": 5, "reset_mask": np.array([True, False])}, {"payload": 0.02}):
+        env.reset(seed=0, options=options)
+    actions = np.full((2, 6), 0.3, np.float32)
+    rows = [env.step(actions)[0] for _ in range(35)]
+    env.close()
+    for index, slope in ((0, 5), (1, 0)):
+        made = sandgait.SandgaitVectorEnv(GAIT, 1, leg="C", slope_deg=slope, payload=0.02, **gait)
+        made.reset(seed=index)
+        assert all(np.array_equal(made.step(actions[:1])[0][0], row[index]) for row in rows)
+        made.close()
+
+
+def test_a_dictionary_given_to_a_reset_changes_its_own_keys_alone() -> None:
+    env = sandgait.SandgaitEnv("sandgait/HexapodTerrain-v1", difficulty=0.0, randomize={"turning_point": [0.7, 0.7]})
+    env.reset(seed=0, options={"randomize": {"patch_length": [0.2, 0.2]}})
+    env.reset(seed=0, options={"slope_deg": 3.0})
+    info = env.step(np.zeros(6, np.float32))[4]
+    drawn = [info[name] for name in ("difficulty", "turning_point", "patch_length", "slope_deg")]
+    assert drawn == pytest.approx([0.0, 0.7, 0.2, 3.0])
+    env.close()
+
+
+@pytest.mark.parametrize("name", ["HexapodGait", "HexapodLegs", "HexapodRocks", "HexapodTerrain"])
+def test_earlier_versions_name_the_present_one(name: str) -> None:
+    old, new = f"sandgait/{name}-v0", f"sandgait/{name}-v1"
+    with pytest.warns(DeprecationWarning, match="v1"), pytest.raises(gymnasium.error.DeprecatedEnv, match=new):
+        gymnasium.make(old)
+    with pytest.raises(sandgait.InvalidRequest, match=f'task "{old}" has been replaced by "{new}"; see CHANGELOG'):
+        sandgait.SandgaitVectorEnv(old, 1)
 
 
 def test_a_stroke_returns_its_efficiency() -> None:

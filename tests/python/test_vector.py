@@ -14,6 +14,7 @@ from conftest import ID
 
 
 def make(num_envs: int, **options: Any) -> sandgait.SandgaitVectorEnv:
+    options = {"autoreset_mode": "SAME_STEP", **options}
     env = gymnasium.make_vec(ID, num_envs=num_envs, vectorization_mode="vector_entry_point", **options)
     assert isinstance(env, sandgait.SandgaitVectorEnv)
     return env
@@ -58,7 +59,10 @@ def test_what_make_vec_returns() -> None:
     assert env.spec.id == ID
     assert env.observation_space.shape == (5, *env.single_observation_space.shape)
     assert env.action_space.shape == (5, 6)
-    assert isinstance(gymnasium.make_vec(ID, num_envs=1), sandgait.SandgaitVectorEnv), "the default mode"
+    default = gymnasium.make_vec(ID, num_envs=1)
+    assert isinstance(default, sandgait.SandgaitVectorEnv)
+    assert default.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP, "gymnasium's own default"
+    default.close()
     env.close()
     env.close()
 

@@ -39,7 +39,7 @@ async fn jumps_end_no_session_and_keep_none() {
     assert_eq!(all.len(), 6, "no lease has run out early");
     let begun = Instant::now();
     while client.list_sessions(ListSessionsRequest {}).await.unwrap().into_inner().sessions.len() > 1 {
-        assert!(begun.elapsed() < Duration::from_secs(8), "leases of 2 s have not run out");
+        assert!(begun.elapsed() < Duration::from_secs(60), "leases of 2 s have not run out");
         tokio::time::sleep(Duration::from_millis(50)).await;
     }
     assert_eq!(session.step(9).await, undisturbed.step(9).await);

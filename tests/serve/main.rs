@@ -2,6 +2,7 @@
 
 mod clock;
 mod configuration;
+mod connections;
 #[expect(dead_code, reason = "servers inside the test are for other tests")]
 #[path = "../grpc/harness.rs"]
 mod harness;

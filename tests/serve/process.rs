@@ -1,9 +1,10 @@
 //! A server process, what it logs, and clients of it.
 
 use crate::harness::{Bearer, Client, client};
-use std::io::{BufRead as _, BufReader, Read as _};
+use std::io::{BufRead as _, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
@@ -21,7 +22,8 @@ pub fn refused(arguments: &[&str]) -> String {
 pub struct Process {
     child: Child,
     /// Reads the log as it comes: a server whose log nobody reads stops when the pipe is full.
-    log: Option<JoinHandle<String>>,
+    reader: Option<JoinHandle<()>>,
+    log: Arc<Mutex<String>>,
     /// As printed.
     pub address: String,
 }
@@ -48,13 +50,40 @@ impl Process {
         let mut line = String::new();
         BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
         let address = line.trim_end().strip_prefix("listening on ").unwrap_or_default().to_owned();
-        let mut stderr = child.stderr.take().unwrap();
-        let log = std::thread::spawn(move || {
-            let mut log = String::new();
-            stderr.read_to_string(&mut log).unwrap();
-            log
+        let (stderr, log) = (child.stderr.take().unwrap(), Arc::<Mutex<String>>::default());
+        let kept = log.clone();
+        let reader = std::thread::spawn(move || {
+            for line in BufReader::new(stderr).lines() {
+                *kept.lock().unwrap() += &(line.unwrap() + "\n");
+            }
         });
-        Self { child, log: Some(log), address }
+        Self { child, reader: Some(reader), log, address }
+    }
+
+    /// The log so far.
+    pub fn log(&self) -> String {
+        self.log.lock().unwrap().clone()
+    }
+
+    /// The address in the log's line with `words`, which the server writes before it says that it listens.
+    pub fn address_of(&self, words: &str) -> String {
+        for _ in 0..1000 {
+            let log = self.log();
+            if let Some((_, after)) = log.lines().find(|l| l.contains(words)).and_then(|l| l.split_once("127.0.0.1:")) {
+                let port: String = after.chars().take_while(char::is_ascii_digit).collect();
+                return format!("127.0.0.1:{port}");
+            }
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        panic!("no {words:?} in {}", self.log());
+    }
+
+    /// Processor time of all its threads [s].
+    pub fn processor_time(&self) -> f64 {
+        let tasks = std::fs::read_dir(format!("/proc/{}/task", self.id())).unwrap();
+        let spent = |task: std::fs::DirEntry| std::fs::read_to_string(task.path().join("schedstat")).ok();
+        let texts = tasks.filter_map(|task| spent(task.unwrap()));
+        texts.map(|text| text.split_whitespace().next().unwrap().parse::<f64>().unwrap() * 1e-9).sum()
     }
 
     pub fn id(&self) -> u32 {
@@ -71,7 +100,8 @@ impl Process {
         self.signal("-TERM");
         let status = self.child.wait().unwrap();
         let time = begun.elapsed();
-        let log = self.log.take().unwrap().join().unwrap();
+        self.reader.take().unwrap().join().unwrap();
+        let log = self.log();
         assert_eq!(status.code(), Some(0), "{log}");
         (time, log)
     }

@@ -8,19 +8,20 @@ use rcgen::{
 use sandgait::service::proto::DescribeRequest;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
 use tonic::{Code, Status};
 
 const TOKEN: &str = "the-token-that-nobody-may-log";
 
 /// An authority, made for this run.
-struct Authority {
+pub struct Authority {
     issuer: Issuer<'static, KeyPair>,
-    pem: String,
+    pub pem: String,
 }
 
 impl Authority {
-    fn new(name: &str) -> Self {
+    pub fn new(name: &str) -> Self {
         let mut params = CertificateParams::new(vec![]).unwrap();
         params.distinguished_name.push(DnType::CommonName, name);
         params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
@@ -30,7 +31,7 @@ impl Authority {
     }
 
     /// A certificate for localhost that ends with `year`, and its key, PEM.
-    fn issue(&self, year: i32) -> (String, String) {
+    pub fn issue(&self, year: i32) -> (String, String) {
         let mut params = CertificateParams::new(vec!["localhost".into()]).unwrap();
         params.extended_key_usages = vec![ExtendedKeyUsagePurpose::ServerAuth, ExtendedKeyUsagePurpose::ClientAuth];
         (params.not_before, params.not_after) = (date_time_ymd(2020, 1, 1), date_time_ymd(year, 12, 31));
@@ -44,10 +45,10 @@ impl Authority {
     }
 }
 
-const VALID: i32 = 2099;
+pub const VALID: i32 = 2099;
 const EXPIRED: i32 = 2021;
 
-fn write(directory: &Path, name: &str, content: &str) -> PathBuf {
+pub fn write(directory: &Path, name: &str, content: &str) -> PathBuf {
     let path = directory.join(name);
     fs::write(&path, content).unwrap();
     path
@@ -136,6 +137,8 @@ async fn only_handshakes_that_succeed_reach_the_services() {
         ("an expired certificate", &authority, Some(authority.identity(EXPIRED))),
     ];
     for (what, trusted, identity) in cases {
+        // Each reason shall have its line: there is one a second.
+        tokio::time::sleep(Duration::from_millis(1100)).await;
         refusals.push((what, use_it(server.encrypted(&trusted.pem, identity).await).await));
         witness.goes_on().await;
     }
@@ -202,12 +205,14 @@ fn servers_that_would_be_open_by_mistake_are_refused() {
     let tls = ["--tls-cert", cert, "--tls-key", key];
     let everywhere = ["--listen", "0.0.0.0:0"];
     let own = ["--tls-self-signed", other];
-    let cases: [(&[&str], &[&str]); 16] = [
+    let cases: [(&[&str], &[&str]); 18] = [
         (&everywhere, &["0.0.0.0:0", "--tls-cert and --tls-key and --token-file", "--insecure"]),
         (&[&everywhere[..], &tls].concat(), &["add --token-file, or --insecure"]),
         (&[&everywhere[..], &["--token-file", token]].concat(), &["add --tls-cert and --tls-key, or"]),
         (&["--listen", "[::]:0"], &["--insecure"]),
-        (&["--metrics", "0.0.0.0:0"], &["--metrics", "0.0.0.0:0", "--insecure"]),
+        (&["--metrics", "0.0.0.0:0"], &["--metrics", "0.0.0.0:0", "add --metrics-insecure"]),
+        (&["--insecure", "--metrics", "0.0.0.0:0"], &["add --metrics-insecure"]),
+        (&[&everywhere[..], &["--metrics-insecure", "--viewer-insecure"]].concat(), &["--listen", "or --insecure"]),
         (&["--token-file", empty], &[empty, "empty"]),
         (&["--token-file", "/nowhere"], &["/nowhere", "No such file"]),
         (&tls[..2], &["--tls-key: missing"]),

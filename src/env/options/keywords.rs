@@ -7,7 +7,7 @@ pub const OPTION_HELP: [(&str, &str); 20] = [
     ("robot", "built-in robot"),
     ("engine", "engine that integrates the motion"),
     ("law", "resistive force law: li2013, penetration-drag-1d or agarwal2023"),
-    ("dt", "time step [s]"),
+    ("dt", "time step [s]; 1 ms, with engine rapier 0.5 ms"),
     ("torque_limit", "largest servo torque [N·m]"),
     ("command", "range [low, high] the commanded speed is drawn from [m/s]"),
     ("turn", "range [low, high] the commanded yaw speed is drawn from [rad/s]"),
@@ -54,11 +54,11 @@ pub struct Keywords {
     own: &'static [&'static str],
 }
 
-pub const GAIT: Keywords = Keywords { task: "sandgait/HexapodGait-v0", own: walking!("control") };
-pub const LEGS: Keywords = Keywords { task: "sandgait/HexapodLegs-v0", own: walking!() };
-pub const ROCKS: Keywords = Keywords { task: "sandgait/HexapodRocks-v0", own: walking!("control", "rocks") };
+pub const GAIT: Keywords = Keywords { task: "sandgait/HexapodGait-v1", own: walking!("control") };
+pub const LEGS: Keywords = Keywords { task: "sandgait/HexapodLegs-v1", own: walking!() };
+pub const ROCKS: Keywords = Keywords { task: "sandgait/HexapodRocks-v1", own: walking!("control", "rocks") };
 pub const TERRAIN: Keywords =
-    Keywords { task: "sandgait/HexapodTerrain-v0", own: walking!("control", "randomize", "difficulty") };
+    Keywords { task: "sandgait/HexapodTerrain-v1", own: walking!("control", "randomize", "difficulty") };
 pub const STROKE: Keywords =
     Keywords { task: "sandgait/LegStroke-v0", own: &["angle_noise", "medium", "sand", "stroke"] };
 

@@ -3,6 +3,7 @@
 mod control;
 pub mod keywords;
 mod randomize;
+mod reset;
 mod rocks;
 mod stroke;
 mod weights;
@@ -11,6 +12,7 @@ pub use control::Control;
 pub use keywords::OPTION_HELP;
 pub(super) use randomize::Quantity;
 pub use randomize::Randomize;
+pub use reset::{Partial, ResetOptions};
 pub use rocks::RockOptions;
 pub use stroke::StrokeOptions;
 pub use weights::Weights;
@@ -37,7 +39,7 @@ pub struct TaskOptions {
     pub robot: String,
     pub engine: EngineKind,
     pub law: Law,
-    /// Time step [s]; must divide the control period.
+    /// Time step [s]; must divide the control period. Where an engine is chosen without one, it is that engine's own.
     pub dt: f64,
     /// Largest servo torque [N·m]. Our choice 0.05: some six times the rms torque of a 2 Hz walk.
     pub torque_limit: f64,
@@ -99,54 +101,6 @@ impl Default for TaskOptions {
     }
 }
 
-/// What a reset may change of the session's options; it holds until a reset changes it again.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ResetOptions {
-    pub leg: Option<String>,
-    pub medium: Option<String>,
-    pub slope_deg: Option<f64>,
-    pub payload: Option<f64>,
-    pub command: Option<[f64; 2]>,
-    pub turn: Option<[f64; 2]>,
-    pub rocks: Option<RockOptions>,
-    pub randomize: Option<Randomize>,
-    pub difficulty: Option<f64>,
-    pub stroke: Option<StrokeOptions>,
-}
-
-impl ResetOptions {
-    /// Names of the keywords, for tables.
-    pub const NAMES: [&'static str; 10] =
-        ["leg", "medium", "slope_deg", "payload", "command", "turn", "rocks", "randomize", "difficulty", "stroke"];
-
-    /// Names of those that are given.
-    pub fn given(&self) -> Vec<String> {
-        let all = serde_json::to_value(self).unwrap_or_default(); // plain data: serialising it cannot fail
-        let given = all.as_object().into_iter().flatten().filter(|(_, value)| !value.is_null());
-        given.map(|(name, _)| name.clone()).collect()
-    }
-
-    /// Everything of `options` that a reset may change.
-    pub fn all_of(options: &TaskOptions) -> Self {
-        let TaskOptions {
-            leg, medium, slope_deg, payload, command, turn, rocks, randomize, difficulty, stroke, ..
-        } = options.clone();
-        Self {
-            leg: Some(leg),
-            medium: Some(medium),
-            slope_deg: Some(slope_deg),
-            payload: Some(payload),
-            command: Some(command),
-            turn: Some(turn),
-            rocks,
-            randomize,
-            difficulty,
-            stroke,
-        }
-    }
-}
-
 /// Reads keywords, all of which have defaults, from a JSON object (null: none are given); errors name the keyword.
 pub fn parse<T: DeserializeOwned>(keywords: Value) -> Result<T> {
     let keywords = match keywords {
@@ -175,27 +129,16 @@ impl TaskOptions {
             Value::Null => Map::new(),
             _ => return Err(Error::invalid("options", "not an object of keywords")),
         };
+        let other_engine = given.contains_key("engine") && !given.contains_key("dt");
         for (name, value) in given {
             check(&name)?;
             all[name] = value;
         }
-        parse(all)
-    }
-
-    /// These options with a reset's changes.
-    pub fn changed(&self, reset: &ResetOptions) -> Self {
-        let mut new = self.clone();
-        new.leg = reset.leg.clone().unwrap_or(new.leg);
-        new.medium = reset.medium.clone().unwrap_or(new.medium);
-        new.slope_deg = reset.slope_deg.unwrap_or(new.slope_deg);
-        new.payload = reset.payload.unwrap_or(new.payload);
-        new.command = reset.command.unwrap_or(new.command);
-        new.turn = reset.turn.unwrap_or(new.turn);
-        new.rocks = reset.rocks.or(new.rocks);
-        new.randomize = reset.randomize.or(new.randomize);
-        new.difficulty = reset.difficulty.or(new.difficulty);
-        new.stroke = reset.stroke.or(new.stroke);
-        new
+        let mut options: Self = parse(all)?;
+        if other_engine {
+            options.dt = options.engine.default_dt();
+        }
+        Ok(options)
     }
 
     /// Checks everything and builds the model.
@@ -210,7 +153,6 @@ impl TaskOptions {
         check_range("max_episode_steps", f64::from(self.max_episode_steps), 1.0..=1e6)?;
         self.weights.validate()?;
         self.rocks.as_ref().map_or(Ok(()), RockOptions::validate)?;
-        self.randomize.as_ref().map_or(Ok(()), |randomize| randomize.validate(self.slope_deg))?;
         check_range("difficulty", self.difficulty.unwrap_or(0.0), 0.0..=1.0)?;
         if self.robot.ends_with(".toml") {
             return Err(Error::unknown("robot", &self.robot, &Robot::names()));
@@ -218,6 +160,8 @@ impl TaskOptions {
         let robot = if self.stroke.is_some() { Robot::stroke_leg() } else { Robot::load(&self.robot) };
         let mut robot = robot?.with_leg_shape(&self.leg)?;
         robot.servo.torque_limit = Some(check_range("torque_limit", self.torque_limit, 1e-4..=1e3)?);
+        // What a servo's lag adds up to is not observed. LegStroke's leg has no servos.
+        robot.servo.anti_windup = self.stroke.is_none();
         if self.control == Some(Control::Torque) {
             (robot.servo.kp, robot.servo.kd) = (0.0, 0.0);
         }
@@ -227,6 +171,8 @@ impl TaskOptions {
             scene.set_sand(&SandDescription::from_toml(&self.sand)?);
         }
         let model = Model::new(&robot, &scene)?;
+        // After the model, which says what is wrong with slope and payload themselves.
+        self.randomize.as_ref().map_or(Ok(()), |randomize| randomize.validate(self.slope_deg, self.payload))?;
         self.stroke.as_ref().map_or(Ok(()), |stroke| stroke.validate(&model))?;
         Ok(model)
     }

@@ -1,6 +1,7 @@
 //! What an episode of HexapodTerrain draws.
 
-use crate::error::{Result, check_range};
+use crate::error::{Error, Result, check_range};
+use crate::sim::model::Scene;
 use serde::{Deserialize, Serialize};
 
 /// Ranges [low, high] that an episode's quantities are drawn from, uniformly; changes to what the other options say.
@@ -50,25 +51,40 @@ pub(in crate::env) struct Quantity {
 }
 
 impl Randomize {
-    /// `slope_deg` [°]: what a drawn slope is added to.
-    pub(in crate::env) fn quantities(&self, slope_deg: f64) -> [Quantity; 7] {
-        let slope = [-35.0, 35.0].map(|most| most - slope_deg);
+    /// `slope_deg` [°] and `payload` [kg]: what drawn ones are added to, so that their sums stay within a scene's bounds.
+    pub(in crate::env) fn quantities(&self, slope_deg: f64, payload: f64) -> [Quantity; 7] {
+        let slope = [-Scene::MAX_SLOPE_DEG, Scene::MAX_SLOPE_DEG].map(|most| most - slope_deg);
+        let load = [0.0, (Scene::MAX_PAYLOAD - payload).min(10.0)];
         let quantity = |name, range, guard, neutral| Quantity { name, range, guard, neutral };
         [
             quantity("zeta", self.zeta, [0.1, 10.0], Some(1.0)),
             quantity("patch_length", self.patch_length, [0.02, 100.0], None),
             quantity("slope_deg", self.slope_deg, slope, Some(0.0)),
-            quantity("payload", self.payload, [0.0, 10.0], Some(0.0)),
+            quantity("payload", self.payload, load, Some(0.0)),
             quantity("torque_limit", self.torque_limit, [0.01, 1.0], Some(1.0)),
             quantity("footprint", self.footprint, [-2.0, 1.0], Some(0.0)),
             quantity("turning_point", self.turning_point, [0.05, 1e3], None),
         ]
     }
 
-    pub fn validate(&self, slope_deg: f64) -> Result<()> {
-        for Quantity { name, range: [low, high], guard: [least, most], .. } in self.quantities(slope_deg) {
-            check_range(&format!("randomize.{name}[0]"), low, least..=most)?;
-            check_range(&format!("randomize.{name}[1]"), high, low..=most)?;
+    /// The arguments are those of [`Self::quantities`].
+    pub fn validate(&self, slope_deg: f64, payload: f64) -> Result<()> {
+        for Quantity { name, range: [low, high], guard: [least, most], .. } in self.quantities(slope_deg, payload) {
+            let added = match name {
+                "slope_deg" => format!(" (it is added to slope_deg = {slope_deg})"),
+                "payload" => format!(" (it is added to payload = {payload})"),
+                _ => String::new(),
+            };
+            let check = |end: usize, value: f64, low: f64| {
+                let field = format!("randomize.{name}[{end}]");
+                let why = |e: Error| match e {
+                    Error::Invalid { field, reason } => Error::invalid(field, reason + &added),
+                    other => other,
+                };
+                check_range(&field, value, low..=most).map_err(why)
+            };
+            check(0, low, least)?;
+            check(1, high, low)?;
         }
         Ok(())
     }

@@ -4,8 +4,11 @@ use crate::env::spec::Term;
 use crate::error::{Result, check_range};
 use serde::{Deserialize, Serialize};
 
-/// Weight of each reward term; all terms are of order 1 a step before weighting. Our choice: tracking dominates, the
-/// others only break ties between gaits of the same speed. What each term is stands in [`Weights::terms`].
+/// Weight of each reward term; all terms are of order 1 a step before weighting, `termination` once an episode. What each
+/// term is stands in [`Weights::terms`]. Our choice: tracking dominates, the costs break ties between gaits of the same speed.
+/// `alive` and `termination` make sure that falling never pays: standing is worth `alive` a step, less than it costs on any
+/// slope, and a fall costs as much as 4 s of it (tests/falls.rs). gymnasium's Ant has `healthy_reward`, Isaac Lab `is_alive`
+/// and `is_terminated`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Weights {
@@ -14,28 +17,33 @@ pub struct Weights {
     pub turning: f64,
     pub power: f64,
     pub smoothness: f64,
+    pub alive: f64,
+    pub termination: f64,
 }
 
-/// Name and law of each term, in the order of [`Weights`]; v, ω_z: the base's mean velocity over the step and its yaw
-/// speed after it.
-const TERMS: [(&str, &str); 5] = [
-    ("tracking", "exp(−((v_x − commanded speed) / 0.1 m/s)²)"),
-    ("lateral", "−(v_y / 0.1 m/s)², at least −1"),
-    ("turning", "−((ω_z − commanded yaw speed) / 1 rad/s)², at least −1"),
-    ("power", "−mechanical power Σ|τ ω| / 1 W, at least −1"),
+/// Name and law of each term, in the order of [`Weights`]; v_forward, v_left: the base's mean velocity over the step in its
+/// heading frame; ω_z: its yaw speed after the step.
+const TERMS: [(&str, &str); 7] = [
+    ("tracking", "exp(−((v_forward − commanded speed) / 0.1 m/s)²)"),
+    ("lateral", "−2 (√(1 + (v_left / 0.1 m/s)²) − 1)"),
+    ("turning", "−2 (√(1 + ((ω_z − commanded yaw speed) / 1 rad/s)²) − 1)"),
+    ("power", "−mechanical power Σ|τ ω| / 1 W"),
     ("smoothness", "−mean squared change of the action"),
+    ("alive", "1 in every step that does not terminate the episode"),
+    ("termination", "−1 in the step that terminates it"),
 ];
 
 impl Default for Weights {
     fn default() -> Self {
-        Self { tracking: 1.0, lateral: 0.1, turning: 0.05, power: 0.1, smoothness: 0.05 }
+        Self { tracking: 1.0, lateral: 0.1, turning: 0.05, power: 0.1, smoothness: 0.05, alive: 0.1, termination: 20.0 }
     }
 }
 
 impl Weights {
     /// In the order of the info columns.
     pub(in crate::env) fn values(&self) -> [f64; TERMS.len()] {
-        [self.tracking, self.lateral, self.turning, self.power, self.smoothness]
+        let Self { tracking, lateral, turning, power, smoothness, alive, termination } = *self;
+        [tracking, lateral, turning, power, smoothness, alive, termination]
     }
 
     /// The reward's terms, in the order of the info columns.

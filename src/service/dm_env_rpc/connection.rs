@@ -15,30 +15,35 @@ use super::settings::{self, Changes, Settings};
 use super::tensors::{self, View};
 use super::worlds::{Interrupt, Place, Worlds};
 use crate::error::{Error, Result};
-use crate::service::status;
+use crate::service::connections::Link;
+use crate::service::frame::Frame;
+use crate::service::intake::Door;
+use crate::service::{status, wire};
 use futures_util::{Stream, stream};
 use std::collections::HashMap;
 use std::sync::Arc;
-use std::time::Duration;
-use tokio::time::Instant;
 use tonic::{Code, Status, Streaming};
 
 /// The answers to `requests`.
 pub fn run(
-    requests: Streaming<EnvironmentRequest>,
+    requests: Streaming<Frame<EnvironmentRequest>>,
+    door: Door,
+    link: Option<Link>,
     worlds: Arc<Worlds>,
 ) -> impl Stream<Item = std::result::Result<EnvironmentResponse, Status>> {
-    let connection = Connection { requests, worlds, agent: None, next: Instant::now() };
+    let connection = Connection { requests, door, link, first: true, worlds, agent: None };
     stream::try_unfold(connection, |mut c| async move { Ok(c.answer().await?.map(|answer| (answer, c))) })
 }
 
 struct Connection {
-    requests: Streaming<EnvironmentRequest>,
+    requests: Streaming<Frame<EnvironmentRequest>>,
+    door: Door,
+    link: Option<Link>,
+    /// No message was read yet: it counts as one with the call.
+    first: bool,
     worlds: Arc<Worlds>,
     /// None: no world is joined.
     agent: Option<Agent>,
-    /// No request is read before this time.
-    next: Instant,
 }
 
 /// This connection in the world it has joined.
@@ -52,13 +57,17 @@ impl Connection {
     /// The next answer; none when the client has no more requests.
     async fn answer(&mut self) -> std::result::Result<Option<EnvironmentResponse>, Status> {
         let stop = self.worlds.sessions.stop().clone();
-        if let Some(rate) = self.worlds.sessions.limits().rate {
-            tokio::time::sleep_until(self.next).await;
-            self.next = Instant::now() + Duration::from_secs(1) / rate.max(1);
-        }
-        let message = stop.run_until_cancelled(self.requests.message()).await;
+        let first = std::mem::take(&mut self.first);
+        let message = async {
+            if let Some(link) = self.link.as_ref().filter(|_| !first) {
+                link.turn().await;
+            }
+            self.requests.message().await
+        };
+        let message = stop.run_until_cancelled(message).await;
         let message = message.ok_or_else(|| Status::unavailable("the server is shutting down"))?;
-        let Some(message) = message.map_err(status::unreadable)? else { return Ok(None) };
+        let Some(frame) = message.map_err(status::unreadable)? else { return Ok(None) };
+        let (message, _share) = frame.receive(&self.door, wire::PLAIN).await?;
         let payload = match message.payload {
             Some(request) => self.handle(request).await.unwrap_or_else(|e| refusal(&e)),
             None => refusal(&Error::invalid("payload", "the request is empty")),

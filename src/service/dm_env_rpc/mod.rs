@@ -23,11 +23,14 @@ pub mod proto {
     pub mod dm_env_rpc {
         pub mod v1 {
             tonic::include_proto!("dm_env_rpc.v1");
+            include!(concat!(env!("OUT_DIR"), "/server/dm_env_rpc.v1.rs"));
         }
     }
     pub use dm_env_rpc::v1::*;
 }
 
+use super::frame::Frame;
+use super::intake::Door;
 use super::sessions::Sessions;
 use crate::pool::Pool;
 use futures_util::Stream;
@@ -55,9 +58,10 @@ impl Environment for DmEnvRpc {
 
     async fn process(
         &self,
-        request: Request<Streaming<EnvironmentRequest>>,
+        request: Request<Streaming<Frame<EnvironmentRequest>>>,
     ) -> Result<Response<Self::ProcessStream>, Status> {
-        let answers = connection::run(request.into_inner(), self.worlds.clone());
+        let (door, link) = (Door::of(&request), request.extensions().get().cloned());
+        let answers = connection::run(request.into_inner(), door, link, self.worlds.clone());
         Ok(Response::new(Box::pin(answers)))
     }
 }

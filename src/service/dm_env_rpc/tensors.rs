@@ -78,8 +78,15 @@ fn scalar(x: f32) -> Tensor {
     tensor(vec![x], vec![])
 }
 
+/// Most uids of one step: our choice, several times what there are.
+const MOST_REQUESTED: usize = 16;
+
 /// Refuses uids of observations that there are not.
 pub fn check_requested(requested: &[u64]) -> Result<()> {
+    if requested.len() > MOST_REQUESTED {
+        let reason = format!("{} uids are more than {MOST_REQUESTED}", requested.len());
+        return Err(Error::invalid("requested_observations", reason));
+    }
     match requested.iter().find(|uid| ![OBSERVATION, REWARD, DISCOUNT].contains(uid)) {
         None => Ok(()),
         Some(uid) => {

@@ -6,10 +6,11 @@ use super::tensors::{self, View};
 use crate::env::Task;
 use crate::error::{Error, Result};
 use crate::pool::{Batch, Operation, Pool};
+use crate::service::loan::{Loan, broken};
 use crate::service::sessions::{Hold, Sessions};
 use crate::service::status::SESSION;
-use crate::service::stream::lost;
 use std::collections::HashMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::oneshot;
 
@@ -205,7 +206,9 @@ impl Place {
         let gone = || Error::Cancelled(format!("world_name: {:?} was closed or taken by another stream", self.name()));
         let mut environments = self.worlds.sessions.take(&self.hold).await.ok_or_else(gone)?;
         let (sender, answer) = oneshot::channel();
-        let (sessions, pool, id) = (self.worlds.sessions.clone(), self.worlds.pool.clone(), self.hold.id.clone());
+        let pool = self.worlds.pool.clone();
+        // Dropped before the environments are back, as a panic does, it ends the session.
+        let mut loan = Loan::new(self.worlds.sessions.clone(), self.hold.id.clone());
         let (light, view) = (ask.is_light(), ask.view());
         let begin = move || {
             // Whoever waited for an answer may be gone: hence the results of `send` mean nothing.
@@ -213,32 +216,35 @@ impl Place {
                 Ok(Some(operation)) => operation,
                 unmoved => {
                     let seen = unmoved.map(|_| view(&environments.batch));
-                    sessions.give_back(&id, environments);
+                    loan.give_back(environments);
                     let _ = sender.send(seen);
                     return;
                 }
             };
             let (batch, rest) = environments.into_parts();
-            let ran = sessions.metrics.begin(&operation, batch.envs());
+            let ran = loan.sessions.metrics.begin(&operation, batch.envs());
             pool.run(batch, operation, move |done| {
                 let seen = done.map(|batch| {
                     let seen = view(&batch);
                     ran(&batch);
-                    sessions.watchers.saw(&id, &batch);
-                    sessions.give_back(&id, rest.with(batch));
+                    loan.sessions.watchers.saw(&loan.id, &batch);
+                    loan.give_back(rest.with(batch));
                     seen
                 });
                 if let Err(error) = &seen {
-                    lost(&sessions, &id, error);
+                    loan.lose(error);
                 }
                 let _ = sender.send(seen);
             });
         };
+        let begin = move || drop(catch_unwind(AssertUnwindSafe(begin)));
         if light {
             begin();
         } else {
             tokio::task::spawn_blocking(begin);
         }
-        answer.await.unwrap_or_else(|_| Err(gone()))
+        // Without an answer the server has ended, or something panicked.
+        let stop = self.worlds.sessions.stop();
+        answer.await.unwrap_or_else(|_| Err(if stop.is_cancelled() { gone() } else { broken() }))
     }
 }

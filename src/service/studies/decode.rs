@@ -93,8 +93,8 @@ pub fn walk(request: WalkRequest) -> Result<Walks> {
     let Sand { description, warnings } = sand(request.sand)?;
     let mut scene = Scene::on(&description);
     scene.slope_deg = request.slope_deg;
-    scene.dt = request.dt.unwrap_or(scene.dt);
     let engine = request.engine.as_deref().map_or(Ok(EngineKind::Lanes), EngineKind::named)?;
+    scene.dt = request.dt.unwrap_or(engine.default_dt());
     check_range("number of frequencies", request.frequency.len() as f64, 1.0..=MOST_FREQUENCIES as f64)?;
     let model = Model::new(&robot, &scene)?;
     let trial = |frequency: &f64| {

@@ -103,8 +103,8 @@ impl Line {
                         let _held = held;
                         work(&teller)
                     });
-                    let failed = |_| status::bug("the study failed inside the server");
-                    done.await.map_err(failed).and_then(|done| done.map_err(|e| status::status(&e)))
+                    let failed = |_| Err(Error::Internal("the study failed inside the server".into()));
+                    done.await.unwrap_or_else(failed).map_err(|e| status::status(&e))
                 }
             };
             let stopped = answer.is_err() && stop.is_cancelled();

@@ -7,10 +7,11 @@ mod decode;
 mod encode;
 mod line;
 
-use super::off_runtime;
+use super::frame::Frame;
 use super::proto::study_service_server::StudyService;
 use super::proto::{self, DiagnoseRequest, DiagnoseResponse, IntrudeRequest, IntrudeResponse};
 use super::proto::{EvaluateRequest, EvaluateResponse, SweepRequest, SweepResponse, WalkRequest, WalkResponse};
+use super::{off_runtime, wire};
 use crate::error::{Error, Result};
 use crate::evaluate::Study;
 use crate::progress::Progress;
@@ -23,6 +24,9 @@ use tonic::{Request, Response, Status};
 
 /// Largest request [bytes]: 40,000 rows of a force log, the most that are diagnosed, have about 8 MB.
 pub const MOST_BYTES: usize = 64 << 20;
+
+/// Largest network that is evaluated [bytes].
+pub const LARGEST_POLICY: usize = crate::policy::MOST_BYTES;
 
 /// The studies of one server.
 pub struct Studies {
@@ -42,10 +46,11 @@ type Events<T> = ReceiverStream<std::result::Result<T, Status>>;
 impl StudyService for Studies {
     async fn intrude(
         &self,
-        request: Request<IntrudeRequest>,
+        request: Request<Frame<IntrudeRequest>>,
     ) -> std::result::Result<Response<IntrudeResponse>, Status> {
+        let (request, _share) = Frame::only(request, wire::PLAIN).await?;
         let table = off_runtime(move || {
-            let (rotation, sand) = decode::intrude(request.into_inner())?;
+            let (rotation, sand) = decode::intrude(request)?;
             Ok(encode::table(encode::loads(&rotation.loads(&sand.description)?), sand.warnings))
         });
         Ok(Response::new(IntrudeResponse { table: Some(table.await?) }))
@@ -53,9 +58,14 @@ impl StudyService for Studies {
 
     type WalkStream = Events<WalkResponse>;
 
-    async fn walk(&self, request: Request<WalkRequest>) -> std::result::Result<Response<Self::WalkStream>, Status> {
-        let walks = off_runtime(move || decode::walk(request.into_inner())).await?;
+    async fn walk(
+        &self,
+        request: Request<Frame<WalkRequest>>,
+    ) -> std::result::Result<Response<Self::WalkStream>, Status> {
+        let (request, share) = Frame::only(request, wire::PLAIN).await?;
+        let walks = off_runtime(move || decode::walk(request)).await?;
         let work = move |progress: &dyn Progress| {
+            let _share = &share;
             let results = walk_all(walks.engine, &walks.trials, progress)?;
             let columns = std::iter::once(encode::frequencies(&walks.trials)).chain(encode::walks(&results));
             let table = encode::table(columns.collect(), walks.warnings);
@@ -66,9 +76,14 @@ impl StudyService for Studies {
 
     type SweepStream = Events<SweepResponse>;
 
-    async fn sweep(&self, request: Request<SweepRequest>) -> std::result::Result<Response<Self::SweepStream>, Status> {
-        let sweep = off_runtime(move || decode::sweep(request.into_inner())).await?;
+    async fn sweep(
+        &self,
+        request: Request<Frame<SweepRequest>>,
+    ) -> std::result::Result<Response<Self::SweepStream>, Status> {
+        let (request, share) = Frame::only(request, &wire::SWEEP).await?;
+        let sweep = off_runtime(move || decode::sweep(request)).await?;
         let work = move |progress: &dyn Progress| {
+            let _share = &share;
             let columns = match sweep.optimize {
                 None => encode::grid(&sweep.axes, &grid(&sweep.base, &sweep.axes, progress)?),
                 Some(goal) => {
@@ -85,10 +100,12 @@ impl StudyService for Studies {
 
     async fn evaluate(
         &self,
-        request: Request<EvaluateRequest>,
+        request: Request<Frame<EvaluateRequest>>,
     ) -> std::result::Result<Response<Self::EvaluateStream>, Status> {
-        let study = off_runtime(move || Study::new(&decode::evaluate(request.into_inner())?)).await?;
+        let (request, share) = Frame::only(request, &wire::EVALUATE).await?;
+        let study = off_runtime(move || Study::new(&decode::evaluate(request)?)).await?;
         let work = move |progress: &dyn Progress| {
+            let _share = &share;
             let table = encode::table(encode::evaluation(&study.run(progress)?), Vec::new());
             Ok(EvaluateResponse { event: Some(proto::evaluate_response::Event::Table(table)) })
         };
@@ -99,10 +116,12 @@ impl StudyService for Studies {
 
     async fn diagnose(
         &self,
-        request: Request<DiagnoseRequest>,
+        request: Request<Frame<DiagnoseRequest>>,
     ) -> std::result::Result<Response<Self::DiagnoseStream>, Status> {
-        let (data, experiment) = off_runtime(move || decode::diagnose(request.into_inner())).await?;
+        let (request, share) = Frame::only(request, &wire::DIAGNOSE).await?;
+        let (data, experiment) = off_runtime(move || decode::diagnose(request)).await?;
         let work = move |progress: &dyn Progress| {
+            let _share = &share;
             // The diagnosis reads and writes files: it gets a directory that only this user can enter.
             let directory = tempfile::tempdir().map_err(|e| unusable(&e))?;
             let (path, out) = (directory.path().join("data"), directory.path().join("out"));

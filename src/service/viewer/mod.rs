@@ -8,14 +8,16 @@
 //!
 //! Sessions go by the names of logs and lists, never by their ids. Who only looks changes nothing.
 //!
-//! * [`watchers`]: who looks at what; a server that nobody looks at does nothing for it.
+//! * [`watchers`]: who watches what; [`frames`]: what they are sent. Whoever steps only leaves a copy of the state.
 
+mod frames;
 mod watchers;
 
 pub use watchers::Watchers;
 
+use super::pages;
+use super::refusals::{Refusal, Refusals};
 use super::sessions::{Sessions, Summary};
-use crate::error::{Error, Result};
 use crate::view::page;
 use axum::Router;
 use axum::body::Body;
@@ -28,7 +30,6 @@ use axum::routing::get;
 use futures_util::stream;
 use std::net::IpAddr;
 use std::sync::Arc;
-use std::time::Duration;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
@@ -36,22 +37,26 @@ use tokio_util::sync::CancellationToken;
 const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; \
                       connect-src 'self'; frame-ancestors 'none'";
 
-/// How often a stream that has nothing to say looks whether its session is still there.
-const LOOK: Duration = Duration::from_secs(1);
+/// What the page is made from.
+#[derive(Clone)]
+struct Shown {
+    sessions: Arc<Sessions>,
+    refusals: Arc<Refusals>,
+}
 
 /// Answers browsers until `stop` is cancelled.
-pub async fn serve(listener: TcpListener, sessions: Arc<Sessions>, stop: CancellationToken) -> Result<()> {
+pub async fn serve(listener: TcpListener, sessions: Arc<Sessions>, refusals: Arc<Refusals>, stop: CancellationToken) {
+    let all = sessions.watchers.most() + pages::BESIDE_WATCHERS;
     let local = listener.local_addr().is_ok_and(|a| a.ip().is_loopback());
     let mut app = Router::new()
         .route("/", get(show))
         .route("/sessions", get(list))
         .route("/watch/{name}/{index}", get(watch))
-        .with_state(sessions);
+        .with_state(Shown { sessions, refusals: refusals.clone() });
     if local {
         app = app.layer(middleware::from_fn(same_machine));
     }
-    let served = axum::serve(listener, app).with_graceful_shutdown(stop.cancelled_owned()).await;
-    served.map_err(|e| Error::Exhausted(format!("the live page failed: {e}")))
+    pages::serve(listener, app, all, refusals, stop).await;
 }
 
 /// A page from elsewhere whose name was made to point at this machine must not read what it serves.
@@ -70,37 +75,33 @@ async fn show() -> impl IntoResponse {
     (headers, page::live("sandgait"))
 }
 
-async fn list(State(sessions): State<Arc<Sessions>>) -> impl IntoResponse {
+async fn list(State(Shown { sessions, .. }): State<Shown>) -> impl IntoResponse {
     let one = |s: &Summary| serde_json::json!({"name": s.name, "task": s.blueprint.task.spec().id, "envs": s.envs});
     let body = serde_json::Value::Array(sessions.list().iter().map(one).collect()).to_string();
     ([(CONTENT_TYPE, "application/json"), (CACHE_CONTROL, "no-store")], body)
 }
 
-async fn watch(State(sessions): State<Arc<Sessions>>, Path((name, index)): Path<(String, usize)>) -> Response {
-    let Some(summary) = sessions.list().into_iter().find(|s| s.name == name) else {
-        return (StatusCode::NOT_FOUND, format!("session {name:?} is none of this server's\n")).into_response();
-    };
+async fn watch(State(shown): State<Shown>, Path((name, index)): Path<(String, usize)>) -> Response {
+    let Shown { sessions, refusals } = shown;
+    let unknown = || (StatusCode::NOT_FOUND, format!("session {name:?} is none of this server's\n")).into_response();
+    let Some(summary) = sessions.named(&name) else { return unknown() };
     if index >= summary.envs {
         let reason = format!("index: {index} is outside [0, {})\n", summary.envs);
         return (StatusCode::NOT_FOUND, reason).into_response();
     }
-    let watcher = sessions.watchers.watch(&name, index);
-    let blocks = stream::unfold((watcher, sessions, name), |(mut watcher, sessions, name)| async move {
-        let stop = sessions.stop().clone();
-        loop {
-            tokio::select! {
-                biased;
-                () = stop.cancelled() => return None,
-                block = watcher.next() => {
-                    return block.map(|b| (Ok::<_, std::convert::Infallible>(b), (watcher, sessions, name)));
-                }
-                () = tokio::time::sleep(LOOK) => {
-                    if !sessions.list().iter().any(|s| s.name == name) {
-                        return None;
-                    }
-                }
-            }
-        }
+    let Some(watcher) = sessions.watchers.watch(&name, index, &summary.blueprint.task) else {
+        let most = sessions.watchers.most();
+        refusals.log(Refusal::Watcher, "", &format!("{most} watch already"));
+        let reason = format!("{most} watch this server already, which is its limit; try again later\n");
+        return (StatusCode::SERVICE_UNAVAILABLE, reason).into_response();
+    };
+    // It may have ended between the look and here; who watches is told of ends from now on.
+    if sessions.named(&name).is_none() {
+        return unknown();
+    }
+    let blocks = stream::unfold((watcher, sessions.stop().clone()), |(mut watcher, stop)| async move {
+        let block = stop.run_until_cancelled(watcher.next()).await??;
+        Some((Ok::<_, std::convert::Infallible>(block), (watcher, stop)))
     });
     let headers = [(CONTENT_TYPE, "application/octet-stream"), (CACHE_CONTROL, "no-store")];
     (headers, Body::from_stream(blocks)).into_response()

@@ -1,104 +1,147 @@
-//! Who looks at which environment.
+//! Who watches which environment.
 
+use super::frames::{Frame, Frames, Latest, Moment, encode};
+use crate::env::Task;
 use crate::pool::Batch;
 use crate::service::sessions::name;
-use crate::service::view;
-use crate::view::recording::{head_block, rows_block};
 use bytes::Bytes;
+use std::collections::HashMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
-use tokio::sync::mpsc;
+use tokio::sync::broadcast::Receiver;
+use tokio::sync::broadcast::error::RecvError;
 
-/// Blocks that wait for a browser that reads slowly; what does not fit is left out.
-const WAITING: usize = 64;
+/// Frames of an environment are at least this far apart: our choice, 60 a second, as screens show them.
+const PAUSE: Duration = Duration::from_micros(16_600);
 
-/// A browser gets moments at least this far apart: our choice, four a control step of the tasks. An environment that is
-/// trained steps faster than anyone can see.
-const PAUSE: Duration = Duration::from_millis(5);
+/// The more there are who watch, the rarer their frames: our choice, 2,000 a second in all, some percent of a processor.
+const EACH: Duration = Duration::from_micros(500);
 
-/// Everyone who looks at this server.
-#[derive(Default)]
+/// Everyone who watches this server.
 pub struct Watchers {
-    /// How many: read at every step, so that a server which nobody looks at does no more than this.
+    most: usize,
+    /// How many: read at every step, so that a server which nobody watches does no more than this.
     count: AtomicUsize,
-    all: Mutex<Vec<Watched>>,
+    sessions: Mutex<HashMap<String, Vec<Watched>>>,
 }
 
-/// What one of them looks at.
+/// An environment that is watched.
 struct Watched {
-    session: String,
     index: usize,
-    /// Header of what was sent last.
-    header: String,
+    watchers: usize,
+    /// When the next frame is due.
     next: Instant,
-    sender: mpsc::Sender<Bytes>,
+    latest: Latest,
+    frames: Frames,
 }
 
-/// One who looks, until this is dropped.
+/// One who watches, until this is dropped.
 pub struct Watcher {
     watchers: Arc<Watchers>,
-    receiver: mpsc::Receiver<Bytes>,
+    session: String,
+    index: usize,
+    frames: Receiver<Frame>,
+    /// Header that was sent last.
+    head: Bytes,
 }
 
 impl Watchers {
-    /// Sound even if a holder panicked: every change is a single push or retain.
-    fn lock(&self) -> MutexGuard<'_, Vec<Watched>> {
-        self.all.lock().unwrap_or_else(PoisonError::into_inner)
+    /// `most` at a time.
+    pub fn new(most: usize) -> Arc<Self> {
+        Arc::new(Self { most, count: AtomicUsize::new(0), sessions: Mutex::default() })
     }
 
-    /// Follows environment `index` of the session that is called `session`.
-    pub fn watch(self: &Arc<Self>, session: &str, index: usize) -> Watcher {
-        let (sender, receiver) = mpsc::channel(WAITING);
-        let (session, header, next) = (session.to_owned(), String::new(), Instant::now());
-        let mut all = self.lock();
-        all.push(Watched { session, index, header, next, sender });
-        self.count.store(all.len(), Ordering::Relaxed);
-        drop(all);
-        Watcher { watchers: self.clone(), receiver }
+    pub fn most(&self) -> usize {
+        self.most
     }
 
-    /// The session `id` has just been reset or stepped.
+    /// Sound even if a holder panicked: what is changed together is changed without a call between.
+    fn lock(&self) -> MutexGuard<'_, HashMap<String, Vec<Watched>>> {
+        self.sessions.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Follows environment `index` of the session that is called `session`; none if there are too many who watch. Needs a
+    /// tokio runtime.
+    pub fn watch(self: &Arc<Self>, session: &str, index: usize, task: &Arc<dyn Task>) -> Option<Watcher> {
+        let mut sessions = self.lock();
+        let count = self.count.load(Ordering::Relaxed);
+        if count >= self.most {
+            return None;
+        }
+        let all = sessions.entry(session.into()).or_default();
+        let at = all.iter().position(|w| w.index == index).unwrap_or_else(|| {
+            let (latest, frames) = encode(task.clone());
+            all.push(Watched { index, watchers: 0, next: Instant::now(), latest, frames });
+            all.len() - 1
+        });
+        all[at].watchers += 1;
+        let frames = all[at].frames.subscribe();
+        self.count.store(count + 1, Ordering::Relaxed);
+        drop(sessions);
+        Some(Watcher { watchers: self.clone(), session: session.into(), index, frames, head: Bytes::new() })
+    }
+
+    /// The session `id` has just been reset or stepped. Costs a counter's read, or the copy of a state where a frame is due.
     pub fn saw(&self, id: &str, batch: &Batch) {
-        if self.count.load(Ordering::Relaxed) == 0 {
+        let count = self.count.load(Ordering::Relaxed);
+        if count == 0 {
             return;
         }
+        let pause = PAUSE.max(EACH * u32::try_from(count).unwrap_or(u32::MAX));
         let (session, now) = (name(id), Instant::now());
-        for watched in self.lock().iter_mut().filter(|w| w.session == session && w.next <= now) {
-            watched.tell(batch);
-            watched.next = now + PAUSE;
+        let mut sessions = self.lock();
+        for watched in sessions.get_mut(&session).into_iter().flatten().filter(|w| w.next <= now) {
+            // An environment that was not reset yet has nothing to show.
+            if let Ok(look) = batch.look(watched.index, true) {
+                watched.latest.send_replace(Some(Arc::new(Moment::of(look))));
+                watched.next = now + pause;
+            }
         }
     }
-}
 
-impl Watched {
-    /// Sends the moment, after a header if that has changed; what the browser has no room for is left out.
-    fn tell(&mut self, batch: &Batch) {
-        // An environment that was not reset yet has nothing to show.
-        let Ok(look) = batch.look(self.index, true) else { return };
-        let header = view::header(&look);
-        let mut block = rows_block(&view::row(&look));
-        if header != self.header {
-            block = [head_block(&header), block].concat();
+    /// The session `id` has ended, and with it the streams of those who watch it.
+    pub fn ended(&self, id: &str) {
+        if self.count.load(Ordering::Relaxed) > 0 {
+            let gone = self.lock().remove(&name(id));
+            drop(gone);
         }
-        if self.sender.try_send(block.into()).is_ok() {
-            self.header = header;
+    }
+
+    fn leave(&self, session: &str, index: usize) {
+        let mut sessions = self.lock();
+        self.count.fetch_sub(1, Ordering::Relaxed);
+        // The session may have ended.
+        let Some(all) = sessions.get_mut(session) else { return };
+        all.iter_mut().filter(|w| w.index == index).for_each(|w| w.watchers = w.watchers.saturating_sub(1));
+        all.retain(|w| w.watchers > 0);
+        if all.is_empty() {
+            sessions.remove(session);
         }
     }
 }
 
 impl Watcher {
-    /// The next block.
+    /// The next blocks: a row, after a header if that has changed. None when the session has ended. Whoever asks too seldom
+    /// misses some.
     pub async fn next(&mut self) -> Option<Bytes> {
-        self.receiver.recv().await
+        let frame = loop {
+            match self.frames.recv().await {
+                Ok(frame) => break frame,
+                Err(RecvError::Lagged(_)) => {}
+                Err(RecvError::Closed) => return None,
+            }
+        };
+        if frame.head == self.head {
+            return Some(frame.rows);
+        }
+        self.head = frame.head;
+        Some([&self.head[..], &frame.rows].concat().into())
     }
 }
 
 impl Drop for Watcher {
     fn drop(&mut self) {
-        self.receiver.close();
-        let mut all = self.watchers.lock();
-        all.retain(|w| !w.sender.is_closed());
-        self.watchers.count.store(all.len(), Ordering::Relaxed);
+        self.watchers.leave(&self.session, self.index);
     }
 }

@@ -18,6 +18,7 @@ use crate::error::{Error, Result};
 use crate::number::{Isa, Kernel, Real, Vec3};
 use dynamics::{LaneJoint, LaneState, Scratch};
 use model::LaneModel;
+use spatial::Twist;
 use std::f64::consts::TAU;
 
 /// Robots in blocks of as many as the instruction set has lanes.
@@ -109,6 +110,9 @@ struct Lanes<R: Real, const J: usize> {
     scratch: Scratch<R, J>,
     /// Place of each lane's x and y zero [m]: distances stay small, so `f32` keeps its accuracy however far one walks.
     origins: Vec<[f64; 2]>,
+    /// Work of each lane up to the last control step [J]; the state has what came after, so that small amounts are not lost
+    /// in a large sum.
+    works: Vec<f64>,
 }
 
 impl<R: Real, const J: usize> Lanes<R, J> {
@@ -122,6 +126,7 @@ impl<R: Real, const J: usize> Lanes<R, J> {
                 rate: zero,
                 reference: zero,
                 torque: zero,
+                change: zero,
                 command_rate: zero,
                 command_torque: zero,
             }
@@ -133,6 +138,7 @@ impl<R: Real, const J: usize> Lanes<R, J> {
             orientation: (R::one(), Vec3::zero()),
             velocity: Vec3::zero(),
             angular_velocity: Vec3::zero(),
+            change: Twist { angular: Vec3::zero(), linear: Vec3::zero() },
             work: R::zero(),
             joints: vec![joint; model.joints()],
         };
@@ -141,12 +147,13 @@ impl<R: Real, const J: usize> Lanes<R, J> {
             state,
             scratch: Scratch::new(model.joints()),
             origins: vec![[0.0; 2]; R::LANES],
+            works: vec![0.0; R::LANES],
         };
         block.model.gravity = Vec3::zero();
         Box::new(block)
     }
 
-    /// Moves each lane's x and y into its origin, and whole turns out of angles together with their references.
+    /// Moves each lane's x and y into its origin, its work into the sum, and whole turns out of angles together with their references.
     #[inline(always)]
     fn fold(&mut self) {
         for lane in 0..R::LANES {
@@ -155,7 +162,9 @@ impl<R: Real, const J: usize> Lanes<R, J> {
             *origin = [origin[0] + x, origin[1] + y];
             self.state.travelled.set_lane(lane, origin[0]);
             self.state.position.set_lane(lane, [0.0, 0.0, z]);
+            self.works[lane] += self.state.work.lane(lane);
         }
+        self.state.work = R::zero();
         for joint in &mut self.state.joints {
             let turns = (joint.angle * R::splat(1.0 / TAU)).round() * R::splat(TAU);
             joint.angle -= turns;
@@ -199,12 +208,16 @@ impl<R: Real, const J: usize> Block for Lanes<R, J> {
         s.orientation.1.set_lane(lane, [state.orientation[1], state.orientation[2], state.orientation[3]]);
         s.velocity.set_lane(lane, state.velocity);
         s.angular_velocity.set_lane(lane, state.angular_velocity);
-        s.work.set_lane(lane, state.work);
+        s.change.linear.set_lane(lane, state.velocity_change);
+        s.change.angular.set_lane(lane, state.angular_velocity_change);
+        self.works[lane] = state.work;
+        s.work.set_lane(lane, 0.0);
         for (i, joint) in s.joints.iter_mut().enumerate() {
             joint.angle.set_lane(lane, state.angles[i]);
             joint.rate.set_lane(lane, state.rates[i]);
             joint.reference.set_lane(lane, state.references[i]);
             joint.torque.set_lane(lane, state.torques[i]);
+            joint.change.set_lane(lane, state.rate_changes[i]);
         }
     }
 
@@ -216,12 +229,15 @@ impl<R: Real, const J: usize> Block for Lanes<R, J> {
         out.orientation = [s.orientation.0.lane(lane), i, j, k];
         out.velocity = s.velocity.lane(lane);
         out.angular_velocity = s.angular_velocity.lane(lane);
-        out.work = s.work.lane(lane);
+        out.velocity_change = s.change.linear.lane(lane);
+        out.angular_velocity_change = s.change.angular.lane(lane);
+        out.work = self.works[lane] + s.work.lane(lane);
         for (i, joint) in s.joints.iter().enumerate() {
             out.angles[i] = joint.angle.lane(lane);
             out.rates[i] = joint.rate.lane(lane);
             out.references[i] = joint.reference.lane(lane);
             out.torques[i] = joint.torque.lane(lane);
+            out.rate_changes[i] = joint.change.lane(lane);
         }
     }
 

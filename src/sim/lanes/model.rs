@@ -27,6 +27,8 @@ pub struct LaneBody<R> {
     /// Unit vectors e₀ and e₁ of the plane through the joint that holds the body's mass, and its plates with their
     /// normals.
     pub plane: [Vec3<R>; 2],
+    /// From the joint to the next one or the tip, along e₁ [m].
+    pub length: R,
     pub masses: Moments<R>,
     pub plates: Vec<LanePlate<R>>,
     pub chord: Vec<LanePlate<R>>,
@@ -42,6 +44,8 @@ pub struct LaneModel<R, const J: usize> {
     pub belly: Vec<LanePlate<R>>,
     /// z of all of them [m].
     pub belly_height: R,
+    /// Half of the belly's length and width [m].
+    pub belly_corner: [R; 2],
     pub legs: Vec<[LaneBody<R>; J]>,
     pub kp: R,
     pub kd: R,
@@ -118,6 +122,10 @@ fn belly_height(model: &Model) -> f64 {
     model.belly.first().map_or(0.0, |p| p.center.z)
 }
 
+fn belly_corner(model: &Model) -> [f64; 2] {
+    model.robot.belly.as_ref().map_or([0.0; 2], |belly| belly.size.map(|s| s / 2.0))
+}
+
 /// Axes of the base: its belly's plane.
 fn level() -> [V; 2] {
     [V::x(), V::y()]
@@ -144,6 +152,7 @@ impl<R: Real> LaneBody<R> {
             axis: Vec3::splat(b.axis.into()),
             armature: R::splat(b.armature),
             plane: plane.map(|e| Vec3::splat(e.into())),
+            length: R::splat(b.reach.norm()),
             masses: Moments { mass: R::splat(mass), first: first.map(R::splat), second: second.map(R::splat) },
             plates: b.plates.iter().map(|p| plate(p, plane)).collect(),
             chord: b.chord.iter().map(|p| plate(p, plane)).collect(),
@@ -158,6 +167,7 @@ impl<R: Real> LaneBody<R> {
         let plane = plane(b);
         let Moments { mass, first, second } = moments(b, plane);
         self.plane.iter_mut().zip(plane).for_each(|(out, e)| out.set_lane(lane, e.into()));
+        self.length.set_lane(lane, b.reach.norm());
         self.masses.mass.set_lane(lane, mass);
         self.masses.first.iter_mut().zip(first).for_each(|(out, m)| out.set_lane(lane, m));
         self.masses.second.iter_mut().zip(second).for_each(|(out, m)| out.set_lane(lane, m));
@@ -175,6 +185,7 @@ impl<R: Real, const J: usize> LaneModel<R, J> {
             base_inertia: Vec3::splat(model.base_inertia.into()),
             belly: model.belly.iter().map(|p| plate(p, level())).collect(),
             belly_height: R::splat(belly_height(model)),
+            belly_corner: belly_corner(model).map(R::splat),
             legs: model.legs.iter().map(|leg| std::array::from_fn(|j| LaneBody::splat(&leg[j]))).collect(),
             kp: R::splat(model.motor.kp),
             kd: R::splat(model.motor.kd),
@@ -193,6 +204,7 @@ impl<R: Real, const J: usize> LaneModel<R, J> {
         self.base_inertia.set_lane(lane, model.base_inertia.into());
         self.belly.iter_mut().zip(&model.belly).for_each(|(out, p)| set_plate(out, lane, p, level()));
         self.belly_height.set_lane(lane, belly_height(model));
+        self.belly_corner.iter_mut().zip(belly_corner(model)).for_each(|(out, x)| out.set_lane(lane, x));
         for (chain, bodies) in self.legs.iter_mut().zip(&model.legs) {
             chain.iter_mut().zip(bodies).for_each(|(out, b)| out.set_lane(lane, b));
         }

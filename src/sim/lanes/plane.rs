@@ -45,6 +45,12 @@ impl<R: Real> Field<R> {
         Self { at: self.at + o.at, by: [self.by[0] + o.by[0], self.by[1] + o.by[1]] }
     }
 
+    /// Each vector's part along the unit vector `n`.
+    #[inline(always)]
+    pub fn along(&self, n: Vec3<R>) -> Self {
+        Self { at: n * n.dot(self.at), by: [n * n.dot(self.by[0]), n * n.dot(self.by[1])] }
+    }
+
     /// Each vector's product with `v`, as in `self` × `v`.
     #[inline(always)]
     pub fn cross(&self, v: Vec3<R>) -> Self {
@@ -134,6 +140,13 @@ impl<R: Real> PlaneForces<R> {
         self.force += force;
         self.first[0] = force.scale_add(p[0], self.first[0]);
         self.first[1] = force.scale_add(p[1], self.first[1]);
+    }
+
+    #[inline(always)]
+    pub fn plus(&mut self, o: &Self) {
+        self.force += o.force;
+        self.first[0] += o.first[0];
+        self.first[1] += o.first[1];
     }
 
     #[inline(always)]

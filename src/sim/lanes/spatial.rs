@@ -50,6 +50,10 @@ impl<R: Real> Twist<R> {
     pub fn scale_add(&self, s: R, o: &Self) -> Self {
         Self { angular: self.angular.scale_add(s, o.angular), linear: self.linear.scale_add(s, o.linear) }
     }
+    #[inline(always)]
+    pub fn scaled(&self, s: R) -> Self {
+        Self { angular: self.angular * s, linear: self.linear * s }
+    }
     /// Of the body-fixed point at `r` from the common point.
     #[inline(always)]
     pub fn at(&self, r: Vec3<R>) -> Vec3<R> {

@@ -132,6 +132,8 @@ impl Robot {
         {
             joint.resize(self.model.joints(), 0.0);
         }
+        self.state.forget_changes();
+        self.state.rate_changes.resize(self.model.joints(), 0.0);
         // Objects that the state does not name stand where the scene puts them.
         let objects = &mut self.state.objects;
         objects.truncate(self.rocks.len());

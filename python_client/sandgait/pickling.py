@@ -1,0 +1,109 @@
+"""What an environment is made from, and how it is pickled and copied.
+
+An environment that has never been reset is its constructor's arguments. One that has is these and a snapshot; the
+session is opened, and the snapshot restored, where it is first used. What follows has the same bits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .attributes import refusal
+from .errors import OutOfOrder, SandgaitError
+from .shards import Address, Shards, open_shards
+from .snapshots import read_snapshot, write_snapshot
+from .spaces import Task
+from .view import View
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What it takes to open a session, and to see it."""
+
+    task: str
+    num_envs: int
+    address: Address
+    resume: bool
+    threads: int | None
+    options: dict[str, Any]
+    render_mode: str | None
+    render_size: tuple[int, int]
+
+    def open(self) -> tuple[Shards, View]:
+        shards = open_shards(self.address, self.task, self.num_envs, self.options, self.resume, self.threads)
+        return shards, View.of(shards, self.render_mode, self.render_size)
+
+
+class Pickled:
+    """An environment with a session that need not be open yet."""
+
+    task: Task
+    _origin: Origin
+    #: None: not yet, or it was closed before.
+    _opened: tuple[Shards, View] | None
+    #: What the session begins with; None: as it was made.
+    _kept: bytes | None
+    _shut: bool
+    #: Whether environments have had a reset.
+    _seeded: Any
+    #: Names of the task's options: nobody may believe that setting one as an attribute does something.
+    _options: frozenset[str] = frozenset()
+
+    def _begin(self, origin: Origin) -> None:
+        self._origin, self._kept, self._shut = origin, None, False
+        self._opened = origin.open()
+        self.task = self._opened[0].task
+        self._options = frozenset(o.name for o in self.task.options)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in self._options:
+            raise refusal(self.task, name, value)
+        super().__setattr__(name, value)
+
+    @property
+    def _session(self) -> Shards:
+        return (self._opened or self._open())[0]
+
+    @property
+    def _view(self) -> View:
+        return (self._opened or self._open())[1]
+
+    def _open(self) -> tuple[Shards, View]:
+        if self._shut:
+            raise SandgaitError("this environment is closed")
+        opened = self._origin.open()
+        if self._kept is not None:
+            try:
+                opened[0].send_restore(read_snapshot(self._kept), None)
+                opened[0].receive()
+            except BaseException:
+                opened[0].close()
+                raise
+        self._opened, self._kept = opened, None
+        return opened
+
+    def _close(self) -> None:
+        self._shut = True
+        if self._opened is not None:
+            shards, view = self._opened
+            view.close()
+            shards.close()
+
+    def _in_step(self) -> bool:
+        """Does a step wait for its answer to be taken?"""
+        raise NotImplementedError
+
+    def __getstate__(self) -> dict[str, Any]:
+        if self._in_step():
+            raise OutOfOrder("pickle: a step is in flight; take its answer first")
+        state = {name: value for name, value in self.__dict__.items() if name != "_opened"}
+        if self._opened is not None and np.any(self._seeded):
+            state["_kept"] = write_snapshot(self._session.save(), None)
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._opened = None

@@ -1,0 +1,184 @@
+//! How an intruder moved: where it rests, which way it goes, how far it has come.
+//!
+//! Real drives start from rest, stop, and go on. Velocities and positions carry noise, so none of them is asked alone or
+//! at one sample only.
+
+use super::experiment::Intruder;
+use super::force_log::{Pose, Track};
+
+/// Below this share of the trial's speed an intruder rests: our choice, above the noise of velocities at rest and far
+/// below any speed that a trial is about.
+const REST: f64 = 0.05;
+/// A velocity up to this share is taken for noise where the position says that the intruder rests: our choice.
+const NOISY_REST: f64 = 0.2;
+/// Samples to either side over which the position is looked at.
+const REACH: usize = 2;
+/// Share of the trial's extent within which a position may waver without having gone anywhere: our choice, 0.2 mm on a way
+/// of 4 cm, 1° on one of 200°.
+const SLACK: f64 = 0.005;
+/// Share of the trial's extent at which an intruder has surely set out: our choice. The direction errs by two times the
+/// position's noise over the extent.
+const SET_OUT: f64 = 0.5;
+
+/// Which way a trial goes first.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Heading {
+    /// Unit vector; of a leg (±1, 0), the way its angle goes. 0 if it never moves.
+    along: [f64; 2],
+    /// Sample at which it has surely set out; the last one if it never does.
+    pub until: usize,
+}
+
+impl Heading {
+    /// Does the trial go anywhere?
+    pub fn moves(&self) -> bool {
+        self.along != [0.0; 2]
+    }
+}
+
+/// What moves: a leg's angle, a plate's centre.
+fn place(track: &Track, pose: &Pose) -> [f64; 2] {
+    match track.intruder {
+        Intruder::Leg { .. } => [pose.theta, 0.0],
+        Intruder::Plate { .. } => pose.center,
+    }
+}
+
+fn speed(track: &Track, pose: &Pose) -> f64 {
+    match track.intruder {
+        Intruder::Leg { .. } => pose.omega.abs(),
+        Intruder::Plate { .. } => pose.velocity[0].hypot(pose.velocity[1]),
+    }
+}
+
+fn between(a: [f64; 2], b: [f64; 2]) -> f64 {
+    (b[0] - a[0]).hypot(b[1] - a[1])
+}
+
+/// Largest distance from where the trial starts.
+fn extent(track: &Track) -> f64 {
+    let start = place(track, &track.poses[0]);
+    track.poses.iter().map(|p| between(start, place(track, p))).fold(0.0, f64::max)
+}
+
+/// The way from the start to where the trial has surely set out.
+pub fn heading(track: &Track) -> Heading {
+    let (start, extent) = (place(track, &track.poses[0]), extent(track));
+    let out = |p: &Pose| between(start, place(track, p)) >= SET_OUT * extent;
+    match track.poses.iter().position(out).filter(|_| extent > 0.0) {
+        Some(until) => {
+            let end = place(track, &track.poses[until]);
+            let way = between(start, end);
+            Heading { along: [0, 1].map(|k| (end[k] - start[k]) / way), until }
+        }
+        None => Heading { along: [0.0; 2], until: track.poses.len() - 1 },
+    }
+}
+
+/// Angle [rad] or path [m] travelled at each sample, counted from where the frame has its zero along `heading`: repetitions
+/// that start a little later are matched by where they are, not by when. Never decreasing: on a way back it goes on.
+///
+/// A point is drawn along on a leash of [`SLACK`]: its path is free of the noise that a sum over samples would gather at rest.
+pub fn progress(track: &Track, heading: &Heading) -> Vec<f64> {
+    let start = place(track, &track.poses[0]);
+    let from = start[0] * heading.along[0] + start[1] * heading.along[1];
+    let leash = SLACK * extent(track);
+    let (mut behind, mut path, mut furthest) = (start, 0.0, 0.0);
+    let at = |pose: &Pose| {
+        let here = place(track, pose);
+        let away = between(behind, here);
+        if away > leash {
+            let pulled = (away - leash) / away;
+            behind = [0, 1].map(|k| behind[k] + pulled * (here[k] - behind[k]));
+            path += away - leash;
+        }
+        furthest = f64::max(furthest, path + away.min(leash));
+        from + furthest
+    };
+    track.poses.iter().map(at).collect()
+}
+
+/// Samples at which the intruder moves; all of them if it never does. The force law knows the direction of a motion only,
+/// so it says nothing of an intruder at rest: what holds it there may be anything up to what it takes to move it.
+pub fn moving(track: &Track) -> Vec<usize> {
+    let poses = &track.poses;
+    let usual = usual_speed(track);
+    let seen = |a: usize, b: usize| match a < b {
+        true => between(place(track, &poses[a]), place(track, &poses[b])) / (poses[b].t - poses[a].t),
+        false => f64::INFINITY,
+    };
+    let moves = |i: &usize| {
+        let logged = speed(track, &poses[*i]);
+        // At the edge of a rest it is seen on one side.
+        let before = seen(i.saturating_sub(REACH), *i);
+        let after = seen(*i, (i + REACH).min(poses.len() - 1));
+        let seen = before.min(after);
+        logged >= NOISY_REST * usual || (logged >= REST * usual && seen >= REST * usual)
+    };
+    let all = 0..poses.len();
+    if usual > 0.0 { all.filter(moves).collect() } else { all.collect() }
+}
+
+/// The logged speed at which half of the way is made: neither rests nor single wild samples move it much.
+fn usual_speed(track: &Track) -> f64 {
+    let mut speeds: Vec<f64> = track.poses.iter().map(|p| speed(track, p)).collect();
+    speeds.sort_by(f64::total_cmp);
+    let half = 0.5 * speeds.iter().sum::<f64>();
+    let mut way = 0.0;
+    let passed = |v: &&f64| {
+        way += **v;
+        way >= half
+    };
+    speeds.iter().find(passed).copied().unwrap_or(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A plate that rests, goes down 3 cm at 0.1 m/s, rests, and comes up again, sampled every millisecond; positions
+    /// waver by `noise` [m].
+    fn stroke(noise: f64) -> Track {
+        let poses = (0..1000).map(|i| {
+            let t = f64::from(i) * 1e-3;
+            let (z, vz) = match t {
+                t if t < 0.2 => (0.0, 0.0),
+                t if t < 0.5 => (-0.1 * (t - 0.2), -0.1),
+                t if t < 0.7 => (-0.03, 0.0),
+                _ => (-0.03 + 0.1 * (t - 0.7), 0.1),
+            };
+            let waver = noise * (f64::from(i) * 2.4).sin();
+            Pose { t, center: [0.5, z + waver], velocity: [0.0, vz], ..Pose::default() }
+        });
+        let poses = poses.collect();
+        let intruder = Intruder::Plate { length: 0.04, width: 0.025, thickness: None };
+        Track { shape: "plate".into(), ..Track::leg(intruder, 0.0, poses) }
+    }
+
+    #[test]
+    fn path_does_not_gather_noise() {
+        for noise in [0.0, 1e-4] {
+            let track = stroke(noise);
+            let along = progress(&track, &heading(&track));
+            assert!(along.is_sorted());
+            // 3 cm down and, but for twice the leash of 0.15 mm, 3 cm up.
+            let (middle, end) = (along[600] - along[0], along[999] - along[0]);
+            assert!((middle - 0.03).abs() < 3.0 * noise + 1e-6, "{noise}: {middle}");
+            assert!((end - 0.06).abs() < 3.0 * noise + 5e-4, "{noise}: {end}");
+        }
+    }
+
+    #[test]
+    fn rests_are_found_in_noise() {
+        let mut track = stroke(1e-6);
+        let moves = |i: &usize| (200..500).contains(i) || *i >= 700;
+        assert_eq!(moving(&track), (0..1000).filter(moves).collect::<Vec<_>>());
+        for (i, pose) in track.poses.iter_mut().enumerate() {
+            // 10 % of the speed
+            pose.velocity[0] += 0.01 * (i as f64 * 1.7).sin();
+        }
+        let found = moving(&track);
+        let wrong = (0..1000).filter(|i| found.contains(i) != moves(i)).count();
+        assert!(wrong < 10, "{wrong} samples are taken for what they are not");
+    }
+}

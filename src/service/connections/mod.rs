@@ -1,0 +1,195 @@
+//! How connections come in: accepted, encrypted, and handed on once they have begun to speak.
+//!
+//! ```text
+//!  accept ──▶ a place in the table ──▶ TLS handshake ──▶ first bytes ──▶ HTTP
+//!                  │                    └── each connection in a task of its own, within a time ──┘
+//!                  └── no room: who has had no stream for longest is closed; if all have, the new one is
+//! ```
+//!
+//! Accepting waits for nobody, so peers that are silent hold nobody up.
+//!
+//! * [`table`]: who is connected; [`wire`]: a connection's bytes.
+
+mod table;
+mod wire;
+
+pub use table::{Caps, Peer, Table};
+pub use wire::{Connection, Greeting, Link};
+
+use super::rate::Rate;
+use super::refusals::{Refusal, Refusals};
+use super::security::Tls;
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+use std::io;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+use table::Place;
+use tokio::net::{TcpListener, TcpStream, UnixListener};
+use tokio::sync::mpsc;
+use tokio::time::{interval, timeout};
+use tokio_stream::StreamExt as _;
+use tokio_util::sync::CancellationToken;
+use tonic::transport::server::TcpIncoming;
+use wire::Wire;
+
+/// How long a TLS handshake may take: our choice, ten times what a slow line needs.
+const HANDSHAKE: Duration = Duration::from_secs(5);
+
+/// How long a peer may be silent before it begins to speak: our choice; clients do so at once.
+const SILENCE: Duration = Duration::from_secs(10);
+
+/// A TCP peer that is silent for this long is asked for a sign of life, and dropped if it gives none as long.
+pub const KEEPALIVE: Duration = Duration::from_secs(60);
+
+/// Time to wait before accepting again when it failed (no file descriptors left).
+const PAUSE: Duration = Duration::from_millis(50);
+
+/// How often idle connections are looked for.
+const LOOK: Duration = Duration::from_secs(1);
+
+/// Connections that wait for HTTP to take them.
+const WAITING: usize = 64;
+
+/// File descriptors that are not for connections of clients: files of sessions, listeners, the runtime. Our choice.
+const RESERVE: usize = 64;
+
+impl Caps {
+    /// `all` connections, `peer` of one peer: as many of them as this process has descriptors for when `others` are
+    /// needed elsewhere. A quarter may be opening, our choice: they take no room from those that are open.
+    pub fn new(all: usize, peer: usize, others: usize) -> Self {
+        let Rlimit { mut current, maximum } = getrlimit(Resource::Nofile);
+        // The lower limit is for programs that use `select`; this one does not.
+        if setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum }).is_ok() {
+            current = maximum;
+        }
+        let descriptors = current.map_or(usize::MAX, |n| usize::try_from(n).unwrap_or(usize::MAX));
+        let room = descriptors.saturating_sub(RESERVE + others).max(4);
+        if room < all {
+            tracing::info!(
+                connections = room,
+                descriptors,
+                "fewer connections than allowed: descriptors are the limit"
+            );
+        }
+        let all = all.min(room);
+        Self { all, peer, opening: all.div_ceil(4) }
+    }
+}
+
+/// Where connections come from.
+pub enum Socket {
+    Tcp(TcpIncoming),
+    Unix(UnixListener),
+}
+
+impl From<TcpListener> for Socket {
+    /// Without nodelay a small call takes 44 ms; `Server::tcp_nodelay` is ignored when we bring the listener.
+    fn from(listener: TcpListener) -> Self {
+        Self::Tcp(TcpIncoming::from(listener).with_nodelay(Some(true)).with_keepalive(Some(KEEPALIVE)))
+    }
+}
+
+impl Socket {
+    async fn accept(&mut self) -> io::Result<(Wire, Peer, Option<SocketAddr>)> {
+        match self {
+            Self::Tcp(incoming) => {
+                let stream = incoming.next().await.unwrap_or_else(|| Err(io::ErrorKind::NotConnected.into()))?;
+                let address = stream.peer_addr()?;
+                Ok((Wire::Tcp(stream), Peer::of(address.ip()), Some(address)))
+            }
+            Self::Unix(listener) => Ok((Wire::Unix(listener.accept().await?.0), Peer::Local, None)),
+        }
+    }
+}
+
+/// What is done with what a socket gives.
+#[derive(Clone)]
+pub struct Door {
+    pub table: Arc<Table>,
+    /// Encryption; for TCP only.
+    pub tls: Option<Tls>,
+    pub greeting: Greeting,
+    pub rate: Option<Arc<Rate>>,
+    pub refusals: Arc<Refusals>,
+}
+
+impl Door {
+    /// The connections of `socket` that have begun to speak, until `stop` is cancelled.
+    pub fn open(self, socket: Socket, stop: CancellationToken) -> mpsc::Receiver<Connection> {
+        let (sender, receiver) = mpsc::channel(WAITING);
+        tokio::spawn(async move { stop.run_until_cancelled(self.accept(socket, sender, &stop)).await });
+        receiver
+    }
+
+    async fn accept(&self, mut socket: Socket, sender: mpsc::Sender<Connection>, stop: &CancellationToken) {
+        let mut look = interval(LOOK);
+        loop {
+            let accepted = tokio::select! {
+                accepted = socket.accept() => accepted,
+                _ = look.tick() => {
+                    self.table.close_idle();
+                    self.refusals.log_suppressed();
+                    continue;
+                }
+            };
+            match accepted {
+                Ok((wire, peer, address)) => self.begin(wire, peer, address, &sender, stop),
+                Err(error) => {
+                    self.refusals.log(Refusal::Accept, "", &error.to_string());
+                    tokio::time::sleep(PAUSE).await;
+                }
+            }
+        }
+    }
+
+    /// Goes on with a connection, in a task of its own.
+    fn begin(
+        &self,
+        wire: Wire,
+        peer: Peer,
+        address: Option<SocketAddr>,
+        sender: &mpsc::Sender<Connection>,
+        stop: &CancellationToken,
+    ) {
+        let name = address.map_or_else(|| "a Unix socket".into(), |a| a.to_string());
+        let Some(place) = self.table.admit(peer) else {
+            self.refusals.log(Refusal::Connection, &name, "all the others have calls");
+            return;
+        };
+        let link = Link { peer, address, calls: place.calls(), rate: self.rate.clone() };
+        let (door, sender, stop, end) = (self.clone(), sender.clone(), stop.clone(), place.end.clone());
+        tokio::spawn(async move {
+            let opened = tokio::select! {
+                opened = door.greet(wire, place, link) => opened,
+                () = end.cancelled() => Err((Refusal::Connection, "later ones needed its place".into())),
+                () = stop.cancelled() => return,
+            };
+            match opened {
+                // The server has ended if nobody takes it.
+                Ok(connection) => drop(sender.send(connection).await),
+                Err((kind, reason)) => door.refusals.log(kind, &name, &reason),
+            }
+        });
+    }
+
+    /// Waits until the connection is encrypted, if it shall be, and the peer has begun to speak.
+    async fn greet(&self, wire: Wire, place: Place, link: Link) -> Result<Connection, (Refusal, String)> {
+        let wire = match (wire, &self.tls) {
+            (Wire::Tcp(stream), Some(tls)) => Self::encrypt(tls, stream).await.map_err(|e| (Refusal::Handshake, e))?,
+            (wire, _) => wire,
+        };
+        match timeout(SILENCE, Connection::open(wire, place, link, self.greeting)).await {
+            Ok(opened) => opened.map_err(|e| (Refusal::Silent, e.to_string())),
+            Err(_) => Err((Refusal::Silent, format!("silent for {} s", SILENCE.as_secs()))),
+        }
+    }
+
+    async fn encrypt(tls: &Tls, stream: TcpStream) -> Result<Wire, String> {
+        match timeout(HANDSHAKE, tls.shake_hands(stream)).await {
+            Ok(Ok(stream)) => Ok(Wire::Tls(Box::new(stream))),
+            Ok(Err(error)) => Err(error.to_string()),
+            Err(_) => Err(format!("not done within {} s", HANDSHAKE.as_secs())),
+        }
+    }
+}

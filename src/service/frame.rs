@@ -1,0 +1,83 @@
+//! A request as it arrived: bytes that nobody has unpacked yet.
+
+use super::intake::{Door, Share};
+use super::wire::{self, Shape};
+use super::{off_runtime, status};
+use crate::error::{Error, Result};
+use bytes::{Buf as _, Bytes};
+use prost::Message;
+use std::marker::PhantomData;
+use tonic::codec::{BufferSettings, Codec, DecodeBuf, Decoder};
+use tonic::{Request, Status};
+use tonic_prost::{ProstCodec, ProstEncoder};
+
+/// The bytes of a message `T`. Empty for a large one: that lies in the call's [`Door`].
+pub struct Frame<T>(Bytes, PhantomData<fn() -> T>);
+
+/// Requests of at most this size [bytes] are unpacked on the thread that received them: some 0.3 ms at worst.
+const LIGHT: usize = 16 << 10;
+
+impl<T: Message + Default + 'static> Frame<T> {
+    /// The message, with its share of the memory for requests. Its parts are counted before any is unpacked.
+    pub fn open(self, door: &Door, shape: Shape) -> Result<(T, Option<Share>)> {
+        let (bytes, share) = door.take(self.0);
+        Ok((unpacked(bytes, shape)?, share))
+    }
+
+    /// [`Self::receive`] of a call's only message.
+    pub async fn only(request: Request<Self>, shape: Shape) -> std::result::Result<(T, Option<Share>), Status> {
+        let door = Door::of(&request);
+        request.into_inner().receive(&door, shape).await
+    }
+
+    /// [`Self::open`]; what may take long is unpacked off the async runtime's threads.
+    pub async fn receive(self, door: &Door, shape: Shape) -> std::result::Result<(T, Option<Share>), Status> {
+        let (bytes, share) = door.take(self.0);
+        let message = if bytes.len() <= LIGHT {
+            unpacked(bytes, shape).map_err(|e| status::status(&e))?
+        } else {
+            off_runtime(move || unpacked(bytes, shape)).await?
+        };
+        Ok((message, share))
+    }
+}
+
+fn unpacked<T: Message + Default>(bytes: Bytes, shape: Shape) -> Result<T> {
+    wire::check(&bytes, shape)?;
+    T::decode(bytes).map_err(|e| Error::invalid("message", format!("cannot be read: {e}")))
+}
+
+/// Takes requests as frames and writes answers as protobuf.
+pub struct FrameCodec<T, U>(PhantomData<fn() -> (T, U)>);
+
+impl<T, U> Default for FrameCodec<T, U> {
+    fn default() -> Self {
+        Self(PhantomData)
+    }
+}
+
+impl<T: Message + Send + 'static, U: 'static> Codec for FrameCodec<T, Frame<U>> {
+    type Encode = T;
+    type Decode = Frame<U>;
+    type Encoder = ProstEncoder<T>;
+    type Decoder = FrameDecoder<U>;
+
+    fn encoder(&mut self) -> Self::Encoder {
+        ProstCodec::<T, ()>::raw_encoder(BufferSettings::default())
+    }
+
+    fn decoder(&mut self) -> Self::Decoder {
+        FrameDecoder(PhantomData)
+    }
+}
+
+pub struct FrameDecoder<U>(PhantomData<fn() -> U>);
+
+impl<U> Decoder for FrameDecoder<U> {
+    type Item = Frame<U>;
+    type Error = Status;
+
+    fn decode(&mut self, bytes: &mut DecodeBuf<'_>) -> std::result::Result<Option<Self::Item>, Status> {
+        Ok(Some(Frame(bytes.copy_to_bytes(bytes.remaining()), PhantomData)))
+    }
+}

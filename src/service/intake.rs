@@ -1,0 +1,252 @@
+//! How much memory requests may take, before they are read.
+//!
+//! ```text
+//!  call ──▶ length of the next message ──▶ too large: refused ──▶ large: waits for its share ──▶ read ──▶ Frame
+//! ```
+//!
+//! Small messages pass; of large ones all calls together hold what [`Intake::room`] allows. While one waits, HTTP/2's flow
+//! control stops its sender. The share goes with the request ([`Share`]) until that is done with its memory.
+
+use super::sessions::Limits;
+use super::studies;
+use super::wire::LONGEST_OPTIONS;
+use crate::error::{Error, Result};
+use axum::body::{Body, BodyDataStream};
+use axum::extract::{Request, State};
+use axum::middleware::Next;
+use axum::response::Response;
+use bytes::{Bytes, BytesMut};
+use futures_util::{StreamExt as _, stream};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::time::{Instant, timeout, timeout_at};
+use tonic::Status;
+
+/// Messages of at most this size [bytes] need no share.
+const SMALL: usize = 16 << 10;
+
+/// Unit of shares [bytes].
+const UNIT: usize = 1 << 10;
+
+/// How long a request waits for its share. Our choice: longer than the largest step, shorter than clients' patience.
+const WAIT: Duration = Duration::from_secs(30);
+
+/// How long a large message may take to arrive: our choice of this time and what 1 MiB/s takes.
+const ARRIVAL: Duration = Duration::from_secs(10);
+
+/// A message and what is unpacked of it: actions are copied once.
+const COPIES: usize = 2;
+
+/// Bytes before a message: a flag and its length.
+const HEADER: usize = 5;
+
+type BoxError = Box<dyn std::error::Error + Send + Sync>;
+
+/// The memory of a server's requests.
+pub struct Intake {
+    shares: Arc<Semaphore>,
+    /// [bytes]
+    room: usize,
+    /// Of one message [bytes].
+    largest: usize,
+}
+
+/// Part of the memory for requests; given back when it is dropped.
+pub struct Share(#[expect(dead_code, reason = "held for its end")] OwnedSemaphorePermit);
+
+impl Limits {
+    /// What requests may take of the memory: a quarter, but no more than the largest one needs.
+    pub fn of_requests(&self) -> usize {
+        (self.memory / 4).min(COPIES * self.request)
+    }
+
+    /// What is left to environments.
+    pub fn of_environments(&self) -> usize {
+        self.memory - self.of_requests()
+    }
+}
+
+impl Intake {
+    pub fn new(limits: &Limits) -> Arc<Self> {
+        // Below some size nothing could be asked for: our choice, twice the longest options.
+        let room = limits.of_requests().max(COPIES * 2 * LONGEST_OPTIONS);
+        let shares = Arc::new(Semaphore::new(room / UNIT));
+        Arc::new(Self { shares, room, largest: limits.request.min(room / COPIES) })
+    }
+
+    /// What a client may send ahead on a stream [bytes], and twice that on a connection. Our choice: a step of the largest
+    /// usual batch without waiting for credit, or as little as 32 connections can hold within the memory for requests.
+    pub fn window(&self) -> u32 {
+        (self.room / 64).clamp(64 << 10, 4 << 20) as u32
+    }
+
+    /// Largest message of the call `path` [bytes].
+    fn limit(&self, path: &str) -> usize {
+        let limit = match path.rsplit('/').next() {
+            Some("RunSession") => self.largest,
+            Some("CreateSession" | "Process") => LONGEST_OPTIONS + SMALL,
+            // A robot and sand as files.
+            Some("Intrude" | "Walk" | "Sweep") => LONGEST_OPTIONS + SMALL,
+            Some("Evaluate") => studies::LARGEST_POLICY + LONGEST_OPTIONS + SMALL,
+            Some("Diagnose") => studies::MOST_BYTES,
+            _ => SMALL,
+        };
+        limit.min(self.largest)
+    }
+
+    /// Memory for what a request makes, once there is some.
+    pub async fn share(&self, bytes: usize) -> Result<Share> {
+        if bytes > self.room {
+            let [needed, room] = [bytes, self.room].map(|b| b.div_ceil(1 << 20));
+            return Err(Error::Exhausted(format!("needs about {needed} MiB, requests may take {room} MiB")));
+        }
+        let units = bytes.div_ceil(UNIT).min(self.room / UNIT) as u32;
+        match timeout(WAIT, self.shares.clone().acquire_many_owned(units)).await {
+            Ok(Ok(permit)) => Ok(Share(permit)),
+            _ => Err(Error::Exhausted("the memory for large requests is taken by others; try again".into())),
+        }
+    }
+}
+
+/// Where a call's large messages wait to be taken, and how large its small ones may be.
+#[derive(Clone, Default)]
+pub struct Door(Arc<Inner>);
+
+#[derive(Default)]
+struct Inner {
+    /// [bytes]; what the call's session has room for anyway.
+    free: AtomicUsize,
+    large: Mutex<Option<(Bytes, Share)>>,
+}
+
+impl Door {
+    pub fn of<T>(request: &tonic::Request<T>) -> Self {
+        request.extensions().get::<Self>().cloned().unwrap_or_default()
+    }
+
+    /// From now on messages of `bytes` need no share: their memory is counted otherwise.
+    pub fn let_pass(&self, bytes: usize) {
+        self.0.free.store(bytes, Ordering::Relaxed);
+    }
+
+    fn free(&self) -> usize {
+        self.0.free.load(Ordering::Relaxed).max(SMALL)
+    }
+
+    /// The message that arrived as `bytes`: itself, or the large one that it stands for.
+    pub fn take(&self, bytes: Bytes) -> (Bytes, Option<Share>) {
+        let mut large = self.0.large.lock().unwrap_or_else(PoisonError::into_inner);
+        match large.take_if(|_| bytes.is_empty()) {
+            Some((bytes, share)) => (bytes, Some(share)),
+            None => (bytes, None),
+        }
+    }
+
+    fn put(&self, bytes: Bytes, share: Share) -> std::result::Result<(), Status> {
+        let mut large = self.0.large.lock().unwrap_or_else(PoisonError::into_inner);
+        if large.is_some() {
+            return Err(Status::invalid_argument("message: this call takes one"));
+        }
+        *large = Some((bytes, share));
+        Ok(())
+    }
+}
+
+/// Reads a call's messages one by one, each when there is memory for it.
+pub async fn pass(State(intake): State<Arc<Intake>>, mut call: Request, next: Next) -> Response {
+    let (door, limit) = (Door::default(), intake.limit(call.uri().path()));
+    call.extensions_mut().insert(door.clone());
+    let metered = |body: Body| {
+        let messages =
+            Messages { body: body.into_data_stream(), arrived: Bytes::new(), missing: 0, door, intake, limit };
+        Body::from_stream(stream::try_unfold(messages, Messages::next))
+    };
+    next.run(call.map(metered)).await
+}
+
+/// The messages of a call.
+struct Messages {
+    body: BodyDataStream,
+    /// What has arrived and is not handed on yet.
+    arrived: Bytes,
+    /// Bytes that the small message under way lacks yet.
+    missing: usize,
+    door: Door,
+    intake: Arc<Intake>,
+    limit: usize,
+}
+
+impl Messages {
+    /// The next bytes for tonic: small messages as they are, for a large one an empty message.
+    async fn next(mut self) -> std::result::Result<Option<(Bytes, Self)>, BoxError> {
+        loop {
+            let small = self.small();
+            if small > 0 {
+                let bytes = self.arrived.split_to(small);
+                return Ok(Some((bytes, self)));
+            }
+            if let Some(length) = length(&self.arrived) {
+                let flag = self.arrived[0];
+                self.large(length).await?;
+                return Ok(Some((vec![flag, 0, 0, 0, 0].into(), self)));
+            }
+            match self.body.next().await.transpose()? {
+                Some(bytes) if self.arrived.is_empty() => self.arrived = bytes,
+                Some(bytes) => self.arrived = [&self.arrived[..], &bytes].concat().into(),
+                None if self.arrived.is_empty() => return Ok(None),
+                // Half a header, which tonic refuses.
+                None => return Ok(Some((std::mem::take(&mut self.arrived), self))),
+            }
+        }
+    }
+
+    /// How many of the bytes that have arrived belong to small messages.
+    fn small(&mut self) -> usize {
+        let mut end = self.missing.min(self.arrived.len());
+        self.missing -= end;
+        let small = self.door.free().min(self.limit);
+        while self.missing == 0
+            && let Some(length) = length(&self.arrived[end..]).filter(|length| *length <= small)
+        {
+            let whole = end + HEADER + length;
+            end = whole.min(self.arrived.len());
+            self.missing = whole - end;
+        }
+        end
+    }
+
+    /// Reads the large message at hand and puts it behind the door.
+    async fn large(&mut self, length: usize) -> std::result::Result<(), Status> {
+        if length > self.limit {
+            let limit = self.limit;
+            return Err(Status::resource_exhausted(format!(
+                "message: {length} bytes are more than this call takes, {limit}"
+            )));
+        }
+        let share = self.intake.share(COPIES * length).await;
+        let share = share.map_err(|e| Status::resource_exhausted(format!("message: {e}")))?;
+        let time = ARRIVAL + Duration::from_secs((length >> 20) as u64);
+        let deadline = Instant::now() + time;
+        let late = |_| Status::resource_exhausted(format!("message: not there within {} s", time.as_secs()));
+        let mut message = BytesMut::with_capacity(length);
+        drop(self.arrived.split_to(HEADER));
+        loop {
+            let part = self.arrived.split_to(self.arrived.len().min(length - message.len()));
+            message.extend_from_slice(&part);
+            if message.len() == length {
+                return self.door.put(message.freeze(), share);
+            }
+            let cut_off = || Status::invalid_argument("message: cannot be read: it is cut off");
+            let next = timeout_at(deadline, self.body.next()).await.map_err(late)?;
+            self.arrived = next.ok_or_else(cut_off)?.map_err(|_| cut_off())?;
+        }
+    }
+}
+
+/// Length of the message that begins here, once its header is there.
+fn length(bytes: &[u8]) -> Option<usize> {
+    let header = bytes.first_chunk::<HEADER>()?;
+    Some(u32::from_be_bytes([header[1], header[2], header[3], header[4]]) as usize)
+}

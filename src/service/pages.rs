@@ -1,0 +1,48 @@
+//! Pages for browsers and programs that speak HTTP/1: metrics and the live page.
+
+use super::connections::{Caps, Connection, Door, Greeting, Table};
+use super::refusals::Refusals;
+use axum::Router;
+use hyper::server::conn::http1;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::service::TowerToHyperService;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::net::TcpListener;
+use tokio_util::sync::CancellationToken;
+
+/// How long a request may take to come: our choice, as for the first bytes of any connection.
+const REQUEST: Duration = Duration::from_secs(10);
+
+/// Connections to the page of metrics at a time: our choice, some programs that ask at once.
+pub const METRICS: usize = 32;
+
+/// Connections to the live page beside those of watchers: our choice, some browsers with all they ask for at once.
+pub const BESIDE_WATCHERS: usize = 128;
+
+/// Answers what `listener` gets with `app` on at most `all` connections until `stop` is cancelled.
+pub async fn serve(listener: TcpListener, app: Router, all: usize, refusals: Arc<Refusals>, stop: CancellationToken) {
+    let table = Table::new(Caps { all, peer: all, opening: all });
+    let door = Door { table, tls: None, greeting: Greeting::Any, rate: None, refusals };
+    let mut connections = door.open(listener.into(), stop.clone());
+    while let Some(connection) = connections.recv().await {
+        tokio::spawn(answer(connection, app.clone(), stop.clone()));
+    }
+}
+
+/// Answers one request: a connection that waits for another would only take room.
+async fn answer(connection: Connection, app: Router, stop: CancellationToken) {
+    // From its first bytes on it has a call: what bounds it in time is `REQUEST`, and what watchers may take.
+    let _call = connection.link().begin();
+    let mut builder = http1::Builder::new();
+    builder.timer(TokioTimer::new()).header_read_timeout(REQUEST).keep_alive(false);
+    let app = TowerToHyperService::new(app);
+    let serving = builder.serve_connection(TokioIo::new(connection), app);
+    let mut serving = std::pin::pin!(serving);
+    // What goes wrong on a connection is its peer's business.
+    tokio::select! {
+        _ = serving.as_mut() => return,
+        () = stop.cancelled() => serving.as_mut().graceful_shutdown(),
+    }
+    let _ = serving.await;
+}

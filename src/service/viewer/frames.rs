@@ -1,0 +1,87 @@
+//! What watchers are sent: moments of one environment, encoded once for all who watch it.
+//!
+//! ```text
+//!  thread that stepped ──Moment──▶ latest ──▶ task that encodes ──Frame──▶ watchers
+//!                        (copied)   (only the newest waits)       (who is slow misses some)
+//! ```
+
+use crate::env::{Look, Task};
+use crate::service::view;
+use crate::sim::{Model, State};
+use crate::view::recording::{head_block, rows_block};
+use bytes::Bytes;
+use std::sync::Arc;
+use tokio::sync::{broadcast, watch};
+
+/// Frames that wait for a browser that reads slowly: one second of them.
+const WAITING: usize = 64;
+
+/// A copy of what is seen of an environment.
+pub struct Moment {
+    model: Arc<Model>,
+    state: State,
+    footing: Vec<f64>,
+    episode: (u64, u64),
+    time: f64,
+    action: Vec<f32>,
+    reward: f32,
+    info: Vec<f32>,
+}
+
+impl Moment {
+    pub fn of(look: Look<'_>) -> Self {
+        let Look { model, state, footing, episode, time, action, reward, info, .. } = look;
+        let (model, state, footing, action) = (model.clone(), state.clone(), footing.to_vec(), action.to_vec());
+        Self { model, state, footing, episode, time, action, reward, info }
+    }
+
+    /// The recording's row.
+    fn row(&self) -> Vec<f32> {
+        let Self { model, state, footing, time, action, reward, info, .. } = self;
+        let moment = crate::view::Moment { time: *time, state, footing, action, reward: *reward, info };
+        crate::view::row(model, &moment)
+    }
+
+    /// Do both belong to one section of a recording?
+    fn continues(&self, other: &Self) -> bool {
+        self.episode == other.episode && Arc::ptr_eq(&self.model, &other.model)
+    }
+}
+
+/// A moment, and the header of the section that it belongs to.
+#[derive(Clone)]
+pub struct Frame {
+    pub head: Bytes,
+    pub rows: Bytes,
+}
+
+/// Where moments go in.
+pub type Latest = watch::Sender<Option<Arc<Moment>>>;
+
+/// Where frames come out.
+pub type Frames = broadcast::Sender<Frame>;
+
+/// Encodes moments of `task` until the place where they go in is dropped. Needs a tokio runtime.
+pub fn encode(task: Arc<dyn Task>) -> (Latest, Frames) {
+    let (latest, mut moments) = watch::channel(None::<Arc<Moment>>);
+    let frames = broadcast::Sender::new(WAITING);
+    // Not held here, so that who waits for a frame learns that there will be no more.
+    let weak = frames.downgrade();
+    tokio::spawn(async move {
+        let mut section: Option<(Arc<Moment>, Bytes)> = None;
+        while moments.changed().await.is_ok() {
+            let Some(moment) = moments.borrow_and_update().clone() else { continue };
+            let head = match &section {
+                Some((first, head)) if first.continues(&moment) => head.clone(),
+                _ => {
+                    let head = head_block(&view::header(task.spec(), &moment.model, moment.episode));
+                    section.insert((moment.clone(), head.into())).1.clone()
+                }
+            };
+            let Some(frames) = weak.upgrade() else { return };
+            // Whoever watched may just have left.
+            let _ = frames.send(Frame { head, rows: rows_block(&moment.row()).into() });
+        }
+    });
+    (latest, frames)
+}

@@ -1,0 +1,222 @@
+//! How much a message would unpack to, counted on its bytes.
+//!
+//! Two bytes can be an empty list, which takes 32 when it is unpacked: a message's size alone bounds neither memory nor
+//! time. So the fields of a message are counted first, down to the values of its options.
+
+use crate::error::{Error, Result};
+
+/// The fields of a message that are looked into or have a longest length.
+pub type Shape = &'static [Field];
+
+pub struct Field {
+    number: u64,
+    name: &'static str,
+    /// [bytes]
+    longest: usize,
+    /// May it stand there more than once?
+    repeated: bool,
+    /// The shape of what is in it, if it is a message.
+    inside: Option<Shape>,
+}
+
+/// A message whose fields are counted, and no more.
+pub const PLAIN: Shape = &[];
+
+/// Longest options of a session or a reset [bytes]: our choice. The text of a `sand.toml`, by far the longest option, has
+/// some 2 KiB.
+pub const LONGEST_OPTIONS: usize = 256 << 10;
+
+/// Fields of one message: our choice, twice the seeds of the largest usual session, where they come one by one.
+const MOST_FIELDS: usize = 1 << 17;
+
+/// Messages inside one: some 1,000 values of options. All options of a task are some 50.
+const MOST_MESSAGES: usize = 4_096;
+
+/// Lists in lists and the like; a value is three or four of these.
+const DEEPEST: usize = 48;
+
+const fn once(number: u64, name: &'static str, longest: usize, inside: Option<Shape>) -> Field {
+    Field { number, name, longest, repeated: false, inside }
+}
+
+const fn any(number: u64, name: &'static str, inside: Shape) -> Field {
+    Field { number, name, longest: usize::MAX, repeated: true, inside: Some(inside) }
+}
+
+static STRUCT: [Field; 1] = [any(1, "options", &ENTRY)];
+static ENTRY: [Field; 1] = [any(2, "options", &VALUE)];
+static VALUE: [Field; 2] = [any(5, "options", &STRUCT), any(6, "options", &LIST)];
+static LIST: [Field; 1] = [any(1, "options", &VALUE)];
+
+const fn options(number: u64) -> Field {
+    once(number, "options", LONGEST_OPTIONS, Some(&STRUCT))
+}
+
+/// An id has 32 characters; a longer one cannot be anybody's.
+const fn session_id() -> Field {
+    once(1, "session_id", 256, None)
+}
+
+pub static SESSION_ID: [Field; 1] = [session_id()];
+
+pub static CREATE_SESSION: [Field; 2] = [once(1, "task_id", 256, None), options(3)];
+
+static RESET: [Field; 1] = [options(3)];
+
+pub static RUN_SESSION: [Field; 10] = [
+    session_id(),
+    once(3, "reset", usize::MAX, Some(&RESET)),
+    once(4, "step", usize::MAX, Some(PLAIN)),
+    once(5, "attach", usize::MAX, Some(PLAIN)),
+    once(6, "save", usize::MAX, Some(PLAIN)),
+    once(7, "restore", usize::MAX, Some(PLAIN)),
+    once(8, "rollout", usize::MAX, Some(PLAIN)),
+    // Numbers of environments: one byte each can be four.
+    once(20, "render", 256 << 10, Some(PLAIN)),
+    once(21, "observe", usize::MAX, Some(PLAIN)),
+    once(30, "policy_rollout", usize::MAX, Some(PLAIN)),
+];
+
+static VARIATION: [Field; 0] = [];
+
+pub static SWEEP: [Field; 2] = [any(1, "vary", &VARIATION), any(2, "set", &VARIATION)];
+
+pub static EVALUATE: [Field; 1] = [options(4)];
+
+pub static DIAGNOSE: [Field; 1] = [once(3, "values", LONGEST_OPTIONS, Some(&STRUCT))];
+
+/// Refuses a message that would unpack to more than `shape` allows.
+pub fn check(bytes: &[u8], shape: Shape) -> Result<()> {
+    Count::default().message(bytes, shape, 0)
+}
+
+/// What has been found so far.
+#[derive(Default)]
+struct Count {
+    fields: usize,
+    messages: usize,
+}
+
+impl Count {
+    fn message(&mut self, mut bytes: &[u8], shape: Shape, depth: usize) -> Result<()> {
+        let mut seen = 0_u32;
+        while !bytes.is_empty() {
+            self.fields += 1;
+            if self.fields > MOST_FIELDS {
+                return Err(Error::invalid("message", format!("more than {MOST_FIELDS} fields")));
+            }
+            let (number, value) = field(&mut bytes).ok_or_else(unreadable)?;
+            let (Some(k), Some(value)) = (shape.iter().position(|f| f.number == number), value) else { continue };
+            let Field { name, longest, repeated, inside, .. } = &shape[k];
+            if value.len() > *longest {
+                return Err(Error::invalid(*name, format!("{} bytes are more than {longest}", value.len())));
+            }
+            if !repeated && seen & (1 << k) != 0 {
+                return Err(Error::invalid(*name, "given twice"));
+            }
+            seen |= 1 << k;
+            let Some(inside) = inside else { continue };
+            self.messages += 1;
+            if self.messages > MOST_MESSAGES || depth >= DEEPEST {
+                return Err(Error::invalid(*name, "too many values, or too deep in one another"));
+            }
+            self.message(value, inside, depth + 1)?;
+        }
+        Ok(())
+    }
+}
+
+fn unreadable() -> Error {
+    Error::invalid("message", "cannot be read: it is no protobuf or is cut off")
+}
+
+/// Takes one field off `bytes`: its number, and its value if that has a length. None: this is no field.
+fn field<'a>(bytes: &mut &'a [u8]) -> Option<(u64, Option<&'a [u8]>)> {
+    let key = varint(bytes)?;
+    let mut skip = |length: usize| bytes.split_off(..length);
+    let value = match key & 7 {
+        0 => varint(bytes).map(|_| None)?,
+        1 => skip(8).map(|_| None)?,
+        2 => {
+            let length = usize::try_from(varint(bytes)?).ok()?;
+            Some(bytes.split_off(..length)?)
+        }
+        5 => skip(4).map(|_| None)?,
+        // Groups: no message of ours has any.
+        _ => return None,
+    };
+    Some((key >> 3, value))
+}
+
+fn varint(bytes: &mut &[u8]) -> Option<u64> {
+    let mut value = 0;
+    for shift in (0..64).step_by(7) {
+        let byte = *bytes.split_off_first()?;
+        value |= u64::from(byte & 0x7f) << shift;
+        if byte < 0x80 {
+            return Some(value);
+        }
+    }
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::service::proto::run_session_request::Request;
+    use crate::service::proto::{CreateSessionRequest, Reset, RunSessionRequest, Step};
+    use prost::Message as _;
+    use prost_types::value::Kind;
+    use prost_types::{ListValue, Struct, Value};
+
+    fn list(values: Vec<Value>) -> Value {
+        Value { kind: Some(Kind::ListValue(ListValue { values })) }
+    }
+
+    fn creation(value: Value) -> Vec<u8> {
+        let options = Some(Struct { fields: [("dt".to_owned(), value)].into() });
+        CreateSessionRequest { options, ..Default::default() }.encode_to_vec()
+    }
+
+    fn refusal(bytes: &[u8], shape: Shape) -> String {
+        check(bytes, shape).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn options_are_counted_before_they_are_unpacked() {
+        let empty = |count| list(vec![list(Vec::new()); count]);
+        check(&creation(empty(1_000)), &CREATE_SESSION).unwrap();
+        assert!(refusal(&creation(empty(5_000)), &CREATE_SESSION).starts_with("options: too many values"));
+        assert!(
+            refusal(&creation(list(vec![Value::default(); 5_000])), &CREATE_SESSION).starts_with("options: too many")
+        );
+        let nested = |depth| (0..depth).fold(list(Vec::new()), |inner, _| list(vec![inner]));
+        check(&creation(nested(10)), &CREATE_SESSION).unwrap();
+        assert!(refusal(&creation(nested(40)), &CREATE_SESSION).starts_with("options: too many values"));
+        let text = |length| Value { kind: Some(Kind::StringValue("x".repeat(length))) };
+        check(&creation(text(250_000)), &CREATE_SESSION).unwrap();
+        let long = refusal(&creation(text(300_000)), &CREATE_SESSION);
+        assert!(long.starts_with("options: 3000") && long.ends_with("bytes are more than 262144"), "{long}");
+    }
+
+    #[test]
+    fn a_field_that_comes_again_does_not_add_up() {
+        let options = Some(Struct { fields: [("leg".to_owned(), list(Vec::new()))].into() });
+        let reset = Request::Reset(Reset { options, ..Default::default() });
+        let once = RunSessionRequest { request: Some(reset), ..Default::default() }.encode_to_vec();
+        check(&once, &RUN_SESSION).unwrap();
+        assert_eq!(refusal(&[&once[..], &once].concat(), &RUN_SESSION), "reset: given twice");
+    }
+
+    #[test]
+    fn fields_are_counted() {
+        let step = Request::Step(Step { actions: vec![0; 1 << 20].into(), held: vec![0; 1 << 20].into() });
+        let whole = RunSessionRequest { request: Some(step), ..Default::default() }.encode_to_vec();
+        check(&whole, &RUN_SESSION).unwrap();
+        // Field 9, a varint, over and over.
+        assert!(refusal(&[0x48, 0].repeat(MOST_FIELDS + 1), &RUN_SESSION).starts_with("message: more than"));
+        for broken in [&whole[..whole.len() - 1], &[0xff; 20], &[0x0b], &[0x08]] {
+            assert!(refusal(broken, &RUN_SESSION).starts_with("message: cannot be read"));
+        }
+    }
+}

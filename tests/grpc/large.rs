@@ -1,0 +1,171 @@
+//! Large requests: refused or read by their share of the memory, while others step as if nobody asked.
+
+use crate::harness::{Server, Session, create, options, step, wave};
+use sandgait::service::proto::run_session_request::Request;
+use sandgait::service::proto::run_session_response::Response;
+use sandgait::service::proto::{Render, Reset, Restore, Rollout, RunSessionRequest, Step};
+use sandgait::service::{Limits, Seal, Setup};
+use tonic::Code;
+
+const MIB: usize = 1 << 20;
+
+/// 64 MiB: requests may take 16 of them, and the largest has 8.
+fn limits() -> Limits {
+    Limits { memory: 64 * MIB, ..Limits::default() }
+}
+
+fn lists(count: usize) -> prost_types::Value {
+    let empty = prost_types::value::Kind::ListValue(prost_types::ListValue::default());
+    let values = vec![prost_types::Value { kind: Some(empty) }; count];
+    prost_types::Value { kind: Some(prost_types::value::Kind::ListValue(prost_types::ListValue { values })) }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn sessions_with_very_many_values_are_refused_unread() {
+    let (server, calm) = (Server::with_limits(1, limits()).await, Server::start(1).await);
+    let (mut witness, mut undisturbed) = (server.session(3).await, calm.session(3).await);
+    assert_eq!(witness.reset(1).await, undisturbed.reset(1).await);
+    for (count, code, words) in [
+        (500, Code::InvalidArgument, "leg"),
+        (20_000, Code::InvalidArgument, "options: too many values"),
+        (1_000_000, Code::ResourceExhausted, "bytes are more than this call takes"),
+    ] {
+        let status = server.client().await.create_session(create(1, &[("leg", lists(count))])).await.unwrap_err();
+        assert_eq!(status.code(), code, "{}", status.message());
+        assert!(status.message().contains(words), "{}", status.message());
+        assert_eq!(witness.step(count).await, undisturbed.step(count).await);
+    }
+}
+
+/// Each is refused by its length, before it is unpacked; the session goes on with the bits of one that got none of them.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn fields_that_are_too_long_for_the_session() {
+    let server = Server::with_limits(1, limits()).await;
+    let (mut session, mut undisturbed) = (server.session(3).await, server.session(3).await);
+    assert_eq!(session.reset(1).await, undisturbed.reset(1).await);
+    let long = || bytes::Bytes::from(vec![7; 4 * MIB]);
+    let Request::Step(good) = step(&wave(0..3, 0)) else { unreachable!() };
+    let names = Reset { options: options(&[("leg", lists(500))]), ..Default::default() };
+    for (request, words) in [
+        (Request::Step(Step { held: long(), ..good.clone() }), "held: 4194304 entries for 3"),
+        (Request::Step(Step { actions: long(), ..good }), "actions: 1048576 numbers, expected 18"),
+        (Request::Reset(Reset { mask: long(), ..Default::default() }), "mask: 4194304 entries for 3"),
+        (Request::Reset(Reset { seeds: vec![1; MIB / 2], ..Default::default() }), "seeds: 524288 entries for 3"),
+        (Request::Reset(names), "leg"),
+        (Request::Restore(Restore { sources: long(), ..Default::default() }), "sources: 1048576 entries for 3"),
+        (Request::Restore(Restore { snapshot: long(), ..Default::default() }), "snapshot: this is none"),
+    ] {
+        let failure = session.failure(Some(request)).await;
+        assert_eq!(failure.code, i32::from(Code::InvalidArgument), "{}", failure.message);
+        assert!(failure.message.contains(words), "{}", failure.message);
+    }
+    assert_eq!(session.step(1).await, undisturbed.step(1).await);
+}
+
+/// These end their stream; the session can be taken up again.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn messages_that_end_their_stream() {
+    let server = Server::with_limits(1, limits()).await;
+    let mut session = server.session(2).await;
+    session.reset(1).await;
+    let id = session.id.clone();
+    let bomb = Reset { options: options(&[("leg", lists(20_000))]), ..Default::default() };
+    let far = Step { actions: vec![0; 9 * MIB].into(), ..Default::default() };
+    let message = |session_id: &str, request| RunSessionRequest { session_id: session_id.into(), sequence: 0, request };
+    for (message, code, words) in [
+        (message(&id, Some(Request::Reset(bomb))), Code::InvalidArgument, "options: too many values"),
+        (
+            message(&id, Some(Request::Step(far))),
+            Code::ResourceExhausted,
+            "bytes are more than this call takes, 8388608",
+        ),
+        (message(&"x".repeat(MIB), None), Code::InvalidArgument, "session_id: 1048576 bytes"),
+    ] {
+        let (broken, _) = Session::resume(server.client().await, &id, 1).await.unwrap();
+        let mut broken = broken;
+        broken.requests.send(message).await.unwrap();
+        let status = broken.receive().await.unwrap_err();
+        assert_eq!(status.code(), code, "{}", status.message());
+        assert!(status.message().contains(words), "{}", status.message());
+    }
+    let (mut session, last) = Session::resume(server.client().await, &id, 1).await.unwrap();
+    assert_eq!(last, 1);
+    session.step(0).await;
+}
+
+fn rollout(steps: usize, envs: usize) -> Request {
+    let row: Vec<u8> = wave(0..envs, 0).iter().flat_map(|a| a.to_le_bytes()).collect();
+    Request::Rollout(Rollout { actions: row.repeat(steps).into(), trajectories: false })
+}
+
+/// The largest message takes all the memory there is for requests: a share that was not given back would be missed at once.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn shares_are_given_back() {
+    let server = Server::with_limits(1, Limits { memory: 16 * MIB, ..Limits::default() }).await;
+    let mut session = server.session(64).await;
+    session.reset(1).await;
+    let garbage = || Some(Request::Restore(Restore { snapshot: vec![7; 2 * MIB - 256].into(), ..Default::default() }));
+    let rollout = || Some(rollout((2 * MIB - 256) / (64 * 6 * 4), 64));
+    let mut first = None;
+    for _ in 0..3 {
+        let Response::Rollout(part) = session.ask(rollout()).await else { panic!("no rollout") };
+        assert_eq!(*first.get_or_insert_with(|| part.returns.clone()), part.returns);
+        assert!(session.failure(garbage()).await.message.starts_with("snapshot: "));
+    }
+    for request in [rollout(), garbage()] {
+        // A client that leaves while its request is read or carried out.
+        let (left, _) = Session::resume(server.client().await, &session.id, 0).await.unwrap();
+        left.requests.send(RunSessionRequest { session_id: left.id.clone(), sequence: 0, request }).await.unwrap();
+        drop(left);
+        let mut other = server.session(1).await;
+        assert!(other.failure(garbage()).await.message.starts_with("snapshot: "));
+    }
+}
+
+#[tokio::test]
+async fn pictures_have_their_share_too() {
+    let server = Server::with_limits(1, limits()).await;
+    let mut session = server.session(1).await;
+    session.reset(1).await;
+    let render = |count| Request::Render(Render { indices: vec![0; count], width: 1024, height: 1024, ended: false });
+    let failure = session.failure(Some(render(4))).await;
+    assert_eq!(failure.code, i32::from(Code::ResourceExhausted));
+    assert!(failure.message.contains("needs about 24 MiB, requests may take 16 MiB"), "{}", failure.message);
+    let Response::Pictures(pictures) = session.ask(Some(render(1))).await else { panic!("no pictures") };
+    assert_eq!(pictures.pixels.len(), 3 * MIB);
+}
+
+#[tokio::test]
+async fn only_snapshots_sealed_with_the_servers_key_are_taken() {
+    let with = |key: Option<&[u8]>| {
+        let seal = key.map_or_else(Seal::default, |k| Seal::new(k).unwrap());
+        Server::with(Setup { threads: 1, seal, ..Setup::default() })
+    };
+    let servers = [with(None).await, with(Some(b"0123456789abcdef")).await, with(Some(b"fedcba9876543210")).await];
+    let mut sessions = Vec::new();
+    let mut saved = Vec::new();
+    for server in &servers {
+        let mut session = server.session(2).await;
+        session.reset(1).await;
+        saved.push(crate::snapshots::save(&mut session).await);
+        sessions.push(session);
+    }
+    for (k, session) in sessions.iter_mut().enumerate() {
+        for (source, snapshot) in saved.iter().enumerate() {
+            let restore = Request::Restore(Restore { snapshot: snapshot.clone().into(), ..Default::default() });
+            match session.ask(Some(restore)).await {
+                Response::Batch(_) => assert_eq!(k, source),
+                Response::Failure(failure) => {
+                    assert_ne!(k, source, "{}", failure.message);
+                    let why = match (k, source) {
+                        (0, _) => "snapshot: it is damaged, or sealed with a key that this server has not",
+                        (_, 0) => "snapshot: it has no seal",
+                        _ => "snapshot: its seal is wrong",
+                    };
+                    assert!(failure.message.starts_with(why), "{}", failure.message);
+                }
+                other => panic!("{other:?}"),
+            }
+        }
+    }
+}

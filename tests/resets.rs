@@ -1,0 +1,156 @@
+//! What resets change holds from then on, environment by environment, dictionaries key by key.
+
+use sandgait::env::registry::Blueprint;
+use sandgait::env::{ResetOptions, TaskOptions};
+use sandgait::pool::{Batch, Pool, Seal, Snapshot};
+use serde_json::{Value, json};
+
+const GAIT: &str = "sandgait/HexapodGait-v1";
+const TERRAIN: &str = "sandgait/HexapodTerrain-v1";
+
+struct Session {
+    pool: Pool,
+    batch: Option<Batch>,
+}
+
+impl Session {
+    fn new(id: &str, options: Value, envs: usize) -> Self {
+        let batch = Batch::new(&Blueprint::new(id, options).unwrap(), envs).unwrap();
+        Self { pool: Pool::new(1), batch: Some(batch) }
+    }
+
+    fn batch(&self) -> &Batch {
+        self.batch.as_ref().unwrap()
+    }
+
+    /// Resets those that `mask` names, or all; environment i gets seed i.
+    fn reset(&mut self, mask: Option<&[bool]>, options: Value) -> Result<(), String> {
+        let mut batch = self.batch.take().unwrap();
+        let changes: ResetOptions = sandgait::env::options::parse(options).unwrap();
+        let seeds = Some((0..batch.envs() as u64).collect());
+        let (batch, outcome) = match batch.reset(mask.map(<[bool]>::to_vec), seeds, changes) {
+            Ok(operation) => (self.pool.wait(batch, operation).unwrap(), Ok(())),
+            Err(error) => (batch, Err(error.to_string())),
+        };
+        self.batch = Some(batch);
+        outcome
+    }
+
+    /// Observations and rewards of some steps.
+    fn walk(&mut self, steps: usize) -> Vec<f32> {
+        let mut rows = Vec::new();
+        for _ in 0..steps {
+            let batch = self.batch.take().unwrap();
+            let operation = batch.step(vec![0.4; batch.envs() * batch.spec().action.len()]).unwrap();
+            self.batch = Some(self.pool.wait(batch, operation).unwrap());
+            for shard in self.batch().shards() {
+                rows.extend_from_slice(&shard.rows.observations);
+                rows.extend_from_slice(&shard.rows.rewards);
+            }
+        }
+        rows
+    }
+
+    fn options(&self, env: usize) -> &TaskOptions {
+        let mut first = 0;
+        for shard in self.batch().shards() {
+            if env < first + shard.envs() {
+                return &shard.setup(env - first).options;
+            }
+            first += shard.envs();
+        }
+        panic!("no environment {env}")
+    }
+}
+
+/// One reset after the other gives the bits of a session that was made with both; ends of episodes change nothing.
+#[test]
+fn resets_add_up() {
+    let short = json!({"max_episode_steps": 15});
+    let mut one_by_one = Session::new(GAIT, short, 3);
+    one_by_one.reset(None, json!({})).unwrap();
+    one_by_one.reset(None, json!({"leg": "C"})).unwrap();
+    one_by_one.reset(None, json!({"slope_deg": 5.0})).unwrap();
+    let mut made = Session::new(GAIT, json!({"max_episode_steps": 15, "leg": "C", "slope_deg": 5.0}), 3);
+    made.reset(None, json!({})).unwrap();
+    assert_eq!(one_by_one.walk(40), made.walk(40));
+}
+
+#[test]
+fn a_mask_changes_the_chosen_alone() {
+    let envs = 40; // more than one shard
+    let mut session = Session::new(GAIT, json!({}), envs);
+    let chosen = |ids: &[usize]| (0..envs).map(|i| ids.contains(&i)).collect::<Vec<_>>();
+    session.reset(None, json!({})).unwrap();
+    session.reset(Some(&chosen(&[0, 39])), json!({"slope_deg": 5.0})).unwrap();
+    session.reset(Some(&chosen(&[0, 1])), json!({"payload": 0.05})).unwrap();
+    session.reset(None, json!({"leg": "C"})).unwrap();
+    let told = |i: usize| (session.options(i).slope_deg, session.options(i).payload, session.options(i).leg.clone());
+    for (env, slope, payload) in [(0, 5.0, 0.05), (1, 0.0, 0.05), (2, 0.0, 0.0), (39, 5.0, 0.0)] {
+        assert_eq!(told(env), (slope, payload, "C".into()), "environment {env}");
+    }
+}
+
+#[test]
+fn dictionaries_change_key_by_key() {
+    let made = json!({"difficulty": 0.2, "randomize": {"slope_deg": [3.0, 4.0]}});
+    let mut session = Session::new(TERRAIN, made, 2);
+    session.reset(None, json!({"slope_deg": 2.0})).unwrap();
+    assert_eq!(session.options(0).difficulty, Some(0.2));
+    session.reset(None, json!({"randomize": {"payload": [0.02, 0.03]}})).unwrap();
+    session.reset(Some(&[true, false]), json!({"randomize": {"zeta": [0.9, 1.1]}})).unwrap();
+    let ranges = |i: usize| session.options(i).randomize.unwrap();
+    assert_eq!((ranges(0).slope_deg, ranges(0).payload, ranges(0).zeta), ([3.0, 4.0], [0.02, 0.03], [0.9, 1.1]));
+    assert_eq!((ranges(1).slope_deg, ranges(1).payload, ranges(1).zeta), ([3.0, 4.0], [0.02, 0.03], [0.45, 2.0]));
+
+    let mut rocks = Session::new("sandgait/HexapodRocks-v1", json!({"rocks": {"count": 3}}), 1);
+    rocks.reset(None, json!({"rocks": {"density": 2000.0}})).unwrap();
+    let told = rocks.options(0).rocks.unwrap();
+    assert_eq!((told.count, told.density), (3, 2000.0));
+
+    let mut stroke = Session::new("sandgait/LegStroke-v0", json!({"stroke": {"lift": 1.0}}), 1);
+    stroke.reset(None, json!({"stroke": {"exit_weight": 2.0}})).unwrap();
+    let told = stroke.options(0).stroke.unwrap();
+    assert_eq!((told.lift, told.exit_weight), (1.0, 2.0));
+}
+
+/// Ranges that suit one environment's slope but not another's are refused for both.
+#[test]
+fn a_refused_reset_changes_nothing() {
+    let mut session = Session::new(TERRAIN, json!({}), 2);
+    session.reset(None, json!({})).unwrap();
+    session.reset(Some(&[true, false]), json!({"slope_deg": 20.0})).unwrap();
+    let before = [0, 1].map(|i| session.options(i).clone());
+    for (wrong, said) in [
+        (json!({"randomize": {"slope_deg": [-20.0, 20.0]}}), "randomize.slope_deg[1]: 20 is outside [-20, 15]"),
+        (json!({"randomize": {"mud": [0, 1]}}), "randomize: unknown field `mud`"),
+        (json!({"randomize": {"zeta": "soft"}}), "randomize: invalid type"),
+        (json!({"rocks": {"count": 1}}), "rocks: sandgait/HexapodTerrain-v1 has no such option"),
+    ] {
+        let error = session.reset(None, wrong).unwrap_err();
+        assert!(error.starts_with(said), "{error}, not {said}");
+        assert_eq!([0, 1].map(|i| session.options(i).clone()), before);
+    }
+}
+
+/// A snapshot has every environment's own options, and resets after it build on these.
+#[test]
+fn snapshots_keep_what_resets_changed() {
+    let mut session = Session::new(TERRAIN, json!({}), 2);
+    session.reset(None, json!({"difficulty": 0.5})).unwrap();
+    session.reset(Some(&[false, true]), json!({"randomize": {"zeta": [0.9, 1.1]}})).unwrap();
+    session.walk(10);
+    let bytes = session.batch().save().unwrap().to_bytes(&Seal::default()).unwrap();
+    let rows = session.walk(20);
+    let mut other = Session::new(TERRAIN, json!({}), 2);
+    let mut batch = other.batch.take().unwrap();
+    let operation = batch.restore(&Snapshot::from_bytes(&bytes, &Seal::default()).unwrap(), None).unwrap();
+    other.batch = Some(other.pool.wait(batch, operation).unwrap());
+    assert_eq!(other.walk(20), rows);
+    other.reset(None, json!({"payload": 0.01})).unwrap();
+    for env in 0..2 {
+        let told = other.options(env);
+        let zeta = if env == 1 { [0.9, 1.1] } else { [0.45, 2.0] };
+        assert_eq!((told.difficulty, told.payload, told.randomize.unwrap().zeta), (Some(0.5), 0.01, zeta));
+    }
+}
