@@ -19,5 +19,6 @@ pub mod service;
 pub mod sim;
 pub mod sweep;
 pub mod table;
+pub mod validate;
 pub mod view;
 pub use error::{Error, Result};

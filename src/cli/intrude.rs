@@ -1,23 +1,43 @@
 //! `sandgait intrude`
 
+use sandgait::error::check_range;
 use sandgait::sand::intrusion::{CHORD, HIP_HEIGHT, Load, OMEGA, Rotation, WIDTH};
 use sandgait::sand::{Law, Medium, Shape};
 use sandgait::{Error, Result};
 use std::path::PathBuf;
 
-/// Rotate a leg about a hip fixed above sand and record force and torque, as on a robot arm.
+/// Push a leg or any other body through sand and record force and torque.
 ///
-/// Writes columns theta [rad], Fx, Fz [N] and Ty [N·m] about the hip: θ = 0 is straight down, positive θ brings the
-/// tip forward (+x); forces act on the leg.
+/// With --shape a leg rotates about a hip fixed above the sand, as on a robot arm. Writes columns theta [rad], Fx, Fz [N] and
+/// Ty [N·m] about the hip: θ = 0 is straight down, positive θ brings the tip forward (+x); forces act on the leg.
+///
+/// With --body a body moves steadily, one motion a row of --trials: vx, vy, vz [m/s], wx, wy, wz [rad/s] (x heading, y axle, z
+/// up; absent: 0) and depth [m] of its lowest point, or load [N] that it carries. Writes the rows with Fx, Fy, Fz, Tx, Ty, Tz,
+/// depth and status: ok or no_equilibrium. Bodies that are not round have means over a turn.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait intrude --shape L --csv L.csv
   sandgait intrude --shape xi=-30 --medium quikrete-fine --csv reversed.csv
-  sandgait intrude --shape C                            (a summary only)")]
+  sandgait intrude --shape C                            (a summary only)
+  sandgait intrude --body cylinder:radius=0.0625,width=0.06 --trials rows.csv --sand sand.toml --csv forces.csv
+  sandgait intrude --body box:length=0.1,width=0.05,height=0.02 --trials rows.csv --law agarwal2023 --csv forces.csv")]
 pub struct Intrude {
     /// Leg: L, revL, C, revC, flat or xi=DEGREES
-    #[arg(long, allow_hyphen_values = true)]
-    shape: String,
+    #[arg(long, allow_hyphen_values = true, required_unless_present = "body", conflicts_with_all = ["body", "trials"])]
+    shape: Option<String>,
+    /// Body: cylinder:radius=M,width=M (axle along y), box:length=M,width=M,height=M, sphere:radius=M, FILE.stl or FILE.obj
+    /// [metres]
+    #[arg(long, requires = "trials", conflicts_with_all = ["chord", "width", "hip_height", "omega"])]
+    body: Option<String>,
+    /// Motions of the body, CSV
+    #[arg(long, value_name = "FILE", requires = "body")]
+    trials: Option<PathBuf>,
+    /// Friction coefficient μ_s of the body's surface, in place of the sand's friction_clip
+    #[arg(long, value_name = "MU", allow_negative_numbers = true, requires = "body")]
+    mu_s: Option<f64>,
+    /// Size of the plates that the body is cut into [m]; default: a fiftieth of its longest side
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true, requires = "body")]
+    plate_size: Option<f64>,
     /// Distance from hip to tip [m]
     #[arg(long, value_name = "METRES", default_value_t = CHORD, allow_negative_numbers = true)]
     chord: f64,
@@ -46,7 +66,8 @@ pub struct Intrude {
 
 impl Intrude {
     pub fn run(self) -> Result<String> {
-        let shape = Shape::named(&self.shape)?;
+        let (Some(shape), None) = (&self.shape, &self.body) else { return self.run_trials() };
+        let (name, shape) = (shape, Shape::named(shape)?);
         let Self { chord, width, hip_height, omega, .. } = self;
         let sand = super::sand(&self.medium, &self.law, self.sand.as_deref())?;
         let sweep = Rotation { shape, chord, width, hip_height, omega }.loads(&sand)?;
@@ -60,6 +81,18 @@ impl Intrude {
             at.map_or_else(String::new, |(t, l)| format!("{name} {:.3} {unit} at {:.0}°", of(l), t.to_degrees()))
         };
         let peaks = [largest("Fx", "N", |l| l.fx), largest("Fz", "N", |l| l.fz), largest("Ty", "N·m", |l| l.ty)];
-        Ok(format!("{} in {}: largest {}\n", self.shape, sand.name, peaks.join(", ")))
+        Ok(format!("{name} in {}: largest {}\n", sand.name, peaks.join(", ")))
+    }
+
+    fn run_trials(self) -> Result<String> {
+        let (Some(body), Some(trials)) = (&self.body, &self.trials) else {
+            return Err(Error::invalid("intrude", "give --shape, or --body with --trials"));
+        };
+        let mut sand = super::sand(&self.medium, &self.law, self.sand.as_deref())?;
+        if let Some(mu) = self.mu_s {
+            // 10 is rougher than any surface; below 0.1 the catalogue's 1/μ ends.
+            sand.mechanisms.friction_clip = 1.0 / check_range("mu-s", mu, 0.1..=10.0)?;
+        }
+        super::trials::run(body, self.plate_size, &sand, trials, self.csv.as_deref())
     }
 }

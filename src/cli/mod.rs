@@ -15,6 +15,8 @@ mod stress;
 mod sweep;
 mod task_page;
 mod tasks;
+mod trials;
+mod validate;
 mod walk;
 
 use clap::error::ErrorKind;
@@ -58,6 +60,7 @@ enum Command {
     Calibrate(calibrate::Calibrate),
     Sweep(sweep::Sweep),
     Tasks(tasks::Tasks),
+    Validate(validate::Validate),
 }
 
 pub fn main() -> ExitCode {
@@ -111,6 +114,7 @@ fn run(command: Command) -> Result<String> {
         Command::Calibrate(c) => c.run(),
         Command::Sweep(c) => c.run(),
         Command::Tasks(c) => c.run(),
+        Command::Validate(c) => c.run(),
     }
 }
 

@@ -292,6 +292,8 @@ impl Arm<'_> {
                 footprint: self.footprint,
                 width: self.cut.width,
                 normal_acceleration: lead * (n[0] * dv[0] + n[1] * dv[1]),
+                // A log says where the intruder is, not what of its motion is travel.
+                travel: [0.0; 2],
             };
             let stress = self.sand.stress(self.ground, into(n), into(v), &site);
             let more = self.other_drag.map_or(0.0, |(density, law)| density * law.beyond_square(along.abs()) * lead);

@@ -37,13 +37,23 @@ pub struct Site<R> {
     pub width: R,
     /// dv_n/dt of the leading face [m/s²].
     pub normal_acceleration: R,
+    /// Horizontal velocity (x, y) of the body that the segment belongs to [m/s]: of a wheel's axle, a robot's base. Zero
+    /// where nothing travels; then `skid_loss` and `slip_bearing` do nothing.
+    pub travel: [R; 2],
 }
 
 impl<R: Real> Site<R> {
     /// On fresh ground, in steady motion.
     #[inline(always)]
     pub fn fresh(depth: R, x: R) -> Self {
-        Self { depth, x, footprint: R::one(), width: R::zero(), normal_acceleration: R::zero() }
+        let zero = R::zero();
+        Self { depth, x, footprint: R::one(), width: zero, normal_acceleration: zero, travel: [zero; 2] }
+    }
+
+    /// The same on a body that travels with velocity (x, y).
+    #[inline(always)]
+    pub fn travelling(self, travel: [R; 2]) -> Self {
+        Self { travel, ..self }
     }
 }
 
@@ -86,6 +96,8 @@ struct Active {
     friction_clip: bool,
     cohesion: bool,
     added_mass: bool,
+    skid_loss: bool,
+    slip_bearing: bool,
 }
 
 /// The sand side of [`Mechanisms`], ready for evaluation, one lane an environment.
@@ -103,6 +115,11 @@ pub struct SandMechanisms<R> {
     packing: R,
     rate: R,
     inverse_friction: R,
+    skid_loss: R,
+    /// What the cut of the surface's friction leaves of `slip_bearing`, before the medium's ζ.
+    bearing: R,
+    /// ζ [N/m³]
+    penetration: R,
     /// χ: share of the straight chord in the force on a leg whose concave side leads.
     pub fill: R,
 }
@@ -121,6 +138,9 @@ impl<R: Real> SandMechanisms<R> {
             packing: zero,
             rate: zero,
             inverse_friction: zero,
+            skid_loss: zero,
+            bearing: zero,
+            penetration: zero,
             fill: zero,
         };
         (0..R::LANES).for_each(|lane| new.set_lane(lane, mechanisms, bulk_density));
@@ -135,6 +155,10 @@ impl<R: Real> SandMechanisms<R> {
         self.active.friction_clip |= m.friction_clip != 0.0;
         self.active.cohesion |= m.cohesion != 0.0;
         self.active.added_mass |= m.added_mass != 0.0;
+        self.active.skid_loss |= m.skid_loss != 0.0;
+        self.active.slip_bearing |= m.slip_bearing != 0.0;
+        self.skid_loss.set_lane(lane, m.skid_loss);
+        self.bearing.set_lane(lane, m.slip_bearing * inclination(m.friction_clip));
         self.drag.set_lane(lane, m.inertial_drag * bulk_density);
         self.added.set_lane(lane, m.added_mass * bulk_density);
         self.cohesion.set_lane(lane, m.cohesion);
@@ -146,6 +170,30 @@ impl<R: Real> SandMechanisms<R> {
         self.fill.set_lane(lane, m.concave_fill);
     }
 
+    /// The medium's ζ [N/m³] in one lane; `slip_bearing` is a share of it.
+    pub fn set_penetration(&mut self, lane: usize, penetration: f64) {
+        self.penetration.set_lane(lane, penetration);
+    }
+
+    /// The law's stress per depth, and what `slip_bearing` adds to it: c (1 − μ)^1.5 ζ s₊ (−m_z)₊ against the leading
+    /// side m, where s₊ is the segment's slip.
+    #[inline(always)]
+    fn carried(&self, per_depth: Vec3<R>, n: Vec3<R>, slip: R, along: R) -> Vec3<R> {
+        let down = R::select(along.lt(R::zero()), n.z, -n.z).max(R::zero());
+        let push = self.bearing * self.penetration * slip.max(R::zero()) * down;
+        n.scale_add(R::select(along.lt(R::zero()), push, -push), per_depth)
+    }
+
+    /// `force` with its vertical part over 1 + κ s₋². Where the horizontal part feeds the motion nothing is taken from
+    /// the vertical part that brakes it: so the sand adds no energy.
+    #[inline(always)]
+    fn skidding(&self, force: Vec3<R>, v: Vec3<R>, slip: R) -> Vec3<R> {
+        let skid = slip.min(R::zero());
+        let left = R::one() / (self.skid_loss * skid).mul_add(skid, R::one());
+        let feeds = R::zero().lt(force.x * v.x + force.y * v.y);
+        Vec3::new(force.x, force.y, force.z * R::select(feeds, R::one(), left))
+    }
+
     /// Stress [Pa] on a submerged thin segment with unit normal `n` and velocity `v`, both in the surface's frame.
     #[inline(always)]
     pub fn stress(&self, ground: &Ground<R>, n: Vec3<R>, v: Vec3<R>, site: &Site<R>) -> Vec3<R> {
@@ -154,7 +202,7 @@ impl<R: Real> SandMechanisms<R> {
 
     /// |z| → z0 (|z|/z0)^p
     #[inline(always)]
-    fn depth(&self, depth: R) -> R {
+    pub fn depth(&self, depth: R) -> R {
         if !self.active.depth_power {
             return depth;
         }
@@ -189,11 +237,17 @@ impl<R: Real> Beyond<R> for SandMechanisms<R> {
     /// and cohesion push against the leading face in addition.
     #[inline(always)]
     fn force(&self, per_depth: Vec3<R>, n: Vec3<R>, v: Vec3<R>, site: &Site<R>, area: R) -> Vec3<R> {
+        let along = n.dot(v);
+        let slips = self.active.skid_loss || self.active.slip_bearing;
+        let slip = if slips { slip(v, site.travel) } else { R::zero() };
+        let per_depth = if self.active.slip_bearing { self.carried(per_depth, n, slip, along) } else { per_depth };
         let mut force = per_depth * (self.depth(site.depth) * self.factor(v, site) * area);
         if self.active.friction_clip {
             force = capped(force, n, v, self.inverse_friction);
         }
-        let along = n.dot(v);
+        if self.active.skid_loss {
+            force = self.skidding(force, v, slip);
+        }
         let speed = along.abs();
         let mut pressure = self.drag * speed * speed;
         if self.active.added_mass {
@@ -207,6 +261,23 @@ impl<R: Real> Beyond<R> for SandMechanisms<R> {
         let toward_front = R::select(along.lt(R::zero()), push, -push);
         n.scale_add(toward_front, force)
     }
+}
+
+/// Slip of a segment with velocity `v` on a body that travels with V: −v·V̂/max(|V|, |v − V|), −1 where it is dragged
+/// along (a locked wheel), 0 where it stands on the sand (a rolling wheel's bottom), toward 1 where it runs backward (a
+/// spinning wheel). The usual slip of terramechanics, for each segment; 0 where nothing travels.
+#[inline(always)]
+fn slip<R: Real>(v: Vec3<R>, [x, y]: [R; 2]) -> R {
+    let squared = x * x + y * y;
+    let (dx, dy) = (v.x - x, v.y - y);
+    let greater = squared.max(dx * dx + dy * dy + v.z * v.z);
+    -(v.x * x + v.y * y) / ((squared * greater).sqrt() + R::splat(1e-20))
+}
+
+/// Share of the bearing that an inclined load leaves, (1 − μ)^1.5: Vesic (1973) for a square footing whose load is inclined
+/// by the surface's friction μ; nothing where no cap is given (fully rough).
+fn inclination(inverse_friction: f64) -> f64 {
+    if inverse_friction > 0.0 { (1.0 - 1.0 / inverse_friction).max(0.0).powf(1.5) } else { 0.0 }
 }
 
 /// `force` with its part along the face cut to 1/`inverse_mu` times the part along the normal; 0 cuts nothing. Where the
@@ -265,7 +336,8 @@ mod tests {
     }
 
     fn stress(m: Mechanisms, v: [f64; 3]) -> Vec3<f64> {
-        let site = Site { depth: 0.03, x: 0.05, footprint: 1.0, width: 0.02, normal_acceleration: 0.0 };
+        let site =
+            Site { depth: 0.03, x: 0.05, footprint: 1.0, width: 0.02, normal_acceleration: 0.0, travel: [0.0; 2] };
         SandMechanisms::new(&m, 600.0).stress(&ground(), Vec3::new(0.6, 0.0, -0.8), Vec3::splat(v), &site)
     }
 
@@ -343,7 +415,7 @@ mod tests {
     #[test]
     fn nothing_pushes_in_the_air() {
         let every = Mechanisms { inertial_drag: 1.0, cohesion: 100.0, added_mass: 1.0, ..Default::default() };
-        let site = Site { depth: 0.0, x: 0.0, footprint: 1.0, width: 0.02, normal_acceleration: 1.0 };
+        let site = Site { depth: 0.0, x: 0.0, footprint: 1.0, width: 0.02, normal_acceleration: 1.0, travel: [0.0; 2] };
         let (n, v) = (Vec3::new(0.6, 0.0, -0.8), Vec3::new(0.3, 0.0, -0.4));
         let stress = SandMechanisms::new(&every, 600.0).stress(&ground(), n, v, &site);
         assert_eq!(stress.norm_squared(), 0.0);

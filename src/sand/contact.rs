@@ -112,7 +112,11 @@ impl<R: Real> Ground<R> {
 
     /// The same sand with `mechanisms` switched on.
     pub fn with(mut self, mechanisms: &Mechanisms, medium: &Medium) -> Self {
-        self.beyond = (!mechanisms.sand_is_plain()).then(|| SandMechanisms::new(mechanisms, medium.bulk_density));
+        self.beyond = (!mechanisms.sand_is_plain()).then(|| {
+            let mut beyond = SandMechanisms::new(mechanisms, medium.bulk_density);
+            (0..R::LANES).for_each(|lane| beyond.set_penetration(lane, medium.coefficients.penetration()));
+            beyond
+        });
         self
     }
 
@@ -121,7 +125,9 @@ impl<R: Real> Ground<R> {
         self.form.set_lane(lane, medium);
         if self.beyond.is_some() || !mechanisms.sand_is_plain() {
             let plain = || SandMechanisms::new(&Mechanisms::PLAIN, 0.0);
-            self.beyond.get_or_insert_with(plain).set_lane(lane, mechanisms, medium.bulk_density);
+            let beyond = self.beyond.get_or_insert_with(plain);
+            beyond.set_lane(lane, mechanisms, medium.bulk_density);
+            beyond.set_penetration(lane, medium.coefficients.penetration());
         }
     }
 
@@ -129,6 +135,12 @@ impl<R: Real> Ground<R> {
     #[inline(always)]
     pub fn stress(&self, n: Vec3<R>, motion: &Motion<R>) -> Vec3<R> {
         self.form.stress(n, motion)
+    }
+
+    /// What the law's stress per depth is multiplied by at a depth [m]: the depth, unless `depth_power` changes it.
+    #[inline(always)]
+    pub fn grown(&self, depth: R) -> R {
+        self.beyond.as_ref().map_or(depth, |beyond| beyond.depth(depth))
     }
 
     #[inline(always)]

@@ -10,11 +10,13 @@
 //! * [`beyond`]: the equations of those that act in the sand.
 //! * [`shape`]: intruders (plates and legs) cut into segments.
 //! * [`description`]: medium and mechanisms as a file, `sand.toml`.
+//! * [`intruder`]: any rigid body in steady motion, from plates on its surface.
 //! * [`intrusion`]: a leg rotated about a fixed hip, as on a force-measuring arm.
 
 pub mod beyond;
 pub mod contact;
 pub mod description;
+pub mod intruder;
 pub mod intrusion;
 pub mod law;
 pub mod mechanism;

@@ -1,0 +1,71 @@
+//! Writes the sands of tests/data/real_wheel: `cargo run --release --example real_wheel -- tests/data/real_wheel`
+//!
+//! `sand_discs.toml` knows the discs only; `sand_smooth.toml` and `sand_grouser.toml` share four numbers that are fitted on the
+//! rows of both wheels at slip angles up to 60°, and differ in the friction of the surface.
+
+use sandgait::sand::{Law, Mechanisms, Medium, SandDescription};
+use sandgait::table::{self, Asked, Column, Quantity};
+use sandgait::validate::{DENSITY, data, fit};
+use std::error::Error;
+use std::path::{Path, PathBuf};
+
+/// As wide as the wheels [m].
+const DIAMETER: f64 = 0.06;
+/// The most that a wheel carried [N]: deeper the discs grow stiffer than in proportion.
+const MOST_FORCE: f64 = 30.0;
+/// μ_s for the discs' file, which discs say nothing about: tan(0.7 · 35°). Steel in dry sand has 0.54 (smooth) to 0.76 (rough)
+/// of the sand's friction angle (Potyondy 1961), dry sands have 30° to 40°.
+const FRICTION: f64 = 0.46;
+/// Vesic's value of `slip_bearing`.
+const BEARING: f64 = 1.0;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let folder = PathBuf::from(std::env::args().nth(1).ok_or("give the folder with the data")?);
+    let command = "cargo run --release --example real_wheel -- tests/data/real_wheel";
+    let write = |name: &str, said: &str, sand: &SandDescription| -> Result<(), Box<dyn Error>> {
+        std::fs::write(folder.join(name), format!("# {said}\n# {command}\n{}", sand.to_toml()?))?;
+        Ok(())
+    };
+    let zeta = (discs(&folder.join("discs.csv"))? * 1e3).round() / 1e3;
+    let mechanisms = Mechanisms { friction_clip: 1.0 / FRICTION, slip_bearing: BEARING, ..Mechanisms::PLAIN };
+    let discs = SandDescription {
+        name: "cmu-discs".into(),
+        source: format!("ξ_n from discs of {:.0} mm up to {MOST_FORCE} N; no wheel was looked at", 1e3 * DIAMETER),
+        law: Law::Agarwal2023,
+        bulk_density: DENSITY,
+        mechanisms,
+        ..SandDescription::plain(&Medium::generic(zeta)?)
+    };
+    write("sand_discs.toml", "Calibrated on discs only; friction and slip_bearing from the literature.", &discs)?;
+    let wheels = data::folder(&folder)?.wheels;
+    let rows: Vec<_> = wheels.iter().map(|w| w.rows.clone()).collect();
+    let parameters = fit::fit(&wheels, &rows)?.rounded();
+    println!("{parameters:?}");
+    let said =
+        "Fitted on both wheels up to 60°: ζ, depth_power, skid_loss, slip_bearing shared; friction_clip of this wheel.";
+    for (wheel, file) in wheels.iter().zip(["sand_smooth.toml", "sand_grouser.toml"]) {
+        let name = file.trim_end_matches(".toml").replace("sand_", "cmu-");
+        let source = "fitted on the wheels' rows at slip angles up to 60°";
+        write(file, said, &parameters.sand(wheel, &name, source)?)?;
+    }
+    Ok(())
+}
+
+/// ζ [N/cm³]: force over depth and area through the origin.
+fn discs(path: &Path) -> Result<f64, Box<dyn Error>> {
+    const COLUMNS: [Column; 3] = [
+        Column::needed("diameter", Quantity::Length),
+        Column::needed("depth", Quantity::Length),
+        Column::needed("force", Quantity::Force),
+    ];
+    let (mut top, mut bottom) = (0.0, 0.0);
+    table::read(path, &Asked::new(&COLUMNS), |row| {
+        let (diameter, depth, force) = (row.needed(0)?, row.needed(1)?, row.needed(2)?);
+        if (diameter - DIAMETER).abs() < 1e-9 && force <= MOST_FORCE {
+            top += depth * force;
+            bottom += depth * depth;
+        }
+        Ok(())
+    })?;
+    Ok(top / bottom / (std::f64::consts::PI / 4.0 * DIAMETER * DIAMETER) * 1e-6)
+}

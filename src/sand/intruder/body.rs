@@ -1,0 +1,191 @@
+//! Bodies by name: `cylinder:radius=0.06,width=0.06`, `box:…`, `sphere:…`, or a mesh file.
+
+use super::{Plate, area, cut, mesh, volume};
+use crate::error::{Error, Result, check_range};
+use crate::number::Vec3;
+use std::path::{Path, PathBuf};
+
+/// Lengths of bodies [m]: our choice of a guard against slips of units.
+const LENGTHS: std::ops::RangeInclusive<f64> = 1e-4..=10.0;
+/// Plates along the longest side of a body, unless another size is asked for. Our choice: forces are within 1 % of those of
+/// plates ten times finer.
+const ALONG: f64 = 50.0;
+/// Most plates of a body: our choice, 2 × 10⁶ take 240 MB.
+pub(super) const MOST_PLATES: f64 = 2e6;
+
+/// What a body is, before it is cut.
+#[derive(Clone, Debug, PartialEq)]
+pub enum BodyShape {
+    /// Axis along y [m].
+    Cylinder {
+        radius: f64,
+        width: f64,
+    },
+    /// Sides along x, y and z [m].
+    Box {
+        length: f64,
+        width: f64,
+        height: f64,
+    },
+    Sphere {
+        radius: f64,
+    },
+    /// STL or OBJ, in metres.
+    Mesh(PathBuf),
+}
+
+impl BodyShape {
+    pub fn named(text: &str) -> Result<Self> {
+        let (kind, sizes) = text.split_once(':').unwrap_or((text, ""));
+        let read = |names: &[&str]| sizes_of(text, sizes, names);
+        match kind {
+            "cylinder" => read(&["radius", "width"]).map(|s| Self::Cylinder { radius: s[0], width: s[1] }),
+            "box" => {
+                read(&["length", "width", "height"]).map(|s| Self::Box { length: s[0], width: s[1], height: s[2] })
+            }
+            "sphere" => read(&["radius"]).map(|s| Self::Sphere { radius: s[0] }),
+            _ => {
+                let end = Path::new(text).extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
+                match end.as_deref() {
+                    Some("stl" | "obj") => Ok(Self::Mesh(text.into())),
+                    _ => Err(Error::unknown(
+                        "body",
+                        text,
+                        &[
+                            "cylinder:radius=M,width=M",
+                            "box:length=M,width=M,height=M",
+                            "sphere:radius=M",
+                            "FILE.stl",
+                            "FILE.obj",
+                        ],
+                    )),
+                }
+            }
+        }
+    }
+}
+
+/// `name=value,…` in any order, each once.
+fn sizes_of(text: &str, sizes: &str, names: &[&str]) -> Result<Vec<f64>> {
+    let wrong = |reason: String| Error::invalid("body", format!("{text:?}: {reason}"));
+    let mut values = vec![None; names.len()];
+    for part in sizes.split(',').filter(|p| !p.is_empty()) {
+        let (name, value) = part.split_once('=').ok_or_else(|| wrong(format!("{part:?} is not name=value")))?;
+        let Some(index) = names.iter().position(|n| *n == name.trim()) else {
+            return Err(wrong(format!("{name:?} is not one of {}", names.join(", "))));
+        };
+        let number = value.trim().parse::<f64>().map_err(|_| wrong(format!("{value:?} is no number")))?;
+        if values[index].replace(check_range(name.trim(), number, LENGTHS)?).is_some() {
+            return Err(wrong(format!("{name} is given twice")));
+        }
+    }
+    let missing = || names.iter().zip(&values).filter(|(_, v)| v.is_none()).map(|(n, _)| *n).collect::<Vec<_>>();
+    values.iter().copied().collect::<Option<Vec<_>>>().ok_or_else(|| wrong(format!("{} missing", missing().join(", "))))
+}
+
+/// Sorted by the height of their lower edge.
+fn rising(mut plates: Vec<Plate>) -> Vec<Plate> {
+    plates.sort_by(|a, b| (a.center.z - a.rise()).total_cmp(&(b.center.z - b.rise())));
+    plates
+}
+
+/// A body cut into plates.
+#[derive(Clone, Debug)]
+pub struct Body {
+    /// Lowest first.
+    pub plates: Vec<Plate>,
+    /// Points that no plate of the body lies outside of; the lowest one is the body's lowest point.
+    corners: Corners,
+    /// Size of the plates [m].
+    pub plate_size: f64,
+}
+
+/// What the lowest point is taken from.
+#[derive(Clone, Debug)]
+enum Corners {
+    Sphere(f64),
+    /// Radius and half the width.
+    Cylinder(f64, f64),
+    Points(Vec<Vec3<f64>>),
+}
+
+impl Body {
+    /// Cut into plates of about `size` [m]; none: a fiftieth of its longest side.
+    pub fn cut(shape: &BodyShape, size: Option<f64>) -> Result<Self> {
+        let (corners, longest, surface) = match *shape {
+            BodyShape::Cylinder { radius, width } => {
+                let surface = std::f64::consts::TAU * radius * (radius + width);
+                (Corners::Cylinder(radius, width / 2.0), width.max(2.0 * radius), surface)
+            }
+            BodyShape::Sphere { radius } => {
+                (Corners::Sphere(radius), 2.0 * radius, 2.0 * std::f64::consts::TAU * radius * radius)
+            }
+            BodyShape::Box { length, width, height } => (
+                Corners::Points(cut::box_corners(length, width, height)),
+                length.max(width).max(height),
+                2.0 * (length * width + width * height + height * length),
+            ),
+            BodyShape::Mesh(ref path) => {
+                let triangles = mesh::read(path)?;
+                let longest = mesh::longest_side(&triangles);
+                check_range("body", longest, LENGTHS).map_err(|_| {
+                    Error::file(path, format!("{longest:e} m is outside [1e-4, 10] m: meshes are in metres"))
+                })?;
+                let size = size_within(size, longest, mesh::area(&triangles))?;
+                let plates = rising(mesh::plates(path, &triangles, size)?);
+                let points = triangles.into_iter().flatten().collect();
+                return Ok(Self { plates, corners: Corners::Points(points), plate_size: size });
+            }
+        };
+        let size = size_within(size, longest, surface)?;
+        let plates = match *shape {
+            BodyShape::Cylinder { radius, width } => cut::cylinder(radius, width, size),
+            BodyShape::Sphere { radius } => cut::sphere(radius, size),
+            BodyShape::Box { length, width, height } => cut::cuboid(length, width, height, size),
+            BodyShape::Mesh(_) => Vec::new(),
+        };
+        Ok(Self { plates: rising(plates), corners, plate_size: size })
+    }
+
+    /// [m³]
+    pub fn volume(&self) -> f64 {
+        volume(&self.plates)
+    }
+
+    /// [m²]
+    pub fn area(&self) -> f64 {
+        area(&self.plates)
+    }
+
+    /// Does a turn about `axis` (unit) leave the body as it is?
+    pub fn is_round_about(&self, axis: Vec3<f64>) -> bool {
+        match self.corners {
+            Corners::Sphere(_) => true,
+            Corners::Cylinder(..) => axis.y.abs() > 1.0 - 1e-12,
+            Corners::Points(_) => false,
+        }
+    }
+
+    /// Least and greatest height [m] of the body's points over the origin when it is turned by `turn`.
+    pub fn heights(&self, turn: impl Fn(Vec3<f64>) -> Vec3<f64>) -> [f64; 2] {
+        match &self.corners {
+            Corners::Sphere(radius) => [-radius, *radius],
+            Corners::Cylinder(radius, half) => {
+                let axis = turn(Vec3::new(0.0, 1.0, 0.0));
+                let reach = half * axis.z.abs() + radius * (1.0 - axis.z * axis.z).max(0.0).sqrt();
+                [-reach, reach]
+            }
+            Corners::Points(points) => points.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], p| {
+                let z = turn(*p).z;
+                [low.min(z), high.max(z)]
+            }),
+        }
+    }
+}
+
+/// The size asked for or the default, refused where it makes too many plates.
+fn size_within(asked: Option<f64>, longest: f64, surface: f64) -> Result<f64> {
+    let size = asked.unwrap_or(longest / ALONG);
+    let least = (surface / MOST_PLATES).sqrt() * 1.01;
+    check_range("plate-size", size, least..=longest)
+}

@@ -1,0 +1,142 @@
+//! Closed meshes of triangles, in metres, from STL (text or binary) and OBJ.
+
+use super::{Plate, area as plates_area, volume};
+use crate::error::{Error, Result};
+use crate::number::Vec3;
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+
+pub type Triangle = [Vec3<f64>; 3];
+
+/// Most triangles of a mesh: our choice; 10⁶ are finer than a scan needs to be.
+const MOST_TRIANGLES: usize = 1_000_000;
+/// Largest file that is read [bytes]: 10⁶ triangles as text, our choice of a guard.
+const MOST_BYTES: u64 = 300 << 20;
+/// |Σ n A|/Σ A above which a surface is not closed: our choice, far above the rounding of STL's single precision.
+const OPEN: f64 = 1e-3;
+
+/// The triangles of a file; those without area are left out.
+pub fn read(path: &Path) -> Result<Vec<Triangle>> {
+    let file = File::open(path).map_err(|e| Error::file(path, e))?;
+    let bytes = file.metadata().map_err(|e| Error::file(path, e))?.len();
+    if bytes > MOST_BYTES {
+        return Err(Error::file(
+            path,
+            format!("{} MiB is more than the {} MiB this reads", bytes >> 20, MOST_BYTES >> 20),
+        ));
+    }
+    let is_obj = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("obj"));
+    let reader = BufReader::new(file);
+    let mut triangles = if is_obj { read_obj(path, reader)? } else { read_stl(path, reader)? };
+    if triangles.iter().flatten().any(|p| !p.norm_squared().is_finite()) {
+        return Err(Error::file(path, "a vertex is not finite"));
+    }
+    triangles.retain(|t| cross(t).norm_squared() > 0.0);
+    if triangles.is_empty() { Err(Error::file(path, "no triangles")) } else { Ok(triangles) }
+}
+
+fn too_many(path: &Path) -> Error {
+    Error::file(path, format!("more than {MOST_TRIANGLES} triangles"))
+}
+
+fn read_stl(path: &Path, mut reader: BufReader<File>) -> Result<Vec<Triangle>> {
+    let mut triangles = Vec::new();
+    for triangle in stl_io::create_stl_reader(&mut reader).map_err(|e| Error::file(path, e))? {
+        let triangle = triangle.map_err(|e| Error::file(path, e))?;
+        if triangles.len() == MOST_TRIANGLES {
+            return Err(too_many(path));
+        }
+        triangles.push(triangle.vertices.map(|v| point([v[0], v[1], v[2]])));
+    }
+    Ok(triangles)
+}
+
+fn read_obj(path: &Path, mut reader: BufReader<File>) -> Result<Vec<Triangle>> {
+    let options =
+        tobj::LoadOptions { triangulate: true, ignore_lines: true, ignore_points: true, ..Default::default() };
+    // Colours are of no use here, so no other file is opened.
+    let no_materials = |_: &Path| Ok(Default::default());
+    let (models, _) = tobj::load_obj_buf(&mut reader, &options, no_materials).map_err(|e| Error::file(path, e))?;
+    let mut triangles = Vec::new();
+    for mesh in models.iter().map(|m| &m.mesh) {
+        if triangles.len() + mesh.indices.len() / 3 > MOST_TRIANGLES {
+            return Err(too_many(path));
+        }
+        for corners in mesh.indices.chunks_exact(3) {
+            let place = |index: u32| {
+                let start = 3 * index as usize;
+                mesh.positions.get(start..start + 3).map(|p| point([p[0], p[1], p[2]]))
+            };
+            let corner = |k: usize| place(corners[k]).ok_or_else(|| Error::file(path, "a face names no vertex"));
+            triangles.push([corner(0)?, corner(1)?, corner(2)?]);
+        }
+    }
+    Ok(triangles)
+}
+
+fn point(p: [f32; 3]) -> Vec3<f64> {
+    let [x, y, z] = p.map(f64::from);
+    Vec3::new(x, y, z)
+}
+
+/// Twice the area along the normal.
+fn cross([a, b, c]: &Triangle) -> Vec3<f64> {
+    (*b - *a).cross(*c - *a)
+}
+
+/// [m²]
+pub fn area(triangles: &[Triangle]) -> f64 {
+    triangles.iter().map(|t| cross(t).norm_squared().sqrt() / 2.0).sum()
+}
+
+/// Longest side of the box around the mesh [m].
+pub fn longest_side(triangles: &[Triangle]) -> f64 {
+    let axis = |of: fn(&Vec3<f64>) -> f64| {
+        let ends = triangles
+            .iter()
+            .flatten()
+            .map(of)
+            .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], x| [low.min(x), high.max(x)]);
+        ends[1] - ends[0]
+    };
+    axis(|p| p.x).max(axis(|p| p.y)).max(axis(|p| p.z))
+}
+
+/// Outward plates no longer than `size`; triangles that are longer are halved.
+pub fn plates(path: &Path, triangles: &[Triangle], size: f64) -> Result<Vec<Plate>> {
+    let mut plates = Vec::new();
+    let mut left: Vec<Triangle> = triangles.to_vec();
+    while let Some(triangle) = left.pop() {
+        let [a, b, c] = triangle;
+        let sides = [(b - a).norm_squared(), (c - b).norm_squared(), (a - c).norm_squared()];
+        let k = (0..3).fold(0, |k, i| if sides[i] > sides[k] { i } else { k });
+        if sides[k] > size * size {
+            let [p, q, r] = [triangle[k], triangle[(k + 1) % 3], triangle[(k + 2) % 3]];
+            let middle = (p + q) * 0.5;
+            left.extend([[p, middle, r], [middle, q, r]]);
+        } else {
+            let n = cross(&triangle);
+            let length = n.norm_squared().sqrt();
+            if length > 0.0 {
+                let normal = n * (1.0 / length);
+                let area = length / 2.0;
+                let edge = (b - a) * (0.5 * area.sqrt() / (b - a).norm_squared().sqrt());
+                let center = (a + b + c) * (1.0 / 3.0);
+                plates.push(Plate { center, normal, area, half: [edge, normal.cross(edge)], bend: [0.0; 2] });
+            }
+        }
+        if (plates.len() + left.len()) as f64 > super::body::MOST_PLATES {
+            return Err(Error::file(path, format!("more than {} plates: give a larger --plate-size", plates.len())));
+        }
+    }
+    let open = plates.iter().fold(Vec3::zero(), |sum: Vec3<f64>, p| p.normal.scale_add(p.area, sum));
+    if open.norm_squared().sqrt() > OPEN * plates_area(&plates) {
+        return Err(Error::file(path, "the surface is not closed"));
+    }
+    if volume(&plates) < 0.0 {
+        // Every triangle is wound the other way round.
+        plates.iter_mut().for_each(|p| p.normal = -p.normal);
+    }
+    Ok(plates)
+}

@@ -1,0 +1,52 @@
+//! Any rigid body in steady motion through sand: plates on its surface, and the mean force and torque on them.
+//!
+//! Body frame: x heading, y axle, z up, unturned against the world; the origin is where the body's velocity is given. Every
+//! plate is one-sided and pushes where it leads: n·v ≥ 0 and below the surface (Agarwal, Goldman & Kamrin 2023).
+
+mod body;
+mod cut;
+mod mesh;
+mod trials;
+
+pub use body::{Body, BodyShape};
+pub use trials::{Given, Outcome, Status, Trial, compute, compute_all};
+
+use crate::number::Vec3;
+
+/// A flat piece of a body's surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Plate {
+    /// From the body's origin [m].
+    pub center: Vec3<f64>,
+    /// Unit, outward.
+    pub normal: Vec3<f64>,
+    /// [m²]
+    pub area: f64,
+    /// From the centre to two neighbouring edges, along the surface [m].
+    pub half: [Vec3<f64>; 2],
+    /// Curvature of the surface along each of them [1/m]; 0 where it is flat.
+    pub bend: [f64; 2],
+}
+
+impl Plate {
+    /// Half of the plate's vertical extent [m].
+    fn rise(&self) -> f64 {
+        self.half[0].z.abs() + self.half[1].z.abs()
+    }
+
+    /// How much n·v differs between the centre and an edge [m/s], for velocity `v` at the centre and spin `spin`.
+    fn unevenness(&self, v: Vec3<f64>, spin: Vec3<f64>) -> f64 {
+        let along = |k: usize| self.bend[k] * self.half[k].dot(v) + self.normal.dot(spin.cross(self.half[k]));
+        along(0).abs() + along(1).abs()
+    }
+}
+
+/// The volume [m³] that plates enclose, by the divergence theorem.
+pub fn volume(plates: &[Plate]) -> f64 {
+    plates.iter().map(|p| p.center.dot(p.normal) * p.area).sum::<f64>() / 3.0
+}
+
+/// [m²]
+pub fn area(plates: &[Plate]) -> f64 {
+    plates.iter().map(|p| p.area).sum()
+}

@@ -1,0 +1,297 @@
+//! Steady motions: force and torque at a given depth, or the depth that carries a given load.
+
+use super::{Body, Plate};
+use crate::error::{Error, Result, check_range};
+use crate::number::Vec3;
+use crate::parallel;
+use crate::sand::{Ground, SandDescription, Site, Surface};
+
+/// Turns of a body that is not round, spread over a period: our choice; the mean force of a box has changed by less than
+/// 0.5 % when there are four times as many.
+const TURNS: usize = 48;
+/// Depths between none and covered at which a load is first looked for: our choice, 4 mm for a wheel of 125 mm.
+const STEPS: usize = 32;
+/// Depth to which a load is solved [m]: our choice, far below what can be measured.
+const EXACT: f64 = 1e-8;
+/// Two depths [m] that tell what grows with depth from what does not.
+const PROBES: [f64; 2] = [0.02, 0.04];
+
+/// What is known of a trial besides its motion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Given {
+    /// Of the lowest point below the undisturbed surface [m]; of a body that is not round, the lowest of its turn.
+    Depth(f64),
+    /// Upward force to be carried [N].
+    Load(f64),
+}
+
+/// One steady motion of the body's origin.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Trial {
+    /// [m/s]
+    pub velocity: [f64; 3],
+    /// [rad/s]
+    pub spin: [f64; 3],
+    pub given: Given,
+}
+
+impl Trial {
+    /// Refuses what no experiment has: our choice of guards against slips of units.
+    pub fn validated(self) -> Result<Self> {
+        for (name, value) in ["vx", "vy", "vz"].iter().zip(self.velocity) {
+            check_range(name, value, -100.0..=100.0)?;
+        }
+        for (name, value) in ["wx", "wy", "wz"].iter().zip(self.spin) {
+            check_range(name, value, -1e4..=1e4)?;
+        }
+        match self.given {
+            Given::Depth(depth) => check_range("depth", depth, -10.0..=10.0)?,
+            Given::Load(load) => check_range("load", load, 1e-6..=1e6)?,
+        };
+        Ok(self)
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Status {
+    Ok,
+    /// No depth down to the body's own height carries the load.
+    NoEquilibrium,
+}
+
+impl Status {
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Ok => "ok",
+            Self::NoEquilibrium => "no_equilibrium",
+        }
+    }
+}
+
+/// What the sand does to the body; not a number where there is no equilibrium.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Outcome {
+    /// On the body [N].
+    pub force: [f64; 3],
+    /// About the body's origin [N·m].
+    pub torque: [f64; 3],
+    /// [m]
+    pub depth: f64,
+    pub status: Status,
+}
+
+/// Mechanisms that a body in steady motion does not have, as far as `sand` switches them on.
+pub fn without_effect(sand: &SandDescription) -> Vec<&'static str> {
+    let m = &sand.mechanisms;
+    let all = [
+        ("slope", m.slope),
+        ("footprint", m.footprint),
+        ("concave_fill", m.concave_fill),
+        ("added_mass", m.added_mass),
+    ];
+    all.into_iter().filter(|(_, value)| *value != 0.0).map(|(id, _)| id).collect()
+}
+
+/// Every trial, on all processors.
+pub fn compute_all(body: &Body, sand: &SandDescription, trials: &[Trial]) -> Result<Vec<Outcome>> {
+    if let Some(id) = without_effect(sand).first() {
+        return Err(Error::invalid("sand", format!("{id} is not defined for a body in steady motion")));
+    }
+    for (row, trial) in trials.iter().enumerate() {
+        trial.validated().map_err(|e| Error::invalid(format!("trial {}", row + 1), e.to_string()))?;
+    }
+    Ok(parallel::map(trials, |trial| compute(body, sand, trial)))
+}
+
+/// What one plate feels: force = growing · D(depth) + constant, D the depth or its power.
+struct Piece {
+    /// Height of the centre over the body's origin [m], and half the plate's vertical extent.
+    height: f64,
+    rise: f64,
+    arm: Vec3<f64>,
+    growing: Vec3<f64>,
+    constant: Vec3<f64>,
+}
+
+/// Shares of a body's height for which pieces are made: a load that a part of it carries needs no others.
+const PARTS: [f64; 2] = [0.4, 1.0];
+
+/// A body in motion: its leading plates below some height, lowest first, over all turns.
+struct Motion<'a> {
+    ground: &'a Ground<f64>,
+    pieces: Vec<Piece>,
+    share: f64,
+}
+
+/// One turn or several over a period, and how low and high the body comes [m].
+struct Turns {
+    axis: Vec3<f64>,
+    count: usize,
+    heights: [f64; 2],
+}
+
+/// One trial.
+pub fn compute(body: &Body, sand: &SandDescription, trial: &Trial) -> Outcome {
+    let medium = sand.medium();
+    let ground = Ground::new(sand.law, &medium, &Surface::BARE).with(&sand.mechanisms, &medium);
+    let plain = sand.mechanisms.inertial_drag == 0.0 && sand.mechanisms.cohesion == 0.0;
+    let turns = Turns::of(body, trial);
+    let height = turns.heights[1] - turns.heights[0];
+    let up_to = |depth: f64| Motion::new(body, &ground, trial, &turns, turns.heights[0] + depth, plain);
+    let found = match trial.given {
+        Given::Depth(depth) => Some((depth, up_to(depth))),
+        Given::Load(load) => {
+            let mut from = 0.0;
+            PARTS.iter().find_map(|part| {
+                let motion = up_to(part * height);
+                let depth = motion.depth_under(load, turns.heights[0], [from, part * height], height);
+                from = part * height;
+                depth.map(|depth| (depth, motion))
+            })
+        }
+    };
+    let Some((depth, motion)) = found else {
+        let none = [f64::NAN; 3];
+        return Outcome { force: none, torque: none, depth: f64::NAN, status: Status::NoEquilibrium };
+    };
+    let [force, torque] = motion.load(turns.heights[0] + depth).map(|v| v.lane(0));
+    Outcome { force, torque, depth, status: Status::Ok }
+}
+
+impl Turns {
+    fn of(body: &Body, trial: &Trial) -> Self {
+        let spin = Vec3::<f64>::splat(trial.spin);
+        let rate = spin.norm_squared().sqrt();
+        let axis = if rate > 0.0 { spin * (1.0 / rate) } else { Vec3::new(0.0, 1.0, 0.0) };
+        let count = if rate == 0.0 || body.is_round_about(axis) { 1 } else { TURNS };
+        let mut turns = Self { axis, count, heights: [f64::INFINITY, f64::NEG_INFINITY] };
+        for k in 0..count {
+            let [low, high] = body.heights(|v| turns.turned(k, v));
+            turns.heights = [turns.heights[0].min(low), turns.heights[1].max(high)];
+        }
+        turns
+    }
+
+    fn turned(&self, k: usize, v: Vec3<f64>) -> Vec3<f64> {
+        if k == 0 { v } else { rotated(v, self.axis, k as f64 / self.count as f64 * std::f64::consts::TAU) }
+    }
+}
+
+impl<'a> Motion<'a> {
+    /// Of the plates that begin below `surface` [m] over the origin.
+    fn new(body: &Body, ground: &'a Ground<f64>, trial: &Trial, turns: &Turns, surface: f64, plain: bool) -> Self {
+        let mut pieces = Vec::new();
+        for k in 0..turns.count {
+            let turned = |v| turns.turned(k, v);
+            let plates = body.plates.iter().map(|p| Plate {
+                center: turned(p.center),
+                normal: turned(p.normal),
+                half: p.half.map(turned),
+                ..*p
+            });
+            let below = plates.filter(|p| p.center.z - p.rise() < surface);
+            pieces.extend(below.filter_map(|p| Piece::of(ground, &p, trial, plain)));
+        }
+        if turns.count > 1 {
+            pieces.sort_by(|a, b| (a.height - a.rise).total_cmp(&(b.height - b.rise)));
+        }
+        Self { ground, pieces, share: 1.0 / turns.count as f64 }
+    }
+
+    /// Force and torque with the sand's surface at `surface` [m] over the origin.
+    fn load(&self, surface: f64) -> [Vec3<f64>; 2] {
+        let mut sum = [Vec3::zero(), Vec3::zero()];
+        for piece in self.pieces.iter().take_while(|p| p.height - p.rise < surface) {
+            let (depth, share) = piece.submerged(surface - piece.height);
+            let force = piece.growing.scale_add(self.ground.grown(depth) * share, piece.constant * share);
+            sum = [sum[0] + force, sum[1] + piece.arm.cross(force)];
+        }
+        sum.map(|v| v * self.share)
+    }
+
+    /// The least depth within `range` that carries `load`; `low` is the height of the lowest point, `height` the body's.
+    fn depth_under(&self, load: f64, low: f64, range: [f64; 2], height: f64) -> Option<f64> {
+        let lack = |depth: f64| self.load(low + depth)[0].z - load;
+        let steps = ((range[1] - range[0]) / height * STEPS as f64).ceil();
+        let mut before = (range[0], lack(range[0]));
+        for k in 1..=steps as usize {
+            let depth = range[0] + (range[1] - range[0]) * k as f64 / steps;
+            let after = (depth, lack(depth));
+            if after.1 >= 0.0 {
+                return Some(between(lack, before, after));
+            }
+            before = after;
+        }
+        None
+    }
+}
+
+impl Piece {
+    /// None where no part of the plate leads; where the leading edge crosses it, in proportion.
+    fn of(ground: &Ground<f64>, plate: &Plate, trial: &Trial, plain: bool) -> Option<Self> {
+        let (velocity, spin) = (Vec3::<f64>::splat(trial.velocity), Vec3::<f64>::splat(trial.spin));
+        let v = velocity + spin.cross(plate.center);
+        let speed = v.norm_squared().sqrt();
+        if speed == 0.0 {
+            return None;
+        }
+        // Rounding must not decide about a plate that moves along itself, nor on which side a vertical one is looked at.
+        let least = 1e-12 * speed;
+        let n = plate.normal;
+        let normal = if n.z.abs() < 1e-12 { Vec3::new(n.x, n.y, 0.0) } else { n };
+        let (along, uneven) = (normal.dot(v), plate.unevenness(v, spin));
+        let leading =
+            if uneven > least { (0.5 + 0.5 * along / uneven).clamp(0.0, 1.0) } else { f64::from(along >= -least) };
+        if leading == 0.0 {
+            return None;
+        }
+        // The part that leads does so by half of what the edge does, where the centre does not.
+        let v = if leading < 1.0 { normal.scale_add((along + uneven) / 2.0 - along, v) } else { v };
+        let at = |depth| {
+            let site = Site::fresh(depth, plate.center.x).travelling([velocity.x, velocity.y]);
+            ground.thin_plate(&site, plate.area * leading, normal, v).force
+        };
+        let less = ground.grown(PROBES[0]);
+        let near = at(PROBES[0]);
+        let growing = match plain {
+            true => near * (1.0 / less),
+            false => (at(PROBES[1]) - near) * (1.0 / (ground.grown(PROBES[1]) - less)),
+        };
+        let constant = if plain { Vec3::zero() } else { near - growing * less };
+        Some(Self { height: plate.center.z, rise: plate.rise(), arm: plate.center, growing, constant })
+    }
+
+    /// Mean depth of the part in the sand and its share of the plate, for a centre at `depth`.
+    fn submerged(&self, depth: f64) -> (f64, f64) {
+        if depth >= self.rise {
+            return (depth, 1.0);
+        }
+        let wet = depth + self.rise;
+        (wet / 2.0, wet / (2.0 * self.rise))
+    }
+}
+
+/// A root of `f` between two points with values of opposite signs, by false position in the Illinois form.
+fn between(f: impl Fn(f64) -> f64, mut a: (f64, f64), mut b: (f64, f64)) -> f64 {
+    for _ in 0..100 {
+        let x = b.0 - b.1 * (b.0 - a.0) / (b.1 - a.1);
+        let new = (x, f(x));
+        if (new.1 < 0.0) == (b.1 < 0.0) {
+            a.1 /= 2.0;
+        } else {
+            a = b;
+        }
+        let moved = (new.0 - b.0).abs();
+        b = new;
+        if moved < EXACT || b.1 == 0.0 {
+            break;
+        }
+    }
+    b.0
+}
+
+/// Rodrigues' formula.
+fn rotated(v: Vec3<f64>, axis: Vec3<f64>, angle: f64) -> Vec3<f64> {
+    let (sin, cos) = angle.sin_cos();
+    v * cos + axis.cross(v) * sin + axis * (axis.dot(v) * (1.0 - cos))
+}

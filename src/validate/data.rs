@@ -1,0 +1,163 @@
+//! Measured steady motions in a folder: `validation.toml` says what they are, CSV files have the rows.
+
+use crate::error::{Error, Result, check_range};
+use crate::sand::SandDescription;
+use crate::sand::intruder::{Body, BodyShape, Given, Trial};
+use crate::table::{self, Asked, Column, Quantity};
+use serde::Deserialize;
+use std::path::{Path, PathBuf};
+
+/// The two wheels and their sands, compiled in.
+const OWN: [(&str, &str); 6] = [
+    ("validation.toml", include_str!("../../tests/data/real_wheel/validation.toml")),
+    ("wheel_smooth.csv", include_str!("../../tests/data/real_wheel/wheel_smooth.csv")),
+    ("wheel_grouser.csv", include_str!("../../tests/data/real_wheel/wheel_grouser.csv")),
+    ("sand_discs.toml", include_str!("../../tests/data/real_wheel/sand_discs.toml")),
+    ("sand_smooth.toml", include_str!("../../tests/data/real_wheel/sand_smooth.toml")),
+    ("sand_grouser.toml", include_str!("../../tests/data/real_wheel/sand_grouser.toml")),
+];
+
+/// Most rows of a folder: our choice.
+const MOST_ROWS: usize = 20_000;
+
+/// `validation.toml`.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Description {
+    title: String,
+    source: String,
+    licence: String,
+    /// Rows at larger slip angles are not scored [°].
+    most_slip_angle_deg: f64,
+    intruder: Vec<IntruderDescription>,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct IntruderDescription {
+    name: String,
+    body: String,
+    rows: PathBuf,
+    /// Calibrated without these rows.
+    sand: PathBuf,
+    /// Fitted on these rows, if there is one.
+    fitted: Option<PathBuf>,
+    /// Does it carry sand between its teeth?
+    #[serde(default)]
+    carries_sand: bool,
+}
+
+/// One measured steady state.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Row {
+    pub trial: Trial,
+    /// Of the lowest point [m].
+    pub depth: f64,
+    /// [N]
+    pub force: [f64; 3],
+    /// [°]
+    pub slip_angle: f64,
+    pub slip: f64,
+}
+
+impl Row {
+    /// Rows of one condition have the same: slip angle and slip as they were set.
+    pub fn condition(&self) -> (i64, i64) {
+        ((self.slip_angle).round() as i64, (self.slip * 10.0).round() as i64)
+    }
+}
+
+/// A body and what was measured with it.
+#[derive(Clone, Debug)]
+pub struct Wheel {
+    pub name: String,
+    pub body: Body,
+    pub shape: String,
+    pub rows: Vec<Row>,
+    pub sand: SandDescription,
+    pub fitted: Option<SandDescription>,
+    pub carries_sand: bool,
+}
+
+/// All of a folder.
+#[derive(Clone, Debug)]
+pub struct DataSet {
+    pub title: String,
+    pub source: String,
+    pub licence: String,
+    pub wheels: Vec<Wheel>,
+}
+
+/// The measurements that come with the program.
+pub fn own() -> Result<DataSet> {
+    let text = |file: &Path| {
+        let found = OWN.iter().find(|(name, _)| Path::new(name) == file);
+        found.map(|(_, text)| (*text).to_owned()).ok_or_else(|| Error::file(file, "is not compiled in"))
+    };
+    gather(Path::new(""), text)
+}
+
+/// A folder of a user's.
+pub fn folder(folder: &Path) -> Result<DataSet> {
+    gather(folder, |file| {
+        let path = folder.join(file);
+        std::fs::read_to_string(&path).map_err(|e| Error::file(&path, e))
+    })
+}
+
+fn gather(folder: &Path, text: impl Fn(&Path) -> Result<String>) -> Result<DataSet> {
+    let name = Path::new("validation.toml");
+    let description: Description =
+        toml::from_str(&text(name)?).map_err(|e| Error::file(&folder.join(name), e.message()))?;
+    let sand = |file: &Path| SandDescription::from_toml(&text(file)?).map_err(|e| Error::file(&folder.join(file), e));
+    let mut wheels = Vec::new();
+    for one in description.intruder {
+        let body = match BodyShape::named(&one.body)? {
+            BodyShape::Mesh(file) => BodyShape::Mesh(folder.join(file)),
+            shape => shape,
+        };
+        wheels.push(Wheel {
+            name: one.name,
+            body: Body::cut(&body, None)?,
+            shape: one.body,
+            rows: rows(&folder.join(&one.rows), &text(&one.rows)?, description.most_slip_angle_deg)?,
+            sand: sand(&one.sand)?,
+            fitted: one.fitted.as_deref().map(sand).transpose()?,
+            carries_sand: one.carries_sand,
+        });
+    }
+    if wheels.is_empty() {
+        return Err(Error::file(&folder.join(name), "no [[intruder]]"));
+    }
+    Ok(DataSet { title: description.title, source: description.source, licence: description.licence, wheels })
+}
+
+fn rows(path: &Path, text: &str, most_slip_angle: f64) -> Result<Vec<Row>> {
+    const COLUMNS: [Column; 9] = [
+        Column::needed("vx", Quantity::Speed),
+        Column::needed("vy", Quantity::Speed),
+        Column::needed("wy", Quantity::AngularSpeed),
+        Column::needed("depth", Quantity::Length),
+        Column::needed("Fx", Quantity::Force),
+        Column::needed("Fy", Quantity::Force),
+        Column::needed("Fz", Quantity::Force),
+        Column::needed("slip_angle_deg", Quantity::Degrees),
+        Column::needed("slip", Quantity::Number),
+    ];
+    let mut all = Vec::new();
+    table::parse(path, text.as_bytes(), &Asked { most_rows: Some(MOST_ROWS), ..Asked::new(&COLUMNS) }, |row| {
+        let mut x = [0.0; 9];
+        for (k, value) in x.iter_mut().enumerate() {
+            *value = row.needed(k)?;
+        }
+        let [vx, vy, wy, depth, fx, fy, fz, slip_angle, slip] = x;
+        check_range("Fz", fz, 1e-6..=1e6).map_err(|e| row.error(6, e))?;
+        let trial = Trial { velocity: [vx, vy, 0.0], spin: [0.0, wy, 0.0], given: Given::Depth(depth) };
+        let trial = trial.validated().map_err(|e| Error::file(path, format!("row {}: {e}", row.line)))?;
+        if slip_angle.abs() <= most_slip_angle {
+            all.push(Row { trial, depth, force: [fx, fy, fz], slip_angle, slip });
+        }
+        Ok(())
+    })?;
+    if all.is_empty() { Err(Error::file(path, "no row is to be scored")) } else { Ok(all) }
+}

@@ -1,0 +1,149 @@
+//! The few numbers that wheels of one sand share, fitted on measured steady motions.
+
+use super::data::{Row, Wheel};
+use crate::error::Result;
+use crate::parallel;
+use crate::sand::intruder::{Given, Trial, compute};
+use crate::sand::{Law, Mechanisms, Medium, SandDescription};
+use nalgebra::{DMatrix, DVector};
+
+/// What a residual of 1 stands for: 8 % of the load in Fx and Fy, 15 % in Fz, 3.5 mm of sinkage. Our choice: what a good
+/// model should reach.
+const TOLERANCES: [f64; 4] = [0.08, 0.15, 0.08, 0.0035];
+/// Step in depth [m] of the slope that turns a lack of force into sinkage.
+const STEP: f64 = 5e-4;
+/// Least stiffness [N/m] of that slope, so that a wheel that finds no hold counts as a few centimetres.
+const SOFTEST: f64 = 200.0;
+/// Largest residual: our choice, rows that find no hold must not outweigh all others.
+const LARGEST: f64 = 8.0;
+/// Friction of sand on sand, for wheels that carry sand between their teeth: tan 35°, within the 30° to 40° of dry sands (angle
+/// of repose 29°). Not fitted: rows at slip ≤ 0 hardly tell 0.55 from 0.9.
+const SAND_ON_SAND: f64 = 0.70;
+/// μ_s of a smooth wheel, and how far it may be from that: nothing is stated, so wide, around plates from polished to rough.
+const SMOOTH: [f64; 2] = [0.45, 0.30];
+
+/// What is fitted: ζ [N/cm³], `depth_power`, `skid_loss` and `slip_bearing`, shared by all wheels, and one μ_s of those that
+/// carry no sand.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Parameters {
+    pub zeta: f64,
+    pub depth_power: f64,
+    pub skid_loss: f64,
+    pub slip_bearing: f64,
+    pub friction: f64,
+}
+
+/// Least and greatest, in the order of the fields: wide guards, our choice.
+const LOW: [f64; 5] = [0.1, -0.6, 0.0, 0.0, 0.15];
+const HIGH: [f64; 5] = [4.0, 1.0, 6.0, 3.0, 0.95];
+/// Where a fit starts: ordinary values.
+const START: [f64; 5] = [0.85, -0.2, 0.6, 0.9, SMOOTH[0]];
+
+impl Parameters {
+    fn from_vector(v: &DVector<f64>) -> Self {
+        let [zeta, depth_power, skid_loss, slip_bearing, friction] = std::array::from_fn(|k| v[k]);
+        Self { zeta, depth_power, skid_loss, slip_bearing, friction }
+    }
+
+    /// Rounded to what the data can tell, so that a file has the same text on every machine.
+    pub fn rounded(&self) -> Self {
+        let Self { zeta, depth_power, skid_loss, slip_bearing, friction } = *self;
+        let [zeta, depth_power, skid_loss, slip_bearing, friction] =
+            [zeta, depth_power, skid_loss, slip_bearing, friction].map(|x| (x * 1e3).round() / 1e3);
+        Self { zeta, depth_power, skid_loss, slip_bearing, friction }
+    }
+
+    /// The sand of a wheel.
+    pub fn sand(&self, wheel: &Wheel, name: &str, source: &str) -> Result<SandDescription> {
+        let mechanisms = Mechanisms {
+            depth_power: self.depth_power,
+            skid_loss: self.skid_loss,
+            slip_bearing: self.slip_bearing,
+            friction_clip: 1.0 / if wheel.carries_sand { SAND_ON_SAND } else { self.friction },
+            ..Mechanisms::PLAIN
+        };
+        let plain = SandDescription::plain(&Medium::generic(self.zeta)?);
+        Ok(SandDescription {
+            name: name.into(),
+            source: source.into(),
+            law: Law::Agarwal2023,
+            bulk_density: super::DENSITY,
+            mechanisms,
+            ..plain
+        })
+    }
+}
+
+fn within(v: DVector<f64>) -> DVector<f64> {
+    v.map_with_location(|k, _, x| x.clamp(LOW[k], HIGH[k]))
+}
+
+/// Least squares over `rows` of each wheel (Levenberg–Marquardt with numerical derivatives).
+pub fn fit(wheels: &[Wheel], rows: &[Vec<Row>]) -> Result<Parameters> {
+    let mut x = DVector::from_row_slice(&START);
+    let mut r = residuals(wheels, rows, &x)?;
+    let mut damping = 1e-2;
+    for _ in 0..40 {
+        let mut jacobian = DMatrix::zeros(r.len(), x.len());
+        for k in 0..x.len() {
+            let mut moved = x.clone();
+            moved[k] += 2e-3;
+            jacobian.set_column(k, &((residuals(wheels, rows, &moved)? - &r) / 2e-3));
+        }
+        let (normal, gradient) = (jacobian.transpose() * &jacobian, jacobian.transpose() * &r);
+        let before = r.norm_squared();
+        loop {
+            let mut damped = normal.clone();
+            (0..x.len()).for_each(|k| damped[(k, k)] *= 1.0 + damping);
+            let step = damped.lu().solve(&gradient).unwrap_or_else(|| DVector::zeros(x.len()));
+            let next = within(&x - step);
+            let after = residuals(wheels, rows, &next)?;
+            if after.norm_squared() < before {
+                (x, r) = (next, after);
+                damping = (damping / 5.0).max(1e-9);
+                break;
+            }
+            damping *= 5.0;
+            if damping > 1e6 {
+                break;
+            }
+        }
+        if before - r.norm_squared() < 1e-7 * before {
+            break;
+        }
+    }
+    Ok(Parameters::from_vector(&x))
+}
+
+/// Fx, Fy, Fz at the measured sinkage, the sinkage under the measured load and Fx, Fy there (to first order), and how far the
+/// friction is from what one would expect.
+fn residuals(wheels: &[Wheel], rows: &[Vec<Row>], x: &DVector<f64>) -> Result<DVector<f64>> {
+    let parameters = Parameters::from_vector(x);
+    let mut all = Vec::new();
+    for (wheel, rows) in wheels.iter().zip(rows) {
+        let sand = parameters.sand(wheel, "", "")?;
+        let mean = rows.iter().map(|r| r.force[2]).sum::<f64>() / rows.len().max(1) as f64;
+        all.extend(parallel::map(rows, |row| of_row(wheel, &sand, row, mean)).into_iter().flatten());
+    }
+    all.push((parameters.friction - SMOOTH[0]) / SMOOTH[1]);
+    Ok(DVector::from_vec(all))
+}
+
+fn of_row(wheel: &Wheel, sand: &SandDescription, row: &Row, load: f64) -> [f64; 6] {
+    let at = |depth: f64| compute(&wheel.body, sand, &Trial { given: Given::Depth(depth), ..row.trial }).force;
+    let (here, below) = (at(row.depth), at(row.depth + STEP));
+    let off = [0, 1, 2].map(|k| here[k] - row.force[k]);
+    let slope = [0, 1, 2].map(|k| (below[k] - here[k]) / STEP);
+    let sinkage = -off[2] / slope[2].max(SOFTEST);
+    let carried = [0, 1].map(|k| off[k] + slope[k] * sinkage);
+    let [side, up, under, deep] = TOLERANCES;
+    let scaled = [
+        off[0] / (side * load),
+        off[1] / (side * load),
+        off[2] / (up * load),
+        sinkage / deep,
+        carried[0] / (under * load),
+        carried[1] / (under * load),
+    ];
+    scaled.map(|r| r.clamp(-LARGEST, LARGEST))
+}

@@ -1,0 +1,221 @@
+//! The scoreboard as text, rows and figures.
+
+use super::data::{DataSet, Row, Wheel};
+use super::fit;
+use super::score::{Errors, FIGURES, Pair, REGIMES, errors, intervals, predict, scatter};
+use crate::error::{Error, Result};
+use crate::plot::{Axis, Figure, Mark, Panel, Style, color, png};
+use std::fmt::Write as _;
+use std::path::Path;
+
+/// What stands above the scoreboard.
+const INTRODUCTION: &str = "\
+Written by `sandgait validate --out DIR`; the numbers are computed, the words are not. *Blind* means that nothing of the rows
+was used; *left out* that a fit saw the other slip angles of the same wheels; *fitted* is no prediction at all.
+
+What limits it: 3D-RFT loads each plate as if it were alone. A locked wheel sinks 20 mm deeper than predicted, because the sand
+under it is carried away (`skid_loss`); a spinning one sinks less, because a smooth surface carries more than the law
+gives to a plate that moves along itself (`slip_bearing`). With both, oblique skid stays worst: rim and side face are
+loaded as if each had the sand to itself. `depth_power` below 0 is no property of the sand: discs in it grow stiffer with
+depth and with size, so a file fitted on these wheels does not carry over to other sizes or loads. The grouser wheel is a
+cylinder of its tip radius with the friction of sand on sand; its rows at positive slip are not in the program, and
+neither the sinkage there nor the pull of its teeth has been compared with anything here.
+
+Data of your own: a folder with a `validation.toml` as in `tests/data/real_wheel` (title, source, licence, and an
+`[[intruder]]` table for each body: name, body, rows, sand, and fitted where there is one) and rows with the columns vx, vy, wy,
+depth, Fx, Fy, Fz, slip_angle_deg and slip; then `sandgait validate --data FOLDER --out DIR`.
+";
+
+/// One comparison: what was fitted on what, and the rows it was asked about.
+struct Comparison {
+    title: String,
+    pairs: Vec<Pair>,
+}
+
+/// The whole scoreboard of one data set.
+pub struct Scoreboard {
+    data: DataSet,
+    comparisons: Vec<Comparison>,
+}
+
+impl Scoreboard {
+    /// Predicts every row, and fits anew with one slip angle left out at a time.
+    pub fn new(data: DataSet) -> Result<Self> {
+        let mut comparisons = Vec::new();
+        let each = |of: &dyn Fn(&Wheel) -> Option<crate::sand::SandDescription>| -> Vec<Pair> {
+            let wheels = data.wheels.iter().enumerate();
+            wheels.filter_map(|(k, w)| of(w).map(|sand| predict(k, w, &sand, &w.rows))).flatten().collect()
+        };
+        let names = |of: &dyn Fn(&Wheel) -> Option<String>| data.wheels.iter().find_map(of).unwrap_or_default();
+        comparisons.push(Comparison {
+            title: format!("blind: {}", names(&|w| Some(w.sand.source.clone()))),
+            pairs: each(&|w| Some(w.sand.clone())),
+        });
+        if data.wheels.iter().all(|w| w.fitted.is_some()) {
+            let left_out = cross_validated(&data.wheels)?;
+            comparisons.push(Comparison {
+                title: "left out: fitted on the other slip angles of all wheels, predicted on this one".into(),
+                pairs: left_out,
+            });
+            comparisons.push(Comparison {
+                title: "fitted on these very rows (no prediction, the best this model can do)".into(),
+                pairs: each(&|w| w.fitted.clone()),
+            });
+        }
+        Ok(Self { data, comparisons })
+    }
+
+    /// Markdown.
+    pub fn text(&self) -> String {
+        let d = &self.data;
+        let mut text = format!("## {}\n\nData: {}. Licence: {}.\n\n", d.title, d.source, d.licence);
+        let _ = writeln!(
+            text,
+            "Root mean square errors, forces in % of the mean load, 95 % interval over conditions in brackets.\n"
+        );
+        for c in &self.comparisons {
+            let _ = writeln!(text, "**{}**\n\n{}", capital(&c.title), self.table(c));
+        }
+        let _ = writeln!(text, "The data's own scatter between repetitions, in the same units:\n\n{}", self.scatters());
+        text
+    }
+
+    fn table(&self, c: &Comparison) -> String {
+        let mut text = format!("| rows | n | {} | no equilibrium |\n|{}\n", FIGURES.join(" | "), "---|".repeat(9));
+        let mut line = |name: &str, pairs: &[Pair], with_intervals: bool| {
+            if pairs.is_empty() {
+                return;
+            }
+            let Errors { rows, without_equilibrium, values } = errors(pairs);
+            let ends = with_intervals.then(|| intervals(pairs));
+            let cell = |k: usize| match &ends {
+                Some(ends) => format!("{:.1} [{:.1}, {:.1}]", values[k], ends[k][0], ends[k][1]),
+                None => format!("{:.1}", values[k]),
+            };
+            let cells: Vec<String> = (0..6).map(cell).collect();
+            let _ = writeln!(text, "| {name} | {rows} | {} | {without_equilibrium} |", cells.join(" | "));
+        };
+        line("all", &c.pairs, true);
+        for (k, wheel) in self.data.wheels.iter().enumerate() {
+            line(&wheel.name, &select(c, |p| p.wheel == k), true);
+        }
+        for (name, belongs) in REGIMES {
+            line(name, &select(c, |p| belongs(&p.row)), false);
+        }
+        text
+    }
+
+    fn scatters(&self) -> String {
+        let mut text = format!("| rows | {} |\n|{}\n", FIGURES[..4].join(" | "), "---|".repeat(5));
+        for (k, wheel) in self.data.wheels.iter().enumerate() {
+            let values = scatter(&select(&self.comparisons[0], |p| p.wheel == k));
+            let cells: Vec<String> = values.iter().map(|v| format!("{v:.1}")).collect();
+            let _ = writeln!(text, "| {} | {} |", wheel.name, cells.join(" | "));
+        }
+        text
+    }
+
+    /// The sentence that a reader should see first: the largest error of the first comparison, where it is, and how large.
+    pub fn worst(&self) -> String {
+        let c = &self.comparisons[0];
+        let regimes = REGIMES.iter().map(|(name, belongs)| (name, select(c, |p| belongs(&p.row))));
+        let all = regimes.filter(|(_, pairs)| !pairs.is_empty()).map(|(name, pairs)| (name, errors(&pairs).values));
+        let worst = all.max_by(|a, b| a.1[3].total_cmp(&b.1[3]));
+        worst.map_or_else(String::new, |(name, v)| {
+            format!(
+                "Worst regime when predicted blind: {name}: sinkage off by {:.1} mm, Fz at the measured sinkage by {:.0} %, \
+                 Fx under load by {:.0} %.",
+                v[3], v[2], v[4]
+            )
+        })
+    }
+
+    /// One row a measured row and comparison.
+    pub fn rows(&self) -> String {
+        let mut text = String::from(
+            "comparison,wheel,slip_angle_deg,slip,depth,Fx,Fy,Fz,Fx_predicted,Fy_predicted,Fz_predicted,depth_predicted,\
+             Fx_under_load,Fy_under_load\n",
+        );
+        for (number, c) in self.comparisons.iter().enumerate() {
+            for p in &c.pairs {
+                let Row { depth, force: [x, y, z], slip_angle, slip, .. } = p.row;
+                let [px, py, pz] = p.prediction.force;
+                let (d, [lx, ly, _]) = p.prediction.carried.unwrap_or((f64::NAN, [f64::NAN; 3]));
+                let name = &self.data.wheels[p.wheel].name;
+                let _ = writeln!(
+                    text,
+                    "{number},{name},{slip_angle},{slip:.3},{depth:.5},{x:.3},{y:.3},{z:.3},{px:.3},{py:.3},{pz:.3},{d:.5},\
+                     {lx:.3},{ly:.3}"
+                );
+            }
+        }
+        text
+    }
+
+    /// Measured against predicted, one panel a quantity, for each comparison.
+    fn figure(&self, c: &Comparison) -> Figure {
+        let measured: [(&str, fn(&Pair) -> Option<[f64; 2]>); 4] = [
+            ("Fx [N] at the measured sinkage", |p| Some([p.row.force[0], p.prediction.force[0]])),
+            ("Fy [N] at the measured sinkage", |p| Some([p.row.force[1], p.prediction.force[1]])),
+            ("Fz [N] at the measured sinkage", |p| Some([p.row.force[2], p.prediction.force[2]])),
+            ("sinkage [mm] under the measured load", |p| p.prediction.carried.map(|c| [1e3 * p.row.depth, 1e3 * c.0])),
+        ];
+        let colors = [color::BLUE, color::VERMILION];
+        let panels = measured.iter().map(|(name, of)| {
+            let points = |k: usize| select(c, |p| p.wheel == k).iter().filter_map(of).collect::<Vec<_>>();
+            let all: Vec<[f64; 2]> = c.pairs.iter().filter_map(of).collect();
+            let ends = all.iter().flatten().fold([f64::MAX, f64::MIN], |[low, high], x| [low.min(*x), high.max(*x)]);
+            let dots = |color| Style { width: 0.0, ..Style::line(color) }.with_dots();
+            let mut marks = vec![Mark::line("equal", Style::line(color::BLACK), ends.map(|x| [x, x]).to_vec())];
+            for (k, wheel) in self.data.wheels.iter().enumerate() {
+                marks.push(Mark::line(&wheel.name, dots(colors[k % 2]), points(k)));
+            }
+            Panel { x: Axis::new(&format!("measured {name}")), y: Axis::new("predicted"), marks, ..Panel::default() }
+        });
+        Figure { title: c.title.clone(), columns: 2, panels: panels.collect(), note: self.data.source.clone() }
+    }
+
+    /// `validation.md`, `validation_rows.csv` and a figure a comparison.
+    pub fn write(&self, folder: &Path) -> Result<()> {
+        std::fs::create_dir_all(folder).map_err(|e| Error::file(folder, e))?;
+        let save = |name: &str, text: String| {
+            let path = folder.join(name);
+            std::fs::write(&path, text).map_err(|e| Error::file(&path, e))
+        };
+        let mut page = format!("# Scoreboard\n\n{}\n\n{INTRODUCTION}\n{}", self.worst(), self.text().trim_end());
+        page.push('\n');
+        for (number, c) in self.comparisons.iter().enumerate() {
+            png::write_both(&self.figure(c).svg(), &folder.join(format!("validation_{number}.svg")))?;
+            let _ = write!(page, "\n![{}](validation_{number}.png)\n", capital(&c.title));
+        }
+        save("validation.md", page)?;
+        save("validation_rows.csv", self.rows())
+    }
+}
+
+fn select(c: &Comparison, keep: impl Fn(&Pair) -> bool) -> Vec<Pair> {
+    c.pairs.iter().filter(|p| keep(p)).copied().collect()
+}
+
+fn capital(text: &str) -> String {
+    let mut letters = text.chars();
+    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
+}
+
+/// Each slip angle predicted from a fit on the others.
+fn cross_validated(wheels: &[Wheel]) -> Result<Vec<Pair>> {
+    let angle = |row: &Row| row.slip_angle.round() as i64;
+    let mut angles: Vec<i64> = wheels.iter().flat_map(|w| w.rows.iter().map(angle)).collect();
+    angles.sort_unstable();
+    angles.dedup();
+    let mut pairs = Vec::new();
+    for left_out in angles {
+        let kept = |w: &Wheel| w.rows.iter().filter(|r| angle(r) != left_out).copied().collect::<Vec<_>>();
+        let parameters = fit::fit(wheels, &wheels.iter().map(kept).collect::<Vec<_>>())?;
+        for (k, wheel) in wheels.iter().enumerate() {
+            let rows: Vec<Row> = wheel.rows.iter().filter(|r| angle(r) == left_out).copied().collect();
+            pairs.extend(predict(k, wheel, &parameters.sand(wheel, "", "")?, &rows));
+        }
+    }
+    Ok(pairs)
+}

@@ -1,0 +1,69 @@
+//! `intrude --body … --trials …` and `validate` on the command line.
+
+use std::process::{Command, Output};
+
+fn sandgait(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_sandgait")).args(arguments).output().unwrap()
+}
+
+const WHEEL: &str = "cylinder:radius=0.0625,width=0.06";
+const SAND: &str = "tests/data/real_wheel/sand_smooth.toml";
+
+#[test]
+fn rows_come_back_with_forces_depth_and_status() {
+    let directory = tempfile::tempdir().unwrap();
+    let [rows, out] = ["rows.csv", "out.csv"].map(|n| directory.path().join(n).to_str().unwrap().to_owned());
+    std::fs::write(&rows, "name,vx,wy,depth [mm],load,Fx\na,0.01,0.1,,20,3\nb,0.01,0.1,20,,4\nc,0.01,0,,1e5,1\n")
+        .unwrap();
+    let done = sandgait(&["intrude", "--body", WHEEL, "--trials", &rows, "--sand", SAND, "--csv", &out]);
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    assert!(String::from_utf8_lossy(&done.stdout).contains("3 rows, 1 without equilibrium"));
+    let csv = std::fs::read_to_string(&out).unwrap();
+    let lines: Vec<Vec<&str>> = csv.lines().map(|l| l.split(',').collect()).collect();
+    assert_eq!(lines[0].join(","), "name,vx,wy,load,Fx_given,Fx,Fy,Fz,Tx,Ty,Tz,depth,status");
+    let number = |row: usize, column: usize| lines[row][column].parse::<f64>().unwrap();
+    assert!((number(1, 7) - 20.0).abs() < 1e-4 && (number(2, 11) - 0.02).abs() < 1e-9, "{csv}");
+    assert_eq!([1, 2, 3].map(|k| lines[k][12]), ["ok", "ok", "no_equilibrium"]);
+    // A rougher surface is another motion's force.
+    let rough =
+        sandgait(&["intrude", "--body", WHEEL, "--trials", &rows, "--sand", SAND, "--mu-s", "0.2", "--csv", &out]);
+    assert!(rough.status.success() && std::fs::read_to_string(&out).unwrap() != csv);
+}
+
+#[test]
+fn wrong_use_is_one_line() {
+    let directory = tempfile::tempdir().unwrap();
+    let rows = directory.path().join("rows.csv");
+    let file = rows.to_str().unwrap();
+    let contents = ["vx,depth,load\n0.1,0.01,5\n", "vx,depth\n0.1,\n", "vx,load\n0.1,-3\n", "vx,depth\n1e9,0.01\n"];
+    for text in contents {
+        std::fs::write(&rows, text).unwrap();
+        let done = sandgait(&["intrude", "--body", WHEEL, "--trials", file]);
+        let said = String::from_utf8_lossy(&done.stderr).into_owned();
+        assert!(done.status.code() == Some(2) && said.lines().count() == 1 && said.contains("row 2"), "{text}: {said}");
+    }
+    std::fs::write(&rows, "vx,depth\n0.1,0.01\n").unwrap();
+    for more in [["--plate-size", "1e-7"], ["--mu-s", "0"], ["--shape", "L"], ["--omega", "1"]] {
+        let done = sandgait(&["intrude", "--body", WHEEL, "--trials", file, more[0], more[1]]);
+        let said = String::from_utf8_lossy(&done.stderr).into_owned();
+        assert!(done.status.code() == Some(2) && said.lines().count() == 1, "{more:?}: {said}");
+    }
+}
+
+#[test]
+fn the_scoreboard_is_written_and_names_its_worst() {
+    let directory = tempfile::tempdir().unwrap();
+    let out = directory.path().join("board");
+    let done = sandgait(&["validate", "--out", out.to_str().unwrap()]);
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    let said = String::from_utf8(done.stdout).unwrap();
+    assert!(said.starts_with("Worst regime when predicted blind: locked, slip −1"), "{said}");
+    let rows = std::fs::read_to_string(out.join("validation_rows.csv")).unwrap();
+    // 126 rows at slip angles up to 60°, in each of three comparisons.
+    assert_eq!(rows.lines().count(), 1 + 3 * 126);
+    for name in ["validation.md", "validation_0.svg", "validation_2.png"] {
+        assert!(out.join(name).metadata().unwrap().len() > 1000, "{name}");
+    }
+    let missing = sandgait(&["validate", "--data", directory.path().to_str().unwrap()]);
+    assert_eq!(missing.status.code(), Some(2));
+}
