@@ -30,13 +30,20 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mechanisms = Mechanisms { friction_clip: 1.0 / FRICTION, slip_bearing: BEARING, ..Mechanisms::PLAIN };
     let discs = SandDescription {
         name: "cmu-discs".into(),
-        source: format!("ξ_n from discs of {:.0} mm up to {MOST_FORCE} N; no wheel was looked at", 1e3 * DIAMETER),
+        source: format!(
+            "ξ_n from discs of {:.0} mm up to {MOST_FORCE} N; range of forces and μ_s chosen after a look at the wheels",
+            1e3 * DIAMETER
+        ),
         law: Law::Agarwal2023,
         bulk_density: DENSITY,
         mechanisms,
         ..SandDescription::plain(&Medium::generic(zeta)?)
     };
-    write("sand_discs.toml", "Calibrated on discs only; friction and slip_bearing from the literature.", &discs)?;
+    write(
+        "sand_discs.toml",
+        "ξ_n fitted on discs only. The range of forces and μ_s were chosen after a first comparison with the wheels.",
+        &discs,
+    )?;
     let wheels = data::folder(&folder)?.wheels;
     let rows: Vec<_> = wheels.iter().map(|w| w.rows.clone()).collect();
     let parameters = fit::fit(&wheels, &rows)?.rounded();

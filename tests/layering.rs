@@ -4,20 +4,21 @@ use std::path::{Path, PathBuf};
 
 /// Every module of `src/`, and those that it may know. Each names only modules further up in this list, so nothing goes in
 /// circles; whatever is not named it must not know.
-const KNOWS: [(&str, &[&str]); 21] = [
+const KNOWS: [(&str, &[&str]); 22] = [
     ("error", &[]),
     ("parallel", &[]),
     ("progress", &["error"]),
     ("number", &["error"]),
     ("table", &["error"]),
     ("plot", &["error"]),
-    ("sand", &["error", "number"]),
+    ("sand", &["error", "parallel", "number"]),
     ("sim", &["error", "number", "sand"]),
     ("env", &["error", "number", "sand", "sim"]),
     ("policy", &["error", "number", "env"]),
     ("pool", &["error", "parallel", "progress", "env", "policy"]),
     ("view", &["error", "number", "plot", "sand", "sim"]),
     ("calibrate", &["error", "plot", "sand"]),
+    ("validate", &["error", "parallel", "table", "plot", "sand"]),
     ("sweep", &["error", "parallel", "progress", "table", "plot", "sand", "sim"]),
     ("diagnose", &["error", "parallel", "progress", "number", "table", "plot", "sand", "sim", "sweep"]),
     ("reproduce", &["error", "parallel", "progress", "number", "table", "plot", "sand", "sim", "sweep"]),
@@ -46,6 +47,7 @@ const KNOWS: [(&str, &[&str]); 21] = [
             "pool",
             "view",
             "calibrate",
+            "validate",
             "sweep",
             "diagnose",
             "reproduce",

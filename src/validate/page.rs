@@ -8,10 +8,13 @@ use crate::plot::{Axis, Figure, Mark, Panel, Style, color, png};
 use std::fmt::Write as _;
 use std::path::Path;
 
+/// What is drawn of a pair: measured and predicted, where there are both.
+type Measure = fn(&Pair) -> Option<[f64; 2]>;
+
 /// What stands above the scoreboard.
 const INTRODUCTION: &str = "\
-Written by `sandgait validate --out DIR`; the numbers are computed, the words are not. *Blind* means that nothing of the rows
-was used; *left out* that a fit saw the other slip angles of the same wheels; *fitted* is no prediction at all.
+Written by `sandgait validate --out DIR`; the numbers are computed, the words are not. *Not fitted* means that no number was
+fitted on the rows, though their maker had seen them; *left out* that a fit saw the other slip angles of the same wheels; *fitted* is no prediction at all.
 
 What limits it: 3D-RFT loads each plate as if it were alone. A locked wheel sinks 20 mm deeper than predicted, because the sand
 under it is carried away (`skid_loss`); a spinning one sinks less, because a smooth surface carries more than the law
@@ -48,7 +51,7 @@ impl Scoreboard {
         };
         let names = |of: &dyn Fn(&Wheel) -> Option<String>| data.wheels.iter().find_map(of).unwrap_or_default();
         comparisons.push(Comparison {
-            title: format!("blind: {}", names(&|w| Some(w.sand.source.clone()))),
+            title: format!("not fitted: {}", names(&|w| Some(w.sand.source.clone()))),
             pairs: each(&|w| Some(w.sand.clone())),
         });
         if data.wheels.iter().all(|w| w.fitted.is_some()) {
@@ -123,7 +126,7 @@ impl Scoreboard {
         let worst = all.max_by(|a, b| a.1[3].total_cmp(&b.1[3]));
         worst.map_or_else(String::new, |(name, v)| {
             format!(
-                "Worst regime when predicted blind: {name}: sinkage off by {:.1} mm, Fz at the measured sinkage by {:.0} %, \
+                "Worst regime where nothing was fitted on the wheels: {name}: sinkage off by {:.1} mm, Fz at the measured sinkage by {:.0} %, \
                  Fx under load by {:.0} %.",
                 v[3], v[2], v[4]
             )
@@ -154,7 +157,7 @@ impl Scoreboard {
 
     /// Measured against predicted, one panel a quantity, for each comparison.
     fn figure(&self, c: &Comparison) -> Figure {
-        let measured: [(&str, fn(&Pair) -> Option<[f64; 2]>); 4] = [
+        let measured: [(&str, Measure); 4] = [
             ("Fx [N] at the measured sinkage", |p| Some([p.row.force[0], p.prediction.force[0]])),
             ("Fy [N] at the measured sinkage", |p| Some([p.row.force[1], p.prediction.force[1]])),
             ("Fz [N] at the measured sinkage", |p| Some([p.row.force[2], p.prediction.force[2]])),
