@@ -78,6 +78,13 @@ fn bench_takes_the_task_options() {
     let all = bench(&["--task", "all", "--actions", "zero"]);
     assert_eq!(all.as_array().map(Vec::len), Some(sandgait::env::registry::TASK_IDS.len()), "{all}");
     assert_eq!(all[1]["actions"], "zero", "{all}");
+    let unfelt = directory.path().join("unfelt.toml");
+    let mut sand = sandgait::sand::SandDescription::plain(&medium);
+    sand.mechanisms.added_mass = 1.0;
+    std::fs::write(&unfelt, sand.to_toml().unwrap()).unwrap();
+    let warned = sandgait(&[&quick[..], &["--option", &format!("sand={}", unfelt.display())]].concat());
+    let said = String::from_utf8(warned.stderr).unwrap();
+    assert!(warned.status.success() && said.contains("added_mass has no effect on a walking robot"), "{said:?}");
     let refuse = |more: &[&str], words: &[&str]| refused(&[&quick[..], more].concat(), words);
     refuse(&["--actions", "policy"], &["--actions", "--policy FILE.onnx"]);
     refuse(&["--policy", "x.onnx"], &["--policy", "--actions policy"]);

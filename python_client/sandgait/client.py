@@ -16,6 +16,7 @@ import os
 import queue
 import re
 import threading
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -167,6 +168,8 @@ def create_session(address: str, task: str, num_envs: int, options: Mapping[str,
     request.options.CopyFrom(struct(with_sand(options)))
     with _channel(address, DEFAULT_MESSAGE_BYTES) as channel:
         reply = _call(channel, address, "CreateSession", request, pb.CreateSessionResponse)
+    for line in reply.warnings:
+        warnings.warn(line, UserWarning, stacklevel=2)
     return Created(reply.session_id, _task(reply.task))
 
 

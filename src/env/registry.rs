@@ -134,6 +134,11 @@ impl Blueprint {
         Ok(Self { task, engine, setup })
     }
 
+    /// What of the options has no effect, and why: mechanisms of a sand.toml that robots do not feel.
+    pub fn warnings(&self) -> Vec<String> {
+        self.setup.model.scene.mechanisms.unfelt_by_walkers()
+    }
+
     /// The keywords that this task takes, with the values they have here.
     pub fn keywords(&self) -> Vec<Keyword> {
         // Plain data: serialising it cannot fail, and a missing value would only be shown as null.

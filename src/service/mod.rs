@@ -128,8 +128,8 @@ impl EnvironmentService for Service {
             self.sessions.create(task_id, num_envs as usize, values::to_json(options)?).await
         };
         let (session_id, blueprint) = made.await.map_err(|e| status::status(&e))?;
-        let task = encode::task(&blueprint);
-        Ok(Response::new(CreateSessionResponse { session_id, task: Some(task), lease_seconds }))
+        let (task, warnings) = (Some(encode::task(&blueprint)), blueprint.warnings());
+        Ok(Response::new(CreateSessionResponse { session_id, task, lease_seconds, warnings }))
     }
 
     type RunSessionStream = Pin<Box<dyn Stream<Item = Result<RunSessionResponse, Status>> + Send>>;

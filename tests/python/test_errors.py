@@ -151,3 +151,7 @@ def test_sand_is_a_file_of_the_client(tmp_path: Path) -> None:
     assert speeds[0] != speeds[1]
     with pytest.raises(ValueError, match="sand"):
         sandgait.SandgaitVectorEnv("sandgait/HexapodGait-v1", 1, sand=str(tmp_path / "nowhere.toml"))
+    file = tmp_path / "unfelt.toml"
+    file.write_text(f"{text}[mechanisms]\nadded_mass = 1.0\n")
+    with pytest.warns(UserWarning, match="added_mass has no effect on a walking robot"):
+        sandgait.SandgaitVectorEnv("sandgait/HexapodGait-v1", 1, sand=str(file)).close()
