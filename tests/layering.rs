@@ -68,7 +68,7 @@ const OUTSIDE: [(&str, &[&str]); 8] = [
     // ONNX files are protobuf too.
     ("prost", &["service", "policy"]),
     ("prost_types", &["service", "bench"]),
-    ("rand", &["env", "sweep", "diagnose", "evaluate", "service"]),
+    ("rand", &["env", "validate", "sweep", "diagnose", "evaluate", "service"]),
     ("rapier3d", &["sim"]),
 ];
 

@@ -90,7 +90,7 @@ def test_a_loop_as_cleanrl_writes_it() -> None:
         action = random.normal(size=envs.action_space.shape or ())
         next_obs, reward, terminations, truncations, infos = envs.step(action)
         next_done = np.logical_or(terminations, truncations)
-        assert next_obs.shape == (4, 40)
+        assert next_obs.shape == (4, 41)
         assert np.isfinite(next_obs).all()
         assert np.isfinite(reward).all()
         if "episode" in infos:

@@ -128,7 +128,7 @@ def test_sb3s_subprocesses_have_servers_with_as_many_threads_as_asked_for() -> N
     env = SubprocVecEnv([partial(one, k) for k in range(2)])
     env.seed(0)
     rows = env.reset()
-    assert rows[:, -1] == pytest.approx([0.2, 0.3])
+    assert rows[:, -2] == pytest.approx([0.2, 0.3])
     commands = [Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0") for pid in descendants(os.getpid())]
     served = [c for c in commands if b"--exit-on-stdin-close" in c and server.find_binary().encode() in c]
     mine = [c for c in served if c[c.index(b"--threads") + 1] == b"1"]

@@ -55,7 +55,7 @@ def test_messages_beyond_4_mib(over: str, remote: RemoteServer) -> None:
     address = None if over == "unix" else remote.address
     env = sandgait.SandgaitVectorEnv(ID, 16_384, address, autoreset_mode="SAME_STEP", max_episode_steps=2)
     rows, _ = env.reset(seed=0)
-    assert rows.shape == (16_384, 40)
+    assert rows.shape == (16_384, 41)
     actions = np.zeros((16_384, 6), np.float32)
     env.step(actions)
     _, _, terminated, truncated, infos = env.step(actions)

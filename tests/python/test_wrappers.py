@@ -38,7 +38,7 @@ WRAPPERS: dict[str, Callable[[VectorEnv], VectorEnv]] = {
     "DictInfoToList": vector.DictInfoToList,
     "TransformObservation": lambda env: vector.TransformObservation(env, halved, env.observation_space),
     "FlattenObservation": vector.FlattenObservation,
-    "ReshapeObservation": lambda env: vector.ReshapeObservation(env, (8, 5)),
+    "ReshapeObservation": lambda env: vector.ReshapeObservation(env, (41, 1)),
     "RescaleObservation": lambda env: vector.RescaleObservation(env, np.float32(-1), np.float32(1)),
     "DtypeObservation": lambda env: vector.DtypeObservation(env, np.float32),
     "NormalizeObservation": vector.NormalizeObservation,

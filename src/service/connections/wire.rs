@@ -9,7 +9,7 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
-use tokio::io::{AsyncRead, AsyncReadExt as _, AsyncWrite, ReadBuf};
+use tokio::io::{AsyncRead, AsyncReadExt as _, AsyncWrite, AsyncWriteExt as _, ReadBuf};
 use tokio::net::{TcpStream, UnixStream};
 use tokio::time::{Sleep, sleep};
 use tokio_rustls::server::TlsStream;
@@ -69,6 +69,10 @@ impl AsyncWrite for Wire {
 /// How HTTP/2 begins (RFC 9113, section 3.4).
 const PREFACE: &[u8; 24] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
 
+/// SETTINGS, empty, and GOAWAY with PROTOCOL_ERROR (RFC 9113, sections 6.5 and 6.8). A TLS client reads "wrong version number"
+/// in it, which tells its user more than a reset.
+const REFUSAL: &[u8] = b"\0\0\0\x04\0\0\0\0\0\0\0\x08\x07\0\0\0\0\0\0\0\0\0\0\0\0\x01";
+
 /// What a peer must send before its connection is one.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Greeting {
@@ -100,10 +104,21 @@ impl First {
                 return Ok(first);
             }
             if !PREFACE.starts_with(given) {
+                refuse(wire).await?;
                 return Err(io::Error::other("it does not speak HTTP/2"));
             }
         }
     }
+}
+
+/// Answers a peer of another protocol, and reads what it still sends: closed at once, the connection would be reset, and the
+/// answer lost with it. The caller limits the time.
+async fn refuse(wire: &mut Wire) -> io::Result<()> {
+    wire.write_all(REFUSAL).await?;
+    wire.shutdown().await?;
+    let mut rest = [0; 1024];
+    while wire.read(&mut rest).await? > 0 {}
+    Ok(())
 }
 
 /// A connection in the server's table.
