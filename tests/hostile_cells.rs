@@ -1,9 +1,9 @@
 //! Extreme cells in every column of every table that is diagnosed or calibrated: a result, or one clear line; never a panic.
 
 #[path = "testbed/walking.rs"]
-#[allow(dead_code)]
+#[allow(dead_code)] // only its tables are used here
 mod hall;
-#[allow(dead_code)]
+#[allow(dead_code)] // only its tables are used here
 mod testbed;
 
 use sandgait::diagnose::diagnose;

@@ -58,15 +58,20 @@ def test_no_answer_is_lost_by_ctrl_c() -> None:
     assert done.returncode == 0, done.stderr
 
 
-def interrupted(env: sandgait.SandgaitEnv, action: np.ndarray) -> None:
-    """A step whose wait is broken off."""
-    stream = env._session._sessions[0]._link.stream
+def break_next_read(env: sandgait.SandgaitEnv | sandgait.SandgaitVectorEnv, shard: int) -> None:
+    """Lets Ctrl-C strike in the next wait for an answer of this shard's server."""
+    stream = env._session._sessions[shard]._link.stream
     assert stream is not None
 
     def broken() -> None:
         raise KeyboardInterrupt
 
     stream.receive = broken  # type: ignore[method-assign, assignment]
+
+
+def interrupted(env: sandgait.SandgaitEnv, action: np.ndarray) -> None:
+    """A step whose wait is broken off."""
+    break_next_read(env, 0)
     with pytest.raises(KeyboardInterrupt):
         env.step(action)
 
@@ -122,13 +127,7 @@ def test_an_interrupted_batch_over_several_servers_is_taken_up() -> None:
     for k in range(6):
         actions = np.full((4, 6), 0.1 * k, np.float32)
         env.send(actions)
-        stream = env._session._sessions[1]._link.stream
-        assert stream is not None
-
-        def broken() -> None:
-            raise KeyboardInterrupt
-
-        stream.receive = broken  # type: ignore[method-assign, assignment]
+        break_next_read(env, 1)
         with pytest.raises(KeyboardInterrupt):
             env.recv()
         with pytest.raises(sandgait.OutOfOrder, match="in flight already; call recv first"):
