@@ -13,6 +13,7 @@
 //! * [`lanes`]: the fast engine, articulated bodies over SIMD lanes of robots.
 //! * [`rapier`]: rapier3d multibodies, one world a robot.
 //! * [`carriage`]: a leg on a driven carriage, whose forces are measured.
+//! * [`tree`]: any legged robot as a tree of bodies.
 //! * [`walk`]: the speed protocol of the reference experiments.
 
 pub mod carriage;
@@ -27,6 +28,7 @@ pub mod rapier;
 pub mod robot;
 pub mod solid;
 pub mod state;
+pub mod tree;
 pub mod walk;
 
 pub use model::Model;

@@ -1,0 +1,112 @@
+//! Any legged robot: a tree of rigid bodies behind a floating base. Files of many kinds are read into it, engines run it.
+//!
+//! Frames: each body has one, at its joint; where its joint's position is 0 that frame stands in the parent's as `origin` says.
+//! The base's frame is the one its file gives it (URDF: the root link's, MJCF: the free body's).
+
+use nalgebra::{Isometry3, Matrix3, Unit, Vector3};
+use std::sync::Arc;
+
+/// A robot. Bodies stand in depth-first order: each behind its parent, a branch in one piece.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tree {
+    pub name: String,
+    /// The first is the base; it has no parent and no joint.
+    pub bodies: Vec<TreeBody>,
+}
+
+/// A rigid body and the joint that carries it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TreeBody {
+    pub name: String,
+    /// Index of the parent, less than the body's own; 0 for the base itself.
+    pub parent: usize,
+    /// The body's frame in the parent's where the joint is at 0 [m].
+    pub origin: Isometry3<f64>,
+    /// None for the base alone: fixed joints are merged when a file is read.
+    pub joint: Option<TreeJoint>,
+    /// [kg]
+    pub mass: f64,
+    /// Centre of mass in the body's frame [m].
+    pub center: Vector3<f64>,
+    /// About the centre of mass, along the body's axes [kg·m²].
+    pub inertia: Matrix3<f64>,
+    /// What may touch ground or sand.
+    pub shapes: Vec<TreeShape>,
+}
+
+/// One degree of freedom.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TreeJoint {
+    pub name: String,
+    pub kind: JointKind,
+    /// In the body's frame (the same in the parent's `origin` frame).
+    pub axis: Unit<Vector3<f64>>,
+    /// Lowest and highest position [rad or m]; none: it turns freely.
+    pub range: Option<[f64; 2]>,
+    /// Viscous [N·m·s/rad or N·s/m].
+    pub damping: f64,
+    /// Dry friction [N·m or N].
+    pub friction: f64,
+    /// Inertia of the rotor behind its gear, felt at the joint [kg·m² or kg].
+    pub armature: f64,
+    /// Largest torque of the motor [N·m or N]; none: no limit is known.
+    pub torque_limit: Option<f64>,
+    /// Largest speed of the motor [rad/s or m/s]; none: no limit is known.
+    pub speed_limit: Option<f64>,
+    /// Position gain of the servo [N·m/rad], where the file has one.
+    pub kp: Option<f64>,
+    /// Speed gain of the servo [N·m·s/rad], where the file has one.
+    pub kd: Option<f64>,
+    /// Position in the standing pose [rad or m], where the file has one (MJCF: the first keyframe).
+    pub rest: Option<f64>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum JointKind {
+    Hinge,
+    Slide,
+}
+
+/// A collision shape, fixed to a body.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TreeShape {
+    pub name: String,
+    /// The shape's frame in the body's [m].
+    pub origin: Isometry3<f64>,
+    pub geometry: Geometry,
+    /// Coulomb friction with hard ground.
+    pub friction: f64,
+}
+
+/// Sizes in metres; cylinders and capsules lie along their own z.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Geometry {
+    Sphere {
+        radius: f64,
+    },
+    Capsule {
+        radius: f64,
+        half_length: f64,
+    },
+    Cylinder {
+        radius: f64,
+        half_length: f64,
+    },
+    Box {
+        half: Vector3<f64>,
+    },
+    /// Triangles, counterclockwise seen from outside.
+    Mesh(Arc<Vec<[Vector3<f64>; 3]>>),
+}
+
+impl Tree {
+    /// Joints in the order of the bodies that they carry.
+    pub fn joints(&self) -> impl Iterator<Item = &TreeJoint> {
+        self.bodies.iter().filter_map(|b| b.joint.as_ref())
+    }
+
+    /// [kg]
+    pub fn mass(&self) -> f64 {
+        self.bodies.iter().map(|b| b.mass).sum()
+    }
+}
