@@ -50,6 +50,38 @@ fn wrong_use_is_one_line() {
     }
 }
 
+/// Nine pushes of three discs into one sand: pressure grows with depth and with size, and the program says so.
+#[test]
+fn measured_discs_are_compared() {
+    let discs = "tests/data/real_wheel/discs.csv";
+    let done = sandgait(&["calibrate", discs, "--json"]);
+    let warnings = String::from_utf8(done.stderr).unwrap();
+    assert!(done.status.success() && warnings.contains("does not carry over"), "{warnings}");
+    let said: serde_json::Value = serde_json::from_slice(&done.stdout).unwrap();
+    assert_eq!(said["law"], "power_and_size");
+    let [n, q] = ["depth_exponent", "size_exponent"].map(|name| said[name]["value"].as_f64().unwrap());
+    assert!((1.2..1.5).contains(&n) && (0.8..1.3).contains(&q), "{n} {q}");
+    let of = |law: &str| said["laws"].as_array().unwrap().iter().find(|l| l["law"] == law).unwrap();
+    assert!(of("proportional")["other_size_percent"].as_f64() > of("power_and_size")["other_size_percent"].as_f64());
+
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("pushes.csv");
+    let text = std::fs::read_to_string(discs).unwrap();
+    for (what, text, option) in [
+        ("two sizes", text.replacen("large01,0.06", "large01,0.07", 1), ["--json", "--json"]),
+        ("blank in 46 of", text.replace("large01,", ","), ["--json", "--json"]),
+        ("--area", text.clone(), ["--area", "0.001"]),
+        ("more than all", text.clone(), ["--compliance", "0.5"]),
+        ("diameter", text.replace("trial,diameter", "trial,extent"), ["--compliance", "0"]),
+    ] {
+        std::fs::write(&path, text).unwrap();
+        let options = if option[0] == option[1] { &option[..1] } else { &option[..] };
+        let done = sandgait(&[&["calibrate", path.to_str().unwrap()], options].concat());
+        let line = String::from_utf8_lossy(&done.stderr).into_owned();
+        assert!(done.status.code() == Some(2) && line.lines().count() == 1 && line.contains(what), "{what}: {line}");
+    }
+}
+
 #[test]
 fn the_scoreboard_is_written_and_names_its_worst() {
     let directory = tempfile::tempdir().unwrap();

@@ -4,6 +4,8 @@
 //! so ζ is one least-squares slope. Samples of a force trace are not independent: the confidence interval comes from
 //! leaving out one stretch of depth at a time, not from the scatter of single samples.
 
+pub mod pushes;
+
 use crate::error::{Error, Result};
 use crate::plot::{Axis, Figure, Mark, Panel, Style, color};
 use crate::sand::law::agarwal2023;

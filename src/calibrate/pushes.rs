@@ -1,0 +1,503 @@
+//! How the resistance to penetration grows with depth and with size, from several pushes of discs or plates.
+//!
+//! Pressure p = F/A of each push is averaged over stretches of depth, so that each push weighs alike. Five laws are fitted to
+//! ln p by least squares; each is then asked about a push that it has not seen, and about a size that it has not seen. The rig
+//! gives way by its compliance times the force, which counts as depth: it is fitted beside.
+
+use super::{TRANSIENT, refused};
+use crate::error::{Result, check_range};
+use crate::plot::{Axis, Figure, Mark, Panel, Style, color};
+use nalgebra::{DMatrix, DVector};
+use serde::Serialize;
+
+/// Stretches of depth a push is averaged over: our choice, as fine as a line needs.
+const STRETCHES: usize = 12;
+/// Least number of stretches with samples: our choice, a power of depth needs some.
+const LEAST_STRETCHES: usize = 4;
+/// Compliances that are tried, as shares of the largest possible one (a rig that makes up all of the depth): our choice.
+const COMPLIANCES: usize = 60;
+/// A law with more parameters must predict better by this share to be preferred: our choice.
+const WORTH: f64 = 0.05;
+/// Most pushes and samples in all: our choice of guards.
+pub const MOST_PUSHES: usize = 1000;
+pub const MOST_SAMPLES: usize = 1_000_000;
+
+/// One way down.
+#[derive(Clone, Debug)]
+pub struct Push {
+    pub name: String,
+    /// Diameter [m]; of a rectangle, of the disc with the same area.
+    pub diameter: f64,
+    /// Depth [m] and force [N].
+    pub points: Vec<[f64; 2]>,
+    /// Slowest and fastest [m/s], where the log says.
+    pub speeds: Option<[f64; 2]>,
+}
+
+impl Push {
+    /// [m²]
+    pub fn area(&self) -> f64 {
+        std::f64::consts::FRAC_PI_4 * self.diameter * self.diameter
+    }
+}
+
+/// What p is taken to depend on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Law {
+    /// p = ζ |z|: plain resistive force theory.
+    Proportional,
+    /// p = k |z|^n
+    Power,
+    /// p = ζ |z| (D/D0)^q
+    Size,
+    /// p = k |z|^n (D/D0)^q
+    PowerAndSize,
+    /// p = a D + b |z|: bearing capacity of a round footing, a for the weight of the sand beside it, b for the depth (Terzaghi
+    /// 1943).
+    Footing,
+}
+
+impl Law {
+    /// Simple ones first.
+    pub const ALL: [Self; 5] = [Self::Proportional, Self::Power, Self::Size, Self::Footing, Self::PowerAndSize];
+
+    pub fn formula(self) -> &'static str {
+        match self {
+            Self::Proportional => "p = zeta |z|",
+            Self::Power => "p = k |z|^n",
+            Self::Size => "p = zeta |z| (D/D0)^q",
+            Self::PowerAndSize => "p = k |z|^n (D/D0)^q",
+            Self::Footing => "p = a D + b |z|",
+        }
+    }
+
+    fn parameters(self) -> usize {
+        match self {
+            Self::Proportional => 1,
+            Self::Power | Self::Size | Self::Footing => 2,
+            Self::PowerAndSize => 3,
+        }
+    }
+
+    fn knows_size(self) -> bool {
+        matches!(self, Self::Size | Self::PowerAndSize | Self::Footing)
+    }
+}
+
+/// A number with its 95 % interval, from leaving out one push at a time.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Value {
+    pub value: f64,
+    pub interval: [f64; 2],
+}
+
+/// How well a law does; root mean squares of ln(predicted/measured), in %.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Score {
+    pub law: Law,
+    pub formula: &'static str,
+    /// On the pushes it was fitted to.
+    pub fitted_percent: f64,
+    /// On a push it has not seen.
+    pub other_push_percent: f64,
+    /// On a size it has not seen; none where there is one size only.
+    pub other_size_percent: Option<f64>,
+}
+
+/// ζ of one size, as `sandgait calibrate` gives it for one push.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct OfSize {
+    /// [m]
+    pub diameter: f64,
+    pub pushes: usize,
+    /// Force over depth and area through the origin, mean over the pushes [N/cm³].
+    pub zeta: f64,
+    /// Standard deviation between pushes, in % of the mean; none for one push.
+    pub repeatability_percent: Option<f64>,
+}
+
+/// What several pushes say.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Pushes {
+    pub sizes: Vec<OfSize>,
+    pub laws: Vec<Score>,
+    /// The law to take.
+    pub law: Law,
+    /// n in |z|^n, with size left free.
+    pub depth_exponent: Value,
+    /// q in D^q; none where there is one size only.
+    pub size_exponent: Option<Value>,
+    /// How far the rig gives way [m/N].
+    pub compliance: Value,
+    /// Greatest depth [m] and force [N].
+    pub greatest: [f64; 2],
+    pub cautions: Vec<String>,
+}
+
+/// One stretch of a push: ln of depth, of size and of pressure, with the rig's part taken off the depth.
+type Point = [f64; 3];
+
+/// Compares the laws. `compliance` [m/N] of the rig is fitted where it is not given.
+pub fn compare(pushes: &[Push], compliance: Option<f64>) -> Result<Pushes> {
+    if pushes.len() < 2 {
+        return Err(refused("one push only: several are needed to compare laws; leave out the column trial"));
+    }
+    if pushes.len() > MOST_PUSHES {
+        return Err(refused(format!("{} pushes are more than {MOST_PUSHES}", pushes.len())));
+    }
+    if let Some(c) = compliance {
+        check_range("compliance", c, 0.0..=1.0)?;
+    }
+    let stretches = pushes.iter().map(stretches).collect::<Result<Vec<_>>>()?;
+    let all: Vec<usize> = (0..pushes.len()).collect();
+    let sized = diameters(pushes).len() > 1;
+    let given = |chosen: &[usize]| compliance.map_or_else(|| soft(pushes, &stretches, chosen, sized), Ok);
+    let here = given(&all)?;
+    let points = |compliance: f64| logs(pushes, &stretches, compliance);
+    let laws = Law::ALL.into_iter().filter(|law| sized || !law.knows_size());
+    let scores = laws.map(|law| score(law, pushes, &points(here)?)).collect::<Result<Vec<_>>>()?;
+    let widest = if sized { Law::PowerAndSize } else { Law::Power };
+    let parameters = |chosen: &[usize], c: f64| fit(widest, &gathered(&points(c)?, chosen));
+    let mut without = Vec::new();
+    for left in &all {
+        let others: Vec<usize> = all.iter().copied().filter(|k| k != left).collect();
+        let c = given(&others)?;
+        without.push((c, parameters(&others, c)?));
+    }
+    let whole = parameters(&all, here)?;
+    let of = |k: usize| jackknife(whole[k], without.iter().map(|w| w.1[k]));
+    let greatest = |k: usize| pushes.iter().flat_map(|p| p.points.iter().map(move |q| q[k])).fold(0.0, f64::max);
+    let mut study = Pushes {
+        sizes: by_size(pushes)?,
+        law: chosen(&scores),
+        laws: scores,
+        depth_exponent: of(1),
+        size_exponent: sized.then(|| of(2)),
+        compliance: jackknife(here, without.iter().map(|w| w.0)),
+        greatest: [greatest(0), greatest(1)],
+        cautions: Vec::new(),
+    };
+    study.cautions = cautions(&study, pushes);
+    Ok(study)
+}
+
+/// The simplest law that no other beats by more than [`WORTH`], judged on the largest step away from the data there is.
+fn chosen(scores: &[Score]) -> Law {
+    let error = |s: &Score| s.other_size_percent.unwrap_or(s.other_push_percent);
+    let least = scores.iter().map(error).fold(f64::INFINITY, f64::min);
+    let near = scores.iter().filter(|s| error(s) <= least * (1.0 + WORTH));
+    near.min_by_key(|s| s.law.parameters()).map_or(Law::Proportional, |s| s.law)
+}
+
+fn diameters(pushes: &[Push]) -> Vec<f64> {
+    let mut all: Vec<f64> = pushes.iter().map(|p| p.diameter).collect();
+    all.sort_by(f64::total_cmp);
+    all.dedup_by(|a, b| (*a - *b).abs() < 1e-6);
+    all
+}
+
+/// Mean depth and force of each stretch of depth below the first tenth.
+fn stretches(push: &Push) -> Result<Vec<[f64; 2]>> {
+    let deepest = push.points.iter().map(|p| p[0]).fold(0.0, f64::max);
+    let from = TRANSIENT * deepest;
+    let mut sums = [[0.0; 3]; STRETCHES];
+    for [depth, force] in push.points.iter().filter(|p| p[0] >= from && p[1] > 0.0) {
+        let k = (((depth - from) / (deepest - from) * STRETCHES as f64) as usize).min(STRETCHES - 1);
+        sums[k] = [sums[k][0] + depth, sums[k][1] + force, sums[k][2] + 1.0];
+    }
+    let means: Vec<_> = sums.iter().filter(|s| s[2] > 0.0).map(|s| [s[0] / s[2], s[1] / s[2]]).collect();
+    if deepest <= 0.0 || means.len() < LEAST_STRETCHES {
+        let reason = format!(
+            "push {}: fewer than {LEAST_STRETCHES} of {STRETCHES} stretches of depth have a force above 0",
+            push.name
+        );
+        return Err(refused(reason));
+    }
+    Ok(means)
+}
+
+fn logs(pushes: &[Push], stretches: &[Vec<[f64; 2]>], compliance: f64) -> Result<Vec<Vec<Point>>> {
+    let of = |(push, means): (&Push, &Vec<[f64; 2]>)| {
+        let point = |&[depth, force]: &[f64; 2]| {
+            let left = depth - compliance * force;
+            if left <= 0.0 {
+                return Err(refused(format!(
+                    "push {}: a compliance of {compliance:e} m/N is more than all of its depth",
+                    push.name
+                )));
+            }
+            Ok([left.ln(), push.diameter.ln(), (force / push.area()).ln()])
+        };
+        means.iter().map(point).collect()
+    };
+    pushes.iter().zip(stretches).map(of).collect()
+}
+
+fn gathered(points: &[Vec<Point>], chosen: &[usize]) -> Vec<Point> {
+    chosen.iter().flat_map(|k| points[*k].iter().copied()).collect()
+}
+
+/// Parameters: ln of the scale (for `Footing`: a, b), exponent of depth, exponent of size.
+fn fit(law: Law, points: &[Point]) -> Result<[f64; 3]> {
+    let column = |p: &Point| match law {
+        Law::Proportional => vec![1.0],
+        Law::Power => vec![1.0, p[0]],
+        Law::Size => vec![1.0, p[1]],
+        Law::PowerAndSize => vec![1.0, p[0], p[1]],
+        // Relative errors: each pressure counts as 1.
+        Law::Footing => vec![(p[1] - p[2]).exp(), (p[0] - p[2]).exp()],
+    };
+    let target = |p: &Point| match law {
+        Law::Proportional | Law::Size => p[2] - p[0],
+        Law::Power | Law::PowerAndSize => p[2],
+        Law::Footing => 1.0,
+    };
+    let rows: Vec<f64> = points.iter().flat_map(column).collect();
+    let matrix = DMatrix::from_row_slice(points.len(), law.parameters(), &rows);
+    let target = DVector::from_iterator(points.len(), points.iter().map(target));
+    let svd = matrix.svd(true, true);
+    let x = svd.solve(&target, 1e-9).map_err(refused)?;
+    Ok(match law {
+        Law::Proportional => [x[0], 1.0, 0.0],
+        Law::Power => [x[0], x[1], 0.0],
+        Law::Size => [x[0], 1.0, x[1]],
+        Law::PowerAndSize => [x[0], x[1], x[2]],
+        Law::Footing => [x[0], x[1], 0.0],
+    })
+}
+
+/// ln(predicted/measured).
+fn off(law: Law, x: &[f64; 3], p: &Point) -> f64 {
+    let predicted = match law {
+        // A footing that carries nothing or less is as wrong as can be.
+        Law::Footing => (x[0] * p[1].exp() + x[1] * p[0].exp()).max(1e-9).ln(),
+        _ => x[0] + x[1] * p[0] + x[2] * p[1],
+    };
+    predicted - p[2]
+}
+
+fn squares(law: Law, x: &[f64; 3], points: &[Point]) -> f64 {
+    points.iter().map(|p| off(law, x, p).powi(2)).sum()
+}
+
+fn percent(sum: f64, count: usize) -> f64 {
+    100.0 * (sum / count as f64).sqrt()
+}
+
+fn score(law: Law, pushes: &[Push], points: &[Vec<Point>]) -> Result<Score> {
+    let all: Vec<usize> = (0..pushes.len()).collect();
+    let count = points.iter().map(Vec::len).sum();
+    // Each group in turn is predicted by a law that was fitted on all others.
+    let left_out = |groups: &[Vec<usize>]| -> Result<f64> {
+        let mut sum = 0.0;
+        for group in groups {
+            let others: Vec<usize> = all.iter().copied().filter(|k| !group.contains(k)).collect();
+            sum += squares(law, &fit(law, &gathered(points, &others))?, &gathered(points, group));
+        }
+        Ok(percent(sum, count))
+    };
+    let sizes = diameters(pushes);
+    let of_size = |d: &f64| all.iter().copied().filter(|k| (pushes[*k].diameter - d).abs() < 1e-6).collect();
+    let groups: Vec<Vec<usize>> = sizes.iter().map(of_size).collect();
+    // A law with an exponent of size needs two sizes to be fitted.
+    let enough = sizes.len() > 1 + usize::from(law.knows_size());
+    let gathered = gathered(points, &all);
+    Ok(Score {
+        law,
+        formula: law.formula(),
+        fitted_percent: percent(squares(law, &fit(law, &gathered)?, &gathered), count),
+        other_push_percent: left_out(&all.iter().map(|k| vec![*k]).collect::<Vec<_>>())?,
+        other_size_percent: if enough { Some(left_out(&groups)?) } else { None },
+    })
+}
+
+/// The compliance [m/N] with which the widest law fits best.
+fn soft(pushes: &[Push], stretches: &[Vec<[f64; 2]>], chosen: &[usize], sized: bool) -> Result<f64> {
+    let law = if sized { Law::PowerAndSize } else { Law::Power };
+    let all = stretches.iter().flatten();
+    let most = 0.8 * all.map(|[depth, force]| depth / force).fold(f64::INFINITY, f64::min);
+    let mut best = (f64::INFINITY, 0.0);
+    for k in 0..COMPLIANCES {
+        let c = most * k as f64 / COMPLIANCES as f64;
+        let points = gathered(&logs(pushes, stretches, c)?, chosen);
+        let left = squares(law, &fit(law, &points)?, &points);
+        if left < best.0 {
+            best = (left, c);
+        }
+    }
+    Ok(best.1)
+}
+
+/// 95 % from leaving out one push at a time.
+fn jackknife(value: f64, without: impl Iterator<Item = f64>) -> Value {
+    let without: Vec<f64> = without.collect();
+    let n = without.len() as f64;
+    let mean = without.iter().sum::<f64>() / n;
+    let error = ((n - 1.0) / n * without.iter().map(|x| (x - mean).powi(2)).sum::<f64>()).sqrt();
+    let half = student(n - 1.0) * error;
+    Value { value, interval: [value - half, value + half] }
+}
+
+/// Student's t at 97.5 %, Cornish-Fisher expansion (Abramowitz & Stegun 26.7.5); 3 % too small at 2 degrees of freedom.
+fn student(freedom: f64) -> f64 {
+    1.959_964 + 2.372 / freedom + 2.823 / freedom.powi(2) + 2.556 / freedom.powi(3)
+}
+
+fn by_size(pushes: &[Push]) -> Result<Vec<OfSize>> {
+    let of = |diameter: f64| {
+        let own = pushes.iter().filter(|p| (p.diameter - diameter).abs() < 1e-6);
+        let zetas = own.map(|push| {
+            let deepest = push.points.iter().map(|p| p[0]).fold(0.0, f64::max);
+            let kept = push.points.iter().filter(|p| p[0] >= TRANSIENT * deepest);
+            super::through_origin(kept) / push.area() * 1e-6
+        });
+        let zetas: Vec<f64> = zetas.collect();
+        let n = zetas.len() as f64;
+        let mean = zetas.iter().sum::<f64>() / n;
+        if !(mean > 0.0 && mean.is_finite()) {
+            return Err(refused(format!("discs of {:.1} mm: force does not grow with depth", 1e3 * diameter)));
+        }
+        let scatter = (zetas.iter().map(|z| (z - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
+        let repeatability_percent = (zetas.len() > 1).then(|| 100.0 * scatter / mean);
+        Ok(OfSize { diameter, pushes: zetas.len(), zeta: mean, repeatability_percent })
+    };
+    diameters(pushes).into_iter().map(of).collect()
+}
+
+/// Scatter between pushes of one size above which the sand was not prepared alike [%]: our choice; beds prepared by hand scatter
+/// by 5 to 10 %.
+const MOST_SCATTER: f64 = 10.0;
+
+fn cautions(study: &Pushes, pushes: &[Push]) -> Vec<String> {
+    let mut cautions = Vec::new();
+    let [low, high] = study.depth_exponent.interval;
+    if low > 1.0 || high < 1.0 {
+        let [depth, _] = study.greatest;
+        cautions.push(format!(
+            "force grows as depth to the power {:.2} [{low:.2}, {high:.2}], not in proportion: ζ holds near {:.0} mm only",
+            study.depth_exponent.value,
+            1e3 * depth / 2.0
+        ));
+    }
+    match (&study.size_exponent, &study.sizes[..]) {
+        (Some(Value { value, interval: [low, high] }), [first, .., last]) if *low > 0.0 || *high < 0.0 => {
+            cautions.push(format!(
+                "pressure goes with size to the power {value:.2} [{low:.2}, {high:.2}]: ζ of {:.0} mm is {:.2} times that of {:.0} mm, \
+                 so it does not carry over to feet of another size",
+                1e3 * last.diameter,
+                last.zeta / first.zeta,
+                1e3 * first.diameter
+            ));
+        }
+        (None, [only]) => cautions.push(format!(
+            "one size only ({:.0} mm): whether ζ carries over to other sizes is not known",
+            1e3 * only.diameter
+        )),
+        _ => (),
+    }
+    for size in &study.sizes {
+        if let Some(scatter) = size.repeatability_percent.filter(|s| *s > MOST_SCATTER) {
+            cautions.push(format!(
+                "pushes of {:.0} mm scatter by {scatter:.0} %: was the bed prepared alike?",
+                1e3 * size.diameter
+            ));
+        }
+    }
+    let speeds = pushes.iter().filter_map(|p| p.speeds);
+    let range = speeds.fold([f64::INFINITY, 0.0_f64], |[low, high], s| [low.min(s[0]), high.max(s[1])]);
+    if range[1] > 0.5 {
+        cautions.push(format!("pushed at up to {:.2} m/s: above 0.5 m/s inertia adds to ζ", range[1]));
+    }
+    cautions.push(format!(
+        "nothing is known below {:.0} mm and above {:.0} N",
+        1e3 * study.greatest[0],
+        study.greatest[1]
+    ));
+    cautions
+}
+
+/// Pressure over depth of every push, one colour a size.
+pub fn figure(pushes: &[Push], study: &Pushes) -> Figure {
+    let mut marks = Vec::new();
+    for (k, size) in study.sizes.iter().enumerate() {
+        let style = Style::line(color::CYCLE[k % color::CYCLE.len()]);
+        let label = format!("{:.0} mm, ζ {:.3} N/cm³", 1e3 * size.diameter, size.zeta);
+        for (nth, push) in pushes.iter().filter(|p| (p.diameter - size.diameter).abs() < 1e-6).enumerate() {
+            let points = push.points.iter().map(|[z, f]| [1e3 * z, f / push.area() * 1e-3]).collect();
+            marks.push(Mark::line(if nth == 0 { &label } else { "" }, style.clone(), points));
+        }
+    }
+    Figure {
+        title: "Penetration tests".into(),
+        columns: 1,
+        panels: vec![Panel { x: Axis::new("depth [mm]"), y: Axis::new("pressure [kPa]"), marks, ..Panel::default() }],
+        note: format!("{} pushes; best law: {}", pushes.len(), study.law.formula()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Pushes of discs whose pressure is `p(z, D)`, on a rig that gives way by `compliance` [m/N], with 2 % of noise.
+    fn pushes(p: impl Fn(f64, f64) -> f64, compliance: f64) -> Vec<Push> {
+        let mut noise = 0.4_f64;
+        let mut all = Vec::new();
+        for (k, diameter) in [0.06, 0.06, 0.06, 0.08, 0.08, 0.1, 0.1, 0.1].into_iter().enumerate() {
+            let mut push = Push { name: format!("{k}"), diameter, points: Vec::new(), speeds: None };
+            for i in 1..=120 {
+                let z = 2.5e-4 * f64::from(i);
+                noise = (noise * 997.0 + 0.123).fract();
+                let force = p(z, diameter) * push.area() * (1.0 + 0.04 * (noise - 0.5));
+                push.points.push([z + compliance * force, force]);
+            }
+            all.push(push);
+        }
+        all
+    }
+
+    #[test]
+    fn finds_the_law_that_made_the_data() {
+        for (law, n, q) in [
+            (Law::Proportional, 1.0, 0.0),
+            (Law::Power, 0.6, 0.0),
+            (Law::Size, 1.0, 0.8),
+            (Law::PowerAndSize, 1.4, 0.5),
+        ] {
+            let study = compare(&pushes(|z, d| 3e5 * z.powf(n) * (d / 0.06).powf(q), 0.0), Some(0.0)).unwrap();
+            assert_eq!(study.law, law, "{:?}", study.laws);
+            assert!((study.depth_exponent.value - n).abs() < 0.02, "{:?}", study.depth_exponent);
+            assert!((study.size_exponent.unwrap().value - q).abs() < 0.02, "{:?}", study.size_exponent);
+        }
+        let study = compare(&pushes(|z, d| 4e4 * d + 6e5 * z, 0.0), Some(0.0)).unwrap();
+        assert_eq!(study.law, Law::Footing, "{:?}", study.laws);
+        assert!(study.cautions.iter().any(|c| c.contains("does not carry over")), "{:?}", study.cautions);
+    }
+
+    #[test]
+    fn a_soft_rig_is_a_nuisance() {
+        let study = compare(&pushes(|z, _| 8e5 * z, 4e-5), None).unwrap();
+        let c = study.compliance;
+        assert!(c.interval[0] < 4e-5 && 4e-5 < c.interval[1] && c.value > 1e-5, "{c:?}");
+        assert!((study.depth_exponent.value - 1.0).abs() < 0.05, "{:?}", study.depth_exponent);
+    }
+
+    #[test]
+    fn student_is_students() {
+        // Tables: 4.303, 3.182, 2.571, 2.228.
+        for (freedom, t) in [(3.0, 3.182), (5.0, 2.571), (10.0, 2.228)] {
+            assert!((student(freedom) / t - 1.0).abs() < 0.01);
+        }
+    }
+
+    #[test]
+    fn what_says_nothing_is_refused() {
+        let plain = pushes(|z, _| 8e5 * z, 0.0);
+        assert!(compare(&plain[..1], None).is_err());
+        assert!(compare(&plain, Some(1.0)).unwrap_err().to_string().contains("more than all of its depth"));
+        let mut pulled = plain.clone();
+        pulled[2].points.iter_mut().for_each(|p| p[1] = -p[1]);
+        assert!(compare(&pulled, None).unwrap_err().to_string().contains("push 2"));
+    }
+}
