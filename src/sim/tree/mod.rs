@@ -2,6 +2,12 @@
 //!
 //! Frames: each body has one, at its joint; where its joint's position is 0 that frame stands in the parent's as `origin` says.
 //! The base's frame is the one its file gives it (URDF: the root link's, MJCF: the free body's).
+//!
+//! * [`dynamics`]: accelerations of a tree, over any number.
+//! * [`flight`]: the same in free flight, for checks.
+
+pub mod dynamics;
+pub mod flight;
 
 use nalgebra::{Isometry3, Matrix3, Unit, Vector3};
 use std::sync::Arc;
@@ -110,3 +116,6 @@ impl Tree {
         self.bodies.iter().map(|b| b.mass).sum()
     }
 }
+
+#[cfg(test)]
+mod tests;
