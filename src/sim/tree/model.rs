@@ -27,8 +27,8 @@ pub struct Compliance {
     pub stiffness: f64,
     /// [N·s/m]
     pub damping: f64,
-    /// Resistance to sliding of a point that is held [N·s/m].
-    pub hold: f64,
+    /// Speed with which a point slides that is held with all its friction [m/s].
+    pub creep: f64,
 }
 
 /// Static data are shared: a robot with other masses or motors is cheap.
@@ -54,12 +54,12 @@ const LEVER: f64 = 0.2;
 
 impl Compliance {
     /// The whole weight on one point sinks it by 1 mm, damping is half of what a quarter of the mass needs to stop without
-    /// swinging back, and a point held by all of the weight creeps with 1e-5 m/s. Our choices: a foot at rest sinks by less
-    /// than 0.3 mm, which no gait notices.
+    /// swinging back, and what is held creeps with up to 1e-5 m/s, as on sand. Our choices: a foot at rest sinks by less than
+    /// 0.3 mm, which no gait notices.
     pub fn of_mass(mass: f64) -> Self {
         let weight = mass * GRAVITY;
         let stiffness = weight / 1e-3;
-        Self { stiffness, damping: (stiffness * mass / 4.0).sqrt(), hold: weight / 1e-5 }
+        Self { stiffness, damping: (stiffness * mass / 4.0).sqrt(), creep: 1e-5 }
     }
 }
 

@@ -37,22 +37,24 @@ struct Total<R> {
 
 impl<R: Real> BodyPlates<R> {
     pub fn all(model: &TreeModel) -> Vec<Self> {
-        let of_body = |(body, plates): (usize, &Vec<Plate>)| {
-            let ends = |k: usize| {
-                let along = plates.iter().map(|p| p.center.lane(0)[k]);
-                along.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], x| [a.min(x), b.max(x)])
-            };
-            let ends = [0, 1, 2].map(ends);
-            let center = ends.map(|[a, b]| (a + b) / 2.0);
-            let away = |p: &Plate| {
-                let half = |h: &Vec3<f64>| h.norm_squared().sqrt();
-                (p.center - Vec3::splat(center)).norm_squared().sqrt() + half(&p.half[0]) + half(&p.half[1])
-            };
-            let reach = plates.iter().map(away).fold(0.0, f64::max);
-            let corners = std::array::from_fn(|i| [0, 1, 2].map(|k| ends[k][i >> k & 1]));
-            Self { body, plates: plates.clone(), center, reach, corners, share: R::one() }
+        let touching = model.plates.iter().enumerate().filter(|(_, p)| !p.is_empty());
+        touching.map(|(body, plates)| Self::of(body, plates)).collect()
+    }
+
+    pub fn of(body: usize, plates: &[Plate]) -> Self {
+        let ends = |k: usize| {
+            let along = plates.iter().map(|p| p.center.lane(0)[k]);
+            along.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], x| [a.min(x), b.max(x)])
         };
-        model.plates.iter().enumerate().filter(|(_, p)| !p.is_empty()).map(of_body).collect()
+        let ends = [0, 1, 2].map(ends);
+        let center = ends.map(|[a, b]| (a + b) / 2.0);
+        let away = |p: &Plate| {
+            let half = |h: &Vec3<f64>| h.norm_squared().sqrt();
+            (p.center - Vec3::splat(center)).norm_squared().sqrt() + half(&p.half[0]) + half(&p.half[1])
+        };
+        let reach = plates.iter().map(away).fold(0.0, f64::max);
+        let corners = std::array::from_fn(|i| [0, 1, 2].map(|k| ends[k][i >> k & 1]));
+        Self { body, plates: plates.to_vec(), center, reach, corners, share: R::one() }
     }
 }
 
