@@ -95,11 +95,13 @@ impl<R: Real> LaneMotor<R> {
         let torque = self.kp.mul_add(error, self.kd.mul_add(slip, servo.command_torque));
         let yielding = dt * dt.mul_add(self.kp, self.kd);
         let part = joint.rate / self.speed_limit;
-        let most = |part: R| {
-            let line = (R::one() - part) * R::splat(STALL);
-            self.torque_limit * line.clamp(R::zero(), R::one())
-        };
-        (Push { torque, yielding }, [-most(-part), most(part)])
+        (Push { torque, yielding }, [-self.most(-part), self.most(part)])
+    }
+
+    /// Largest torque in the direction in which the joint turns with `part` of its speed limit.
+    #[inline(always)]
+    fn most(&self, part: R) -> R {
+        self.torque_limit * ((R::one() - part) * R::splat(STALL)).clamp(R::zero(), R::one())
     }
 }
 
@@ -141,8 +143,9 @@ impl<R: Real> Push<R> {
     #[inline(always)]
     fn within(&self, low: R, high: R, acceleration: R) -> Self {
         let torque = self.at(acceleration);
-        let free = |yes, no| R::select(torque.lt(low), no, R::select(high.lt(torque), no, yes));
-        Self { torque: free(self.torque, torque.clamp(low, high)), yielding: free(self.yielding, R::zero()) }
+        let limited = torque.clamp(low, high);
+        let free = (limited - torque).abs().lt(R::splat(f64::from(f32::MIN_POSITIVE)));
+        Self { torque: R::select(free, self.torque, limited), yielding: R::select(free, self.yielding, R::zero()) }
     }
 }
 
