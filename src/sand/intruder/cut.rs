@@ -59,10 +59,50 @@ pub fn cylinder(radius: f64, width: f64, size: f64) -> Vec<Plate> {
     plates
 }
 
+/// A cylinder about y between two half balls, `length` long without them; plates two thirds as long as `size`.
+pub fn capsule(radius: f64, length: f64, size: f64) -> Vec<Plate> {
+    let mut plates = Vec::new();
+    let size = size / 1.5;
+    // As many bands on either half.
+    for plate in ball(radius, size, 2 * pieces(PI * radius / 2.0, size, 4)) {
+        // The ball's axis, z, becomes y.
+        let turned = |v: Vec3<f64>| Vec3::new(v.x, v.z, -v.y);
+        let center = turned(plate.center);
+        let end = Vec3::new(0.0, length / 2.0 * center.y.signum(), 0.0);
+        plates.push(Plate {
+            center: center + end,
+            normal: turned(plate.normal),
+            half: plate.half.map(turned),
+            ..plate
+        });
+    }
+    let (around, across) = (pieces(TAU * radius, size, 8), pieces(length, 2.0 * size, 1));
+    for i in 0..around {
+        let (sin, cos) = ((i as f64 + 0.5) / around as f64 * TAU).sin_cos();
+        for j in 0..across {
+            let y = length * ((j as f64 + 0.5) / across as f64 - 0.5);
+            plates.push(Plate {
+                center: Vec3::new(radius * sin, y, -radius * cos),
+                normal: Vec3::new(sin, 0.0, -cos),
+                area: TAU * radius * length / (around * across) as f64,
+                half: [
+                    Vec3::new(cos, 0.0, sin) * (PI * radius / around as f64),
+                    Vec3::new(0.0, length / (2 * across) as f64, 0.0),
+                ],
+                bend: [1.0 / radius, 0.0],
+            });
+        }
+    }
+    plates
+}
+
 /// Bands of equal width in latitude; plates two thirds as long as `size`, because n turns along both sides.
 pub fn sphere(radius: f64, size: f64) -> Vec<Plate> {
     let size = size / 1.5;
-    let bands = pieces(PI * radius, size, 8);
+    ball(radius, size, pieces(PI * radius, size, 8))
+}
+
+fn ball(radius: f64, size: f64, bands: usize) -> Vec<Plate> {
     let mut plates = Vec::new();
     for band in 0..bands {
         let [low, high] = [band, band + 1].map(|b| -(PI * b as f64 / bands as f64).cos());

@@ -5,9 +5,14 @@
 //!
 //! * [`dynamics`]: accelerations of a tree, over any number.
 //! * [`flight`]: the same in free flight, for checks.
+//! * [`plates`]: collision shapes as the plates that push on sand; [`robot`]: our own robots as trees.
 
 pub mod dynamics;
 pub mod flight;
+pub mod plates;
+mod robot;
+
+pub use robot::of_robot;
 
 use nalgebra::{Isometry3, Matrix3, Unit, Vector3};
 use std::sync::Arc;
