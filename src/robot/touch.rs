@@ -2,7 +2,7 @@
 
 use super::Import;
 use crate::error::{Error, Result};
-use crate::sim::tree::Tree;
+use crate::sim::tree::{Tree, TreeShape};
 
 /// Most names that a message lists: our choice.
 const MOST_NAMES: usize = 40;
@@ -55,7 +55,7 @@ impl Import {
 fn by_reach(tree: &Tree) -> Vec<Touch> {
     let lowest = |body: usize| {
         let shapes = tree.bodies[body].shapes.iter();
-        shapes.map(|s| s.origin.translation.z - s.geometry.radius()).fold(0.0, f64::min)
+        shapes.map(TreeShape::lowest).fold(0.0, f64::min)
     };
     let mut touching = vec![0];
     for leaf in 1..tree.bodies.len() {

@@ -62,7 +62,7 @@ pub fn draw(
         faces.extend(plates.iter().flat_map(|p| quad(p, &frames[b], BEFORE * radius)).map(|t| (t, PLATES)));
     }
     let samples = size.map(|s| s * SAMPLES as u32);
-    let camera = Camera::around((low + high) / 2.0, 0.62 * radius, samples);
+    let camera = Camera::around((low + high) / 2.0, 0.72 * radius, samples);
     let mut canvas = Canvas::new(samples, camera, low.z);
     canvas.ground(&faces, radius);
     for (corners, color) in &faces {

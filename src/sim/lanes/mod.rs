@@ -286,7 +286,7 @@ mod tests {
         let mut met = 0;
         for step in 0..steps {
             let rates = (0..model.joints()).map(|j| rate(step as f64 * 0.02, j)).collect();
-            engine.command(0, &Command { rates, torques: vec![0.0; model.joints()] });
+            engine.command(0, &Command { rates, torques: vec![0.0; model.joints()], targets: vec![] });
             met += usize::from(met_denormals(|| engine.advance(40)));
         }
         met as f64 / steps as f64

@@ -9,6 +9,8 @@ use std::f64::consts::{PI, TAU};
 
 /// Plates along the longest side of a shape, unless their size is given: our choice, see `tests/robots.rs` for what it costs.
 const ALONG: f64 = 8.0;
+/// Fewest plates around what is round: our choice, half of what bodies of `sandgait intrude` have.
+const COARSE: usize = 8;
 /// Most plates of a shape: our choice, a hundred times what walks in real time.
 const MOST_PLATES: f64 = 20_000.0;
 /// Sizes that may be asked for [m].
@@ -68,10 +70,10 @@ impl Geometry {
     /// Outward plates about the shape's origin; along y what the shape has along z.
     fn cut(&self, size: f64) -> Option<Vec<Plate>> {
         Some(match self {
-            Self::Sphere { radius } => cut::sphere(*radius, size),
-            Self::Capsule { radius, half_length } => cut::capsule(*radius, 2.0 * half_length, size),
-            Self::Cylinder { radius, half_length } => cut::cylinder(*radius, 2.0 * half_length, size),
-            Self::Box { half } => cut::cuboid(2.0 * half.x, 2.0 * half.y, 2.0 * half.z, size),
+            Self::Sphere { radius } => cut::sphere(*radius, size, COARSE),
+            Self::Capsule { radius, half_length } => cut::capsule(*radius, 2.0 * half_length, size, COARSE),
+            Self::Cylinder { radius, half_length } => cut::cylinder(*radius, 2.0 * half_length, size, COARSE),
+            Self::Box { half } => cut::cuboid(2.0 * half.x, 2.0 * half.y, 2.0 * half.z, size, COARSE),
             Self::Mesh(triangles) => {
                 let point = |p: Vector3<f64>| Vec3::new(p.x, p.y, p.z);
                 let triangles: Vec<_> = triangles.iter().map(|t| t.map(point)).collect();
@@ -101,6 +103,21 @@ impl Geometry {
                 seen.sum::<f64>() > TAU
             }
         }
+    }
+}
+
+impl TreeShape {
+    /// Height of the lowest point over its body's origin [m], the body being level.
+    pub fn lowest(&self) -> f64 {
+        let up = self.origin.rotation.inverse() * Vector3::z();
+        let below = match &self.geometry {
+            Geometry::Sphere { radius } => *radius,
+            Geometry::Capsule { radius, half_length } => radius + half_length * up.z.abs(),
+            Geometry::Cylinder { radius, half_length } => half_length * up.z.abs() + radius * up.x.hypot(up.y),
+            Geometry::Box { half } => half.dot(&up.abs()),
+            Geometry::Mesh(triangles) => triangles.iter().flatten().map(|p| -p.dot(&up)).fold(f64::MIN, f64::max),
+        };
+        self.origin.translation.z - below
     }
 }
 

@@ -4,6 +4,8 @@ use super::flight::{Accelerations, GRAVITY, Pose, accelerations, accelerations_b
 use super::*;
 use nalgebra::{Rotation3, UnitQuaternion};
 
+mod engine;
+
 type V = Vector3<f64>;
 type M = Matrix3<f64>;
 
