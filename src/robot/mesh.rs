@@ -17,6 +17,8 @@ const MOST_TOGETHER: usize = 2_000_000;
 const SAME: f64 = 1e-6;
 
 pub type Triangle = [Vector3<f64>; 3];
+/// Volume or area, centre, and inertia about it for density 1.
+type Moments = (f64, Vector3<f64>, Matrix3<f64>);
 
 /// A mesh by its file.
 #[derive(Clone, Debug, PartialEq)]
@@ -128,25 +130,52 @@ pub fn volume(triangles: &[Triangle]) -> f64 {
     triangles.iter().map(|[a, b, c]| a.dot(&b.cross(c))).sum::<f64>() / 6.0
 }
 
-/// Volume, centre, and inertia about it for density 1, summed over tetrahedra with their tip at `tip`; `unsigned` takes each
-/// tetrahedron's volume as positive.
-pub fn solid(triangles: &[Triangle], tip: Vector3<f64>, unsigned: bool) -> (f64, Vector3<f64>, Matrix3<f64>) {
-    let (mut volume, mut center, mut second) = (0.0, Vector3::zeros(), Matrix3::zeros());
+/// Volume, centre, and inertia about it for density 1, of a closed surface.
+pub fn solid(triangles: &[Triangle]) -> Moments {
+    let (volume, first, second) = tetrahedra(triangles, Vector3::zeros(), false);
+    moments(volume, first, second)
+}
+
+/// The same as MuJoCo's `legacy` has it: tetrahedra between the faces and the mean of their centres, all counted as positive,
+/// give the centre; those between the faces and that centre the rest.
+pub fn legacy(triangles: &[Triangle]) -> Moments {
+    let middle = middle_of_faces(triangles);
+    let (volume, first, _) = tetrahedra(triangles, middle, true);
+    let center = first / volume + middle;
+    let (volume, _, second) = tetrahedra(triangles, center, true);
+    (volume, center, Matrix3::identity() * second.trace() - second)
+}
+
+/// Volume, first and second moments about `tip` of the tetrahedra between it and the faces; `unsigned`: those that are inside
+/// out count as positive.
+fn tetrahedra(triangles: &[Triangle], tip: Vector3<f64>, unsigned: bool) -> Moments {
+    let (mut volume, mut first, mut second) = (0.0, Vector3::zeros(), Matrix3::zeros());
     for t in triangles {
         let [a, b, c] = t.map(|p| p - tip);
         let signed = a.dot(&b.cross(&c)) / 6.0;
         let v = if unsigned { signed.abs() } else { signed };
         let sum = a + b + c;
         volume += v;
-        center += sum * (v / 4.0);
+        first += sum * (v / 4.0);
         // ∫ x xᵀ over a tetrahedron with a corner at 0: V/20 (Σ p pᵀ + (Σ p)(Σ p)ᵀ).
         second += (a * a.transpose() + b * b.transpose() + c * c.transpose() + sum * sum.transpose()) * (v / 20.0);
     }
-    moments(volume, center, second, tip)
+    (volume, first, second)
+}
+
+/// Mean of the faces' centres, by area.
+fn middle_of_faces(triangles: &[Triangle]) -> Vector3<f64> {
+    let (mut sum, mut all) = (Vector3::zeros(), 0.0);
+    for [a, b, c] in triangles {
+        let area = (b - a).cross(&(c - a)).norm() / 2.0;
+        sum += (a + b + c) * (area / 3.0);
+        all += area;
+    }
+    if all > 0.0 { sum / all } else { sum }
 }
 
 /// The same for a thin shell: area in place of volume.
-pub fn shell(triangles: &[Triangle]) -> (f64, Vector3<f64>, Matrix3<f64>) {
+pub fn shell(triangles: &[Triangle]) -> Moments {
     let (mut area, mut center, mut second) = (0.0, Vector3::zeros(), Matrix3::zeros());
     for [a, b, c] in triangles {
         let s = (b - a).cross(&(c - a)).norm() / 2.0;
@@ -156,16 +185,11 @@ pub fn shell(triangles: &[Triangle]) -> (f64, Vector3<f64>, Matrix3<f64>) {
         // ∫ x xᵀ over a triangle: A/12 (Σ p pᵀ + (Σ p)(Σ p)ᵀ).
         second += (a * a.transpose() + b * b.transpose() + c * c.transpose() + sum * sum.transpose()) * (s / 12.0);
     }
-    moments(area, center, second, Vector3::zeros())
+    moments(area, center, second)
 }
 
-fn moments(
-    amount: f64,
-    first: Vector3<f64>,
-    second: Matrix3<f64>,
-    tip: Vector3<f64>,
-) -> (f64, Vector3<f64>, Matrix3<f64>) {
+fn moments(amount: f64, first: Vector3<f64>, second: Matrix3<f64>) -> Moments {
     let center = first / amount;
     let about = second - center * center.transpose() * amount;
-    (amount, center + tip, Matrix3::identity() * about.trace() - about)
+    (amount, center, Matrix3::identity() * about.trace() - about)
 }

@@ -26,7 +26,7 @@ enum Filling {
     Convex,
     /// By its surface, which must be closed.
     Exact,
-    /// By tetrahedra from the mean of its faces' centres, all counted as positive: MuJoCo's default.
+    /// As [`mesh::legacy`] has it: MuJoCo's default.
     Legacy,
     /// A thin shell of 1 m × density.
     Shell,
@@ -287,12 +287,12 @@ fn filled(element: &Element, mesh: &Mesh) -> Result<(f64, Inertial)> {
     let triangles = &mesh.triangles;
     let (amount, center, inertia) = match mesh.filling {
         Filling::Shell => mesh::shell(triangles),
-        Filling::Exact => mesh::solid(triangles, Vector3::zeros(), false),
-        Filling::Legacy => mesh::solid(triangles, middle_of_faces(triangles), true),
+        Filling::Exact => mesh::solid(triangles),
+        Filling::Legacy => mesh::legacy(triangles),
         Filling::Convex => {
             let points: Vec<_> = triangles.iter().flatten().copied().collect();
             let hull = hull(&points).ok_or_else(|| no_volume(element))?;
-            mesh::solid(&hull, Vector3::zeros(), false)
+            mesh::solid(&hull)
         }
     };
     if amount.is_nan() || amount <= 1e-14 {
@@ -303,15 +303,4 @@ fn filled(element: &Element, mesh: &Mesh) -> Result<(f64, Inertial)> {
 
 fn no_volume(element: &Element) -> Error {
     element.error("the mesh has no volume: give the body an <inertial>, and the geom mass=\"0\"")
-}
-
-/// Mean of the faces' centres, by area.
-fn middle_of_faces(triangles: &[Triangle]) -> Vector3<f64> {
-    let (mut sum, mut all) = (Vector3::zeros(), 0.0);
-    for [a, b, c] in triangles {
-        let area = (b - a).cross(&(c - a)).norm() / 2.0;
-        sum += (a + b + c) * (area / 3.0);
-        all += area;
-    }
-    if all > 0.0 { sum / all } else { sum }
 }
