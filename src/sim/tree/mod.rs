@@ -8,6 +8,7 @@
 //! * [`dynamics`]: accelerations of a tree, over any number; [`flight`]: those in free flight, for checks.
 //! * [`servo`]: motors, bearings and stops; [`sand`]: sand on plates; [`floor`]: hard ground under points.
 //! * [`contact`]: the points; [`terrain`]: the ground's surface near a point.
+//! * [`plates`]: collision shapes as the plates that push on sand; [`robot`]: our own robots as trees.
 
 pub mod contact;
 pub mod dynamics;
@@ -16,6 +17,8 @@ pub mod flight;
 pub mod floor;
 pub mod hard;
 pub mod model;
+pub mod plates;
+mod robot;
 mod sand;
 mod servo;
 mod step;
@@ -24,6 +27,7 @@ pub mod terrain;
 pub use engine::TreeEngine;
 pub use hard::HardGround;
 pub use model::TreeModel;
+pub use robot::of_robot;
 
 use nalgebra::{Isometry3, Matrix3, Unit, Vector3};
 use std::sync::Arc;
