@@ -34,7 +34,7 @@ fn segment(c: &mut Criterion) {
 fn walking(model: &Model) -> (State, Command) {
     let angles = model.tripod_angles();
     let state = State::at_rest(model.standing_height(&angles), &angles);
-    (state, Command { rates: vec![6.0; model.joints()], torques: vec![0.0; model.joints()] })
+    (state, Command { rates: vec![6.0; model.joints()], torques: vec![0.0; model.joints()], targets: vec![] })
 }
 
 /// A time step of one robot: on each instruction set of this machine, and on rapier.

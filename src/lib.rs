@@ -14,6 +14,7 @@ pub mod policy;
 pub mod pool;
 pub mod progress;
 pub mod reproduce;
+pub mod robot;
 pub mod sand;
 pub mod service;
 pub mod sim;

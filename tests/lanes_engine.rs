@@ -119,7 +119,10 @@ fn free_fall_follows_gravity() {
         let model = model(name, |s| (s.slope_deg, s.dt) = (10.0, 1e-4));
         let start = State::at_rest(5.0, &vec![0.0; model.joints()]);
         let mut engine = engine(Isa::F64, &model, std::slice::from_ref(&start));
-        engine.command(0, &Command { rates: vec![6.0; model.joints()], torques: vec![0.0; model.joints()] });
+        engine.command(
+            0,
+            &Command { rates: vec![6.0; model.joints()], torques: vec![0.0; model.joints()], targets: vec![] },
+        );
         engine.advance(3000);
         let (momentum, _) = mechanics(&model, &read(&engine, 0, &start));
         for (axis, p) in momentum.iter().take(3).enumerate() {
@@ -138,7 +141,10 @@ fn instruction_sets_agree() {
         let start = random_state(&model, 0.03, &mut random);
         let run = |isa| {
             let mut engine = engine(isa, &model, std::slice::from_ref(&start));
-            engine.command(0, &Command { rates: vec![3.0; model.joints()], torques: vec![0.0; model.joints()] });
+            engine.command(
+                0,
+                &Command { rates: vec![3.0; model.joints()], torques: vec![0.0; model.joints()], targets: vec![] },
+            );
             engine.advance(100);
             read(&engine, 0, &start)
         };
@@ -217,7 +223,8 @@ fn state_is_everything() {
     for name in ROBOTS {
         let model = model(name, |_| ());
         let start = random_state(&model, 0.03, &mut random);
-        let command = Command { rates: vec![12.0; model.joints()], torques: vec![0.0; model.joints()] };
+        let command =
+            Command { rates: vec![12.0; model.joints()], torques: vec![0.0; model.joints()], targets: vec![] };
         for isa in isas() {
             let mut a = engine(isa, &model, std::slice::from_ref(&start));
             a.command(0, &command);
@@ -242,7 +249,8 @@ fn translation_changes_no_bit() {
         let start = random_state(&model, 0.03, &mut random);
         let places = [[0.0, 0.0], [37.3, -0.2], [1e3, 5e3], [-1e6, 1e6]];
         let shifted = places.map(|[x, y]| State { position: [x, y, 0.03], ..start.clone() });
-        let command = Command { rates: vec![12.0; model.joints()], torques: vec![0.0; model.joints()] };
+        let command =
+            Command { rates: vec![12.0; model.joints()], torques: vec![0.0; model.joints()], targets: vec![] };
         for isa in isas() {
             let mut engine = engine(isa, &model, &shifted);
             (0..places.len()).for_each(|i| engine.command(i, &command));
@@ -276,8 +284,8 @@ fn mirror_symmetry() {
     let rates = vec![6.0, 8.0, 10.0, 12.0, 14.0, 16.0];
     let mut swapped = rates.clone();
     swapped.rotate_left(3);
-    engine.command(0, &Command { rates, torques: vec![0.0; 6] });
-    engine.command(1, &Command { rates: swapped, torques: vec![0.0; 6] });
+    engine.command(0, &Command { rates, torques: vec![0.0; 6], targets: vec![] });
+    engine.command(1, &Command { rates: swapped, torques: vec![0.0; 6], targets: vec![] });
     engine.advance(1000);
     let (a, b) = (read(&engine, 0, &start), read(&engine, 1, &start));
     assert!(a.position[1].abs() > 1e-4, "the gait is not lopsided");
@@ -297,7 +305,7 @@ fn work_does_not_stall() {
         let mut engine = LanesEngine::new(&model, 2).unwrap();
         engine.set_state(0, &fresh);
         engine.set_state(1, &late);
-        let command = Command { rates: vec![2.0; model.joints()], torques: vec![0.0; model.joints()] };
+        let command = Command { rates: vec![2.0; model.joints()], torques: vec![0.0; model.joints()], targets: vec![] };
         for _ in 0..50 {
             (0..2).for_each(|i| engine.command(i, &command));
             engine.advance(40);

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 /// Every module of `src/`, and those that it may know. Each names only modules further up in this list, so nothing goes in
 /// circles; whatever is not named it must not know.
-const KNOWS: [(&str, &[&str]); 22] = [
+const KNOWS: [(&str, &[&str]); 23] = [
     ("error", &[]),
     ("parallel", &[]),
     ("progress", &["error"]),
@@ -13,6 +13,7 @@ const KNOWS: [(&str, &[&str]); 22] = [
     ("plot", &["error"]),
     ("sand", &["error", "parallel", "number"]),
     ("sim", &["error", "number", "sand"]),
+    ("robot", &["error", "number", "sand", "sim"]),
     ("env", &["error", "number", "sand", "sim"]),
     ("policy", &["error", "number", "env"]),
     ("pool", &["error", "parallel", "progress", "env", "policy"]),
@@ -42,6 +43,7 @@ const KNOWS: [(&str, &[&str]); 22] = [
             "plot",
             "sand",
             "sim",
+            "robot",
             "env",
             "policy",
             "pool",

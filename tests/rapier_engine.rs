@@ -265,7 +265,7 @@ fn a_robot_that_diverges_stays_alone_and_can_be_set_again() {
     for (i, state) in broken.iter().enumerate() {
         engine.set_state(i, state);
     }
-    let nan = Command { rates: vec![f64::NAN; 6], torques: vec![1e300; 6] };
+    let nan = Command { rates: vec![f64::NAN; 6], torques: vec![1e300; 6], targets: vec![] };
     engine.command(0, &nan);
     engine.set_state(broken.len(), &start);
     engine.command(broken.len(), &command);

@@ -36,7 +36,7 @@ fn start(model: &Model) -> State {
 }
 
 fn hips(frequency: f64) -> Command {
-    Command { rates: vec![std::f64::consts::TAU * frequency; 6], torques: vec![0.0; 6] }
+    Command { rates: vec![std::f64::consts::TAU * frequency; 6], torques: vec![0.0; 6], targets: vec![] }
 }
 
 /// Runs in control steps of 20 ms and shows `look` every state.

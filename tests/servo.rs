@@ -23,7 +23,7 @@ fn drive(kind: EngineKind, model: &Model, stretches: &[(f64, f64)]) -> Vec<State
     engine.set_state(0, &state);
     let mut ends = Vec::new();
     for (rate, time) in stretches {
-        engine.command(0, &Command { rates: vec![*rate; 6], torques: vec![0.0; 6] });
+        engine.command(0, &Command { rates: vec![*rate; 6], torques: vec![0.0; 6], targets: vec![] });
         // Read often enough to unwrap the angles below.
         engine.advance((time / model.scene.dt).round() as usize);
         engine.state(0, &mut state);

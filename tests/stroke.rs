@@ -28,7 +28,7 @@ fn driven(model: &Model, start: [f64; 2], speed: f64, rates: &dyn Fn(usize) -> [
     state.velocity[0] = speed;
     engine.set_state(0, &state);
     for k in 0..steps {
-        engine.command(0, &Command { rates: rates(k).to_vec(), torques: vec![0.0; 2] });
+        engine.command(0, &Command { rates: rates(k).to_vec(), torques: vec![0.0; 2], targets: vec![] });
         engine.advance((0.02 / model.scene.dt).round() as usize);
     }
     engine.state(0, &mut state);
@@ -56,7 +56,7 @@ fn forces_are_those_of_a_rotating_leg() {
             let mut engine = CarriageEngine::new(&model, 1);
             let mut state = State::at_rest(0.02, &[hip + omega * dt / 2.0, knee]);
             engine.set_state(0, &state);
-            engine.command(0, &Command { rates: vec![-omega, 0.0], torques: vec![0.0; 2] });
+            engine.command(0, &Command { rates: vec![-omega, 0.0], torques: vec![0.0; 2], targets: vec![] });
             engine.advance(1);
             engine.state(0, &mut state);
             let segments = Shape::TwoPiece { xi }.segments(0.076, 0.025, 24).unwrap();

@@ -10,6 +10,7 @@ mod intrude;
 mod media;
 mod replay;
 mod reproduce;
+mod robot;
 mod serve;
 mod stress;
 mod sweep;
@@ -57,6 +58,7 @@ enum Command {
     Stress(stress::Stress),
     Replay(replay::Replay),
     Reproduce(reproduce::Reproduce),
+    Robot(robot::Robot),
     Calibrate(calibrate::Calibrate),
     Sweep(sweep::Sweep),
     Tasks(tasks::Tasks),
@@ -111,6 +113,7 @@ fn run(command: Command) -> Result<String> {
         Command::Stress(c) => c.run(),
         Command::Replay(c) => c.run(),
         Command::Reproduce(c) => c.run(),
+        Command::Robot(c) => c.run(),
         Command::Calibrate(c) => c.run(),
         Command::Sweep(c) => c.run(),
         Command::Tasks(c) => c.run(),

@@ -4,6 +4,7 @@ use super::carriage::CarriageEngine;
 use super::lanes::LanesEngine;
 use super::model::Scene;
 use super::rapier::RapierEngine;
+use super::tree::TreeEngine;
 use super::{Model, State};
 use crate::error::{Error, Result};
 use crate::number::flushed;
@@ -16,18 +17,21 @@ pub enum EngineKind {
     Lanes,
     /// rapier3d multibodies, one world a robot: the oracle of the other, and the one for rigid obstacles; see [`super::rapier`].
     Rapier,
+    /// Any tree of bodies from a file, over the same lanes; see [`super::tree`].
+    Tree,
     /// Legs on driven carriages, for the task that is about one; see [`super::carriage`].
     Carriage,
 }
 
 impl EngineKind {
-    /// Those that simulate robots, to choose between.
+    /// Those that simulate robots with identical legs, to choose between.
     pub const ALL: [Self; 2] = [Self::Lanes, Self::Rapier];
 
     pub fn name(self) -> &'static str {
         match self {
             Self::Lanes => "lanes",
             Self::Rapier => "rapier",
+            Self::Tree => "tree",
             Self::Carriage => "carriage",
         }
     }
@@ -35,7 +39,7 @@ impl EngineKind {
     /// Time step [s] that it needs for walks within 1 to 2 % of the converged ones: see `docs/convergence.md`.
     pub fn default_dt(self) -> f64 {
         match self {
-            Self::Lanes | Self::Carriage => Scene::DEFAULT_DT,
+            Self::Lanes | Self::Tree | Self::Carriage => Scene::DEFAULT_DT,
             Self::Rapier => 5e-4,
         }
     }
@@ -43,7 +47,7 @@ impl EngineKind {
     /// How many environments a thread takes at a time.
     pub fn shard_size(self) -> usize {
         match self {
-            Self::Lanes | Self::Carriage => 16,
+            Self::Lanes | Self::Tree | Self::Carriage => 16,
             Self::Rapier => 1,
         }
     }
@@ -53,6 +57,7 @@ impl EngineKind {
     pub fn robot_bytes(self) -> usize {
         match self {
             Self::Lanes => 10_000,
+            Self::Tree => 20_000,     // counted: 13 bodies, a sixteenth of a block's plates
             Self::Rapier => 170_000,  // 18 joints; 86,000 with 6
             Self::Carriage => 12_000, // counted: two links of 12 plates, twice, and the robot's description
         }
@@ -71,11 +76,13 @@ pub struct Command {
     pub rates: Vec<f64>,
     /// Torque added to the servo's [N·m], a joint.
     pub torques: Vec<f64>,
+    /// Where the reference angle is put at once [rad], a joint; empty: it goes on from where it is. Engine `tree` alone.
+    pub targets: Vec<f64>,
 }
 
 impl Command {
     pub fn still(joints: usize) -> Self {
-        Self { rates: vec![0.0; joints], torques: vec![0.0; joints] }
+        Self { rates: vec![0.0; joints], torques: vec![0.0; joints], targets: Vec::new() }
     }
 }
 
@@ -83,6 +90,7 @@ impl Command {
 pub enum Engine {
     Lanes(LanesEngine),
     Rapier(RapierEngine),
+    Tree(TreeEngine),
     Carriage(CarriageEngine),
 }
 
@@ -92,6 +100,7 @@ impl Engine {
         Ok(match kind {
             EngineKind::Lanes => Self::Lanes(LanesEngine::new(model, count)?),
             EngineKind::Rapier => Self::Rapier(RapierEngine::new(model, count)),
+            EngineKind::Tree => Self::Tree(TreeEngine::new(model, count)?),
             EngineKind::Carriage => Self::Carriage(CarriageEngine::new(model, count)),
         })
     }
@@ -101,6 +110,7 @@ impl Engine {
         match self {
             Self::Lanes(e) => e.set_model(index, model),
             Self::Rapier(e) => e.set_model(index, model),
+            Self::Tree(e) => e.set_model(index, model),
             Self::Carriage(e) => e.set_model(index, model),
         }
     }
@@ -111,6 +121,7 @@ impl Engine {
         match self {
             Self::Lanes(e) => e.set_footing(index, model, shares),
             Self::Rapier(e) => e.set_footing(index, model, shares),
+            Self::Tree(_) => (), // its tasks have no used ground
             Self::Carriage(e) => e.set_footing(index, model, shares),
         }
     }
@@ -119,6 +130,7 @@ impl Engine {
         match self {
             Self::Lanes(e) => e.set_state(index, state),
             Self::Rapier(e) => e.set_state(index, state),
+            Self::Tree(e) => e.set_state(index, state),
             Self::Carriage(e) => e.set_state(index, state),
         }
     }
@@ -128,6 +140,7 @@ impl Engine {
         match self {
             Self::Lanes(e) => e.state(index, out),
             Self::Rapier(e) => e.state(index, out),
+            Self::Tree(e) => e.state(index, out),
             Self::Carriage(e) => e.state(index, out),
         }
     }
@@ -136,6 +149,7 @@ impl Engine {
         match self {
             Self::Lanes(e) => e.command(index, command),
             Self::Rapier(e) => e.command(index, command),
+            Self::Tree(e) => e.command(index, command),
             Self::Carriage(e) => e.command(index, command),
         }
     }
@@ -145,6 +159,7 @@ impl Engine {
         flushed(|| match self {
             Self::Lanes(e) => e.advance(steps),
             Self::Rapier(e) => e.advance(steps),
+            Self::Tree(e) => e.advance(steps),
             Self::Carriage(e) => e.advance(steps),
         });
     }

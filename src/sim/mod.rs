@@ -10,6 +10,7 @@
 //! * [`feet`]: where the tips of the legs are and how fast they move.
 //! * [`frame`]: positions, velocities and velocity-product accelerations of the bodies.
 //! * [`engine`]: the seam; everything above sees only this.
+//! * `spatial`: the algebra of both engines of ours.
 //! * [`lanes`]: the fast engine, articulated bodies over SIMD lanes of robots.
 //! * [`rapier`]: rapier3d multibodies, one world a robot.
 //! * [`carriage`]: a leg on a driven carriage, whose forces are measured.
@@ -27,6 +28,7 @@ pub mod overlap;
 pub mod rapier;
 pub mod robot;
 pub mod solid;
+mod spatial;
 pub mod state;
 pub mod tree;
 pub mod walk;

@@ -4,10 +4,12 @@ use super::obstacle::{self, Obstacle};
 use super::robot::{Link, Robot, Servo, Tripod};
 use super::solid::Solid;
 use super::state::{ObjectState, State};
+use super::tree::{HardGround, TreeModel};
 use crate::error::{Error, Result, check_range};
 use crate::number::Real;
 use crate::sand::{Ground, Law, Mechanisms, Medium, SandDescription, Segment, Shape, Surface};
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 
 pub use crate::sand::GRAVITY;
 
@@ -34,6 +36,9 @@ pub struct Scene {
     /// Rigid things in the sand; only engine `rapier` takes any.
     #[serde(default)]
     pub obstacles: Vec<Obstacle>,
+    /// Hard ground in the sand or in place of it; only engine `tree` takes any.
+    #[serde(default)]
+    pub hard: Vec<HardGround>,
 }
 
 impl Scene {
@@ -57,6 +62,7 @@ impl Scene {
             dt: Self::DEFAULT_DT,
             payload: 0.0,
             obstacles: Vec::new(),
+            hard: Vec::new(),
         }
     }
 
@@ -195,6 +201,8 @@ pub struct Model {
     pub gravity: V,
     /// Geometry of the scene's obstacles.
     pub solids: Vec<Solid>,
+    /// A robot that is a tree of bodies; then it has no legs of the kind above, and of `robot` only the name counts.
+    pub tree: Option<Arc<TreeModel>>,
 }
 
 /// Stands for "no limit": far above anything a servo can do, and finite in `f32`.
@@ -203,6 +211,12 @@ const NO_LIMIT: f64 = 1e9;
 impl Model {
     pub fn new(robot: &Robot, scene: &Scene) -> Result<Self> {
         scene.validate()?;
+        if !scene.hard.is_empty() {
+            return Err(Error::invalid(
+                "hard",
+                format!("{:?} takes none; robots from URDF or MJCF files do", robot.name),
+            ));
+        }
         let size = V::from(robot.base.size).map(|s| s * s);
         let box_inertia = V::new(size.y + size.z, size.x + size.z, size.x + size.y) / 12.0;
         let legs = robot.hip.iter().map(|hip| leg(robot, hip.position, hip.yaw_deg.to_radians()));
@@ -216,7 +230,49 @@ impl Model {
             solids: solids(&scene.obstacles)?,
             robot: robot.clone(),
             scene: scene.clone(),
+            tree: None,
         })
+    }
+
+    /// A robot that is a tree of bodies; a payload lies at its base's centre of mass.
+    pub fn of_tree(tree: TreeModel, scene: &Scene) -> Result<Self> {
+        scene.validate()?;
+        if !scene.obstacles.is_empty() {
+            return Err(Error::invalid("obstacles", "engine tree has none; hard ground it has"));
+        }
+        if scene.hard.len() > HardGround::MOST {
+            let reason = format!("{} pieces are more than {}", scene.hard.len(), HardGround::MOST);
+            return Err(Error::invalid("hard", reason));
+        }
+        scene.hard.iter().try_for_each(HardGround::validate)?;
+        let tree = tree.with_payload(scene.payload).with_weak_motors(scene.mechanisms.motor_torque_limit);
+        let base = &tree.tree.bodies[0];
+        let robot = Robot::bare(&tree.tree.name, base.mass);
+        Ok(Self {
+            base_mass: base.mass,
+            base_inertia: base.inertia.diagonal(),
+            belly: Vec::new(),
+            legs: Vec::new(),
+            motor: Motor::new(&robot.servo, &scene.mechanisms),
+            gravity: gravity(scene),
+            solids: Vec::new(),
+            robot,
+            scene: scene.clone(),
+            tree: Some(Arc::new(tree)),
+        })
+    }
+
+    /// Is there any sand to touch?
+    pub fn has_sand(&self) -> bool {
+        !self.scene.hard.iter().any(HardGround::is_everything)
+    }
+
+    /// Of the whole robot, in the order of [`State::angles`].
+    pub fn joint_names(&self) -> Vec<String> {
+        match &self.tree {
+            Some(tree) => tree.tree.joints().map(|j| j.name.clone()).collect(),
+            None => self.robot.joint_names(),
+        }
     }
 
     /// The same robot and sand with other obstacles.
@@ -240,11 +296,14 @@ impl Model {
 
     /// Joints of the whole robot.
     pub fn joints(&self) -> usize {
-        self.legs.iter().map(Vec::len).sum()
+        self.tree.as_ref().map_or_else(|| self.legs.iter().map(Vec::len).sum(), |tree| tree.joints())
     }
 
     /// [kg]
     pub fn total_mass(&self) -> f64 {
+        if let Some(tree) = &self.tree {
+            return tree.tree.mass();
+        }
         self.base_mass + self.legs.iter().flatten().map(|b| b.mass).sum::<f64>()
     }
 

@@ -136,6 +136,13 @@ impl Robot {
         Self::from_toml(include_str!("../../robots/stroke-leg.toml"))
     }
 
+    /// What is left of this description for a robot that is a tree of bodies: its name.
+    pub(super) fn bare(name: &str, mass: f64) -> Self {
+        let servo = Servo { kp: 0.0, kd: 0.0, torque_limit: None, speed_limit: None, anti_windup: false };
+        let base = Base { mass, size: [0.0; 3] };
+        Self { name: name.into(), base, belly: None, leg: Leg { link: Vec::new() }, servo, hip: Vec::new() }
+    }
+
     pub fn names() -> Vec<&'static str> {
         BUILT_IN.iter().map(|r| r.0).collect()
     }

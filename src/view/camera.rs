@@ -25,6 +25,7 @@ pub struct Camera {
     /// Pixels at distance 1 m per metre.
     focal: f64,
     middle: [f64; 2],
+    target: V,
 }
 
 /// A point of the picture [px], y downward, and its distance along the line of sight [m].
@@ -48,6 +49,11 @@ impl Camera {
         let target = V::new(state.position[0], state.position[1], 0.25 * radius);
         let (sin, cos) = AZIMUTH.sin_cos();
         let away = (ahead * sin - left * cos) * ELEVATION.cos() + up * ELEVATION.sin();
+        Self::towards(target, away, up, radius, [width, height])
+    }
+
+    /// From `away` of the target, at the distance that fits a robot of this half length.
+    fn towards(target: V, away: V, up: V, radius: f64, [width, height]: [u32; 2]) -> Self {
         let forward = -away;
         let right = forward.cross(&up).normalize();
         let focal = f64::from(height) / (2.0 * (FIELD_OF_VIEW / 2.0).tan());
@@ -60,7 +66,20 @@ impl Camera {
             forward,
             focal,
             middle: [f64::from(width) / 2.0, f64::from(height) / 2.0],
+            target,
         }
+    }
+
+    /// Looks at a robot of this half length about `target`, from its right front, on level ground.
+    pub fn around(target: V, radius: f64, [width, height]: [u32; 2]) -> Self {
+        let (sin, cos) = AZIMUTH.sin_cos();
+        let away = V::new(sin * ELEVATION.cos(), -cos * ELEVATION.cos(), ELEVATION.sin());
+        Self::towards(target, away, V::z(), radius, [width, height])
+    }
+
+    /// What it looks at.
+    pub fn target(&self) -> V {
+        self.target
     }
 
     /// Distance along the line of sight [m].

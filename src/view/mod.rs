@@ -8,6 +8,7 @@
 //! * [`pose`]: the one place that computes what is seen.
 //! * [`recording`]: the format; [`header`]: what stands in it beside the numbers of each moment.
 //! * [`picture`]: one moment as an image; [`camera`]: from where; [`text`]: letters on it.
+//! * [`tree`]: a robot of any kind as an image.
 //! * [`page`]: a recording as a page for browsers, and the page that follows a server.
 //!
 //! Knows models and states only: no tasks, sessions or messages.
@@ -19,6 +20,7 @@ pub mod picture;
 pub mod pose;
 pub mod recording;
 mod text;
+pub mod tree;
 
 pub use header::{About, header};
 pub use picture::draw;

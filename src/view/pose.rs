@@ -167,7 +167,7 @@ mod tests {
         let angles = model.tripod_angles();
         let mut state = State::at_rest(model.standing_height(&angles), &angles);
         engine.set_state(0, &state);
-        let command = Command { rates: vec![std::f64::consts::TAU * 2.0; 6], torques: vec![0.0; 6] };
+        let command = Command { rates: vec![std::f64::consts::TAU * 2.0; 6], torques: vec![0.0; 6], targets: vec![] };
         engine.command(0, &command);
         engine.advance(2000);
         let (mut sum, mut stances) = (V::zeros(), 0);

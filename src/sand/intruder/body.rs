@@ -139,9 +139,9 @@ impl Body {
         };
         let size = size_within(size, longest, surface)?;
         let plates = match *shape {
-            BodyShape::Cylinder { radius, width } => cut::cylinder(radius, width, size),
-            BodyShape::Sphere { radius } => cut::sphere(radius, size),
-            BodyShape::Box { length, width, height } => cut::cuboid(length, width, height, size),
+            BodyShape::Cylinder { radius, width } => cut::cylinder(radius, width, size, cut::FINE),
+            BodyShape::Sphere { radius } => cut::sphere(radius, size, cut::FINE),
+            BodyShape::Box { length, width, height } => cut::cuboid(length, width, height, size, cut::FINE),
             BodyShape::Mesh(_) => Vec::new(),
         };
         Ok(Self { plates: rising(plates), corners, plate_size: size })

@@ -4,7 +4,7 @@ use super::{Plate, area as plates_area, volume};
 use crate::error::{Error, Result};
 use crate::number::Vec3;
 use std::fs::File;
-use std::io::BufReader;
+use std::io::{BufRead, BufReader, Seek};
 use std::path::Path;
 
 pub type Triangle = [Vec3<f64>; 3];
@@ -26,33 +26,42 @@ pub fn read(path: &Path) -> Result<Vec<Triangle>> {
             format!("{} MiB is more than the {} MiB this reads", bytes >> 20, MOST_BYTES >> 20),
         ));
     }
+    let triangles = read_from(path, BufReader::new(file), MOST_TRIANGLES)?;
+    if triangles.is_empty() { Err(Error::file(path, "no triangles")) } else { Ok(triangles) }
+}
+
+/// The triangles in `bytes`, STL or OBJ by the ending of `path`, at most `most`.
+pub fn read_mesh(path: &Path, bytes: &[u8], most: usize) -> Result<Vec<Triangle>> {
+    read_from(path, std::io::Cursor::new(bytes), most)
+}
+
+fn read_from(path: &Path, reader: impl BufRead + Seek, most: usize) -> Result<Vec<Triangle>> {
     let is_obj = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("obj"));
-    let reader = BufReader::new(file);
-    let mut triangles = if is_obj { read_obj(path, reader)? } else { read_stl(path, reader)? };
+    let mut triangles = if is_obj { read_obj(path, reader, most)? } else { read_stl(path, reader, most)? };
     if triangles.iter().flatten().any(|p| !p.norm_squared().is_finite()) {
         return Err(Error::file(path, "a vertex is not finite"));
     }
     triangles.retain(|t| cross(t).norm_squared() > 0.0);
-    if triangles.is_empty() { Err(Error::file(path, "no triangles")) } else { Ok(triangles) }
+    Ok(triangles)
 }
 
-fn too_many(path: &Path) -> Error {
-    Error::file(path, format!("more than {MOST_TRIANGLES} triangles"))
+fn too_many(path: &Path, most: usize) -> Error {
+    Error::file(path, format!("more than {most} triangles"))
 }
 
-fn read_stl(path: &Path, mut reader: BufReader<File>) -> Result<Vec<Triangle>> {
+fn read_stl(path: &Path, mut reader: impl BufRead + Seek, most: usize) -> Result<Vec<Triangle>> {
     let mut triangles = Vec::new();
     for triangle in stl_io::create_stl_reader(&mut reader).map_err(|e| Error::file(path, e))? {
         let triangle = triangle.map_err(|e| Error::file(path, e))?;
-        if triangles.len() == MOST_TRIANGLES {
-            return Err(too_many(path));
+        if triangles.len() == most {
+            return Err(too_many(path, most));
         }
         triangles.push(triangle.vertices.map(|v| point([v[0], v[1], v[2]])));
     }
     Ok(triangles)
 }
 
-fn read_obj(path: &Path, mut reader: BufReader<File>) -> Result<Vec<Triangle>> {
+fn read_obj(path: &Path, mut reader: impl BufRead, most: usize) -> Result<Vec<Triangle>> {
     let options =
         tobj::LoadOptions { triangulate: true, ignore_lines: true, ignore_points: true, ..Default::default() };
     // Colours are of no use here, so no other file is opened.
@@ -60,8 +69,8 @@ fn read_obj(path: &Path, mut reader: BufReader<File>) -> Result<Vec<Triangle>> {
     let (models, _) = tobj::load_obj_buf(&mut reader, &options, no_materials).map_err(|e| Error::file(path, e))?;
     let mut triangles = Vec::new();
     for mesh in models.iter().map(|m| &m.mesh) {
-        if triangles.len() + mesh.indices.len() / 3 > MOST_TRIANGLES {
-            return Err(too_many(path));
+        if triangles.len() + mesh.indices.len() / 3 > most {
+            return Err(too_many(path, most));
         }
         for corners in mesh.indices.chunks_exact(3) {
             let place = |index: u32| {
@@ -105,6 +114,22 @@ pub fn longest_side(triangles: &[Triangle]) -> f64 {
 
 /// Outward plates no longer than `size`; triangles that are longer are halved.
 pub fn plates(path: &Path, triangles: &[Triangle], size: f64) -> Result<Vec<Plate>> {
+    let mut plates = halved(triangles, size).ok_or_else(|| {
+        Error::file(path, format!("more than {} plates: give a larger --plate-size", super::body::MOST_PLATES))
+    })?;
+    let open = plates.iter().fold(Vec3::zero(), |sum: Vec3<f64>, p| p.normal.scale_add(p.area, sum));
+    if open.norm_squared().sqrt() > OPEN * plates_area(&plates) {
+        return Err(Error::file(path, "the surface is not closed"));
+    }
+    if volume(&plates) < 0.0 {
+        // Every triangle is wound the other way round.
+        plates.iter_mut().for_each(|p| p.normal = -p.normal);
+    }
+    Ok(plates)
+}
+
+/// A plate for each triangle, halved until no side is longer than `size`; none if that makes too many.
+pub fn halved(triangles: &[Triangle], size: f64) -> Option<Vec<Plate>> {
     let mut plates = Vec::new();
     let mut left: Vec<Triangle> = triangles.to_vec();
     while let Some(triangle) = left.pop() {
@@ -127,16 +152,8 @@ pub fn plates(path: &Path, triangles: &[Triangle], size: f64) -> Result<Vec<Plat
             }
         }
         if (plates.len() + left.len()) as f64 > super::body::MOST_PLATES {
-            return Err(Error::file(path, format!("more than {} plates: give a larger --plate-size", plates.len())));
+            return None;
         }
     }
-    let open = plates.iter().fold(Vec3::zero(), |sum: Vec3<f64>, p| p.normal.scale_add(p.area, sum));
-    if open.norm_squared().sqrt() > OPEN * plates_area(&plates) {
-        return Err(Error::file(path, "the surface is not closed"));
-    }
-    if volume(&plates) < 0.0 {
-        // Every triangle is wound the other way round.
-        plates.iter_mut().for_each(|p| p.normal = -p.normal);
-    }
-    Ok(plates)
+    Some(plates)
 }

@@ -4,11 +4,14 @@
 //! plate is one-sided and pushes where it leads: n·v ≥ 0 and below the surface (Agarwal, Goldman & Kamrin 2023).
 
 mod body;
-mod cut;
+pub mod cut;
+mod gather;
 mod mesh;
 mod trials;
 
 pub use body::{Body, BodyShape};
+pub use gather::gathered;
+pub use mesh::{Triangle, read_mesh};
 pub use trials::{Given, Outcome, Status, Trial, compute, compute_all};
 
 use crate::number::Vec3;

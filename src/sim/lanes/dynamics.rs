@@ -12,10 +12,10 @@
 
 use super::model::{LaneBody, LaneModel, LanePlate};
 use super::plane::{Field, Moments, PlaneForces};
-use super::spatial::{Inertia, PointMasses, Symmetric, Twist, Wrench};
 use crate::number::{Mat3, Real, Vec3};
 use crate::sand::law::StressLaw;
 use crate::sand::{Beyond, Form, Ground, Plain, Site};
+use crate::sim::spatial::{Inertia, PointMasses, Symmetric, Twist, Wrench};
 
 /// State of the robots in one block, one lane each; see [`crate::sim::State`].
 #[derive(Clone)]

@@ -1,7 +1,6 @@
 //! The fast engine: articulated-body dynamics over lanes of environments, instruction set chosen at run time.
 //!
 //! * [`dynamics`]: one time step; generic over the number, so it exists once for `f64`, and for 8 and 16 lanes of `f32`.
-//! * [`spatial`]: the algebra it is written in.
 //! * [`plane`]: sand forces on the plates of one plane, summed in its two coordinates.
 //! * [`model`]: the model's numbers, one lane an environment.
 //!
@@ -10,15 +9,14 @@
 mod dynamics;
 mod model;
 mod plane;
-mod spatial;
 
 use super::engine::Command;
+use super::spatial::Twist;
 use super::{Model, State};
 use crate::error::{Error, Result};
 use crate::number::{Isa, Kernel, Real, Vec3};
 use dynamics::{LaneJoint, LaneState, Scratch};
 use model::LaneModel;
-use spatial::Twist;
 use std::f64::consts::TAU;
 
 /// Robots in blocks of as many as the instruction set has lanes.
@@ -288,7 +286,7 @@ mod tests {
         let mut met = 0;
         for step in 0..steps {
             let rates = (0..model.joints()).map(|j| rate(step as f64 * 0.02, j)).collect();
-            engine.command(0, &Command { rates, torques: vec![0.0; model.joints()] });
+            engine.command(0, &Command { rates, torques: vec![0.0; model.joints()], targets: vec![] });
             met += usize::from(met_denormals(|| engine.advance(40)));
         }
         met as f64 / steps as f64

@@ -5,8 +5,8 @@
 //! the sums Σf, Σp₀f, Σp₁f and from the moments of their masses up to the second order: turned into a wrench and an
 //! inertia once a body, not once a piece.
 
-use super::spatial::{PointMasses, Symmetric, Twist, Wrench};
 use crate::number::{Real, Vec3};
+use crate::sim::spatial::{PointMasses, Symmetric, Twist, Wrench};
 
 /// A vector that changes linearly over a plane: `at` + p₀ `by[0]` + p₁ `by[1]`.
 #[derive(Clone, Copy)]
@@ -166,9 +166,9 @@ impl<R: Real> PlaneForces<R> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::spatial::Inertia;
     use super::*;
     use crate::number::Mat3;
+    use crate::sim::spatial::Inertia;
 
     fn close(a: Vec3<f64>, b: Vec3<f64>) {
         assert!((a - b).norm_squared().sqrt() < 1e-12, "{a:?} is not {b:?}");

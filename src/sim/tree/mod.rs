@@ -2,6 +2,35 @@
 //!
 //! Frames: each body has one, at its joint; where its joint's position is 0 that frame stands in the parent's as `origin` says.
 //! The base's frame is the one its file gives it (URDF: the root link's, MJCF: the free body's).
+//!
+//! * [`model`]: the same ready for an engine: motors, plates, points of contact; [`hard`]: hard ground as a user says it.
+//! * [`engine`]: lanes of such robots; [`step`]: one time step.
+//! * [`dynamics`]: accelerations of a tree, over any number; [`flight`]: those in free flight, for checks.
+//! * [`servo`]: motors, bearings and stops; [`sand`]: sand on plates; [`floor`]: hard ground under points.
+//! * [`contact`]: the points; [`terrain`]: the ground's surface near a point.
+//! * [`stance`]: the standing pose and the feet; [`packed`]: a robot as one text.
+//! * [`plates`]: collision shapes as the plates that push on sand; [`robot`]: our own robots as trees.
+
+pub mod contact;
+pub mod dynamics;
+pub mod engine;
+pub mod flight;
+pub mod floor;
+pub mod hard;
+pub mod model;
+pub mod packed;
+pub mod plates;
+mod robot;
+mod sand;
+mod servo;
+pub mod stance;
+mod step;
+pub mod terrain;
+
+pub use engine::TreeEngine;
+pub use hard::HardGround;
+pub use model::TreeModel;
+pub use robot::of_robot;
 
 use nalgebra::{Isometry3, Matrix3, Unit, Vector3};
 use std::sync::Arc;
@@ -110,3 +139,6 @@ impl Tree {
         self.bodies.iter().map(|b| b.mass).sum()
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -162,21 +162,29 @@ impl<R: Real> Inertia<R> {
         Self { rotary, coupling, linear }
     }
 
+    /// A rigid body with `rotary` inertia about its centre of mass, which is at `c`.
+    #[inline(always)]
+    pub fn at(mass: R, c: Vec3<R>, rotary: Symmetric<R>) -> Self {
+        let (mc, zero) = (c * mass, R::zero());
+        let (xx, yy, zz) = (mc.x * c.x, mc.y * c.y, mc.z * c.z);
+        let diagonal = rotary.diagonal + Vec3::new(yy + zz, xx + zz, xx + yy);
+        let off = rotary.off - Vec3::new(mc.x * c.y, mc.x * c.z, mc.y * c.z);
+        Self {
+            rotary: Symmetric { diagonal, off },
+            coupling: crossing(mc),
+            linear: Symmetric { diagonal: Vec3::new(mass, mass, mass), off: Vec3::new(zero, zero, zero) },
+        }
+    }
+
     /// Point masses that move as one.
     #[inline(always)]
     pub fn points(masses: &PointMasses<R>) -> Self {
         let (mass, first, second) = (masses.mass, masses.first, &masses.second);
         let trace = second.diagonal.x + second.diagonal.y + second.diagonal.z;
         let trace = Vec3::new(trace, trace, trace);
-        let zero = R::zero();
         Self {
             rotary: Symmetric { diagonal: trace - second.diagonal, off: -second.off },
-            // [first ×] by columns
-            coupling: Mat3::new(
-                Vec3::new(zero, first.z, -first.y),
-                Vec3::new(-first.z, zero, first.x),
-                Vec3::new(first.y, -first.x, zero),
-            ),
+            coupling: crossing(first),
             linear: Symmetric { diagonal: Vec3::new(mass, mass, mass), off: Vec3::zero() },
         }
     }
@@ -256,4 +264,11 @@ impl<R: Real> Inertia<R> {
         }
         Twist { angular: Vec3::new(b[3], b[4], b[5]), linear: Vec3::new(b[0], b[1], b[2]) }
     }
+}
+
+/// [v ×]
+#[inline(always)]
+fn crossing<R: Real>(v: Vec3<R>) -> Mat3<R> {
+    let zero = R::zero();
+    Mat3::new(Vec3::new(zero, v.z, -v.y), Vec3::new(-v.z, zero, v.x), Vec3::new(v.y, -v.x, zero))
 }

@@ -1,0 +1,246 @@
+//! `sandgait robot`
+
+use sandgait::robot::{self, Import, Touch, states};
+use sandgait::sim::tree::{Geometry, TreeBody, TreeJoint, TreeShape, plates};
+use sandgait::{Error, Result, sim, view};
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+
+/// Width and height of pictures [px].
+const PICTURE: [u32; 2] = [960, 720];
+
+/// Read a robot from a URDF, an MJCF or a TOML, and say what it is: masses, joints, limits, and what touches sand.
+///
+/// What the file holds and the simulation does not take stands under "warnings". With --accelerations the motion of the
+/// robot in free flight is computed instead, as a check against other programs.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:
+  sandgait robot go1.urdf
+  sandgait robot spot.xml --json
+  sandgait robot go1.urdf --picture go1.png --touches FL_foot,FR_foot,RL_foot,RR_foot
+  sandgait robot go1.urdf --accelerations states.json
+  sandgait robot go1.urdf --pack > go1.json
+  sandgait robot xplorer")]
+pub struct Robot {
+    /// A .urdf, an .xml (MJCF or URDF), a .toml, or the name of a built-in robot
+    #[arg(value_name = "FILE")]
+    file: PathBuf,
+    /// Machine-readable
+    #[arg(long)]
+    json: bool,
+    /// Draw the robot here as PNG, in its standing pose, with the plates that touch sand
+    #[arg(long, value_name = "PNG")]
+    picture: Option<PathBuf>,
+    /// Bodies, links or shapes that touch sand; feet, lower links and belly if not given
+    #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
+    touches: Option<Vec<String>>,
+    /// Size of the plates that touching shapes are cut into [m]; an eighth of a shape's longest side if not given
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
+    plate_size: Option<f64>,
+    /// Print the robot as one text, as option `robot` of sandgait/LeggedVelocity-v0 takes it
+    #[arg(long, conflicts_with_all = ["json", "picture", "accelerations"])]
+    pack: bool,
+    /// Print accelerations in free flight for the rows {quat, v, w, q, qd, tau} of this JSON file
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["json", "picture", "touches", "plate_size"])]
+    accelerations: Option<PathBuf>,
+}
+
+impl Robot {
+    pub fn run(self) -> Result<String> {
+        let import = load(&self.file)?;
+        if let Some(rows) = &self.accelerations {
+            let rows = states::compute(&import.tree, rows)?;
+            let rows: Vec<Value> = rows.iter().map(|r| json!({"a": r.a, "alpha": r.alpha, "qdd": r.qdd})).collect();
+            return Ok(super::json(&rows.into()));
+        }
+        let touching = Touching::of(&import, self.touches.as_deref(), self.plate_size)?;
+        if self.pack {
+            return sim::tree::packed::pack(&import.tree, &touching.plates);
+        }
+        if let Some(path) = &self.picture {
+            let seen = import.seen()?;
+            let caption =
+                format!("{}: {:.3} kg, {} joints", import.tree.name, import.tree.mass(), import.tree.joints().count());
+            let png = view::tree::draw(&import.tree, &seen, &touching.plates, PICTURE, &[caption])?;
+            std::fs::write(path, png).map_err(|e| Error::file(path, e))?;
+        }
+        match self.json {
+            true => Ok(super::json(&as_json(&import, &touching))),
+            false => Ok(as_text(&import, &touching)),
+        }
+    }
+}
+
+fn load(file: &Path) -> Result<Import> {
+    match file.to_str().filter(|name| sim::Robot::names().contains(name)) {
+        Some(name) => Import::built_in(name),
+        None => robot::load(file),
+    }
+}
+
+/// What touches sand, and its plates, body by body.
+struct Touching {
+    shapes: Vec<Touch>,
+    plates: Vec<Vec<sandgait::sand::intruder::Plate>>,
+}
+
+impl Touching {
+    fn of(import: &Import, names: Option<&[String]>, plate_size: Option<f64>) -> Result<Self> {
+        let shapes = import.touching(names)?;
+        let of_body = |b: usize| {
+            let body = &import.tree.bodies[b];
+            let own: Vec<&TreeShape> = shapes.iter().filter(|t| t.0 == b).map(|t| &body.shapes[t.1]).collect();
+            plates::of_shapes(&own, plate_size)
+        };
+        let plates = (0..import.tree.bodies.len()).map(of_body).collect::<Result<_>>()?;
+        Ok(Self { shapes, plates })
+    }
+
+    fn count(&self) -> usize {
+        self.plates.iter().map(Vec::len).sum()
+    }
+
+    fn area(&self) -> f64 {
+        self.plates.iter().flatten().map(|p| p.area).sum()
+    }
+}
+
+fn joint_json(joint: &TreeJoint) -> Value {
+    json!({
+        "name": joint.name,
+        "kind": kind(joint),
+        "axis": joint.axis.as_slice(),
+        "range": joint.range,
+        "torque_limit": joint.torque_limit,
+        "speed_limit": joint.speed_limit,
+        "damping": joint.damping,
+        "friction": joint.friction,
+        "armature": joint.armature,
+        "kp": joint.kp,
+        "kd": joint.kd,
+        "rest": joint.rest,
+    })
+}
+
+fn shape_json(shape: &TreeShape, touches: bool) -> Value {
+    let (kind, size) = geometry(&shape.geometry);
+    let q = shape.origin.rotation;
+    json!({
+        "name": shape.name,
+        "kind": kind,
+        "size": size,
+        "position": shape.origin.translation.vector.as_slice(),
+        "quat": [q.w, q.i, q.j, q.k],
+        "area": shape.geometry.area(),
+        "volume": shape.geometry.volume(),
+        "friction": shape.friction,
+        "touches_sand": touches,
+    })
+}
+
+fn as_json(import: &Import, touching: &Touching) -> Value {
+    let tree = &import.tree;
+    let body = |(b, body): (usize, &TreeBody)| {
+        let touches = |s: usize| touching.shapes.contains(&(b, s));
+        let (q, i) = (body.origin.rotation, &body.inertia);
+        json!({
+            "name": body.name,
+            "parent": (b > 0).then(|| tree.bodies[body.parent].name.as_str()),
+            "links": import.links[b],
+            "position": body.origin.translation.vector.as_slice(),
+            "quat": [q.w, q.i, q.j, q.k],
+            "mass": body.mass,
+            "center": body.center.as_slice(),
+            "inertia": {
+                "xx": i[(0, 0)], "yy": i[(1, 1)], "zz": i[(2, 2)], "xy": i[(0, 1)], "xz": i[(0, 2)], "yz": i[(1, 2)],
+            },
+            "joint": body.joint.as_ref().map(joint_json),
+            "shapes": body.shapes.iter().enumerate().map(|(s, shape)| shape_json(shape, touches(s))).collect::<Vec<_>>(),
+            "plates": touching.plates[b].len(),
+        })
+    };
+    json!({
+        "name": tree.name,
+        "format": import.format.name(),
+        "mass": tree.mass(),
+        "joints": tree.joints().map(|j| j.name.as_str()).collect::<Vec<_>>(),
+        "bodies": tree.bodies.iter().enumerate().map(body).collect::<Vec<_>>(),
+        "touches_sand": {
+            "shapes": touching.shapes.iter().map(|t| tree.bodies[t.0].shapes[t.1].name.as_str()).collect::<Vec<_>>(),
+            "plates": touching.count(),
+            "area": touching.area(),
+        },
+        "warnings": import.warnings,
+    })
+}
+
+fn kind(joint: &TreeJoint) -> &'static str {
+    match joint.kind {
+        sim::tree::JointKind::Hinge => "hinge",
+        sim::tree::JointKind::Slide => "slide",
+    }
+}
+
+/// Name, and sizes [m]: radius and length without caps, or sides; of a mesh the number of triangles.
+fn geometry(geometry: &Geometry) -> (&'static str, Vec<f64>) {
+    match geometry {
+        Geometry::Sphere { radius } => ("sphere", vec![*radius]),
+        Geometry::Capsule { radius, half_length } => ("capsule", vec![*radius, 2.0 * half_length]),
+        Geometry::Cylinder { radius, half_length } => ("cylinder", vec![*radius, 2.0 * half_length]),
+        Geometry::Box { half } => ("box", (half * 2.0).as_slice().to_vec()),
+        Geometry::Mesh(triangles) => ("mesh", vec![triangles.len() as f64]),
+    }
+}
+
+/// `1.5`, or `-` where a file says nothing.
+fn or_dash(value: Option<f64>) -> String {
+    value.map_or_else(|| "-".into(), |v| format!("{v:.4}").trim_end_matches('0').trim_end_matches('.').to_owned())
+}
+
+fn as_text(import: &Import, touching: &Touching) -> String {
+    let tree = &import.tree;
+    let mut text = format!(
+        "{} ({}): {:.4} kg, {} bodies, {} joints\n\n",
+        tree.name,
+        import.format.name(),
+        tree.mass(),
+        tree.bodies.len(),
+        tree.joints().count()
+    );
+    let heads = |names: &[&str]| names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>();
+    let mut rows = vec![heads(&["body", "parent", "mass [kg]", "Ixx", "Iyy", "Izz [kg·m²]", "shapes", "links"])];
+    for (b, body) in tree.bodies.iter().enumerate() {
+        let parent = if b > 0 { tree.bodies[body.parent].name.clone() } else { "-".into() };
+        let mut row = vec![body.name.clone(), parent, or_dash(Some(body.mass))];
+        row.extend((0..3).map(|k| format!("{:.3e}", body.inertia[(k, k)])));
+        row.extend([body.shapes.len().to_string(), import.links[b].len().to_string()]);
+        rows.push(row);
+    }
+    text.push_str(&super::table(&rows));
+    let mut rows = vec![heads(&[
+        "joint", "kind", "lower", "upper", "torque", "speed", "damping", "friction", "armature", "kp", "kd", "rest",
+    ])];
+    for joint in tree.joints() {
+        let mut row = vec![joint.name.clone(), kind(joint).to_owned()];
+        let [lower, upper] = joint.range.map_or([None; 2], |r| r.map(Some));
+        let numbers = [lower, upper, joint.torque_limit, joint.speed_limit, Some(joint.damping), Some(joint.friction)];
+        row.extend(numbers.into_iter().chain([Some(joint.armature), joint.kp, joint.kd, joint.rest]).map(or_dash));
+        rows.push(row);
+    }
+    text.push('\n');
+    text.push_str(&super::table(&rows));
+    let mut rows = vec![heads(&["touches sand", "body", "shape", "area [m²]"])];
+    for (b, s) in &touching.shapes {
+        let (body, shape) = (&tree.bodies[*b], &tree.bodies[*b].shapes[*s]);
+        let (name, _) = geometry(&shape.geometry);
+        rows.push(vec![shape.name.clone(), body.name.clone(), name.into(), format!("{:.3e}", shape.geometry.area())]);
+    }
+    text.push('\n');
+    text.push_str(&super::table(&rows));
+    text.push_str(&format!("{} plates, {:.3e} m²\n", touching.count(), touching.area()));
+    if !import.warnings.is_empty() {
+        text.push_str("\nwarnings\n");
+        import.warnings.iter().for_each(|line| text.push_str(&format!("  {line}\n")));
+    }
+    text
+}

@@ -1,0 +1,103 @@
+//! What no engine can move: bodies without mass, joints that turn nothing.
+
+use super::draft::Merged;
+use crate::error::{Error, Result};
+use crate::sim::tree::{JointKind, TreeBody};
+use nalgebra::{Isometry3, Matrix3, Matrix6, UnitQuaternion, Vector3, Vector6};
+
+/// Share of what a joint carries below which it moves nothing of its own: our choice, far above rounding and far below robots.
+const LEAST_SHARE: f64 = 1e-9;
+/// A pose that has no symmetry [rad or m]: our choice.
+const POSE: [f64; 5] = [0.31, -0.47, 0.73, -0.19, 0.57];
+
+/// Refuses what cannot be simulated.
+pub fn check(merged: &Merged, say: &mut impl FnMut(String)) -> Result<()> {
+    let bodies = &merged.tree.bodies;
+    for (i, body) in bodies.iter().enumerate() {
+        let wrong = |reason: &str| Error::invalid(format!("body {:?}", body.name), reason);
+        let carries = bodies.iter().skip(1).any(|b| b.parent == i);
+        if body.mass == 0.0 && i == 0 {
+            return Err(wrong("the base has no mass"));
+        }
+        if body.mass == 0.0 && !(merged.massless[i] && carries) {
+            return Err(wrong("moves without mass"));
+        }
+        if body.mass == 0.0 && !body.name.contains(':') {
+            say(format!("body {}: has no mass of its own", body.name));
+        }
+        let joint = body.joint.as_ref();
+        if let Some(rest) = joint.and_then(|j| Some((j.rest?, j.range?)).filter(|(q, r)| *q < r[0] || *q > r[1])) {
+            let (q, [low, high]) = rest;
+            say(format!("body {}: the standing pose has its joint at {q}, outside of [{low}, {high}]", body.name));
+        }
+    }
+    names(merged)?;
+    inertias(bodies)
+}
+
+fn names(merged: &Merged) -> Result<()> {
+    let mut joints = std::collections::HashSet::new();
+    match merged.tree.joints().find(|j| !joints.insert(&j.name)) {
+        Some(twice) => Err(Error::invalid(format!("joint {:?}", twice.name), "a second one of this name")),
+        None => Ok(()),
+    }
+}
+
+/// Spatial inertia about the body's frame, angular part first.
+fn spatial(body: &TreeBody) -> Matrix6<f64> {
+    let c = body.center.cross_matrix();
+    let mut inertia = Matrix6::zeros();
+    inertia.fixed_view_mut::<3, 3>(0, 0).copy_from(&(body.inertia - c * c * body.mass));
+    inertia.fixed_view_mut::<3, 3>(0, 3).copy_from(&(c * body.mass));
+    inertia.fixed_view_mut::<3, 3>(3, 0).copy_from(&(c.transpose() * body.mass));
+    inertia.fixed_view_mut::<3, 3>(3, 3).copy_from(&(Matrix3::identity() * body.mass));
+    inertia
+}
+
+/// Turns motions of the parent's frame into those of one that stands in it as `at` says.
+fn motion(at: &Isometry3<f64>) -> Matrix6<f64> {
+    let turn = at.rotation.inverse().to_rotation_matrix().into_inner();
+    let mut x = Matrix6::zeros();
+    x.fixed_view_mut::<3, 3>(0, 0).copy_from(&turn);
+    x.fixed_view_mut::<3, 3>(3, 3).copy_from(&turn);
+    x.fixed_view_mut::<3, 3>(3, 0).copy_from(&(-turn * at.translation.vector.cross_matrix()));
+    x
+}
+
+/// Articulated inertias (Featherstone 2008, section 7.2) must resist every joint, and the base in every direction.
+fn inertias(bodies: &[TreeBody]) -> Result<()> {
+    let mut articulated: Vec<Matrix6<f64>> = bodies.iter().map(spatial).collect();
+    let mut carried = articulated.clone();
+    for i in (1..bodies.len()).rev() {
+        let body = &bodies[i];
+        let Some(joint) = &body.joint else { continue };
+        let q = POSE[i % POSE.len()];
+        let axis = joint.axis.into_inner();
+        let (angular, linear, moved) = match joint.kind {
+            JointKind::Hinge => {
+                (axis, Vector3::zeros(), turned(&body.origin, UnitQuaternion::from_axis_angle(&joint.axis, q)))
+            }
+            JointKind::Slide => (Vector3::zeros(), axis, body.origin * super::draft::shift(axis * (0.1 * q))),
+        };
+        let s = Vector6::new(angular.x, angular.y, angular.z, linear.x, linear.y, linear.z);
+        let push = articulated[i] * s;
+        let (own, all) = (s.dot(&push), s.dot(&(carried[i] * s)));
+        if own.is_nan() || own <= LEAST_SHARE * all || all <= 0.0 {
+            return Err(Error::invalid(format!("joint {:?}", joint.name), "has no inertia to move"));
+        }
+        let x = motion(&moved);
+        let left = articulated[i] - push * push.transpose() / own;
+        articulated[body.parent] += x.transpose() * left * x;
+        let below = x.transpose() * carried[i] * x;
+        carried[body.parent] += below;
+    }
+    let base = &bodies[0];
+    match articulated[0].cholesky() {
+        Some(_) => Ok(()),
+        None => Err(Error::invalid(format!("body {:?}", base.name), "the base's inertia is not positive definite")),
+    }
+}
+
+fn turned(origin: &Isometry3<f64>, by: UnitQuaternion<f64>) -> Isometry3<f64> {
+    Isometry3::from_parts(origin.translation, origin.rotation * by)
+}

@@ -1,0 +1,210 @@
+//! Links and joints as files have them, fixed ones too, and the tree of moving bodies that they make.
+
+use super::mesh::MeshFile;
+use crate::error::{Error, Result};
+use crate::sim::tree::{Geometry, Tree, TreeBody, TreeJoint, TreeShape};
+use nalgebra::{Isometry3, Matrix3, Translation3, Vector3};
+
+/// Most links of a file, and most joints that move: our choice, ten times a humanoid with hands.
+pub const MOST_LINKS: usize = 2000;
+const MOST_JOINTS: usize = 200;
+/// Largest mass [kg] and distance [m]: our choice of guards against slips of units.
+const MOST_MASS: f64 = 1e5;
+const FARTHEST: f64 = 100.0;
+/// Eigenvalues of an inertia below this share of the largest count as negative: rounding of files with six digits.
+const ROUNDING: f64 = 1e-6;
+
+/// Mass, centre and inertia about it, along the axes of the link.
+#[derive(Clone, Copy, Debug)]
+pub struct Inertial {
+    pub mass: f64,
+    pub center: Vector3<f64>,
+    pub inertia: Matrix3<f64>,
+}
+
+impl Inertial {
+    pub fn none() -> Self {
+        Self { mass: 0.0, center: Vector3::zeros(), inertia: Matrix3::zeros() }
+    }
+
+    /// As seen from the frame in which this one stands as `at` says.
+    pub fn moved(&self, at: &Isometry3<f64>) -> Self {
+        let turn = at.rotation.to_rotation_matrix();
+        let center = at.transform_point(&self.center.into()).coords;
+        Self { mass: self.mass, center, inertia: turn.matrix() * self.inertia * turn.matrix().transpose() }
+    }
+
+    /// Both as one body.
+    pub fn with(&self, other: &Self) -> Self {
+        let mass = self.mass + other.mass;
+        if mass == 0.0 {
+            return Self { inertia: self.inertia + other.inertia, ..*self };
+        }
+        if other.mass == 0.0 {
+            return Self { inertia: self.inertia + other.inertia, ..*self };
+        }
+        if self.mass == 0.0 {
+            return Self { inertia: self.inertia + other.inertia, ..*other };
+        }
+        let center = (self.center * self.mass + other.center * other.mass) / mass;
+        let steiner = |part: &Self| {
+            let d = part.center - center;
+            part.inertia + (Matrix3::identity() * d.norm_squared() - d * d.transpose()) * part.mass
+        };
+        Self { mass, center, inertia: steiner(self) + steiner(other) }
+    }
+
+    /// Why no body has this mass and inertia; a doubtful one is a warning.
+    pub fn check(&self) -> std::result::Result<Option<String>, String> {
+        let numbers = self.inertia.iter().chain(self.center.iter()).chain([&self.mass]);
+        if numbers.clone().any(|x| !x.is_finite()) {
+            return Err("mass and inertia must be finite".into());
+        }
+        if !(0.0..=MOST_MASS).contains(&self.mass) {
+            return Err(format!("mass {} kg is outside [0, {MOST_MASS}]", self.mass));
+        }
+        let mut principal: [f64; 3] = self.inertia.symmetric_eigenvalues().into();
+        principal.sort_by(f64::total_cmp);
+        let [least, middle, most] = principal;
+        if least < -ROUNDING * most.abs() || most < 0.0 {
+            return Err(format!(
+                "inertia is not positive definite: its principal moments are {least:.3e}, {middle:.3e}, {most:.3e} kg·m²"
+            ));
+        }
+        if self.mass == 0.0 && most > 0.0 {
+            return Ok(Some("inertia without mass".into()));
+        }
+        let most_of_flat = (least + middle) * (1.0 + 1e-3);
+        let doubtful = || format!("no body has this inertia: {most:.3e} kg·m² is more than {least:.3e} + {middle:.3e}");
+        Ok((most > most_of_flat).then(doubtful))
+    }
+}
+
+/// What is seen of a link.
+#[derive(Clone, Debug)]
+pub enum Look {
+    Shape(Geometry),
+    Mesh(MeshFile),
+}
+
+#[derive(Clone, Debug)]
+pub struct Visual {
+    pub origin: Isometry3<f64>,
+    pub look: Look,
+}
+
+/// A link and the joint that carries it; None: fixed to its parent.
+#[derive(Clone, Debug)]
+pub struct Link {
+    pub name: String,
+    /// Index of the parent; of the root: its own.
+    pub parent: usize,
+    pub origin: Isometry3<f64>,
+    pub joint: Option<TreeJoint>,
+    /// May it move without mass of its own?
+    pub massless: bool,
+    pub inertial: Inertial,
+    pub shapes: Vec<TreeShape>,
+    pub visuals: Vec<Visual>,
+}
+
+impl Link {
+    /// Without mass and shapes; no parent: the root.
+    pub fn new(name: String, parent: Option<usize>, origin: Isometry3<f64>, joint: Option<TreeJoint>) -> Self {
+        let parent = parent.unwrap_or(0);
+        let inertial = Inertial::none();
+        Self { name, parent, origin, joint, massless: false, inertial, shapes: Vec::new(), visuals: Vec::new() }
+    }
+}
+
+/// Moving bodies, and what is seen of each.
+pub struct Merged {
+    pub tree: Tree,
+    pub visuals: Vec<Vec<Visual>>,
+    /// For each body the links that are part of it, its own first.
+    pub links: Vec<Vec<String>>,
+    /// May the body move without mass?
+    pub massless: Vec<bool>,
+}
+
+/// Merges fixed links into those that carry them. Each link stands behind its parent, the root first.
+pub fn merged(name: &str, links: Vec<Link>) -> Result<Merged> {
+    let mut children = vec![Vec::new(); links.len()];
+    for (i, link) in links.iter().enumerate().skip(1) {
+        children[link.parent].push(i);
+    }
+    let mut out = Merged {
+        tree: Tree { name: name.to_owned(), bodies: Vec::new() },
+        visuals: Vec::new(),
+        links: Vec::new(),
+        massless: Vec::new(),
+    };
+    // Depth first, in the file's order: link, the body that carries it, and its frame in that body's.
+    let mut left = vec![(0, 0, Isometry3::identity())];
+    while let Some((i, carrier, within)) = left.pop() {
+        let link = &links[i];
+        let at = within * link.origin;
+        if at.translation.vector.norm() > FARTHEST {
+            return Err(Error::invalid(&link.name, format!("lies more than {FARTHEST} m from its parent")));
+        }
+        let moves = i == 0 || link.joint.is_some();
+        let (body, frame) = if moves { (out.tree.bodies.len(), Isometry3::identity()) } else { (carrier, at) };
+        if moves {
+            out.tree.bodies.push(TreeBody {
+                name: link.name.clone(),
+                parent: carrier,
+                origin: if i == 0 { Isometry3::identity() } else { at },
+                joint: link.joint.clone(),
+                mass: 0.0,
+                center: Vector3::zeros(),
+                inertia: Matrix3::zeros(),
+                shapes: Vec::new(),
+            });
+            out.visuals.push(Vec::new());
+            out.links.push(Vec::new());
+            out.massless.push(link.massless);
+        }
+        out.add(body, link, &frame);
+        left.extend(children[i].iter().rev().map(|child| (*child, body, frame)));
+    }
+    let joints = out.tree.bodies.len() - 1;
+    if joints > MOST_JOINTS {
+        return Err(Error::invalid("robot", format!("{joints} joints that move are more than {MOST_JOINTS}")));
+    }
+    Ok(out)
+}
+
+impl Merged {
+    fn add(&mut self, body: usize, link: &Link, frame: &Isometry3<f64>) {
+        let to = &mut self.tree.bodies[body];
+        let own = Inertial { mass: to.mass, center: to.center, inertia: to.inertia };
+        let sum = own.with(&link.inertial.moved(frame));
+        // Rounding must not make it lopsided.
+        let inertia = (sum.inertia + sum.inertia.transpose()) * 0.5;
+        (to.mass, to.center, to.inertia) = (sum.mass, sum.center, inertia);
+        let shapes = link.shapes.iter().cloned();
+        to.shapes.extend(shapes.map(|s| TreeShape { origin: frame * s.origin, ..s }));
+        let visuals = link.visuals.iter().cloned();
+        self.visuals[body].extend(visuals.map(|v| Visual { origin: frame * v.origin, ..v }));
+        if self.links[body].last() != Some(&link.name) {
+            self.links[body].push(link.name.clone());
+        }
+    }
+}
+
+/// A shift without a turn.
+pub fn shift(by: Vector3<f64>) -> Isometry3<f64> {
+    Isometry3::from_parts(Translation3::from(by), nalgebra::UnitQuaternion::identity())
+}
+
+/// Names of a link's shapes: the link's own if it has one only, else `link/name`, unnamed ones by their number.
+pub fn name_shapes(link: &str, shapes: &mut [TreeShape]) {
+    let many = shapes.len() > 1;
+    for (k, shape) in shapes.iter_mut().enumerate() {
+        shape.name = match (many, shape.name.is_empty()) {
+            (false, _) => link.to_owned(),
+            (true, false) => format!("{link}/{}", shape.name),
+            (true, true) => format!("{link}/{}", k + 1),
+        };
+    }
+}

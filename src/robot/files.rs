@@ -1,0 +1,128 @@
+//! The files of a robot: its own, and those that it names, which must lie in its package.
+
+use crate::error::{Error, Result};
+use std::io::Read as _;
+use std::path::{Component, Path, PathBuf};
+
+/// Largest description that is read [bytes]: our choice, fifty times the largest robot we have seen.
+pub const MOST_TEXT: u64 = 8 << 20;
+/// Largest mesh file [bytes]: our choice; the largest we have seen has 28 MiB.
+pub const MOST_MESH: u64 = 64 << 20;
+/// How many folders above the file a package may begin: our choice, `package/robots/name/urdf` has three.
+const HIGHEST: usize = 4;
+/// Folders that hold descriptions by custom (ROS, MuJoCo Menagerie): meshes lie beside them.
+const CUSTOM: [&str; 6] = ["urdf", "robots", "robot", "mjcf", "xml", "models"];
+
+/// A file as it was read.
+pub struct Source {
+    pub path: PathBuf,
+    bytes: Vec<u8>,
+}
+
+impl Source {
+    /// Reads a file, refusing more than `most` bytes, and what is no plain file.
+    pub fn read(path: &Path, most: u64) -> Result<Self> {
+        let failed = |e| Error::file(path, e);
+        let about = std::fs::metadata(path).map_err(failed)?;
+        if !about.is_file() {
+            return Err(Error::file(path, "is no file"));
+        }
+        let mut bytes = Vec::new();
+        std::fs::File::open(path).map_err(failed)?.take(most + 1).read_to_end(&mut bytes).map_err(failed)?;
+        if bytes.len() as u64 > most {
+            return Err(Error::file(path, format!("more than the {} MiB that are read", most >> 20)));
+        }
+        Ok(Self { path: path.to_owned(), bytes })
+    }
+
+    pub fn bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+
+    pub fn text(&self) -> Result<&str> {
+        let text = std::str::from_utf8(&self.bytes).map_err(|_| Error::file(&self.path, "no text in UTF-8"))?;
+        Ok(text.trim_start_matches('\u{feff}'))
+    }
+}
+
+/// Where a robot's files may lie.
+pub struct Files {
+    /// Folder of the description.
+    folder: PathBuf,
+    /// Its package: nothing outside is opened.
+    root: PathBuf,
+}
+
+impl Files {
+    /// Of a description. Its package begins at the nearest folder above that has a `package.xml`, else at the folder above
+    /// if its own has one of the customary names, else at its own.
+    pub fn around(description: &Path) -> Result<Self> {
+        let failed = |e| Error::file(description, e);
+        let whole = description.canonicalize().map_err(failed)?;
+        let folder = whole.parent().unwrap_or(Path::new("/")).to_owned();
+        let above = folder.ancestors().take(HIGHEST);
+        let marked = above.clone().find(|f| f.join("package.xml").is_file());
+        let customary = || {
+            let named = folder.file_name().and_then(|n| n.to_str()).is_some_and(|n| CUSTOM.contains(&n));
+            folder.parent().filter(|above| named && above.parent().is_some())
+        };
+        let root = marked.or_else(customary).unwrap_or(&folder).to_owned();
+        Ok(Self { folder, root })
+    }
+
+    /// A file that a description names, relative to the folder `within` its own; `package://NAME/…` is looked for in the folder
+    /// NAME that the description lies in.
+    pub fn find(&self, within: &str, name: &str) -> Result<PathBuf> {
+        let (start, rest, root) = match name.strip_prefix("package://").or_else(|| name.strip_prefix("model://")) {
+            Some(rest) => {
+                let (package, rest) = rest.split_once('/').unwrap_or((rest, ""));
+                let root = self.package(package).ok_or_else(|| {
+                    let reason = format!("{name}: the file lies in no folder called {package:?}");
+                    Error::file(&self.folder, reason)
+                })?;
+                (root.clone(), rest, root)
+            }
+            None => {
+                let plain = name.strip_prefix("file://").unwrap_or(name);
+                (self.folder.join(within), plain, self.root.clone())
+            }
+        };
+        let wanted = Path::new(rest);
+        if wanted.is_absolute() || Path::new(within).is_absolute() {
+            return Err(Error::file(wanted, "absolute paths are not read: give one relative to the robot's file"));
+        }
+        let whole = plain_path(&start.join(wanted));
+        let outside = || Error::file(wanted, format!("lies outside of the robot's package {}", root.display()));
+        let whole = whole.filter(|w| w.starts_with(&root)).ok_or_else(outside)?;
+        // Links, too, must stay inside.
+        let real = whole.canonicalize().map_err(|e| Error::file(&whole, e))?;
+        if real.starts_with(&root) { Ok(real) } else { Err(outside()) }
+    }
+
+    /// The folder of a package: one that the description lies in, or one beside it in the package's root.
+    fn package(&self, name: &str) -> Option<PathBuf> {
+        let own = self.folder.ancestors().take(HIGHEST).find(|f| f.file_name().is_some_and(|n| n == name));
+        let declared = || {
+            let text = Source::read(&self.root.join("package.xml"), MOST_TEXT).ok()?;
+            text.text().ok()?.contains(&format!("<name>{name}</name>")).then_some(self.root.as_path())
+        };
+        own.or_else(declared).map(Path::to_owned)
+    }
+}
+
+/// Without `.` and `..`, by the letters alone; none if it climbs above the top.
+fn plain_path(path: &Path) -> Option<PathBuf> {
+    let mut plain = PathBuf::new();
+    for part in path.components() {
+        match part {
+            Component::CurDir => {}
+            Component::ParentDir => {
+                if !plain.pop() {
+                    return None;
+                }
+            }
+            other => plain.push(other),
+        }
+    }
+    Some(plain)
+}

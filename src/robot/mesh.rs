@@ -1,0 +1,195 @@
+//! Meshes that robots name: STL, OBJ and DAE, scaled, each file once.
+
+use super::files::{MOST_MESH, Source};
+use super::{collada, hull};
+use crate::error::{Error, Result};
+use crate::sand::intruder;
+use nalgebra::{Matrix3, Vector3};
+use std::collections::HashMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// Most triangles of a mesh: our choice, the largest we have seen (the trunk of go1.urdf) has 307,000.
+pub const MOST_TRIANGLES: usize = 500_000;
+/// Most triangles of all meshes of a robot: our choice, 144 MB.
+const MOST_TOGETHER: usize = 2_000_000;
+/// Corners nearer than this share of the mesh are one: our choice, ten times single precision's rounding.
+const SAME: f64 = 1e-6;
+
+pub type Triangle = [Vector3<f64>; 3];
+/// Volume or area, centre, and inertia about it for density 1.
+type Moments = (f64, Vector3<f64>, Matrix3<f64>);
+
+/// A mesh by its file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MeshFile {
+    pub path: PathBuf,
+    pub scale: Vector3<f64>,
+}
+
+/// Every file that was read, as it stands there.
+#[derive(Default)]
+pub struct Meshes {
+    read: HashMap<PathBuf, Arc<Vec<Triangle>>>,
+    triangles: usize,
+}
+
+impl Meshes {
+    pub fn scaled(&mut self, file: &MeshFile) -> Result<Arc<Vec<Triangle>>> {
+        let whole = self.whole(&file.path)?;
+        if file.scale == Vector3::repeat(1.0) {
+            return Ok(whole);
+        }
+        self.count(whole.len(), &file.path)?;
+        Ok(Arc::new(scaled(&whole, &file.scale)))
+    }
+
+    fn whole(&mut self, path: &PathBuf) -> Result<Arc<Vec<Triangle>>> {
+        if let Some(found) = self.read.get(path) {
+            return Ok(found.clone());
+        }
+        let source = Source::read(path, MOST_MESH)?;
+        let ending = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
+        let triangles = match ending.as_deref() {
+            Some("dae") => collada::read(&source)?,
+            Some("stl" | "obj") => {
+                let read = intruder::read_mesh(path, source.bytes(), MOST_TRIANGLES)?;
+                read.into_iter().map(|t| t.map(|p| Vector3::from(p.lane(0)))).collect()
+            }
+            _ => return Err(Error::file(path, "meshes are read from .stl, .obj and .dae")),
+        };
+        if triangles.is_empty() {
+            return Err(Error::file(path, "no triangles"));
+        }
+        if triangles.iter().flatten().flatten().any(|x| !x.is_finite() || x.abs() > 1e6) {
+            return Err(Error::file(path, "a vertex is not finite, or farther than 1000 km"));
+        }
+        self.count(triangles.len(), path)?;
+        let shared = Arc::new(triangles);
+        self.read.insert(path.clone(), shared.clone());
+        Ok(shared)
+    }
+
+    fn count(&mut self, more: usize, path: &std::path::Path) -> Result<()> {
+        self.triangles += more;
+        if self.triangles > MOST_TOGETHER {
+            return Err(Error::file(path, format!("the robot's meshes have more than {MOST_TOGETHER} triangles")));
+        }
+        Ok(())
+    }
+}
+
+/// A mirrored mesh is turned inside out again.
+pub fn scaled(triangles: &[Triangle], scale: &Vector3<f64>) -> Vec<Triangle> {
+    let mirrored = scale.product() < 0.0;
+    let one = |t: &Triangle| {
+        let [a, b, c] = t.map(|p| p.component_mul(scale));
+        if mirrored { [a, c, b] } else { [a, b, c] }
+    };
+    triangles.iter().map(one).collect()
+}
+
+/// A surface that sand can push on, and what was done to get it.
+pub enum Closed {
+    Itself,
+    /// Open, or without volume: the hull stands for it.
+    Hull(Vec<Triangle>),
+    /// Flat.
+    Nothing,
+}
+
+pub fn closed(triangles: &[Triangle]) -> Closed {
+    if is_closed(triangles) && volume(triangles) > 0.0 {
+        return Closed::Itself;
+    }
+    let points: Vec<_> = triangles.iter().flatten().copied().collect();
+    hull::hull(&points).map_or(Closed::Nothing, Closed::Hull)
+}
+
+/// Does every edge have a triangle on either side, wound the same way?
+fn is_closed(triangles: &[Triangle]) -> bool {
+    let extent = triangles.iter().flatten().map(|p| p.amax()).fold(0.0, f64::max);
+    let cell = (SAME * extent).max(f64::MIN_POSITIVE);
+    let key = |p: &Vector3<f64>| [p.x, p.y, p.z].map(|x| (x / cell).round() as i64);
+    let mut edges: HashMap<[[i64; 3]; 2], i32> = HashMap::new();
+    for [a, b, c] in triangles.iter().map(|t| [key(&t[0]), key(&t[1]), key(&t[2])]) {
+        for [from, to] in [[a, b], [b, c], [c, a]] {
+            // A triangle that is thinner than a cell has an edge without length.
+            match from.cmp(&to) {
+                std::cmp::Ordering::Less => *edges.entry([from, to]).or_default() += 1,
+                std::cmp::Ordering::Greater => *edges.entry([to, from]).or_default() -= 1,
+                std::cmp::Ordering::Equal => {}
+            }
+        }
+    }
+    edges.values().all(|n| *n == 0)
+}
+
+/// By the divergence theorem [m³]; negative where the surface is inside out.
+pub fn volume(triangles: &[Triangle]) -> f64 {
+    triangles.iter().map(|[a, b, c]| a.dot(&b.cross(c))).sum::<f64>() / 6.0
+}
+
+/// Volume, centre, and inertia about it for density 1, of a closed surface.
+pub fn solid(triangles: &[Triangle]) -> Moments {
+    let (volume, first, second) = tetrahedra(triangles, Vector3::zeros(), false);
+    moments(volume, first, second)
+}
+
+/// The same as MuJoCo's `legacy` has it: tetrahedra between the faces and the mean of their centres, all counted as positive,
+/// give the centre; those between the faces and that centre the rest.
+pub fn legacy(triangles: &[Triangle]) -> Moments {
+    let middle = middle_of_faces(triangles);
+    let (volume, first, _) = tetrahedra(triangles, middle, true);
+    let center = first / volume + middle;
+    let (volume, _, second) = tetrahedra(triangles, center, true);
+    (volume, center, Matrix3::identity() * second.trace() - second)
+}
+
+/// Volume, first and second moments about `tip` of the tetrahedra between it and the faces; `unsigned`: those that are inside
+/// out count as positive.
+fn tetrahedra(triangles: &[Triangle], tip: Vector3<f64>, unsigned: bool) -> Moments {
+    let (mut volume, mut first, mut second) = (0.0, Vector3::zeros(), Matrix3::zeros());
+    for t in triangles {
+        let [a, b, c] = t.map(|p| p - tip);
+        let signed = a.dot(&b.cross(&c)) / 6.0;
+        let v = if unsigned { signed.abs() } else { signed };
+        let sum = a + b + c;
+        volume += v;
+        first += sum * (v / 4.0);
+        // ∫ x xᵀ over a tetrahedron with a corner at 0: V/20 (Σ p pᵀ + (Σ p)(Σ p)ᵀ).
+        second += (a * a.transpose() + b * b.transpose() + c * c.transpose() + sum * sum.transpose()) * (v / 20.0);
+    }
+    (volume, first, second)
+}
+
+/// Mean of the faces' centres, by area.
+fn middle_of_faces(triangles: &[Triangle]) -> Vector3<f64> {
+    let (mut sum, mut all) = (Vector3::zeros(), 0.0);
+    for [a, b, c] in triangles {
+        let area = (b - a).cross(&(c - a)).norm() / 2.0;
+        sum += (a + b + c) * (area / 3.0);
+        all += area;
+    }
+    if all > 0.0 { sum / all } else { sum }
+}
+
+/// The same for a thin shell: area in place of volume.
+pub fn shell(triangles: &[Triangle]) -> Moments {
+    let (mut area, mut center, mut second) = (0.0, Vector3::zeros(), Matrix3::zeros());
+    for [a, b, c] in triangles {
+        let s = (b - a).cross(&(c - a)).norm() / 2.0;
+        let sum = a + b + c;
+        area += s;
+        center += sum * (s / 3.0);
+        // ∫ x xᵀ over a triangle: A/12 (Σ p pᵀ + (Σ p)(Σ p)ᵀ).
+        second += (a * a.transpose() + b * b.transpose() + c * c.transpose() + sum * sum.transpose()) * (s / 12.0);
+    }
+    moments(area, center, second)
+}
+
+fn moments(amount: f64, first: Vector3<f64>, second: Matrix3<f64>) -> Moments {
+    let center = first / amount;
+    let about = second - center * center.transpose() * amount;
+    (amount, center, Matrix3::identity() * about.trace() - about)
+}

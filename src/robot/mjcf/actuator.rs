@@ -1,0 +1,127 @@
+//! `<actuator>` and `<keyframe>`: what the joints' motors can do, and how the robot stands.
+
+use super::compiler::limited;
+use super::defaults::{ACTUATORS, Defaults, KIND};
+use crate::error::Result;
+use crate::robot::notes::Notes;
+use crate::robot::xml::Element;
+use crate::sim::tree::{Tree, TreeJoint};
+
+const KNOWN: [&str; 22] = [
+    KIND,
+    "name",
+    "class",
+    "joint",
+    "group",
+    "user",
+    "gear",
+    "ctrlrange",
+    "ctrllimited",
+    "forcerange",
+    "forcelimited",
+    "kp",
+    "kv",
+    "gainprm",
+    "biasprm",
+    "gaintype",
+    "biastype",
+    "dyntype",
+    "inheritrange",
+    "actlimited",
+    "actrange",
+    "jointinparent",
+];
+
+/// Gives joints the limits and gains of the actuators that drive them.
+pub fn apply(root: &Element, defaults: &Defaults, autolimits: bool, tree: &mut Tree, notes: &mut Notes) -> Result<()> {
+    let mut driven = std::collections::HashSet::new();
+    for element in root.all("actuator").flat_map(|section| &section.children) {
+        if !ACTUATORS.contains(&element.tag.as_str()) {
+            notes.left_out(element);
+            continue;
+        }
+        let whole = defaults.applied(element, "")?;
+        let Some(name) = whole.get("joint").or(whole.get("jointinparent")) else {
+            notes.say(format!("actuator {:?} drives no joint: left out", whole.get("name").unwrap_or("")));
+            continue;
+        };
+        let mut joints = tree.bodies.iter_mut().filter_map(|b| b.joint.as_mut());
+        let Some(joint) = joints.find(|j| j.name == name) else {
+            return Err(element.error(format!("there is no joint {name:?}")));
+        };
+        if !driven.insert(name.to_owned()) {
+            notes.say(format!("joint {name}: a second actuator is left out"));
+            continue;
+        }
+        drive(&whole, autolimits, joint, notes)?;
+    }
+    Ok(())
+}
+
+fn drive(element: &Element, autolimits: bool, joint: &mut TreeJoint, notes: &mut Notes) -> Result<()> {
+    notes.others(element, &KNOWN);
+    let gear = element.list("gear")?.and_then(|g| g.first().copied()).unwrap_or(1.0);
+    let first = |name: &str, k: usize| Ok::<_, crate::Error>(element.list(name)?.and_then(|l| l.get(k).copied()));
+    let kind = element.tag.as_str();
+    let general = kind == "general";
+    let gain = if kind == "motor" { 1.0 } else { first("gainprm", 0)?.unwrap_or(1.0) };
+    // A servo holds a position or a speed; anything else takes its control as a force.
+    let (kp, kd) = match (kind, element.get("biastype")) {
+        ("position", _) => (element.not_negative("kp")?.unwrap_or(gain), element.not_negative("kv")?.unwrap_or(0.0)),
+        ("velocity", _) => (0.0, element.not_negative("kv")?.unwrap_or(gain)),
+        ("general", Some("affine")) => (-first("biasprm", 1)?.unwrap_or(0.0), -first("biasprm", 2)?.unwrap_or(0.0)),
+        ("motor" | "general", _) => (0.0, 0.0),
+        _ => {
+            notes.say(format!("joint {}: an actuator <{kind}> is left out", joint.name));
+            return Ok(());
+        }
+    };
+    if general && element.get("dyntype").is_some_and(|d| d != "none") {
+        notes.say(format!("joint {}: its actuator's own dynamics (dyntype) are left out", joint.name));
+    }
+    let servo = kp > 0.0 || kd > 0.0;
+    if servo {
+        (joint.kp, joint.kd) = (Some(kp * gear * gear), Some(kd * gear * gear));
+    }
+    let force = element.numbers::<2>("forcerange")?;
+    if limited(element, "forcelimited", force.is_some(), autolimits)? {
+        limit(joint, force, gear, notes);
+    }
+    let control = element.numbers::<2>("ctrlrange")?;
+    if !servo && limited(element, "ctrllimited", control.is_some(), autolimits)? {
+        limit(joint, control, gear * gain, notes);
+    }
+    Ok(())
+}
+
+/// The tighter of the joint's limit and `factor` times a range.
+fn limit(joint: &mut TreeJoint, range: Option<[f64; 2]>, factor: f64, notes: &mut Notes) {
+    let Some([low, high]) = range.map(|r| r.map(|x| x * factor.abs())) else { return };
+    let most = high.min(-low);
+    if (low + high).abs() > 1e-9 * high.abs() {
+        notes.say(format!("joint {}: torque from {low} to {high}; the smaller counts both ways", joint.name));
+    }
+    if most > 0.0 {
+        joint.torque_limit = Some(joint.torque_limit.map_or(most, |t| t.min(most)));
+    } else {
+        notes.say(format!("joint {}: torque from {low} to {high} is left out", joint.name));
+    }
+}
+
+/// The pose of the keyframe `home`, else of the first.
+pub fn rest(root: &Element, tree: &mut Tree, notes: &mut Notes) -> Result<()> {
+    let mut keys = root.all("keyframe").flat_map(|section| section.all("key")).filter(|k| k.get("qpos").is_some());
+    let Some(first) = keys.next() else { return Ok(()) };
+    let key = std::iter::once(first).chain(keys).find(|k| k.get("name") == Some("home")).unwrap_or(first);
+    let values = key.list("qpos")?.unwrap_or_default();
+    let joints = tree.joints().count();
+    // Position and quaternion of the base come first.
+    if values.len() != 7 + joints {
+        notes.say(format!("keyframe: {} numbers in place of {}; it is left out", values.len(), 7 + joints));
+        return Ok(());
+    }
+    for (joint, value) in tree.bodies.iter_mut().filter_map(|b| b.joint.as_mut()).zip(&values[7..]) {
+        joint.rest = Some(*value);
+    }
+    Ok(())
+}

@@ -1,0 +1,306 @@
+//! `<geom>` and `<mesh>`: shapes, and the inertia that bodies take from them.
+
+use super::compiler::{Compiler, flag, from_z};
+use crate::error::{Error, Result};
+use crate::robot::draft::{Inertial, Look};
+use crate::robot::files::Files;
+use crate::robot::hull::hull;
+use crate::robot::mesh::{self, MeshFile, Meshes, Triangle};
+use crate::robot::notes::Notes;
+use crate::robot::shapes::{closed_mesh, ellipsoid};
+use crate::robot::xml::Element;
+use crate::sim::tree::Geometry;
+use nalgebra::{Isometry3, Matrix3, Quaternion, Translation3, Unit, UnitQuaternion, Vector3};
+use std::collections::HashMap;
+use std::f64::consts::PI;
+use std::sync::Arc;
+
+/// Of water [kg/m³], MuJoCo's default.
+const DENSITY: f64 = 1000.0;
+const FRICTION: f64 = 1.0;
+
+/// How a mesh fills space.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Filling {
+    /// By its convex hull.
+    Convex,
+    /// By its surface, which must be closed.
+    Exact,
+    /// As [`mesh::legacy`] has it: MuJoCo's default.
+    Legacy,
+    /// A thin shell of 1 m × density.
+    Shell,
+}
+
+/// A `<mesh>` as its file and its attributes say.
+pub struct Mesh {
+    triangles: Arc<Vec<Triangle>>,
+    filling: Filling,
+}
+
+pub type Assets = HashMap<String, Mesh>;
+
+/// What is needed to read an asset.
+pub struct Reader<'a> {
+    pub compiler: &'a Compiler,
+    pub files: &'a Files,
+    pub meshes: &'a mut Meshes,
+    pub notes: &'a mut Notes,
+}
+
+const MESH_KNOWN: [&str; 12] = [
+    "name",
+    "class",
+    "file",
+    "vertex",
+    "face",
+    "scale",
+    "refpos",
+    "refquat",
+    "inertia",
+    "normal",
+    "texcoord",
+    "content_type",
+];
+
+impl Reader<'_> {
+    /// Name and triangles of a `<mesh>`, defaults applied.
+    pub fn mesh(&mut self, element: &Element) -> Result<(String, Mesh)> {
+        self.notes.others(element, &MESH_KNOWN);
+        let scale = Vector3::from(element.numbers("scale")?.unwrap_or([1.0; 3]));
+        if scale.iter().any(|s| *s == 0.0 || s.abs() > 1e4) {
+            return Err(element.wrong("scale", "must not be 0, nor larger than 10000"));
+        }
+        let filling = match element.get("inertia") {
+            None | Some("legacy") => Filling::Legacy,
+            Some("convex") => Filling::Convex,
+            Some("exact") => Filling::Exact,
+            Some("shell") => Filling::Shell,
+            Some(other) => return Err(element.wrong("inertia", format!("{other:?} is not known"))),
+        };
+        let (stem, whole) = match (element.get("file"), element.list("vertex")?) {
+            (Some(file), None) => {
+                let file = if self.compiler.strippath { file.rsplit(['/', '\\']).next().unwrap_or(file) } else { file };
+                let path = self.files.find(&self.compiler.meshdir, file).map_err(|e| element.error(e))?;
+                let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+                let one = MeshFile { path, scale: Vector3::repeat(1.0) };
+                (stem, self.meshes.scaled(&one)?)
+            }
+            (None, Some(vertices)) => (String::new(), Arc::new(inline(element, &vertices)?)),
+            _ => return Err(element.error("needs either file or vertex")),
+        };
+        let name = element.get("name").unwrap_or(&stem).to_owned();
+        let mut triangles = whole;
+        if element.get("refpos").is_some() || element.get("refquat").is_some() {
+            let place = Vector3::from(element.numbers("refpos")?.unwrap_or_default());
+            let [w, x, y, z] = element.numbers("refquat")?.unwrap_or([1.0, 0.0, 0.0, 0.0]);
+            let turn = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-14);
+            let turn = turn.ok_or_else(|| element.wrong("refquat", "has no direction"))?;
+            triangles = Arc::new(triangles.iter().map(|t| t.map(|p| turn.inverse() * (p - place))).collect());
+        }
+        if scale != Vector3::repeat(1.0) {
+            triangles = Arc::new(mesh::scaled(&triangles, &scale));
+        }
+        Ok((name, Mesh { triangles, filling }))
+    }
+}
+
+/// Vertices and faces that stand in the file; without faces, the hull. MuJoCo keeps vertices in single precision.
+fn inline(element: &Element, vertices: &[f64]) -> Result<Vec<Triangle>> {
+    if !vertices.len().is_multiple_of(3) {
+        return Err(element.wrong("vertex", "is no list of points"));
+    }
+    let single = |x: f64| f64::from(x as f32);
+    let points: Vec<_> =
+        vertices.chunks_exact(3).map(|p| Vector3::new(single(p[0]), single(p[1]), single(p[2]))).collect();
+    let Some(faces) = element.list("face")? else {
+        return hull(&points).ok_or_else(|| element.wrong("vertex", "the points lie in a plane"));
+    };
+    let corner = |index: f64| {
+        let point = points.get(index as usize).filter(|_| index >= 0.0 && index.fract() == 0.0);
+        point.copied().ok_or_else(|| element.wrong("face", format!("{index} is no vertex")))
+    };
+    let face = |f: &[f64]| Ok([corner(f[0])?, corner(f[1])?, corner(f[2])?]);
+    faces.chunks_exact(3).map(face).collect()
+}
+
+/// A geom: where it is, what it is, what it weighs.
+pub struct Geom {
+    pub name: String,
+    pub origin: Isometry3<f64>,
+    /// None: what collides has no volume.
+    pub collision: Option<Geometry>,
+    pub look: Look,
+    pub friction: f64,
+    pub inertial: Inertial,
+}
+
+const KNOWN: [&str; 25] = [
+    "name",
+    "class",
+    "type",
+    "size",
+    "fromto",
+    "pos",
+    "quat",
+    "axisangle",
+    "euler",
+    "xyaxes",
+    "zaxis",
+    "mesh",
+    "mass",
+    "density",
+    "group",
+    "contype",
+    "conaffinity",
+    "friction",
+    "material",
+    "rgba",
+    "shellinertia",
+    "fitscale",
+    "user",
+    "hfield",
+    "fluidshape",
+];
+
+/// Reads a geom, defaults applied.
+pub fn geom(element: &Element, compiler: &Compiler, assets: &Assets, notes: &mut Notes) -> Result<Geom> {
+    notes.others(element, &KNOWN);
+    if flag(element, "shellinertia")?.unwrap_or(false) {
+        return Err(element.error("shellinertia is not read: give an <inertial>"));
+    }
+    let kind = element.get("type").unwrap_or("sphere");
+    let mut origin = compiler.pose(element)?;
+    let mut size = element.list("size")?.unwrap_or_default();
+    if let Some(ends) = element.numbers::<6>("fromto")? {
+        let from_to = Vector3::new(ends[0] - ends[3], ends[1] - ends[4], ends[2] - ends[5]);
+        let middle = Translation3::new(ends[0] + ends[3], ends[1] + ends[4], ends[2] + ends[5]);
+        let axis = Unit::try_new(from_to, 1e-14).ok_or_else(|| element.wrong("fromto", "has no length"))?;
+        origin = Isometry3::from_parts(Translation3::from(middle.vector / 2.0), from_z(axis));
+        let radius = size.first().copied().unwrap_or(0.0);
+        let half = from_to.norm() / 2.0;
+        size = match kind {
+            "capsule" | "cylinder" => vec![radius, half],
+            "box" | "ellipsoid" => vec![radius, radius, half],
+            _ => return Err(element.wrong("fromto", format!("a {kind} has none"))),
+        };
+    }
+    let side = |k: usize| {
+        let value = size.get(k).ok_or_else(|| element.wrong("size", format!("a {kind} needs {} numbers", k + 1)))?;
+        element.length("size", *value)
+    };
+    let unknown = |what: &str| element.error(format!("type {what:?} is not read on a robot"));
+    let mut shape = match kind {
+        "sphere" => Geometry::Sphere { radius: side(0)? },
+        "capsule" => Geometry::Capsule { radius: side(0)?, half_length: side(1)? },
+        "cylinder" => Geometry::Cylinder { radius: side(0)?, half_length: side(1)? },
+        "box" => Geometry::Box { half: Vector3::new(side(0)?, side(1)?, side(2)?) },
+        "ellipsoid" => ellipsoid(Vector3::new(side(0)?, side(1)?, side(2)?)),
+        "mesh" => Geometry::Mesh(found(element, assets)?.triangles.clone()),
+        other => return Err(unknown(other)),
+    };
+    if kind != "mesh" && element.get("mesh").is_some() {
+        return Err(element.error(format!("a {kind} fitted to a mesh is not read")));
+    }
+    let (volume, own) = match kind {
+        "mesh" => filled(element, found(element, assets)?)?,
+        "ellipsoid" => of_ellipsoid([side(0)?, side(1)?, side(2)?]),
+        _ => solid(&shape),
+    };
+    let inertial = weighed(element, compiler, volume, &own)?.moved(&origin);
+    let collides = [element.number("contype")?, element.number("conaffinity")?].iter().any(|c| *c != Some(0.0));
+    let look = Look::Shape(shape.clone());
+    if let (Geometry::Mesh(triangles), true, "mesh") = (&shape, collides, kind) {
+        let name = element.get("mesh").unwrap_or_default();
+        let kept = closed_mesh(name, triangles.to_vec(), notes);
+        shape = kept.ok_or_else(|| element.error(format!("the mesh {name:?} is flat: it has no volume")))?;
+    }
+    let friction = element.list("friction")?.and_then(|f| f.first().copied()).unwrap_or(FRICTION);
+    Ok(Geom {
+        name: element.get("name").unwrap_or_default().to_owned(),
+        origin,
+        collision: collides.then_some(shape),
+        look,
+        friction,
+        inertial,
+    })
+}
+
+fn found<'a>(element: &Element, assets: &'a Assets) -> Result<&'a Mesh> {
+    let name = element.required("mesh")?;
+    assets.get(name).ok_or_else(|| element.error(format!("there is no mesh {name:?}")))
+}
+
+/// With the mass or density that the geom says; without either that counts, nothing.
+fn weighed(element: &Element, compiler: &Compiler, volume: f64, own: &Inertial) -> Result<Inertial> {
+    let group = element.number("group")?.unwrap_or(0.0);
+    if group < compiler.groups[0] || group > compiler.groups[1] {
+        return Ok(Inertial::none());
+    }
+    let density = match element.not_negative("mass")? {
+        Some(mass) => mass / volume,
+        None => element.not_negative("density")?.unwrap_or(DENSITY),
+    };
+    if density == 0.0 {
+        return Ok(Inertial::none());
+    }
+    Ok(Inertial { mass: own.mass * density, inertia: own.inertia * density, ..*own })
+}
+
+fn diagonal(volume: f64, moments: [f64; 3]) -> (f64, Inertial) {
+    let inertia = Matrix3::from_diagonal(&Vector3::from(moments));
+    (volume, Inertial { mass: volume, center: Vector3::zeros(), inertia })
+}
+
+/// Volume, and mass and inertia of density 1.
+fn solid(shape: &Geometry) -> (f64, Inertial) {
+    match *shape {
+        Geometry::Sphere { radius: r } => of_ellipsoid([r, r, r]),
+        Geometry::Box { half: h } => {
+            let v = 8.0 * h.x * h.y * h.z;
+            let [x, y, z] = [h.x * h.x, h.y * h.y, h.z * h.z];
+            diagonal(v, [v / 3.0 * (y + z), v / 3.0 * (x + z), v / 3.0 * (x + y)])
+        }
+        Geometry::Cylinder { radius: r, half_length: h } => {
+            let v = 2.0 * PI * r * r * h;
+            let across = v * (3.0 * r * r + 4.0 * h * h) / 12.0;
+            diagonal(v, [across, across, v * r * r / 2.0])
+        }
+        Geometry::Capsule { radius: r, half_length: h } => {
+            let (tube, caps) = (2.0 * PI * r * r * h, 4.0 / 3.0 * PI * r * r * r);
+            // Half a ball's centre is 3/8 r above its base.
+            let across =
+                tube * (3.0 * r * r + 4.0 * h * h) / 12.0 + caps * (2.0 / 5.0 * r * r + h * h + 3.0 / 4.0 * r * h);
+            let along = tube * r * r / 2.0 + caps * 2.0 / 5.0 * r * r;
+            diagonal(tube + caps, [across, across, along])
+        }
+        Geometry::Mesh(_) => (0.0, Inertial::none()),
+    }
+}
+
+fn of_ellipsoid([a, b, c]: [f64; 3]) -> (f64, Inertial) {
+    let v = 4.0 / 3.0 * PI * a * b * c;
+    diagonal(v, [v / 5.0 * (b * b + c * c), v / 5.0 * (a * a + c * c), v / 5.0 * (a * a + b * b)])
+}
+
+fn filled(element: &Element, mesh: &Mesh) -> Result<(f64, Inertial)> {
+    let triangles = &mesh.triangles;
+    let (amount, center, inertia) = match mesh.filling {
+        Filling::Shell => mesh::shell(triangles),
+        Filling::Exact => mesh::solid(triangles),
+        Filling::Legacy => mesh::legacy(triangles),
+        Filling::Convex => {
+            let points: Vec<_> = triangles.iter().flatten().copied().collect();
+            let hull = hull(&points).ok_or_else(|| no_volume(element))?;
+            mesh::solid(&hull)
+        }
+    };
+    if amount.is_nan() || amount <= 1e-14 {
+        return Err(no_volume(element));
+    }
+    Ok((amount, Inertial { mass: amount, center, inertia }))
+}
+
+fn no_volume(element: &Element) -> Error {
+    element.error("the mesh has no volume: give the body an <inertial>, and the geom mass=\"0\"")
+}

@@ -1,0 +1,166 @@
+//! MJCF (mujoco.readthedocs.io, "XML reference"), as MuJoCo 4.0 compiles it.
+
+mod actuator;
+mod body;
+mod compiler;
+mod defaults;
+mod geom;
+
+use super::draft::{Inertial, Link, Merged, merged};
+use super::files::{Files, MOST_TEXT, Source};
+use super::mesh::Meshes;
+use super::notes::Notes;
+use super::xml::{self, Element};
+use crate::error::Result;
+use body::Builder;
+use compiler::Compiler;
+use defaults::Defaults;
+use nalgebra::Isometry3;
+use std::collections::HashSet;
+use std::path::PathBuf;
+
+/// Sections that change how the robot moves: without them it is another robot.
+const REFUSED: [&str; 3] = ["equality", "deformable", "extension"];
+/// Sections that are read.
+const READ: [&str; 7] = ["compiler", "default", "asset", "worldbody", "actuator", "keyframe", "include"];
+/// Most files of a model: our choice.
+const MOST_FILES: usize = 50;
+/// Most elements of a model with all that it includes: our choice, as for one file.
+const MOST_ELEMENTS: usize = 200_000;
+
+/// The robot of a file.
+pub fn robot(
+    root: Element,
+    name: &str,
+    main: PathBuf,
+    files: &Files,
+    meshes: &mut Meshes,
+    notes: &mut Notes,
+) -> Result<Merged> {
+    let mut including = Including { files, seen: HashSet::from([main]), elements: 0 };
+    let root = including.expanded(root)?;
+    for section in &root.children {
+        let tag = section.tag.as_str();
+        if REFUSED.contains(&tag) && !section.children.is_empty() {
+            return Err(section.error(format!("<{}> is not simulated", section.children[0].tag)));
+        }
+        if tag == "tendon" {
+            notes.say("tendons are left out, and what they do");
+        }
+        if !READ.contains(&tag) {
+            notes.left_out(section);
+        }
+    }
+    let compiler = Compiler::read(&root, notes)?;
+    let defaults = Defaults::read(&root)?;
+    let mut reader = geom::Reader { compiler: &compiler, files, meshes, notes };
+    let mut assets = geom::Assets::new();
+    for asset in root.all("asset").flat_map(|section| section.all("mesh")) {
+        let (name, mesh) = reader.mesh(&defaults.applied(asset, "")?)?;
+        if assets.insert(name, mesh).is_some() {
+            return Err(asset.error("a second mesh of this name"));
+        }
+    }
+    let base = base(&root, notes)?;
+    let mut builder = Builder { compiler: &compiler, defaults: &defaults, assets: &assets, notes, links: Vec::new() };
+    builder.body(base.element, None, &Isometry3::identity(), &base.class)?;
+    let mut links = builder.links;
+    if let Some(wanted) = compiler.total_mass {
+        rescale(&mut links, wanted);
+    }
+    let name = root.get("model").unwrap_or(name);
+    let mut merged = merged(name, links)?;
+    actuator::apply(&root, &defaults, compiler.autolimits, &mut merged.tree, notes)?;
+    actuator::rest(&root, &mut merged.tree, notes)?;
+    Ok(merged)
+}
+
+/// `settotalmass`
+fn rescale(links: &mut [Link], wanted: f64) {
+    let factor = wanted / links.iter().map(|l| l.inertial.mass).sum::<f64>();
+    if factor.is_finite() {
+        for link in links {
+            let Inertial { mass, center, inertia } = link.inertial;
+            link.inertial = Inertial { mass: mass * factor, center, inertia: inertia * factor };
+        }
+    }
+}
+
+struct Base<'a> {
+    element: &'a Element,
+    class: String,
+}
+
+/// The one body of the world that moves freely.
+fn base<'a>(root: &'a Element, notes: &mut Notes) -> Result<Base<'a>> {
+    let mut bodies = Vec::new();
+    for world in root.all("worldbody") {
+        top(world, "", &mut bodies, notes)?;
+    }
+    let free: Vec<usize> = (0..bodies.len()).filter(|i| body::is_free(bodies[*i].element)).collect();
+    let chosen = match (&free[..], bodies.len()) {
+        ([one], _) => *one,
+        ([a, b, ..], _) => {
+            let name = bodies[*a].element.get("name").unwrap_or("(unnamed)").to_owned();
+            return Err(bodies[*b].element.error(format!("moves freely, and so does {name:?}: two robots")));
+        }
+        ([], 1) => {
+            notes.say("the base is fixed to the world in the file; here it moves freely");
+            0
+        }
+        _ => return Err(root.error("no body of <worldbody> has a free joint: which one is the robot?")),
+    };
+    for (_, other) in bodies.iter().enumerate().filter(|(i, _)| *i != chosen) {
+        notes.left_out(other.element);
+    }
+    Ok(bodies.swap_remove(chosen))
+}
+
+/// Bodies of the world, in frames too.
+fn top<'a>(world: &'a Element, class: &str, bodies: &mut Vec<Base<'a>>, notes: &mut Notes) -> Result<()> {
+    let class = world.get("childclass").unwrap_or(class);
+    for child in &world.children {
+        match child.tag.as_str() {
+            "body" => bodies.push(Base { element: child, class: class.to_owned() }),
+            "frame" => top(child, class, bodies, notes)?,
+            "replicate" | "attach" | "composite" | "flexcomp" => return Err(child.error("is not read")),
+            _ => notes.left_out(child),
+        }
+    }
+    Ok(())
+}
+
+struct Including<'a> {
+    files: &'a Files,
+    seen: HashSet<PathBuf>,
+    elements: usize,
+}
+
+impl Including<'_> {
+    /// With the content of included files in place of `<include>`.
+    fn expanded(&mut self, mut element: Element) -> Result<Element> {
+        let mut children = Vec::with_capacity(element.children.len());
+        for child in std::mem::take(&mut element.children) {
+            self.elements += 1;
+            if self.elements > MOST_ELEMENTS {
+                return Err(child.error(format!("more than {MOST_ELEMENTS} elements with all included files")));
+            }
+            if child.tag != "include" {
+                children.push(self.expanded(child)?);
+                continue;
+            }
+            let path = self.files.find("", child.required("file")?).map_err(|e| child.error(e))?;
+            // MuJoCo, too, includes a file once.
+            if !self.seen.insert(path.clone()) {
+                return Err(child.error("the file is included already: it would go in circles"));
+            }
+            if self.seen.len() > MOST_FILES {
+                return Err(child.error(format!("more than {MOST_FILES} files")));
+            }
+            let included = xml::parse(&Source::read(&path, MOST_TEXT)?)?;
+            children.extend(self.expanded(included)?.children);
+        }
+        element.children = children;
+        Ok(element)
+    }
+}

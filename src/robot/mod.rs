@@ -1,0 +1,140 @@
+//! Robots from files: URDF, MJCF, and our own TOML, each read into a [`Tree`].
+//!
+//! ```text
+//!  file ─▶ xml (bounded) ─▶ urdf | mjcf ─▶ draft (links and joints, fixed ones too) ─▶ merged, checked ─▶ Tree
+//!                              └─▶ files (inside of the package only) ─▶ mesh (STL, OBJ, DAE)
+//! ```
+//!
+//! Both formats are read by `roxmltree`, which draws figures already. `urdf-rs` leaves unknown elements out in silence, runs
+//! `rospack` to find meshes and brings twenty crates; `mjcf-rs` opens whatever path a file names and sends what it does not
+//! know to a log.
+
+mod check;
+mod collada;
+mod draft;
+mod files;
+mod hull;
+mod mesh;
+mod mjcf;
+mod notes;
+mod shapes;
+pub mod states;
+mod touch;
+mod urdf;
+mod xml;
+
+use crate::error::{Error, Result};
+use crate::sim::tree::{Geometry, Tree, TreeShape};
+use files::{Files, MOST_TEXT, Source};
+use mesh::Meshes;
+use notes::Notes;
+use std::path::Path;
+use std::sync::Arc;
+
+pub use touch::Touch;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    Urdf,
+    Mjcf,
+    Toml,
+}
+
+impl Format {
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Urdf => "urdf",
+            Self::Mjcf => "mjcf",
+            Self::Toml => "toml",
+        }
+    }
+}
+
+/// A robot as its file has it.
+pub struct Import {
+    pub tree: Tree,
+    pub format: Format,
+    /// What was left out, and what looks wrong.
+    pub warnings: Vec<String>,
+    /// For each body the links of the file that are part of it, its own first.
+    pub links: Vec<Vec<String>>,
+    visuals: Vec<Vec<draft::Visual>>,
+}
+
+/// Reads a `.urdf`, a `.xml` or `.mjcf` (URDF or MJCF by its root element), or a `.toml`.
+pub fn load(path: &Path) -> Result<Import> {
+    let ending = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
+    match ending.as_deref() {
+        Some("toml") => return Import::of_toml(path),
+        Some("urdf" | "xml" | "mjcf") => {}
+        _ => return Err(Error::file(path, "robots are read from .urdf, .xml (MJCF) and .toml")),
+    }
+    let source = Source::read(path, MOST_TEXT)?;
+    let root = xml::parse(&source)?;
+    let files = Files::around(path)?;
+    let (mut meshes, mut notes) = (Meshes::default(), Notes::default());
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let named = |e: Error| match e {
+        Error::Invalid { field, reason } => Error::file(path, format!("{field}: {reason}")),
+        other => other,
+    };
+    let (format, merged) = match root.tag.as_str() {
+        "robot" => {
+            let links = urdf::links(&root, &files, &mut meshes, &mut notes)?;
+            (Format::Urdf, draft::merged(root.get("name").unwrap_or(&stem), links).map_err(named)?)
+        }
+        "mujoco" => {
+            let main = path.canonicalize().map_err(|e| Error::file(path, e))?;
+            (Format::Mjcf, mjcf::robot(root, &stem, main, &files, &mut meshes, &mut notes).map_err(named)?)
+        }
+        _ => return Err(root.error("is neither <robot> (URDF) nor <mujoco> (MJCF)")),
+    };
+    check::check(&merged, &mut |line| notes.say(line)).map_err(named)?;
+    let draft::Merged { tree, visuals, links, .. } = merged;
+    Ok(Import { tree, format, warnings: notes.into_lines(), links, visuals })
+}
+
+impl Import {
+    /// One of our own robots.
+    fn of_toml(path: &Path) -> Result<Self> {
+        let source = Source::read(path, MOST_TEXT)?;
+        let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let robot = crate::sim::Robot::from_toml(source.text()?).map_err(|e| Error::file(path, e))?;
+        Self::of_robot(&name, &robot)
+    }
+
+    /// The same by its name, as `--robot` takes it.
+    pub fn built_in(name: &str) -> Result<Self> {
+        Self::of_robot(name, &crate::sim::Robot::built_in(name)?)
+    }
+
+    fn of_robot(name: &str, robot: &crate::sim::Robot) -> Result<Self> {
+        let tree = crate::sim::tree::of_robot(name, robot)?;
+        let links = tree.bodies.iter().map(|b| vec![b.name.clone()]).collect();
+        let visuals = tree.bodies.iter().map(|_| Vec::new()).collect();
+        Ok(Self { tree, format: Format::Toml, warnings: Vec::new(), links, visuals })
+    }
+
+    /// What is seen of each body: what the file says is seen, else what collides. Visual meshes are read now.
+    pub fn seen(&self) -> Result<Vec<Vec<TreeShape>>> {
+        let mut meshes = Meshes::default();
+        let any = self.visuals.iter().any(|v| !v.is_empty());
+        let mut all = Vec::with_capacity(self.visuals.len());
+        for (visuals, body) in self.visuals.iter().zip(&self.tree.bodies) {
+            if !any {
+                all.push(body.shapes.clone());
+                continue;
+            }
+            let mut shapes = Vec::with_capacity(visuals.len());
+            for visual in visuals {
+                let geometry = match &visual.look {
+                    draft::Look::Shape(geometry) => geometry.clone(),
+                    draft::Look::Mesh(file) => Geometry::Mesh(Arc::clone(&meshes.scaled(file)?)),
+                };
+                shapes.push(TreeShape { name: body.name.clone(), origin: visual.origin, geometry, friction: 0.0 });
+            }
+            all.push(shapes);
+        }
+        Ok(all)
+    }
+}

@@ -1,0 +1,65 @@
+//! Collision shapes that are not there as they stand: meshes that are open, ellipsoids.
+
+use super::mesh::{Closed, MeshFile, Meshes, Triangle, closed};
+use super::notes::Notes;
+use crate::error::{Error, Result};
+use crate::sim::tree::Geometry;
+use nalgebra::Vector3;
+use std::f64::consts::{PI, TAU};
+use std::sync::Arc;
+
+/// Bands of an ellipsoid between its poles: our choice, its volume is within 0.5 %.
+const BANDS: usize = 32;
+
+/// A mesh that sand can push on: itself if its surface is closed, else its convex hull, which is said.
+pub fn collision_mesh(meshes: &mut Meshes, file: &MeshFile, notes: &mut Notes) -> Result<Geometry> {
+    let triangles = meshes.scaled(file)?;
+    let name = file.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    Ok(Geometry::Mesh(match closed(&triangles) {
+        Closed::Itself => triangles,
+        Closed::Hull(hull) => {
+            notes.say(format!("{name}: the surface is not closed; its convex hull stands for it"));
+            Arc::new(hull)
+        }
+        Closed::Nothing => return Err(Error::file(&file.path, "the mesh is flat: it has no volume")),
+    }))
+}
+
+/// The same for triangles that are at hand.
+pub fn closed_mesh(name: &str, triangles: Vec<Triangle>, notes: &mut Notes) -> Option<Geometry> {
+    let kept = match closed(&triangles) {
+        Closed::Itself => triangles,
+        Closed::Hull(hull) => {
+            notes.say(format!("{name}: the surface is not closed; its convex hull stands for it"));
+            hull
+        }
+        Closed::Nothing => return None,
+    };
+    Some(Geometry::Mesh(Arc::new(kept)))
+}
+
+/// Triangles of an ellipsoid with these half axes.
+pub fn ellipsoid(half: Vector3<f64>) -> Geometry {
+    let point = |band: usize, sector: usize| {
+        let (up, around) = (PI * band as f64 / BANDS as f64, TAU * sector as f64 / (2 * BANDS) as f64);
+        // The same corner from either side, to the last bit.
+        let around = if sector == 2 * BANDS { 0.0 } else { around };
+        let (sin, cos) = up.sin_cos();
+        let ring = if band == 0 || band == BANDS { 0.0 } else { sin };
+        Vector3::new(ring * around.cos(), ring * around.sin(), -cos).component_mul(&half)
+    };
+    let mut triangles = Vec::new();
+    for band in 0..BANDS {
+        for sector in 0..2 * BANDS {
+            let [a, b] = [point(band, sector), point(band, sector + 1)];
+            let [d, c] = [point(band + 1, sector), point(band + 1, sector + 1)];
+            if band > 0 {
+                triangles.push([a, b, c]);
+            }
+            if band + 1 < BANDS {
+                triangles.push([a, c, d]);
+            }
+        }
+    }
+    Geometry::Mesh(Arc::new(triangles))
+}

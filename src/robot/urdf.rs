@@ -1,0 +1,280 @@
+//! URDF (wiki.ros.org/urdf/XML), as urdfdom reads it.
+
+use super::draft::{Inertial, Link, Look, MOST_LINKS, Visual, name_shapes};
+use super::files::Files;
+use super::mesh::{MeshFile, Meshes};
+use super::notes::Notes;
+use super::shapes::collision_mesh;
+use super::xml::Element;
+use crate::error::{Error, Result};
+use crate::sim::tree::{Geometry, JointKind, TreeJoint, TreeShape};
+use nalgebra::{Isometry3, Matrix3, Translation3, Unit, UnitQuaternion, Vector3};
+use std::collections::HashMap;
+
+/// Friction of a shape whose file gives none: MuJoCo's default.
+pub const FRICTION: f64 = 1.0;
+
+struct Reader<'a> {
+    files: &'a Files,
+    meshes: &'a mut Meshes,
+    notes: &'a mut Notes,
+}
+
+/// A link and what carries it, by their indices in the file.
+struct Joint<'a> {
+    element: &'a Element,
+    parent: usize,
+    child: usize,
+}
+
+/// The links of a file, each behind its parent.
+pub fn links(root: &Element, files: &Files, meshes: &mut Meshes, notes: &mut Notes) -> Result<Vec<Link>> {
+    notes.other_children(root, &["link", "joint", "material"]);
+    let elements: Vec<&Element> = root.all("link").collect();
+    if elements.is_empty() {
+        return Err(root.error("has no <link>"));
+    }
+    if elements.len() > MOST_LINKS {
+        return Err(root.error(format!("{} links are more than {MOST_LINKS}", elements.len())));
+    }
+    let mut by_name = HashMap::new();
+    for (i, element) in elements.iter().enumerate() {
+        if by_name.insert(element.required("name")?, i).is_some() {
+            return Err(element.error("a second link of this name"));
+        }
+    }
+    let joints = joints(root, &by_name)?;
+    let order = ordered(root, &elements, &joints)?;
+    let mut place = vec![0; elements.len()];
+    let mut reader = Reader { files, meshes, notes };
+    let mut links = Vec::with_capacity(order.len());
+    for (link, joint) in order {
+        place[link] = links.len();
+        let parent = joint.map_or(0, |j: &Joint| place[j.parent]);
+        links.push(reader.link(elements[link], joint.map(|j| j.element), parent)?);
+    }
+    Ok(links)
+}
+
+fn joints<'a>(root: &'a Element, by_name: &HashMap<&str, usize>) -> Result<Vec<Joint<'a>>> {
+    let mut names = HashMap::new();
+    let mut joints: Vec<Joint> = Vec::new();
+    for element in root.all("joint") {
+        if names.insert(element.required("name")?, ()).is_some() {
+            return Err(element.error("a second joint of this name"));
+        }
+        let end = |tag: &str| {
+            let inner = element.first(tag).ok_or_else(|| element.error(format!("has no <{tag}>")))?;
+            let name = inner.required("link")?;
+            by_name.get(name).copied().ok_or_else(|| inner.error(format!("there is no link {name:?}")))
+        };
+        joints.push(Joint { element, parent: end("parent")?, child: end("child")? });
+    }
+    Ok(joints)
+}
+
+/// Links from the root outward, each with the joint that carries it, in the file's order of joints.
+fn ordered<'a, 'b>(
+    root: &Element,
+    elements: &[&Element],
+    joints: &'b [Joint<'a>],
+) -> Result<Vec<(usize, Option<&'b Joint<'a>>)>> {
+    let mut carried = vec![None; elements.len()];
+    let mut children = vec![Vec::new(); elements.len()];
+    for joint in joints {
+        if carried[joint.child].replace(joint).is_some() {
+            return Err(joint.element.error("its child is carried by another joint already: a closed chain"));
+        }
+        children[joint.parent].push(joint);
+    }
+    let roots: Vec<usize> = (0..elements.len()).filter(|i| carried[*i].is_none()).collect();
+    let base = match roots[..] {
+        [] => return Err(root.error("every link is some joint's child: the joints go in a circle")),
+        [one] => one,
+        [a, b, ..] => {
+            let names = [a, b].map(|i| elements[i].get("name").unwrap_or_default());
+            return Err(root.error(format!("{:?} and {:?} are both nobody's child: two robots", names[0], names[1])));
+        }
+    };
+    let (mut order, mut left) = (Vec::new(), vec![(base, None)]);
+    while let Some((link, joint)) = left.pop() {
+        order.push((link, joint));
+        left.extend(children[link].iter().rev().map(|j| (j.child, Some(*j))));
+    }
+    if order.len() < elements.len() {
+        let lost = joints.iter().find(|j| !order.iter().any(|(link, _)| *link == j.child));
+        let lost = lost.map_or(root, |j| j.element);
+        return Err(lost.error("is not connected to the root: the joints go in a circle"));
+    }
+    Ok(order)
+}
+
+/// `<origin xyz rpy>` of an element; rpy: about fixed x, then y, then z.
+fn origin(element: &Element) -> Result<Isometry3<f64>> {
+    let Some(origin) = element.first("origin") else { return Ok(Isometry3::identity()) };
+    let [x, y, z] = origin.numbers("xyz")?.unwrap_or_default();
+    let [roll, pitch, yaw] = origin.numbers("rpy")?.unwrap_or_default();
+    Ok(Isometry3::from_parts(Translation3::new(x, y, z), UnitQuaternion::from_euler_angles(roll, pitch, yaw)))
+}
+
+impl Reader<'_> {
+    fn link(&mut self, element: &Element, joint: Option<&Element>, parent: usize) -> Result<Link> {
+        let name = element.required("name")?.to_owned();
+        self.notes.other_children(element, &["inertial", "visual", "collision", "contact"]);
+        let inertial = self.inertial(element, joint)?;
+        let friction = match element.first("contact").and_then(|c| c.first("lateral_friction")) {
+            Some(given) => given.not_negative("value")?.unwrap_or(FRICTION),
+            None => FRICTION,
+        };
+        let mut shapes = Vec::new();
+        for collision in element.all("collision") {
+            let name = collision.get("name").unwrap_or_default().to_owned();
+            let geometry = match self.look(collision)? {
+                Look::Shape(geometry) => geometry,
+                Look::Mesh(file) => collision_mesh(self.meshes, &file, self.notes)?,
+            };
+            shapes.push(TreeShape { name, origin: origin(collision)?, geometry, friction });
+        }
+        name_shapes(&name, &mut shapes);
+        let mut visuals = Vec::new();
+        for visual in element.all("visual") {
+            visuals.push(Visual { origin: origin(visual)?, look: self.look(visual)? });
+        }
+        let at = joint.map_or(Ok(Isometry3::identity()), origin)?;
+        let joint = joint.map(|j| self.joint(j)).transpose()?.flatten();
+        let massless = element.first("inertial").is_none();
+        Ok(Link { name, parent, origin: at, joint, massless, inertial, shapes, visuals })
+    }
+
+    fn inertial(&mut self, element: &Element, joint: Option<&Element>) -> Result<Inertial> {
+        let Some(inertial) = element.first("inertial") else { return Ok(Inertial::none()) };
+        let part = |tag: &str| inertial.first(tag).ok_or_else(|| element.error(format!("<inertial> has no <{tag}>")));
+        let mass = part("mass")?.number("value")?.ok_or_else(|| inertial.error("mass has no value"))?;
+        let tensor = part("inertia")?;
+        let entry = |name: &str| tensor.number(name)?.ok_or_else(|| tensor.error(format!("{name} is missing")));
+        let [xx, xy, xz] = [entry("ixx")?, entry("ixy")?, entry("ixz")?];
+        let [yy, yz, zz] = [entry("iyy")?, entry("iyz")?, entry("izz")?];
+        let inertia = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
+        let own = Inertial { mass, center: Vector3::zeros(), inertia };
+        let moves = joint.is_some_and(|j| j.get("type") != Some("fixed"));
+        if moves && mass == 0.0 {
+            return Err(element.error("a link that moves has mass 0 (one without mass has no <inertial>)"));
+        }
+        match own.check() {
+            Err(reason) => return Err(element.error(reason)),
+            Ok(Some(doubt)) => self.notes.say(format!("link {}: {doubt}", element.required("name")?)),
+            Ok(None) => {}
+        }
+        Ok(own.moved(&origin(inertial)?))
+    }
+
+    /// The geometry of a visual or a collision; a mesh by its file, which must be there.
+    fn look(&mut self, element: &Element) -> Result<Look> {
+        let geometry = element.first("geometry").ok_or_else(|| element.error("has no <geometry>"))?;
+        let [shape] = &geometry.children[..] else {
+            return Err(geometry.error(format!("{} shapes in place of 1", geometry.children.len())));
+        };
+        let length = |name: &str| {
+            let value = shape.number(name)?.ok_or_else(|| shape.error(format!("{name} is missing")))?;
+            shape.length(name, value)
+        };
+        Ok(Look::Shape(match shape.tag.as_str() {
+            "sphere" => Geometry::Sphere { radius: length("radius")? },
+            "cylinder" => Geometry::Cylinder { radius: length("radius")?, half_length: length("length")? / 2.0 },
+            // Not in the standard; drake and Isaac read it: `length` is without the caps.
+            "capsule" => Geometry::Capsule { radius: length("radius")?, half_length: length("length")? / 2.0 },
+            "box" => {
+                let size = shape.numbers::<3>("size")?.ok_or_else(|| shape.error("size is missing"))?;
+                for side in size {
+                    shape.length("size", side)?;
+                }
+                Geometry::Box { half: Vector3::from(size) / 2.0 }
+            }
+            "mesh" => {
+                let name = shape.required("filename")?;
+                let path = self.files.find("", name).map_err(|e| shape.error(e))?;
+                let scale = Vector3::from(shape.numbers("scale")?.unwrap_or([1.0; 3]));
+                if scale.iter().any(|s| *s == 0.0 || s.abs() > 1e4) {
+                    return Err(shape.wrong("scale", "must not be 0, nor larger than 10000"));
+                }
+                return Ok(Look::Mesh(MeshFile { path, scale }));
+            }
+            _ => return Err(shape.error("is no shape that is read: box, cylinder, sphere, capsule, mesh")),
+        }))
+    }
+
+    /// None: fixed.
+    fn joint(&mut self, element: &Element) -> Result<Option<TreeJoint>> {
+        let known = ["origin", "parent", "child", "axis", "limit", "dynamics", "mimic"];
+        self.notes.other_children(element, &known);
+        let name = element.required("name")?;
+        let kind = match element.required("type")? {
+            "fixed" => return Ok(None),
+            "revolute" | "continuous" => JointKind::Hinge,
+            "prismatic" => JointKind::Slide,
+            other => {
+                return Err(
+                    element.wrong("type", format!("{other:?} is not read: revolute, continuous, prismatic, fixed"))
+                );
+            }
+        };
+        if let Some(mimic) = element.first("mimic") {
+            return Err(mimic.error(format!("joint {name}: one that follows another is not simulated: make it fixed")));
+        }
+        let axis = match element.first("axis") {
+            Some(axis) => axis.numbers("xyz")?.ok_or_else(|| axis.error("xyz is missing"))?,
+            None => [1.0, 0.0, 0.0],
+        };
+        let axis = Unit::try_new(Vector3::from(axis), 1e-9).ok_or_else(|| element.error("its axis has no length"))?;
+        let mut joint = TreeJoint {
+            name: name.to_owned(),
+            kind,
+            axis,
+            range: None,
+            damping: 0.0,
+            friction: 0.0,
+            armature: 0.0,
+            torque_limit: None,
+            speed_limit: None,
+            kp: None,
+            kd: None,
+            rest: None,
+        };
+        if let Some(dynamics) = element.first("dynamics") {
+            joint.damping = dynamics.not_negative("damping")?.unwrap_or(0.0);
+            joint.friction = dynamics.not_negative("friction")?.unwrap_or(0.0);
+        }
+        self.limits(element, &mut joint)?;
+        Ok(Some(joint))
+    }
+
+    fn limits(&mut self, element: &Element, joint: &mut TreeJoint) -> Result<()> {
+        let (name, free) = (joint.name.clone(), element.get("type") == Some("continuous"));
+        let Some(limit) = element.first("limit") else {
+            if !free {
+                self.notes.say(format!("joint {name}: no <limit>; it moves freely"));
+            }
+            return Ok(());
+        };
+        let mut most = |attribute: &str| {
+            let value = limit.not_negative(attribute)?;
+            if value == Some(0.0) {
+                self.notes.say(format!("joint {name}: {attribute} 0 is taken as unknown"));
+            }
+            Ok::<_, Error>(value.filter(|v| *v > 0.0))
+        };
+        (joint.torque_limit, joint.speed_limit) = (most("effort")?, most("velocity")?);
+        let ends = [limit.number("lower")?.unwrap_or(0.0), limit.number("upper")?.unwrap_or(0.0)];
+        if free {
+            return Ok(());
+        }
+        if ends[0] > ends[1] {
+            return Err(limit.error(format!("joint {name}: lower {} is above upper {}", ends[0], ends[1])));
+        }
+        joint.range = Some(ends).filter(|e| e[0] < e[1]);
+        if joint.range.is_none() {
+            self.notes.say(format!("joint {name}: lower = upper is taken as no limit"));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,149 @@
+//! XML as elements with attributes: bounded in size, number and depth, and every complaint names its line.
+
+use super::files::Source;
+use crate::error::{Error, Result};
+use std::path::Path;
+use std::sync::Arc;
+
+/// Most nodes of a file: our choice, fifty times those of the largest robot we have seen (go1.urdf, 4000).
+const MOST_NODES: u32 = 200_000;
+/// Deepest nesting: our choice, a leg of twenty links is less than half of it.
+const DEEPEST: usize = 100;
+/// How much of a text that is no number a message shows.
+const QUOTED: usize = 40;
+
+/// An element without its text, which robots do not use.
+#[derive(Clone, Debug)]
+pub struct Element {
+    pub tag: String,
+    pub attributes: Vec<(String, String)>,
+    pub children: Vec<Element>,
+    file: Arc<Path>,
+    line: u32,
+}
+
+/// The root element of a file. Entities and other document types are refused: no robot needs them, and they grow.
+pub fn parse(source: &Source) -> Result<Element> {
+    let text = source.text()?;
+    let options = roxmltree::ParsingOptions { allow_dtd: false, nodes_limit: MOST_NODES, ..Default::default() };
+    let document = roxmltree::Document::parse_with_options(text, options).map_err(|e| match e {
+        roxmltree::Error::NodesLimitReached => Error::file(&source.path, format!("more than {MOST_NODES} nodes")),
+        roxmltree::Error::DtdDetected => Error::file(&source.path, "a document type (<!DOCTYPE …>) is not read"),
+        other => Error::file(&source.path, format!("no XML: {}", shortened(&other.to_string(), 200))),
+    })?;
+    let lines = Lines::of(text);
+    element(&document.root_element(), &Arc::from(source.path.as_path()), &lines, 1)
+}
+
+fn element(node: &roxmltree::Node, file: &Arc<Path>, lines: &Lines, depth: usize) -> Result<Element> {
+    let line = lines.at(node.range().start);
+    let name = |namespace: Option<&str>, name: &str| match namespace {
+        // Elements of other name spaces (xacro, sensor) keep theirs, so that they are not taken for ours.
+        Some(space) => format!("{space}:{name}"),
+        None => name.to_owned(),
+    };
+    let tag = name(node.tag_name().namespace(), node.tag_name().name());
+    if depth > DEEPEST {
+        return Err(Error::file(file, format!("line {line}: elements are nested deeper than {DEEPEST}")));
+    }
+    let attributes = node.attributes().map(|a| (name(a.namespace(), a.name()), a.value().to_owned())).collect();
+    let inner = node.children().filter(roxmltree::Node::is_element);
+    let children = inner.map(|c| element(&c, file, lines, depth + 1)).collect::<Result<_>>()?;
+    Ok(Element { tag, attributes, children, file: file.clone(), line })
+}
+
+/// Where lines begin.
+struct Lines(Vec<usize>);
+
+impl Lines {
+    fn of(text: &str) -> Self {
+        Self(text.bytes().enumerate().filter(|(_, b)| *b == b'\n').map(|(i, _)| i).collect())
+    }
+
+    fn at(&self, byte: usize) -> u32 {
+        self.0.partition_point(|end| *end < byte) as u32 + 1
+    }
+}
+
+fn shortened(text: &str, most: usize) -> String {
+    match text.char_indices().nth(most) {
+        Some((end, _)) => format!("{}…", &text[..end]),
+        None => text.to_owned(),
+    }
+}
+
+impl Element {
+    pub fn get(&self, name: &str) -> Option<&str> {
+        self.attributes.iter().find(|(n, _)| n == name).map(|(_, v)| v.as_str())
+    }
+
+    pub fn set(&mut self, name: &str, value: &str) {
+        match self.attributes.iter_mut().find(|(n, _)| n == name) {
+            Some(found) => found.1 = value.to_owned(),
+            None => self.attributes.push((name.to_owned(), value.to_owned())),
+        }
+    }
+
+    pub fn all<'a>(&'a self, tag: &'a str) -> impl Iterator<Item = &'a Element> {
+        self.children.iter().filter(move |c| c.tag == tag)
+    }
+
+    pub fn first(&self, tag: &str) -> Option<&Element> {
+        self.children.iter().find(|c| c.tag == tag)
+    }
+
+    /// An error that says where: `robot.urdf: line 12, <joint name="knee">: …`.
+    pub fn error(&self, reason: impl std::fmt::Display) -> Error {
+        let name = self.get("name").map(|n| format!(" name={:?}", shortened(n, QUOTED))).unwrap_or_default();
+        let tag = shortened(&self.tag, QUOTED);
+        Error::file(&self.file, format!("line {}, <{tag}{name}>: {reason}", self.line))
+    }
+
+    /// The same of one attribute.
+    pub fn wrong(&self, attribute: &str, reason: impl std::fmt::Display) -> Error {
+        self.error(format!("{attribute}: {reason}"))
+    }
+
+    pub fn required(&self, attribute: &str) -> Result<&str> {
+        self.get(attribute).ok_or_else(|| self.error(format!("{attribute} is missing")))
+    }
+
+    /// All numbers of an attribute, finite ones.
+    pub fn list(&self, attribute: &str) -> Result<Option<Vec<f64>>> {
+        let Some(text) = self.get(attribute) else { return Ok(None) };
+        let number = |word: &str| {
+            let value = word.parse::<f64>();
+            let value =
+                value.map_err(|_| self.wrong(attribute, format!("{:?} is no number", shortened(word, QUOTED))))?;
+            if value.is_finite() { Ok(value) } else { Err(self.wrong(attribute, format!("{value} is not finite"))) }
+        };
+        text.split_whitespace().map(number).collect::<Result<_>>().map(Some)
+    }
+
+    pub fn numbers<const N: usize>(&self, attribute: &str) -> Result<Option<[f64; N]>> {
+        let Some(list) = self.list(attribute)? else { return Ok(None) };
+        let count = list.len();
+        let fits = <[f64; N]>::try_from(list);
+        fits.map(Some).map_err(|_| self.wrong(attribute, format!("{count} numbers in place of {N}")))
+    }
+
+    pub fn number(&self, attribute: &str) -> Result<Option<f64>> {
+        Ok(self.numbers::<1>(attribute)?.map(|[x]| x))
+    }
+
+    /// A number of at least 0.
+    pub fn not_negative(&self, attribute: &str) -> Result<Option<f64>> {
+        match self.number(attribute)? {
+            Some(x) if x < 0.0 => Err(self.wrong(attribute, format!("{x} is negative"))),
+            other => Ok(other),
+        }
+    }
+
+    /// A length above 0 [m]; the upper end guards against slips of units, our choice.
+    pub fn length(&self, attribute: &str, value: f64) -> Result<f64> {
+        match value {
+            v if v > 0.0 && v <= 100.0 => Ok(v),
+            v => Err(self.wrong(attribute, format!("{v} m is not a length from 0 to 100 m"))),
+        }
+    }
+}

@@ -1,0 +1,80 @@
+//! Meshes of many small triangles as fewer plates of a chosen size.
+
+use super::{Plate, Triangle, mesh};
+use crate::number::Vec3;
+use std::collections::BTreeMap;
+
+/// Directions that plates are told apart by, along an edge of a cube around them: 6 × 4². Our choice: a plate's triangles are
+/// within 20° of each other.
+const DIRECTIONS: f64 = 4.0;
+
+/// What a plate is made of.
+#[derive(Default, Clone, Copy)]
+struct Sum {
+    area: f64,
+    /// Σ A n, Σ A c and Σ A c·n of the triangles.
+    directed: [f64; 3],
+    place: [f64; 3],
+    volume: f64,
+}
+
+/// Outward plates of about `size` from a closed surface, with its area and volume: triangles that are longer are halved,
+/// those of one cell that look alike are one plate. None if that makes too many.
+pub fn gathered(triangles: &[Triangle], size: f64) -> Option<Vec<Plate>> {
+    let corners = triangles.iter().flatten();
+    let [low, high] = corners.fold([[f64::MAX; 3], [f64::MIN; 3]], |[low, high], p| {
+        let at = p.lane(0);
+        [std::array::from_fn(|k| low[k].min(at[k])), std::array::from_fn(|k| high[k].max(at[k]))]
+    });
+    // Whole cells from end to end.
+    let cells: [f64; 3] = std::array::from_fn(|k| ((high[k] - low[k]) / size).ceil().max(1.0));
+    let middle = Vec3::splat(std::array::from_fn(|k| (low[k] + high[k]) / 2.0));
+    let mut sums: BTreeMap<([u32; 3], [u8; 3]), Sum> = BTreeMap::new();
+    for plate in mesh::halved(triangles, size)? {
+        let (at, n) = (plate.center.lane(0), plate.normal.lane(0));
+        let cell = std::array::from_fn(|k| {
+            let share = (at[k] - low[k]) / (high[k] - low[k]).max(f64::MIN_POSITIVE);
+            (share * cells[k]).clamp(0.0, cells[k] - 1.0) as u32
+        });
+        let sum = sums.entry((cell, direction(n))).or_default();
+        sum.area += plate.area;
+        for k in 0..3 {
+            sum.directed[k] += plate.area * n[k];
+            sum.place[k] += plate.area * at[k];
+        }
+        sum.volume += plate.area * (plate.center - middle).dot(plate.normal);
+    }
+    Some(sums.values().filter_map(|sum| sum.plate(middle)).collect())
+}
+
+/// The face of a cube that a normal passes through, and where on it.
+fn direction(n: [f64; 3]) -> [u8; 3] {
+    let axis = (0..3).fold(0, |a, k| if n[k].abs() > n[a].abs() { k } else { a });
+    let on = |k: usize| {
+        // Equal angles: tan of 45° is the edge.
+        let along = (n[(axis + k) % 3] / n[axis].abs()).atan() / std::f64::consts::FRAC_PI_4;
+        ((along + 1.0) / 2.0 * DIRECTIONS).clamp(0.0, DIRECTIONS - 1.0) as u8
+    };
+    [2 * axis as u8 + u8::from(n[axis] > 0.0), on(1), on(2)]
+}
+
+impl Sum {
+    fn plate(&self, middle: Vec3<f64>) -> Option<Plate> {
+        let directed = Vec3::<f64>::splat(self.directed);
+        let length = directed.norm_squared().sqrt();
+        if length <= 1e-9 * self.area {
+            return None;
+        }
+        let normal = directed * (1.0 / length);
+        let center = Vec3::<f64>::splat(self.place) * (1.0 / self.area);
+        // Along the normal to where the plate encloses the same volume as its triangles.
+        let out = self.volume / self.area - (center - middle).dot(normal);
+        let half = 0.5 * self.area.sqrt();
+        let n = normal.lane(0);
+        let beside = if n[2].abs() < 0.9 { Vec3::new(0.0, 0.0, 1.0) } else { Vec3::new(1.0, 0.0, 0.0) };
+        let across = normal.cross(beside);
+        let across = across * (half / across.norm_squared().sqrt());
+        let half = [across, normal.cross(across)];
+        Some(Plate { center: normal.scale_add(out, center), normal, area: self.area, half, bend: [0.0; 2] })
+    }
+}

@@ -1,0 +1,72 @@
+//! Points of shapes that can stand on hard ground.
+
+use super::{Geometry, Tree};
+use nalgebra::{Isometry3, Vector3};
+
+type V = Vector3<f64>;
+
+/// A ball of some radius, or the lowest point of a disc's rim; in the frame of its body.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ContactPoint {
+    /// Centre [m].
+    pub center: V,
+    /// [m]
+    pub radius: f64,
+    /// Unit normal of a disc; none: a ball.
+    pub axis: Option<V>,
+    /// Coulomb friction of the shape.
+    pub friction: f64,
+}
+
+/// Fixed points on each rim of a cylinder, beside the one that is lowest: so that it stands. Our choice.
+const RIM: usize = 4;
+
+/// One list a body.
+pub fn contact_points(tree: &Tree) -> Vec<Vec<ContactPoint>> {
+    let of_body =
+        |body: &super::TreeBody| body.shapes.iter().flat_map(|s| points(&s.geometry, &s.origin, s.friction)).collect();
+    tree.bodies.iter().map(of_body).collect()
+}
+
+fn points(geometry: &Geometry, at: &Isometry3<f64>, friction: f64) -> Vec<ContactPoint> {
+    let ball =
+        |p: V, radius: f64| ContactPoint { center: at.transform_point(&p.into()).coords, radius, axis: None, friction };
+    let ends = [-1.0, 1.0];
+    match geometry {
+        Geometry::Sphere { radius } => vec![ball(V::zeros(), *radius)],
+        Geometry::Capsule { radius, half_length } => {
+            ends.map(|end| ball(V::z() * (end * half_length), *radius)).to_vec()
+        }
+        Geometry::Box { half } => {
+            let corner = |i: usize| V::new(ends[i & 1] * half.x, ends[i >> 1 & 1] * half.y, ends[i >> 2] * half.z);
+            (0..8).map(|i| ball(corner(i), 0.0)).collect()
+        }
+        Geometry::Cylinder { radius, half_length } => {
+            let mut all = Vec::new();
+            for end in ends {
+                let center = V::z() * (end * half_length);
+                let disc = ContactPoint { radius: *radius, axis: Some(at.rotation * V::z()), ..ball(center, 0.0) };
+                all.push(disc);
+                let rim = |k: usize| {
+                    let (sin, cos) = (std::f64::consts::TAU * k as f64 / RIM as f64).sin_cos();
+                    ball(center + V::new(cos, sin, 0.0) * *radius, 0.0)
+                };
+                all.extend((0..RIM).map(rim));
+            }
+            all
+        }
+        Geometry::Mesh(triangles) => {
+            // The outermost points toward the corners, edges and faces of a cube.
+            let mut chosen: Vec<V> = Vec::new();
+            for i in 0..27 {
+                let toward = V::new((i % 3) as f64, (i / 3 % 3) as f64, (i / 9) as f64) - V::repeat(1.0);
+                let vertices = triangles.iter().flatten();
+                let Some(p) = vertices.max_by(|a, b| a.dot(&toward).total_cmp(&b.dot(&toward))) else { continue };
+                if toward != V::zeros() && !chosen.contains(p) {
+                    chosen.push(*p);
+                }
+            }
+            chosen.into_iter().map(|p| ball(p, 0.0)).collect()
+        }
+    }
+}

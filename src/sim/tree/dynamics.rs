@@ -1,0 +1,292 @@
+//! Accelerations of a tree of bodies behind a floating base, over any number: one robot or lanes of them.
+//!
+//! An articulated-body algorithm (Featherstone 2008, chapter 7) in one world-aligned frame at the base link's origin, so that
+//! inertias and wrenches of child and parent simply add. The generalized acceleration of the base is the classical one of its
+//! origin. A step is [`place`] (where everything is), [`load`] (what each body's own motion needs), whatever touches the
+//! bodies, [`fold`] toward the base, and [`unfold`] outward.
+
+use super::{JointKind, Tree};
+use crate::number::{Mat3, Real, Vec3};
+use crate::sim::spatial::{Inertia, Symmetric, Twist, Wrench};
+
+/// A [`super::TreeBody`], one lane an environment.
+#[derive(Clone)]
+pub struct LaneBody<R> {
+    pub parent: usize,
+    pub kind: JointKind,
+    /// The frame in the parent's where the joint is at 0.
+    pub turn: Mat3<R>,
+    pub offset: Vec3<R>,
+    pub axis: Vec3<R>,
+    pub mass: R,
+    pub center: Vec3<R>,
+    pub inertia: Symmetric<R>,
+    pub armature: R,
+}
+
+/// How a robot moves, one lane each.
+#[derive(Clone)]
+pub struct Motion<R> {
+    /// Of the base: quaternion w and (x, y, z).
+    pub orientation: (R, Vec3<R>),
+    /// Of the base, linear part at its origin.
+    pub velocity: Twist<R>,
+    /// What the last step added to it.
+    pub change: Twist<R>,
+    pub joints: Vec<JointMotion<R>>,
+}
+
+#[derive(Clone, Copy)]
+pub struct JointMotion<R> {
+    pub position: R,
+    pub rate: R,
+    /// What the last step added to `rate`.
+    pub change: R,
+}
+
+/// Where a body is and how it moves; lengths from the base's origin, world axes.
+#[derive(Clone, Copy)]
+pub struct Frame<R> {
+    pub rotation: Mat3<R>,
+    pub origin: Vec3<R>,
+    pub velocity: Twist<R>,
+    /// Acceleration that the velocities alone cause.
+    pub bias: Twist<R>,
+    /// What the last step's accelerations added to the velocity.
+    pub change: Twist<R>,
+    /// Of the joint that carries the body.
+    pub axis: Twist<R>,
+}
+
+/// What a body needs to be moved: `inertia` times its acceleration, plus `bias`.
+#[derive(Clone, Copy)]
+pub struct Load<R> {
+    pub inertia: Inertia<R>,
+    pub bias: Wrench<R>,
+}
+
+/// What the inward pass leaves for the outward one, a joint.
+#[derive(Clone, Copy)]
+pub struct Hinge<R> {
+    /// Articulated inertia times the axis.
+    inertia_axis: Wrench<R>,
+    inverse: R,
+    drive: R,
+    pub push: Push<R>,
+}
+
+/// Torque on a joint that falls with its acceleration q̈: `torque` − `yielding` q̈.
+#[derive(Clone, Copy)]
+pub struct Push<R> {
+    /// [N·m or N]
+    pub torque: R,
+    /// [kg·m² or kg]
+    pub yielding: R,
+}
+
+/// What drives and holds the joints.
+pub trait Drive<R> {
+    /// The push on joint `joint`, which sees `own` inertia and needs the torque `load` to stay unaccelerated, both with the
+    /// parent held still.
+    fn push(&self, joint: usize, own: R, load: R) -> Push<R>;
+}
+
+impl<R: Real> LaneBody<R> {
+    /// All bodies of `tree`, the same in every lane.
+    pub fn all(tree: &Tree) -> Vec<Self> {
+        let bodies = tree.bodies.iter().map(|b| {
+            let kind = b.joint.as_ref().map_or(JointKind::Hinge, |j| j.kind);
+            let zero = Vec3::zero();
+            let inertia = Symmetric::zero();
+            let (turn, mass) = (Mat3::identity(), R::zero());
+            Self {
+                parent: b.parent,
+                kind,
+                turn,
+                offset: zero,
+                axis: zero,
+                mass,
+                center: zero,
+                inertia,
+                armature: R::zero(),
+            }
+        });
+        let mut all: Vec<Self> = bodies.collect();
+        (0..R::LANES).for_each(|lane| Self::set_lane(&mut all, lane, tree));
+        all
+    }
+
+    /// Gives one lane another tree with the same parents and kinds of joints.
+    pub fn set_lane(all: &mut [Self], lane: usize, tree: &Tree) {
+        for (out, body) in all.iter_mut().zip(&tree.bodies) {
+            let turn = body.origin.rotation.to_rotation_matrix().into_inner();
+            for (column, values) in [&mut out.turn.x, &mut out.turn.y, &mut out.turn.z].into_iter().zip(0..3) {
+                column.set_lane(lane, turn.column(values).into_owned().map(exact).into());
+            }
+            out.offset.set_lane(lane, body.origin.translation.vector.map(exact).into());
+            out.mass.set_lane(lane, body.mass);
+            out.center.set_lane(lane, body.center.map(exact).into());
+            let i = &body.inertia;
+            out.inertia.diagonal.set_lane(lane, i.diagonal().into());
+            out.inertia.off.set_lane(lane, [i[(0, 1)], i[(0, 2)], i[(1, 2)]]);
+            if let Some(joint) = &body.joint {
+                out.axis.set_lane(lane, joint.axis.into_inner().map(exact).into());
+                out.armature.set_lane(lane, joint.armature);
+            }
+        }
+    }
+}
+
+/// `x`, or zero where it is rounding of lengths and directions: what it leaves in products could be denormal in `f32`.
+fn exact(x: f64) -> f64 {
+    if x.abs() < 1e-14 { 0.0 } else { x }
+}
+
+impl<R: Real> Frame<R> {
+    pub fn at_rest() -> Self {
+        let still = Twist { angular: Vec3::zero(), linear: Vec3::zero() };
+        let (rotation, origin) = (Mat3::identity(), Vec3::zero());
+        Self { rotation, origin, velocity: still, bias: still, change: still, axis: still }
+    }
+
+    /// Where the point `p` of the body is.
+    #[inline(always)]
+    pub fn point(&self, p: Vec3<R>) -> Vec3<R> {
+        self.origin + self.rotation.apply(p)
+    }
+
+    #[inline(always)]
+    fn base(motion: &Motion<R>) -> Self {
+        let (velocity, change) = (motion.velocity, motion.change);
+        // With the origin's classical acceleration zero, the spatial one is −ω × v.
+        let bias = Twist { angular: Vec3::zero(), linear: velocity.linear.cross(velocity.angular) };
+        let (rotation, origin) = (turned_by(motion.orientation), Vec3::zero());
+        Self { rotation, origin, velocity, bias, change, axis: Frame::at_rest().axis }
+    }
+
+    #[inline(always)]
+    fn child(&self, body: &LaneBody<R>, joint: &JointMotion<R>) -> Self {
+        let rotation = self.rotation.compose(&body.turn);
+        let (axis, mut origin) = (rotation.apply(body.axis), self.point(body.offset));
+        let (rotation, axis) = match body.kind {
+            JointKind::Hinge => {
+                let (sin, cos) = joint.position.sin_cos();
+                let [x, y, z] = [rotation.x, rotation.y, rotation.z];
+                let rotation =
+                    Mat3::new(turned(x, axis, sin, cos), turned(y, axis, sin, cos), turned(z, axis, sin, cos));
+                (rotation, Twist::hinge(axis, origin))
+            }
+            JointKind::Slide => {
+                origin = axis.scale_add(joint.position, origin);
+                (rotation, Twist { angular: Vec3::zero(), linear: axis })
+            }
+        };
+        let velocity = axis.scale_add(joint.rate, &self.velocity);
+        let bias = velocity.carries(&axis).scale_add(joint.rate, &self.bias);
+        let change = axis.scale_add(joint.change, &self.change);
+        Self { rotation, origin, velocity, bias, change, axis }
+    }
+}
+
+/// Columns of the rotation of a unit quaternion.
+#[inline(always)]
+pub fn turned_by<R: Real>((w, v): (R, Vec3<R>)) -> Mat3<R> {
+    let (one, two) = (R::one(), R::splat(2.0));
+    let (xx, yy, zz) = (v.x * v.x, v.y * v.y, v.z * v.z);
+    let (xy, xz, yz) = (v.x * v.y, v.x * v.z, v.y * v.z);
+    let (wx, wy, wz) = (w * v.x, w * v.y, w * v.z);
+    Mat3::new(
+        Vec3::new(one - two * (yy + zz), two * (xy + wz), two * (xz - wy)),
+        Vec3::new(two * (xy - wz), one - two * (xx + zz), two * (yz + wx)),
+        Vec3::new(two * (xz + wy), two * (yz - wx), one - two * (xx + yy)),
+    )
+}
+
+/// `u` turned about the unit vector `axis` (Rodrigues' formula).
+#[inline(always)]
+fn turned<R: Real>(u: Vec3<R>, axis: Vec3<R>, sin: R, cos: R) -> Vec3<R> {
+    let along = axis * (axis.dot(u) * (R::one() - cos));
+    axis.cross(u).scale_add(sin, u.scale_add(cos, along))
+}
+
+/// Where all bodies are and how they move.
+#[inline(always)]
+pub fn place<R: Real>(bodies: &[LaneBody<R>], motion: &Motion<R>, frames: &mut [Frame<R>]) {
+    frames[0] = Frame::base(motion);
+    for i in 1..bodies.len() {
+        frames[i] = frames[bodies[i].parent].child(&bodies[i], &motion.joints[i - 1]);
+    }
+}
+
+/// What each body's own motion needs under `gravity`.
+#[inline(always)]
+pub fn load<R: Real>(bodies: &[LaneBody<R>], frames: &[Frame<R>], gravity: Vec3<R>, loads: &mut [Load<R>]) {
+    for ((body, frame), load) in bodies.iter().zip(frames).zip(loads) {
+        let inertia = body.inertia.rotated(&frame.rotation);
+        let (c, spin) = (frame.point(body.center), frame.velocity.angular);
+        let acceleration = frame.bias.at(c) + spin.cross(frame.velocity.at(c)) - gravity;
+        let force = acceleration * body.mass;
+        let moment = inertia.apply(frame.bias.angular) + spin.cross(inertia.apply(spin)) + c.cross(force);
+        *load = Load { inertia: Inertia::at(body.mass, c, inertia), bias: Wrench { moment, force } };
+    }
+}
+
+/// Inward pass: adds each body's load, as its joint lets it through, to its parent's. Then solves for the base.
+#[inline(always)]
+pub fn fold<R: Real>(
+    bodies: &[LaneBody<R>],
+    frames: &[Frame<R>],
+    drive: &impl Drive<R>,
+    loads: &mut [Load<R>],
+    hinges: &mut [Hinge<R>],
+) -> Twist<R> {
+    for i in (1..bodies.len()).rev() {
+        let (before, rest) = loads.split_at_mut(i);
+        let (parent, Load { inertia, bias }) = (&mut before[bodies[i].parent], &mut rest[0]);
+        let axis = &frames[i].axis;
+        let inertia_axis = inertia.apply(axis);
+        let own = inertia_axis.dot(axis) + bodies[i].armature;
+        let needed = bias.dot(axis);
+        let push = drive.push(i - 1, own, needed);
+        let inverse = R::one() / (own + push.yielding);
+        let drive = push.torque - needed;
+        hinges[i - 1] = Hinge { inertia_axis, inverse, drive, push };
+        parent.inertia.add(inertia);
+        parent.inertia.add_outer(-inverse, &inertia_axis);
+        parent.bias.add(&inertia_axis.scale_add(drive * inverse, bias));
+    }
+    let base = &loads[0];
+    base.inertia.solve(&base.bias.scale_add(-R::one(), &Wrench::zero()))
+}
+
+/// Outward pass: accelerations of the joints, and of all bodies beyond what their velocities alone cause.
+#[inline(always)]
+pub fn unfold<R: Real>(
+    bodies: &[LaneBody<R>],
+    frames: &[Frame<R>],
+    hinges: &[Hinge<R>],
+    base: &Twist<R>,
+    accelerations: &mut [Twist<R>],
+    joints: &mut [R],
+) {
+    accelerations[0] = *base;
+    for i in 1..bodies.len() {
+        let (hinge, parent) = (&hinges[i - 1], accelerations[bodies[i].parent]);
+        joints[i - 1] = (hinge.drive - hinge.inertia_axis.dot(&parent)) * hinge.inverse;
+        accelerations[i] = frames[i].axis.scale_add(joints[i - 1], &parent);
+    }
+}
+
+impl<R: Real> Load<R> {
+    pub fn none() -> Self {
+        Self { inertia: Inertia::at(R::zero(), Vec3::zero(), Symmetric::zero()), bias: Wrench::zero() }
+    }
+}
+
+impl<R: Real> Hinge<R> {
+    pub fn free() -> Self {
+        let zero = R::zero();
+        let push = Push { torque: zero, yielding: zero };
+        Self { inertia_axis: Wrench::zero(), inverse: zero, drive: zero, push }
+    }
+}

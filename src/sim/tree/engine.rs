@@ -1,0 +1,240 @@
+//! The engine of tree robots: blocks of environments over the lanes of an instruction set, as in [`crate::sim::lanes`].
+
+use super::dynamics::{JointMotion, LaneBody, Motion};
+use super::floor::{BodyContacts, Floor};
+use super::model::TreeModel;
+use super::sand::BodyPlates;
+use super::servo::{LaneMotor, LaneServo};
+use super::step::{LaneState, LaneTree, Scratch, step};
+use crate::error::{Error, Result};
+use crate::number::{Isa, Kernel, Real, Vec3};
+use crate::sim::engine::Command;
+use crate::sim::spatial::Twist;
+use crate::sim::{Model, State};
+use std::f64::consts::TAU;
+use std::sync::Arc;
+
+/// Robots in blocks of as many as the instruction set has lanes; all have the same tree, plates and points of contact.
+pub struct TreeEngine {
+    blocks: Vec<Box<dyn Block>>,
+    lanes: usize,
+}
+
+impl TreeEngine {
+    /// `count` robots with `model`, motionless until their state is set; instruction set by [`Isa::choose`].
+    pub fn new(model: &Model, count: usize) -> Result<Self> {
+        Self::with_isa(Isa::choose()?, model, count)
+    }
+
+    pub fn with_isa(isa: Isa, model: &Model, count: usize) -> Result<Self> {
+        if !isa.available() {
+            return Err(Error::invalid("instruction set", format!("this machine has no {}", isa.name())));
+        }
+        let Some(tree) = &model.tree else {
+            return Err(Error::invalid("engine", "tree takes robots from URDF or MJCF files; this one is for lanes"));
+        };
+        let block: fn(&Model, &Arc<TreeModel>) -> Box<dyn Block> = match isa {
+            #[cfg(target_arch = "x86_64")]
+            Isa::Avx512 => Lanes::<crate::number::Avx512>::boxed,
+            #[cfg(target_arch = "x86_64")]
+            Isa::Avx2 => Lanes::<crate::number::Avx2>::boxed,
+            Isa::F64 => Lanes::<f64>::boxed,
+            _ => Lanes::<crate::number::Portable>::boxed,
+        };
+        let lanes = isa.lanes();
+        let mut engine = Self { blocks: (0..count.div_ceil(lanes)).map(|_| block(model, tree)).collect(), lanes };
+        (0..count).for_each(|index| engine.set_model(index, model));
+        Ok(engine)
+    }
+
+    /// See [`crate::sim::engine::Engine::set_model`].
+    pub fn set_model(&mut self, index: usize, model: &Model) {
+        self.blocks[index / self.lanes].set_model(index % self.lanes, model);
+    }
+
+    /// See [`crate::sim::engine::Engine::set_state`].
+    pub fn set_state(&mut self, index: usize, state: &State) {
+        self.blocks[index / self.lanes].set_state(index % self.lanes, state);
+    }
+
+    /// See [`crate::sim::engine::Engine::state`].
+    pub fn state(&self, index: usize, out: &mut State) {
+        self.blocks[index / self.lanes].state(index % self.lanes, out);
+    }
+
+    /// See [`crate::sim::engine::Engine::command`].
+    pub fn command(&mut self, index: usize, command: &Command) {
+        self.blocks[index / self.lanes].command(index % self.lanes, command);
+    }
+
+    /// See [`crate::sim::engine::Engine::advance`].
+    pub fn advance(&mut self, steps: usize) {
+        self.blocks.iter_mut().for_each(|b| b.advance(steps));
+    }
+}
+
+/// One block of robots, whatever number it is computed in.
+trait Block: Send {
+    fn set_model(&mut self, lane: usize, model: &Model);
+    fn set_state(&mut self, lane: usize, state: &State);
+    fn state(&self, lane: usize, out: &mut State);
+    fn command(&mut self, lane: usize, command: &Command);
+    fn advance(&mut self, steps: usize);
+}
+
+struct Lanes<R: Real> {
+    tree: LaneTree<R>,
+    state: LaneState<R>,
+    scratch: Scratch<R>,
+    /// Joints that turn freely: whole turns are taken out of their angles.
+    endless: Vec<bool>,
+    /// Place of each lane's x and y zero [m]: distances stay small, so `f32` keeps its accuracy however far one walks.
+    origins: Vec<[f64; 2]>,
+    /// Work of each lane up to the last control step [J].
+    works: Vec<f64>,
+}
+
+impl<R: Real> Lanes<R> {
+    fn boxed(model: &Model, tree: &Arc<TreeModel>) -> Box<dyn Block> {
+        let zero = R::zero();
+        let still = Twist { angular: Vec3::zero(), linear: Vec3::zero() };
+        let joints = tree.joints();
+        // Lanes without an environment hover motionless above the ground.
+        let motion = Motion {
+            orientation: (R::one(), Vec3::zero()),
+            velocity: still,
+            change: still,
+            joints: vec![JointMotion { position: zero, rate: zero, change: zero }; joints],
+        };
+        let state = LaneState {
+            position: Vec3::splat([0.0, 0.0, 1e3]),
+            travelled: [zero; 2],
+            motion,
+            servos: vec![LaneServo::still(); joints],
+            work: zero,
+        };
+        let endless = tree.tree.joints().map(|j| j.range.is_none() && j.kind == super::JointKind::Hinge).collect();
+        let lanes = LaneTree {
+            bodies: LaneBody::all(&tree.tree),
+            motors: LaneMotor::all(tree),
+            plates: if model.has_sand() { BodyPlates::all(tree) } else { Vec::new() },
+            contacts: if model.scene.hard.is_empty() { Vec::new() } else { BodyContacts::all(tree) },
+            ground: model.scene.ground(),
+            floor: Floor::new(tree, &model.scene.hard),
+            gravity: Vec3::zero(),
+            dt: R::splat(model.scene.dt),
+        };
+        let scratch = Scratch::new(joints + 1);
+        let (origins, works) = (vec![[0.0; 2]; R::LANES], vec![0.0; R::LANES]);
+        Box::new(Self { tree: lanes, state, scratch, endless, origins, works })
+    }
+
+    /// Moves each lane's x and y into its origin, its work into the sum, and whole turns out of angles together with their
+    /// references.
+    #[inline(always)]
+    fn fold(&mut self) {
+        for lane in 0..R::LANES {
+            let [x, y, z] = self.state.position.lane(lane);
+            let origin = &mut self.origins[lane];
+            *origin = [origin[0] + x, origin[1] + y];
+            (0..2).for_each(|k| self.state.travelled[k].set_lane(lane, origin[k]));
+            self.state.position.set_lane(lane, [0.0, 0.0, z]);
+            self.works[lane] += self.state.work.lane(lane);
+        }
+        self.state.work = R::zero();
+        let joints = self.state.motion.joints.iter_mut().zip(&mut self.state.servos);
+        for ((joint, servo), _) in joints.zip(&self.endless).filter(|(_, endless)| **endless) {
+            let turns = (joint.position * R::splat(1.0 / TAU)).round() * R::splat(TAU);
+            joint.position -= turns;
+            servo.reference -= turns;
+        }
+    }
+}
+
+/// The hot loop, to be compiled for the block's instruction set.
+struct Advance<'a, R: Real> {
+    block: &'a mut Lanes<R>,
+    steps: usize,
+}
+
+impl<R: Real> Kernel for Advance<'_, R> {
+    #[inline(always)]
+    fn run(self) {
+        let Lanes { tree, state, scratch, .. } = &mut *self.block;
+        for _ in 0..self.steps {
+            step(tree, state, scratch);
+        }
+        self.block.fold();
+    }
+}
+
+impl<R: Real> Block for Lanes<R> {
+    fn set_model(&mut self, lane: usize, model: &Model) {
+        let Some(tree) = &model.tree else { return };
+        LaneBody::set_lane(&mut self.tree.bodies, lane, &tree.tree);
+        LaneMotor::set_lane(&mut self.tree.motors, lane, tree);
+        self.tree.ground.set_lane(lane, &model.scene.medium, &model.scene.mechanisms);
+        self.tree.floor.set_lane(lane, tree, &model.scene.hard);
+        self.tree.gravity.set_lane(lane, model.gravity.into());
+    }
+
+    fn set_state(&mut self, lane: usize, state: &State) {
+        let [x, y, z] = state.position;
+        self.origins[lane] = [x, y];
+        let s = &mut self.state;
+        s.position.set_lane(lane, [0.0, 0.0, z]);
+        s.travelled[0].set_lane(lane, x);
+        s.travelled[1].set_lane(lane, y);
+        let m = &mut s.motion;
+        m.orientation.0.set_lane(lane, state.orientation[0]);
+        m.orientation.1.set_lane(lane, [state.orientation[1], state.orientation[2], state.orientation[3]]);
+        m.velocity.linear.set_lane(lane, state.velocity);
+        m.velocity.angular.set_lane(lane, state.angular_velocity);
+        m.change.linear.set_lane(lane, state.velocity_change);
+        m.change.angular.set_lane(lane, state.angular_velocity_change);
+        self.works[lane] = state.work;
+        s.work.set_lane(lane, 0.0);
+        for (i, (joint, servo)) in m.joints.iter_mut().zip(&mut s.servos).enumerate() {
+            joint.position.set_lane(lane, state.angles[i]);
+            joint.rate.set_lane(lane, state.rates[i]);
+            joint.change.set_lane(lane, state.rate_changes[i]);
+            servo.reference.set_lane(lane, state.references[i]);
+            servo.torque.set_lane(lane, state.torques[i]);
+        }
+    }
+
+    fn state(&self, lane: usize, out: &mut State) {
+        let s = &self.state;
+        let ([x, y, z], [x0, y0]) = (s.position.lane(lane), self.origins[lane]);
+        out.position = [x0 + x, y0 + y, z];
+        let m = &s.motion;
+        let [i, j, k] = m.orientation.1.lane(lane);
+        out.orientation = [m.orientation.0.lane(lane), i, j, k];
+        out.velocity = m.velocity.linear.lane(lane);
+        out.angular_velocity = m.velocity.angular.lane(lane);
+        out.velocity_change = m.change.linear.lane(lane);
+        out.angular_velocity_change = m.change.angular.lane(lane);
+        out.work = self.works[lane] + s.work.lane(lane);
+        for (i, (joint, servo)) in m.joints.iter().zip(&s.servos).enumerate() {
+            out.angles[i] = joint.position.lane(lane);
+            out.rates[i] = joint.rate.lane(lane);
+            out.rate_changes[i] = joint.change.lane(lane);
+            out.references[i] = servo.reference.lane(lane);
+            out.torques[i] = servo.torque.lane(lane);
+        }
+    }
+
+    fn command(&mut self, lane: usize, command: &Command) {
+        for (i, servo) in self.state.servos.iter_mut().enumerate() {
+            servo.command_rate.set_lane(lane, command.rates[i]);
+            servo.command_torque.set_lane(lane, command.torques[i]);
+            if let Some(target) = command.targets.get(i) {
+                servo.reference.set_lane(lane, *target);
+            }
+        }
+    }
+
+    fn advance(&mut self, steps: usize) {
+        R::dispatch(Advance { block: self, steps });
+    }
+}

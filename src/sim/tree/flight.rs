@@ -1,0 +1,79 @@
+//! A tree in free flight: its accelerations, in `f64`.
+
+use super::Tree;
+use super::dynamics::{Drive, Frame, Hinge, JointMotion, LaneBody, Load, Motion, Push, fold, load, place, unfold};
+use crate::number::{Real, Vec3};
+use crate::sim::spatial::Twist;
+
+/// Gravity of [`accelerations`] [m/s²]: what the reference programs take.
+pub const GRAVITY: f64 = 9.81;
+
+/// Given torques, with nothing that resists.
+struct Given<'a, R>(&'a [R]);
+
+impl<R: Real> Drive<R> for Given<'_, R> {
+    #[inline(always)]
+    fn push(&self, joint: usize, _own: R, _load: R) -> Push<R> {
+        Push { torque: self.0[joint], yielding: R::zero() }
+    }
+}
+
+/// What a tree does in free flight.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Accelerations {
+    /// Classical acceleration of the base link's origin [m/s²], world axes.
+    pub a: [f64; 3],
+    /// Angular acceleration of the base [rad/s²], world axes.
+    pub alpha: [f64; 3],
+    /// Of the joints, in the order of [`Tree::joints`] [rad/s² or m/s²].
+    pub qdd: Vec<f64>,
+}
+
+/// How a tree moves at some moment.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pose {
+    /// Unit quaternion w, x, y, z of the base.
+    pub quat: [f64; 4],
+    /// Velocity of the base link's origin [m/s] and angular velocity of the base [rad/s], world axes.
+    pub v: [f64; 3],
+    pub w: [f64; 3],
+    /// Positions, speeds and torques of the joints, in the order of [`Tree::joints`].
+    pub q: Vec<f64>,
+    pub qd: Vec<f64>,
+    pub tau: Vec<f64>,
+}
+
+/// Accelerations in free flight under gravity (0, 0, −9.81); armature, damping, friction and limits are left out.
+/// `pose` has as many joints as the tree.
+pub fn accelerations(tree: &Tree, pose: &Pose) -> Accelerations {
+    accelerations_by::<f64>(tree, pose)
+}
+
+/// The same in the number `R`, lane 0.
+pub fn accelerations_by<R: Real>(tree: &Tree, pose: &Pose) -> Accelerations {
+    let mut bodies = LaneBody::<R>::all(tree);
+    bodies.iter_mut().for_each(|b| b.armature = R::zero());
+    let [w, x, y, z] = pose.quat;
+    let still = Twist { angular: Vec3::zero(), linear: Vec3::zero() };
+    let joint = |(q, qd): (&f64, &f64)| JointMotion { position: R::splat(*q), rate: R::splat(*qd), change: R::zero() };
+    let motion = Motion {
+        orientation: (R::splat(w), Vec3::splat([x, y, z])),
+        velocity: Twist { angular: Vec3::splat(pose.w), linear: Vec3::splat(pose.v) },
+        change: still,
+        joints: pose.q.iter().zip(&pose.qd).map(joint).collect(),
+    };
+    let torques: Vec<R> = pose.tau.iter().map(|t| R::splat(*t)).collect();
+    let count = bodies.len();
+    let (mut frames, mut loads) = (vec![Frame::at_rest(); count], vec![Load::none(); count]);
+    let (mut hinges, mut moved) = (vec![Hinge::free(); count - 1], vec![still; count]);
+    let mut joints = vec![R::zero(); count - 1];
+    place(&bodies, &motion, &mut frames);
+    load(&bodies, &frames, Vec3::splat([0.0, 0.0, -GRAVITY]), &mut loads);
+    let base = fold(&bodies, &frames, &Given(&torques), &mut loads, &mut hinges);
+    unfold(&bodies, &frames, &hinges, &base, &mut moved, &mut joints);
+    Accelerations {
+        a: base.linear.lane(0),
+        alpha: base.angular.lane(0),
+        qdd: joints.iter().map(|q| q.lane(0)).collect(),
+    }
+}

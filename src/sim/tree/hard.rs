@@ -1,0 +1,58 @@
+//! Hard ground: all of it, a road, slabs that repeat, flush with the sand, above it or buried.
+
+use crate::error::{Result, check_range};
+use serde::{Deserialize, Serialize};
+
+/// A rectangle of hard ground along the surface. Beyond its edges it falls away at a slope of 2 (63°): our choice, so that
+/// nothing that walks into an edge is thrown upward.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct HardGround {
+    /// Centre [m].
+    pub center: [f64; 2],
+    /// Length along x and width along y [m].
+    pub size: [f64; 2],
+    /// Distance after which it comes again, along x and y [m]; 0: never.
+    pub every: [f64; 2],
+    /// Of its top below the surface [m]; negative where it stands out of the sand.
+    pub depth: f64,
+    /// Friction is that of the shape that touches it times this.
+    pub grip: f64,
+}
+
+impl HardGround {
+    /// Length and width [m] from which on it has no end, as far as a robot can walk: our choice.
+    pub const ENDLESS: f64 = 1e5;
+    /// Most pieces in a scene: our choice, each costs time.
+    pub const MOST: usize = 8;
+    /// Steepness of its edges.
+    pub const EDGE: f64 = 2.0;
+
+    /// All of the ground, in place of sand.
+    pub fn everywhere() -> Self {
+        Self::default()
+    }
+
+    /// Is there nothing else to stand on?
+    pub fn is_everything(&self) -> bool {
+        self.size.iter().all(|s| *s >= Self::ENDLESS) && self.depth <= 0.0
+    }
+
+    pub fn validate(&self) -> Result<()> {
+        for k in 0..2 {
+            check_range("hard.center", self.center[k], -Self::ENDLESS..=Self::ENDLESS)?;
+            check_range("hard.size", self.size[k], 1e-3..=Self::ENDLESS)?;
+            if self.every[k] != 0.0 {
+                check_range("hard.every", self.every[k], self.size[k]..=Self::ENDLESS)?;
+            }
+        }
+        check_range("hard.depth", self.depth, -1.0..=10.0)?;
+        check_range("hard.grip", self.grip, 0.0..=10.0).map(drop)
+    }
+}
+
+impl Default for HardGround {
+    fn default() -> Self {
+        Self { center: [0.0; 2], size: [Self::ENDLESS; 2], every: [0.0; 2], depth: 0.0, grip: 1.0 }
+    }
+}

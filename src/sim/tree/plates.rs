@@ -1,0 +1,171 @@
+//! Collision shapes cut into the plates that push on sand.
+
+use super::{Geometry, TreeShape};
+use crate::error::{Error, Result, check_range};
+use crate::number::Vec3;
+use crate::sand::intruder::{Plate, cut, gathered};
+use nalgebra::{Point3, Vector3};
+use std::f64::consts::{PI, TAU};
+
+/// Plates along the longest side of a shape, unless their size is given: our choice, see `tests/robots.rs` for what it costs.
+const ALONG: f64 = 8.0;
+/// Fewest plates around what is round: our choice, half of what bodies of `sandgait intrude` have.
+const COARSE: usize = 8;
+/// Most plates of a shape: our choice, a hundred times what walks in real time.
+const MOST_PLATES: f64 = 20_000.0;
+/// Sizes that may be asked for [m].
+const SIZES: std::ops::RangeInclusive<f64> = 1e-4..=1.0;
+
+impl Geometry {
+    /// Distance of the farthest point from the shape's origin [m].
+    pub fn radius(&self) -> f64 {
+        match self {
+            Self::Sphere { radius } => *radius,
+            Self::Capsule { radius, half_length } => radius + half_length,
+            Self::Cylinder { radius, half_length } => radius.hypot(*half_length),
+            Self::Box { half } => half.norm(),
+            Self::Mesh(triangles) => triangles.iter().flatten().map(|p| p.norm()).fold(0.0, f64::max),
+        }
+    }
+
+    /// Longest side of the box around it [m].
+    fn longest(&self) -> f64 {
+        match self {
+            Self::Sphere { radius } => 2.0 * radius,
+            Self::Capsule { radius, half_length } => 2.0 * (radius + half_length),
+            Self::Cylinder { radius, half_length } => 2.0 * radius.max(*half_length),
+            Self::Box { half } => 2.0 * half.amax(),
+            Self::Mesh(triangles) => {
+                let ends = |k: usize| {
+                    let along = triangles.iter().flatten().map(|p| p[k]);
+                    along.fold([f64::MAX, f64::MIN], |[a, b], x| [a.min(x), b.max(x)])
+                };
+                (0..3).map(|k| ends(k)[1] - ends(k)[0]).fold(0.0, f64::max)
+            }
+        }
+    }
+
+    /// [m²]
+    pub fn area(&self) -> f64 {
+        match self {
+            Self::Sphere { radius } => 4.0 * PI * radius * radius,
+            Self::Capsule { radius, half_length } => 4.0 * PI * radius * (radius + half_length),
+            Self::Cylinder { radius, half_length } => TAU * radius * (radius + 2.0 * half_length),
+            Self::Box { half } => 8.0 * (half.x * half.y + half.y * half.z + half.z * half.x),
+            Self::Mesh(triangles) => triangles.iter().map(|[a, b, c]| (b - a).cross(&(c - a)).norm() / 2.0).sum(),
+        }
+    }
+
+    /// [m³]
+    pub fn volume(&self) -> f64 {
+        match self {
+            Self::Sphere { radius } => 4.0 / 3.0 * PI * radius.powi(3),
+            Self::Capsule { radius, half_length } => PI * radius * radius * (4.0 / 3.0 * radius + 2.0 * half_length),
+            Self::Cylinder { radius, half_length } => TAU * radius * radius * half_length,
+            Self::Box { half } => 8.0 * half.product(),
+            Self::Mesh(triangles) => triangles.iter().map(|[a, b, c]| a.dot(&b.cross(c))).sum::<f64>() / 6.0,
+        }
+    }
+
+    /// Outward plates about the shape's origin; along y what the shape has along z.
+    fn cut(&self, size: f64) -> Option<Vec<Plate>> {
+        Some(match self {
+            Self::Sphere { radius } => cut::sphere(*radius, size, COARSE),
+            Self::Capsule { radius, half_length } => cut::capsule(*radius, 2.0 * half_length, size, COARSE),
+            Self::Cylinder { radius, half_length } => cut::cylinder(*radius, 2.0 * half_length, size, COARSE),
+            Self::Box { half } => cut::cuboid(2.0 * half.x, 2.0 * half.y, 2.0 * half.z, size, COARSE),
+            Self::Mesh(triangles) => {
+                let point = |p: Vector3<f64>| Vec3::new(p.x, p.y, p.z);
+                let triangles: Vec<_> = triangles.iter().map(|t| t.map(point)).collect();
+                return gathered(&triangles, size);
+            }
+        })
+    }
+
+    /// Does it hold a point given in its own frame? Of a mesh `plates` tell.
+    fn holds(&self, p: Vector3<f64>, plates: &[Plate]) -> bool {
+        match self {
+            Self::Sphere { radius } => p.norm() < *radius,
+            Self::Capsule { radius, half_length } => {
+                let beyond = p.z - p.z.clamp(-half_length, *half_length);
+                (p.x * p.x + p.y * p.y + beyond * beyond).sqrt() < *radius
+            }
+            Self::Cylinder { radius, half_length } => p.z.abs() < *half_length && p.x.hypot(p.y) < *radius,
+            Self::Box { half } => (0..3).all(|k| p[k].abs() < half[k]),
+            Self::Mesh(_) => {
+                // The solid angle that the surface takes up, seen from the point: all of it from inside.
+                let p = Vec3::new(p.x, p.y, p.z);
+                let seen = plates.iter().map(|plate| {
+                    let to = plate.center - p;
+                    let r = to.norm_squared().sqrt().max(1e-9);
+                    plate.area * plate.normal.dot(to) / (r * r * r)
+                });
+                seen.sum::<f64>() > TAU
+            }
+        }
+    }
+}
+
+impl TreeShape {
+    /// Height of the lowest point over its body's origin [m], the body being level.
+    pub fn lowest(&self) -> f64 {
+        let up = self.origin.rotation.inverse() * Vector3::z();
+        let below = match &self.geometry {
+            Geometry::Sphere { radius } => *radius,
+            Geometry::Capsule { radius, half_length } => radius + half_length * up.z.abs(),
+            Geometry::Cylinder { radius, half_length } => half_length * up.z.abs() + radius * up.x.hypot(up.y),
+            Geometry::Box { half } => half.dot(&up.abs()),
+            Geometry::Mesh(triangles) => triangles.iter().flatten().map(|p| -p.dot(&up)).fold(f64::MIN, f64::max),
+        };
+        self.origin.translation.z - below
+    }
+}
+
+/// Plates of one shape in the shape's frame, of about `size` [m]; none: an eighth of its longest side.
+pub fn of_shape(shape: &TreeShape, size: Option<f64>) -> Result<Vec<Plate>> {
+    let longest = shape.geometry.longest();
+    let size = check_range("plate-size", size.unwrap_or(longest / ALONG), SIZES)?.min(longest);
+    let least = (shape.geometry.area() / MOST_PLATES).sqrt();
+    let too_many = || {
+        let reason = format!("more than {MOST_PLATES} plates of {size} m; give a larger plate size");
+        Error::invalid(format!("shape {:?}", shape.name), reason)
+    };
+    if size < least {
+        return Err(too_many());
+    }
+    let plates = shape.geometry.cut(size).ok_or_else(too_many)?;
+    // What lies along y in a cut lies along z in a shape.
+    let turned = |v: Vec3<f64>| match shape.geometry {
+        Geometry::Capsule { .. } | Geometry::Cylinder { .. } => Vec3::new(v.x, -v.z, v.y),
+        _ => v,
+    };
+    let one = |p: Plate| Plate { center: turned(p.center), normal: turned(p.normal), half: p.half.map(turned), ..p };
+    Ok(plates.into_iter().map(one).collect())
+}
+
+/// Plates of shapes that are fixed to one body, in the body's frame, without those that lie inside of another one.
+pub fn of_shapes(shapes: &[&TreeShape], size: Option<f64>) -> Result<Vec<Plate>> {
+    let cut: Vec<Vec<Plate>> = shapes.iter().map(|s| of_shape(s, size)).collect::<Result<_>>()?;
+    let mut all = Vec::new();
+    for (i, plates) in cut.iter().enumerate() {
+        for plate in plates {
+            let placed = moved(plate, shapes[i]);
+            let at: Vector3<f64> = placed.center.lane(0).into();
+            let hidden = shapes.iter().zip(&cut).enumerate().any(|(k, (other, of_other))| {
+                k != i && other.geometry.holds(other.origin.inverse_transform_point(&at.into()).coords, of_other)
+            });
+            if !hidden {
+                all.push(placed);
+            }
+        }
+    }
+    Ok(all)
+}
+
+/// From the shape's frame to its body's.
+fn moved(plate: &Plate, shape: &TreeShape) -> Plate {
+    let point =
+        |v: Vec3<f64>| Vec3::splat(shape.origin.transform_point(&Point3::from(Vector3::from(v.lane(0)))).coords.into());
+    let vector = |v: Vec3<f64>| Vec3::splat((shape.origin.rotation * Vector3::from(v.lane(0))).into());
+    Plate { center: point(plate.center), normal: vector(plate.normal), half: plate.half.map(vector), ..*plate }
+}

@@ -1,0 +1,218 @@
+//! Sand on plates that face any way, fixed to the bodies of a tree.
+//!
+//! One-sided plates with the leading-edge rule, as under the belly of [`crate::sim::lanes`], and its scheme in time: the force
+//! is linearly implicit, f⁺ = f − C (v⁺ − v), and expects what the last step added where a motion is smooth. A plate that
+//! crosses the surface counts with the part below it, at that part's mean depth.
+
+use super::dynamics::{Frame, Load};
+use super::floor::Surface;
+use super::model::TreeModel;
+use super::terrain::Local;
+use crate::number::{Mat3, Real, Vec3};
+use crate::sand::intruder::Plate;
+use crate::sand::law::StressLaw;
+use crate::sand::{Beyond, Form, Ground, Plain, Site};
+use crate::sim::spatial::{Inertia, PointMasses, Twist, Wrench};
+
+/// A body's plates, the same in all lanes.
+#[derive(Clone)]
+pub struct BodyPlates<R> {
+    pub body: usize,
+    plates: Vec<Plate>,
+    /// A ball around all of them, in the body's frame [m].
+    center: [f64; 3],
+    reach: f64,
+    /// Corners of a box around them, where the trust in an expected change is judged.
+    corners: [[f64; 3]; 8],
+    /// Share of the sand's stress that they find, one lane each.
+    pub share: R,
+}
+
+/// What sand does to a body: forces about the base's origin, and its drag as masses.
+struct Total<R> {
+    wrench: Wrench<R>,
+    drag: PointMasses<R>,
+    edge: Inertia<R>,
+}
+
+impl<R: Real> BodyPlates<R> {
+    pub fn all(model: &TreeModel) -> Vec<Self> {
+        let touching = model.plates.iter().enumerate().filter(|(_, p)| !p.is_empty());
+        touching.map(|(body, plates)| Self::of(body, plates)).collect()
+    }
+
+    pub fn of(body: usize, plates: &[Plate]) -> Self {
+        let ends = |k: usize| {
+            let along = plates.iter().map(|p| p.center.lane(0)[k]);
+            along.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], x| [a.min(x), b.max(x)])
+        };
+        let ends = [0, 1, 2].map(ends);
+        let center = ends.map(|[a, b]| (a + b) / 2.0);
+        let away = |p: &Plate| {
+            let half = |h: &Vec3<f64>| h.norm_squared().sqrt();
+            (p.center - Vec3::splat(center)).norm_squared().sqrt() + half(&p.half[0]) + half(&p.half[1])
+        };
+        let reach = plates.iter().map(away).fold(0.0, f64::max);
+        let corners = std::array::from_fn(|i| [0, 1, 2].map(|k| ends[k][i >> k & 1]));
+        Self { body, plates: plates.to_vec(), center, reach, corners, share: R::one() }
+    }
+}
+
+/// Adds the sand on all bodies to their loads; `place` is where the base's origin is.
+#[inline(always)]
+pub fn press<R: Real>(
+    ground: &Ground<R>,
+    bodies: &[BodyPlates<R>],
+    frames: &[Frame<R>],
+    place: &Vec3<R>,
+    surface: &impl Surface<R>,
+    loads: &mut [Load<R>],
+    dt: R,
+) {
+    for plates in bodies {
+        let frame = &frames[plates.body];
+        let center = *place + frame.point(Vec3::splat(plates.center));
+        let under = surface.under(center);
+        if !R::any(R::zero().lt(under.depth(center) + R::splat(plates.reach))) {
+            continue;
+        }
+        let trusted = plates.corners.iter().fold(R::one(), |least, c| {
+            let place = frame.point(Vec3::splat(*c));
+            least.min(trust(frame, place))
+        });
+        let expected = frame.change.scaled(trusted);
+        let middle = expected.scale_add(R::splat(0.5), &frame.velocity);
+        let Some(total) = on_body(ground, plates, frame, &middle, place, &under, dt) else { continue };
+        let load = &mut loads[plates.body];
+        let mut drag = Inertia::points(&total.drag);
+        drag.add(&total.edge);
+        let mut bias = total.wrench.scale_add(-R::one(), &load.bias);
+        // f + C w Δv, with the drags as masses dt C.
+        let held = drag.apply(&expected.scaled(-(R::one() / dt)));
+        bias.add(&held);
+        load.inertia.add(&drag);
+        load.bias = bias;
+    }
+}
+
+/// How far a body's next change of velocity at `place` can be expected to be its last one; see [`crate::sim::lanes`].
+#[inline(always)]
+fn trust<R: Real>(frame: &Frame<R>, place: Vec3<R>) -> R {
+    let (speed, change) = (frame.velocity.at(place).norm_squared(), frame.change.at(place).norm_squared());
+    let share = speed / change.mul_add(R::splat(4.0), speed + R::splat(1e-30));
+    share * share
+}
+
+#[inline(always)]
+fn on_body<R: Real>(
+    ground: &Ground<R>,
+    plates: &BodyPlates<R>,
+    frame: &Frame<R>,
+    velocity: &Twist<R>,
+    place: &Vec3<R>,
+    under: &Local<R>,
+    dt: R,
+) -> Option<Total<R>> {
+    match (&ground.form, &ground.beyond) {
+        (Form::Li2013(law), None) => by(law, &Plain, ground, plates, frame, velocity, place, under, dt),
+        (form, None) => by(form, &Plain, ground, plates, frame, velocity, place, under, dt),
+        (form, Some(beyond)) => by(form, beyond, ground, plates, frame, velocity, place, under, dt),
+    }
+}
+
+/// The hottest loop of robots on sand.
+#[inline(always)]
+#[allow(clippy::too_many_arguments)] // all of them are in registers
+fn by<R: Real>(
+    law: &impl StressLaw<R>,
+    beyond: &impl Beyond<R>,
+    ground: &Ground<R>,
+    plates: &BodyPlates<R>,
+    frame: &Frame<R>,
+    velocity: &Twist<R>,
+    place: &Vec3<R>,
+    under: &Local<R>,
+    dt: R,
+) -> Option<Total<R>> {
+    let (zero, half) = (R::zero(), R::splat(0.5));
+    let (mut total, mut wet) = (Total::none(), false);
+    // Rows of the surface's own axes in the world: z along its normal, x along the world's x.
+    let axes = under.axes();
+    // The same in the body's frame, for what only needs heights.
+    let up = frame.rotation.apply_transposed(under.normal);
+    let height = under.normal.dot(*place + frame.origin - under.point);
+    for plate in &plates.plates {
+        let center = lanes(plate.center);
+        let depth = -(up.dot(center) + height);
+        let rise = up.dot(lanes(plate.half[0])).abs() + up.dot(lanes(plate.half[1])).abs();
+        let below = depth + rise;
+        if !R::any(zero.lt(below)) {
+            continue;
+        }
+        let (at, normal) = (frame.point(center), frame.rotation.apply(lanes(plate.normal)));
+        let v = velocity.at(at);
+        if !R::any(zero.lt(normal.dot(v))) {
+            continue;
+        }
+        let crossing = depth.lt(rise);
+        let part = below.max(zero) * half;
+        let depth = R::select(crossing, part, depth).max(zero);
+        let share = R::select(crossing, part / rise.max(R::splat(1e-9)), R::one());
+        let area = R::splat(plate.area) * share * plates.share;
+        let site = Site::fresh(depth, place.x + at.x);
+        let contact = match &axes {
+            None => ground.one_sided_by(law, beyond, &site, area, normal, v),
+            Some(axes) => {
+                let mut contact = ground.one_sided_by(
+                    law,
+                    beyond,
+                    &site,
+                    area,
+                    axes.apply_transposed(normal),
+                    axes.apply_transposed(v),
+                );
+                contact.force = axes.apply(contact.force);
+                contact
+            }
+        };
+        wet = true;
+        total.wrench.force += contact.force;
+        total.wrench.moment += at.cross(contact.force);
+        let mass = contact.drag * dt;
+        let first = at * mass;
+        total.drag.mass += mass;
+        total.drag.first += first;
+        total.drag.second.add_product(at, first);
+        if R::any(zero.lt(contact.edge)) {
+            total.edge.add_outer(contact.edge * dt, &Wrench { moment: at.cross(normal), force: normal });
+        }
+    }
+    wet.then_some(total)
+}
+
+/// The same in all lanes.
+#[inline(always)]
+fn lanes<R: Real>(v: Vec3<f64>) -> Vec3<R> {
+    Vec3::new(R::splat(v.x), R::splat(v.y), R::splat(v.z))
+}
+
+impl<R: Real> Total<R> {
+    #[inline(always)]
+    fn none() -> Self {
+        Self { wrench: Wrench::zero(), drag: PointMasses::zero(), edge: Inertia::points(&PointMasses::zero()) }
+    }
+}
+
+impl<R: Real> Local<R> {
+    /// Columns x, y, z of the surface's axes, z its normal; none where it is level in all lanes.
+    #[inline(always)]
+    fn axes(&self) -> Option<Mat3<R>> {
+        let n = self.normal;
+        if !R::any(R::zero().lt(n.x.abs() + n.y.abs())) {
+            return None;
+        }
+        let length = R::one() / (n.x * n.x + n.z * n.z).sqrt();
+        let x = Vec3::new(n.z * length, R::zero(), -(n.x * length));
+        Some(Mat3::new(x, n.cross(x), n))
+    }
+}

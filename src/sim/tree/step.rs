@@ -1,0 +1,139 @@
+//! One time step of a tree robot: where everything is → sand → hard ground → joints → accelerations → move.
+
+use super::dynamics::{self, Frame, Hinge, LaneBody, Load, Motion};
+use super::floor::{BodyContacts, Floor, Surface, Touch};
+use super::sand::{self, BodyPlates};
+use super::servo::{Joints, LaneMotor, LaneServo};
+use super::terrain::Flat;
+use crate::number::{Real, Vec3};
+use crate::sand::Ground;
+use crate::sim::spatial::Twist;
+
+/// Everything that stays while a robot moves, one lane each.
+pub struct LaneTree<R> {
+    pub bodies: Vec<LaneBody<R>>,
+    pub motors: Vec<LaneMotor<R>>,
+    pub plates: Vec<BodyPlates<R>>,
+    pub contacts: Vec<BodyContacts>,
+    pub ground: Ground<R>,
+    pub floor: Floor<R>,
+    pub gravity: Vec3<R>,
+    /// The same in all lanes [s].
+    pub dt: R,
+}
+
+/// See [`crate::sim::State`].
+#[derive(Clone)]
+pub struct LaneState<R> {
+    /// Of the base link's origin.
+    pub position: Vec3<R>,
+    /// Where x and y count from, for ground that differs from place to place [m].
+    pub travelled: [R; 2],
+    pub motion: Motion<R>,
+    pub servos: Vec<LaneServo<R>>,
+    pub work: R,
+}
+
+/// Room that a step works in; nothing in it outlives the step.
+pub struct Scratch<R> {
+    frames: Vec<Frame<R>>,
+    loads: Vec<Load<R>>,
+    /// Loads before hard ground.
+    bare: Vec<Load<R>>,
+    hinges: Vec<Hinge<R>>,
+    accelerations: Vec<Twist<R>>,
+    joints: Vec<R>,
+    touches: Vec<Touch<R>>,
+}
+
+impl<R: Real> Scratch<R> {
+    pub fn new(bodies: usize) -> Self {
+        let still = Twist { angular: Vec3::zero(), linear: Vec3::zero() };
+        Self {
+            frames: vec![Frame::at_rest(); bodies],
+            loads: vec![Load::none(); bodies],
+            bare: vec![Load::none(); bodies],
+            hinges: vec![Hinge::free(); bodies - 1],
+            accelerations: vec![still; bodies],
+            joints: vec![R::zero(); bodies - 1],
+            touches: Vec::new(),
+        }
+    }
+}
+
+/// Advances all lanes by one time step.
+#[inline(always)]
+pub fn step<R: Real>(model: &LaneTree<R>, state: &mut LaneState<R>, scratch: &mut Scratch<R>) {
+    step_on(model, &Flat, state, scratch);
+}
+
+#[inline(always)]
+fn step_on<R: Real>(
+    model: &LaneTree<R>,
+    surface: &impl Surface<R>,
+    state: &mut LaneState<R>,
+    scratch: &mut Scratch<R>,
+) {
+    let dt = model.dt;
+    let place = state.position + Vec3::new(state.travelled[0], state.travelled[1], R::zero());
+    dynamics::place(&model.bodies, &state.motion, &mut scratch.frames);
+    dynamics::load(&model.bodies, &scratch.frames, model.gravity, &mut scratch.loads);
+    sand::press(&model.ground, &model.plates, &scratch.frames, &place, surface, &mut scratch.loads, dt);
+    model.floor.find(&model.contacts, &scratch.frames, &place, surface, &mut scratch.touches);
+    if scratch.touches.is_empty() {
+        solve(model, state, scratch);
+    } else {
+        scratch.bare.copy_from_slice(&scratch.loads);
+        model.floor.press(&scratch.touches, &mut scratch.loads, dt);
+        solve(model, state, scratch);
+        model.floor.judge(&mut scratch.touches, &scratch.accelerations, dt);
+        scratch.loads.copy_from_slice(&scratch.bare);
+        model.floor.press(&scratch.touches, &mut scratch.loads, dt);
+        solve(model, state, scratch);
+    }
+    move_joints(model, state, &scratch.joints);
+    move_base(state, &scratch.accelerations[0], dt);
+}
+
+#[inline(always)]
+fn solve<R: Real>(model: &LaneTree<R>, state: &LaneState<R>, s: &mut Scratch<R>) {
+    let joints = Joints { motors: &model.motors, servos: &state.servos, joints: &state.motion.joints, dt: model.dt };
+    let base = dynamics::fold(&model.bodies, &s.frames, &joints, &mut s.loads, &mut s.hinges);
+    dynamics::unfold(&model.bodies, &s.frames, &s.hinges, &base, &mut s.accelerations, &mut s.joints);
+}
+
+/// Rates, positions and servos after the step.
+#[inline(always)]
+fn move_joints<R: Real>(model: &LaneTree<R>, state: &mut LaneState<R>, accelerations: &[R]) {
+    let dt = model.dt;
+    for i in 0..model.motors.len() {
+        let joints = Joints { motors: &model.motors, servos: &state.servos, joints: &state.motion.joints, dt };
+        let torque = joints.motor_torque(i, accelerations[i]);
+        let (joint, servo) = (&mut state.motion.joints[i], &mut state.servos[i]);
+        joint.change = accelerations[i] * dt;
+        joint.rate += joint.change;
+        joint.position = joint.rate.mul_add(dt, joint.position);
+        servo.torque = torque;
+        servo.reference = model.motors[i].reference_rate(servo).mul_add(dt, servo.reference);
+        state.work += (torque * joint.rate).abs() * dt;
+    }
+}
+
+/// Semi-implicit Euler on the base; the rotation by the exponential map to third order, then normalised.
+#[inline(always)]
+fn move_base<R: Real>(state: &mut LaneState<R>, acceleration: &Twist<R>, dt: R) {
+    let motion = &mut state.motion;
+    motion.change = acceleration.scaled(dt);
+    motion.velocity.linear += motion.change.linear;
+    motion.velocity.angular += motion.change.angular;
+    state.position = motion.velocity.linear.scale_add(dt, state.position);
+    let half = motion.velocity.angular * (dt * R::splat(0.5));
+    let squared = half.norm_squared();
+    let real = squared.mul_add(R::splat(-0.5), R::one());
+    let half = half * squared.mul_add(R::splat(-1.0 / 6.0), R::one());
+    let (w, v) = motion.orientation;
+    let new_w = real * w - half.dot(v);
+    let new_v = v.scale_add(real, half.scale_add(w, half.cross(v)));
+    let norm = R::splat(1.5) - R::splat(0.5) * new_w.mul_add(new_w, new_v.norm_squared());
+    motion.orientation = (new_w * norm, new_v * norm);
+}

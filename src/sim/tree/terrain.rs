@@ -1,0 +1,39 @@
+//! The ground's surface near a point: a plane.
+
+use super::floor::Surface;
+use crate::number::{Real, Vec3};
+
+/// The tangent plane of the surface.
+#[derive(Clone, Copy)]
+pub struct Local<R> {
+    /// A point of it [m], world.
+    pub point: Vec3<R>,
+    /// Unit, upward.
+    pub normal: Vec3<R>,
+}
+
+impl<R: Real> Local<R> {
+    /// Of a point of the world below it [m].
+    #[inline(always)]
+    pub fn depth(&self, p: Vec3<R>) -> R {
+        self.normal.dot(self.point - p)
+    }
+
+    /// The normal of a plane whose depth below this one grows by `tilt` along x and y.
+    #[inline(always)]
+    pub fn tilted(&self, tilt: [R; 2]) -> Vec3<R> {
+        let n = self.normal + Vec3::new(tilt[0], tilt[1], R::zero());
+        n * (R::one() / n.norm_squared().sqrt())
+    }
+}
+
+/// Level ground.
+#[derive(Clone, Copy)]
+pub struct Flat;
+
+impl<R: Real> Surface<R> for Flat {
+    #[inline(always)]
+    fn under(&self, _point: Vec3<R>) -> Local<R> {
+        Local { point: Vec3::zero(), normal: Vec3::splat([0.0, 0.0, 1.0]) }
+    }
+}

@@ -1,0 +1,269 @@
+//! A robot of any kind as an image: every triangle of what is seen, nearest first by a depth buffer.
+
+use super::camera::Camera;
+use super::picture::SIZES;
+use super::text;
+use crate::error::{Error, Result};
+use crate::sand::intruder::Plate;
+use crate::sim::frame::V;
+use crate::sim::tree::{Geometry, JointKind, Tree, TreeShape};
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use resvg::tiny_skia::{Pixmap, PremultipliedColorU8};
+use std::f64::consts::TAU;
+
+type Rgb = [f64; 3];
+
+const SKY: [Rgb; 2] = [[226.0, 234.0, 241.0], [247.0, 246.0, 242.0]];
+const SAND: Rgb = [226.0, 209.0, 175.0];
+const BASE: Rgb = [120.0, 128.0, 140.0];
+const LINKS: [Rgb; 4] = [[70.0, 130.0, 180.0], [112.0, 164.0, 112.0], [176.0, 136.0, 84.0], [150.0, 116.0, 160.0]];
+const PLATES: Rgb = [214.0, 84.0, 40.0];
+const INK: [u8; 3] = [40, 44, 50];
+const LIGHT: [f64; 3] = [0.35, -0.45, 0.82];
+/// Sides of what is round: our choice.
+const SIDES: usize = 32;
+/// Samples of a pixel along an edge, against jagged edges: our choice.
+const SAMPLES: usize = 2;
+/// How far plates are drawn before their surface, in robot radii, so that they are seen.
+const BEFORE: f64 = 2e-3;
+
+/// A PNG of `size` [px]: `tree` in its standing pose on its lowest point; `seen` and `plates` by bodies, in their frames.
+///
+/// # Errors
+/// Names the side that is out of [`SIZES`].
+pub fn draw(
+    tree: &Tree,
+    seen: &[Vec<TreeShape>],
+    plates: &[Vec<Plate>],
+    size: [u32; 2],
+    captions: &[String],
+) -> Result<Vec<u8>> {
+    for (name, side) in ["width", "height"].into_iter().zip(size) {
+        if !SIZES.contains(&side) {
+            return Err(Error::invalid(name, format!("{side} is outside [{}, {}]", SIZES.start(), SIZES.end())));
+        }
+    }
+    let frames = frames(tree);
+    let mut faces = Vec::new();
+    for (b, shapes) in seen.iter().enumerate() {
+        let color = if b == 0 { BASE } else { LINKS[depth(tree, b) % LINKS.len()] };
+        for shape in shapes {
+            let at = frames[b] * shape.origin;
+            faces.extend(
+                triangles(&shape.geometry).iter().map(|t| (t.map(|p| (at * nalgebra::Point3::from(p)).coords), color)),
+            );
+        }
+    }
+    let corners = faces.iter().flat_map(|f| f.0);
+    let [low, high] = corners.fold([V::repeat(f64::MAX), V::repeat(f64::MIN)], |[a, b], p| [a.inf(&p), b.sup(&p)]);
+    let [low, high] = if faces.is_empty() { [V::repeat(-0.1), V::repeat(0.1)] } else { [low, high] };
+    let radius = (0.5 * (high - low).norm()).max(1e-3);
+    for (b, plates) in plates.iter().enumerate() {
+        faces.extend(plates.iter().flat_map(|p| quad(p, &frames[b], BEFORE * radius)).map(|t| (t, PLATES)));
+    }
+    let samples = size.map(|s| s * SAMPLES as u32);
+    let camera = Camera::around((low + high) / 2.0, 0.72 * radius, samples);
+    let mut canvas = Canvas::new(samples, camera, low.z);
+    canvas.ground(&faces, radius);
+    for (corners, color) in &faces {
+        canvas.triangle(corners, *color);
+    }
+    canvas.png(size, captions)
+}
+
+/// How many joints are between a body and the base.
+fn depth(tree: &Tree, body: usize) -> usize {
+    let (mut at, mut depth) = (body, 0);
+    while tree.bodies[at].parent > 0 {
+        at = tree.bodies[at].parent;
+        depth += 1;
+    }
+    depth
+}
+
+/// Where bodies stand with the base level and joints at rest, or at 0 where the file gives no pose, within their range.
+fn frames(tree: &Tree) -> Vec<Isometry3<f64>> {
+    let mut frames: Vec<Isometry3<f64>> = Vec::with_capacity(tree.bodies.len());
+    for body in &tree.bodies {
+        let Some(joint) = &body.joint else {
+            frames.push(Isometry3::identity());
+            continue;
+        };
+        let q = joint.rest.unwrap_or_else(|| joint.range.map_or(0.0, |[low, high]| 0f64.clamp(low, high)));
+        let moved = match joint.kind {
+            JointKind::Hinge => {
+                Isometry3::from_parts(Default::default(), UnitQuaternion::from_axis_angle(&joint.axis, q))
+            }
+            JointKind::Slide => Isometry3::translation(q * joint.axis.x, q * joint.axis.y, q * joint.axis.z),
+        };
+        frames.push(frames[body.parent] * body.origin * moved);
+    }
+    frames
+}
+
+fn quad(plate: &Plate, frame: &Isometry3<f64>, before: f64) -> [[V; 3]; 2] {
+    let vector = |v: crate::number::Vec3<f64>| frame.rotation * V::from(v.lane(0));
+    let center = frame * nalgebra::Point3::from(V::from(plate.center.lane(0)));
+    let middle = center.coords + vector(plate.normal) * before;
+    // A little apart, so that each is seen.
+    let [u, v] = plate.half.map(|h| vector(h) * 0.85);
+    let [a, b, c, d] = [middle - u - v, middle + u - v, middle + u + v, middle - u + v];
+    let out = (b - a).cross(&(c - a)).dot(&vector(plate.normal)) > 0.0;
+    if out { [[a, b, c], [a, c, d]] } else { [[a, c, b], [a, d, c]] }
+}
+
+/// Of a round profile along z: (distance from the axis, height), from below.
+fn turned(profile: &[[f64; 2]]) -> Vec<[V; 3]> {
+    let at = |[r, z]: [f64; 2], k: usize| {
+        let (sin, cos) = (TAU * (k % SIDES) as f64 / SIDES as f64).sin_cos();
+        V::new(r * cos, r * sin, z)
+    };
+    let mut faces = Vec::new();
+    for pair in profile.windows(2) {
+        for k in 0..SIDES {
+            let [a, b] = [at(pair[0], k), at(pair[0], k + 1)];
+            let [d, c] = [at(pair[1], k), at(pair[1], k + 1)];
+            faces.extend([[a, b, c], [a, c, d]]);
+        }
+    }
+    faces
+}
+
+fn triangles(geometry: &Geometry) -> Vec<[V; 3]> {
+    let arc = |radius: f64, lift: f64, from: usize, to: usize| {
+        let steps = SIDES / 2;
+        (from..=to).map(move |k| {
+            let (sin, cos) = (TAU / 2.0 * k as f64 / steps as f64).sin_cos();
+            [radius * sin, lift - radius * cos]
+        })
+    };
+    match geometry {
+        Geometry::Sphere { radius } => turned(&arc(*radius, 0.0, 0, SIDES / 2).collect::<Vec<_>>()),
+        Geometry::Capsule { radius, half_length } => {
+            let low = arc(*radius, -half_length, 0, SIDES / 4);
+            turned(&low.chain(arc(*radius, *half_length, SIDES / 4, SIDES / 2)).collect::<Vec<_>>())
+        }
+        Geometry::Cylinder { radius, half_length } => {
+            let [r, h] = [*radius, *half_length];
+            turned(&[[0.0, -h], [r, -h], [r, h], [0.0, h]])
+        }
+        Geometry::Box { half } => {
+            let mut faces = Vec::new();
+            for axis in 0..3 {
+                for side in [-1.0, 1.0] {
+                    let unit = |k: usize| V::ith(k % 3, half[k % 3]);
+                    let (n, u, v) = (unit(axis) * side, unit(axis + 1) * side, unit(axis + 2));
+                    let [a, b, c, d] = [n - u - v, n + u - v, n + u + v, n - u + v];
+                    faces.extend([[a, b, c], [a, c, d]]);
+                }
+            }
+            faces
+        }
+        Geometry::Mesh(triangles) => triangles.to_vec(),
+    }
+}
+
+/// Samples with the distance of what is seen there.
+struct Canvas {
+    size: [usize; 2],
+    camera: Camera,
+    colors: Vec<[f32; 3]>,
+    depths: Vec<f32>,
+    ground: f64,
+}
+
+impl Canvas {
+    fn new(size: [u32; 2], camera: Camera, ground: f64) -> Self {
+        let [width, height] = size.map(|s| s as usize);
+        let sky = |row: usize| {
+            let t = row as f64 / height as f64;
+            std::array::from_fn(|k| (SKY[0][k] * (1.0 - t) + SKY[1][k] * t) as f32)
+        };
+        let colors = (0..height).flat_map(|row| std::iter::repeat_n(sky(row), width)).collect();
+        Self { size: [width, height], camera, colors, depths: vec![f32::INFINITY; width * height], ground }
+    }
+
+    /// A disc of sand under the robot, with the shadow of its faces.
+    fn ground(&mut self, faces: &[([V; 3], Rgb)], radius: f64) {
+        let center = self.camera.target();
+        let middle = V::new(center.x, center.y, self.ground - BEFORE * radius);
+        let point = |k: usize| {
+            let (sin, cos) = (TAU * k as f64 / 64.0).sin_cos();
+            middle + V::new(cos, sin, 0.0) * (2.4 * radius)
+        };
+        for k in 0..64 {
+            self.flat(&[middle, point(k), point(k + 1)], SAND);
+        }
+        let light = V::from(LIGHT);
+        let shade = SAND.map(|c| c * 0.74);
+        for (corners, _) in faces {
+            let cast = corners.map(|p| p - light * ((p.z - self.ground + 0.5 * BEFORE * radius) / light.z));
+            self.flat(&cast, shade);
+        }
+    }
+
+    fn triangle(&mut self, corners: &[V; 3], color: Rgb) {
+        let [a, b, c] = corners;
+        let Some(normal) = (b - a).cross(&(c - a)).try_normalize(0.0) else { return };
+        // Meshes that are seen may be inside out: what faces away is lit like what faces here.
+        let toward = if self.camera.faces((a + b + c) / 3.0, normal) { normal } else { -normal };
+        let bright = 0.62 + 0.38 * toward.dot(&Vector3::from(LIGHT).normalize()).max(-0.6);
+        self.flat(corners, color.map(|x| x * bright + 24.0 * (bright - 0.62)));
+    }
+
+    /// Fills a triangle with one colour where it is nearer than what is there.
+    fn flat(&mut self, corners: &[V; 3], color: Rgb) {
+        let Some(seen) = corners.iter().map(|p| self.camera.see(*p)).collect::<Option<Vec<_>>>() else { return };
+        let [(a, da), (b, db), (c, dc)] = [seen[0], seen[1], seen[2]];
+        let cross =
+            |p: [f32; 2], q: [f32; 2], r: [f32; 2]| (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]);
+        let area = cross(a, b, c);
+        if area == 0.0 || !area.is_finite() {
+            return;
+        }
+        let range = |k: usize, most: usize| {
+            let (low, high) = (a[k].min(b[k]).min(c[k]), a[k].max(b[k]).max(c[k]));
+            (low.floor().max(0.0) as usize)..(high.ceil().clamp(0.0, most as f32) as usize)
+        };
+        let color = color.map(|x| x as f32);
+        for y in range(1, self.size[1]) {
+            for x in range(0, self.size[0]) {
+                let p = [x as f32 + 0.5, y as f32 + 0.5];
+                let [u, v, w] = [cross(b, c, p) / area, cross(c, a, p) / area, cross(a, b, p) / area];
+                if u < 0.0 || v < 0.0 || w < 0.0 {
+                    continue;
+                }
+                // 1/distance is linear on the picture.
+                let depth = 1.0 / (u / da as f32 + v / db as f32 + w / dc as f32);
+                let at = y * self.size[0] + x;
+                if depth < self.depths[at] {
+                    (self.depths[at], self.colors[at]) = (depth, color);
+                }
+            }
+        }
+    }
+
+    fn png(&self, [width, height]: [u32; 2], captions: &[String]) -> Result<Vec<u8>> {
+        let mut pixels = Vec::with_capacity(3 * (width * height) as usize);
+        for y in 0..height as usize {
+            for x in 0..width as usize {
+                for k in 0..3 {
+                    let samples = (0..SAMPLES * SAMPLES).map(|s| {
+                        self.colors[(y * SAMPLES + s / SAMPLES) * self.size[0] + x * SAMPLES + s % SAMPLES][k]
+                    });
+                    let mean = samples.sum::<f32>() / (SAMPLES * SAMPLES) as f32;
+                    pixels.push(mean.round().clamp(0.0, 255.0) as u8);
+                }
+            }
+        }
+        for (n, caption) in captions.iter().enumerate() {
+            text::write(&mut pixels, width as usize, [8, 6 + (n * text::CELL[1]) as i64], caption, INK)?;
+        }
+        let failed = || Error::Exhausted("a picture of this size does not fit into memory".into());
+        let mut map = Pixmap::new(width, height).ok_or_else(failed)?;
+        for (to, rgb) in map.pixels_mut().iter_mut().zip(pixels.chunks_exact(3)) {
+            *to = PremultipliedColorU8::from_rgba(rgb[0], rgb[1], rgb[2], 255).ok_or_else(failed)?;
+        }
+        map.encode_png().map_err(|e| Error::Exhausted(format!("the picture cannot be written: {e}")))
+    }
+}
