@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 /// Every module of `src/`, and those that it may know. Each names only modules further up in this list, so nothing goes in
 /// circles; whatever is not named it must not know.
-const KNOWS: [(&str, &[&str]); 22] = [
+const KNOWS: [(&str, &[&str]); 23] = [
     ("error", &[]),
     ("parallel", &[]),
     ("progress", &["error"]),
@@ -17,6 +17,7 @@ const KNOWS: [(&str, &[&str]); 22] = [
     ("policy", &["error", "number", "env"]),
     ("pool", &["error", "parallel", "progress", "env", "policy"]),
     ("view", &["error", "number", "plot", "sand", "sim"]),
+    ("session", &["error", "env", "sim", "pool", "view"]),
     ("calibrate", &["error", "plot", "sand"]),
     ("validate", &["error", "parallel", "table", "plot", "sand"]),
     ("sweep", &["error", "parallel", "progress", "table", "plot", "sand", "sim"]),
@@ -26,8 +27,8 @@ const KNOWS: [(&str, &[&str]); 22] = [
     (
         "service",
         &[
-            "error", "parallel", "progress", "table", "sand", "sim", "env", "policy", "pool", "view", "sweep",
-            "diagnose", "evaluate",
+            "error", "parallel", "progress", "table", "sand", "sim", "env", "policy", "pool", "view", "session",
+            "sweep", "diagnose", "evaluate",
         ],
     ),
     ("bench", &["error", "env", "policy", "pool", "service"]),
