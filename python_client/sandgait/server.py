@@ -149,10 +149,8 @@ def ask_for_threads(threads: int | None) -> None:
     if threads is None:
         return
     with _lock:
-        running = _server is not None and _server.running()
-        _threads = agreed(
-            threads, _server.threads if running and _server is not None else None, "the server of this process"
-        )
+        has = _server.threads if _server is not None and _server.running() else None
+        _threads = agreed(threads, has, "the server of this process")
 
 
 def _threads_wanted() -> int:

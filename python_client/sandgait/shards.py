@@ -33,7 +33,7 @@ _last_call: float | None = None
 
 
 class Shards:
-    """`num_envs` environments, spread evenly over places; `open_door` opens one, given its number and its environments."""
+    """`num_envs` environments, spread evenly over places; `open_door(k, envs)` opens place k."""
 
     def __init__(self, places: int, num_envs: int, open_door: Callable[[int, int], Door]) -> None:
         if not 1 <= places <= max(num_envs, 1):
