@@ -1,4 +1,4 @@
-# `make help` lists what there is. Needs cargo, Python ≥ 3.10 with venv and pip; everything else goes into .venv, once.
+# `make help` lists what there is. Needs cargo, Python ≥ 3.11 with venv and pip; everything else goes into .venv, once.
 SHELL := /bin/bash
 PYTHON ?= python3
 VENV := .venv
@@ -13,7 +13,7 @@ SOURCES := $(shell find src proto robots python_client build.rs Cargo.toml Cargo
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help train policies test test-rust test-python test-browser page-three bench bench-peers bench-network study \
+.PHONY: help train policies test test-rust test-python test-browser page-three native bench bench-peers bench-network study \
 	study-convergence study-rocks study-load proto task-pages docs
 
 help:
@@ -22,7 +22,8 @@ help:
 	@echo "make test    formatting, lints and all tests, Rust and Python"
 	@echo "make test-browser   the live page and replays in headless Chromium, which apt installs if it is missing"
 	@echo "make docs    the documentation as a site in site/; every command in it is run by make test"
-	@echo "make bench   speed of the Python client through an embedded server"
+	@echo "make native   the native module beside the Python sources, for those who change them"
+	@echo "make bench   speed of the Python environments beside the engine's"
 	@echo "make bench-peers   sandgait beside EnvPool, MuJoCo and gymnasium's Ant, in one run"
 	@echo "make bench-network   servers in network namespaces, behind links with and without delay; needs root"
 	@echo "make study   how often the diagnosis is right, on data of known cause (some 15 minutes)"
@@ -76,6 +77,11 @@ page-three:
 docs: $(VENV)/docs
 	$(BIN)/mkdocs build --strict
 
+# The native module beside the Python sources, for PYTHONPATH=python_client; Cargo decides what is to be done.
+native:
+	PYO3_PYTHON=$(PYTHON) cargo build --release --package sandgait-native
+	cp target/release/lib_native.so python_client/sandgait/_native.abi3.so
+
 bench: $(VENV)/wheel
 	$(BIN)/python benches/client.py $(ARGS)
 
@@ -112,7 +118,7 @@ proto:
 		--pyi_out=python_client/sandgait/_proto proto/sandgait/v1/*.proto
 
 $(VENV)/tools: $(PINS)
-	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "Python 3.10 or newer is needed")'
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --constraint $(PINS) maturin
 	@touch $@

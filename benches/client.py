@@ -24,7 +24,7 @@ ID = "sandgait/HexapodGait-v1"
 def in_process(envs: int, threads: int) -> float:
     """Environment steps a second without gRPC or Python, by `sandgait bench`."""
     command = [
-        server.find_binary(),
+        *server.command(),
         "bench",
         "--envs",
         str(envs),

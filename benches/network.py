@@ -68,7 +68,7 @@ def serving(k: int, name: str | None) -> Iterator[str]:
     core = sorted(os.sched_getaffinity(0))[k % len(os.sched_getaffinity(0))]
     inside = [] if name is None else ["ip", "netns", "exec", name]
     listen = "127.0.0.1:0" if name is None else f"{NETWORK}.{k}.2:{PORT}"
-    command = [*inside, "taskset", "--cpu-list", str(core), server.find_binary(), "serve", "--listen", listen]
+    command = [*inside, "taskset", "--cpu-list", str(core), *server.command(), "serve", "--listen", listen]
     command += ["--threads", "1", "--insecure", "--exit-on-stdin-close"]
     pipe = subprocess.PIPE
     quiet = {"SANDGAIT_LOG": "error", **os.environ}

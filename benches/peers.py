@@ -60,8 +60,9 @@ def timed(step: Callable[[], int], seconds: float) -> float:
 
 def mujoco_step(seconds: float, _cores: int) -> float:
     """One robot, one thread: `mj_step` has no batch of its own."""
-    import mujoco
     import tomllib
+
+    import mujoco
 
     model = mujoco.MjModel.from_xml_string(hexapod_mjcf(tomllib.loads((ROOT / "robots/xplorer.toml").read_text())))
     data = mujoco.MjData(model)

@@ -22,7 +22,7 @@ STEPS = 150
 def rust(envs: int, through: str, seconds: float) -> float:
     """By `sandgait bench`, one thread; the median of five repeats that take `seconds` together."""
     options = ["--envs", str(envs), "--threads", "1", "--repeats", "5", "--seconds", str(seconds / 5), "--json"]
-    command = [server.find_binary(), "bench", "--through", through, *options]
+    command = [*server.command(), "bench", "--through", through, *options]
     result = subprocess.run(command, capture_output=True, text=True, check=True)
     return float(json.loads(result.stdout)["env_steps_per_second"])
 

@@ -29,7 +29,7 @@ SETUPS = {"one server, 1 thread": [1], "two servers, 1 thread each": [1, 1], "on
 @contextlib.contextmanager
 def serving(threads: int) -> Iterator[str]:
     """The address of a server."""
-    command = [server.find_binary(), "serve", "--listen", "127.0.0.1:0", "--threads", str(threads)]
+    command = [*server.command(), "serve", "--listen", "127.0.0.1:0", "--threads", str(threads)]
     pipe = subprocess.PIPE
     with subprocess.Popen([*command, "--exit-on-stdin-close"], stdin=pipe, stdout=pipe, text=True) as process:
         assert process.stdout is not None

@@ -1,8 +1,9 @@
 //! sandgait: batched reinforcement-learning environments of legged robots on sand.
 //!
-//! Data flow one way: [`service`] → [`pool`] → [`policy`] → [`env`] → [`sim`] → [`sand`]; no layer knows the ones before it.
+//! Data flow one way: [`service`] → [`session`] → [`pool`] → [`policy`] → [`env`] → [`sim`] → [`sand`]; no layer knows the ones before it.
 pub mod bench;
 pub mod calibrate;
+pub mod cli;
 pub mod diagnose;
 pub mod env;
 pub mod error;
@@ -17,9 +18,13 @@ pub mod reproduce;
 pub mod robot;
 pub mod sand;
 pub mod service;
+pub mod session;
 pub mod sim;
 pub mod sweep;
 pub mod table;
 pub mod validate;
 pub mod view;
 pub use error::{Error, Result};
+
+// The command line is written as a user of this crate would write it.
+extern crate self as sandgait;

@@ -1,7 +1,5 @@
 //! The `sandgait` command.
 
-mod cli;
-
 use std::process::ExitCode;
 
 /// glibc's allocator keeps what sessions of many sizes leave behind: a server that 24 clients use grew for as long as they
@@ -10,5 +8,5 @@ use std::process::ExitCode;
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 fn main() -> ExitCode {
-    cli::main()
+    ExitCode::from(sandgait::cli::main(std::env::args_os()))
 }

@@ -18,6 +18,7 @@ const KNOWS: [(&str, &[&str]); 23] = [
     ("policy", &["error", "number", "env"]),
     ("pool", &["error", "parallel", "progress", "env", "policy"]),
     ("view", &["error", "number", "plot", "sand", "sim"]),
+    ("session", &["error", "env", "sim", "pool", "view"]),
     ("calibrate", &["error", "plot", "sand"]),
     ("validate", &["error", "parallel", "table", "plot", "sand"]),
     ("sweep", &["error", "parallel", "progress", "table", "plot", "sand", "sim"]),
@@ -27,8 +28,8 @@ const KNOWS: [(&str, &[&str]); 23] = [
     (
         "service",
         &[
-            "error", "parallel", "progress", "table", "sand", "sim", "env", "policy", "pool", "view", "sweep",
-            "diagnose", "evaluate",
+            "error", "parallel", "progress", "table", "sand", "sim", "env", "policy", "pool", "view", "session",
+            "sweep", "diagnose", "evaluate",
         ],
     ),
     ("bench", &["error", "env", "policy", "pool", "service"]),

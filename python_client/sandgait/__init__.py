@@ -14,9 +14,8 @@ Studies need no environment, and are the commands of the same names:
     sandgait.diagnose("force.csv", "experiment.toml").summary
     sandgait.evaluate("tripod:2", slopes=[0, 10]).to_frame()
 
-Each takes `address="host:port"` or `"unix:/path"` of a running server, or a `sandgait.Remote` with what it takes to use
-one that asks for TLS or a token; without one a server is started with, and
-ends with, this process.
+All of it is computed in this process. With `address="host:port"` or `"unix:/path"` a running server does it instead; a
+`sandgait.Remote` holds what it takes to use one that asks for TLS or a token.
 """
 
 from __future__ import annotations
@@ -25,8 +24,8 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
-from .client import describe
 from .diagnosis import Diagnosis, diagnose
+from .door import describe
 from .env import SandgaitEnv
 from .errors import InvalidRequest, LimitReached, OutOfOrder, SandgaitError, ServerLost, SessionLost, UnknownAttribute
 from .policies import Evaluation, evaluate

@@ -12,7 +12,17 @@ from .spaces import Task
 
 #: Keywords of the client itself, given when an environment is made.
 KEYWORDS = frozenset(
-    ("address", "autoreset_mode", "clip_actions", "num_envs", "render_mode", "render_size", "resume", "threads")
+    (
+        "address",
+        "autoreset_mode",
+        "clip_actions",
+        "isolated",
+        "num_envs",
+        "render_mode",
+        "render_size",
+        "resume",
+        "threads",
+    )
 )
 
 

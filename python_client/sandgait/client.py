@@ -18,7 +18,6 @@ import re
 import threading
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -27,7 +26,10 @@ from google.protobuf import json_format, struct_pb2
 
 from . import server
 from ._proto.sandgait.v1 import sandgait_pb2 as pb
+from ._proto.sandgait.v1 import studies_pb2 as studies
+from .batches import Batch
 from .errors import InvalidRequest, LimitReached, OutOfOrder, SandgaitError, ServerLost, SessionLost
+from .options import with_sand
 from .remote import Remote
 from .spaces import Column, Option, Task
 
@@ -45,6 +47,9 @@ STUDY_BYTES = 512 * 2**20
 
 #: Longest wait for an answer to Describe or CreateSession [s].
 CALL_TIMEOUT = 60.0
+
+#: Longest wait for a server to confirm that a session is closed [s].
+CLOSE_TIMEOUT = 2.0
 
 #: How numbers travel; the native float32 of every machine that we have wheels for.
 FLOAT = np.dtype("<f4")
@@ -92,28 +97,8 @@ def _codes() -> dict[int, str]:
     return {code.value[0]: code.name for code in _grpc().StatusCode}
 
 
-class Batch(NamedTuple):
-    """All environments after a reset or step; arrays are this batch's own and may be written to."""
-
-    #: f32 [num_envs, observation]; where an episode ended, already the first of the next one.
-    observations: npt.NDArray[np.float32]
-    #: f32 [num_envs]
-    rewards: npt.NDArray[np.float32]
-    #: [num_envs]
-    terminated: npt.NDArray[np.bool_]
-    #: [num_envs]
-    truncated: npt.NDArray[np.bool_]
-    #: f32 [info, num_envs], one contiguous row a column of the table
-    infos: npt.NDArray[np.float32]
-    #: [k] environments whose episode ended, ascending
-    final_indices: npt.NDArray[np.intp]
-    #: f32 [k, observation]
-    final_observations: npt.NDArray[np.float32]
-
-
-def describe(address: str | None = None) -> tuple[str, tuple[Task, ...]]:
-    """Version of the server at `address` (none: the embedded one) and the tasks it offers."""
-    address = address or server.address()
+def describe(address: str) -> tuple[str, tuple[Task, ...]]:
+    """Version of the server at `address` and the tasks it offers."""
     with _channel(address, DEFAULT_MESSAGE_BYTES) as channel:
         reply = _call(channel, address, "Describe", pb.DescribeRequest(), pb.DescribeResponse)
     if reply.protocol != PROTOCOL:
@@ -123,36 +108,66 @@ def describe(address: str | None = None) -> tuple[str, tuple[Task, ...]]:
     return reply.version, tuple(_task(t) for t in reply.tasks)
 
 
-def study(
-    address: str | None,
-    name: str,
-    request: Any,
-    reply: Any,
-    told: Callable[[float, str], None] | None = None,
-) -> Any:
-    """Result of a study at `address` (none: the embedded server); with `told` it is a stream that tells its progress.
+def study(address: str, name: str, request: Mapping[str, Any], told: Callable[[float, str], None] | None = None) -> Any:
+    """Result of a study at `address`, as `door.study` has it; with `told` it is a stream that tells its progress.
 
     Whatever interrupts the wait, an exception of `told` or Ctrl-C, also stops the study on the server.
     """
-    address = address or server.address()
+    message, reply = _study_request(name, request), getattr(studies, f"{name}Response")
     with _channel(address, STUDY_BYTES) as channel:
         method = f"/sandgait.v1.StudyService/{name}"
         kind = channel.unary_unary if told is None else channel.unary_stream
         call = kind(method, lambda m: m.SerializeToString(), reply.FromString)
         try:
             if told is None:
-                return call(request, metadata=_metadata(address))
-            stream = call(request, metadata=_metadata(address))
+                return _table(call(message, metadata=_metadata(address)).table)
+            stream = call(message, metadata=_metadata(address))
             try:
-                for message in stream:
-                    if message.WhichOneof("event") != "progress":
-                        return message
-                    told(message.progress.fraction, message.progress.stage)
+                for event in stream:
+                    match event.WhichOneof("event"):
+                        case "table":
+                            return _table(event.table)
+                        case "diagnosis":
+                            d = event.diagnosis
+                            return d.report_json, d.report_html, d.sand_toml, _table(d.curves)
+                    told(event.progress.fraction, event.progress.stage)
             finally:
                 stream.cancel()
         except _grpc().RpcError as error:
             raise _error(error.code().name, str(error.details()), address) from None
         raise ServerLost(f"{address}: the study ended without a result")
+
+
+def _study_request(name: str, request: Mapping[str, Any]) -> Any:
+    """The message that a dict stands for: files and variations are tuples in it, keywords are mappings."""
+
+    def file(pair: tuple[str, bytes] | None) -> studies.File | None:
+        return None if pair is None else studies.File(name=pair[0], content=pair[1])
+
+    fields = dict(request)
+    for field in ("data", "file", "onnx"):
+        if field in fields:
+            fields[field] = file(fields[field])
+    if "sand" in fields:
+        fields["sand"] = studies.Sand(**{**fields["sand"], "file": file(fields["sand"]["file"])})
+    if "robot" in fields:
+        fields["robot"] = studies.Robot(**{**fields["robot"], "file": file(fields["robot"]["file"])})
+    for field in ("vary", "set"):
+        if field in fields:
+            fields[field] = [studies.Variation(parameter=p, numbers=n, names=t) for p, n, t in fields[field]]
+    for field in ("options", "values"):
+        if fields.get(field) is not None:
+            fields[field] = struct(fields[field])
+    return getattr(studies, f"{name}Request")(**fields)
+
+
+def _table(table: studies.Table) -> tuple[list[tuple[str, str, Any]], list[str]]:
+    """Columns, each with name, unit and numbers or names; and warnings."""
+    columns = []
+    for series in table.columns:
+        numbers = np.frombuffer(series.numbers, "<f8").astype(np.float64)
+        columns.append((series.name, series.unit, list(series.names) if series.names else numbers))
+    return columns, list(table.warnings)
 
 
 class Created(NamedTuple):
@@ -226,7 +241,7 @@ class Stream:
             ctypes.pythonapi.Py_IncRef(ctypes.py_object(self._responses))
 
 
-def close_session(address: str, session_id: str, timeout: float = 2.0) -> None:
+def close_session(address: str, session_id: str, timeout: float = CLOSE_TIMEOUT) -> None:
     """Frees a session before this returns, if its server answers within `timeout` [s]."""
     with _channel(address, DEFAULT_MESSAGE_BYTES) as channel, contextlib.suppress(_grpc().RpcError):
         request = pb.CloseSessionRequest(session_id=session_id)
@@ -240,9 +255,6 @@ def reset_request(
     request = pb.RunSessionRequest()
     request.reset.SetInParent()
     if seeds is not None:
-        for i, seed in enumerate(seeds):
-            if not 0 <= seed < 2**64:
-                raise InvalidRequest(f"seed[{i}]: {seed} is outside [0, 2**64)")
         request.reset.seeds.extend(seeds)
     if mask is not None:
         request.reset.mask = mask.astype(np.uint8).tobytes()
@@ -357,16 +369,6 @@ def _error(code: str, message: str, address: str) -> SandgaitError:
     if kind is ServerLost:
         return ServerLost(f"{address}: the server cannot be reached: {message}{server.last_words(address)}")
     return kind(message)
-
-
-def with_sand(options: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The option `sand` is the path of a sand.toml here and its text on the wire: the server may be elsewhere."""
-    if "sand" not in options:
-        return options
-    try:
-        return {**options, "sand": Path(options["sand"]).read_text(encoding="utf-8")}
-    except (OSError, TypeError, UnicodeDecodeError) as error:
-        raise InvalidRequest(f"sand: {options['sand']!r} cannot be read as a file: {error}") from error
 
 
 def struct(options: Mapping[str, Any]) -> struct_pb2.Struct:

@@ -9,8 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from . import client
-from ._proto.sandgait.v1 import studies_pb2 as pb
+from .door import study
 from .errors import InvalidRequest, LimitReached
 from .studies import Display, FilePath, ProgressOption, columns, file
 from .tables import Table, new_axes
@@ -129,23 +128,22 @@ def diagnose(
     `data`: path of a CSV file, or a pandas DataFrame with the same columns (at most 63 MiB as CSV). `experiment`: path
     of an EXPERIMENT.toml, or the same tables as a dict. Ctrl-C stops the work on the server too.
     """
-    request = pb.DiagnoseRequest(data=_csv(data))
-    if len(request.data.content) > MOST_BYTES:
-        size = len(request.data.content) / 2**20
+    name, content = _csv(data)
+    if len(content) > MOST_BYTES:
+        size = len(content) / 2**20
         raise LimitReached(
             f"data: {size:.0f} MiB are more than the {MOST_BYTES >> 20} MiB a server takes; "
             "`sandgait diagnose` on the command line reads files of up to 256 MiB"
         )
-    if isinstance(experiment, Mapping):
-        request.values.CopyFrom(client.struct(experiment))
-    else:
-        request.file.CopyFrom(file(experiment, "experiment"))
+    tables = experiment if isinstance(experiment, Mapping) else None
+    toml = None if isinstance(experiment, Mapping) else file(experiment, "experiment")
+    request = {"data": (name, content), "values": tables, "file": toml}
     with Display(progress) as told:
-        reply = client.study(address, "Diagnose", request, pb.DiagnoseResponse, told).diagnosis
-    return Diagnosis(reply.report_json, reply.report_html, reply.sand_toml, Table(*columns(reply.curves)))
+        report, html, sand, curves = study(address, "Diagnose", request, told)
+    return Diagnosis(report, html, sand, Table(*columns(curves)))
 
 
-def _csv(data: Any) -> pb.File:
+def _csv(data: Any) -> tuple[str, bytes]:
     if hasattr(data, "to_csv"):
-        return pb.File(name="data", content=data.to_csv(index=False).encode())
+        return "data", data.to_csv(index=False).encode()
     return file(data, "data")

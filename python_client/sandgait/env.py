@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .attributes import refusal
-from .client import Batch
+from .batches import Batch
 from .errors import InvalidRequest, OutOfOrder, SandgaitError
 from .pickling import Origin, Pickled
 from .snapshots import FilePath, read_snapshot, write_snapshot
@@ -26,11 +26,12 @@ LONGEST_EPISODE = 1_000_000
 
 
 class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
-    """One environment of `task` on the server at `address` (none: the embedded one).
+    """One environment of `task` in this process, or on the server at `address`.
 
-    For training take `SandgaitVectorEnv`: a step here costs a message there and back as well. `resume`: outlive a
+    For training take `SandgaitVectorEnv`: sixteen environments take little longer than one. `resume`: outlive a
     server that dies, by snapshots. `clip_actions`: put actions inside their bounds; without it one that is outside is
-    refused. `threads`: how many of the embedded server simulate; the first environment of a process decides.
+    refused. `threads`: how many of this process simulate; its first environment decides.
+    `isolated`: without an address, a server process of one's own, which may crash alone.
     `render_mode`: "rgb_array" for pictures of `render_size` (width, height), "human" for the same in a window.
 
     A step that was interrupted (Ctrl-C) has been taken all the same: the next call of `step` gives its answer.
@@ -48,9 +49,10 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         render_size: tuple[int, int] = SIZE,
         clip_actions: bool = False,
         threads: int | None = None,
+        isolated: bool = False,
         **options: Any,
     ) -> None:
-        self._begin(Origin(task, 1, address, resume, threads, options, render_mode, render_size))
+        self._begin(Origin(task, 1, address, resume, threads, isolated, options, render_mode, render_size))
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": self.task.control_rate}
         self.observation_space = box(self.task.observation)
@@ -99,7 +101,7 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         session = self._session
         try:
             self._in_flight, self._batch = row.copy(), None
-            session.send_step(row[None])
+            session.send_step(row[None], here=True)
         except BaseException as error:
             if isinstance(error, SandgaitError) or not session.owes:
                 self._in_flight = None

@@ -28,12 +28,15 @@ class Origin:
     address: Address
     resume: bool
     threads: int | None
+    isolated: bool
     options: dict[str, Any]
     render_mode: str | None
     render_size: tuple[int, int]
 
     def open(self) -> tuple[Shards, View]:
-        shards = open_shards(self.address, self.task, self.num_envs, self.options, self.resume, self.threads)
+        shards = open_shards(
+            self.address, self.task, self.num_envs, self.options, self.resume, self.threads, self.isolated
+        )
         return shards, View.of(shards, self.render_mode, self.render_size)
 
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from . import client
-from ._proto.sandgait.v1 import studies_pb2 as pb
+from .door import study
 from .errors import InvalidRequest
+from .options import with_sand
 from .snapshots import FilePath
 from .studies import Display, ProgressOption, columns
 from .tables import Numbers, Table
@@ -64,16 +64,20 @@ def evaluate(
     "random".
     `options`: as for `gymnasium.make`. What `sandgait evaluate` computes.
     """
-    request = pb.EvaluateRequest(task_id=task, seeds=seeds, media=list(media), slopes=np.asarray(list(slopes), float))
-    request.options.CopyFrom(client.struct(client.with_sand(options)))
-    if isinstance(policy, (bytes, PathLike)) or policy.endswith(".onnx"):
-        name = "policy.onnx" if isinstance(policy, bytes) else str(policy)
-        request.onnx.CopyFrom(pb.File(name=name, content=read_policy(policy)))
-    else:
-        request.gait = _with_clock(policy)
+    network = isinstance(policy, (bytes, PathLike)) or policy.endswith(".onnx")
+    name = "policy.onnx" if isinstance(policy, bytes) else str(policy)
+    request = {
+        "task_id": task,
+        "onnx": (name, read_policy(policy)) if network else None,
+        "gait": None if network else _with_clock(name),
+        "options": with_sand(options),
+        "seeds": seeds,
+        "media": list(media),
+        "slopes": np.asarray(list(slopes), float).tolist(),
+    }
     with Display(progress) as told:
-        reply = client.study(address, "Evaluate", request, pb.EvaluateResponse, told)
-    return Evaluation(*columns(reply.table))
+        reply = study(address, "Evaluate", request, told)
+    return Evaluation(*columns(reply))
 
 
 def _with_clock(gait: str) -> str:

@@ -42,7 +42,7 @@ class _Server:
         token_file, self._certificate = (Path(self._directory.name) / name for name in ("token", "certificate"))
         token_file.touch(0o600)
         token_file.write_text(token)
-        command = [server.find_binary(), "serve", "--listen", listen, "--threads", str(threads)]
+        command = [*server.command(), "serve", "--listen", listen, "--threads", str(threads)]
         security = [
             "--exit-on-stdin-close",
             "--token-file",

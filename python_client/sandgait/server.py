@@ -1,6 +1,6 @@
 """The embedded server: one `sandgait serve` per Python process, on a Unix socket that only this user can reach.
 
-It starts with the first environment that names no address and ends with the process: its standard input is a pipe
+It starts with the first environment that asks to be isolated, and ends with the process: its standard input is a pipe
 that this process holds, and it exits when the pipe closes, whatever ended Python.
 
 Environments of one process share it, and so its threads: the first number that is asked for holds (`ask_for_threads`).
@@ -12,16 +12,17 @@ import atexit
 import contextlib
 import os
 import secrets
-import shutil
 import socket
 import stat
 import subprocess
-import sysconfig
+import sys
 import tempfile
 import threading
 import time
+from pathlib import Path
 
-from .errors import InvalidRequest, SandgaitError, ServerLost
+from .errors import SandgaitError, ServerLost
+from .threads import agreed, wanted
 
 #: Longest wait for the server to answer after its start [s].
 START_TIMEOUT = 20.0
@@ -30,25 +31,15 @@ START_TIMEOUT = 20.0
 STOP_TIMEOUT = 5.0
 
 
-def find_binary() -> str:
-    """The server's program: $SANDGAIT_BINARY, else beside this Python's scripts (the wheel), else on PATH."""
+def command() -> list[str]:
+    """The program `sandgait`: $SANDGAIT_BINARY, else this package in a Python of its own."""
     chosen = os.environ.get("SANDGAIT_BINARY")
-    if chosen:
-        if not os.access(chosen, os.X_OK):
-            raise SandgaitError(f"SANDGAIT_BINARY: {chosen!r} is not a program that can be run")
-        return chosen
-    schemes = (sysconfig.get_default_scheme(), sysconfig.get_preferred_scheme("user"))
-    for scheme in schemes:
-        path = os.path.join(sysconfig.get_path("scripts", scheme), "sandgait")
-        if os.access(path, os.X_OK):
-            return path
-    found = shutil.which("sandgait")
-    if found is None:
-        raise SandgaitError(
-            "the program `sandgait` was not found beside this Python nor on PATH: install the wheel, "
-            "set SANDGAIT_BINARY, or give the address of a running server"
-        )
-    return found
+    if not chosen:
+        program = Path(__file__).parents[1] / "sandgait_command" / "__main__.py"
+        return [sys.executable, "-I", "-S", str(program)]
+    if not os.access(chosen, os.X_OK):
+        raise SandgaitError(f"SANDGAIT_BINARY: {chosen!r} is not a program that can be run")
+    return [chosen]
 
 
 class EmbeddedServer:
@@ -61,13 +52,13 @@ class EmbeddedServer:
                 "Linux, macOS or in WSL and give its address"
             )
         self.threads = threads
-        self.binary = find_binary()
+        self.command = command()
         self.owner = os.getpid()
         self.path = os.path.join(_private_directory(), f"{self.owner}-{secrets.token_hex(4)}")
         self.address = f"unix:{self.path}"
         self._log = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process does
         self.process = subprocess.Popen(
-            [self.binary, "serve", "--listen", self.address, "--exit-on-stdin-close", "--threads", str(threads)],
+            [*self.command, "serve", "--listen", self.address, "--exit-on-stdin-close", "--threads", str(threads)],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=self._log,
@@ -90,9 +81,9 @@ class EmbeddedServer:
                 except OSError:
                     pass
             if self.process.poll() is not None:
-                raise ServerLost(f"{self.binary} could not start{self.last_words()}")
+                raise ServerLost(f"{self.command[-1]} could not start{self.last_words()}")
             if time.monotonic() > deadline:
-                raise ServerLost(f"{self.binary} did not answer within {START_TIMEOUT:.0f} s{self.last_words()}")
+                raise ServerLost(f"{self.command[-1]} did not answer within {START_TIMEOUT:.0f} s{self.last_words()}")
             time.sleep(0.002)
 
     def running(self) -> bool:
@@ -157,34 +148,14 @@ def ask_for_threads(threads: int | None) -> None:
     global _threads
     if threads is None:
         return
-    threads = _checked(threads, "threads")
     with _lock:
-        if _server is not None and _server.running() and _server.threads != threads:
-            has = f"{_server.threads} threads" if _server.threads else "one thread for each processor"
-            raise InvalidRequest(
-                f"threads: {threads} asked for, but the embedded server of this process has {has} already; give the "
-                "number to the first environment, or set SANDGAIT_THREADS"
-            )
-        _threads = threads
-
-
-def _checked(threads: object, name: str) -> int:
-    """A number of threads; text is taken as well."""
-    try:
-        number = int(str(threads))
-    except ValueError:
-        number = 0
-    if not 1 <= number <= 65_535:
-        raise InvalidRequest(f"{name}: {threads!r} is not a whole number in [1, 65535]")
-    return number
+        has = _server.threads if _server is not None and _server.running() else None
+        _threads = agreed(threads, has, "the server of this process")
 
 
 def _threads_wanted() -> int:
     """Of a server that starts now; 0: one for each processor."""
-    chosen = os.environ.get("SANDGAIT_THREADS")
-    if _threads is not None:
-        return _threads
-    return _checked(chosen, "SANDGAIT_THREADS") if chosen else 0
+    return wanted() if _threads is None else _threads
 
 
 def address() -> str:

@@ -1,4 +1,4 @@
-"""A session that outlives its connections.
+"""The door over the network: a session that outlives its connections.
 
 Requests are numbered. When the stream breaks, the next one asks which number the server came to, and what has no answer
 yet is sent again: nothing is lost and nothing is done twice. With `resume=True` a session also outlives its server: now
@@ -9,18 +9,19 @@ from __future__ import annotations
 
 import contextlib
 import os
-import threading
 import time
 import weakref
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from . import client, server
 from ._proto.sandgait.v1 import sandgait_pb2 as pb
-from .client import Batch, Stream
+from .batches import Batch, Rollout
+from .client import Stream
+from .door import Held
 from .errors import InvalidRequest, SandgaitError, ServerLost, SessionLost
 from .spaces import Task
 
@@ -31,34 +32,7 @@ RETRY_RESUME = 60.0
 #: Requests between two snapshots of a session with `resume=True`: some seconds of work to be done again at most.
 SNAPSHOT_EVERY = 200
 
-#: Longest wait for a server to confirm that a session is closed [s].
-CLOSE_TIMEOUT = 2.0
-
-#: The same where others have used up the time already: enough for a server that is there [s].
-LEAST_PATIENCE = 0.05
-
-#: Until when sessions are closed at the end of Python, once that has begun.
-_last_call: float | None = None
-
 Request = pb.RunSessionRequest
-
-
-class Rollout(NamedTuple):
-    """What sequences of actions gave; an environment's rollout ends with its episode."""
-
-    #: f64 [num_envs]: sum of rewards until the rollout or the episode ended.
-    returns: npt.NDArray[np.float64]
-    #: [num_envs]: steps until then.
-    lengths: npt.NDArray[np.intp]
-    #: [num_envs]: how the episode ended, if it did.
-    terminated: npt.NDArray[np.bool_]
-    truncated: npt.NDArray[np.bool_]
-    #: f32 [steps, num_envs, observation] after each step, zero where a rollout had ended; empty unless asked for.
-    observations: npt.NDArray[np.float32]
-    #: f32 [steps, num_envs], likewise.
-    rewards: npt.NDArray[np.float32]
-    #: f32 [steps, num_envs, action], likewise: what a policy chose in each step; empty for given actions.
-    actions: npt.NDArray[np.float32]
 
 
 class _Link:
@@ -70,7 +44,7 @@ class _Link:
         self.session_id = ""
         self.stream: Stream | None = None
         #: How long `close` waits for the server [s]; after that the lease ends the session.
-        self.patience = CLOSE_TIMEOUT
+        self.patience = client.CLOSE_TIMEOUT
 
     def drop(self) -> None:
         """Gives up a stream that is broken."""
@@ -84,19 +58,15 @@ class _Link:
         if stream is not None:
             stream.abandon()
 
+    def hurry(self, patience: float) -> None:
+        self.patience = patience
+
     def close(self) -> None:
         if os.getpid() != self.process:
             return  # a forked child: the session is the parent's
         if self.session_id:
             client.close_session(self.address, self.session_id, self.patience)
         self.drop()
-
-
-class Held(NamedTuple):
-    """What is left of a session that nobody refers to any more: enough to close it."""
-
-    link: _Link
-    close: Callable[[], object]
 
 
 def _is_part(response: pb.RunSessionResponse) -> bool:
@@ -107,7 +77,7 @@ def _is_part(response: pb.RunSessionResponse) -> bool:
 class Session:
     """Environments of one task on one server.
 
-    `addresses`: where to go, the first one first; the others only with `resume`. None is the embedded server.
+    `addresses`: where to go, the first one first; the others only with `resume`. None is this process's own server.
     """
 
     def __init__(
@@ -141,7 +111,7 @@ class Session:
     @property
     def held(self) -> Held:
         """What it takes to close this session; it does not keep it alive."""
-        return Held(self._link, self.close)
+        return Held(self.close, self._link.hurry)
 
     @property
     def address(self) -> str:
@@ -176,6 +146,24 @@ class Session:
     def owes(self) -> bool:
         """Is there an answer that nobody has taken, or that may be taken again?"""
         return bool(self._unanswered) or self._last is not None
+
+    def send_reset(
+        self, seeds: Sequence[int] | None, mask: npt.NDArray[np.bool_] | None, options: Mapping[str, Any]
+    ) -> None:
+        self.send(client.reset_request(seeds, mask, options))
+
+    def send_step(self, actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None, here: bool) -> None:
+        del here  # the server has threads of its own
+        self.send(client.step_request(actions, held))
+
+    def send_restore(self, snapshot: bytes, sources: npt.NDArray[np.integer[Any]] | None) -> None:
+        self.send(client.restore_request(snapshot, sources))
+
+    def send_rollout(self, actions: npt.NDArray[np.float32], trajectories: bool) -> None:
+        self.send(client.rollout_request(actions, trajectories))
+
+    def send_policy_rollout(self, onnx: bytes, steps: int, trajectories: bool) -> None:
+        self.send(client.policy_rollout_request(onnx, steps, trajectories))
 
     def receive(self) -> Batch:
         """Answer to the reset or step that was sent last; answers that nobody waited for are dropped."""
@@ -326,25 +314,3 @@ class Session:
                 raise SandgaitError(f"the session cannot be made anew: {error}")
         for request in self._unanswered:
             stream.send(request)
-
-
-def close_all(sessions: Sequence[Held]) -> None:
-    """Closes sessions side by side, so that many servers that are dead take about as long as one.
-
-    When Python ends no thread can be started: then one after the other, and all that there are share the time.
-    """
-    if threading.main_thread().is_alive():
-        deadline = time.monotonic() + CLOSE_TIMEOUT
-        threads = [threading.Thread(target=held.close, daemon=True) for held in sessions[1:]]
-        for thread in threads:
-            thread.start()
-        for held in sessions[:1]:
-            held.close()
-        for thread in threads:
-            thread.join(max(0.0, deadline + 1.0 - time.monotonic()))
-        return
-    global _last_call
-    _last_call = _last_call or time.monotonic() + CLOSE_TIMEOUT
-    for held in sessions:
-        held.link.patience = max(LEAST_PATIENCE, _last_call - time.monotonic())
-        held.close()

@@ -1,11 +1,13 @@
-"""One batch of environments over several servers: the same interface as a `Session`, and the same numbers.
+"""One batch of environments in one or several places, and the same numbers wherever they are.
 
-Environments are numbered through; server k has a run of them. Every server simulates while the others do.
+Environments are numbered through; place k has a run of them. Every server simulates while the others do.
 """
 
 from __future__ import annotations
 
 import itertools
+import threading
+import time
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -13,71 +15,75 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from . import client, server
-from .client import Batch
+from .batches import Batch, Rollout
+from .door import Door, Held, Local
 from .errors import InvalidRequest
-from .session import Held, Rollout, Session, close_all
 
-#: Where environments are simulated: one server, several, or the embedded one.
+#: Where environments are simulated: in this process, or on one or several servers.
 Address = str | Sequence[str] | None
+
+#: Longest wait for servers to confirm that sessions are closed [s].
+CLOSE_TIMEOUT = 2.0
+
+#: The same where others have used up the time already: enough for a server that is there [s].
+LEAST_PATIENCE = 0.05
+
+#: Until when sessions are closed at the end of Python, once that has begun.
+_last_call: float | None = None
 
 
 class Shards:
-    """`num_envs` environments, spread evenly over `addresses`.
+    """`num_envs` environments, spread evenly over places; `open_door(k, envs)` opens place k."""
 
-    With `resume` the environments of a server that died go on at the others.
-    """
-
-    def __init__(
-        self,
-        addresses: Sequence[str | None],
-        task: str,
-        num_envs: int,
-        options: Mapping[str, Any],
-        resume: bool = False,
-    ) -> None:
-        if not 1 <= len(addresses) <= max(num_envs, 1):
-            raise InvalidRequest(f"address: {len(addresses)} servers for {num_envs} environments")
+    def __init__(self, places: int, num_envs: int, open_door: Callable[[int, int], Door]) -> None:
+        if not 1 <= places <= max(num_envs, 1):
+            raise InvalidRequest(f"address: {places} servers for {num_envs} environments")
         self.num_envs = num_envs
-        self._sessions: list[Session] = []
-        cuts = [num_envs * k // len(addresses) for k in range(len(addresses) + 1)]
+        self._doors: list[Door] = []
+        cuts = [num_envs * k // places for k in range(places + 1)]
         self._slices = [slice(a, b) for a, b in itertools.pairwise(cuts)]
         held: list[Held] = []
         try:
             for k, part in enumerate(self._slices):
-                places = [*addresses[k:], *addresses[:k]]
-                session = Session(places, task, part.stop - part.start, options, resume)
-                self._sessions.append(session)
-                held.append(session.held)
+                door = open_door(k, part.stop - part.start)
+                self._doors.append(door)
+                held.append(door.held)
         except BaseException:
             close_all(held)
             raise
-        # Runs once: when called, when this object is collected, or when Python ends; before those of the sessions,
-        # which were made earlier.
+        # Runs once: when called, when this object is collected, or when Python ends; before those of the doors, which
+        # were opened earlier.
         self.close = weakref.finalize(self, close_all, held)
-        self.task = self._sessions[0].task
-        self.options = dict(options)
+        self.task = self._doors[0].task
 
     @property
-    def addresses(self) -> list[str]:
-        """Of the servers that have the environments now."""
-        return [s.address for s in self._sessions]
+    def addresses(self) -> list[str | None]:
+        """Of the servers that have the environments now; None: this process."""
+        return [door.address for door in self._doors]
 
     def send_reset(
         self, seeds: Sequence[int] | None, mask: npt.NDArray[np.bool_] | None, options: Mapping[str, Any]
     ) -> None:
         """Asks for a reset. `seeds` and `mask` have one entry an environment; without seeds streams go on."""
-        for session, part in zip(self._sessions, self._slices, strict=True):
+        for i, seed in enumerate(seeds or ()):
+            if not 0 <= seed < 2**64:
+                raise InvalidRequest(f"seed[{i}]: {seed} is outside [0, 2**64)")
+        for door, part in zip(self._doors, self._slices, strict=True):
             chosen = None if mask is None else mask[part]
-            session.send(client.reset_request(None if seeds is None else seeds[part], chosen, options))
+            door.send_reset(None if seeds is None else seeds[part], chosen, options)
 
-    def send_step(self, actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None = None) -> None:
+    def send_step(
+        self, actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None = None, here: bool = False
+    ) -> None:
         """Asks for a step; `actions` is f32 [num_envs, action], `held` [num_envs] says which environments stay as they
-        are. Bounds are checked by the server, and here if one server's refusal would leave the others a step ahead."""
-        if len(self._sessions) > 1:
-            self._check(actions)
-        for session, part in zip(self._sessions, self._slices, strict=True):
-            session.send(client.step_request(actions[part], None if held is None else held[part]))
+        are. `here`: the caller only waits for this step, so its thread may make it. Bounds are checked where the
+        environments are, and here if one place's refusal would leave the others a step ahead."""
+        if len(self._doors) == 1:
+            self._doors[0].send_step(actions, held, here)
+            return
+        self._check(actions)
+        for door, part in zip(self._doors, self._slices, strict=True):
+            door.send_step(actions[part], None if held is None else held[part], False)
 
     def _check(self, actions: npt.NDArray[np.float32]) -> None:
         low, high = (np.array([getattr(c, end) for c in self.task.action]) for end in ("low", "high"))
@@ -90,9 +96,9 @@ class Shards:
 
     def receive(self) -> Batch:
         """Answer to what was sent last."""
-        if len(self._sessions) == 1:
-            return self._sessions[0].receive()
-        batches: list[Batch] = self._all(Session.receive)
+        if len(self._doors) == 1:
+            return self._doors[0].receive()
+        batches: list[Batch] = self._all("receive")
         indices = [b.final_indices + part.start for b, part in zip(batches, self._slices, strict=True)]
         return Batch(
             observations=np.concatenate([b.observations for b in batches]),
@@ -107,64 +113,64 @@ class Shards:
     @property
     def owes(self) -> bool:
         """Is there an answer that nobody has taken, or that may be taken again?"""
-        return any(s.owes for s in self._sessions)
+        return any(door.owes for door in self._doors)
 
     def save(self) -> list[bytes]:
-        """All environments as data, one snapshot a server."""
-        return [s.save() for s in self._sessions]
+        """All environments as data, one snapshot a place."""
+        return [door.save() for door in self._doors]
 
     def send_restore(self, snapshots: Sequence[bytes], sources: npt.NDArray[np.integer[Any]] | None) -> None:
-        """Environments go on as saved ones; see `Session`. Several snapshots need as many servers as saved them."""
-        if len(snapshots) not in (1, len(self._sessions)) or (len(snapshots) > 1 and sources is not None):
-            raise InvalidRequest(f"snapshot: of {len(snapshots)} servers, for {len(self._sessions)}")
-        if len(snapshots) == 1 and sources is None and len(self._sessions) > 1:
+        """Environment i becomes number `sources[i]` of the snapshot; without sources, number i modulo theirs. Several
+        snapshots need as many places as saved them."""
+        if len(snapshots) not in (1, len(self._doors)) or (len(snapshots) > 1 and sources is not None):
+            raise InvalidRequest(f"snapshot: of {len(snapshots)} servers, for {len(self._doors)}")
+        if len(snapshots) == 1 and sources is None and len(self._doors) > 1:
             sources = np.arange(self.num_envs)
-        for k, (session, part) in enumerate(zip(self._sessions, self._slices, strict=True)):
-            snapshot = snapshots[k % len(snapshots)]
-            session.send(client.restore_request(snapshot, None if sources is None else sources[part]))
+        for k, (door, part) in enumerate(zip(self._doors, self._slices, strict=True)):
+            door.send_restore(snapshots[k % len(snapshots)], None if sources is None else sources[part])
 
     def rollout(self, actions: npt.NDArray[np.float32], trajectories: bool) -> Rollout:
         """Runs `actions`, f32 [steps, num_envs, action], from where the environments are, and puts them back."""
         expected = (self.num_envs, len(self.task.action))
         if actions.ndim != 3 or actions.shape[1:] != expected or not len(actions):
             raise InvalidRequest(f"actions: shape {actions.shape}, expected [steps, {expected[0]}, {expected[1]}]")
-        for session, part in zip(self._sessions, self._slices, strict=True):
-            session.send(client.rollout_request(actions[:, part], trajectories))
+        for door, part in zip(self._doors, self._slices, strict=True):
+            door.send_rollout(actions[:, part], trajectories)
         return self._rollout()
 
     def rollout_policy(self, onnx: bytes, steps: int, trajectories: bool) -> Rollout:
         """Runs a network for `steps` and puts the environments back."""
-        for session in self._sessions:
-            session.send(client.policy_rollout_request(onnx, steps, trajectories))
+        for door in self._doors:
+            door.send_policy_rollout(onnx, steps, trajectories)
         return self._rollout()
 
     def _rollout(self) -> Rollout:
         """Answer to the rollout that was sent last."""
-        if len(self._sessions) == 1:
-            return self._sessions[0].receive_rollout()  # megabytes: no copy to join one part
-        parts: list[Rollout] = self._all(Session.receive_rollout)
+        if len(self._doors) == 1:
+            return self._doors[0].receive_rollout()  # megabytes: no copy to join one part
+        parts: list[Rollout] = self._all("receive_rollout")
         ends = [np.concatenate(column) for column in zip(*(p[:4] for p in parts), strict=True)]
         rows = [np.concatenate(column, axis=1) for column in zip(*(p[4:] for p in parts), strict=True)]
         return Rollout(*ends, *rows)
 
     def render(self, indices: Sequence[int], width: int, height: int, ended: bool) -> bytes:
         """A picture of each environment: u8 [indices, height, width, 3]. `indices` ascend."""
-        parts = zip(self._sessions, self._slices, strict=True)
-        chosen = [(s, [i - part.start for i in indices if part.start <= i < part.stop]) for s, part in parts]
-        return b"".join(session.render(own, width, height, ended) for session, own in chosen if own)
+        parts = zip(self._doors, self._slices, strict=True)
+        chosen = [(door, [i - part.start for i in indices if part.start <= i < part.stop]) for door, part in parts]
+        return b"".join(door.render(own, width, height, ended) for door, own in chosen if own)
 
     def observe(self, index: int, ended: bool) -> tuple[str, bytes]:
         """Header and row of environment `index`'s moment, as recordings hold them."""
-        parts = zip(self._sessions, self._slices, strict=True)
-        session, part = next((s, part) for s, part in parts if part.start <= index < part.stop)
-        return session.observe(index - part.start, ended)
+        parts = zip(self._doors, self._slices, strict=True)
+        door, part = next((door, part) for door, part in parts if part.start <= index < part.stop)
+        return door.observe(index - part.start, ended)
 
-    def _all(self, receive: Callable[[Session], Any]) -> list[Any]:
-        """Every session's answer. A refusal of one is raised when all have answered, so that none lags behind."""
+    def _all(self, receive: str) -> list[Any]:
+        """Every door's answer. A refusal of one is raised when all have answered, so that none lags behind."""
         answers, errors = [], []
-        for session in self._sessions:
+        for door in self._doors:
             try:
-                answers.append(receive(session))
+                answers.append(getattr(door, receive)())
             except InvalidRequest as error:
                 errors.append(error)
         if errors:
@@ -179,10 +185,46 @@ def open_shards(
     options: Mapping[str, Any],
     resume: bool,
     threads: int | None = None,
+    isolated: bool = False,
 ) -> Shards:
-    """Environments at `address`, which may be several. `threads`: of the embedded server."""
+    """Environments at `address`, which may be several; without one in this process, or if `isolated` on a server of
+    its own. `threads`: of this process, or of that server."""
     addresses = [address] if address is None or isinstance(address, str) else list(address)
     if threads is not None and None not in addresses:
-        raise InvalidRequest("threads: of the embedded server; one that has an address was started with its own")
-    server.ask_for_threads(threads)
-    return Shards(addresses, task, num_envs, options, resume)
+        raise InvalidRequest("threads: of this process; a server that has an address was started with its own")
+    if isolated and None not in addresses:
+        raise InvalidRequest("isolated: of environments without an address; this one has its server already")
+
+    def open_door(k: int, envs: int) -> Door:
+        if addresses[k] is None and not isolated:
+            return Local(task, envs, options, threads)
+        from . import server
+        from .session import Session
+
+        server.ask_for_threads(threads)
+        places = [a for a in (*addresses[k:], *addresses[:k]) if a is not None or isolated]
+        return Session(places, task, envs, options, resume)
+
+    return Shards(len(addresses), num_envs, open_door)
+
+
+def close_all(all: Sequence[Held]) -> None:
+    """Closes sessions side by side, so that many servers that are dead take about as long as one.
+
+    When Python ends no thread can be started: then one after the other, and all that there are share the time.
+    """
+    if threading.main_thread().is_alive():
+        deadline = time.monotonic() + CLOSE_TIMEOUT
+        threads = [threading.Thread(target=held.close, daemon=True) for held in all[1:]]
+        for thread in threads:
+            thread.start()
+        for held in all[:1]:
+            held.close()
+        for thread in threads:
+            thread.join(max(0.0, deadline + 1.0 - time.monotonic()))
+        return
+    global _last_call
+    _last_call = _last_call or time.monotonic() + CLOSE_TIMEOUT
+    for held in all:
+        held.hurry(max(LEAST_PATIENCE, _last_call - time.monotonic()))
+        held.close()

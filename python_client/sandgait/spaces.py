@@ -52,6 +52,14 @@ class Task:
     control_rate: float
     options: tuple[Option, ...]
 
+    @classmethod
+    def of(cls, fields: Any) -> Task:
+        """From its fields in order, columns and options as tuples."""
+        id, summary, observation, action, info, terms, steps, rate, options = fields
+        observation, action, info = (tuple(Column(*c) for c in table) for table in (observation, action, info))
+        options = tuple(Option(*option) for option in options)
+        return cls(id, summary, observation, action, info, terms, steps, rate, options)
+
 
 def box(columns: tuple[Column, ...]) -> spaces.Space[npt.NDArray[np.float32]]:
     """Box of float32 [len(columns)] with each column's own bounds."""

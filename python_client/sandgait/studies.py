@@ -1,7 +1,7 @@
 """Studies that need no environment: forces on a leg, walks, sweeps over designs.
 
 They are the commands `sandgait intrude`, `walk` and `sweep`, with the same names, defaults and numbers. `address` is
-that of a running server; without one the embedded server computes. A long study can be interrupted with Ctrl-C.
+that of a running server; without one this process computes. A long study can be interrupted with Ctrl-C.
 """
 
 from __future__ import annotations
@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from . import client
-from ._proto.sandgait.v1 import studies_pb2 as pb
+from .door import study
 from .errors import InvalidRequest
 from .tables import Numbers, Table, new_axes
 
@@ -190,11 +189,15 @@ def intrude(
     `sandgait media`, zeta=VALUE or mu=VALUE,rho=VALUE (none: poppy-loose). `law`: li2013, penetration-drag-1d or
     agarwal2023 (none: li2013). `sand`: a sand.toml, as a diagnosis saves it, in place of both.
     """
-    request = pb.IntrudeRequest(
-        shape=shape, chord=chord, width=width, hip_height=hip_height, omega=omega, sand=_sand(medium, law, sand)
-    )
-    reply = client.study(address, "Intrude", request, pb.IntrudeResponse)
-    return Intrusion(*columns(reply.table))
+    request = {
+        "shape": shape,
+        "chord": chord,
+        "width": width,
+        "hip_height": hip_height,
+        "omega": omega,
+        "sand": _sand(medium, law, sand),
+    }
+    return Intrusion(*columns(study(address, "Intrude", request)))
 
 
 def walk(
@@ -217,18 +220,18 @@ def walk(
     0.5 ms). `robot`: a built-in robot or a file ending in .toml.
     """
     frequencies = np.atleast_1d(np.asarray(frequency, dtype=np.float64)).ravel()
-    request = pb.WalkRequest(
-        leg=leg,
-        frequency=frequencies.tolist(),
-        engine=engine,
-        sand=_sand(medium, law, sand),
-        slope_deg=slope_deg,
-        dt=dt,
-        robot=_robot(robot),
-    )
+    request = {
+        "leg": leg,
+        "frequency": frequencies.tolist(),
+        "engine": engine,
+        "sand": _sand(medium, law, sand),
+        "slope_deg": slope_deg,
+        "dt": dt,
+        "robot": _robot(robot),
+    }
     with Display(progress) as told:
-        reply = client.study(address, "Walk", request, pb.WalkResponse, told)
-    return Walks(*columns(reply.table))
+        reply = study(address, "Walk", request, told)
+    return Walks(*columns(reply))
 
 
 def sweep(
@@ -254,18 +257,18 @@ def sweep(
     `frequency`: stride frequency [Hz]. `measure`: what the figure shows and `best` means, speed or cost-of-transport.
     `optimize`: a measure; search between the least and greatest value of each parameter instead of walking the grid.
     """
-    request = pb.SweepRequest(
-        vary=[_variation(name, list(values)) for name, values in vary.items()],
-        set=[_variation(name, [value]) for name, value in (set or {}).items()],
-        robot=_robot(robot),
-        frequency=frequency,
-        sand=_sand(medium, law, sand),
-        optimize=optimize,
-    )
+    request = {
+        "vary": [_variation(name, list(values)) for name, values in vary.items()],
+        "set": [_variation(name, [value]) for name, value in (set or {}).items()],
+        "robot": _robot(robot),
+        "frequency": frequency,
+        "sand": _sand(medium, law, sand),
+        "optimize": optimize,
+    }
     measure = _measure(optimize or measure)
     with Display(progress) as told:
-        reply = client.study(address, "Sweep", request, pb.SweepResponse, told)
-    arrays, units = columns(reply.table)
+        reply = study(address, "Sweep", request, told)
+    arrays, units = columns(reply)
     return Sweep(arrays, units, tuple(arrays)[: len(vary)], measure)
 
 
@@ -275,42 +278,44 @@ def _measure(name: str) -> str:
     return name
 
 
-def file(path: FilePath, what: str) -> pb.File:
-    """A file of ours, read here because the server may be elsewhere."""
+def file(path: FilePath, what: str) -> tuple[str, bytes]:
+    """Name and content of a file of ours, read here because the server may be elsewhere."""
     try:
-        return pb.File(name=str(path), content=Path(path).read_bytes())
+        return str(path), Path(path).read_bytes()
     except (OSError, TypeError) as error:
         raise InvalidRequest(f"{what}: {path!r} cannot be read as a file: {error}") from error
 
 
-def _sand(medium: str | None, law: str | None, path: FilePath | None) -> pb.Sand:
-    return pb.Sand(medium=medium, law=law, file=None if path is None else file(path, "sand"))
+def _sand(medium: str | None, law: str | None, path: FilePath | None) -> dict[str, Any]:
+    return {"medium": medium, "law": law, "file": None if path is None else file(path, "sand")}
 
 
-def _robot(robot: str) -> pb.Robot:
-    return pb.Robot(file=file(robot, "robot")) if robot.endswith(".toml") else pb.Robot(name=robot)
+def _robot(robot: str) -> dict[str, Any]:
+    named = not robot.endswith(".toml")
+    return {"name": robot if named else None, "file": None if named else file(robot, "robot")}
 
 
-def _variation(name: str, values: list[Any]) -> pb.Variation:
+def _variation(name: str, values: list[Any]) -> tuple[str, list[float], list[str]]:
     # A column name such as leg_mass is what the command line calls leg-mass.
     parameter = name.replace("_", "-")
     if all(isinstance(value, str) for value in values):
-        return pb.Variation(parameter=parameter, names=values)
+        return parameter, [], values
     try:
-        return pb.Variation(parameter=parameter, numbers=[float(value) for value in values])
+        return parameter, [float(value) for value in values], []
     except (TypeError, ValueError) as error:
         raise InvalidRequest(f"{name}: {values!r} are neither all numbers nor all names") from error
 
 
-def columns(table: pb.Table) -> tuple[dict[str, npt.NDArray[Any]], dict[str, str]]:
+def columns(
+    table: tuple[list[tuple[str, str, Any]], list[str]],
+) -> tuple[dict[str, npt.NDArray[Any]], dict[str, str]]:
     """Arrays and units of a table, by names fit for Python."""
-    for warning in table.warnings:
+    series, told = table
+    for warning in told:
         warnings.warn(warning, stacklevel=3)
-    arrays: dict[str, npt.NDArray[Any]] = {}
-    for series in table.columns:
-        numbers = np.frombuffer(series.numbers, "<f8").astype(np.float64)
-        arrays[series.name.replace("-", "_")] = np.array(series.names) if series.names else numbers
-    return arrays, {series.name.replace("-", "_"): series.unit for series in table.columns}
+    names = [name.replace("-", "_") for name, _, _ in series]
+    arrays = {name: np.asarray(values) for name, (_, _, values) in zip(names, series, strict=True)}
+    return arrays, {name: unit for name, (_, unit, _) in zip(names, series, strict=True)}
 
 
 class Display:

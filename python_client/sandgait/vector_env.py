@@ -11,11 +11,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from .attributes import refusal
-from .client import Batch
+from .batches import Batch, Rollout
 from .errors import InvalidRequest, OutOfOrder, SandgaitError, UnknownAttribute
 from .pickling import Origin, Pickled
 from .policies import read_policy
-from .session import Rollout
 from .shards import Address
 from .snapshots import FilePath, read_snapshot, write_snapshot
 from .spaces import Actions, box
@@ -27,7 +26,7 @@ Step = tuple[Observations, npt.NDArray[np.float64], Flags, Flags, dict[str, Any]
 
 
 class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32], npt.NDArray[Any]]):
-    """`num_envs` environments of `task` on the server at `address` (none: the embedded one; a list: spread over them).
+    """`num_envs` environments of `task` in this process, or on the server at `address` (a list: spread over them).
 
     `resume`: outlive a server that dies, by snapshots; the environments go on where they were when it is back, or at
     the next address of the list.
@@ -38,7 +37,8 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
     `infos["final_info"]`.
 
     `clip_actions`: put actions inside their bounds; without it one that is outside is refused. `threads`: how many of
-    the embedded server simulate; the first environment of a process decides.
+    this process simulate; its first environment decides. `isolated`: without an address, a server process of one's own,
+    which may crash alone.
 
     `render_mode`: "rgb_array" for pictures of `render_size` (width, height), one an environment; "human" for the first
     four in a window.
@@ -61,10 +61,11 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         render_size: tuple[int, int] = SIZE,
         clip_actions: bool = False,
         threads: int | None = None,
+        isolated: bool = False,
         **options: Any,
     ) -> None:
         mode = _autoreset(autoreset_mode)
-        self._begin(Origin(task, num_envs, address, resume, threads, options, render_mode, render_size))
+        self._begin(Origin(task, num_envs, address, resume, threads, isolated, options, render_mode, render_size))
         self.render_mode = render_mode
         self.num_envs = num_envs
         self.metadata = {**self.metadata, "render_fps": self.task.control_rate, "autoreset_mode": mode}
@@ -146,11 +147,15 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
 
     def step(self, actions: npt.ArrayLike) -> Step:
         """One control step of every environment; `actions` is [num_envs, action] within its bounds."""
-        self.send(actions)
+        self._send(actions, here=True)
         return self.recv()
 
     def send(self, actions: npt.ArrayLike) -> None:
         """Starts a step and returns at once; `recv` waits for it."""
+        self._send(actions, here=False)
+
+    def _send(self, actions: npt.ArrayLike, here: bool) -> None:
+        """`here`: the caller waits for it next."""
         if self._in_flight:
             raise OutOfOrder("send: a step is in flight already; call recv first")
         rows = self._actions.rows(actions)
@@ -160,7 +165,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         session = self._session
         try:
             self._in_flight, self._batch = True, None
-            session.send_step(rows, held)
+            session.send_step(rows, held, here)
         except BaseException as error:
             self._in_flight = session.owes and not isinstance(error, SandgaitError)
             raise self._actions.explain(error) from None

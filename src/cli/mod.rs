@@ -26,9 +26,9 @@ use indicatif::{ProgressBar, ProgressStyle};
 use sandgait::progress::Progress;
 use sandgait::sand::{Medium, SandDescription};
 use sandgait::{Error, Result};
+use std::ffi::OsString;
 use std::io::Write as _;
 use std::path::Path;
-use std::process::ExitCode;
 
 /// Batched reinforcement-learning environments of legged robots on sand.
 #[derive(Parser)]
@@ -65,10 +65,12 @@ enum Command {
     Validate(validate::Validate),
 }
 
-pub fn main() -> ExitCode {
-    let outcome = match Cli::try_parse() {
+/// Runs the command line `arguments`, the program's name first, and gives the exit code.
+pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
+    let arguments: Vec<OsString> = arguments.into_iter().collect();
+    let outcome = match Cli::try_parse_from(&arguments) {
         Ok(Cli { command: Command::Serve(serve::Serve { config: Some(file), .. }) }) => {
-            with_file(&file).and_then(|cli| run(cli.command))
+            with_file(&file, arguments).and_then(|cli| run(cli.command))
         }
         Ok(cli) => run(cli.command),
         Err(e) if matches!(e.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion) => Ok(e.to_string()),
@@ -77,21 +79,21 @@ pub fn main() -> ExitCode {
         }
         Err(e) => {
             eprintln!("sandgait: {}", one_line(&e.to_string()));
-            return ExitCode::from(2);
+            return 2;
         }
     };
     match outcome {
         Ok(text) => print(&text),
         Err(error) => {
             eprintln!("sandgait: {}", error.to_string().replace('\n', " "));
-            ExitCode::from(exit_code(&error))
+            exit_code(&error)
         }
     }
 }
 
 /// The same command line, with a file of options for its command.
-fn with_file(file: &Path) -> Result<Cli> {
-    let mut given = std::env::args_os();
+fn with_file(file: &Path, given: Vec<OsString>) -> Result<Cli> {
+    let mut given = given.into_iter();
     let mut all: Vec<_> = given.by_ref().take(2).collect();
     let cli = Cli::command();
     let command = all.get(1).and_then(|name| cli.find_subcommand(name));
@@ -129,14 +131,14 @@ fn exit_code(error: &Error) -> u8 {
 }
 
 /// Writes to stdout. A reader that has gone (as in `| head -1`) has what it wanted.
-fn print(text: &str) -> ExitCode {
+fn print(text: &str) -> u8 {
     let mut out = std::io::stdout().lock();
     match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
         Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => {
             eprintln!("sandgait: stdout: {e}");
-            ExitCode::FAILURE
+            1
         }
-        _ => ExitCode::SUCCESS,
+        _ => 0,
     }
 }
 

@@ -108,6 +108,19 @@ impl Pool {
         }
     }
 
+    /// Carries `operation` out on this thread, all shards one after the other; on a panic the batch is lost.
+    pub fn here(mut batch: Batch, operation: &Operation) -> Result<Batch> {
+        let work = || {
+            let mut start = 0;
+            for shard in &mut batch.shards {
+                (0..operation.parts()).for_each(|part| operation.run(shard, start, part));
+                start += shard.envs();
+            }
+        };
+        let ran = catch_unwind(AssertUnwindSafe(work));
+        ran.map_or_else(|_| Err(lost()), |()| Ok(batch))
+    }
+
     /// [`Pool::run`], waiting for the result.
     pub fn wait(&self, batch: Batch, operation: Operation) -> Result<Batch> {
         let (sender, receiver) = std::sync::mpsc::sync_channel(1);
@@ -194,6 +207,10 @@ fn work(shared: &Shared, id: u64, operation: &Operation, piece: &mut Piece) -> b
     }
 }
 
+fn lost() -> Error {
+    Error::Internal("the simulation of this session failed".into())
+}
+
 /// Returns a shard to its batch; the last one completes it.
 fn give_back(shared: &Shared, id: u64, start: usize, shard: Shard, panicked: bool) -> MutexGuard<'_, Queue> {
     let mut queue = shared.lock();
@@ -208,7 +225,6 @@ fn give_back(shared: &Shared, id: u64, start: usize, shard: Shard, panicked: boo
     drop(queue);
     pending.finished.sort_unstable_by_key(|f| f.0);
     pending.batch.shards.extend(pending.finished.into_iter().map(|f| f.1));
-    let lost = || Error::Internal("the simulation of this session failed".into());
     let Pending { batch, panicked, done, .. } = pending;
     // A panic in it is for whoever gave it to notice, by what it drops; this thread has other sessions' work to do.
     drop(catch_unwind(AssertUnwindSafe(|| done(if panicked { Err(lost()) } else { Ok(batch) }))));

@@ -37,7 +37,7 @@ mod sessions;
 mod state;
 mod status;
 mod stream;
-mod studies;
+pub mod studies;
 mod values;
 mod view;
 mod viewer;
@@ -54,11 +54,12 @@ pub mod proto {
 
 pub use crate::pool::Seal;
 pub use address::{Address, Listener, bind_tcp};
+pub use encode::task;
 pub use security::{Tls, Token, warn_if_shared};
 pub use server::{Connected, Setup, serve};
 pub use sessions::Limits;
 pub use state::StateDir;
-pub use values::from_json;
+pub use values::{from_json, number};
 
 use crate::env::registry::{Blueprint, TASK_IDS};
 use crate::error::Error;

@@ -8,23 +8,10 @@ use super::stream::Work;
 use super::{decode, encode};
 use crate::error::Result;
 use crate::pool::{Batch, Operation, Pool, Roll};
+use crate::session::roll::pace;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 use tokio::sync::oneshot;
-
-/// Time between two looks at whether the client is still there, and the work of one part of trajectories: our choice, long
-/// against what a part costs beside its bytes (some 0.5 ms in server and Python client together), short to whoever waits
-/// for a server's end. Other sessions need not wait for it: the pool gives them their turns in between.
-const TURN: Duration = Duration::from_millis(30);
-
-/// A turn has at most this many times the steps of the one before: the first one, of one step, may have been lucky.
-const GROWTH: usize = 4;
-
-/// Steps of the next turn, if the last one's `steps` took `time`.
-fn pace(steps: usize, time: Duration) -> usize {
-    let fitting = steps as f64 * TURN.as_secs_f64() / time.as_secs_f64().max(1e-6);
-    (fitting as usize).clamp(1, GROWTH * steps)
-}
 
 /// Checks a rollout of actions and starts it.
 pub fn start(work: Work, request: &proto::Rollout, pool: Arc<Pool>) {

@@ -19,6 +19,7 @@ use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
 use crate::parallel::processors;
 use crate::pool::{Batch, Building, Seal};
+use crate::session::{MOST_ENVIRONMENTS, MOST_MEMORY};
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
 use std::collections::HashMap;
@@ -52,8 +53,8 @@ impl Default for Limits {
     fn default() -> Self {
         Self {
             sessions: 1024,
-            environments: 65_536,
-            memory: 8 << 30,
+            environments: MOST_ENVIRONMENTS,
+            memory: MOST_MEMORY,
             lease: Duration::from_secs(300),
             request: 256 << 20,
             rate: None,

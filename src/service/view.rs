@@ -1,74 +1,25 @@
-//! Requests that only look: pictures, and moments as recordings hold them.
+//! Requests that only look, as messages.
 
 use super::proto::{Observation, Observe, Pictures, Render};
-use crate::env::{Look, Spec};
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::pool::Batch;
-use crate::sim::Model;
-use crate::view::{self, About, Moment};
-
-/// Most pixels of one request, all its pictures together: our choice of guard, 100 MB.
-const MOST_PIXELS: u64 = 1 << 25;
+use crate::session::view;
 
 /// Memory of the answer to `request` [bytes]: its pixels, and once more the message that they go in.
 pub fn size(request: &Render) -> usize {
-    2 * 3 * pixels(request).min(MOST_PIXELS) as usize
-}
-
-fn pixels(request: &Render) -> u64 {
-    let one = u64::from(request.width) * u64::from(request.height);
-    (request.indices.len() as u64).saturating_mul(one)
+    let pixels = view::pixels(request.indices.len(), [request.width, request.height]);
+    2 * 3 * pixels.min(view::MOST_PIXELS) as usize
 }
 
 /// Pictures of environments.
 pub fn render(batch: &Batch, request: &Render) -> Result<Pictures> {
     let Render { indices, width, height, ended } = request;
-    let pixels = pixels(request);
-    if pixels > MOST_PIXELS {
-        let reason = format!("{} pictures of {width} × {height} have more than {MOST_PIXELS} pixels", indices.len());
-        return Err(Error::invalid("indices", reason));
-    }
-    let mut all = Vec::with_capacity(3 * pixels as usize);
-    for index in indices {
-        let look = batch.look(*index as usize, *ended)?;
-        all.extend(view::draw(look.model, look.state, look.footing, [*width, *height], &captions(&look))?);
-    }
-    Ok(Pictures { pixels: all.into() })
-}
-
-/// What is written into a picture.
-fn captions(look: &Look) -> Vec<String> {
-    let figure = |name: &str| look.spec.info.iter().position(|c| c.name == name).map(|k| look.info[k]);
-    let speed = figure("speed").unwrap_or(0.0);
-    let mut first = format!("{:6.2} s   {speed:6.3} m/s (commanded {:.3})", look.time, look.goal.speed);
-    if look.model.scene.slope_deg != 0.0 {
-        first += &format!("   slope {}°", look.model.scene.slope_deg);
-    }
-    vec![first.replace('-', "−")]
+    let pixels = view::render(batch, indices, [*width, *height], *ended)?;
+    Ok(Pictures { pixels: pixels.into() })
 }
 
 /// One environment's moment.
 pub fn observe(batch: &Batch, request: &Observe) -> Result<Observation> {
-    let look = batch.look(request.index as usize, request.ended)?;
-    let row = row(&look).iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<_>>();
-    Ok(Observation { header: header(look.spec, look.model, look.episode), row: row.into() })
-}
-
-/// The header of the recording's section that moments of this episode belong to.
-pub fn header(spec: &Spec, model: &Model, episode: (u64, u64)) -> String {
-    let about = About {
-        task: spec.id,
-        rate: spec.control_rate,
-        episode: Some(episode),
-        info: spec.info.iter().map(|c| (c.name.as_str(), c.unit)).collect(),
-        reward_terms: spec.reward.len(),
-        actions: spec.action.len(),
-    };
-    view::header(model, &about)
-}
-
-/// The moment's numbers.
-fn row(look: &Look) -> Vec<f32> {
-    let Look { model, state, footing, time, action, reward, info, .. } = look;
-    view::row(model, &Moment { time: *time, state, footing, action, reward: *reward, info })
+    let (header, row) = view::observe(batch, request.index as usize, request.ended)?;
+    Ok(Observation { header, row: row.into() })
 }

@@ -86,7 +86,7 @@ def recorded(path: Path, steps: int, **options: Any) -> sandgait.Recording:
 def test_a_recording_plays(page: Page, tmp_path: Path, name: str, options: dict[str, Any]) -> None:
     section = recorded(tmp_path / "walk.rec", 200, command=[0.2, 0.2], **options).sections[0]
     html = tmp_path / f"{name}.html"
-    subprocess.run([server.find_binary(), "replay", tmp_path / "walk.rec", "--html", html], check=True)
+    subprocess.run([*server.command(), "replay", tmp_path / "walk.rec", "--html", html], check=True)
     page.open(f"file://{html}")
     page.until("player.world?.pose !== undefined && player.world.pose !== null")
     first = page.ask("player.time")
@@ -109,7 +109,7 @@ def test_a_recording_plays(page: Page, tmp_path: Path, name: str, options: dict[
 def test_slow_motion_and_pause(page: Page, tmp_path: Path) -> None:
     recorded(tmp_path / "walk.rec", 400)
     html = tmp_path / "walk.html"
-    subprocess.run([server.find_binary(), "replay", tmp_path / "walk.rec", "--html", html], check=True)
+    subprocess.run([*server.command(), "replay", tmp_path / "walk.rec", "--html", html], check=True)
     page.open(f"file://{html}")
     page.until("player.world?.pose !== undefined")
     page.ask("(() => { const s = document.getElementById('pace'); s.value = '0.1'; s.onchange(); player.time = 1; })()")
@@ -151,7 +151,7 @@ class Walker:
 
 def test_the_live_page_follows_a_session(page: Page, tmp_path: Path) -> None:
     address = f"unix:{tmp_path}/s"
-    arguments = [server.find_binary(), "serve", "--listen", address, "--viewer", "127.0.0.1:0", "--exit-on-stdin-close"]
+    arguments = [*server.command(), "serve", "--listen", address, "--viewer", "127.0.0.1:0", "--exit-on-stdin-close"]
     log = tmp_path / "log"
     with log.open("w") as out:
         process = subprocess.Popen(arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=out, text=True)

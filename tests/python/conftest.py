@@ -27,7 +27,7 @@ class RemoteServer:
     def __init__(self, listen: str, *options: str) -> None:
         self._log = tempfile.NamedTemporaryFile("w")  # noqa: SIM115, closed in __exit__
         self.process = subprocess.Popen(
-            [server.find_binary(), "serve", "--listen", listen, "--exit-on-stdin-close", *options],
+            [*server.command(), "serve", "--listen", listen, "--exit-on-stdin-close", *options],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,

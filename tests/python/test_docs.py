@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import os
 import re
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -39,8 +40,8 @@ def directory() -> Iterator[Path]:
 def environment() -> Iterator[dict[str, str]]:
     """`sandgait` and `python` are those under test."""
     with tempfile.TemporaryDirectory(prefix="docs") as path:
-        for command, program in (("sandgait", server.find_binary()), ("python", sys.executable)):
-            Path(path, command).write_text(f'#!/bin/sh\nexec "{program}" "$@"\n')
+        for command, program in (("sandgait", server.command()), ("python", [sys.executable])):
+            Path(path, command).write_text(f'#!/bin/sh\nexec {shlex.join(program)} "$@"\n')
             Path(path, command).chmod(0o755)
         yield {**os.environ, "PATH": f"{path}:{os.environ['PATH']}", "MPLBACKEND": "Agg"}
 
@@ -78,7 +79,7 @@ def test_every_block_runs_or_says_why_not(capsys: pytest.CaptureFixture[str]) ->
 @functools.cache
 def options(*command: str) -> list[str]:
     """What `sandgait COMMAND --help` lists; without a command, the commands."""
-    text = subprocess.run([server.find_binary(), *command, "--help"], capture_output=True, text=True).stdout
+    text = subprocess.run([*server.command(), *command, "--help"], capture_output=True, text=True).stdout
     return re.findall(r"--[a-z-]+" if command else r"^  ([a-z]+) ", text, flags=re.MULTILINE)
 
 

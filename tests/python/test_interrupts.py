@@ -30,7 +30,7 @@ def strike():
     os.kill(os.getpid(), signal.SIGINT)
 
 calm = sandgait.SandgaitEnv({ID!r}, max_episode_steps=LIMIT)
-env = sandgait.SandgaitEnv({ID!r}, max_episode_steps=LIMIT)
+env = sandgait.SandgaitEnv({ID!r}, max_episode_steps=LIMIT, isolated=True)
 assert np.array_equal(calm.reset(seed=1)[0], env.reset(seed=1)[0])
 struck = ends = 0
 for k in range(STEPS):
@@ -60,7 +60,7 @@ def test_no_answer_is_lost_by_ctrl_c() -> None:
 
 def break_next_read(env: sandgait.SandgaitEnv | sandgait.SandgaitVectorEnv, shard: int) -> None:
     """Lets Ctrl-C strike in the next wait for an answer of this shard's server."""
-    stream = env._session._sessions[shard]._link.stream
+    stream = env._session._doors[shard]._link.stream
     assert stream is not None
 
     def broken() -> None:
@@ -77,7 +77,7 @@ def interrupted(env: sandgait.SandgaitEnv, action: np.ndarray) -> None:
 
 
 def test_an_episodes_end_is_told_after_an_interrupt() -> None:
-    env = sandgait.SandgaitEnv(ID, max_episode_steps=2)
+    env = sandgait.SandgaitEnv(ID, max_episode_steps=2, isolated=True)
     env.reset(seed=0)
     action = np.full(6, 0.2, np.float32)
     env.step(action)
@@ -92,7 +92,7 @@ def test_an_episodes_end_is_told_after_an_interrupt() -> None:
 
 
 def test_a_reset_after_an_interrupt_begins_the_next_episode() -> None:
-    env, calm = (sandgait.SandgaitEnv(ID, max_episode_steps=2) for _ in range(2))
+    env, calm = (sandgait.SandgaitEnv(ID, max_episode_steps=2, isolated=i) for i in (True, False))
     action = np.full(6, 0.2, np.float32)
     for e in (env, calm):
         e.reset(seed=0)
@@ -106,7 +106,7 @@ def test_a_reset_after_an_interrupt_begins_the_next_episode() -> None:
 
 
 def test_another_action_is_told_that_it_was_not_taken() -> None:
-    env, calm = (sandgait.SandgaitEnv(ID) for _ in range(2))
+    env, calm = (sandgait.SandgaitEnv(ID, isolated=i) for i in (True, False))
     first, second = np.full(6, 0.2, np.float32), np.full(6, -0.4, np.float32)
     for e in (env, calm):
         e.reset(seed=0)
@@ -120,7 +120,7 @@ def test_another_action_is_told_that_it_was_not_taken() -> None:
 
 
 def test_an_interrupted_batch_over_several_servers_is_taken_up() -> None:
-    env = sandgait.SandgaitVectorEnv(ID, 4, [None, None], max_episode_steps=3)
+    env = sandgait.SandgaitVectorEnv(ID, 4, [None, None], max_episode_steps=3, isolated=True)
     calm = sandgait.SandgaitVectorEnv(ID, 4, max_episode_steps=3)
     for e in (env, calm):
         e.reset(seed=0)

@@ -118,7 +118,7 @@ import sys, sandgait
 from test_kills import OPTIONS, actions
 env = sandgait.SandgaitVectorEnv({ID!r}, {ENVS}, sys.argv[1], **OPTIONS)
 env.reset(seed=3)
-print(env._session._sessions[0]._link.session_id, flush=True)
+print(env._session._doors[0]._link.session_id, flush=True)
 for time, _ in enumerate(sys.stdin):
     env.step(actions({ENVS}, time))
     print("stepped", flush=True)

@@ -118,7 +118,7 @@ def test_an_evaluation_is_the_command_lines(gait: str, exported: Path, tmp_path:
     table = sandgait.evaluate(policy, seeds=8, slopes=[0, 5], progress=lambda done, _: told.append(done), **options)
     report = tmp_path / "report.json"
     arguments = ["--seeds", "8", "--slopes", "0,5", "--options", json.dumps(options), "--json", str(report)]
-    subprocess.run([server.find_binary(), "evaluate", policy, *arguments], check=True, capture_output=True)
+    subprocess.run([*server.command(), "evaluate", policy, *arguments], check=True, capture_output=True)
     rows = json.loads(report.read_text())["results"]
     assert [row["slope_deg"] for row in rows] == [0.0, 5.0]
     assert set(rows[0]) == set(table)

@@ -6,7 +6,7 @@ import copy
 import pickle
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from pathlib import Path
 
 import gymnasium
@@ -33,10 +33,10 @@ class Pki:
         self.issue("server", self.ours)
         self.issue("client", self.ours)
         self.issue("stranger", self.another)
-        self.issue("expired", self.ours, datetime(2021, 1, 1, tzinfo=timezone.utc))
+        self.issue("expired", self.ours, datetime(2021, 1, 1, tzinfo=UTC))
 
     def issue(self, name: str, authority: trustme.CA, end: datetime | None = None) -> None:
-        begin = None if end is None else datetime(2020, 1, 1, tzinfo=timezone.utc)
+        begin = None if end is None else datetime(2020, 1, 1, tzinfo=UTC)
         made = authority.issue_cert("localhost", "127.0.0.1", not_before=begin, not_after=end)
         made.cert_chain_pems[0].write_to_path(str(self.directory / f"{name}.cert"))
         made.private_key_pem.write_to_path(str(self.directory / f"{name}.key"))

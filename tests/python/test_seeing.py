@@ -169,7 +169,7 @@ assert not pygame.display.get_init()
 
 
 def run_with_window(code: str, driver: str) -> None:
-    places = {"SANDGAIT_BINARY": server.find_binary(), "PYTHONPATH": str(Path(sandgait.__file__).parents[1])}
+    places = {"PYTHONPATH": str(Path(sandgait.__file__).parents[1])}
     environment = {**os.environ, **places, "SDL_VIDEODRIVER": driver}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, f"{done.returncode}: {done.stderr}"
@@ -281,7 +281,7 @@ def test_the_page_of_a_recording(tmp_path: Path) -> None:
     env.record(path)
     walked(env, 10)
     env.close()
-    subprocess.run([server.find_binary(), "replay", str(path), "--html", str(page)], check=True, capture_output=True)
+    subprocess.run([*server.command(), "replay", str(path), "--html", str(page)], check=True, capture_output=True)
     html = page.read_text()
     assert html.count("<script") == html.count("</script>") == 6
     assert "https://" not in html

@@ -23,7 +23,7 @@ from sandgait import server
 PLAY = f"""
 import hashlib, sys, numpy, sandgait
 from sandgait import server
-env = sandgait.SandgaitVectorEnv({ID!r}, 20, max_episode_steps=30)
+env = sandgait.SandgaitVectorEnv({ID!r}, 20, max_episode_steps=30, isolated=True)
 rows = [env.reset(seed=11)[0]]
 for k in range(100):
     rows += env.step(numpy.sin(numpy.arange(120) + k).reshape(20, 6))[:4]
@@ -139,9 +139,9 @@ print(*[same(env.step(action(k)), calm.step(action(k))) for k in range(2, 6)])
 def test_equal_seeds_give_equal_bits_in_every_process_and_for_any_number_of_threads() -> None:
     digests = set()
     for threads in ("1", "2", "5"):
-        code = PLAY.replace("20, max", "20, sys.argv[1], max")
+        code = PLAY.replace("20, max", "20, sys.argv[1], max").replace(", isolated=True", "")
         with subprocess.Popen(
-            [server.find_binary(), "serve", "--listen", "127.0.0.1:0", "--threads", threads, "--exit-on-stdin-close"],
+            [*server.command(), "serve", "--listen", "127.0.0.1:0", "--threads", threads, "--exit-on-stdin-close"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -159,14 +159,14 @@ def test_equal_seeds_give_equal_bits_in_every_process_and_for_any_number_of_thre
 
 
 def test_a_killed_server_is_named_and_the_next_environment_starts_another() -> None:
-    env = gymnasium.make_vec(ID, num_envs=2)
+    env = gymnasium.make_vec(ID, num_envs=2, isolated=True)
     env.reset()
     embedded = server._server
     assert embedded is not None
     embedded.process.kill()
     with pytest.raises(sandgait.ServerLost, match="exit code -9"):
         env.step(np.zeros((2, 6)))
-    another = gymnasium.make_vec(ID, num_envs=2)
+    another = gymnasium.make_vec(ID, num_envs=2, isolated=True)
     another.reset()
     assert server._server is not embedded
     env.close()
@@ -209,24 +209,25 @@ def test_a_binary_that_is_not_there_or_cannot_serve(monkeypatch: pytest.MonkeyPa
         server.EmbeddedServer()
 
 
-def forked(env: sandgait.SandgaitVectorEnv, answers: multiprocessing.Queue[str]) -> None:
-    """In a child: the parent's environment says whose it is, a new one works on a server of the child's own."""
+def forked(env: sandgait.SandgaitVectorEnv, answers: multiprocessing.Queue[str], isolated: bool) -> None:
+    """In a child: the parent's environment says whose it is, a new one works."""
     try:
         env.step(np.zeros((2, 6)))
     except sandgait.SandgaitError as error:
         answers.put(str(error))
     env.close()
-    own = sandgait.SandgaitVectorEnv(ID, 2)
+    own = sandgait.SandgaitVectorEnv(ID, 2, isolated=isolated)
     answers.put(hashlib.sha256(own.reset(seed=0)[0].tobytes()).hexdigest())
 
 
-def test_a_forked_child_makes_its_own() -> None:
-    env = sandgait.SandgaitVectorEnv(ID, 2)
+@pytest.mark.parametrize("isolated", [False, True])
+def test_a_forked_child_makes_its_own(isolated: bool) -> None:
+    env = sandgait.SandgaitVectorEnv(ID, 2, isolated=isolated)
     first = env.reset(seed=0)[0]
     context = multiprocessing.get_context("fork")
     answers: multiprocessing.Queue[str] = context.Queue()
     for _ in range(3):
-        child = context.Process(target=forked, args=(env, answers))
+        child = context.Process(target=forked, args=(env, answers, isolated))
         child.start()
         assert "belongs to the process that made it" in answers.get(timeout=20)
         assert answers.get(timeout=20) == hashlib.sha256(first.tobytes()).hexdigest()
@@ -235,11 +236,11 @@ def test_a_forked_child_makes_its_own() -> None:
     env.step(np.zeros((2, 6)))
 
 
-def test_gymnasiums_asyncvectorenv_forks_while_a_stream_is_open() -> None:
-    """Without grpc's fork support its children hang."""
-    ours = gymnasium.make_vec(ID, num_envs=2)
+@pytest.mark.parametrize("isolated", [False, True])
+def test_gymnasiums_asyncvectorenv_forks_while_a_session_is_open(isolated: bool) -> None:
+    ours = gymnasium.make_vec(ID, num_envs=2, isolated=isolated)
     rows, _ = ours.reset(seed=0)
-    theirs = gymnasium.make_vec(ID, num_envs=2, vectorization_mode="async")
+    theirs = gymnasium.make_vec(ID, num_envs=2, vectorization_mode="async", isolated=isolated)
     assert np.array_equal(theirs.reset(seed=0)[0], rows)
     actions = np.full((2, 6), 0.4, np.float32)
     assert np.array_equal(theirs.step(actions)[0], ours.step(actions)[0])

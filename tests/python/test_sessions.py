@@ -116,11 +116,11 @@ def test_a_cut_wire_loses_and_doubles_nothing(
 
 
 def test_an_interrupted_wait_can_be_taken_up(undisturbed: list[tuple[npt.NDArray[np.generic], ...]]) -> None:
-    env = sandgait.SandgaitVectorEnv(ID, 5, max_episode_steps=17)
+    env = sandgait.SandgaitVectorEnv(ID, 5, max_episode_steps=17, isolated=True)
     env.reset(seed=3)
     rows = walk(env, range(3))
     env.send(actions(5, 3))
-    stream = env._session._sessions[0]._link.stream
+    stream = env._session._doors[0]._link.stream
     assert stream is not None
 
     def interrupted() -> None:
@@ -139,7 +139,7 @@ def test_resume_outlives_the_embedded_server(
     undisturbed: list[tuple[npt.NDArray[np.generic], ...]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(session, "SNAPSHOT_EVERY", 10)
-    env = sandgait.SandgaitVectorEnv(ID, 5, resume=True, max_episode_steps=17)
+    env = sandgait.SandgaitVectorEnv(ID, 5, resume=True, isolated=True, max_episode_steps=17)
     env.reset(seed=3)
     rows = []
     for t in range(60):

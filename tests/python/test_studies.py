@@ -43,7 +43,7 @@ LONG = {"xi": np.arange(-75, 75, 0.5), "frequency": np.linspace(1, 4, 300)}
 
 
 def command(*arguments: str | Path) -> str:
-    run = [server.find_binary(), *map(str, arguments)]
+    run = [*server.command(), *map(str, arguments)]
     return subprocess.run(run, capture_output=True, text=True, check=True).stdout
 
 

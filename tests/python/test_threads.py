@@ -1,4 +1,4 @@
-"""Threads of the embedded server, what importing does to a process, systems without Unix sockets, and closing."""
+"""Threads that simulate, what importing does to a process, systems without Unix sockets, and closing."""
 
 from __future__ import annotations
 
@@ -13,13 +13,12 @@ import pytest
 
 import sandgait
 from conftest import RemoteServer
-from sandgait import server
 
 ID = sandgait.TASKS[0]
 
 
 def run(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    places = {"SANDGAIT_BINARY": server.find_binary(), "PYTHONPATH": str(Path(sandgait.__file__).parents[1])}
+    places = {"PYTHONPATH": str(Path(sandgait.__file__).parents[1])}
     return subprocess.run(
         [sys.executable, "-c", code],
         env={**os.environ, **places, **environment},
@@ -30,16 +29,23 @@ def run(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
 
 
 TOLD = f"""
-import sandgait
+import os, time, sandgait
 from sandgait import server
+isolated = %s
 def threads():
-    return [t for t in open(f"/proc/{{server._server.process.pid}}/cmdline").read().split("\\0")][-2]
-first = sandgait.SandgaitEnv({ID!r}%s)
-first.reset(seed=0)
+    if isolated:
+        return open(f"/proc/{{server._server.process.pid}}/cmdline").read().split("\\0")[-2]
+    counts = []
+    for _ in range(50):  # the thread that made the environment may still be ending
+        counts.append(len(os.listdir("/proc/self/task")) - before)
+        time.sleep(0.01)
+    return min(counts)
+before = len(os.listdir("/proc/self/task"))
+first = sandgait.SandgaitEnv({ID!r}, isolated=isolated%s)
 print(threads())
-sandgait.SandgaitVectorEnv({ID!r}, 2).reset()
+sandgait.SandgaitVectorEnv({ID!r}, 2, isolated=isolated).reset()
 try:
-    sandgait.SandgaitEnv({ID!r}, threads=7)
+    sandgait.SandgaitEnv({ID!r}, isolated=isolated, threads=7)
 except sandgait.InvalidRequest as error:
     print(error)
 """
@@ -54,11 +60,14 @@ except sandgait.InvalidRequest as error:
         (", threads=2", "3", "2", "has 2 threads already"),
     ],
 )
-def test_the_first_number_of_threads_holds(keyword: str, variable: str, threads: str, says: str) -> None:
-    done = run(TOLD % keyword, SANDGAIT_THREADS=variable)
+@pytest.mark.parametrize("isolated", [False, True])
+def test_the_first_number_of_threads_holds(
+    keyword: str, variable: str, threads: str, says: str, isolated: bool
+) -> None:
+    done = run(TOLD % (isolated, keyword), SANDGAIT_THREADS=variable)
     assert done.returncode == 0, done.stderr
     number, error = done.stdout.splitlines()
-    assert number == threads
+    assert number == (threads if isolated or threads != "0" else str(len(os.sched_getaffinity(0))))
     assert error.startswith("threads: 7 asked for")
     assert says in error
 
@@ -69,8 +78,8 @@ def test_wrong_numbers_of_threads(threads: object) -> None:
         sandgait.SandgaitEnv(ID, threads=threads)  # type: ignore[arg-type]
 
 
-def test_threads_are_the_embedded_servers(remote: RemoteServer) -> None:
-    with pytest.raises(sandgait.InvalidRequest, match="threads: of the embedded server"):
+def test_threads_are_this_processes(remote: RemoteServer) -> None:
+    with pytest.raises(sandgait.InvalidRequest, match="threads: of this process"):
         sandgait.make_sb3(ID, 2, remote.address, threads=2)
     done = run(f"import sandgait; sandgait.SandgaitEnv({ID!r})", SANDGAIT_THREADS="few")
     assert "SANDGAIT_THREADS: 'few' is not a whole number" in done.stderr
@@ -79,12 +88,14 @@ def test_threads_are_the_embedded_servers(remote: RemoteServer) -> None:
 IMPORTED = """
 import os, sys
 import gymnasium
+already = set(sys.modules)
 before = len(os.listdir("/proc/self/task"))
 import sandgait
 assert len(os.listdir("/proc/self/task")) == before, "importing starts threads"
-assert "grpc" not in sys.modules
+assert not {"grpc", "google.protobuf", "subprocess"} & (set(sys.modules) - already)
 assert "GRPC_ENABLE_FORK_SUPPORT" not in os.environ
-sandgait.describe()
+from sandgait import server
+sandgait.describe(server.address())
 assert "GRPC_ENABLE_FORK_SUPPORT" not in os.environ, "processes that this one starts inherit it"
 """
 
@@ -110,14 +121,15 @@ env = sandgait.SandgaitVectorEnv({ID!r}, 2, sys.argv[1])
 env.reset(seed=0)
 env.step(numpy.zeros((2, 6)))
 env.close()
+sandgait.SandgaitEnv({ID!r}).reset()
 try:
-    sandgait.SandgaitEnv({ID!r})
+    sandgait.SandgaitEnv({ID!r}, isolated=True)
 except sandgait.SandgaitError as error:
     print(error)
 """
 
 
-def test_without_unix_sockets_remote_servers_can_be_used(remote: RemoteServer) -> None:
+def test_without_unix_sockets_or_forks(remote: RemoteServer) -> None:
     done = subprocess.run(
         [sys.executable, "-c", WINDOWS, remote.address],
         env={**os.environ, "PYTHONPATH": str(Path(sandgait.__file__).parents[1])},

@@ -17,7 +17,7 @@ from sandgait import client
 
 
 def play(address: str | None, steps: int = 20) -> list[np.ndarray]:
-    env = gymnasium.make_vec(ID, num_envs=3, address=address)
+    env = gymnasium.make_vec(ID, num_envs=3, address=address, isolated=address is None)
     rows = [env.reset(seed=0)[0]] + [env.step(np.full((3, 6), 0.2))[0] for _ in range(steps)]
     env.close()
     return rows
@@ -34,7 +34,10 @@ def test_remote_servers_give_the_embedded_ones_numbers(remote: RemoteServer, tmp
 
 def test_tcp_does_not_wait_for_more_to_send(remote: RemoteServer) -> None:
     """With Nagle's algorithm on, small calls take 44 ms: many times what they take on a Unix socket."""
-    over = {address: gymnasium.make_vec(ID, num_envs=2, address=address) for address in (remote.address, None)}
+    over = {
+        address: gymnasium.make_vec(ID, num_envs=2, address=address, isolated=address is None)
+        for address in (remote.address, None)
+    }
     steps: dict[str | None, list[float]] = {address: [] for address in over}
     for env in over.values():
         env.reset(seed=0)
@@ -53,7 +56,9 @@ def test_tcp_does_not_wait_for_more_to_send(remote: RemoteServer) -> None:
 def test_messages_beyond_4_mib(over: str, remote: RemoteServer) -> None:
     """16,384 environments: observations alone are 2.5 MiB, and twice that where every episode ends."""
     address = None if over == "unix" else remote.address
-    env = sandgait.SandgaitVectorEnv(ID, 16_384, address, autoreset_mode="SAME_STEP", max_episode_steps=2)
+    env = sandgait.SandgaitVectorEnv(
+        ID, 16_384, address, isolated=address is None, autoreset_mode="SAME_STEP", max_episode_steps=2
+    )
     rows, _ = env.reset(seed=0)
     assert rows.shape == (16_384, 41)
     actions = np.zeros((16_384, 6), np.float32)
@@ -107,7 +112,7 @@ def test_two_clients_on_one_session(remote: RemoteServer) -> None:
     """The newest stream has the session; the other client is told, and does not take it back by itself."""
     env = sandgait.SandgaitVectorEnv(ID, 3, remote.address)
     env.reset()
-    second = client.Stream(remote.address, env._session._sessions[0]._link.session_id)
+    second = client.Stream(remote.address, env._session._doors[0]._link.session_id)
     assert second.last_sequence == 1
     with pytest.raises(sandgait.SessionLost, match="another stream has taken the session"):
         env.step(np.zeros((3, 6)))
@@ -117,7 +122,7 @@ def test_two_clients_on_one_session(remote: RemoteServer) -> None:
 def test_a_session_ends_when_it_is_closed_by_name(remote: RemoteServer) -> None:
     env = sandgait.SandgaitVectorEnv(ID, 3, remote.address)
     env.reset()
-    client.close_session(remote.address, env._session._sessions[0]._link.session_id)
+    client.close_session(remote.address, env._session._doors[0]._link.session_id)
     with pytest.raises(sandgait.SessionLost, match="the session was closed"):
         env.step(np.zeros((3, 6)))
     env.close()

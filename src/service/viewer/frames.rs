@@ -6,7 +6,7 @@
 //! ```
 
 use crate::env::{Look, Task};
-use crate::service::view;
+use crate::session::view;
 use crate::sim::{Model, State};
 use crate::view::recording::{head_block, rows_block};
 use bytes::Bytes;

@@ -1,0 +1,32 @@
+//! The one map from the crate's errors to Python's exceptions.
+
+use pyo3::prelude::*;
+use sandgait::Error;
+
+/// The class of `sandgait.errors` that says what the caller can do.
+fn class(error: &Error) -> &'static str {
+    match error {
+        Error::Invalid { .. } | Error::Unknown { .. } | Error::Replaced { .. } => "InvalidRequest",
+        Error::OutOfOrder(_) => "OutOfOrder",
+        Error::Exhausted(_) => "LimitReached",
+        Error::Cancelled(_) => "SessionLost",
+        Error::File { .. } | Error::Internal(_) => "SandgaitError",
+    }
+}
+
+/// `error` as an exception.
+pub fn raise(error: &Error) -> PyErr {
+    of(class(error), error.to_string())
+}
+
+/// The exception `class` of `sandgait.errors`.
+pub fn of(class: &str, message: String) -> PyErr {
+    Python::attach(|py| {
+        let made = py.import("sandgait.errors").and_then(|errors| errors.getattr(class)?.call1((message,)));
+        made.map_or_else(|failed| failed, PyErr::from_value)
+    })
+}
+
+pub fn invalid(field: &str, reason: impl Into<String>) -> PyErr {
+    raise(&Error::invalid(field, reason))
+}

@@ -1,0 +1,236 @@
+//! The environments of one session in this process.
+
+use crate::arrays;
+use crate::errors::{invalid, of, raise};
+use crate::process;
+use crate::tables;
+use crate::values::keywords;
+use crate::wait::{self, PATIENCE};
+use pyo3::prelude::*;
+use pyo3::types::{PyBytes, PyMapping, PyTuple};
+use sandgait::Error;
+use sandgait::env::registry::Blueprint;
+use sandgait::env::{ResetOptions, options};
+use sandgait::pool::{Batch, Operation, Pool, Seal, Snapshot};
+use sandgait::service;
+use sandgait::session::{Answer, Environments, Loan, view};
+use std::sync::Arc;
+use std::time::Duration;
+
+/// `num_envs` environments of `task` with the keywords `options`; see `sandgait.door.Door`.
+#[pyclass(frozen, module = "sandgait._native")]
+pub struct Local {
+    environments: Environments,
+    pool: Arc<Pool>,
+    process: u32,
+    #[pyo3(get)]
+    task: Py<PyAny>,
+    /// What of the options has no effect, and why.
+    #[pyo3(get)]
+    warnings: Vec<String>,
+}
+
+impl Local {
+    /// The environments, waited for if they are away.
+    fn lend(&self, py: Python<'_>) -> PyResult<Loan> {
+        if std::process::id() != self.process {
+            let reason = "this environment belongs to the process that made it; make it anew after a fork";
+            return Err(of("SandgaitError", reason.into()));
+        }
+        let mut lent = self.environments.take(Duration::ZERO);
+        while lent.is_none() {
+            lent = py.detach(|| self.environments.take(PATIENCE));
+            py.check_signals()?;
+        }
+        match lent {
+            Some(Ok(loan)) => Ok(loan),
+            Some(Err(Error::OutOfOrder(closed))) => Err(of("SandgaitError", closed)),
+            Some(Err(error)) => Err(raise(&error)),
+            None => Err(raise(&Error::Internal("the environments are away".into()))),
+        }
+    }
+
+    /// Starts work that may take a while; its answer is received later.
+    fn start(&self, py: Python<'_>, work: impl FnOnce(Loan, &Pool) + Send + 'static) -> PyResult<()> {
+        let (loan, pool) = (self.lend(py)?, self.pool.clone());
+        wait::spawn(move || work(loan, &pool))
+    }
+
+    /// What `work` says of the environments, which stay as they are.
+    fn ask<T: Send + 'static>(
+        &self,
+        py: Python<'_>,
+        work: impl FnOnce(&Batch) -> sandgait::Result<T> + Send + 'static,
+    ) -> PyResult<T> {
+        let mut loan = self.lend(py)?;
+        wait::background(py, move |_| work(loan.batch()))
+    }
+}
+
+fn flags(bytes: &[u8]) -> Vec<bool> {
+    bytes.iter().map(|flag| *flag != 0).collect()
+}
+
+#[pymethods]
+impl Local {
+    #[new]
+    fn new(
+        py: Python<'_>,
+        task: String,
+        num_envs: usize,
+        options: &Bound<'_, PyMapping>,
+        threads: usize,
+    ) -> PyResult<Self> {
+        let options = keywords(options)?;
+        let (blueprint, environments) = wait::background(py, move |stop| {
+            let blueprint = Blueprint::new(&task, options)?;
+            let environments = Environments::new(&blueprint, num_envs, || stop.is_set())?;
+            Ok((blueprint, environments))
+        })?;
+        let task = tables::task(py, &service::task(&blueprint))?.unbind();
+        let pool = process::pool(py, threads);
+        Ok(Self { environments, pool, process: std::process::id(), task, warnings: blueprint.warnings() })
+    }
+
+    /// `seeds` and `mask` have one entry an environment; without seeds streams go on.
+    #[pyo3(signature = (seeds, mask, options))]
+    fn send_reset(
+        &self,
+        py: Python<'_>,
+        seeds: Option<Vec<u64>>,
+        mask: Option<&[u8]>,
+        options: &Bound<'_, PyMapping>,
+    ) -> PyResult<()> {
+        let mask = mask.map(flags);
+        if options.is_empty()? {
+            let loan = self.lend(py)?;
+            py.detach(|| loan.run(&self.pool, |b| b.reset(mask, seeds, ResetOptions::default())));
+            return Ok(());
+        }
+        let changes = keywords(options)?;
+        // Models are built from options: that takes a while.
+        self.start(py, |loan, pool| loan.run(pool, |b| b.reset(mask, seeds, options::parse(changes)?)))
+    }
+
+    /// `actions` is float32 [num_envs, action]; `held` says which environments stay as they are. `here`: the caller only
+    /// waits for this step, so its thread may make it.
+    #[pyo3(signature = (actions, held, here))]
+    fn send_step(&self, py: Python<'_>, actions: &Bound<'_, PyAny>, held: Option<&[u8]>, here: bool) -> PyResult<()> {
+        let actions = arrays::floats(actions)?;
+        let held = held.map(flags);
+        let loan = self.lend(py)?;
+        let check = |b: &mut Batch| match held {
+            None => b.step(actions),
+            Some(held) => b.step_but(actions, held),
+        };
+        py.detach(|| if here { loan.run_here(&self.pool, check) } else { loan.run(&self.pool, check) });
+        Ok(())
+    }
+
+    /// `sources`: u32, one an environment.
+    #[pyo3(signature = (snapshot, sources))]
+    fn send_restore(&self, py: Python<'_>, snapshot: &[u8], sources: Option<&[u8]>) -> PyResult<()> {
+        let snapshot = snapshot.to_vec();
+        let sources: Option<Vec<u32>> =
+            sources.map(|bytes| bytes.as_chunks().0.iter().map(|b| u32::from_ne_bytes(*b)).collect());
+        let check = move |b: &mut Batch| -> sandgait::Result<Operation> {
+            b.restore(&Snapshot::from_bytes(&snapshot, &Seal::default())?, sources.as_deref())
+        };
+        self.start(py, |loan, pool| loan.run(pool, check))
+    }
+
+    /// `actions`: float32 [steps, num_envs, action].
+    fn send_rollout(&self, py: Python<'_>, actions: &Bound<'_, PyAny>, trajectories: bool) -> PyResult<()> {
+        let actions = arrays::floats(actions)?;
+        self.start(py, move |loan, pool| loan.roll(pool, trajectories, |b| b.roll(actions, trajectories)))
+    }
+
+    fn send_policy_rollout(&self, py: Python<'_>, onnx: &[u8], steps: u32, trajectories: bool) -> PyResult<()> {
+        let onnx = onnx.to_vec();
+        self.start(py, move |loan, pool| {
+            loan.roll(pool, trajectories, |b| b.roll_network(&onnx, steps, trajectories));
+        })
+    }
+
+    /// Answer to the reset, step or restore that was sent last; it may be received again until something else is sent.
+    fn receive<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let mut loan = self.lend(py)?;
+        match loan.answer() {
+            Some(Answer::Rows) => {
+                let rows = arrays::batch(py, loan.batch());
+                loan.end(Some(Answer::Rows));
+                rows
+            }
+            other => Err(refused(loan, other)),
+        }
+    }
+
+    /// Answer to the rollout that was sent last.
+    fn receive_rollout<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let mut loan = match self.lend(py) {
+            Ok(loan) => loan,
+            Err(error) => {
+                self.environments.stop(); // nobody waits for it any more
+                return Err(error);
+            }
+        };
+        match loan.answer() {
+            Some(Answer::Rolled(rolled)) => arrays::rolled(py, loan.batch(), &rolled),
+            other => Err(refused(loan, other)),
+        }
+    }
+
+    /// Is there an answer that nobody has received, or that may be received again?
+    #[getter]
+    fn owes(&self) -> bool {
+        self.environments.owes()
+    }
+
+    /// All environments as data.
+    fn save<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        let data = self.ask(py, |batch| batch.save()?.to_bytes(&Seal::default()))?;
+        Ok(PyBytes::new(py, &data))
+    }
+
+    /// u8 [indices, height, width, 3]
+    fn render<'py>(
+        &self,
+        py: Python<'py>,
+        indices: Vec<u32>,
+        width: u32,
+        height: u32,
+        ended: bool,
+    ) -> PyResult<Bound<'py, PyBytes>> {
+        let pixels = self.ask(py, move |batch| view::render(batch, &indices, [width, height], ended))?;
+        Ok(PyBytes::new(py, &pixels))
+    }
+
+    /// Header and row of environment `index`'s moment, as recordings hold them.
+    fn observe<'py>(&self, py: Python<'py>, index: usize, ended: bool) -> PyResult<(String, Bound<'py, PyBytes>)> {
+        let mut loan = self.lend(py)?;
+        let (header, row) = view::observe(loan.batch(), index, ended).map_err(|e| raise(&e))?;
+        Ok((header, PyBytes::new(py, &row)))
+    }
+
+    /// Frees the environments; calling it again does nothing.
+    fn close(&self, py: Python<'_>) {
+        if std::process::id() == self.process {
+            py.detach(|| self.environments.close());
+        }
+    }
+}
+
+/// Why there is no answer of the kind that was asked for.
+fn refused(loan: Loan, answer: Option<Answer>) -> PyErr {
+    match answer {
+        Some(Answer::Refused(error)) => {
+            let raised = raise(&error);
+            loan.end(Some(Answer::Refused(error)));
+            raised
+        }
+        other => {
+            loan.end(other);
+            invalid("receive", "nothing of this kind was sent")
+        }
+    }
+}

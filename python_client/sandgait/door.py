@@ -1,0 +1,150 @@
+"""The two doors to environments: in this process, and over the network.
+
+`Door` is what an environment asks of either. `Local` is the one in this process; `session.Session` the other.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from . import _native
+from .batches import Batch, Rollout
+from .errors import InvalidRequest
+from .options import with_sand
+from .spaces import Task
+from .threads import agreed
+
+#: Who is told how far a study has come: the share done, and what is done now.
+Told = Callable[[float, str], None]
+
+
+class Held(NamedTuple):
+    """What it takes to close a session that nobody refers to any more."""
+
+    close: Callable[[], object]
+    #: Says how long `close` may take [s].
+    hurry: Callable[[float], None]
+
+
+class Door(Protocol):
+    """Environments of one task in one place. An answer is owed for what was sent, until it is received."""
+
+    num_envs: int
+    task: Task
+
+    @property
+    def address(self) -> str | None:
+        """Of the server that has the environments; None: they are in this process."""
+
+    @property
+    def held(self) -> Held:
+        """What it takes to close this; it does not keep it alive."""
+
+    @property
+    def owes(self) -> bool:
+        """Is there an answer that nobody has received, or that may be received again?"""
+
+    def send_reset(
+        self, seeds: Sequence[int] | None, mask: npt.NDArray[np.bool_] | None, options: Mapping[str, Any]
+    ) -> None: ...
+
+    def send_step(self, actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None, here: bool) -> None: ...
+
+    def send_restore(self, snapshot: bytes, sources: npt.NDArray[np.integer[Any]] | None) -> None: ...
+
+    def receive(self) -> Batch: ...
+
+    def send_rollout(self, actions: npt.NDArray[np.float32], trajectories: bool) -> None: ...
+
+    def send_policy_rollout(self, onnx: bytes, steps: int, trajectories: bool) -> None: ...
+
+    def receive_rollout(self) -> Rollout: ...
+
+    def save(self) -> bytes: ...
+
+    def render(self, indices: Sequence[int], width: int, height: int, ended: bool) -> bytes: ...
+
+    def observe(self, index: int, ended: bool) -> tuple[str, bytes]: ...
+
+
+class Local:
+    """Environments in this process."""
+
+    address = None
+
+    def __init__(self, task: str, num_envs: int, options: Mapping[str, Any], threads: int | None) -> None:
+        if not 1 <= num_envs < 2**32:
+            raise InvalidRequest(f"num_envs: {num_envs} is outside [1, {2**32 - 1}]")
+        number = agreed(threads, _native.threads(), "this process")
+        self.num_envs = num_envs
+        self._native = _native.Local(task, num_envs, with_sand(options), number)
+        for line in self._native.warnings:
+            warnings.warn(line, UserWarning, stacklevel=2)
+        self.task = Task.of(self._native.task)
+
+    @property
+    def held(self) -> Held:
+        return Held(self._native.close, lambda _: None)
+
+    @property
+    def owes(self) -> bool:
+        return self._native.owes
+
+    def send_reset(
+        self, seeds: Sequence[int] | None, mask: npt.NDArray[np.bool_] | None, options: Mapping[str, Any]
+    ) -> None:
+        self._native.send_reset(seeds, None if mask is None else mask.tobytes(), options)
+
+    def send_step(self, actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None, here: bool) -> None:
+        self._native.send_step(actions, None if held is None else held.tobytes(), here)
+
+    def send_restore(self, snapshot: bytes, sources: npt.NDArray[np.integer[Any]] | None) -> None:
+        self._native.send_restore(snapshot, None if sources is None else sources.astype(np.uint32).tobytes())
+
+    def receive(self) -> Batch:
+        return Batch._make(self._native.receive())
+
+    def send_rollout(self, actions: npt.NDArray[np.float32], trajectories: bool) -> None:
+        self._native.send_rollout(actions, trajectories)
+
+    def send_policy_rollout(self, onnx: bytes, steps: int, trajectories: bool) -> None:
+        self._native.send_policy_rollout(onnx, steps, trajectories)
+
+    def receive_rollout(self) -> Rollout:
+        return Rollout._make(self._native.receive_rollout())
+
+    def save(self) -> bytes:
+        return self._native.save()
+
+    def render(self, indices: Sequence[int], width: int, height: int, ended: bool) -> bytes:
+        return self._native.render(list(indices), width, height, ended)
+
+    def observe(self, index: int, ended: bool) -> tuple[str, bytes]:
+        return self._native.observe(index, ended)
+
+
+def describe(address: str | None = None) -> tuple[str, tuple[Task, ...]]:
+    """Version of the server at `address` and the tasks it offers; without an address, of this package."""
+    if address is None:
+        version, tasks = _native.describe()
+        return version, tuple(Task.of(task) for task in tasks)
+    from . import client
+
+    return client.describe(address)
+
+
+def study(address: str | None, name: str, request: Mapping[str, Any], told: Told | None = None) -> Any:
+    """Result of a study at `address`, or in this process: a table, or of a diagnosis its three files and a table.
+
+    Whatever interrupts the wait, an exception of `told` or Ctrl-C, also stops the study.
+    """
+    if address is None:
+        return _native.study(name, request, told)
+    from . import client
+
+    return client.study(address, name, request, told)

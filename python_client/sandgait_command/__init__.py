@@ -1,0 +1,23 @@
+"""The command `sandgait`. It loads the native module alone: importing `sandgait` would bring gymnasium and numpy."""
+
+from __future__ import annotations
+
+import sys
+from importlib.machinery import EXTENSION_SUFFIXES, ExtensionFileLoader, ModuleSpec
+from os.path import dirname, exists, join
+from typing import Any
+
+
+def main() -> int:
+    """Runs the command line of this process and gives its exit code."""
+    return int(_native().main(["sandgait", *sys.argv[1:]]))
+
+
+def _native() -> Any:
+    folder = join(dirname(dirname(__file__)), "sandgait")
+    places = [join(folder, "_native" + suffix) for suffix in EXTENSION_SUFFIXES]
+    place = next((path for path in places if exists(path)), places[0])
+    loader = ExtensionFileLoader("sandgait._native", place)
+    module = loader.create_module(ModuleSpec("sandgait._native", loader, origin=place))
+    loader.exec_module(module)
+    return module

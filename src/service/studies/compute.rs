@@ -1,0 +1,80 @@
+//! What each study computes, whoever asks: a client of the server, or this process. A request is checked first; what is
+//! given back does the work.
+
+use super::{decode, encode};
+use crate::error::{Error, Result};
+use crate::evaluate::Study;
+use crate::progress::Progress;
+use crate::service::proto::{self, DiagnoseRequest, DiagnoseResponse, IntrudeRequest, IntrudeResponse};
+use crate::service::proto::{
+    EvaluateRequest, EvaluateResponse, SweepRequest, SweepResponse, WalkRequest, WalkResponse,
+};
+use crate::sweep::{grid, optimize, walk_all};
+use std::path::Path;
+
+/// Work that tells how far it has come.
+pub type Work<T> = Box<dyn FnOnce(&dyn Progress) -> Result<T> + Send>;
+
+pub fn intrude(request: IntrudeRequest) -> Result<IntrudeResponse> {
+    let (rotation, sand) = decode::intrude(request)?;
+    let table = encode::table(encode::loads(&rotation.loads(&sand.description)?), sand.warnings);
+    Ok(IntrudeResponse { table: Some(table) })
+}
+
+pub fn walk(request: WalkRequest) -> Result<Work<WalkResponse>> {
+    let walks = decode::walk(request)?;
+    Ok(Box::new(move |progress| {
+        let results = walk_all(walks.engine, &walks.trials, progress)?;
+        let columns = std::iter::once(encode::frequencies(&walks.trials)).chain(encode::walks(&results));
+        let table = encode::table(columns.collect(), walks.warnings);
+        Ok(WalkResponse { event: Some(proto::walk_response::Event::Table(table)) })
+    }))
+}
+
+pub fn sweep(request: SweepRequest) -> Result<Work<SweepResponse>> {
+    let sweep = decode::sweep(request)?;
+    Ok(Box::new(move |progress| {
+        let columns = match sweep.optimize {
+            None => encode::grid(&sweep.axes, &grid(&sweep.base, &sweep.axes, progress)?),
+            Some(goal) => encode::optimum(&sweep.axes, &optimize::optimize(&sweep.base, &sweep.axes, goal, progress)?),
+        };
+        let table = encode::table(columns, sweep.warnings);
+        Ok(SweepResponse { event: Some(proto::sweep_response::Event::Table(table)) })
+    }))
+}
+
+pub fn evaluate(request: EvaluateRequest) -> Result<Work<EvaluateResponse>> {
+    let study = Study::new(&decode::evaluate(request)?)?;
+    Ok(Box::new(move |progress| {
+        let table = encode::table(encode::evaluation(&study.run(progress)?), Vec::new());
+        Ok(EvaluateResponse { event: Some(proto::evaluate_response::Event::Table(table)) })
+    }))
+}
+
+pub fn diagnose(request: DiagnoseRequest) -> Result<Work<DiagnoseResponse>> {
+    let (data, experiment) = decode::diagnose(request)?;
+    Ok(Box::new(move |progress| {
+        // The diagnosis reads and writes files: it gets a directory that only this user can enter.
+        let directory = tempfile::tempdir().map_err(|e| unusable(&e))?;
+        let (path, out) = (directory.path().join("data"), directory.path().join("out"));
+        std::fs::write(&path, &data.content).map_err(|e| unusable(&e))?;
+        let named = |e: Error| decode::renamed(e, &path, &data.name);
+        let diagnosis = crate::diagnose::diagnose(&path, &experiment, progress).map_err(named)?;
+        diagnosis.write(&out)?;
+        let diagnosis = proto::Diagnosis {
+            report_json: read(&out.join("report.json"))?,
+            report_html: read(&out.join("report.html"))?,
+            sand_toml: read(&out.join("sand.toml"))?,
+            curves: Some(encode::table(encode::curves(&diagnosis.curves), Vec::new())),
+        };
+        Ok(DiagnoseResponse { event: Some(proto::diagnose_response::Event::Diagnosis(diagnosis)) })
+    }))
+}
+
+fn read(path: &Path) -> Result<String> {
+    std::fs::read_to_string(path).map_err(|e| unusable(&e))
+}
+
+fn unusable(error: &std::io::Error) -> Error {
+    Error::Exhausted(format!("the directory for temporary files cannot be used: {error}"))
+}

@@ -1,0 +1,348 @@
+//! A session of this process: its environments are here, or away while somebody works on them.
+//!
+//! ```text
+//!  take ──▶ Loan ──┬── run ──▶ pool ──▶ back, with an answer
+//!                  ├── answer ──▶ back, with this answer
+//!                  └── dropped ──▶ back as it was; in a panic: lost
+//! ```
+//!
+//! Whoever waits for an answer can leave, and take it later: it is kept until something else is asked.
+
+use super::roll::{self, Rolled};
+use super::{MOST_ENVIRONMENTS, MOST_MEMORY};
+use crate::env::registry::Blueprint;
+use crate::error::{Error, Result};
+use crate::pool::{Batch, Building, Operation, Pool, Roll};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+/// Environments are made for so long at a time; then whoever waits for them may have left.
+const BUILDING: Duration = Duration::from_millis(10);
+
+/// What was asked last came to this.
+pub enum Answer {
+    /// A reset, step or restore: the rows lie in the shards.
+    Rows,
+    Rolled(Rolled),
+    /// The request changed nothing.
+    Refused(Error),
+}
+
+enum Place {
+    Here(Batch),
+    Away,
+    Lost(Error),
+    Closed,
+}
+
+struct Slot {
+    place: Place,
+    answer: Option<Answer>,
+}
+
+struct Shared {
+    slot: Mutex<Slot>,
+    back: Condvar,
+    /// Nobody waits for a rollout any more.
+    stop: AtomicBool,
+}
+
+/// The environments of one session. Threads may share it: one has them at a time.
+#[derive(Clone)]
+pub struct Environments {
+    shared: Arc<Shared>,
+}
+
+/// The environments, lent to whoever works on them.
+pub struct Loan {
+    /// None once they were passed on.
+    batch: Option<Batch>,
+    shared: Arc<Shared>,
+}
+
+fn closed() -> Error {
+    Error::OutOfOrder("this environment is closed".into())
+}
+
+impl Shared {
+    /// Sound even if a holder panicked: what is changed together is changed without a call between.
+    fn lock(&self) -> MutexGuard<'_, Slot> {
+        self.slot.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn put(&self, place: Place, answer: Option<Answer>) {
+        let mut slot = self.lock();
+        let unwanted = if matches!(slot.place, Place::Closed) {
+            Some(place)
+        } else {
+            (slot.place, slot.answer) = (place, answer);
+            None
+        };
+        drop(slot);
+        self.back.notify_all();
+        drop(unwanted); // many environments take a while
+    }
+}
+
+impl Environments {
+    /// `envs` environments of `blueprint`, which wait for their first reset; `stopped` ends the work.
+    pub fn new(blueprint: &Blueprint, envs: usize, stopped: impl Fn() -> bool) -> Result<Self> {
+        if !(1..=MOST_ENVIRONMENTS).contains(&envs) {
+            let range = format!("{envs} is outside [1, {MOST_ENVIRONMENTS}]");
+            return Err(match envs {
+                0 => Error::invalid("num_envs", range),
+                _ => Error::Exhausted(format!("num_envs: {range}")),
+            });
+        }
+        let bytes = envs * blueprint.bytes_per_env();
+        if bytes > MOST_MEMORY {
+            let [needed, most] = [bytes, MOST_MEMORY].map(|bytes| bytes >> 20);
+            return Err(Error::Exhausted(format!("num_envs: needs about {needed} MiB, more than {most} MiB")));
+        }
+        let mut building = Building::new(blueprint, envs)?;
+        while building.missing() > 0 {
+            if stopped() {
+                return Err(Error::Cancelled("nobody waits for the environments any more".into()));
+            }
+            building.go_on(BUILDING)?;
+        }
+        let slot = Mutex::new(Slot { place: Place::Here(building.finish()?), answer: None });
+        Ok(Self { shared: Arc::new(Shared { slot, back: Condvar::new(), stop: AtomicBool::new(false) }) })
+    }
+
+    /// The environments, if they are back within `time`; None: they are still away.
+    pub fn take(&self, time: Duration) -> Option<Result<Loan>> {
+        let away = |slot: &mut Slot| matches!(slot.place, Place::Away);
+        let mut slot = self.shared.lock();
+        if away(&mut slot) && !time.is_zero() {
+            let waited = self.shared.back.wait_timeout_while(slot, time, away);
+            slot = waited.unwrap_or_else(PoisonError::into_inner).0;
+        }
+        match std::mem::replace(&mut slot.place, Place::Away) {
+            Place::Here(batch) => Some(Ok(Loan { batch: Some(batch), shared: self.shared.clone() })),
+            Place::Away => None,
+            other => {
+                let error = if let Place::Lost(error) = &other { error.clone() } else { closed() };
+                slot.place = other;
+                Some(Err(error))
+            }
+        }
+    }
+
+    /// Is there an answer to come, or one that may be taken (again)?
+    pub fn owes(&self) -> bool {
+        let slot = self.shared.lock();
+        slot.answer.is_some() || matches!(slot.place, Place::Away)
+    }
+
+    /// A rollout that is being made ends soon, and is refused.
+    pub fn stop(&self) {
+        self.shared.stop.store(true, Ordering::Relaxed);
+    }
+
+    /// Frees the environments, or has them freed by whoever works on them.
+    pub fn close(&self) {
+        self.stop();
+        let mut slot = self.shared.lock();
+        let place = std::mem::replace(&mut slot.place, Place::Closed);
+        drop(slot);
+        self.shared.back.notify_all();
+        drop(place);
+    }
+}
+
+impl Loan {
+    /// # Panics
+    /// Never: what passes the environments on consumes the loan.
+    pub fn batch(&mut self) -> &mut Batch {
+        self.batch.as_mut().expect("a loan has its environments until it ends")
+    }
+
+    /// What was asked last came to.
+    pub fn answer(&self) -> Option<Answer> {
+        self.shared.lock().answer.take()
+    }
+
+    /// Ends the loan, with this answer to be taken.
+    pub fn end(mut self, answer: Option<Answer>) {
+        if let Some(batch) = self.batch.take() {
+            self.shared.put(Place::Here(batch), answer);
+        }
+    }
+
+    /// Ends the loan: the environments are lost.
+    fn lose(mut self, error: Error) {
+        self.batch = None;
+        self.shared.put(Place::Lost(error), None);
+    }
+
+    /// Carries out what `check` makes of the environments; a refusal is the answer.
+    pub fn run(mut self, pool: &Pool, check: impl FnOnce(&mut Batch) -> Result<Operation>) {
+        match check(self.batch()) {
+            Err(error) => self.end(Some(Answer::Refused(error))),
+            Ok(operation) => {
+                let Some(batch) = self.batch.take() else { return };
+                // Dropped uncalled if the pool ends before: then nobody is left who would wait.
+                pool.run(batch, operation, move |batch| self.back(batch));
+            }
+        }
+    }
+
+    /// [`Loan::run`] on this thread where one thread would do it anyway: without waking another and being woken.
+    pub fn run_here(mut self, pool: &Pool, check: impl FnOnce(&mut Batch) -> Result<Operation>) {
+        if self.batch().shards().len() > 1 {
+            return self.run(pool, check);
+        }
+        match check(self.batch()) {
+            Err(error) => self.end(Some(Answer::Refused(error))),
+            Ok(operation) => {
+                let Some(batch) = self.batch.take() else { return };
+                let done = Pool::here(batch, &operation);
+                self.back(done);
+            }
+        }
+    }
+
+    fn back(mut self, batch: Result<Batch>) {
+        match batch {
+            Ok(batch) => {
+                self.batch = Some(batch);
+                self.end(Some(Answer::Rows));
+            }
+            Err(error) => self.lose(error),
+        }
+    }
+
+    /// Makes a rollout and puts the environments back; takes as long as that takes.
+    pub fn roll(mut self, pool: &Pool, record: bool, check: impl FnOnce(&Batch) -> Result<Roll>) {
+        self.shared.stop.store(false, Ordering::Relaxed);
+        let batch = self.batch();
+        let plan = check(batch).and_then(|roll| Ok((roll, batch.keep()?)));
+        let (roll, back) = match plan {
+            Ok(plan) => plan,
+            Err(error) => return self.end(Some(Answer::Refused(error))),
+        };
+        let Some(batch) = self.batch.take() else { return };
+        let shared = self.shared.clone();
+        match roll::run(pool, batch, &roll, back, record, || shared.stop.load(Ordering::Relaxed)) {
+            Ok((batch, rolled)) => {
+                self.batch = Some(batch);
+                self.end(Some(rolled.map_or_else(Answer::Refused, Answer::Rolled)));
+            }
+            Err(error) => self.lose(error),
+        }
+    }
+}
+
+impl Drop for Loan {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.batch = None;
+            let lost = Error::Internal("the environments of this session were lost".into());
+            return self.shared.put(Place::Lost(lost), None);
+        }
+        if let Some(batch) = self.batch.take() {
+            let mut slot = self.shared.lock();
+            let answer = slot.answer.take();
+            drop(slot);
+            self.shared.put(Place::Here(batch), answer);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::env::ResetOptions;
+    use serde_json::Value;
+    use std::panic::{AssertUnwindSafe, catch_unwind};
+
+    fn made(envs: usize) -> Environments {
+        let blueprint = Blueprint::new("sandgait/HexapodGait-v1", Value::Null).unwrap();
+        Environments::new(&blueprint, envs, || false).unwrap()
+    }
+
+    fn lent(environments: &Environments) -> Loan {
+        environments.take(Duration::from_secs(60)).unwrap().unwrap()
+    }
+
+    fn reset(batch: &mut Batch) -> Result<Operation> {
+        batch.reset(None, Some((0..batch.envs() as u64).collect()), ResetOptions::default())
+    }
+
+    fn rows(environments: &Environments) -> Vec<f32> {
+        let mut loan = lent(environments);
+        assert!(matches!(loan.answer(), Some(Answer::Rows)));
+        loan.batch().shards().iter().flat_map(|s| s.rows.observations.clone()).collect()
+    }
+
+    /// Steps on the caller's thread and on the pool's have the same bits; a refusal changes nothing.
+    #[test]
+    fn here_and_in_the_pool() {
+        let pool = Pool::new(2);
+        for envs in [1, 33] {
+            let both = [made(envs), made(envs)];
+            for environments in &both {
+                lent(environments).run(&pool, reset);
+            }
+            assert_eq!(rows(&both[0]), rows(&both[1]));
+            for k in 0..20 {
+                let actions = |batch: &Batch| vec![(0.3 * k as f32).sin(); 6 * batch.envs()];
+                lent(&both[0]).run(&pool, |b| b.step(vec![7.0; 6 * b.envs()]));
+                assert!(matches!(lent(&both[0]).answer(), Some(Answer::Refused(Error::Invalid { .. }))));
+                lent(&both[0]).run(&pool, |b| b.step(actions(b)));
+                lent(&both[1]).run_here(&pool, |b| b.step(actions(b)));
+                assert_eq!(rows(&both[0]), rows(&both[1]), "step {k} of {envs}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_panic_loses_these_environments_only() {
+        let (pool, environments, others) = (Pool::new(1), made(1), made(1));
+        let panics = || lent(&environments).run(&pool, |_| panic!("on purpose"));
+        assert!(catch_unwind(AssertUnwindSafe(panics)).is_err());
+        let error = environments.take(Duration::ZERO).unwrap().err().unwrap();
+        assert!(error.to_string().contains("please report this as a bug"), "{error}");
+        lent(&others).run(&pool, reset);
+        rows(&others);
+    }
+
+    #[test]
+    fn a_rollout_can_be_stopped_and_changes_nothing() {
+        let (pool, environments) = (Pool::new(2), made(20));
+        lent(&environments).run(&pool, reset);
+        let before = rows(&environments);
+        let actions = |steps: usize| vec![0.5; 20 * 6 * steps];
+        let sums = |answer| match answer {
+            Some(Answer::Rolled(rolled)) => rolled,
+            _ => panic!("no rollout"),
+        };
+        lent(&environments).roll(&pool, true, |b| b.roll(actions(30), true));
+        let rolled = sums(lent(&environments).answer());
+        assert_eq!((rolled.rewards.len(), rolled.returns.len()), (600, 20));
+        let (other, loan) = (environments.clone(), lent(&environments));
+        let roller = std::thread::spawn(move || loan.roll(&Pool::new(1), false, |b| b.roll(actions(1_000_000), false)));
+        assert!(other.take(Duration::from_millis(50)).is_none(), "it is away");
+        while other.take(Duration::from_millis(1)).is_none() {
+            other.stop();
+        }
+        roller.join().unwrap();
+        assert!(matches!(lent(&other).answer(), Some(Answer::Refused(Error::Cancelled(_)))));
+        let held = |b: &mut Batch| b.step_but(vec![0.0; 120], vec![true; 20]);
+        lent(&environments).run(&pool, held);
+        assert_eq!(rows(&environments), before);
+    }
+
+    #[test]
+    fn closed_while_they_are_away() {
+        let (pool, environments) = (Pool::new(1), made(1));
+        let mut loan = lent(&environments);
+        let operation = reset(loan.batch()).unwrap();
+        environments.close();
+        loan.run(&pool, |_| Ok(operation));
+        let error = environments.take(Duration::from_secs(60)).unwrap().err().unwrap();
+        assert_eq!(error.to_string(), "this environment is closed");
+    }
+}

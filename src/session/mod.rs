@@ -1,0 +1,17 @@
+//! What a session does with its environments, whoever asks: a client over the network, or the process that they live in.
+//!
+//! * [`view`]: pictures, and moments as recordings hold them.
+//! * [`roll`]: rollouts, some steps at a time.
+//! * [`environments`]: a session of this process, without messages or a network.
+
+pub mod environments;
+pub mod roll;
+pub mod view;
+
+pub use environments::{Answer, Environments, Loan};
+
+/// Most environments of one session: our choice, room for any training.
+pub const MOST_ENVIRONMENTS: usize = 65_536;
+
+/// Most memory of sessions [bytes]: our choice, half of a 16 GiB machine.
+pub const MOST_MEMORY: usize = 8 << 30;

@@ -1,0 +1,106 @@
+//! Rollouts, some steps at a time: between them whoever waits can leave, and other sessions have their turns.
+
+use super::MOST_MEMORY;
+use crate::env::rollout::{Recorded, Rollout};
+use crate::error::{Error, Result};
+use crate::pool::{Batch, Operation, Pool, Roll};
+use std::time::{Duration, Instant};
+
+/// Time between two looks at whether somebody still waits, and the work of one part of trajectories: our choice, long
+/// against what a part costs beside its bytes, short to whoever waits for an end. Other sessions need not wait for it: the
+/// pool gives them their turns in between.
+const TURN: Duration = Duration::from_millis(30);
+
+/// A turn has at most this many times the steps of the one before: the first one, of one step, may have been lucky.
+const GROWTH: usize = 4;
+
+/// Steps of the next turn, if the last one's `steps` took `time`.
+pub fn pace(steps: usize, time: Duration) -> usize {
+    let fitting = steps as f64 * TURN.as_secs_f64() / time.as_secs_f64().max(1e-6);
+    (fitting as usize).clamp(1, GROWTH * steps)
+}
+
+/// What a rollout gave; one row an environment.
+#[derive(Default)]
+pub struct Rolled {
+    pub returns: Vec<f64>,
+    pub lengths: Vec<u32>,
+    pub terminated: Vec<u8>,
+    pub truncated: Vec<u8>,
+    /// f32 [steps, envs, observation], empty unless recorded.
+    pub observations: Vec<f32>,
+    /// f32 [steps, envs], likewise.
+    pub rewards: Vec<f32>,
+    /// f32 [steps, envs, action], likewise: what a network chose.
+    pub actions: Vec<f32>,
+}
+
+/// Makes all steps of `roll` and puts the environments back by `back`. `stopped` ends it between two turns.
+///
+/// # Errors
+/// The outer one: the environments are lost. The inner one: they are as they were.
+pub fn run(
+    pool: &Pool,
+    mut batch: Batch,
+    roll: &Roll,
+    back: Operation,
+    record: bool,
+    stopped: impl Fn() -> bool,
+) -> Result<(Batch, Result<Rolled>)> {
+    let mut rolled = check_size(&batch, roll, record).map(|()| Rolled::default());
+    let (mut last, mut count) = (roll.clone(), 1);
+    while let (Some(steps), Ok(rows)) = (last.next(count), &mut rolled) {
+        last = steps.clone();
+        let turn = Instant::now();
+        batch = pool.wait(batch, Operation::Roll(steps))?;
+        if let Some(error) = batch.shards().iter().find_map(|s| s.rollout.failed.clone()) {
+            rolled = Err(error);
+        } else if stopped() {
+            rolled = Err(Error::Cancelled("the rollout was stopped".into()));
+        } else {
+            rows.add(&batch, roll.chooses());
+            count = pace(count, turn.elapsed());
+        }
+    }
+    if let Ok(rows) = &mut rolled {
+        rows.end(&batch);
+    }
+    Ok((pool.wait(batch, back)?, rolled))
+}
+
+fn check_size(batch: &Batch, roll: &Roll, record: bool) -> Result<()> {
+    let numbers = batch.spec().observation.len() + batch.spec().action.len() + 1;
+    let bytes = (4 * numbers * batch.envs()).saturating_mul(if record { roll.total() } else { 0 });
+    match bytes > MOST_MEMORY {
+        true => Err(Error::Exhausted(format!("trajectories: they need {} MiB", bytes >> 20))),
+        false => Ok(()),
+    }
+}
+
+impl Rolled {
+    /// The steps that were just made, where they were recorded.
+    fn add(&mut self, batch: &Batch, chosen: bool) {
+        let shards = batch.shards();
+        let steps = shards.first().map_or(0, |s| s.rollout.steps.len());
+        for step in 0..steps {
+            let column = |into: &mut Vec<f32>, of: fn(&Recorded) -> &[f32]| {
+                shards.iter().for_each(|s| into.extend_from_slice(of(&s.rollout.steps[step])));
+            };
+            column(&mut self.observations, |r| &r.observations);
+            column(&mut self.rewards, |r| &r.rewards);
+            if chosen {
+                column(&mut self.actions, |r| &r.actions);
+            }
+        }
+    }
+
+    /// What is known at the end.
+    fn end(&mut self, batch: &Batch) {
+        let rollouts = || batch.shards().iter().map(|s| &s.rollout);
+        let flags = |of: fn(&Rollout) -> &[u8]| rollouts().flat_map(of).copied().collect();
+        self.returns = rollouts().flat_map(|r| &r.returns).copied().collect();
+        self.lengths = rollouts().flat_map(|r| &r.lengths).copied().collect();
+        self.terminated = flags(|r| &r.terminated);
+        self.truncated = flags(|r| &r.truncated);
+    }
+}

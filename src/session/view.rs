@@ -1,0 +1,68 @@
+//! Those who only look: pictures, and moments as recordings hold them.
+
+use crate::env::{Look, Spec};
+use crate::error::{Error, Result};
+use crate::pool::Batch;
+use crate::sim::Model;
+use crate::view::{self, About, Moment};
+
+/// Most pixels of one request, all its pictures together: our choice of guard, 100 MB.
+pub const MOST_PIXELS: u64 = 1 << 25;
+
+/// Of `count` pictures of `size`, width and height.
+pub fn pixels(count: usize, size: [u32; 2]) -> u64 {
+    (count as u64).saturating_mul(u64::from(size[0]) * u64::from(size[1]))
+}
+
+/// Pictures of environments, u8 [indices, height, width, 3]. `ended`: see [`Batch::look`].
+pub fn render(batch: &Batch, indices: &[u32], size: [u32; 2], ended: bool) -> Result<Vec<u8>> {
+    let pixels = pixels(indices.len(), size);
+    if pixels > MOST_PIXELS {
+        let [width, height] = size;
+        let reason = format!("{} pictures of {width} × {height} have more than {MOST_PIXELS} pixels", indices.len());
+        return Err(Error::invalid("indices", reason));
+    }
+    let mut all = Vec::with_capacity(3 * pixels as usize);
+    for index in indices {
+        let look = batch.look(*index as usize, ended)?;
+        all.extend(view::draw(look.model, look.state, look.footing, size, &captions(&look))?);
+    }
+    Ok(all)
+}
+
+/// What is written into a picture.
+fn captions(look: &Look) -> Vec<String> {
+    let figure = |name: &str| look.spec.info.iter().position(|c| c.name == name).map(|k| look.info[k]);
+    let speed = figure("speed").unwrap_or(0.0);
+    let mut first = format!("{:6.2} s   {speed:6.3} m/s (commanded {:.3})", look.time, look.goal.speed);
+    if look.model.scene.slope_deg != 0.0 {
+        first += &format!("   slope {}°", look.model.scene.slope_deg);
+    }
+    vec![first.replace('-', "−")]
+}
+
+/// One environment's moment: the header of its recording's section, and its numbers, f32 little-endian.
+pub fn observe(batch: &Batch, index: usize, ended: bool) -> Result<(String, Vec<u8>)> {
+    let look = batch.look(index, ended)?;
+    let row = row(&look).iter().flat_map(|x| x.to_le_bytes()).collect();
+    Ok((header(look.spec, look.model, look.episode), row))
+}
+
+/// The header of the recording's section that moments of this episode belong to.
+pub fn header(spec: &Spec, model: &Model, episode: (u64, u64)) -> String {
+    let about = About {
+        task: spec.id,
+        rate: spec.control_rate,
+        episode: Some(episode),
+        info: spec.info.iter().map(|c| (c.name.as_str(), c.unit)).collect(),
+        reward_terms: spec.reward.len(),
+        actions: spec.action.len(),
+    };
+    view::header(model, &about)
+}
+
+/// The moment's numbers.
+fn row(look: &Look) -> Vec<f32> {
+    let Look { model, state, footing, time, action, reward, info, .. } = look;
+    view::row(model, &Moment { time: *time, state, footing, action, reward: *reward, info })
+}
