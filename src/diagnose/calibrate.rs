@@ -1,11 +1,13 @@
 //! Gates of the diagnosis, calibrated for each data set on data simulated without any hidden cause.
 //!
-//! A simulated null has the data's own design, the plain model with coefficients drawn from their prior, and the noise
-//! learnt from the repetitions; its noise is then estimated anew, so the gates know that the noise is not known.
+//! A simulated null has the data's own design, the plain model with coefficients and nuisances drawn from their prior, and the
+//! noise learnt from the repetitions. It is judged under another noise, as likely by the repetitions: so the gates know that the
+//! noise is not known. What that does to χ² is written as degrees of freedom, one number for each cause, and the gates have the
+//! tails of F and not of χ².
 
 use super::fit::slope;
-use super::fit::{COEFFICIENTS, Column, Study, dot};
-use super::lack_of_fit;
+use super::fit::{Column, Study, dot};
+use super::lack_of_fit::{self, Lack};
 use super::noise::{Noise, Source, sizes};
 use super::observations::Observations;
 use super::whiten::Whitener;
@@ -16,8 +18,12 @@ use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-/// Chance of each gate to open on data with nothing hidden. Two gates make 0.6 %, below the target of 1 %.
-const FALSE_ALARM: f64 = 0.003;
+/// Chance of each gate to open on data with nothing hidden. Three gates make 0.6 %, below the target of 1 %.
+const FALSE_ALARM: f64 = 0.002;
+/// Normal quantile of it.
+const NORMAL: f64 = 2.88;
+/// Quantile of it for the greatest of many (Gumbel's distribution), in standard deviations above the mean.
+const GREATEST: f64 = 4.39;
 /// Simulated nulls: their mean and spread are then known to some 10 %. Our choice, for the time it takes.
 const NULLS: usize = 80;
 
@@ -33,7 +39,7 @@ pub struct Screen {
     /// Catalogue index and the value at which the column was taken.
     pub candidates: Vec<(usize, f64)>,
     columns: Vec<Vec<f64>>,
-    pub coefficient_columns: Vec<Column>,
+    pub marginal_columns: Vec<Column>,
     plain: Vec<f64>,
 }
 
@@ -45,14 +51,33 @@ pub struct Scores {
     white: Vec<f64>,
 }
 
+#[derive(Clone, Debug)]
 pub struct Gates {
     /// Δχ² that the best single cause must exceed.
     pub single: f64,
-    /// Mean square of the smooth whitened residual above which the fit is lacking.
+    /// [`Lack::mean`] and [`Lack::worst`] above which the fit is lacking.
     pub lack_of_fit: f64,
-    /// How much larger χ² differences are than for known noise.
+    pub worst: f64,
+    /// How much larger χ² differences are than the degrees of freedom alone make them.
     pub inflation: f64,
+    /// Catalogue index and the degrees of freedom with which the noise along its effect is known.
+    pub degrees: Vec<(usize, f64)>,
 }
+
+impl Gates {
+    pub fn lacking(&self, lack: &Lack) -> bool {
+        lack.mean > self.lack_of_fit || lack.worst > self.worst
+    }
+
+    /// Degrees of freedom of a set of causes: of the one known least; of none, of any.
+    pub fn degrees_of(&self, ids: &[usize]) -> f64 {
+        let own = self.degrees.iter().filter(|d| ids.is_empty() || ids.contains(&d.0));
+        own.map(|d| d.1).fold(MOST_DEGREES, f64::min)
+    }
+}
+
+/// Degrees of freedom beyond which the tails are those of χ²: our choice, the difference is below 1 %.
+const MOST_DEGREES: f64 = 10_000.0;
 
 impl Screen {
     /// Columns about the state of `fit`, for the candidates not in it.
@@ -67,19 +92,20 @@ impl Screen {
             slope(&moved, &plain, CATALOG[id].coordinate(value) / CATALOG[id].coordinate_typical())
         };
         let columns = tried.iter().zip(moved).map(column).collect();
-        Self { candidates: tried, columns, coefficient_columns: study.coefficient_slopes(), plain }
+        Self { candidates: tried, columns, marginal_columns: study.marginal_slopes(), plain }
     }
 
     /// Scores of a stack of measured values.
     pub fn scores(&self, whitener: &Whitener, values: &[f64]) -> Scores {
         let residual: Vec<f64> = values.iter().zip(&self.plain).map(|(y, m)| y - m).collect();
         let white = whitener.apply(&residual);
-        let c: Vec<_> = self.coefficient_columns.iter().map(|c| whitener.apply(c)).collect();
+        let c: Vec<_> = self.marginal_columns.iter().map(|c| whitener.apply(c)).collect();
         let z: Vec<_> = self.columns.iter().map(|c| whitener.apply(c)).collect();
-        let prior = products(&c) + DMatrix::identity(COEFFICIENTS, COEFFICIENTS);
-        let inverse = prior.try_inverse().unwrap_or_else(|| DMatrix::identity(COEFFICIENTS, COEFFICIENTS));
-        let cz = DMatrix::from_fn(COEFFICIENTS, z.len(), |i, j| dot(&c[i], &z[j]));
-        let cr = DVector::from_fn(COEFFICIENTS, |i, _| dot(&c[i], &white));
+        let count = c.len();
+        let prior = products(&c) + DMatrix::identity(count, count);
+        let inverse = prior.try_inverse().unwrap_or_else(|| DMatrix::identity(count, count));
+        let cz = DMatrix::from_fn(count, z.len(), |i, j| dot(&c[i], &z[j]));
+        let cr = DVector::from_fn(count, |i, _| dot(&c[i], &white));
         let gram = products(&z) - cz.transpose() * &inverse * &cz;
         let score = DVector::from_fn(z.len(), |i, _| dot(&z[i], &white)) - cz.transpose() * &inverse * &cr;
         let adjusted = inverse * cr;
@@ -97,8 +123,13 @@ impl Screen {
 
     /// Largest Δχ² of any single cause.
     fn best_single(&self, gram: &DMatrix<f64>, score: &DVector<f64>) -> f64 {
+        self.best_of(gram, score, |_| 1.0)
+    }
+
+    /// The same with each cause's Δχ² times a factor.
+    fn best_of(&self, gram: &DMatrix<f64>, score: &DVector<f64>, factor: impl Fn(usize) -> f64) -> f64 {
         let felt = (0..score.len()).filter(|&k| gram[(k, k)] > FELT && self.allowed(k, score[k]));
-        felt.map(|k| score[k] * score[k] / gram[(k, k)]).fold(0.0, f64::max)
+        felt.map(|k| factor(k) * score[k] * score[k] / gram[(k, k)]).fold(0.0, f64::max)
     }
 
     /// Every pair of different causes with its Δχ², best first, as pairs of columns.
@@ -123,21 +154,23 @@ impl Screen {
     }
 
     /// What a second term gains by chance when the cause is column `truth` alone with strength `value`.
-    pub fn second_gate(&self, gram: &DMatrix<f64>, truth: usize, value: f64, inflation: f64) -> f64 {
+    pub fn second_gate(&self, gram: &DMatrix<f64>, truth: usize, value: f64, gates: &Gates) -> f64 {
         let Some(root) = square_root(gram) else {
             return f64::INFINITY;
         };
         let entry = &CATALOG[self.candidates[truth].0];
         let mean = gram.column(truth) * (entry.coordinate(value) / entry.coordinate_typical());
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(2);
+        let degrees = gates.degrees_of(&[]);
         let draws: Vec<f64> = (0..1500)
             .map(|_| {
                 let score = &mean + &root * DVector::from_fn(mean.len(), |_, _| StandardNormal.sample(&mut rng));
                 let pair = self.pairs(gram, &score).first().map_or(0.0, |p| p.0);
-                (pair - self.best_single(gram, &score)).max(0.0)
+                let z: f64 = StandardNormal.sample(&mut rng);
+                (pair - self.best_single(gram, &score)).max(0.0) / chi_squared_over(degrees, z)
             })
             .collect();
-        inflation * quantile(draws, 1.0 - FALSE_ALARM)
+        gates.inflation * quantile(draws, 1.0 - FALSE_ALARM)
     }
 }
 
@@ -183,53 +216,102 @@ fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
     values[((values.len() as f64 * share) as usize).min(values.len() - 1)]
 }
 
+/// One simulated null.
+struct Null {
+    /// Largest single Δχ².
+    best: f64,
+    lack: Lack,
+    /// Information of each column under the noise drawn over that under the noise known.
+    information: Vec<f64>,
+}
+
 /// Gates for this data set.
 pub fn gates(study: &Study, source: &Source, screen: &Screen, noise: &Noise, scores: &Scores) -> Gates {
-    let seeds: Vec<u64> = (0..NULLS as u64).collect();
     let stopped = || study.model.stopped();
-    let of = |&seed: &u64| if stopped() { (0.0, 0.0) } else { null(source, screen, noise, seed, &stopped) };
-    let columns = 2 * (screen.candidates.len() + COEFFICIENTS);
+    let draws = source.draws(noise, NULLS, &stopped);
+    let seeds: Vec<usize> = (0..NULLS).collect();
+    let of = |&seed: &usize| null(source, screen, [noise, &draws[seed]], &scores.gram, seed, &stopped);
+    let columns = 2 * (screen.candidates.len() + screen.marginal_columns.len());
     let together = (NUMBERS_AT_ONCE / (columns * source.observations.values.len()).max(1)).max(1);
-    let nulls: Vec<_> = seeds.chunks(together).flat_map(|part| parallel::map(part, of)).collect();
-    let ideal = ideal(screen, &scores.gram);
-    let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len().max(1) as f64;
-    let best: Vec<f64> = nulls.iter().map(|n| n.0).collect();
-    // The nulls may only widen the gate: they are few, and by chance their mean can fall below the known one.
-    let inflation = (mean(&best) / mean(&ideal).max(1e-9)).max(1.0);
-    let lacks: Vec<f64> = nulls.iter().map(|n| n.1).collect();
-    let center = mean(&lacks);
-    let spread = (mean(&lacks.iter().map(|l| (l - center).powi(2)).collect::<Vec<_>>()) * 1.0125).sqrt();
+    let nulls: Vec<Null> = seeds.chunks(together).flat_map(|part| parallel::map(part, of)).collect();
+    let degrees: Vec<f64> = (0..screen.candidates.len()).map(|k| degrees(&nulls, k)).collect();
+    let ideal = ideal(screen, &scores.gram, &degrees);
+    let of = |f: fn(&Null) -> f64| spread(&nulls.iter().map(f).collect::<Vec<_>>());
+    let (mean, worst) = (of(|n| n.lack.mean), of(|n| n.lack.worst));
     Gates {
-        single: inflation * quantile(ideal, 1.0 - FALSE_ALARM),
-        // 2.75 is the normal quantile of FALSE_ALARM; a tenth more for the skewness of a sum of squares.
-        lack_of_fit: center + 1.1 * 2.75 * spread,
-        inflation,
+        // The nulls may only widen the gate: they are few, and by chance their mean can fall below the known one.
+        inflation: (of(|n| n.best).0 / spread(&ideal).0.max(1e-9)).max(1.0),
+        single: (of(|n| n.best).0 / spread(&ideal).0.max(1e-9)).max(1.0) * quantile(ideal, 1.0 - FALSE_ALARM),
+        // A tenth more for the skewness of a sum of squares.
+        lack_of_fit: mean.0 + 1.1 * NORMAL * mean.1,
+        worst: worst.0 + GREATEST * worst.1,
+        degrees: screen.candidates.iter().map(|c| c.0).zip(degrees).collect(),
     }
 }
 
-/// Largest single Δχ² under known noise: Gaussian scores with the Gram matrix as covariance.
-fn ideal(screen: &Screen, gram: &DMatrix<f64>) -> Vec<f64> {
+/// Mean and standard deviation.
+fn spread(values: &[f64]) -> (f64, f64) {
+    let count = values.len().max(1) as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    let square = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (count - 1.0).max(1.0);
+    (mean, square.sqrt())
+}
+
+/// ν of column `k`: the logarithm of an estimated variance has variance 2/ν.
+fn degrees(nulls: &[Null], k: usize) -> f64 {
+    let logs: Vec<f64> = nulls.iter().map(|n| n.information[k]).filter(|i| *i > 0.0).map(f64::ln).collect();
+    let sd = spread(&logs).1;
+    if logs.len() < 2 { MOST_DEGREES } else { (2.0 / (sd * sd).max(1e-12)).clamp(2.0, MOST_DEGREES) }
+}
+
+/// χ² with `degrees` over them, at the normal deviate `z` (Wilson & Hilferty 1931).
+pub fn chi_squared_over(degrees: f64, z: f64) -> f64 {
+    let share = 2.0 / (9.0 * degrees);
+    (1.0 - share + z * share.sqrt()).max(0.05).powi(3)
+}
+
+/// Largest single Δχ²: Gaussian scores with the Gram matrix as covariance, over a variance that is known with so many
+/// degrees of freedom.
+fn ideal(screen: &Screen, gram: &DMatrix<f64>, degrees: &[f64]) -> Vec<f64> {
     let Some(root) = square_root(gram) else {
         return vec![f64::INFINITY];
     };
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(1);
-    let mut draw =
-        || screen.best_single(gram, &(&root * DVector::from_fn(gram.nrows(), |_, _| StandardNormal.sample(&mut rng))));
+    let mut draw = || {
+        let score = &root * DVector::from_fn(gram.nrows(), |_, _| StandardNormal.sample(&mut rng));
+        let z: f64 = StandardNormal.sample(&mut rng);
+        screen.best_of(gram, &score, |k| 1.0 / chi_squared_over(degrees[k], z))
+    };
     (0..20_000).map(|_| draw()).collect()
 }
 
-/// One simulated null: (largest single Δχ², lack of fit).
-fn null(source: &Source, screen: &Screen, noise: &Noise, seed: u64, stopped: &dyn Fn() -> bool) -> (f64, f64) {
-    let mut rng = Xoshiro256PlusPlus::seed_from_u64(0x5eed ^ seed);
+/// One simulated null, made with the noise `known` and judged under the noise `drawn`.
+fn null(
+    source: &Source,
+    screen: &Screen,
+    [known, drawn]: [&Noise; 2],
+    gram: &DMatrix<f64>,
+    seed: usize,
+    stopped: &(dyn Fn() -> bool + Sync),
+) -> Null {
+    let lack = Lack { mean: 1.0, worst: 0.0, excess: 0.0, count: 0.0 };
+    if stopped() {
+        return Null { best: 0.0, lack, information: vec![0.0; screen.candidates.len()] };
+    }
+    let mut rng = Xoshiro256PlusPlus::seed_from_u64(0x5eed ^ seed as u64);
     let mut values = screen.plain.clone();
-    for column in &screen.coefficient_columns {
+    for column in &screen.marginal_columns {
         let share: f64 = StandardNormal.sample(&mut rng);
         values.iter_mut().zip(column.iter()).for_each(|(v, c)| *v += share * c);
     }
-    noise.add(source, &mut values, &mut rng);
+    known.add(source, &mut values, &mut rng);
     let simulated = Observations { values, ..source.observations.clone() };
     let source = Source { observations: &simulated, sizes: &sizes(&simulated), ..*source };
-    let whitener = Whitener::new(&source, &source.noise(Some(noise), stopped));
-    let scores = screen.scores(&whitener, &simulated.values);
-    (screen.best_single(&scores.gram, &scores.score), lack_of_fit::statistic(&simulated, &scores.white))
+    let scores = screen.scores(&Whitener::new(&source, drawn), &simulated.values);
+    let information = (0..gram.nrows()).map(|k| if gram[(k, k)] > FELT { scores.gram[(k, k)] / gram[(k, k)] } else { 0.0 });
+    Null {
+        best: screen.best_single(&scores.gram, &scores.score),
+        lack: lack_of_fit::statistic(&simulated, &scores.white),
+        information: information.collect(),
+    }
 }

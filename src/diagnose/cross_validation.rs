@@ -46,7 +46,7 @@ pub fn leave_condition_out(study: &Study, fit: &Fit) -> HeldOut {
             b -= DVector::from_fn(n, |i, _| dot(own[i], &fit.white[span.clone()]));
         }
         // A value that only this condition shows is not known without it: it stays where the full fit has it.
-        for k in 0..n - COEFFICIENTS {
+        for k in 0..fit.ids.len() {
             if a[(k, k)] <= 1e-6 * information[(k, k)] {
                 a[(k, k)] = f64::INFINITY;
             }
@@ -65,6 +65,8 @@ pub fn leave_condition_out(study: &Study, fit: &Fit) -> HeldOut {
 /// Errors when the parameters are moved by `step(condition)` before a condition is predicted.
 fn errors(study: &Study, fit: &Fit, step: impl Fn(usize) -> Vec<f64>) -> HeldOut {
     let observations = study.observations;
+    // Nuisances are no part of what the sand is predicted to do.
+    let sand = fit.ids.len() + COEFFICIENTS;
     let (mut square, mut count, mut deviance) = (Vec::new(), Vec::new(), 0.0);
     for (condition, group) in observations.repetitions().iter().enumerate() {
         let step = step(condition);
@@ -77,7 +79,7 @@ fn errors(study: &Study, fit: &Fit, step: impl Fn(usize) -> Vec<f64>) -> HeldOut
             }
             for (c, _) in observations.channels.iter().enumerate().filter(|c| c.1.in_rmse) {
                 for k in unit.block(c) {
-                    let moved: f64 = fit.slopes.iter().zip(&step).map(|(s, d)| s[k] * d).sum();
+                    let moved: f64 = fit.slopes.iter().zip(&step[..step.len().min(sand)]).map(|(s, d)| s[k] * d).sum();
                     sum += (observations.values[k] - fit.prediction[k] - moved).powi(2);
                     samples += 1.0;
                 }

@@ -1,5 +1,6 @@
 //! EXPERIMENT.toml: what the data file alone does not say.
 
+use super::nuisance::{Entry, Priors};
 use crate::error::{Error, Result, check_range};
 use crate::sand::{Coefficients, Medium};
 use crate::table::{self, Asked, Column, Row, Summary};
@@ -58,6 +59,8 @@ struct File {
     #[serde(default)]
     shape: BTreeMap<String, Intruder>,
     #[serde(default)]
+    nuisances: BTreeMap<String, Entry>,
+    #[serde(default)]
     units: BTreeMap<String, String>,
     #[serde(default)]
     columns: BTreeMap<String, String>,
@@ -75,6 +78,7 @@ pub struct Experiment {
     pub coefficient_sd: f64,
     pub robot: Option<String>,
     pub shapes: BTreeMap<String, Intruder>,
+    pub nuisances: Priors,
     /// Column → unit, where not SI.
     pub units: BTreeMap<String, String>,
     /// Our column name → theirs.
@@ -122,6 +126,7 @@ impl Experiment {
             coefficient_sd,
             robot: file.robot,
             shapes: file.shape,
+            nuisances: Priors::from_table(&file.nuisances)?,
             units: file.units,
             columns: file.columns,
         })

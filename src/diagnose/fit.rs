@@ -2,11 +2,14 @@
 //!
 //! A coefficient c_k (1 + s d_k), s its declared relative sd and d_k ~ N(0, 1), joins the fit with the prior's penalty
 //! d_k². For a linear model the least value of |W (y − m)|² + |d|² is the χ² under the covariance
-//! V + s² J Jᵀ: the rank-9 update of the contract's section 4.
+//! V + s² J Jᵀ: the rank-9 update of the contract's section 4. Nuisances of the measuring ([`Nuisance`]) join in the same way,
+//! as columns behind those of the coefficients; they move what is measured and not the prediction of the sand.
 
 use super::forward::ForwardModel;
+use super::nuisance::Nuisance;
 use super::observations::Observations;
 use super::whiten::Whitener;
+use crate::parallel;
 use crate::sand::Coefficients;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
 use nalgebra::{DMatrix, DVector};
@@ -36,8 +39,11 @@ pub struct Study<'a> {
     pub whitener: &'a Whitener,
     /// Relative prior sd of the coefficients.
     pub coefficient_sd: f64,
-    /// Slopes by the coefficients at the plain model, as they are and whitened: good enough on the way to a fit.
-    coefficient_slopes: [Vec<Column>; 2],
+    /// What the measuring may have done to all data alike.
+    pub nuisances: Vec<Nuisance>,
+    /// Slopes by the coefficients at the plain model and by the nuisances, as they are and whitened: good enough on the way
+    /// to a fit.
+    marginal_slopes: [Vec<Column>; 2],
     /// Step of the numerical slope by each mechanism, in its coordinate.
     steps: [f64; Mechanisms::COUNT],
 }
@@ -48,14 +54,15 @@ pub struct Fit {
     /// Catalogue indices of the fitted mechanisms.
     pub ids: Vec<usize>,
     pub mechanisms: Mechanisms,
-    /// Deviation of each coefficient in units of its prior sd.
-    pub deviations: [f64; COEFFICIENTS],
+    /// Deviation of each coefficient, then of each nuisance, in units of its prior sd.
+    pub deviations: Vec<f64>,
+    /// Of the sand, without nuisances.
     pub prediction: Vec<f64>,
-    /// W (y − m)
+    /// W (y − m), m the prediction with the nuisances.
     pub white: Vec<f64>,
     /// |W (y − m)|² + |d|²
     pub objective: f64,
-    /// ∂m/∂(coordinate of each id, deviation of each coefficient), not whitened.
+    /// ∂m/∂(coordinate of each id, deviation of each coefficient and nuisance), not whitened.
     pub slopes: Vec<Column>,
     /// The same, whitened.
     pub white_slopes: Vec<Column>,
@@ -81,13 +88,11 @@ impl<'a> Study<'a> {
         whitener: &'a Whitener,
         coefficient_sd: f64,
     ) -> Self {
-        let coefficient_slopes = [Vec::new(), Vec::new()];
         let steps = CATALOG.map(|entry| SMOOTH_STEP * entry.coordinate_typical());
-        let mut study = Self { observations, model, whitener, coefficient_sd, coefficient_slopes, steps };
-        let mut plain = vec![study.plain()];
-        study.set_coefficient_slopes(&mut plain, &[0]);
-        let plain = plain.swap_remove(0);
-        study.coefficient_slopes = [plain.slopes, plain.white_slopes];
+        let (nuisances, marginal_slopes) = (Vec::new(), [Vec::new(), Vec::new()]);
+        let mut study = Self { observations, model, whitener, coefficient_sd, nuisances, marginal_slopes, steps };
+        study.set_nuisances(model.nuisances(&Mechanisms::default(), &model.medium().coefficients, &[]));
+        let plain = study.plain();
         if let Some(roughness) = model.roughness() {
             study.find_steps(roughness, &plain.prediction);
         }
@@ -116,9 +121,36 @@ impl<'a> Study<'a> {
         }
     }
 
-    /// Slopes of the plain model's prediction by the coefficients' deviations.
-    pub fn coefficient_slopes(&self) -> Vec<Column> {
-        self.coefficient_slopes[0].clone()
+    /// Puts `nuisances` in place, and the slopes by the coefficients at the plain model before them.
+    fn set_nuisances(&mut self, nuisances: Vec<Nuisance>) {
+        self.nuisances = nuisances;
+        self.marginal_slopes = [self.nuisance_columns(), Vec::new()];
+        self.marginal_slopes[1] =
+            parallel::map(&self.marginal_slopes[0], |column| Arc::new(self.whitener.apply(column)));
+        let mut plain = vec![self.plain()];
+        self.set_coefficient_slopes(&mut plain, &[0]);
+        let plain = plain.swap_remove(0);
+        self.marginal_slopes = [plain.slopes, plain.white_slopes];
+    }
+
+    /// Nuisances as a fit has them.
+    pub fn nuisance_values(&self, fit: &Fit) -> Vec<(String, f64)> {
+        let own = self.nuisances.iter().zip(&fit.deviations[COEFFICIENTS..]);
+        own.map(|(n, d)| (n.id.clone(), n.sd * d)).collect()
+    }
+
+    fn nuisance_columns(&self) -> Vec<Column> {
+        self.nuisances.iter().map(|n| n.column.clone()).collect()
+    }
+
+    /// How many slopes by coefficients and nuisances stand behind those by values.
+    pub fn marginals(&self) -> usize {
+        COEFFICIENTS + self.nuisances.len()
+    }
+
+    /// Slopes of the plain model's prediction by the deviations of coefficients and nuisances.
+    pub fn marginal_slopes(&self) -> Vec<Column> {
+        self.marginal_slopes[0].clone()
     }
 
     /// A strength of mechanism `id` that these data feel, in its coordinate: typical, or what a rough model needs.
@@ -128,19 +160,47 @@ impl<'a> Study<'a> {
 
     /// The same study of another model whose laws without mechanisms are the same.
     pub fn with_model<'b>(&'b self, model: &'b dyn ForwardModel) -> Study<'b> {
-        let coefficient_slopes = self.coefficient_slopes.clone();
-        Study { model, coefficient_slopes, ..*self }
+        let (nuisances, marginal_slopes) = (self.nuisances.clone(), self.marginal_slopes.clone());
+        Study { model, nuisances, marginal_slopes, ..*self }
     }
 
-    /// The same study under another whitening.
-    pub fn rewhitened(&self, whitener: &'a Whitener) -> Self {
-        Self::new(self.observations, self.model, whitener, self.coefficient_sd)
+    /// The same study under another whitening and with other nuisances.
+    pub fn under(&self, whitener: &'a Whitener, nuisances: Vec<Nuisance>) -> Self {
+        let mut study = Study { whitener, nuisances: Vec::new(), marginal_slopes: [Vec::new(), Vec::new()], ..*self };
+        study.set_nuisances(nuisances);
+        if let Some(roughness) = self.model.roughness() {
+            study.find_steps(roughness, &study.plain().prediction);
+        }
+        study
+    }
+
+    /// This study's nuisances as they are about `fit`.
+    pub fn nuisances_about(&self, fit: &Fit) -> Vec<Nuisance> {
+        if self.nuisances.is_empty() {
+            return Vec::new();
+        }
+        let coefficients = self.coefficients(&fit.deviations);
+        let mut there = self.model.nuisances(&fit.mechanisms, &coefficients, &self.nuisance_values(fit));
+        there.retain(|n| self.nuisances.iter().any(|own| own.id == n.id));
+        there
+    }
+
+    /// What `fit` says the data read: the sand and the nuisances.
+    pub fn reading(&self, fit: &Fit) -> Vec<f64> {
+        let mut reading = fit.prediction.clone();
+        for (nuisance, d) in self.nuisances.iter().zip(&fit.deviations[COEFFICIENTS..]) {
+            reading.iter_mut().zip(nuisance.column.iter()).for_each(|(r, c)| *r += d * c);
+            if let Some(bend) = &nuisance.bend {
+                reading.iter_mut().zip(bend.iter()).for_each(|(r, b)| *r += b);
+            }
+        }
+        reading
     }
 
     /// Coefficients at given deviations. A relative sd says nothing about a coefficient published as (nearly) 0, such
     /// as C₋₁₁ of loose poppy seeds: none is taken to be known better than half the set's root mean square times the
     /// relative sd. Our choice.
-    pub fn coefficients(&self, deviations: &[f64; COEFFICIENTS]) -> Coefficients {
+    pub fn coefficients(&self, deviations: &[f64]) -> Coefficients {
         let mut c = self.model.medium().coefficients.to_array();
         let floor = 0.5 * (c.iter().map(|c| c * c).sum::<f64>() / COEFFICIENTS as f64).sqrt();
         for (c, d) in c.iter_mut().zip(deviations) {
@@ -189,13 +249,31 @@ impl<'a> Study<'a> {
 
     /// Fits again from where earlier fits ended, at first with their slopes.
     pub fn fit_from(&self, fits: &[&Fit]) -> Vec<Fit> {
-        let states = fits.iter().map(|f| (f.ids.clone(), f.mechanisms, f.deviations)).collect();
+        let deviations = |f: &Fit| {
+            let mut deviations = f.deviations.clone();
+            deviations.resize(self.marginals(), 0.0);
+            deviations
+        };
+        let states = fits.iter().map(|f| (f.ids.clone(), f.mechanisms, deviations(f))).collect();
         let mut again = self.at_all(states);
         for (fit, earlier) in again.iter_mut().zip(fits) {
-            fit.slopes = earlier.slopes.clone();
+            fit.slopes = match earlier.slopes.is_empty() {
+                true => self.marginal_slopes(),
+                false => earlier.slopes[..earlier.ids.len() + COEFFICIENTS].to_vec(),
+            };
             fit.white_slopes = fit.slopes.iter().map(|s| Arc::new(self.whitener.apply(s))).collect();
+            if !earlier.slopes.is_empty() {
+                fit.slopes.extend_from_slice(&self.marginal_slopes[0][COEFFICIENTS..]);
+                fit.white_slopes.extend_from_slice(&self.marginal_slopes[1][COEFFICIENTS..]);
+            }
         }
         self.refine(again, ROUNDS / 2, true)
+    }
+
+    /// A fit as it is under this study, nothing fitted again, with the slopes that it had.
+    pub fn restated(&self, fit: &Fit) -> Fit {
+        let there = self.at_all(vec![(fit.ids.clone(), fit.mechanisms, fit.deviations.clone())]).swap_remove(0);
+        Fit { slopes: fit.slopes.clone(), white_slopes: fit.white_slopes.clone(), ..there }
     }
 
     /// The same fit with all slopes taken where it stands.
@@ -208,7 +286,7 @@ impl<'a> Study<'a> {
 
     /// A fit of a model like that of an earlier fit, from where that ended and with its slopes by the coefficients.
     pub fn fit_near(&self, earlier: &Fit) -> Fit {
-        let mut begun = self.at_all(vec![(earlier.ids.clone(), earlier.mechanisms, earlier.deviations)]);
+        let mut begun = self.at_all(vec![(earlier.ids.clone(), earlier.mechanisms, earlier.deviations.clone())]);
         (begun[0].slopes, begun[0].white_slopes) = (earlier.slopes.clone(), earlier.white_slopes.clone());
         self.refine(begun, ROUNDS / 2, false).swap_remove(0)
     }
@@ -243,7 +321,7 @@ impl<'a> Study<'a> {
     fn begin(&self, starts: &[(Vec<usize>, Vec<f64>)]) -> Vec<Fit> {
         let state = |(ids, values): &(Vec<usize>, Vec<f64>)| {
             let set = |m: Mechanisms, (&id, &value): (&usize, &f64)| m.with(id, value);
-            (ids.clone(), ids.iter().zip(values).fold(Mechanisms::default(), set), [0.0; COEFFICIENTS])
+            (ids.clone(), ids.iter().zip(values).fold(Mechanisms::default(), set), vec![0.0; self.marginals()])
         };
         self.at_all(starts.iter().map(state).collect())
     }
@@ -254,7 +332,7 @@ impl<'a> Study<'a> {
     /// are.
     fn refine(&self, mut fits: Vec<Fit>, rounds: usize, exact: bool) -> Vec<Fit> {
         for fit in fits.iter_mut().filter(|f| f.slopes.is_empty()) {
-            [fit.slopes, fit.white_slopes] = self.coefficient_slopes.clone();
+            [fit.slopes, fit.white_slopes] = self.marginal_slopes.clone();
         }
         let rough = self.model.roughness().is_some();
         let settled = if rough { SETTLED_ROUGHLY } else { SETTLED };
@@ -315,25 +393,32 @@ impl<'a> Study<'a> {
     }
 
     /// Fits standing at given mechanisms and deviations, without slopes.
-    fn at_all(&self, states: Vec<(Vec<usize>, Mechanisms, [f64; COEFFICIENTS])>) -> Vec<Fit> {
+    fn at_all(&self, states: Vec<(Vec<usize>, Mechanisms, Vec<f64>)>) -> Vec<Fit> {
         let inputs: Vec<_> = states.iter().map(|(_, m, d)| (*m, self.coefficients(d))).collect();
         let predictions = self.model.predict_many(&inputs);
-        let fit = |((ids, mechanisms, deviations), prediction): ((Vec<usize>, _, [f64; COEFFICIENTS]), Vec<f64>)| {
-            let residual: Vec<f64> = self.observations.values.iter().zip(&prediction).map(|(y, m)| y - m).collect();
-            let white = self.whitener.apply(&residual);
-            let objective = dot(&white, &white) + dot(&deviations, &deviations);
+        let bends: Vec<&Column> = self.nuisances.iter().filter_map(|n| n.bend.as_ref()).collect();
+        let states: Vec<_> = states.into_iter().zip(predictions).collect();
+        parallel::map(&states, |((ids, mechanisms, deviations), prediction)| {
+            let mut residual: Vec<f64> = self.observations.values.iter().zip(prediction).map(|(y, m)| y - m).collect();
+            bends.iter().for_each(|bend| residual.iter_mut().zip(bend.iter()).for_each(|(r, b)| *r -= b));
+            let mut white = self.whitener.apply(&residual);
+            let known = self.marginal_slopes[1].len() - self.nuisances.len();
+            for (column, d) in self.marginal_slopes[1][known..].iter().zip(&deviations[COEFFICIENTS..]) {
+                white.iter_mut().zip(column.iter()).for_each(|(w, c)| *w -= d * c);
+            }
+            let objective = dot(&white, &white) + dot(deviations, deviations);
             let objective = if objective.is_finite() { objective } else { f64::MAX };
             let (slopes, white_slopes) = (Vec::new(), Vec::new());
-            Fit { ids, mechanisms, deviations, prediction, white, objective, slopes, white_slopes }
-        };
-        states.into_iter().zip(predictions).map(fit).collect()
+            let (ids, deviations, prediction) = (ids.clone(), deviations.clone(), prediction.clone());
+            Fit { ids, mechanisms: *mechanisms, deviations, prediction, white, objective, slopes, white_slopes }
+        })
     }
 
     /// Puts the slopes of the active fits by the coefficients in place; those by the values are to follow.
     fn set_coefficient_slopes(&self, fits: &mut [Fit], active: &[usize]) {
         let step = self.model.coefficient_step();
         let state = |fit: &Fit, k: usize| {
-            let mut deviations = fit.deviations;
+            let mut deviations = fit.deviations.clone();
             deviations[k] += step;
             (fit.mechanisms, self.coefficients(&deviations))
         };
@@ -347,6 +432,9 @@ impl<'a> Study<'a> {
                 let fit = &mut fits[k];
                 fit.slopes = moved.iter().map(|m| Arc::new(slope(m, &fit.prediction, step))).collect();
                 fit.white_slopes = fit.slopes.iter().map(|s| Arc::new(self.whitener.apply(s))).collect();
+                let known = self.marginal_slopes[1].len() - self.nuisances.len();
+                fit.slopes.extend_from_slice(&self.marginal_slopes[0][known..]);
+                fit.white_slopes.extend_from_slice(&self.marginal_slopes[1][known..]);
             }
         }
     }
@@ -367,7 +455,7 @@ impl<'a> Study<'a> {
             let fit = &mut fits[k];
             let own = moved.by_ref().take(fit.ids.len());
             let slopes: Vec<_> = own.map(|(moved, step)| Arc::new(slope(&moved, &fit.prediction, step))).collect();
-            let earlier = fit.slopes.len() - COEFFICIENTS;
+            let earlier = fit.slopes.len() - fit.deviations.len();
             fit.white_slopes.splice(..earlier, slopes.iter().map(|s| Arc::new(self.whitener.apply(s))));
             fit.slopes.splice(..earlier, slopes);
         }
@@ -405,13 +493,13 @@ pub fn slope(moved: &[f64], from: &[f64], step: f64) -> Vec<f64> {
     moved.iter().zip(from).map(|(a, b)| (a - b) / step).map(|s| if s.is_finite() { s } else { 0.0 }).collect()
 }
 
-fn moved(fit: &Fit, step: &[f64], share: f64) -> (Mechanisms, [f64; COEFFICIENTS]) {
+fn moved(fit: &Fit, step: &[f64], share: f64) -> (Mechanisms, Vec<f64>) {
     let mut mechanisms = fit.mechanisms;
     for ((&id, at), step) in fit.ids.iter().zip(fit.coordinates()).zip(step) {
         let (entry, bounds) = (&CATALOG[id], CATALOG[id].coordinate_bounds());
         mechanisms = mechanisms.with(id, entry.value((at + share * step).clamp(bounds[0], bounds[1])));
     }
-    let mut deviations = fit.deviations;
+    let mut deviations = fit.deviations.clone();
     for (d, s) in deviations.iter_mut().zip(&step[fit.ids.len()..]) {
         *d += share * s;
     }
@@ -451,9 +539,9 @@ impl Fit {
             }
         }
         let mut score = DVector::from_fn(n, |i, _| dot(&self.white_slopes[i], &self.white));
-        for k in 0..COEFFICIENTS {
+        for (k, deviation) in self.deviations.iter().enumerate() {
             information[(count + k, count + k)] += 1.0;
-            score[count + k] -= self.deviations[k];
+            score[count + k] -= deviation;
         }
         (information, score)
     }

@@ -123,7 +123,7 @@ pub fn check(study: &Study, fit: &Fit, Asked { id, law }: Asked, inflation: f64)
         ci95,
         excluded,
         told_apart: excluded || (ci95[0] > law - OTHER && ci95[1] < law + OTHER),
-        lack_of_fit: lack_of_fit::statistic(study.observations, &best.white),
+        lack_of_fit: lack_of_fit::statistic(study.observations, &best.white).mean,
         objective,
     })
 }

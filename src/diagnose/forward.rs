@@ -5,10 +5,12 @@
 
 use super::arm::{Arm, Cut, PowerDrag};
 use super::experiment::{Experiment, Intruder};
+use super::fit::slope;
 use super::force_log::{ForceLog, Pose, Track};
 use super::motion::moving;
 use super::observations::Observations;
-use super::shared::Shared;
+use super::nuisance::{Nuisance, Priors};
+use super::shared::{Along, Shared};
 use crate::error::Result;
 use crate::parallel;
 use crate::progress::Latch;
@@ -63,9 +65,18 @@ pub trait ForwardModel: Sync {
     fn model_error(&self, _: &Mechanisms, _: &Coefficients, _prediction: &[f64]) -> Vec<Vec<f64>> {
         Vec::new()
     }
+    /// What measuring may have done to all data alike, about where `mechanisms` and `coefficients` predict; `values` has those
+    /// of nuisances known so far.
+    fn nuisances(&self, _: &Mechanisms, _: &Coefficients, _values: &[(String, f64)]) -> Vec<Nuisance> {
+        Vec::new()
+    }
     /// The same model with another power of the speed in the law of mechanism `id`; none where it cannot be had.
     fn with_exponent(&self, _id: usize, _exponent: f64) -> Option<Box<dyn ForwardModel + '_>> {
         None
+    }
+    /// A prediction as the simulator gives it, without what [`Self::predict`] corrects.
+    fn as_simulated(&self, prediction: &[f64]) -> Vec<f64> {
+        prediction.to_vec()
     }
     /// The medium of the plain model.
     fn medium(&self) -> &Medium;
@@ -94,9 +105,21 @@ pub struct ForceLogModel<'a> {
     units: Vec<(usize, usize, usize)>,
     channels: usize,
     missing: Vec<&'static str>,
+    priors: Priors,
     /// Form of inertial drag, where it is another than the catalogue's.
     drag: Option<PowerDrag>,
 }
+
+/// Changes by which nuisances are felt: our choices, a share of what they usually are.
+const DEPTH_STEP: f64 = 2e-4;
+const TIME_STEP: f64 = 1e-3;
+const TILT_STEP: f64 = 1e-4;
+/// Relative.
+const STRENGTH_STEP: f64 = 0.02;
+/// What each channel of each trial has of its own.
+const OFFSETS: [(&str, &str); 3] = [("offset_Fx", "drift_Fx"), ("offset_Fz", "drift_Fz"), ("offset_Ty", "drift_Ty")];
+/// Names of the channels.
+const CHANNELS: [&str; 3] = ["Fx", "Fz", "Ty"];
 
 impl<'a> ForceLogModel<'a> {
     pub fn new(log: &ForceLog, experiment: &Experiment) -> Result<Self> {
@@ -115,6 +138,7 @@ impl<'a> ForceLogModel<'a> {
             units,
             channels: log.observations.channels.len(),
             missing: log.missing.clone(),
+            priors: experiment.nuisances.clone(),
             drag: None,
         })
     }
@@ -135,6 +159,7 @@ impl<'a> ForceLogModel<'a> {
             units: Vec::new(),
             channels: 3,
             missing: Vec::new(),
+            priors: Priors::default(),
             drag: None,
         };
         let ground = Ground::new(Law::Li2013, &model.medium, &PRESCRIBED);
@@ -154,6 +179,7 @@ impl<'a> ForceLogModel<'a> {
             units,
             channels: self.channels,
             missing: self.missing.clone(),
+            priors: self.priors.clone(),
             drag: self.drag,
         };
         (model, log.observations)
@@ -161,6 +187,39 @@ impl<'a> ForceLogModel<'a> {
 
     pub fn tracks(&self) -> &[Track] {
         &self.tracks
+    }
+
+    /// A stack of f(time since the trial began, share of the trial's time, channel).
+    fn stack(&self, f: impl Fn(f64, f64, usize) -> f64) -> Vec<f64> {
+        let mut stack = vec![0.0; self.units.iter().map(|u| u.2 * self.channels).sum()];
+        for &(track, start, samples) in &self.units {
+            let poses = &self.tracks[track].poses;
+            let (first, last) = (poses[0].t, poses[poses.len() - 1].t);
+            for (i, &pose) in self.kept[track].iter().enumerate() {
+                let t = poses[pose].t - first;
+                let share = t / (last - first).max(1e-12);
+                (0..self.channels).for_each(|c| stack[start + c * samples + i] = f(t, share, c));
+            }
+        }
+        stack
+    }
+
+    /// `stack` with all other channels 0.
+    fn only(&self, stack: &[f64], channel: usize) -> Vec<f64> {
+        let mut own = vec![0.0; stack.len()];
+        for &(_, start, samples) in &self.units {
+            let block = start + channel * samples..start + (channel + 1) * samples;
+            own[block.clone()].copy_from_slice(&stack[block]);
+        }
+        own
+    }
+
+    /// Root mean square of one channel of a prediction; at least 1e-6 of its unit.
+    fn rms(&self, prediction: &[f64], channel: usize) -> f64 {
+        let blocks = self.units.iter().map(|&(_, start, samples)| start + channel * samples..start + (channel + 1) * samples);
+        let (square, count) =
+            blocks.flatten().fold((0.0, 0.0), |(s, n), k| (s + prediction[k] * prediction[k], n + 1.0));
+        (square / f64::max(count, 1.0)).sqrt().max(1e-6)
     }
 
     /// Loads as logged along one track.
@@ -184,8 +243,56 @@ impl ForwardModel for ForceLogModel<'_> {
         self.latch.is_some_and(Latch::stopped)
     }
 
-    fn shared(&self, _: &Mechanisms, _: &Coefficients, _: &[f64]) -> Vec<Shared> {
-        Shared::gain()
+    /// Each trial has its own bed, its own zero of the surface and of each channel of the load cell, which drifts.
+    fn shared(&self, m: &Mechanisms, c: &Coefficients, prediction: &[f64]) -> Vec<Shared> {
+        let rms = |channel: usize| self.rms(prediction, channel);
+        let one = |name, unit, guess, stack| Shared { name, unit, guess, along: Along::Stacks(vec![stack]) };
+        let strength = Mechanisms { scale: (1.0 + m.scale) * (1.0 + STRENGTH_STEP) - 1.0, ..*m };
+        let strength = slope(&self.predict(&strength, c), prediction, STRENGTH_STEP);
+        let depth = Mechanisms { depth_zero: m.depth_zero + DEPTH_STEP, ..*m };
+        let depth = slope(&self.predict(&depth, c), prediction, DEPTH_STEP);
+        let mut all = vec![one("bed_strength", "1", 0.05, strength), one("depth_zero", "m", 3e-4, depth)];
+        let constant = |channel: usize| self.stack(|_, _, own| if own == channel { 1.0 } else { 0.0 });
+        let growing = |channel: usize| self.stack(|_, done, own| if own == channel { done } else { 0.0 });
+        for (channel, (offset, drift)) in OFFSETS.into_iter().enumerate().take(self.channels) {
+            let unit = if channel == 2 { "N·m" } else { "N" };
+            all.push(one(offset, unit, 0.01 * rms(channel), constant(channel)));
+            all.push(one(drift, unit, 0.01 * rms(channel), growing(channel)));
+        }
+        all
+    }
+
+    fn nuisances(&self, m: &Mechanisms, c: &Coefficients, values: &[(String, f64)]) -> Vec<Nuisance> {
+        let here = self.predict(m, c);
+        let by = |changed: Mechanisms, step: f64| slope(&self.predict(&changed, c), &here, step);
+        let late = by(Mechanisms { delay: m.delay + TIME_STEP, ..*m }, TIME_STEP);
+        let deep = by(Mechanisms { depth_zero: m.depth_zero + DEPTH_STEP, ..*m }, DEPTH_STEP);
+        let tilt = by(Mechanisms { sensor_tilt: m.sensor_tilt + TILT_STEP, ..*m }, TILT_STEP);
+        let sd = |kind: &str| self.priors.sd(kind);
+        let mut all = Vec::new();
+        for (channel, name) in CHANNELS.into_iter().enumerate().take(self.channels) {
+            let own = |stack: &[f64]| self.only(stack, channel);
+            let unit = if channel == 2 { "N·m" } else { "N" };
+            let zero = sd("offset") * self.rms(&here, channel);
+            all.push(Nuisance::linear(format!("offset_{name}"), unit, zero, own(&vec![1.0; here.len()])));
+            all.push(Nuisance::linear(format!("gain_{name}"), "1", sd("gain"), own(&here)));
+            let id = format!("lowpass_{name}");
+            // A filter cannot look ahead.
+            let tau = values.iter().find(|v| v.0 == id).map_or(0.0, |v| v.1.max(0.0));
+            let filtered = |tau: f64| own(&slope(&self.predict(&Mechanisms { lowpass: m.lowpass + tau, ..*m }, c), &here, 1.0));
+            let (at, beyond) = (if tau > 0.0 { filtered(tau) } else { vec![0.0; here.len()] }, filtered(tau + TIME_STEP));
+            let rate = slope(&beyond, &at, TIME_STEP);
+            let bend = slope(&at, &rate.iter().map(|r| r * tau).collect::<Vec<_>>(), 1.0);
+            all.push(Nuisance::linear(id, "s", sd("lowpass"), rate).bent(bend));
+        }
+        let time = self.stack(|t, _, _| t);
+        let skewed = late.iter().zip(time).map(|(l, t)| l * t).collect();
+        all.push(Nuisance::linear("clock".into(), "1", sd("clock"), skewed));
+        all.push(Nuisance::linear("delay".into(), "s", sd("delay"), late));
+        all.push(Nuisance::linear("depth_zero".into(), "m", sd("depth_zero"), deep));
+        all.push(Nuisance::linear("tilt".into(), "rad", sd("tilt"), tilt));
+        all.retain(|n| n.sd > 0.0);
+        all
     }
 
     fn predict(&self, mechanisms: &Mechanisms, coefficients: &Coefficients) -> Vec<f64> {
@@ -225,6 +332,7 @@ impl ForwardModel for ForceLogModel<'_> {
             units: self.units.clone(),
             channels: self.channels,
             missing: self.missing.clone(),
+            priors: self.priors.clone(),
             drag,
         }))
     }

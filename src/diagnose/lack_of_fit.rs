@@ -10,9 +10,22 @@ use std::f64::consts::PI;
 /// Cosines along a trial: our choice; features shorter than an eighth of a trial are left to the noise.
 const WAVES: usize = 8;
 
-/// Mean square of the smooth part of a whitened residual.
-pub fn statistic(observations: &Observations, white: &[f64]) -> f64 {
-    let (mut square, mut count) = (0.0, 0.0);
+/// How far a whitened residual is from noise.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lack {
+    /// Mean square of the smooth part: 1 for noise alone.
+    pub mean: f64,
+    /// The greatest excess of the squares of one condition's one channel over their number, in standard deviations of that for
+    /// noise alone: a mean over many conditions does not show what one of them is wrong by.
+    pub worst: f64,
+    /// Sum of the squares over their number, and that number.
+    pub excess: f64,
+    pub count: f64,
+}
+
+/// Lack of fit of a whitened residual.
+pub fn statistic(observations: &Observations, white: &[f64]) -> Lack {
+    let (mut square, mut count, mut worst) = (0.0, 0.0, f64::MIN);
     for group in observations.repetitions() {
         for channel in 0..observations.channels.len() {
             let mut sums = [0.0; WAVES];
@@ -22,11 +35,13 @@ pub fn statistic(observations: &Observations, white: &[f64]) -> f64 {
                 waves = waves.min(unit.samples);
                 add_waves(&white[unit.block(channel)], &mut sums);
             }
-            square += sums[..waves].iter().map(|s| s * s / group.len() as f64).sum::<f64>();
+            let own = sums[..waves].iter().map(|s| s * s / group.len() as f64).sum::<f64>();
+            square += own;
             count += waves as f64;
+            worst = worst.max((own - waves as f64) / (2.0 * waves as f64).sqrt());
         }
     }
-    square / f64::max(count, 1.0)
+    Lack { mean: square / f64::max(count, 1.0), worst, excess: square - count, count }
 }
 
 /// Adds the coefficients of `values` on orthonormal cosines (DCT-II).

@@ -125,6 +125,16 @@ const DIP: f64 = 0.1;
 /// In one sentence: the shape that `prediction` gets wrong most, and where along the features that shape's error lies; none
 /// where it is much the same everywhere.
 pub fn whereabouts(observations: &Observations, model: &dyn ForwardModel, prediction: &[f64]) -> Option<String> {
+    whereabouts_of(observations, model, prediction, "the plain model's error")
+}
+
+/// The same of an error with another name.
+pub fn whereabouts_of(
+    observations: &Observations,
+    model: &dyn ForwardModel,
+    prediction: &[f64],
+    error: &str,
+) -> Option<String> {
     let everything = misfit(observations, model, prediction);
     let shapes = sizes(&everything, "shape", observations);
     let least = shapes.iter().map(|s| s.1).fold(f64::MAX, f64::min);
@@ -145,7 +155,7 @@ pub fn whereabouts(observations: &Observations, model: &dyn ForwardModel, predic
     });
     let of = if worst.is_some() && !places.is_empty() { "; there it " } else { "" };
     let text = format!("{}{of}{}", shape.unwrap_or_default(), places.join(", "));
-    (!text.is_empty()).then(|| format!("the plain model's error {text}"))
+    (!text.is_empty()).then(|| format!("{error} {text}"))
 }
 
 fn unit(observations: &Observations) -> String {

@@ -3,17 +3,20 @@
 //! Three parts, after the prototype of the contract's section 4: what the whole trial has in common ([`super::shared`]: a
 //! gain of that bed, the phase of the hips), an AR(1) noise in proportion to a size S, and white sensor noise:
 //!
-//! y_c(i) = m_c(i) + Σ_k g_k u_kc(i) + s_c(i) a(i) + b_c e(i), a(i) = φ_c a(i−1) + √(1−φ_c²) w(i), s_c(i) = grain_c S(i).
+//! y_c(i) = m_c(i) + Σ_k g_k u_kc(i) + s_c(i) a(i) + b_c e(i), a(i) = φ a(i−1) + √(1−φ²) w(i), s_c(i) = grain_c S(i).
 //!
-//! S is |F| in force logs (grains push on all channels alike) and the channel's own mean in walking runs. The parts' sizes
-//! maximise the likelihood of the differences between repetitions, which no wrong model can bias.
+//! S is |F| in force logs (grains push on all channels alike) and the channel's own mean in walking runs. φ belongs to a step
+//! in a [`Clock`]: grains are met along the path, filters and amplifiers run in time; the repetitions say which fits better. The
+//! parts' sizes maximise the likelihood of the differences between repetitions, which no wrong model can bias.
 
 use super::errors::Errors;
 use super::minimise::minimise;
-use super::observations::{Observations, Size, interpolate};
+use super::observations::{Observations, Size, Unit, interpolate};
 use super::shared::{Along, Likelihood, Shared};
-use rand::Rng;
+use nalgebra::{DMatrix, DVector};
+use rand::{Rng, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
+use rand_xoshiro::Xoshiro256PlusPlus;
 
 /// Noise of one channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,13 +25,35 @@ pub struct ChannelNoise {
     pub grain: f64,
     /// Standard deviation of the sensor noise [unit of the channel].
     pub sensor: f64,
-    /// Correlation of the grain noise from one sample to the next.
+    /// Correlation of the grain noise from one step of the clock to the next, 0…1.
     pub phi: f64,
+}
+
+/// What the grain noise is correlated along.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Clock {
+    /// From sample to sample.
+    Sample,
+    /// Along the path; a step is a sixtieth of it (our choice: any length would do, φ goes with it).
+    Path,
+}
+
+impl Clock {
+    /// Steps from each sample to the one before; the first has none.
+    pub fn steps(self, progress: &[f64]) -> Vec<f64> {
+        let way = progress.last().zip(progress.first()).map_or(0.0, |(last, first)| last - first);
+        let step = |i: usize| match self {
+            Clock::Sample => 1.0,
+            Clock::Path => (60.0 * (progress[i] - progress[i - 1]) / way.max(1e-12)).max(1e-3),
+        };
+        (0..progress.len()).map(|i| if i == 0 { 0.0 } else { step(i) }).collect()
+    }
 }
 
 /// Noise of a data set.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Noise {
+    pub clock: Clock,
     pub channels: Vec<ChannelNoise>,
     /// Standard deviation along each of [`Shared`]'s directions.
     pub shared: Vec<f64>,
@@ -80,19 +105,21 @@ fn smoothed(size: &[f64]) -> Vec<f64> {
 /// Whitens one channel of one unit: the innovations of the Kalman filter of grain + sensor noise, unit variance each.
 #[derive(Clone, Debug)]
 pub struct ChannelFilter {
-    phi: f64,
-    /// (grain sd, Kalman gain, 1/innovation sd) of each sample.
-    steps: Vec<(f64, f64, f64)>,
+    /// (correlation with the sample before, grain sd, Kalman gain, 1/innovation sd) of each sample.
+    steps: Vec<[f64; 4]>,
     pub log_determinant: f64,
 }
 
 impl ChannelFilter {
-    pub fn new(noise: &ChannelNoise, magnitude: &[f64]) -> Self {
-        let phi = noise.phi;
+    /// `clock` has the steps between samples ([`Clock::steps`]).
+    pub fn new(noise: &ChannelNoise, magnitude: &[f64], clock: &[f64]) -> Self {
         let (mut variance, mut log_determinant, mut product) = (1.0, 0.0, 1.0);
         let steps: Vec<_> = magnitude
             .iter()
-            .map(|size| {
+            .zip(clock)
+            .map(|(size, step)| {
+                let phi = if *step == 1.0 { noise.phi } else { noise.phi.powf(*step) };
+                variance = phi * phi * variance + 1.0 - phi * phi;
                 let s = noise.grain * size;
                 let total = s * s * variance + noise.sensor * noise.sensor;
                 let gain = variance * s / total;
@@ -102,19 +129,20 @@ impl ChannelFilter {
                     log_determinant += f64::ln(product);
                     product = 1.0;
                 }
-                variance = phi * phi * variance * (1.0 - gain * s) + 1.0 - phi * phi;
-                (s, gain, 1.0 / total.sqrt())
+                variance *= 1.0 - gain * s;
+                [phi, s, gain, 1.0 / total.sqrt()]
             })
             .collect();
-        Self { phi, steps, log_determinant: log_determinant + f64::ln(product) }
+        Self { steps, log_determinant: log_determinant + f64::ln(product) }
     }
 
     /// Replaces `values` by their whitened innovations.
     pub fn whiten(&self, values: &mut [f64]) {
         let mut state = 0.0;
-        for (value, (s, gain, inverse)) in values.iter_mut().zip(&self.steps) {
+        for (value, [phi, s, gain, inverse]) in values.iter_mut().zip(&self.steps) {
+            state *= phi;
             let innovation = *value - s * state;
-            state = self.phi * (state + gain * innovation);
+            state += gain * innovation;
             *value = innovation * inverse;
         }
     }
@@ -124,6 +152,8 @@ impl ChannelFilter {
 struct Repeats {
     /// Channel by channel.
     sizes: Vec<Vec<f64>>,
+    /// Progress of the matched samples.
+    progress: Vec<f64>,
     /// Directions of what a repetition has in common: which of [`Shared`], and the direction channel by channel.
     shared: Vec<(usize, Vec<Vec<f64>>)>,
     /// Orthonormal differences of the residuals, each channel by channel.
@@ -138,38 +168,40 @@ pub struct Source<'a> {
     pub shared: &'a [Shared],
     /// What [`super::forward::ForwardModel::model_error`] says at `prediction`. Repetitions differ by none of it.
     pub model_error: &'a [Vec<f64>],
+    /// Conditions from which nothing is learnt.
+    pub left_out: &'a [usize],
 }
 
 impl Source<'_> {
     fn repeats(&self) -> Vec<Repeats> {
-        self.observations.repetitions().iter().filter(|g| g.len() > 1).map(|g| self.repeats_of(g)).collect()
+        let groups = self.observations.repetitions();
+        let counts = |(condition, group): &(usize, &Vec<usize>)| group.len() > 1 && !self.left_out.contains(condition);
+        groups.iter().enumerate().filter(counts).map(|(_, g)| self.repeats_of(g)).collect()
     }
 
     fn repeats_of(&self, group: &[usize]) -> Repeats {
         let observations = self.observations;
-        let first = &observations.units[group[0]];
-        let ends = |u: &usize| {
-            let progress = &observations.units[*u].progress;
-            (progress[0], progress[progress.len() - 1])
-        };
-        let low = group.iter().map(|u| ends(u).0).fold(f64::MIN, f64::max);
-        let high = group.iter().map(|u| ends(u).1).fold(f64::MAX, f64::min);
-        let slack = 1e-9 + 1e-6 * (high - low).abs(); // rounding of the log
-        let common = |i: &usize| (low - slack..=high + slack).contains(&first.progress[*i]);
-        let touching = |i: &usize| group.iter().any(|&u| self.reads_at(u, first.progress[*i]));
-        let kept: Vec<usize> = (0..first.samples).filter(common).filter(touching).collect();
-        let aligned = |u: usize, c: usize, what: &dyn Fn(usize) -> f64| -> Vec<f64> {
-            let unit = &observations.units[u];
-            let values: Vec<f64> = unit.block(c).map(what).collect();
-            kept.iter().map(|&i| interpolate(&unit.progress, &values, first.progress[i])).collect()
-        };
+        let matched = matched(observations, group);
+        let (first, kept): (_, Vec<usize>) = (group[0], matched.iter().map(|m| m[0]).collect());
         let channels = 0..observations.channels.len();
         let residual = |k: usize| observations.values[k] - self.prediction[k];
+        let smooth: Vec<_> = channels.clone().map(|c| Smooth::new(observations, group, c, &residual)).collect();
+        let own = |place: usize, c: usize| -> Vec<f64> {
+            let unit = &observations.units[group[place]];
+            let at = |m: &Vec<usize>| {
+                let i = m[place];
+                residual(unit.block(c).start + i) - smooth[c].at(unit.progress[i])
+            };
+            matched.iter().map(at).collect()
+        };
         let each: Vec<Vec<Vec<f64>>> =
-            group.iter().map(|&u| channels.clone().map(|c| aligned(u, c, &residual)).collect()).collect();
+            (0..group.len()).map(|place| channels.clone().map(|c| own(place, c)).collect()).collect();
         let mean = channels.clone().flat_map(|c| {
-            let all: Vec<_> = group.iter().map(|&u| aligned(u, c, &|k| observations.values[k])).collect();
-            (0..kept.len()).map(move |i| all.iter().map(|a| a[i]).sum::<f64>() / all.len() as f64)
+            let value = move |m: &Vec<usize>| {
+                let of = |(u, i): (&usize, &usize)| observations.values[observations.units[*u].block(c).start + i];
+                group.iter().zip(m).map(of).sum::<f64>() / group.len() as f64
+            };
+            matched.iter().map(value).collect::<Vec<_>>()
         });
         let mean: Vec<f64> = mean.collect();
         let differences = (1..group.len()).map(|k| {
@@ -179,18 +211,11 @@ impl Source<'_> {
             channels.clone().map(|c| (0..kept.len()).map(|i| difference(c, i)).collect()).collect()
         });
         Repeats {
-            sizes: channels.clone().map(|c| kept.iter().map(|&i| self.sizes[group[0]][c][i]).collect()).collect(),
-            shared: self.directions(group[0], &kept, &mean),
+            sizes: channels.clone().map(|c| kept.iter().map(|&i| self.sizes[first][c][i]).collect()).collect(),
+            progress: kept.iter().map(|&i| observations.units[first].progress[i]).collect(),
+            shared: self.directions(first, &kept, &mean),
             differences: differences.collect(),
         }
-    }
-
-    /// Does unit `u` read anything at `progress`? An exact zero in every channel is a simulated intruder in the air: no
-    /// sensor read it, and a noise that explained its silence would be none at all.
-    fn reads_at(&self, u: usize, progress: f64) -> bool {
-        let unit = &self.observations.units[u];
-        let reads = |c| interpolate(&unit.progress, &self.observations.values[unit.block(c)], progress) != 0.0;
-        (0..self.observations.channels.len()).any(reads)
     }
 
     /// Directions in the `kept` samples of unit `u`, whose mean over repetitions is `mean`.
@@ -210,7 +235,7 @@ impl Source<'_> {
     }
 
     /// A first guess from the size of the differences; the search starts here.
-    fn guess(&self, repeats: &[Repeats]) -> Noise {
+    fn guess(&self, repeats: &[Repeats], clock: Clock) -> Noise {
         let channel = |c: usize| {
             let (mut square, mut size, mut count) = (0.0, 0.0, 0.0);
             for r in repeats {
@@ -223,30 +248,103 @@ impl Source<'_> {
             // A log without any scatter still has its last digit: 1e-9 keeps the likelihood finite.
             let sd = (square / f64::max(count, 1.0)).sqrt().max(1e-9);
             let grain = 0.7 * sd / (size / f64::max(count, 1.0)).sqrt().max(1e-9);
-            // One number a unit has no correlation along it.
-            let phi = if self.observations.units.iter().any(|u| u.samples > 1) { 0.6 } else { 0.0 };
+            let phi = 0.6;
             ChannelNoise { grain, sensor: 0.3 * sd, phi }
         };
         let channels = (0..self.observations.channels.len()).map(channel).collect();
-        Noise { channels, shared: self.shared.iter().map(|s| s.guess).collect() }
+        Noise { clock, channels, shared: self.shared.iter().map(|s| s.guess).collect() }
     }
 
     /// Learns the noise from the repetitions; `start` is an earlier estimate of nearly the same data. Once `stopped` it is
     /// whatever has been found.
-    pub fn noise(&self, start: Option<&Noise>, stopped: &dyn Fn() -> bool) -> Noise {
+    pub fn noise(&self, start: Option<&Noise>, stopped: &(dyn Fn() -> bool + Sync)) -> Noise {
         let repeats = self.repeats();
-        let center = self.guess(&repeats).pack();
-        let channels = self.observations.channels.len();
-        // A prior of three e-folds about the guess: it matters only where the data say nothing.
-        let deviance = |p: &[f64]| {
+        if let Some(start) = start {
+            return self.search(&repeats, start.clock, Some(start), stopped).0;
+        }
+        let of = |clock: &Clock| self.search(&repeats, *clock, None, stopped);
+        // One number a unit has no correlation along it.
+        let clocks = [Clock::Sample, Clock::Path];
+        let clocks = if self.observations.units.iter().any(|u| u.samples > 1) { &clocks[..] } else { &clocks[..1] };
+        let found = crate::parallel::map(clocks, of).into_iter().min_by(|a, b| a.1.total_cmp(&b.1));
+        found.map_or_else(|| self.guess(&repeats, Clock::Sample), |f| f.0)
+    }
+
+    /// The likeliest noise with a given clock, and −2 log likelihood there.
+    fn search(
+        &self,
+        repeats: &[Repeats],
+        clock: Clock,
+        start: Option<&Noise>,
+        stopped: &(dyn Fn() -> bool + Sync),
+    ) -> (Noise, f64) {
+        let center = self.guess(repeats, clock).pack();
+        let deviance = self.deviance(repeats, clock, &center, stopped);
+        let (from, rounds) = start.map_or((center.clone(), 60), |s| (s.pack(), 12));
+        let found = minimise(&deviance, from, rounds);
+        let value = deviance(&found);
+        (Noise::unpack(&found, self.observations.channels.len(), clock), value)
+    }
+
+    /// −2 log likelihood by packed noise, with a prior of three e-folds about the guess: it matters only where the data say
+    /// nothing.
+    fn deviance<'b>(
+        &'b self,
+        repeats: &'b [Repeats],
+        clock: Clock,
+        center: &'b [f64],
+        stopped: &'b (dyn Fn() -> bool + Sync),
+    ) -> impl Fn(&[f64]) -> f64 + 'b {
+        let steps: Vec<Vec<f64>> = repeats.iter().map(|r| clock.steps(&r.progress)).collect();
+        move |p: &[f64]| {
             if stopped() {
                 return f64::INFINITY;
             }
-            let prior: f64 = p.iter().zip(&center).map(|(a, b)| ((a - b) / 3.0).powi(2)).sum();
-            prior + Noise::unpack(p, channels).deviance(&repeats)
+            let prior: f64 = p.iter().zip(center).map(|(a, b)| ((a - b) / 3.0).powi(2)).sum();
+            prior + Noise::unpack(p, self.observations.channels.len(), clock).deviance(repeats, &steps)
+        }
+    }
+
+    /// Noises as likely as `noise` by the repetitions: drawn from the normal distribution that their likelihood is about its
+    /// greatest. The repetitions' differences, from which noise is learnt, know nothing of the repetitions' mean, in which
+    /// causes are sought; so a noise may be drawn apart from data.
+    pub fn draws(&self, noise: &Noise, count: usize, stopped: &(dyn Fn() -> bool + Sync)) -> Vec<Noise> {
+        let repeats = self.repeats();
+        let center = self.guess(&repeats, noise.clock).pack();
+        let deviance = self.deviance(&repeats, noise.clock, &center, stopped);
+        let at = noise.pack();
+        let step = 0.05;
+        let places: Vec<(usize, usize)> = (0..at.len()).flat_map(|i| (0..=i).map(move |j| (i, j))).collect();
+        let second = crate::parallel::map(&places, |&(i, j)| {
+            let moved = |a: f64, b: f64| {
+                let mut p = at.clone();
+                p[i] += a * step;
+                p[j] += b * step;
+                deviance(&p)
+            };
+            (moved(1.0, 1.0) - moved(1.0, -1.0) - moved(-1.0, 1.0) + moved(-1.0, -1.0)) / (4.0 * step * step)
+        });
+        let mut curvature = DMatrix::zeros(at.len(), at.len());
+        for (&(i, j), value) in places.iter().zip(second) {
+            let value = if value.is_finite() { value } else { 0.0 };
+            (curvature[(i, j)], curvature[(j, i)]) = (value, value);
+        }
+        let eigen = curvature.symmetric_eigen();
+        // A deviance is −2 ln likelihood: twice the inverse is the covariance. Where it hardly bends the prior holds: its curvature
+        // is 2/9.
+        let root: Vec<f64> = eigen.eigenvalues.iter().map(|c| (2.0 / c.max(2.0 / 9.0)).sqrt()).collect();
+        let least = deviance(&at);
+        let draw = |seed: &usize| {
+            let mut rng = Xoshiro256PlusPlus::seed_from_u64(0xd7a3 ^ *seed as u64);
+            let share = DVector::from_iterator(root.len(), root.iter().map(|_| normal(&mut rng)));
+            let expected = share.norm_squared();
+            let moved = &eigen.eigenvectors * share.component_mul(&DVector::from_column_slice(&root));
+            let place = |part: f64| at.iter().zip(moved.iter()).map(|(a, m)| a + part * m).collect::<Vec<f64>>();
+            // The likelihood is not quite normal: a draw that is far less likely than it should be goes nearer.
+            let parts = (0..6).map(|k| 0.5f64.powi(k)).find(|part| deviance(&place(*part)) - least <= 1.5 * expected + 5.0);
+            Noise::unpack(&place(parts.unwrap_or(0.0)), self.observations.channels.len(), noise.clock)
         };
-        let (from, rounds) = start.map_or((center.clone(), 60), |s| (s.pack(), 12));
-        Noise::unpack(&minimise(deviance, from, rounds), channels)
+        crate::parallel::map(&(0..count).collect::<Vec<_>>(), draw)
     }
 
     /// Scatter of repetitions over the channels that count in the error: what no model can predict. Conditions made once have
@@ -276,16 +374,17 @@ pub fn scatters(observations: &Observations, floor: &Errors) -> bool {
 }
 
 impl Noise {
-    /// Search space of the likelihood: ln grain, ln sensor, atanh φ of each channel, then the shared ones' ln.
+    /// Search space of the likelihood: ln grain, ln sensor, logit φ of each channel, then the shared ones' ln.
     fn pack(&self) -> Vec<f64> {
-        let channel = |c: &ChannelNoise| [c.grain.ln(), c.sensor.ln(), c.phi.atanh()];
+        let channel = |c: &ChannelNoise| [c.grain.ln(), c.sensor.ln(), (c.phi / (1.0 - c.phi)).ln()];
         self.channels.iter().flat_map(channel).chain(self.shared.iter().map(|s| s.ln())).collect()
     }
 
-    fn unpack(p: &[f64], channels: usize) -> Self {
-        let channel = |c: &[f64]| ChannelNoise { grain: c[0].exp(), sensor: c[1].exp(), phi: c[2].tanh() };
+    fn unpack(p: &[f64], channels: usize, clock: Clock) -> Self {
+        let logistic = |x: f64| (1.0 / (1.0 + (-x).exp())).clamp(1e-6, 1.0 - 1e-6);
+        let channel = |c: &[f64]| ChannelNoise { grain: c[0].exp(), sensor: c[1].exp(), phi: logistic(c[2]) };
         let (own, shared) = p.split_at(3 * channels);
-        Self { channels: own.chunks(3).map(channel).collect(), shared: shared.iter().map(|s| s.exp()).collect() }
+        Self { clock, channels: own.chunks(3).map(channel).collect(), shared: shared.iter().map(|s| s.exp()).collect() }
     }
 
     /// Adds a draw of this noise to `values`, and of the model's error, alike for all repetitions of a condition.
@@ -307,11 +406,12 @@ impl Noise {
                 }
             }
             for (c, noise) in self.channels.iter().enumerate() {
-                let fresh = (1.0 - noise.phi * noise.phi).sqrt();
                 let mut grain = normal(rng);
-                for (value, size) in values[unit.block(c)].iter_mut().zip(&sizes[c]) {
+                let steps = self.clock.steps(&unit.progress);
+                for ((value, size), step) in values[unit.block(c)].iter_mut().zip(&sizes[c]).zip(steps) {
+                    let phi = noise.phi.powf(step);
+                    grain = phi * grain + (1.0 - phi * phi).sqrt() * normal(rng);
                     *value += noise.grain * size * grain + noise.sensor * normal(rng);
-                    grain = noise.phi * grain + fresh * normal(rng);
                 }
             }
         }
@@ -340,11 +440,11 @@ impl Noise {
     }
 
     /// −2 log likelihood of the differences between repetitions.
-    fn deviance(&self, repeats: &[Repeats]) -> f64 {
+    fn deviance(&self, repeats: &[Repeats], steps: &[Vec<f64>]) -> f64 {
         let mut total = 0.0;
-        for repeat in repeats {
+        for (repeat, steps) in repeats.iter().zip(steps) {
             let filters: Vec<_> =
-                self.channels.iter().zip(&repeat.sizes).map(|(n, s)| ChannelFilter::new(n, s)).collect();
+                self.channels.iter().zip(&repeat.sizes).map(|(n, s)| ChannelFilter::new(n, s, steps)).collect();
             let whitened = |channels: &[Vec<f64>], factor: f64| {
                 let mut white: Vec<f64> = Vec::with_capacity(channels.iter().map(Vec::len).sum());
                 for (filter, values) in filters.iter().zip(channels) {
@@ -362,6 +462,78 @@ impl Noise {
             }
         }
         total
+    }
+}
+
+/// Samples of the repetitions that stand next to each other along the path, one of each repetition a row: in order, none
+/// twice, those of the repetition with the fewest samples first to choose. Samples stay as they were read, because between two
+/// of them there is less noise than in one. Rows in which every channel of every repetition reads exactly zero are left out: a
+/// simulated intruder in the air, which no sensor read, and a noise that explained its silence would be none at all.
+fn matched(observations: &Observations, group: &[usize]) -> Vec<Vec<usize>> {
+    let units: Vec<&Unit> = group.iter().map(|&u| &observations.units[u]).collect();
+    let Some(leader) = (0..units.len()).min_by_key(|&k| units[k].samples) else { return Vec::new() };
+    let ways = units.iter().map(|u| &u.progress);
+    let low = ways.clone().map(|p| p[0]).fold(f64::MIN, f64::max);
+    let high = ways.map(|p| p[p.len() - 1]).fold(f64::MAX, f64::min);
+    let reach = (high - low).abs() / units[leader].samples.max(1) as f64;
+    let mut next = vec![0; units.len()];
+    let mut rows = Vec::new();
+    for (i, &at) in units[leader].progress.iter().enumerate() {
+        let nearest = |k: usize| {
+            let progress = &units[k].progress;
+            let right = progress.partition_point(|&p| p < at).max(next[k]);
+            let left = right.saturating_sub(1).max(next[k]);
+            let away = |j: usize| progress.get(j).map_or(f64::INFINITY, |p| (p - at).abs());
+            let best = if away(left) <= away(right) { left } else { right };
+            // Half the distance of samples and the rounding of the log.
+            (away(best) <= reach + 1e-9).then_some(best)
+        };
+        let row: Option<Vec<usize>> = (0..units.len()).map(|k| if k == leader { Some(i) } else { nearest(k) }).collect();
+        if let Some(row) = row {
+            next.iter_mut().zip(&row).for_each(|(next, j)| *next = j + 1);
+            rows.push(row);
+        }
+    }
+    let reads = |(unit, i): (&&Unit, &usize)| {
+        (0..observations.channels.len()).any(|c| observations.values[unit.block(c).start + i] != 0.0)
+    };
+    rows.retain(|row| units.iter().zip(row).any(reads));
+    rows
+}
+
+/// The misfit that all repetitions of a condition share, in one channel: their residuals' running mean along the path. Taken from
+/// each residual where it was read, it keeps matched samples that lie a little apart from differing by it.
+struct Smooth {
+    progress: Vec<f64>,
+    /// Sums of the residuals before each place.
+    sums: Vec<f64>,
+    half_width: f64,
+}
+
+impl Smooth {
+    /// Samples to either side, in distances of one repetition's samples: our choice.
+    const REACH: f64 = 2.0;
+
+    fn new(observations: &Observations, group: &[usize], channel: usize, residual: &dyn Fn(usize) -> f64) -> Self {
+        let units = group.iter().map(|&u| &observations.units[u]);
+        let mut all: Vec<(f64, f64)> =
+            units.clone().flat_map(|u| u.progress.iter().copied().zip(u.block(channel).map(residual))).collect();
+        all.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let way = all.last().zip(all.first()).map_or(0.0, |(last, first)| last.0 - first.0);
+        let fewest = units.map(|u| u.samples).min().unwrap_or(1).max(1);
+        let mut sums = vec![0.0];
+        sums.extend(all.iter().scan(0.0, |sum, (_, r)| {
+            *sum += r;
+            Some(*sum)
+        }));
+        Self { progress: all.iter().map(|a| a.0).collect(), sums, half_width: Self::REACH * way / fewest as f64 }
+    }
+
+    /// Mean about a place.
+    fn at(&self, place: f64) -> f64 {
+        let from = self.progress.partition_point(|&p| p < place - self.half_width);
+        let until = self.progress.partition_point(|&p| p <= place + self.half_width);
+        (self.sums[until] - self.sums[from]) / (until - from).max(1) as f64
     }
 }
 

@@ -3,7 +3,7 @@
 use super::form::Form;
 use super::misfit::{Correlate, Misfit};
 use super::next_experiment::Proposal;
-use super::select::Verdict;
+use super::verdict::Verdict;
 use crate::error::{Error, Result};
 use crate::sand::SandDescription;
 use serde::Serialize;
@@ -59,6 +59,66 @@ pub struct Gain {
     /// Share of what a perfect model would remove, plain error less scatter; none where a 95 % interval of that difference
     /// has 0 in it. By chance it may be a little above 1.
     pub achievable_fraction: Option<f64>,
+    /// Were cause, noise and whitening chosen anew without the conditions held out?
+    pub nested: bool,
+}
+
+/// What measuring did, marginalised and no cause.
+#[derive(Clone, Debug, Serialize, PartialEq)]
+pub struct NuisanceValue {
+    pub id: String,
+    /// Where each channel has its own.
+    pub channel: Option<String>,
+    /// `log`: all data have one value. `trial`, `bed`: each has its own, about 0, and `sd` is how they scatter.
+    pub level: &'static str,
+    pub value: f64,
+    pub sd: f64,
+    pub unit: &'static str,
+}
+
+/// What the model that stands leaves unexplained.
+#[derive(Clone, Debug, Serialize, PartialEq)]
+pub struct Remainder {
+    /// Is it larger than noise?
+    pub significant: bool,
+    /// Share of the plain model's held-out misfit beyond noise that stays.
+    pub fraction: f64,
+    #[serde(rename = "where")]
+    pub place: String,
+    pub lack_of_fit: f64,
+    pub limit: f64,
+    /// The same of the one condition and channel that is worst, in standard deviations of noise.
+    pub worst: f64,
+    pub worst_limit: f64,
+    /// Relative size of the smooth discrepancy that the data ask for beside the model.
+    pub discrepancy: f64,
+    /// Share of the whitened misfit that the best candidate explains, and twice the logarithm of its evidence over a smooth
+    /// discrepancy alone.
+    pub explained: f64,
+    pub advantage: f64,
+}
+
+/// A law found in the data.
+#[derive(Clone, Debug, Serialize, PartialEq)]
+pub struct TermFound {
+    /// In words, and in TeX.
+    pub formula: String,
+    pub tex: String,
+    pub on: String,
+    pub groups: BTreeMap<String, f64>,
+    pub coefficient: f64,
+    pub ci95: [f64; 2],
+    pub range: BTreeMap<String, [f64; 2]>,
+}
+
+/// How large a cause that was not found can be at most.
+#[derive(Clone, Debug, Serialize, PartialEq)]
+pub struct UpperLimit {
+    pub id: String,
+    /// Of its size, whatever its sign.
+    pub value: f64,
+    pub unit: String,
+    pub level: f64,
 }
 
 #[derive(Clone, Debug, Serialize, PartialEq)]
@@ -87,6 +147,13 @@ pub struct Report {
     pub candidates: Vec<Tried>,
     pub lack_of_fit: LackOfFit,
     pub gain: Gain,
+    pub nuisances: Vec<NuisanceValue>,
+    /// None without a noise floor.
+    pub remainder: Option<Remainder>,
+    pub terms: Vec<TermFound>,
+    pub upper_limits: Vec<UpperLimit>,
+    /// With which the noise along the causes' effects is known.
+    pub degrees_of_freedom: Option<f64>,
     /// Whether the law of the best cause has the right power of the speed; none where it has none or that cannot be asked.
     pub form: Option<Form>,
     pub misfit: Vec<Misfit>,
@@ -122,8 +189,8 @@ pub struct RunMeans {
 /// Noise as learnt from the repetitions.
 #[derive(Clone, Debug, Serialize, PartialEq)]
 pub struct NoiseSummary {
-    /// What a repetition has in common over all its numbers, and its sd: `trial_gain` (relative, of the force), `bed_strength`
-    /// (relative, of the sand under one walking run).
+    /// What a repetition has in common over all its numbers, and its sd: `bed_strength` (relative), `depth_zero`, offsets and
+    /// drifts of force logs; `bed_strength` and `gait_scatter` of walking runs.
     pub shared: BTreeMap<String, f64>,
     /// Channel → [proportional sd, constant sd, correlation of the proportional part from sample to sample].
     pub channels: BTreeMap<String, [f64; 3]>,

@@ -11,6 +11,7 @@ use std::ops::Range;
 #[derive(Clone, Debug)]
 pub struct Shared {
     pub name: &'static str,
+    pub unit: &'static str,
     /// Standard deviation from which the search starts.
     pub guess: f64,
     pub along: Along,
@@ -25,11 +26,6 @@ pub enum Along {
 }
 
 impl Shared {
-    /// A gain of the whole trial.
-    pub fn gain() -> Vec<Self> {
-        vec![Self { name: "trial_gain", guess: 0.05, along: Along::Signal }]
-    }
-
     /// The directions in one unit, whose numbers stand at `span` of a stack and are `signal`.
     pub fn vectors<'a>(&'a self, span: Range<usize>, signal: &'a [f64]) -> Vec<&'a [f64]> {
         match &self.along {

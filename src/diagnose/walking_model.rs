@@ -2,7 +2,7 @@
 
 use super::experiment::Experiment;
 use super::forward::{Feature, ForwardModel, Menu};
-use super::observations::{Channel, Observations};
+use super::observations::Channel;
 use super::shared::{Along, Shared};
 use super::walking_log::{self, Setup, WalkingLog};
 use crate::error::{Error, Result};
@@ -15,7 +15,7 @@ use crate::sim::walk::{Trial, WalkResult};
 use crate::sim::{Model, Robot};
 use crate::sweep::walk_all;
 use std::collections::HashMap;
-use std::sync::{Mutex, OnceLock, PoisonError};
+use std::sync::{Mutex, PoisonError};
 
 /// Steps of numerical slopes change the data by this many σ altogether: small against what noise does, and far above the
 /// roughness of a sticking gait (reversed leg at 1 Hz: 0.3 % when its phase shifts by 0.2 rad). Our choice.
@@ -43,7 +43,8 @@ pub struct WalkingModel<'a> {
     missing: Vec<&'static str>,
     /// Simulations already made, by the bits of mechanisms and coefficients: setup by setup.
     known: Mutex<HashMap<Vec<u64>, Vec<WalkResult>>>,
-    plain_fine: OnceLock<Vec<f64>>,
+    /// What each number is multiplied by: see [`Self::correct_step`].
+    correction: Vec<f64>,
 }
 
 /// Predictions beside the nominal one.
@@ -62,7 +63,7 @@ impl<'a> WalkingModel<'a> {
             let robot = Robot::load(&setup.robot)?.with_leg_shape(&setup.leg)?;
             robots.insert((setup.robot.clone(), setup.leg.clone()), robot);
         }
-        let model = Self {
+        let mut model = Self {
             latch,
             medium: experiment.medium.clone(),
             setups: log.setups.clone(),
@@ -71,7 +72,7 @@ impl<'a> WalkingModel<'a> {
             channels: log.observations.channels.clone(),
             missing: log.missing.clone(),
             known: Mutex::default(),
-            plain_fine: OnceLock::new(),
+            correction: Vec::new(),
         };
         let plain = (Mechanisms::default(), model.medium.coefficients);
         let trials = model.trials(&plain).into_iter().collect::<Result<Vec<_>>>()?;
@@ -85,7 +86,10 @@ impl<'a> WalkingModel<'a> {
             Some((_, s)) => {
                 Err(Error::invalid("data", format!("the simulation of {} at {} Hz diverges", s.leg, s.frequency)))
             }
-            None => Ok(model),
+            None => {
+                model.correct_step()?;
+                Ok(model)
+            }
         }
     }
 
@@ -94,26 +98,31 @@ impl<'a> WalkingModel<'a> {
         &self.setups
     }
 
-    /// The measured numbers as the simulator with its default time step would see them, and a note that says so. What the
-    /// step itself is wrong by, some tenths of a percent, is no property of the sand: each channel of each setup is scaled
-    /// by the plain simulation's ratio between the default step and an eighth of it, which leaves an eighth of that error.
-    pub fn at_default_step(&self, observations: &Observations) -> Result<(Observations, String)> {
+    /// What the default time step is wrong by, some tenths of a percent, is no property of the sand: each channel of each setup
+    /// is multiplied by the plain simulation's ratio between an eighth of the step and the step, which leaves an eighth of that error.
+    fn correct_step(&mut self) -> Result<()> {
         let plain = (Mechanisms::default(), self.medium.coefficients);
-        let (fine, coarse) = (self.plain_fine()?, self.predict(&plain.0, &plain.1));
-        let ratio = coarse.iter().zip(fine).map(|(c, f)| if (c / f).is_finite() { c / f } else { 1.0 });
-        let mut largest: f64 = 0.0;
-        let scaled = observations.values.iter().zip(ratio).map(|(y, ratio)| {
-            largest = largest.max((ratio - 1.0).abs());
-            y * ratio
-        });
-        let values = scaled.collect();
+        let (fine, coarse) = (self.stepped(EngineKind::Lanes, &plain, FINE)?, self.predict(&plain.0, &plain.1));
+        let ratio = |(f, c): (&f64, &f64)| if (f / c).is_finite() { f / c } else { 1.0 };
+        self.correction = fine.iter().zip(&coarse).map(ratio).collect();
+        Ok(())
+    }
+
+    /// Says how predictions are corrected.
+    pub fn step_note(&self) -> Result<String> {
+        let largest = self.correction.iter().map(|ratio| (ratio - 1.0).abs()).fold(0.0, f64::max);
         let (step, fine) = (1e3 * Scene::DEFAULT_DT, 1e3 * Scene::DEFAULT_DT / FINE);
-        let note = format!(
-            "measured numbers are compared as a time step of {step} ms sees them: scaled by the ratio of plain simulations with \
-             {step} and {fine} ms, by at most {} %",
+        Ok(format!(
+            "predictions are those of a time step of {step} ms times the ratio of plain simulations with {fine} and {step} ms, \
+             which differs from 1 by at most {} %; what the report shows is as simulated",
             super::words::digits(100.0 * largest)
-        );
-        Ok((Observations { values, ..observations.clone() }, note))
+        ))
+    }
+
+    /// Simulated numbers, corrected.
+    fn corrected(&self, mut stack: Vec<f64>) -> Vec<f64> {
+        stack.iter_mut().zip(&self.correction).for_each(|(s, ratio)| *s *= ratio);
+        stack
     }
 
     /// A trial for every setup.
@@ -159,16 +168,6 @@ impl<'a> WalkingModel<'a> {
         Ok(self.stack(&walk_all(engine, &trials, self)?))
     }
 
-    /// The plain model's prediction with the fine time step, made once.
-    fn plain_fine(&self) -> Result<&[f64]> {
-        if let Some(known) = self.plain_fine.get() {
-            return Ok(known);
-        }
-        let plain = (Mechanisms::default(), self.medium.coefficients);
-        let fine = self.stepped(EngineKind::Lanes, &plain, FINE)?;
-        Ok(self.plain_fine.get_or_init(|| fine))
-    }
-
     fn others(&self, (mechanisms, coefficients): &State) -> Others {
         let scaled = |factor: f64| {
             let scale = (1.0 + mechanisms.scale) * factor - 1.0;
@@ -176,7 +175,7 @@ impl<'a> WalkingModel<'a> {
         };
         let beds = self.predict_many(&[scaled(1.0 + STRENGTH_STEP), scaled(1.0 - STRENGTH_STEP)]);
         let state = [(*mechanisms, *coefficients)];
-        let phases = PHASES.iter().flat_map(|&phase| self.simulate(&state, phase)).map(|r| self.stack(&r)).collect();
+        let phases = PHASES.iter().flat_map(|&phase| self.simulate(&state, phase)).map(|r| self.corrected(self.stack(&r))).collect();
         Others { beds, phases }
     }
 
@@ -214,11 +213,17 @@ impl ForwardModel for WalkingModel<'_> {
     }
 
     fn predict(&self, mechanisms: &Mechanisms, coefficients: &Coefficients) -> Vec<f64> {
-        self.simulate(&[(*mechanisms, *coefficients)], 0.0).iter().flat_map(|r| self.stack(r)).collect()
+        self.corrected(self.simulate(&[(*mechanisms, *coefficients)], 0.0).iter().flat_map(|r| self.stack(r)).collect())
     }
 
     fn predict_many(&self, states: &[State]) -> Vec<Vec<f64>> {
-        self.simulate(states, 0.0).iter().map(|r| self.stack(r)).collect()
+        self.simulate(states, 0.0).iter().map(|r| self.corrected(self.stack(r))).collect()
+    }
+
+    fn as_simulated(&self, prediction: &[f64]) -> Vec<f64> {
+        let mut stack = prediction.to_vec();
+        stack.iter_mut().zip(&self.correction).for_each(|(s, ratio)| *s /= ratio);
+        stack
     }
 
     fn roughness(&self) -> Option<f64> {
@@ -240,30 +245,29 @@ impl ForwardModel for WalkingModel<'_> {
         let mut scatter = vec![super::fit::slope(&middle, prediction, 1.0)];
         scatter.extend(phases.iter().map(|other| super::fit::slope(other, prediction, share)));
         vec![
-            Shared { name: "bed_strength", guess: STRENGTH_STEP, along: Along::Stacks(vec![slope]) },
-            Shared { name: "gait_scatter", guess: 1.0, along: Along::Stacks(scatter) },
+            Shared { name: "bed_strength", unit: "1", guess: STRENGTH_STEP, along: Along::Stacks(vec![slope]) },
+            Shared { name: "gait_scatter", unit: "1", guess: 1.0, along: Along::Stacks(scatter) },
         ]
     }
 
     /// Measured without data, as four differences at the candidate itself: the other engine's answer to the same equations;
-    /// what the time step does there beyond what [`Self::at_default_step`] took out at the plain model; the eighth of the
+    /// what the time step does there beyond what [`Self::correct_step`] takes out; the eighth of the
     /// step's error that it leaves; and how far the mean over other phases and beds lies from the nominal run, which is
     /// next to nothing where a gait is regular. Each channel of each setup errs by their root sum of squares, independently of the
     /// others, for one difference says how large an error is and not its pattern.
     fn model_error(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Vec<f64>> {
-        let (state, plain) = ((*mechanisms, *coefficients), (Mechanisms::default(), self.medium.coefficients));
+        let state = (*mechanisms, *coefficients);
         let (other, fine) =
             (self.stepped(EngineKind::Rapier, &state, 1.0), self.stepped(EngineKind::Lanes, &state, FINE));
-        let (Ok(other), Ok(fine), Ok(plain_fine)) = (other, fine, self.plain_fine()) else { return Vec::new() };
-        let plain_coarse = self.predict(&plain.0, &plain.1);
+        let (Ok(other), Ok(fine)) = (other.map(|o| self.corrected(o)), fine) else { return Vec::new() };
         let Others { beds, phases } = self.others(&state);
         let mean =
             |runs: &[Vec<f64>], k: usize| runs.iter().map(|r| r[k] - prediction[k]).sum::<f64>() / runs.len() as f64;
         let size = |k: usize| {
-            let exact = fine[k] * plain_coarse[k] / plain_fine[k];
             let average = mean(&beds, k) + mean(&phases, k);
-            let differences =
-                [other[k] - prediction[k], exact - prediction[k], (fine[k] - prediction[k]) / FINE, average];
+            // What the correction leaves of the step's error is an eighth of it.
+            let left = (fine[k] - prediction[k] / self.correction.get(k).copied().unwrap_or(1.0)) / FINE;
+            let differences = [other[k] - prediction[k], fine[k] - prediction[k], left, average];
             // A simulation that diverged says nothing of the others.
             differences.into_iter().filter(|d| d.is_finite()).map(|d| d * d).sum::<f64>().sqrt()
         };
@@ -316,7 +320,7 @@ impl ForwardModel for WalkingModel<'_> {
             channels: self.channels.clone(),
             missing: self.missing.clone(),
             known: Mutex::default(),
-            plain_fine: OnceLock::new(),
+            correction: Vec::new(),
         };
         (!descriptions.is_empty()).then(|| Menu {
             model: Box::new(model),

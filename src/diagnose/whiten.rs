@@ -24,7 +24,8 @@ impl Whitener {
         let repetitions = source.observations.repetitions();
         let units = source.observations.units.iter().zip(source.sizes).map(|(unit, sizes)| {
             let span = source.observations.span(unit);
-            let channels = noise.channels.iter().zip(sizes).map(|(n, s)| ChannelFilter::new(n, s)).collect();
+            let steps = noise.clock.steps(&unit.progress);
+            let channels = noise.channels.iter().zip(sizes).map(|(n, s)| ChannelFilter::new(n, s, &steps)).collect();
             let mut filter = UnitFilter { span, samples: unit.samples, channels, shared: LowRank::new(&[]) };
             filter.share(source, noise, (repetitions[unit.condition].len() as f64).sqrt());
             filter

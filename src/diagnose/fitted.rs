@@ -1,0 +1,312 @@
+//! The second stage: every cause fitted, the noise made anew about the best, second causes tried. Values are made once and
+//! never changed: each step gives a new [`Fitted`].
+
+use super::calibrate::{FELT, Gates, Scores, Screen, gates, starts};
+use super::cross_validation::{HeldOut, leave_condition_out, unfitted};
+use super::fit::{COEFFICIENTS, Fit, Study, dot, slope};
+use super::lack_of_fit::{self, Lack};
+use super::noise::{Noise, Source};
+use super::nuisance::Nuisance;
+use super::whiten::Whitener;
+use crate::parallel;
+use crate::sand::mechanism::CATALOG;
+
+/// A second term must earn this share of the deviance that the pair explains on held-out conditions (contract, 4).
+const SECOND_TERM_SHARE: f64 = 0.01;
+/// Pairs fitted in full, the best of the linear screen: our choice, for the time they take.
+const PAIRS_FITTED: usize = 14;
+/// Times that the noise is made anew for a best candidate that it has moved: our choice, two are usually enough.
+const NOISES: usize = 3;
+/// Rivals fitted again under the final whitening: our choice; one further behind is hundreds of χ² away.
+pub const FINALISTS: usize = 8;
+/// Typical strengths within which a linear estimate is held: our choice, beyond it a line from the plain model says little.
+pub const USUAL: f64 = 4.0;
+
+/// What the first stage says: the effect of every cause about the plain model, and gates.
+pub struct Screened {
+    pub screen: Screen,
+    pub scores: Scores,
+    pub gates: Gates,
+    /// Catalogue indices of the causes asked for.
+    pub ids: Vec<usize>,
+}
+
+/// The first stage.
+pub fn screened(study: &Study, source: &Source, noise: &Noise, ids: &[usize]) -> Screened {
+    let screen = Screen::new(study, ids);
+    let scores = screen.scores(study.whitener, &study.observations.values);
+    let gates = gates(study, source, &screen, noise, &scores);
+    Screened { screen, scores, gates, ids: ids.to_vec() }
+}
+
+/// One cause or pair that was tried.
+#[derive(Clone)]
+pub struct Candidate {
+    pub fit: Fit,
+    pub delta_chi2: f64,
+    pub held_out: HeldOut,
+    pub lack: Lack,
+}
+
+/// Noise, whitening and nuisances about one candidate.
+pub struct Surroundings {
+    pub noise: Noise,
+    pub whitener: Whitener,
+    pub nuisances: Vec<Nuisance>,
+}
+
+/// Plain model and candidates, fitted under one noise.
+pub struct Fitted {
+    /// Plain model, nothing fitted.
+    pub plain: Fit,
+    pub plain_held_out: HeldOut,
+    /// Plain model with coefficients and nuisances adjusted within their priors.
+    pub base: Candidate,
+    /// Best first: smallest χ² of the size chosen, then the others.
+    pub candidates: Vec<Candidate>,
+    /// How many of `candidates`, from the first, were fitted under the final whitening and can be compared.
+    pub finalists: usize,
+    /// What a second cause had to gain; none where none was tried.
+    pub second_gate: Option<f64>,
+}
+
+impl Fitted {
+    pub fn best(&self) -> Option<&Candidate> {
+        self.candidates.first()
+    }
+
+    /// Where the best gains less than the gate nothing was found.
+    pub fn found(&self, gates: &Gates) -> bool {
+        self.best().is_some_and(|c| c.delta_chi2 > gates.single)
+    }
+}
+
+pub fn candidate(study: &Study, base: &Fit, fit: Fit) -> Candidate {
+    Candidate {
+        delta_chi2: base.objective - fit.objective,
+        held_out: leave_condition_out(study, &fit),
+        lack: lack_of_fit::statistic(study.observations, &fit.white),
+        fit,
+    }
+}
+
+/// Candidates fitted with `base`, best first. A smooth model's fits take their slopes anew, and they fill the memory: only the
+/// best keep theirs.
+fn ranked(study: &Study, base: &Fit, fits: &[Fit]) -> Vec<Candidate> {
+    let mut candidates = parallel::map(fits, |fit| candidate(study, base, fit.clone()));
+    candidates.sort_by(|a, b| b.delta_chi2.total_cmp(&a.delta_chi2));
+    if study.model.roughness().is_none() {
+        let fits = candidates.iter_mut().skip(FINALISTS).map(|c| &mut c.fit);
+        fits.for_each(|f| (f.slopes, f.white_slopes) = (Vec::new(), Vec::new()));
+    }
+    candidates
+}
+
+/// Starts of a fit of `ids`: `values`, and every further start of each.
+fn further_starts(study: &Study, ids: &[usize], values: &[f64]) -> (Vec<usize>, Vec<Vec<f64>>) {
+    let mut from = vec![values.to_vec()];
+    for (k, &id) in ids.iter().enumerate() {
+        for &start in starts(study, id).iter().skip(1) {
+            let mut other = values.to_vec();
+            other[k] = start;
+            from.push(other);
+        }
+    }
+    (ids.to_vec(), from)
+}
+
+/// Start of a single fit: the linear estimate, held within what is usual for the mechanism.
+fn linear_start(screen: &Screen, scores: &Scores, column: usize) -> f64 {
+    let (id, value) = screen.candidates[column];
+    let entry = &CATALOG[id];
+    let felt = scores.gram[(column, column)];
+    if entry.ceiling {
+        return value; // its effect is far from proportional: an estimate from afar means nothing
+    }
+    let estimate = if felt > FELT { entry.typical * scores.score[column] / felt } else { 0.0 };
+    let reach = (USUAL * entry.typical).max(8.0 * value.abs());
+    let start = estimate.clamp(-reach, reach).clamp(entry.bounds[0], entry.bounds[1]);
+    if start == 0.0 { value * 0.1 } else { start }
+}
+
+/// A rough model's objective has minima beside the lowest, and the linear estimate may lead into one near the plain model: a
+/// second start, as far out on the same side as estimates are held. None of a smooth model, where the first one has to do.
+fn far_start(study: &Study, id: usize, estimate: f64) -> Option<f64> {
+    let entry = &CATALOG[id];
+    let far = (USUAL * entry.typical).copysign(estimate).clamp(entry.bounds[0], entry.bounds[1]);
+    (study.model.roughness().is_some() && !entry.ceiling).then_some(far)
+}
+
+/// Every cause alone.
+pub fn singles(study: &Study, Screened { screen, scores, ids, .. }: &Screened) -> Fitted {
+    let (plain, base) = (study.plain(), study.recalibrated());
+    let columns: Vec<usize> = ids.iter().filter_map(|id| screen.candidates.iter().position(|c| c.0 == *id)).collect();
+    let start = |&column: &usize| {
+        let value = linear_start(screen, scores, column);
+        let id = screen.candidates[column].0;
+        let (ids, mut from) = further_starts(study, &[id], &[value]);
+        from.extend(far_start(study, id, value).map(|far| vec![far]));
+        (ids, from)
+    };
+    let fits = study.fit_all(&columns.iter().map(start).collect::<Vec<_>>());
+    Fitted {
+        plain_held_out: unfitted(study, &plain),
+        candidates: ranked(study, &base, &fits),
+        base: candidate(study, &base, base.clone()),
+        plain,
+        finalists: 0,
+        second_gate: None,
+    }
+}
+
+/// Noise, whitening and nuisances that belong to a fit: what a repetition has in common acts along its prediction.
+pub fn surroundings(study: &Study, source: &Source, start: &Noise, fit: &Fit) -> Surroundings {
+    let coefficients = study.coefficients(&fit.deviations);
+    let shared = study.model.shared(&fit.mechanisms, &coefficients, &fit.prediction);
+    let model_error = study.model.model_error(&fit.mechanisms, &coefficients, &fit.prediction);
+    // The noise is learnt from what the fit leaves, nuisances included; it acts along what the sand does.
+    let reading = study.reading(fit);
+    let source = Source { prediction: &reading, shared: &shared, model_error: &model_error, ..*source };
+    let noise = source.noise(Some(start), &|| study.model.stopped());
+    let whitener = Whitener::new(&source, &noise);
+    let nuisances = bent(study, &whitener, fit);
+    Surroundings { noise, whitener, nuisances }
+}
+
+/// The study under a whitening, its nuisances taken about a fit.
+fn about<'a>(study: &Study<'a>, whitener: &'a Whitener, fit: &Fit) -> Study<'a> {
+    study.under(whitener, study.nuisances_about(fit))
+}
+
+/// Rounds in which nuisances that bend are followed: our choice, most need two.
+const BENDS: usize = 6;
+/// A bend by less than this share of a prior standard deviation is none: our choice.
+const STRAIGHT: f64 = 0.02;
+
+/// Nuisances about `fit` under a whitening, the fit and they adjusted to each other: where a filter is slow against the fastest
+/// trials the first estimate is far off. A step that does not help is halved.
+fn bent(study: &Study, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> {
+    let mut now = about(study, whitener, fit);
+    let mut at = now.fit_from(&[fit]).swap_remove(0);
+    let mut least = f64::INFINITY;
+    let mut before = fit.clone();
+    for _ in 0..BENDS {
+        let bends = study.nuisances.iter().zip(&at.deviations[COEFFICIENTS..]).zip(&before.deviations[COEFFICIENTS..]);
+        let turned = bends.filter(|((n, _), _)| n.id.starts_with("lowpass")).map(|((_, a), b)| (a - b).abs());
+        if turned.fold(0.0, f64::max) < STRAIGHT {
+            break;
+        }
+        let next = about(&now, whitener, &at);
+        let there = next.restated(&at);
+        if there.objective > least {
+            let half = at.deviations.iter().zip(&before.deviations).map(|(a, b)| 0.5 * (a + b)).collect();
+            at = Fit { deviations: half, ..at };
+            continue;
+        }
+        (least, before) = (there.objective, at);
+        at = next.fit_from(&[&there]).swap_remove(0);
+        now = next;
+    }
+    now.nuisances_about(&at)
+}
+
+/// Fits the best and its nearest rivals again under the noise that belongs to the best, until that moves the best by less than
+/// one σ; gives the last surroundings.
+pub fn settled(study: &Study, source: &Source, noise: &Noise, fitted: Fitted) -> (Fitted, Option<Surroundings>) {
+    let mut fitted = fitted;
+    let mut around: Option<Surroundings> = None;
+    for _ in 0..NOISES {
+        let Some(best) = fitted.best().map(|c| c.fit.clone()) else { break };
+        let (next, before) = {
+            let now = around.as_ref().map(|a| study.under(&a.whitener, a.nuisances.clone()));
+            let now = now.as_ref().unwrap_or(study);
+            (surroundings(now, source, noise, &best), now.reading(&best))
+        };
+        let renewed = study.under(&next.whitener, next.nuisances.clone());
+        fitted = refitted(&renewed, fitted);
+        let after = fitted.best().map(|c| renewed.reading(&c.fit));
+        let moved = after.map(|after| next.whitener.apply(&slope(&after, &before, 1.0)));
+        around = Some(next);
+        if moved.is_none_or(|moved| dot(&moved, &moved) < 1.0) {
+            break;
+        }
+    }
+    (fitted, around)
+}
+
+/// The best and its nearest rivals fitted again, from where they stand; the others keep their distance to the best.
+fn refitted(study: &Study, fitted: Fitted) -> Fitted {
+    let Fitted { plain, plain_held_out, candidates, second_gate, .. } = fitted;
+    let size = candidates[0].fit.ids.len();
+    let same: Vec<usize> =
+        (0..candidates.len()).filter(|&k| candidates[k].fit.ids.len() == size).take(FINALISTS).collect();
+    let base = study.recalibrated();
+    let beside = study.beside(&candidates[0].fit);
+    let mut again = study.fit_from(&same.iter().map(|&k| &candidates[k].fit).chain(&beside).collect::<Vec<_>>());
+    for other in again.split_off(same.len()) {
+        if other.objective < again[0].objective {
+            again[0] = other;
+        }
+    }
+    let mut front = ranked(study, &base, &again);
+    let finalists = front.len();
+    front.extend(candidates.into_iter().enumerate().filter(|(k, _)| !same.contains(k)).map(|(_, c)| c));
+    let base = candidate(study, &base, base.clone());
+    Fitted { plain, plain_held_out, base, candidates: front, finalists, second_gate }
+}
+
+/// Second causes tried beside the best; pairs go to the front where the best of them earns its place. Does it?
+pub fn with_pairs(study: &Study, first: &Screened, fitted: Fitted) -> (Fitted, bool) {
+    let Screened { screen, gates, .. } = first;
+    let scores = screen.scores(study.whitener, &study.observations.values);
+    let best = &fitted.candidates[0];
+    let id = best.fit.ids[0];
+    let Some(column) = screen.candidates.iter().position(|c| c.0 == id) else {
+        return (fitted, false);
+    };
+    let gate = screen.second_gate(&scores.gram, column, best.fit.values()[0], gates);
+    let second = study.further(&best.fit, &screen.candidates);
+    let linear = screen.pairs(&scores.gram, &scores.score);
+    let from_best = second.iter().map(|s| [id, s.id]);
+    let from_all = linear.iter().map(|&(_, i, j)| [screen.candidates[i].0, screen.candidates[j].0]);
+    let mut tried: Vec<[usize; 2]> = Vec::new();
+    for pair in from_best.take(PAIRS_FITTED / 2).chain(from_all) {
+        if tried.len() < PAIRS_FITTED && !tried.iter().any(|t| *t == pair || *t == [pair[1], pair[0]]) {
+            tried.push(pair);
+        }
+    }
+    let start = |id: usize| {
+        let single = fitted.candidates.iter().find(|c| c.fit.ids == [id]);
+        single.map_or(0.0, |c| c.fit.values()[0])
+    };
+    let starts = |pair: &[usize; 2]| {
+        let mut ids = pair.to_vec();
+        ids.sort_unstable();
+        let values = if pair[0] == id {
+            let other = second.iter().find(|s| s.id == pair[1]).map_or(0.0, |s| s.start);
+            if ids[0] == id { [start(id), other] } else { [other, start(id)] }
+        } else {
+            [0.5 * start(ids[0]), 0.5 * start(ids[1])]
+        };
+        further_starts(study, &ids, &values)
+    };
+    let fits = study.fit_all(&tried.iter().map(starts).collect::<Vec<_>>());
+    let base = &fitted.base.fit;
+    let mut pairs = ranked(study, base, &fits);
+    let earns = pairs.first().is_some_and(|pair| {
+        // What coefficients far from their prior explain is not explained: their deviations are charged as in a fit.
+        let charged = |fit: &Fit, held_out: &HeldOut| held_out.deviance + dot(&fit.deviations, &fit.deviations);
+        let none = charged(base, &fitted.base.held_out);
+        let [one, two] = [best, pair].map(|c| charged(&c.fit, &c.held_out));
+        let share = (one - two) / (none - two).max(1e-9);
+        pair.delta_chi2 - best.delta_chi2 > gate && share >= SECOND_TERM_SHARE
+    });
+    let mut candidates = fitted.candidates;
+    if earns {
+        pairs.append(&mut candidates);
+        candidates = pairs;
+    } else {
+        candidates.append(&mut pairs);
+    }
+    (Fitted { candidates, second_gate: Some(gate), ..fitted }, earns)
+}

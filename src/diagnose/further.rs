@@ -1,0 +1,62 @@
+//! Further causes beside a fitted model: which would gain something, how much, and how large it can be at most.
+
+use super::fit::{Fit, Study, dot, slope};
+use super::fitted::USUAL;
+use crate::parallel;
+use crate::sand::mechanism::CATALOG;
+
+/// A further cause beside a fitted model, by a linear estimate.
+#[derive(Clone, Copy, Debug)]
+pub struct Further {
+    /// Catalogue index.
+    pub id: usize,
+    /// Value from which a fit begins.
+    pub start: f64,
+    pub gain: f64,
+    /// Estimate and its standard deviation, in the mechanism's coordinate; the sign not held within bounds.
+    pub estimate: f64,
+    pub sd: f64,
+}
+
+impl Study<'_> {
+    /// Further causes beside a fitted model, those that gain most [χ²] first.
+    pub fn further(&self, first: &Fit, candidates: &[(usize, f64)]) -> Vec<Further> {
+        let coefficients = self.coefficients(&first.deviations);
+        let (information, _) = first.normal_equations();
+        let Some(inverse) = information.try_inverse() else {
+            return Vec::new();
+        };
+        let others: Vec<_> = candidates.iter().filter(|c| !first.ids.contains(&c.0)).copied().collect();
+        let states: Vec<_> = others.iter().map(|&(id, v)| (first.mechanisms.with(id, v), coefficients)).collect();
+        let moved: Vec<_> = others.into_iter().zip(self.model.predict_many(&states)).collect();
+        let mut found: Vec<_> = parallel::map(&moved, |&((id, value), ref moved)| {
+            let column = slope(moved, &first.prediction, value);
+            let white = self.whitener.apply(&column);
+            let cross =
+                nalgebra::DVector::from_fn(first.white_slopes.len(), |i, _| dot(&first.white_slopes[i], &white));
+            let left = dot(&white, &white) - (cross.transpose() * &inverse * &cross)[0];
+            let score = dot(&white, &first.white);
+            let estimate = if left > 1e-12 { score / left } else { 0.0 };
+            let entry = &CATALOG[id];
+            let held =
+                estimate.clamp(entry.bounds[0], entry.bounds[1]).clamp(-USUAL * entry.typical, USUAL * entry.typical);
+            let held = if entry.ceiling { value } else { held };
+            Further {
+                id,
+                start: if held == 0.0 { 0.05 * value } else { held },
+                gain: if held * estimate > 0.0 { score * estimate } else { 0.0 },
+                estimate,
+                sd: left.max(1e-300).sqrt().recip(),
+            }
+        });
+        found.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+        let mut seen = Vec::new();
+        found.retain(|f| {
+            !seen.contains(&f.id) && {
+                seen.push(f.id);
+                true
+            }
+        });
+        found
+    }
+}
