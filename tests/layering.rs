@@ -19,11 +19,11 @@ const KNOWS: [(&str, &[&str]); 23] = [
     ("pool", &["error", "parallel", "progress", "env", "policy"]),
     ("view", &["error", "number", "plot", "sand", "sim"]),
     ("session", &["error", "env", "sim", "pool", "view"]),
-    ("calibrate", &["error", "plot", "sand"]),
-    ("validate", &["error", "parallel", "table", "plot", "sand"]),
+    ("calibrate", &["error", "table", "plot", "sand"]),
     ("sweep", &["error", "parallel", "progress", "table", "plot", "sand", "sim"]),
     ("diagnose", &["error", "parallel", "progress", "number", "table", "plot", "sand", "sim", "sweep"]),
     ("reproduce", &["error", "parallel", "progress", "number", "table", "plot", "sand", "sim", "sweep"]),
+    ("validate", &["error", "parallel", "table", "plot", "sand", "sim", "calibrate", "reproduce"]),
     ("evaluate", &["error", "parallel", "progress", "table", "sand", "sim", "env", "policy"]),
     (
         "service",

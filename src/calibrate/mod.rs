@@ -4,10 +4,11 @@
 //! so ζ is one least-squares slope. Samples of a force trace are not independent: the confidence interval comes from
 //! leaving out one stretch of depth at a time, not from the scatter of single samples.
 
+pub mod figure;
 pub mod pushes;
+pub mod read;
 
 use crate::error::{Error, Result};
-use crate::plot::{Axis, Figure, Mark, Panel, Style, color};
 use crate::sand::law::agarwal2023;
 
 /// Stretches of depth that are left out one by one. Our choice: few and long, so that they hardly know each other's
@@ -153,29 +154,4 @@ fn jackknife(points: &[[f64; 2]], greatest: f64) -> f64 {
     let count = slopes.len() as f64;
     let mean = slopes.iter().sum::<f64>() / count;
     ((count - 1.0) / count * slopes.iter().map(|s| (s - mean).powi(2)).sum::<f64>()).sqrt()
-}
-
-/// The test and the line through it.
-pub fn figure(depth: &[f64], force: &[f64], c: &Calibration) -> Figure {
-    let deepest = depth.iter().copied().fold(0.0, f64::max);
-    let force_at = |zeta: f64, z: f64| zeta * 1e6 * z * c.area;
-    let band = [0.0, deepest].map(|z| [1e3 * z, force_at(c.zeta_interval[0], z), force_at(c.zeta_interval[1], z)]);
-    let line = [0.0, deepest].map(|z| [1e3 * z, force_at(c.zeta, z)]);
-    let data = depth.iter().zip(force).map(|(z, f)| [1e3 * z, *f]).collect();
-    let label = format!("ζ = {:.3} N/cm³", c.zeta);
-    Figure {
-        title: "Penetration test".into(),
-        columns: 1,
-        panels: vec![Panel {
-            x: Axis::new("depth [mm]"),
-            y: Axis::new("force [N]"),
-            marks: vec![
-                Mark::band("95 % confidence", color::BLUE, band.to_vec()),
-                Mark::line("measured", Style { width: 0.0, ..Style::line(color::VERMILION) }.with_dots(), data),
-                Mark::line(&label, Style::line(color::BLUE), line.to_vec()),
-            ],
-            ..Panel::default()
-        }],
-        note: format!("plate {:.2} cm², {} samples in the fit, r² = {:.3}", c.area * 1e4, c.samples, c.r_squared),
-    }
 }

@@ -6,7 +6,6 @@
 
 use super::{TRANSIENT, refused};
 use crate::error::{Result, check_range};
-use crate::plot::{Axis, Figure, Mark, Panel, Style, color};
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 
@@ -415,25 +414,6 @@ fn cautions(study: &Pushes, pushes: &[Push]) -> Vec<String> {
         study.greatest[1]
     ));
     cautions
-}
-
-/// Pressure over depth of every push, one colour a size.
-pub fn figure(pushes: &[Push], study: &Pushes) -> Figure {
-    let mut marks = Vec::new();
-    for (k, size) in study.sizes.iter().enumerate() {
-        let style = Style::line(color::CYCLE[k % color::CYCLE.len()]);
-        let label = format!("{:.0} mm, ζ {:.3} N/cm³", 1e3 * size.diameter, size.zeta);
-        for (nth, push) in pushes.iter().filter(|p| (p.diameter - size.diameter).abs() < 1e-6).enumerate() {
-            let points = push.points.iter().map(|[z, f]| [1e3 * z, f / push.area() * 1e-3]).collect();
-            marks.push(Mark::line(if nth == 0 { &label } else { "" }, style.clone(), points));
-        }
-    }
-    Figure {
-        title: "Penetration tests".into(),
-        columns: 1,
-        panels: vec![Panel { x: Axis::new("depth [mm]"), y: Axis::new("pressure [kPa]"), marks, ..Panel::default() }],
-        note: format!("{} pushes; best law: {}", pushes.len(), study.law.formula()),
-    }
 }
 
 #[cfg(test)]

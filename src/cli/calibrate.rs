@@ -1,31 +1,13 @@
 //! `sandgait calibrate`
 
 use sandgait::calibrate::pushes::{self, Push, Pushes, Value};
-use sandgait::calibrate::{self, Calibration};
-use sandgait::error::check_range;
+use sandgait::calibrate::{self, Calibration, figure, read};
 use sandgait::plot::png;
-use sandgait::table::{self, Asked, Column, Quantity, Row};
 use sandgait::{Error, Result};
-use std::collections::HashMap;
 use std::path::PathBuf;
 
 /// The plate of Li et al. 2012, section 2: 3.8 × 2.5 cm [m²].
 const PLATE: f64 = 0.038 * 0.025;
-
-/// Beyond ±1e6 m or N a test is in the wrong unit or broken: our choice, as for force logs.
-const MOST: f64 = 1e6;
-
-const COLUMNS: [Column; 7] = [
-    Column::needed("depth", Quantity::Length),
-    Column::needed("force", Quantity::Force),
-    Column { name: "trial", quantity: Quantity::Text, required: false },
-    Column { name: "diameter", quantity: Quantity::Length, required: false },
-    Column { name: "length", quantity: Quantity::Length, required: false },
-    Column { name: "width", quantity: Quantity::Length, required: false },
-    Column { name: "speed", quantity: Quantity::Speed, required: false },
-];
-/// Diameters and sides of plates [m]: our choice, wide.
-const SIZES: std::ops::RangeInclusive<f64> = 1e-4..=1.0;
 
 /// Measure your sand: its scale from one slow vertical penetration of a horizontal plate.
 ///
@@ -69,21 +51,12 @@ impl Calibrate {
     pub fn run(self) -> Result<String> {
         let units = [("depth", self.depth_unit.clone()), ("force", self.force_unit.clone())];
         let units = units.into_iter().filter_map(|(name, unit)| Some((name.to_owned(), unit?)));
-        let asked = Asked { units: units.collect(), ..Asked::new(&COLUMNS) };
-        let (mut depth, mut force) = (Vec::new(), Vec::new());
-        let mut several = Several::default();
-        table::read(&self.data, &asked, |row| {
-            let [z, f] = [0, 1].map(|k| row.within(k, MOST).and_then(|x| x.ok_or_else(|| row.blank(k))));
-            let (z, f) = (z?, f?);
-            depth.push(z);
-            force.push(f);
-            if row.text(2).is_some() { several.take(row, z, f) } else { Ok(()) }
-        })?;
+        let read = read::file(&self.data, units.collect())?;
         if self.plot.as_ref().is_some_and(|p| p.extension().is_none_or(|e| e != "svg")) {
             return Err(Error::invalid("--plot", "give a file name that ends in .svg"));
         }
-        if !several.pushes.is_empty() {
-            return self.compare(&several.pushes, depth.len());
+        if !read.pushes.is_empty() {
+            return self.compare(&read.pushes);
         }
         if self.compliance.is_some() {
             return Err(Error::invalid(
@@ -91,9 +64,9 @@ impl Calibrate {
                 "one push alone cannot use it: give several, with a column trial",
             ));
         }
-        let result = calibrate::calibrate(&depth, &force, self.area.unwrap_or(PLATE))?;
+        let result = calibrate::calibrate(&read.depth, &read.force, self.area.unwrap_or(PLATE))?;
         if let Some(path) = &self.plot {
-            png::write_both(&calibrate::figure(&depth, &force, &result).svg(), path)?;
+            png::write_both(&figure::single(&read.depth, &read.force, &result).svg(), path)?;
         }
         for caution in &result.cautions {
             eprintln!("sandgait: warning: {caution}");
@@ -106,11 +79,7 @@ impl Calibrate {
 }
 
 impl Calibrate {
-    fn compare(&self, pushes: &[Push], samples: usize) -> Result<String> {
-        let held: usize = pushes.iter().map(|p| p.points.len()).sum();
-        if held != samples {
-            return Err(Error::invalid("trial", format!("blank in {} of {samples} rows", samples - held)));
-        }
+    fn compare(&self, pushes: &[Push]) -> Result<String> {
         if self.area.is_some() {
             return Err(Error::invalid(
                 "--area",
@@ -119,7 +88,7 @@ impl Calibrate {
         }
         let study = pushes::compare(pushes, self.compliance)?;
         if let Some(path) = &self.plot {
-            png::write_both(&pushes::figure(pushes, &study).svg(), path)?;
+            png::write_both(&figure::several(pushes, &study).svg(), path)?;
         }
         for caution in &study.cautions {
             eprintln!("sandgait: warning: {caution}");
@@ -128,53 +97,6 @@ impl Calibrate {
             true => super::json(&serde_json::to_value(&study).unwrap_or_default()),
             false => describe_several(&study),
         })
-    }
-}
-
-/// Pushes as they are read.
-#[derive(Default)]
-struct Several {
-    pushes: Vec<Push>,
-    /// Place of each trial's push.
-    places: HashMap<String, usize>,
-    samples: usize,
-}
-
-impl Several {
-    fn take(&mut self, row: &Row, depth: f64, force: f64) -> Result<()> {
-        let name = row.needed_text(2)?;
-        let side = |k: usize| {
-            let refused = |e: Error| row.error(k, e);
-            row.number(k)?.map(|x| check_range(COLUMNS[k].name, x, SIZES).map_err(refused)).transpose()
-        };
-        let diameter = match (side(3)?, side(4)?, side(5)?) {
-            (Some(d), None, None) => d,
-            (None, Some(length), Some(width)) => (length * width / std::f64::consts::FRAC_PI_4).sqrt(),
-            _ => return Err(row.error(3, "give a diameter, or length and width, of each push")),
-        };
-        let speed = row.within(6, MOST)?.map(f64::abs);
-        self.samples += 1;
-        if self.samples > pushes::MOST_SAMPLES {
-            return Err(row.error(0, format!("more than {} samples", pushes::MOST_SAMPLES)));
-        }
-        let new = self.pushes.len();
-        let place = *self.places.entry(name.to_owned()).or_insert(new);
-        if place == new {
-            if new == pushes::MOST_PUSHES {
-                return Err(row.error(2, format!("more than {} pushes", pushes::MOST_PUSHES)));
-            }
-            self.pushes.push(Push { name: name.to_owned(), diameter, points: Vec::new(), speeds: None });
-        }
-        let push = &mut self.pushes[place];
-        if (push.diameter - diameter).abs() > 1e-9 {
-            return Err(row.error(2, format!("{name} has two sizes")));
-        }
-        push.points.push([depth, force]);
-        if let Some(speed) = speed {
-            let [low, high] = push.speeds.unwrap_or([speed, speed]);
-            push.speeds = Some([low.min(speed), high.max(speed)]);
-        }
-        Ok(())
     }
 }
 

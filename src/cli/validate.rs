@@ -1,12 +1,13 @@
 //! `sandgait validate`
 
 use sandgait::Result;
-use sandgait::validate::{data, page::Scoreboard};
+use sandgait::validate::{data, others, page::Scoreboard};
 use std::path::PathBuf;
 
 /// Compare the model with measurements: what is predicted, how far off it is, and where it fails.
 ///
-/// Without --data: two wheels and three discs in dry sand, measured at Carnegie Mellon University.
+/// Without --data: two wheels and three discs in dry sand, measured at Carnegie Mellon University; legs in grains simulated one by
+/// one; walks by independent codes.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait validate
@@ -28,9 +29,10 @@ impl Validate {
             None => data::own()?,
         };
         let board = Scoreboard::new(data)?;
+        let others = if self.data.is_none() { others::text()? } else { String::new() };
         if let Some(folder) = &self.out {
-            board.write(folder)?;
+            board.write(folder, &others)?;
         }
-        Ok(format!("{}\n\n{}", board.worst(), board.text()))
+        Ok(format!("{}\n\n{}\n{others}", board.worst(), board.text()))
     }
 }

@@ -308,7 +308,8 @@ fn null(
     let simulated = Observations { values, ..source.observations.clone() };
     let source = Source { observations: &simulated, sizes: &sizes(&simulated), ..*source };
     let scores = screen.scores(&Whitener::new(&source, drawn), &simulated.values);
-    let information = (0..gram.nrows()).map(|k| if gram[(k, k)] > FELT { scores.gram[(k, k)] / gram[(k, k)] } else { 0.0 });
+    let information =
+        (0..gram.nrows()).map(|k| if gram[(k, k)] > FELT { scores.gram[(k, k)] / gram[(k, k)] } else { 0.0 });
     Null {
         best: screen.best_single(&scores.gram, &scores.score),
         lack: lack_of_fit::statistic(&simulated, &scores.white),

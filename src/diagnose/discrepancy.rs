@@ -45,7 +45,8 @@ impl Directions {
         let white = parallel::map(&columns, |c| study.whitener.apply(c));
         let count = white.len();
         let places: Vec<usize> = (0..count).collect();
-        let rows = parallel::map(&places, |&i| white[..=i].iter().map(|other| dot(&white[i], other)).collect::<Vec<_>>());
+        let rows =
+            parallel::map(&places, |&i| white[..=i].iter().map(|other| dot(&white[i], other)).collect::<Vec<_>>());
         let products = DMatrix::from_fn(count, count, |i, j| rows[i.max(j)][i.min(j)]);
         Self { white, products }
     }

@@ -43,13 +43,7 @@ pub fn explored(study: &Study, fitted: Fitted, gates: &Gates) -> (Fitted, Vec<[f
 }
 
 /// Judges what was fitted; `profiled` has the intervals of a rough model.
-pub fn judged(
-    study: &Study,
-    fitted: &Fitted,
-    gates: &Gates,
-    profiled: &[[f64; 2]],
-    nested: [HeldOut; 2],
-) -> Judged {
+pub fn judged(study: &Study, fitted: &Fitted, gates: &Gates, profiled: &[[f64; 2]], nested: [HeldOut; 2]) -> Judged {
     let found = fitted.found(gates);
     let best = fitted.best().filter(|_| found);
     let directions = Directions::new(study, best.map_or(&fitted.base.fit, |c| &c.fit));

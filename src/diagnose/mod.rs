@@ -171,4 +171,3 @@ fn testable(study: &Study) -> (Vec<usize>, Vec<Untestable>) {
     }
     (ids, untestable)
 }
-

@@ -31,10 +31,8 @@ pub fn nested(study: &Study, source: &Source, noise: &Noise, fitted: &Fitted, ga
     let places: Vec<Vec<usize>> =
         (0..folds).map(|f| (f..conditions).step_by(folds).map(|k| k * stride % conditions).collect()).collect();
     let made = parallel::map(&places, |held| fold(study, source, noise, fitted, gates, held));
-    let empty = || HeldOut {
-        errors: Errors { square: vec![0.0; conditions], count: vec![0.0; conditions] },
-        deviance: 0.0,
-    };
+    let empty =
+        || HeldOut { errors: Errors { square: vec![0.0; conditions], count: vec![0.0; conditions] }, deviance: 0.0 };
     let mut total = [empty(), empty()];
     for (held, parts) in places.iter().zip(made) {
         for (total, part) in total.iter_mut().zip(parts) {
@@ -77,14 +75,7 @@ struct Adjusted {
 }
 
 /// Held-out errors of base and choice on the conditions `held`, in their order.
-fn fold(
-    study: &Study,
-    source: &Source,
-    noise: &Noise,
-    fitted: &Fitted,
-    gates: &Gates,
-    held: &[usize],
-) -> [HeldOut; 2] {
+fn fold(study: &Study, source: &Source, noise: &Noise, fitted: &Fitted, gates: &Gates, held: &[usize]) -> [HeldOut; 2] {
     let source = Source { left_out: held, ..*source };
     let own = source.noise(Some(noise), &|| study.model.stopped());
     let whitener = Whitener::new(&source, &own);

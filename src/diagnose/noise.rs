@@ -341,7 +341,8 @@ impl Source<'_> {
             let moved = &eigen.eigenvectors * share.component_mul(&DVector::from_column_slice(&root));
             let place = |part: f64| at.iter().zip(moved.iter()).map(|(a, m)| a + part * m).collect::<Vec<f64>>();
             // The likelihood is not quite normal: a draw that is far less likely than it should be goes nearer.
-            let parts = (0..6).map(|k| 0.5f64.powi(k)).find(|part| deviance(&place(*part)) - least <= 1.5 * expected + 5.0);
+            let parts =
+                (0..6).map(|k| 0.5f64.powi(k)).find(|part| deviance(&place(*part)) - least <= 1.5 * expected + 5.0);
             Noise::unpack(&place(parts.unwrap_or(0.0)), self.observations.channels.len(), noise.clock)
         };
         crate::parallel::map(&(0..count).collect::<Vec<_>>(), draw)
@@ -488,7 +489,8 @@ fn matched(observations: &Observations, group: &[usize]) -> Vec<Vec<usize>> {
             // Half the distance of samples and the rounding of the log.
             (away(best) <= reach + 1e-9).then_some(best)
         };
-        let row: Option<Vec<usize>> = (0..units.len()).map(|k| if k == leader { Some(i) } else { nearest(k) }).collect();
+        let row: Option<Vec<usize>> =
+            (0..units.len()).map(|k| if k == leader { Some(i) } else { nearest(k) }).collect();
         if let Some(row) = row {
             next.iter_mut().zip(&row).for_each(|(next, j)| *next = j + 1);
             rows.push(row);

@@ -131,10 +131,12 @@ fn conclude(
         let fitted = match found {
             true => fitted,
             // Nothing was found under the first noise: the plain model is judged under its own.
-            false => Fitted { base: super::fitted::candidate(&renewed, &renewed.recalibrated(), renewed.recalibrated()), ..fitted },
+            false => Fitted {
+                base: super::fitted::candidate(&renewed, &renewed.recalibrated(), renewed.recalibrated()),
+                ..fitted
+            },
         };
-        let (fitted, profiled) =
-            if found { explored(&renewed, fitted, &first.gates) } else { (fitted, Vec::new()) };
+        let (fitted, profiled) = if found { explored(&renewed, fitted, &first.gates) } else { (fitted, Vec::new()) };
         let held_out = nested(&renewed, asked.source, &around.noise, &fitted, &first.gates);
         (judged(&renewed, &fitted, &first.gates, &profiled, held_out), fitted)
     };

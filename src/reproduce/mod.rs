@@ -66,6 +66,11 @@ pub fn compute(figures: &[u8]) -> Result<Vec<Part>> {
     Ok(parts)
 }
 
+/// Laws against legs that were rotated through grains simulated one by one.
+pub fn grains() -> Result<Table> {
+    Ok(grains::part()?.table)
+}
+
 /// Writes figures, `report.html` and `claims.json` into `out`.
 pub fn write(parts: &[Part], out: &Path) -> Result<()> {
     std::fs::create_dir_all(out).map_err(|e| Error::file(out, e))?;

@@ -1,5 +1,7 @@
 //! Measured steady motions in a folder: `validation.toml` says what they are, CSV files have the rows.
 
+use crate::calibrate::pushes::Push;
+use crate::calibrate::read;
 use crate::error::{Error, Result, check_range};
 use crate::sand::SandDescription;
 use crate::sand::intruder::{Body, BodyShape, Given, Trial};
@@ -16,6 +18,13 @@ const OWN: [(&str, &str); 6] = [
     ("sand_smooth.toml", include_str!("../../tests/data/real_wheel/sand_smooth.toml")),
     ("sand_grouser.toml", include_str!("../../tests/data/real_wheel/sand_grouser.toml")),
 ];
+
+const OWN_DISCS: &str = include_str!("../../tests/data/real_wheel/discs.csv");
+
+/// The discs that were pushed into the wheels' sand, compiled in.
+pub fn own_discs() -> Result<Vec<Push>> {
+    Ok(read::text(Path::new("discs.csv"), OWN_DISCS)?.pushes)
+}
 
 /// Most rows of a folder: our choice.
 const MOST_ROWS: usize = 20_000;

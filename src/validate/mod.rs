@@ -2,6 +2,7 @@
 
 pub mod data;
 pub mod fit;
+pub mod others;
 pub mod page;
 pub mod score;
 

@@ -178,8 +178,8 @@ impl Scoreboard {
         Figure { title: c.title.clone(), columns: 2, panels: panels.collect(), note: self.data.source.clone() }
     }
 
-    /// `validation.md`, `validation_rows.csv` and a figure a comparison.
-    pub fn write(&self, folder: &Path) -> Result<()> {
+    /// `validation.md` with `others` at its end, `validation_rows.csv` and a figure a comparison.
+    pub fn write(&self, folder: &Path, others: &str) -> Result<()> {
         std::fs::create_dir_all(folder).map_err(|e| Error::file(folder, e))?;
         let save = |name: &str, text: String| {
             let path = folder.join(name);
@@ -190,6 +190,9 @@ impl Scoreboard {
         for (number, c) in self.comparisons.iter().enumerate() {
             png::write_both(&self.figure(c).svg(), &folder.join(format!("validation_{number}.svg")))?;
             let _ = write!(page, "\n![{}](validation_{number}.png)\n", capital(&c.title));
+        }
+        if !others.is_empty() {
+            let _ = write!(page, "\n{}\n", others.trim_end());
         }
         save("validation.md", page)?;
         save("validation_rows.csv", self.rows())

@@ -1,0 +1,112 @@
+//! Penetration tests from CSV: one push, or several with a column trial.
+
+use super::pushes::{MOST_PUSHES, MOST_SAMPLES, Push};
+use crate::error::{Error, Result, check_range};
+use crate::table::{self, Asked, Column, Quantity, Row};
+use std::collections::{BTreeMap, HashMap};
+use std::path::Path;
+
+/// Beyond ±1e6 m or N a test is in the wrong unit or broken: our choice, as for force logs.
+const MOST: f64 = 1e6;
+
+const COLUMNS: [Column; 7] = [
+    Column::needed("depth", Quantity::Length),
+    Column::needed("force", Quantity::Force),
+    Column { name: "trial", quantity: Quantity::Text, required: false },
+    Column { name: "diameter", quantity: Quantity::Length, required: false },
+    Column { name: "length", quantity: Quantity::Length, required: false },
+    Column { name: "width", quantity: Quantity::Length, required: false },
+    Column { name: "speed", quantity: Quantity::Speed, required: false },
+];
+/// Diameters and sides of plates [m]: our choice, wide.
+const SIZES: std::ops::RangeInclusive<f64> = 1e-4..=1.0;
+
+/// What a file holds.
+pub struct Tests {
+    /// All rows [m].
+    pub depth: Vec<f64>,
+    /// All rows [N].
+    pub force: Vec<f64>,
+    /// Empty where the file has no column trial.
+    pub pushes: Vec<Push>,
+}
+
+/// Reads a file; `units`: of depth and force, where the header does not say.
+pub fn file(path: &Path, units: BTreeMap<String, String>) -> Result<Tests> {
+    let mut several = Several::default();
+    let (mut depth, mut force) = (Vec::new(), Vec::new());
+    let asked = Asked { units, ..Asked::new(&COLUMNS) };
+    table::read(path, &asked, |row| take(row, &mut depth, &mut force, &mut several))?;
+    several.tests(path, depth, force)
+}
+
+/// The same from text; `path` names it in errors.
+pub fn text(path: &Path, text: &str) -> Result<Tests> {
+    let mut several = Several::default();
+    let (mut depth, mut force) = (Vec::new(), Vec::new());
+    table::parse(path, text.as_bytes(), &Asked::new(&COLUMNS), |row| take(row, &mut depth, &mut force, &mut several))?;
+    several.tests(path, depth, force)
+}
+
+fn take(row: &Row, depth: &mut Vec<f64>, force: &mut Vec<f64>, several: &mut Several) -> Result<()> {
+    let [z, f] = [0, 1].map(|k| row.within(k, MOST).and_then(|x| x.ok_or_else(|| row.blank(k))));
+    let (z, f) = (z?, f?);
+    depth.push(z);
+    force.push(f);
+    if row.text(2).is_some() { several.take(row, z, f) } else { Ok(()) }
+}
+
+/// Pushes as they are read.
+#[derive(Default)]
+struct Several {
+    pushes: Vec<Push>,
+    /// Place of each trial's push.
+    places: HashMap<String, usize>,
+    samples: usize,
+}
+
+impl Several {
+    fn tests(self, path: &Path, depth: Vec<f64>, force: Vec<f64>) -> Result<Tests> {
+        if self.samples > 0 && self.samples < depth.len() {
+            let blank = depth.len() - self.samples;
+            return Err(Error::file(path, format!("column trial: blank in {blank} of {} rows", depth.len())));
+        }
+        Ok(Tests { depth, force, pushes: self.pushes })
+    }
+
+    fn take(&mut self, row: &Row, depth: f64, force: f64) -> Result<()> {
+        let name = row.needed_text(2)?;
+        let side = |k: usize| {
+            let refused = |e: Error| row.error(k, e);
+            row.number(k)?.map(|x| check_range(COLUMNS[k].name, x, SIZES).map_err(refused)).transpose()
+        };
+        let diameter = match (side(3)?, side(4)?, side(5)?) {
+            (Some(d), None, None) => d,
+            (None, Some(length), Some(width)) => (length * width / std::f64::consts::FRAC_PI_4).sqrt(),
+            _ => return Err(row.error(3, "give a diameter, or length and width, of each push")),
+        };
+        let speed = row.within(6, MOST)?.map(f64::abs);
+        self.samples += 1;
+        if self.samples > MOST_SAMPLES {
+            return Err(row.error(0, format!("more than {} samples", MOST_SAMPLES)));
+        }
+        let new = self.pushes.len();
+        let place = *self.places.entry(name.to_owned()).or_insert(new);
+        if place == new {
+            if new == MOST_PUSHES {
+                return Err(row.error(2, format!("more than {} pushes", MOST_PUSHES)));
+            }
+            self.pushes.push(Push { name: name.to_owned(), diameter, points: Vec::new(), speeds: None });
+        }
+        let push = &mut self.pushes[place];
+        if (push.diameter - diameter).abs() > 1e-9 {
+            return Err(row.error(2, format!("{name} has two sizes")));
+        }
+        push.points.push([depth, force]);
+        if let Some(speed) = speed {
+            let [low, high] = push.speeds.unwrap_or([speed, speed]);
+            push.speeds = Some([low.min(speed), high.max(speed)]);
+        }
+        Ok(())
+    }
+}
