@@ -8,8 +8,8 @@ ARGS ?=
 TASK ?= HexapodGait
 
 # What the wheel is made from.
-SOURCES := $(shell find src proto robots python_client build.rs Cargo.toml Cargo.lock pyproject.toml README.md \
-	-type f -not -path '*/__pycache__/*')
+SOURCES := $(shell find src robots python_client Cargo.toml Cargo.lock pyproject.toml README.md \
+	-type f -not -path '*/__pycache__/*' -not -name '_native*.so')
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
@@ -31,8 +31,8 @@ help:
 	@echo "make study-rocks   overlaps of robot and rocks in 1,000 random episodes (some 10 minutes)"
 	@echo "make page-three   bundle what the page takes from three.js anew; needs npm"
 	@echo "make study-load      24 clients against one server: its memory and its numbers (5 minutes)"
+	@echo "make proto   generate the code for messages from proto/ anew"
 	@echo "make task-pages   write docs/tasks/ anew from the tasks' tables; what was measured stays"
-	@echo "make proto   generate the Python messages from proto/ anew"
 
 train: $(VENV)/sb3
 	$(BIN)/python examples/train.py --task $(TASK) $(ARGS)
@@ -110,12 +110,9 @@ study-rocks:
 study-load:
 	SANDGAIT_LOAD_SECONDS=300 cargo test --release --test faults -- --nocapture under_load
 
-# The oldest generator whose output still runs on every protobuf from 4.25 on; in an environment of its own.
+# The code made from proto/; a test holds it current.
 proto:
-	$(PYTHON) -m venv $(VENV)-proto
-	$(VENV)-proto/bin/pip install --quiet "grpcio-tools==1.62.3"
-	$(VENV)-proto/bin/python -m grpc_tools.protoc --proto_path=proto --python_out=python_client/sandgait/_proto \
-		--pyi_out=python_client/sandgait/_proto proto/sandgait/v1/*.proto
+	SANDGAIT_WRITE_PROTO=1 cargo test --release --test generated
 
 $(VENV)/tools: $(PINS)
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed")'

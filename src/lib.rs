@@ -4,6 +4,7 @@
 pub mod bench;
 pub mod calibrate;
 pub mod cli;
+pub mod client;
 pub mod diagnose;
 pub mod env;
 pub mod error;

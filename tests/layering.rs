@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 /// Every module of `src/`, and those that it may know. Each names only modules further up in this list, so nothing goes in
 /// circles; whatever is not named it must not know.
-const KNOWS: [(&str, &[&str]); 23] = [
+const KNOWS: [(&str, &[&str]); 24] = [
     ("error", &[]),
     ("parallel", &[]),
     ("progress", &["error"]),
@@ -32,6 +32,7 @@ const KNOWS: [(&str, &[&str]); 23] = [
             "sweep", "diagnose", "evaluate",
         ],
     ),
+    ("client", &["service"]),
     ("bench", &["error", "env", "policy", "pool", "service"]),
     (
         "cli",
@@ -64,13 +65,13 @@ const KNOWS: [(&str, &[&str]); 23] = [
 
 /// Only these may name what stands first: threads that wait, networks and messages, chance, the other engine's library.
 const OUTSIDE: [(&str, &[&str]); 8] = [
-    ("tokio", &["service", "bench", "cli"]),
-    ("tonic", &["service", "bench"]),
+    ("tokio", &["service", "client", "bench", "cli"]),
+    ("tonic", &["service", "client", "bench"]),
     ("axum", &["service"]),
-    ("proto", &["service", "bench"]),
+    ("proto", &["service", "client", "bench"]),
     // ONNX files are protobuf too.
     ("prost", &["service", "policy"]),
-    ("prost_types", &["service", "bench"]),
+    ("prost_types", &["service", "client", "bench"]),
     ("rand", &["env", "validate", "sweep", "diagnose", "evaluate", "service"]),
     ("rapier3d", &["sim"]),
 ];

@@ -1,173 +1,76 @@
-"""The wire: the only file of this package that imports grpc, when the first connection is made.
+"""The wire: calls to servers, by the native module.
 
-`study` asks for one study and waits for its answer. A `Stream` takes one message for a batched reset or step and gives
-one back; `session` makes a session of streams.
-
-    send ──▶ queue ──▶ grpc's sender thread ──▶ server
-    receive ◀────────── next(responses) ◀────── server
+A `Stream` takes one request for a batched reset or step and gives one answer; `session` makes a session of streams.
 """
 
 from __future__ import annotations
 
 import contextlib
-import ctypes
-import functools
-import os
-import queue
 import re
-import threading
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from google.protobuf import json_format, struct_pb2
 
-from . import server
-from ._proto.sandgait.v1 import sandgait_pb2 as pb
-from ._proto.sandgait.v1 import studies_pb2 as studies
-from .batches import Batch
+from . import _native, server
+from ._native import Request, Response
+from .batches import Batch, Rollout
 from .errors import InvalidRequest, LimitReached, OutOfOrder, SandgaitError, ServerLost, SessionLost
 from .options import with_sand
 from .remote import Remote
-from .spaces import Column, Option, Task
-
-if TYPE_CHECKING:
-    import grpc
+from .spaces import Task
 
 #: The wire protocol this client speaks; the server refuses another.
 PROTOCOL = 1
 
-#: What both ends of gRPC allow a message by default, and the least we ask for [bytes].
-DEFAULT_MESSAGE_BYTES = 4 * 2**20
-
-#: Largest message of a study [bytes]: requests are limited to 64 MiB by the server, results have up to some 100 MiB.
-STUDY_BYTES = 512 * 2**20
-
-#: Longest wait for an answer to Describe or CreateSession [s].
-CALL_TIMEOUT = 60.0
-
 #: Longest wait for a server to confirm that a session is closed [s].
 CLOSE_TIMEOUT = 2.0
 
-#: How numbers travel; the native float32 of every machine that we have wheels for.
-FLOAT = np.dtype("<f4")
-
-_FORK_SUPPORT = "GRPC_ENABLE_FORK_SUPPORT"
-
-#: Names of grpc's status codes, and what each asks of the caller.
-_KINDS: dict[str, type[SandgaitError]] = {
-    "INVALID_ARGUMENT": InvalidRequest,
-    "OUT_OF_RANGE": InvalidRequest,
-    "FAILED_PRECONDITION": OutOfOrder,
-    "RESOURCE_EXHAUSTED": LimitReached,
-    "NOT_FOUND": SessionLost,
-    "ABORTED": SessionLost,
-    "UNAVAILABLE": ServerLost,
-    "CANCELLED": SessionLost,
-    "DEADLINE_EXCEEDED": ServerLost,
-    "INTERNAL": SandgaitError,
+#: gRPC's status codes: their names, and what each asks of the caller.
+_CODES: dict[int, tuple[str, type[SandgaitError]]] = {
+    1: ("CANCELLED", SessionLost),
+    3: ("INVALID_ARGUMENT", InvalidRequest),
+    4: ("DEADLINE_EXCEEDED", ServerLost),
+    5: ("NOT_FOUND", SessionLost),
+    8: ("RESOURCE_EXHAUSTED", LimitReached),
+    9: ("FAILED_PRECONDITION", OutOfOrder),
+    10: ("ABORTED", SessionLost),
+    11: ("OUT_OF_RANGE", InvalidRequest),
+    13: ("INTERNAL", SandgaitError),
+    14: ("UNAVAILABLE", ServerLost),
 }
 
-
-@functools.cache
-def _grpc() -> Any:
-    """grpc, with support for forks: without it a child forked while a stream is open (gymnasium's AsyncVectorEnv does
-    that) hangs or dies in grpc.
-
-    grpc reads the variable with its first channel. It is put back after that, so that the processes this one starts do
-    not inherit it. It helps also where grpc was imported, or a channel opened and closed, before.
-    """
-    before = os.environ.get(_FORK_SUPPORT)
-    os.environ.setdefault(_FORK_SUPPORT, "1")
-    try:
-        import grpc
-
-        grpc.insecure_channel("unix:/").close()
-    finally:
-        if before is None:
-            del os.environ[_FORK_SUPPORT]
-    return grpc
+_NOT_FOUND, _INVALID, _UNAUTHENTICATED = 5, 3, 16
 
 
-@functools.cache
-def _codes() -> dict[int, str]:
-    """Names of grpc's status codes by number."""
-    return {code.value[0]: code.name for code in _grpc().StatusCode}
+def place(address: str) -> _native.Address:
+    """What the native module has to know of a server."""
+    if not re.fullmatch(r"unix:.+|.+:\d{1,5}", address):
+        raise InvalidRequest(f'address: {address!r} is neither "host:port" nor "unix:/path"')
+    if isinstance(address, Remote):
+        return str(address), address.token, address.tls, address.ca, address.cert, address.key
+    return address, None, False, None, None, None
 
 
 def describe(address: str) -> tuple[str, tuple[Task, ...]]:
     """Version of the server at `address` and the tasks it offers."""
-    with _channel(address, DEFAULT_MESSAGE_BYTES) as channel:
-        reply = _call(channel, address, "Describe", pb.DescribeRequest(), pb.DescribeResponse)
-    if reply.protocol != PROTOCOL:
-        raise SandgaitError(
-            f"{address}: the server ({reply.version}) speaks protocol {reply.protocol}, this client {PROTOCOL}"
-        )
-    return reply.version, tuple(_task(t) for t in reply.tasks)
+    try:
+        version, protocol, tasks = _native.describe_server(place(address))
+    except _native.StatusError as error:
+        raise _error(*error.args, address) from None
+    if protocol != PROTOCOL:
+        raise SandgaitError(f"{address}: the server ({version}) speaks protocol {protocol}, this client {PROTOCOL}")
+    return version, tuple(Task.of(task) for task in tasks)
 
 
-def study(address: str, name: str, request: Mapping[str, Any], told: Callable[[float, str], None] | None = None) -> Any:
-    """Result of a study at `address`, as `door.study` has it; with `told` it is a stream that tells its progress.
-
-    Whatever interrupts the wait, an exception of `told` or Ctrl-C, also stops the study on the server.
-    """
-    message, reply = _study_request(name, request), getattr(studies, f"{name}Response")
-    with _channel(address, STUDY_BYTES) as channel:
-        method = f"/sandgait.v1.StudyService/{name}"
-        kind = channel.unary_unary if told is None else channel.unary_stream
-        call = kind(method, lambda m: m.SerializeToString(), reply.FromString)
-        try:
-            if told is None:
-                return _table(call(message, metadata=_metadata(address)).table)
-            stream = call(message, metadata=_metadata(address))
-            try:
-                for event in stream:
-                    match event.WhichOneof("event"):
-                        case "table":
-                            return _table(event.table)
-                        case "diagnosis":
-                            d = event.diagnosis
-                            return d.report_json, d.report_html, d.sand_toml, _table(d.curves)
-                    told(event.progress.fraction, event.progress.stage)
-            finally:
-                stream.cancel()
-        except _grpc().RpcError as error:
-            raise _error(error.code().name, str(error.details()), address) from None
-        raise ServerLost(f"{address}: the study ended without a result")
-
-
-def _study_request(name: str, request: Mapping[str, Any]) -> Any:
-    """The message that a dict stands for: files and variations are tuples in it, keywords are mappings."""
-
-    def file(pair: tuple[str, bytes] | None) -> studies.File | None:
-        return None if pair is None else studies.File(name=pair[0], content=pair[1])
-
-    fields = dict(request)
-    for field in ("data", "file", "onnx"):
-        if field in fields:
-            fields[field] = file(fields[field])
-    if "sand" in fields:
-        fields["sand"] = studies.Sand(**{**fields["sand"], "file": file(fields["sand"]["file"])})
-    if "robot" in fields:
-        fields["robot"] = studies.Robot(**{**fields["robot"], "file": file(fields["robot"]["file"])})
-    for field in ("vary", "set"):
-        if field in fields:
-            fields[field] = [studies.Variation(parameter=p, numbers=n, names=t) for p, n, t in fields[field]]
-    for field in ("options", "values"):
-        if fields.get(field) is not None:
-            fields[field] = struct(fields[field])
-    return getattr(studies, f"{name}Request")(**fields)
-
-
-def _table(table: studies.Table) -> tuple[list[tuple[str, str, Any]], list[str]]:
-    """Columns, each with name, unit and numbers or names; and warnings."""
-    columns = []
-    for series in table.columns:
-        numbers = np.frombuffer(series.numbers, "<f8").astype(np.float64)
-        columns.append((series.name, series.unit, list(series.names) if series.names else numbers))
-    return columns, list(table.warnings)
+def study(address: str, name: str, request: Mapping[str, Any], told: Any = None) -> Any:
+    """Result of a study at `address`; see `door.study`."""
+    try:
+        return _native.study(place(address), name, request, told)
+    except _native.StatusError as error:
+        raise _error(*error.args, address) from None
 
 
 class Created(NamedTuple):
@@ -179,13 +82,15 @@ class Created(NamedTuple):
 
 def create_session(address: str, task: str, num_envs: int, options: Mapping[str, Any]) -> Created:
     """Reserves environments on the server at `address`. They have no state before their first reset."""
-    request = pb.CreateSessionRequest(task_id=task, num_envs=num_envs, protocol=PROTOCOL)
-    request.options.CopyFrom(struct(with_sand(options)))
-    with _channel(address, DEFAULT_MESSAGE_BYTES) as channel:
-        reply = _call(channel, address, "CreateSession", request, pb.CreateSessionResponse)
-    for line in reply.warnings:
+    try:
+        session_id, made, lines = _native.create_session(place(address), task, num_envs, with_sand(options))
+    except _native.StatusError as error:
+        code, message = error.args
+        # A task or option of that name: there is no session to lose.
+        raise _error(_INVALID if code == _NOT_FOUND else code, message, address) from None
+    for line in lines:
         warnings.warn(line, UserWarning, stacklevel=2)
-    return Created(reply.session_id, _task(reply.task))
+    return Created(session_id, Task.of(made))
 
 
 class Stream:
@@ -193,240 +98,75 @@ class Stream:
 
     def __init__(self, address: str, session_id: str) -> None:
         self.address = address
-        self._channel = _channel(address, -1)
-        self._requests: queue.SimpleQueue[pb.RunSessionRequest | None] = queue.SimpleQueue()
-        self._responses = self._channel.stream_stream(
-            _method("RunSession"), pb.RunSessionRequest.SerializeToString, pb.RunSessionResponse.FromString
-        )(iter(self._requests.get, None), metadata=_metadata(address))
-        first = pb.RunSessionRequest(session_id=session_id)
-        first.attach.SetInParent()
-        self._requests.put(first)
+        try:
+            self._native = _native.Stream(place(address), session_id)
+        except _native.StatusError as error:
+            raise _error(*error.args, address) from None
         #: Number of the last request that the session has carried out or refused.
-        self.last_sequence: int = self.receive().attached.last_sequence
+        self.last_sequence = self._native.last_sequence
 
-    def send(self, request: pb.RunSessionRequest) -> None:
-        """Sends without waiting."""
-        self._requests.put(request)
+    def send(self, request: Request, here: bool = False) -> None:
+        """Sends without waiting. `here`: the caller waits for the answer next."""
+        self._native.send(request, here)
 
-    def receive(self) -> pb.RunSessionResponse:
+    def receive(self) -> Response:
         """The next answer. `ServerLost` if the connection broke: the session may still be there."""
         try:
-            response: pb.RunSessionResponse = next(self._responses)
-            return response
-        except StopIteration:
-            raise SessionLost(f"{self.address}: the server closed this session; make the environment anew") from None
-        except _grpc().RpcError as error:
-            code = error.code().name
-            if code in ("INTERNAL", "UNKNOWN"):
-                code = "UNAVAILABLE"  # how grpc reports a connection that was cut in mid-message
-            raise _error(code, str(error.details()), self.address) from None
-
-    def abandon(self) -> None:
-        """Leaves a read that was broken off, by Ctrl-C for example.
-
-        The exception may have struck while a lock of grpc's was held, and then whoever asks for that lock waits
-        forever: nothing of this stream is called or collected again.
-        """
-        self._requests.put(None)
-        ctypes.pythonapi.Py_IncRef(ctypes.py_object(self))
+            return self._native.receive()
+        except _native.StatusError as error:
+            raise _error(*error.args, self.address) from None
 
     def close(self) -> None:
         """Ends the stream; the session stays for the time of its lease."""
-        self._requests.put(None)
-        self._responses.cancel()
-        self._channel.close()
-        if not threading.main_thread().is_alive():
-            # Python is ending. The destructor of grpc's call takes a lock that a thread may hold which Python has
-            # stopped for good: it would wait forever. What is never collected has no destructor.
-            ctypes.pythonapi.Py_IncRef(ctypes.py_object(self._responses))
+        self._native.close()
 
 
 def close_session(address: str, session_id: str, timeout: float = CLOSE_TIMEOUT) -> None:
     """Frees a session before this returns, if its server answers within `timeout` [s]."""
-    with _channel(address, DEFAULT_MESSAGE_BYTES) as channel, contextlib.suppress(_grpc().RpcError):
-        request = pb.CloseSessionRequest(session_id=session_id)
-        _unary(channel, "CloseSession", pb.CloseSessionResponse)(request, timeout=timeout, metadata=_metadata(address))
+    with contextlib.suppress(_native.StatusError):
+        _native.close_session(place(address), session_id, timeout)
 
 
 def reset_request(
     seeds: Sequence[int] | None, mask: npt.NDArray[np.bool_] | None, options: Mapping[str, Any]
-) -> pb.RunSessionRequest:
+) -> Request:
     """A reset. `seeds` and `mask` have one entry an environment; without seeds streams go on."""
-    request = pb.RunSessionRequest()
-    request.reset.SetInParent()
-    if seeds is not None:
-        request.reset.seeds.extend(seeds)
-    if mask is not None:
-        request.reset.mask = mask.astype(np.uint8).tobytes()
-    if options:
-        request.reset.options.CopyFrom(struct(options))
-    return request
+    return Request.reset(seeds, None if mask is None else mask.tobytes(), options)
 
 
-def step_request(actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None = None) -> pb.RunSessionRequest:
+def step_request(actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None = None) -> Request:
     """A step; `actions` is f32 [num_envs, action]. Bounds are checked by the server. `held`: who stays as it is."""
-    request = pb.RunSessionRequest()
-    request.step.actions = actions.astype(FLOAT, copy=False).tobytes()
-    if held is not None:
-        request.step.held = held.astype(np.uint8).tobytes()
-    return request
+    return Request.step(actions, None if held is None else held.tobytes())
 
 
-def save_request() -> pb.RunSessionRequest:
-    """Asks for all environments as data."""
-    return pb.RunSessionRequest(save=pb.Save())
-
-
-def restore_request(snapshot: bytes, sources: npt.NDArray[np.integer[Any]] | None) -> pb.RunSessionRequest:
+def restore_request(snapshot: bytes, sources: npt.NDArray[np.integer[Any]] | None) -> Request:
     """Environment i becomes number `sources[i]` of the snapshot; without sources, number i modulo theirs."""
-    chosen = b"" if sources is None else sources.astype("<u4").tobytes()
-    return pb.RunSessionRequest(restore=pb.Restore(snapshot=snapshot, sources=chosen))
+    return Request.restore(snapshot, None if sources is None else sources.astype("<u4").tobytes())
 
 
-def rollout_request(actions: npt.NDArray[np.float32], trajectories: bool) -> pb.RunSessionRequest:
-    """Runs `actions`, f32 [steps, num_envs, action], from where the environments are, and puts them back."""
-    data = actions.astype("<f4", copy=False).tobytes()
-    return pb.RunSessionRequest(rollout=pb.Rollout(actions=data, trajectories=trajectories))
+def batch(response: Response) -> Batch:
+    """The answer of a reset, step or restore."""
+    return Batch._make(response.batch())
 
 
-def policy_rollout_request(onnx: bytes, steps: int, trajectories: bool) -> pb.RunSessionRequest:
-    """Runs a network for `steps` from where the environments are, and puts them back."""
-    return pb.RunSessionRequest(policy_rollout=pb.PolicyRollout(onnx=onnx, steps=steps, trajectories=trajectories))
+def rollout(parts: Sequence[Response], num_envs: int, task: Task) -> Rollout:
+    """The answer of a rollout, from all its parts."""
+    return Rollout._make(_native.rollout(parts, num_envs, (len(task.observation), len(task.action))))
 
 
-def render_request(indices: Sequence[int], width: int, height: int, ended: bool) -> pb.RunSessionRequest:
-    """Asks for a picture of each environment; `ended`: of an episode that has just ended, its last moment."""
-    return pb.RunSessionRequest(render=pb.Render(indices=indices, width=width, height=height, ended=ended))
-
-
-def observe_request(index: int, ended: bool) -> pb.RunSessionRequest:
-    """Asks for the moment of one environment, as recordings hold it."""
-    return pb.RunSessionRequest(observe=pb.Observe(index=index, ended=ended))
-
-
-def failure(response: pb.RunSessionResponse, address: str) -> SandgaitError | None:
+def failure(response: Response, address: str) -> SandgaitError | None:
     """The error that a response stands for, if it is a refusal."""
-    if not response.HasField("failure"):
-        return None
-    code = _codes().get(response.failure.code, "UNKNOWN")
-    return _error(code, response.failure.message, address)
+    refused = response.failure
+    return None if refused is None else _error(*refused, address)
 
 
-def _channel(address: str, message_bytes: int) -> grpc.Channel:
-    """A connection of its own to `address`, `host:port` or `unix:/path`."""
-    if not re.fullmatch(r"unix:.+|.+:\d{1,5}", address):
-        raise InvalidRequest(f'address: {address!r} is neither "host:port" nor "unix:/path"')
-    grpc = _grpc()
-    options: list[tuple[str, Any]] = [
-        ("grpc.max_send_message_length", message_bytes),
-        ("grpc.max_receive_message_length", message_bytes),
-        ("grpc.use_local_subchannel_pool", 1),
-        ("grpc.enable_http_proxy", 0),  # a proxy from the environment would sit in every step
-        ("grpc.keepalive_time_ms", 20_000),  # notices a host that vanished
-        ("grpc.keepalive_timeout_ms", 20_000),
-        ("grpc.http2.max_pings_without_data", 0),
-    ]
-    if address.startswith("unix:"):
-        # The default authority is the percent-encoded path, which HTTP/2 servers refuse (RST_STREAM error 1).
-        options.append(("grpc.default_authority", "localhost"))
-    if isinstance(address, Remote) and address.tls:
-        credentials = grpc.ssl_channel_credentials(address.ca, address.key, address.cert)
-        return grpc.secure_channel(address, credentials, options=options)
-    return grpc.insecure_channel(address, options=options)
-
-
-def _metadata(address: str) -> tuple[tuple[str, str], ...]:
-    """What every call to `address` says."""
-    token = address.token if isinstance(address, Remote) else None
-    return () if token is None else (("authorization", f"Bearer {token}"),)
-
-
-def _method(name: str) -> str:
-    return f"/sandgait.v1.EnvironmentService/{name}"
-
-
-def _unary(channel: grpc.Channel, name: str, reply: Any) -> Any:
-    return channel.unary_unary(_method(name), lambda m: m.SerializeToString(), reply.FromString)
-
-
-def _call(channel: grpc.Channel, address: str, name: str, request: Any, reply: Any) -> Any:
-    try:
-        return _unary(channel, name, reply)(request, timeout=CALL_TIMEOUT, metadata=_metadata(address))
-    except _grpc().RpcError as error:
-        code = error.code().name
-        if name == "CreateSession" and code == "NOT_FOUND":
-            code = "INVALID_ARGUMENT"  # a task or option of that name: there is no session to lose
-        raise _error(code, str(error.details()), address) from None
-
-
-def _error(code: str, message: str, address: str) -> SandgaitError:
+def _error(code: int, message: str, address: str) -> SandgaitError:
     """A status as the exception that says what the caller can do."""
-    if code == "UNAUTHENTICATED":
+    if code == _UNAUTHENTICATED:
         return SandgaitError(f"{address}: {message}; sandgait.Remote takes it (token or token_file)")
-    kind = _KINDS.get(code)
+    name, kind = _CODES.get(code, (str(code), None))
     if kind is None:
-        return SandgaitError(f"{address}: {message} ({code})")
+        return SandgaitError(f"{address}: {message} ({name})")
     if kind is ServerLost:
         return ServerLost(f"{address}: the server cannot be reached: {message}{server.last_words(address)}")
     return kind(message)
-
-
-def struct(options: Mapping[str, Any]) -> struct_pb2.Struct:
-    """Keywords as the wire carries them; numpy numbers and arrays, tuples, lists and dicts are taken."""
-    message = struct_pb2.Struct()
-    for name, value in options.items():
-        try:
-            message.update({name: _plain(value)})
-        except (ValueError, TypeError) as error:
-            raise InvalidRequest(f"{name}: {value!r} is not a number, text, truth value, list or dict") from error
-    return message
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, (np.generic, np.ndarray)):
-        return value.tolist()
-    if isinstance(value, Mapping):
-        return {key: _plain(v) for key, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    return value
-
-
-def _task(task: pb.Task) -> Task:
-    def columns(rows: Any) -> tuple[Column, ...]:
-        return tuple(Column(c.name, c.unit, c.low, c.high) for c in rows)
-
-    options = (Option(o.name, o.summary, json_format.MessageToDict(o.default_value), o.at_reset) for o in task.options)
-    return Task(
-        id=task.id,
-        summary=task.summary,
-        observation=columns(task.observation),
-        action=columns(task.action),
-        info=columns(task.info),
-        reward_terms=task.reward_terms,
-        max_episode_steps=task.max_episode_steps,
-        control_rate=task.control_rate,
-        options=tuple(options),
-    )
-
-
-def batch(batch: pb.Batch, task: Task) -> Batch:
-    """The columns of a message as arrays: one copy of each, and one call of numpy where one will do.
-
-    After a wait for the simulation every instruction here is cold: a call costs three times what it costs in a loop.
-    """
-    wide = len(task.observation)
-    indices, last = np.empty(0, np.intp), np.empty((0, wide), np.float32)
-    if batch.final_indices:
-        indices = np.frombuffer(batch.final_indices, "<u4").astype(np.intp)
-        last = np.frombuffer(bytearray(batch.final_observations), FLOAT).reshape(-1, wide)
-    infos = np.frombuffer(batch.infos, FLOAT).reshape(-1, len(task.info))
-    return Batch(
-        observations=np.frombuffer(bytearray(batch.observations), FLOAT).reshape(-1, wide),
-        rewards=np.frombuffer(bytearray(batch.rewards), FLOAT),
-        terminated=np.frombuffer(bytearray(batch.terminated), np.bool_),
-        truncated=np.frombuffer(bytearray(batch.truncated), np.bool_),
-        infos=infos.T.copy(),
-        final_indices=indices,
-        final_observations=last,
-    )

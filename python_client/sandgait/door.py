@@ -144,7 +144,7 @@ def study(address: str | None, name: str, request: Mapping[str, Any], told: Told
     Whatever interrupts the wait, an exception of `told` or Ctrl-C, also stops the study.
     """
     if address is None:
-        return _native.study(name, request, told)
+        return _native.study(None, name, request, told)
     from . import client
 
     return client.study(address, name, request, told)

@@ -23,7 +23,7 @@ class Remote(str):
     Unix socket or to this machine.
 
     `ca`: encrypt, and trust certificates of this authority (PEM, as a file or as bytes). `tls=True`: encrypt, and trust
-    grpc's own authorities.
+    the system's authorities.
 
     `cert`, `key`: this client's certificate and its key (PEM files), for a server with `--client-ca`.
 

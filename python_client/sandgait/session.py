@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import client, server
-from ._proto.sandgait.v1 import sandgait_pb2 as pb
+from ._native import Request, Response
 from .batches import Batch, Rollout
 from .client import Stream
 from .door import Held
@@ -31,8 +31,6 @@ RETRY_RESUME = 60.0
 
 #: Requests between two snapshots of a session with `resume=True`: some seconds of work to be done again at most.
 SNAPSHOT_EVERY = 200
-
-Request = pb.RunSessionRequest
 
 
 class _Link:
@@ -52,12 +50,6 @@ class _Link:
             self.stream.close()
             self.stream = None
 
-    def abandon(self) -> None:
-        """Gives up a stream whose read was interrupted."""
-        stream, self.stream = self.stream, None
-        if stream is not None:
-            stream.abandon()
-
     def hurry(self, patience: float) -> None:
         self.patience = patience
 
@@ -67,11 +59,6 @@ class _Link:
         if self.session_id:
             client.close_session(self.address, self.session_id, self.patience)
         self.drop()
-
-
-def _is_part(response: pb.RunSessionResponse) -> bool:
-    """Is it one of the first parts of a rollout?"""
-    return response.WhichOneof("response") == "rollout" and not response.rollout.returns
 
 
 class Session:
@@ -99,7 +86,7 @@ class Session:
         #: Requests without an answer, with their numbers, in order.
         self._unanswered: list[Request] = []
         #: The last answer, until something else is asked: whoever was interrupted while taking it takes it again.
-        self._last: pb.RunSessionResponse | None = None
+        self._last: Response | None = None
         #: The last snapshot (empty: none), and what was carried out since.
         self._snapshot = b""
         self._since: list[Request] = []
@@ -125,10 +112,12 @@ class Session:
         self._link.stream = Stream(address, created.session_id)
         return created.task
 
-    def send(self, request: Request) -> None:
-        """Sends a request without waiting for its answer; with `resume` a snapshot is taken before, now and then."""
+    def send(self, request: Request, here: bool = False) -> None:
+        """Sends a request without waiting for its answer; with `resume` a snapshot is taken before, now and then.
+
+        `here`: the caller waits for the answer next."""
         self._check_usable()
-        if self._resume and len(self._since) >= SNAPSHOT_EVERY and not request.HasField("save"):
+        if self._resume and len(self._since) >= SNAPSHOT_EVERY and request.changes:
             self.save()
         if self._link.stream is None:
             self._reconnect(None)
@@ -137,9 +126,9 @@ class Session:
         self._unanswered.append(request)
         try:
             assert self._link.stream is not None
-            self._link.stream.send(request)
+            self._link.stream.send(request, here)
         except BaseException:  # whether it was sent is not known; another stream will send it
-            self._link.abandon()
+            self._link.drop()
             raise
 
     @property
@@ -153,65 +142,46 @@ class Session:
         self.send(client.reset_request(seeds, mask, options))
 
     def send_step(self, actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None, here: bool) -> None:
-        del here  # the server has threads of its own
-        self.send(client.step_request(actions, held))
+        self.send(client.step_request(actions, held), here)
 
     def send_restore(self, snapshot: bytes, sources: npt.NDArray[np.integer[Any]] | None) -> None:
         self.send(client.restore_request(snapshot, sources))
 
     def send_rollout(self, actions: npt.NDArray[np.float32], trajectories: bool) -> None:
-        self.send(client.rollout_request(actions, trajectories))
+        self.send(Request.rollout(actions, trajectories))
 
     def send_policy_rollout(self, onnx: bytes, steps: int, trajectories: bool) -> None:
-        self.send(client.policy_rollout_request(onnx, steps, trajectories))
+        self.send(Request.policy_rollout(onnx, steps, trajectories))
 
     def receive(self) -> Batch:
         """Answer to the reset or step that was sent last; answers that nobody waited for are dropped."""
-        batch: Batch = client.batch(self._receive().batch, self.task)
-        return batch
+        return client.batch(self._receive())
 
     def save(self) -> bytes:
         """All environments as data, for `restore`."""
-        self.send(client.save_request())
-        snapshot: bytes = self._receive().snapshot.data
+        self.send(Request.save())
+        snapshot = self._receive().snapshot
         self._snapshot, self._since, self._last = snapshot, [], None
         return snapshot
 
     def render(self, indices: Sequence[int], width: int, height: int, ended: bool) -> bytes:
         """A picture of each environment: u8 [indices, height, width, 3]."""
-        self.send(client.render_request(indices, width, height, ended))
-        pixels: bytes = self._receive().pictures.pixels
-        return pixels
+        self.send(Request.render(list(indices), width, height, ended))
+        return self._receive().pixels
 
     def observe(self, index: int, ended: bool) -> tuple[str, bytes]:
         """Header and row of environment `index`'s moment, as recordings hold them."""
-        self.send(client.observe_request(index, ended))
-        moment = self._receive().observation
-        return moment.header, moment.row
+        self.send(Request.observe(index, ended))
+        return self._receive().observation
 
     def receive_rollout(self) -> Rollout:
         """Answer to the rollout that was sent last."""
-        parts = [self._receive().rollout]
-        while not parts[-1].returns:
-            parts.append(self._receive().rollout)
+        parts = [self._receive()]
+        while parts[-1].is_part:
+            parts.append(self._receive())
             if parts[-1].first_step == 0:  # the stream broke, and the rollout began anew
                 del parts[:-1]
-        last = parts[-1]
-
-        def rows(name: str, *width: int) -> npt.NDArray[np.float32]:
-            # One copy, and no other: these are megabytes.
-            data = [np.frombuffer(getattr(p, name), "<f4") for p in parts]
-            return np.concatenate(data, dtype=np.float32).reshape(-1, self.num_envs, *width)
-
-        return Rollout(
-            returns=np.frombuffer(last.returns, "<f8").astype(np.float64),
-            lengths=np.frombuffer(last.lengths, "<u4").astype(np.intp),
-            terminated=np.frombuffer(last.terminated, np.uint8).astype(np.bool_),
-            truncated=np.frombuffer(last.truncated, np.uint8).astype(np.bool_),
-            observations=rows("observations", len(self.task.observation)),
-            rewards=rows("rewards"),
-            actions=rows("actions", len(self.task.action)),
-        )
+        return client.rollout(parts, self.num_envs, self.task)
 
     def _check_usable(self) -> None:
         if os.getpid() != self._link.process:
@@ -221,7 +191,7 @@ class Session:
         if self._broken is not None:
             raise SessionLost(f"this session has ended ({self._broken}); make the environment anew")
 
-    def _receive(self) -> pb.RunSessionResponse:
+    def _receive(self) -> Response:
         self._check_usable()
         while True:
             if self._last is not None:
@@ -231,7 +201,7 @@ class Session:
                     self._reconnect(None)
                 assert self._link.stream is not None
                 response = self._link.stream.receive()
-                if response.sequence >= self._sequence and not _is_part(response):
+                if response.sequence >= self._sequence and not response.is_part:
                     self._last = response
             except ServerLost as error:
                 self._link.drop()
@@ -240,18 +210,14 @@ class Session:
             except SandgaitError as error:
                 self._broken = str(error)
                 raise
-            except BaseException:  # grpc cannot take up a read that was broken off; the session can
-                self._link.abandon()
-                raise
             if response.sequence >= self._sequence and self._last is None:
                 return response  # a first part of a rollout: its answer is the last one
 
-    def _answered(self, response: pb.RunSessionResponse) -> pb.RunSessionResponse:
-        error = client.failure(response, self.address) if response.WhichOneof("response") == "failure" else None
+    def _answered(self, response: Response) -> Response:
+        error = client.failure(response, self.address)
         answered, self._unanswered = self._unanswered, []
         if self._resume and error is None:
-            changes = ("reset", "step", "restore")
-            self._since += [r for r in answered if r.WhichOneof("request") in changes]
+            self._since += [request for request in answered if request.changes]
         if error is not None:
             raise error
         return response

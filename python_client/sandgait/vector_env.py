@@ -74,7 +74,8 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._actions = Actions(self.action_space, "actions", clip_actions)
-        self._keys = tuple((c.name, f"_{c.name}") for c in self.task.info)
+        self._names = tuple(c.name for c in self.task.info)
+        self._mask_names = tuple(f"_{name}" for name in self._names)
         self._seeded = np.zeros(num_envs, dtype=np.bool_)
         self._in_flight = False
         #: The answer of the step in flight, once it has come.
@@ -223,9 +224,8 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
 
     def _masked(self, columns: npt.NDArray[np.float32], mask: Flags) -> dict[str, Any]:
         """`{name: column, _name: mask}` of every info column; `columns` is [info, num_envs]."""
-        infos: dict[str, Any] = {}
-        for (name, mask_name), column in zip(self._keys, columns, strict=True):
-            infos[name], infos[mask_name] = column, mask
+        infos: dict[str, Any] = dict(zip(self._names, columns, strict=True))
+        infos.update(dict.fromkeys(self._mask_names, mask))
         return infos
 
     def save(self, path: FilePath | None = None) -> bytes:

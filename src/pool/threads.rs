@@ -86,7 +86,18 @@ impl Pool {
 
     /// Carries `operation` out on every shard, then calls `done` with the batch. If a shard panicked the batch is
     /// lost and `done` gets an error; other batches go on.
-    pub fn run(&self, mut batch: Batch, operation: Operation, done: impl FnOnce(Result<Batch>) + Send + 'static) {
+    pub fn run(&self, batch: Batch, operation: Operation, done: impl FnOnce(Result<Batch>) + Send + 'static) {
+        self.enqueue(batch, operation, 0, done);
+    }
+
+    /// The number of the job; `helpers`: threads beside the pool's that will work on it.
+    fn enqueue(
+        &self,
+        mut batch: Batch,
+        operation: Operation,
+        helpers: usize,
+        done: impl FnOnce(Result<Batch>) + Send + 'static,
+    ) -> u64 {
         let mut start = 0;
         let mut waiting: Vec<Piece> = Vec::with_capacity(batch.shards.len());
         for shard in batch.shards.drain(..) {
@@ -103,22 +114,26 @@ impl Pool {
         queue.pending.push(Pending { id, batch, finished, expected, panicked: false, done: Box::new(done) });
         queue.jobs.push_back(Job { operation: Arc::new(operation), waiting, id });
         drop(queue);
-        for _ in 0..expected.min(self.workers.len()) {
+        for _ in helpers..expected.min(self.workers.len()) {
             self.shared.work.notify_one();
         }
+        id
     }
 
-    /// Carries `operation` out on this thread, all shards one after the other; on a panic the batch is lost.
-    pub fn here(mut batch: Batch, operation: &Operation) -> Result<Batch> {
-        let work = || {
-            let mut start = 0;
-            for shard in &mut batch.shards {
-                (0..operation.parts()).for_each(|part| operation.run(shard, start, part));
-                start += shard.envs();
-            }
-        };
-        let ran = catch_unwind(AssertUnwindSafe(work));
-        ran.map_or_else(|_| Err(lost()), |()| Ok(batch))
+    /// [`Pool::wait`], with the caller's thread at work in place of one of the pool's: for one shard no other is woken.
+    pub fn help(&self, batch: Batch, operation: Operation) -> Result<Batch> {
+        let (sender, receiver) = std::sync::mpsc::sync_channel(1);
+        let id = self.enqueue(batch, operation, 1, move |batch| {
+            let _ = sender.send(batch);
+        });
+        let mut queue = self.shared.lock();
+        while let Some(place) = queue.jobs.iter().position(|job| job.id == id) {
+            let Some((id, operation, piece)) = take(&mut queue, place) else { break };
+            drop(queue);
+            queue = carry_out(&self.shared, id, operation, piece);
+        }
+        drop(queue);
+        receiver.recv().unwrap_or_else(|_| Err(Error::Exhausted("the worker pool was closed".into())))
     }
 
     /// [`Pool::run`], waiting for the result.
@@ -148,9 +163,9 @@ impl Drop for Pool {
     }
 }
 
-/// Takes one shard of the foremost job, and puts the job behind all others.
-fn take(queue: &mut Queue) -> Option<(u64, Arc<Operation>, Piece)> {
-    let mut job = queue.jobs.pop_front()?;
+/// Takes one shard of the job at `place`, and puts the job behind all others.
+fn take(queue: &mut Queue, place: usize) -> Option<(u64, Arc<Operation>, Piece)> {
+    let mut job = queue.jobs.remove(place)?;
     let piece = job.waiting.pop()?;
     let (id, operation) = (job.id, job.operation.clone());
     if !job.waiting.is_empty() {
@@ -170,25 +185,29 @@ fn put_back(queue: &mut Queue, id: u64, operation: Arc<Operation>, piece: Piece)
 fn worker(shared: &Shared) {
     let mut queue = shared.lock();
     loop {
-        if let Some((id, operation, mut piece)) = take(&mut queue) {
+        if let Some((id, operation, piece)) = take(&mut queue, 0) {
             drop(queue);
-            let outcome = catch_unwind(AssertUnwindSafe(|| work(shared, id, &operation, &mut piece)));
-            if matches!(outcome, Ok(false)) {
-                queue = shared.lock();
-                if queue.closed {
-                    return;
-                }
-                put_back(&mut queue, id, operation, piece);
-            } else {
-                drop(operation);
-                queue = give_back(shared, id, piece.start, piece.shard, outcome.is_err());
-            }
+            queue = carry_out(shared, id, operation, piece);
         } else if queue.closed {
             return;
         } else {
             queue = shared.work.wait(queue).unwrap_or_else(PoisonError::into_inner);
         }
     }
+}
+
+/// Works on a shard and gives it back, to its batch or to the queue.
+fn carry_out(shared: &Shared, id: u64, operation: Arc<Operation>, mut piece: Piece) -> MutexGuard<'_, Queue> {
+    let outcome = catch_unwind(AssertUnwindSafe(|| work(shared, id, &operation, &mut piece)));
+    if matches!(outcome, Ok(false)) {
+        let mut queue = shared.lock();
+        if !queue.closed {
+            put_back(&mut queue, id, operation, piece);
+        }
+        return queue;
+    }
+    drop(operation);
+    give_back(shared, id, piece.start, piece.shard, outcome.is_err())
 }
 
 /// Goes on with a shard until its operation is done (true) or, after one part at least, another session waits: so that a
@@ -207,10 +226,6 @@ fn work(shared: &Shared, id: u64, operation: &Operation, piece: &mut Piece) -> b
     }
 }
 
-fn lost() -> Error {
-    Error::Internal("the simulation of this session failed".into())
-}
-
 /// Returns a shard to its batch; the last one completes it.
 fn give_back(shared: &Shared, id: u64, start: usize, shard: Shard, panicked: bool) -> MutexGuard<'_, Queue> {
     let mut queue = shared.lock();
@@ -225,6 +240,7 @@ fn give_back(shared: &Shared, id: u64, start: usize, shard: Shard, panicked: boo
     drop(queue);
     pending.finished.sort_unstable_by_key(|f| f.0);
     pending.batch.shards.extend(pending.finished.into_iter().map(|f| f.1));
+    let lost = || Error::Internal("the simulation of this session failed".into());
     let Pending { batch, panicked, done, .. } = pending;
     // A panic in it is for whoever gave it to notice, by what it drops; this thread has other sessions' work to do.
     drop(catch_unwind(AssertUnwindSafe(|| done(if panicked { Err(lost()) } else { Ok(batch) }))));

@@ -43,13 +43,13 @@ mod view;
 mod viewer;
 mod wire;
 
-/// Generated from `proto/sandgait/v1/`.
+/// Generated from `proto/sandgait/v1/` by `make proto`; `tests/generated.rs` holds it current.
 pub mod proto {
-    tonic::include_proto!("sandgait.v1");
-    include!(concat!(env!("OUT_DIR"), "/server/sandgait.v1.rs"));
+    include!("generated/sandgait.v1.rs");
+    include!("generated/server/sandgait.v1.rs");
 
     /// What the protos say, as reflection tells it.
-    pub const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/descriptors.bin"));
+    pub const DESCRIPTORS: &[u8] = include_bytes!("generated/descriptors.bin");
 }
 
 pub use crate::pool::Seal;

@@ -17,6 +17,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
+/// As many shards are soon done: our choice, within the 100 ms in which Ctrl-C is to be heard. A step takes one of rapier's
+/// some 1 ms, one of lanes 0.1 ms.
+const SOON: usize = 64;
+
 /// Environments are made for so long at a time; then whoever waits for them may have left.
 const BUILDING: Duration = Duration::from_millis(10);
 
@@ -189,16 +193,16 @@ impl Loan {
         }
     }
 
-    /// [`Loan::run`] on this thread where one thread would do it anyway: without waking another and being woken.
+    /// [`Loan::run`] with this thread at work too, where that is soon done: it need not wake as many others, nor be woken.
     pub fn run_here(mut self, pool: &Pool, check: impl FnOnce(&mut Batch) -> Result<Operation>) {
-        if self.batch().shards().len() > 1 {
+        if self.batch().shards().len() > SOON {
             return self.run(pool, check);
         }
         match check(self.batch()) {
             Err(error) => self.end(Some(Answer::Refused(error))),
             Ok(operation) => {
                 let Some(batch) = self.batch.take() else { return };
-                let done = Pool::here(batch, &operation);
+                let done = pool.help(batch, operation);
                 self.back(done);
             }
         }
@@ -280,8 +284,8 @@ mod tests {
     /// Steps on the caller's thread and on the pool's have the same bits; a refusal changes nothing.
     #[test]
     fn here_and_in_the_pool() {
-        let pool = Pool::new(2);
-        for envs in [1, 33] {
+        let pool = Pool::new(3);
+        for envs in [1, 33, 100] {
             let both = [made(envs), made(envs)];
             for environments in &both {
                 lent(environments).run(&pool, reset);

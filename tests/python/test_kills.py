@@ -156,7 +156,7 @@ def test_a_client_killed_in_a_step() -> None:
             request = client.step_request(actions(ENVS, t))
             request.sequence = 2 + t
             stream.send(request)
-            taken_up.append(client.batch(stream.receive().batch, neighbour.task)[:4])
+            taken_up.append(client.batch(stream.receive())[:4])
         assert equal(taken_up, undisturbed(ENVS)[6:])
         assert equal(rows, undisturbed(5))
         stream.close()

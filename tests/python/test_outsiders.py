@@ -5,7 +5,11 @@ dm_env_rpc, stable-baselines3 and RLlib have files of their own.
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import grpc
@@ -98,3 +102,44 @@ def test_a_loop_as_cleanrl_writes_it() -> None:
             returns += [float(r) for r in infos["episode"]["r"][infos["_episode"]]]
     assert len(returns) >= 4 * (70 // 21)
     envs.close()
+
+
+FROM_PROTO = """
+import sys
+import grpc, numpy as np
+sys.path.insert(0, sys.argv[2])
+from sandgait.v1 import sandgait_pb2 as pb
+channel = grpc.insecure_channel(sys.argv[1])
+service = "/sandgait.v1.EnvironmentService/"
+packed = lambda message: message.SerializeToString()
+create = channel.unary_unary(service + "CreateSession", packed, pb.CreateSessionResponse.FromString)
+session = create(pb.CreateSessionRequest(task_id=sys.argv[3], num_envs=3, protocol=1)).session_id
+run = channel.stream_stream(service + "RunSession", packed, pb.RunSessionResponse.FromString)
+requests = [
+    pb.RunSessionRequest(session_id=session, reset=pb.Reset(seeds=[5, 6, 7])),
+    pb.RunSessionRequest(step=pb.Step(actions=np.full((3, 6), 0.3, "<f4").tobytes())),
+]
+print(*(answer.batch.observations.hex() for answer in run(iter(requests))), sep="\\n")
+"""
+
+
+def test_a_grpcio_client_made_from_the_protos(remote: RemoteServer, tmp_path: Path) -> None:
+    """In a process without this package: its name is the messages' too."""
+    made = [
+        sys.executable,
+        "-m",
+        "grpc_tools.protoc",
+        f"--proto_path={Path(__file__).parents[2]}/proto",
+        f"--python_out={tmp_path}",
+    ]
+    subprocess.run([*made, "sandgait/v1/sandgait.proto"], check=True)
+    for package in ("sandgait", "sandgait/v1"):
+        (tmp_path / package / "__init__.py").touch()
+    arguments = [remote.address, str(tmp_path), ID]
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    run = [sys.executable, "-c", FROM_PROTO, *arguments]
+    told = subprocess.run(run, capture_output=True, text=True, check=True, env=environment, cwd=tmp_path).stdout
+    env = sandgait.SandgaitVectorEnv(ID, 3)
+    expected = [env.reset(seed=5)[0], env.step(np.full((3, 6), 0.3, np.float32))[0]]
+    env.close()
+    assert told.split() == [rows.tobytes().hex() for rows in expected]

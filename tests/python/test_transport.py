@@ -67,7 +67,7 @@ def test_messages_beyond_4_mib(over: str, remote: RemoteServer) -> None:
     assert (terminated | truncated).all()
     assert infos["_final_obs"].all()
     task = env.task
-    assert 4 * 16_384 * (2 * len(task.observation) + len(task.info)) > client.DEFAULT_MESSAGE_BYTES
+    assert 4 * 16_384 * (2 * len(task.observation) + len(task.info)) > 4 << 20
     env.close()
 
 

@@ -1,11 +1,13 @@
 //! numpy's arrays: actions are read where they lie, rows are written once, into arrays that own their memory.
 
+use crate::errors::raise;
 use pyo3::buffer::{PyBuffer, PyUntypedBuffer};
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyString, PyTuple};
 use sandgait::env::shard::Rows;
 use sandgait::pool::Batch;
+use sandgait::service::proto;
 use sandgait::session::roll::Rolled;
 
 /// Arrays larger than this [bytes] are filled without Python's lock: our choice, some 20 µs of copying.
@@ -147,6 +149,70 @@ fn array<'py, T: Copy>(py: Python<'py>, kind: Kind, shape: &[usize], numbers: &[
     // SAFETY: every caller gives numbers of the kind that it names; the array is new and sliced once.
     unsafe { new.numbers() }.copy_from_slice(numbers);
     Ok(new.array)
+}
+
+/// The same of a message, whose columns are little-endian bytes: copied once.
+pub fn message<'py>(py: Python<'py>, batch: &proto::Batch) -> PyResult<Bound<'py, PyTuple>> {
+    let envs = batch.rewards.len() / 4;
+    let [wide, info] = [&batch.observations, &batch.infos].map(|rows| rows.len() / 4 / envs.max(1));
+    let indices: Vec<isize> =
+        batch.final_indices.as_chunks().0.iter().map(|b| u32::from_le_bytes(*b) as isize).collect();
+    let (rows, _) = batch.infos.as_chunks::<4>();
+    let infos = New::of(py, Kind::F32, &[info, envs])?;
+    // SAFETY: the array is new, of this kind, and sliced once.
+    let columns = unsafe { infos.numbers::<f32>() };
+    for (i, row) in rows.chunks_exact(info.max(1)).enumerate() {
+        row.iter().enumerate().for_each(|(k, value)| columns[k * envs + i] = f32::from_le_bytes(*value));
+    }
+    let all = [
+        packed(py, Kind::F32, &[envs, wide], &[&batch.observations])?,
+        packed(py, Kind::F32, &[envs], &[&batch.rewards])?,
+        packed(py, Kind::Bool, &[envs], &[&batch.terminated])?,
+        packed(py, Kind::Bool, &[envs], &[&batch.truncated])?,
+        infos.array,
+        array(py, Kind::Intp, &[indices.len()], &indices)?,
+        packed(py, Kind::F32, &[indices.len(), wide], &[&batch.final_observations])?,
+    ];
+    PyTuple::new(py, all)
+}
+
+/// An array whose numbers are these little-endian bytes, one piece after the other.
+fn packed<'py>(py: Python<'py>, kind: Kind, shape: &[usize], pieces: &[&[u8]]) -> PyResult<Bound<'py, PyAny>> {
+    let new = New::of(py, kind, shape)?;
+    // SAFETY: the array is new and sliced once; any bytes are numbers.
+    let bytes = unsafe { new.numbers::<u8>() };
+    if bytes.len() != pieces.iter().map(|piece| piece.len()).sum::<usize>() {
+        return Err(raise(&sandgait::Error::Internal("the server's answer has another size than it says".into())));
+    }
+    fill(bytes, pieces.iter());
+    Ok(new.array)
+}
+
+/// [`rolled`] of the parts of a rollout over the network.
+pub fn parts<'py>(
+    py: Python<'py>,
+    parts: &[&proto::RolloutPart],
+    envs: usize,
+    [wide, width]: [usize; 2],
+) -> PyResult<Bound<'py, PyTuple>> {
+    let last = parts.last().copied().cloned().unwrap_or_default();
+    let lengths: Vec<isize> = last.lengths.as_chunks().0.iter().map(|b| u32::from_le_bytes(*b) as isize).collect();
+    let rows = |of: fn(&proto::RolloutPart) -> &[u8], row: &[usize]| {
+        let pieces: Vec<&[u8]> = parts.iter().map(|part| of(part)).collect();
+        let bytes: usize = pieces.iter().map(|piece| piece.len()).sum();
+        let steps = bytes / (4 * row.iter().product::<usize>()).max(1);
+        packed(py, Kind::F32, &[&[steps], row].concat(), &pieces)
+    };
+    let all = [
+        packed(py, Kind::F64, &[envs], &[&last.returns])?,
+        array(py, Kind::Intp, &[lengths.len()], &lengths)?,
+        packed(py, Kind::Bool, &[envs], &[&last.terminated])?,
+        packed(py, Kind::Bool, &[envs], &[&last.truncated])?,
+        rows(|p| &p.observations, &[envs, wide])?,
+        rows(|p| &p.rewards, &[envs])?,
+        rows(|p| &p.actions, &[envs, width])?,
+    ];
+    PyTuple::new(py, all)
 }
 
 /// f64 [n] of little-endian bytes.

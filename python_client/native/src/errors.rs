@@ -1,7 +1,15 @@
 //! The one map from the crate's errors to Python's exceptions.
 
+use pyo3::exceptions::PyException;
 use pyo3::prelude::*;
 use sandgait::Error;
+
+pyo3::create_exception!(
+    sandgait._native,
+    StatusError,
+    PyException,
+    "A call to a server failed: its gRPC code, and why."
+);
 
 /// The class of `sandgait.errors` that says what the caller can do.
 fn class(error: &Error) -> &'static str {

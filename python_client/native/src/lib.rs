@@ -1,6 +1,7 @@
 //! `sandgait._native`: environments and studies in the Python process, and the command line.
 //!
 //! * [`local`]: the environments of one session; [`process`]: the threads that they share.
+//! * [`remote`]: environments on servers.
 //! * [`studies`]: the offline tools.
 //! * [`wait`]: work that Python waits for without holding its lock, until it is done or interrupted.
 //! * [`arrays`], [`values`], [`tables`]: numpy's arrays, keywords and tables from and to the crate's types.
@@ -13,6 +14,7 @@ mod arrays;
 mod errors;
 mod local;
 mod process;
+mod remote;
 mod studies;
 mod tables;
 mod values;
@@ -37,11 +39,15 @@ fn main(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
 #[pymodule]
 mod _native {
     #[pymodule_export]
+    use super::errors::StatusError;
+    #[pymodule_export]
     use super::local::Local;
     #[pymodule_export]
     use super::main;
     #[pymodule_export]
     use super::process::threads;
+    #[pymodule_export]
+    use super::remote::{Request, Response, Stream, close_session, create_session, describe_server, rollout};
     #[pymodule_export]
     use super::studies::study;
     #[pymodule_export]

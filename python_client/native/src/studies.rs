@@ -1,6 +1,7 @@
 //! Studies: requests as dicts, named as the messages are; the same messages go to the same code as a client's.
 
 use crate::errors::invalid;
+use crate::remote::{self, Address};
 use crate::tables::table;
 use crate::values::keywords;
 use crate::wait;
@@ -8,9 +9,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyMapping;
 use sandgait::service::from_json;
 use sandgait::service::proto::{self, diagnose_request, evaluate_request};
-use sandgait::service::proto::{diagnose_response, evaluate_response, sweep_response, walk_response};
-use sandgait::service::studies::compute;
-use sandgait::{Error, Result};
+use sandgait::service::studies::compute::{Outcome, Study};
 
 /// Name and content.
 type File = (String, Vec<u8>);
@@ -114,96 +113,61 @@ fn structure(given: &Bound<'_, PyMapping>) -> PyResult<Option<prost_types::Struc
     }
 }
 
-/// A request that is ready to be computed or sent.
-enum Request {
-    Intrude(proto::IntrudeRequest),
-    Walk(proto::WalkRequest),
-    Sweep(proto::SweepRequest),
-    Evaluate(proto::EvaluateRequest),
-    Diagnose(proto::DiagnoseRequest),
-}
-
-fn request(name: &str, given: &Bound<'_, PyAny>) -> PyResult<Request> {
+fn requested(name: &str, given: &Bound<'_, PyAny>) -> PyResult<Study> {
     Ok(match name {
         "Intrude" => {
             let Intrude { shape, chord, width, hip_height, omega, sand } = given.extract()?;
             let [chord, width, hip_height, omega] = [chord, width, hip_height, omega].map(Some);
-            Request::Intrude(proto::IntrudeRequest { shape, chord, width, hip_height, omega, sand: sand.message() })
+            Study::Intrude(proto::IntrudeRequest { shape, chord, width, hip_height, omega, sand: sand.message() })
         }
         "Walk" => {
             let Walk { leg, frequency, engine, sand, slope_deg, dt, robot } = given.extract()?;
             let (engine, sand, robot) = (Some(engine), sand.message(), robot.message());
-            Request::Walk(proto::WalkRequest { leg, frequency, engine, sand, slope_deg, dt, robot })
+            Study::Walk(proto::WalkRequest { leg, frequency, engine, sand, slope_deg, dt, robot })
         }
         "Sweep" => {
             let Sweep { vary, set, robot, frequency, sand, optimize } = given.extract()?;
             let [vary, set] = [vary, set].map(|all| all.into_iter().map(variation).collect());
             let (robot, frequency, sand) = (robot.message(), Some(frequency), sand.message());
-            Request::Sweep(proto::SweepRequest { vary, set, robot, frequency, sand, optimize })
+            Study::Sweep(proto::SweepRequest { vary, set, robot, frequency, sand, optimize })
         }
         "Evaluate" => {
             let Evaluate { onnx, gait, task_id, options, seeds, media, slopes } = given.extract()?;
             let onnx = onnx.map(|network| evaluate_request::Policy::Onnx(file(network)));
             let policy = onnx.or(gait.map(evaluate_request::Policy::Gait));
             let (options, seeds) = (structure(&options)?, Some(seeds));
-            Request::Evaluate(proto::EvaluateRequest { policy, task_id, options, seeds, media, slopes })
+            Study::Evaluate(proto::EvaluateRequest { policy, task_id, options, seeds, media, slopes })
         }
         "Diagnose" => {
             let Diagnose { data, file: given, values } = given.extract()?;
             let tables = values.map(|values| structure(&values)).transpose()?.flatten();
             let experiment = given.map(|given| diagnose_request::Experiment::File(file(given)));
             let experiment = experiment.or(tables.map(diagnose_request::Experiment::Values));
-            Request::Diagnose(proto::DiagnoseRequest { data: Some(file(data)), experiment })
+            Study::Diagnose(proto::DiagnoseRequest { data: Some(file(data)), experiment })
         }
         other => return Err(invalid("study", format!("{other:?} is unknown"))),
     })
 }
 
-/// What a study gives.
-enum Reply {
-    Table(Option<proto::Table>),
-    Diagnosis(proto::Diagnosis),
-}
-
-impl Request {
-    fn compute(self, progress: &dyn sandgait::progress::Progress) -> Result<Reply> {
-        let missing = || Error::Internal("the study ended without a result".into());
-        Ok(match self {
-            Self::Intrude(request) => Reply::Table(compute::intrude(request)?.table),
-            Self::Walk(request) => match compute::walk(request)?(progress)?.event {
-                Some(walk_response::Event::Table(table)) => Reply::Table(Some(table)),
-                _ => return Err(missing()),
-            },
-            Self::Sweep(request) => match compute::sweep(request)?(progress)?.event {
-                Some(sweep_response::Event::Table(table)) => Reply::Table(Some(table)),
-                _ => return Err(missing()),
-            },
-            Self::Evaluate(request) => match compute::evaluate(request)?(progress)?.event {
-                Some(evaluate_response::Event::Table(table)) => Reply::Table(Some(table)),
-                _ => return Err(missing()),
-            },
-            Self::Diagnose(request) => match compute::diagnose(request)?(progress)?.event {
-                Some(diagnose_response::Event::Diagnosis(diagnosis)) => Reply::Diagnosis(diagnosis),
-                _ => return Err(missing()),
-            },
-        })
-    }
-}
-
-/// Computes study `name` in this process. Gives a table, or of a diagnosis its three files and the table of curves.
+/// Study `name` at `place`, or in this process. Gives a table, or of a diagnosis its three files and the table of curves.
 /// `told` is called with the share done and what is done now; what it raises stops the study.
 #[pyfunction]
-#[pyo3(signature = (name, request, told))]
+#[pyo3(signature = (place, name, request, told))]
 pub fn study<'py>(
     py: Python<'py>,
+    place: Option<Address>,
     name: &str,
     request: &Bound<'py, PyAny>,
     told: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let request = self::request(name, request)?;
-    match wait::study(py, told, move |progress| request.compute(progress))? {
-        Reply::Table(made) => table(py, &made.unwrap_or_default()),
-        Reply::Diagnosis(diagnosis) => {
+    let study = requested(name, request)?;
+    let outcome = match place {
+        None => wait::study(py, told, move |progress| study.compute(progress))?,
+        Some(place) => remote::study(py, place, study, told)?,
+    };
+    match outcome {
+        Outcome::Table(made) => table(py, &made),
+        Outcome::Diagnosis(diagnosis) => {
             let proto::Diagnosis { report_json, report_html, sand_toml, curves } = diagnosis;
             let curves = table(py, &curves.unwrap_or_default())?;
             Ok((report_json, report_html, sand_toml, curves).into_pyobject(py)?.into_any())

@@ -17,13 +17,13 @@ mod worlds;
 pub mod proto {
     pub mod google {
         pub mod rpc {
-            tonic::include_proto!("google.rpc");
+            include!("../generated/google.rpc.rs");
         }
     }
     pub mod dm_env_rpc {
         pub mod v1 {
-            tonic::include_proto!("dm_env_rpc.v1");
-            include!(concat!(env!("OUT_DIR"), "/server/dm_env_rpc.v1.rs"));
+            include!("../generated/dm_env_rpc.v1.rs");
+            include!("../generated/server/dm_env_rpc.v1.rs");
         }
     }
     pub use dm_env_rpc::v1::*;

@@ -3,7 +3,7 @@
 
 use super::{decode, encode};
 use crate::error::{Error, Result};
-use crate::evaluate::Study;
+use crate::evaluate;
 use crate::progress::Progress;
 use crate::service::proto::{self, DiagnoseRequest, DiagnoseResponse, IntrudeRequest, IntrudeResponse};
 use crate::service::proto::{
@@ -14,6 +14,48 @@ use std::path::Path;
 
 /// Work that tells how far it has come.
 pub type Work<T> = Box<dyn FnOnce(&dyn Progress) -> Result<T> + Send>;
+
+/// A study that somebody asks for.
+pub enum Study {
+    Intrude(IntrudeRequest),
+    Walk(WalkRequest),
+    Sweep(SweepRequest),
+    Evaluate(EvaluateRequest),
+    Diagnose(DiagnoseRequest),
+}
+
+/// What a study gives.
+pub enum Outcome {
+    Table(proto::Table),
+    Diagnosis(proto::Diagnosis),
+}
+
+impl Study {
+    /// The whole of it, on this thread and those that it starts.
+    pub fn compute(self, progress: &dyn Progress) -> Result<Outcome> {
+        use proto::{diagnose_response, evaluate_response, sweep_response, walk_response};
+        let outcome = match self {
+            Self::Intrude(request) => intrude(request)?.table.map(Outcome::Table),
+            Self::Walk(request) => match walk(request)?(progress)?.event {
+                Some(walk_response::Event::Table(table)) => Some(Outcome::Table(table)),
+                _ => None,
+            },
+            Self::Sweep(request) => match sweep(request)?(progress)?.event {
+                Some(sweep_response::Event::Table(table)) => Some(Outcome::Table(table)),
+                _ => None,
+            },
+            Self::Evaluate(request) => match evaluate(request)?(progress)?.event {
+                Some(evaluate_response::Event::Table(table)) => Some(Outcome::Table(table)),
+                _ => None,
+            },
+            Self::Diagnose(request) => match diagnose(request)?(progress)?.event {
+                Some(diagnose_response::Event::Diagnosis(diagnosis)) => Some(Outcome::Diagnosis(diagnosis)),
+                _ => None,
+            },
+        };
+        outcome.ok_or_else(|| Error::Internal("the study ended without a result".into()))
+    }
+}
 
 pub fn intrude(request: IntrudeRequest) -> Result<IntrudeResponse> {
     let (rotation, sand) = decode::intrude(request)?;
@@ -44,7 +86,7 @@ pub fn sweep(request: SweepRequest) -> Result<Work<SweepResponse>> {
 }
 
 pub fn evaluate(request: EvaluateRequest) -> Result<Work<EvaluateResponse>> {
-    let study = Study::new(&decode::evaluate(request)?)?;
+    let study = evaluate::Study::new(&decode::evaluate(request)?)?;
     Ok(Box::new(move |progress| {
         let table = encode::table(encode::evaluation(&study.run(progress)?), Vec::new());
         Ok(EvaluateResponse { event: Some(proto::evaluate_response::Event::Table(table)) })

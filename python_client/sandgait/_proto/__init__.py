@@ -1,1 +1,0 @@
-"""Generated from proto/ by `make proto`; nothing here is written by hand."""

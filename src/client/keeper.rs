@@ -1,0 +1,69 @@
+//! Drives a stream's connection while nobody waits for an answer.
+
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+use tokio::runtime::Runtime;
+
+/// A connection that nobody has used for so long is driven: our choice, short against the server's patience with pings.
+const IDLE: Duration = Duration::from_secs(1);
+
+/// For so long at a time.
+const SLICE: Duration = Duration::from_millis(20);
+
+struct State {
+    used: Instant,
+    /// Something was sent that nobody waits for yet.
+    ahead: bool,
+    closed: bool,
+}
+
+/// Says what a connection is used for.
+pub struct Keeper(Arc<(Mutex<State>, Condvar)>);
+
+impl Keeper {
+    pub fn new(runtime: Arc<Runtime>) -> std::io::Result<Self> {
+        let state = State { used: Instant::now(), ahead: false, closed: false };
+        let shared = Arc::new((Mutex::new(state), Condvar::new()));
+        let own = shared.clone();
+        std::thread::Builder::new().name("sandgait-wire".into()).spawn(move || keep(&own, &runtime))?;
+        Ok(Self(shared))
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.0.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Something was sent, and the caller does not wait for its answer now.
+    pub fn ahead(&self) {
+        self.lock().ahead = true;
+        self.0.1.notify_one();
+    }
+
+    /// The caller waits itself.
+    pub fn waits(&self) {
+        let mut state = self.lock();
+        (state.ahead, state.used) = (false, Instant::now());
+    }
+}
+
+impl Drop for Keeper {
+    fn drop(&mut self) {
+        self.lock().closed = true;
+        self.0.1.notify_one();
+    }
+}
+
+fn keep(shared: &(Mutex<State>, Condvar), runtime: &Runtime) {
+    let mut state = shared.0.lock().unwrap_or_else(PoisonError::into_inner);
+    while !state.closed {
+        let idle = state.used.elapsed();
+        if state.ahead || idle >= IDLE {
+            drop(state);
+            runtime.block_on(async { tokio::time::sleep(SLICE).await });
+            state = shared.0.lock().unwrap_or_else(PoisonError::into_inner);
+        } else {
+            let waited = shared.1.wait_timeout(state, IDLE - idle);
+            state = waited.unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+}

@@ -1,0 +1,77 @@
+//! A client of `sandgait.v1`: what Python reaches servers with.
+//!
+//! Everything is driven by the thread that waits: it reads and writes the socket itself, and no other thread has to be woken
+//! for an answer. While nobody waits, [`keeper`] answers the server's pings and sends what was sent ahead.
+//!
+//! * [`place`]: where a server is, and what it takes to use it.
+//! * [`stream`]: one RunSession stream; [`call`]: calls with one answer; [`study`]: studies, which tell their progress.
+
+pub mod call;
+mod keeper;
+mod place;
+mod stream;
+mod study;
+
+pub use place::Place;
+pub use stream::{PATIENCE, Stream};
+pub use study::{Event, next, study};
+
+use crate::service::proto::environment_service_client::EnvironmentServiceClient;
+use crate::service::proto::study_service_client::StudyServiceClient;
+use place::Bearer;
+use std::future::Future;
+use std::pin::Pin;
+use std::time::Duration;
+use tokio::runtime::{Builder, Runtime};
+use tonic::service::interceptor::InterceptedService;
+use tonic::transport::Channel;
+use tonic::{Code, Status};
+
+pub type Environments = EnvironmentServiceClient<InterceptedService<Channel, Bearer>>;
+pub type Studies = StudyServiceClient<InterceptedService<Channel, Bearer>>;
+
+/// A runtime that works while one of its callers waits.
+pub fn runtime() -> Result<Runtime, Status> {
+    let made = Builder::new_current_thread().enable_all().build();
+    made.map_err(|e| Status::unavailable(format!("the connection cannot be set up: {e}")))
+}
+
+/// Waits for `future` for at most `time`; None: it is not done yet.
+pub fn wait<F: Future + ?Sized>(runtime: &Runtime, future: Pin<&mut F>, time: Duration) -> Option<F::Output> {
+    runtime.block_on(async { tokio::time::timeout(time, future).await.ok() })
+}
+
+/// A client for environments at `place`.
+pub async fn environments(place: &Place) -> Result<Environments, Status> {
+    let (channel, bearer) = place.connect().await?;
+    let client = EnvironmentServiceClient::with_interceptor(channel, bearer);
+    Ok(client.max_decoding_message_size(usize::MAX).max_encoding_message_size(usize::MAX))
+}
+
+/// A client for studies at `place`.
+pub async fn studies(place: &Place) -> Result<Studies, Status> {
+    let (channel, bearer) = place.connect().await?;
+    let client = StudyServiceClient::with_interceptor(channel, bearer);
+    Ok(client.max_decoding_message_size(usize::MAX).max_encoding_message_size(usize::MAX))
+}
+
+/// A call that did not reach the server, or whose answer did not come back: what the server says itself has no source.
+fn lost(status: Status) -> Status {
+    match std::error::Error::source(&status) {
+        Some(mut cause) => {
+            while let Some(source) = cause.source() {
+                cause = source;
+            }
+            Status::unavailable(cause.to_string())
+        }
+        None => status,
+    }
+}
+
+/// A stream that was cut off in the middle of a message: the session may still be there.
+fn cut(status: Status) -> Status {
+    match status.code() {
+        Code::Unknown | Code::Internal => Status::unavailable(status.message().to_owned()),
+        _ => status,
+    }
+}

@@ -1,0 +1,115 @@
+//! Where a server is, and what it takes to use it.
+
+use hyper_util::rt::TokioIo;
+use std::future::Future;
+use std::path::PathBuf;
+use std::pin::Pin;
+use std::task::{Context, Poll};
+use std::time::Duration;
+use tokio::net::UnixStream;
+use tonic::metadata::{Ascii, MetadataValue};
+use tonic::service::Interceptor;
+use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity, Uri};
+use tonic::{Request, Status};
+use tower_service::Service;
+
+/// Between two pings, and longest wait for their answers: a host that vanished is noticed.
+const KEEPALIVE: Duration = Duration::from_secs(20);
+
+/// Longest wait for a connection.
+const CONNECT: Duration = Duration::from_secs(20);
+
+/// A server's address, and how to speak to it.
+#[derive(Clone, Default)]
+pub struct Place {
+    /// `host:port` or `unix:/path`.
+    pub address: String,
+    pub token: Option<String>,
+    pub tls: bool,
+    /// PEM; without it the system's authorities are trusted.
+    pub ca: Option<Vec<u8>>,
+    /// This client's certificate and key, PEM.
+    pub identity: Option<(Vec<u8>, Vec<u8>)>,
+}
+
+/// What every call says of its caller.
+#[derive(Clone)]
+pub struct Bearer(Option<MetadataValue<Ascii>>);
+
+impl Interceptor for Bearer {
+    fn call(&mut self, mut call: Request<()>) -> Result<Request<()>, Status> {
+        if let Some(token) = &self.0 {
+            call.metadata_mut().insert("authorization", token.clone());
+        }
+        Ok(call)
+    }
+}
+
+impl Place {
+    /// A connection of its own; proxies of the environment are not used.
+    pub async fn connect(&self) -> Result<(Channel, Bearer), Status> {
+        let token = self.token.as_ref().map(|token| format!("Bearer {token}").parse());
+        let bearer = Bearer(token.transpose().map_err(|_| Status::invalid_argument("token: not visible ASCII"))?);
+        let channel = match self.address.strip_prefix("unix:") {
+            Some(path) => {
+                let socket = Socket(PathBuf::from(path));
+                endpoint("http://localhost".into())?.connect_with_connector(socket).await
+            }
+            None if self.tls => {
+                let endpoint = endpoint(format!("https://{}", self.address))?;
+                endpoint.tls_config(self.encryption()).map_err(|e| unreachable(&e))?.connect().await
+            }
+            None => endpoint(format!("http://{}", self.address))?.connect().await,
+        };
+        Ok((channel.map_err(|e| unreachable(&e))?, bearer))
+    }
+
+    fn encryption(&self) -> ClientTlsConfig {
+        let config = match &self.ca {
+            Some(pem) => ClientTlsConfig::new().ca_certificate(Certificate::from_pem(pem)),
+            None => ClientTlsConfig::new().with_native_roots(),
+        };
+        match &self.identity {
+            Some((certificate, key)) => config.identity(Identity::from_pem(certificate, key)),
+            None => config,
+        }
+    }
+}
+
+fn endpoint(uri: String) -> Result<Endpoint, Status> {
+    let endpoint = Endpoint::from_shared(uri).map_err(|e| Status::invalid_argument(format!("address: {e}")))?;
+    Ok(endpoint
+        .tcp_nodelay(true)
+        .connect_timeout(CONNECT)
+        .http2_keep_alive_interval(KEEPALIVE)
+        .keep_alive_timeout(KEEPALIVE)
+        .keep_alive_while_idle(true))
+}
+
+/// Why there is no connection, with the cause that says it best: the last one.
+fn unreachable(error: &tonic::transport::Error) -> Status {
+    let mut cause: &dyn std::error::Error = error;
+    while let Some(source) = cause.source() {
+        cause = source;
+    }
+    Status::unavailable(cause.to_string())
+}
+
+/// Connects to a Unix socket, whatever its path.
+#[derive(Clone)]
+struct Socket(PathBuf);
+
+impl Service<Uri> for Socket {
+    type Response = TokioIo<UnixStream>;
+    type Error = std::io::Error;
+    type Future = Pin<Box<dyn Future<Output = std::io::Result<Self::Response>> + Send>>;
+
+    fn poll_ready(&mut self, _: &mut Context<'_>) -> Poll<std::io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+
+    fn call(&mut self, _: Uri) -> Self::Future {
+        let path = self.0.clone();
+        Box::pin(async move { UnixStream::connect(path).await.map(TokioIo::new) })
+    }
+}

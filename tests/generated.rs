@@ -1,0 +1,60 @@
+//! The code made from `proto/` is what its makers make now. It is committed: so a build needs neither them nor protoc.
+//! `make proto` writes it anew.
+
+use prost::Message as _;
+use std::path::{Path, PathBuf};
+
+/// Files, made in pure Rust, in the folder `out`.
+fn make(out: &Path) {
+    let ours = ["proto/sandgait/v1/sandgait.proto", "proto/sandgait/v1/studies.proto"];
+    let files = protox::compile(ours.iter().chain(&["proto/dm_env_rpc/v1/dm_env_rpc.proto"]), ["proto"]).unwrap();
+    std::fs::create_dir_all(out).unwrap();
+    // What the server tells those who ask it by reflection.
+    std::fs::write(out.join("descriptors.bin"), files.encode_to_vec()).unwrap();
+    server(files.clone(), &out.join("server"));
+    // Messages and clients.
+    let builder = tonic_prost_build::configure().build_server(false).bytes(".sandgait.v1").out_dir(out);
+    builder.compile_fds(files).unwrap();
+}
+
+/// The servers' traits. A request reaches them as a `Frame`: its bytes, which are sized before they are unpacked.
+fn server(files: prost_types::FileDescriptorSet, out: &Path) {
+    let packages = [("sandgait.v1", "crate::service::proto"), ("dm_env_rpc.v1", "crate::service::dm_env_rpc::proto")];
+    let messages = packages.iter().map(|(package, module)| (format!(".{package}"), (*module).to_owned()));
+    let requests = files.file.iter().filter_map(|file| {
+        let (_, module) = packages.iter().find(|(package, _)| file.package() == *package)?;
+        let inputs = file.service.iter().flat_map(|s| &s.method).map(|m| m.input_type().to_owned());
+        let frame = |input: String| {
+            let name = input.rsplit('.').next().unwrap_or_default();
+            let frame = format!("crate::service::frame::Frame<{module}::{name}>");
+            (input, frame)
+        };
+        Some(inputs.map(frame).collect::<Vec<_>>())
+    });
+    let mut paths: Vec<(String, String)> = messages.chain(requests.flatten()).collect();
+    paths.push((".google.rpc".into(), "crate::service::dm_env_rpc::proto::google::rpc".into()));
+    std::fs::create_dir_all(out).unwrap();
+    let builder = tonic_prost_build::configure().build_client(false).codec_path("crate::service::frame::FrameCodec");
+    let builder = paths.into_iter().fold(builder, |b, (proto, rust)| b.extern_path(proto, rust));
+    builder.out_dir(out).compile_fds(files).unwrap();
+}
+
+#[test]
+fn the_generated_code_is_current() {
+    let committed = Path::new("src/service/generated");
+    if std::env::var_os("SANDGAIT_WRITE_PROTO").is_some() {
+        make(committed);
+    }
+    let directory = tempfile::tempdir().unwrap();
+    make(directory.path());
+    let mut names: Vec<PathBuf> = Vec::new();
+    for folder in ["", "server"] {
+        let entries = std::fs::read_dir(directory.path().join(folder)).unwrap().map(|e| e.unwrap().path());
+        names.extend(entries.filter(|p| p.is_file()).map(|p| p.strip_prefix(directory.path()).unwrap().to_owned()));
+    }
+    assert!(names.len() >= 6);
+    for name in names {
+        let [made, ours] = [directory.path(), committed].map(|folder| std::fs::read(folder.join(&name)).unwrap());
+        assert!(made == ours, "{}: make proto writes it anew", name.display());
+    }
+}
