@@ -53,9 +53,7 @@ fn accelerations_are_those_of_pinocchio_and_mujoco() {
                 let wanted: Vec<f64> = serde_json::from_value(row[key].clone()).unwrap();
                 let size = wanted.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
                 for (x, y) in wanted.iter().zip(found) {
-                    // odd.xml has meshes, whose vertices MuJoCo turns and scales in single precision.
-                    let least = if file.ends_with("odd.xml") { 2e-6 } else { 1e-9 };
-                    assert!((x - y).abs() <= least * size, "{file}, {key}: {x} and {y}");
+                    assert!((x - y).abs() <= 1e-9 * size, "{file}, {key}: {x} and {y}");
                 }
             }
         }
@@ -82,7 +80,7 @@ fn rows_may_be_bare_and_joints_in_any_order() {
     let turned = |list: &mut Value| list.as_array_mut().unwrap().reverse();
     turned(&mut states["joints"]);
     for row in states["rows"].as_array_mut().unwrap() {
-        ["q", "qd", "tau"].map(|key| turned(&mut row[key]));
+        ["q", "qd", "tau"].iter().for_each(|key| turned(&mut row[key]));
     }
     let mut back = computed(&states);
     back.as_array_mut().unwrap().iter_mut().for_each(|row| turned(&mut row["qdd"]));
@@ -251,7 +249,7 @@ fn coarse_plates_feel_what_fine_ones_feel() {
                 Geometry::Mesh(faces) => faces.to_vec(),
                 _ => continue,
             };
-            let (mut worst, mut squares, mut count) = (0f64, 0.0, 0);
+            let (mut errors, mut count) = (Vec::new(), 0);
             for _ in 0..25 {
                 let mut unit = || V::from_fn(|_, _| chance.random::<f64>() - 0.5).normalize();
                 let turn = Rotation3::from_axis_angle(&nalgebra::Unit::new_normalize(unit()), 3.0 * unit().x);
@@ -263,19 +261,19 @@ fn coarse_plates_feel_what_fine_ones_feel() {
                 let low = body.heights(|v| v)[0];
                 let trial = Trial { velocity: velocity.into(), spin: [0.0; 3], given: Given::Depth(depth) };
                 let fine = V::from(compute(&body, &sand, &trial).force);
-                let origin = Isometry3::from_parts(
-                    Translation3::new(0.0, 0.0, -low - depth),
-                    UnitQuaternion::from_rotation_matrix(&turn),
-                );
+                let place = Translation3::new(0.0, 0.0, -low - depth);
+                let origin = Isometry3::from_parts(place, UnitQuaternion::from_rotation_matrix(&turn));
                 let cut = plates::of_shapes(&[&shape(geometry.clone(), origin)], None).unwrap();
                 count = cut.len();
-                let error = (force(&ground, &cut, velocity) - fine).norm() / fine.norm();
-                worst = worst.max(error);
-                squares += error * error;
+                errors.push(((force(&ground, &cut, velocity) - fine).norm(), fine.norm()));
             }
+            let largest = errors.iter().map(|e| e.1).fold(0.0, f64::max);
+            let of_largest = errors.iter().map(|e| e.0 / largest).fold(0.0, f64::max);
+            // Where next to nothing of the body leads in the sand, a share of the force says nothing.
+            let large = errors.iter().filter(|e| e.1 > 0.1 * largest).map(|e| e.0 / e.1).fold(0.0, f64::max);
             lines
-                .push(format!("{law} {name}: {count} plates, rms {:.4}, worst {worst:.4}", (squares / 25.0f64).sqrt()));
-            assert!(worst < 0.02, "{lines:#?}");
+                .push(format!("{law} {name}: {count} plates, {large:.4} of the force, {of_largest:.4} of the largest"));
+            assert!(large < 0.02 && of_largest < 0.01, "{lines:#?}");
         }
     }
     println!("{lines:#?}");
@@ -360,7 +358,7 @@ fn a_picture_shows_the_robot() {
     let map = resvg::tiny_skia::Pixmap::load_png(&png).unwrap();
     assert_eq!((map.width(), map.height()), (960, 720));
     // Plates are red, sand is not; both are seen, and neither fills the picture.
-    let red = |p: &&resvg::tiny_skia::PremultipliedColorU8| p.red() > 2 * p.green().max(60);
+    let red = |p: &&resvg::tiny_skia::PremultipliedColorU8| u32::from(p.red()) > 2 * u32::from(p.green()).max(60);
     let count = map.pixels().iter().filter(red).count();
     assert!((2_000..200_000).contains(&count), "{count}");
     for name in ["xplorer", "xplorer18"] {
