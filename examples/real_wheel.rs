@@ -16,8 +16,6 @@ const MOST_FORCE: f64 = 30.0;
 /// μ_s for the discs' file, which discs say nothing about: tan(0.7 · 35°). Steel in dry sand has 0.54 (smooth) to 0.76 (rough)
 /// of the sand's friction angle (Potyondy 1961), dry sands have 30° to 40°.
 const FRICTION: f64 = 0.46;
-/// Vesic's value of `slip_bearing`.
-const BEARING: f64 = 1.0;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let folder = PathBuf::from(std::env::args().nth(1).ok_or("give the folder with the data")?);
@@ -27,7 +25,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         Ok(())
     };
     let zeta = (discs(&folder.join("discs.csv"))? * 1e3).round() / 1e3;
-    let mechanisms = Mechanisms { friction_clip: 1.0 / FRICTION, slip_bearing: BEARING, ..Mechanisms::PLAIN };
+    let mechanisms = Mechanisms { friction_clip: 1.0 / FRICTION, slip_bearing: fit::BEARING, ..Mechanisms::PLAIN };
     let discs = SandDescription {
         name: "cmu-discs".into(),
         source: format!(
@@ -49,7 +47,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let parameters = fit::fit(&wheels, &rows)?.rounded();
     println!("{parameters:?}");
     let said =
-        "Fitted on both wheels up to 60°: ζ, depth_power, skid_loss, slip_bearing shared; friction_clip of this wheel.";
+        "Fitted on both wheels up to 60°: ζ, depth_power, skid_loss, graze_loss shared; friction_clip of this wheel.";
     for (wheel, file) in wheels.iter().zip(["sand_smooth.toml", "sand_grouser.toml"]) {
         let name = file.trim_end_matches(".toml").replace("sand_", "cmu-");
         let source = "fitted on the wheels' rows at slip angles up to 60°";

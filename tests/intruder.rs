@@ -196,7 +196,7 @@ const INDEPENDENT: [Independent; 12] = [
     ([0.0137, -0.0013, 0.0133], 0.432, 0.0403, [-3.403, 2.812, 5.950]),
 ];
 
-/// With any strength of the two mechanisms of slip a segment gets no more energy than plain theory gives it, or none.
+/// With any strength of the mechanisms of travel a segment gets no more energy than plain theory gives it, or none.
 #[test]
 fn slip_adds_no_energy() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(5);
@@ -209,6 +209,7 @@ fn slip_adds_no_energy() {
         let mechanisms = Mechanisms {
             skid_loss: random.random_range(0.0..10.0),
             slip_bearing: random.random_range(0.0..3.0),
+            graze_loss: random.random_range(0.0..1.0),
             friction_clip: random.random_range(1.0..10.0),
             ..Mechanisms::PLAIN
         };
@@ -259,7 +260,7 @@ fn the_files_are_what_the_fit_gives() {
         let fitted = parameters.sand(wheel, &file.name, &file.source).unwrap();
         let values = |s: &SandDescription| {
             let m = &s.mechanisms;
-            [s.coefficients.penetration() / 1e6, m.depth_power, m.skid_loss, m.slip_bearing, m.friction_clip]
+            [s.coefficients.penetration() / 1e6, m.depth_power, m.skid_loss, m.graze_loss, m.friction_clip]
         };
         // Files have three digits; other processors may round the last one otherwise.
         assert!(values(&fitted).iter().zip(values(file)).all(|(a, b)| (a - b).abs() < 5e-3), "{}", wheel.name);

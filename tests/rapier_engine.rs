@@ -351,8 +351,10 @@ fn stands_still() {
 fn agrees_with_the_other_engine() {
     let plain = Mechanisms::PLAIN;
     let filled = Mechanisms { concave_fill: 0.8, inertial_drag: 2.0, ..plain };
+    let skids = Mechanisms { skid_loss: 0.8, graze_loss: 0.7, slip_bearing: 1.0, friction_clip: 1.8, ..plain };
     for (robot, leg, slope_deg, mechanisms) in [
         ("xplorer", "C", 0.0, plain),
+        ("xplorer", "C", 0.0, skids),
         ("xplorer", "revC", 0.0, plain),
         ("xplorer", "L", 5.0, plain),
         ("xplorer", "revL", 0.0, filled),

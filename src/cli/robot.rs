@@ -19,6 +19,7 @@ const PICTURE: [u32; 2] = [960, 720];
   sandgait robot spot.xml --json
   sandgait robot go1.urdf --picture go1.png --touches FL_foot,FR_foot,RL_foot,RR_foot
   sandgait robot go1.urdf --accelerations states.json
+  sandgait robot go1.urdf --pack > go1.json
   sandgait robot xplorer")]
 pub struct Robot {
     /// A .urdf, an .xml (MJCF or URDF), a .toml, or the name of a built-in robot
@@ -36,6 +37,9 @@ pub struct Robot {
     /// Size of the plates that touching shapes are cut into [m]; a sixth of a box's longest side, a twelfth of others', if not given
     #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
     plate_size: Option<f64>,
+    /// Print the robot as one text, as option `robot` of sandgait/LeggedVelocity-v0 takes it
+    #[arg(long, conflicts_with_all = ["json", "picture", "accelerations"])]
+    pack: bool,
     /// Print accelerations in free flight for the rows {quat, v, w, q, qd, tau} of this JSON file
     #[arg(long, value_name = "FILE", conflicts_with_all = ["json", "picture", "touches", "plate_size"])]
     accelerations: Option<PathBuf>,
@@ -50,6 +54,9 @@ impl Robot {
             return Ok(super::json(&rows.into()));
         }
         let touching = Touching::of(&import, self.touches.as_deref(), self.plate_size)?;
+        if self.pack {
+            return sim::tree::packed::pack(&import.tree, &touching.plates);
+        }
         if let Some(path) = &self.picture {
             let seen = import.seen()?;
             let caption =

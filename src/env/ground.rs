@@ -44,6 +44,8 @@ pub enum Change {
     Footing,
     /// The patch, and with it the sand.
     Patch,
+    /// Something gave the base this velocity along x and y [m/s].
+    Push([f64; 2]),
 }
 
 impl Ground {

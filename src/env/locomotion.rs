@@ -105,7 +105,7 @@ pub fn begin(setup: &Setup, random: &mut Random) -> (State, Goal) {
     let mut angles = setup.model.tripod_angles();
     angles.iter_mut().for_each(|a| *a += random.uniform(-angle_noise, angle_noise));
     let [speed, turn] = [command, turn].map(|[low, high]| random.uniform(low, high));
-    let goal = Goal { speed, turn, model: None, ground: None };
+    let goal = Goal { speed, turn, ..Goal::default() };
     (State::at_rest(setup.model.standing_height(&angles), &angles), goal)
 }
 

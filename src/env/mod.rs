@@ -6,6 +6,7 @@
 //! * [`task`]: the trait a task implements; [`options`]: its keywords; [`registry`]: which tasks there are.
 //! * [`locomotion`]: what walking tasks share; [`gait`]: the task HexapodGait, [`legs`]: HexapodLegs, [`rocks`]: HexapodRocks.
 //! * [`terrain`]: the task HexapodTerrain; [`ground`]: what its episodes remember; [`stroke`]: the task LegStroke.
+//! * [`legged`]: the task LeggedVelocity, of any robot from a file.
 //! * [`control`]: ways of driving hips; [`clock`]: the one that is a gait as parameters; [`reference`](mod@reference): how far references go.
 //! * [`shard`]: environments that advance together on one engine; reset, step, autoreset.
 //! * [`snapshot`]: episodes as data; [`rollout`]: many steps with actions that are known beforehand.
@@ -16,6 +17,7 @@ pub mod clock;
 pub mod control;
 pub mod gait;
 pub mod ground;
+pub mod legged;
 pub mod legs;
 pub mod locomotion;
 pub mod look;

@@ -1,6 +1,7 @@
 //! Which tasks there are, and how a session's environments are made from an id and options.
 
 use super::gait::HexapodGait;
+use super::legged::{self, LeggedVelocity};
 use super::legs::HexapodLegs;
 use super::options::keywords::{self, Keywords};
 use super::options::{Control, OPTION_HELP, Randomize, ResetOptions, RockOptions, StrokeOptions, TaskOptions};
@@ -79,6 +80,11 @@ const KINDS: [Kind; Keywords::ALL.len()] = [
         },
         make: |setup| Ok(Arc::new(LegStroke::new(setup)?)),
     },
+    Kind {
+        keywords: &keywords::LEGGED,
+        defaults: legged::defaults,
+        make: |setup| Ok(Arc::new(LeggedVelocity::new(setup)?)),
+    },
 ];
 
 /// One keyword of a task, for tables.
@@ -121,7 +127,7 @@ impl Blueprint {
         let kind = KINDS.iter().find(|k| k.keywords.task == id).ok_or_else(|| no_task(id))?;
         let options = (kind.defaults)().with(options, |name| kind.keywords.check(name))?;
         let engine = options.engine;
-        if engine == EngineKind::Carriage && kind.keywords.has("engine") {
+        if !EngineKind::ALL.contains(&engine) && kind.keywords.has("engine") {
             return Err(Error::unknown("engine", engine.name(), &EngineKind::ALL.map(EngineKind::name)));
         }
         let setup = Setup::new(kind.keywords, options)?;

@@ -123,7 +123,7 @@ impl Shard {
             seed: 0,
             number: 0,
             steps: 0,
-            goal: Goal { speed: 0.0, turn: 0.0, model: None, ground: None },
+            goal: Goal::default(),
             before: State::at_rest(0.0, &vec![0.0; model.joints()]),
             after: State::at_rest(0.0, &vec![0.0; model.joints()]),
             last_action: vec![0.0; spec.action.len()],
@@ -253,7 +253,11 @@ impl Shard {
         self.rows.terminated[i] = u8::from(terminated);
         self.rows.truncated[i] = u8::from(truncated);
         let change = self.task.walked(&episode.setup, &mut episode.goal, &episode.after);
-        if change != Change::Nothing {
+        if let Change::Push([x, y]) = change {
+            (episode.after.velocity[0], episode.after.velocity[1]) = (x, y);
+            self.engine.set_state(i, &episode.after);
+            self.engine.state(i, &mut episode.after);
+        } else if change != Change::Nothing {
             tell(&mut self.engine, i, episode, change);
         }
         let observation = &mut self.rows.observations[i * wide..][..wide];

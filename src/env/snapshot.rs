@@ -4,6 +4,7 @@
 //! that was saved, in any lane of any batch of the same task.
 
 use super::ground::Ground;
+use super::legged::LeggedEpisode;
 use super::rocks::CORNERS;
 use super::shard::{Episode, Shard};
 use super::task::{Goal, Setup};
@@ -27,6 +28,9 @@ pub struct SavedEpisode {
     pub drawn: Option<Box<(Robot, Scene)>>,
     /// Of tasks whose ground changes along the way.
     pub ground: Option<Ground>,
+    /// Of LeggedVelocity; its model is made again from what it drew.
+    #[serde(default)]
+    pub legged: Option<LeggedEpisode>,
     /// [`State::row`]
     pub state: Vec<f64>,
     /// f32 [action]
@@ -53,6 +57,14 @@ impl Resumed {
         if model.is_some() != (setup.options.rocks.is_some() || setup.options.randomize.is_some()) {
             return Err(unfit("its robot and sand"));
         }
+        if saved.legged.is_some() != setup.model.tree.is_some() {
+            return Err(unfit("its robot"));
+        }
+        let model = match &saved.legged {
+            Some(legged) if !legged.is_sound(setup) => return Err(unfit("what it drew")),
+            Some(legged) => Some(Arc::new(legged.model(setup).map_err(|e| unfit(&e.to_string()))?)),
+            None => model,
+        };
         let joints = setup.model.joints();
         let state =
             State::from_row(joints, &saved.state).filter(State::is_possible).ok_or_else(|| unfit("its state"))?;
@@ -81,7 +93,7 @@ impl Resumed {
             seed: saved.seed,
             number: saved.number,
             steps: saved.steps,
-            goal: Goal { speed, turn, model, ground: saved.ground.clone() },
+            goal: Goal { speed, turn, model, ground: saved.ground.clone(), legged: saved.legged.clone() },
             state,
             last_action: saved.last_action.clone(),
         })
@@ -125,8 +137,12 @@ impl Shard {
             number: *number,
             steps: *steps,
             goal: [goal.speed, goal.turn],
-            drawn: goal.model.as_ref().map(|m| Box::new((m.robot.clone(), m.scene.clone()))),
+            drawn: match goal.legged {
+                Some(_) => None,
+                None => goal.model.as_ref().map(|m| Box::new((m.robot.clone(), m.scene.clone()))),
+            },
             ground: goal.ground.clone(),
+            legged: goal.legged.clone(),
             state: after.row(),
             last_action: last_action.clone(),
         }
@@ -215,6 +231,9 @@ mod tests {
     fn a_crafted_robot_is_refused_in_every_task() {
         for (blueprint, honest) in saved() {
             resume(&blueprint, &honest).unwrap();
+            if blueprint.setup.model.tree.is_some() {
+                continue; // it draws no robot: see the next test
+            }
             let id = blueprint.task.spec().id;
             let own = || Box::new((blueprint.setup.model.robot.clone(), blueprint.setup.model.scene.clone()));
             for (what, change) in CRAFTED {
@@ -238,6 +257,27 @@ mod tests {
             let swapped = SavedEpisode { drawn: honest.drawn.clone().xor(Some(own())), ..honest.clone() };
             assert!(resume(&blueprint, &swapped).is_err(), "{id}");
         }
+    }
+
+    #[test]
+    fn what_a_legged_episode_drew_is_checked() {
+        let (blueprint, honest) = saved().into_iter().find(|(b, _)| b.setup.model.tree.is_some()).unwrap();
+        let with = |change: &dyn Fn(&mut LeggedEpisode)| {
+            let mut crafted = honest.clone();
+            change(crafted.legged.as_mut().unwrap());
+            resume(&blueprint, &crafted).is_ok()
+        };
+        assert!(with(&|_| ()));
+        assert!(!with(&|l| l.friction = f64::NAN));
+        assert!(!with(&|l| l.sand = 1e9));
+        assert!(!with(&|l| l.added_mass = -1e3));
+        assert!(!with(&|l| l.motor_strength = 0.0));
+        assert!(!with(&|l| l.air.push(0.0)));
+        assert!(!with(&|l| l.air.clear()));
+        assert!(!with(&|l| l.commands.clear()));
+        assert!(!with(&|l| l.commands[0][1] = 1e9));
+        assert!(!with(&|l| l.pushes = vec![[0.0; 2]; 100_000]));
+        assert!(resume(&blueprint, &SavedEpisode { legged: None, ..honest.clone() }).is_err());
     }
 
     #[test]

@@ -151,7 +151,7 @@ impl Task for LegStroke {
         let angles = stroke.start.map(|a| a + random.uniform(-noise, noise));
         let mut state = State::at_rest(stroke.height, &angles);
         state.velocity[0] = stroke.carriage_speed;
-        (state, Goal { speed: stroke.carriage_speed, turn: 0.0, model: None, ground: None })
+        (state, Goal { speed: stroke.carriage_speed, ..Goal::default() })
     }
 
     /// Joints with a range stop at its ends.

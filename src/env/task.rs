@@ -1,6 +1,7 @@
 //! What a task is.
 
 use super::ground::{Change, Ground};
+use super::legged::LeggedEpisode;
 use super::options::keywords::Keywords;
 use super::options::{ResetOptions, TaskOptions};
 use super::random::Random;
@@ -11,7 +12,7 @@ use crate::sim::{Model, State};
 use std::sync::Arc;
 
 /// What an episode is about: drawn or chosen when it begins, and changed by [`Task::walked`] alone.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Goal {
     /// Commanded forward speed [m/s].
     pub speed: f64,
@@ -21,6 +22,8 @@ pub struct Goal {
     pub model: Option<Arc<Model>>,
     /// Ground that changes along the way and remembers, for the task that has it.
     pub ground: Option<Ground>,
+    /// What an episode of LeggedVelocity drew and remembers.
+    pub legged: Option<LeggedEpisode>,
 }
 
 /// What one environment may have been told by a reset: its own options and the model they make.

@@ -24,6 +24,10 @@ const COHESION_SPEED: f64 = 1e-3;
 /// from the reference, of ±0.3 at 27 cm.
 pub const LEAST_FACTOR: f64 = 0.2;
 
+/// Speed [m/s] at which a body begins to count as travelling: our choice, a thirtieth of the slowest wheel that was compared,
+/// and above what a standing robot's base moves.
+const TRAVEL_SPEED: f64 = 3e-4;
+
 /// Where a segment is, beyond its normal and velocity.
 #[derive(Clone, Copy)]
 pub struct Site<R> {
@@ -38,7 +42,7 @@ pub struct Site<R> {
     /// dv_n/dt of the leading face [m/s²].
     pub normal_acceleration: R,
     /// Horizontal velocity (x, y) of the body that the segment belongs to [m/s]: of a wheel's axle, a robot's base. Zero
-    /// where nothing travels; then `skid_loss` and `slip_bearing` do nothing.
+    /// where nothing travels; then `skid_loss`, `slip_bearing` and `graze_loss` do nothing.
     pub travel: [R; 2],
 }
 
@@ -97,6 +101,7 @@ struct Active {
     cohesion: bool,
     added_mass: bool,
     skid_loss: bool,
+    graze_loss: bool,
     slip_bearing: bool,
 }
 
@@ -116,6 +121,7 @@ pub struct SandMechanisms<R> {
     rate: R,
     inverse_friction: R,
     skid_loss: R,
+    graze_loss: R,
     /// What the cut of the surface's friction leaves of `slip_bearing`, before the medium's ζ.
     bearing: R,
     /// ζ [N/m³]
@@ -139,6 +145,7 @@ impl<R: Real> SandMechanisms<R> {
             rate: zero,
             inverse_friction: zero,
             skid_loss: zero,
+            graze_loss: zero,
             bearing: zero,
             penetration: zero,
             fill: zero,
@@ -156,8 +163,10 @@ impl<R: Real> SandMechanisms<R> {
         self.active.cohesion |= m.cohesion != 0.0;
         self.active.added_mass |= m.added_mass != 0.0;
         self.active.skid_loss |= m.skid_loss != 0.0;
+        self.active.graze_loss |= m.graze_loss != 0.0;
         self.active.slip_bearing |= m.slip_bearing != 0.0;
         self.skid_loss.set_lane(lane, m.skid_loss);
+        self.graze_loss.set_lane(lane, m.graze_loss);
         self.bearing.set_lane(lane, m.slip_bearing * inclination(m.friction_clip));
         self.drag.set_lane(lane, m.inertial_drag * bulk_density);
         self.added.set_lane(lane, m.added_mass * bulk_density);
@@ -192,6 +201,19 @@ impl<R: Real> SandMechanisms<R> {
         let left = R::one() / (self.skid_loss * skid).mul_add(skid, R::one());
         let feeds = R::zero().lt(force.x * v.x + force.y * v.y);
         Vec3::new(force.x, force.y, force.z * R::select(feeds, R::one(), left))
+    }
+
+    /// What a steep face keeps that travels along itself: 1 − κ_g |n_h|⁸ (1 − |n_h·V̂|/|n_h|), n_h the horizontal part of its
+    /// normal, V̂ the direction of travel. Never negative, so the sand adds no energy.
+    #[inline(always)]
+    fn grazing(&self, n: Vec3<R>, [x, y]: [R; 2]) -> R {
+        let steep = n.x * n.x + n.y * n.y;
+        let travel = x * x + y * y;
+        let ahead = (n.x * x + n.y * y).abs() / ((steep * travel).sqrt() + R::splat(1e-20));
+        let moves = travel / (travel + R::splat(TRAVEL_SPEED * TRAVEL_SPEED));
+        let fourth = steep * steep;
+        let aside = (R::one() - ahead).max(R::zero()) * moves;
+        (self.graze_loss * fourth * fourth).mul_add(-aside, R::one())
     }
 
     /// Stress [Pa] on a submerged thin segment with unit normal `n` and velocity `v`, both in the surface's frame.
@@ -245,6 +267,9 @@ impl<R: Real> Beyond<R> for SandMechanisms<R> {
         if self.active.friction_clip {
             force = capped(force, n, v, self.inverse_friction);
         }
+        if self.active.graze_loss {
+            force = force * self.grazing(n, site.travel);
+        }
         if self.active.skid_loss {
             force = self.skidding(force, v, slip);
         }
@@ -265,13 +290,13 @@ impl<R: Real> Beyond<R> for SandMechanisms<R> {
 
 /// Slip of a segment with velocity `v` on a body that travels with V: −v·V̂/max(|V|, |v − V|), −1 where it is dragged
 /// along (a locked wheel), 0 where it stands on the sand (a rolling wheel's bottom), toward 1 where it runs backward (a
-/// spinning wheel). The usual slip of terramechanics, for each segment; 0 where nothing travels.
+/// spinning wheel). The usual slip of terramechanics, for each segment; it fades to 0 where the body hardly travels.
 #[inline(always)]
 fn slip<R: Real>(v: Vec3<R>, [x, y]: [R; 2]) -> R {
     let squared = x * x + y * y;
     let (dx, dy) = (v.x - x, v.y - y);
     let greater = squared.max(dx * dx + dy * dy + v.z * v.z);
-    -(v.x * x + v.y * y) / ((squared * greater).sqrt() + R::splat(1e-20))
+    -(v.x * x + v.y * y) / ((squared * greater).sqrt() + R::splat(TRAVEL_SPEED * TRAVEL_SPEED))
 }
 
 /// Share of the bearing that an inclined load leaves, (1 − μ)^1.5: Vesic (1973) for a square footing whose load is inclined

@@ -30,6 +30,9 @@ pub struct Surface {
 impl Surface {
     /// No regularisation: for looking at a law itself, not for dynamics.
     pub const BARE: Self = Self { rest_speed: 1e-30, leading_edge_gate: 1e-20, sign_gate: 1e-20, friction: None };
+    /// For solid bodies whose many plates face all ways: a sharper leading edge. Our choice 0.02: forces within 1 % of a sharp
+    /// edge's, and walks at 1 ms within 1 % of those at 0.125 ms.
+    pub const SOLID: Self = Self { leading_edge_gate: 0.02, ..Self::DEFAULT };
     /// The regularisation that dynamics needs; each number's reason stands at its field.
     pub const DEFAULT: Self = Self { rest_speed: 1e-5, leading_edge_gate: 0.2, sign_gate: 0.02, friction: None };
 }

@@ -108,7 +108,7 @@ impl Carriage {
             for (body, joint) in chain.iter().zip(joints) {
                 frame = frame.child(body, state.angles[joint], state.rates[joint]);
                 hinges.push((joint, frame.origin, frame.rotation * body.axis));
-                let at = Place { frame: &frame, base: &state.position };
+                let at = Place { frame: &frame, base: &state.position, travel: state.travel() };
                 // Without time nothing is added for an implicit step: the wrench is the sand's alone.
                 let sand = load_link(&self.ground, body, state.rates[joint], &at, 0.0).wrench;
                 for (joint, origin, axis) in &hinges {

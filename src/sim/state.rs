@@ -163,6 +163,11 @@ impl State {
             && self.objects.iter().all(|o| unit(&o.orientation))
     }
 
+    /// Velocity of the base along x and y [m/s].
+    pub fn travel(&self) -> [f64; 2] {
+        [self.velocity[0], self.velocity[1]]
+    }
+
     /// Base frame to world, row by row.
     pub fn rotation(&self) -> [[f64; 3]; 3] {
         let [w, x, y, z] = self.orientation;

@@ -22,35 +22,38 @@ const SAND_ON_SAND: f64 = 0.70;
 /// μ_s of a smooth wheel, and how far it may be from that: nothing is stated, so wide, around plates from polished to rough.
 const SMOOTH: [f64; 2] = [0.45, 0.30];
 
-/// What is fitted: ζ [N/cm³], `depth_power`, `skid_loss` and `slip_bearing`, shared by all wheels, and one μ_s of those that
+/// Vesic's value of `slip_bearing`, not fitted.
+pub const BEARING: f64 = 1.0;
+
+/// What is fitted: ζ [N/cm³], `depth_power`, `skid_loss` and `graze_loss`, shared by all wheels, and one μ_s of those that
 /// carry no sand.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parameters {
     pub zeta: f64,
     pub depth_power: f64,
     pub skid_loss: f64,
-    pub slip_bearing: f64,
+    pub graze_loss: f64,
     pub friction: f64,
 }
 
 /// Least and greatest, in the order of the fields: wide guards, our choice.
 const LOW: [f64; 5] = [0.1, -0.6, 0.0, 0.0, 0.15];
-const HIGH: [f64; 5] = [4.0, 1.0, 6.0, 3.0, 0.95];
+const HIGH: [f64; 5] = [4.0, 1.0, 6.0, 1.0, 0.95];
 /// Where a fit starts: ordinary values.
-const START: [f64; 5] = [0.85, -0.2, 0.6, 0.9, SMOOTH[0]];
+const START: [f64; 5] = [0.85, -0.2, 0.6, 0.5, SMOOTH[0]];
 
 impl Parameters {
     fn from_vector(v: &DVector<f64>) -> Self {
-        let [zeta, depth_power, skid_loss, slip_bearing, friction] = std::array::from_fn(|k| v[k]);
-        Self { zeta, depth_power, skid_loss, slip_bearing, friction }
+        let [zeta, depth_power, skid_loss, graze_loss, friction] = std::array::from_fn(|k| v[k]);
+        Self { zeta, depth_power, skid_loss, graze_loss, friction }
     }
 
     /// Rounded to what the data can tell, so that a file has the same text on every machine.
     pub fn rounded(&self) -> Self {
-        let Self { zeta, depth_power, skid_loss, slip_bearing, friction } = *self;
-        let [zeta, depth_power, skid_loss, slip_bearing, friction] =
-            [zeta, depth_power, skid_loss, slip_bearing, friction].map(|x| (x * 1e3).round() / 1e3);
-        Self { zeta, depth_power, skid_loss, slip_bearing, friction }
+        let Self { zeta, depth_power, skid_loss, graze_loss, friction } = *self;
+        let [zeta, depth_power, skid_loss, graze_loss, friction] =
+            [zeta, depth_power, skid_loss, graze_loss, friction].map(|x| (x * 1e3).round() / 1e3);
+        Self { zeta, depth_power, skid_loss, graze_loss, friction }
     }
 
     /// The sand of a wheel.
@@ -58,7 +61,8 @@ impl Parameters {
         let mechanisms = Mechanisms {
             depth_power: self.depth_power,
             skid_loss: self.skid_loss,
-            slip_bearing: self.slip_bearing,
+            graze_loss: self.graze_loss,
+            slip_bearing: BEARING,
             friction_clip: 1.0 / if wheel.carries_sand { SAND_ON_SAND } else { self.friction },
             ..Mechanisms::PLAIN
         };

@@ -18,8 +18,8 @@ fitted on the rows, though their maker had seen them; *left out* that a fit saw 
 
 What limits it: 3D-RFT loads each plate as if it were alone. A locked wheel sinks 20 mm deeper than predicted, because the sand
 under it is carried away (`skid_loss`); a spinning one sinks less, because a smooth surface carries more than the law
-gives to a plate that moves along itself (`slip_bearing`). With both, oblique skid stays worst: rim and side face are
-loaded as if each had the sand to itself. `depth_power` below 0 is no property of the sand: discs in it grow stiffer with
+gives to a plate that moves along itself (`slip_bearing`); a side face that travels nearly along itself bears less than the law
+says (`graze_loss`). With these the oblique locked wheel stays worst. `depth_power` below 0 is no property of the sand: discs in it grow stiffer with
 depth and with size, so a file fitted on these wheels does not carry over to other sizes or loads. The grouser wheel is a
 cylinder of its tip radius with the friction of sand on sand; its rows at positive slip are not in the program, and
 neither the sinkage there nor the pull of its teeth has been compared with anything here.

@@ -39,6 +39,8 @@ pub struct Pose {
     pub leg_forces: Vec<V>,
     /// Whether each leg is held by the sand.
     pub stance: Vec<bool>,
+    /// Velocity of the base along x and y [m/s].
+    travel: [f64; 2],
 }
 
 /// All segments of a robot: the belly's, then each link's, and after those of its strip the ones of its chord if the
@@ -62,8 +64,13 @@ impl Pose {
         let ground: Ground<f64> = model.scene.ground();
         let base = Frame::base(state);
         let at = V::from(state.position);
-        let mut pose =
-            Self { bodies: vec![(base.rotation, at)], loads: Vec::new(), leg_forces: Vec::new(), stance: Vec::new() };
+        let mut pose = Self {
+            bodies: vec![(base.rotation, at)],
+            loads: Vec::new(),
+            leg_forces: Vec::new(),
+            stance: Vec::new(),
+            travel: state.travel(),
+        };
         pose.press(&model.belly, &base, at, |site, area, n, v| ground.one_sided(site, area, n, v));
         let mut joint = 0;
         for (leg, chain) in model.legs.iter().enumerate() {
@@ -119,7 +126,7 @@ impl Pose {
             let position = at + frame.origin + arm;
             let mut force = V::zeros();
             if position.z < 0.0 {
-                let site = Site::fresh(-position.z, position.x);
+                let site = Site::fresh(-position.z, position.x).travelling(self.travel);
                 let (normal, velocity) = (frame.rotation * plate.normal, frame.velocity_at(arm));
                 let pushed = contact(&site, plate.area, vector(normal), vector(velocity)).force;
                 force = V::new(pushed.x, pushed.y, pushed.z);

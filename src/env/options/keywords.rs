@@ -3,8 +3,8 @@
 use crate::error::{Error, Result};
 
 /// What each keyword means, in the order of [`super::TaskOptions`].
-pub const OPTION_HELP: [(&str, &str); 20] = [
-    ("robot", "built-in robot"),
+pub const OPTION_HELP: [(&str, &str); 25] = [
+    ("robot", "built-in robot; for LeggedVelocity also a packed file (Python: its path)"),
     ("engine", "engine that integrates the motion"),
     ("law", "resistive force law: li2013, penetration-drag-1d or agarwal2023"),
     ("dt", "time step [s]; 1 ms, with engine rapier 0.5 ms"),
@@ -33,6 +33,17 @@ pub const OPTION_HELP: [(&str, &str); 20] = [
         "stroke",
         "carriage_speed [m/s], height of the hip over the sand [m], start [hip, knee] [rad], lift: least mean lift [N], lift_weight and exit_weight of the penalties",
     ),
+    ("ground", "rigid, mixed (slabs of hard ground in loose poppy seeds), or the sand's medium as in `medium`"),
+    (
+        "commands",
+        "ranges [low, high] of lin_vel_x, lin_vel_y [m/s] and ang_vel_yaw [rad/s], drawn anew every resampling_time [s]",
+    ),
+    ("rewards", "weight of each reward term, a second"),
+    (
+        "domain_rand",
+        "ranges [low, high] that an episode draws from: factors friction_range, sand_range, motor_strength_range; added_mass_range, a share of the mass; push_interval [s], 0: none; max_push_vel_xy [m/s]. None: nothing is drawn",
+    ),
+    ("action_scale", "what an action of 1 adds to a joint's default position [rad]"),
 ];
 
 /// Keywords of every task.
@@ -61,10 +72,25 @@ pub const TERRAIN: Keywords =
     Keywords { task: "sandgait/HexapodTerrain-v1", own: walking!("control", "randomize", "difficulty") };
 pub const STROKE: Keywords =
     Keywords { task: "sandgait/LegStroke-v0", own: &["angle_noise", "medium", "sand", "stroke"] };
+pub const LEGGED: Keywords = Keywords {
+    task: "sandgait/LeggedVelocity-v0",
+    own: &[
+        "robot",
+        "angle_noise",
+        "sand",
+        "slope_deg",
+        "payload",
+        "ground",
+        "commands",
+        "rewards",
+        "domain_rand",
+        "action_scale",
+    ],
+};
 
 impl Keywords {
     /// Of all tasks.
-    pub const ALL: [&'static Self; 5] = [&GAIT, &LEGS, &ROCKS, &TERRAIN, &STROKE];
+    pub const ALL: [&'static Self; 6] = [&GAIT, &LEGS, &ROCKS, &TERRAIN, &STROKE, &LEGGED];
 
     pub fn has(&self, keyword: &str) -> bool {
         COMMON.contains(&keyword) || self.own.contains(&keyword)

@@ -2,23 +2,27 @@
 
 mod control;
 pub mod keywords;
+mod legged;
 mod randomize;
 mod reset;
+mod robot;
 mod rocks;
 mod stroke;
 mod weights;
 
 pub use control::Control;
 pub use keywords::OPTION_HELP;
+pub use legged::{Commands, DomainRand, Rewards};
 pub(super) use randomize::Quantity;
 pub use randomize::Randomize;
 pub use reset::{Partial, ResetOptions};
+pub use robot::RobotName;
 pub use rocks::RockOptions;
 pub use stroke::StrokeOptions;
 pub use weights::Weights;
 
 use crate::error::{Error, Result, check_range};
-use crate::sand::{Law, Medium, SandDescription};
+use crate::sand::{Law, Medium, SandDescription, Surface};
 use crate::sim::engine::EngineKind;
 use crate::sim::model::Scene;
 use crate::sim::{Model, Robot};
@@ -35,8 +39,8 @@ pub const MAX_TURN: f64 = 3.0;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TaskOptions {
-    /// Built-in robot; a server does not read files that a client names.
-    pub robot: String,
+    /// Built-in robot, or for LeggedVelocity a packed one; a server does not read files that a client names.
+    pub robot: RobotName,
     pub engine: EngineKind,
     pub law: Law,
     /// Time step [s]; must divide the control period. Where an engine is chosen without one, it is that engine's own.
@@ -72,6 +76,14 @@ pub struct TaskOptions {
     pub difficulty: Option<f64>,
     /// Carriage and constraint of LegStroke; only for that task.
     pub stroke: Option<StrokeOptions>,
+    /// What a robot from a file walks on, if not empty: `rigid`, `mixed` or a medium; only for LeggedVelocity, as what follows.
+    pub ground: String,
+    pub commands: Option<Commands>,
+    pub rewards: Option<Rewards>,
+    /// None: nothing is drawn.
+    pub domain_rand: Option<DomainRand>,
+    /// What an action of 1 adds to a joint's default position [rad].
+    pub action_scale: Option<f64>,
 }
 
 impl Default for TaskOptions {
@@ -97,6 +109,11 @@ impl Default for TaskOptions {
             randomize: None,
             difficulty: None,
             stroke: None,
+            ground: String::new(),
+            commands: None,
+            rewards: None,
+            domain_rand: None,
+            action_scale: None,
         }
     }
 }
@@ -154,10 +171,13 @@ impl TaskOptions {
         self.weights.validate()?;
         self.rocks.as_ref().map_or(Ok(()), RockOptions::validate)?;
         check_range("difficulty", self.difficulty.unwrap_or(0.0), 0.0..=1.0)?;
-        if self.robot.ends_with(".toml") {
-            return Err(Error::unknown("robot", &self.robot, &Robot::names()));
+        if self.engine == EngineKind::Tree {
+            return self.tree_model();
         }
-        let robot = if self.stroke.is_some() { Robot::stroke_leg() } else { Robot::load(&self.robot) };
+        if self.robot.name().ends_with(".toml") {
+            return Err(Error::unknown("robot", self.robot.name(), &Robot::names()));
+        }
+        let robot = if self.stroke.is_some() { Robot::stroke_leg() } else { Robot::load(self.robot.name()) };
         let mut robot = robot?.with_leg_shape(&self.leg)?;
         robot.servo.torque_limit = Some(check_range("torque_limit", self.torque_limit, 1e-4..=1e3)?);
         // What a servo's lag adds up to is not observed. LegStroke's leg has no servos.
@@ -175,5 +195,20 @@ impl TaskOptions {
         self.randomize.as_ref().map_or(Ok(()), |randomize| randomize.validate(self.slope_deg, self.payload))?;
         self.stroke.as_ref().map_or(Ok(()), |stroke| stroke.validate(&model))?;
         Ok(model)
+    }
+
+    /// The same for a robot that is a tree of bodies.
+    fn tree_model(&self) -> Result<Model> {
+        self.commands.unwrap_or_default().validate()?;
+        self.rewards.unwrap_or_default().validate()?;
+        self.domain_rand.as_ref().map_or(Ok(()), DomainRand::validate)?;
+        check_range("action_scale", self.action_scale.unwrap_or(1.0), 1e-3..=3.0)?;
+        let (hard, medium) = legged::ground(&self.ground)?;
+        let mut scene = Scene { hard, surface: Surface::SOLID, ..Scene::flat(medium) };
+        (scene.law, scene.slope_deg, scene.dt, scene.payload) = (self.law, self.slope_deg, self.dt, self.payload);
+        if !self.sand.is_empty() {
+            scene.set_sand(&SandDescription::from_toml(&self.sand)?);
+        }
+        Model::of_tree(self.robot.tree()?, &scene)
     }
 }

@@ -96,6 +96,14 @@ struct Frame<R> {
     change: Twist<R>,
 }
 
+/// Where the robot's base is and how it travels.
+struct Travel<R> {
+    /// [m]
+    position: Vec3<R>,
+    /// Along x and y [m/s].
+    velocity: [R; 2],
+}
+
 /// Advances all lanes by one time step.
 #[inline(always)]
 pub fn step<R: Real, const J: usize>(model: &LaneModel<R, J>, state: &mut LaneState<R>, scratch: &mut Scratch<R, J>) {
@@ -104,10 +112,11 @@ pub fn step<R: Real, const J: usize>(model: &LaneModel<R, J>, state: &mut LaneSt
     let mut position = state.position;
     position.x += state.travelled;
     let (mut inertia, mut bias) = base_inertia(model, &base);
-    belly(model, &base, &position, &mut inertia, &mut bias);
+    let travel = Travel { position, velocity: [base.velocity.linear.x, base.velocity.linear.y] };
+    belly(model, &base, &travel, &mut inertia, &mut bias);
     for (l, leg) in model.legs.iter().enumerate() {
         let (joints, hinges) = (&state.joints[l * J..][..J], &mut hinges[l * J..][..J]);
-        let (leg_inertia, leg_bias) = fold_leg(model, leg, &base, &position, joints, hinges, links);
+        let (leg_inertia, leg_bias) = fold_leg(model, leg, &base, &travel, joints, hinges, links);
         inertia.add(&leg_inertia);
         bias.add(&leg_bias);
     }
@@ -156,15 +165,15 @@ fn base_inertia<R: Real, const J: usize>(model: &LaneModel<R, J>, base: &Frame<R
 fn belly<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
     base: &Frame<R>,
-    position: &Vec3<R>,
+    travel: &Travel<R>,
     inertia: &mut Inertia<R>,
     bias: &mut Wrench<R>,
 ) {
     match (&model.ground.form, &model.ground.beyond) {
-        (Form::Li2013(law), None) => belly_by(law, &Plain, model, base, position, inertia, bias),
-        (form, None) => belly_by(form, &Plain, model, base, position, inertia, bias),
-        (Form::Li2013(law), Some(beyond)) => belly_by(law, beyond, model, base, position, inertia, bias),
-        (form, Some(beyond)) => belly_by(form, beyond, model, base, position, inertia, bias),
+        (Form::Li2013(law), None) => belly_by(law, &Plain, model, base, travel, inertia, bias),
+        (form, None) => belly_by(form, &Plain, model, base, travel, inertia, bias),
+        (Form::Li2013(law), Some(beyond)) => belly_by(law, beyond, model, base, travel, inertia, bias),
+        (form, Some(beyond)) => belly_by(form, beyond, model, base, travel, inertia, bias),
     }
 }
 
@@ -175,7 +184,7 @@ fn belly_by<R: Real, const J: usize>(
     beyond: &impl Beyond<R>,
     model: &LaneModel<R, J>,
     base: &Frame<R>,
-    position: &Vec3<R>,
+    travel: &Travel<R>,
     inertia: &mut Inertia<R>,
     bias: &mut Wrench<R>,
 ) {
@@ -192,9 +201,9 @@ fn belly_by<R: Real, const J: usize>(
     let normal = -turn.z;
     let mut wet = false;
     for plate in &model.belly {
-        let Some(depth) = submerged(&places, plate.center, position.z) else { continue };
+        let Some(depth) = submerged(&places, plate.center, travel.position.z) else { continue };
         wet = true;
-        let site = Site::fresh(depth, position.x + places.value(plate.center).x);
+        let site = Site::fresh(depth, travel.position.x + places.value(plate.center).x).travelling(travel.velocity);
         let velocity = velocities.value(plate.center);
         let contact = model.ground.one_sided_by(law, beyond, &site, plate.area, normal, velocity);
         forces.add(contact.force, plate.center);
@@ -234,7 +243,7 @@ fn link<R: Real, const J: usize>(
     body: &LaneBody<R>,
     rate: R,
     frame: &Frame<R>,
-    position: &Vec3<R>,
+    travel: &Travel<R>,
 ) -> (PointMasses<R>, Wrench<R>) {
     let [e0, e1] = &body.plane;
     let places = Field { at: frame.origin, by: [frame.rotation.apply(*e0), frame.rotation.apply(*e1)] };
@@ -243,7 +252,7 @@ fn link<R: Real, const J: usize>(
     accelerations.at = accelerations.at - model.gravity;
     let expected = frame.change.scaled(trust(frame, places.value([R::zero(), body.length])));
     let middle = places.velocity(&expected.scale_add(R::splat(0.5), &frame.velocity));
-    let (mut sand, drag) = link_sand(&model.ground, body, rate, &places, &middle, position);
+    let (mut sand, drag) = link_sand(&model.ground, body, rate, &places, &middle, travel);
     sand.plus(&drag.forces(&places.velocity(&expected)));
     let bias = body.masses.forces(&accelerations).minus(&sand).wrench(&places);
     (drag.scaled(model.dt).plus(&body.masses).of(&places), bias)
@@ -258,16 +267,16 @@ fn link_sand<R: Real>(
     rate: R,
     places: &Field<R>,
     velocities: &Field<R>,
-    position: &Vec3<R>,
+    travel: &Travel<R>,
 ) -> (PlaneForces<R>, Moments<R>) {
     let mut total = (PlaneForces::zero(), Moments::zero());
     let Some(beyond) = &ground.beyond else {
         let plates = &body.plates;
         match &ground.form {
             Form::Li2013(law) => {
-                strip(law, &Plain, ground, plates, places, velocities, position, R::one(), &mut total);
+                strip(law, &Plain, ground, plates, places, velocities, travel, R::one(), &mut total);
             }
-            form => strip(form, &Plain, ground, plates, places, velocities, position, R::one(), &mut total),
+            form => strip(form, &Plain, ground, plates, places, velocities, travel, R::one(), &mut total),
         }
         return total;
     };
@@ -278,8 +287,8 @@ fn link_sand<R: Real>(
             continue;
         }
         match &ground.form {
-            Form::Li2013(law) => strip(law, beyond, ground, plates, places, velocities, position, share, &mut total),
-            form => strip(form, beyond, ground, plates, places, velocities, position, share, &mut total),
+            Form::Li2013(law) => strip(law, beyond, ground, plates, places, velocities, travel, share, &mut total),
+            form => strip(form, beyond, ground, plates, places, velocities, travel, share, &mut total),
         }
     }
     total
@@ -295,14 +304,14 @@ fn strip<R: Real>(
     plates: &[LanePlate<R>],
     places: &Field<R>,
     velocities: &Field<R>,
-    position: &Vec3<R>,
+    travel: &Travel<R>,
     share: R,
     total: &mut (PlaneForces<R>, Moments<R>),
 ) {
     for plate in plates {
-        let Some(depth) = submerged(places, plate.center, position.z) else { continue };
+        let Some(depth) = submerged(places, plate.center, travel.position.z) else { continue };
         let (normal, velocity) = (places.change(plate.normal), velocities.value(plate.center));
-        let site = Site::fresh(depth, position.x + places.value(plate.center).x);
+        let site = Site::fresh(depth, travel.position.x + places.value(plate.center).x).travelling(travel.velocity);
         let contact = ground.thin_plate_by(law, beyond, &site, plate.area * share, normal, velocity);
         total.0.add(contact.force, plate.center);
         total.1.add(contact.drag, plate.center);
@@ -315,7 +324,7 @@ fn fold_leg<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
     leg: &[LaneBody<R>; J],
     base: &Frame<R>,
-    position: &Vec3<R>,
+    travel: &Travel<R>,
     joints: &[LaneJoint<R>],
     hinges: &mut [Hinge<R>],
     links: &mut [(PointMasses<R>, Wrench<R>); J],
@@ -324,7 +333,7 @@ fn fold_leg<R: Real, const J: usize>(
     for j in 0..J {
         let (frame, axis) = child_frame(&parent, &leg[j], &joints[j]);
         hinges[j].axis = axis;
-        links[j] = link(model, &leg[j], joints[j].rate, &frame, position);
+        links[j] = link(model, &leg[j], joints[j].rate, &frame, travel);
         parent = frame;
     }
     let mut carried: Option<(Inertia<R>, Wrench<R>)> = None;

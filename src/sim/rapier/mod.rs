@@ -203,7 +203,7 @@ impl Robot {
     /// Weight of the base, and sand under it.
     fn load_base(&mut self, base: &Frame) {
         let model = &self.model;
-        let at = Place { frame: base, base: &self.state.position };
+        let at = Place { frame: base, base: &self.state.position, travel: self.state.travel() };
         let sand = sand::load_belly(&self.ground, &model.belly, &at, model.scene.dt);
         let mut wrench = sand.wrench;
         wrench.add_at(V::zeros(), model.gravity * model.base_mass);
@@ -231,7 +231,7 @@ impl Robot {
             let mut frame = *base;
             for body in chain {
                 frame = frame.child(body, state.angles[joint], state.rates[joint]);
-                let at = Place { frame: &frame, base: &state.position };
+                let at = Place { frame: &frame, base: &state.position, travel: state.travel() };
                 let sand = sand::load_link(&self.ground, body, state.rates[joint], &at, model.scene.dt);
                 let mut wrench = sand.wrench;
                 wrench.add_at(frame.origin + frame.rotation * body.center, model.gravity * body.mass);

@@ -49,6 +49,8 @@ pub struct Load {
 pub struct Place<'a> {
     pub frame: &'a Frame,
     pub base: &'a [f64; 3],
+    /// How the base travels along x and y [m/s].
+    pub travel: [f64; 2],
 }
 
 /// Sand under a base.
@@ -85,7 +87,7 @@ impl Load {
         dt: f64,
         contact: impl Fn(&Site<f64>, f64, Vec3<f64>, Vec3<f64>) -> Contact<f64>,
     ) {
-        let Place { frame, base } = at;
+        let Place { frame, base, travel } = at;
         for plate in plates {
             let arm = frame.rotation * plate.center;
             let depth = -(base[2] + frame.origin.z + arm.z);
@@ -93,7 +95,7 @@ impl Load {
                 continue;
             }
             let (normal, velocity) = (frame.rotation * plate.normal, frame.velocity_at(arm));
-            let site = Site::fresh(depth, base[0] + frame.origin.x + arm.x);
+            let site = Site::fresh(depth, base[0] + frame.origin.x + arm.x).travelling(*travel);
             let contact = contact(&site, plate.area, lanes(normal), lanes(velocity));
             let mass = contact.drag * dt;
             let force = V::new(contact.force.x, contact.force.y, contact.force.z);

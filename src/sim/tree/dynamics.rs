@@ -171,8 +171,10 @@ impl<R: Real> Frame<R> {
         let (rotation, axis) = match body.kind {
             JointKind::Hinge => {
                 let (sin, cos) = joint.position.sin_cos();
-                let turn = |u: Vec3<R>| turned(u, axis, sin, cos);
-                (Mat3::new(turn(rotation.x), turn(rotation.y), turn(rotation.z)), Twist::hinge(axis, origin))
+                let [x, y, z] = [rotation.x, rotation.y, rotation.z];
+                let rotation =
+                    Mat3::new(turned(x, axis, sin, cos), turned(y, axis, sin, cos), turned(z, axis, sin, cos));
+                (rotation, Twist::hinge(axis, origin))
             }
             JointKind::Slide => {
                 origin = axis.scale_add(joint.position, origin);

@@ -1,9 +1,9 @@
 //! Contact with hard ground: Coulomb friction, and a compliance that is linearly implicit.
 //!
 //! A point that is δ deep is pushed out by λ = k (δ − ½ dt v_n⁺) − c v_n⁺, with its speed v_n⁺ along the normal after the step:
-//! stable for every k, and of the choices that are it wastes the least. Along the ground it is held by −C_t v_t⁺. A step
-//! is solved twice: first all points are held; then those that pull (λ < 0) are left out, and those that took more than μ λ
-//! slide, with μ λ against the way they were about to go.
+//! stable for every k, and of the choices that are it wastes the least. Along the ground it is held by −C v_t⁺ with
+//! C = μ λ/max(|v_t|, v₀). A step is solved twice: first with λ = k δ and v_t before the step; then with what that gave. Points
+//! that pull (λ < 0) are left out then, and those that got faster under more than μ λ slide with just that.
 
 use super::contact::ContactPoint;
 use super::dynamics::{Frame, Load};
@@ -32,8 +32,8 @@ pub struct Floor<R> {
     stiffness: R,
     /// [N·s/m]
     damping: R,
-    /// What holds a point along the ground [N·s/m].
-    hold: R,
+    /// v₀ [m/s].
+    creep: R,
 }
 
 /// A body's points, the same in all lanes.
@@ -57,10 +57,12 @@ pub struct Touch<R> {
     /// k δ [N]; not positive where nothing touches.
     spring: R,
     friction: R,
-    /// Of the last solution: force along the normal [N], and along the ground, which does not yield where it slides.
-    pub push: R,
-    slide: Option<Vec3<R>>,
-    slides: R,
+    /// C [N·s/m]
+    hold: R,
+    /// Does it touch: 1 or 0.
+    here: R,
+    /// Friction of a point that slides on, which does not yield [N].
+    slide: Vec3<R>,
 }
 
 impl BodyContacts {
@@ -78,7 +80,8 @@ impl BodyContacts {
 impl<R: Real> Floor<R> {
     pub fn new(model: &TreeModel, hard: &[HardGround]) -> Self {
         let zero = R::zero();
-        let mut floor = Self { pieces: vec![Piece::nowhere(); hard.len()], stiffness: zero, damping: zero, hold: zero };
+        let mut floor =
+            Self { pieces: vec![Piece::nowhere(); hard.len()], stiffness: zero, damping: zero, creep: zero };
         (0..R::LANES).for_each(|lane| floor.set_lane(lane, model, hard));
         floor
     }
@@ -91,7 +94,7 @@ impl<R: Real> Floor<R> {
         }
         self.stiffness.set_lane(lane, model.compliance.stiffness);
         self.damping.set_lane(lane, model.compliance.damping);
-        self.hold.set_lane(lane, model.compliance.hold);
+        self.creep.set_lane(lane, model.compliance.creep);
     }
 
     /// Finds the points that touch; `local` is the surface under a body, `place` where the base's origin is.
@@ -159,18 +162,17 @@ impl<R: Real> Floor<R> {
             let spring = (depth * self.stiffness).max(R::zero());
             let friction = piece.grip * R::splat(point.friction);
             let velocity = frame.velocity.at(at);
-            touches.push(Touch {
-                body,
-                at,
-                normal,
-                velocity,
-                spring,
-                friction,
-                push: R::zero(),
-                slide: None,
-                slides: R::zero(),
-            });
+            let along = normal.scale_add(-normal.dot(velocity), velocity);
+            let hold = self.hold(friction * spring, along);
+            let here = R::select(R::zero().lt(spring), R::one(), R::zero());
+            touches.push(Touch { body, at, normal, velocity, spring, friction, hold, here, slide: Vec3::zero() });
         }
+    }
+
+    /// C where friction can give `most` at the velocity `along` the ground.
+    #[inline(always)]
+    fn hold(&self, most: R, along: Vec3<R>) -> R {
+        most / along.norm_squared().sqrt().max(self.creep)
     }
 
     /// Adds all that touch to the bodies' loads.
@@ -184,22 +186,12 @@ impl<R: Real> Floor<R> {
     #[inline(always)]
     fn press_one(&self, t: &Touch<R>, load: &mut Load<R>, dt: R) {
         let yielding = self.yielding(dt);
-        let pushed = match t.slide {
-            None => R::zero().lt(t.spring),
-            Some(_) => R::zero().lt(t.push),
-        };
-        let (zero, one) = (R::zero(), R::one());
-        let here = R::select(pushed, one, zero);
-        let held = here * (one - t.slides);
         let normal_speed = t.normal.dot(t.velocity);
         let along = t.normal.scale_add(-normal_speed, t.velocity);
-        let mut force = t.normal * (here * (t.spring - yielding * normal_speed));
-        force = along.scale_add(-(held * self.hold), force);
-        if let Some(slide) = t.slide {
-            force = slide.scale_add(here * t.slides, force);
-        }
+        let normal = t.normal * (t.here * (t.spring - yielding * normal_speed));
+        let force = along.scale_add(-t.hold, normal + t.slide);
         let (u, w) = across(t.normal);
-        for (axis, mass) in [(t.normal, here * yielding), (u, held * self.hold), (w, held * self.hold)] {
+        for (axis, mass) in [(t.normal, t.here * yielding), (u, t.hold), (w, t.hold)] {
             load.inertia.add_outer(mass * dt, &Wrench { moment: t.at.cross(axis), force: axis });
         }
         load.bias.add(&Wrench { moment: -t.at.cross(force), force: -force });
@@ -211,7 +203,7 @@ impl<R: Real> Floor<R> {
         self.stiffness.mul_add(dt * R::splat(0.5), self.damping)
     }
 
-    /// Decides what is left out and what slides, from the bodies' `accelerations` with all points held.
+    /// Decides what is left out, what is held and what slides, from the bodies' `accelerations` in the first solution.
     #[inline(always)]
     pub fn judge(&self, touches: &mut [Touch<R>], accelerations: &[Twist<R>], dt: R) {
         let (zero, one) = (R::zero(), R::one());
@@ -219,12 +211,14 @@ impl<R: Real> Floor<R> {
             let after = accelerations[t.body].at(t.at).scale_add(dt, t.velocity);
             let normal_speed = t.normal.dot(after);
             let along = t.normal.scale_add(-normal_speed, after);
-            let push = t.spring - self.yielding(dt) * normal_speed;
-            t.push = R::select(zero.lt(t.spring), push.max(zero), zero);
-            let speed = (along.norm_squared() + R::splat(1e-30)).sqrt();
-            let most = t.friction * t.push;
-            t.slides = R::select(most.lt(self.hold * speed), one, zero);
-            t.slide = Some(along * (-(most / speed)));
+            let push = (t.spring - self.yielding(dt) * normal_speed) * t.here;
+            t.here = R::select(zero.lt(push), one, zero);
+            let most = t.friction * push.max(zero);
+            let speed = along.norm_squared().sqrt();
+            let slides = most.lt(t.hold * speed);
+            let slide = R::select(slides, most / speed.max(self.creep), zero);
+            t.slide = along * -slide;
+            t.hold = R::select(slides, zero, self.hold(most, along));
         }
     }
 }

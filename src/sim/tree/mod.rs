@@ -8,6 +8,7 @@
 //! * [`dynamics`]: accelerations of a tree, over any number; [`flight`]: those in free flight, for checks.
 //! * [`servo`]: motors, bearings and stops; [`sand`]: sand on plates; [`floor`]: hard ground under points.
 //! * [`contact`]: the points; [`terrain`]: the ground's surface near a point.
+//! * [`stance`]: the standing pose and the feet; [`packed`]: a robot as one text.
 //! * [`plates`]: collision shapes as the plates that push on sand; [`robot`]: our own robots as trees.
 
 pub mod contact;
@@ -17,10 +18,12 @@ pub mod flight;
 pub mod floor;
 pub mod hard;
 pub mod model;
+pub mod packed;
 pub mod plates;
 mod robot;
 mod sand;
 mod servo;
+pub mod stance;
 mod step;
 pub mod terrain;
 

@@ -2,6 +2,7 @@
 
 use super::Tree;
 use super::contact::{ContactPoint, contact_points};
+use super::stance::{Stance, frames, lowest};
 use crate::error::{Error, Result, check_range};
 use crate::sand::GRAVITY;
 use crate::sand::intruder::Plate;
@@ -27,8 +28,8 @@ pub struct Compliance {
     pub stiffness: f64,
     /// [N·s/m]
     pub damping: f64,
-    /// Resistance to sliding of a point that is held [N·s/m].
-    pub hold: f64,
+    /// Speed with which a point slides that is held with all its friction [m/s].
+    pub creep: f64,
 }
 
 /// Static data are shared: a robot with other masses or motors is cheap.
@@ -42,6 +43,8 @@ pub struct TreeModel {
     /// What touches hard ground, in the frame of each body.
     pub contacts: Arc<Vec<Vec<ContactPoint>>>,
     pub compliance: Compliance,
+    /// How it stands.
+    pub stance: Arc<Stance>,
 }
 
 /// Position at which a motor without a known gain gives all of its torque [rad]: our choice, because it gives Unitree's Go1,
@@ -54,23 +57,28 @@ const LEVER: f64 = 0.2;
 
 impl Compliance {
     /// The whole weight on one point sinks it by 1 mm, damping is half of what a quarter of the mass needs to stop without
-    /// swinging back, and a point held by all of the weight creeps with 1e-5 m/s. Our choices: a foot at rest sinks by less
-    /// than 0.3 mm, which no gait notices.
+    /// swinging back, and what is held creeps with up to 1e-5 m/s, as on sand. Our choices: a foot at rest sinks by less than
+    /// 0.3 mm, which no gait notices.
     pub fn of_mass(mass: f64) -> Self {
         let weight = mass * GRAVITY;
         let stiffness = weight / 1e-3;
-        Self { stiffness, damping: (stiffness * mass / 4.0).sqrt(), hold: weight / 1e-5 }
+        Self { stiffness, damping: (stiffness * mass / 4.0).sqrt(), creep: 1e-5 }
     }
 }
 
 impl TreeModel {
     /// A robot whose body `i` touches sand with `plates[i]`.
     pub fn new(tree: Tree, plates: Vec<Vec<Plate>>) -> Result<Self> {
+        let contacts = contact_points(&tree);
+        Self::with_contacts(tree, plates, contacts)
+    }
+
+    /// The same where the points of contact are known already.
+    pub fn with_contacts(tree: Tree, plates: Vec<Vec<Plate>>, contacts: Vec<Vec<ContactPoint>>) -> Result<Self> {
         check(&tree)?;
-        let motors = motors(&tree);
-        let contacts = Arc::new(contact_points(&tree));
-        let compliance = Compliance::of_mass(tree.mass());
-        Ok(Self { tree, motors, plates: Arc::new(plates), contacts, compliance })
+        let (motors, compliance) = (motors(&tree), Compliance::of_mass(tree.mass()));
+        let stance = Arc::new(Stance::of(&tree, &contacts));
+        Ok(Self { tree, motors, plates: Arc::new(plates), contacts: Arc::new(contacts), compliance, stance })
     }
 
     /// With `payload` [kg] at the base's centre of mass.
@@ -85,6 +93,13 @@ impl TreeModel {
             motor.torque_limit = Some(motor.torque_limit.map_or(limit, |own| own.min(limit)));
         }
         self
+    }
+
+    /// Height of the level base's origin at which the lowest point touches the ground [m], with joints at `angles`.
+    pub fn standing_height(&self, angles: &[f64]) -> f64 {
+        let frames = frames(&self.tree, &crate::sim::State::at_rest(0.0, angles));
+        let low = frames.iter().zip(self.contacts.iter()).map(|(f, p)| lowest(f, p).z).fold(f64::INFINITY, f64::min);
+        if low.is_finite() { -low } else { 0.0 }
     }
 
     pub fn joints(&self) -> usize {

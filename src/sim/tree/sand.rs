@@ -37,22 +37,24 @@ struct Total<R> {
 
 impl<R: Real> BodyPlates<R> {
     pub fn all(model: &TreeModel) -> Vec<Self> {
-        let of_body = |(body, plates): (usize, &Vec<Plate>)| {
-            let ends = |k: usize| {
-                let along = plates.iter().map(|p| p.center.lane(0)[k]);
-                along.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], x| [a.min(x), b.max(x)])
-            };
-            let ends = [0, 1, 2].map(ends);
-            let center = ends.map(|[a, b]| (a + b) / 2.0);
-            let away = |p: &Plate| {
-                let half = |h: &Vec3<f64>| h.norm_squared().sqrt();
-                (p.center - Vec3::splat(center)).norm_squared().sqrt() + half(&p.half[0]) + half(&p.half[1])
-            };
-            let reach = plates.iter().map(away).fold(0.0, f64::max);
-            let corners = std::array::from_fn(|i| [0, 1, 2].map(|k| ends[k][i >> k & 1]));
-            Self { body, plates: plates.clone(), center, reach, corners, share: R::one() }
+        let touching = model.plates.iter().enumerate().filter(|(_, p)| !p.is_empty());
+        touching.map(|(body, plates)| Self::of(body, plates)).collect()
+    }
+
+    pub fn of(body: usize, plates: &[Plate]) -> Self {
+        let ends = |k: usize| {
+            let along = plates.iter().map(|p| p.center.lane(0)[k]);
+            along.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], x| [a.min(x), b.max(x)])
         };
-        model.plates.iter().enumerate().filter(|(_, p)| !p.is_empty()).map(of_body).collect()
+        let ends = [0, 1, 2].map(ends);
+        let center = ends.map(|[a, b]| (a + b) / 2.0);
+        let away = |p: &Plate| {
+            let half = |h: &Vec3<f64>| h.norm_squared().sqrt();
+            (p.center - Vec3::splat(center)).norm_squared().sqrt() + half(&p.half[0]) + half(&p.half[1])
+        };
+        let reach = plates.iter().map(away).fold(0.0, f64::max);
+        let corners = std::array::from_fn(|i| [0, 1, 2].map(|k| ends[k][i >> k & 1]));
+        Self { body, plates: plates.to_vec(), center, reach, corners, share: R::one() }
     }
 }
 
@@ -133,30 +135,29 @@ fn by<R: Real>(
     dt: R,
 ) -> Option<Total<R>> {
     let (zero, half) = (R::zero(), R::splat(0.5));
-    let mut total: Option<Total<R>> = None;
+    let (mut total, mut wet) = (Total::none(), false);
     // Rows of the surface's own axes in the world: z along its normal, x along the world's x.
     let axes = under.axes();
     // The same in the body's frame, for what only needs heights.
     let up = frame.rotation.apply_transposed(under.normal);
     let height = under.normal.dot(*place + frame.origin - under.point);
     for plate in &plates.plates {
-        let of = |v: Vec3<f64>| Vec3::new(R::splat(v.x), R::splat(v.y), R::splat(v.z));
-        let center = of(plate.center);
+        let center = lanes(plate.center);
         let depth = -(up.dot(center) + height);
-        let rise = up.dot(of(plate.half[0])).abs() + up.dot(of(plate.half[1])).abs();
+        let rise = up.dot(lanes(plate.half[0])).abs() + up.dot(lanes(plate.half[1])).abs();
         let below = depth + rise;
         if !R::any(zero.lt(below)) {
             continue;
         }
-        let (at, normal) = (frame.point(center), frame.rotation.apply(of(plate.normal)));
+        let (at, normal) = (frame.point(center), frame.rotation.apply(lanes(plate.normal)));
         let v = velocity.at(at);
         if !R::any(zero.lt(normal.dot(v))) {
             continue;
         }
         let crossing = depth.lt(rise);
-        let wet = below.max(zero) * half;
-        let depth = R::select(crossing, wet, depth).max(zero);
-        let share = R::select(crossing, wet / rise.max(R::splat(1e-9)), R::one());
+        let part = below.max(zero) * half;
+        let depth = R::select(crossing, part, depth).max(zero);
+        let share = R::select(crossing, part / rise.max(R::splat(1e-9)), R::one());
         let area = R::splat(plate.area) * share * plates.share;
         let site = Site::fresh(depth, place.x + at.x);
         let contact = match &axes {
@@ -174,7 +175,7 @@ fn by<R: Real>(
                 contact
             }
         };
-        let total = total.get_or_insert_with(Total::none);
+        wet = true;
         total.wrench.force += contact.force;
         total.wrench.moment += at.cross(contact.force);
         let mass = contact.drag * dt;
@@ -186,7 +187,13 @@ fn by<R: Real>(
             total.edge.add_outer(contact.edge * dt, &Wrench { moment: at.cross(normal), force: normal });
         }
     }
-    total
+    wet.then_some(total)
+}
+
+/// The same in all lanes.
+#[inline(always)]
+fn lanes<R: Real>(v: Vec3<f64>) -> Vec3<R> {
+    Vec3::new(R::splat(v.x), R::splat(v.y), R::splat(v.z))
 }
 
 impl<R: Real> Total<R> {

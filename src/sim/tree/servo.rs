@@ -1,8 +1,8 @@
 //! Torques at the joints: motors, bearings and stops, all linearly implicit in the joint's rate.
 //!
-//! Each is τ(q̈) = torque − yielding q̈, limited: a motor by its torque, dry friction by its size, a stop by only pushing. Which
-//! of them are at their limits is judged with the parent held still, as in [`crate::sim::lanes`]; those give their limit and no
-//! longer yield.
+//! Each is τ(q̈) = torque − yielding q̈. A motor is limited by its torque and a stop only pushes: which of them are at their limits
+//! is judged with the parent held still, as in [`crate::sim::lanes`]; those give their limit and no longer yield. Dry friction
+//! is F q̇⁺/max(|q̇|, v₀), with the rate after the step above and that before it below.
 
 use super::dynamics::{Drive, JointMotion, Push};
 use super::model::TreeModel;
@@ -10,8 +10,9 @@ use crate::number::Real;
 
 /// Largest number that stands for "no limit".
 const NO_LIMIT: f64 = 1e9;
-/// How much faster than free motion dry friction and stops take speed away: our choice; a joint held by dry friction creeps
-/// with a thousandth of what one step would make it move.
+/// Rate v₀ [rad/s] with which a joint creeps that is held by all of its dry friction: our choice.
+const CREEP: f64 = 1e-3;
+/// How much faster than free motion stops take speed away: our choice.
 const STIFF: f64 = 1e3;
 /// Time steps in which a stop pushes a joint back to its range: our choice.
 const RETURN: f64 = 8.0;
@@ -94,11 +95,13 @@ impl<R: Real> LaneMotor<R> {
         let torque = self.kp.mul_add(error, self.kd.mul_add(slip, servo.command_torque));
         let yielding = dt * dt.mul_add(self.kp, self.kd);
         let part = joint.rate / self.speed_limit;
-        let most = |part: R| {
-            let line = (R::one() - part) * R::splat(STALL);
-            self.torque_limit * line.clamp(R::zero(), R::one())
-        };
-        (Push { torque, yielding }, [-most(-part), most(part)])
+        (Push { torque, yielding }, [-self.most(-part), self.most(part)])
+    }
+
+    /// Largest torque in the direction in which the joint turns with `part` of its speed limit.
+    #[inline(always)]
+    fn most(&self, part: R) -> R {
+        self.torque_limit * ((R::one() - part) * R::splat(STALL)).clamp(R::zero(), R::one())
     }
 }
 
@@ -140,8 +143,9 @@ impl<R: Real> Push<R> {
     #[inline(always)]
     fn within(&self, low: R, high: R, acceleration: R) -> Self {
         let torque = self.at(acceleration);
-        let free = |yes, no| R::select(torque.lt(low), no, R::select(high.lt(torque), no, yes));
-        Self { torque: free(self.torque, torque.clamp(low, high)), yielding: free(self.yielding, R::zero()) }
+        let limited = torque.clamp(low, high);
+        let free = (limited - torque).abs().lt(R::splat(f64::from(f32::MIN_POSITIVE)));
+        Self { torque: R::select(free, self.torque, limited), yielding: R::select(free, self.yielding, R::zero()) }
     }
 }
 
@@ -152,8 +156,9 @@ impl<R: Real> Drive<R> for Joints<'_, R> {
         let zero = R::zero();
         let (servo, [low, high]) = motor.servo(&self.servos[i], joint, dt);
         let damping = Push { torque: -(motor.damping * joint.rate), yielding: motor.damping * dt };
+        let slows = motor.friction / joint.rate.abs().max(R::splat(CREEP));
+        let rub = Push { torque: -(slows * joint.rate), yielding: slows * dt };
         let stiff = own * R::splat(STIFF);
-        let rub = Push { torque: -(stiff * joint.rate) / dt, yielding: stiff };
         let next = joint.rate.mul_add(dt, joint.position);
         let [least, most] = motor.range;
         // How far the joint has gone, or will go at its present rate, beyond its range.
@@ -168,13 +173,12 @@ impl<R: Real> Drive<R> for Joints<'_, R> {
             R::select(beyond.lt(zero), zero, -R::splat(NO_LIMIT)),
             R::select(zero.lt(beyond), zero, R::splat(NO_LIMIT)),
         ];
-        let always = damping;
-        let all = servo.plus(always).plus(rub).plus(stop);
+        let always = damping.plus(rub);
+        let all = servo.plus(always).plus(stop);
         let first = all.moves(own, load);
-        let rub = rub.within(-motor.friction, motor.friction, first);
         let stop = stop.within(push_low, push_high, first);
-        let all = servo.within(low, high, first).plus(always).plus(rub).plus(stop);
+        let all = servo.within(low, high, first).plus(always).plus(stop);
         let second = all.moves(own, load);
-        servo.within(low, high, second).plus(always).plus(rub).plus(stop)
+        servo.within(low, high, second).plus(always).plus(stop)
     }
 }

@@ -1,8 +1,9 @@
 //! The engine: laws of free flight, precision, the same bits wherever a robot is computed, servos and stops.
 
 use super::*;
-use crate::number::Isa;
+use crate::number::{Isa, Vec3};
 use crate::sand::Medium;
+use crate::sand::intruder::{Body, BodyShape, Plate};
 use crate::sim::engine::Command;
 use crate::sim::model::Scene;
 use crate::sim::{Model, State};
@@ -94,5 +95,344 @@ fn free_flight_conserves() {
             assert!(fine < 2e-3, "{count}: {errors:?}");
             assert!(fine < 0.6 * coarse + 1e-12, "{count}: {errors:?}");
         }
+    }
+}
+
+/// A box of `mass` with its corners as points of contact.
+fn block(half: [f64; 3], mass: f64, friction: f64) -> Tree {
+    let [x, y, z] = half.map(|h| h * h * mass / 3.0);
+    let shape = TreeShape {
+        name: "block".into(),
+        origin: Isometry3::identity(),
+        geometry: Geometry::Box { half: V::from(half) },
+        friction,
+    };
+    let body = TreeBody {
+        name: "block".into(),
+        parent: 0,
+        origin: Isometry3::identity(),
+        joint: None,
+        mass,
+        center: V::zeros(),
+        inertia: M::from_diagonal(&V::new(y + z, x + z, x + y)),
+        shapes: vec![shape],
+    };
+    Tree { name: "block".into(), bodies: vec![body] }
+}
+
+fn on_hard(tree: Tree, slope_deg: f64, dt: f64) -> Model {
+    let plates = vec![Vec::new(); tree.bodies.len()];
+    let scene = Scene { slope_deg, hard: vec![HardGround::everywhere()], ..scene(dt) };
+    Model::of_tree(TreeModel::new(tree, plates).unwrap(), &scene).unwrap()
+}
+
+/// The state after `time`, and the engine to go on.
+fn run(isa: Isa, model: &Model, start: &State, time: f64) -> State {
+    let mut engine = TreeEngine::with_isa(isa, model, 1).unwrap();
+    engine.set_state(0, start);
+    let mut state = start.clone();
+    let steps = (time / model.scene.dt).round() as usize;
+    for _ in 0..steps.div_ceil(20) {
+        crate::number::flushed(|| engine.advance(20));
+    }
+    engine.state(0, &mut state);
+    state
+}
+
+const ISAS: [Isa; 2] = [Isa::F64, Isa::Baseline];
+
+/// Below tan⁻¹ μ a block sticks, above it slides downhill with g (sin − μ cos).
+#[test]
+fn a_block_on_a_slope_sticks_or_slides() {
+    let friction: f64 = 0.4; // tan⁻¹ 0.4 = 21.8°
+    for isa in ISAS {
+        for slope in [5.0_f64, 15.0, 21.0, 23.0, 30.0] {
+            let model = on_hard(block([0.1, 0.1, 0.05], 2.0, friction), slope, 1e-3);
+            let settled = run(isa, &model, &State::at_rest(0.05, &[]), 0.5);
+            let later = run(isa, &model, &settled, 1.0);
+            let [dx, dv] = [later.position[0] - settled.position[0], later.velocity[0] - settled.velocity[0]];
+            let angle = slope.to_radians();
+            let expected = -crate::sand::GRAVITY * (angle.sin() - friction * angle.cos());
+            if expected >= 0.0 {
+                // It creeps with 1e-5 m/s times the share of its weight that pulls.
+                assert!(dx.abs() < 1e-5, "{isa:?} {slope}: {dx}");
+            } else {
+                assert!((dv / expected - 1.0).abs() < 2e-3, "{isa:?} {slope}: {dv}, {expected}");
+            }
+        }
+    }
+}
+
+/// Rest without drift: a block thrown onto level ground ends at rest, where the ground carries its weight.
+#[test]
+fn what_rests_stays() {
+    for isa in ISAS {
+        let model = on_hard(block([0.1, 0.07, 0.05], 2.0, 0.6), 0.0, 1e-3);
+        let mut start = State::at_rest(0.2, &[]);
+        (start.velocity, start.angular_velocity) = ([0.5, 0.2, 0.0], [1.0, -2.0, 3.0]);
+        let rest = run(isa, &model, &start, 3.0);
+        let later = run(isa, &model, &rest, 10.0);
+        for k in 0..3 {
+            assert!((later.position[k] - rest.position[k]).abs() < 1e-6, "{isa:?}: {rest:?} {later:?}");
+            assert!((later.orientation[k] - rest.orientation[k]).abs() < 1e-6, "{isa:?}: {rest:?} {later:?}");
+        }
+        // Four corners carry 2 kg: each is 1 mm / 4 deep.
+        assert!((later.position[2] - (0.05 - 0.25e-3)).abs() < 2e-6, "{isa:?}: {later:?}");
+    }
+}
+
+/// A ball with no damping comes back to its height, and with damping ratio ζ to the height of a linear spring and damper that
+/// only push (Schwager & Pöschel 2007).
+#[test]
+fn a_ball_bounces() {
+    let ball = |zeta: f64, dt: f64| {
+        let mut tree = block([0.05; 3], 1.0, 0.5);
+        tree.bodies[0].shapes[0].geometry = Geometry::Sphere { radius: 0.05 };
+        let mut model = on_hard(tree, 0.0, dt);
+        let mut own = (**model.tree.as_ref().unwrap()).clone();
+        own.compliance.stiffness = 1e5;
+        own.compliance.damping = 2.0 * zeta * 1e5_f64.sqrt();
+        model = Model::of_tree(own, &model.scene).unwrap();
+        let mut engine = TreeEngine::with_isa(Isa::F64, &model, 1).unwrap();
+        let mut state = State::at_rest(0.05 + 0.1, &[]);
+        engine.set_state(0, &state);
+        // The fastest after the bounce.
+        let mut fastest = 0.0_f64;
+        for _ in 0..(0.3 / dt) as usize {
+            engine.advance(1);
+            engine.state(0, &mut state);
+            fastest = fastest.max(state.velocity[2]);
+        }
+        fastest / (2.0 * crate::sand::GRAVITY * 0.1).sqrt()
+    };
+    for zeta in [0.0_f64, 0.1, 0.5] {
+        let root = (1.0 - zeta * zeta).sqrt();
+        // The force ends before the spring is straight again.
+        let time = std::f64::consts::PI - (2.0 * zeta * root / (1.0 - 2.0 * zeta * zeta)).atan();
+        let expected = (-zeta / root * time).exp();
+        let [coarse, fine] = [1e-4, 1e-5].map(|dt| ball(zeta, dt));
+        assert!((fine - expected).abs() < 0.01, "{zeta}: {fine}, {expected}");
+        assert!((coarse - expected).abs() < 0.03, "{zeta}: {coarse}, {expected}");
+    }
+}
+
+/// A quadruped with feet that are balls: hip and knee a leg.
+pub fn quadruped() -> Tree {
+    let body = |name: String, parent, at: V, joint, mass: f64, half: V, center: V, shape| {
+        let square = half.map(|h| h * h * mass / 3.0);
+        let inertia = M::from_diagonal(&V::new(square.y + square.z, square.x + square.z, square.x + square.y));
+        let origin = Isometry3::from_parts(at.into(), UnitQuaternion::identity());
+        TreeBody { name, parent, origin, joint, mass, center, inertia, shapes: shape }
+    };
+    let joint = |name: String, axis: V, range, rest| {
+        Some(TreeJoint {
+            name,
+            kind: JointKind::Hinge,
+            axis: Unit::new_normalize(axis),
+            range: Some(range),
+            damping: 0.01,
+            friction: 0.1,
+            armature: 0.005,
+            torque_limit: Some(20.0),
+            speed_limit: Some(20.0),
+            kp: Some(60.0),
+            kd: Some(1.5),
+            rest: Some(rest),
+        })
+    };
+    let shape = |geometry, at: V| {
+        let origin = Isometry3::from_parts(at.into(), UnitQuaternion::identity());
+        vec![TreeShape { name: "shape".into(), origin, geometry, friction: 0.8 }]
+    };
+    let half = V::new(0.2, 0.1, 0.06);
+    let trunk = shape(Geometry::Box { half }, V::zeros());
+    let mut bodies = vec![body("trunk".into(), 0, V::zeros(), None, 6.0, half, V::new(0.01, 0.0, 0.0), trunk)];
+    for (x, y, name) in [(1.0, 1.0, "FL"), (1.0, -1.0, "FR"), (-1.0, 1.0, "RL"), (-1.0, -1.0, "RR")] {
+        let thin = V::new(0.015, 0.015, 0.1);
+        let first = bodies.len();
+        let at = V::new(0.18 * x, 0.08 * y, 0.0);
+        let hip = joint(format!("{name}_hip"), V::x(), [-0.8, 0.8], 0.0);
+        bodies.push(body(format!("{name}_hip"), 0, at, hip, 0.5, V::repeat(0.03), V::zeros(), vec![]));
+        let thigh = joint(format!("{name}_thigh"), V::y(), [-1.0, 3.0], 0.8);
+        let middle = V::new(0.0, 0.0, -0.1);
+        bodies.push(body(format!("{name}_thigh"), first, V::y() * (0.05 * y), thigh, 0.8, thin, middle, vec![]));
+        let calf = joint(format!("{name}_calf"), V::y(), [-2.7, -0.8], -1.5);
+        let foot = shape(Geometry::Sphere { radius: 0.02 }, V::new(0.0, 0.0, -0.2));
+        bodies.push(body(format!("{name}_calf"), first + 1, V::new(0.0, 0.0, -0.2), calf, 0.15, thin, middle, foot));
+    }
+    Tree { name: "quadruped".into(), bodies }
+}
+
+fn standing(tree: &Tree) -> State {
+    let angles: Vec<f64> = tree.joints().map(|j| j.rest.unwrap()).collect();
+    State::at_rest(0.35, &angles)
+}
+
+/// Four feet on hard ground carry the weight, and nothing creeps.
+#[test]
+fn a_quadruped_stands_on_its_feet() {
+    for isa in ISAS {
+        let model = on_hard(quadruped(), 0.0, 1e-3);
+        let rest = run(isa, &model, &standing(&quadruped()), 3.0);
+        let later = run(isa, &model, &rest, 10.0);
+        let moved: f64 = (0..3).map(|k| (later.position[k] - rest.position[k]).powi(2)).sum::<f64>().sqrt();
+        // Rounding of positions and angles moves feet in single precision.
+        assert!(moved < if isa == Isa::F64 { 2e-5 } else { 2e-4 }, "{isa:?}: {moved}");
+        assert!(later.position[2] > 0.2 && later.rotation()[2][2] > 0.99, "{isa:?}: {later:?}");
+        // Depth of the feet times the stiffness is the weight.
+        let tree = model.tree.as_ref().unwrap();
+        let none = Accelerations { a: [0.0; 3], alpha: [0.0; 3], qdd: vec![0.0; 12] };
+        let bodies = motions(&tree.tree, &pose_of(&later), &none);
+        let depth = |m: &Moving| 0.02 - (m.at + m.turn * V::new(0.0, 0.0, -0.2)).z - later.position[2];
+        let carried: f64 = bodies.iter().skip(3).step_by(3).map(|m| depth(m) * tree.compliance.stiffness).sum();
+        let weight = tree.tree.mass() * crate::sand::GRAVITY;
+        assert!((carried / weight - 1.0).abs() < 1e-3, "{isa:?}: {carried} N of {weight}");
+    }
+}
+
+/// Plates of balls at the feet and of the trunk's underside.
+fn plates(tree: &Tree) -> Vec<Vec<Plate>> {
+    let ball = Body::cut(&BodyShape::Sphere { radius: 0.02 }, Some(0.01)).unwrap().plates;
+    let shifted = |p: &Plate| Plate { center: p.center + Vec3::new(0.0, 0.0, -0.2), ..*p };
+    let foot: Vec<Plate> = ball.iter().map(shifted).collect();
+    let is_calf = |b: &TreeBody| b.name.ends_with("calf");
+    tree.bodies.iter().map(|b| if is_calf(b) { foot.clone() } else { Vec::new() }).collect()
+}
+
+/// On loose sand with slabs of hard ground in it, `depth` under the surface.
+fn on_sand(slabs: Option<f64>) -> Model {
+    let tree = quadruped();
+    let plates = plates(&tree);
+    let slab = |depth| HardGround { size: [0.3, 0.4], every: [0.6, 0.8], depth, ..HardGround::everywhere() };
+    let scene = Scene { hard: slabs.map(slab).into_iter().collect(), ..scene(1e-3) };
+    Model::of_tree(TreeModel::new(tree, plates).unwrap(), &scene).unwrap()
+}
+
+/// Trotting in place: different for every robot.
+fn trot(k: usize, step: usize) -> Command {
+    let tree = quadruped();
+    let t = step as f64 * 0.02;
+    let phase = |i: usize| if matches!(i / 3, 0 | 3) { 0.0 } else { std::f64::consts::PI };
+    let swing = |i: usize| (10.0 * t + phase(i) + 0.1 * k as f64).sin();
+    let target = |(i, j): (usize, &TreeJoint)| j.rest.unwrap() + [0.0, 0.3, -0.3][i % 3] * swing(i);
+    Command { targets: tree.joints().enumerate().map(target).collect(), ..Command::still(12) }
+}
+
+/// Robot `k` of several after a second of trotting, alone or among `others`.
+fn trotted(isa: Isa, model: &Model, count: usize, k: usize) -> State {
+    let mut engine = TreeEngine::with_isa(isa, model, count).unwrap();
+    let starts = |i: usize| {
+        let mut start = standing(&quadruped());
+        start.position = [0.1 * i as f64, -0.05 * i as f64, 0.33];
+        start
+    };
+    // Alone, it is robot `k` all the same.
+    let named = |i: usize| if count == 1 { k } else { i };
+    (0..count).for_each(|i| engine.set_state(i, &starts(named(i))));
+    for step in 0..50 {
+        (0..count).for_each(|i| engine.command(i, &trot(named(i), step)));
+        crate::number::flushed(|| engine.advance(20));
+    }
+    let mut state = starts(k);
+    engine.state(if count == 1 { 0 } else { k }, &mut state);
+    state
+}
+
+/// Bits depend neither on the lane nor on the neighbours.
+#[test]
+fn lanes_do_not_see_each_other() {
+    for isa in Isa::ALL.into_iter().filter(|isa| isa.available()) {
+        for slabs in [None, Some(0.01)] {
+            let model = on_sand(slabs);
+            for k in [0, 3, 17] {
+                let (alone, among) = (trotted(isa, &model, 1, k), trotted(isa, &model, 20, k));
+                assert!(alone.is_sound(), "{isa:?} {slabs:?}: {alone:?}");
+                assert_eq!(alone, among, "{isa:?} {slabs:?} {k}");
+            }
+        }
+    }
+}
+
+/// A state read and set again, as a row, goes on with the same bits.
+#[test]
+fn states_go_on_with_the_same_bits() {
+    let model = on_sand(Some(0.0));
+    let isa = Isa::choose().unwrap();
+    let mut engine = TreeEngine::with_isa(isa, &model, 1).unwrap();
+    let mut state = standing(&quadruped());
+    engine.set_state(0, &state);
+    let mut other = TreeEngine::with_isa(isa, &model, 1).unwrap();
+    for step in 0..50 {
+        engine.state(0, &mut state);
+        other.set_state(0, &State::from_row(12, &state.row()).unwrap());
+        for e in [&mut engine, &mut other] {
+            e.command(0, &trot(0, step));
+            crate::number::flushed(|| e.advance(20));
+        }
+        let mut again = state.clone();
+        engine.state(0, &mut state);
+        other.state(0, &mut again);
+        assert_eq!(state, again, "{step}");
+    }
+}
+
+/// Robots in one precision walk like those in the other, over a time that chaos leaves.
+#[test]
+fn precisions_agree() {
+    let model = on_sand(None);
+    let [single, double] = [Isa::Baseline, Isa::F64].map(|isa| run(isa, &model, &standing(&quadruped()), 1.0));
+    for k in 0..3 {
+        assert!((single.position[k] - double.position[k]).abs() < 1e-4, "{single:?} {double:?}");
+    }
+    // Balls of 2 cm sink deep under 12 kg.
+    assert!(double.rotation()[2][2] > 0.98 && double.position[2] > 0.05, "{double:?}");
+}
+
+/// A servo reaches its target, gives no more than its torque limit, and stays within its range.
+#[test]
+fn servos_and_stops() {
+    let tree = quadruped();
+    // Held in the air: a trunk of a hundred tonnes.
+    let mut heavy = tree.clone();
+    heavy.bodies[0].mass = 1e5;
+    heavy.bodies[0].inertia *= 1e5;
+    let mut model = model_of(heavy, 1e-3);
+    model.gravity = V::zeros();
+    let target = |q: f64| Command { targets: vec![q; 12], ..Command::still(12) };
+    let after = |command: &Command, time: f64| {
+        let mut engine = TreeEngine::with_isa(Isa::F64, &model, 1).unwrap();
+        let mut state = standing(&tree);
+        engine.set_state(0, &state);
+        engine.command(0, command);
+        let mut most = 0.0_f64;
+        for _ in 0..(time / 1e-3) as usize {
+            engine.advance(1);
+            engine.state(0, &mut state);
+            most = state.torques.iter().fold(most, |m, t| m.max(t.abs()));
+        }
+        (state, most)
+    };
+    let (state, most) = after(&target(0.5), 2.0);
+    assert!((most - 20.0).abs() < 1e-9, "{most}");
+    for i in 0..12 {
+        let [low, high] = tree.joints().nth(i).unwrap().range.unwrap();
+        let expected = 0.5_f64.clamp(low, high);
+        // Dry friction of 0.1 N·m leaves up to 0.1/60 rad; a stop gives way by what it needs.
+        assert!((state.angles[i] - expected).abs() < 4e-3, "{i}: {} {expected}", state.angles[i]);
+    }
+    // Dry friction holds against what is less, but for creep: 0.05 N·m without a servo. It gives way to 0.3.
+    let mut loose = (**model.tree.as_ref().unwrap()).clone();
+    loose.motors.iter_mut().for_each(|m| (m.kp, m.kd) = (0.0, 0.0));
+    let mut free = Model::of_tree(loose, &model.scene).unwrap();
+    free.gravity = V::zeros();
+    for (torque, moves) in [(0.05, false), (0.3, true)] {
+        let mut engine = TreeEngine::with_isa(Isa::F64, &free, 1).unwrap();
+        let mut state = standing(&tree);
+        engine.set_state(0, &state);
+        engine.command(0, &Command { torques: vec![torque; 12], ..Command::still(12) });
+        engine.advance(200);
+        engine.state(0, &mut state);
+        let moved = state.angles[2] + 1.5;
+        assert!(if moves { moved > 1e-2 } else { moved.abs() < 2e-4 }, "{torque}: {moved}");
     }
 }

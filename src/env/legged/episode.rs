@@ -1,0 +1,122 @@
+//! What an episode of LeggedVelocity draws when it begins, and what it remembers.
+
+use crate::env::locomotion::CONTROL_RATE;
+use crate::env::options::{Commands, DomainRand, TaskOptions};
+use crate::env::random::Random;
+use crate::env::task::Setup;
+use crate::error::Result;
+use crate::sim::Model;
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// Commands and pushes that an episode draws at most; then they come again. Our choice, 17 minutes of the default's.
+const MOST: usize = 100;
+/// Commanded speeds below this are zero [m/s] (legged_gym, `_resample_commands`).
+const SMALL: f64 = 0.2;
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LeggedEpisode {
+    /// Factors on the friction of hard ground and on the sand's stress.
+    pub friction: f64,
+    pub sand: f64,
+    /// [kg]
+    pub added_mass: f64,
+    /// Factor on torque limits and gains.
+    pub motor_strength: f64,
+    /// Forward, sideways [m/s] and yaw [rad/s], one after the other.
+    pub commands: Vec<[f64; 3]>,
+    /// Velocities that pushes give the base along x and y [m/s].
+    pub pushes: Vec<[f64; 2]>,
+    /// The command in force.
+    pub now: [f64; 3],
+    /// Control steps made.
+    pub step: u32,
+    /// Since when each foot is in the air [s].
+    pub air: Vec<f64>,
+}
+
+impl LeggedEpisode {
+    /// Always as many numbers in the same order.
+    pub fn draw(setup: &Setup, random: &mut Random) -> Self {
+        let options = &setup.options;
+        let (commands, rand) = (options.commands.unwrap_or_default(), options.domain_rand.unwrap_or(DomainRand::NONE));
+        let mut one = |[low, high]: [f64; 2]| random.uniform(low, high);
+        let friction = one(rand.friction_range);
+        let sand = one(rand.sand_range);
+        let added_mass = one(rand.added_mass_range) * setup.model.total_mass();
+        let motor_strength = one(rand.motor_strength_range);
+        let seconds = f64::from(options.max_episode_steps) / CONTROL_RATE;
+        let count =
+            |interval: f64| if interval > 0.0 { ((seconds / interval).ceil() as usize).clamp(1, MOST) } else { 0 };
+        let mut command = || {
+            let drawn = [one(commands.lin_vel_x), one(commands.lin_vel_y), one(commands.ang_vel_yaw)];
+            let small = drawn[0].hypot(drawn[1]) < SMALL;
+            if small { [0.0, 0.0, drawn[2]] } else { drawn }
+        };
+        let all: Vec<_> = (0..count(commands.resampling_time)).map(|_| command()).collect();
+        let most = [-rand.max_push_vel_xy, rand.max_push_vel_xy];
+        let pushes = (0..count(rand.push_interval)).map(|_| [one(most), one(most)]).collect();
+        let feet = setup.model.tree.as_ref().map_or(0, |tree| tree.stance.feet.len());
+        let now = all.first().copied().unwrap_or_default();
+        Self { friction, sand, added_mass, motor_strength, commands: all, pushes, now, step: 0, air: vec![0.0; feet] }
+    }
+
+    /// Can an episode of `setup` have come to this?
+    pub fn is_sound(&self, setup: &Setup) -> bool {
+        let feet = setup.model.tree.as_ref().map_or(0, |tree| tree.stance.feet.len());
+        let most = |x: &f64| x.abs() <= Commands::MOST;
+        let rand = setup.options.domain_rand.unwrap_or(DomainRand::NONE);
+        // A reset may have changed the ranges since: the guards of options.
+        (0.0..=10.0).contains(&self.friction)
+            && (0.05..=20.0).contains(&self.sand)
+            && (-0.3..=1.0).contains(&(self.added_mass / setup.model.total_mass()))
+            && (0.1..=10.0).contains(&self.motor_strength)
+            && (1..=MOST).contains(&self.commands.len())
+            && self.commands.iter().flatten().chain(&self.now).all(most)
+            && self.pushes.len() <= MOST
+            && (rand.push_interval == 0.0 || !self.pushes.is_empty())
+            && self.pushes.iter().flatten().all(most)
+            && self.air.len() == feet
+            && self.air.iter().all(|t| (0.0..1e6).contains(t))
+    }
+
+    /// The setup's model with what was drawn.
+    pub fn model(&self, setup: &Setup) -> Result<Model> {
+        let mut model = (*setup.model).clone();
+        let Some(tree) = &model.tree else { return Ok(model) };
+        let mut tree = (**tree).clone();
+        tree.tree.bodies[0].mass = (tree.tree.bodies[0].mass + self.added_mass).max(0.1 * tree.tree.bodies[0].mass);
+        for motor in &mut tree.motors {
+            motor.kp *= self.motor_strength;
+            motor.kd *= self.motor_strength;
+            motor.torque_limit = motor.torque_limit.map(|limit| limit * self.motor_strength);
+        }
+        model.tree = Some(Arc::new(tree));
+        model.scene.medium.coefficients = model.scene.medium.coefficients.scaled(self.sand);
+        model.scene.hard.iter_mut().for_each(|hard| hard.grip *= self.friction);
+        Ok(model)
+    }
+
+    /// The command for the present step.
+    pub fn command(&self, options: &TaskOptions) -> [f64; 3] {
+        let steps = (options.commands.unwrap_or_default().resampling_time * CONTROL_RATE).max(1.0);
+        let k = (f64::from(self.step) / steps) as usize;
+        self.commands.get(k % self.commands.len().max(1)).copied().unwrap_or_default()
+    }
+
+    /// Takes note of a step after which `feet` touch the ground; gives the push that comes now.
+    pub fn stepped(&mut self, options: &TaskOptions, feet: &[bool]) -> Option<[f64; 2]> {
+        self.step += 1;
+        for (air, touches) in self.air.iter_mut().zip(feet) {
+            *air = if *touches { 0.0 } else { *air + 1.0 / CONTROL_RATE };
+        }
+        self.now = self.command(options);
+        let interval = options.domain_rand.unwrap_or(DomainRand::NONE).push_interval;
+        let steps = (interval * CONTROL_RATE).round() as u32;
+        if steps == 0 || self.pushes.is_empty() || !self.step.is_multiple_of(steps) {
+            return None;
+        }
+        Some(self.pushes[(self.step / steps - 1) as usize % self.pushes.len()])
+    }
+}

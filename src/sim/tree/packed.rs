@@ -1,0 +1,257 @@
+//! A tree robot as one JSON text: what travels to a server. Meshes are left behind; their plates and points of contact go.
+
+use super::contact::{ContactPoint, contact_points};
+use super::model::TreeModel;
+use super::{Geometry, JointKind, Tree, TreeBody, TreeJoint, TreeShape};
+use crate::error::{Error, Result, check_range};
+use crate::number::Vec3;
+use crate::sand::intruder::Plate;
+use nalgebra::{Isometry3, Matrix3, Quaternion, Unit, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+/// Longest text [bytes]: our choice, some 20,000 plates.
+pub const MOST_BYTES: usize = 6 << 20;
+/// Most bodies, and most plates and points of a robot: our choice of guards, far beyond what walks in real time.
+const MOST_BODIES: usize = 256;
+const MOST_PIECES: usize = 20_000;
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Packed {
+    name: String,
+    bodies: Vec<Body>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Body {
+    name: String,
+    parent: usize,
+    /// Position [m] and quaternion w, x, y, z.
+    origin: [f64; 7],
+    joint: Option<Joint>,
+    mass: f64,
+    center: [f64; 3],
+    /// xx, yy, zz, xy, xz, yz.
+    inertia: [f64; 6],
+    shapes: Vec<Shape>,
+    /// Centre, radius, friction, axis (zero: a ball).
+    contacts: Vec<[f64; 8]>,
+    /// Centre, normal, area, two half sides, two bends.
+    plates: Vec<[f64; 15]>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Joint {
+    name: String,
+    slides: bool,
+    axis: [f64; 3],
+    range: Option<[f64; 2]>,
+    damping: f64,
+    friction: f64,
+    armature: f64,
+    torque_limit: Option<f64>,
+    speed_limit: Option<f64>,
+    kp: Option<f64>,
+    kd: Option<f64>,
+    rest: Option<f64>,
+}
+
+/// A shape that is no mesh: for pictures.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Shape {
+    name: String,
+    origin: [f64; 7],
+    kind: Kind,
+    /// Radius and half length, or half sides [m].
+    size: [f64; 3],
+    friction: f64,
+}
+
+#[derive(Clone, Copy, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum Kind {
+    Sphere,
+    Capsule,
+    Cylinder,
+    Box,
+}
+
+/// `tree` with the plates of each body.
+pub fn pack(tree: &Tree, plates: &[Vec<Plate>]) -> Result<String> {
+    let contacts = contact_points(tree);
+    let body = |(i, b): (usize, &TreeBody)| Body {
+        name: b.name.clone(),
+        parent: b.parent,
+        origin: place(&b.origin),
+        joint: b.joint.as_ref().map(joint),
+        mass: b.mass,
+        center: b.center.into(),
+        inertia: [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)].map(|at| b.inertia[at]),
+        shapes: b.shapes.iter().filter_map(shape).collect(),
+        contacts: contacts[i].iter().map(contact).collect(),
+        plates: plates[i].iter().map(plate).collect(),
+    };
+    let packed = Packed { name: tree.name.clone(), bodies: tree.bodies.iter().enumerate().map(body).collect() };
+    let text = serde_json::to_string(&packed).map_err(|e| Error::invalid("robot", e.to_string()))?;
+    match text.len() <= MOST_BYTES {
+        true => Ok(text),
+        false => Err(Error::invalid("robot", "it has too many plates: give them a larger size")),
+    }
+}
+
+/// The robot that a text of [`pack`] holds; whatever stands in it is checked.
+pub fn unpack(text: &str) -> Result<TreeModel> {
+    if text.len() > MOST_BYTES {
+        return Err(Error::invalid("robot", format!("{} bytes are more than {MOST_BYTES}", text.len())));
+    }
+    let Packed { name, bodies } =
+        serde_json::from_str(text).map_err(|e| Error::invalid("robot", format!("not a packed robot: {e}")))?;
+    check_range("number of bodies", bodies.len() as f64, 1.0..=MOST_BODIES as f64)?;
+    let pieces: usize = bodies.iter().map(|b| b.contacts.len() + b.plates.len()).sum();
+    check_range("number of plates and points", pieces as f64, 0.0..=MOST_PIECES as f64)?;
+    bodies.iter().try_for_each(Body::check)?;
+    let contacts = bodies.iter().map(|b| b.contacts.iter().map(contact_of).collect()).collect();
+    let plates = bodies.iter().map(|b| b.plates.iter().map(plate_of).collect()).collect();
+    let tree = Tree { name, bodies: bodies.into_iter().map(Body::unpacked).collect() };
+    TreeModel::with_contacts(tree, plates, contacts)
+}
+
+impl Body {
+    fn check(&self) -> Result<()> {
+        let joint = self.joint.iter().flat_map(|j| {
+            let options = [j.torque_limit, j.speed_limit, j.kp, j.kd, j.rest].into_iter().flatten();
+            let range = j.range.into_iter().flatten();
+            j.axis.into_iter().chain([j.damping, j.friction, j.armature]).chain(options).chain(range)
+        });
+        let pieces = self.contacts.iter().flatten().chain(self.plates.iter().flatten()).copied();
+        let shapes = self.shapes.iter().flat_map(|s| s.origin.into_iter().chain(s.size).chain([s.friction]));
+        let own = self.origin.into_iter().chain(self.center).chain(self.inertia);
+        // Far beyond any robot; joint limits may be large where a file means none.
+        for x in own.chain(joint).chain(pieces).chain(shapes) {
+            check_range(&format!("a number of {}", self.name), x, -1e12..=1e12)?;
+        }
+        let unit = |what: &str, square: f64| check_range(&format!("{what} of {}", self.name), square, 0.99..=1.01);
+        unit("orientation", self.origin[3..].iter().map(|x| x * x).sum())?;
+        for shape in &self.shapes {
+            unit("orientation of a shape", shape.origin[3..].iter().map(|x| x * x).sum())?;
+        }
+        let Some(joint) = &self.joint else { return Ok(()) };
+        let name = |what: &str| format!("{what} of {}", joint.name);
+        unit("axis", joint.axis.iter().map(|x| x * x).sum())?;
+        for (what, x) in [("damping", joint.damping), ("friction", joint.friction), ("armature", joint.armature)] {
+            check_range(&name(what), x, 0.0..=1e9)?;
+        }
+        for (what, x) in [("kp", joint.kp), ("kd", joint.kd)] {
+            check_range(&name(what), x.unwrap_or(0.0), 0.0..=1e9)?;
+        }
+        for (what, x) in [("torque_limit", joint.torque_limit), ("speed_limit", joint.speed_limit)] {
+            check_range(&name(what), x.unwrap_or(1.0), 1e-9..=1e12)?;
+        }
+        let [low, high] = joint.range.unwrap_or_default();
+        check_range(&name("range"), high, low..=1e12).map(drop)
+    }
+
+    fn unpacked(self) -> TreeBody {
+        let [xx, yy, zz, xy, xz, yz] = self.inertia;
+        TreeBody {
+            name: self.name,
+            parent: self.parent,
+            origin: place_of(&self.origin),
+            joint: self.joint.map(joint_of),
+            mass: self.mass,
+            center: self.center.into(),
+            inertia: Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz),
+            shapes: self.shapes.into_iter().map(shape_of).collect(),
+        }
+    }
+}
+
+fn place(at: &Isometry3<f64>) -> [f64; 7] {
+    let ([x, y, z], q) = (at.translation.vector.into(), at.rotation);
+    [x, y, z, q.w, q.i, q.j, q.k]
+}
+
+fn place_of(&[x, y, z, w, i, j, k]: &[f64; 7]) -> Isometry3<f64> {
+    Isometry3::from_parts(Vector3::new(x, y, z).into(), UnitQuaternion::from_quaternion(Quaternion::new(w, i, j, k)))
+}
+
+fn joint(j: &TreeJoint) -> Joint {
+    Joint {
+        name: j.name.clone(),
+        slides: j.kind == JointKind::Slide,
+        axis: j.axis.into_inner().into(),
+        range: j.range,
+        damping: j.damping,
+        friction: j.friction,
+        armature: j.armature,
+        torque_limit: j.torque_limit,
+        speed_limit: j.speed_limit,
+        kp: j.kp,
+        kd: j.kd,
+        rest: j.rest,
+    }
+}
+
+fn joint_of(j: Joint) -> TreeJoint {
+    TreeJoint {
+        name: j.name,
+        kind: if j.slides { JointKind::Slide } else { JointKind::Hinge },
+        axis: Unit::new_normalize(j.axis.into()),
+        range: j.range,
+        damping: j.damping,
+        friction: j.friction,
+        armature: j.armature,
+        torque_limit: j.torque_limit,
+        speed_limit: j.speed_limit,
+        kp: j.kp,
+        kd: j.kd,
+        rest: j.rest,
+    }
+}
+
+fn shape(s: &TreeShape) -> Option<Shape> {
+    let (kind, size) = match s.geometry {
+        Geometry::Sphere { radius } => (Kind::Sphere, [radius, 0.0, 0.0]),
+        Geometry::Capsule { radius, half_length } => (Kind::Capsule, [radius, half_length, 0.0]),
+        Geometry::Cylinder { radius, half_length } => (Kind::Cylinder, [radius, half_length, 0.0]),
+        Geometry::Box { half } => (Kind::Box, half.into()),
+        Geometry::Mesh(_) => return None,
+    };
+    Some(Shape { name: s.name.clone(), origin: place(&s.origin), kind, size, friction: s.friction })
+}
+
+fn shape_of(s: Shape) -> TreeShape {
+    let [radius, half_length, _] = s.size;
+    let geometry = match s.kind {
+        Kind::Sphere => Geometry::Sphere { radius },
+        Kind::Capsule => Geometry::Capsule { radius, half_length },
+        Kind::Cylinder => Geometry::Cylinder { radius, half_length },
+        Kind::Box => Geometry::Box { half: s.size.into() },
+    };
+    TreeShape { name: s.name, origin: place_of(&s.origin), geometry, friction: s.friction }
+}
+
+fn contact(c: &ContactPoint) -> [f64; 8] {
+    let ([x, y, z], [i, j, k]) = (c.center.into(), c.axis.unwrap_or_default().into());
+    [x, y, z, c.radius, c.friction, i, j, k]
+}
+
+fn contact_of(&[x, y, z, radius, friction, i, j, k]: &[f64; 8]) -> ContactPoint {
+    let axis = Vector3::new(i, j, k).try_normalize(1e-6);
+    ContactPoint { center: Vector3::new(x, y, z), radius, axis, friction }
+}
+
+/// Six digits, which is less than lanes have and more than a shape is known to.
+fn plate(p: &Plate) -> [f64; 15] {
+    let [c, n, a, b] = [p.center, p.normal, p.half[0], p.half[1]].map(|v| v.lane(0));
+    let all = [c[0], c[1], c[2], n[0], n[1], n[2], p.area, a[0], a[1], a[2], b[0], b[1], b[2], p.bend[0], p.bend[1]];
+    all.map(|x| format!("{x:.5e}").parse().unwrap_or(0.0))
+}
+
+fn plate_of(p: &[f64; 15]) -> Plate {
+    let vector = |i: usize| Vec3::new(p[i], p[i + 1], p[i + 2]);
+    Plate { center: vector(0), normal: vector(3), area: p[6], half: [vector(7), vector(10)], bend: [p[13], p[14]] }
+}

@@ -1,0 +1,165 @@
+//! How a tree robot stands: its feet, its joints, and where its points of contact are.
+
+use super::contact::ContactPoint;
+use super::{JointKind, Tree};
+use crate::sim::State;
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
+
+type V = Vector3<f64>;
+
+/// Part of its longest reach that a leg has where the file names no pose: our choice, that of Go1's usual stance
+/// (0.27 m of 0.43 m would be 0.64; 0.7 leaves knees less load).
+const REACH: f64 = 0.7;
+/// Positions of a joint beyond this are not looked at [rad or m].
+const FARTHEST: f64 = 2.8;
+/// Positions of each of the last two joints that a search begins from, and rounds of descent: our choice, ends within 1e-6 m.
+const GRID: usize = 12;
+const ROUNDS: usize = 60;
+
+/// A robot's standing pose.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Stance {
+    /// Positions of the joints: the file's, or found.
+    pub angles: Vec<f64>,
+    /// Bodies that stand on the ground, each the last of its branch with points of contact.
+    pub feet: Vec<usize>,
+}
+
+/// Frames of all bodies in the world.
+pub fn frames(tree: &Tree, state: &State) -> Vec<Isometry3<f64>> {
+    let [w, x, y, z] = state.orientation;
+    let turn = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
+    let base = Isometry3::from_parts(Translation3::from(V::from(state.position)), turn);
+    chain(tree, base, &state.angles)
+}
+
+fn chain(tree: &Tree, base: Isometry3<f64>, angles: &[f64]) -> Vec<Isometry3<f64>> {
+    let mut all = Vec::with_capacity(tree.bodies.len());
+    all.push(base);
+    for (body, q) in tree.bodies.iter().skip(1).zip(angles) {
+        let moved = match &body.joint {
+            Some(j) if j.kind == JointKind::Slide => {
+                Isometry3::from_parts((j.axis.into_inner() * *q).into(), UnitQuaternion::identity())
+            }
+            Some(j) => Isometry3::from_parts(V::zeros().into(), UnitQuaternion::from_axis_angle(&j.axis, *q)),
+            None => Isometry3::identity(),
+        };
+        all.push(all[body.parent] * body.origin * moved);
+    }
+    all
+}
+
+/// The lowest of a body's points [m], for a body at `frame`; infinite without any.
+pub fn lowest(frame: &Isometry3<f64>, points: &[ContactPoint]) -> V {
+    let mut low = V::new(0.0, 0.0, f64::INFINITY);
+    for p in points {
+        let mut at = frame.transform_point(&p.center.into()).coords;
+        match p.axis {
+            None => at.z -= p.radius,
+            Some(axis) => {
+                let axis = frame.rotation * axis;
+                let rim = V::z() - axis * axis.z;
+                at -= rim * (p.radius / (rim.norm() + 1e-9));
+            }
+        }
+        if at.z < low.z {
+            low = at;
+        }
+    }
+    low
+}
+
+impl Stance {
+    pub fn of(tree: &Tree, contacts: &[Vec<ContactPoint>]) -> Self {
+        let count = tree.bodies.len();
+        let carries = |i: usize| tree.bodies.iter().skip(1).any(|b| b.parent == i);
+        let mut feet = Vec::new();
+        for leaf in (1..count).filter(|i| !carries(*i)) {
+            let mut last = leaf;
+            while last > 0 && contacts[last].is_empty() {
+                last = tree.bodies[last].parent;
+            }
+            if last > 0 && !feet.contains(&last) {
+                feet.push(last);
+            }
+        }
+        let known: Option<Vec<f64>> = tree.joints().map(|j| j.rest).collect();
+        let angles = known.unwrap_or_else(|| found(tree, contacts, &feet));
+        let frames = chain(tree, Isometry3::identity(), &angles);
+        let all = frames.iter().zip(contacts).map(|(f, p)| lowest(f, p).z);
+        let low = all.fold(f64::INFINITY, f64::min);
+        // Arms and tails end above the ground: in the upper seven tenths of the robot's height.
+        feet.retain(|foot| lowest(&frames[*foot], &contacts[*foot]).z < low + 0.3 * low.abs());
+        Self { angles, feet }
+    }
+}
+
+/// A pose with each foot under where its leg begins, at [`REACH`] of how far it could hang. Joints that the file gives a
+/// position keep it.
+fn found(tree: &Tree, contacts: &[Vec<ContactPoint>], feet: &[usize]) -> Vec<f64> {
+    let joints: Vec<_> = tree.joints().collect();
+    let range = |i: usize| joints[i].range.unwrap_or([-FARTHEST, FARTHEST]).map(|end| end.clamp(-FARTHEST, FARTHEST));
+    let start = |i: usize| joints[i].rest.unwrap_or_else(|| 0.0_f64.clamp(range(i)[0], range(i)[1]));
+    let mut angles: Vec<f64> = (0..joints.len()).map(start).collect();
+    for &foot in feet {
+        let mut branch = vec![foot];
+        while tree.bodies[branch[0]].parent > 0 {
+            branch.insert(0, tree.bodies[branch[0]].parent);
+        }
+        // What bends are the last two joints; where the first of them is the leg begins.
+        let first = branch.len().saturating_sub(2);
+        let below = branch[first + 1..].iter().map(|i| tree.bodies[*i].origin.translation.vector.norm());
+        let last = contacts[foot].iter().map(|p| p.center.norm()).fold(0.0, f64::max);
+        let (root, length) = (branch[first], below.sum::<f64>() + last);
+        let cost = |angles: &[f64]| {
+            let frames = chain(tree, Isometry3::identity(), angles);
+            let (tip, hip) = (lowest(&frames[foot], &contacts[foot]), frames[root].translation.vector);
+            let off = tip - hip + V::z() * (REACH * length);
+            // Of two ways to bend the one with the knee behind, and of several turns the least.
+            let knee = frames[foot].translation.vector.x - hip.x + 0.3 * length;
+            let turned: f64 = branch.iter().map(|i| angles[i - 1] * angles[i - 1]).sum();
+            off.norm_squared() + 1e-3 * knee * knee + 1e-6 * length * length * turned
+        };
+        let free: Vec<usize> = branch.iter().map(|i| i - 1).filter(|i| joints[*i].rest.is_none()).collect();
+        descend(&mut angles, &free, &range, &cost);
+    }
+    angles
+}
+
+/// Lowers `cost` over the joints `free`: the best point of a grid over the last two, then one joint at a time.
+fn descend(angles: &mut Vec<f64>, free: &[usize], range: &impl Fn(usize) -> [f64; 2], cost: &impl Fn(&[f64]) -> f64) {
+    let ends = &free[free.len().saturating_sub(2)..];
+    let mut best = (cost(angles), angles.clone());
+    for k in 0..GRID.pow(ends.len() as u32) {
+        let mut trial = angles.clone();
+        for (place, i) in ends.iter().enumerate() {
+            let ([low, high], part) = (range(*i), k / GRID.pow(place as u32) % GRID);
+            trial[*i] = low + (high - low) * part as f64 / (GRID - 1) as f64;
+        }
+        let value = cost(&trial);
+        if value < best.0 {
+            best = (value, trial);
+        }
+    }
+    *angles = best.1;
+    let (mut least, mut step) = (best.0, 0.3);
+    for _ in 0..ROUNDS {
+        let before = least;
+        for i in free {
+            let [low, high] = range(*i);
+            for move_by in [-step, step] {
+                let kept = angles[*i];
+                angles[*i] = (kept + move_by).clamp(low, high);
+                let value = cost(angles);
+                if value < least {
+                    least = value;
+                } else {
+                    angles[*i] = kept;
+                }
+            }
+        }
+        if least == before {
+            step *= 0.5;
+        }
+    }
+}

@@ -1,0 +1,115 @@
+//! Sand on plates in lanes against the program's other code for bodies in sand, `sand::intruder`.
+
+use super::*;
+use crate::number::{Portable, Real, Vec3};
+use crate::sand::intruder::{Body, BodyShape, Given, Plate, Trial, compute};
+use crate::sand::{Ground, Law, Mechanisms, Medium, SandDescription, Surface};
+use crate::sim::spatial::Twist;
+use crate::sim::tree::dynamics::{Frame, Load};
+use crate::sim::tree::sand::{BodyPlates, press};
+use crate::sim::tree::terrain::Flat;
+use std::io::Write;
+
+fn vec3(v: V) -> Vec3<f64> {
+    Vec3::new(v.x, v.y, v.z)
+}
+
+fn nalgebra_of(v: Vec3<f64>) -> V {
+    V::from(v.lane(0))
+}
+
+/// A box turned by `turn`, as the other code takes it: a file of triangles.
+fn turned_box(half: V, turn: &Rotation3<f64>, folder: &std::path::Path) -> Body {
+    let path = folder.join("box.obj");
+    let mut file = std::fs::File::create(&path).unwrap();
+    for i in 0..8 {
+        let sign = |k: usize| if i >> k & 1 == 1 { 1.0 } else { -1.0 };
+        let p = turn * V::new(sign(0) * half.x, sign(1) * half.y, sign(2) * half.z);
+        writeln!(file, "v {} {} {}", p.x, p.y, p.z).unwrap();
+    }
+    for [a, b, c, d] in [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]] {
+        writeln!(file, "f {} {} {}\nf {} {} {}", a + 1, b + 1, c + 1, a + 1, c + 1, d + 1).unwrap();
+    }
+    Body::cut(&BodyShape::Mesh(path), Some(0.002)).unwrap()
+}
+
+/// Force and moment about the body's origin, which is `depth` below the surface, by the lanes' code.
+fn by_lanes<R: Real>(
+    plates: &[Plate],
+    sand: &SandDescription,
+    turn: &Rotation3<f64>,
+    depth: f64,
+    v: V,
+    gate: f64,
+) -> (V, V) {
+    // In the body's frame: the other code's plates are those of the turned body.
+    let back = |p: &Plate| Plate {
+        center: vec3(turn.inverse() * nalgebra_of(p.center)),
+        normal: vec3(turn.inverse() * nalgebra_of(p.normal)),
+        half: p.half.map(|h| vec3(turn.inverse() * nalgebra_of(h))),
+        ..*p
+    };
+    let plates: Vec<Plate> = plates.iter().map(back).collect();
+    let surface = Surface { rest_speed: 1e-9, leading_edge_gate: gate, ..Surface::DEFAULT };
+    let medium = sand.medium();
+    let ground = Ground::<R>::new(sand.law, &medium, &surface).with(&sand.mechanisms, &medium);
+    let mut frame = Frame::<R>::at_rest();
+    let column = |k: usize| Vec3::splat(turn.matrix().column(k).into_owned().into());
+    (frame.rotation.x, frame.rotation.y, frame.rotation.z) = (column(0), column(1), column(2));
+    frame.velocity = Twist { angular: Vec3::zero(), linear: Vec3::splat(v.into()) };
+    let mut loads = [Load::none()];
+    let body = [BodyPlates::of(0, &plates)];
+    press(&ground, &body, &[frame], &Vec3::splat([0.0, 0.0, -depth]), &Flat, &mut loads, R::splat(1e-3));
+    let bias = loads[0].bias;
+    (-V::from(bias.force.lane(0)), -V::from(bias.moment.lane(0)))
+}
+
+/// The other code's.
+fn by_intruder(body: &Body, sand: &SandDescription, depth: f64, v: V) -> (V, V) {
+    let lowest = -body.heights(|p| p)[0];
+    let trial = Trial { velocity: v.into(), spin: [0.0; 3], given: Given::Depth(depth + lowest) };
+    let outcome = compute(body, sand, &trial);
+    (outcome.force.into(), outcome.torque.into())
+}
+
+fn sands() -> [SandDescription; 3] {
+    let plain = |name: &str| SandDescription::plain(&Medium::named(name).unwrap());
+    let loose = plain("poppy-loose");
+    let spatial = SandDescription { law: Law::Agarwal2023, ..plain("poppy-close") };
+    let mechanisms = Mechanisms { inertial_drag: 1.1, cohesion: 100.0, depth_power: 0.2, ..loose.mechanisms };
+    [loose.clone(), spatial, SandDescription { mechanisms, ..loose }]
+}
+
+/// Same plates, random poses and velocities, both laws, with mechanisms: the same force and moment where plates are flat and
+/// the leading edge is sharp; where they are a ball's, the other code divides plates at the edge.
+#[test]
+fn the_force_is_that_of_a_body_in_steady_motion() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut draw = Draw::new(5);
+    for sand in sands() {
+        for _ in 0..6 {
+            let turn = Rotation3::from_scaled_axis(draw.vector() * 3.0);
+            let body = turned_box(V::new(0.03, 0.02, 0.01), &turn, folder.path());
+            let (depth, v) = (0.02 * draw.number(), draw.vector() * 0.3);
+            let expected = by_intruder(&body, &sand, depth, v);
+            let found = by_lanes::<f64>(&body.plates, &sand, &turn, depth, v, 1e-20);
+            assert_near(found, expected, 5e-3);
+            let single = by_lanes::<Portable>(&body.plates, &sand, &turn, depth, v, 1e-20);
+            assert_near(single, expected, 5e-3);
+        }
+        let ball = Body::cut(&BodyShape::Sphere { radius: 0.02 }, None).unwrap();
+        for _ in 0..6 {
+            // At least half of it in the sand: where it hardly touches, few plates carry all of the force.
+            let (depth, v) = (0.01 * (1.0 + draw.number()), draw.vector() * 0.3);
+            let found = by_lanes::<f64>(&ball.plates, &sand, &Rotation3::identity(), depth, v, 1e-20);
+            assert_near(found, by_intruder(&ball, &sand, depth, v), 5e-3);
+        }
+    }
+}
+
+fn assert_near((f, m): (V, V), (force, moment): (V, V), part: f64) {
+    // Arms are up to 4 cm.
+    let scale = force.norm() + moment.norm() / 0.04;
+    let off = (f - force).norm() + (m - moment).norm() / 0.04;
+    assert!(off <= part * scale, "{f} {m}\n{force} {moment}");
+}
