@@ -229,7 +229,9 @@ def log(seed: int, hidden: dict[str, float]) -> tuple[str, dict[str, Any]]:
             clean = loads(trial, grid, hidden, c, zero, bed)
             if len(grid) == FINE:
                 keep = math.exp(-(grid[1] - grid[0]) / 0.005)
-                channel, state = ["Fx", "Fz"].index(rig["filter"]), clean[0, ["Fx", "Fz"].index(rig["filter"])]
+                channel = ["Fx", "Fz"].index(rig["filter"])
+                state = 0.0 if trial["ramp"] > 0 else clean[0, channel]
+                clean[0] = 0.0 if trial["ramp"] > 0 else clean[0]
                 for i in range(FINE):
                     state = keep * state + (1 - keep) * clean[i, channel]
                     clean[i, channel] = state
@@ -309,13 +311,14 @@ def main() -> None:
             held += cause["ci95"][0] <= hidden[cause["id"]] <= cause["ci95"][1]
         said = [(c["id"], round(c["value"], 4), [round(v, 4) for v in c["ci95"]]) for c in report["causes"]]
         fit, rest = report["lack_of_fit"], report["remainder"]
-        short = {k: rig[k] for k in ("sampling", "filter", "ramp", "torque")}
+        short = " ".join(str(rig[k]) for k in ("sampling", "filter", "ramp", "torque"))
         best = report["candidates"][0] if report["candidates"] else {}
         rivals = sorted(c["distance_to_best"] for c in report["candidates"][1:8] if c["distance_to_best"])
-        print(seed, hidden, short, named, report["verdict"], said, found if len(found) > 1 else "",
+        strengths = {k: round(v, 4) for k, v in hidden.items()}
+        print(seed, strengths, short, named, report["verdict"], said, found if len(found) > 1 else "",
               f"lof {fit['plain']:.2f} {fit['extended'] or 0:.2f} limit {fit['limit']:.2f} best {best.get('ids')} {best.get('delta_chi2', 0):.0f}",
               f"rival {rivals[0] if rivals else 0:.1f} remainder {rest['significant']} {rest['fraction']:.2f} explained {rest['explained']:.2f}",
-              f"advantage {rest['advantage']:.0f} worst {rest['worst']:.1f} {rest['worst_limit']:.1f}",
+              f"discrepancy {rest['discrepancy']:.3f} worst {rest['worst']:.1f} {rest['worst_limit']:.1f}",
               [t["formula"] for t in report["terms"]], flush=True)
     print(kind, tally, f"intervals hold {held} of {asked}")
 

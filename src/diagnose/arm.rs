@@ -292,6 +292,7 @@ impl Arm<'_> {
                 footprint: self.footprint,
                 width: self.cut.width,
                 normal_acceleration: lead * (n[0] * dv[0] + n[1] * dv[1]),
+                passes: f64::from(self.track.pass.max(1) - 1),
                 // A log says where the intruder is, not what of its motion is travel.
                 travel: [0.0; 2],
             };

@@ -201,7 +201,7 @@ pub fn starts(study: &Study, id: usize) -> Vec<f64> {
 }
 
 /// L with L Lᵀ = `gram`, which may be singular; rows and columns that the data do not feel are left at 0.
-fn square_root(gram: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+pub fn square_root(gram: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let n = gram.nrows();
     let scale: Vec<f64> = (0..n).map(|k| if gram[(k, k)] > FELT { gram[(k, k)].sqrt() } else { 0.0 }).collect();
     let inverse = |k: usize| if scale[k] > 0.0 { 1.0 / scale[k] } else { 0.0 };
@@ -211,7 +211,7 @@ fn square_root(gram: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     Some(DMatrix::from_diagonal(&DVector::from_vec(scale)) * eigen.eigenvectors * root)
 }
 
-fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
+pub fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
     values.sort_by(f64::total_cmp);
     values[((values.len() as f64 * share) as usize).min(values.len() - 1)]
 }

@@ -67,9 +67,9 @@ impl Directions {
         if best.surprise < none.surprise - SEEN { best } else { none }
     }
 
-    /// −2 ln evidence of a fit beside a discrepancy of a given size.
-    pub fn surprise(&self, fit: &Fit, size: f64) -> f64 {
-        self.joint(fit).surprise(size)
+    /// The directions, one standard deviation long.
+    pub fn columns(&self, size: f64) -> Vec<Vec<f64>> {
+        self.white.iter().map(|w| w.iter().map(|v| size * v).collect()).collect()
     }
 
     fn joint(&self, fit: &Fit) -> Joint {
@@ -83,34 +83,6 @@ impl Directions {
         let eigen = left.symmetric_eigen();
         let along = eigen.eigenvectors.transpose() * score;
         Joint { values: eigen.eigenvalues.iter().copied().collect(), along, objective: fit.objective }
-    }
-
-    /// Information of a fit's parameters with a discrepancy of a given size marginalised.
-    pub fn information(&self, fit: &Fit, size: f64) -> DMatrix<f64> {
-        let (information, _) = fit.normal_equations();
-        if size == 0.0 {
-            return information;
-        }
-        let cross =
-            DMatrix::from_fn(information.nrows(), self.white.len(), |i, j| dot(&fit.white_slopes[i], &self.white[j]));
-        match self.inverse(size) {
-            Some(inverse) => information - &cross * inverse * cross.transpose(),
-            None => information,
-        }
-    }
-
-    /// (G + τ⁻²)⁻¹
-    fn inverse(&self, size: f64) -> Option<DMatrix<f64>> {
-        let count = self.white.len();
-        (&self.products + DMatrix::identity(count, count) / (size * size)).cholesky().map(|c| c.inverse())
-    }
-
-    /// Square of a whitened vector after a discrepancy of a given size took its share.
-    pub fn square(&self, white: &[f64], size: f64) -> f64 {
-        let whole = dot(white, white);
-        let Some(inverse) = (size > 0.0).then(|| self.inverse(size)).flatten() else { return whole };
-        let along = self.along(white);
-        whole - (along.transpose() * inverse * &along)[0]
     }
 }
 

@@ -3,6 +3,7 @@
 
 use super::calibrate::{FELT, Gates, Scores, Screen, gates, starts};
 use super::cross_validation::{HeldOut, leave_condition_out, unfitted};
+use super::discrepancy::{Directions, Discrepancy};
 use super::fit::{COEFFICIENTS, Fit, Study, dot, slope};
 use super::lack_of_fit::{self, Lack};
 use super::noise::{Noise, Source};
@@ -162,7 +163,8 @@ pub fn singles(study: &Study, Screened { screen, scores, ids, .. }: &Screened) -
 /// Noise, whitening and nuisances that belong to a fit: what a repetition has in common acts along its prediction.
 pub fn surroundings(study: &Study, source: &Source, start: &Noise, fit: &Fit) -> Surroundings {
     let coefficients = study.coefficients(&fit.deviations);
-    let shared = study.model.shared(&fit.mechanisms, &coefficients, &fit.prediction);
+    let mut shared = study.model.shared(&fit.mechanisms, &coefficients, &fit.prediction);
+    shared.retain(|s| source.shared.iter().any(|own| own.name == s.name));
     let model_error = study.model.model_error(&fit.mechanisms, &coefficients, &fit.prediction);
     // The noise is learnt from what the fit leaves, nuisances included; it acts along what the sand does.
     let reading = study.reading(fit);
@@ -232,6 +234,46 @@ pub fn settled(study: &Study, source: &Source, noise: &Noise, fitted: Fitted) ->
         }
     }
     (fitted, around)
+}
+
+/// Rounds in which the size of a discrepancy and the fits beside it are made anew: our choice, two are usually enough.
+const DISCREPANCIES: usize = 2;
+
+/// Where the best leaves a smooth misfit that noise does not make: everything fitted again beside a discrepancy, which takes its
+/// share of what tells explanations apart. Without one the least noisy samples would decide alone. None where nothing asks for it.
+pub fn beside_discrepancy(
+    study: &Study,
+    around: &Surroundings,
+    fitted: Fitted,
+) -> (Fitted, Option<(Discrepancy, Whitener)>) {
+    let mut fitted = fitted;
+    let mut found: Option<(Discrepancy, Whitener)> = None;
+    for _ in 0..DISCREPANCIES {
+        let standing = fitted.best().map_or(&fitted.base.fit, |c| &c.fit);
+        let plain = study.under(&around.whitener, around.nuisances.clone());
+        let directions = Directions::new(&plain, standing);
+        let own = plain.fit_from(&[standing]).swap_remove(0);
+        let discrepancy = directions.about(&own);
+        if discrepancy.size == 0.0 {
+            break;
+        }
+        let whitener = around.whitener.beside(&directions.columns(discrepancy.size));
+        let renewed = study.under(&whitener, around.nuisances.clone());
+        fitted = all_refitted(&renewed, fitted);
+        found = Some((discrepancy, whitener));
+    }
+    (fitted, found)
+}
+
+/// All candidates fitted again from where they stand, best of the chosen size first.
+fn all_refitted(study: &Study, fitted: Fitted) -> Fitted {
+    let size = fitted.best().map_or(1, |c| c.fit.ids.len());
+    let base = study.recalibrated();
+    let again = study.fit_from(&fitted.candidates.iter().map(|c| &c.fit).collect::<Vec<_>>());
+    let mut candidates = ranked(study, &base, &again);
+    let finalists = candidates.iter().filter(|c| c.fit.ids.len() == size).count();
+    candidates.sort_by_key(|c| c.fit.ids.len() != size);
+    Fitted { base: candidate(study, &base, base.clone()), candidates, finalists, ..fitted }
 }
 
 /// The best and its nearest rivals fitted again, from where they stand; the others keep their distance to the best.

@@ -17,7 +17,7 @@ use crate::progress::Latch;
 use crate::sand::beyond::{SandMechanisms, footprint};
 use crate::sand::intrusion::Load;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
-use crate::sand::{Coefficients, Ground, Law, Medium, SandDescription, Surface};
+use crate::sand::{Coefficients, Ground, Law, Medium, SandDescription, Surface, Term};
 use std::collections::BTreeMap;
 
 /// What varies along the data and may explain a misfit.
@@ -78,6 +78,14 @@ pub trait ForwardModel: Sync {
     fn as_simulated(&self, prediction: &[f64]) -> Vec<f64> {
         prediction.to_vec()
     }
+    /// The same model with terms in its sand; none where it cannot be had.
+    fn with_terms(&self, _terms: &[Term]) -> Option<Box<dyn ForwardModel + '_>> {
+        None
+    }
+    /// Greatest normal speed [m/s], depth [m] and least width [m] at which terms are asked.
+    fn reach(&self) -> [f64; 3] {
+        [1.0; 3]
+    }
     /// The medium of the plain model.
     fn medium(&self) -> &Medium;
     /// Which mechanisms this kind of data can be asked about: index in the catalogue, or why not.
@@ -94,6 +102,7 @@ pub trait ForwardModel: Sync {
 const PRESCRIBED: Surface = Surface { rest_speed: 1e-9, ..Surface::DEFAULT };
 
 /// Predicts force logs.
+#[derive(Clone)]
 pub struct ForceLogModel<'a> {
     latch: Option<&'a Latch<'a>>,
     medium: Medium,
@@ -223,6 +232,12 @@ impl<'a> ForceLogModel<'a> {
         (square / f64::max(count, 1.0)).sqrt().max(1e-6)
     }
 
+    fn sand(&self, m: &Mechanisms) -> SandMechanisms<f64> {
+        let mut sand = SandMechanisms::new(m, self.medium.bulk_density);
+        sand.set_terms(0, &self.medium.terms, self.medium.bulk_density);
+        sand
+    }
+
     /// Loads as logged along one track.
     fn loads(&self, track: &Track, m: &Mechanisms, ground: &Ground<f64>) -> Vec<Load> {
         let density = m.inertial_drag * self.medium.bulk_density;
@@ -230,7 +245,7 @@ impl<'a> ForceLogModel<'a> {
             track,
             cut: &self.cuts[&track.shape],
             mechanisms: m,
-            sand: SandMechanisms::new(m, self.medium.bulk_density),
+            sand: self.sand(m),
             ground,
             footprint: footprint(m.footprint, track.pass, track.pass_dx),
             other_drag: self.drag.map(|law| (density, law)),
@@ -247,7 +262,10 @@ impl ForwardModel for ForceLogModel<'_> {
     /// Each trial has its own bed, its own zero of the surface and of each channel of the load cell, which drifts.
     fn shared(&self, m: &Mechanisms, c: &Coefficients, prediction: &[f64]) -> Vec<Shared> {
         let rms = |channel: usize| self.rms(prediction, channel);
-        let one = |name, unit, guess, stack| Shared { name, unit, guess, along: Along::Stacks(vec![stack]) };
+        let one = |name, unit, guess, stack| {
+            let optional = name != "bed_strength";
+            Shared { name, unit, guess, optional, along: Along::Stacks(vec![stack]) }
+        };
         let strength = Mechanisms { scale: (1.0 + m.scale) * (1.0 + STRENGTH_STEP) - 1.0, ..*m };
         let strength = slope(&self.predict(&strength, c), prediction, STRENGTH_STEP);
         let depth = Mechanisms { depth_zero: m.depth_zero + DEPTH_STEP, ..*m };
@@ -326,18 +344,24 @@ impl ForwardModel for ForceLogModel<'_> {
         let speed = features.iter().filter(|f| f.name == "speed").flat_map(|f| f.values.iter().flatten());
         let speed = speed.copied().fold(1e-6, f64::max);
         let drag = (Some(exponent) != CATALOG[id].exponent).then_some(PowerDrag { exponent, speed });
-        Some(Box::new(Self {
-            latch: self.latch,
-            medium: self.medium.clone(),
-            tracks: self.tracks.clone(),
-            kept: self.kept.clone(),
-            cuts: self.cuts.clone(),
-            units: self.units.clone(),
-            channels: self.channels,
-            missing: self.missing.clone(),
-            priors: self.priors.clone(),
-            drag,
-        }))
+        Some(Box::new(Self { drag, ..self.clone() }))
+    }
+
+    fn with_terms(&self, terms: &[Term]) -> Option<Box<dyn ForwardModel + '_>> {
+        let medium = Medium { terms: terms.to_vec(), ..self.medium.clone() };
+        Some(Box::new(Self { medium, ..self.clone() }))
+    }
+
+    fn reach(&self) -> [f64; 3] {
+        let features = self.features();
+        let most = |name: &str| {
+            let all = features.iter().filter(|f| f.name == name).flat_map(|f| f.values.iter().flatten());
+            all.copied().fold(1e-3, f64::max)
+        };
+        let width = |t: &Track| match t.intruder {
+            Intruder::Leg { width, .. } | Intruder::Plate { width, .. } => width,
+        };
+        [most("speed"), most("depth"), self.tracks.iter().map(width).fold(f64::MAX, f64::min)]
     }
 
     fn medium(&self) -> &Medium {

@@ -2,14 +2,20 @@
 
 use super::calibrate::Gates;
 use super::cross_validation::HeldOut;
-use super::discrepancy::{Directions, Discrepancy};
+use super::discrepancy::Discrepancy;
+use super::errors::Errors;
 use super::fit::{Fit, Study};
 use super::fitted::{Candidate, Fitted, candidate};
 use super::form::{self, Asked, Form};
+use super::lack_of_fit::Lack;
 use super::profile;
 use super::student;
 use super::verdict::{Evidence, Rival};
 use crate::sand::mechanism::CATALOG;
+
+/// The plain model's error stands clear of the scatter where it is surely larger by this share of itself: our choice; closer, a
+/// share of their difference is any number.
+const CLEAR: f64 = 0.1;
 
 /// How sure a fit's values are.
 pub struct Intervals {
@@ -24,6 +30,8 @@ pub struct Judged {
     pub evidence: Evidence,
     /// Beside the best, or beside the plain model where nothing was found.
     pub discrepancy: Discrepancy,
+    /// Lack of fit of base and best under the noise alone, without a discrepancy.
+    pub lacks: [Lack; 2],
     pub intervals: Option<Intervals>,
     pub form: Option<Form>,
     /// Base and extension, chosen anew in each fold.
@@ -42,48 +50,58 @@ pub fn explored(study: &Study, fitted: Fitted, gates: &Gates) -> (Fitted, Vec<[f
     (Fitted { candidates, ..fitted }, intervals)
 }
 
-/// Judges what was fitted; `profiled` has the intervals of a rough model.
-pub fn judged(study: &Study, fitted: &Fitted, gates: &Gates, profiled: &[[f64; 2]], nested: [HeldOut; 2]) -> Judged {
-    let found = fitted.found(gates);
-    let best = fitted.best().filter(|_| found);
-    let directions = Directions::new(study, best.map_or(&fitted.base.fit, |c| &c.fit));
-    let discrepancy = directions.about(best.map_or(&fitted.base.fit, |c| &c.fit));
-    let alone = directions.about(&fitted.base.fit);
-    let lack = |c: &Candidate| gates.lacking(&c.lack);
+/// What was fitted under which noise, and what remains beside it.
+pub struct Standing<'a> {
+    pub fitted: &'a Fitted,
+    pub gates: &'a Gates,
+    pub discrepancy: Discrepancy,
+    /// Lack of fit of base and best under the noise alone, without a discrepancy.
+    pub lacks: [Lack; 2],
+    /// Scatter of the repetitions.
+    pub floor: &'a Errors,
+    pub nested: [HeldOut; 2],
+    /// Intervals of a rough model.
+    pub profiled: Vec<[f64; 2]>,
+}
+
+/// Judges what was fitted.
+pub fn judged(study: &Study, standing: Standing) -> Judged {
+    let Standing { fitted, gates, discrepancy, lacks, floor, nested, profiled } = standing;
+    let best = fitted.best().filter(|_| fitted.found(gates));
     let form = best.and_then(|_| questioned(study, fitted, gates));
-    let beside = |c: &Candidate| lack(c) || discrepancy.size > 0.0;
-    let excess = |c: &Candidate| c.lack.excess.max(0.0);
     let evidence = Evidence {
-        found,
-        misfit: lack(&fitted.base),
-        remainder: beside(best.unwrap_or(&fitted.base)),
-        explained: best.map_or(0.0, |c| 1.0 - excess(c) / excess(&fitted.base).max(1e-9)),
-        advantage: best.map_or(0.0, |c| alone.surprise - directions.about(&c.fit).surprise),
+        found: best.is_some(),
+        misfit: gates.lacking(&lacks[0]),
+        remainder: gates.lacking(&lacks[1]),
+        explained: explained(fitted, &lacks, &nested, floor),
         form_excluded: form.as_ref().is_some_and(|form| form.excluded),
         described: false,
         inflation: gates.inflation,
-        rivals: best.map_or(Vec::new(), |best| rivals(fitted, best, &directions, discrepancy.size, gates)),
+        rivals: best.map_or(Vec::new(), |best| rivals(fitted, best, gates)),
     };
-    let intervals = best.map(|c| intervals(&c.fit, &directions, discrepancy.size, gates, profiled));
-    Judged { evidence, discrepancy, intervals, form, nested }
+    let intervals = best.map(|c| intervals(&c.fit, gates, &profiled));
+    Judged { evidence, discrepancy, lacks, intervals, form, nested }
 }
 
-/// Where a discrepancy is beside the best, it is beside the rivals as well, and takes its share of what tells them apart.
-fn rivals(fitted: &Fitted, best: &Candidate, directions: &Directions, size: f64, gates: &Gates) -> Vec<Rival> {
-    let of = |c: &Candidate| {
-        let white: Vec<f64> = best.fit.white.iter().zip(&c.fit.white).map(|(a, b)| a - b).collect();
-        let prior = best.fit.deviations.iter().zip(&c.fit.deviations).map(|(a, b)| (a - b) * (a - b)).sum::<f64>();
-        let behind = match size > 0.0 {
-            true => objective(&c.fit, directions, size) - objective(&best.fit, directions, size),
-            false => c.fit.objective - best.fit.objective,
-        };
-        Rival { behind, squared: directions.square(&white, size) + prior, explains: c.delta_chi2 > gates.single }
+/// Share of the misfit beyond noise that the best explains: of the error on conditions held out, where the plain model's stands
+/// clear of the scatter; else of the whitened one.
+fn explained(fitted: &Fitted, lacks: &[Lack; 2], nested: &[HeldOut; 2], floor: &Errors) -> f64 {
+    let plain = &fitted.plain_held_out.errors;
+    let reference = if plain.rmse() < nested[0].errors.rmse() { plain } else { &nested[0].errors };
+    if reference.reduction_interval(floor)[0] > CLEAR {
+        let [before, after, least] = [reference, &nested[1].errors, floor].map(|e| e.rmse().powi(2));
+        return 1.0 - (after - least).max(0.0) / (before - least).max(1e-300);
+    }
+    1.0 - lacks[1].excess.max(0.0) / lacks[0].excess.max(1e-9)
+}
+
+fn rivals(fitted: &Fitted, best: &Candidate, gates: &Gates) -> Vec<Rival> {
+    let of = |c: &Candidate| Rival {
+        behind: c.fit.objective - best.fit.objective,
+        squared: best.fit.distance_squared(&c.fit),
+        explains: c.delta_chi2 > gates.single,
     };
     fitted.candidates[1..fitted.finalists.max(1)].iter().map(of).collect()
-}
-
-fn objective(fit: &Fit, directions: &Directions, size: f64) -> f64 {
-    directions.square(&fit.white, size) + fit.deviations.iter().map(|d| d * d).sum::<f64>()
 }
 
 /// Does the law of the best cause have the right form? Where the data exclude it, or where the cause alone in another form
@@ -98,21 +116,15 @@ fn questioned(study: &Study, fitted: &Fitted, gates: &Gates) -> Option<Form> {
     stands_in.or_else(|| form::check(study, best, asked, gates.inflation))
 }
 
-/// 95 % intervals, widened for the noise not being known exactly, with the discrepancy marginalised.
-fn intervals(fit: &Fit, directions: &Directions, size: f64, gates: &Gates, profiled: &[[f64; 2]]) -> Intervals {
-    let count = fit.ids.len();
-    let inverse = directions.information(fit, size).try_inverse();
-    let infinite = || nalgebra::DMatrix::from_element(count, count, f64::INFINITY);
-    let covariance = inverse.map_or_else(infinite, |v| v.view((0, 0), (count, count)).into_owned());
-    let plain = fit.covariance();
+/// 95 % intervals, widened for the noise not being known exactly.
+fn intervals(fit: &Fit, gates: &Gates, profiled: &[[f64; 2]]) -> Intervals {
+    let (count, covariance) = (fit.ids.len(), fit.covariance());
     let range = |k: usize| {
         let at = fit.coordinates()[k];
         let square = student::square_at_95(gates.degrees_of(&fit.ids[k..=k])) * gates.inflation;
         let reach = (square * covariance[(k, k)]).sqrt();
         let profiled = profiled.get(k).filter(|i| i.iter().all(|u| u.is_finite()));
-        // A profile knows of no discrepancy: it is stretched by what that adds.
-        let stretched = (covariance[(k, k)] / plain[(k, k)]).sqrt().max(1.0);
-        let [low, high] = profiled.map_or([at - reach, at + reach], |p| p.map(|u| at + stretched * (u - at)));
+        let [low, high] = profiled.copied().unwrap_or([at - reach, at + reach]);
         let bounds = CATALOG[fit.ids[k]].coordinate_bounds();
         [low.clamp(bounds[0], bounds[1]), high.clamp(bounds[0], bounds[1])]
     };

@@ -13,6 +13,7 @@ pub mod calibrate;
 pub mod chi_squared;
 pub mod cli;
 pub mod cross_validation;
+pub mod described;
 pub mod discrepancy;
 pub mod errors;
 pub mod experiment;
@@ -117,13 +118,18 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
         left_out: &[],
     };
     let noise = source.noise(None, &|| model.stopped());
+    let kept = source.asked_for(&noise);
+    let shared: Vec<_> = shared.iter().filter(|s| kept.contains(&s.name)).cloned().collect();
+    let pruned = shared.len() < source.shared.len();
+    let source = Source { shared: &shared, ..source };
+    let noise = if pruned { source.noise(None, &|| model.stopped()) } else { noise };
     let whitener = Whitener::new(&source, &noise);
     let study = Study::new(&observations, model, &whitener, coefficient_sd);
     let (ids, untestable) = testable(&study);
     let floor = source.floor();
     let selection = match scatters(&observations, &floor) {
         true => {
-            let asked = Asked { source: &source, noise: &noise, ids: &ids, interest: &interest };
+            let asked = Asked { source: &source, noise: &noise, ids: &ids, interest: &interest, floor: &floor };
             Some(select(&study, &asked, progress)?)
         }
         false => None,
@@ -139,7 +145,14 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
         sand.coefficients = study.coefficients(&fit.deviations);
         sand.mechanisms = fit.mechanisms;
     }
-    let extended = extension.map(|c| model.as_simulated(&c.fit.prediction));
+    let law = selection.as_ref().and_then(|s| s.law.as_ref());
+    if let Some(law) = law {
+        sand.name = format!("{}-extended", sand.name);
+        sand.source = format!("sandgait diagnose, data {}: {}", report.data_sha256, report.summary);
+        sand.coefficients = study.coefficients(&law.fit.deviations);
+        sand.terms = vec![law.term.clone()];
+    }
+    let extended = extension.map(|c| &c.fit).or(law.map(|l| &l.fit)).map(|fit| model.as_simulated(&fit.prediction));
     let band = noise.standard_deviation(&source);
     let groups = (0..observations.units.len()).map(|u| model.group(u).to_string()).collect();
     let plain = model.as_simulated(&plain);

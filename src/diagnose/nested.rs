@@ -24,19 +24,26 @@ const SHOWN: f64 = 0.02;
 
 /// Held-out errors of base and of the extension chosen in each fold.
 pub fn nested(study: &Study, source: &Source, noise: &Noise, fitted: &Fitted, gates: &Gates) -> [HeldOut; 2] {
-    let conditions = study.observations.conditions.len();
+    let places = folds(study.observations.conditions.len());
+    let made = parallel::map(&places, |held| fold(study, source, noise, fitted, gates, held));
+    together(&places, made, study.observations.conditions.len())
+}
+
+/// Conditions held out in each fold.
+pub fn folds(conditions: usize) -> Vec<Vec<usize>> {
     let folds = FOLDS.min(conditions);
     // Designs are in order; a step that has no divisor in common with their number scatters them.
     let stride = (conditions / 2 + 1..conditions + 2).find(|s| gcd(*s, conditions) == 1).unwrap_or(1);
-    let places: Vec<Vec<usize>> =
-        (0..folds).map(|f| (f..conditions).step_by(folds).map(|k| k * stride % conditions).collect()).collect();
-    let made = parallel::map(&places, |held| fold(study, source, noise, fitted, gates, held));
+    (0..folds).map(|f| (f..conditions).step_by(folds).map(|k| k * stride % conditions).collect()).collect()
+}
+
+/// Errors of all folds, condition by condition.
+pub fn together(folds: &[Vec<usize>], parts: Vec<[HeldOut; 2]>, conditions: usize) -> [HeldOut; 2] {
     let empty =
         || HeldOut { errors: Errors { square: vec![0.0; conditions], count: vec![0.0; conditions] }, deviance: 0.0 };
     let mut total = [empty(), empty()];
-    for (held, parts) in places.iter().zip(made) {
+    for (held, parts) in folds.iter().zip(parts) {
         for (total, part) in total.iter_mut().zip(parts) {
-            total.deviance += part.deviance;
             for (&condition, (square, count)) in held.iter().zip(part.errors.square.iter().zip(&part.errors.count)) {
                 (total.errors.square[condition], total.errors.count[condition]) = (*square, *count);
             }
@@ -143,18 +150,36 @@ fn adjusted(study: &Study, whitened: &mut Whitened, fit: &Fit, held: &[usize]) -
     Adjusted { objective: objective - score.dot(&step), step: step.iter().copied().collect(), shown }
 }
 
+/// Least squares step along whitened slopes, the last of which are those by `deviations` with their prior.
+pub fn step(slopes: &[Vec<f64>], white: &[f64], deviations: &[f64]) -> Vec<f64> {
+    let n = slopes.len();
+    let mut information = DMatrix::from_fn(n, n, |i, j| if j <= i { dot(&slopes[i], &slopes[j]) } else { 0.0 });
+    information.fill_upper_triangle_with_lower_triangle();
+    let mut score = DVector::from_fn(n, |i, _| dot(&slopes[i], white));
+    let own = n - deviations.len();
+    for (k, d) in deviations.iter().enumerate() {
+        information[(own + k, own + k)] += 1.0;
+        score[own + k] -= d;
+    }
+    information.cholesky().map_or_else(|| vec![0.0; n], |c| c.solve(&score).iter().copied().collect())
+}
+
 /// Errors on the conditions `held` of a fit moved by a step.
 fn errors(study: &Study, fit: &Fit, step: &[f64], held: &[usize]) -> HeldOut {
-    let o = study.observations;
     let sand = fit.ids.len() + COEFFICIENTS;
     let moved = |k: usize| fit.slopes.iter().zip(&step[..sand]).map(|(s, d)| s[k] * d).sum::<f64>();
+    errors_of(study, |k| fit.prediction[k] + moved(k), held)
+}
+
+/// Errors of a prediction, number by number, on the conditions `held`.
+pub fn errors_of(study: &Study, prediction: impl Fn(usize) -> f64, held: &[usize]) -> HeldOut {
+    let o = study.observations;
     let of = |&condition: &usize| {
         let units = o.units.iter().filter(|u| u.condition == condition);
         let counted = o.channels.iter().enumerate().filter(|c| c.1.in_rmse).map(|c| c.0);
         let blocks = units.flat_map(|u| counted.clone().map(|c| u.block(c)));
-        blocks.flatten().fold((0.0, 0.0), |(square, count), k| {
-            (square + (o.values[k] - fit.prediction[k] - moved(k)).powi(2), count + 1.0)
-        })
+        let add = |(square, count): (f64, f64), k: usize| (square + (o.values[k] - prediction(k)).powi(2), count + 1.0);
+        blocks.flatten().fold((0.0, 0.0), add)
     };
     let (square, count): (Vec<f64>, Vec<f64>) = held.iter().map(of).unzip();
     HeldOut { errors: Errors { square, count }, deviance: 0.0 }

@@ -270,6 +270,20 @@ impl Source<'_> {
         found.map_or_else(|| self.guess(&repeats, Clock::Sample), |f| f.0)
     }
 
+    /// Which of the optional shared directions the repetitions ask for: those without which `noise` would be less likely than
+    /// chance makes it (at 95 %). What is not there cannot be known, and would make the gates wide.
+    pub fn asked_for(&self, noise: &Noise) -> Vec<&'static str> {
+        let repeats = self.repeats();
+        let steps: Vec<Vec<f64>> = repeats.iter().map(|r| noise.clock.steps(&r.progress)).collect();
+        let least = noise.deviance(&repeats, &steps);
+        let needed = |(k, shared): &(usize, &Shared)| {
+            let mut without = noise.clone();
+            without.shared[*k] = 1e-6 * shared.guess;
+            !shared.optional || without.deviance(&repeats, &steps) - least > super::chi_squared::AT_95_PERCENT
+        };
+        self.shared.iter().enumerate().filter(needed).map(|(_, s)| s.name).collect()
+    }
+
     /// The likeliest noise with a given clock, and −2 log likelihood there.
     fn search(
         &self,

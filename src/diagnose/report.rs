@@ -92,10 +92,8 @@ pub struct Remainder {
     pub worst_limit: f64,
     /// Relative size of the smooth discrepancy that the data ask for beside the model.
     pub discrepancy: f64,
-    /// Share of the whitened misfit that the best candidate explains, and twice the logarithm of its evidence over a smooth
-    /// discrepancy alone.
+    /// Share of the misfit beyond noise that the best candidate explains.
     pub explained: f64,
-    pub advantage: f64,
 }
 
 /// A law found in the data.

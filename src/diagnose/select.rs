@@ -1,13 +1,19 @@
 //! Which cause: screened, fitted, judged. Nothing that a stage has made changes after it.
 
 use super::calibrate::FELT;
+use super::described::{self, Described, described};
+use super::discrepancy::Discrepancy;
 use super::errors::Errors;
 use super::fit::Study;
-use super::fitted::{Candidate, Fitted, Screened, Surroundings, screened, settled, singles, surroundings, with_pairs};
-use super::judged::{Judged, explored, judged};
+use super::fitted::{
+    Candidate, Fitted, Screened, Surroundings, beside_discrepancy, candidate, screened, settled, singles, surroundings,
+    with_pairs,
+};
+use super::judged::{Judged, Standing, explored, judged};
+use super::lack_of_fit;
 use super::nested::nested;
 use super::noise::{Noise, Source};
-use super::verdict::{Verdict, verdict};
+use super::verdict::{Evidence, MAIN_PART, Verdict, verdict};
 use crate::error::Result;
 use crate::progress::Progress;
 use crate::sand::mechanism::{CATALOG, Side};
@@ -20,6 +26,8 @@ pub struct Selection {
     /// Noise, whitening and nuisances under which it was judged.
     pub around: Surroundings,
     pub verdict: Verdict,
+    /// The law found in the data, where no mechanism explains them.
+    pub law: Option<Described>,
     /// Places in the candidates of what the data cannot tell from the best, the best included; empty where none is named.
     pub set: Vec<usize>,
 }
@@ -50,6 +58,8 @@ pub struct Asked<'a> {
     pub ids: &'a [usize],
     /// Ids of sensor mechanisms that the user wants to be told as causes.
     pub interest: &'a [String],
+    /// Scatter of the repetitions.
+    pub floor: &'a Errors,
 }
 
 /// Runs the whole selection. What the sensor does is a nuisance: it is marginalised while causes in sand and drive are sought.
@@ -125,23 +135,54 @@ fn conclude(
     progress: &dyn Progress,
 ) -> Result<Selection> {
     progress.report(0.9, "intervals, form of the law, conditions held out")?;
-    let found = fitted.found(&first.gates);
     let (judged, fitted) = {
         let renewed = study.under(&around.whitener, around.nuisances.clone());
-        let fitted = match found {
+        let fitted = match fitted.found(&first.gates) {
             true => fitted,
             // Nothing was found under the first noise: the plain model is judged under its own.
-            false => Fitted {
-                base: super::fitted::candidate(&renewed, &renewed.recalibrated(), renewed.recalibrated()),
-                ..fitted
-            },
+            false => Fitted { base: candidate(&renewed, &renewed.recalibrated(), renewed.recalibrated()), ..fitted },
         };
-        let (fitted, profiled) = if found { explored(&renewed, fitted, &first.gates) } else { (fitted, Vec::new()) };
-        let held_out = nested(&renewed, asked.source, &around.noise, &fitted, &first.gates);
-        (judged(&renewed, &fitted, &first.gates, &profiled, held_out), fitted)
+        let lack = |c: &Candidate| lack_of_fit::statistic(study.observations, &c.fit.white);
+        let lacks =
+            [lack(&fitted.base), fitted.best().filter(|_| fitted.found(&first.gates)).map_or(lack(&fitted.base), lack)];
+        let beside = match first.gates.lacking(&lacks[1]) {
+            true => beside_discrepancy(study, &around, fitted),
+            false => (fitted, None),
+        };
+        let (fitted, discrepant) = beside;
+        let whitener = discrepant.as_ref().map_or(&around.whitener, |d| &d.1);
+        let discrepancy = discrepant.as_ref().map_or(Discrepancy { size: 0.0, surprise: 0.0 }, |d| d.0);
+        let last = study.under(whitener, around.nuisances.clone());
+        let (fitted, profiled) = match fitted.found(&first.gates) {
+            true => explored(&last, fitted, &first.gates),
+            false => (fitted, Vec::new()),
+        };
+        // What remains is measured against the noise alone.
+        let best = fitted.best().filter(|_| fitted.found(&first.gates)).unwrap_or(&fitted.base);
+        let left = renewed.restated(&best.fit);
+        let lacks = [lacks[0], lack_of_fit::statistic(study.observations, &left.white)];
+        let nested = nested(&last, asked.source, &around.noise, &fitted, &first.gates);
+        let (gates, floor) = (&first.gates, asked.floor);
+        let standing = Standing { fitted: &fitted, gates, discrepancy, lacks, floor, nested, profiled };
+        (judged(&last, standing), fitted)
     };
-    let (verdict, set) = verdict(&judged.evidence);
-    let named = matches!(verdict, Verdict::Named | Verdict::Ambiguous);
+    let (ruling, set) = verdict(&judged.evidence);
+    let law = match ruling {
+        Verdict::NoneOfThese => law(study, asked, &around, &fitted, &first),
+        _ => None,
+    };
+    let evidence = Evidence { described: law.is_some(), ..judged.evidence };
+    let (ruling, set) = if law.is_some() { verdict(&evidence) } else { (ruling, set) };
+    let judged = Judged { evidence, ..judged };
+    let named = matches!(ruling, Verdict::Named | Verdict::Ambiguous);
     let set = if named { [0].into_iter().chain(set.into_iter().map(|k| k + 1)).collect() } else { Vec::new() };
-    Ok(Selection { screened: first, fitted, judged, around, verdict, set })
+    Ok(Selection { screened: first, fitted, judged, around, verdict: ruling, law, set })
+}
+
+/// A law in the data that explains the main part of the misfit.
+fn law(study: &Study, asked: &Asked, around: &Surroundings, fitted: &Fitted, first: &Screened) -> Option<Described> {
+    let renewed = study.under(&around.whitener, around.nuisances.clone());
+    let base = renewed.fit_from(&[&fitted.base.fit]).swap_remove(0);
+    let law = described(&renewed, asked.source, &around.noise, &base, &first.gates)?;
+    (described::explained(&renewed, &base, &law, asked.floor) >= MAIN_PART).then_some(law)
 }

@@ -14,6 +14,8 @@ pub struct Shared {
     pub unit: &'static str,
     /// Standard deviation from which the search starts.
     pub guess: f64,
+    /// Is it left out where the repetitions do not ask for it?
+    pub optional: bool,
     pub along: Along,
 }
 
@@ -36,6 +38,7 @@ impl Shared {
 }
 
 /// The symmetric root of (1 + W Wᵀ)⁻¹ for a few columns W.
+#[derive(Clone)]
 pub struct LowRank {
     /// Unit vectors, and what is left of the part along each.
     axes: Vec<(Vec<f64>, f64)>,
@@ -50,7 +53,7 @@ impl LowRank {
         let axis = |k: usize| {
             let square = eigen.eigenvalues[k];
             // A direction that the others already span brings nothing of its own.
-            (square > 1e-12).then(|| {
+            (square > 1e-9 * eigen.eigenvalues.max().max(1e-3)).then(|| {
                 let mut unit = vec![0.0; columns[0].len()];
                 for (column, share) in columns.iter().zip(eigen.eigenvectors.column(k).iter()) {
                     unit.iter_mut().zip(column).for_each(|(u, c)| *u += share / square.sqrt() * c);

@@ -1,5 +1,6 @@
 //! A diagnosis in one sentence.
 
+use super::described::Described;
 use super::fit::{COEFFICIENTS, Fit, Study};
 use super::form::Form;
 use super::report::Cause;
@@ -37,7 +38,18 @@ pub fn summary(study: &Study, selection: Option<&Selection>, causes: &[Cause], w
             format!("the misfit is explained by {found}, or by {}: these data cannot tell", rivals.join(", or by "))
         }
         Verdict::NoneOfThese => not_enough(study, selection),
-        Verdict::Described | Verdict::InsufficientData => String::new(),
+        Verdict::Described => {
+            let law = |law: &Described| {
+                let [low, high] = law.ci95.map(digits);
+                format!(
+                    "no known cause explains the misfit; a law found in the data does: extra stress {} (95 % interval of the coefficient \
+                         {low} to {high})",
+                    law.term.formula()
+                )
+            };
+            selection.law.as_ref().map_or(String::new(), law)
+        }
+        Verdict::InsufficientData => String::new(),
     };
     let evidence = &selection.judged.evidence;
     let named = matches!(selection.verdict, Verdict::Named | Verdict::Ambiguous) && evidence.remainder;
@@ -83,7 +95,7 @@ fn not_enough(study: &Study, selection: &Selection) -> String {
     let limit = selection.screened.gates.lack_of_fit;
     let excluded = selection.judged.form.as_ref().filter(|form| form.excluded);
     match selection.fitted.best() {
-        Some(best) if excluded.is_some_and(|form| best.lack.mean.min(form.lack_of_fit) <= limit) => {
+        Some(best) if excluded.is_some_and(|form| selection.judged.lacks[1].mean.min(form.lack_of_fit) <= limit) => {
             let name = names(&best.fit).join(" with ");
             format!("none of the known causes has the right form: {name} comes nearest") + &stand_in(study, selection)
         }
@@ -91,7 +103,7 @@ fn not_enough(study: &Study, selection: &Selection) -> String {
             format!(
                 "none of the known causes is enough: the nearest, {}, leaves a lack of fit of {} where noise leaves up to {}",
                 names(&best.fit).join(" with "),
-                digits(best.lack.mean),
+                digits(selection.judged.lacks[1].mean),
                 digits(selection.screened.gates.lack_of_fit)
             ) + &stand_in(study, selection)
         }

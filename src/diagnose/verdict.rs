@@ -1,6 +1,5 @@
 //! From evidence to verdict: one pure function.
 
-use super::chi_squared;
 use serde::Serialize;
 
 /// The outcome of a diagnosis.
@@ -28,9 +27,6 @@ const REJECTION: f64 = 1e-3;
 const APART: f64 = 5.0;
 /// Share of the misfit beyond noise that a cause must explain to be the main one where something remains.
 pub const MAIN_PART: f64 = 0.5;
-/// Evidence (twice its logarithm) by which a cause with a discrepancy beside must be better than a discrepancy alone: our choice,
-/// what chance exceeds once in a thousand.
-const ADVANTAGE: f64 = chi_squared::AT_999_PER_MILLE;
 
 /// An explanation beside the best.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,8 +50,6 @@ pub struct Evidence {
     pub remainder: bool,
     /// Share of the misfit beyond noise that the best explains.
     pub explained: f64,
-    /// Evidence (twice its logarithm) of the best with a discrepancy over a discrepancy alone.
-    pub advantage: f64,
     /// Do the data exclude the form of the best's law?
     pub form_excluded: bool,
     /// Was a law found in the data?
@@ -71,7 +65,7 @@ pub fn verdict(e: &Evidence) -> (Verdict, Vec<usize>) {
     if !e.found {
         return (if e.misfit { otherwise } else { Verdict::NoiseFloor }, Vec::new());
     }
-    let main = !e.remainder || (e.explained >= MAIN_PART && e.advantage > ADVANTAGE);
+    let main = !e.remainder || e.explained >= MAIN_PART;
     if e.form_excluded || !main {
         return (otherwise, Vec::new());
     }
@@ -103,7 +97,6 @@ mod tests {
             misfit: true,
             remainder: false,
             explained: 1.0,
-            advantage: 500.0,
             form_excluded: false,
             described: false,
             inflation: 1.0,
@@ -123,8 +116,6 @@ mod tests {
         let small = Evidence { remainder: true, explained: 0.3, ..evidence() };
         assert_eq!(verdict(&small).0, Verdict::NoneOfThese);
         assert_eq!(verdict(&Evidence { described: true, ..small }).0, Verdict::Described);
-        let proxy = Evidence { remainder: true, explained: 0.9, advantage: 3.0, ..evidence() };
-        assert_eq!(verdict(&proxy).0, Verdict::NoneOfThese);
         assert_eq!(verdict(&Evidence { form_excluded: true, ..evidence() }).0, Verdict::NoneOfThese);
     }
 

@@ -1,18 +1,20 @@
 //! A diagnosis as a report shows it.
 
+use super::described::Described;
 use super::errors::Errors;
 use super::fit::{COEFFICIENTS, Fit, Study};
 use super::fitted::Candidate;
 use super::noise::{Noise, Source};
 use super::report::{
-    Cause, Gain, LackOfFit, NextExperiment, NoiseSummary, NuisanceValue, Remainder, Report, RunMeans, Tried,
+    Cause, Gain, LackOfFit, NextExperiment, NoiseSummary, NuisanceValue, Remainder, Report, RunMeans, TermFound, Tried,
     Untestable, UpperLimit,
 };
 use super::select::Selection;
 use super::summary::{far_coefficients, names, summary};
 use super::verdict::Verdict;
-use super::{misfit, next_experiment, student};
+use super::{lack_of_fit, misfit, next_experiment, student};
 use crate::sand::mechanism::CATALOG;
+use crate::sand::term::On;
 
 /// The candidate that extends the model: the cause found; failing that, where misfit remains, the candidate that fits best if
 /// what is chosen without the conditions held out surely predicts them better: as a proxy and not as a cause.
@@ -71,14 +73,17 @@ impl View<'_> {
             ambiguity_set: set,
             candidates: self.tried(),
             lack_of_fit: LackOfFit {
-                plain: self.selection.map(|s| s.fitted.base.lack.mean),
-                extended: extension.map(|c| c.lack.mean),
+                plain: self.selection.map(|s| s.judged.lacks[0].mean),
+                extended: self.selection.and_then(|s| match &s.law {
+                    Some(law) => Some(lack_of_fit::statistic(observations, &law.fit.white).mean),
+                    None => extension.map(|_| s.judged.lacks[1].mean),
+                }),
                 limit: self.selection.map(|s| s.screened.gates.lack_of_fit),
             },
             gain: self.gain(),
             nuisances: self.nuisances(),
             remainder: self.remainder(),
-            terms: Vec::new(),
+            terms: self.terms(),
             upper_limits: self.upper_limits(),
             degrees_of_freedom: self.selection.map(|s| s.screened.gates.degrees_of(best.map_or(&[], |c| &c.fit.ids))),
             form,
@@ -118,6 +123,19 @@ impl View<'_> {
         fit.ids.iter().enumerate().map(cause).collect()
     }
 
+    fn terms(&self) -> Vec<TermFound> {
+        let found = |law: &Described| TermFound {
+            formula: law.term.formula(),
+            tex: law.term.tex(),
+            on: if law.term.on == On::Normal { "normal".into() } else { "tangential".into() },
+            groups: law.term.groups.clone(),
+            coefficient: law.term.coefficient,
+            ci95: law.ci95,
+            range: law.term.range.clone(),
+        };
+        self.selection.and_then(|s| s.law.as_ref()).map(found).into_iter().collect()
+    }
+
     /// The fit that stands for the data: the extension, or the plain model adjusted.
     fn standing(&self) -> Option<&Candidate> {
         self.selection.map(|s| extension(s).unwrap_or(&s.fitted.base))
@@ -154,24 +172,28 @@ impl View<'_> {
         let evidence = &selection.judged.evidence;
         let o = self.study.observations;
         let extends = extension(selection).is_some();
+        let of_law = selection.law.as_ref().map(|l| lack_of_fit::statistic(o, &l.fit.white));
+        let lack = of_law.as_ref().unwrap_or(&selection.judged.lacks[usize::from(extends)]);
+        let significant = selection.screened.gates.lacking(lack);
         let after = if extends { &selection.judged.nested[1] } else { &selection.judged.nested[0] };
+        let after = selection.law.as_ref().map_or(after, |l| &l.nested[1]);
+        let predicted = selection.law.as_ref().map_or(&standing.fit.prediction, |l| &l.fit.prediction);
         let [plain, after, floor] =
             [selection.plain_errors().rmse(), after.rmse(), self.floor.rmse()].map(|rmse| rmse * rmse);
         let told = plain > floor && selection.plain_errors().reduction_interval(&self.floor)[0] > 0.0;
         let by_error = told.then(|| ((after - floor) / (plain - floor)).max(0.0));
-        let place = misfit::whereabouts_of(o, self.study.model, &standing.fit.prediction, "what remains");
+        let place = misfit::whereabouts_of(o, self.study.model, predicted, "what remains");
         let unlocated = || "spread over all data".to_string();
         Some(Remainder {
-            significant: evidence.remainder,
+            significant,
             fraction: by_error.unwrap_or((1.0 - evidence.explained).clamp(0.0, 1.0)),
-            place: if evidence.remainder { place.unwrap_or_else(unlocated) } else { String::new() },
-            lack_of_fit: standing.lack.mean,
+            place: if significant { place.unwrap_or_else(unlocated) } else { String::new() },
+            lack_of_fit: lack.mean,
             limit: selection.screened.gates.lack_of_fit,
-            worst: standing.lack.worst,
+            worst: lack.worst,
             worst_limit: selection.screened.gates.worst,
             discrepancy: selection.judged.discrepancy.size,
             explained: evidence.explained,
-            advantage: evidence.advantage,
         })
     }
 
@@ -234,8 +256,9 @@ impl View<'_> {
             };
         };
         let plain = selection.plain_errors();
-        let [base, chosen] = &selection.judged.nested;
-        let extended = if extension(selection).is_some() { &chosen.errors } else { plain };
+        let [base, chosen] = selection.law.as_ref().map_or(&selection.judged.nested, |l| &l.nested);
+        let extends = extension(selection).is_some() || selection.law.is_some();
+        let extended = if extends { &chosen.errors } else { plain };
         let (before, after, floor) = (plain.rmse(), extended.rmse(), self.floor.rmse());
         // Where the plain model's error can hardly be told from the scatter, a share of their difference is any number.
         let told = plain.reduction_interval(&self.floor)[0] > 0.0;
@@ -275,7 +298,8 @@ impl View<'_> {
         }
         let simulated = |prediction: &[f64]| self.study.model.as_simulated(prediction);
         let plain = simulated(&self.study.plain().prediction);
-        let extended = self.selection.and_then(extension).map(|c| simulated(&c.fit.prediction));
+        let law = self.selection.and_then(|s| s.law.as_ref()).map(|l| &l.fit);
+        let extended = self.selection.and_then(extension).map(|c| &c.fit).or(law).map(|f| simulated(&f.prediction));
         let groups = o.repetitions();
         let row = |(condition, units): (usize, &Vec<usize>), c: usize| {
             let mean = |stack: &[f64]| {

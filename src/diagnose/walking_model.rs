@@ -249,8 +249,14 @@ impl ForwardModel for WalkingModel<'_> {
         let mut scatter = vec![super::fit::slope(&middle, prediction, 1.0)];
         scatter.extend(phases.iter().map(|other| super::fit::slope(other, prediction, share)));
         vec![
-            Shared { name: "bed_strength", unit: "1", guess: STRENGTH_STEP, along: Along::Stacks(vec![slope]) },
-            Shared { name: "gait_scatter", unit: "1", guess: 1.0, along: Along::Stacks(scatter) },
+            Shared {
+                name: "bed_strength",
+                unit: "1",
+                guess: STRENGTH_STEP,
+                optional: false,
+                along: Along::Stacks(vec![slope]),
+            },
+            Shared { name: "gait_scatter", unit: "1", guess: 1.0, optional: false, along: Along::Stacks(scatter) },
         ]
     }
 

@@ -4,6 +4,7 @@ use super::noise::{ChannelFilter, Noise, Source};
 use super::shared::LowRank;
 use std::ops::Range;
 
+#[derive(Clone)]
 struct UnitFilter {
     span: Range<usize>,
     samples: usize,
@@ -13,8 +14,11 @@ struct UnitFilter {
 }
 
 /// Whitens a stack of numbers unit by unit.
+#[derive(Clone)]
 pub struct Whitener {
     units: Vec<UnitFilter>,
+    /// Of what all units may have in common.
+    whole: LowRank,
 }
 
 impl Whitener {
@@ -30,7 +34,12 @@ impl Whitener {
             filter.share(source, noise, (repetitions[unit.condition].len() as f64).sqrt());
             filter
         });
-        Self { units: units.collect() }
+        Self { units: units.collect(), whole: LowRank::new(&[]) }
+    }
+
+    /// The same beside an error that all units share, along directions one standard deviation long that are whitened already.
+    pub fn beside(&self, directions: &[Vec<f64>]) -> Self {
+        Self { whole: LowRank::new(directions), ..self.clone() }
     }
 
     /// The whitened stack.
@@ -41,6 +50,7 @@ impl Whitener {
             unit.filter(own);
             unit.shared.apply(own);
         }
+        self.whole.apply(&mut white);
         white
     }
 }

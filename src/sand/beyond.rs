@@ -5,6 +5,7 @@
 
 use super::contact::Ground;
 use super::mechanism::Mechanisms;
+use super::term::{LaneTerms, Piece, Term};
 use crate::number::{Real, Vec3};
 
 /// Depth z0 [m] at which `depth_power` leaves the stress as it is.
@@ -41,6 +42,8 @@ pub struct Site<R> {
     pub width: R,
     /// dv_n/dt of the leading face [m/s²].
     pub normal_acceleration: R,
+    /// Earlier passes over this place.
+    pub passes: R,
     /// Horizontal velocity (x, y) of the body that the segment belongs to [m/s]: of a wheel's axle, a robot's base. Zero
     /// where nothing travels; then `skid_loss`, `slip_bearing` and `graze_loss` do nothing.
     pub travel: [R; 2],
@@ -51,7 +54,7 @@ impl<R: Real> Site<R> {
     #[inline(always)]
     pub fn fresh(depth: R, x: R) -> Self {
         let zero = R::zero();
-        Self { depth, x, footprint: R::one(), width: zero, normal_acceleration: zero, travel: [zero; 2] }
+        Self { depth, x, footprint: R::one(), width: zero, normal_acceleration: zero, passes: zero, travel: [zero; 2] }
     }
 
     /// The same on a body that travels with velocity (x, y).
@@ -128,6 +131,8 @@ pub struct SandMechanisms<R> {
     penetration: R,
     /// χ: share of the straight chord in the force on a leg whose concave side leads.
     pub fill: R,
+    /// Laws found in data.
+    terms: LaneTerms<R>,
 }
 
 impl<R: Real> SandMechanisms<R> {
@@ -149,6 +154,7 @@ impl<R: Real> SandMechanisms<R> {
             bearing: zero,
             penetration: zero,
             fill: zero,
+            terms: LaneTerms::new(),
         };
         (0..R::LANES).for_each(|lane| new.set_lane(lane, mechanisms, bulk_density));
         new
@@ -177,6 +183,11 @@ impl<R: Real> SandMechanisms<R> {
         self.rate.set_lane(lane, m.rate_log);
         self.inverse_friction.set_lane(lane, m.friction_clip);
         self.fill.set_lane(lane, m.concave_fill);
+    }
+
+    /// The medium's terms in one lane.
+    pub fn set_terms(&mut self, lane: usize, terms: &[Term], bulk_density: f64) {
+        self.terms.set_lane(lane, terms, bulk_density);
     }
 
     /// The medium's ζ [N/m³] in one lane; `slip_bearing` is a share of it.
@@ -281,6 +292,20 @@ impl<R: Real> Beyond<R> for SandMechanisms<R> {
         if self.active.cohesion {
             pressure += self.cohesion * tanh(speed * R::splat(1.0 / COHESION_SPEED));
         }
+        if self.terms.any() {
+            let piece = Piece {
+                depth: site.depth.max(R::zero()),
+                width: site.width,
+                normal_speed: speed,
+                normal_acceleration: site.normal_acceleration,
+                passes: site.passes,
+                normal: n,
+                velocity: v,
+            };
+            let (normal, tangential) = self.terms.stress(&piece);
+            pressure += normal;
+            force = force + LaneTerms::against_slip(n, v) * (tangential * area);
+        }
         // A dry lane beside a wet one comes here with depth 0: nothing pushes on a segment in the air.
         let push = R::select(R::zero().lt(site.depth), pressure * area, R::zero());
         let toward_front = R::select(along.lt(R::zero()), push, -push);
@@ -361,8 +386,15 @@ mod tests {
     }
 
     fn stress(m: Mechanisms, v: [f64; 3]) -> Vec3<f64> {
-        let site =
-            Site { depth: 0.03, x: 0.05, footprint: 1.0, width: 0.02, normal_acceleration: 0.0, travel: [0.0; 2] };
+        let site = Site {
+            depth: 0.03,
+            x: 0.05,
+            footprint: 1.0,
+            width: 0.02,
+            normal_acceleration: 0.0,
+            passes: 0.0,
+            travel: [0.0; 2],
+        };
         SandMechanisms::new(&m, 600.0).stress(&ground(), Vec3::new(0.6, 0.0, -0.8), Vec3::splat(v), &site)
     }
 
@@ -440,7 +472,15 @@ mod tests {
     #[test]
     fn nothing_pushes_in_the_air() {
         let every = Mechanisms { inertial_drag: 1.0, cohesion: 100.0, added_mass: 1.0, ..Default::default() };
-        let site = Site { depth: 0.0, x: 0.0, footprint: 1.0, width: 0.02, normal_acceleration: 1.0, travel: [0.0; 2] };
+        let site = Site {
+            depth: 0.0,
+            x: 0.0,
+            footprint: 1.0,
+            width: 0.02,
+            normal_acceleration: 1.0,
+            passes: 0.0,
+            travel: [0.0; 2],
+        };
         let (n, v) = (Vec3::new(0.6, 0.0, -0.8), Vec3::new(0.3, 0.0, -0.4));
         let stress = SandMechanisms::new(&every, 600.0).stress(&ground(), n, v, &site);
         assert_eq!(stress.norm_squared(), 0.0);

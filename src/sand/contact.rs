@@ -115,9 +115,12 @@ impl<R: Real> Ground<R> {
 
     /// The same sand with `mechanisms` switched on.
     pub fn with(mut self, mechanisms: &Mechanisms, medium: &Medium) -> Self {
-        self.beyond = (!mechanisms.sand_is_plain()).then(|| {
+        self.beyond = (!mechanisms.sand_is_plain() || !medium.terms.is_empty()).then(|| {
             let mut beyond = SandMechanisms::new(mechanisms, medium.bulk_density);
-            (0..R::LANES).for_each(|lane| beyond.set_penetration(lane, medium.coefficients.penetration()));
+            (0..R::LANES).for_each(|lane| {
+                beyond.set_penetration(lane, medium.coefficients.penetration());
+                beyond.set_terms(lane, &medium.terms, medium.bulk_density);
+            });
             beyond
         });
         self
@@ -126,11 +129,12 @@ impl<R: Real> Ground<R> {
     /// Gives lane `lane` its own medium and mechanisms.
     pub fn set_lane(&mut self, lane: usize, medium: &Medium, mechanisms: &Mechanisms) {
         self.form.set_lane(lane, medium);
-        if self.beyond.is_some() || !mechanisms.sand_is_plain() {
+        if self.beyond.is_some() || !mechanisms.sand_is_plain() || !medium.terms.is_empty() {
             let plain = || SandMechanisms::new(&Mechanisms::PLAIN, 0.0);
             let beyond = self.beyond.get_or_insert_with(plain);
             beyond.set_lane(lane, mechanisms, medium.bulk_density);
             beyond.set_penetration(lane, medium.coefficients.penetration());
+            beyond.set_terms(lane, &medium.terms, medium.bulk_density);
         }
     }
 

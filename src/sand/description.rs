@@ -3,6 +3,7 @@
 use super::law::Law;
 use super::mechanism::Mechanisms;
 use super::media::{Coefficients, Medium};
+use super::term::{self, Term};
 use crate::error::{Error, Result, check_range};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -20,6 +21,9 @@ pub struct SandDescription {
     pub coefficients: Coefficients,
     #[serde(default)]
     pub mechanisms: Mechanisms,
+    /// Laws found in data, added to the stress.
+    #[serde(default, rename = "term", skip_serializing_if = "Vec::is_empty")]
+    pub terms: Vec<Term>,
 }
 
 impl SandDescription {
@@ -36,6 +40,7 @@ impl SandDescription {
             source: medium.source.clone(),
             coefficients: medium.coefficients,
             mechanisms: Mechanisms::default(),
+            terms: medium.terms.clone(),
         }
     }
 
@@ -45,6 +50,7 @@ impl SandDescription {
             coefficients: self.coefficients,
             bulk_density: self.bulk_density,
             source: self.source.clone(),
+            terms: self.terms.clone(),
         }
     }
 
@@ -57,6 +63,7 @@ impl SandDescription {
             check_range("coefficients", c, -1e8..=1e8)?;
         }
         sand.mechanisms.validated()?;
+        term::check(&sand.terms, &sand.coefficients, sand.bulk_density)?;
         Ok(sand)
     }
 

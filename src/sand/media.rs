@@ -1,6 +1,7 @@
 //! Granular media: stress coefficients with their sources.
 
 use super::law::agarwal2023;
+use super::term::Term;
 use crate::error::{Error, Result, check_range};
 use serde::{Deserialize, Serialize};
 
@@ -86,6 +87,9 @@ pub struct Medium {
     pub bulk_density: f64,
     /// Where the numbers come from.
     pub source: String,
+    /// Laws found in data, added to the stress.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub terms: Vec<Term>,
 }
 
 /// Media measured as a whole set: name, coefficients, bulk density [kg/m³], source.
@@ -135,7 +139,7 @@ impl Medium {
             known.extend(["zeta=VALUE", "mu=VALUE,rho=VALUE"]);
             return Err(Error::unknown("medium", name, &known));
         };
-        Ok(Self { name: name.into(), coefficients, bulk_density, source: source.into() })
+        Ok(Self { name: name.into(), coefficients, bulk_density, source: source.into(), terms: Vec::new() })
     }
 
     /// The generic set times `zeta` [N/cm³].
@@ -147,6 +151,7 @@ impl Medium {
             coefficients: Coefficients::GENERIC.scaled(zeta),
             bulk_density: 1500.0, // dry sand, handbook value: our choice
             source: "generic set, Science 2013 table S2, times ζ".into(),
+            terms: Vec::new(),
         })
     }
 

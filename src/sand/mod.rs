@@ -8,6 +8,7 @@
 //! * [`contact`]: force on a segment, with what an implicit integrator needs to keep it at rest.
 //! * [`mechanism`]: what plain theory leaves out: every mechanism, its law and its bounds.
 //! * [`beyond`]: the equations of those that act in the sand.
+//! * [`term`]: laws found in data, as data.
 //! * [`shape`]: intruders (plates and legs) cut into segments.
 //! * [`description`]: medium and mechanisms as a file, `sand.toml`.
 //! * [`intruder`]: any rigid body in steady motion, from plates on its surface.
@@ -22,6 +23,7 @@ pub mod law;
 pub mod mechanism;
 pub mod media;
 pub mod shape;
+pub mod term;
 
 pub use beyond::{Beyond, Plain, SandMechanisms, Site};
 pub use contact::{Contact, Form, Ground, Surface};
@@ -30,6 +32,7 @@ pub use law::Law;
 pub use mechanism::{Mechanism, Mechanisms};
 pub use media::{Coefficients, Medium};
 pub use shape::{Segment, Shape};
+pub use term::Term;
 
 /// Standard gravity [m/s²].
 pub const GRAVITY: f64 = 9.80665;

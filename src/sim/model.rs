@@ -86,6 +86,7 @@ impl Scene {
     fn validate(&self) -> Result<()> {
         check_range("slope_deg", self.slope_deg, -Self::MAX_SLOPE_DEG..=Self::MAX_SLOPE_DEG)?;
         self.mechanisms.validated()?;
+        crate::sand::term::check(&self.medium.terms, &self.medium.coefficients, self.medium.bulk_density)?;
         check_range("dt", self.dt, 1e-6..=5e-3)?;
         check_range("payload", self.payload, 0.0..=Self::MAX_PAYLOAD)?;
         check_range("surface.rest_speed", self.surface.rest_speed, 1e-9..=1e-2)?;
@@ -108,6 +109,8 @@ pub struct Plate {
     pub normal: V,
     /// [m²]
     pub area: f64,
+    /// Across the plane of motion [m].
+    pub width: f64,
 }
 
 /// A flat, straight part of a link's strip, in the frame of the body that carries it: what rigid obstacles touch.
@@ -400,6 +403,7 @@ fn belly(robot: &Robot) -> Vec<Plate> {
             center: V::new(at(k / ny, dx, belly.size[0]), at(k % ny, dy, belly.size[1]), -belly.below),
             normal: -V::z(),
             area: dx * dy,
+            width: belly.size[1],
         })
         .collect()
 }
@@ -440,8 +444,12 @@ fn body(link: &Link, joint: V, turn: nalgebra::Rotation3<f64>) -> Result<Body> {
     });
     let touching = |segments: &[Segment]| match link.sand {
         Some(_) => {
-            let plate =
-                |s: &Segment| Plate { center: exact(place(s.center)), normal: exact(place(s.normal)), area: s.area };
+            let plate = |s: &Segment| Plate {
+                center: exact(place(s.center)),
+                normal: exact(place(s.normal)),
+                area: s.area,
+                width,
+            };
             segments.iter().map(plate).collect()
         }
         None => Vec::new(),

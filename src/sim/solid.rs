@@ -85,7 +85,7 @@ impl Solid {
                 let (sin, cos) = (TAU * (sector as f64 + 0.5) / SECTORS as f64).sin_cos();
                 let normal = V::new(middle.sin() * cos, middle.sin() * sin, middle.cos());
                 let area = TAU * radius * radius * (top.cos() - bottom.cos()) / SECTORS as f64;
-                facets.push(Plate { center: normal * radius, normal, area });
+                facets.push(Plate { center: normal * radius, normal, area, width: area.sqrt() });
             }
         }
         let inertia = M::identity() * (0.4 * volume * radius * radius);
@@ -105,7 +105,12 @@ impl Solid {
                 for k in 0..GRID * GRID {
                     let at = |i: usize, axis: usize| ((i as f64 + 0.5) / GRID as f64 - 0.5) * size[axis];
                     let center = normal * half[axis] + V::ith(u, at(k / GRID, u)) + V::ith(v, at(k % GRID, v));
-                    facets.push(Plate { center, normal, area: size[u] * size[v] / (GRID * GRID) as f64 });
+                    facets.push(Plate {
+                        center,
+                        normal,
+                        area: size[u] * size[v] / (GRID * GRID) as f64,
+                        width: size[v] / GRID as f64,
+                    });
                 }
             }
         }
@@ -154,7 +159,12 @@ impl Solid {
             sides.push((normal, normal.dot(&a)));
             let [ab, bc, ca] = [(a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0];
             for part in [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]] {
-                facets.push(Plate { center: part.iter().sum::<V>() / 3.0, normal, area: across.norm() / 8.0 });
+                facets.push(Plate {
+                    center: part.iter().sum::<V>() / 3.0,
+                    normal,
+                    area: across.norm() / 8.0,
+                    width: (across.norm() / 8.0).sqrt(),
+                });
             }
         }
         Ok(Self {

@@ -203,7 +203,10 @@ fn belly_by<R: Real, const J: usize>(
     for plate in &model.belly {
         let Some(depth) = submerged(&places, plate.center, travel.position.z) else { continue };
         wet = true;
-        let site = Site::fresh(depth, travel.position.x + places.value(plate.center).x).travelling(travel.velocity);
+        let site = Site {
+            width: plate.width,
+            ..Site::fresh(depth, travel.position.x + places.value(plate.center).x).travelling(travel.velocity)
+        };
         let velocity = velocities.value(plate.center);
         let contact = model.ground.one_sided_by(law, beyond, &site, plate.area, normal, velocity);
         forces.add(contact.force, plate.center);
@@ -311,7 +314,10 @@ fn strip<R: Real>(
     for plate in plates {
         let Some(depth) = submerged(places, plate.center, travel.position.z) else { continue };
         let (normal, velocity) = (places.change(plate.normal), velocities.value(plate.center));
-        let site = Site::fresh(depth, travel.position.x + places.value(plate.center).x).travelling(travel.velocity);
+        let site = Site {
+            width: plate.width,
+            ..Site::fresh(depth, travel.position.x + places.value(plate.center).x).travelling(travel.velocity)
+        };
         let contact = ground.thin_plate_by(law, beyond, &site, plate.area * share, normal, velocity);
         total.0.add(contact.force, plate.center);
         total.1.add(contact.drag, plate.center);

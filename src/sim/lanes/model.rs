@@ -16,6 +16,8 @@ pub struct LanePlate<R> {
     pub center: [R; 2],
     pub normal: [R; 2],
     pub area: R,
+    /// [m]
+    pub width: R,
 }
 
 /// See [`Body`].
@@ -133,7 +135,7 @@ fn level() -> [V; 2] {
 
 fn plate<R: Real>(p: &Plate, plane: [V; 2]) -> LanePlate<R> {
     let splat = |v: V| in_plane(v, plane).map(R::splat);
-    LanePlate { center: splat(p.center), normal: splat(p.normal), area: R::splat(p.area) }
+    LanePlate { center: splat(p.center), normal: splat(p.normal), area: R::splat(p.area), width: R::splat(p.width) }
 }
 
 fn set_plate<R: Real>(out: &mut LanePlate<R>, lane: usize, p: &Plate, plane: [V; 2]) {
@@ -141,6 +143,7 @@ fn set_plate<R: Real>(out: &mut LanePlate<R>, lane: usize, p: &Plate, plane: [V;
     out.center.iter_mut().zip(center).for_each(|(out, v)| out.set_lane(lane, v));
     out.normal.iter_mut().zip(normal).for_each(|(out, v)| out.set_lane(lane, v));
     out.area.set_lane(lane, p.area);
+    out.width.set_lane(lane, p.width);
 }
 
 impl<R: Real> LaneBody<R> {

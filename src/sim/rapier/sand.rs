@@ -95,7 +95,8 @@ impl Load {
                 continue;
             }
             let (normal, velocity) = (frame.rotation * plate.normal, frame.velocity_at(arm));
-            let site = Site::fresh(depth, base[0] + frame.origin.x + arm.x).travelling(*travel);
+            let site =
+                Site { width: plate.width, ..Site::fresh(depth, base[0] + frame.origin.x + arm.x).travelling(*travel) };
             let contact = contact(&site, plate.area, lanes(normal), lanes(velocity));
             let mass = contact.drag * dt;
             let force = V::new(contact.force.x, contact.force.y, contact.force.z);

@@ -1,0 +1,250 @@
+//! A law found in the data, where no mechanism explains them: a coefficient times a product of powers of dimensionless groups.
+//!
+//! Every law of the dictionary is a column beside coefficients and nuisances, for stress adds up and what a sensor reads is linear in
+//! it. The best must gain more than chance gives the best of so many laws; in each fold of the conditions, noise, whitening and law
+//! are chosen anew: the held-out error must fall, and the folds must choose nearly the same powers.
+
+use super::calibrate::{Gates, chi_squared_over, quantile, square_root};
+use super::cross_validation::HeldOut;
+use super::errors::Errors;
+use super::fit::{Fit, Study, dot, slope};
+use super::fitted::candidate;
+use super::nested;
+use super::noise::{Noise, Source};
+use super::student;
+use super::whiten::Whitener;
+use crate::parallel;
+use crate::sand::GRAVITY;
+use crate::sand::term::{On, Term};
+use nalgebra::{DMatrix, DVector};
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+use rand_xoshiro::Xoshiro256PlusPlus;
+use std::collections::BTreeMap;
+
+/// Powers of v_n²/(g|z|) and of |z|/w in the dictionary: our choice, up to the cube of the speed, in steps that logs can tell.
+const FROUDE: [f64; 6] = [0.25, 0.5, 0.75, 1.0, 1.25, 1.5];
+const DEPTH: [f64; 7] = [-0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75];
+/// Of laws that do not depend on speed, powers of |z|/w; 0 would be the medium itself.
+const STILL: [f64; 7] = [-1.0, -0.75, -0.5, -0.25, 0.5, 1.0, 1.5];
+/// Depth [m] at which the ranges of a law end: segments nearer to the surface carry next to nothing. Our choice.
+const SHALLOW: f64 = 1e-3;
+/// Chance of naming a law where there is none.
+const FALSE_ALARM: f64 = 0.002;
+/// Folds that must choose nearly the same powers.
+const STABLE: f64 = 0.75;
+/// Nearly the same: one step of the dictionary in the speed's power, two in the depth's, for they trade. Our choice.
+const NEARLY: [f64; 2] = [0.25, 0.5];
+const NULLS: usize = 1500;
+
+/// A law with its coefficient.
+pub struct Described {
+    pub term: Term,
+    /// 95 % interval of the coefficient.
+    pub ci95: [f64; 2],
+    pub delta_chi2: f64,
+    /// Held-out errors of base and law, chosen anew in each fold.
+    pub nested: [HeldOut; 2],
+    /// The model with the law, coefficients and nuisances adjusted.
+    pub fit: Fit,
+}
+
+/// The dictionary, over the range of the data.
+fn dictionary([speed, depth, width]: [f64; 3]) -> Vec<Term> {
+    let shallow = SHALLOW / width;
+    let term = |(froude, over): (f64, f64)| {
+        let (mut groups, mut range) = (BTreeMap::new(), BTreeMap::new());
+        if froude != 0.0 {
+            groups.insert("froude".to_string(), froude);
+            range.insert("froude".to_string(), [0.0, speed * speed / (GRAVITY * SHALLOW)]);
+        }
+        if over != 0.0 {
+            groups.insert("depth_over_width".to_string(), over);
+            range.insert("depth_over_width".to_string(), [shallow, (depth / width).max(2.0 * shallow)]);
+        }
+        Term { on: On::Normal, coefficient: 1.0, groups, range }
+    };
+    let moving = FROUDE.iter().flat_map(|f| DEPTH.iter().map(move |d| (*f, *d)));
+    moving.chain(STILL.iter().map(|d| (0.0, *d))).map(term).collect()
+}
+
+fn powers(term: &Term) -> [f64; 2] {
+    ["froude", "depth_over_width"].map(|g| term.groups.get(g).copied().unwrap_or(0.0))
+}
+
+/// What each law explains of a residual, everything else adjusted beside.
+struct Scores {
+    gram: DMatrix<f64>,
+    score: DVector<f64>,
+}
+
+/// Scores of whitened columns beside a whitened fit; `counts` says which numbers of a stack count.
+fn scores(fit_slopes: &[Vec<f64>], white: &[f64], deviations: &[f64], columns: &[Vec<f64>]) -> Option<Scores> {
+    let n = fit_slopes.len();
+    let mut information = DMatrix::from_fn(n, n, |i, j| if j <= i { dot(&fit_slopes[i], &fit_slopes[j]) } else { 0.0 });
+    information.fill_upper_triangle_with_lower_triangle();
+    let own = n - deviations.len();
+    let mut score = DVector::from_fn(n, |i, _| dot(&fit_slopes[i], white));
+    for (k, d) in deviations.iter().enumerate() {
+        information[(own + k, own + k)] += 1.0;
+        score[own + k] -= d;
+    }
+    let inverse = information.try_inverse()?;
+    let places: Vec<usize> = (0..columns.len()).collect();
+    let rows = parallel::map(&places, |&k| {
+        let cross: Vec<f64> = fit_slopes.iter().map(|s| dot(s, &columns[k])).collect();
+        (cross, (0..=k).map(|j| dot(&columns[k], &columns[j])).collect::<Vec<_>>())
+    });
+    let cross = DMatrix::from_fn(n, columns.len(), |i, k| rows[k].0[i]);
+    let products = DMatrix::from_fn(columns.len(), columns.len(), |i, j| rows[i.max(j)].1[i.min(j)]);
+    let gram = products - cross.transpose() * &inverse * &cross;
+    let score = DVector::from_fn(columns.len(), |k, _| dot(&columns[k], white)) - cross.transpose() * inverse * score;
+    Some(Scores { gram, score })
+}
+
+/// The law that gains most, with its coefficient and gain, among those that sand can have.
+fn best(study: &Study, fit: &Fit, laws: &[Term], scores: &Scores) -> Option<(usize, f64, f64)> {
+    let medium = study.model.medium();
+    let coefficients = study.coefficients(&fit.deviations);
+    let of = |k: usize| {
+        let (felt, along) = (scores.gram[(k, k)], scores.score[k]);
+        (felt > 1e-9).then(|| (k, along / felt, along * along / felt))
+    };
+    let mut all: Vec<_> = (0..laws.len()).filter_map(of).collect();
+    all.sort_by(|a, b| b.2.total_cmp(&a.2));
+    let can_be = |&(k, coefficient, _): &(usize, f64, f64)| {
+        Term { coefficient, ..laws[k].clone() }.check(&coefficients, medium.bulk_density).is_ok()
+    };
+    all.into_iter().find(can_be)
+}
+
+/// Gain that the best law of the dictionary has by chance.
+fn gate(scores: &Scores, gates: &Gates) -> f64 {
+    let Some(root) = square_root(&scores.gram) else { return f64::INFINITY };
+    let mut rng = Xoshiro256PlusPlus::seed_from_u64(6);
+    let degrees = gates.degrees_of(&[]);
+    let mut draw = || {
+        let score = &root * DVector::from_fn(scores.gram.nrows(), |_, _| StandardNormal.sample(&mut rng));
+        let gain = |k: usize| if scores.gram[(k, k)] > 1e-9 { score[k] * score[k] / scores.gram[(k, k)] } else { 0.0 };
+        let z: f64 = StandardNormal.sample(&mut rng);
+        (0..score.len()).map(gain).fold(0.0, f64::max) / chi_squared_over(degrees, z)
+    };
+    gates.inflation * quantile((0..NULLS).map(|_| draw()).collect(), 1.0 - FALSE_ALARM)
+}
+
+/// The law that the data ask for beside the plain model `base`; none where they ask for none that lasts.
+pub fn described(study: &Study, source: &Source, noise: &Noise, base: &Fit, gates: &Gates) -> Option<Described> {
+    let laws = dictionary(study.model.reach());
+    let coefficients = study.coefficients(&base.deviations);
+    let columns: Vec<Option<Vec<f64>>> = parallel::map(&laws, |law| {
+        let model = study.model.with_terms(std::slice::from_ref(law))?;
+        Some(slope(&model.predict(&base.mechanisms, &coefficients), &base.prediction, 1.0))
+    });
+    let columns: Vec<Vec<f64>> = columns.into_iter().collect::<Option<_>>()?;
+    let white = parallel::map(&columns, |c| study.whitener.apply(c));
+    let slopes: Vec<Vec<f64>> = base.white_slopes.iter().map(|s| s.to_vec()).collect();
+    let all = scores(&slopes, &base.white, &base.deviations, &white)?;
+    let (chosen, coefficient, gain) = best(study, base, &laws, &all)?;
+    if gain <= gate(&all, gates) {
+        return None;
+    }
+    let (nested, folds) = held_out(study, source, noise, base, &laws, &columns);
+    let near = |k: &usize| {
+        let (a, b) = (powers(&laws[chosen]), powers(&laws[*k]));
+        (0..2).all(|i| (a[i] - b[i]).abs() <= NEARLY[i] + 1e-9)
+    };
+    let alike = folds.iter().flatten().filter(|k| near(k)).count();
+    let helps = nested[0].errors.reduction_interval(&nested[1].errors)[0] > 0.0;
+    if !helps || (alike as f64) < STABLE * folds.len() as f64 {
+        return None;
+    }
+    fitted(study, base, Term { coefficient, ..laws[chosen].clone() }, gates, nested)
+}
+
+/// Coefficient, coefficients and nuisances adjusted together, twice: the columns bend a little with the nuisances.
+fn fitted(study: &Study, base: &Fit, term: Term, gates: &Gates, nested: [HeldOut; 2]) -> Option<Described> {
+    let mut term = term;
+    let mut fit = base.clone();
+    let mut sd = 0.0;
+    for _ in 0..3 {
+        let model = study.model.with_terms(std::slice::from_ref(&term))?;
+        let own = study.with_model(&*model);
+        fit = own.fit_near(&fit);
+        let step = 0.02 * term.coefficient;
+        let more = Term { coefficient: term.coefficient + step, ..term.clone() };
+        let model = study.model.with_terms(std::slice::from_ref(&more))?;
+        let moved = model.predict(&fit.mechanisms, &study.coefficients(&fit.deviations));
+        let column = study.whitener.apply(&slope(&moved, &fit.prediction, step));
+        let slopes: Vec<Vec<f64>> = fit.white_slopes.iter().map(|s| s.to_vec()).collect();
+        let own = scores(&slopes, &fit.white, &fit.deviations, &[column])?;
+        term.coefficient += own.score[0] / own.gram[(0, 0)];
+        sd = own.gram[(0, 0)].recip().sqrt();
+    }
+    let model = study.model.with_terms(std::slice::from_ref(&term))?;
+    let fit = study.with_model(&*model).fit_near(&fit);
+    let reach = student::two_sided_95(gates.degrees_of(&[])) * gates.inflation.sqrt() * sd;
+    let delta_chi2 = base.objective - fit.objective;
+    let ci95 = [term.coefficient - reach, term.coefficient + reach];
+    term.check(&study.coefficients(&fit.deviations), study.model.medium().bulk_density).ok()?;
+    Some(Described { term, ci95, delta_chi2, nested, fit })
+}
+
+/// Held-out errors with noise, whitening and law made anew in each fold, and the law that each chose.
+fn held_out(
+    study: &Study,
+    source: &Source,
+    noise: &Noise,
+    base: &Fit,
+    laws: &[Term],
+    columns: &[Vec<f64>],
+) -> ([HeldOut; 2], Vec<Option<usize>>) {
+    let o = study.observations;
+    let folds = nested::folds(o.conditions.len());
+    let made = parallel::map(&folds, |held| {
+        let source = Source { left_out: held, ..*source };
+        let own = source.noise(Some(noise), &|| study.model.stopped());
+        let whitener = Whitener::new(&source, &own);
+        let rest = |white: Vec<f64>| {
+            let mut white = white;
+            for unit in o.units.iter().filter(|u| held.contains(&u.condition)) {
+                white[o.span(unit)].fill(0.0);
+            }
+            white
+        };
+        let slopes: Vec<Vec<f64>> = base.slopes.iter().map(|s| rest(whitener.apply(s))).collect();
+        let left = slope(&o.values, &study.reading(base), 1.0);
+        let white = rest(whitener.apply(&left));
+        let laws_white: Vec<Vec<f64>> = columns.iter().map(|c| rest(whitener.apply(c))).collect();
+        let found = scores(&slopes, &white, &base.deviations, &laws_white);
+        let chosen = found.and_then(|s| best(study, base, laws, &s)).map(|b| b.0);
+        let without = nested::step(&slopes, &white, &base.deviations);
+        let with = chosen.map(|k| {
+            let all: Vec<Vec<f64>> = [laws_white[k].clone()].into_iter().chain(slopes.iter().cloned()).collect();
+            nested::step(&all, &white, &base.deviations)
+        });
+        let moved = |steps: &[f64], law: Option<(f64, usize)>| {
+            let sand = super::fit::COEFFICIENTS;
+            let at = |k: usize| {
+                let own = base.slopes.iter().zip(&steps[..sand]).map(|(s, d)| s[k] * d).sum::<f64>();
+                base.prediction[k] + own + law.map_or(0.0, |(c, l)| c * columns[l][k])
+            };
+            nested::errors_of(study, at, held)
+        };
+        let extended = match (&with, chosen) {
+            (Some(step), Some(k)) => moved(&step[1..], Some((step[0], k))),
+            _ => moved(&without, None),
+        };
+        ([moved(&without, None), extended], chosen)
+    });
+    let (parts, chosen): (Vec<[HeldOut; 2]>, Vec<Option<usize>>) = made.into_iter().unzip();
+    (nested::together(&folds, parts, o.conditions.len()), chosen)
+}
+
+/// Lack of fit and the share that the law explains, as of causes.
+pub fn explained(study: &Study, base: &Fit, law: &Described, floor: &Errors) -> f64 {
+    let reference = &law.nested[0].errors;
+    let [before, after, least] = [reference, &law.nested[1].errors, floor].map(|e| e.rmse().powi(2));
+    let by_error = 1.0 - (after - least).max(0.0) / (before - least).max(1e-300);
+    let lack = |fit: &Fit| candidate(study, base, fit.clone()).lack.excess.max(0.0);
+    if before > 1.2 * least { by_error } else { 1.0 - lack(&law.fit) / lack(base).max(1e-9) }
+}

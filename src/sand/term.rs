@@ -1,0 +1,504 @@
+//! Laws found in data, as data: stress terms of `sand.toml` (`[[term]]`), checked when they are read.
+//!
+//! A term adds the stress `coefficient · ρ g |z| · Π group^power` on a submerged piece, against the normal of its leading face or
+//! against its tangential velocity. Each group is clamped to its range, so a law is never followed beyond the data it was found
+//! in. Both engines and the force logs evaluate it through [`LaneTerms`].
+
+use super::GRAVITY;
+use super::media::Coefficients;
+use crate::error::{Error, Result, check_range};
+use crate::number::{Real, Vec3};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Terms of one sand, and different terms of all environments that are computed together: our choice.
+pub const MOST_TERMS: usize = 4;
+/// Groups of one term.
+const MOST_GROUPS: usize = 4;
+/// Speed [m/s] below which a term falls to zero, so that it has no edge at rest: our choice, a tenth of what cohesion has.
+const REST_SPEED: f64 = 1e-4;
+/// Orientations and directions of motion at which energy is checked, over a right angle to either side.
+const ANGLES: i32 = 18;
+
+/// What a term acts against.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum On {
+    Normal,
+    Tangential,
+}
+
+/// A dimensionless number of a moving piece.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Group {
+    /// v_n²/(g |z|)
+    Froude,
+    /// |z|/w, w the width across the plane of motion
+    DepthOverWidth,
+    /// Grain diameter over w; 0 where nobody gives it.
+    GrainOverWidth,
+    /// Curvature times w; 0 of flat pieces, as all pieces of the engines are.
+    Curvature,
+    /// a_n/g of the leading face; 0 in the engines, which take the stress from velocities alone.
+    Acceleration,
+    /// Earlier passes here; 0 in the engines.
+    Passes,
+    /// Distance of a wall over w; far away where nobody gives it.
+    Wall,
+    SinGamma,
+    CosGamma,
+    SinBeta,
+    CosBeta,
+}
+
+impl Group {
+    const ALL: [(&'static str, Group); 11] = [
+        ("froude", Group::Froude),
+        ("depth_over_width", Group::DepthOverWidth),
+        ("grain_over_width", Group::GrainOverWidth),
+        ("curvature", Group::Curvature),
+        ("acceleration", Group::Acceleration),
+        ("passes", Group::Passes),
+        ("wall", Group::Wall),
+        ("sin_gamma", Group::SinGamma),
+        ("cos_gamma", Group::CosGamma),
+        ("sin_beta", Group::SinBeta),
+        ("cos_beta", Group::CosBeta),
+    ];
+
+    pub fn named(name: &str) -> Result<Self> {
+        let known = Self::ALL.map(|g| g.0);
+        Self::ALL.iter().find(|g| g.0 == name).map(|g| g.1).ok_or_else(|| Error::unknown("group", name, &known))
+    }
+
+    /// As it is written in words and in TeX.
+    pub fn symbols(self) -> (&'static str, &'static str) {
+        match self {
+            Group::Froude => ("v_n²/(g|z|)", r"\frac{v_n^2}{g|z|}"),
+            Group::DepthOverWidth => ("|z|/w", r"\frac{|z|}{w}"),
+            Group::GrainOverWidth => ("d/w", r"\frac{d}{w}"),
+            Group::Curvature => ("κw", r"\kappa w"),
+            Group::Acceleration => ("a_n/g", r"\frac{a_n}{g}"),
+            Group::Passes => ("passes", r"n"),
+            Group::Wall => ("wall/w", r"\frac{l}{w}"),
+            Group::SinGamma => ("sin γ", r"\sin\gamma"),
+            Group::CosGamma => ("cos γ", r"\cos\gamma"),
+            Group::SinBeta => ("sin β", r"\sin\beta"),
+            Group::CosBeta => ("cos β", r"\cos\beta"),
+        }
+    }
+
+    /// May it be negative?
+    fn signed(self) -> bool {
+        matches!(self, Group::Acceleration | Group::SinGamma | Group::SinBeta)
+    }
+}
+
+/// One term as it stands in `sand.toml`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Term {
+    pub on: On,
+    pub coefficient: f64,
+    /// Group → power.
+    #[serde(default)]
+    pub groups: BTreeMap<String, f64>,
+    /// Group → least and greatest value; beyond them the group is held.
+    #[serde(default)]
+    pub range: BTreeMap<String, [f64; 2]>,
+}
+
+impl Term {
+    /// Groups with power and range.
+    fn factors(&self) -> Result<Vec<(Group, f64, [f64; 2])>> {
+        if let Some(name) = self.range.keys().find(|name| !self.groups.contains_key(*name)) {
+            return Err(Error::invalid("term.range", format!("{name} is not among the term's groups")));
+        }
+        let factor = |(name, power): (&String, &f64)| {
+            let range = self.range.get(name).copied();
+            let range = range.ok_or_else(|| Error::invalid("term.range", format!("{name} has none")))?;
+            Ok((Group::named(name)?, *power, range))
+        };
+        self.groups.iter().map(factor).collect()
+    }
+
+    /// Refuses a term that would add energy, pull, break mirror symmetry or act above the surface, and one without bounds.
+    pub fn check(&self, coefficients: &Coefficients, bulk_density: f64) -> Result<()> {
+        check_range("term.coefficient", self.coefficient, -1e4..=1e4)?;
+        let factors = self.factors()?;
+        if factors.len() > MOST_GROUPS {
+            return Err(Error::invalid("term.groups", format!("{} are more than {MOST_GROUPS}", factors.len())));
+        }
+        for (group, power, [low, high]) in &factors {
+            check_factor(*group, *power, *low, *high)?;
+        }
+        if !self.value(&extreme(&factors), &factors).is_finite() {
+            return Err(Error::invalid("term", "grows without bound in its range"));
+        }
+        self.check_energy(&factors, coefficients, bulk_density)
+    }
+
+    /// coefficient · Π group^power
+    fn value(&self, groups: &[f64], factors: &[(Group, f64, [f64; 2])]) -> f64 {
+        factors.iter().zip(groups).fold(self.coefficient, |product, ((_, power, _), at)| product * at.powf(*power))
+    }
+
+    /// The law with the term must resist everywhere: at every orientation and direction, and wherever in its range the rest is.
+    fn check_energy(
+        &self,
+        factors: &[(Group, f64, [f64; 2])],
+        coefficients: &Coefficients,
+        bulk_density: f64,
+    ) -> Result<()> {
+        let degrees = |k: i32| std::f64::consts::FRAC_PI_2 * f64::from(k) / f64::from(ANGLES);
+        for (b, g) in (-ANGLES..=ANGLES).flat_map(|b| (-ANGLES..=ANGLES).map(move |g| (b, g))) {
+            let (beta, gamma) = (degrees(b), degrees(g));
+            let least = self.least(factors, beta, gamma);
+            if least >= 0.0 {
+                continue;
+            }
+            let (n, v) = ([beta.sin(), -beta.cos()], [gamma.cos(), -gamma.sin()]);
+            let along = n[0] * v[0] + n[1] * v[1];
+            let law = per_depth(coefficients, beta, gamma);
+            let resists = -(law[0] * n[0] + law[1] * n[1]) * along.signum();
+            let extra = least * bulk_density * GRAVITY;
+            // A piece that moves along itself has no leading face.
+            if self.on == On::Tangential || (along.abs() > 1e-9 && resists + extra < 0.0) {
+                let place = format!("at β {:.0}°, γ {:.0}°", beta.to_degrees(), gamma.to_degrees());
+                let what = if self.on == On::Normal { "pulls and so adds energy" } else { "adds energy" };
+                return Err(Error::invalid(
+                    "term",
+                    format!("{what} {place}: the stress must resist everywhere in its range"),
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    /// Least value at an orientation and direction, over the ranges of all other groups.
+    fn least(&self, factors: &[(Group, f64, [f64; 2])], beta: f64, gamma: f64) -> f64 {
+        let mut bounds = [self.coefficient; 2];
+        for (group, power, [low, high]) in factors {
+            let fixed = match group {
+                Group::SinGamma => Some(gamma.sin()),
+                Group::CosGamma => Some(gamma.cos()),
+                Group::SinBeta => Some(beta.sin()),
+                Group::CosBeta => Some(beta.cos()),
+                _ => None,
+            };
+            let ends = fixed.map_or([*low, *high], |at| [at.clamp(*low, *high); 2]).map(|at| at.powf(*power));
+            let all = [bounds[0] * ends[0], bounds[0] * ends[1], bounds[1] * ends[0], bounds[1] * ends[1]];
+            bounds = [all.iter().copied().fold(f64::MAX, f64::min), all.iter().copied().fold(f64::MIN, f64::max)];
+        }
+        bounds[0]
+    }
+
+    /// In words.
+    pub fn formula(&self) -> String {
+        let power = |(name, power): (&String, &f64)| {
+            let symbol = Group::named(name).map_or("", |g| g.symbols().0);
+            format!(" · ({symbol})^{power}")
+        };
+        let sign = if self.on == On::Normal { "against the normal" } else { "against the tangential velocity" };
+        let groups: String = self.groups.iter().map(power).collect();
+        format!("{:.3} · ρg|z|{groups}, {sign} of the leading face", self.coefficient)
+    }
+
+    pub fn tex(&self) -> String {
+        let power = |(name, power): (&String, &f64)| {
+            let symbol = Group::named(name).map_or("", |g| g.symbols().1);
+            format!(r"\left({symbol}\right)^{{{power}}}")
+        };
+        let groups: String = self.groups.iter().map(power).collect();
+        let direction = if self.on == On::Normal { r"\mathbf{n}" } else { r"\hat{\mathbf{v}}_t" };
+        format!(r"\Delta\boldsymbol\sigma = -{:.3}\,\rho g|z|\,{groups}\,{direction}", self.coefficient)
+    }
+}
+
+/// Checks all terms of a sand.
+pub fn check(terms: &[Term], coefficients: &Coefficients, bulk_density: f64) -> Result<()> {
+    if terms.len() > MOST_TERMS {
+        return Err(Error::invalid("term", format!("{} terms are more than {MOST_TERMS}", terms.len())));
+    }
+    terms.iter().try_for_each(|term| term.check(coefficients, bulk_density))
+}
+
+fn check_factor(group: Group, power: f64, low: f64, high: f64) -> Result<()> {
+    let name = Group::ALL.iter().find(|g| g.1 == group).map_or("", |g| g.0);
+    check_range(&format!("term.groups.{name}"), power, -4.0..=4.0)?;
+    check_range(&format!("term.range.{name}"), low, -1e6..=1e6)?;
+    check_range(&format!("term.range.{name}"), high, low..=1e6)?;
+    let wrong = |why: &str| Err(Error::invalid(format!("term.range.{name}"), why));
+    if low < 0.0 && group == Group::DepthOverWidth {
+        return wrong("a negative depth is above the surface, where no sand acts");
+    }
+    if low < 0.0 && !group.signed() {
+        return wrong("cannot be negative");
+    }
+    if group == Group::SinBeta && power.rem_euclid(2.0) != 0.0 {
+        let why =
+            "an odd power of sin β breaks mirror symmetry: a plate and its mirror image would feel different stress";
+        return Err(Error::invalid("term.groups.sin_beta", why));
+    }
+    if low < 0.0 && power.fract() != 0.0 {
+        return wrong("a power that is no whole number needs a range without negative values");
+    }
+    if power < 0.0 && low <= 0.0 && high >= 0.0 {
+        return wrong("a negative power grows without bound at 0");
+    }
+    Ok(())
+}
+
+/// Corner of the ranges at which the product is greatest.
+fn extreme(factors: &[(Group, f64, [f64; 2])]) -> Vec<f64> {
+    factors.iter().map(|(_, power, [low, high])| if *power < 0.0 { *low } else { high.abs().max(low.abs()) }).collect()
+}
+
+/// The law's stress per depth [N/m³] for motion toward +x.
+fn per_depth(c: &Coefficients, beta: f64, gamma: f64) -> [f64; 2] {
+    let z = c.a00
+        + c.a10 * (2.0 * beta).cos()
+        + c.b11 * (2.0 * beta + gamma).sin()
+        + c.b01 * gamma.sin()
+        + c.bm11 * (gamma - 2.0 * beta).sin();
+    let x = c.c11 * (2.0 * beta + gamma).cos()
+        + c.c01 * gamma.cos()
+        + c.cm11 * (gamma - 2.0 * beta).cos()
+        + c.d10 * (2.0 * beta).sin();
+    [-x, z]
+}
+
+/// One group of a term in the hot loop.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Factor {
+    group: Group,
+    low: f64,
+    high: f64,
+    power: f64,
+}
+
+/// One term, the same in all lanes but for its coefficient.
+#[derive(Clone, Copy)]
+struct Slot<R> {
+    on: On,
+    factors: [Factor; MOST_GROUPS],
+    count: usize,
+    /// coefficient · ρ g [N/m³]; 0 in lanes without the term.
+    strength: R,
+}
+
+/// Terms ready for evaluation, one lane an environment.
+#[derive(Clone, Copy)]
+pub struct LaneTerms<R> {
+    slots: [Slot<R>; MOST_TERMS],
+    count: usize,
+}
+
+/// What a term is asked at.
+pub struct Piece<R> {
+    pub depth: R,
+    pub width: R,
+    /// |v_n| [m/s]
+    pub normal_speed: R,
+    pub normal_acceleration: R,
+    pub passes: R,
+    pub normal: Vec3<R>,
+    pub velocity: Vec3<R>,
+}
+
+impl<R: Real> LaneTerms<R> {
+    pub fn new() -> Self {
+        let none = Factor { group: Group::Froude, low: 0.0, high: 0.0, power: 0.0 };
+        let slot = Slot { on: On::Normal, factors: [none; MOST_GROUPS], count: 0, strength: R::zero() };
+        Self { slots: [slot; MOST_TERMS], count: 0 }
+    }
+
+    /// Gives one lane its own terms. Lanes share slots: terms that differ in more than their coefficient take one each, in a fixed
+    /// order, and a lane whose terms find no slot left gets a strength that is not a number, which ends its episode.
+    pub fn set_lane(&mut self, lane: usize, terms: &[Term], bulk_density: f64) {
+        (0..self.count).for_each(|k| self.slots[k].strength.set_lane(lane, 0.0));
+        for term in terms {
+            let factors = term.factors().unwrap_or_default();
+            let mut own = LaneTerms::<R>::new().slots[0];
+            own.on = term.on;
+            own.count = factors.len().min(MOST_GROUPS);
+            for (place, (group, power, [low, high])) in own.factors.iter_mut().zip(factors) {
+                *place = Factor { group, low, high, power };
+            }
+            let alike = |s: &Slot<R>| s.on == own.on && s.count == own.count && s.factors == own.factors;
+            let strength = term.coefficient * bulk_density * GRAVITY;
+            match self.slots[..self.count].iter().position(alike) {
+                Some(k) => {
+                    let known = self.slots[k].strength.lane(lane);
+                    self.slots[k].strength.set_lane(lane, known + strength);
+                }
+                None if self.count < MOST_TERMS => {
+                    own.strength.set_lane(lane, strength);
+                    self.slots[self.count] = own;
+                    self.count += 1;
+                }
+                None => self.slots[0].strength.set_lane(lane, f64::NAN),
+            }
+        }
+    }
+
+    #[inline(always)]
+    pub fn any(&self) -> bool {
+        self.count > 0
+    }
+
+    /// Pressure [Pa] against the leading face, and stress against the tangential velocity.
+    #[inline(always)]
+    pub fn stress(&self, piece: &Piece<R>) -> (R, R) {
+        let (mut normal, mut tangential) = (R::zero(), R::zero());
+        for slot in &self.slots[..self.count] {
+            let mut product = slot.strength * piece.depth;
+            for factor in &slot.factors[..slot.count] {
+                let at = group(factor, piece).clamp(R::splat(factor.low), R::splat(factor.high));
+                product = product * power(at, factor.power);
+            }
+            match slot.on {
+                On::Normal => normal += product,
+                On::Tangential => tangential += product,
+            }
+        }
+        let speed = piece.normal_speed;
+        let rest = R::splat(REST_SPEED * REST_SPEED);
+        (normal * speed / speed.mul_add(speed, rest).sqrt(), tangential)
+    }
+
+    /// Direction against the tangential velocity, shorter near rest.
+    #[inline(always)]
+    pub fn against_slip(n: Vec3<R>, v: Vec3<R>) -> Vec3<R> {
+        let along = v - n * n.dot(v);
+        along * (-R::one() / (along.norm_squared() + R::splat(REST_SPEED * REST_SPEED)).sqrt())
+    }
+}
+
+impl<R: Real> Default for LaneTerms<R> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+#[inline(always)]
+fn group<R: Real>(factor: &Factor, piece: &Piece<R>) -> R {
+    let gravity = R::splat(1.0 / GRAVITY);
+    let v = &piece.velocity;
+    let vertical = || -v.z / (v.norm_squared() + R::splat(1e-24)).sqrt();
+    let cosine = |sine: R| (R::one() - sine * sine).max(R::zero()).sqrt();
+    match factor.group {
+        Group::Froude => piece.normal_speed * piece.normal_speed * gravity / piece.depth.max(R::splat(1e-6)),
+        Group::DepthOverWidth => {
+            let over = piece.depth / piece.width.max(R::splat(1e-9));
+            R::select(R::zero().lt(piece.width), over, R::splat(factor.high))
+        }
+        Group::Acceleration => piece.normal_acceleration * gravity,
+        Group::Passes => piece.passes,
+        Group::SinGamma => vertical(),
+        Group::CosGamma => cosine(vertical()),
+        Group::CosBeta => piece.normal.z.abs(),
+        Group::SinBeta => cosine(piece.normal.z),
+        Group::Wall => R::splat(factor.high),
+        Group::GrainOverWidth | Group::Curvature => R::zero(),
+    }
+}
+
+/// x^power. Multiples of a quarter are roots and products; others have no lane arithmetic here and are slow.
+#[inline(always)]
+fn power<R: Real>(x: R, power: f64) -> R {
+    let quarters = power * 4.0;
+    if quarters.fract() != 0.0 {
+        let mut powered = x;
+        for lane in 0..R::LANES {
+            powered.set_lane(lane, x.lane(lane).powf(power));
+        }
+        return powered;
+    }
+    let count = quarters.abs() as usize;
+    let (base, times) = if count % 4 == 0 {
+        (x, count / 4)
+    } else if count % 2 == 0 {
+        (x.sqrt(), count / 2)
+    } else {
+        (x.sqrt().sqrt(), count)
+    };
+    let mut product = R::one();
+    for _ in 0..times {
+        product = product * base;
+    }
+    if quarters < 0.0 { R::one() / product } else { product }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn term(text: &str) -> Term {
+        toml::from_str(text).unwrap()
+    }
+
+    fn refused(text: &str) -> String {
+        let error = term(text).check(&Coefficients::POPPY_LOOSE, 638.0).err();
+        error.map_or(String::new(), |e| e.to_string())
+    }
+
+    #[test]
+    fn terms_that_sand_cannot_be_are_refused() {
+        let good = "on = \"normal\"\ncoefficient = 1.2\ngroups = { froude = 0.75, depth_over_width = -0.5 }\n\
+                    range = { froude = [0.0, 4.0], depth_over_width = [0.2, 3.0] }";
+        assert_eq!(refused(good), "");
+        for (from, to, says) in [
+            ("1.2", "-1.2", "pulls and so adds energy"),
+            ("\"normal\"\ncoefficient = 1.2", "\"tangential\"\ncoefficient = -1.2", "adds energy"),
+            ("[0.2, 3.0]", "[-0.2, 3.0]", "above the surface"),
+            ("[0.2, 3.0]", "[0.0, 3.0]", "grows without bound"),
+            ("[0.0, 4.0]", "[-1.0, 4.0]", "cannot be negative"),
+            ("froude = 0.75", "sin_beta = 1.0", "has none"),
+            ("coefficient = 1.2", "coefficient = nan", "outside"),
+        ] {
+            let text = good.replace(from, to);
+            let message =
+                if says == "has none" { refused(&text.replace("froude = [", "depth = [")) } else { refused(&text) };
+            let said = if says == "has none" { !message.is_empty() } else { message.contains(says) };
+            assert!(said && message.lines().count() == 1, "{from} → {to}: {message:?}");
+        }
+        let sideways =
+            "on = \"normal\"\ncoefficient = 1.0\ngroups = { sin_beta = 1.0 }\nrange = { sin_beta = [-1.0, 1.0] }";
+        assert!(refused(sideways).contains("mirror"), "{}", refused(sideways));
+        // Less stress where the piece pushes down hard is no pull.
+        let lowered = "on = \"normal\"\ncoefficient = -0.02\ngroups = { sin_gamma = 2.0, cos_beta = 2.0 }\n\
+                       range = { sin_gamma = [0.0, 1.0], cos_beta = [0.0, 1.0] }";
+        assert_eq!(refused(lowered), "");
+    }
+
+    #[test]
+    fn powers_are_powers() {
+        for exponent in [-1.5, -1.0, -0.25, 0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 2.0, 0.3] {
+            for x in [0.01, 0.7, 3.0] {
+                let ours: f64 = power(x, exponent);
+                assert!((ours / f64::powf(x, exponent) - 1.0).abs() < 1e-12, "{x}^{exponent}: {ours}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_term_is_its_formula() {
+        let text = "on = \"normal\"\ncoefficient = 5.0\ngroups = { froude = 0.75, depth_over_width = -0.25 }\n\
+                    range = { froude = [0.0, 9.0], depth_over_width = [0.01, 9.0] }";
+        let mut terms = LaneTerms::<f64>::new();
+        terms.set_lane(0, &[term(text)], 640.0);
+        let piece = Piece {
+            depth: 0.03,
+            width: 0.025,
+            normal_speed: 0.5,
+            normal_acceleration: 0.0,
+            passes: 0.0,
+            normal: Vec3::new(0.6, 0.0, -0.8),
+            velocity: Vec3::new(0.3, 0.0, -0.4),
+        };
+        let froude: f64 = 0.25 / (GRAVITY * 0.03);
+        let expected = 5.0 * 640.0 * GRAVITY * 0.03 * froude.powf(0.75) * 1.2f64.powf(-0.25);
+        assert!((terms.stress(&piece).0 / expected - 1.0).abs() < 1e-6);
+    }
+}
