@@ -19,6 +19,7 @@ pub mod service;
 pub mod sim;
 pub mod sweep;
 pub mod table;
+pub mod train;
 pub mod validate;
 pub mod view;
 pub use error::{Error, Result};

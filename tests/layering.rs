@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 /// Every module of `src/`, and those that it may know. Each names only modules further up in this list, so nothing goes in
 /// circles; whatever is not named it must not know.
-const KNOWS: [(&str, &[&str]); 22] = [
+const KNOWS: [(&str, &[&str]); 23] = [
     ("error", &[]),
     ("parallel", &[]),
     ("progress", &["error"]),
@@ -23,6 +23,7 @@ const KNOWS: [(&str, &[&str]); 22] = [
     ("diagnose", &["error", "parallel", "progress", "number", "table", "plot", "sand", "sim", "sweep"]),
     ("reproduce", &["error", "parallel", "progress", "number", "table", "plot", "sand", "sim", "sweep"]),
     ("evaluate", &["error", "parallel", "progress", "table", "sand", "sim", "env", "policy"]),
+    ("train", &["error", "parallel", "progress", "number", "plot", "sim", "env", "policy", "view", "evaluate"]),
     (
         "service",
         &[
@@ -52,6 +53,7 @@ const KNOWS: [(&str, &[&str]); 22] = [
             "diagnose",
             "reproduce",
             "evaluate",
+            "train",
             "service",
             "bench",
         ],
@@ -65,10 +67,10 @@ const OUTSIDE: [(&str, &[&str]); 8] = [
     ("tonic", &["service", "bench"]),
     ("axum", &["service"]),
     ("proto", &["service", "bench"]),
-    // ONNX files are protobuf too.
-    ("prost", &["service", "policy"]),
+    // ONNX files are protobuf too, and TensorBoard's.
+    ("prost", &["service", "policy", "train"]),
     ("prost_types", &["service", "bench"]),
-    ("rand", &["env", "validate", "sweep", "diagnose", "evaluate", "service"]),
+    ("rand", &["env", "validate", "sweep", "diagnose", "evaluate", "train", "service"]),
     ("rapier3d", &["sim"]),
 ];
 

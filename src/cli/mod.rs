@@ -15,6 +15,7 @@ mod stress;
 mod sweep;
 mod task_page;
 mod tasks;
+mod train;
 mod trials;
 mod validate;
 mod walk;
@@ -60,6 +61,7 @@ enum Command {
     Calibrate(calibrate::Calibrate),
     Sweep(sweep::Sweep),
     Tasks(tasks::Tasks),
+    Train(train::Train),
     Validate(validate::Validate),
 }
 
@@ -114,6 +116,7 @@ fn run(command: Command) -> Result<String> {
         Command::Calibrate(c) => c.run(),
         Command::Sweep(c) => c.run(),
         Command::Tasks(c) => c.run(),
+        Command::Train(c) => c.run(),
         Command::Validate(c) => c.run(),
     }
 }
