@@ -23,6 +23,7 @@ pub mod session;
 pub mod sim;
 pub mod sweep;
 pub mod table;
+pub mod train;
 pub mod validate;
 pub mod view;
 pub use error::{Error, Result};

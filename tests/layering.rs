@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 /// Every module of `src/`, and those that it may know. Each names only modules further up in this list, so nothing goes in
 /// circles; whatever is not named it must not know.
-const KNOWS: [(&str, &[&str]); 24] = [
+const KNOWS: [(&str, &[&str]); 25] = [
     ("error", &[]),
     ("parallel", &[]),
     ("progress", &["error"]),
@@ -25,6 +25,7 @@ const KNOWS: [(&str, &[&str]); 24] = [
     ("reproduce", &["error", "parallel", "progress", "number", "table", "plot", "sand", "sim", "sweep"]),
     ("validate", &["error", "parallel", "table", "plot", "sand", "sim", "calibrate", "reproduce"]),
     ("evaluate", &["error", "parallel", "progress", "table", "sand", "sim", "env", "policy"]),
+    ("train", &["error", "parallel", "progress", "number", "plot", "sim", "env", "policy", "view", "evaluate"]),
     (
         "service",
         &[
@@ -56,6 +57,7 @@ const KNOWS: [(&str, &[&str]); 24] = [
             "diagnose",
             "reproduce",
             "evaluate",
+            "train",
             "service",
             "bench",
         ],
@@ -69,10 +71,10 @@ const OUTSIDE: [(&str, &[&str]); 8] = [
     ("tonic", &["service", "client", "bench"]),
     ("axum", &["service"]),
     ("proto", &["service", "client", "bench"]),
-    // ONNX files are protobuf too.
-    ("prost", &["service", "policy"]),
+    // ONNX files are protobuf too, and TensorBoard's.
+    ("prost", &["service", "policy", "train"]),
     ("prost_types", &["service", "client", "bench"]),
-    ("rand", &["env", "validate", "sweep", "diagnose", "evaluate", "service"]),
+    ("rand", &["env", "validate", "sweep", "diagnose", "evaluate", "train", "service"]),
     ("rapier3d", &["sim"]),
 ];
 

@@ -16,6 +16,7 @@ mod stress;
 mod sweep;
 mod task_page;
 mod tasks;
+mod train;
 mod trials;
 mod validate;
 mod walk;
@@ -62,6 +63,7 @@ enum Command {
     Calibrate(calibrate::Calibrate),
     Sweep(sweep::Sweep),
     Tasks(tasks::Tasks),
+    Train(train::Train),
     Validate(validate::Validate),
 }
 
@@ -119,6 +121,7 @@ fn run(command: Command) -> Result<String> {
         Command::Calibrate(c) => c.run(),
         Command::Sweep(c) => c.run(),
         Command::Tasks(c) => c.run(),
+        Command::Train(c) => c.run(),
         Command::Validate(c) => c.run(),
     }
 }

@@ -39,3 +39,12 @@ pub fn write_both(svg: &str, path: &Path) -> Result<()> {
     std::fs::write(path, svg).map_err(|e| Error::file(path, e))?;
     std::fs::write(&image, encode(svg)?).map_err(|e| Error::file(&image, e))
 }
+
+/// RGB rows from the top as an encoded PNG image.
+pub fn pixels(rgb: &[u8], [width, height]: [u32; 2]) -> Result<Vec<u8>> {
+    let rgba = rgb.as_chunks::<3>().0.iter().flat_map(|[r, g, b]| [*r, *g, *b, 255]).collect();
+    let size = tiny_skia::IntSize::from_wh(width, height);
+    let map = size.and_then(|size| tiny_skia::Pixmap::from_vec(rgba, size));
+    let map = map.ok_or_else(|| Error::Internal(format!("an image is not {width} × {height}")))?;
+    map.encode_png().map_err(|e| Error::Exhausted(format!("figure cannot be drawn: {e}")))
+}

@@ -1,5 +1,5 @@
-//! The parts of an ONNX file that are read: a subset of `onnx.proto` (ONNX IR version 10, Apache-2.0). Protobuf skips the
-//! rest, and refuses messages that nest too deeply.
+//! The parts of an ONNX file that are read or written: a subset of `onnx.proto` (ONNX IR version 10, Apache-2.0). Protobuf
+//! skips the rest, and refuses messages that nest too deeply.
 
 /// `TensorProto.DataType`
 pub const FLOAT: i32 = 1;
@@ -8,6 +8,10 @@ pub const DOUBLE: i32 = 11;
 
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Model {
+    #[prost(int64, tag = "1")]
+    pub ir_version: i64,
+    #[prost(string, tag = "2")]
+    pub producer_name: String,
     #[prost(message, optional, tag = "7")]
     pub graph: Option<Graph>,
     #[prost(message, repeated, tag = "8")]
@@ -26,6 +30,8 @@ pub struct OperatorSet {
 pub struct Graph {
     #[prost(message, repeated, tag = "1")]
     pub node: Vec<Node>,
+    #[prost(string, tag = "2")]
+    pub name: String,
     #[prost(message, repeated, tag = "5")]
     pub initializer: Vec<Tensor>,
     #[prost(message, repeated, tag = "11")]
@@ -114,4 +120,6 @@ pub struct Dimension {
     /// Absent where it has a name or nothing.
     #[prost(int64, optional, tag = "1")]
     pub value: Option<i64>,
+    #[prost(string, tag = "2")]
+    pub name: String,
 }

@@ -2,10 +2,11 @@
 //!
 //! Between env and pool: this layer knows a task's tables, and nothing of threads, sessions or messages.
 //!
-//! * [`format`]: the parts of an ONNX file that are read.
+//! * [`format`]: the parts of an ONNX file that are read or written.
 //! * [`read`]: from a file to a program of checked steps; [`constant`]: its weights.
 //! * [`operator`]: what a step computes, and how wide its result is.
 //! * [`network`]: the program at work.
+//! * [`write`]: ONNX files of our own.
 //!
 //! A network is computed for [`LANES`] environments at a time, each in a lane of its own, sums in the order of the weights.
 //! So an action's bits depend on the environment's own observation alone, not on its neighbours, the batch or the threads.
@@ -15,6 +16,7 @@ mod format;
 mod network;
 mod operator;
 mod read;
+pub mod write;
 
 pub use network::Network;
 

@@ -1,0 +1,134 @@
+//! ONNX files of policies that were learnt here; any ONNX runtime takes them, and [`super::Network`].
+
+use super::format::{Dimension, FLOAT, Graph, Model, Node, OperatorSet, Shape, Tensor, TensorType, Type, ValueInfo};
+use prost::Message as _;
+
+/// Operator set and format that the files name: of 2022, which runtimes of today know.
+const OPSET: i64 = 18;
+const IR: i64 = 8;
+
+/// Names of what a file's readers give and take.
+const INPUT: &str = "observation";
+const OUTPUT: &str = "action";
+
+/// A file on its way. Values are known by their names.
+pub struct Writer {
+    observation: usize,
+    graph: Graph,
+}
+
+impl Writer {
+    /// Whose input is rows of so many numbers.
+    pub fn new(observation: usize) -> Self {
+        let input = vec![rows(INPUT, observation)];
+        Self { observation, graph: Graph { name: "policy".into(), input, ..Graph::default() } }
+    }
+
+    /// The rows that the network is given.
+    pub fn input(&self) -> String {
+        INPUT.into()
+    }
+
+    /// Numbers in each of them.
+    pub fn observation(&self) -> usize {
+        self.observation
+    }
+
+    /// (x − center) / scale, number by number, within ± `clip`.
+    pub fn normalize(&mut self, x: &str, center: &[f32], scale: &[f32], clip: f32) -> String {
+        let center = self.row(center);
+        let difference = self.node("Sub", &[x, &center]);
+        let scale = self.row(scale);
+        let scaled = self.node("Div", &[&difference, &scale]);
+        self.clip(&scaled, [-clip, clip])
+    }
+
+    /// x − row
+    pub fn subtract(&mut self, x: &str, row: &[f32]) -> String {
+        let row = self.row(row);
+        self.node("Sub", &[x, &row])
+    }
+
+    /// Within the same bounds, every number.
+    pub fn clip(&mut self, x: &str, bounds: [f32; 2]) -> String {
+        let [low, high] = bounds.map(|bound| self.numbers(&[], &[bound]));
+        self.node("Clip", &[x, &low, &high])
+    }
+
+    /// Each number within bounds of its own.
+    pub fn clip_row(&mut self, x: &str, bounds: &[[f32; 2]]) -> String {
+        let side = |k: usize| bounds.iter().map(|b| b[k]).collect::<Vec<_>>();
+        let (low, high) = (self.row(&side(0)), self.row(&side(1)));
+        let above = self.node("Max", &[x, &low]);
+        self.node("Min", &[&above, &high])
+    }
+
+    /// x·W + b; `weights`: f32 [inputs, outputs].
+    pub fn dense(&mut self, x: &str, weights: &[f32], bias: &[f32]) -> String {
+        let weights = self.numbers(&[weights.len() / bias.len(), bias.len()], weights);
+        let bias = self.row(bias);
+        self.node("Gemm", &[x, &weights, &bias])
+    }
+
+    pub fn tanh(&mut self, x: &str) -> String {
+        self.node("Tanh", &[x])
+    }
+
+    pub fn add(&mut self, a: &str, b: &str) -> String {
+        self.node("Add", &[a, b])
+    }
+
+    /// The file's bytes, whose action is `x`, rows of so many numbers.
+    pub fn finish(mut self, x: &str, action: usize) -> Vec<u8> {
+        let output = OUTPUT.to_owned();
+        self.graph.node.push(Node {
+            input: vec![x.into()],
+            output: vec![output],
+            op_type: "Identity".into(),
+            ..Node::default()
+        });
+        self.graph.output = vec![rows(OUTPUT, action)];
+        let model = Model {
+            ir_version: IR,
+            producer_name: format!("sandgait {}", env!("CARGO_PKG_VERSION")),
+            graph: Some(self.graph),
+            opset_import: vec![OperatorSet { domain: String::new(), version: OPSET }],
+        };
+        model.encode_to_vec()
+    }
+
+    fn row(&mut self, numbers: &[f32]) -> String {
+        self.numbers(&[numbers.len()], numbers)
+    }
+
+    fn numbers(&mut self, dims: &[usize], numbers: &[f32]) -> String {
+        let name = format!("c{}", self.graph.initializer.len());
+        self.graph.initializer.push(Tensor {
+            dims: dims.iter().map(|d| *d as i64).collect(),
+            data_type: FLOAT,
+            name: name.clone(),
+            raw_data: numbers.iter().flat_map(|x| x.to_le_bytes()).collect(),
+            ..Tensor::default()
+        });
+        name
+    }
+
+    fn node(&mut self, kind: &str, inputs: &[&str]) -> String {
+        let name = format!("v{}", self.graph.node.len());
+        self.graph.node.push(Node {
+            input: inputs.iter().map(|name| (*name).to_owned()).collect(),
+            output: vec![name.clone()],
+            op_type: kind.into(),
+            ..Node::default()
+        });
+        name
+    }
+}
+
+/// f32 [n, width]
+fn rows(name: &str, width: usize) -> ValueInfo {
+    let dim =
+        vec![Dimension { value: None, name: "n".into() }, Dimension { value: Some(width as i64), name: String::new() }];
+    let tensor = TensorType { elem_type: FLOAT, shape: Some(Shape { dim }) };
+    ValueInfo { name: name.into(), kind: Some(Type { tensor: Some(tensor) }) }
+}

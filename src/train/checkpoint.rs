@@ -1,0 +1,140 @@
+//! What has been learnt as a file, to go on from, here or with stable-baselines3 (`sandgait.export.to_sb3`).
+
+use super::adam::Adam;
+use super::learner::{Learnt, Plan};
+use super::network::Layer;
+use super::normal::{Normal, Running};
+use super::tensors::{Numbers, Tensors};
+use crate::error::{Error, Result};
+use std::path::{Path, PathBuf};
+
+/// What the files' `format` says; a reader refuses any other.
+const FORMAT: &str = "sandgait policy 1";
+const ENDING: &str = "safetensors";
+
+fn layers(plan: &Plan) -> impl Iterator<Item = (String, &Layer)> {
+    let shape = &plan.networks.shape;
+    let named = |name: &'static str| move |(k, layer)| (format!("{name}.{k}"), layer);
+    let actor = shape.actor.iter().enumerate().map(named("actor"));
+    actor.chain(shape.critic.iter().enumerate().map(named("critic")))
+}
+
+/// Everything that `learnt` holds. Weights are f32 [inputs, outputs].
+pub fn save(path: &Path, plan: &Plan, learnt: &Learnt) -> Result<()> {
+    let mut file = Tensors::default();
+    let about = [
+        ("format", FORMAT.to_owned()),
+        ("sandgait", env!("CARGO_PKG_VERSION").into()),
+        ("task", plan.blueprint.task.spec().id.into()),
+        ("settings", plan.settings.json().to_string()),
+        ("seed", plan.seed.to_string()),
+        ("steps", learnt.steps.to_string()),
+        ("updates", learnt.updates.to_string()),
+        ("adam_steps", learnt.adam.steps.to_string()),
+    ];
+    file.about.extend(about.map(|(name, text)| (name.to_owned(), text.into())));
+    file.add("seconds", &[], Numbers::F64(vec![learnt.seconds]));
+    for (prefix, numbers) in
+        [("", &learnt.parameters), ("adam.first.", &learnt.adam.first), ("adam.second.", &learnt.adam.second)]
+    {
+        for (name, layer) in layers(plan) {
+            let weights = Numbers::F32(numbers[layer.weights.clone()].to_vec());
+            file.add(format!("{prefix}{name}.weights"), &[layer.inputs, layer.outputs], weights);
+            let bias = Numbers::F32(numbers[layer.bias.clone()].to_vec());
+            file.add(format!("{prefix}{name}.bias"), &[layer.outputs], bias);
+        }
+        let log_std = &numbers[plan.networks.shape.log_std.clone()];
+        file.add(format!("{prefix}log_std"), &[log_std.len()], Numbers::F32(log_std.to_vec()));
+    }
+    if let Some(Normal { observations, returns }) = &learnt.normal {
+        for (name, running) in [("observations", observations), ("returns", returns)] {
+            file.add(format!("{name}.mean"), &[running.mean.len()], Numbers::F64(running.mean.clone()));
+            file.add(format!("{name}.variance"), &[running.variance.len()], Numbers::F64(running.variance.clone()));
+            file.add(format!("{name}.count"), &[], Numbers::F64(vec![running.count]));
+        }
+    }
+    for (name, mirror) in ["observation", "action"].iter().zip(plan.networks.mirror.iter().flatten()) {
+        let order = mirror.order.iter().map(|k| *k as i64).collect();
+        file.add(format!("mirror.{name}.order"), &[mirror.order.len()], Numbers::I64(order));
+        file.add(format!("mirror.{name}.signs"), &[mirror.signs.len()], Numbers::F32(mirror.signs.clone()));
+    }
+    file.save(path)
+}
+
+/// What [`save`] wrote for a plan with the same task, networks and normalization.
+pub fn load(path: &Path, plan: &Plan) -> Result<Learnt> {
+    let file = Tensors::load(path)?;
+    read(&file, plan).map_err(|e| match e {
+        Error::Invalid { reason, .. } => Error::file(path, reason),
+        other => other,
+    })
+}
+
+fn read(file: &Tensors, plan: &Plan) -> Result<Learnt> {
+    let wrong = |why: String| Error::invalid("checkpoint", why);
+    if file.text("format")? != FORMAT {
+        return Err(wrong(format!("it is {:?}, not {FORMAT:?}", file.text("format")?)));
+    }
+    let (task, wanted) = (file.text("task")?, plan.blueprint.task.spec().id);
+    if task != wanted {
+        return Err(wrong(format!("it was learnt for {task}, not for {wanted}")));
+    }
+    let whole = |name: &str| {
+        let text = file.text(name)?;
+        text.parse::<u64>().map_err(|_| wrong(format!("its {name} {text:?} is no number")))
+    };
+    let all = |prefix: &str| {
+        let mut numbers = vec![0.0; plan.networks.shape.parameters];
+        for (name, layer) in layers(plan) {
+            let weights = file.f32(&format!("{prefix}{name}.weights"), layer.weights.len())?;
+            numbers[layer.weights.clone()].copy_from_slice(&weights);
+            numbers[layer.bias.clone()].copy_from_slice(&file.f32(&format!("{prefix}{name}.bias"), layer.bias.len())?);
+        }
+        let log_std = plan.networks.shape.log_std.clone();
+        numbers[log_std.clone()].copy_from_slice(&file.f32(&format!("{prefix}log_std"), log_std.len())?);
+        Ok(numbers)
+    };
+    let running = |name: &str, width: usize| {
+        let mean = file.f64(&format!("{name}.mean"), width)?;
+        let variance = file.f64(&format!("{name}.variance"), width)?;
+        Ok(Running { mean, variance, count: file.f64(&format!("{name}.count"), 1)?[0] })
+    };
+    let normalized = file.has("observations.mean");
+    if normalized != plan.settings.normalize || file.has("mirror.action.order") != plan.settings.mirror {
+        return Err(wrong("it was learnt with other settings of normalize or mirror".into()));
+    }
+    let normal = || {
+        let observations = running("observations", plan.networks.shape.observation)?;
+        Ok(Normal { observations, returns: running("returns", 1)? })
+    };
+    let adam = Adam { first: all("adam.first.")?, second: all("adam.second.")?, steps: whole("adam_steps")? };
+    Ok(Learnt {
+        parameters: all("")?,
+        adam,
+        normal: normalized.then(normal).transpose()?,
+        steps: whole("steps")?,
+        updates: whole("updates")?,
+        seconds: file.f64("seconds", 1)?[0],
+    })
+}
+
+/// The file of a checkpoint in the results' folder `out`.
+pub fn path(out: &Path, steps: u64) -> PathBuf {
+    folder(out).join(format!("{steps}.{ENDING}"))
+}
+
+pub fn folder(out: &Path) -> PathBuf {
+    out.join("checkpoints")
+}
+
+/// The newest checkpoint in the results' folder `out`.
+pub fn last(out: &Path) -> Result<PathBuf> {
+    let folder = folder(out);
+    let steps = |path: &PathBuf| -> Option<u64> {
+        let name = path.file_name()?.to_str()?.strip_suffix(ENDING)?.strip_suffix('.')?;
+        name.parse().ok()
+    };
+    let entries = std::fs::read_dir(&folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    let newest = entries.filter(|path| steps(path).is_some()).max_by_key(|path| steps(path));
+    newest.ok_or_else(|| Error::file(&folder, "there is no checkpoint to go on from"))
+}

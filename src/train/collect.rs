@@ -1,0 +1,207 @@
+//! Rollouts: some environments play some steps with the present policy, and what they met is kept.
+
+use super::learn::Rollout;
+use super::loss::Spread;
+use super::network::{Networks, Pass};
+use super::normal::{Moments, Scales};
+use super::settings::Settings;
+use crate::env::Shard;
+use crate::env::registry::Blueprint;
+use crate::error::Result;
+use rand::{Rng as _, SeedableRng as _};
+use rand_distr::StandardNormal;
+use rand_xoshiro::Xoshiro256PlusPlus;
+
+/// Parts that the environments are cut into, however many threads there are; fewer where environments move in lanes.
+const PIECES: usize = 8;
+
+/// Some of the environments, and what they met in this rollout; rows of a step lie together.
+pub struct Piece {
+    shard: Shard,
+    /// Environments.
+    pub envs: usize,
+    random: Xoshiro256PlusPlus,
+    pass: Pass,
+    spread: Spread,
+    /// f32 [envs, action], clipped to the action space.
+    clipped: Vec<f32>,
+    /// Bounds of each number of an action.
+    bounds: Vec<[f32; 2]>,
+    pub data: Rollout,
+    /// Did the episode end with this step?
+    ended: Vec<bool>,
+    /// Discounted sum of rewards of each environment, for their normalization.
+    discounted: Vec<f64>,
+    /// Of the last step's observations and discounted sums.
+    pub seen: [Moments; 2],
+    /// Sum of rewards of each environment's episode so far, and of those that ended in this rollout.
+    running: Vec<f64>,
+    pub finished: Vec<f64>,
+}
+
+/// What all pieces share while they play.
+#[derive(Clone, Copy)]
+pub struct Play<'a> {
+    pub settings: &'a Settings,
+    pub networks: &'a Networks,
+    pub parameters: &'a [f32],
+    pub scales: Option<&'a Scales>,
+}
+
+impl Piece {
+    /// All environments of a training, which begin their first episode with seeds from `first_seed` on.
+    pub fn all(blueprint: &Blueprint, settings: &Settings, networks: &Networks, first_seed: u64) -> Result<Vec<Self>> {
+        let lanes = blueprint.engine.shard_size();
+        let size = settings.n_envs.div_ceil(PIECES).next_multiple_of(lanes);
+        let starts = (0..settings.n_envs).step_by(size);
+        let piece = |start: usize| {
+            let envs = size.min(settings.n_envs - start);
+            Self::new(blueprint, envs, settings, networks, first_seed + start as u64)
+        };
+        starts.map(piece).collect()
+    }
+
+    fn new(
+        blueprint: &Blueprint,
+        envs: usize,
+        settings: &Settings,
+        networks: &Networks,
+        first_seed: u64,
+    ) -> Result<Self> {
+        let spec = blueprint.task.spec();
+        let mut shard = Shard::new(blueprint, envs)?;
+        let seeds: Vec<u64> = (first_seed..).take(envs).collect();
+        shard.reset(|_| true, Some(&seeds), |_| None);
+        let mut seen = [Moments::new(spec.observation.len()), Moments::new(1)];
+        seen[0].set(&shard.rows.observations);
+        Ok(Self {
+            shard,
+            envs,
+            random: Xoshiro256PlusPlus::seed_from_u64(0),
+            pass: networks.pass(envs),
+            spread: Spread::default(),
+            clipped: vec![0.0; envs * spec.action.len()],
+            bounds: spec.action.iter().map(|c| [c.low as f32, c.high as f32]).collect(),
+            data: Rollout::new(envs * settings.n_steps, spec.observation.len(), spec.action.len()),
+            ended: vec![false; envs * settings.n_steps],
+            discounted: vec![0.0; envs],
+            seen,
+            running: vec![0.0; envs],
+            finished: Vec::new(),
+        })
+    }
+
+    /// Ready for a rollout: its noise is a function of `seed`.
+    pub fn begin(&mut self, seed: u64) {
+        self.random = Xoshiro256PlusPlus::seed_from_u64(seed);
+        self.finished.clear();
+    }
+
+    /// Step `step` of the rollout.
+    pub fn act(&mut self, play: &Play, step: usize) {
+        if step > 0 {
+            self.pay(play, step - 1);
+        }
+        let shape = &play.networks.shape;
+        let (wide, width) = (shape.observation, shape.action);
+        let rows = step * self.envs..(step + 1) * self.envs;
+        let observations = &mut self.data.observations[rows.start * wide..rows.end * wide];
+        observe(play, &self.shard.rows.observations, observations);
+        play.networks.forward(play.parameters, &mut self.pass, self.envs, |out| out.copy_from_slice(observations));
+        self.spread.set(&play.parameters[shape.log_std.clone()]);
+        let deviations = &play.parameters[shape.log_std.clone()];
+        let actions = &mut self.data.actions[rows.start * width..rows.end * width];
+        let all = actions.chunks_exact_mut(width).zip(self.pass.means.chunks_exact(width));
+        for ((action, mean), clipped) in all.zip(self.clipped.chunks_exact_mut(width)) {
+            for (k, action) in action.iter_mut().enumerate() {
+                let noise: f32 = self.random.sample(StandardNormal);
+                *action = mean[k] + deviations[k].exp() * noise;
+                let [low, high] = self.bounds[k];
+                // Not clamp: what is not a number must not reach the simulation.
+                clipped[k] = action.max(low).min(high);
+            }
+        }
+        for (k, row) in rows.clone().enumerate() {
+            let part = k * width..(k + 1) * width;
+            let (action, mean) = (&actions[part.clone()], &self.pass.means[part]);
+            self.data.log_probabilities[row] = self.spread.log_probability(action, mean);
+        }
+        self.data.values[rows.clone()].copy_from_slice(&self.pass.values[..self.envs]);
+        self.shard.step(&self.clipped);
+        self.note(play, rows);
+    }
+
+    /// Takes note of what the step that filled `rows` has led to.
+    fn note(&mut self, play: &Play, rows: std::ops::Range<usize>) {
+        let met = &self.shard.rows;
+        for (i, row) in rows.enumerate() {
+            let reward = f64::from(met.rewards[i]);
+            let ended = met.terminated[i] + met.truncated[i] > 0;
+            self.data.rewards[row] = met.rewards[i];
+            self.ended[row] = ended;
+            self.discounted[i] = self.discounted[i] * play.settings.gamma + reward;
+            self.running[i] += reward;
+            if ended {
+                self.finished.push(std::mem::take(&mut self.running[i]));
+            }
+        }
+        if play.scales.is_some() {
+            self.seen[0].set(&met.observations);
+            self.seen[1].set(&self.discounted);
+        }
+        for i in &met.ended {
+            self.discounted[*i as usize] = 0.0;
+        }
+    }
+
+    /// Normalizes the rewards of step `step`, the last one. Where time was up, what would have come is added as its value.
+    fn pay(&mut self, play: &Play, step: usize) {
+        let first = step * self.envs;
+        if let Some(scales) = play.scales {
+            scales.rewards(&mut self.data.rewards[first..first + self.envs]);
+        }
+        let met = &self.shard.rows;
+        if met.ended.is_empty() {
+            return;
+        }
+        play.networks.forward(play.parameters, &mut self.pass, met.ended.len(), |out| {
+            observe(play, &met.final_observations, out);
+        });
+        for (i, value) in met.ended.iter().zip(&self.pass.values) {
+            let i = *i as usize;
+            if met.truncated[i] > 0 && met.terminated[i] == 0 {
+                self.data.rewards[first + i] += play.settings.gamma as f32 * value;
+            }
+        }
+    }
+
+    /// After the last step: advantages by generalized advantage estimation (Schulman et al. 2016, arXiv:1506.02438).
+    pub fn finish(&mut self, play: &Play) {
+        let (envs, steps) = (self.envs, play.settings.n_steps);
+        self.pay(play, steps - 1);
+        play.networks.forward(play.parameters, &mut self.pass, envs, |out| {
+            observe(play, &self.shard.rows.observations, out);
+        });
+        let (gamma, lambda) = (play.settings.gamma as f32, play.settings.gae_lambda as f32);
+        let data = &mut self.data;
+        for i in 0..envs {
+            let (mut next, mut advantage) = (self.pass.values[i], 0.0);
+            for row in (0..steps).rev().map(|step| step * envs + i) {
+                let goes_on = if self.ended[row] { 0.0 } else { 1.0 };
+                let surprise = data.rewards[row] + gamma * next * goes_on - data.values[row];
+                advantage = surprise + gamma * lambda * goes_on * advantage;
+                next = data.values[row];
+                data.advantages[row] = advantage;
+                data.returns[row] = advantage + next;
+            }
+        }
+    }
+}
+
+/// Observations as the networks take them.
+fn observe(play: &Play, rows: &[f32], out: &mut [f32]) {
+    match play.scales {
+        Some(scales) => scales.observations(rows, out),
+        None => out.copy_from_slice(rows),
+    }
+}

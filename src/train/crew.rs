@@ -1,0 +1,165 @@
+//! Threads that carry out the phases of a training: each phase is a number of items, and whoever is free takes the next.
+//!
+//! Nobody waits for a thread that got no item: where other programs use the processors, the threads that do run take all.
+//! What an item computes must not depend on who computes it; then nothing depends on the threads.
+
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+
+/// How often a thread looks for work before it sleeps: some 20 µs, as long as what one thread does alone between phases.
+const LOOKS: usize = 2_000;
+
+/// Carries out an item of a phase.
+type Work<'a, P> = &'a (dyn Fn(P, usize) + Sync);
+
+struct Order<P> {
+    /// Counts phases from 1.
+    number: u32,
+    phase: Option<P>,
+    items: usize,
+    over: bool,
+}
+
+/// The crew's leader, who gives the phases and works on them too.
+pub struct Crew<'a, P> {
+    order: Mutex<Order<P>>,
+    changed: Condvar,
+    /// Number of the phase in the upper half, next item in the lower.
+    next: AtomicU64,
+    done: AtomicUsize,
+    panicked: AtomicBool,
+    work: Work<'a, P>,
+}
+
+/// Calls `lead`, which gives phases to `threads` threads, its own among them.
+pub fn with<P: Copy + Send, R>(threads: usize, work: Work<'_, P>, lead: impl FnOnce(&Crew<'_, P>) -> R) -> R {
+    let crew = Crew {
+        order: Mutex::new(Order { number: 0, phase: None, items: 0, over: false }),
+        changed: Condvar::new(),
+        next: AtomicU64::new(0),
+        done: AtomicUsize::new(0),
+        panicked: AtomicBool::new(false),
+        work,
+    };
+    std::thread::scope(|scope| {
+        for _ in 1..threads {
+            scope.spawn(|| crew.serve());
+        }
+        let outcome = catch_unwind(AssertUnwindSafe(|| lead(&crew)));
+        crew.order().over = true;
+        crew.next.store(u64::MAX, Ordering::Release);
+        crew.changed.notify_all();
+        outcome.unwrap_or_else(|panic| resume_unwind(panic))
+    })
+}
+
+impl<P: Copy + Send> Crew<'_, P> {
+    /// Carries out `items` items of `phase`; returns when all are done.
+    pub fn run(&self, phase: P, items: usize) {
+        let number = {
+            let mut order = self.order();
+            order.number = order.number.wrapping_add(1) & 0x7fff_ffff;
+            (order.phase, order.items) = (Some(phase), items);
+            self.done.store(0, Ordering::Relaxed);
+            self.next.store(u64::from(order.number) << 32, Ordering::Release);
+            order.number
+        };
+        if items > 1 {
+            self.changed.notify_all();
+        }
+        self.carry_out(number, phase, items);
+        let mut looks = 0;
+        while self.done.load(Ordering::Acquire) < items {
+            looks += 1;
+            if looks < LOOKS { std::hint::spin_loop() } else { std::thread::yield_now() }
+        }
+        assert!(!self.panicked.load(Ordering::Relaxed), "a thread of the training failed");
+    }
+
+    fn carry_out(&self, number: u32, phase: P, items: usize) {
+        while let Some(item) = self.claim(number, items) {
+            if catch_unwind(AssertUnwindSafe(|| (self.work)(phase, item))).is_err() {
+                self.panicked.store(true, Ordering::Relaxed);
+            }
+            self.done.fetch_add(1, Ordering::Release);
+        }
+    }
+
+    /// The next item of phase `number` that nobody has taken; none if the phase is over.
+    fn claim(&self, number: u32, items: usize) -> Option<usize> {
+        let mut seen = self.next.load(Ordering::Acquire);
+        loop {
+            let item = (seen & u64::from(u32::MAX)) as usize;
+            if seen >> 32 != u64::from(number) || item >= items {
+                return None;
+            }
+            match self.next.compare_exchange_weak(seen, seen + 1, Ordering::AcqRel, Ordering::Acquire) {
+                Ok(_) => return Some(item),
+                Err(now) => seen = now,
+            }
+        }
+    }
+
+    /// Works on phases until the leader has no more.
+    fn serve(&self) {
+        let mut last = 0;
+        loop {
+            for _ in 0..LOOKS {
+                if self.next.load(Ordering::Acquire) >> 32 != u64::from(last) {
+                    break;
+                }
+                std::hint::spin_loop();
+            }
+            let mut order = self.order();
+            while order.number == last && !order.over {
+                order = self.changed.wait(order).unwrap_or_else(PoisonError::into_inner);
+            }
+            if order.over {
+                return;
+            }
+            last = order.number;
+            let (phase, items) = (order.phase, order.items);
+            drop(order);
+            if let Some(phase) = phase {
+                self.carry_out(last, phase, items);
+            }
+        }
+    }
+
+    fn order(&self) -> MutexGuard<'_, Order<P>> {
+        self.order.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Every item of every phase is carried out once, however many threads there are.
+    #[test]
+    fn each_item_once() {
+        for threads in [1, 2, 5] {
+            let counts: Vec<AtomicUsize> = (0..64).map(|_| AtomicUsize::new(0)).collect();
+            let work = |phase: usize, item: usize| {
+                assert!(item <= phase);
+                counts[item].fetch_add(1, Ordering::Relaxed);
+            };
+            with(threads, &work, |crew| {
+                for round in 0..500 {
+                    crew.run(round % 64, round % 64 + 1);
+                }
+            });
+            let expected = (0..64).map(|item| (0..500).filter(|round| round % 64 >= item).count());
+            assert!(counts.iter().map(|c| c.load(Ordering::Relaxed)).eq(expected));
+        }
+    }
+
+    /// A panic of the work ends the training; nobody waits for ever.
+    #[test]
+    fn a_panic_is_passed_on() {
+        let work = |_: (), item: usize| assert!(item != 3, "on purpose");
+        let outcome = catch_unwind(AssertUnwindSafe(|| with(2, &work, |crew| crew.run((), 8))));
+        assert!(outcome.is_err());
+    }
+}

@@ -1,0 +1,108 @@
+//! The learning curve: a point whenever enough episodes have ended, as file and figure.
+
+use super::learner::Report;
+use crate::error::{Error, Result};
+use crate::plot::{Axis, Figure, Mark, Panel, Style, color, png};
+use std::fs::File;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+/// Steps and seconds so far, and the mean return of the episodes that ended since the point before.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Point {
+    pub steps: u64,
+    pub seconds: f64,
+    pub mean_return: f64,
+}
+
+/// A curve that grows, in memory and in its file.
+pub struct Curve {
+    pub points: Vec<Point>,
+    file: File,
+    path: PathBuf,
+    /// Sum of returns and number of the episodes that no point has yet.
+    open: (f64, usize),
+    /// Episodes of a point.
+    enough: usize,
+}
+
+impl Curve {
+    /// A curve in `path`; where a training goes on, with the points of before up to `until` steps.
+    pub fn new(path: &Path, until: Option<u64>, envs: usize) -> Result<Self> {
+        let broken = |e: &dyn std::fmt::Display| Error::file(path, e);
+        let points = match until {
+            Some(until) => read(path)?.into_iter().filter(|p| p.steps <= until).collect(),
+            None => Vec::new(),
+        };
+        let file = File::create(path).map_err(|e| broken(&e))?;
+        // Python's curves have a point an eighth of the environments too.
+        let mut curve = Self { points, file, path: path.into(), open: (0.0, 0), enough: envs.div_ceil(8) };
+        curve.write("steps,seconds,return\n")?;
+        for point in curve.points.clone() {
+            curve.write(&line(&point))?;
+        }
+        Ok(curve)
+    }
+
+    /// Takes account of an update.
+    pub fn note(&mut self, report: &Report) -> Result<()> {
+        if report.episodes > 0 {
+            self.open.0 += report.mean_return * report.episodes as f64;
+            self.open.1 += report.episodes;
+        }
+        if self.open.1 < self.enough {
+            return Ok(());
+        }
+        let (sum, count) = std::mem::take(&mut self.open);
+        let point = Point { steps: report.steps, seconds: report.seconds, mean_return: sum / count as f64 };
+        self.points.push(point);
+        self.write(&line(&point))
+    }
+
+    fn write(&mut self, text: &str) -> Result<()> {
+        self.file.write_all(text.as_bytes()).map_err(|e| Error::file(&self.path, e))
+    }
+
+    /// The curve, and a line where the policy without noise came to, as SVG and PNG.
+    pub fn draw(&self, path: &Path, title: &str, reached: Option<f64>) -> Result<()> {
+        let points = self.points.iter().map(|p| [p.steps as f64 / 1e6, p.mean_return]).collect();
+        let mut marks = vec![Mark::line("while it explores", Style::line(color::BLUE), points)];
+        if let Some(at) = reached {
+            marks.push(Mark::Horizontal { at, text: "without noise, unseen seeds".into() });
+        }
+        let seconds = self.points.last().map_or(0.0, |p| p.seconds);
+        let figure = Figure {
+            title: title.into(),
+            panels: vec![Panel {
+                title: String::new(),
+                x: Axis::new(&format!("environment steps [millions], {seconds:.0} s in all")),
+                y: Axis::new("mean return of an episode"),
+                marks,
+            }],
+            columns: 1,
+            note: String::new(),
+        };
+        png::write_both(&figure.svg(), path)
+    }
+}
+
+fn line(point: &Point) -> String {
+    format!("{},{:.2},{:.3}\n", point.steps, point.seconds, point.mean_return)
+}
+
+fn read(path: &Path) -> Result<Vec<Point>> {
+    let text = std::fs::read_to_string(path).map_err(|e| Error::file(path, e))?;
+    let point = |(k, line): (usize, &str)| {
+        let cells: Vec<_> = line.split(',').collect();
+        let read = || {
+            let [steps, seconds, mean_return] = cells[..] else { return None };
+            Some(Point {
+                steps: steps.parse().ok()?,
+                seconds: seconds.parse().ok()?,
+                mean_return: mean_return.parse().ok()?,
+            })
+        };
+        read().ok_or_else(|| Error::file(path, format!("line {}: not steps, seconds and a return", k + 1)))
+    };
+    text.lines().enumerate().skip(1).map(point).collect()
+}

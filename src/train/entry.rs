@@ -1,0 +1,105 @@
+//! Entries of hyperparameter files, one a task.
+
+use super::settings::Settings;
+use super::yaml;
+use crate::env::registry::TASK_IDS;
+use crate::error::{Error, Result};
+use serde_json::{Map, Value};
+use std::path::Path;
+
+/// The settings that `sandgait train` has without a file.
+const OWN: &str = include_str!("../../examples/hyperparameters/ppo_fast.yml");
+
+/// The id of task `name`, which may stand without `sandgait/` and version.
+pub fn task_id(name: &str) -> String {
+    let short =
+        |id: &&&str| id.strip_prefix("sandgait/").and_then(|id| id.rsplit_once("-v")).map(|(n, _)| n) == Some(name);
+    TASK_IDS.iter().find(short).map_or_else(|| name.to_owned(), |id| (*id).to_owned())
+}
+
+/// What stands for `task` in `file`, or in the program's own; with `changes`, each NAME=YAML, in its place.
+pub fn settings(file: Option<&Path>, task: &str, changes: &[String]) -> Result<Settings> {
+    let mut entry = entry(file, task)?;
+    for change in changes {
+        let (name, value) = pair("--set", change)?;
+        // A dictionary changes key by key.
+        match (entry.get_mut(&name), value) {
+            (Some(Value::Object(old)), Value::Object(new)) => old.extend(new),
+            (_, value) => drop(entry.insert(name, value)),
+        }
+    }
+    Settings::from_entry(&entry)
+}
+
+fn entry(file: Option<&Path>, task: &str) -> Result<Map<String, Value>> {
+    let (name, text) = match file {
+        Some(path) => (path.display().to_string(), std::fs::read_to_string(path).map_err(|e| Error::file(path, e))?),
+        None => ("sandgait train".to_owned(), OWN.to_owned()),
+    };
+    let all = yaml::read(&text).map_err(|e| Error::File { path: name.clone(), reason: e.to_string() })?;
+    let Value::Object(mut all) = all else {
+        return Err(Error::File { path: name, reason: "it is no table of tasks".into() });
+    };
+    match all.remove(task) {
+        Some(Value::Object(entry)) => Ok(entry),
+        Some(_) => Err(Error::File { path: name, reason: format!("{task}: no table of settings") }),
+        None => {
+            let known: Vec<_> = all.keys().map(String::as_str).collect();
+            let reason = format!("there are no settings for {task:?}, only for {}", known.join(", "));
+            Err(Error::File { path: name, reason })
+        }
+    }
+}
+
+/// NAME=YAML as its parts.
+pub fn pair(option: &str, text: &str) -> Result<(String, Value)> {
+    let (name, value) =
+        text.split_once('=').ok_or_else(|| Error::invalid(option, format!("{text:?} is not NAME=VALUE")))?;
+    let value = yaml::read(value).map_err(|e| Error::invalid(format!("{option} {name}"), e.to_string()))?;
+    Ok((name.to_owned(), value))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn own_settings_are_sound() {
+        let all = yaml::read(OWN).unwrap();
+        for task in all.as_object().unwrap().keys() {
+            settings(None, task, &[]).unwrap();
+        }
+        let python = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/hyperparameters/ppo.yml");
+        for task in ["HexapodGait", "HexapodLegs", "HexapodTerrain", "HexapodRocks"] {
+            let read = settings(Some(&python), &task_id(task), &[]).unwrap();
+            assert_eq!((read.gamma, read.learning_rate.falls, read.mirror), (0.95, true, true));
+            // What settings.json says gives the same settings again.
+            assert_eq!(Settings::from_entry(read.json().as_object().unwrap()).unwrap(), read);
+        }
+    }
+
+    #[test]
+    fn wrong_settings_are_refused_in_a_line() {
+        let id = task_id("HexapodGait");
+        for (change, says) in [
+            ("gama=0.9", "setting \"gama\" is unknown; known: n_envs"),
+            ("gamma", "--set: \"gamma\" is not NAME=VALUE"),
+            ("gamma=2", "gamma: 2 is outside [0, 1]"),
+            ("gamma=high", "gamma: \"high\" is no number"),
+            ("learning_rate=lin_x", "learning_rate: \"lin_x\" is neither a number nor lin_NUMBER"),
+            ("n_epochs=2.5", "n_epochs: 2.5 is not whole"),
+            ("batch_size=1_000_000", "batch_size: 1000000 is more than n_envs · n_steps = 4096"),
+            ("n_envs=65536", "n_envs · n_steps"),
+            ("policy=CnnPolicy", "policy: \"CnnPolicy\" is not MlpPolicy"),
+            ("policy_kwargs={net_arch: [64, 0]}", "policy_kwargs.net_arch: 0 is outside [1, 1024]"),
+            ("policy_kwargs={squash_output: true}", "setting of policy_kwargs \"squash_output\" is unknown"),
+            ("gamma=[", "--set gamma: YAML: "),
+        ] {
+            let error = settings(None, &id, &[change.to_owned()]).unwrap_err().to_string();
+            assert!(error.starts_with(says) && !error.contains('\n'), "{error}");
+        }
+        let kept = settings(None, &id, &["policy_kwargs={log_std_init: -1}".into()]).unwrap();
+        assert_eq!((kept.log_std_init, &kept.net_arch[0]), (-1.0, &vec![64, 64]));
+        assert!(settings(None, "sandgait/None-v1", &[]).unwrap_err().to_string().contains("no settings for"));
+    }
+}

@@ -1,0 +1,65 @@
+//! An episode of a policy to look at: a recording for `sandgait replay`, and a picture of some of its moments.
+
+use crate::env::registry::Blueprint;
+use crate::env::{Look, Shard};
+use crate::error::{Error, Result};
+use crate::plot::png;
+use crate::policy::Network;
+use crate::view::{self, About, Moment, Writer};
+use std::path::Path;
+
+/// Moments of the picture, and width and height of each [px].
+const MOMENTS: usize = 4;
+const SIZE: [u32; 2] = [480, 270];
+
+/// Plays the episode of `seed` until its end; writes `recording` and, as PNG, `picture`.
+pub fn film(blueprint: &Blueprint, network: &Network, seed: u64, recording: &Path, picture: &Path) -> Result<()> {
+    let broken = |e: std::io::Error| Error::file(recording, e);
+    let mut shard = Shard::new(blueprint, 1)?;
+    shard.reset(|_| true, Some(&[seed]), |_| None);
+    let mut out = Writer::new(Vec::new(), &header(&shard.look(0, true))).map_err(broken)?;
+    out.row(&row(&shard.look(0, true))).map_err(broken)?;
+    let mut action = vec![0.0; shard.actions()];
+    let longest = blueprint.task.spec().max_episode_steps as usize;
+    let mut pixels = Vec::new();
+    for step in 1..=longest {
+        network.act(&shard.rows.observations, &mut action)?;
+        shard.step(&action);
+        let look = shard.look(0, true);
+        out.row(&row(&look)).map_err(broken)?;
+        // In the middle of each part of the longest episode.
+        let part = 2 * step * MOMENTS;
+        if part.is_multiple_of(longest) && !(part / longest).is_multiple_of(2) {
+            let caption = format!("{:6.2} s   x {:6.3} m", look.time, look.state.position[0]).replace('-', "−");
+            pixels.extend(view::draw(look.model, look.state, look.footing, SIZE, &[caption])?);
+        }
+        if shard.rows.terminated[0] + shard.rows.truncated[0] > 0 {
+            break;
+        }
+    }
+    std::fs::write(recording, out.finish().map_err(broken)?).map_err(broken)?;
+    let height = (pixels.len() / 3 / SIZE[0] as usize) as u32;
+    if height > 0 {
+        let image = png::pixels(&pixels, [SIZE[0], height])?;
+        std::fs::write(picture, image).map_err(|e| Error::file(picture, e))?;
+    }
+    Ok(())
+}
+
+fn header(look: &Look) -> String {
+    let spec = look.spec;
+    let about = About {
+        task: spec.id,
+        rate: spec.control_rate,
+        episode: Some(look.episode),
+        info: spec.info.iter().map(|c| (c.name.as_str(), c.unit)).collect(),
+        reward_terms: spec.reward.len(),
+        actions: spec.action.len(),
+    };
+    view::header(look.model, &about)
+}
+
+fn row(look: &Look) -> Vec<f32> {
+    let Look { model, state, footing, time, action, reward, info, .. } = look;
+    view::row(model, &Moment { time: *time, state, footing, action, reward: *reward, info })
+}

@@ -1,0 +1,134 @@
+//! PPO's loss (Schulman et al. 2017, arXiv:1707.06347) of some samples, and its slopes; term by term as stable-baselines3 2.9
+//! has it.
+
+use std::ops::AddAssign;
+
+/// ln √(2π)
+const LN_SQRT_TAU: f32 = 0.918_938_5;
+
+/// What the loss is made of beside the samples.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Weights {
+    /// How far a probability may move, as a ratio to the old one.
+    pub clip: f32,
+    /// How far a value may move; none: as far as it likes.
+    pub clip_value: Option<f32>,
+    /// Of the squared error of the value; the policy's part has weight 1.
+    pub value: f32,
+    /// Samples of the whole minibatch, of which these may be a part.
+    pub samples: usize,
+}
+
+/// Samples, one row each.
+pub struct Samples<'a> {
+    /// f32 [n, action]
+    pub actions: &'a [f32],
+    /// Logarithm of the actions' probability when they were chosen.
+    pub log_probabilities: &'a [f32],
+    /// Normalized.
+    pub advantages: &'a [f32],
+    /// What the value should have been.
+    pub returns: &'a [f32],
+    /// What it was.
+    pub values: &'a [f32],
+}
+
+/// Sums over samples, for reports.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Sums {
+    pub samples: f64,
+    pub policy: f64,
+    pub value: f64,
+    pub clipped: f64,
+    /// Estimate of the divergence of the new policy from the old one: (r − 1) − ln r (J. Schulman 2020).
+    pub kl: f64,
+}
+
+impl AddAssign for Sums {
+    fn add_assign(&mut self, other: Self) {
+        self.samples += other.samples;
+        self.policy += other.policy;
+        self.value += other.value;
+        self.clipped += other.clipped;
+        self.kl += other.kl;
+    }
+}
+
+/// Standard deviations of a normal distribution, as they are needed.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Spread {
+    /// f32 [action]: 1/σ
+    inverse: Vec<f32>,
+    /// Logarithm of the density at the mean.
+    peak: f32,
+}
+
+impl Spread {
+    pub fn set(&mut self, log_std: &[f32]) {
+        self.inverse.clear();
+        self.inverse.extend(log_std.iter().map(|s| (-s).exp()));
+        self.peak = -log_std.iter().map(|s| s + LN_SQRT_TAU).sum::<f32>();
+    }
+
+    /// Logarithm of the probability density of `action`.
+    pub fn log_probability(&self, action: &[f32], mean: &[f32]) -> f32 {
+        let scaled = action.iter().zip(mean).zip(&self.inverse).map(|((a, m), scale)| (a - m) * scale);
+        self.peak - 0.5 * scaled.map(|z| z * z).sum::<f32>()
+    }
+}
+
+/// Entropy of the distribution.
+pub fn entropy(log_std: &[f32]) -> f32 {
+    log_std.iter().map(|s| 0.5 + LN_SQRT_TAU + s).sum()
+}
+
+/// Where the slopes of the loss go.
+pub struct Slopes<'a> {
+    /// f32 [n, action]
+    pub means: &'a mut [f32],
+    /// f32 [n]
+    pub values: &'a mut [f32],
+    /// f32 [action], added to.
+    pub log_std: &'a mut [f32],
+}
+
+/// Slopes of the mean loss by the networks' outputs `means` and `values`, and by the logarithms of σ; the entropy's are left out,
+/// because they do not depend on the samples.
+pub fn slopes(
+    weights: &Weights,
+    samples: &Samples,
+    means: &[f32],
+    values: &[f32],
+    spread: &Spread,
+    out: Slopes,
+) -> Sums {
+    let (width, share) = (spread.inverse.len(), 1.0 / weights.samples as f32);
+    let mut sums = Sums { samples: samples.returns.len() as f64, ..Sums::default() };
+    for i in 0..samples.returns.len() {
+        let row = i * width..(i + 1) * width;
+        let (action, mean) = (&samples.actions[row.clone()], &means[row.clone()]);
+        let log_ratio = spread.log_probability(action, mean) - samples.log_probabilities[i];
+        let (ratio, advantage) = (log_ratio.exp(), samples.advantages[i]);
+        let held = ratio.clamp(1.0 - weights.clip, 1.0 + weights.clip);
+        let (free, bound) = (advantage * ratio, advantage * held);
+        let slope = if free <= bound || ratio == held { -advantage * ratio * share } else { 0.0 };
+        let slopes = out.means[row].iter_mut().zip(out.log_std.iter_mut());
+        for (((mean_slope, std_slope), (a, m)), scale) in slopes.zip(action.iter().zip(mean)).zip(&spread.inverse) {
+            let z = (a - m) * scale;
+            *mean_slope = slope * z * scale;
+            *std_slope += slope * (z * z - 1.0);
+        }
+        let moved = values[i] - samples.values[i];
+        let (predicted, follows) = match weights.clip_value {
+            Some(clip) => (samples.values[i] + moved.clamp(-clip, clip), moved.abs() <= clip),
+            None => (values[i], true),
+        };
+        let missed = predicted - samples.returns[i];
+        out.values[i] = if follows { 2.0 * weights.value * missed * share } else { 0.0 };
+        sums.policy -= f64::from(if free.is_nan() { free } else { free.min(bound) });
+        sums.value += f64::from(missed * missed);
+        sums.clipped += f64::from(u8::from((ratio - 1.0).abs() > weights.clip));
+        sums.kl += f64::from(ratio - 1.0 - log_ratio);
+    }
+    sums
+}

@@ -1,0 +1,155 @@
+//! Running means and variances, and what is normalized by them, as stable-baselines3's `VecNormalize` does it.
+
+/// `VecNormalize`'s: what is added to a variance, and how far a normalized number may go.
+pub const EPSILON: f64 = 1e-8;
+pub const CLIP: f32 = 10.0;
+
+/// Mean and variance of what has been seen, number by number.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Running {
+    pub mean: Vec<f64>,
+    pub variance: Vec<f64>,
+    pub count: f64,
+}
+
+impl Running {
+    /// Nothing seen yet; a count of 1e-4 as there, so that the first rows decide.
+    pub fn new(width: usize) -> Self {
+        Self { mean: vec![0.0; width], variance: vec![1.0; width], count: 1e-4 }
+    }
+
+    /// Takes account of rows with these moments (Chan, Golub & LeVeque 1983).
+    pub fn update(&mut self, rows: &Moments) {
+        if rows.count == 0.0 {
+            return;
+        }
+        let total = self.count + rows.count;
+        for (k, (mean, variance)) in self.mean.iter_mut().zip(&mut self.variance).enumerate() {
+            let delta = rows.mean[k] - *mean;
+            let squares = *variance * self.count + rows.squares[k] + delta * delta * self.count * rows.count / total;
+            *mean += delta * rows.count / total;
+            *variance = squares / total;
+        }
+        self.count = total;
+    }
+}
+
+/// Mean of some rows, and their sums of squared deviations from it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Moments {
+    pub count: f64,
+    pub mean: Vec<f64>,
+    pub squares: Vec<f64>,
+}
+
+impl Moments {
+    pub fn new(width: usize) -> Self {
+        Self { count: 0.0, mean: vec![0.0; width], squares: vec![0.0; width] }
+    }
+
+    /// Those of `rows`, in place of what was here.
+    pub fn set<T: Copy + Into<f64>>(&mut self, rows: &[T]) {
+        let width = self.mean.len();
+        self.count = (rows.len() / width) as f64;
+        self.mean.fill(0.0);
+        self.squares.fill(0.0);
+        for row in rows.chunks_exact(width) {
+            self.mean.iter_mut().zip(row).for_each(|(sum, x)| *sum += (*x).into());
+        }
+        self.mean.iter_mut().for_each(|sum| *sum /= self.count);
+        for row in rows.chunks_exact(width) {
+            for ((sum, mean), x) in self.squares.iter_mut().zip(&self.mean).zip(row) {
+                let d = (*x).into() - mean;
+                *sum += d * d;
+            }
+        }
+    }
+
+    /// Those of these rows and of others together.
+    pub fn join(&mut self, other: &Self) {
+        let total = self.count + other.count;
+        for k in 0..self.mean.len() {
+            let delta = other.mean[k] - self.mean[k];
+            self.mean[k] += delta * other.count / total;
+            self.squares[k] += other.squares[k] + delta * delta * self.count * other.count / total;
+        }
+        self.count = total;
+    }
+}
+
+/// What rows and rewards are normalized by; without it both stay as they are.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Normal {
+    pub observations: Running,
+    /// Of the discounted sums of rewards.
+    pub returns: Running,
+}
+
+impl Normal {
+    pub fn new(width: usize) -> Self {
+        Self { observations: Running::new(width), returns: Running::new(1) }
+    }
+
+    pub fn scales(&self) -> Scales {
+        let both = self.observations.mean.iter().zip(&self.observations.variance);
+        Scales {
+            rows: both.map(|(mean, variance)| [*mean, 1.0 / (variance + EPSILON).sqrt()]).collect(),
+            reward: 1.0 / (self.returns.variance[0] + EPSILON).sqrt(),
+        }
+    }
+}
+
+/// What [`Normal`] comes to at a time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scales {
+    /// Mean and 1/σ of each number of an observation.
+    pub rows: Vec<[f64; 2]>,
+    /// 1/σ of the returns.
+    pub reward: f64,
+}
+
+impl Scales {
+    /// Fills `out` with normalized `rows`.
+    pub fn observations(&self, rows: &[f32], out: &mut [f32]) {
+        let width = self.rows.len();
+        for (row, out) in rows.chunks_exact(width).zip(out.chunks_exact_mut(width)) {
+            for ((x, [mean, scale]), out) in row.iter().zip(&self.rows).zip(out) {
+                *out = (((f64::from(*x) - mean) * scale) as f32).clamp(-CLIP, CLIP);
+            }
+        }
+    }
+
+    pub fn rewards(&self, rewards: &mut [f32]) {
+        for reward in rewards {
+            *reward = ((f64::from(*reward) * self.reward) as f32).clamp(-CLIP, CLIP);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// In pieces or at once: mean and variance are those of all rows.
+    #[test]
+    fn pieces_add_up() {
+        let rows: Vec<f32> = (0..600).map(|k| (k as f32 * 0.37).sin() + (k % 3) as f32).collect();
+        let mut running = Running::new(3);
+        for batch in rows.chunks(150) {
+            let mut all = Moments::new(3);
+            for piece in batch.chunks(60) {
+                let mut moments = Moments::new(3);
+                moments.set(piece);
+                all.join(&moments);
+            }
+            running.update(&all);
+        }
+        for k in 0..3 {
+            let column: Vec<f64> = rows.iter().skip(k).step_by(3).map(|x| f64::from(*x)).collect();
+            let mean = column.iter().sum::<f64>() / 200.0;
+            let variance = column.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / 200.0;
+            // The prior counts for 1e-4 rows.
+            assert!((running.mean[k] - mean).abs() < 1e-5 && (running.variance[k] - variance).abs() < 1e-5);
+        }
+    }
+}

@@ -1,0 +1,206 @@
+//! A training with everything that stays of it: `settings.json`, `curve.csv`, checkpoints, TensorBoard's events and, at the end,
+//! the policy, its score over unseen seeds, the learning curve and a film.
+
+use super::curve::Curve;
+use super::events::Events;
+use super::learner::{Learnt, Plan, Report};
+use super::settings::Settings;
+use super::{checkpoint, export, film};
+use crate::env::registry::Blueprint;
+use crate::error::{Error, Result};
+use crate::evaluate::{self, Row, Study, Wanted, episode};
+use crate::policy::Network;
+use crate::progress::{Part, Progress};
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+
+/// Share of the progress that the training is; the rest is for the evaluation.
+const TRAINING: f64 = 0.97;
+
+/// What is asked for.
+pub struct Request {
+    pub task: String,
+    /// Keywords of the task; those of the settings' `env_kwargs` count where there are none here.
+    pub options: Value,
+    pub settings: Settings,
+    pub seed: u64,
+    pub threads: usize,
+    /// Folder for the results.
+    pub out: PathBuf,
+    /// Go on from the last checkpoint there.
+    pub resume: bool,
+    /// Steps between two checkpoints.
+    pub checkpoint_every: u64,
+}
+
+/// What came of it.
+pub struct Outcome {
+    pub learnt: Learnt,
+    pub last: Option<Report>,
+    /// The policy without noise over 100 unseen seeds; none for tasks that are not about walking.
+    pub score: Option<Row>,
+}
+
+impl Request {
+    /// Learns, and writes everything into the folder. Where the training stops before its end a checkpoint is left.
+    pub fn run(&self, progress: &dyn Progress) -> Result<Outcome> {
+        let options = self.options()?;
+        let blueprint = Blueprint::new(&self.task, options.clone())?;
+        let plan = Plan::new(blueprint, self.settings.clone(), self.seed, self.threads)?;
+        let learnt = match self.resume {
+            true => checkpoint::load(&checkpoint::last(&self.out)?, &plan)?,
+            false => plan.begin(),
+        };
+        let folder = checkpoint::folder(&self.out);
+        std::fs::create_dir_all(&folder).map_err(|e| Error::file(&folder, e))?;
+        let about = json!({
+            "task": self.task,
+            "seed": self.seed,
+            "options": options,
+            "version": env!("CARGO_PKG_VERSION"),
+            "instruction_set": plan.networks.isa.name(),
+            "hyperparameters": self.settings.json(),
+        });
+        self.write("settings.json", format!("{about:#}\n").as_bytes())?;
+        let until = self.resume.then_some(learnt.steps);
+        let mut diary = Diary {
+            plan: &plan,
+            curve: Curve::new(&self.out.join("curve.csv"), until, self.settings.n_envs)?,
+            events: Events::new(&self.out.join("tensorboard"))?,
+            last: None,
+            saved: learnt.steps,
+            seconds: learnt.seconds,
+            newest: learnt.clone(),
+            request: self,
+        };
+        let part = Part::new(progress, [0.0, TRAINING]);
+        let learnt = match plan.run(learnt, |learnt, report| diary.note(learnt, report, &part)) {
+            Ok(learnt) => learnt,
+            Err(error) => return Err(diary.abandon(error)),
+        };
+        checkpoint::save(&checkpoint::path(&self.out, learnt.steps), &plan, &learnt)?;
+        let score = self.keep(&plan, &learnt, options, &Part::new(progress, [TRAINING, 1.0]))?;
+        let reached = score.as_ref().map(|row| row.figures.total_reward.mean);
+        diary.curve.draw(&self.out.join("curve.svg"), &self.task, reached)?;
+        let mut about = about;
+        about["steps"] = learnt.steps.into();
+        about["seconds"] = learnt.seconds.into();
+        about["score"] = json!(score);
+        self.write("settings.json", format!("{about:#}\n").as_bytes())?;
+        Ok(Outcome { learnt, last: diary.last, score })
+    }
+
+    fn options(&self) -> Result<Value> {
+        let mut options = self.settings.env_kwargs.clone();
+        match &self.options {
+            Value::Null => (),
+            Value::Object(given) => options.extend(given.clone()),
+            _ => return Err(Error::invalid("options", "not an object of keywords")),
+        }
+        Ok(Value::Object(options))
+    }
+
+    /// Writes the policy, plays it over unseen seeds and films it.
+    fn keep(&self, plan: &Plan, learnt: &Learnt, options: Value, progress: &dyn Progress) -> Result<Option<Row>> {
+        let onnx = export::onnx(plan, learnt);
+        self.write("policy.onnx", &onnx)?;
+        checkpoint::save(&self.out.join("policy.safetensors"), plan, learnt)?;
+        let spec = plan.blueprint.task.spec();
+        let network = Network::new(&onnx, spec)?;
+        let (recording, picture) = (self.out.join("walk.rec"), self.out.join("walk.png"));
+        film::film(&plan.blueprint, &network, evaluate::FIRST_SEED, &recording, &picture)?;
+        if episode::Columns::of(spec).is_err() {
+            return Ok(None);
+        }
+        let request = evaluate::Request {
+            policy: Wanted::Network { name: "policy.onnx".into(), bytes: onnx },
+            task: self.task.clone(),
+            options,
+            seeds: evaluate::Request::SEEDS,
+            media: Vec::new(),
+            slopes: Vec::new(),
+        };
+        let rows = Study::new(&request)?.run(progress)?;
+        Ok(rows.into_iter().next())
+    }
+
+    fn write(&self, name: &str, content: &[u8]) -> Result<()> {
+        let path = self.out.join(name);
+        std::fs::write(&path, content).map_err(|e| Error::file(&path, e))
+    }
+}
+
+/// What is written while a training goes on.
+struct Diary<'a> {
+    plan: &'a Plan,
+    request: &'a Request,
+    curve: Curve,
+    events: Events,
+    last: Option<Report>,
+    /// Steps at the last checkpoint.
+    saved: u64,
+    /// Seconds at the last update.
+    seconds: f64,
+    newest: Learnt,
+}
+
+impl Diary<'_> {
+    fn note(&mut self, learnt: &Learnt, report: &Report, progress: &dyn Progress) -> Result<()> {
+        self.newest.clone_from(learnt);
+        self.curve.note(report)?;
+        let samples = (self.request.settings.n_envs * self.request.settings.n_steps) as f64;
+        let rate = samples / (report.seconds - self.seconds);
+        self.seconds = report.seconds;
+        self.log(report, rate)?;
+        if report.steps - self.saved >= self.request.checkpoint_every {
+            self.save()?;
+        }
+        self.last = Some(*report);
+        let reached = self.curve.points.last().map_or(String::new(), |p| format!(", return {:.0}", p.mean_return));
+        let stage =
+            format!("the training: {:.2} M steps{reached}, {:.0} k a second", report.steps as f64 / 1e6, rate / 1e3);
+        progress.report(report.done, &stage)
+    }
+
+    fn log(&mut self, report: &Report, rate: f64) -> Result<()> {
+        let scalars = [
+            ("rollout/ep_rew_mean", report.mean_return),
+            ("train/learning_rate", report.learning_rate),
+            ("train/policy_gradient_loss", report.policy_loss),
+            ("train/value_loss", report.value_loss),
+            ("train/entropy_loss", -report.entropy),
+            ("train/approx_kl", report.kl),
+            ("train/clip_fraction", report.clip_fraction),
+            ("train/explained_variance", report.explained_variance),
+            ("train/std", report.deviation),
+            ("time/fps", rate),
+            ("time/simulation_share", report.simulation),
+        ];
+        self.events.scalars(report.steps, &scalars)
+    }
+
+    fn save(&mut self) -> Result<PathBuf> {
+        let path = checkpoint::path(&self.request.out, self.newest.steps);
+        checkpoint::save(&path, self.plan, &self.newest)?;
+        self.saved = self.newest.steps;
+        Ok(path)
+    }
+
+    /// Leaves a checkpoint of what was sound, and says so.
+    fn abandon(mut self, error: Error) -> Error {
+        let steps = self.newest.steps;
+        let kept = |path: &Path| format!("; the policy of {steps} steps is kept in {}", path.display());
+        let note = match steps {
+            0 => String::new(),
+            _ => match self.save() {
+                Ok(path) => kept(&path),
+                Err(e) => format!("; no checkpoint: {e}"),
+            },
+        };
+        match error {
+            Error::Invalid { field, reason } => Error::Invalid { field, reason: reason + &note },
+            Error::Cancelled(why) => Error::Cancelled(why + &note + ", go on with --resume"),
+            other => other,
+        }
+    }
+}

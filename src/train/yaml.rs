@@ -1,0 +1,186 @@
+//! YAML as far as files of hyperparameters need it: tables, lists, texts, anchors and merge keys (`<<`), as JSON values.
+
+use crate::error::{Error, Result};
+use saphyr_parser::{Event, Parser, ScalarStyle};
+use serde_json::{Map, Value};
+use std::collections::HashMap;
+
+/// Longest text [bytes], deepest nesting and most values, those of anchors counted wherever they are used: our choice of guards.
+const MOST_BYTES: usize = 1 << 20;
+const MOST_DEPTH: usize = 32;
+const MOST_VALUES: usize = 100_000;
+
+/// A value under way.
+enum Open {
+    List(Vec<Value>),
+    /// With the key whose value comes next.
+    Table(Map<String, Value>, Option<String>),
+}
+
+struct Reader {
+    /// Values that are not complete, with their anchors; the innermost last.
+    open: Vec<(Open, usize)>,
+    anchors: HashMap<usize, (Value, usize)>,
+    values: usize,
+    whole: Option<Value>,
+}
+
+/// The value that `text` holds; null for none.
+pub fn read(text: &str) -> Result<Value> {
+    if text.len() > MOST_BYTES {
+        return Err(Error::invalid("YAML", format!("{} bytes are more than {MOST_BYTES}", text.len())));
+    }
+    let mut reader = Reader { open: Vec::new(), anchors: HashMap::new(), values: 0, whole: None };
+    for event in Parser::new_from_str(text) {
+        let (event, span) = event.map_err(|e| Error::invalid("YAML", e.to_string()))?;
+        let wrong = |why: String| Error::invalid("YAML", format!("line {}: {why}", span.start.line()));
+        reader.take(event).map_err(wrong)?;
+    }
+    Ok(reader.whole.unwrap_or_default())
+}
+
+type Outcome = std::result::Result<(), String>;
+
+impl Reader {
+    fn take(&mut self, event: Event) -> Outcome {
+        match event {
+            Event::Scalar(text, style, anchor, _) => self.place(scalar(&text, style), anchor, 1),
+            Event::SequenceStart(anchor, _) => self.begin(Open::List(Vec::new()), anchor),
+            Event::MappingStart(anchor, _) => self.begin(Open::Table(Map::new(), None), anchor),
+            Event::SequenceEnd | Event::MappingEnd => {
+                let Some((open, anchor)) = self.open.pop() else { return Ok(()) };
+                let value = match open {
+                    Open::List(list) => Value::Array(list),
+                    Open::Table(table, _) => Value::Object(table),
+                };
+                self.place(value, anchor, 1)
+            }
+            Event::Alias(anchor) => {
+                let known = self.anchors.get(&anchor).cloned();
+                let (value, size) = known.ok_or("an anchor is used inside itself")?;
+                self.place(value, 0, size)
+            }
+            Event::DocumentStart(_) if self.whole.is_some() => Err("a second document begins".into()),
+            _ => Ok(()),
+        }
+    }
+
+    fn begin(&mut self, open: Open, anchor: usize) -> Outcome {
+        if self.open.len() >= MOST_DEPTH {
+            return Err(format!("nested more than {MOST_DEPTH} deep"));
+        }
+        self.open.push((open, anchor));
+        Ok(())
+    }
+
+    /// Puts a complete value of `size` values where it belongs.
+    fn place(&mut self, value: Value, anchor: usize, size: usize) -> Outcome {
+        self.values += size;
+        if self.values > MOST_VALUES {
+            return Err(format!("more than {MOST_VALUES} values"));
+        }
+        if anchor > 0 {
+            self.anchors.insert(anchor, (value.clone(), count(&value)));
+        }
+        match self.open.last_mut().map(|(open, _)| open) {
+            None => self.whole = Some(value),
+            Some(Open::List(list)) => list.push(value),
+            Some(Open::Table(table, key)) => match key.take() {
+                None => *key = Some(name(&value).ok_or("a name is no text")?),
+                Some(name) if name == "<<" => merge(table, value)?,
+                // What stands in the table itself comes before what is merged, wherever that stands.
+                Some(name) => drop(table.insert(name, value)),
+            },
+        }
+        Ok(())
+    }
+}
+
+/// Adds a table's entries, or those of a list of tables, but for names that are there.
+fn merge(table: &mut Map<String, Value>, value: Value) -> Outcome {
+    match value {
+        Value::Object(other) => other.into_iter().for_each(|(name, value)| {
+            table.entry(name).or_insert(value);
+        }),
+        Value::Array(others) => others.into_iter().try_for_each(|other| merge(table, other))?,
+        _ => return Err("<<: needs a table".into()),
+    }
+    Ok(())
+}
+
+fn name(value: &Value) -> Option<String> {
+    match value {
+        Value::String(text) => Some(text.clone()),
+        Value::Number(number) => Some(number.to_string()),
+        _ => None,
+    }
+}
+
+fn count(value: &Value) -> usize {
+    1 + match value {
+        Value::Array(list) => list.iter().map(count).sum::<usize>(),
+        Value::Object(table) => table.values().map(count).sum(),
+        _ => 0,
+    }
+}
+
+/// What a word without quotes means; numbers may have `_` between digits, as in YAML 1.1.
+fn scalar(text: &str, style: ScalarStyle) -> Value {
+    if style != ScalarStyle::Plain {
+        return text.into();
+    }
+    match text {
+        "" | "~" | "null" | "Null" | "NULL" => return Value::Null,
+        "true" | "True" | "TRUE" => return true.into(),
+        "false" | "False" | "FALSE" => return false.into(),
+        _ => (),
+    }
+    let digits = text.replace('_', "");
+    // Words as "inf" and "nan" are no numbers here.
+    if !text.starts_with(|c: char| c.is_ascii_digit() || "+-.".contains(c)) {
+        return text.into();
+    }
+    match (digits.parse::<i64>(), digits.parse::<f64>()) {
+        (Ok(whole), _) => whole.into(),
+        (_, Ok(number)) if number.is_finite() => number.into(),
+        _ => text.into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn the_file_of_examples_is_read_as_python_reads_it() {
+        let all = read(include_str!("../../examples/hyperparameters/ppo.yml")).unwrap();
+        let gait = &all["sandgait/HexapodGait-v1"];
+        assert_eq!(gait["n_timesteps"], 10_000_000);
+        assert_eq!(gait["learning_rate"], "lin_1e-3");
+        assert_eq!(gait["policy_kwargs"], json!({"log_std_init": 0.0, "net_arch": [64, 64]}));
+        let legs = &all["sandgait/HexapodLegs-v1"];
+        assert_eq!((&legs["n_envs"], &legs["seconds"], &legs["gamma"]), (&json!(128), &json!(600), &json!(0.95)));
+    }
+
+    #[test]
+    fn what_is_no_such_file_is_refused_in_a_line() {
+        let bomb: String = (0..30).map(|k| format!("a{}: &a{} [*a{k}, *a{k}, *a{k}]\n", k + 1, k + 1)).collect();
+        for (text, says) in [
+            ("a: [1, 2", "YAML: "),
+            (&format!("a0: &a0 1\n{bomb}") as &str, "more than 100000 values"),
+            (&"[".repeat(10_000), "nested more than 32 deep"),
+            ("a: &a [*a]", "YAML: "),
+            ("<<: 3", "<<: needs a table"),
+            ("---\na: 1\n---\nb: 2", "a second document begins"),
+        ] {
+            let error = read(text).unwrap_err().to_string();
+            assert!(error.contains(says) && !error.contains('\n'), "{error}");
+        }
+        assert_eq!(read("").unwrap(), Value::Null);
+        assert_eq!(
+            read("[1e-3, .5, inf, -3, '7', 1_000, yes]").unwrap(),
+            json!([1e-3, 0.5, "inf", -3, "7", 1000, "yes"])
+        );
+    }
+}
