@@ -51,8 +51,8 @@ policies: $(VENV)/sb3
 test: test-rust test-python
 
 test-rust:
-	cargo fmt --check
-	cargo clippy --release --all-targets -- -D warnings
+	cargo fmt --all --check
+	PYO3_PYTHON=$(PYTHON) cargo clippy --release --workspace --all-targets -- -D warnings
 	cargo test --release
 
 test-python: $(VENV)/sb3 $(VENV)/plot $(VENV)/docs $(VENV)/dev

@@ -1,8 +1,9 @@
-"""Speed of the Python client: whole `step` calls through an embedded server, beside the same server in process.
+"""Speed from Python: whole `step` calls in this process, or with `--isolated` through a server on a Unix socket, beside
+`sandgait bench`.
 
-`own` is what a step call costs beyond the simulation: client, gRPC and server.
+`own` is what a step call costs beyond the simulation.
 
-usage: python benches/client.py [--envs 1 32 256 4096] [--seconds 2] [--json]
+usage: python benches/client.py [--envs 1 32 256 4096] [--seconds 2] [--isolated] [--json]
 """
 
 from __future__ import annotations
@@ -38,9 +39,9 @@ def in_process(envs: int, threads: int) -> float:
     return float(json.loads(result.stdout)["env_steps_per_second"])
 
 
-def through_python(envs: int, seconds: float) -> dict[str, float]:
+def through_python(envs: int, seconds: float, isolated: bool) -> dict[str, float]:
     """Environment steps a second and the time of a step call [µs] with random actions; episodes end and begin."""
-    env = sandgait.SandgaitVectorEnv(ID, envs)
+    env = sandgait.SandgaitVectorEnv(ID, envs, isolated=isolated)
     env.reset(seed=0)
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (64, envs, 6)).astype(np.float32)
     times: list[float] = []
@@ -58,11 +59,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n\n", maxsplit=1)[0])
     parser.add_argument("--envs", type=int, nargs="+", default=[1, 32, 256, 4096])
     parser.add_argument("--seconds", type=float, default=2.0, help="length of one measurement")
+    parser.add_argument("--isolated", action="store_true", help="on a server of its own")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     rows: list[dict[str, Any]] = []
     for envs in arguments.envs:
-        row: dict[str, Any] = through_python(envs, arguments.seconds)
+        row: dict[str, Any] = through_python(envs, arguments.seconds, arguments.isolated)
         row["in_process"] = in_process(envs, threads=0)
         row["share"] = row["env_steps_per_second"] / row["in_process"]
         row["own_us"] = row["p50_us"] - 1e6 * envs / row["in_process"]
