@@ -160,9 +160,11 @@ fn modules_know_only_those_below() {
         assert!(!files.is_empty(), "src/{module} is gone");
         for path in files {
             let code = code(&path);
-            // A child of the module may have the name of another module; what has no such child is meant itself.
+            // A part of the module may have the name of another module; what has no such part is meant itself.
             let child = |word: &str| {
-                src.join(module).join(word).exists() || src.join(module).join(format!("{word}.rs")).exists()
+                let named =
+                    |p: &PathBuf| p.file_stem().is_some_and(|s| s == word) || p.ends_with(format!("{word}/mod.rs"));
+                sources(&src.join(module)).iter().any(named)
             };
             let by_parent = |word: &&str| !child(word) && names(&code, word);
             let by_path = modules(&code);
