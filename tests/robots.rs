@@ -4,7 +4,7 @@ use nalgebra::{Isometry3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use rand::{Rng as _, SeedableRng as _};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::number::Vec3;
-use sandgait::robot::{self, Import, states};
+use sandgait::robots::{self, Import, states};
 use sandgait::sand::intruder::{Body, BodyShape, Given, Plate, Trial, area, compute, volume};
 use sandgait::sand::{Ground, Law, SandDescription, Site, Surface};
 use sandgait::sim::tree::{Geometry, TreeShape, plates};
@@ -20,7 +20,7 @@ fn here(name: &str) -> PathBuf {
 }
 
 fn load(name: &str) -> Import {
-    robot::load(&here(name)).unwrap()
+    robots::load(&here(name)).unwrap()
 }
 
 fn json(arguments: &[&str]) -> Value {
@@ -321,7 +321,7 @@ fn meshes_of_all_kinds_are_the_same() {
             <collision><geometry><mesh filename="{file}" scale="{scale}"/></geometry></collision></link></robot>"#
         );
         std::fs::write(at("r.urdf"), urdf).unwrap();
-        let read = robot::load(&at("r.urdf")).unwrap();
+        let read = robots::load(&at("r.urdf")).unwrap();
         let shape = &read.tree.bodies[0].shapes[0];
         assert!(read.warnings.is_empty(), "{:?}", read.warnings);
         assert!((shape.geometry.volume() - 0.048).abs() < 1e-6, "{file} {scale}: {}", shape.geometry.volume());
@@ -332,7 +332,7 @@ fn meshes_of_all_kinds_are_the_same() {
     write_stl(&at("cube.stl"), &faces[..11], &Rotation3::identity());
     let text = std::fs::read_to_string(at("r.urdf")).unwrap().replace("-1 2 0.5", "1 1 1");
     std::fs::write(at("r.urdf"), text).unwrap();
-    let read = robot::load(&at("r.urdf")).unwrap();
+    let read = robots::load(&at("r.urdf")).unwrap();
     assert!((read.tree.bodies[0].shapes[0].geometry.volume() - 0.048).abs() < 1e-6);
     assert!(read.warnings.iter().any(|w| w.contains("convex hull")), "{:?}", read.warnings);
 }
@@ -348,7 +348,7 @@ fn what_is_left_out_is_said() {
     let text =
         text.replace(r#"name="FL_knee" class="knee""#, r#"name="FL_knee" class="knee" stiffness="3" margin="0.1""#);
     std::fs::write(&path, text).unwrap();
-    let said = robot::load(&path).unwrap().warnings.join("\n");
+    let said = robots::load(&path).unwrap().warnings.join("\n");
     for word in ["<site>", "<camera>", "<sensor>", "tendons", "margin", "spring (stiffness)", "FL_knee"] {
         assert!(said.contains(word), "{word} is missing: {said}");
     }

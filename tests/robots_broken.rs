@@ -1,7 +1,7 @@
 //! Files of robots that are broken or hostile: one line, exit code 2, nothing written, an end.
 
 use rand::{Rng as _, SeedableRng as _};
-use sandgait::robot;
+use sandgait::robots;
 use std::path::Path;
 use std::process::Command;
 
@@ -345,7 +345,7 @@ fn mutants_are_read_or_refused() {
                 }
             }
             std::fs::write(&file, &bytes).unwrap();
-            match robot::load(&file) {
+            match robots::load(&file) {
                 Ok(import) => {
                     read += 1;
                     assert!(import.tree.mass() > 0.0);
