@@ -1,7 +1,7 @@
 //! Files of robots that are broken or hostile: one line, exit code 2, nothing written, an end.
 
 use rand::{Rng as _, SeedableRng as _};
-use sandgait::robot;
+use sandgait::robots;
 use std::path::Path;
 use std::process::Command;
 
@@ -334,9 +334,10 @@ fn mutants_are_read_or_refused() {
                     1 => drop(bytes.drain(at..end)),
                     2 => drop(bytes.splice(end..end, whole[at.min(whole.len() - 1)..end.min(whole.len())].to_vec())),
                     3..7 => {
-                        // A number or a word in place of another one.
-                        let from = bytes[..at].iter().rposition(|b| *b == b'"').map_or(at, |k| k + 1);
-                        let to = bytes[at..].iter().position(|b| *b == b'"').map_or(at, |k| at + k).max(from);
+                        // Another value of an attribute.
+                        let quotes: Vec<usize> = (0..bytes.len()).filter(|k| bytes[*k] == b'"').collect();
+                        let pair = 2 * chance.random_range(0..quotes.len() / 2);
+                        let (from, to) = (quotes[pair] + 1, quotes[pair + 1]);
                         let word = words[chance.random_range(0..words.len())];
                         bytes.splice(from..to, word.bytes());
                     }
@@ -344,7 +345,7 @@ fn mutants_are_read_or_refused() {
                 }
             }
             std::fs::write(&file, &bytes).unwrap();
-            match robot::load(&file) {
+            match robots::load(&file) {
                 Ok(import) => {
                     read += 1;
                     assert!(import.tree.mass() > 0.0);

@@ -1,6 +1,6 @@
 //! `sandgait robot`
 
-use sandgait::robot::{self, Import, Touch, states};
+use sandgait::robots::{self, Import, Touch, states};
 use sandgait::sim::tree::{Geometry, TreeBody, TreeJoint, TreeShape, plates};
 use sandgait::{Error, Result, sim, view};
 use serde_json::{Value, json};
@@ -74,7 +74,7 @@ impl Robot {
 fn load(file: &Path) -> Result<Import> {
     match file.to_str().filter(|name| sim::Robot::names().contains(name)) {
         Some(name) => Import::built_in(name),
-        None => robot::load(file),
+        None => robots::load(file),
     }
 }
 
