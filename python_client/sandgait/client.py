@@ -15,6 +15,7 @@ import functools
 import os
 import queue
 import re
+import subprocess
 import threading
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -165,7 +166,7 @@ class Created(NamedTuple):
 def create_session(address: str, task: str, num_envs: int, options: Mapping[str, Any]) -> Created:
     """Reserves environments on the server at `address`. They have no state before their first reset."""
     request = pb.CreateSessionRequest(task_id=task, num_envs=num_envs, protocol=PROTOCOL)
-    request.options.CopyFrom(struct(with_sand(options)))
+    request.options.CopyFrom(struct(with_files(options)))
     with _channel(address, DEFAULT_MESSAGE_BYTES) as channel:
         reply = _call(channel, address, "CreateSession", request, pb.CreateSessionResponse)
     for line in reply.warnings:
@@ -359,14 +360,31 @@ def _error(code: str, message: str, address: str) -> SandgaitError:
     return kind(message)
 
 
-def with_sand(options: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The option `sand` is the path of a sand.toml here and its text on the wire: the server may be elsewhere."""
-    if "sand" not in options:
-        return options
-    try:
-        return {**options, "sand": Path(options["sand"]).read_text(encoding="utf-8")}
-    except (OSError, TypeError, UnicodeDecodeError) as error:
-        raise InvalidRequest(f"sand: {options['sand']!r} cannot be read as a file: {error}") from error
+def with_files(options: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Options that are paths here are texts on the wire, the server may be elsewhere: a sand.toml, a URDF or an MJCF."""
+    texts = {}
+    if "sand" in options:
+        try:
+            texts["sand"] = Path(options["sand"]).read_text(encoding="utf-8")
+        except (OSError, TypeError, UnicodeDecodeError) as error:
+            raise InvalidRequest(f"sand: {options['sand']!r} cannot be read as a file: {error}") from error
+    robot = options.get("robot")
+    if isinstance(robot, (str, Path)) and Path(robot).suffix in _ROBOT_FILES:
+        texts["robot"] = _packed(Path(robot))
+    return {**options, **texts}
+
+
+#: Endings of files that hold a robot.
+_ROBOT_FILES = (".urdf", ".xml", ".mjcf")
+
+
+def _packed(path: Path) -> str:
+    """A robot with its meshes cut into plates, by this machine's own program: what a server takes."""
+    command = [server.find_binary(), "robot", str(path), "--pack"]
+    done = subprocess.run(command, capture_output=True, encoding="utf-8", check=False)
+    if done.returncode != 0:
+        raise InvalidRequest(f"robot: {done.stderr.strip().removeprefix('sandgait: ')}")
+    return done.stdout.strip()
 
 
 def struct(options: Mapping[str, Any]) -> struct_pb2.Struct:

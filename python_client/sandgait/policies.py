@@ -65,7 +65,7 @@ def evaluate(
     `options`: as for `gymnasium.make`. What `sandgait evaluate` computes.
     """
     request = pb.EvaluateRequest(task_id=task, seeds=seeds, media=list(media), slopes=np.asarray(list(slopes), float))
-    request.options.CopyFrom(client.struct(client.with_sand(options)))
+    request.options.CopyFrom(client.struct(client.with_files(options)))
     if isinstance(policy, (bytes, PathLike)) or policy.endswith(".onnx"):
         name = "policy.onnx" if isinstance(policy, bytes) else str(policy)
         request.onnx.CopyFrom(pb.File(name=name, content=read_policy(policy)))
