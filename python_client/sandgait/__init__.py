@@ -84,6 +84,7 @@ TASKS = (
     "sandgait/HexapodRocks-v1",
     "sandgait/HexapodTerrain-v1",
     "sandgait/LegStroke-v0",
+    "sandgait/LeggedVelocity-v0",
 )
 
 
@@ -119,7 +120,7 @@ def export_onnx(model: Any, path: FilePath, normalize: Any = None) -> Path:
 
 #: Control steps until gymnasium truncates an episode; a test holds them equal to the server's. LegStroke counts itself:
 #: one episode is one stroke, and ends with it.
-_TIME_LIMITS = {_id: 500 for _id in TASKS if "/Hexapod" in _id}
+_TIME_LIMITS = {_id: 500 for _id in TASKS if "/Hexapod" in _id} | {"sandgait/LeggedVelocity-v0": 1000}
 
 for _id in TASKS:
     gymnasium.register(

@@ -18,7 +18,7 @@ from . import _native, server
 from ._native import Request, Response
 from .batches import Batch, Rollout
 from .errors import InvalidRequest, LimitReached, OutOfOrder, SandgaitError, ServerLost, SessionLost
-from .options import with_sand
+from .options import with_files
 from .remote import Remote
 from .spaces import Task
 
@@ -83,7 +83,7 @@ class Created(NamedTuple):
 def create_session(address: str, task: str, num_envs: int, options: Mapping[str, Any]) -> Created:
     """Reserves environments on the server at `address`. They have no state before their first reset."""
     try:
-        session_id, made, lines = _native.create_session(place(address), task, num_envs, with_sand(options))
+        session_id, made, lines = _native.create_session(place(address), task, num_envs, with_files(options))
     except _native.StatusError as error:
         code, message = error.args
         # A task or option of that name: there is no session to lose.

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from . import _native
 from .batches import Batch, Rollout
 from .errors import InvalidRequest
-from .options import with_sand
+from .options import with_files
 from .spaces import Task
 from .threads import agreed
 
@@ -82,7 +82,7 @@ class Local:
             raise InvalidRequest(f"num_envs: {num_envs} is outside [1, {2**32 - 1}]")
         number = agreed(threads, _native.threads(), "this process")
         self.num_envs = num_envs
-        self._native = _native.Local(task, num_envs, with_sand(options), number)
+        self._native = _native.Local(task, num_envs, with_files(options), number)
         for line in self._native.warnings:
             warnings.warn(line, UserWarning, stacklevel=2)
         self.task = Task.of(self._native.task)

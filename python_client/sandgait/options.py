@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from . import _native
 from .errors import InvalidRequest
 
 
-def with_sand(options: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The option `sand` is the path of a sand.toml here and its text where environments are made."""
-    if "sand" not in options:
-        return options
-    try:
-        return {**options, "sand": Path(options["sand"]).read_text(encoding="utf-8")}
-    except (OSError, TypeError, UnicodeDecodeError) as error:
-        raise InvalidRequest(f"sand: {options['sand']!r} cannot be read as a file: {error}") from error
+def with_files(options: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Options that are paths here are texts where environments are made: a sand.toml, a URDF or an MJCF."""
+    texts = {}
+    if "sand" in options:
+        try:
+            texts["sand"] = Path(options["sand"]).read_text(encoding="utf-8")
+        except (OSError, TypeError, UnicodeDecodeError) as error:
+            raise InvalidRequest(f"sand: {options['sand']!r} cannot be read as a file: {error}") from error
+    robot = options.get("robot")
+    if isinstance(robot, (str, Path)) and Path(robot).suffix in ROBOT_FILES:
+        # With its meshes cut into plates: what a server takes.
+        texts["robot"], lines = _native.pack_robot(str(robot))
+        for line in lines:
+            warnings.warn(line, UserWarning, stacklevel=2)
+    return {**options, **texts}
+
+
+#: Endings of files that hold a robot.
+ROBOT_FILES = (".urdf", ".xml", ".mjcf")

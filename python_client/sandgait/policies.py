@@ -11,7 +11,7 @@ import numpy as np
 
 from .door import study
 from .errors import InvalidRequest
-from .options import with_sand
+from .options import with_files
 from .snapshots import FilePath
 from .studies import Display, ProgressOption, columns
 from .tables import Numbers, Table
@@ -70,7 +70,7 @@ def evaluate(
         "task_id": task,
         "onnx": (name, read_policy(policy)) if network else None,
         "gait": None if network else _with_clock(name),
-        "options": with_sand(options),
+        "options": with_files(options),
         "seeds": seeds,
         "media": list(media),
         "slopes": np.asarray(list(slopes), float).tolist(),

@@ -20,6 +20,7 @@ use std::time::Duration;
   sandgait bench --envs 256 --through grpc-uds
   sandgait bench --task all --actions zero      (robots that stand)
   sandgait bench --actions policy --policy policy.onnx
+  sandgait bench --task sandgait/LeggedVelocity-v0 --option ground=rigid --option robot=robots/sandcat.urdf
   sandgait bench --option sand=sand.toml --option leg=C
   SANDGAIT_ISA=avx2 sandgait bench            (avx512, avx2, baseline or f64)")]
 pub struct Bench {
@@ -29,7 +30,8 @@ pub struct Bench {
     /// Engine; the task's own if not given
     #[arg(long)]
     engine: Option<String>,
-    /// Option of the task, repeatable; VALUE is JSON or plain text, that of `sand` the path of a sand.toml
+    /// Option of the task, repeatable; VALUE is JSON or plain text, that of `sand` the path of a sand.toml,
+    /// that of `robot` may be the path of a URDF or MJCF
     #[arg(long = "option", value_name = "KEY=VALUE")]
     options: Vec<String>,
     /// Environments
@@ -169,7 +171,9 @@ impl Bench {
                 return Err(wrong("is given twice"));
             }
         }
-        Ok(options.into())
+        let mut options = options.into();
+        super::robot::read_option(&mut options)?;
+        Ok(options)
     }
 
     fn report(&self, task: &str, engine: EngineKind, rates: &[f64]) -> (Value, String) {
@@ -178,7 +182,7 @@ impl Bench {
             n => n.into(),
         };
         let isa = match engine {
-            EngineKind::Lanes => Isa::choose().map_or("unknown", Isa::name),
+            EngineKind::Lanes | EngineKind::Tree => Isa::choose().map_or("unknown", Isa::name),
             _ => "baseline",
         };
         let (median, min, max) = (rates[rates.len() / 2], rates[0], rates[rates.len() - 1]);

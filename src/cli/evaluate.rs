@@ -46,9 +46,10 @@ pub struct Evaluate {
 impl Evaluate {
     pub fn run(self) -> Result<String> {
         let read = |file: &str| std::fs::read(file).map_err(|e| Error::file(Path::new(file), e));
-        let options = self.options.as_deref().map_or(Ok(Value::Null), |text| {
+        let mut options = self.options.as_deref().map_or(Ok(Value::Null), |text| {
             serde_json::from_str(text).map_err(|e| Error::invalid("--options", format!("not JSON: {e}")))
         })?;
+        super::robot::read_option(&mut options)?;
         let request = Request {
             policy: Wanted::parse(&self.policy, read)?,
             task: self.task,

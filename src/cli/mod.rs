@@ -21,6 +21,8 @@ mod trials;
 mod validate;
 mod walk;
 
+pub use robot::pack as pack_robot;
+
 use clap::error::ErrorKind;
 use clap::{CommandFactory as _, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};

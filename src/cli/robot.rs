@@ -1,7 +1,7 @@
 //! `sandgait robot`
 
 use sandgait::robots::{self, Import, Touch, states};
-use sandgait::sim::tree::{Geometry, TreeBody, TreeJoint, TreeShape, plates};
+use sandgait::sim::tree::{Geometry, TreeBody, TreeJoint, TreeShape, packed, plates};
 use sandgait::{Error, Result, sim, view};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -37,8 +37,8 @@ pub struct Robot {
     /// Size of the plates that touching shapes are cut into [m]; a sixth of a box's longest side, a twelfth of others', if not given
     #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
     plate_size: Option<f64>,
-    /// Print the robot as one text, as option `robot` of sandgait/LeggedVelocity-v0 takes it
-    #[arg(long, conflicts_with_all = ["json", "picture", "accelerations"])]
+    /// Print the robot as one text, as option `robot` of sandgait/LeggedVelocity-v0 takes it; with --json uncompressed
+    #[arg(long, conflicts_with_all = ["picture", "accelerations"])]
     pack: bool,
     /// Print accelerations in free flight for the rows {quat, v, w, q, qd, tau} of this JSON file
     #[arg(long, value_name = "FILE", conflicts_with_all = ["json", "picture", "touches", "plate_size"])]
@@ -55,7 +55,8 @@ impl Robot {
         }
         let touching = Touching::of(&import, self.touches.as_deref(), self.plate_size)?;
         if self.pack {
-            return sim::tree::packed::pack(&import.tree, &touching.plates);
+            let text = packed::pack(&import.tree, &touching.plates)?;
+            return if self.json { Ok(text) } else { packed::compressed(&text) };
         }
         if let Some(path) = &self.picture {
             let seen = import.seen()?;
@@ -69,6 +70,24 @@ impl Robot {
             false => Ok(as_text(&import, &touching)),
         }
     }
+}
+
+/// The file of a robot among a task's options becomes its packed text.
+pub fn read_option(options: &mut Value) -> Result<()> {
+    let Some(robot) = options.get_mut("robot") else { return Ok(()) };
+    let is_file = |name: &&str| [".urdf", ".xml", ".mjcf"].iter().any(|end| name.ends_with(end));
+    let Some(path) = robot.as_str().filter(is_file) else { return Ok(()) };
+    let (text, warnings) = pack(Path::new(path))?;
+    warnings.iter().for_each(|line| eprintln!("sandgait: warning: {line}"));
+    *robot = text.into();
+    Ok(())
+}
+
+/// A robot's file as one text, its meshes cut into plates, and what was left out of it.
+pub fn pack(path: &Path) -> Result<(String, Vec<String>)> {
+    let import = robots::load(path)?;
+    let touching = Touching::of(&import, None, None)?;
+    Ok((packed::compressed(&packed::pack(&import.tree, &touching.plates)?)?, import.warnings))
 }
 
 fn load(file: &Path) -> Result<Import> {

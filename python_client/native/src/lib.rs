@@ -36,6 +36,12 @@ fn main(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
     py.detach(|| sandgait::cli::main(arguments))
 }
 
+/// A robot's URDF or MJCF as one text, and what was left out of it.
+#[pyfunction]
+fn pack_robot(py: Python<'_>, path: std::path::PathBuf) -> PyResult<(String, Vec<String>)> {
+    py.detach(|| sandgait::cli::pack_robot(&path)).map_err(|error| errors::raise(&error))
+}
+
 #[pymodule]
 mod _native {
     #[pymodule_export]
@@ -44,6 +50,8 @@ mod _native {
     use super::local::Local;
     #[pymodule_export]
     use super::main;
+    #[pymodule_export]
+    use super::pack_robot;
     #[pymodule_export]
     use super::process::threads;
     #[pymodule_export]

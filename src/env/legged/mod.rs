@@ -33,6 +33,10 @@ const JOINT_OFFSET: f64 = std::f64::consts::TAU; // [rad]
 /// Gravity's direction along the base's z axis above which it has fallen: cos 60°. Our choice.
 const FALLEN: f64 = -0.5;
 
+/// Time step [s]: our choice, twice that of the hexapods, whose feet turn faster. Trots on hard ground and in sand are within 4 %
+/// of those at 0.125 ms, and within 1 % at 1 ms.
+const DT: f64 = 2e-3;
+
 const ABOUT: &str = "\
 The robot starts in its default pose, joints off by up to `angle_noise`, just over the ground. An action is an offset of each
 joint's target from its default position, times `action_scale`; a servo at each joint (the file's gains, or kp = torque limit / 1 rad and kd =
@@ -54,6 +58,7 @@ pub fn defaults() -> TaskOptions {
     TaskOptions {
         robot: RobotName::TREE.into(),
         engine: EngineKind::Tree,
+        dt: DT,
         angle_noise: 0.1,
         max_episode_steps: 1000, // 20 s, as legged_gym
         ground: "poppy-loose".into(),

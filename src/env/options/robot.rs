@@ -32,15 +32,14 @@ impl RobotName {
             return Ok(tree.clone());
         }
         let text = self.name();
-        let text = match TREES.iter().find(|t| t.0 == text) {
-            Some((_, packed)) => packed,
-            None if text.starts_with('{') => text,
+        let tree = match TREES.iter().find(|t| t.0 == text) {
+            Some((_, json)) => packed::unpack(json)?,
+            None if packed::is_packed(text) => packed::unpack_compressed(text)?,
             None => {
-                let known = [TREES[0].0, "a file packed by `sandgait robot FILE --pack`"];
+                let known = [TREES[0].0, "a .urdf or MJCF file, as `sandgait robot FILE --pack` packs it"];
                 return Err(Error::unknown("robot", text, &known));
             }
         };
-        let tree = packed::unpack(text)?;
         Ok(self.0.tree.get_or_init(|| tree).clone())
     }
 }

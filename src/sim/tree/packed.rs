@@ -1,4 +1,5 @@
-//! A tree robot as one JSON text: what travels to a server. Meshes are left behind; their plates and points of contact go.
+//! A tree robot as one text: what travels to a server. JSON, compressed as `tree:` and base64 of a zlib stream. Meshes are left
+//! behind; their plates and points of contact go.
 
 use super::contact::{ContactPoint, contact_points};
 use super::model::TreeModel;
@@ -6,11 +7,17 @@ use super::{Geometry, JointKind, Tree, TreeBody, TreeJoint, TreeShape};
 use crate::error::{Error, Result, check_range};
 use crate::number::Vec3;
 use crate::sand::intruder::Plate;
+use base64::prelude::{BASE64_STANDARD, Engine as _};
 use nalgebra::{Isometry3, Matrix3, Quaternion, Unit, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
+use std::io::{Read, Write};
 
-/// Longest text [bytes]: our choice, some 20,000 plates.
-pub const MOST_BYTES: usize = 6 << 20;
+/// Longest JSON [bytes]: our choice, more than [`MOST_PIECES`] take.
+const MOST_BYTES: usize = 6 << 20;
+/// Longest packed text [bytes]: leaves room for other options within what a session's may have.
+const MOST_PACKED: usize = 224 << 10;
+/// What packed texts begin with.
+const MARK: &str = "tree:";
 /// Most bodies, and most plates and points of a robot: our choice of guards, far beyond what walks in real time.
 const MOST_BODIES: usize = 256;
 const MOST_PIECES: usize = 20_000;
@@ -95,11 +102,37 @@ pub fn pack(tree: &Tree, plates: &[Vec<Plate>]) -> Result<String> {
         plates: plates[i].iter().map(plate).collect(),
     };
     let packed = Packed { name: tree.name.clone(), bodies: tree.bodies.iter().enumerate().map(body).collect() };
-    let text = serde_json::to_string(&packed).map_err(|e| Error::invalid("robot", e.to_string()))?;
-    match text.len() <= MOST_BYTES {
-        true => Ok(text),
-        false => Err(Error::invalid("robot", "it has too many plates: give them a larger size")),
+    serde_json::to_string(&packed).map_err(|e| Error::invalid("robot", e.to_string()))
+}
+
+/// A text of [`pack`], compressed.
+pub fn compressed(text: &str) -> Result<String> {
+    let mut stream = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::best());
+    let bytes = stream.write_all(text.as_bytes()).and_then(|()| stream.finish());
+    let bytes = bytes.map_err(|e| Error::invalid("robot", e.to_string()))?;
+    let packed = format!("{MARK}{}", BASE64_STANDARD.encode(bytes));
+    match packed.len() <= MOST_PACKED {
+        true => Ok(packed),
+        false => {
+            Err(Error::invalid("robot", "it has too many plates: give them a larger size, or let fewer bodies touch"))
+        }
     }
+}
+
+/// Is this text a packed robot, whole or broken?
+pub fn is_packed(text: &str) -> bool {
+    text.starts_with(MARK)
+}
+
+/// The robot of a text of [`compressed`].
+pub fn unpack_compressed(text: &str) -> Result<TreeModel> {
+    let broken = |e: &dyn std::fmt::Display| Error::invalid("robot", format!("not a packed robot: {e}"));
+    let bytes = BASE64_STANDARD.decode(text.trim_start_matches(MARK).trim()).map_err(|e| broken(&e))?;
+    let mut json = String::new();
+    // One byte more than may be, so that what is too long is noticed and nothing is unpacked without bound.
+    let most = MOST_BYTES as u64 + 1;
+    flate2::read::ZlibDecoder::new(&bytes[..]).take(most).read_to_string(&mut json).map_err(|e| broken(&e))?;
+    unpack(&json)
 }
 
 /// The robot that a text of [`pack`] holds; whatever stands in it is checked.

@@ -18,14 +18,62 @@ use crate::sim::spatial::{Inertia, PointMasses, Twist, Wrench};
 #[derive(Clone)]
 pub struct BodyPlates<R> {
     pub body: usize,
-    plates: Vec<Plate>,
+    /// Neighbours together, so that most of those in the air are left out at once.
+    bunches: Vec<Bunch>,
     /// A ball around all of them, in the body's frame [m].
-    center: [f64; 3],
-    reach: f64,
+    ball: Ball,
     /// Corners of a box around them, where the trust in an expected change is judged.
     corners: [[f64; 3]; 8],
     /// Share of the sand's stress that they find, one lane each.
     pub share: R,
+}
+
+/// Some plates.
+#[derive(Clone)]
+struct Bunch {
+    plates: Vec<Plate>,
+    ball: Ball,
+}
+
+/// A ball around plates [m].
+#[derive(Clone, Copy)]
+struct Ball {
+    center: [f64; 3],
+    reach: f64,
+}
+
+/// Plates in a bunch: our choice, the test for one costs about what two plates in the air do.
+const BUNCH: usize = 12;
+
+/// Ends of plates' centres along x, y and z.
+fn ends(plates: &[Plate]) -> [[f64; 2]; 3] {
+    [0, 1, 2].map(|k| {
+        let along = plates.iter().map(|p| p.center.lane(0)[k]);
+        along.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], x| [a.min(x), b.max(x)])
+    })
+}
+
+impl Ball {
+    fn around(plates: &[Plate]) -> Self {
+        let center = ends(plates).map(|[a, b]| (a + b) / 2.0);
+        let length = |v: Vec3<f64>| v.norm_squared().sqrt();
+        let away = |p: &Plate| length(p.center - Vec3::splat(center)) + length(p.half[0]) + length(p.half[1]);
+        Self { center, reach: plates.iter().map(away).fold(0.0, f64::max) }
+    }
+}
+
+/// Splits plates in halves along the longest side until they are few.
+fn bunches(mut plates: Vec<Plate>, out: &mut Vec<Bunch>) {
+    if plates.len() <= BUNCH {
+        let ball = Ball::around(&plates);
+        return out.push(Bunch { plates, ball });
+    }
+    let sides = ends(&plates).map(|[a, b]| b - a);
+    let k = (1..3).fold(0, |k, i| if sides[i] > sides[k] { i } else { k });
+    plates.sort_by(|a, b| a.center.lane(0)[k].total_cmp(&b.center.lane(0)[k]));
+    let rest = plates.split_off(plates.len() / 2);
+    bunches(plates, out);
+    bunches(rest, out);
 }
 
 /// What sand does to a body: forces about the base's origin, and its drag as masses.
@@ -42,19 +90,11 @@ impl<R: Real> BodyPlates<R> {
     }
 
     pub fn of(body: usize, plates: &[Plate]) -> Self {
-        let ends = |k: usize| {
-            let along = plates.iter().map(|p| p.center.lane(0)[k]);
-            along.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], x| [a.min(x), b.max(x)])
-        };
-        let ends = [0, 1, 2].map(ends);
-        let center = ends.map(|[a, b]| (a + b) / 2.0);
-        let away = |p: &Plate| {
-            let half = |h: &Vec3<f64>| h.norm_squared().sqrt();
-            (p.center - Vec3::splat(center)).norm_squared().sqrt() + half(&p.half[0]) + half(&p.half[1])
-        };
-        let reach = plates.iter().map(away).fold(0.0, f64::max);
+        let ends = ends(plates);
         let corners = std::array::from_fn(|i| [0, 1, 2].map(|k| ends[k][i >> k & 1]));
-        Self { body, plates: plates.to_vec(), center, reach, corners, share: R::one() }
+        let mut all = Vec::new();
+        bunches(plates.to_vec(), &mut all);
+        Self { body, bunches: all, ball: Ball::around(plates), corners, share: R::one() }
     }
 }
 
@@ -71,9 +111,9 @@ pub fn press<R: Real>(
 ) {
     for plates in bodies {
         let frame = &frames[plates.body];
-        let center = *place + frame.point(Vec3::splat(plates.center));
+        let center = *place + frame.point(Vec3::splat(plates.ball.center));
         let under = surface.under(center);
-        if !R::any(R::zero().lt(under.depth(center) + R::splat(plates.reach))) {
+        if !R::any(R::zero().lt(under.depth(center) + R::splat(plates.ball.reach))) {
             continue;
         }
         let trusted = plates.corners.iter().fold(R::one(), |least, c| {
@@ -141,50 +181,56 @@ fn by<R: Real>(
     // The same in the body's frame, for what only needs heights.
     let up = frame.rotation.apply_transposed(under.normal);
     let height = under.normal.dot(*place + frame.origin - under.point);
-    for plate in &plates.plates {
-        let center = lanes(plate.center);
-        let depth = -(up.dot(center) + height);
-        let rise = up.dot(lanes(plate.half[0])).abs() + up.dot(lanes(plate.half[1])).abs();
-        let below = depth + rise;
-        if !R::any(zero.lt(below)) {
+    for bunch in &plates.bunches {
+        let depth = -(up.dot(Vec3::splat(bunch.ball.center)) + height);
+        if !R::any(zero.lt(depth + R::splat(bunch.ball.reach))) {
             continue;
         }
-        let (at, normal) = (frame.point(center), frame.rotation.apply(lanes(plate.normal)));
-        let v = velocity.at(at);
-        if !R::any(zero.lt(normal.dot(v))) {
-            continue;
-        }
-        let crossing = depth.lt(rise);
-        let part = below.max(zero) * half;
-        let depth = R::select(crossing, part, depth).max(zero);
-        let share = R::select(crossing, part / rise.max(R::splat(1e-9)), R::one());
-        let area = R::splat(plate.area) * share * plates.share;
-        let site = Site::fresh(depth, place.x + at.x);
-        let contact = match &axes {
-            None => ground.one_sided_by(law, beyond, &site, area, normal, v),
-            Some(axes) => {
-                let mut contact = ground.one_sided_by(
-                    law,
-                    beyond,
-                    &site,
-                    area,
-                    axes.apply_transposed(normal),
-                    axes.apply_transposed(v),
-                );
-                contact.force = axes.apply(contact.force);
-                contact
+        for plate in &bunch.plates {
+            let center = lanes(plate.center);
+            let depth = -(up.dot(center) + height);
+            let rise = up.dot(lanes(plate.half[0])).abs() + up.dot(lanes(plate.half[1])).abs();
+            let below = depth + rise;
+            if !R::any(zero.lt(below)) {
+                continue;
             }
-        };
-        wet = true;
-        total.wrench.force += contact.force;
-        total.wrench.moment += at.cross(contact.force);
-        let mass = contact.drag * dt;
-        let first = at * mass;
-        total.drag.mass += mass;
-        total.drag.first += first;
-        total.drag.second.add_product(at, first);
-        if R::any(zero.lt(contact.edge)) {
-            total.edge.add_outer(contact.edge * dt, &Wrench { moment: at.cross(normal), force: normal });
+            let (at, normal) = (frame.point(center), frame.rotation.apply(lanes(plate.normal)));
+            let v = velocity.at(at);
+            if !R::any(zero.lt(normal.dot(v))) {
+                continue;
+            }
+            let crossing = depth.lt(rise);
+            let part = below.max(zero) * half;
+            let depth = R::select(crossing, part, depth).max(zero);
+            let share = R::select(crossing, part / rise.max(R::splat(1e-9)), R::one());
+            let area = R::splat(plate.area) * share * plates.share;
+            let site = Site::fresh(depth, place.x + at.x);
+            let contact = match &axes {
+                None => ground.one_sided_by(law, beyond, &site, area, normal, v),
+                Some(axes) => {
+                    let mut contact = ground.one_sided_by(
+                        law,
+                        beyond,
+                        &site,
+                        area,
+                        axes.apply_transposed(normal),
+                        axes.apply_transposed(v),
+                    );
+                    contact.force = axes.apply(contact.force);
+                    contact
+                }
+            };
+            wet = true;
+            total.wrench.force += contact.force;
+            total.wrench.moment += at.cross(contact.force);
+            let mass = contact.drag * dt;
+            let first = at * mass;
+            total.drag.mass += mass;
+            total.drag.first += first;
+            total.drag.second.add_product(at, first);
+            if R::any(zero.lt(contact.edge)) {
+                total.edge.add_outer(contact.edge * dt, &Wrench { moment: at.cross(normal), force: normal });
+            }
         }
     }
     wet.then_some(total)

@@ -1,0 +1,146 @@
+//! LeggedVelocity: robots stand, rewards are legged_gym's, what is drawn acts, and files become robots.
+
+use sandgait::env::registry::Blueprint;
+use sandgait::env::shard::Shard;
+use sandgait::robot;
+use sandgait::sim::tree::{packed, plates::of_shapes};
+use serde_json::{Value, json};
+use std::path::Path;
+
+const ID: &str = "sandgait/LeggedVelocity-v0";
+
+fn blueprint(options: Value) -> Blueprint {
+    Blueprint::new(ID, options).unwrap()
+}
+
+fn shard(options: Value, envs: usize) -> Shard {
+    let mut shard = Shard::new(&blueprint(options), envs).unwrap();
+    let seeds: Vec<u64> = (0..envs as u64).collect();
+    shard.reset(|_| true, Some(&seeds), |_| None);
+    shard
+}
+
+fn column(blueprint: &Blueprint, name: &str) -> usize {
+    blueprint.task.spec().info.iter().position(|c| c.name == name).unwrap()
+}
+
+/// Our own robot as the file has it, packed.
+fn sandcat(file: &str) -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots").join(file);
+    let import = robot::load(&path).unwrap();
+    let touching = import.touching(None).unwrap();
+    let of_body = |b: usize| {
+        let shapes: Vec<_> = touching.iter().filter(|t| t.0 == b).map(|t| &import.tree.bodies[b].shapes[t.1]).collect();
+        of_shapes(&shapes, Some(0.02)).unwrap()
+    };
+    let plates: Vec<_> = (0..import.tree.bodies.len()).map(of_body).collect();
+    packed::pack(&import.tree, &plates).unwrap()
+}
+
+/// `robots/sandcat.json` is what `sandgait robot robots/sandcat.urdf --pack --json --plate-size 0.02` prints.
+#[test]
+fn the_built_in_robot_is_its_file() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/sandcat.json");
+    assert_eq!(std::fs::read_to_string(path).unwrap().trim(), sandcat("sandcat.urdf"));
+}
+
+/// Without a push and with actions of zero a robot stands for 10 s on every ground, and the same robot from its URDF, whose
+/// pose is found, and from its MJCF, whose pose is given.
+#[test]
+fn robots_stand() {
+    for file in ["sandcat.urdf", "sandcat.xml"] {
+        let robot = packed::compressed(&sandcat(file)).unwrap();
+        for ground in ["rigid", "poppy-close", "mixed"] {
+            let options = json!({"robot": robot, "ground": ground, "domain_rand": null});
+            let mut shard = shard(options, 2);
+            let actions = vec![0.0; 2 * shard.actions()];
+            for _ in 0..500 {
+                shard.step(&actions);
+                assert!(shard.rows.ended.is_empty(), "{file} {ground}");
+            }
+            let state = shard.state(1);
+            assert!(state.rotation()[2][2] > 0.97, "{file} {ground}: {state:?}");
+            assert!(state.velocity.iter().all(|v| v.abs() < 1e-3), "{file} {ground}: {state:?}");
+        }
+    }
+}
+
+/// A robot at rest that is told to stand still has both tracking terms in full, for each the weight times 0.02 s.
+#[test]
+fn rewards_are_those_of_legged_gym() {
+    let still = json!({"lin_vel_x": [0, 0], "lin_vel_y": [0, 0], "ang_vel_yaw": [0, 0]});
+    let options = json!({"ground": "rigid", "commands": still, "domain_rand": null});
+    let blueprint = blueprint(options.clone());
+    let mut shard = shard(options, 1);
+    (0..200).for_each(|_| shard.step(&[0.0; 12]));
+    let info = |name: &str| shard.rows.infos[column(&blueprint, name)];
+    assert!((info("reward_tracking_lin_vel") - 0.02).abs() < 1e-5);
+    assert!((info("reward_tracking_ang_vel") - 0.01).abs() < 1e-5);
+    assert_eq!((info("feet_in_contact"), info("reward_collision"), info("reward_feet_air_time")), (4.0, 0.0, 0.0));
+    let torques: f64 = shard.state(0).torques.iter().map(|t| t * t).sum();
+    assert!((f64::from(info("reward_torques")) + 2e-7 * torques).abs() < 1e-9);
+    assert!((shard.rows.rewards[0] - shard.rows.infos[..13].iter().sum::<f32>()).abs() < 1e-6);
+}
+
+/// Pushes, commands drawn anew, and what an episode draws.
+#[test]
+fn what_is_drawn_acts() {
+    let rand = json!({"push_interval": 1.0, "max_push_vel_xy": 1.0, "added_mass_range": [0.1, 0.2]});
+    let commands = json!({"resampling_time": 1.0});
+    let options = json!({"ground": "rigid", "domain_rand": rand, "commands": commands});
+    let blueprint = blueprint(options.clone());
+    let mut shard = shard(options, 4);
+    let (command, mass) = (column(&blueprint, "command_ang_vel_yaw"), column(&blueprint, "added_mass"));
+    let width = blueprint.task.spec().info.len();
+    let (mut commands, mut fastest) = (Vec::new(), 0.0_f64);
+    for _ in 0..120 {
+        shard.step(&[0.0; 48]);
+        commands.push(shard.rows.infos[command]);
+        fastest = fastest.max(shard.state(0).velocity[0].abs());
+    }
+    commands.dedup();
+    assert!(commands.len() >= 3, "{commands:?}");
+    assert!(fastest > 0.1, "{fastest}");
+    let masses: Vec<f32> = (0..4).map(|i| shard.rows.infos[i * width + mass]).collect();
+    assert!(masses.iter().all(|m| (1.1..2.3).contains(m)) && masses[0] != masses[1], "{masses:?}");
+}
+
+#[test]
+fn broken_robots_and_options_are_refused_in_one_line() {
+    let refused = |options: Value| {
+        let error = Blueprint::new(ID, options).err().unwrap().to_string();
+        assert!(!error.contains('\n') && error.len() < 400, "{error}");
+        error
+    };
+    assert!(refused(json!({"robot": "xplorer"})).contains("robot"));
+    assert!(refused(json!({"robot": "../../etc/passwd"})).contains("robot"));
+    assert!(refused(json!({"robot": "tree:!!"})).contains("not a packed robot"));
+    assert!(refused(json!({"robot": "tree:AAAA"})).contains("not a packed robot"));
+    assert!(refused(json!({"ground": "lava"})).contains("rigid"));
+    assert!(refused(json!({"leg": "C"})).contains("no such option"));
+    assert!(refused(json!({"engine": "lanes"})).contains("no such option"));
+    assert!(refused(json!({"commands": {"lin_vel_x": [2, 1]}})).contains("lin_vel_x"));
+    assert!(refused(json!({"domain_rand": {"sand_range": [0, 1]}})).contains("sand_range"));
+    let good = sandcat("sandcat.urdf");
+    let with = |change: &dyn Fn(&mut Value)| {
+        let mut json: Value = serde_json::from_str(&good).unwrap();
+        change(&mut json);
+        refused(json!({"robot": packed::compressed(&json.to_string()).unwrap()}))
+    };
+    assert!(with(&|r| r["bodies"][3]["parent"] = json!(7)).contains("depth-first"));
+    assert!(with(&|r| r["bodies"][3]["parent"] = json!(3)).contains("depth-first"));
+    assert!(with(&|r| r["bodies"][2]["mass"] = json!(-1.0)).contains("mass"));
+    assert!(with(&|r| r["bodies"][2]["mass"] = json!(1e300)).contains("mass"));
+    assert!(with(&|r| r["bodies"][2]["joint"] = Value::Null).contains("depth-first"));
+    assert!(with(&|r| r["bodies"][2]["joint"]["axis"] = json!([0, 0, 0])).contains("axis"));
+    assert!(with(&|r| r["bodies"][2]["joint"]["range"] = json!([1, 0])).contains("range"));
+    assert!(with(&|r| r["bodies"] = json!([])).contains("number of bodies"));
+    assert!(with(&|r| r["bodies"][0]["plates"][0][6] = json!(1e300)).contains("trunk"));
+}
+
+/// Options of other tasks' engines.
+#[test]
+fn a_tree_is_no_engine_for_hexapods() {
+    let error = Blueprint::new("sandgait/HexapodGait-v1", json!({"engine": "tree"})).err().unwrap().to_string();
+    assert!(error.contains("engine"), "{error}");
+}
