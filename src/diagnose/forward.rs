@@ -10,7 +10,7 @@ use super::force_log::{ForceLog, Pose, Track};
 use super::motion::moving;
 use super::observations::Observations;
 use super::nuisance::{Nuisance, Priors};
-use super::shared::{Along, Shared};
+use super::shared::Shared;
 use crate::error::Result;
 use crate::parallel;
 use crate::progress::Latch;
@@ -263,7 +263,7 @@ impl ForwardModel for ForceLogModel<'_> {
         let rms = |channel: usize| self.rms(prediction, channel);
         let one = |name, unit, guess, stack| {
             let optional = name != "bed_strength";
-            Shared { name, unit, guess, optional, along: Along::Stacks(vec![stack]) }
+            Shared { name, unit, guess, optional, stacks: vec![stack] }
         };
         let strength = Mechanisms { scale: (1.0 + m.scale) * (1.0 + STRENGTH_STEP) - 1.0, ..*m };
         let strength = slope(&self.predict(&strength, c), prediction, STRENGTH_STEP);
