@@ -17,10 +17,10 @@ use sandgait::diagnose::experiment::Experiment;
 use sandgait::diagnose::fit::Study;
 use sandgait::diagnose::force_log;
 use sandgait::diagnose::forward::{ForceLogModel, ForwardModel};
-use sandgait::diagnose::noise::{ChannelNoise, Noise, Source, sizes};
+use sandgait::diagnose::noise::{ChannelNoise, Clock, Noise, Source, sizes};
 use sandgait::diagnose::report::{Cause, Report, Tried};
-use sandgait::diagnose::select::Verdict;
 use sandgait::diagnose::shared::Shared;
+use sandgait::diagnose::verdict::Verdict;
 use sandgait::diagnose::whiten::Whitener;
 use sandgait::parallel;
 use sandgait::progress::Silent;
@@ -54,13 +54,22 @@ fn separation(log: &Log, cause: &str, name: &str) -> Outcome<f64> {
     let model = ForceLogModel::new(&read, &experiment)?;
     let channel =
         |arm: f64| ChannelNoise { grain: arm * testbed::GRAIN, sensor: arm * testbed::SENSOR, phi: testbed::PHI };
-    let noise =
-        Noise { channels: vec![channel(1.0), channel(1.0), channel(testbed::ARM)], shared: vec![testbed::GAIN] };
+    let channels = vec![channel(1.0), channel(1.0), channel(testbed::ARM)];
+    let noise = Noise { clock: Clock::Sample, channels, shared: vec![testbed::GAIN] };
     let o = &read.observations;
-    let source =
-        Source { observations: o, prediction: &o.values, sizes: &sizes(o), shared: &Shared::gain(), model_error: &[] };
+    let strength =
+        Shared { name: "bed_strength", unit: "1", guess: testbed::GAIN, optional: false, stacks: vec![o.values.clone()] };
+    let source = Source {
+        observations: o,
+        prediction: &o.values,
+        sizes: &sizes(o),
+        shared: &[strength],
+        model_error: &[],
+        left_out: &[],
+    };
     let whitener = Whitener::new(&source, &noise);
-    let study = Study::new(o, &model, &whitener, experiment.coefficient_sd);
+    // Rivals in the sensor are rivals here, so nuisances take no part.
+    let study = Study::new(o, &model, &whitener, experiment.coefficient_sd).under(&whitener, Vec::new());
     let truth = CATALOG.iter().position(|m| m.id == cause).map(|id| study.fit(&[id], &[CATALOG[id].typical]).objective);
     let rivals: Vec<usize> = model.testable().into_iter().map(|t| t.0).filter(|&id| CATALOG[id].id != cause).collect();
     let fits = parallel::map(&rivals, |&id| study.fit(&[id], &[0.3 * CATALOG[id].typical]).objective);

@@ -1,11 +1,12 @@
 """How well the diagnosis does on force logs as laboratories have them, all of their dirt at once.
 
-usage: messy_study.py SANDGAIT KIND FIRST COUNT      KIND: nulls, singles, pairs, laws, or a mechanism's id
+usage: messy_study.py SANDGAIT KIND FIRST COUNT      KIND: nulls, singles, pairs, laws, outside, or a mechanism's id
 
-A generator of its own, written from the equations in docs/physics.md: it shares no code with the tool. Every log has an offset and
-a drift in each channel of each trial, a bed whose strength scatters, a surface that is logged wrong, grain noise along the path,
-sensor noise and steps of the load cell, and wrong coefficients; by chance one channel is filtered, trials start from rest, samples
-are uneven or at a fixed rate, Ty is missing. Prints one line a log and a tally. Needs numpy.
+A generator of its own, written from the equations in docs/physics.md: it shares no code with the tool. Every log has
+an offset and a drift in each channel of each trial, a bed whose strength scatters, a surface that is logged wrong,
+grain noise along the path, sensor noise and steps of the load cell, and wrong coefficients; by chance one channel is
+filtered, trials start from rest, samples are uneven or at a fixed rate, Ty is missing. Prints one line a log and a
+tally. Needs numpy.
 """
 
 import json
@@ -22,6 +23,10 @@ TABLE = np.array([0.051, 0.047, 0.053, 0.083, 0.020, -0.026, 0.057, 0.0, 0.025])
 DENSITY = 640.0
 CHORD, WIDTH, PLATE = 0.076, 0.025, 0.038
 XI = {"L": math.pi / 4, "revL": -math.pi / 4, "flat": 0.0}
+HEADER = (
+    "trial,condition,rep,kind,shape,medium,hip_z,plate_beta,plate_gamma,"
+    "pass,pass_dx,x_bed,t,theta,omega,x,z,vx,vz,Fx,Fz,Ty"
+)
 FINE = 500  # instants a trial at which the force is computed; filters run on them
 
 EXPERIMENT = """kind = "intrusion"
@@ -97,7 +102,12 @@ def law(hidden: dict[str, float], c: np.ndarray, trial: dict[str, Any], p, tilt,
     gamma, beta = np.where(mirrored, math.pi - gamma, gamma), np.where(mirrored, -beta, beta)
     az = c[0] + c[1] * np.cos(2 * beta) + c[2] * np.sin(2 * beta + gamma) + c[3] * np.sin(gamma)
     az = az + c[4] * np.sin(gamma - 2 * beta)
-    ax = c[5] * np.cos(2 * beta + gamma) + c[6] * np.cos(gamma) + c[7] * np.cos(gamma - 2 * beta) + c[8] * np.sin(2 * beta)
+    ax = (
+        c[5] * np.cos(2 * beta + gamma)
+        + c[6] * np.cos(gamma)
+        + c[7] * np.cos(gamma - 2 * beta)
+        + c[8] * np.sin(2 * beta)
+    )
     n = np.stack([np.sin(tilt), -np.cos(tilt)], axis=-1)
     vn = (n * v).sum(-1)
     n = np.where((vn < 0)[..., None], -n, n)
@@ -108,6 +118,7 @@ def law(hidden: dict[str, float], c: np.ndarray, trial: dict[str, Any], p, tilt,
     factor = factor * (1 + hidden.get("rate_log", 0.0) * np.log1p(speed / 0.01)) * bed
     if trial["pass"] > 1:
         factor = factor * (1 - hidden.get("footprint", 0.0) * math.exp(-trial["pass_dx"] / 0.03))
+    factor = factor * outside(hidden, trial["x_bed"] + p[..., 0], p[..., 1], p[..., 0] + p[..., 1], under)
     local = np.stack([np.where(mirrored, ax, -ax), az], axis=-1) * (grown * factor)[..., None]
     turn = np.array([[math.cos(sigma), -math.sin(sigma)], [math.sin(sigma), math.cos(sigma)]])
     stress = local @ turn.T
@@ -124,6 +135,15 @@ def law(hidden: dict[str, float], c: np.ndarray, trial: dict[str, Any], p, tilt,
         froude = vn**2 / (9.81 * np.maximum(under, 1e-9))
         push = push + hidden["law"] * DENSITY * 9.81 * under * froude ** hidden["a"] * (under / WIDTH) ** hidden["b"]
     return (stress - push[..., None] * n) * (depth > 0)[..., None]
+
+
+def outside(hidden: dict[str, float], x, z, along, depth):
+    """Causes that no library has: a wall, a crust, stick and slip, a buried stone."""
+    factor = 1 + hidden.get("wall", 0.0) * np.exp(-np.maximum(0.12 - x, 0.0) / 0.04)
+    factor = factor * np.where(depth < 0.012, 1 + hidden.get("crust", 0.0), 1.0)
+    factor = factor * (1 + hidden.get("stick_slip", 0.0) * np.sin(2 * math.pi * along / 0.02))
+    stone = np.exp(-(((x - 0.03) / 0.015) ** 2) - ((z + 0.02) / 0.012) ** 2)
+    return factor * (1 + hidden.get("buried_stone", 0.0) * stone)
 
 
 def path(trial: dict[str, Any], t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -178,7 +198,11 @@ def design(rng: np.random.Generator, rig: dict[str, Any]) -> list[dict[str, Any]
     places = rng.permutation(np.linspace(-0.1, 0.1, 24))
     for k in range(16):
         rate = math.exp(rng.uniform(math.log(0.2), math.log(18.0))) if k > 3 else [0.2, 18.0, 3.0, 10.0][k]
-        trial = {"kind": "leg", "shape": ["L", "revL", "flat", "L", "revL"][k % 5], "hip": rng.choice([0.02, 0.03, 0.045])}
+        trial = {
+            "kind": "leg",
+            "shape": ["L", "revL", "flat", "L", "revL"][k % 5],
+            "hip": rng.choice([0.02, 0.03, 0.045]),
+        }
         trials.append({**trial, "sign": 1, "way": 3.5, "speed": rate})
     plates = [(0, 90), (0, 90), (45, 45), (-45, 45), (90, 0), (90, 0), (30, -60), (60, 30)]
     for beta, gamma in plates:
@@ -188,7 +212,11 @@ def design(rng: np.random.Generator, rig: dict[str, Any]) -> list[dict[str, Any]
         trials.append({**trial, "start": start, "way": 0.05, "speed": rate})
     for k, trial in enumerate(trials):
         again = rng.random() < 0.35
-        trial |= {"x_bed": places[k], "pass": 2 if again else 1, "pass_dx": rng.choice([0.0, 0.02, 0.04]) if again else 0.0}
+        trial |= {
+            "x_bed": places[k],
+            "pass": 2 if again else 1,
+            "pass_dx": rng.choice([0.0, 0.02, 0.04]) if again else 0.0,
+        }
         trial |= {"wave": rng.choice([0.0, 0.4]), "ramp": rig["ramp"]}
         trial["duration"] = trial["way"] / trial["speed"] * (1 + trial["ramp"])
     return trials
@@ -210,14 +238,19 @@ def times(rng: np.random.Generator, trial: dict[str, Any], sampling: str) -> np.
 def log(seed: int, hidden: dict[str, float]) -> tuple[str, dict[str, Any]]:
     rng = np.random.default_rng(seed)
     rig: dict[str, Any] = {
-        "offset": rng.uniform(0.03, 0.08), "drift": rng.uniform(0.02, 0.06), "zero": 3e-4, "bed": 0.03,
-        "ramp": rng.choice([0.0, 0.05, 0.07, 0.1]), "sampling": rng.choice(["even", "jitter", "rate"]),
-        "filter": rng.choice(["", "", "Fx", "Fz"]), "torque": bool(rng.random() < 0.7),
+        "offset": rng.uniform(0.03, 0.08),
+        "drift": rng.uniform(0.02, 0.06),
+        "zero": 3e-4,
+        "bed": 0.03,
+        "ramp": rng.choice([0.0, 0.05, 0.07, 0.1]),
+        "sampling": rng.choice(["even", "jitter", "rate"]),
+        "filter": rng.choice(["", "", "Fx", "Fz"]),
+        "torque": bool(rng.random() < 0.7),
     }
     error = rng.standard_normal(9) * 0.04
     c = TABLE * (1 + error)
     c[7] += 0.04 * TABLE[8] * rng.standard_normal()
-    lines = ["trial,condition,rep,kind,shape,medium,hip_z,plate_beta,plate_gamma,pass,pass_dx,x_bed,t,theta,omega,x,z,vx,vz,Fx,Fz,Ty"]
+    lines = [HEADER]
     for condition, trial in enumerate(design(rng, rig)):
         for rep in range(3):
             t = times(rng, trial, rig["sampling"])
@@ -236,7 +269,7 @@ def log(seed: int, hidden: dict[str, float]) -> tuple[str, dict[str, Any]]:
                     state = keep * state + (1 - keep) * clean[i, channel]
                     clean[i, channel] = state
             f = np.column_stack([np.interp(t, grid, clean[:, k]) for k in range(3)])
-            way, rate, _ = path(trial, t)
+            way, _, _ = path(trial, t)
             if trial["ramp"] > 0:
                 f[0] = 0.0  # at rest the sand does not push yet
             size = np.hypot(f[:, 0], f[:, 1])
@@ -246,7 +279,9 @@ def log(seed: int, hidden: dict[str, float]) -> tuple[str, dict[str, Any]]:
                     phi = 0.7 ** ((way[i] - way[i - 1]) / trial["way"] * 60) if i else 0.0
                     grain = phi * grain + math.sqrt(1 - phi * phi) * rng.standard_normal()
                     f[i, k] += arm * 0.04 * size[i] * grain
-                dirt = rig["offset"] * rng.standard_normal() + rig["drift"] * rng.standard_normal() * t / trial["duration"]
+                dirt = (
+                    rig["offset"] * rng.standard_normal() + rig["drift"] * rng.standard_normal() * t / trial["duration"]
+                )
                 f[:, k] += arm * (dirt + 0.03 * rng.standard_normal(len(t)))
                 f[:, k] = np.round(f[:, k] / (0.01 * arm)) * 0.01 * arm
             where, rates, _ = motion(trial, t)
@@ -275,6 +310,8 @@ def hide(kind: str, seed: int) -> dict[str, float]:
     if kind == "laws":
         a, b = float(rng.choice([0.5, 0.75])), float(rng.choice([-0.5, -0.25, 0.0, 0.25]))
         return {"law": float(rng.uniform(3, 6)), "a": a, "b": b}
+    if kind == "outside":
+        return {["wall", "crust", "stick_slip", "buried_stone"][seed % 4]: float(rng.uniform(0.5, 1.5))}
     if kind == "pairs":
         names = rng.choice(["inertial_drag", "concave_fill", "cohesion", "footprint"], 2, replace=False)
         return {name: strength(name) for name in names}
@@ -294,19 +331,20 @@ def main() -> None:
             data, experiment = Path(directory, "log.csv"), Path(directory, "experiment.toml")
             data.write_text(text)
             experiment.write_text(EXPERIMENT)
-            made = subprocess.run([binary, "diagnose", data, "--experiment", experiment, "--out", directory], capture_output=True, text=True)
+            command = [binary, "diagnose", data, "--experiment", experiment, "--out", directory]
+            made = subprocess.run(command, capture_output=True, text=True)
             if made.returncode:
                 print(seed, "FAILED", made.stderr.strip()[-200:])
                 continue
             report = json.loads(Path(directory, "report.json").read_text())
         truth = sorted(k for k in hidden if k in CAUSES)
         found = [sorted(s) for s in report["ambiguity_set"]]
-        right = {"nulls": "noise_floor", "laws": "described"}.get(kind)
+        right = {"nulls": "noise_floor", "laws": "described", "outside": "none_of_these"}.get(kind)
         exact = report["verdict"] == right if right else report["verdict"] == "named" and found == [truth]
         wrong = report["verdict"] == "named" and found != [truth]
         named = "exact" if exact else "wrong" if wrong else "in the set" if truth and truth in found else "other"
         tally[named] += 1
-        for cause in report["causes"] if exact and truth else []:
+        for cause in report["causes"] if exact and truth else ():
             asked += 1
             held += cause["ci95"][0] <= hidden[cause["id"]] <= cause["ci95"][1]
         said = [(c["id"], round(c["value"], 4), [round(v, 4) for v in c["ci95"]]) for c in report["causes"]]
@@ -315,11 +353,14 @@ def main() -> None:
         best = report["candidates"][0] if report["candidates"] else {}
         rivals = sorted(c["distance_to_best"] for c in report["candidates"][1:8] if c["distance_to_best"])
         strengths = {k: round(v, 4) for k, v in hidden.items()}
-        print(seed, strengths, short, named, report["verdict"], said, found if len(found) > 1 else "",
-              f"lof {fit['plain']:.2f} {fit['extended'] or 0:.2f} limit {fit['limit']:.2f} best {best.get('ids')} {best.get('delta_chi2', 0):.0f}",
-              f"rival {rivals[0] if rivals else 0:.1f} remainder {rest['significant']} {rest['fraction']:.2f} explained {rest['explained']:.2f}",
-              f"discrepancy {rest['discrepancy']:.3f} worst {rest['worst']:.1f} {rest['worst_limit']:.1f}",
-              [t["formula"] for t in report["terms"]], flush=True)
+        rests = [rest[k] for k in ("significant", "fraction", "explained", "discrepancy", "worst", "worst_limit")]
+        rest_said = " ".join(str(v) if isinstance(v, bool) else f"{v:.2f}" for v in rests)
+        fits = f"lof {fit['plain']:.2f} {fit['extended'] or 0:.2f} limit {fit['limit']:.2f}"
+        near = f"best {best.get('ids')} {best.get('delta_chi2', 0):.0f} rival {rivals[0] if rivals else 0:.1f}"
+        laws = [t["formula"] for t in report["terms"]]
+        print(
+            seed, strengths, short, named, report["verdict"], said, found[1:], fits, near, rest_said, laws, flush=True
+        )
     print(kind, tally, f"intervals hold {held} of {asked}")
 
 

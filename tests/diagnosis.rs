@@ -10,13 +10,14 @@ use sandgait::diagnose::experiment::{self, Experiment};
 use sandgait::diagnose::force_log;
 use sandgait::diagnose::forward::{ForceLogModel, ForwardModel};
 use sandgait::diagnose::report::{Diagnosis, Report};
-use sandgait::diagnose::select::Verdict;
+use sandgait::diagnose::verdict::Verdict;
 use sandgait::diagnose::walking_log;
 use sandgait::progress::{Progress, Silent};
 use sandgait::sand::SandDescription;
 use sandgait::sand::mechanism::{CATALOG, Mechanisms};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
+use testbed::dirt::dirty;
 use testbed::rests::{Rests, with_rests};
 use testbed::{Design, Hidden};
 
@@ -119,8 +120,11 @@ fn the_form_of_a_law_is_questioned() {
     };
     let (found, r) = form(Design::Crossed, 0.5, "drag_1.5", 1.5);
     assert!(found.excluded && (found.found - 1.5).abs() < 0.15, "{found:?}");
-    assert_eq!(r.verdict, Verdict::NoneOfThese, "{}", r.summary);
+    assert_eq!(r.verdict, Verdict::Described, "{}", r.summary);
     assert!(r.summary.contains("where inertial_drag has 2"), "{}", r.summary);
+    // The same stress at any depth, as the speed's power 1.5: (v²/(g|z|))^0.75 (|z|/w)^−0.25 |z|.
+    let term = &r.terms[0];
+    assert_eq!((term.groups["froude"], term.groups["depth_over_width"]), (0.75, -0.25), "{}", r.summary);
     let (found, r) = form(Design::Crossed, 0.5, "inertial_drag", 1.5);
     assert!(!found.excluded && found.told_apart, "{found:?}");
     assert_eq!(r.verdict, Verdict::Named, "{}", r.summary);
@@ -152,6 +156,26 @@ fn rests_change_no_verdict() {
         }
         assert!(base.notes.iter().all(|n| !n.contains("rests")), "{:?}", base.notes);
     }
+}
+
+/// What a load cell does in every laboratory hides no cause and makes none: it is told as nuisances.
+#[test]
+fn a_dirty_load_cell_changes_no_verdict() {
+    let of = |causes: Vec<(&'static str, f64)>| {
+        diagnosis(&dirty(&testbed::log(11, &Hidden { causes }, 0.05).noisy, 0.06)).report
+    };
+    let r = of(Vec::new());
+    assert_eq!(r.verdict, Verdict::NoiseFloor, "{}", r.summary);
+    let offset = r.nuisances.iter().find(|n| (n.id.as_str(), n.level) == ("offset", "trial")).unwrap();
+    assert!((0.04..0.08).contains(&offset.sd), "{offset:?}");
+    let limit = r.upper_limits.iter().find(|l| l.id == "inertial_drag").unwrap();
+    assert!((0.0..0.5).contains(&limit.value) && limit.level == 0.95, "{limit:?}");
+    let r = of(vec![("inertial_drag", 1.0)]);
+    assert_eq!((r.verdict, r.ambiguity_set), (Verdict::Named, vec![vec!["inertial_drag".to_string()]]), "{}", r.summary);
+    let cause = &r.causes[0];
+    assert!((cause.ci95[0]..=cause.ci95[1]).contains(&1.0), "{}", r.summary);
+    assert!(!r.remainder.unwrap().significant && r.gain.nested && r.degrees_of_freedom.unwrap() > 5.0);
+    assert_eq!(r.schema, "sandgait.diagnosis.v2");
 }
 
 /// The first row's velocity may be exactly zero without there being a rest.

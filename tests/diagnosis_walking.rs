@@ -9,7 +9,7 @@ use sandgait::Error;
 use sandgait::diagnose::diagnose;
 use sandgait::diagnose::experiment::Experiment;
 use sandgait::diagnose::report::Diagnosis;
-use sandgait::diagnose::select::Verdict;
+use sandgait::diagnose::verdict::Verdict;
 use sandgait::diagnose::walking_log;
 use sandgait::progress::{Progress, Silent};
 use sandgait::sand::{Mechanisms, SandDescription};

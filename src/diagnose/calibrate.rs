@@ -1,12 +1,12 @@
 //! Gates of the diagnosis, calibrated for each data set on data simulated without any hidden cause.
 //!
-//! A simulated null has the data's own design, the plain model with coefficients and nuisances drawn from their prior, and the
-//! noise learnt from the repetitions. It is judged under another noise, as likely by the repetitions: so the gates know that the
+//! A simulated null has the data's own design, the plain model with coefficients drawn from their prior, and the noise
+//! learnt from the repetitions. It is judged under another noise, as likely by the repetitions: so the gates know that the
 //! noise is not known. What that does to χ² is written as degrees of freedom, one number for each cause, and the gates have the
 //! tails of F and not of χ².
 
 use super::fit::slope;
-use super::fit::{Column, Study, dot};
+use super::fit::{COEFFICIENTS, Column, Study, dot};
 use super::lack_of_fit::{self, Lack};
 use super::noise::{Noise, Source, sizes};
 use super::observations::Observations;
@@ -300,7 +300,8 @@ fn null(
     }
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(0x5eed ^ seed as u64);
     let mut values = screen.plain.clone();
-    for column in &screen.marginal_columns {
+    // Nuisances are projected out, whatever they are; drawn from their wide priors they would only spoil the sizes.
+    for column in &screen.marginal_columns[..COEFFICIENTS] {
         let share: f64 = StandardNormal.sample(&mut rng);
         values.iter_mut().zip(column.iter()).for_each(|(v, c)| *v += share * c);
     }
@@ -308,8 +309,7 @@ fn null(
     let simulated = Observations { values, ..source.observations.clone() };
     let source = Source { observations: &simulated, sizes: &sizes(&simulated), ..*source };
     let scores = screen.scores(&Whitener::new(&source, drawn), &simulated.values);
-    let information =
-        (0..gram.nrows()).map(|k| if gram[(k, k)] > FELT { scores.gram[(k, k)] / gram[(k, k)] } else { 0.0 });
+    let information = (0..gram.nrows()).map(|k| if gram[(k, k)] > FELT { scores.gram[(k, k)] / gram[(k, k)] } else { 0.0 });
     Null {
         best: screen.best_single(&scores.gram, &scores.score),
         lack: lack_of_fit::statistic(&simulated, &scores.white),

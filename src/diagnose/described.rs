@@ -7,12 +7,10 @@
 use super::calibrate::{Gates, chi_squared_over, quantile, square_root};
 use super::cross_validation::HeldOut;
 use super::errors::Errors;
-use super::fit::{Fit, Study, dot, slope};
+use super::fit::{Column, Fit, Study, dot, slope};
 use super::fitted::candidate;
-use super::nested;
-use super::noise::{Noise, Source};
+use super::nested::{self, Known};
 use super::student;
-use super::whiten::Whitener;
 use crate::parallel;
 use crate::sand::GRAVITY;
 use crate::sand::term::{On, Term};
@@ -21,6 +19,7 @@ use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// Powers of v_n²/(g|z|) and of |z|/w in the dictionary: our choice, up to the cube of the speed, in steps that logs can tell.
 const FROUDE: [f64; 6] = [0.25, 0.5, 0.75, 1.0, 1.25, 1.5];
@@ -78,8 +77,8 @@ struct Scores {
     score: DVector<f64>,
 }
 
-/// Scores of whitened columns beside a whitened fit; `counts` says which numbers of a stack count.
-fn scores(fit_slopes: &[Vec<f64>], white: &[f64], deviations: &[f64], columns: &[Vec<f64>]) -> Option<Scores> {
+/// Scores of whitened columns beside a whitened fit.
+fn scores(fit_slopes: &[Column], white: &[f64], deviations: &[f64], columns: &[Column]) -> Option<Scores> {
     let n = fit_slopes.len();
     let mut information = DMatrix::from_fn(n, n, |i, j| if j <= i { dot(&fit_slopes[i], &fit_slopes[j]) } else { 0.0 });
     information.fill_upper_triangle_with_lower_triangle();
@@ -133,7 +132,7 @@ fn gate(scores: &Scores, gates: &Gates) -> f64 {
 }
 
 /// The law that the data ask for beside the plain model `base`; none where they ask for none that lasts.
-pub fn described(study: &Study, source: &Source, noise: &Noise, base: &Fit, gates: &Gates) -> Option<Described> {
+pub fn described(study: &Study, known: &Known, base: &Fit, gates: &Gates) -> Option<Described> {
     let laws = dictionary(study.model.reach());
     let coefficients = study.coefficients(&base.deviations);
     let columns: Vec<Option<Vec<f64>>> = parallel::map(&laws, |law| {
@@ -141,14 +140,13 @@ pub fn described(study: &Study, source: &Source, noise: &Noise, base: &Fit, gate
         Some(slope(&model.predict(&base.mechanisms, &coefficients), &base.prediction, 1.0))
     });
     let columns: Vec<Vec<f64>> = columns.into_iter().collect::<Option<_>>()?;
-    let white = parallel::map(&columns, |c| study.whitener.apply(c));
-    let slopes: Vec<Vec<f64>> = base.white_slopes.iter().map(|s| s.to_vec()).collect();
-    let all = scores(&slopes, &base.white, &base.deviations, &white)?;
+    let white = parallel::map(&columns, |c| Arc::new(study.whitener.apply(c)));
+    let all = scores(&base.white_slopes, &base.white, &base.deviations, &white)?;
     let (chosen, coefficient, gain) = best(study, base, &laws, &all)?;
     if gain <= gate(&all, gates) {
         return None;
     }
-    let (nested, folds) = held_out(study, source, noise, base, &laws, &columns);
+    let (nested, folds) = held_out(study, known, base, &laws, &columns);
     let near = |k: &usize| {
         let (a, b) = (powers(&laws[chosen]), powers(&laws[*k]));
         (0..2).all(|i| (a[i] - b[i]).abs() <= NEARLY[i] + 1e-9)
@@ -174,9 +172,8 @@ fn fitted(study: &Study, base: &Fit, term: Term, gates: &Gates, nested: [HeldOut
         let more = Term { coefficient: term.coefficient + step, ..term.clone() };
         let model = study.model.with_terms(std::slice::from_ref(&more))?;
         let moved = model.predict(&fit.mechanisms, &study.coefficients(&fit.deviations));
-        let column = study.whitener.apply(&slope(&moved, &fit.prediction, step));
-        let slopes: Vec<Vec<f64>> = fit.white_slopes.iter().map(|s| s.to_vec()).collect();
-        let own = scores(&slopes, &fit.white, &fit.deviations, &[column])?;
+        let column = Arc::new(study.whitener.apply(&slope(&moved, &fit.prediction, step)));
+        let own = scores(&fit.white_slopes, &fit.white, &fit.deviations, &[column])?;
         term.coefficient += own.score[0] / own.gram[(0, 0)];
         sd = own.gram[(0, 0)].recip().sqrt();
     }
@@ -192,8 +189,7 @@ fn fitted(study: &Study, base: &Fit, term: Term, gates: &Gates, nested: [HeldOut
 /// Held-out errors with noise, whitening and law made anew in each fold, and the law that each chose.
 fn held_out(
     study: &Study,
-    source: &Source,
-    noise: &Noise,
+    known: &Known,
     base: &Fit,
     laws: &[Term],
     columns: &[Vec<f64>],
@@ -201,26 +197,16 @@ fn held_out(
     let o = study.observations;
     let folds = nested::folds(o.conditions.len());
     let made = parallel::map(&folds, |held| {
-        let source = Source { left_out: held, ..*source };
-        let own = source.noise(Some(noise), &|| study.model.stopped());
-        let whitener = Whitener::new(&source, &own);
-        let rest = |white: Vec<f64>| {
-            let mut white = white;
-            for unit in o.units.iter().filter(|u| held.contains(&u.condition)) {
-                white[o.span(unit)].fill(0.0);
-            }
-            white
-        };
-        let slopes: Vec<Vec<f64>> = base.slopes.iter().map(|s| rest(whitener.apply(s))).collect();
-        let left = slope(&o.values, &study.reading(base), 1.0);
-        let white = rest(whitener.apply(&left));
-        let laws_white: Vec<Vec<f64>> = columns.iter().map(|c| rest(whitener.apply(c))).collect();
+        let whitener = known.without(study, held);
+        let slopes: Vec<Column> = base.slopes.iter().map(|s| Arc::new(whitener.apply(s))).collect();
+        let white = whitener.apply(&slope(&o.values, &study.reading(base), 1.0));
+        let laws_white: Vec<Column> = columns.iter().map(|c| Arc::new(whitener.apply(c))).collect();
         let found = scores(&slopes, &white, &base.deviations, &laws_white);
         let chosen = found.and_then(|s| best(study, base, laws, &s)).map(|b| b.0);
-        let without = nested::step(&slopes, &white, &base.deviations);
+        let without = nested::least_squares(&slopes, &white, &base.deviations).0;
         let with = chosen.map(|k| {
-            let all: Vec<Vec<f64>> = [laws_white[k].clone()].into_iter().chain(slopes.iter().cloned()).collect();
-            nested::step(&all, &white, &base.deviations)
+            let all: Vec<Column> = [laws_white[k].clone()].into_iter().chain(slopes.iter().cloned()).collect();
+            nested::least_squares(&all, &white, &base.deviations).0
         });
         let moved = |steps: &[f64], law: Option<(f64, usize)>| {
             let sand = super::fit::COEFFICIENTS;

@@ -18,13 +18,16 @@ use std::f64::consts::PI;
 
 /// Cosines of each channel of each shape: our choice, some turns along each feature, and few against the data.
 const WAVES: usize = 6;
-/// Relative sizes that are tried: a thousandth to ten, eight a decade. Our choice.
-const SIZES: usize = 33;
+/// Relative sizes that are tried: a thousandth to three tenths, eight a decade. Our choice: a model that errs by more all over is
+/// not a model with a discrepancy.
+const SIZES: usize = 21;
 /// Evidence (twice its logarithm) beyond which there is a discrepancy: chance exceeds it once in a thousand.
 const SEEN: f64 = super::chi_squared::AT_999_PER_MILLE;
 
 /// Directions in which a model may err, whitened.
 pub struct Directions {
+    /// As they are.
+    pub raw: Vec<Vec<f64>>,
     white: Vec<Vec<f64>>,
     products: DMatrix<f64>,
 }
@@ -41,14 +44,13 @@ pub struct Discrepancy {
 impl Directions {
     /// About the prediction of `fit`.
     pub fn new(study: &Study, fit: &Fit) -> Self {
-        let columns = columns(study.observations, &study.model.features(), &groups(study), &fit.prediction);
-        let white = parallel::map(&columns, |c| study.whitener.apply(c));
+        let raw = columns(study.observations, &study.model.features(), &groups(study), &fit.prediction);
+        let white = parallel::map(&raw, |c| study.whitener.apply(c));
         let count = white.len();
         let places: Vec<usize> = (0..count).collect();
-        let rows =
-            parallel::map(&places, |&i| white[..=i].iter().map(|other| dot(&white[i], other)).collect::<Vec<_>>());
+        let rows = parallel::map(&places, |&i| white[..=i].iter().map(|other| dot(&white[i], other)).collect::<Vec<_>>());
         let products = DMatrix::from_fn(count, count, |i, j| rows[i.max(j)][i.min(j)]);
-        Self { white, products }
+        Self { raw, white, products }
     }
 
     /// Products with a whitened vector.

@@ -236,18 +236,21 @@ pub fn settled(study: &Study, source: &Source, noise: &Noise, fitted: Fitted) ->
     (fitted, around)
 }
 
+/// A discrepancy, its directions as they are, and the whitening that knows of it.
+pub struct Beside {
+    pub discrepancy: Discrepancy,
+    pub raw: Vec<Vec<f64>>,
+    pub whitener: Whitener,
+}
+
 /// Rounds in which the size of a discrepancy and the fits beside it are made anew: our choice, two are usually enough.
 const DISCREPANCIES: usize = 2;
 
 /// Where the best leaves a smooth misfit that noise does not make: everything fitted again beside a discrepancy, which takes its
 /// share of what tells explanations apart. Without one the least noisy samples would decide alone. None where nothing asks for it.
-pub fn beside_discrepancy(
-    study: &Study,
-    around: &Surroundings,
-    fitted: Fitted,
-) -> (Fitted, Option<(Discrepancy, Whitener)>) {
+pub fn beside_discrepancy(study: &Study, around: &Surroundings, fitted: Fitted) -> (Fitted, Option<Beside>) {
     let mut fitted = fitted;
-    let mut found: Option<(Discrepancy, Whitener)> = None;
+    let mut found = None;
     for _ in 0..DISCREPANCIES {
         let standing = fitted.best().map_or(&fitted.base.fit, |c| &c.fit);
         let plain = study.under(&around.whitener, around.nuisances.clone());
@@ -260,7 +263,7 @@ pub fn beside_discrepancy(
         let whitener = around.whitener.beside(&directions.columns(discrepancy.size));
         let renewed = study.under(&whitener, around.nuisances.clone());
         fitted = all_refitted(&renewed, fitted);
-        found = Some((discrepancy, whitener));
+        found = Some(Beside { discrepancy, raw: directions.raw, whitener });
     }
     (fitted, found)
 }

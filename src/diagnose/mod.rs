@@ -184,3 +184,4 @@ fn testable(study: &Study) -> (Vec<usize>, Vec<Untestable>) {
     }
     (ids, untestable)
 }
+

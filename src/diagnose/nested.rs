@@ -8,7 +8,7 @@ use super::calibrate::Gates;
 use super::cross_validation::HeldOut;
 use super::errors::Errors;
 use super::fit::{COEFFICIENTS, Column, Fit, Study, dot};
-use super::fitted::Fitted;
+use super::fitted::{Beside, Fitted};
 use super::noise::{Noise, Source};
 use super::whiten::Whitener;
 use crate::parallel;
@@ -23,9 +23,9 @@ const CHOSEN_FROM: [usize; 2] = [4, 2];
 const SHOWN: f64 = 0.02;
 
 /// Held-out errors of base and of the extension chosen in each fold.
-pub fn nested(study: &Study, source: &Source, noise: &Noise, fitted: &Fitted, gates: &Gates) -> [HeldOut; 2] {
+pub fn nested(study: &Study, fitted: &Fitted, gates: &Gates, known: &Known) -> [HeldOut; 2] {
     let places = folds(study.observations.conditions.len());
-    let made = parallel::map(&places, |held| fold(study, source, noise, fitted, gates, held));
+    let made = parallel::map(&places, |held| fold(study, fitted, gates, known, held));
     together(&places, made, study.observations.conditions.len())
 }
 
@@ -39,8 +39,10 @@ pub fn folds(conditions: usize) -> Vec<Vec<usize>> {
 
 /// Errors of all folds, condition by condition.
 pub fn together(folds: &[Vec<usize>], parts: Vec<[HeldOut; 2]>, conditions: usize) -> [HeldOut; 2] {
-    let empty =
-        || HeldOut { errors: Errors { square: vec![0.0; conditions], count: vec![0.0; conditions] }, deviance: 0.0 };
+    let empty = || HeldOut {
+        errors: Errors { square: vec![0.0; conditions], count: vec![0.0; conditions] },
+        deviance: 0.0,
+    };
     let mut total = [empty(), empty()];
     for (held, parts) in folds.iter().zip(parts) {
         for (total, part) in total.iter_mut().zip(parts) {
@@ -54,6 +56,26 @@ pub fn together(folds: &[Vec<usize>], parts: Vec<[HeldOut; 2]>, conditions: usiz
 
 fn gcd(a: usize, b: usize) -> usize {
     if b == 0 { a } else { gcd(b, a % b) }
+}
+
+/// What is known before conditions are held out.
+pub struct Known<'a> {
+    pub source: &'a Source<'a>,
+    /// From which a search for the noise of the rest begins.
+    pub noise: &'a Noise,
+    pub beside: Option<&'a Beside>,
+}
+
+impl Known<'_> {
+    /// The whitening that the rest of the conditions teaches; numbers held out are 0 after it.
+    pub fn without(&self, study: &Study, held: &[usize]) -> Whitener {
+        let source = Source { left_out: held, ..*self.source };
+        let noise = source.noise(Some(self.noise), &|| study.model.stopped());
+        let own = Whitener::new(&source, &noise).without(study.observations, held);
+        let Some(Beside { discrepancy, raw, .. }) = self.beside else { return own };
+        let sized = |column: &Vec<f64>| own.apply(column).iter().map(|v| discrepancy.size * v).collect();
+        own.beside(&raw.iter().map(sized).collect::<Vec<_>>())
+    }
 }
 
 /// Whitened columns of one fold; fits share many.
@@ -82,10 +104,8 @@ struct Adjusted {
 }
 
 /// Held-out errors of base and choice on the conditions `held`, in their order.
-fn fold(study: &Study, source: &Source, noise: &Noise, fitted: &Fitted, gates: &Gates, held: &[usize]) -> [HeldOut; 2] {
-    let source = Source { left_out: held, ..*source };
-    let own = source.noise(Some(noise), &|| study.model.stopped());
-    let whitener = Whitener::new(&source, &own);
+fn fold(study: &Study, fitted: &Fitted, gates: &Gates, known: &Known, held: &[usize]) -> [HeldOut; 2] {
+    let whitener = known.without(study, held);
     let mut whitened = Whitened { whitener: &whitener, known: Vec::new() };
     let base = &fitted.base.fit;
     let size = fitted.best().map_or(1, |c| c.fit.ids.len());
@@ -98,7 +118,7 @@ fn fold(study: &Study, source: &Source, noise: &Noise, fitted: &Fitted, gates: &
             }
         });
     }
-    let mut adjust = |fit: &Fit| adjusted(study, &mut whitened, fit, held);
+    let mut adjust = |fit: &Fit| adjusted(study, &mut whitened, fit);
     let of_base = adjust(base);
     let tried: Vec<(&Fit, Adjusted)> = choices.into_iter().map(|fit| (fit, adjust(fit))).collect();
     let least = |size: usize| {
@@ -114,44 +134,20 @@ fn fold(study: &Study, source: &Source, noise: &Noise, fitted: &Fitted, gates: &
     [errors(study, base, &of_base.step, held), errors(study, fit, &adjusted.step, held)]
 }
 
-/// One Gauss-Newton step on all conditions but those `held`.
-fn adjusted(study: &Study, whitened: &mut Whitened, fit: &Fit, held: &[usize]) -> Adjusted {
-    let o = study.observations;
+/// One Gauss-Newton step on what is not held out.
+fn adjusted(study: &Study, whitened: &mut Whitened, fit: &Fit) -> Adjusted {
     let slopes: Vec<Column> = fit.slopes.iter().map(|s| whitened.of(s)).collect();
-    let reading = study.reading(fit);
-    let white: Vec<f64> =
-        whitened.whitener.apply(&o.values.iter().zip(&reading).map(|(y, m)| y - m).collect::<Vec<_>>());
-    let n = slopes.len();
-    let (mut whole, mut left): (DMatrix<f64>, DMatrix<f64>) = (DMatrix::zeros(n, n), DMatrix::zeros(n, n));
-    let mut score: DVector<f64> = DVector::zeros(n);
-    let mut objective = dot(&fit.deviations, &fit.deviations);
-    for unit in &o.units {
-        let span = o.span(unit);
-        let rest = !held.contains(&unit.condition);
-        for i in 0..n {
-            for j in 0..=i {
-                let product = dot(&slopes[i][span.clone()], &slopes[j][span.clone()]);
-                whole[(i, j)] += product;
-                left[(i, j)] += if rest { product } else { 0.0 };
-            }
-            score[i] += if rest { dot(&slopes[i][span.clone()], &white[span.clone()]) } else { 0.0 };
-        }
-        objective += if rest { dot(&white[span.clone()], &white[span]) } else { 0.0 };
-    }
-    let count = fit.ids.len();
-    let shown = (0..count).all(|k| left[(k, k)] > SHOWN * whole[(k, k)]);
-    left.fill_upper_triangle_with_lower_triangle();
-    for (k, deviation) in fit.deviations.iter().enumerate() {
-        left[(count + k, count + k)] += 1.0;
-        score[count + k] -= deviation;
-    }
-    (0..n).for_each(|k| left[(k, k)] = left[(k, k)].max(1e-300) * (1.0 + 1e-9));
-    let step = left.cholesky().map_or_else(|| DVector::zeros(n), |c| c.solve(&score));
-    Adjusted { objective: objective - score.dot(&step), step: step.iter().copied().collect(), shown }
+    let left: Vec<f64> = study.observations.values.iter().zip(study.reading(fit)).map(|(y, m)| y - m).collect();
+    let white = whitened.whitener.apply(&left);
+    let square = |column: &Column| dot(column, column);
+    let shown = (0..fit.ids.len()).all(|k| square(&slopes[k]) > SHOWN * square(&fit.white_slopes[k]));
+    let (step, gained) = least_squares(&slopes, &white, &fit.deviations);
+    let objective = dot(&white, &white) + dot(&fit.deviations, &fit.deviations) - gained;
+    Adjusted { objective, step, shown }
 }
 
-/// Least squares step along whitened slopes, the last of which are those by `deviations` with their prior.
-pub fn step(slopes: &[Vec<f64>], white: &[f64], deviations: &[f64]) -> Vec<f64> {
+/// Least squares step along whitened slopes, the last of which are those by `deviations` with their prior; and what it gains.
+pub fn least_squares(slopes: &[Column], white: &[f64], deviations: &[f64]) -> (Vec<f64>, f64) {
     let n = slopes.len();
     let mut information = DMatrix::from_fn(n, n, |i, j| if j <= i { dot(&slopes[i], &slopes[j]) } else { 0.0 });
     information.fill_upper_triangle_with_lower_triangle();
@@ -161,7 +157,10 @@ pub fn step(slopes: &[Vec<f64>], white: &[f64], deviations: &[f64]) -> Vec<f64> 
         information[(own + k, own + k)] += 1.0;
         score[own + k] -= d;
     }
-    information.cholesky().map_or_else(|| vec![0.0; n], |c| c.solve(&score).iter().copied().collect())
+    (0..n).for_each(|k| information[(k, k)] = information[(k, k)].max(1e-300) * (1.0 + 1e-9));
+    let step = information.cholesky().map_or_else(|| DVector::zeros(n), |c| c.solve(&score));
+    let gained = score.dot(&step);
+    (step.iter().copied().collect(), gained)
 }
 
 /// Errors on the conditions `held` of a fit moved by a step.

@@ -12,7 +12,7 @@
 use super::errors::Errors;
 use super::minimise::minimise;
 use super::observations::{Observations, Size, Unit, interpolate};
-use super::shared::{Along, Likelihood, Shared};
+use super::shared::{Likelihood, Shared};
 use nalgebra::{DMatrix, DVector};
 use rand::{Rng, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
@@ -196,14 +196,6 @@ impl Source<'_> {
         };
         let each: Vec<Vec<Vec<f64>>> =
             (0..group.len()).map(|place| channels.clone().map(|c| own(place, c)).collect()).collect();
-        let mean = channels.clone().flat_map(|c| {
-            let value = move |m: &Vec<usize>| {
-                let of = |(u, i): (&usize, &usize)| observations.values[observations.units[*u].block(c).start + i];
-                group.iter().zip(m).map(of).sum::<f64>() / group.len() as f64
-            };
-            matched.iter().map(value).collect::<Vec<_>>()
-        });
-        let mean: Vec<f64> = mean.collect();
         let differences = (1..group.len()).map(|k| {
             let norm = ((k * (k + 1)) as f64).sqrt();
             let difference =
@@ -213,25 +205,22 @@ impl Source<'_> {
         Repeats {
             sizes: channels.clone().map(|c| kept.iter().map(|&i| self.sizes[first][c][i]).collect()).collect(),
             progress: kept.iter().map(|&i| observations.units[first].progress[i]).collect(),
-            shared: self.directions(first, &kept, &mean),
+            shared: self.directions(first, &kept),
             differences: differences.collect(),
         }
     }
 
-    /// Directions in the `kept` samples of unit `u`, whose mean over repetitions is `mean`.
-    fn directions(&self, u: usize, kept: &[usize], mean: &[f64]) -> Vec<(usize, Vec<Vec<f64>>)> {
+    /// Directions in the `kept` samples of unit `u`.
+    fn directions(&self, u: usize, kept: &[usize]) -> Vec<(usize, Vec<Vec<f64>>)> {
         let unit = &self.observations.units[u];
-        let mut all = Vec::new();
-        for (family, shared) in self.shared.iter().enumerate() {
-            match &shared.along {
-                Along::Signal => all.push((family, mean.chunks(kept.len().max(1)).map(<[f64]>::to_vec).collect())),
-                Along::Stacks(stacks) => all.extend(stacks.iter().map(|stack| {
-                    let own = |c: usize| kept.iter().map(|&i| stack[unit.block(c).start + i]).collect();
-                    (family, (0..self.observations.channels.len()).map(own).collect())
-                })),
-            }
-        }
-        all
+        let of = |(family, shared): (usize, &'_ Shared)| {
+            let own = |stack: &Vec<f64>| {
+                let channel = |c: usize| kept.iter().map(|&i| stack[unit.block(c).start + i]).collect();
+                (family, (0..self.observations.channels.len()).map(channel).collect())
+            };
+            shared.stacks.iter().map(own).collect::<Vec<_>>()
+        };
+        self.shared.iter().enumerate().flat_map(of).collect()
     }
 
     /// A first guess from the size of the differences; the search starts here.
@@ -355,8 +344,7 @@ impl Source<'_> {
             let moved = &eigen.eigenvectors * share.component_mul(&DVector::from_column_slice(&root));
             let place = |part: f64| at.iter().zip(moved.iter()).map(|(a, m)| a + part * m).collect::<Vec<f64>>();
             // The likelihood is not quite normal: a draw that is far less likely than it should be goes nearer.
-            let parts =
-                (0..6).map(|k| 0.5f64.powi(k)).find(|part| deviance(&place(*part)) - least <= 1.5 * expected + 5.0);
+            let parts = (0..6).map(|k| 0.5f64.powi(k)).find(|part| deviance(&place(*part)) - least <= 1.5 * expected + 5.0);
             Noise::unpack(&place(parts.unwrap_or(0.0)), self.observations.channels.len(), noise.clock)
         };
         crate::parallel::map(&(0..count).collect::<Vec<_>>(), draw)
@@ -413,9 +401,8 @@ impl Noise {
         }
         for (unit, sizes) in source.observations.units.iter().zip(source.sizes) {
             let span = source.observations.span(unit);
-            let signal = values[span.clone()].to_vec();
             for (shared, sd) in source.shared.iter().zip(&self.shared) {
-                for vector in shared.vectors(span.clone(), &signal) {
+                for vector in shared.vectors(span.clone()) {
                     let share = sd * normal(rng);
                     values[span.clone()].iter_mut().zip(vector).for_each(|(v, u)| *v += share * u);
                 }
@@ -443,7 +430,7 @@ impl Noise {
             }
             let span = source.observations.span(unit);
             for (shared, sd) in source.shared.iter().zip(&self.shared) {
-                for vector in shared.vectors(span.clone(), &source.prediction[span.clone()]) {
+                for vector in shared.vectors(span.clone()) {
                     square[span.clone()].iter_mut().zip(vector).for_each(|(s, u)| *s += (sd * u).powi(2));
                 }
             }
@@ -503,8 +490,7 @@ fn matched(observations: &Observations, group: &[usize]) -> Vec<Vec<usize>> {
             // Half the distance of samples and the rounding of the log.
             (away(best) <= reach + 1e-9).then_some(best)
         };
-        let row: Option<Vec<usize>> =
-            (0..units.len()).map(|k| if k == leader { Some(i) } else { nearest(k) }).collect();
+        let row: Option<Vec<usize>> = (0..units.len()).map(|k| if k == leader { Some(i) } else { nearest(k) }).collect();
         if let Some(row) = row {
             next.iter_mut().zip(&row).for_each(|(next, j)| *next = j + 1);
             rows.push(row);

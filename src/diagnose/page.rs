@@ -51,6 +51,7 @@ fn page(diagnosis: &Diagnosis, json: &str) -> String {
         runs(&mut html, r);
     }
     rivals(&mut html, r);
+    beside(&mut html, r);
     unknowns(&mut html, r);
     let _ = write!(html, "<script type=application/json id=report>{}</script></html>", json.replace("</", "<\\/"));
     html
@@ -327,6 +328,37 @@ fn rivals(html: &mut String, r: &Report) {
         );
     }
     html.push_str("</table>");
+}
+
+fn beside(html: &mut String, r: &Report) {
+    for term in &r.terms {
+        let _ = write!(html, "<h2>Law found in the data</h2><p>{}</p><p><code>{}</code></p>", escape(&term.formula), escape(&term.tex));
+    }
+    if let Some(rest) = r.remainder.as_ref().filter(|rest| rest.significant) {
+        let text = format!(
+            "{:.0} % of the plain model's misfit stays (lack of fit {}, noise leaves up to {}). {}",
+            100.0 * rest.fraction,
+            digits(rest.lack_of_fit),
+            digits(rest.limit),
+            rest.place
+        );
+        let _ = write!(html, "<h2>What remains</h2><p>{}</p>", escape(&text));
+    }
+    html.push_str("<h2>Nuisances</h2><p><small>what measuring did; marginalised, no causes</small></p><ul>");
+    for n in &r.nuisances {
+        let channel = n.channel.as_ref().map_or(String::new(), |c| format!(" {c}"));
+        let unit = after(n.unit);
+        let value = if n.level == "log" { format!("{} ± ", digits(n.value)) } else { "scatters by ".into() };
+        let _ = write!(html, "<li>{}{channel} ({}): {value}{}{unit}", n.id, n.level, digits(n.sd));
+    }
+    html.push_str("</ul>");
+    if !r.upper_limits.is_empty() {
+        html.push_str("<h2>Not found</h2><p><small>upper limits at 95 %</small></p><ul>");
+        for limit in &r.upper_limits {
+            let _ = write!(html, "<li>{} &lt; {}{}", limit.id, digits(limit.value), after(&limit.unit));
+        }
+        html.push_str("</ul>");
+    }
 }
 
 fn unknowns(html: &mut String, r: &Report) {

@@ -6,12 +6,11 @@ use super::discrepancy::Discrepancy;
 use super::errors::Errors;
 use super::fit::Study;
 use super::fitted::{
-    Candidate, Fitted, Screened, Surroundings, beside_discrepancy, candidate, screened, settled, singles, surroundings,
-    with_pairs,
+    Candidate, Fitted, Screened, Surroundings, beside_discrepancy, candidate, screened, settled, singles, surroundings, with_pairs,
 };
 use super::judged::{Judged, Standing, explored, judged};
 use super::lack_of_fit;
-use super::nested::nested;
+use super::nested::{Known, nested};
 use super::noise::{Noise, Source};
 use super::verdict::{Evidence, MAIN_PART, Verdict, verdict};
 use crate::error::Result;
@@ -143,15 +142,14 @@ fn conclude(
             false => Fitted { base: candidate(&renewed, &renewed.recalibrated(), renewed.recalibrated()), ..fitted },
         };
         let lack = |c: &Candidate| lack_of_fit::statistic(study.observations, &c.fit.white);
-        let lacks =
-            [lack(&fitted.base), fitted.best().filter(|_| fitted.found(&first.gates)).map_or(lack(&fitted.base), lack)];
+        let lacks = [lack(&fitted.base), fitted.best().filter(|_| fitted.found(&first.gates)).map_or(lack(&fitted.base), lack)];
         let beside = match first.gates.lacking(&lacks[1]) {
             true => beside_discrepancy(study, &around, fitted),
             false => (fitted, None),
         };
-        let (fitted, discrepant) = beside;
-        let whitener = discrepant.as_ref().map_or(&around.whitener, |d| &d.1);
-        let discrepancy = discrepant.as_ref().map_or(Discrepancy { size: 0.0, surprise: 0.0 }, |d| d.0);
+        let (fitted, beside) = beside;
+        let whitener = beside.as_ref().map_or(&around.whitener, |b| &b.whitener);
+        let discrepancy = beside.as_ref().map_or(Discrepancy { size: 0.0, surprise: 0.0 }, |b| b.discrepancy);
         let last = study.under(whitener, around.nuisances.clone());
         let (fitted, profiled) = match fitted.found(&first.gates) {
             true => explored(&last, fitted, &first.gates),
@@ -161,7 +159,8 @@ fn conclude(
         let best = fitted.best().filter(|_| fitted.found(&first.gates)).unwrap_or(&fitted.base);
         let left = renewed.restated(&best.fit);
         let lacks = [lacks[0], lack_of_fit::statistic(study.observations, &left.white)];
-        let nested = nested(&last, asked.source, &around.noise, &fitted, &first.gates);
+        let known = Known { source: asked.source, noise: &around.noise, beside: beside.as_ref() };
+        let nested = nested(&last, &fitted, &first.gates, &known);
         let (gates, floor) = (&first.gates, asked.floor);
         let standing = Standing { fitted: &fitted, gates, discrepancy, lacks, floor, nested, profiled };
         (judged(&last, standing), fitted)
@@ -180,9 +179,16 @@ fn conclude(
 }
 
 /// A law in the data that explains the main part of the misfit.
-fn law(study: &Study, asked: &Asked, around: &Surroundings, fitted: &Fitted, first: &Screened) -> Option<Described> {
+fn law(
+    study: &Study,
+    asked: &Asked,
+    around: &Surroundings,
+    fitted: &Fitted,
+    first: &Screened,
+) -> Option<Described> {
     let renewed = study.under(&around.whitener, around.nuisances.clone());
     let base = renewed.fit_from(&[&fitted.base.fit]).swap_remove(0);
-    let law = described(&renewed, asked.source, &around.noise, &base, &first.gates)?;
+    let known = Known { source: asked.source, noise: &around.noise, beside: None };
+    let law = described(&renewed, &known, &base, &first.gates)?;
     (described::explained(&renewed, &base, &law, asked.floor) >= MAIN_PART).then_some(law)
 }

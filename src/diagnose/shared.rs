@@ -16,24 +16,14 @@ pub struct Shared {
     pub guess: f64,
     /// Is it left out where the repetitions do not ask for it?
     pub optional: bool,
-    pub along: Along,
-}
-
-#[derive(Clone, Debug)]
-pub enum Along {
-    /// The signal itself: a gain.
-    Signal,
-    /// Stacks in the order of the observations, each a direction within every unit.
-    Stacks(Vec<Vec<f64>>),
+    /// In the order of the observations, each a direction within every unit.
+    pub stacks: Vec<Vec<f64>>,
 }
 
 impl Shared {
-    /// The directions in one unit, whose numbers stand at `span` of a stack and are `signal`.
-    pub fn vectors<'a>(&'a self, span: Range<usize>, signal: &'a [f64]) -> Vec<&'a [f64]> {
-        match &self.along {
-            Along::Signal => vec![signal],
-            Along::Stacks(stacks) => stacks.iter().map(|s| &s[span.clone()]).collect(),
-        }
+    /// The directions in one unit, whose numbers stand at `span` of a stack.
+    pub fn vectors(&self, span: Range<usize>) -> impl Iterator<Item = &[f64]> {
+        self.stacks.iter().map(move |s| &s[span.clone()])
     }
 }
 

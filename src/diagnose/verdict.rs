@@ -123,10 +123,7 @@ mod tests {
     fn near_rivals_make_a_set() {
         let near = Rival { behind: 30.0, squared: 16.0, explains: true };
         let dull = Rival { explains: false, ..near };
-        let e = Evidence {
-            rivals: vec![near, dull, Rival { behind: 900.0, squared: 900.0, explains: true }],
-            ..evidence()
-        };
+        let e = Evidence { rivals: vec![near, dull, Rival { behind: 900.0, squared: 900.0, explains: true }], ..evidence() };
         assert_eq!(verdict(&e), (Verdict::Ambiguous, vec![0]));
     }
 

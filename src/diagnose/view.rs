@@ -47,8 +47,7 @@ impl View<'_> {
             let all = f.values.iter().flatten().copied();
             (f.name.to_string(), all.fold([f64::MAX, f64::MIN], |r, v| [r[0].min(v), r[1].max(v)]))
         });
-        let set =
-            self.selection.map_or(Vec::new(), |s| s.set.iter().map(|&k| names(&s.fitted.candidates[k].fit)).collect());
+        let set = self.selection.map_or(Vec::new(), |s| s.set.iter().map(|&k| names(&s.fitted.candidates[k].fit)).collect());
         let mut warnings: Vec<String> =
             causes.iter().filter(|c| c.at_bound).map(|c| format!("{} sits at its bound", c.id)).collect();
         let extension = self.selection.and_then(extension);
@@ -85,7 +84,9 @@ impl View<'_> {
             remainder: self.remainder(),
             terms: self.terms(),
             upper_limits: self.upper_limits(),
-            degrees_of_freedom: self.selection.map(|s| s.screened.gates.degrees_of(best.map_or(&[], |c| &c.fit.ids))),
+            degrees_of_freedom: self.selection.map(|s| {
+                s.screened.gates.degrees_of(best.map_or(&[], |c| &c.fit.ids))
+            }),
             form,
             misfit,
             correlates_with: self.correlates(),
@@ -108,8 +109,7 @@ impl View<'_> {
         let ranges = self.selection.and_then(|s| s.judged.intervals.as_ref()).map(|i| i.ranges.clone());
         let cause = |(k, &id): (usize, &usize)| {
             let (entry, at) = (&CATALOG[id], fit.coordinates()[k]);
-            let [low, high] =
-                ranges.as_ref().and_then(|r| r.get(k)).copied().unwrap_or([at, at]).map(|u| entry.value(u));
+            let [low, high] = ranges.as_ref().and_then(|r| r.get(k)).copied().unwrap_or([at, at]).map(|u| entry.value(u));
             // A ceiling may be so high as to be none: its greatest value stands for that.
             let most = if entry.ceiling && low == 0.0 { entry.bounds[1] } else { low };
             Cause {

@@ -3,7 +3,7 @@
 use super::experiment::Experiment;
 use super::forward::{Feature, ForwardModel, Menu};
 use super::observations::Channel;
-use super::shared::{Along, Shared};
+use super::shared::Shared;
 use super::walking_log::{self, Setup, WalkingLog};
 use crate::error::{Error, Result};
 use crate::progress::{Latch, Progress};
@@ -175,11 +175,7 @@ impl<'a> WalkingModel<'a> {
         };
         let beds = self.predict_many(&[scaled(1.0 + STRENGTH_STEP), scaled(1.0 - STRENGTH_STEP)]);
         let state = [(*mechanisms, *coefficients)];
-        let phases = PHASES
-            .iter()
-            .flat_map(|&phase| self.simulate(&state, phase))
-            .map(|r| self.corrected(self.stack(&r)))
-            .collect();
+        let phases = PHASES.iter().flat_map(|&phase| self.simulate(&state, phase)).map(|r| self.corrected(self.stack(&r))).collect();
         Others { beds, phases }
     }
 
@@ -249,14 +245,8 @@ impl ForwardModel for WalkingModel<'_> {
         let mut scatter = vec![super::fit::slope(&middle, prediction, 1.0)];
         scatter.extend(phases.iter().map(|other| super::fit::slope(other, prediction, share)));
         vec![
-            Shared {
-                name: "bed_strength",
-                unit: "1",
-                guess: STRENGTH_STEP,
-                optional: false,
-                along: Along::Stacks(vec![slope]),
-            },
-            Shared { name: "gait_scatter", unit: "1", guess: 1.0, optional: false, along: Along::Stacks(scatter) },
+            Shared { name: "bed_strength", unit: "1", guess: STRENGTH_STEP, optional: false, stacks: vec![slope] },
+            Shared { name: "gait_scatter", unit: "1", guess: 1.0, optional: false, stacks: scatter },
         ]
     }
 

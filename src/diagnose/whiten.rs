@@ -1,6 +1,7 @@
 //! Generalised least squares: a linear map after which the noise is white.
 
 use super::noise::{ChannelFilter, Noise, Source};
+use super::observations::Observations;
 use super::shared::LowRank;
 use std::ops::Range;
 
@@ -19,6 +20,8 @@ pub struct Whitener {
     units: Vec<UnitFilter>,
     /// Of what all units may have in common.
     whole: LowRank,
+    /// Numbers that are held out: 0 after whitening.
+    held: Vec<Range<usize>>,
 }
 
 impl Whitener {
@@ -34,12 +37,18 @@ impl Whitener {
             filter.share(source, noise, (repetitions[unit.condition].len() as f64).sqrt());
             filter
         });
-        Self { units: units.collect(), whole: LowRank::new(&[]) }
+        Self { units: units.collect(), whole: LowRank::new(&[]), held: Vec::new() }
     }
 
     /// The same beside an error that all units share, along directions one standard deviation long that are whitened already.
     pub fn beside(&self, directions: &[Vec<f64>]) -> Self {
         Self { whole: LowRank::new(directions), ..self.clone() }
+    }
+
+    /// The same with some conditions held out.
+    pub fn without(self, observations: &Observations, conditions: &[usize]) -> Self {
+        let units = observations.units.iter().filter(|u| conditions.contains(&u.condition));
+        Self { held: units.map(|u| observations.span(u)).collect(), ..self }
     }
 
     /// The whitened stack.
@@ -50,6 +59,7 @@ impl Whitener {
             unit.filter(own);
             unit.shared.apply(own);
         }
+        self.held.iter().for_each(|span| white[span.clone()].fill(0.0));
         self.whole.apply(&mut white);
         white
     }
@@ -66,10 +76,9 @@ impl UnitFilter {
     /// mean has all of its variance e² and not a share of it; a unit is whitened with n e², which gives that mean its due.
     /// How repetitions differ, which then counts for less, says nothing of a cause.
     fn share(&mut self, source: &Source, noise: &Noise, root_of_repetitions: f64) {
-        let signal = &source.prediction[self.span.clone()];
         let mut columns = Vec::new();
         for (shared, sd) in source.shared.iter().zip(&noise.shared) {
-            for vector in shared.vectors(self.span.clone(), signal) {
+            for vector in shared.vectors(self.span.clone()) {
                 let mut column: Vec<f64> = vector.iter().map(|v| sd * v).collect();
                 self.filter(&mut column);
                 columns.push(column);

@@ -5,6 +5,8 @@
 //! themselves are those of the contract, so a common misreading of it would not show here.
 
 #[allow(dead_code)] // not every test that uses the laboratory has rests
+#[allow(dead_code)] // the study has no need of it
+pub mod dirt;
 pub mod rests;
 
 use rand::{Rng, SeedableRng};
