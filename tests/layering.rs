@@ -23,7 +23,10 @@ const KNOWS: [(&str, &[&str]); 23] = [
     ("diagnose", &["error", "parallel", "progress", "number", "table", "plot", "sand", "sim", "sweep"]),
     ("reproduce", &["error", "parallel", "progress", "number", "table", "plot", "sand", "sim", "sweep"]),
     ("evaluate", &["error", "parallel", "progress", "table", "sand", "sim", "env", "policy"]),
-    ("train", &["error", "parallel", "progress", "number", "plot", "sim", "env", "policy", "view", "evaluate"]),
+    (
+        "train",
+        &["error", "parallel", "progress", "number", "plot", "sim", "env", "policy", "view", "sweep", "evaluate"],
+    ),
     (
         "service",
         &[
