@@ -25,7 +25,10 @@ const KNOWS: [(&str, &[&str]); 25] = [
     ("reproduce", &["error", "parallel", "progress", "number", "table", "plot", "sand", "sim", "sweep"]),
     ("validate", &["error", "parallel", "table", "plot", "sand", "sim", "calibrate", "reproduce"]),
     ("evaluate", &["error", "parallel", "progress", "table", "sand", "sim", "env", "policy"]),
-    ("train", &["error", "parallel", "progress", "number", "plot", "sim", "env", "policy", "view", "evaluate"]),
+    (
+        "train",
+        &["error", "parallel", "progress", "number", "plot", "sim", "env", "policy", "view", "sweep", "evaluate"],
+    ),
     (
         "service",
         &[

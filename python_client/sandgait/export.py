@@ -1,4 +1,5 @@
-"""Policies of stable-baselines3 as ONNX files, for `rollout_policy`, `sandgait.evaluate` and `sandgait evaluate`."""
+"""Policies of stable-baselines3 as ONNX files, for `rollout_policy`, `sandgait.evaluate` and `sandgait evaluate`; and policies
+of `sandgait train` as stable-baselines3's (`to_sb3`)."""
 
 from __future__ import annotations
 
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from .errors import InvalidRequest
+from .from_rust import to_sb3 as to_sb3
 from .snapshots import FilePath
 
 try:

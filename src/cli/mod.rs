@@ -4,6 +4,7 @@
 mod bench;
 mod calibrate;
 mod config;
+mod design;
 mod diagnose;
 mod evaluate;
 mod intrude;

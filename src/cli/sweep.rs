@@ -1,11 +1,14 @@
 //! `sandgait sweep`
 
 use super::Bar;
+use sandgait::env::gait::HexapodGait;
+use sandgait::error::check_range;
 use sandgait::plot::png;
 use sandgait::sand::{Law, Medium};
 use sandgait::sim::Robot;
 use sandgait::sim::model::Scene;
 use sandgait::sweep::{Axis, Design, Measure, grid, optimize, table};
+use sandgait::train::{design, entry};
 use sandgait::{Error, Result};
 use std::path::PathBuf;
 
@@ -18,7 +21,8 @@ use std::path::PathBuf;
 #[command(after_help = "Examples:
   sandgait sweep --vary xi=-75:75:31 --vary frequency=1:5:9 --out study
   sandgait sweep --robot mine.toml --vary medium=poppy-loose,poppy-close --vary width=0.005:0.02:16 --out study
-  sandgait sweep --vary xi=0:75:2 --vary chord=0.03:0.05:2 --optimize cost-of-transport --out study")]
+  sandgait sweep --vary xi=0:75:2 --vary chord=0.03:0.05:2 --optimize cost-of-transport --out study
+  sandgait sweep --vary xi=-75:75:25 --learn 60 --option command=[0.1,0.4] --out study    (a gait learnt for each leg)")]
 pub struct Sweep {
     /// Parameter and its values, once or twice
     #[arg(long, value_name = "NAME=VALUES", required = true, allow_hyphen_values = true)]
@@ -41,12 +45,25 @@ pub struct Sweep {
     /// A sand.toml, as a diagnosis writes it, in place of --medium and --law
     #[arg(long, value_name = "FILE", conflicts_with_all = ["medium", "law"])]
     sand: Option<PathBuf>,
-    /// What the figure shows: speed or cost-of-transport
+    /// What the figure shows: speed or cost-of-transport; with --learn also return
     #[arg(long, default_value = "speed")]
     measure: String,
     /// Search between the bounds instead of walking the grid: speed or cost-of-transport
     #[arg(long, value_name = "MEASURE")]
     optimize: Option<String>,
+    /// Learn a gait for each design in place of walking at one frequency (HexapodGait, sandgait train's settings): so many
+    /// seconds each, on one thread
+    #[arg(long, value_name = "SECONDS", conflicts_with = "optimize")]
+    learn: Option<f64>,
+    /// Trainings of each design
+    #[arg(long, value_name = "N", default_value_t = 3, requires = "learn")]
+    trainings: usize,
+    /// Designs after the first on the last axis begin with their neighbour's gait and learn for so many seconds
+    #[arg(long, value_name = "SECONDS", requires = "learn")]
+    warm: Option<f64>,
+    /// Option of the task that is learnt
+    #[arg(long, value_name = "NAME=VALUE", requires = "learn", allow_hyphen_values = true)]
+    option: Vec<String>,
     /// Directory for the results
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -58,8 +75,11 @@ impl Sweep {
         if axes.len() > 2 && self.optimize.is_none() {
             return Err(Error::invalid("--vary", "a grid takes one or two parameters; --optimize takes more"));
         }
-        let measure = Measure::named(&self.measure)?;
         let base = self.base()?;
+        if let Some(seconds) = self.learn {
+            return self.learnt(base, axes, seconds);
+        }
+        let measure = Measure::named(&self.measure)?;
         match &self.optimize {
             Some(goal) => self.search(&base, &axes, Measure::named(goal)?),
             None => self.grid(&base, &axes, measure),
@@ -100,6 +120,20 @@ impl Sweep {
         let diverged = results.iter().filter(|r| !r.speed.is_finite()).count();
         let warning = if diverged > 0 { format!("{diverged} walks diverged and are blank\n") } else { String::new() };
         Ok(format!("{best}{warning}{count} walks in {seconds:.1} s → {}\n", self.out.join("sweep.csv").display()))
+    }
+
+    fn learnt(&self, base: Design, axes: Vec<Axis>, seconds: f64) -> Result<String> {
+        let measure = design::Measure::named(&self.measure)?;
+        let mut settings = entry::settings(None, HexapodGait::ID, &[format!("seconds={seconds}")])?;
+        let pairs = self.option.iter().map(|o| entry::pair("--option", o)).collect::<Result<Vec<_>>>()?;
+        let options = std::mem::take(&mut settings.env_kwargs).into_iter().chain(pairs).collect();
+        check_range("--trainings", self.trainings as f64, 1.0..=1000.0)?;
+        self.warm.map_or(Ok(0.0), |warm| check_range("--warm", warm, 1e-3..=1e7))?;
+        let study = design::Study { base, axes, options, settings, trainings: self.trainings, warm: self.warm };
+        study.check()?;
+        self.prepare()?;
+        let findings = study.run(measure, &Bar::new())?;
+        super::design::report(&study, &findings, measure, &self.out)
     }
 
     fn search(&self, base: &Design, axes: &[Axis], goal: Measure) -> Result<String> {

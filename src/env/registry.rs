@@ -10,6 +10,7 @@ use super::stroke::{self, LegStroke};
 use super::task::{Setup, Task};
 use super::terrain::HexapodTerrain;
 use crate::error::{Error, Result};
+use crate::sim::Model;
 use crate::sim::engine::EngineKind;
 use serde_json::Value;
 use std::sync::Arc;
@@ -138,6 +139,15 @@ impl Blueprint {
             return Err(Error::invalid("dt", format!("{dt} does not divide the control period {period} s")));
         }
         Ok(Self { task, engine, setup })
+    }
+
+    /// The same task with another robot or sand than the options can name. Resets with options would bring these back.
+    pub fn with_model(mut self, model: Model) -> Result<Self> {
+        let id = self.task.spec().id;
+        let kind = KINDS.iter().find(|k| k.keywords.task == id).ok_or_else(|| no_task(id))?;
+        self.setup.model = Arc::new(model);
+        self.task = (kind.make)(&self.setup)?;
+        Ok(self)
     }
 
     /// What of the options has no effect, and why: mechanisms of a sand.toml that robots do not feel.

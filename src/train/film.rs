@@ -28,8 +28,7 @@ pub fn film(blueprint: &Blueprint, network: &Network, seed: u64, recording: &Pat
         let look = shard.look(0, true);
         out.row(&row(&look)).map_err(broken)?;
         // In the middle of each part of the longest episode.
-        let part = 2 * step * MOMENTS;
-        if part.is_multiple_of(longest) && !(part / longest).is_multiple_of(2) {
+        if (0..MOMENTS).any(|k| step == (2 * k + 1) * longest / (2 * MOMENTS)) {
             let caption = format!("{:6.2} s   x {:6.3} m", look.time, look.state.position[0]).replace('-', "−");
             pixels.extend(view::draw(look.model, look.state, look.footing, SIZE, &[caption])?);
         }

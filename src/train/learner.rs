@@ -392,3 +392,97 @@ impl Training<'_> {
         )
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::{Value, json};
+
+    fn plan(entry: &Value, threads: usize) -> Plan {
+        let blueprint = Blueprint::new("sandgait/HexapodGait-v1", json!({"max_episode_steps": 7})).unwrap();
+        Plan::new(blueprint, Settings::from_entry(entry.as_object().unwrap()).unwrap(), 5, threads).unwrap()
+    }
+
+    /// The numbers that tests/python/test_from_rust.py gives SB3's PPO, which made `sb3_update.json` of them.
+    #[test]
+    fn an_update_is_sb3_s() {
+        let rows = 64;
+        let entry = json!({
+            "n_envs": 16, "n_steps": 4, "batch_size": rows, "n_epochs": 3, "learning_rate": 1e-3, "clip_range_vf": 0.3,
+            "ent_coef": 0.01, "policy_kwargs": {"net_arch": [8, 7], "log_std_init": -0.3},
+        });
+        let plan = plan(&entry, 1);
+        let mut learnt = plan.begin();
+        let wave = |x: &mut [f32], size: f64, pitch: f64, shift: f64| {
+            x.iter_mut().enumerate().for_each(|(k, x)| *x = (size * (pitch * k as f64).sin() + shift) as f32);
+        };
+        let weights = plan.networks.shape.log_std.start;
+        wave(&mut learnt.parameters[..weights], 0.4, 1.1, 0.0);
+        let shared = Shared::new(&plan, &learnt).unwrap();
+        {
+            let mut rollout = write(&shared.rollout);
+            wave(&mut rollout.observations, 1.5, 0.37, 0.1);
+            wave(&mut rollout.actions, 1.2, 0.71, 0.0);
+            wave(&mut rollout.log_probabilities, 0.4, 1.9, -6.0);
+            wave(&mut rollout.values, 0.5, 0.53, 0.0);
+            wave(&mut rollout.advantages, 2.0, 0.91, 0.3);
+            wave(&mut rollout.returns, 1.0, 0.77, 0.2);
+        }
+        let before = learnt.parameters.clone();
+        let mut training =
+            Training { plan: &plan, shared: &shared, learnt, began: Instant::now(), before: 0.0, rollouts: 0.0 };
+        let work = |phase: Phase, item: usize| shared.work(phase, item);
+        let (sums, count) = crew::with(1, &work, |crew| training.learn(crew, 0.0, 1e-3)).unwrap();
+        assert_eq!((sums.samples, count), (3.0 * rows as f64, 3));
+        let wanted: Vec<f64> = serde_json::from_str(include_str!("../../tests/data/train/sb3_update.json")).unwrap();
+        let got = read(&shared.parameters);
+        assert_eq!(got.len(), wanted.len());
+        let moved = got.iter().zip(&before).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(moved > 2e-3, "three steps of Adam move by the rate each");
+        for (k, (got, wanted)) in got.iter().zip(&wanted).enumerate() {
+            // Where a slope is nearly zero, Adam makes much of its rounding: a hundredth of a step.
+            assert!((f64::from(*got) - wanted).abs() < 1e-5, "parameter {k}: {got} {wanted}");
+        }
+    }
+
+    /// Any number of threads learns the same, to the bit; another seed does not.
+    #[test]
+    fn threads_change_nothing() {
+        let entry = json!({
+            "n_envs": 80, "n_steps": 4, "n_timesteps": 1280, "batch_size": 200, "n_epochs": 2, "normalize": true,
+            "mirror": true, "policy_kwargs": {"net_arch": [16]},
+        });
+        let learn = |threads: usize, seed: u64| {
+            let mut plan = plan(&entry, threads);
+            plan.seed = seed;
+            let mut learnt = plan.run(plan.begin(), |_, report| {
+                assert!(report.value_loss.is_finite() && report.kl.is_finite());
+                Ok(())
+            });
+            learnt.iter_mut().for_each(|learnt| learnt.seconds = 0.0);
+            learnt.unwrap()
+        };
+        let one = learn(1, 5);
+        assert_eq!((one.steps, one.updates), (1280, 4));
+        assert_eq!(one, learn(3, 5));
+        assert_ne!(one.parameters, learn(1, 6).parameters);
+    }
+
+    /// A rate far too large: the parameters of before are kept, and the message says what to do.
+    #[test]
+    fn what_is_not_finite_ends_the_training() {
+        let entry = json!({
+            "n_envs": 16, "n_steps": 4, "n_timesteps": 640_000, "batch_size": 64, "learning_rate": 1e3,
+            "max_grad_norm": 1e9, "normalize_advantage": false,
+        });
+        let plan = plan(&entry, 1);
+        let mut last = plan.begin();
+        let error = plan.run(plan.begin(), |learnt, _| {
+            last = learnt.clone();
+            Ok(())
+        });
+        let error = error.unwrap_err().to_string();
+        assert!(error.contains("is not a number after") && error.contains("learning_rate than 1000"), "{error}");
+        assert!(last.parameters.iter().all(|p| p.is_finite()));
+    }
+}

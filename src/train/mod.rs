@@ -3,7 +3,8 @@
 //! ```text
 //!  settings ──▶ learner ──▶ rollouts (collect, normal) and updates (learn, loss, adam) in turn, over a crew of threads
 //!                  │                         └── network, mirror, matrix
-//!                  └──▶ policy.onnx, checkpoints, learning curve, events
+//!                  ├──▶ run: one training, with policy.onnx, checkpoints, learning curve, events, film
+//!                  └──▶ design: many designs, a gait learnt for each
 //! ```
 
 mod adam;
@@ -11,6 +12,7 @@ mod checkpoint;
 mod collect;
 mod crew;
 mod curve;
+pub mod design;
 pub mod entry;
 mod events;
 mod export;
