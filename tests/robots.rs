@@ -237,13 +237,12 @@ fn coarse_plates_feel_what_fine_ones_feel() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("foot.stl");
     let mut chance = Xoshiro256PlusPlus::seed_from_u64(16);
-    let mut lines = Vec::new();
+    let (mut lines, mut wrong) = (Vec::new(), false);
     for law in ["li2013", "agarwal2023"] {
         let sand = SandDescription::named("poppy-loose", law).unwrap();
         let medium = sand.medium();
-        // As sharp an edge as the fine plates have, and the one that the engine of trees has.
-        let [sharp, blunt] = [&Surface::BARE, &Surface::SOLID]
-            .map(|surface| Ground::new(Law::named(law).unwrap(), &medium, surface).with(&sand.mechanisms, &medium));
+        // As sharp a leading edge as the fine plates have: how engines blunt it is theirs.
+        let ground = Ground::new(Law::named(law).unwrap(), &medium, &Surface::BARE).with(&sand.mechanisms, &medium);
         for (name, geometry) in shapes() {
             let faces = match &geometry {
                 Geometry::Sphere { radius } => ellipsoid(V::repeat(*radius), 120),
@@ -267,22 +266,18 @@ fn coarse_plates_feel_what_fine_ones_feel() {
                 let origin = Isometry3::from_parts(place, UnitQuaternion::from_rotation_matrix(&turn));
                 let cut = plates::of_shapes(&[&shape(geometry.clone(), origin)], None).unwrap();
                 count = cut.len();
-                let error = |ground| (force(ground, &cut, velocity) - fine).norm();
-                errors.push((error(&sharp), error(&blunt), fine.norm()));
+                errors.push(((force(&ground, &cut, velocity) - fine).norm(), fine.norm()));
             }
             // Where next to nothing of the body leads in the sand, a share of the force says nothing.
-            let largest = errors.iter().map(|e| e.2).fold(0.0, f64::max);
-            let large: Vec<_> = errors.iter().filter(|e| e.2 > 0.1 * largest).collect();
-            let worst = large.iter().map(|e| e.0 / e.2).fold(0.0, f64::max);
-            let mean = large.iter().map(|e| e.1 / e.2).sum::<f64>() / large.len() as f64;
-            let of_largest = errors.iter().map(|e| e.1 / largest).fold(0.0, f64::max);
-            lines.push(format!(
-                "{law} {name}: {count} plates, worst {worst:.4}; engine: mean {mean:.4}, {of_largest:.4} of the largest"
-            ));
-            assert!(worst < 0.02 && mean < 0.02 && of_largest < 0.02, "{lines:#?}");
+            let largest = errors.iter().map(|e| e.1).fold(0.0, f64::max);
+            let large = errors.iter().filter(|e| e.1 > 0.1 * largest);
+            let (worst, of_largest) = large.fold((0f64, 0f64), |(a, b), e| (a.max(e.0 / e.1), b.max(e.0 / largest)));
+            lines
+                .push(format!("{law} {name}: {count} plates, {worst:.4} of the force, {of_largest:.4} of the largest"));
+            wrong |= worst >= 0.02;
         }
     }
-    println!("{lines:#?}");
+    assert!(!wrong, "{lines:#?}");
 }
 
 /// One cube as STL, OBJ and DAE, mirrored and scaled: the same shape, and outward.

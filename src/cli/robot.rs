@@ -34,7 +34,7 @@ pub struct Robot {
     /// Bodies, links or shapes that touch sand; feet, lower links and belly if not given
     #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
     touches: Option<Vec<String>>,
-    /// Size of the plates that touching shapes are cut into [m]; a sixth of a box's longest side, a twelfth of others', if not given
+    /// Size of the plates that touching shapes are cut into [m]; an eighth of a box's longest side, a twelfth of others', if not given
     #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
     plate_size: Option<f64>,
     /// Print the robot as one text, as option `robot` of sandgait/LeggedVelocity-v0 takes it; with --json uncompressed

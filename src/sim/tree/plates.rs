@@ -9,7 +9,7 @@ use std::f64::consts::{PI, TAU};
 
 /// Plates along the longest side of a shape, unless their size is given, for boxes and for all that may be round. Our choice: at
 /// random poses and velocities forces are within 2 % of those of fine plates (`tests/robots.rs`).
-const ALONG: [f64; 2] = [6.0, 12.0];
+const ALONG: [f64; 2] = [8.0, 12.0];
 /// Fewest plates around what is round: our choice, half of what bodies of `sandgait intrude` have.
 const COARSE: usize = 8;
 /// Most plates of a shape: our choice, a hundred times what walks in real time.
@@ -122,7 +122,7 @@ impl TreeShape {
     }
 }
 
-/// Plates of one shape in the shape's frame, of about `size` [m]; none: a sixth of its longest side for a box, else a twelfth.
+/// Plates of one shape in the shape's frame, of about `size` [m]; none: an eighth of its longest side for a box, else a twelfth.
 pub fn of_shape(shape: &TreeShape, size: Option<f64>) -> Result<Vec<Plate>> {
     let longest = shape.geometry.longest();
     let along = ALONG[usize::from(!matches!(shape.geometry, Geometry::Box { .. }))];
