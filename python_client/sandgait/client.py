@@ -361,7 +361,7 @@ def _error(code: str, message: str, address: str) -> SandgaitError:
 
 
 def with_files(options: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Options that are paths here are texts on the wire, the server may be elsewhere: a sand.toml, a URDF or an MJCF."""
+    """Options that are paths here are texts on the wire, for a server elsewhere: a sand.toml, a URDF or an MJCF."""
     texts = {}
     if "sand" in options:
         try:
