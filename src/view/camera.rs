@@ -33,6 +33,9 @@ pub type Seen = ([f32; 2], f64);
 
 /// Half of the robot's length with its legs stretched [m].
 pub fn radius(model: &Model) -> f64 {
+    if let Some(tree) = &model.tree {
+        return tree.standing_height(&tree.stance.angles).max(1e-3);
+    }
     let reach = |chain: &Vec<crate::sim::model::Body>| {
         chain[0].joint.norm() + chain.iter().map(|b| b.reach.norm()).sum::<f64>()
     };

@@ -45,7 +45,7 @@ pub fn header(model: &Model, about: &About) -> String {
         "slope_deg": model.scene.slope_deg,
         "gravity": list(model.gravity),
         "legs": hips,
-        "joints": robot.joint_names(),
+        "joints": model.joint_names(),
         "base": robot.base.size,
         "bodies": bodies(model),
         "segments": segment_list(model),

@@ -106,11 +106,11 @@ fn solve<R: Real>(model: &LaneTree<R>, state: &LaneState<R>, s: &mut Scratch<R>)
 #[inline(always)]
 fn move_joints<R: Real>(model: &LaneTree<R>, state: &mut LaneState<R>, accelerations: &[R]) {
     let dt = model.dt;
-    for i in 0..model.motors.len() {
+    for (i, acceleration) in accelerations.iter().enumerate() {
         let joints = Joints { motors: &model.motors, servos: &state.servos, joints: &state.motion.joints, dt };
-        let torque = joints.motor_torque(i, accelerations[i]);
+        let torque = joints.motor_torque(i, *acceleration);
         let (joint, servo) = (&mut state.motion.joints[i], &mut state.servos[i]);
-        joint.change = accelerations[i] * dt;
+        joint.change = *acceleration * dt;
         joint.rate += joint.change;
         joint.position = joint.rate.mul_add(dt, joint.position);
         servo.torque = torque;
