@@ -361,8 +361,15 @@ mod tests {
     }
 
     fn stress(m: Mechanisms, v: [f64; 3]) -> Vec3<f64> {
-        let site =
-            Site { depth: 0.03, x: 0.05, footprint: 1.0, width: 0.02, normal_acceleration: 0.0, passes: 0.0, travel: [0.0; 2] };
+        let site = Site {
+            depth: 0.03,
+            x: 0.05,
+            footprint: 1.0,
+            width: 0.02,
+            normal_acceleration: 0.0,
+            passes: 0.0,
+            travel: [0.0; 2],
+        };
         SandMechanisms::new(&m, 600.0).stress(&ground(), Vec3::new(0.6, 0.0, -0.8), Vec3::splat(v), &site)
     }
 
@@ -440,7 +447,15 @@ mod tests {
     #[test]
     fn nothing_pushes_in_the_air() {
         let every = Mechanisms { inertial_drag: 1.0, cohesion: 100.0, added_mass: 1.0, ..Default::default() };
-        let site = Site { depth: 0.0, x: 0.0, footprint: 1.0, width: 0.02, normal_acceleration: 1.0, passes: 0.0, travel: [0.0; 2] };
+        let site = Site {
+            depth: 0.0,
+            x: 0.0,
+            footprint: 1.0,
+            width: 0.02,
+            normal_acceleration: 1.0,
+            passes: 0.0,
+            travel: [0.0; 2],
+        };
         let (n, v) = (Vec3::new(0.6, 0.0, -0.8), Vec3::new(0.3, 0.0, -0.4));
         let stress = SandMechanisms::new(&every, 600.0).stress(&ground(), n, v, &site);
         assert_eq!(stress.norm_squared(), 0.0);

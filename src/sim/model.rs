@@ -385,8 +385,12 @@ fn body(link: &Link, joint: V, turn: nalgebra::Rotation3<f64>) -> Result<Body> {
     });
     let touching = |segments: &[Segment]| match link.sand {
         Some(_) => {
-            let plate =
-                |s: &Segment| Plate { center: exact(place(s.center)), normal: exact(place(s.normal)), area: s.area, width };
+            let plate = |s: &Segment| Plate {
+                center: exact(place(s.center)),
+                normal: exact(place(s.normal)),
+                area: s.area,
+                width,
+            };
             segments.iter().map(plate).collect()
         }
         None => Vec::new(),

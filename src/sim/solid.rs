@@ -105,7 +105,12 @@ impl Solid {
                 for k in 0..GRID * GRID {
                     let at = |i: usize, axis: usize| ((i as f64 + 0.5) / GRID as f64 - 0.5) * size[axis];
                     let center = normal * half[axis] + V::ith(u, at(k / GRID, u)) + V::ith(v, at(k % GRID, v));
-                    facets.push(Plate { center, normal, area: size[u] * size[v] / (GRID * GRID) as f64, width: size[v] / GRID as f64 });
+                    facets.push(Plate {
+                        center,
+                        normal,
+                        area: size[u] * size[v] / (GRID * GRID) as f64,
+                        width: size[v] / GRID as f64,
+                    });
                 }
             }
         }
@@ -154,7 +159,12 @@ impl Solid {
             sides.push((normal, normal.dot(&a)));
             let [ab, bc, ca] = [(a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0];
             for part in [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]] {
-                facets.push(Plate { center: part.iter().sum::<V>() / 3.0, normal, area: across.norm() / 8.0, width: (across.norm() / 8.0).sqrt() });
+                facets.push(Plate {
+                    center: part.iter().sum::<V>() / 3.0,
+                    normal,
+                    area: across.norm() / 8.0,
+                    width: (across.norm() / 8.0).sqrt(),
+                });
             }
         }
         Ok(Self {
