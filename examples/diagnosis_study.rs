@@ -14,12 +14,12 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::diagnose::diagnose;
 use sandgait::diagnose::experiment::Experiment;
-use sandgait::diagnose::fit::Study;
 use sandgait::diagnose::force_log;
 use sandgait::diagnose::forward::{ForceLogModel, ForwardModel};
 use sandgait::diagnose::noise::{ChannelNoise, Clock, Noise, Source, sizes};
 use sandgait::diagnose::report::{Cause, Report, Tried};
 use sandgait::diagnose::shared::Shared;
+use sandgait::diagnose::study::Study;
 use sandgait::diagnose::verdict::Verdict;
 use sandgait::diagnose::whiten::Whitener;
 use sandgait::parallel;
@@ -57,8 +57,13 @@ fn separation(log: &Log, cause: &str, name: &str) -> Outcome<f64> {
     let channels = vec![channel(1.0), channel(1.0), channel(testbed::ARM)];
     let noise = Noise { clock: Clock::Sample, channels, shared: vec![testbed::GAIN] };
     let o = &read.observations;
-    let strength =
-        Shared { name: "bed_strength", unit: "1", guess: testbed::GAIN, optional: false, stacks: vec![o.values.clone()] };
+    let strength = Shared {
+        name: "bed_strength",
+        unit: "1",
+        guess: testbed::GAIN,
+        optional: false,
+        stacks: vec![o.values.clone()],
+    };
     let source = Source {
         observations: o,
         prediction: &o.values,

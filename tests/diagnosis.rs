@@ -171,7 +171,12 @@ fn a_dirty_load_cell_changes_no_verdict() {
     let limit = r.upper_limits.iter().find(|l| l.id == "inertial_drag").unwrap();
     assert!((0.0..0.5).contains(&limit.value) && limit.level == 0.95, "{limit:?}");
     let r = of(vec![("inertial_drag", 1.0)]);
-    assert_eq!((r.verdict, r.ambiguity_set), (Verdict::Named, vec![vec!["inertial_drag".to_string()]]), "{}", r.summary);
+    assert_eq!(
+        (r.verdict, r.ambiguity_set),
+        (Verdict::Named, vec![vec!["inertial_drag".to_string()]]),
+        "{}",
+        r.summary
+    );
     let cause = &r.causes[0];
     assert!((cause.ci95[0]..=cause.ci95[1]).contains(&1.0), "{}", r.summary);
     assert!(!r.remainder.unwrap().significant && r.gain.nested && r.degrees_of_freedom.unwrap() > 5.0);

@@ -10,7 +10,7 @@ use sandgait::sim::walk::Trial;
 use sandgait::sim::{Model, Robot};
 use sandgait::sweep::walk_all;
 
-const TERM: &str = "\n[[term]]\non = \"normal\"\ncoefficient = 6.0\ngroups = { froude = 0.75, depth_over_width = -0.25 }\n\
+const TERM: &str = "\n[[term]]\non = \"normal\"\ncoefficient = 30.0\ngroups = { froude = 0.75, depth_over_width = -0.25 }\n\
     range = { froude = [0.0, 50.0], depth_over_width = [0.05, 4.0] }\n";
 
 fn sand(more: &str) -> SandDescription {
@@ -51,7 +51,7 @@ fn a_term_is_its_formula_in_every_lane() {
     };
     let extra = one(&with) - one(&without);
     let froude: f64 = 0.25 / (9.80665 * 0.03);
-    let expected = 6.0 * with.bulk_density * 9.80665 * 0.03 * froude.powf(0.75) * 1.5f64.powf(-0.25) * 1e-4;
+    let expected = 30.0 * with.bulk_density * 9.80665 * 0.03 * froude.powf(0.75) * 1.5f64.powf(-0.25) * 1e-4;
     assert!((-extra.dot(n) / expected - 1.0).abs() < 1e-6, "{extra:?} {expected}");
     let plain = Ground::<Portable>::new(Law::Li2013, &without.medium(), &Surface::BARE);
     let mut mixed = plain;
@@ -67,8 +67,12 @@ fn a_term_is_its_formula_in_every_lane() {
 #[test]
 fn a_file_with_an_impossible_term_is_refused_in_one_line() {
     let plain = SandDescription::named("poppy-loose", "li2013").unwrap().to_toml().unwrap();
-    for (from, to) in [("6.0", "-6.0"), ("[0.05, 4.0]", "[-1.0, 4.0]"), ("froude = 0.75", "speed = 0.75"), ("[0.0, 50.0]", "[5.0, 1.0]")]
-    {
+    for (from, to) in [
+        ("30.0", "-30.0"),
+        ("[0.05, 4.0]", "[-1.0, 4.0]"),
+        ("froude = 0.75", "speed = 0.75"),
+        ("[0.0, 50.0]", "[5.0, 1.0]"),
+    ] {
         let error = SandDescription::from_toml(&format!("{plain}{}", TERM.replace(from, to))).unwrap_err().to_string();
         assert!(error.lines().count() == 1 && !error.is_empty(), "{error}");
     }

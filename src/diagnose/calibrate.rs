@@ -6,10 +6,11 @@
 //! tails of F and not of χ².
 
 use super::fit::slope;
-use super::fit::{COEFFICIENTS, Column, Study, dot};
+use super::fit::{COEFFICIENTS, Column, dot};
 use super::lack_of_fit::{self, Lack};
 use super::noise::{Noise, Source, sizes};
 use super::observations::Observations;
+use super::study::Study;
 use super::whiten::Whitener;
 use crate::parallel;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
@@ -309,7 +310,8 @@ fn null(
     let simulated = Observations { values, ..source.observations.clone() };
     let source = Source { observations: &simulated, sizes: &sizes(&simulated), ..*source };
     let scores = screen.scores(&Whitener::new(&source, drawn), &simulated.values);
-    let information = (0..gram.nrows()).map(|k| if gram[(k, k)] > FELT { scores.gram[(k, k)] / gram[(k, k)] } else { 0.0 });
+    let information =
+        (0..gram.nrows()).map(|k| if gram[(k, k)] > FELT { scores.gram[(k, k)] / gram[(k, k)] } else { 0.0 });
     Null {
         best: screen.best_single(&scores.gram, &scores.score),
         lack: lack_of_fit::statistic(&simulated, &scores.white),

@@ -4,7 +4,8 @@
 //! fitted values little, so each fold is one Gauss-Newton step from the full fit: exact for a linear model.
 
 use super::errors::Errors;
-use super::fit::{COEFFICIENTS, Fit, Study, dot};
+use super::fit::{COEFFICIENTS, Fit, dot};
+use super::study::Study;
 use nalgebra::{DMatrix, DVector};
 
 /// Held-out errors of one model.

@@ -7,10 +7,11 @@
 use super::calibrate::{Gates, chi_squared_over, quantile, square_root};
 use super::cross_validation::HeldOut;
 use super::errors::Errors;
-use super::fit::{Column, Fit, Study, dot, slope};
+use super::fit::{Column, Fit, dot, slope};
 use super::fitted::candidate;
 use super::nested::{self, Known};
 use super::student;
+use super::study::Study;
 use crate::parallel;
 use crate::sand::GRAVITY;
 use crate::sand::term::{On, Term};
@@ -226,11 +227,13 @@ fn held_out(
     (nested::together(&folds, parts, o.conditions.len()), chosen)
 }
 
-/// Lack of fit and the share that the law explains, as of causes.
-pub fn explained(study: &Study, base: &Fit, law: &Described, floor: &Errors) -> f64 {
-    let reference = &law.nested[0].errors;
-    let [before, after, least] = [reference, &law.nested[1].errors, floor].map(|e| e.rmse().powi(2));
-    let by_error = 1.0 - (after - least).max(0.0) / (before - least).max(1e-300);
+/// Share of the misfit beyond noise that the law explains: of the error on conditions held out, against the plain model with its
+/// coefficients as they are or adjusted, whichever is better, and of the whitened one; the less of the two.
+pub fn explained(study: &Study, base: &Fit, law: &Described, [plain, floor]: [&Errors; 2]) -> f64 {
+    let [before, after, least] = [&law.nested[0].errors, &law.nested[1].errors, floor].map(|e| e.rmse().powi(2));
+    let before = before.min(plain.rmse().powi(2));
     let lack = |fit: &Fit| candidate(study, base, fit.clone()).lack.excess.max(0.0);
-    if before > 1.2 * least { by_error } else { 1.0 - lack(&law.fit) / lack(base).max(1e-9) }
+    let by_noise = 1.0 - lack(&law.fit) / lack(base).max(1e-9);
+    // Where the plain model's error hardly stands clear of the scatter, a share of their difference is any number.
+    if before > 1.2 * least { by_noise.min(1.0 - (after - least).max(0.0) / (before - least)) } else { by_noise }
 }

@@ -6,9 +6,10 @@
 //! the error, is where the evidence of the residual is greatest. The weights are marginalised like the coefficients. (The idea:
 //! Kennedy & O'Hagan 2001.)
 
-use super::fit::{Fit, Study, dot};
+use super::fit::{Fit, dot};
 use super::forward::Feature;
 use super::observations::{Observations, Size};
+use super::study::Study;
 use crate::parallel;
 use nalgebra::{DMatrix, DVector};
 use rand::{Rng, SeedableRng};
@@ -48,7 +49,8 @@ impl Directions {
         let white = parallel::map(&raw, |c| study.whitener.apply(c));
         let count = white.len();
         let places: Vec<usize> = (0..count).collect();
-        let rows = parallel::map(&places, |&i| white[..=i].iter().map(|other| dot(&white[i], other)).collect::<Vec<_>>());
+        let rows =
+            parallel::map(&places, |&i| white[..=i].iter().map(|other| dot(&white[i], other)).collect::<Vec<_>>());
         let products = DMatrix::from_fn(count, count, |i, j| rows[i.max(j)][i.min(j)]);
         Self { raw, white, products }
     }

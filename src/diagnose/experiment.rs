@@ -139,9 +139,13 @@ fn medium(name: Option<&str>, sand: Option<SandTable>) -> Result<Medium> {
         return Medium::named(name);
     };
     let mut medium = match (sand.coefficients, sand.zeta) {
-        (Some(CoefficientsSource::Table(coefficients)), None) => {
-            Medium { name: "own".into(), coefficients, bulk_density: 1500.0, source: "experiment".into(), terms: Vec::new() }
-        }
+        (Some(CoefficientsSource::Table(coefficients)), None) => Medium {
+            name: "own".into(),
+            coefficients,
+            bulk_density: 1500.0,
+            source: "experiment".into(),
+            terms: Vec::new(),
+        },
         (Some(CoefficientsSource::Named(set)), None) if set != "generic" => Medium::named(&set)?,
         (Some(CoefficientsSource::Named(set)), Some(zeta)) if set == "generic" => Medium::generic(zeta)?,
         (None, Some(zeta)) => Medium::generic(zeta)?,

@@ -5,12 +5,8 @@
 //! V + s² J Jᵀ: the rank-9 update of the contract's section 4. Nuisances of the measuring ([`Nuisance`]) join in the same way,
 //! as columns behind those of the coefficients; they move what is measured and not the prediction of the sand.
 
-use super::forward::ForwardModel;
-use super::nuisance::Nuisance;
-use super::observations::Observations;
-use super::whiten::Whitener;
+use super::study::Study;
 use crate::parallel;
-use crate::sand::Coefficients;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
 use nalgebra::{DMatrix, DVector};
 use std::sync::Arc;
@@ -23,30 +19,15 @@ const SETTLED: f64 = 0.01;
 /// The same of a rough model, whose χ² jumps by as much from one state to the next.
 const SETTLED_ROUGHLY: f64 = 0.25;
 
-/// Step of numerical slopes of a smooth model, in typical strengths: our choice, laws in double precision.
-const SMOOTH_STEP: f64 = 0.02;
+/// Prior standard deviations that a nuisance may be off by: our choice. Where a model is wrong by much more than noise, nuisances would
+/// go anywhere to make up for it.
+const MOST_DEVIATION: f64 = 3.0;
 /// Gauss-Newton steps at most: our choice, most fits settle in four.
 const ROUNDS: usize = 12;
 /// Steps after which a fit may be given up for being far behind another: the first one may be short. Our choice.
 const HEAD_START: usize = 2;
 /// It is given up where this many more steps as good as its last would not bring it to the best: our choice, steps shrink.
 const REACH: f64 = 4.0;
-
-/// Data, model and noise: all that a fit needs.
-pub struct Study<'a> {
-    pub observations: &'a Observations,
-    pub model: &'a dyn ForwardModel,
-    pub whitener: &'a Whitener,
-    /// Relative prior sd of the coefficients.
-    pub coefficient_sd: f64,
-    /// What the measuring may have done to all data alike.
-    pub nuisances: Vec<Nuisance>,
-    /// Slopes by the coefficients at the plain model and by the nuisances, as they are and whitened: good enough on the way
-    /// to a fit.
-    marginal_slopes: [Vec<Column>; 2],
-    /// Step of the numerical slope by each mechanism, in its coordinate.
-    steps: [f64; Mechanisms::COUNT],
-}
 
 /// A fitted model.
 #[derive(Clone, Debug)]
@@ -81,134 +62,7 @@ pub fn dot(a: &[f64], b: &[f64]) -> f64 {
     sums.iter().sum::<f64>() + rest
 }
 
-impl<'a> Study<'a> {
-    pub fn new(
-        observations: &'a Observations,
-        model: &'a dyn ForwardModel,
-        whitener: &'a Whitener,
-        coefficient_sd: f64,
-    ) -> Self {
-        let steps = CATALOG.map(|entry| SMOOTH_STEP * entry.coordinate_typical());
-        let (nuisances, marginal_slopes) = (Vec::new(), [Vec::new(), Vec::new()]);
-        let mut study = Self { observations, model, whitener, coefficient_sd, nuisances, marginal_slopes, steps };
-        study.set_nuisances(model.nuisances(&Mechanisms::default(), &model.medium().coefficients, &[]));
-        let plain = study.plain();
-        if let Some(roughness) = model.roughness() {
-            study.find_steps(roughness, &plain.prediction);
-        }
-        study
-    }
-
-    /// Steps whose effect on the data is at least `target` σ altogether, so that a rough simulation has smooth slopes:
-    /// doubled from a tenth of the typical strength until it is, or until a quarter of what may be fitted.
-    fn find_steps(&mut self, target: f64, plain: &[f64]) {
-        let mut open: Vec<usize> =
-            (0..CATALOG.len()).filter(|&id| CATALOG[id].walking && !CATALOG[id].ceiling).collect();
-        open.iter().for_each(|&id| self.steps[id] = 0.1 * CATALOG[id].coordinate_typical());
-        let coefficients = self.model.medium().coefficients;
-        while !open.is_empty() {
-            let state = |&id: &usize| (Mechanisms::default().with(id, self.steps[id]), coefficients);
-            let moved = self.model.predict_many(&open.iter().map(state).collect::<Vec<_>>());
-            let effect = |moved: &[f64]| {
-                let white = self.whitener.apply(&slope(moved, plain, 1.0));
-                dot(&white, &white).sqrt()
-            };
-            let effects: Vec<f64> = moved.iter().map(|m| effect(m)).collect();
-            let weak = |&(id, effect): &(usize, f64)| effect < target && self.steps[id] < 0.125 * CATALOG[id].bounds[1];
-            let weak: Vec<usize> = open.iter().copied().zip(effects).filter(weak).map(|w| w.0).collect();
-            weak.iter().for_each(|&id| self.steps[id] *= 2.0);
-            open = weak;
-        }
-    }
-
-    /// Puts `nuisances` in place, and the slopes by the coefficients at the plain model before them.
-    fn set_nuisances(&mut self, nuisances: Vec<Nuisance>) {
-        self.nuisances = nuisances;
-        self.marginal_slopes = [self.nuisance_columns(), Vec::new()];
-        self.marginal_slopes[1] =
-            parallel::map(&self.marginal_slopes[0], |column| Arc::new(self.whitener.apply(column)));
-        let mut plain = vec![self.plain()];
-        self.set_coefficient_slopes(&mut plain, &[0]);
-        let plain = plain.swap_remove(0);
-        self.marginal_slopes = [plain.slopes, plain.white_slopes];
-    }
-
-    /// Nuisances as a fit has them.
-    pub fn nuisance_values(&self, fit: &Fit) -> Vec<(String, f64)> {
-        let own = self.nuisances.iter().zip(&fit.deviations[COEFFICIENTS..]);
-        own.map(|(n, d)| (n.id.clone(), n.sd * d)).collect()
-    }
-
-    fn nuisance_columns(&self) -> Vec<Column> {
-        self.nuisances.iter().map(|n| n.column.clone()).collect()
-    }
-
-    /// How many slopes by coefficients and nuisances stand behind those by values.
-    pub fn marginals(&self) -> usize {
-        COEFFICIENTS + self.nuisances.len()
-    }
-
-    /// Slopes of the plain model's prediction by the deviations of coefficients and nuisances.
-    pub fn marginal_slopes(&self) -> Vec<Column> {
-        self.marginal_slopes[0].clone()
-    }
-
-    /// A strength of mechanism `id` that these data feel, in its coordinate: typical, or what a rough model needs.
-    pub fn felt_strength(&self, id: usize) -> f64 {
-        (0.5 * CATALOG[id].coordinate_typical()).max(self.steps[id])
-    }
-
-    /// The same study of another model whose laws without mechanisms are the same.
-    pub fn with_model<'b>(&'b self, model: &'b dyn ForwardModel) -> Study<'b> {
-        let (nuisances, marginal_slopes) = (self.nuisances.clone(), self.marginal_slopes.clone());
-        Study { model, nuisances, marginal_slopes, ..*self }
-    }
-
-    /// The same study under another whitening and with other nuisances.
-    pub fn under(&self, whitener: &'a Whitener, nuisances: Vec<Nuisance>) -> Self {
-        let mut study = Study { whitener, nuisances: Vec::new(), marginal_slopes: [Vec::new(), Vec::new()], ..*self };
-        study.set_nuisances(nuisances);
-        if let Some(roughness) = self.model.roughness() {
-            study.find_steps(roughness, &study.plain().prediction);
-        }
-        study
-    }
-
-    /// This study's nuisances as they are about `fit`.
-    pub fn nuisances_about(&self, fit: &Fit) -> Vec<Nuisance> {
-        if self.nuisances.is_empty() {
-            return Vec::new();
-        }
-        let coefficients = self.coefficients(&fit.deviations);
-        let mut there = self.model.nuisances(&fit.mechanisms, &coefficients, &self.nuisance_values(fit));
-        there.retain(|n| self.nuisances.iter().any(|own| own.id == n.id));
-        there
-    }
-
-    /// What `fit` says the data read: the sand and the nuisances.
-    pub fn reading(&self, fit: &Fit) -> Vec<f64> {
-        let mut reading = fit.prediction.clone();
-        for (nuisance, d) in self.nuisances.iter().zip(&fit.deviations[COEFFICIENTS..]) {
-            reading.iter_mut().zip(nuisance.column.iter()).for_each(|(r, c)| *r += d * c);
-            if let Some(bend) = &nuisance.bend {
-                reading.iter_mut().zip(bend.iter()).for_each(|(r, b)| *r += b);
-            }
-        }
-        reading
-    }
-
-    /// Coefficients at given deviations. A relative sd says nothing about a coefficient published as (nearly) 0, such
-    /// as C₋₁₁ of loose poppy seeds: none is taken to be known better than half the set's root mean square times the
-    /// relative sd. Our choice.
-    pub fn coefficients(&self, deviations: &[f64]) -> Coefficients {
-        let mut c = self.model.medium().coefficients.to_array();
-        let floor = 0.5 * (c.iter().map(|c| c * c).sum::<f64>() / COEFFICIENTS as f64).sqrt();
-        for (c, d) in c.iter_mut().zip(deviations) {
-            *c += c.abs().max(floor) * self.coefficient_sd * d;
-        }
-        Coefficients::from_array(c)
-    }
-
+impl Study<'_> {
     /// The plain model with nothing fitted.
     pub fn plain(&self) -> Fit {
         self.begin(&[(Vec::new(), Vec::new())]).swap_remove(0)
@@ -318,7 +172,7 @@ impl<'a> Study<'a> {
     }
 
     /// Where fits of given ids from given values begin.
-    fn begin(&self, starts: &[(Vec<usize>, Vec<f64>)]) -> Vec<Fit> {
+    pub(super) fn begin(&self, starts: &[(Vec<usize>, Vec<f64>)]) -> Vec<Fit> {
         let state = |(ids, values): &(Vec<usize>, Vec<f64>)| {
             let set = |m: Mechanisms, (&id, &value): (&usize, &f64)| m.with(id, value);
             (ids.clone(), ids.iter().zip(values).fold(Mechanisms::default(), set), vec![0.0; self.marginals()])
@@ -330,7 +184,7 @@ impl<'a> Study<'a> {
     /// predicts many states at once. The objective is exact throughout; `exact` has the slopes by the coefficients taken
     /// at the end's own state and not at the plain model. Fits that can no longer reach the best of them are left as they
     /// are.
-    fn refine(&self, mut fits: Vec<Fit>, rounds: usize, exact: bool) -> Vec<Fit> {
+    pub(super) fn refine(&self, mut fits: Vec<Fit>, rounds: usize, exact: bool) -> Vec<Fit> {
         for fit in fits.iter_mut().filter(|f| f.slopes.is_empty()) {
             [fit.slopes, fit.white_slopes] = self.marginal_slopes.clone();
         }
@@ -393,7 +247,7 @@ impl<'a> Study<'a> {
     }
 
     /// Fits standing at given mechanisms and deviations, without slopes.
-    fn at_all(&self, states: Vec<(Vec<usize>, Mechanisms, Vec<f64>)>) -> Vec<Fit> {
+    pub(super) fn at_all(&self, states: Vec<(Vec<usize>, Mechanisms, Vec<f64>)>) -> Vec<Fit> {
         let inputs: Vec<_> = states.iter().map(|(_, m, d)| (*m, self.coefficients(d))).collect();
         let predictions = self.model.predict_many(&inputs);
         let bends: Vec<&Column> = self.nuisances.iter().filter_map(|n| n.bend.as_ref()).collect();
@@ -415,7 +269,7 @@ impl<'a> Study<'a> {
     }
 
     /// Puts the slopes of the active fits by the coefficients in place; those by the values are to follow.
-    fn set_coefficient_slopes(&self, fits: &mut [Fit], active: &[usize]) {
+    pub(super) fn set_coefficient_slopes(&self, fits: &mut [Fit], active: &[usize]) {
         let step = self.model.coefficient_step();
         let state = |fit: &Fit, k: usize| {
             let mut deviations = fit.deviations.clone();
@@ -472,12 +326,18 @@ impl<'a> Study<'a> {
     /// The Gauss-Newton step; a value that would leave its bounds is held at the bound it is on.
     fn step(&self, fit: &Fit) -> Vec<f64> {
         let (information, score) = fit.normal_equations();
-        let count = fit.ids.len();
-        let mut held = vec![false; count];
+        let (count, coordinates) = (fit.ids.len(), fit.coordinates());
+        let mut held = vec![false; count + fit.deviations.len()];
+        // Where each parameter is, and its bounds; coefficients have none.
+        let place = |k: usize| match k.checked_sub(count) {
+            None => (coordinates[k], CATALOG[fit.ids[k]].coordinate_bounds()),
+            Some(d) if d < COEFFICIENTS => (0.0, [f64::MIN, f64::MAX]),
+            Some(d) => (fit.deviations[d], [-MOST_DEVIATION, MOST_DEVIATION]),
+        };
         loop {
             let step = solve(&information, &score, &held);
-            let stuck = (0..count).find(|&k| {
-                let (bounds, at) = (CATALOG[fit.ids[k]].coordinate_bounds(), fit.coordinates()[k]);
+            let stuck = (0..held.len()).find(|&k| {
+                let (at, bounds) = place(k);
                 !held[k] && ((at <= bounds[0] && step[k] < 0.0) || (at >= bounds[1] && step[k] > 0.0))
             });
             match stuck {
@@ -500,8 +360,11 @@ fn moved(fit: &Fit, step: &[f64], share: f64) -> (Mechanisms, Vec<f64>) {
         mechanisms = mechanisms.with(id, entry.value((at + share * step).clamp(bounds[0], bounds[1])));
     }
     let mut deviations = fit.deviations.clone();
-    for (d, s) in deviations.iter_mut().zip(&step[fit.ids.len()..]) {
+    for (k, (d, s)) in deviations.iter_mut().zip(&step[fit.ids.len()..]).enumerate() {
         *d += share * s;
+        if k >= COEFFICIENTS {
+            *d = d.clamp(-MOST_DEVIATION, MOST_DEVIATION);
+        }
     }
     (mechanisms, deviations)
 }

@@ -4,10 +4,11 @@
 use super::calibrate::{FELT, Gates, Scores, Screen, gates, starts};
 use super::cross_validation::{HeldOut, leave_condition_out, unfitted};
 use super::discrepancy::{Directions, Discrepancy};
-use super::fit::{COEFFICIENTS, Fit, Study, dot, slope};
+use super::fit::{COEFFICIENTS, Fit, dot, slope};
 use super::lack_of_fit::{self, Lack};
 use super::noise::{Noise, Source};
 use super::nuisance::Nuisance;
+use super::study::Study;
 use super::whiten::Whitener;
 use crate::parallel;
 use crate::sand::mechanism::CATALOG;
@@ -91,11 +92,12 @@ pub fn candidate(study: &Study, base: &Fit, fit: Fit) -> Candidate {
     }
 }
 
-/// Candidates fitted with `base`, best first. A smooth model's fits take their slopes anew, and they fill the memory: only the
-/// best keep theirs.
-fn ranked(study: &Study, base: &Fit, fits: &[Fit]) -> Vec<Candidate> {
+/// Candidates fitted beside `base`: those of `size` causes first, best first. A smooth model's fits take their slopes anew, and they
+/// fill the memory: only the first keep theirs.
+fn ranked(study: &Study, base: &Fit, fits: &[Fit], size: usize) -> Vec<Candidate> {
     let mut candidates = parallel::map(fits, |fit| candidate(study, base, fit.clone()));
     candidates.sort_by(|a, b| b.delta_chi2.total_cmp(&a.delta_chi2));
+    candidates.sort_by_key(|c| c.fit.ids.len() != size);
     if study.model.roughness().is_none() {
         let fits = candidates.iter_mut().skip(FINALISTS).map(|c| &mut c.fit);
         fits.for_each(|f| (f.slopes, f.white_slopes) = (Vec::new(), Vec::new()));
@@ -152,7 +154,7 @@ pub fn singles(study: &Study, Screened { screen, scores, ids, .. }: &Screened) -
     let fits = study.fit_all(&columns.iter().map(start).collect::<Vec<_>>());
     Fitted {
         plain_held_out: unfitted(study, &plain),
-        candidates: ranked(study, &base, &fits),
+        candidates: ranked(study, &base, &fits, 1),
         base: candidate(study, &base, base.clone()),
         plain,
         finalists: 0,
@@ -273,9 +275,8 @@ fn all_refitted(study: &Study, fitted: Fitted) -> Fitted {
     let size = fitted.best().map_or(1, |c| c.fit.ids.len());
     let base = study.recalibrated();
     let again = study.fit_from(&fitted.candidates.iter().map(|c| &c.fit).collect::<Vec<_>>());
-    let mut candidates = ranked(study, &base, &again);
+    let candidates = ranked(study, &base, &again, size);
     let finalists = candidates.iter().filter(|c| c.fit.ids.len() == size).count();
-    candidates.sort_by_key(|c| c.fit.ids.len() != size);
     Fitted { base: candidate(study, &base, base.clone()), candidates, finalists, ..fitted }
 }
 
@@ -293,7 +294,7 @@ fn refitted(study: &Study, fitted: Fitted) -> Fitted {
             again[0] = other;
         }
     }
-    let mut front = ranked(study, &base, &again);
+    let mut front = ranked(study, &base, &again, size);
     let finalists = front.len();
     front.extend(candidates.into_iter().enumerate().filter(|(k, _)| !same.contains(k)).map(|(_, c)| c));
     let base = candidate(study, &base, base.clone());
@@ -337,7 +338,7 @@ pub fn with_pairs(study: &Study, first: &Screened, fitted: Fitted) -> (Fitted, b
     };
     let fits = study.fit_all(&tried.iter().map(starts).collect::<Vec<_>>());
     let base = &fitted.base.fit;
-    let mut pairs = ranked(study, base, &fits);
+    let mut pairs = ranked(study, base, &fits, 2);
     let earns = pairs.first().is_some_and(|pair| {
         // What coefficients far from their prior explain is not explained: their deviations are charged as in a fit.
         let charged = |fit: &Fit, held_out: &HeldOut| held_out.deviance + dot(&fit.deviations, &fit.deviations);

@@ -4,9 +4,10 @@
 //! look alike. So the objective is scanned over exponents; what it excludes is excluded, and what it does not is said.
 
 use super::chi_squared;
-use super::fit::{Fit, Study};
+use super::fit::Fit;
 use super::lack_of_fit;
 use super::profile::within;
+use super::study::Study;
 use crate::parallel;
 use crate::sand::mechanism::CATALOG;
 use serde::Serialize;

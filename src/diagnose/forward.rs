@@ -8,8 +8,8 @@ use super::experiment::{Experiment, Intruder};
 use super::fit::slope;
 use super::force_log::{ForceLog, Pose, Track};
 use super::motion::moving;
-use super::observations::Observations;
 use super::nuisance::{Nuisance, Priors};
+use super::observations::Observations;
 use super::shared::Shared;
 use crate::error::Result;
 use crate::parallel;
@@ -225,7 +225,8 @@ impl<'a> ForceLogModel<'a> {
 
     /// Root mean square of one channel of a prediction; at least 1e-6 of its unit.
     fn rms(&self, prediction: &[f64], channel: usize) -> f64 {
-        let blocks = self.units.iter().map(|&(_, start, samples)| start + channel * samples..start + (channel + 1) * samples);
+        let blocks =
+            self.units.iter().map(|&(_, start, samples)| start + channel * samples..start + (channel + 1) * samples);
         let (square, count) =
             blocks.flatten().fold((0.0, 0.0), |(s, n), k| (s + prediction[k] * prediction[k], n + 1.0));
         (square / f64::max(count, 1.0)).sqrt().max(1e-6)
@@ -297,8 +298,10 @@ impl ForwardModel for ForceLogModel<'_> {
             let id = format!("lowpass_{name}");
             // A filter cannot look ahead.
             let tau = values.iter().find(|v| v.0 == id).map_or(0.0, |v| v.1.max(0.0));
-            let filtered = |tau: f64| own(&slope(&self.predict(&Mechanisms { lowpass: m.lowpass + tau, ..*m }, c), &here, 1.0));
-            let (at, beyond) = (if tau > 0.0 { filtered(tau) } else { vec![0.0; here.len()] }, filtered(tau + TIME_STEP));
+            let filtered =
+                |tau: f64| own(&slope(&self.predict(&Mechanisms { lowpass: m.lowpass + tau, ..*m }, c), &here, 1.0));
+            let (at, beyond) =
+                (if tau > 0.0 { filtered(tau) } else { vec![0.0; here.len()] }, filtered(tau + TIME_STEP));
             let rate = slope(&beyond, &at, TIME_STEP);
             let bend = slope(&at, &rate.iter().map(|r| r * tau).collect::<Vec<_>>(), 1.0);
             all.push(Nuisance::linear(id, "s", sd("lowpass"), rate).bent(bend));

@@ -1,7 +1,8 @@
 //! Further causes beside a fitted model: which would gain something, how much, and how large it can be at most.
 
-use super::fit::{Fit, Study, dot, slope};
+use super::fit::{Fit, dot, slope};
 use super::fitted::USUAL;
+use super::study::Study;
 use crate::parallel;
 use crate::sand::mechanism::CATALOG;
 

@@ -4,12 +4,13 @@ use super::calibrate::Gates;
 use super::cross_validation::HeldOut;
 use super::discrepancy::Discrepancy;
 use super::errors::Errors;
-use super::fit::{Fit, Study};
+use super::fit::Fit;
 use super::fitted::{Candidate, Fitted, candidate};
 use super::form::{self, Asked, Form};
 use super::lack_of_fit::Lack;
 use super::profile;
 use super::student;
+use super::study::Study;
 use super::verdict::{Evidence, Rival};
 use crate::sand::mechanism::CATALOG;
 

@@ -35,10 +35,12 @@ pub mod nuisance;
 pub mod observations;
 pub mod page;
 pub mod profile;
+pub mod repeats;
 pub mod report;
 pub mod select;
 pub mod shared;
 pub mod student;
+pub mod study;
 pub mod summary;
 pub mod verdict;
 pub mod view;
@@ -52,13 +54,13 @@ use crate::progress::{Latch, Progress};
 use crate::sand::SandDescription;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
 use experiment::{Experiment, Kind};
-use fit::Study;
 use forward::{ForceLogModel, ForwardModel};
 use noise::{Source, scatters, sizes};
 use observations::Observations;
 use report::{Curves, Diagnosis, Untestable};
 use select::{Asked, select};
 use std::path::Path;
+use study::Study;
 use view::{View, extension};
 use walking_model::WalkingModel;
 use whiten::Whitener;
@@ -184,4 +186,3 @@ fn testable(study: &Study) -> (Vec<usize>, Vec<Untestable>) {
     }
     (ids, untestable)
 }
-

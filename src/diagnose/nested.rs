@@ -7,9 +7,10 @@
 use super::calibrate::Gates;
 use super::cross_validation::HeldOut;
 use super::errors::Errors;
-use super::fit::{COEFFICIENTS, Column, Fit, Study, dot};
+use super::fit::{COEFFICIENTS, Column, Fit, dot};
 use super::fitted::{Beside, Fitted};
 use super::noise::{Noise, Source};
+use super::study::Study;
 use super::whiten::Whitener;
 use crate::parallel;
 use nalgebra::{DMatrix, DVector};
@@ -39,10 +40,8 @@ pub fn folds(conditions: usize) -> Vec<Vec<usize>> {
 
 /// Errors of all folds, condition by condition.
 pub fn together(folds: &[Vec<usize>], parts: Vec<[HeldOut; 2]>, conditions: usize) -> [HeldOut; 2] {
-    let empty = || HeldOut {
-        errors: Errors { square: vec![0.0; conditions], count: vec![0.0; conditions] },
-        deviance: 0.0,
-    };
+    let empty =
+        || HeldOut { errors: Errors { square: vec![0.0; conditions], count: vec![0.0; conditions] }, deviance: 0.0 };
     let mut total = [empty(), empty()];
     for (held, parts) in folds.iter().zip(parts) {
         for (total, part) in total.iter_mut().zip(parts) {

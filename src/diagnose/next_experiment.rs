@@ -1,9 +1,10 @@
 //! The experiment that would tell rivals apart.
 
-use super::fit::{Fit, Study};
+use super::fit::Fit;
 use super::forward::Menu;
 use super::noise::{Noise, Source, sizes};
 use super::observations::Observations;
+use super::study::Study;
 use super::whiten::Whitener;
 use serde::Serialize;
 
@@ -34,7 +35,14 @@ pub fn propose(menu: &Menu, noise: &Noise, study: &Study, set: &[&Fit], count: u
     let mut model_error = menu.model.model_error(mechanisms, coefficients, first);
     model_error.iter_mut().flatten().for_each(|e| *e *= (REPETITIONS as f64).sqrt());
     let (sizes, prediction) = (&sizes(&observations), first.as_slice());
-    let source = Source { observations: &observations, prediction, sizes, shared: &shared, model_error: &model_error, left_out: &[] };
+    let source = Source {
+        observations: &observations,
+        prediction,
+        sizes,
+        shared: &shared,
+        model_error: &model_error,
+        left_out: &[],
+    };
     let whitener = Whitener::new(&source, noise);
     let separation = |a: usize, b: usize| -> Vec<f64> {
         let difference: Vec<f64> = predictions[a].iter().zip(&predictions[b]).map(|(a, b)| a - b).collect();

@@ -332,7 +332,12 @@ fn rivals(html: &mut String, r: &Report) {
 
 fn beside(html: &mut String, r: &Report) {
     for term in &r.terms {
-        let _ = write!(html, "<h2>Law found in the data</h2><p>{}</p><p><code>{}</code></p>", escape(&term.formula), escape(&term.tex));
+        let _ = write!(
+            html,
+            "<h2>Law found in the data</h2><p>{}</p><p><code>{}</code></p>",
+            escape(&term.formula),
+            escape(&term.tex)
+        );
     }
     if let Some(rest) = r.remainder.as_ref().filter(|rest| rest.significant) {
         let text = format!(

@@ -5,7 +5,8 @@
 //! interval reaches from the first to the last place where the objective is within what noise allows (profile likelihood, e.g.
 //! Venzon & Moolgavkar 1988).
 
-use super::fit::{Fit, Study};
+use super::fit::Fit;
+use super::study::Study;
 use crate::sand::mechanism::CATALOG;
 use nalgebra::{DMatrix, DVector};
 

@@ -4,14 +4,15 @@ use super::calibrate::FELT;
 use super::described::{self, Described, described};
 use super::discrepancy::Discrepancy;
 use super::errors::Errors;
-use super::fit::Study;
 use super::fitted::{
-    Candidate, Fitted, Screened, Surroundings, beside_discrepancy, candidate, screened, settled, singles, surroundings, with_pairs,
+    Candidate, Fitted, Screened, Surroundings, beside_discrepancy, candidate, screened, settled, singles, surroundings,
+    with_pairs,
 };
 use super::judged::{Judged, Standing, explored, judged};
 use super::lack_of_fit;
 use super::nested::{Known, nested};
 use super::noise::{Noise, Source};
+use super::study::Study;
 use super::verdict::{Evidence, MAIN_PART, Verdict, verdict};
 use crate::error::Result;
 use crate::progress::Progress;
@@ -142,7 +143,8 @@ fn conclude(
             false => Fitted { base: candidate(&renewed, &renewed.recalibrated(), renewed.recalibrated()), ..fitted },
         };
         let lack = |c: &Candidate| lack_of_fit::statistic(study.observations, &c.fit.white);
-        let lacks = [lack(&fitted.base), fitted.best().filter(|_| fitted.found(&first.gates)).map_or(lack(&fitted.base), lack)];
+        let lacks =
+            [lack(&fitted.base), fitted.best().filter(|_| fitted.found(&first.gates)).map_or(lack(&fitted.base), lack)];
         let beside = match first.gates.lacking(&lacks[1]) {
             true => beside_discrepancy(study, &around, fitted),
             false => (fitted, None),
@@ -179,16 +181,11 @@ fn conclude(
 }
 
 /// A law in the data that explains the main part of the misfit.
-fn law(
-    study: &Study,
-    asked: &Asked,
-    around: &Surroundings,
-    fitted: &Fitted,
-    first: &Screened,
-) -> Option<Described> {
+fn law(study: &Study, asked: &Asked, around: &Surroundings, fitted: &Fitted, first: &Screened) -> Option<Described> {
     let renewed = study.under(&around.whitener, around.nuisances.clone());
     let base = renewed.fit_from(&[&fitted.base.fit]).swap_remove(0);
     let known = Known { source: asked.source, noise: &around.noise, beside: None };
     let law = described(&renewed, &known, &base, &first.gates)?;
-    (described::explained(&renewed, &base, &law, asked.floor) >= MAIN_PART).then_some(law)
+    let plain = &fitted.plain_held_out.errors;
+    (described::explained(&renewed, &base, &law, [plain, asked.floor]) >= MAIN_PART).then_some(law)
 }

@@ -1,10 +1,11 @@
 //! A diagnosis in one sentence.
 
 use super::described::Described;
-use super::fit::{COEFFICIENTS, Fit, Study};
+use super::fit::{COEFFICIENTS, Fit};
 use super::form::Form;
 use super::report::Cause;
 use super::select::Selection;
+use super::study::Study;
 use super::verdict::Verdict;
 use super::view::extension;
 use super::words::{after, digits};
@@ -17,52 +18,53 @@ pub fn names(fit: &Fit) -> Vec<String> {
 
 /// The verdict in one sentence, and where the plain model errs.
 pub fn summary(study: &Study, selection: Option<&Selection>, causes: &[Cause], whereabouts: Option<&str>) -> String {
-        let Some(selection) = selection else {
-            let why = match study.observations.has_replicates() {
-                true => "repetitions are copies of each other, so their scatter is no noise floor",
-                false => "no condition is repeated",
-            };
-            return format!("{why}: without a noise floor nothing can be said");
+    let Some(selection) = selection else {
+        let why = match study.observations.has_replicates() {
+            true => "repetitions are copies of each other, so their scatter is no noise floor",
+            false => "no condition is repeated",
         };
-        let said = |c: &Cause| {
-            let [value, low, high] = [c.value, c.ci95[0], c.ci95[1]].map(digits);
-            format!("{} = {value}{} (95 % interval {low} to {high})", c.id, after(&c.unit))
-        };
-        let found = causes.iter().map(said).collect::<Vec<_>>().join(" with ");
-        let verdict = match selection.verdict {
-            Verdict::NoiseFloor => {
-                "no significant misfit: the plain model is as good as the data repeat themselves".into()
-            }
-            Verdict::Named => format!("the misfit is explained by {found}{}", nearest_rival(selection)),
-            Verdict::Ambiguous => {
-                let rivals: Vec<_> =
-                    selection.set.iter().skip(1).map(|&k| names(&selection.fitted.candidates[k].fit).join(" + ")).collect();
-                format!("the misfit is explained by {found}, or by {}: these data cannot tell", rivals.join(", or by "))
-            }
-            Verdict::NoneOfThese => not_enough(study, selection),
-            Verdict::Described => {
-                let law = |law: &Described| {
-                    let [low, high] = law.ci95.map(digits);
-                    format!(
-                        "no known cause explains the misfit; a law found in the data does: extra stress {} (95 % interval of the coefficient \
+        return format!("{why}: without a noise floor nothing can be said");
+    };
+    let said = |c: &Cause| {
+        let [value, low, high] = [c.value, c.ci95[0], c.ci95[1]].map(digits);
+        format!("{} = {value}{} (95 % interval {low} to {high})", c.id, after(&c.unit))
+    };
+    let found = causes.iter().map(said).collect::<Vec<_>>().join(" with ");
+    let verdict = match selection.verdict {
+        Verdict::NoiseFloor => "no significant misfit: the plain model is as good as the data repeat themselves".into(),
+        Verdict::Named => format!("the misfit is explained by {found}{}", nearest_rival(selection)),
+        Verdict::Ambiguous => {
+            let rivals: Vec<_> =
+                selection.set.iter().skip(1).map(|&k| names(&selection.fitted.candidates[k].fit).join(" + ")).collect();
+            format!("the misfit is explained by {found}, or by {}: these data cannot tell", rivals.join(", or by "))
+        }
+        Verdict::NoneOfThese => not_enough(study, selection),
+        Verdict::Described => {
+            let law = |law: &Described| {
+                let [low, high] = law.ci95.map(digits);
+                format!(
+                    "no known cause explains the misfit; a law found in the data does: extra stress {} (95 % interval of the coefficient \
                          {low} to {high})",
-                        law.term.formula()
-                    )
-                };
-                selection.law.as_ref().map_or(String::new(), law)
-            }
-            Verdict::InsufficientData => String::new(),
-        };
-        let evidence = &selection.judged.evidence;
-        let named = matches!(selection.verdict, Verdict::Named | Verdict::Ambiguous) && evidence.remainder;
-        let verdict = match named {
-            true => format!("{verdict}; something else remains beside it ({:.0} % of the misfit)", 100.0 * (1.0 - evidence.explained)),
-            false => verdict,
-        };
-        // Where other misfit remains, the power is fitted to that.
-        let form = selection.judged.form.as_ref().filter(|form| form.lack_of_fit <= selection.screened.gates.lack_of_fit);
-        let verdict = verdict + &form.map_or(String::new(), Form::said);
-        whereabouts.map_or(verdict.clone(), |place| format!("{verdict}; {place}"))
+                    law.term.formula()
+                )
+            };
+            selection.law.as_ref().map_or(String::new(), law)
+        }
+        Verdict::InsufficientData => String::new(),
+    };
+    let evidence = &selection.judged.evidence;
+    let named = matches!(selection.verdict, Verdict::Named | Verdict::Ambiguous) && evidence.remainder;
+    let verdict = match named {
+        true => format!(
+            "{verdict}; something else remains beside it ({:.0} % of the misfit)",
+            100.0 * (1.0 - evidence.explained)
+        ),
+        false => verdict,
+    };
+    // Where other misfit remains, the power is fitted to that.
+    let form = selection.judged.form.as_ref().filter(|form| form.lack_of_fit <= selection.screened.gates.lack_of_fit);
+    let verdict = verdict + &form.map_or(String::new(), Form::said);
+    whereabouts.map_or(verdict.clone(), |place| format!("{verdict}; {place}"))
 }
 
 /// What stands in for the cause that was not found: how much better, or how surely not, conditions held out are predicted.
@@ -83,30 +85,32 @@ fn stand_in(study: &Study, selection: &Selection) -> String {
         None if now >= before => "; none of them predicts conditions held out better than the plain model".into(),
         Some(_) => format!("; as a stand-in and not as the cause, {name} lowers the error {gain}"),
         None => {
-            format!("; nothing surely helps: {name}, which does best, changes the error {gain}, so the sand stays plain")
+            format!(
+                "; nothing surely helps: {name}, which does best, changes the error {gain}, so the sand stays plain"
+            )
         }
     }
 }
 
 fn not_enough(study: &Study, selection: &Selection) -> String {
-        let limit = selection.screened.gates.lack_of_fit;
-        let excluded = selection.judged.form.as_ref().filter(|form| form.excluded);
-        match selection.fitted.best() {
-            Some(best) if excluded.is_some_and(|form| selection.judged.lacks[1].mean.min(form.lack_of_fit) <= limit) => {
-                let name = names(&best.fit).join(" with ");
-                format!("none of the known causes has the right form: {name} comes nearest") + &stand_in(study, selection)
-            }
-            Some(best) if best.delta_chi2 > selection.screened.gates.single => {
-                format!(
-                    "none of the known causes is enough: the nearest, {}, leaves a lack of fit of {} where noise leaves up to {}",
-                    names(&best.fit).join(" with "),
-                    digits(selection.judged.lacks[1].mean),
-                    digits(selection.screened.gates.lack_of_fit)
-                ) + &stand_in(study, selection)
-            }
-            _ => "misfit remains and none of the known causes explains any of it".into(),
+    let limit = selection.screened.gates.lack_of_fit;
+    let excluded = selection.judged.form.as_ref().filter(|form| form.excluded);
+    match selection.fitted.best() {
+        Some(best) if excluded.is_some_and(|form| selection.judged.lacks[1].mean.min(form.lack_of_fit) <= limit) => {
+            let name = names(&best.fit).join(" with ");
+            format!("none of the known causes has the right form: {name} comes nearest") + &stand_in(study, selection)
         }
+        Some(best) if best.delta_chi2 > selection.screened.gates.single => {
+            format!(
+                "none of the known causes is enough: the nearest, {}, leaves a lack of fit of {} where noise leaves up to {}",
+                names(&best.fit).join(" with "),
+                digits(selection.judged.lacks[1].mean),
+                digits(selection.screened.gates.lack_of_fit)
+            ) + &stand_in(study, selection)
+        }
+        _ => "misfit remains and none of the known causes explains any of it".into(),
     }
+}
 
 /// A warning where the fit needs coefficients that their declared uncertainty hardly allows: beyond three of its standard
 /// deviations, our choice.

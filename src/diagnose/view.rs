@@ -2,7 +2,7 @@
 
 use super::described::Described;
 use super::errors::Errors;
-use super::fit::{COEFFICIENTS, Fit, Study};
+use super::fit::{COEFFICIENTS, Fit};
 use super::fitted::Candidate;
 use super::noise::{Noise, Source};
 use super::report::{
@@ -10,6 +10,7 @@ use super::report::{
     Untestable, UpperLimit,
 };
 use super::select::Selection;
+use super::study::Study;
 use super::summary::{far_coefficients, names, summary};
 use super::verdict::Verdict;
 use super::{lack_of_fit, misfit, next_experiment, student};
@@ -47,7 +48,8 @@ impl View<'_> {
             let all = f.values.iter().flatten().copied();
             (f.name.to_string(), all.fold([f64::MAX, f64::MIN], |r, v| [r[0].min(v), r[1].max(v)]))
         });
-        let set = self.selection.map_or(Vec::new(), |s| s.set.iter().map(|&k| names(&s.fitted.candidates[k].fit)).collect());
+        let set =
+            self.selection.map_or(Vec::new(), |s| s.set.iter().map(|&k| names(&s.fitted.candidates[k].fit)).collect());
         let mut warnings: Vec<String> =
             causes.iter().filter(|c| c.at_bound).map(|c| format!("{} sits at its bound", c.id)).collect();
         let extension = self.selection.and_then(extension);
@@ -84,9 +86,7 @@ impl View<'_> {
             remainder: self.remainder(),
             terms: self.terms(),
             upper_limits: self.upper_limits(),
-            degrees_of_freedom: self.selection.map(|s| {
-                s.screened.gates.degrees_of(best.map_or(&[], |c| &c.fit.ids))
-            }),
+            degrees_of_freedom: self.selection.map(|s| s.screened.gates.degrees_of(best.map_or(&[], |c| &c.fit.ids))),
             form,
             misfit,
             correlates_with: self.correlates(),
@@ -109,7 +109,8 @@ impl View<'_> {
         let ranges = self.selection.and_then(|s| s.judged.intervals.as_ref()).map(|i| i.ranges.clone());
         let cause = |(k, &id): (usize, &usize)| {
             let (entry, at) = (&CATALOG[id], fit.coordinates()[k]);
-            let [low, high] = ranges.as_ref().and_then(|r| r.get(k)).copied().unwrap_or([at, at]).map(|u| entry.value(u));
+            let [low, high] =
+                ranges.as_ref().and_then(|r| r.get(k)).copied().unwrap_or([at, at]).map(|u| entry.value(u));
             // A ceiling may be so high as to be none: its greatest value stands for that.
             let most = if entry.ceiling && low == 0.0 { entry.bounds[1] } else { low };
             Cause {

@@ -175,7 +175,11 @@ impl<'a> WalkingModel<'a> {
         };
         let beds = self.predict_many(&[scaled(1.0 + STRENGTH_STEP), scaled(1.0 - STRENGTH_STEP)]);
         let state = [(*mechanisms, *coefficients)];
-        let phases = PHASES.iter().flat_map(|&phase| self.simulate(&state, phase)).map(|r| self.corrected(self.stack(&r))).collect();
+        let phases = PHASES
+            .iter()
+            .flat_map(|&phase| self.simulate(&state, phase))
+            .map(|r| self.corrected(self.stack(&r)))
+            .collect();
         Others { beds, phases }
     }
 

@@ -4,9 +4,9 @@
 //! 53 segments a piece, motion as functions of time, delay and filter by integration in time, noise by recursion. The laws
 //! themselves are those of the contract, so a common misreading of it would not show here.
 
-#[allow(dead_code)] // not every test that uses the laboratory has rests
-#[allow(dead_code)] // the study has no need of it
+#[allow(dead_code)] // not every test that uses the laboratory has dirt and rests
 pub mod dirt;
+#[allow(dead_code)]
 pub mod rests;
 
 use rand::{Rng, SeedableRng};

@@ -1,0 +1,159 @@
+//! Data, model, noise and nuisances: all that a fit needs.
+
+use super::fit::{COEFFICIENTS, Column, Fit, dot, slope};
+use super::forward::ForwardModel;
+use super::nuisance::Nuisance;
+use super::observations::Observations;
+use super::whiten::Whitener;
+use crate::parallel;
+use crate::sand::Coefficients;
+use crate::sand::mechanism::{CATALOG, Mechanisms};
+use std::sync::Arc;
+
+/// Step of numerical slopes of a smooth model, in typical strengths: our choice, laws in double precision.
+const SMOOTH_STEP: f64 = 0.02;
+
+/// Data, model and noise: all that a fit needs.
+pub struct Study<'a> {
+    pub observations: &'a Observations,
+    pub model: &'a dyn ForwardModel,
+    pub whitener: &'a Whitener,
+    /// Relative prior sd of the coefficients.
+    pub coefficient_sd: f64,
+    /// What the measuring may have done to all data alike.
+    pub nuisances: Vec<Nuisance>,
+    /// Slopes by the coefficients at the plain model and by the nuisances, as they are and whitened: good enough on the way
+    /// to a fit.
+    pub marginal_slopes: [Vec<Column>; 2],
+    /// Step of the numerical slope by each mechanism, in its coordinate.
+    pub steps: [f64; Mechanisms::COUNT],
+}
+
+impl<'a> Study<'a> {
+    pub fn new(
+        observations: &'a Observations,
+        model: &'a dyn ForwardModel,
+        whitener: &'a Whitener,
+        coefficient_sd: f64,
+    ) -> Self {
+        let steps = CATALOG.map(|entry| SMOOTH_STEP * entry.coordinate_typical());
+        let (nuisances, marginal_slopes) = (Vec::new(), [Vec::new(), Vec::new()]);
+        let mut study = Self { observations, model, whitener, coefficient_sd, nuisances, marginal_slopes, steps };
+        study.set_nuisances(model.nuisances(&Mechanisms::default(), &model.medium().coefficients, &[]));
+        let plain = study.plain();
+        if let Some(roughness) = model.roughness() {
+            study.find_steps(roughness, &plain.prediction);
+        }
+        study
+    }
+
+    /// Steps whose effect on the data is at least `target` σ altogether, so that a rough simulation has smooth slopes:
+    /// doubled from a tenth of the typical strength until it is, or until a quarter of what may be fitted.
+    fn find_steps(&mut self, target: f64, plain: &[f64]) {
+        let mut open: Vec<usize> =
+            (0..CATALOG.len()).filter(|&id| CATALOG[id].walking && !CATALOG[id].ceiling).collect();
+        open.iter().for_each(|&id| self.steps[id] = 0.1 * CATALOG[id].coordinate_typical());
+        let coefficients = self.model.medium().coefficients;
+        while !open.is_empty() {
+            let state = |&id: &usize| (Mechanisms::default().with(id, self.steps[id]), coefficients);
+            let moved = self.model.predict_many(&open.iter().map(state).collect::<Vec<_>>());
+            let effect = |moved: &[f64]| {
+                let white = self.whitener.apply(&slope(moved, plain, 1.0));
+                dot(&white, &white).sqrt()
+            };
+            let effects: Vec<f64> = moved.iter().map(|m| effect(m)).collect();
+            let weak = |&(id, effect): &(usize, f64)| effect < target && self.steps[id] < 0.125 * CATALOG[id].bounds[1];
+            let weak: Vec<usize> = open.iter().copied().zip(effects).filter(weak).map(|w| w.0).collect();
+            weak.iter().for_each(|&id| self.steps[id] *= 2.0);
+            open = weak;
+        }
+    }
+
+    /// Puts `nuisances` in place, and the slopes by the coefficients at the plain model before them.
+    fn set_nuisances(&mut self, nuisances: Vec<Nuisance>) {
+        self.nuisances = nuisances;
+        self.marginal_slopes = [self.nuisance_columns(), Vec::new()];
+        self.marginal_slopes[1] =
+            parallel::map(&self.marginal_slopes[0], |column| Arc::new(self.whitener.apply(column)));
+        let mut plain = vec![self.plain()];
+        self.set_coefficient_slopes(&mut plain, &[0]);
+        let plain = plain.swap_remove(0);
+        self.marginal_slopes = [plain.slopes, plain.white_slopes];
+    }
+
+    /// Nuisances as a fit has them.
+    pub fn nuisance_values(&self, fit: &Fit) -> Vec<(String, f64)> {
+        let own = self.nuisances.iter().zip(&fit.deviations[COEFFICIENTS..]);
+        own.map(|(n, d)| (n.id.clone(), n.sd * d)).collect()
+    }
+
+    fn nuisance_columns(&self) -> Vec<Column> {
+        self.nuisances.iter().map(|n| n.column.clone()).collect()
+    }
+
+    /// How many slopes by coefficients and nuisances stand behind those by values.
+    pub fn marginals(&self) -> usize {
+        COEFFICIENTS + self.nuisances.len()
+    }
+
+    /// Slopes of the plain model's prediction by the deviations of coefficients and nuisances.
+    pub fn marginal_slopes(&self) -> Vec<Column> {
+        self.marginal_slopes[0].clone()
+    }
+
+    /// A strength of mechanism `id` that these data feel, in its coordinate: typical, or what a rough model needs.
+    pub fn felt_strength(&self, id: usize) -> f64 {
+        (0.5 * CATALOG[id].coordinate_typical()).max(self.steps[id])
+    }
+
+    /// The same study of another model whose laws without mechanisms are the same.
+    pub fn with_model<'b>(&'b self, model: &'b dyn ForwardModel) -> Study<'b> {
+        let (nuisances, marginal_slopes) = (self.nuisances.clone(), self.marginal_slopes.clone());
+        Study { model, nuisances, marginal_slopes, ..*self }
+    }
+
+    /// The same study under another whitening and with other nuisances.
+    pub fn under(&self, whitener: &'a Whitener, nuisances: Vec<Nuisance>) -> Self {
+        let mut study = Study { whitener, nuisances: Vec::new(), marginal_slopes: [Vec::new(), Vec::new()], ..*self };
+        study.set_nuisances(nuisances);
+        if let Some(roughness) = self.model.roughness() {
+            study.find_steps(roughness, &study.plain().prediction);
+        }
+        study
+    }
+
+    /// This study's nuisances as they are about `fit`.
+    pub fn nuisances_about(&self, fit: &Fit) -> Vec<Nuisance> {
+        if self.nuisances.is_empty() {
+            return Vec::new();
+        }
+        let coefficients = self.coefficients(&fit.deviations);
+        let mut there = self.model.nuisances(&fit.mechanisms, &coefficients, &self.nuisance_values(fit));
+        there.retain(|n| self.nuisances.iter().any(|own| own.id == n.id));
+        there
+    }
+
+    /// What `fit` says the data read: the sand and the nuisances.
+    pub fn reading(&self, fit: &Fit) -> Vec<f64> {
+        let mut reading = fit.prediction.clone();
+        for (nuisance, d) in self.nuisances.iter().zip(&fit.deviations[COEFFICIENTS..]) {
+            reading.iter_mut().zip(nuisance.column.iter()).for_each(|(r, c)| *r += d * c);
+            if let Some(bend) = &nuisance.bend {
+                reading.iter_mut().zip(bend.iter()).for_each(|(r, b)| *r += b);
+            }
+        }
+        reading
+    }
+
+    /// Coefficients at given deviations. A relative sd says nothing about a coefficient published as (nearly) 0, such
+    /// as C₋₁₁ of loose poppy seeds: none is taken to be known better than half the set's root mean square times the
+    /// relative sd. Our choice.
+    pub fn coefficients(&self, deviations: &[f64]) -> Coefficients {
+        let mut c = self.model.medium().coefficients.to_array();
+        let floor = 0.5 * (c.iter().map(|c| c * c).sum::<f64>() / COEFFICIENTS as f64).sqrt();
+        for (c, d) in c.iter_mut().zip(deviations) {
+            *c += c.abs().max(floor) * self.coefficient_sd * d;
+        }
+        Coefficients::from_array(c)
+    }
+}
