@@ -14,7 +14,7 @@ pub mod policy;
 pub mod pool;
 pub mod progress;
 pub mod reproduce;
-pub mod robot;
+pub mod robots;
 pub mod sand;
 pub mod service;
 pub mod sim;

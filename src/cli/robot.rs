@@ -1,6 +1,6 @@
 //! `sandgait robot`
 
-use sandgait::robot::{self, Import, Touch, states};
+use sandgait::robots::{self, Import, Touch, states};
 use sandgait::sim::tree::{Geometry, TreeBody, TreeJoint, TreeShape, packed, plates};
 use sandgait::{Error, Result, sim, view};
 use serde_json::{Value, json};
@@ -34,7 +34,7 @@ pub struct Robot {
     /// Bodies, links or shapes that touch sand; feet, lower links and belly if not given
     #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
     touches: Option<Vec<String>>,
-    /// Size of the plates that touching shapes are cut into [m]; an eighth of a shape's longest side if not given
+    /// Size of the plates that touching shapes are cut into [m]; an eighth of a box's longest side, a twelfth of others', if not given
     #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
     plate_size: Option<f64>,
     /// Print the robot as one text, as option `robot` of sandgait/LeggedVelocity-v0 takes it; with --json uncompressed
@@ -77,7 +77,7 @@ pub fn read_option(options: &mut Value) -> Result<()> {
     let Some(robot) = options.get_mut("robot") else { return Ok(()) };
     let is_file = |name: &&str| [".urdf", ".xml", ".mjcf"].iter().any(|end| name.ends_with(end));
     let Some(path) = robot.as_str().filter(is_file) else { return Ok(()) };
-    let import = robot::load(Path::new(path))?;
+    let import = robots::load(Path::new(path))?;
     import.warnings.iter().for_each(|line| eprintln!("sandgait: warning: {line}"));
     let touching = Touching::of(&import, None, None)?;
     *robot = packed::compressed(&packed::pack(&import.tree, &touching.plates)?)?.into();
@@ -87,7 +87,7 @@ pub fn read_option(options: &mut Value) -> Result<()> {
 fn load(file: &Path) -> Result<Import> {
     match file.to_str().filter(|name| sim::Robot::names().contains(name)) {
         Some(name) => Import::built_in(name),
-        None => robot::load(file),
+        None => robots::load(file),
     }
 }
 

@@ -4,9 +4,9 @@ use super::{Plate, Triangle, mesh};
 use crate::number::Vec3;
 use std::collections::BTreeMap;
 
-/// Directions that plates are told apart by, along an edge of a cube around them: 6 × 4². Our choice: a plate's triangles are
-/// within 20° of each other.
-const DIRECTIONS: f64 = 4.0;
+/// Directions that plates are told apart by, along an edge of a cube around them: 6 × 6². Our choice: a plate's triangles are
+/// within 15° of each other.
+const DIRECTIONS: f64 = 6.0;
 
 /// What a plate is made of.
 #[derive(Default, Clone, Copy)]

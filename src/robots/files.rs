@@ -75,6 +75,8 @@ impl Files {
     pub fn find(&self, within: &str, name: &str) -> Result<PathBuf> {
         let (start, rest, root) = match name.strip_prefix("package://").or_else(|| name.strip_prefix("model://")) {
             Some(rest) => {
+                // Some files have a third stroke.
+                let rest = rest.trim_start_matches('/');
                 let (package, rest) = rest.split_once('/').unwrap_or((rest, ""));
                 let root = self.package(package).ok_or_else(|| {
                     let reason = format!("{name}: the file lies in no folder called {package:?}");

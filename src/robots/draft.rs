@@ -13,6 +13,8 @@ const MOST_MASS: f64 = 1e5;
 const FARTHEST: f64 = 100.0;
 /// Eigenvalues of an inertia below this share of the largest count as negative: rounding of files with six digits.
 const ROUNDING: f64 = 1e-6;
+/// And below this [kg·m²]: a milligram a millimetre wide.
+const NOTHING: f64 = 1e-12;
 
 /// Mass, centre and inertia about it, along the axes of the link.
 #[derive(Clone, Copy, Debug)]
@@ -66,7 +68,7 @@ impl Inertial {
         let mut principal: [f64; 3] = self.inertia.symmetric_eigenvalues().into();
         principal.sort_by(f64::total_cmp);
         let [least, middle, most] = principal;
-        if least < -ROUNDING * most.abs() || most < 0.0 {
+        if least < -ROUNDING * most.abs() - NOTHING || most < -NOTHING {
             return Err(format!(
                 "inertia is not positive definite: its principal moments are {least:.3e}, {middle:.3e}, {most:.3e} kg·m²"
             ));

@@ -5,8 +5,9 @@ use std::collections::HashMap;
 
 type V = Vector3<f64>;
 
-/// A point this near to a face, in lengths of the whole, lies on it: our choice, a hundredth of single precision's rounding.
-const ON_FACE: f64 = 1e-9;
+/// A point this near to a face, in lengths of the whole, lies on it. Our choice: a hundredth of single precision's rounding, and
+/// more where rounding would tear the surface.
+const ON_FACE: [f64; 3] = [1e-9, 1e-7, 1e-5];
 
 struct Face {
     corners: [usize; 3],
@@ -26,11 +27,15 @@ struct Hull<'a> {
 
 /// Triangles counterclockwise from outside; none where all points lie in a plane.
 pub fn hull(points: &[V]) -> Option<Vec<[V; 3]>> {
+    ON_FACE.iter().find_map(|on_face| hull_within(points, *on_face))
+}
+
+fn hull_within(points: &[V], on_face: f64) -> Option<Vec<[V; 3]>> {
     let extent = |k: usize| {
         let ends = points.iter().fold([f64::MAX, f64::MIN], |[a, b], p| [a.min(p[k]), b.max(p[k])]);
         ends[1] - ends[0]
     };
-    let least = ON_FACE * extent(0).max(extent(1)).max(extent(2));
+    let least = on_face * extent(0).max(extent(1)).max(extent(2));
     let mut hull = Hull { points, faces: Vec::new(), least };
     let start = hull.start()?;
     hull.assign(&(0..points.len()).collect::<Vec<_>>(), &start);
@@ -145,7 +150,6 @@ impl Hull<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rand::{Rng as _, SeedableRng as _};
 
     fn volume(hull: &[[V; 3]]) -> f64 {
         hull.iter().map(|[a, b, c]| a.dot(&b.cross(c))).sum::<f64>() / 6.0
@@ -158,12 +162,13 @@ mod tests {
             (0..1331).map(|i| V::new((i % 11) as f64, (i / 11 % 11) as f64, (i / 121) as f64) * 0.1).collect();
         let cube = hull(&lattice).unwrap();
         assert!((volume(&cube) - 1.0).abs() < 1e-9, "{}", volume(&cube));
-        let mut chance = rand_xoshiro::Xoshiro256PlusPlus::seed_from_u64(3);
-        let random = |_| {
-            let p = V::new(chance.random::<f64>() - 0.5, chance.random::<f64>() - 0.5, chance.random::<f64>() - 0.5);
-            p.normalize()
+        // A spiral from pole to pole by the golden angle: no four points in a plane.
+        let spiral = |k: i32| {
+            let z = (f64::from(k) + 0.5) / 10_000.0 - 1.0;
+            let (sin, cos) = (2.399_963_229_728_653 * f64::from(k)).sin_cos();
+            V::new(cos * (1.0 - z * z).sqrt(), sin * (1.0 - z * z).sqrt(), z)
         };
-        let points: Vec<V> = (0..20_000).map(random).collect();
+        let points: Vec<V> = (0..20_000).map(spiral).collect();
         let ball = hull(&points).unwrap();
         assert!((volume(&ball) / (4.0 / 3.0 * std::f64::consts::PI) - 1.0).abs() < 1e-3);
         // Euler: all points are corners.

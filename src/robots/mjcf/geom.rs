@@ -2,13 +2,13 @@
 
 use super::compiler::{Compiler, flag, from_z};
 use crate::error::{Error, Result};
-use crate::robot::draft::{Inertial, Look};
-use crate::robot::files::Files;
-use crate::robot::hull::hull;
-use crate::robot::mesh::{self, MeshFile, Meshes, Triangle};
-use crate::robot::notes::Notes;
-use crate::robot::shapes::{closed_mesh, ellipsoid};
-use crate::robot::xml::Element;
+use crate::robots::draft::{Inertial, Look};
+use crate::robots::files::Files;
+use crate::robots::hull::hull;
+use crate::robots::mesh::{self, MeshFile, Meshes, Triangle};
+use crate::robots::notes::Notes;
+use crate::robots::shapes::{closed_mesh, ellipsoid};
+use crate::robots::xml::Element;
 use crate::sim::tree::Geometry;
 use nalgebra::{Isometry3, Matrix3, Quaternion, Translation3, Unit, UnitQuaternion, Vector3};
 use std::collections::HashMap;

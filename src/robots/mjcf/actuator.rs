@@ -3,8 +3,8 @@
 use super::compiler::limited;
 use super::defaults::{ACTUATORS, Defaults, KIND};
 use crate::error::Result;
-use crate::robot::notes::Notes;
-use crate::robot::xml::Element;
+use crate::robots::notes::Notes;
+use crate::robots::xml::Element;
 use crate::sim::tree::{Tree, TreeJoint};
 
 const KNOWN: [&str; 22] = [

@@ -4,9 +4,9 @@ use super::compiler::{Compiler, FromGeoms, limited};
 use super::defaults::Defaults;
 use super::geom::{Assets, Geom, geom};
 use crate::error::Result;
-use crate::robot::draft::{Inertial, Link, MOST_LINKS, Visual, name_shapes, shift};
-use crate::robot::notes::Notes;
-use crate::robot::xml::Element;
+use crate::robots::draft::{Inertial, Link, MOST_LINKS, Visual, name_shapes, shift};
+use crate::robots::notes::Notes;
+use crate::robots::xml::Element;
 use crate::sim::tree::{JointKind, TreeJoint, TreeShape};
 use nalgebra::{Isometry3, Matrix3, Unit, UnitQuaternion, Vector3};
 
