@@ -2,7 +2,7 @@
 
 use sandgait::env::registry::Blueprint;
 use sandgait::env::shard::Shard;
-use sandgait::robot;
+use sandgait::robots;
 use sandgait::sim::tree::{packed, plates::of_shapes};
 use serde_json::{Value, json};
 use std::path::Path;
@@ -27,7 +27,7 @@ fn column(blueprint: &Blueprint, name: &str) -> usize {
 /// Our own robot as the file has it, packed.
 fn sandcat(file: &str) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots").join(file);
-    let import = robot::load(&path).unwrap();
+    let import = robots::load(&path).unwrap();
     let touching = import.touching(None).unwrap();
     let of_body = |b: usize| {
         let shapes: Vec<_> = touching.iter().filter(|t| t.0 == b).map(|t| &import.tree.bodies[b].shapes[t.1]).collect();

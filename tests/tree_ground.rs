@@ -1,7 +1,7 @@
 //! A robot from a file on hard ground and in sand: against MuJoCo, and over time steps.
 
 use sandgait::number::Isa;
-use sandgait::robot;
+use sandgait::robots;
 use sandgait::sand::{Medium, Surface};
 use sandgait::sim::engine::Command;
 use sandgait::sim::model::Scene;
@@ -14,7 +14,7 @@ use std::path::Path;
 /// Our own quadruped, from its MJCF, with the servo of the reference.
 fn sandcat(hard: Vec<HardGround>, dt: f64, reference: &Value) -> Model {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/sandcat.xml");
-    let import = robot::load(&path).unwrap();
+    let import = robots::load(&path).unwrap();
     let touching = import.touching(None).unwrap();
     let of_body = |b: usize| {
         let shapes: Vec<_> = touching.iter().filter(|t| t.0 == b).map(|t| &import.tree.bodies[b].shapes[t.1]).collect();

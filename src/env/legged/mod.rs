@@ -33,8 +33,8 @@ const JOINT_OFFSET: f64 = std::f64::consts::TAU; // [rad]
 /// Gravity's direction along the base's z axis above which it has fallen: cos 60°. Our choice.
 const FALLEN: f64 = -0.5;
 
-/// Time step [s]: our choice, twice that of the hexapods, whose feet turn faster. Trots on hard ground and in sand are within 4 %
-/// of those at 0.125 ms, and within 1 % at 1 ms.
+/// Time step [s]: our choice, twice that of the hexapods, whose feet turn faster. A trot of the test quadruped went up to 5 % off
+/// one at 0.125 ms in sand and 10 % on hard ground; at 1 ms 8 % on hard ground.
 const DT: f64 = 2e-3;
 
 const ABOUT: &str = "\
