@@ -62,7 +62,9 @@ def to_sb3(path: FilePath, env: VecEnv, **changes: Any) -> PPO:
     settings = json.loads(about["settings"])
     wanted, given = arrays["actor.0.weights"].shape[0], env.observation_space.shape
     if given != (wanted,):
-        raise InvalidRequest(f"env: observations are {given}, the policy takes ({wanted},): it was learnt for {about['task']}")
+        raise InvalidRequest(
+            f"env: observations are {given}, the policy takes ({wanted},): it was learnt for {about['task']}"
+        )
     if settings["normalize"]:
         env = _normalized(env, arrays, settings)
     names = ("n_steps", "batch_size", "n_epochs", "gamma", "gae_lambda", "normalize_advantage", "ent_coef", "vf_coef")
