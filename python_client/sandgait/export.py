@@ -1,5 +1,5 @@
-"""Policies of stable-baselines3 as ONNX files, for `rollout_policy`, `sandgait.evaluate` and `sandgait evaluate`; and policies
-of `sandgait train` as stable-baselines3's (`to_sb3`)."""
+"""Policies of stable-baselines3 as ONNX files, for `rollout_policy`, `sandgait.evaluate` and `sandgait evaluate`; and
+policies of `sandgait train` as stable-baselines3's (`to_sb3`)."""
 
 from __future__ import annotations
 

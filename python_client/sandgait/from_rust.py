@@ -31,7 +31,7 @@ Arrays = dict[str, npt.NDArray[Any]]
 
 
 def read_policy(path: FilePath) -> tuple[dict[str, str], Arrays]:
-    """The texts and arrays in a `policy.safetensors` or checkpoint of `sandgait train`; weights are [inputs, outputs]."""
+    """The texts and arrays in a file of `sandgait train`; weights are [inputs, outputs]."""
     data = Path(path).read_bytes()
     try:
         length = int.from_bytes(data[:8], "little")
@@ -54,15 +54,17 @@ def read_policy(path: FilePath) -> tuple[dict[str, str], Arrays]:
 def to_sb3(path: FilePath, env: VecEnv, **changes: Any) -> PPO:
     """A PPO model with the weights and settings in `path`, a `policy.safetensors` or checkpoint of `sandgait train`.
 
-    `env`: environments of the same task, as `make_sb3` gives them. Where the training normalized, the model's `get_env()` is
-    a `VecNormalize` around them with the training's statistics. `changes`: other arguments of PPO than the training's, for
-    example `learning_rate`. The optimizer begins anew.
+    `env`: environments of the same task, as `make_sb3` gives them. Where the training normalized, the model's
+    `get_env()` is a `VecNormalize` around them with the training's statistics. `changes`: other arguments of PPO
+    than the training's, for example `learning_rate`. The optimizer begins anew.
     """
     about, arrays = read_policy(path)
     settings = json.loads(about["settings"])
     wanted, given = arrays["actor.0.weights"].shape[0], env.observation_space.shape
     if given != (wanted,):
-        raise InvalidRequest(f"env: observations are {given}, the policy takes ({wanted},): it was learnt for {about['task']}")
+        raise InvalidRequest(
+            f"env: observations are {given}, the policy takes ({wanted},): it was learnt for {about['task']}"
+        )
     if settings["normalize"]:
         env = _normalized(env, arrays, settings)
     names = ("n_steps", "batch_size", "n_epochs", "gamma", "gae_lambda", "normalize_advantage", "ent_coef", "vf_coef")

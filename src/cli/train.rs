@@ -69,7 +69,6 @@ impl Train {
         let task = entry::task_id(&self.task);
         let request = self.request(task)?;
         super::warn_of_unfelt_option(&request.options);
-        std::fs::create_dir_all(&request.out).map_err(|e| Error::file(&request.out, e))?;
         let outcome = request.run(&Interruptible { bar: Bar::new(), stop: interrupted() })?;
         let text = report(&request, &outcome);
         let path = request.out.join("evaluation.txt");

@@ -89,7 +89,7 @@ mod tests {
             ("learning_rate=lin_x", "learning_rate: \"lin_x\" is neither a number nor lin_NUMBER"),
             ("n_epochs=2.5", "n_epochs: 2.5 is not whole"),
             ("batch_size=1_000_000", "batch_size: 1000000 is more than n_envs · n_steps = 4096"),
-            ("n_envs=65536", "n_envs · n_steps"),
+            ("n_steps=4_000_000", "n_envs · n_steps: 1024000000 is outside"),
             ("policy=CnnPolicy", "policy: \"CnnPolicy\" is not MlpPolicy"),
             ("policy_kwargs={net_arch: [64, 0]}", "policy_kwargs.net_arch: 0 is outside [1, 1024]"),
             ("policy_kwargs={squash_output: true}", "setting of policy_kwargs \"squash_output\" is unknown"),

@@ -1,4 +1,4 @@
-"""`sandgait train` beside stable-baselines3: the same update from the same rollout, and its policies as SB3's models."""
+"""`sandgait train` beside stable-baselines3: the same update from the same rollout, and its policies as models."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def test_the_model_acts_as_the_file(trained: Path) -> None:
     model = to_sb3(trained / "policy.safetensors", env)
     normalized = model.get_env()
     assert isinstance(normalized, VecNormalize)
-    file = ReferenceEvaluator(trained / "policy.onnx")
+    file = ReferenceEvaluator(str(trained / "policy.onnx"))
     normalized.training = False
     observations = normalized.reset()
     for _ in range(20):
