@@ -230,7 +230,7 @@ fn meshes(folder: &Path) {
     let mut stl = vec![0u8; 80];
     stl.extend(1_000_000u32.to_le_bytes());
     write("cut.stl", &[&stl[..], &[0; 120]].concat());
-    let mut facet = vec![0u8; 50];
+    let mut facet = [0u8; 50];
     for (k, x) in [0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0].iter().enumerate() {
         facet[12 + 4 * k..16 + 4 * k].copy_from_slice(&x.to_le_bytes());
     }

@@ -304,7 +304,7 @@ impl<R: Real> Beyond<R> for SandMechanisms<R> {
             };
             let (normal, tangential) = self.terms.stress(&piece);
             pressure += normal;
-            force = force + LaneTerms::against_slip(n, v) * (tangential * area);
+            force += LaneTerms::against_slip(n, v) * (tangential * area);
         }
         // A dry lane beside a wet one comes here with depth 0: nothing pushes on a segment in the air.
         let push = R::select(R::zero().lt(site.depth), pressure * area, R::zero());

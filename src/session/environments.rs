@@ -33,6 +33,8 @@ pub enum Answer {
     Refused(Error),
 }
 
+/// One a session: its size does not matter.
+#[allow(clippy::large_enum_variant)]
 enum Place {
     Here(Batch),
     Away,

@@ -104,7 +104,7 @@ pub fn slopes(
 ) -> Sums {
     let (width, share) = (spread.inverse.len(), 1.0 / weights.samples as f32);
     let mut sums = Sums { samples: samples.returns.len() as f64, ..Sums::default() };
-    for i in 0..samples.returns.len() {
+    for (i, &value) in values.iter().enumerate() {
         let row = i * width..(i + 1) * width;
         let (action, mean) = (&samples.actions[row.clone()], &means[row.clone()]);
         let log_ratio = spread.log_probability(action, mean) - samples.log_probabilities[i];
@@ -118,10 +118,10 @@ pub fn slopes(
             *mean_slope = slope * z * scale;
             *std_slope += slope * (z * z - 1.0);
         }
-        let moved = values[i] - samples.values[i];
+        let moved = value - samples.values[i];
         let (predicted, follows) = match weights.clip_value {
             Some(clip) => (samples.values[i] + moved.clamp(-clip, clip), moved.abs() <= clip),
-            None => (values[i], true),
+            None => (value, true),
         };
         let missed = predicted - samples.returns[i];
         out.values[i] = if follows { 2.0 * weights.value * missed * share } else { 0.0 };

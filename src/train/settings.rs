@@ -178,7 +178,7 @@ impl Settings {
     /// What no value alone can say.
     fn check(&self) -> Result<()> {
         let samples = self.n_envs.saturating_mul(self.n_steps);
-        if samples < 2 || samples > MOST_SAMPLES {
+        if !(2..=MOST_SAMPLES).contains(&samples) {
             return Err(Error::invalid("n_envs · n_steps", format!("{samples} is outside [2, {MOST_SAMPLES}]")));
         }
         if self.batch_size > samples {

@@ -88,10 +88,11 @@ pub fn study(py: Python<'_>, address: Address, study: Study, told: Option<&Bound
         let (runtime, events) = (&runtime, &mut events);
         match py.detach(move || client::wait(runtime, pin!(client::next(events)), PATIENCE)) {
             Some(Some(Ok(Event::Done(outcome)))) => return Ok(outcome),
-            Some(Some(Ok(Event::Progress(done, stage)))) => match told {
-                Some(told) => drop(told.call1((done, stage))?),
-                None => (),
-            },
+            Some(Some(Ok(Event::Progress(done, stage)))) => {
+                if let Some(told) = told {
+                    told.call1((done, stage))?;
+                }
+            }
             Some(Some(Err(status))) => return Err(raise(&status)),
             Some(None) => return Err(raise(&Status::unavailable("the study ended without a result"))),
             None => (),

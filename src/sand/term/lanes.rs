@@ -154,9 +154,9 @@ fn power<R: Real>(x: R, power: f64) -> R {
         return powered;
     }
     let count = quarters.abs() as usize;
-    let (base, times) = if count % 4 == 0 {
+    let (base, times) = if count.is_multiple_of(4) {
         (x, count / 4)
-    } else if count % 2 == 0 {
+    } else if count.is_multiple_of(2) {
         (x.sqrt(), count / 2)
     } else {
         (x.sqrt().sqrt(), count)

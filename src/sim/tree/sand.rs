@@ -109,6 +109,9 @@ pub fn press<R: Real>(
     loads: &mut [Load<R>],
     dt: R,
 ) {
+    // How the base, which is the first frame, travels.
+    let base = frames[0].velocity.at(frames[0].origin);
+    let travel = [base.x, base.y];
     for plates in bodies {
         let frame = &frames[plates.body];
         let center = *place + frame.point(Vec3::splat(plates.ball.center));
@@ -122,7 +125,7 @@ pub fn press<R: Real>(
         });
         let expected = frame.change.scaled(trusted);
         let middle = expected.scale_add(R::splat(0.5), &frame.velocity);
-        let Some(total) = on_body(ground, plates, frame, &middle, place, &under, dt) else { continue };
+        let Some(total) = on_body(ground, plates, frame, &middle, place, travel, &under, dt) else { continue };
         let load = &mut loads[plates.body];
         let mut drag = Inertia::points(&total.drag);
         drag.add(&total.edge);
@@ -144,19 +147,21 @@ fn trust<R: Real>(frame: &Frame<R>, place: Vec3<R>) -> R {
 }
 
 #[inline(always)]
+#[allow(clippy::too_many_arguments)] // all of them are in registers
 fn on_body<R: Real>(
     ground: &Ground<R>,
     plates: &BodyPlates<R>,
     frame: &Frame<R>,
     velocity: &Twist<R>,
     place: &Vec3<R>,
+    travel: [R; 2],
     under: &Local<R>,
     dt: R,
 ) -> Option<Total<R>> {
     match (&ground.form, &ground.beyond) {
-        (Form::Li2013(law), None) => by(law, &Plain, ground, plates, frame, velocity, place, under, dt),
-        (form, None) => by(form, &Plain, ground, plates, frame, velocity, place, under, dt),
-        (form, Some(beyond)) => by(form, beyond, ground, plates, frame, velocity, place, under, dt),
+        (Form::Li2013(law), None) => by(law, &Plain, ground, plates, frame, velocity, place, travel, under, dt),
+        (form, None) => by(form, &Plain, ground, plates, frame, velocity, place, travel, under, dt),
+        (form, Some(beyond)) => by(form, beyond, ground, plates, frame, velocity, place, travel, under, dt),
     }
 }
 
@@ -171,6 +176,7 @@ fn by<R: Real>(
     frame: &Frame<R>,
     velocity: &Twist<R>,
     place: &Vec3<R>,
+    travel: [R; 2],
     under: &Local<R>,
     dt: R,
 ) -> Option<Total<R>> {
@@ -204,7 +210,7 @@ fn by<R: Real>(
             let depth = R::select(crossing, part, depth).max(zero);
             let share = R::select(crossing, part / rise.max(R::splat(1e-9)), R::one());
             let area = R::splat(plate.area) * share * plates.share;
-            let site = Site::fresh(depth, place.x + at.x);
+            let site = Site::fresh(depth, place.x + at.x).travelling(travel);
             let contact = match &axes {
                 None => ground.one_sided_by(law, beyond, &site, area, normal, v),
                 Some(axes) => {
