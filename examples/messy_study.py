@@ -19,6 +19,8 @@ from typing import Any
 
 import numpy as np
 
+Array = np.ndarray[Any, Any]
+
 TABLE = np.array([0.051, 0.047, 0.053, 0.083, 0.020, -0.026, 0.057, 0.0, 0.025]) * 1e6  # poppy-loose [N/m³]
 DENSITY = 640.0
 CHORD, WIDTH, PLATE = 0.076, 0.025, 0.038
@@ -81,8 +83,8 @@ def segments(shape: str, pieces: int = 16) -> tuple[np.ndarray, np.ndarray, np.n
         ends = [((0.0, 0.0), tip, True)]
         ends += [((0.0, 0.0), tip, False)] if xi == 0 else [((0.0, 0.0), knee, False), (knee, tip, False)]
     centres, tilts, areas, chord = [], [], [], []
-    for a, b, whole in ends:
-        a, b = np.array(a), np.array(b)
+    for start, end, whole in ends:
+        a, b = np.array(start), np.array(end)
         length = np.hypot(*(b - a))
         centres.append(a + np.outer((nodes + 1) / 2, b - a))
         tilts.append(np.full(pieces, math.atan2(b[1] - a[1], b[0] - a[0])))
@@ -91,7 +93,17 @@ def segments(shape: str, pieces: int = 16) -> tuple[np.ndarray, np.ndarray, np.n
     return np.concatenate(centres), np.concatenate(tilts), np.concatenate(areas), np.concatenate(chord)
 
 
-def law(hidden: dict[str, float], c: np.ndarray, trial: dict[str, Any], p, tilt, v, dv, zero: float, bed: float):
+def law(
+    hidden: dict[str, float],
+    c: np.ndarray,
+    trial: dict[str, Any],
+    p: Array,
+    tilt: Array,
+    v: Array,
+    dv: Array,
+    zero: float,
+    bed: float,
+) -> Array:
     """Stress on panels: positions p, velocities v and accelerations dv are (..., 2)."""
     sigma = hidden.get("slope", 0.0)
     depth = (p[..., 0] * math.tan(sigma) - (p[..., 1] - zero)) * math.cos(sigma)
@@ -134,16 +146,16 @@ def law(hidden: dict[str, float], c: np.ndarray, trial: dict[str, Any], p, tilt,
     if "law" in hidden:  # a law that is no mechanism: coefficient · ρ g |z| · Fr^a · (|z|/w)^b
         froude = vn**2 / (9.81 * np.maximum(under, 1e-9))
         push = push + hidden["law"] * DENSITY * 9.81 * under * froude ** hidden["a"] * (under / WIDTH) ** hidden["b"]
-    return (stress - push[..., None] * n) * (depth > 0)[..., None]
+    return np.asarray((stress - push[..., None] * n) * (depth > 0)[..., None])
 
 
-def outside(hidden: dict[str, float], x, z, along, depth):
+def outside(hidden: dict[str, float], x: Array, z: Array, along: Array, depth: Array) -> Array:
     """Causes that no library has: a wall, a crust, stick and slip, a buried stone."""
     factor = 1 + hidden.get("wall", 0.0) * np.exp(-np.maximum(0.12 - x, 0.0) / 0.04)
     factor = factor * np.where(depth < 0.012, 1 + hidden.get("crust", 0.0), 1.0)
     factor = factor * (1 + hidden.get("stick_slip", 0.0) * np.sin(2 * math.pi * along / 0.02))
     stone = np.exp(-(((x - 0.03) / 0.015) ** 2) - ((z + 0.02) / 0.012) ** 2)
-    return factor * (1 + hidden.get("buried_stone", 0.0) * stone)
+    return np.asarray(factor * (1 + hidden.get("buried_stone", 0.0) * stone))
 
 
 def path(trial: dict[str, Any], t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -159,7 +171,7 @@ def path(trial: dict[str, Any], t: np.ndarray) -> tuple[np.ndarray, np.ndarray, 
     return tuple(scale * np.interp(t, grid, a) for a in (way, speed, change))
 
 
-def motion(trial: dict[str, Any], t: np.ndarray):
+def motion(trial: dict[str, Any], t: Array) -> tuple[Array, Array, Array]:
     s, rate, change = path(trial, t)
     if trial["kind"] == "leg":
         return trial["sign"] * (s - trial["way"] / 2), trial["sign"] * rate, trial["sign"] * change
@@ -168,7 +180,7 @@ def motion(trial: dict[str, Any], t: np.ndarray):
     return start + np.outer(s, along), np.outer(rate, along), np.outer(change, along)
 
 
-def loads(trial, t, hidden, c, zero, bed) -> np.ndarray:
+def loads(trial: dict[str, Any], t: Array, hidden: dict[str, float], c: Array, zero: float, bed: float) -> Array:
     """Fx, Fz, Ty at times t."""
     centres, tilts, areas, chord = segments(trial["shape"])
     where, rate, change = motion(trial, t)
@@ -231,7 +243,7 @@ def times(rng: np.random.Generator, trial: dict[str, Any], sampling: str) -> np.
     if sampling == "jitter":
         moved = even + rng.uniform(-0.35, 0.35, 60) * duration / 60
         moved[[0, -1]] = even[[0, -1]]
-        return np.clip(moved, 0.0, duration)
+        return np.asarray(np.clip(moved, 0.0, duration))
     return even
 
 
@@ -331,7 +343,7 @@ def main() -> None:
             data, experiment = Path(directory, "log.csv"), Path(directory, "experiment.toml")
             data.write_text(text)
             experiment.write_text(EXPERIMENT)
-            command = [binary, "diagnose", data, "--experiment", experiment, "--out", directory]
+            command = [binary, "diagnose", str(data), "--experiment", str(experiment), "--out", directory]
             made = subprocess.run(command, capture_output=True, text=True)
             if made.returncode:
                 print(seed, "FAILED", made.stderr.strip()[-200:])
