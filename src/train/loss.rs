@@ -104,7 +104,7 @@ pub fn slopes(
 ) -> Sums {
     let (width, share) = (spread.inverse.len(), 1.0 / weights.samples as f32);
     let mut sums = Sums { samples: samples.returns.len() as f64, ..Sums::default() };
-    for (i, &value) in values.iter().enumerate() {
+    for (i, goal) in samples.returns.iter().enumerate() {
         let row = i * width..(i + 1) * width;
         let (action, mean) = (&samples.actions[row.clone()], &means[row.clone()]);
         let log_ratio = spread.log_probability(action, mean) - samples.log_probabilities[i];
@@ -118,12 +118,12 @@ pub fn slopes(
             *mean_slope = slope * z * scale;
             *std_slope += slope * (z * z - 1.0);
         }
-        let moved = value - samples.values[i];
+        let moved = values[i] - samples.values[i];
         let (predicted, follows) = match weights.clip_value {
             Some(clip) => (samples.values[i] + moved.clamp(-clip, clip), moved.abs() <= clip),
-            None => (value, true),
+            None => (values[i], true),
         };
-        let missed = predicted - samples.returns[i];
+        let missed = predicted - goal;
         out.values[i] = if follows { 2.0 * weights.value * missed * share } else { 0.0 };
         sums.policy -= f64::from(if free.is_nan() { free } else { free.min(bound) });
         sums.value += f64::from(missed * missed);

@@ -109,6 +109,24 @@ pub struct Term {
     pub range: BTreeMap<String, [f64; 2]>,
 }
 
+/// What the law itself does to a piece that moves, per depth [N/m³].
+struct Resisting {
+    /// Push on the leading face.
+    normal: f64,
+    /// Resistance along the motion.
+    power: f64,
+    /// |n·v| for unit vectors.
+    along: f64,
+}
+
+fn resisting(coefficients: &Coefficients, beta: f64, gamma: f64) -> Resisting {
+    let (n, v) = ([beta.sin(), -beta.cos()], [gamma.cos(), -gamma.sin()]);
+    let along = n[0] * v[0] + n[1] * v[1];
+    let law = per_depth(coefficients, beta, gamma);
+    let normal = -(law[0] * n[0] + law[1] * n[1]) * along.signum();
+    Resisting { normal, power: -(law[0] * v[0] + law[1] * v[1]), along: along.abs() }
+}
+
 impl Term {
     /// Groups with power and range.
     fn factors(&self) -> Result<Vec<(Group, f64, [f64; 2])>> {
@@ -144,7 +162,8 @@ impl Term {
         factors.iter().zip(groups).fold(self.coefficient, |product, ((_, power, _), at)| product * at.powf(*power))
     }
 
-    /// The law with the term must resist everywhere: at every orientation and direction, and wherever in its range the rest is.
+    /// The law with the term must resist everywhere: at every orientation and direction, and wherever in its range the rest is. The
+    /// published coefficients themselves pull a little at some steep orientations; a term may not pull more than they do.
     fn check_energy(
         &self,
         factors: &[(Group, f64, [f64; 2])],
@@ -152,19 +171,18 @@ impl Term {
         bulk_density: f64,
     ) -> Result<()> {
         let degrees = |k: i32| std::f64::consts::FRAC_PI_2 * f64::from(k) / f64::from(ANGLES);
-        for (b, g) in (-ANGLES..=ANGLES).flat_map(|b| (-ANGLES..=ANGLES).map(move |g| (b, g))) {
-            let (beta, gamma) = (degrees(b), degrees(g));
+        let all = || (-ANGLES..=ANGLES).flat_map(|b| (-ANGLES..=ANGLES).map(move |g| [degrees(b), degrees(g)]));
+        let least_normal = all().map(|[beta, gamma]| resisting(coefficients, beta, gamma).normal).fold(0.0, f64::min);
+        for [beta, gamma] in all() {
             let least = self.least(factors, beta, gamma);
             if least >= 0.0 {
                 continue;
             }
-            let (n, v) = ([beta.sin(), -beta.cos()], [gamma.cos(), -gamma.sin()]);
-            let along = n[0] * v[0] + n[1] * v[1];
-            let law = per_depth(coefficients, beta, gamma);
-            let resists = -(law[0] * n[0] + law[1] * n[1]) * along.signum();
+            let Resisting { normal, power, along } = resisting(coefficients, beta, gamma);
             let extra = least * bulk_density * GRAVITY;
+            let pulls = normal + extra < least_normal || power + extra * along < 0.0;
             // A piece that moves along itself has no leading face.
-            if self.on == On::Tangential || (along.abs() > 1e-9 && resists + extra < 0.0) {
+            if self.on == On::Tangential || (along > 1e-9 && pulls) {
                 let place = format!("at β {:.0}°, γ {:.0}°", beta.to_degrees(), gamma.to_degrees());
                 let what = if self.on == On::Normal { "pulls and so adds energy" } else { "adds energy" };
                 return Err(Error::invalid(
