@@ -27,7 +27,11 @@ const KNOWS: [(&str, &[&str]); 26] = [
     ("evaluate", &["error", "parallel", "progress", "table", "sand", "sim", "env", "policy"]),
     (
         "train",
-        &["error", "parallel", "progress", "number", "plot", "sim", "env", "policy", "view", "sweep", "evaluate"],
+        // Its `table` is that of `sweep`.
+        &[
+            "error", "parallel", "progress", "number", "table", "plot", "sim", "env", "policy", "view", "sweep",
+            "evaluate",
+        ],
     ),
     (
         "service",
