@@ -162,12 +162,13 @@ def test_the_whole_suite_runs() -> None:
 
 
 WALKING = {"slope_deg": 4.0, "command": [0.2, 0.3], "weights": {"power": 0.3}}
+LEGGED = {"ground": "poppy-loose", "action_scale": 0.3, "slope_deg": 4.0}
 STROKE = {"angle_noise": 0.1, "stroke": {"carriage_speed": 0.1}}
 
 
 @pytest.mark.parametrize("task", sandgait.TASKS)
 def test_same_numbers_as_gymnasium(connection: Connection, address: str, task: str) -> None:
-    own = STROKE if task == "sandgait/LegStroke-v0" else WALKING
+    own = {"sandgait/LegStroke-v0": STROKE, "sandgait/LeggedVelocity-v0": LEGGED}.get(task, WALKING)
     options: dict[str, Any] = {"max_episode_steps": 7, **own}
     settings = {"task": task, "seed": 11, **options}
     env, world = dm_env_adaptor.create_and_join_world(connection, settings, {})

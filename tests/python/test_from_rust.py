@@ -94,7 +94,7 @@ def trained(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     out = tmp_path_factory.mktemp("train")
     changes = [request.param, "n_envs=16", "batch_size=64", "policy_kwargs={net_arch: [16, 8]}", "n_epochs=2"]
     settings = [word for change in changes for word in ("--set", change)]
-    command = [server.find_binary(), "train", "--timesteps", "2000", "--option", "max_episode_steps=60", *settings]
+    command = [*server.command(), "train", "--timesteps", "2000", "--option", "max_episode_steps=60", *settings]
     subprocess.run([*command, "--out", out], check=True, capture_output=True, text=True)
     return out
 

@@ -28,9 +28,9 @@ def imports(path: Path) -> set[str]:
     [
         ("grpc", set()),
         ("google", set()),
-        ("stable_baselines3", {"sb3.py", "export.py"}),
+        ("stable_baselines3", {"sb3.py", "export.py", "from_rust.py"}),
         ("ray", {"ray.py"}),
-        ("torch", {"export.py"}),
+        ("torch", {"export.py", "from_rust.py"}),
         ("pandas", set()),
         ("matplotlib", set()),
         ("pygame", {"view.py"}),
