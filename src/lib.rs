@@ -21,6 +21,7 @@ pub mod sand;
 pub mod service;
 pub mod session;
 pub mod sim;
+pub mod student;
 pub mod sweep;
 pub mod table;
 pub mod train;

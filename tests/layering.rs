@@ -4,9 +4,10 @@ use std::path::{Path, PathBuf};
 
 /// Every module of `src/`, and those that it may know. Each names only modules further up in this list, so nothing goes in
 /// circles; whatever is not named it must not know.
-const KNOWS: [(&str, &[&str]); 26] = [
+const KNOWS: [(&str, &[&str]); 27] = [
     ("error", &[]),
     ("parallel", &[]),
+    ("student", &[]),
     ("progress", &["error"]),
     ("number", &["error"]),
     ("table", &["error"]),
@@ -19,9 +20,9 @@ const KNOWS: [(&str, &[&str]); 26] = [
     ("pool", &["error", "parallel", "progress", "env", "policy"]),
     ("view", &["error", "number", "plot", "sand", "sim"]),
     ("session", &["error", "env", "sim", "pool", "view"]),
-    ("calibrate", &["error", "table", "plot", "sand"]),
+    ("calibrate", &["error", "student", "table", "plot", "sand"]),
     ("sweep", &["error", "parallel", "progress", "table", "plot", "sand", "sim"]),
-    ("diagnose", &["error", "parallel", "progress", "number", "table", "plot", "sand", "sim", "sweep"]),
+    ("diagnose", &["error", "parallel", "student", "progress", "number", "table", "plot", "sand", "sim", "sweep"]),
     ("reproduce", &["error", "parallel", "progress", "number", "table", "plot", "sand", "sim", "sweep"]),
     ("validate", &["error", "parallel", "table", "plot", "sand", "sim", "calibrate", "reproduce"]),
     ("evaluate", &["error", "parallel", "progress", "table", "sand", "sim", "env", "policy"]),

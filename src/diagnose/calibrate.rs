@@ -75,6 +75,11 @@ impl Gates {
         let own = self.degrees.iter().filter(|d| ids.is_empty() || ids.contains(&d.0));
         own.map(|d| d.1).fold(MOST_DEGREES, f64::min)
     }
+
+    /// The same for intervals: at least 2, our choice, because with fewer they would say nothing.
+    pub fn tail_degrees(&self, ids: &[usize]) -> f64 {
+        self.degrees_of(ids).max(2.0)
+    }
 }
 
 /// Degrees of freedom beyond which the tails are those of χ²: our choice, the difference is below 1 %.

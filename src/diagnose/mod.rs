@@ -39,7 +39,7 @@ pub mod repeats;
 pub mod report;
 pub mod select;
 pub mod shared;
-pub mod student;
+
 pub mod study;
 pub mod summary;
 pub mod verdict;

@@ -13,9 +13,10 @@ use super::select::Selection;
 use super::study::Study;
 use super::summary::{far_coefficients, names, summary};
 use super::verdict::Verdict;
-use super::{lack_of_fit, misfit, next_experiment, student};
+use super::{lack_of_fit, misfit, next_experiment};
 use crate::sand::mechanism::CATALOG;
 use crate::sand::term::On;
+use crate::student;
 
 /// The candidate that extends the model: the cause found; failing that, where misfit remains, the candidate that fits best if
 /// what is chosen without the conditions held out surely predicts them better: as a proxy and not as a cause.
@@ -210,7 +211,7 @@ impl View<'_> {
             selection.screened.screen.candidates.iter().filter(|c| !CATALOG[c.0].ceiling).copied().collect();
         let limit = |further: &super::further::Further| {
             let entry = &CATALOG[further.id];
-            let degrees = gates.degrees_of(&[further.id]);
+            let degrees = gates.tail_degrees(&[further.id]);
             let sd = further.sd * gates.inflation.sqrt();
             let most = match entry.bounds[0] < 0.0 {
                 true => further.estimate.abs() + student::two_sided_95(degrees) * sd,
