@@ -8,7 +8,7 @@ ARGS ?=
 TASK ?= HexapodGait
 
 # What the wheel is made from.
-SOURCES := $(shell find src robots python_client Cargo.toml Cargo.lock pyproject.toml README.md \
+SOURCES := $(shell find src tests/data/real_wheel python_client Cargo.toml Cargo.lock pyproject.toml README.md \
 	-type f -not -path '*/__pycache__/*' -not -name '_native*.so')
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
