@@ -1,6 +1,6 @@
 //! Bodies by name: `cylinder:radius=0.06,width=0.06`, `box:…`, `sphere:…`, or a mesh file.
 
-use super::{Plate, area, cut, mesh, volume};
+use super::{Plate, Triangle, area, cut, mesh, volume};
 use crate::error::{Error, Result, check_range};
 use crate::number::Vec3;
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ const LENGTHS: std::ops::RangeInclusive<f64> = 1e-4..=10.0;
 /// plates ten times finer.
 const ALONG: f64 = 50.0;
 /// Most plates of a body: our choice, 2 × 10⁶ take 240 MB.
-pub(super) const MOST_PLATES: f64 = 2e6;
+pub(super) const MOST_PLATES: usize = 2_000_000;
 
 /// What a body is, before it is cut.
 #[derive(Clone, Debug, PartialEq)]
@@ -112,6 +112,11 @@ enum Corners {
 impl Body {
     /// Cut into plates of about `size` [m]; none: a fiftieth of its longest side.
     pub fn cut(shape: &BodyShape, size: Option<f64>) -> Result<Self> {
+        Self::cut_within(shape, size, MOST_PLATES)
+    }
+
+    /// The same in at most `most` plates.
+    pub fn cut_within(shape: &BodyShape, size: Option<f64>, most: usize) -> Result<Self> {
         let (corners, longest, surface) = match *shape {
             BodyShape::Cylinder { radius, width } => {
                 let surface = std::f64::consts::TAU * radius * (radius + width);
@@ -125,19 +130,9 @@ impl Body {
                 length.max(width).max(height),
                 2.0 * (length * width + width * height + height * length),
             ),
-            BodyShape::Mesh(ref path) => {
-                let triangles = mesh::read(path)?;
-                let longest = mesh::longest_side(&triangles);
-                check_range("body", longest, LENGTHS).map_err(|_| {
-                    Error::file(path, format!("{longest:e} m is outside [1e-4, 10] m: meshes are in metres"))
-                })?;
-                let size = size_within(size, longest, mesh::area(&triangles))?;
-                let plates = rising(mesh::plates(path, &triangles, size)?);
-                let points = triangles.into_iter().flatten().collect();
-                return Ok(Self { plates, corners: Corners::Points(points), plate_size: size });
-            }
+            BodyShape::Mesh(ref path) => return Self::of_triangles(path, mesh::read(path)?, size, most),
         };
-        let size = size_within(size, longest, surface)?;
+        let size = size_within(size, longest, surface, most)?;
         let plates = match *shape {
             BodyShape::Cylinder { radius, width } => cut::cylinder(radius, width, size, cut::FINE),
             BodyShape::Sphere { radius } => cut::sphere(radius, size, cut::FINE),
@@ -145,6 +140,21 @@ impl Body {
             BodyShape::Mesh(_) => Vec::new(),
         };
         Ok(Self { plates: rising(plates), corners, plate_size: size })
+    }
+
+    /// A mesh whose file has these `bytes`: STL or OBJ, by the ending of `path`.
+    pub fn of_mesh(path: &Path, bytes: &[u8], size: Option<f64>, most: usize) -> Result<Self> {
+        Self::of_triangles(path, mesh::read_bytes(path, bytes, most)?, size, most)
+    }
+
+    fn of_triangles(path: &Path, triangles: Vec<Triangle>, size: Option<f64>, most: usize) -> Result<Self> {
+        let longest = mesh::longest_side(&triangles);
+        check_range("body", longest, LENGTHS)
+            .map_err(|_| Error::file(path, format!("{longest:e} m is outside [1e-4, 10] m: meshes are in metres")))?;
+        let size = size_within(size, longest, mesh::area(&triangles), most)?;
+        let plates = rising(mesh::plates(path, &triangles, size, most)?);
+        let points = triangles.into_iter().flatten().collect();
+        Ok(Self { plates, corners: Corners::Points(points), plate_size: size })
     }
 
     /// [m³]
@@ -166,26 +176,42 @@ impl Body {
         }
     }
 
-    /// Least and greatest height [m] of the body's points over the origin when it is turned by `turn`.
-    pub fn heights(&self, turn: impl Fn(Vec3<f64>) -> Vec3<f64>) -> [f64; 2] {
+    /// Least and greatest height [m] of the body's points over the origin.
+    pub fn heights(&self) -> [f64; 2] {
+        match &self.corners {
+            Corners::Sphere(radius) | Corners::Cylinder(radius, _) => [-radius, *radius],
+            Corners::Points(points) => {
+                points.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], p| [low.min(p.z), high.max(p.z)])
+            }
+        }
+    }
+
+    /// The same over a whole turn about `axis` (unit): of a point, a circle's.
+    pub fn heights_in_turn(&self, axis: Vec3<f64>) -> [f64; 2] {
+        let level = (1.0 - axis.z * axis.z).max(0.0).sqrt();
         match &self.corners {
             Corners::Sphere(radius) => [-radius, *radius],
             Corners::Cylinder(radius, half) => {
-                let axis = turn(Vec3::new(0.0, 1.0, 0.0));
-                let reach = half * axis.z.abs() + radius * (1.0 - axis.z * axis.z).max(0.0).sqrt();
+                // The cylinder's axis comes to every height between these, up to a sign, which mirrors the cylinder.
+                let (middle, swing) = ((axis.y * axis.z).abs(), (1.0 - axis.y * axis.y).max(0.0).sqrt() * level);
+                let (least, most) = ((middle - swing).max(0.0), middle + swing);
+                let steepest = half / radius.hypot(*half);
+                let rise = steepest.clamp(least, most);
+                let reach = half * rise + radius * (1.0 - rise * rise).max(0.0).sqrt();
                 [-reach, reach]
             }
             Corners::Points(points) => points.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], p| {
-                let z = turn(*p).z;
-                [low.min(z), high.max(z)]
+                let along = axis.dot(*p);
+                let around = (p.norm_squared() - along * along).max(0.0).sqrt() * level;
+                [low.min(along * axis.z - around), high.max(along * axis.z + around)]
             }),
         }
     }
 }
 
 /// The size asked for or the default, refused where it makes too many plates.
-fn size_within(asked: Option<f64>, longest: f64, surface: f64) -> Result<f64> {
+fn size_within(asked: Option<f64>, longest: f64, surface: f64, most: usize) -> Result<f64> {
     let size = asked.unwrap_or(longest / ALONG);
-    let least = (surface / MOST_PLATES).sqrt() * 1.01;
+    let least = (surface / most as f64).sqrt() * 1.01;
     check_range("plate-size", size, least..=longest)
 }

@@ -545,6 +545,22 @@ pub mod study_service_server {
             tonic::Response<crate::service::proto::IntrudeResponse>,
             tonic::Status,
         >;
+        /// Server streaming response type for the Trials method.
+        type TrialsStream: tonic::codegen::tokio_stream::Stream<
+                Item = std::result::Result<
+                    crate::service::proto::TrialsResponse,
+                    tonic::Status,
+                >,
+            >
+            + std::marker::Send
+            + 'static;
+        /// Moves any body steadily through sand: one row a motion.
+        async fn trials(
+            &self,
+            request: tonic::Request<
+                crate::service::frame::Frame<crate::service::proto::TrialsRequest>,
+            >,
+        ) -> std::result::Result<tonic::Response<Self::TrialsStream>, tonic::Status>;
         /// Server streaming response type for the Walk method.
         type WalkStream: tonic::codegen::tokio_stream::Stream<
                 Item = std::result::Result<
@@ -734,6 +750,59 @@ pub mod study_service_server {
                                 max_encoding_message_size,
                             );
                         let res = grpc.unary(method, req).await;
+                        Ok(res)
+                    };
+                    Box::pin(fut)
+                }
+                "/sandgait.v1.StudyService/Trials" => {
+                    #[allow(non_camel_case_types)]
+                    struct TrialsSvc<T: StudyService>(pub Arc<T>);
+                    impl<
+                        T: StudyService,
+                    > tonic::server::ServerStreamingService<
+                        crate::service::frame::Frame<
+                            crate::service::proto::TrialsRequest,
+                        >,
+                    > for TrialsSvc<T> {
+                        type Response = crate::service::proto::TrialsResponse;
+                        type ResponseStream = T::TrialsStream;
+                        type Future = BoxFuture<
+                            tonic::Response<Self::ResponseStream>,
+                            tonic::Status,
+                        >;
+                        fn call(
+                            &mut self,
+                            request: tonic::Request<
+                                crate::service::frame::Frame<
+                                    crate::service::proto::TrialsRequest,
+                                >,
+                            >,
+                        ) -> Self::Future {
+                            let inner = Arc::clone(&self.0);
+                            let fut = async move {
+                                <T as StudyService>::trials(&inner, request).await
+                            };
+                            Box::pin(fut)
+                        }
+                    }
+                    let accept_compression_encodings = self.accept_compression_encodings;
+                    let send_compression_encodings = self.send_compression_encodings;
+                    let max_decoding_message_size = self.max_decoding_message_size;
+                    let max_encoding_message_size = self.max_encoding_message_size;
+                    let inner = self.inner.clone();
+                    let fut = async move {
+                        let method = TrialsSvc(inner);
+                        let codec = crate::service::frame::FrameCodec::default();
+                        let mut grpc = tonic::server::Grpc::new(codec)
+                            .apply_compression_config(
+                                accept_compression_encodings,
+                                send_compression_encodings,
+                            )
+                            .apply_max_message_size_config(
+                                max_decoding_message_size,
+                                max_encoding_message_size,
+                            );
+                        let res = grpc.server_streaming(method, req).await;
                         Ok(res)
                     };
                     Box::pin(fut)
