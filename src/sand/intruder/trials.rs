@@ -6,9 +6,6 @@ use crate::number::Vec3;
 use crate::parallel;
 use crate::sand::{Ground, SandDescription, Site, Surface};
 
-/// Turns of a body that is not round, spread over a period: our choice; the mean force of a box has changed by less than
-/// 0.5 % when there are four times as many.
-const TURNS: usize = 48;
 /// Depths between none and covered at which a load is first looked for: our choice, 4 mm for a wheel of 125 mm.
 const STEPS: usize = 32;
 /// Depth to which a load is solved [m]: our choice, far below what can be measured.
@@ -180,7 +177,7 @@ impl Turns {
         if rate == 0.0 || body.is_round_about(axis) {
             return Self { axis, count: 1, heights: body.heights() };
         }
-        Self { axis, count: TURNS, heights: body.heights_in_turn(axis) }
+        Self { axis, count: body.turns(), heights: body.heights_in_turn(axis) }
     }
 
     fn turned(&self, k: usize, v: Vec3<f64>) -> Vec3<f64> {
@@ -194,7 +191,8 @@ impl<'a> Motion<'a> {
         let mut pieces = Vec::new();
         for k in 0..turns.count {
             let turned = |v| turns.turned(k, v);
-            let plates = body.plates.iter().map(|p| Plate {
+            let plates = if turns.count > 1 { body.turning() } else { &body.plates };
+            let plates = plates.iter().map(|p| Plate {
                 center: turned(p.center),
                 normal: turned(p.normal),
                 half: p.half.map(turned),

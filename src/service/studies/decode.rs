@@ -95,8 +95,8 @@ pub fn intrude(request: IntrudeRequest) -> Result<(Rotation, Sand)> {
     Ok((rotation, sand(request.sand)?))
 }
 
-/// Plates of a body that a client sends: our choice, 30 MB. A default wheel has some 3,000.
-const MOST_PLATES: usize = 200_000;
+/// Plates of a body that a client sends: our choice, 8 MB, or 300 MB in the turns of a period. A default wheel has some 3,000.
+const MOST_PLATES: usize = 50_000;
 
 pub fn trials(request: TrialsRequest) -> Result<Trials> {
     let TrialsRequest { body, velocity, spin, depth, load, sand: given, friction, plate_size } = request;
@@ -249,6 +249,11 @@ pub fn diagnose(request: DiagnoseRequest) -> Result<(File, Experiment)> {
     // A server does not read files that a client names.
     if let Some(robot) = experiment.robot.as_deref().filter(|r| !Robot::names().contains(r)) {
         return Err(Error::unknown("robot", robot, &Robot::names()));
+    }
+    for (name, body) in &experiment.bodies {
+        if let BodyShape::Mesh(_) = body.shape()? {
+            return Err(Error::invalid(format!("body.{name}"), "a mesh is read by the command line only"));
+        }
     }
     Ok((data, experiment))
 }
