@@ -24,7 +24,7 @@ const KNOWS: [(&str, &[&str]); 27] = [
     ("sweep", &["error", "parallel", "progress", "table", "plot", "sand", "sim"]),
     ("diagnose", &["error", "parallel", "student", "progress", "number", "table", "plot", "sand", "sim", "sweep"]),
     ("reproduce", &["error", "parallel", "progress", "number", "table", "plot", "sand", "sim", "sweep"]),
-    ("validate", &["error", "parallel", "table", "plot", "sand", "sim", "calibrate", "reproduce"]),
+    ("validate", &["error", "parallel", "number", "table", "plot", "sand", "sim", "robots", "calibrate", "reproduce"]),
     ("evaluate", &["error", "parallel", "progress", "table", "sand", "sim", "env", "policy"]),
     (
         "train",
