@@ -83,7 +83,7 @@ pub const LARGEST_MESH: usize = 4 << 20;
 static FILE: [Field; 1] = [once(2, "mesh", LARGEST_MESH, None)];
 
 /// A million rows.
-const COLUMN: usize = 8 * crate::service::studies::MOST_TRIALS;
+const COLUMN: usize = 8 * crate::studies::MOST_TRIALS;
 
 pub static TRIALS: [Field; 6] = [
     once(1, "shape", 1 << 10, None),
@@ -180,8 +180,8 @@ fn varint(bytes: &mut &[u8]) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::service::proto::run_session_request::Request;
-    use crate::service::proto::{CreateSessionRequest, Reset, RunSessionRequest, Step};
+    use crate::proto::run_session_request::Request;
+    use crate::proto::{CreateSessionRequest, Reset, RunSessionRequest, Step};
     use prost::Message as _;
     use prost_types::value::Kind;
     use prost_types::{ListValue, Struct, Value};

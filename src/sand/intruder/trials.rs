@@ -4,7 +4,7 @@ use super::{Body, Plate};
 use crate::error::{Error, Result, check_range};
 use crate::number::Vec3;
 use crate::parallel;
-use crate::sand::{Ground, SandDescription, Site, Surface};
+use crate::{Ground, SandDescription, Site, Surface};
 
 /// Depths between none and covered at which a load is first looked for: our choice, 4 mm for a wheel of 125 mm.
 const STEPS: usize = 32;

@@ -6,12 +6,12 @@ use crate::error::{Error, Result};
 use crate::evaluate;
 use crate::parallel;
 use crate::progress::Progress;
-use crate::sand::intruder;
-use crate::service::proto::{self, DiagnoseRequest, DiagnoseResponse, IntrudeRequest, IntrudeResponse};
-use crate::service::proto::{
+use crate::proto::{self, DiagnoseRequest, DiagnoseResponse, IntrudeRequest, IntrudeResponse};
+use crate::proto::{
     EvaluateRequest, EvaluateResponse, SweepRequest, SweepResponse, TrialsRequest, TrialsResponse, WalkRequest,
     WalkResponse,
 };
+use crate::sand::intruder;
 use crate::sweep::{grid, optimize, walk_all};
 use std::path::Path;
 

@@ -2,9 +2,9 @@
 
 use crate::diagnose::report::Curves;
 use crate::evaluate::{self, Row};
+use crate::proto::{Series, Table};
 use crate::sand::intruder::{Outcome, Status};
 use crate::sand::intrusion::Load;
-use crate::service::proto::{Series, Table};
 use crate::sim::walk::{Trial, WalkResult};
 use crate::sweep::optimize::Optimum;
 use crate::sweep::{Axis, table::values};
