@@ -192,7 +192,7 @@ fn three_hundred_rows_agree_with_a_second_implementation() {
                 errors.push(off([found.force, found.torque], expected, arm));
                 assert!(errors[errors.len() - 1] < 0.02, "{name} {trial:?} {mu}: {found:?} {expected:?}");
             }
-            if expected[0][2] > 0.1 {
+            if expected[0][2] > 0.5 * norm(expected[0]) {
                 // The depth that carries a load is where the second implementation finds that load.
                 let loaded = Trial { given: Given::Load(expected[0][2]), ..trial };
                 let found = compute(&fine, &sand(mu), &loaded);

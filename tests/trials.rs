@@ -143,12 +143,12 @@ sand = "sand.toml"
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     let page = std::fs::read_to_string(out.join("validation.md")).unwrap();
     assert!(page.contains("## A box in our sand") && page.contains("our own laboratory") && page.contains("CC0"));
-    // Two rows: the third is beyond 45°. Fx and Fy are right, Fz is 1/11 too small.
+    // Two rows: the third is beyond 45°. Fx and Fy are right, Fz is 1/11 of the measured one too small.
     let all = page.lines().find(|l| l.starts_with("| all ")).unwrap();
     let cells: Vec<&str> = all.split('|').map(str::trim).collect();
     assert_eq!(cells[2], "2");
     let value = |k: usize| cells[k].split(' ').next().unwrap().parse::<f64>().unwrap();
-    assert!(value(3) == 0.0 && value(4) == 0.0 && (9.0..9.2).contains(&value(5)), "{all}");
+    assert!(value(3) == 0.0 && value(4) == 0.0 && (9.0..9.4).contains(&value(5)), "{all}");
     for (text, says) in [
         (description.replace("box.csv", "none.csv"), "none.csv"),
         (description.replace("source", "origin"), "validation.toml"),

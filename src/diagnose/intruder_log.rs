@@ -73,7 +73,7 @@ const MOST: f64 = 1e6;
 pub fn read(path: &Path, experiment: &Experiment) -> Result<IntruderLog> {
     let (mut conditions, mut ids) = (Names::default(), Names::default());
     let mut observations = Observations {
-        size: Size::Channel,
+        size: Size::Force,
         values: Vec::new(),
         channels: CHANNELS.to_vec(),
         units: Vec::new(),
