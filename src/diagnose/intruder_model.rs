@@ -269,38 +269,3 @@ pub fn notes(experiment: &Experiment) -> Vec<String> {
     };
     experiment.bodies.iter().map(said).collect()
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::progress::Silent;
-    use std::path::Path;
-
-    const FOLDER: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/real_wheel");
-
-    /// The rows of the measured wheels that `keep` keeps, diagnosed; and all rows' text.
-    fn diagnosed(keep: impl Fn(&str) -> bool) -> crate::report::Diagnosis {
-        let folder = Path::new(FOLDER);
-        let experiment = Experiment::load(&folder.join("intruder.toml")).unwrap();
-        let text = std::fs::read_to_string(folder.join("intruder.csv")).unwrap();
-        let rows: Vec<&str> = text.lines().filter(|l| !l.starts_with('#')).collect();
-        let kept: Vec<&str> = rows.iter().enumerate().filter(|(k, l)| *k == 0 || keep(l)).map(|r| *r.1).collect();
-        let path = std::env::temp_dir().join(format!("sandgait-intruder-{}.csv", std::process::id()));
-        std::fs::write(&path, kept.join("\n")).unwrap();
-        let diagnosis = crate::diagnose(&path, &experiment, &Silent).unwrap();
-        let _ = std::fs::remove_file(&path);
-        diagnosis
-    }
-
-    #[test]
-    fn the_wheels_lose_their_vertical_resistance_in_skid() {
-        let diagnosis = diagnosed(|_| true);
-        let report = &diagnosis.report;
-        println!("{}", report.summary);
-        println!("{:?} {:?}\n{:?}\n{:?}", report.causes, report.gain, report.lack_of_fit, report.remainder);
-        for c in report.candidates.iter().take(12) {
-            println!("{c:?}");
-        }
-        assert!(report.causes.iter().any(|c| c.id == "skid_loss"));
-    }
-}

@@ -189,10 +189,15 @@ impl<'a> Motion<'a> {
     /// Of the plates that begin below `surface` [m] over the origin.
     fn new(body: &Body, ground: &'a Ground<f64>, trial: &Trial, turns: &Turns, surface: f64, plain: bool) -> Self {
         let mut pieces = Vec::new();
+        if turns.count == 1 {
+            // They lie in this order already.
+            let below = body.plates.iter().take_while(|p| p.center.z - p.rise() < surface);
+            pieces.extend(below.filter_map(|p| Piece::of(ground, p, trial, plain)));
+            return Self { ground, pieces, share: 1.0 };
+        }
         for k in 0..turns.count {
             let turned = |v| turns.turned(k, v);
-            let plates = if turns.count > 1 { body.turning() } else { &body.plates };
-            let plates = plates.iter().map(|p| Plate {
+            let plates = body.turning().iter().map(|p| Plate {
                 center: turned(p.center),
                 normal: turned(p.normal),
                 half: p.half.map(turned),
@@ -201,9 +206,7 @@ impl<'a> Motion<'a> {
             let below = plates.filter(|p| p.center.z - p.rise() < surface);
             pieces.extend(below.filter_map(|p| Piece::of(ground, &p, trial, plain)));
         }
-        if turns.count > 1 {
-            pieces.sort_by(|a, b| (a.height - a.rise).total_cmp(&(b.height - b.rise)));
-        }
+        pieces.sort_by(|a, b| (a.height - a.rise).total_cmp(&(b.height - b.rise)));
         Self { ground, pieces, share: 1.0 / turns.count as f64 }
     }
 
