@@ -123,8 +123,8 @@ pub enum Tripod {
 }
 
 const BUILT_IN: [(&str, &str); 2] = [
-    ("xplorer", include_str!("../../robots/xplorer.toml")),
-    ("xplorer18", include_str!("../../robots/xplorer18.toml")),
+    ("xplorer", include_str!("robots/xplorer.toml")),
+    ("xplorer18", include_str!("robots/xplorer18.toml")),
 ];
 
 impl Robot {
@@ -133,7 +133,7 @@ impl Robot {
 
     /// The leg under the carriage of LegStroke: nothing that walks.
     pub fn stroke_leg() -> Result<Self> {
-        Self::from_toml(include_str!("../../robots/stroke-leg.toml"))
+        Self::from_toml(include_str!("robots/stroke-leg.toml"))
     }
 
     /// What is left of this description for a robot that is a tree of bodies: its name.

@@ -252,7 +252,7 @@ def test_the_diagnosed_sand_goes_into_every_study(diagnosis: sandgait.Diagnosis,
 
 
 def test_a_robot_of_the_clients(tmp_path: Path) -> None:
-    text = (Path(__file__).parents[2] / "robots/xplorer.toml").read_text()
+    text = (Path(__file__).parents[2] / "src/sim/robots/xplorer.toml").read_text()
     path = tmp_path / "mine.toml"
     path.write_text(text.replace("mass = 0.138", "mass = 0.2"))
     speed = sandgait.walk(2, robot=str(path)).speed[0]
