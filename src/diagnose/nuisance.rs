@@ -39,8 +39,9 @@ impl Nuisance {
 
 /// Kinds of nuisances with unit and default prior standard deviation. Our choices, as wide as in a laboratory that was set up
 /// with care: a load cell's zero within a tenth of what it reads, its gain within 2 %, mounted within 3°; the surface within
-/// 2 mm; clocks within 2 ms and 0.1 %; filters up to some 5 ms.
-const KINDS: [(&str, &str, f64); 7] = [
+/// 2 mm; clocks within 2 ms and 0.1 %; filters up to some 5 ms; half the length of a body within 1 mm, the friction of its surface
+/// within 0.15.
+const KINDS: [(&str, &str, f64); 9] = [
     ("offset", "1", 0.1),
     ("gain", "1", 0.02),
     ("tilt", "rad", 0.05),
@@ -48,6 +49,8 @@ const KINDS: [(&str, &str, f64); 7] = [
     ("delay", "s", 2e-3),
     ("lowpass", "s", 5e-3),
     ("clock", "1", 1e-3),
+    ("geometry", "m", 1e-3),
+    ("surface_friction", "1", 0.15),
 ];
 
 /// The table `[nuisances]` of an experiment: kind → prior standard deviation; 0 for what cannot be.

@@ -122,10 +122,8 @@ pub enum Tripod {
     B,
 }
 
-const BUILT_IN: [(&str, &str); 2] = [
-    ("xplorer", include_str!("robots/xplorer.toml")),
-    ("xplorer18", include_str!("robots/xplorer18.toml")),
-];
+const BUILT_IN: [(&str, &str); 2] =
+    [("xplorer", include_str!("robots/xplorer.toml")), ("xplorer18", include_str!("robots/xplorer18.toml"))];
 
 impl Robot {
     /// The reference robot.
