@@ -259,7 +259,7 @@ fn coarse_plates_feel_what_fine_ones_feel() {
                 let depth = height * (0.4 + 0.8 * unit().x.abs());
                 write_stl(&path, &faces, &turn);
                 let body = Body::cut(&BodyShape::Mesh(path.clone()), Some(height / 40.0)).unwrap();
-                let low = body.heights(|v| v)[0];
+                let low = body.heights()[0];
                 let trial = Trial { velocity: velocity.into(), spin: [0.0; 3], given: Given::Depth(depth) };
                 let fine = V::from(compute(&body, &sand, &trial).force);
                 let place = Translation3::new(0.0, 0.0, -low - depth);
