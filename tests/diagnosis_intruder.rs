@@ -54,8 +54,11 @@ fn wheels_lose_vertical_resistance_in_skid_and_other_angles_gain_by_it() {
     let diagnosis = diagnosed(|row| !row.contains("_30deg"));
     let report = &diagnosis.report;
     println!("{}\n{:?}\n{:?}\n{:?}", report.summary, report.causes, report.gain, report.lack_of_fit);
-    assert_eq!(report.verdict, Verdict::Named, "{}", report.summary);
-    assert!(report.causes.iter().any(|c| c.id == "skid_loss"), "{:?}", report.causes);
+    // Beside it these data do not tell what else there is, so a set of pairs may stand there: skid is in every one.
+    assert!(matches!(report.verdict, Verdict::Named | Verdict::Ambiguous), "{}", report.summary);
+    assert_eq!(report.causes[0].id, "skid_loss", "{:?}", report.causes);
+    assert!(report.ambiguity_set.iter().all(|ids| ids.iter().any(|id| id == "skid_loss")), "{}", report.summary);
+    assert!(report.gain.reduction.unwrap() > 0.5, "{:?}", report.gain);
     assert_eq!(diagnosis.sand.law, Law::Agarwal2023);
     let held_out: Vec<String> = rows().1.into_iter().filter(|r| r.contains("_30deg")).collect();
     let medium = Medium { bulk_density: 1330.0, ..Medium::generic(0.829).unwrap() };
