@@ -13,7 +13,7 @@ use std::path::PathBuf;
 ///
 /// With --body a body moves steadily, one motion a row of --trials: vx, vy, vz [m/s], wx, wy, wz [rad/s] (x heading, y axle, z
 /// up; absent: 0) and depth [m] of its lowest point, or load [N] that it carries. Writes the rows with Fx, Fy, Fz, Tx, Ty, Tz,
-/// depth and status: ok or no_equilibrium. Bodies that are not round have means over a turn.
+/// depth and status: ok, or no_equilibrium where the load buries the body. Bodies that are not round have means over a turn.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait intrude --shape L --csv L.csv

@@ -138,7 +138,7 @@ def test_trials_are_the_command(tmp_path: Path) -> None:
             assert np.array_equal(np.isnan(ours[name]), np.isnan(expected))
             assert np.nanmax(np.abs(ours[name] - expected)) <= 0.6 * 10.0**-digits, name
         assert ours.status.tolist() == theirs["status"].tolist() == ["ok", under_load, "ok", "no_equilibrium"]
-        assert abs(ours.force[1, 2] - 20.0) < 1e-3
+        assert under_load != "ok" or abs(ours.force[1, 2] - 20.0) < 1e-3
         assert ours.depth[0] == 0.01
         assert ours.units["Tx"] == "N·m"
         same = sandgait.intrude(body=body, rows=frame, **options)
