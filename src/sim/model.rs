@@ -248,7 +248,8 @@ impl Model {
             return Err(Error::invalid("hard", reason));
         }
         scene.hard.iter().try_for_each(HardGround::validate)?;
-        let tree = tree.with_payload(scene.payload).with_weak_motors(scene.mechanisms.motor_torque_limit);
+        let tree =
+            tree.with_payload(scene.payload).with_weak_motors(scene.mechanisms.motor_torque_limit).for_law(scene.law);
         let base = &tree.tree.bodies[0];
         let robot = Robot::bare(&tree.tree.name, base.mass);
         Ok(Self {

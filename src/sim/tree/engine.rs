@@ -3,7 +3,6 @@
 use super::dynamics::{JointMotion, LaneBody, Motion};
 use super::floor::{BodyContacts, Floor};
 use super::model::TreeModel;
-use super::sand::BodyPlates;
 use super::servo::{LaneMotor, LaneServo};
 use super::step::{LaneState, LaneTree, Scratch, step};
 use crate::error::{Error, Result};
@@ -117,7 +116,7 @@ impl<R: Real> Lanes<R> {
         let lanes = LaneTree {
             bodies: LaneBody::all(&tree.tree),
             motors: LaneMotor::all(tree),
-            plates: if model.has_sand() { BodyPlates::all(tree) } else { Vec::new() },
+            patches: if model.has_sand() { tree.patches.clone() } else { Arc::default() },
             contacts: if model.scene.hard.is_empty() { Vec::new() } else { BodyContacts::all(tree) },
             ground: model.scene.ground(),
             floor: Floor::new(tree, &model.scene.hard),

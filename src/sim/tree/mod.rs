@@ -9,7 +9,7 @@
 //! * [`servo`]: motors, bearings and stops; [`sand`]: sand on plates; [`floor`]: hard ground under points.
 //! * [`contact`]: the points; [`terrain`]: the ground's surface near a point.
 //! * [`stance`]: the standing pose and the feet; [`packed`]: a robot as one text.
-//! * [`plates`]: collision shapes as the plates that push on sand; [`robot`]: our own robots as trees.
+//! * [`plates`]: collision shapes as the plates that push on sand, [`patches`]: those that look alike; [`robot`]: our own robots as trees.
 
 pub mod contact;
 pub mod dynamics;
@@ -19,6 +19,7 @@ pub mod floor;
 pub mod hard;
 pub mod model;
 pub mod packed;
+pub mod patches;
 pub mod plates;
 mod robot;
 mod sand;

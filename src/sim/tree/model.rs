@@ -2,10 +2,11 @@
 
 use super::Tree;
 use super::contact::{ContactPoint, contact_points};
+use super::patches::BodyPatches;
 use super::stance::{Stance, frames, lowest};
 use crate::error::{Error, Result, check_range};
-use crate::sand::GRAVITY;
 use crate::sand::intruder::Plate;
+use crate::sand::{GRAVITY, Law};
 use std::sync::Arc;
 
 /// A joint's motor and servo.
@@ -40,6 +41,8 @@ pub struct TreeModel {
     pub motors: Vec<TreeMotor>,
     /// What touches sand, in the frame of each body.
     pub plates: Arc<Vec<Vec<Plate>>>,
+    /// The same plates as engines take them; none before [`TreeModel::for_law`].
+    pub patches: Arc<Vec<BodyPatches>>,
     /// What touches hard ground, in the frame of each body.
     pub contacts: Arc<Vec<Vec<ContactPoint>>>,
     pub compliance: Compliance,
@@ -78,7 +81,14 @@ impl TreeModel {
         check(&tree)?;
         let (motors, compliance) = (motors(&tree), Compliance::of_mass(tree.mass()));
         let stance = Arc::new(Stance::of(&tree, &contacts));
-        Ok(Self { tree, motors, plates: Arc::new(plates), contacts: Arc::new(contacts), compliance, stance })
+        let (patches, contacts) = (Arc::default(), Arc::new(contacts));
+        Ok(Self { tree, motors, plates: Arc::new(plates), patches, contacts, compliance, stance })
+    }
+
+    /// Made ready for `law`.
+    pub fn for_law(mut self, law: Law) -> Self {
+        self.patches = Arc::new(BodyPatches::all(&self.plates, law));
+        self
     }
 
     /// With `payload` [kg] at the base's centre of mass.

@@ -2,18 +2,20 @@
 
 use super::dynamics::{self, Frame, Hinge, LaneBody, Load, Motion};
 use super::floor::{BodyContacts, Floor, Surface, Touch};
-use super::sand::{self, BodyPlates};
+use super::patches::BodyPatches;
+use super::sand;
 use super::servo::{Joints, LaneMotor, LaneServo};
 use super::terrain::Flat;
 use crate::number::{Real, Vec3};
 use crate::sand::Ground;
 use crate::sim::spatial::Twist;
+use std::sync::Arc;
 
 /// Everything that stays while a robot moves, one lane each.
 pub struct LaneTree<R> {
     pub bodies: Vec<LaneBody<R>>,
     pub motors: Vec<LaneMotor<R>>,
-    pub plates: Vec<BodyPlates<R>>,
+    pub patches: Arc<Vec<BodyPatches>>,
     pub contacts: Vec<BodyContacts>,
     pub ground: Ground<R>,
     pub floor: Floor<R>,
@@ -78,7 +80,7 @@ fn step_on<R: Real>(
     let place = state.position + Vec3::new(state.travelled[0], state.travelled[1], R::zero());
     dynamics::place(&model.bodies, &state.motion, &mut scratch.frames);
     dynamics::load(&model.bodies, &scratch.frames, model.gravity, &mut scratch.loads);
-    sand::press(&model.ground, &model.plates, &scratch.frames, &place, surface, &mut scratch.loads, dt);
+    sand::press(&model.ground, &model.patches, &scratch.frames, &place, surface, &mut scratch.loads, dt);
     model.floor.find(&model.contacts, &scratch.frames, &place, surface, &mut scratch.touches);
     if scratch.touches.is_empty() {
         solve(model, state, scratch);

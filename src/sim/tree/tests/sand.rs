@@ -6,7 +6,8 @@ use crate::sand::intruder::{Body, BodyShape, Given, Plate, Trial, compute};
 use crate::sand::{Ground, Law, Mechanisms, Medium, SandDescription, Surface};
 use crate::sim::spatial::Twist;
 use crate::sim::tree::dynamics::{Frame, Load};
-use crate::sim::tree::sand::{BodyPlates, press};
+use crate::sim::tree::patches::BodyPatches;
+use crate::sim::tree::sand::press;
 use crate::sim::tree::terrain::Flat;
 use std::io::Write;
 
@@ -58,7 +59,7 @@ fn by_lanes<R: Real>(
     (frame.rotation.x, frame.rotation.y, frame.rotation.z) = (column(0), column(1), column(2));
     frame.velocity = Twist { angular: Vec3::zero(), linear: Vec3::splat(v.into()) };
     let mut loads = [Load::none()];
-    let body = [BodyPlates::of(0, &plates)];
+    let body = [BodyPatches::of(0, &plates, sand.law)];
     press(&ground, &body, &[frame], &Vec3::splat([0.0, 0.0, -depth]), &Flat, &mut loads, R::splat(1e-3));
     let bias = loads[0].bias;
     (-V::from(bias.force.lane(0)), -V::from(bias.moment.lane(0)))
