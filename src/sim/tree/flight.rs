@@ -4,8 +4,8 @@ use super::dynamics::{Drive, Frame, Hinge, JointMotion, LaneBody, Load, Motion, 
 use super::terrain::Flat;
 use super::{Tree, sand};
 use crate::number::{Real, Vec3};
-use crate::sim::Model;
-use crate::sim::spatial::Twist;
+use crate::Model;
+use crate::spatial::Twist;
 
 /// Gravity of [`accelerations`] [m/s²]: what the reference programs take.
 pub const GRAVITY: f64 = 9.81;

@@ -1,6 +1,6 @@
 //! Sand on plates that face any way, fixed to the bodies of a tree.
 //!
-//! One-sided plates with the leading-edge rule, and the scheme in time of [`crate::sim::lanes`]: the force is linearly implicit,
+//! One-sided plates with the leading-edge rule, and the scheme in time of [`crate::lanes`]: the force is linearly implicit,
 //! f⁺ = f − C (v⁺ − v), and expects what the last step added where a motion is smooth. The law is asked once a patch
 //! ([`super::patches`]), for what of its plates leads in the sand.
 
@@ -11,7 +11,7 @@ use super::terrain::Local;
 use crate::number::{Mat3, Real, Vec3};
 use crate::sand::law::StressLaw;
 use crate::sand::{Beyond, Form, Ground, Plain, Site};
-use crate::sim::spatial::{Inertia, PointMasses, Twist, Wrench};
+use crate::spatial::{Inertia, PointMasses, Twist, Wrench};
 
 /// What sand does to a body: forces about the base's origin, and its drag as masses.
 struct Total<R> {
@@ -60,7 +60,7 @@ pub fn press<R: Real>(
     }
 }
 
-/// How far a body's next change of velocity at `place` can be expected to be its last one; see [`crate::sim::lanes`].
+/// How far a body's next change of velocity at `place` can be expected to be its last one; see [`crate::lanes`].
 #[inline(always)]
 fn trust<R: Real>(frame: &Frame<R>, place: Vec3<R>) -> R {
     let (speed, change) = (frame.velocity.at(place).norm_squared(), frame.change.at(place).norm_squared());
