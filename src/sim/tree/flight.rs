@@ -3,8 +3,8 @@
 use super::dynamics::{Drive, Frame, Hinge, JointMotion, LaneBody, Load, Motion, Push, fold, load, place, unfold};
 use super::terrain::Flat;
 use super::{Tree, sand};
-use crate::number::{Real, Vec3};
 use crate::Model;
+use crate::number::{Real, Vec3};
 use crate::spatial::Twist;
 
 /// Gravity of [`accelerations`] [m/s²]: what the reference programs take.

@@ -105,10 +105,17 @@ impl TreeModel {
         self
     }
 
-    /// Height of the level base's origin at which the lowest point touches the ground [m], with joints at `angles`.
+    /// Height of the level base's origin at which the lowest point touches flat ground [m], with joints at `angles`.
     pub fn standing_height(&self, angles: &[f64]) -> f64 {
+        self.height_over(angles, |_, _| 0.0)
+    }
+
+    /// The same over ground with a height at each place, as far as the base's origin from 0.
+    pub fn height_over(&self, angles: &[f64], ground: impl Fn(f64, f64) -> f64) -> f64 {
         let frames = frames(&self.tree, &crate::State::at_rest(0.0, angles));
-        let low = frames.iter().zip(self.contacts.iter()).map(|(f, p)| lowest(f, p).z).fold(f64::INFINITY, f64::min);
+        let over = |low: nalgebra::Vector3<f64>| low.z - ground(low.x, low.y);
+        let low =
+            frames.iter().zip(self.contacts.iter()).map(|(f, p)| over(lowest(f, p))).fold(f64::INFINITY, f64::min);
         if low.is_finite() { -low } else { 0.0 }
     }
 

@@ -1,6 +1,6 @@
 //! Collision shapes cut into the plates that push on sand.
 
-use super::{Geometry, TreeShape};
+use super::{Geometry, Tree, TreeShape};
 use crate::error::{Error, Result, check_range};
 use crate::number::Vec3;
 use crate::sand::intruder::{Plate, cut, gathered};
@@ -11,13 +11,15 @@ use std::f64::consts::{PI, TAU};
 /// velocities forces are within 2 % of those of fine plates (`tests/robots.rs`).
 const COUNTS: [f64; 3] = [200.0, 300.0, 500.0];
 /// Size of plates over the radius of what is long and round, at most: our choice, as above.
-const ROUND: [f64; 2] = [0.34, 0.5];
+const ROUND: [f64; 2] = [0.6, 0.5];
 /// How much longer than wide a plate may be where it is flat along its length: our choice.
-const LONG: f64 = 2.0;
+const LONG: f64 = 3.0;
 /// Fewest plates around what is round: our choice, half of what bodies of `sandgait intrude` have.
 const COARSE: usize = 8;
 /// Most plates of a shape: our choice, a hundred times what walks in real time.
 const MOST_PLATES: f64 = 20_000.0;
+/// How much larger than those of other bodies the plates of the base are: our choice.
+const BASE: f64 = 2.0;
 /// Sizes that may be asked for [m].
 const SIZES: std::ops::RangeInclusive<f64> = 1e-4..=1.0;
 
@@ -176,9 +178,25 @@ fn squared(plate: &Plate) -> Vec<Plate> {
     (0..count as usize).map(|i| Plate { center: at(i), half, area: plate.area / count, ..*plate }).collect()
 }
 
+/// Plates of the shapes that touch, by index of body and shape, body by body. Those of the base, which seldom does, are larger
+/// unless their size is given.
+pub fn of_touching(tree: &Tree, touching: &[(usize, usize)], size: Option<f64>) -> Result<Vec<Vec<Plate>>> {
+    let of_body = |b: usize| {
+        let own: Vec<_> = touching.iter().filter(|t| t.0 == b).map(|t| &tree.bodies[b].shapes[t.1]).collect();
+        together(&own, size, if b == 0 { BASE } else { 1.0 })
+    };
+    (0..tree.bodies.len()).map(of_body).collect()
+}
+
 /// Plates of shapes that are fixed to one body, in the body's frame, without those that lie inside of another one.
 pub fn of_shapes(shapes: &[&TreeShape], size: Option<f64>) -> Result<Vec<Plate>> {
-    let cut: Vec<Vec<Plate>> = shapes.iter().map(|s| of_shape(s, size)).collect::<Result<_>>()?;
+    together(shapes, size, 1.0)
+}
+
+/// `larger`: than usual, where their size is not given.
+fn together(shapes: &[&TreeShape], size: Option<f64>, larger: f64) -> Result<Vec<Plate>> {
+    let usual = |s: &TreeShape| size.or_else(|| (larger > 1.0).then(|| larger * s.geometry.default_size()));
+    let cut: Vec<Vec<Plate>> = shapes.iter().map(|s| of_shape(s, usual(s))).collect::<Result<_>>()?;
     let mut all = Vec::new();
     for (i, plates) in cut.iter().enumerate() {
         for plate in plates {

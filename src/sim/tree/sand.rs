@@ -37,7 +37,7 @@ pub fn press<R: Real>(
     for plates in bodies {
         let frame = &frames[plates.body];
         let center = *place + frame.point(Vec3::splat(plates.ball.center));
-        let under = surface.under(center);
+        let under = under_body(plates, frame, place, surface);
         if !R::any(R::zero().lt(under.depth(center) + R::splat(plates.ball.reach))) {
             continue;
         }
@@ -58,6 +58,28 @@ pub fn press<R: Real>(
         load.inertia.add(&drag);
         load.bias = bias;
     }
+}
+
+/// The surface under a body: where it is not flat its tangent plane under the body's lowest corner, which is in the sand first.
+#[inline(always)]
+fn under_body<R: Real, S: Surface<R>>(
+    plates: &BodyPatches,
+    frame: &Frame<R>,
+    place: &Vec3<R>,
+    surface: &S,
+) -> Local<R> {
+    if S::FLAT {
+        return surface.under(*place);
+    }
+    let corner = |c: &[f64; 3]| frame.point(Vec3::splat(*c));
+    let mut low = corner(&plates.corners[0]);
+    for c in &plates.corners[1..] {
+        let other = corner(c);
+        let lower = other.z.lt(low.z);
+        let least = |a, b| R::select(lower, a, b);
+        low = Vec3::new(least(other.x, low.x), least(other.y, low.y), least(other.z, low.z));
+    }
+    surface.under(*place + low)
 }
 
 /// How far a body's next change of velocity at `place` can be expected to be its last one; see [`crate::lanes`].

@@ -3,6 +3,7 @@
 use super::dynamics::{self, Frame, Hinge, LaneBody, Load, Motion};
 use super::floor::{BodyContacts, Floor, Surface, Touch};
 use super::patches::BodyPatches;
+use super::relief::LaneRelief;
 use super::sand;
 use super::servo::{Joints, LaneMotor, LaneServo};
 use super::terrain::Flat;
@@ -19,6 +20,8 @@ pub struct LaneTree<R> {
     pub contacts: Vec<BodyContacts>,
     pub ground: Ground<R>,
     pub floor: Floor<R>,
+    /// None: it is flat.
+    pub relief: Option<LaneRelief>,
     pub gravity: Vec3<R>,
     /// The same in all lanes [s].
     pub dt: R,
@@ -66,7 +69,10 @@ impl<R: Real> Scratch<R> {
 /// Advances all lanes by one time step.
 #[inline(always)]
 pub fn step<R: Real>(model: &LaneTree<R>, state: &mut LaneState<R>, scratch: &mut Scratch<R>) {
-    step_on(model, &Flat, state, scratch);
+    match &model.relief {
+        None => step_on(model, &Flat, state, scratch),
+        Some(relief) => step_on(model, relief, state, scratch),
+    }
 }
 
 #[inline(always)]

@@ -32,6 +32,8 @@ impl<R: Real> Local<R> {
 pub struct Flat;
 
 impl<R: Real> Surface<R> for Flat {
+    const FLAT: bool = true;
+
     #[inline(always)]
     fn under(&self, _point: Vec3<R>) -> Local<R> {
         Local { point: Vec3::zero(), normal: Vec3::splat([0.0, 0.0, 1.0]) }
