@@ -109,7 +109,8 @@ impl Relief {
     #[inline]
     pub fn at(&self, x: f64, y: f64) -> (f64, [f64; 2]) {
         let along = |x: f64, count: usize| {
-            let u = x / self.spacing;
+            // As far as nodes can be counted.
+            let u = (x / self.spacing).clamp(-1e15, 1e15);
             let node = u.round();
             let t = u - node;
             let [low, high] = [0.5 - t, 0.5 + t];

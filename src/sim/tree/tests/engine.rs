@@ -4,10 +4,10 @@ use super::*;
 use crate::engine::Command;
 use crate::model::Scene;
 use crate::number::{Isa, Vec3};
-use std::sync::Arc;
 use crate::sand::Medium;
 use crate::sand::intruder::{Body, BodyShape, Plate};
 use crate::{Model, State};
+use std::sync::Arc;
 
 fn scene(dt: f64) -> Scene {
     Scene { dt, ..Scene::flat(Medium::named("poppy-loose").unwrap()) }
