@@ -1,7 +1,7 @@
 //! A tree in free flight: its accelerations; and what sand does to it in a given motion; in `f64`.
 
 use super::dynamics::{Drive, Frame, Hinge, JointMotion, LaneBody, Load, Motion, Push, fold, load, place, unfold};
-use super::terrain::Flat;
+use super::relief::LaneRelief;
 use super::{Tree, sand};
 use crate::Model;
 use crate::number::{Real, Vec3};
@@ -67,7 +67,8 @@ pub fn sand_loads(model: &Model, position: [f64; 3], pose: &Pose) -> Vec<[[f64; 
     let (mut frames, mut loads) = (vec![Frame::at_rest(); count], vec![Load::none(); count]);
     place(&bodies, &pose.motion(), &mut frames);
     let ground = model.scene.ground();
-    sand::press(&ground, &tree.patches, &frames, &Vec3::splat(position), &Flat, &mut loads, model.scene.dt);
+    let relief = model.scene.relief.as_ref().map(|r| LaneRelief(vec![r.clone()]));
+    sand::press(&ground, &tree.patches, &frames, &Vec3::splat(position), &relief, &mut loads, model.scene.dt);
     let of_body = |(frame, load): (&Frame<f64>, &Load<f64>)| {
         let (force, moment) = (-load.bias.force, -load.bias.moment);
         [force, moment - frame.origin.cross(force)].map(|v| v.lane(0))

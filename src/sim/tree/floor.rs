@@ -121,7 +121,7 @@ impl<R: Real> Floor<R> {
             let under = local.under(*place + center);
             // Nothing stands out of the ground by more than the least depth of its pieces.
             // Where the surface bends it may rise by more than its slope here says.
-            let reach = if Self::level(local) { 1.0 } else { BENT } * contacts.reach;
+            let reach = if local.is_flat() { 1.0 } else { BENT } * contacts.reach;
             let depth = under.depth(*place + center) + R::splat(reach);
             let near = |p: &Piece<R>| R::any(p.depth.lt(depth));
             if !self.pieces.iter().any(near) {
@@ -131,10 +131,6 @@ impl<R: Real> Floor<R> {
                 self.point(point, contacts.body, frame, place, local, touches);
             }
         }
-    }
-
-    fn level<S: Surface<R>>(_: &S) -> bool {
-        S::FLAT
     }
 
     #[inline(always)]
@@ -236,8 +232,8 @@ impl<R: Real> Floor<R> {
 
 /// Where the ground's surface is.
 pub trait Surface<R> {
-    /// Is it a plane?
-    const FLAT: bool;
+    /// Is it level everywhere?
+    fn is_flat(&self) -> bool;
 
     /// Under or over a point of the world.
     fn under(&self, point: Vec3<R>) -> Local<R>;

@@ -142,9 +142,14 @@ impl TreeShape {
 
 /// Plates of one shape in the shape's frame, of about `size` [m]; none: as large as forces within 2 % allow.
 pub fn of_shape(shape: &TreeShape, size: Option<f64>) -> Result<Vec<Plate>> {
-    let size = match size {
+    one_shape(shape, size, 1.0)
+}
+
+/// `larger`: than usual, where their size is not given.
+fn one_shape(shape: &TreeShape, given: Option<f64>, larger: f64) -> Result<Vec<Plate>> {
+    let size = match given {
         Some(size) => check_range("plate-size", size, SIZES)?.min(shape.geometry.longest()),
-        None => shape.geometry.default_size(),
+        None => larger * shape.geometry.default_size(),
     };
     let least = (shape.geometry.area() / MOST_PLATES).sqrt();
     let too_many = || {
@@ -161,7 +166,9 @@ pub fn of_shape(shape: &TreeShape, size: Option<f64>) -> Result<Vec<Plate>> {
         _ => v,
     };
     let one = |p: Plate| Plate { center: turned(p.center), normal: turned(p.normal), half: p.half.map(turned), ..p };
-    Ok(plates.into_iter().map(one).flat_map(|p| squared(&p)).collect())
+    let plates = plates.into_iter().map(one);
+    // Whoever gives a size has the plates of `sandgait intrude`.
+    Ok(if given.is_some() { plates.collect() } else { plates.flat_map(|p| squared(&p)).collect() })
 }
 
 /// A plate that is much longer than wide, and flat along its length, as several.
@@ -195,8 +202,7 @@ pub fn of_shapes(shapes: &[&TreeShape], size: Option<f64>) -> Result<Vec<Plate>>
 
 /// `larger`: than usual, where their size is not given.
 fn together(shapes: &[&TreeShape], size: Option<f64>, larger: f64) -> Result<Vec<Plate>> {
-    let usual = |s: &TreeShape| size.or_else(|| (larger > 1.0).then(|| larger * s.geometry.default_size()));
-    let cut: Vec<Vec<Plate>> = shapes.iter().map(|s| of_shape(s, usual(s))).collect::<Result<_>>()?;
+    let cut: Vec<Vec<Plate>> = shapes.iter().map(|s| one_shape(s, size, larger)).collect::<Result<_>>()?;
     let mut all = Vec::new();
     for (i, plates) in cut.iter().enumerate() {
         for plate in plates {

@@ -1,7 +1,7 @@
 //! Ground that is not flat: a field of heights, smooth between its nodes.
 
 use super::floor::Surface;
-use super::terrain::Local;
+use super::terrain::{Flat, Local};
 use crate::error::{Error, Result, check_range};
 use crate::number::{Real, Vec3};
 use std::f64::consts::TAU;
@@ -156,11 +156,25 @@ impl Draw {
 /// A relief in each lane.
 pub struct LaneRelief(pub Vec<Arc<Relief>>);
 
-impl<R: Real> Surface<R> for LaneRelief {
-    const FLAT: bool = false;
+/// None: level ground. One type for both, so that the step is compiled once.
+impl<R: Real> Surface<R> for Option<LaneRelief> {
+    #[inline(always)]
+    fn is_flat(&self) -> bool {
+        self.is_none()
+    }
 
     #[inline(always)]
     fn under(&self, p: Vec3<R>) -> Local<R> {
+        match self {
+            None => Flat.under(p),
+            Some(reliefs) => reliefs.under(p),
+        }
+    }
+}
+
+impl LaneRelief {
+    #[inline(never)]
+    fn under<R: Real>(&self, p: Vec3<R>) -> Local<R> {
         let mut local = Local { point: p, normal: Vec3::zero() };
         for (lane, relief) in self.0.iter().enumerate() {
             let [x, y, _] = p.lane(lane);

@@ -62,13 +62,8 @@ pub fn press<R: Real>(
 
 /// The surface under a body: where it is not flat its tangent plane under the body's lowest corner, which is in the sand first.
 #[inline(always)]
-fn under_body<R: Real, S: Surface<R>>(
-    plates: &BodyPatches,
-    frame: &Frame<R>,
-    place: &Vec3<R>,
-    surface: &S,
-) -> Local<R> {
-    if S::FLAT {
+fn under_body<R: Real>(plates: &BodyPatches, frame: &Frame<R>, place: &Vec3<R>, surface: &impl Surface<R>) -> Local<R> {
+    if surface.is_flat() {
         return surface.under(*place);
     }
     let corner = |c: &[f64; 3]| frame.point(Vec3::splat(*c));

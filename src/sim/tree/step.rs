@@ -1,12 +1,11 @@
 //! One time step of a tree robot: where everything is → sand → hard ground → joints → accelerations → move.
 
 use super::dynamics::{self, Frame, Hinge, LaneBody, Load, Motion};
-use super::floor::{BodyContacts, Floor, Surface, Touch};
+use super::floor::{BodyContacts, Floor, Touch};
 use super::patches::BodyPatches;
 use super::relief::LaneRelief;
 use super::sand;
 use super::servo::{Joints, LaneMotor, LaneServo};
-use super::terrain::Flat;
 use crate::number::{Real, Vec3};
 use crate::sand::Ground;
 use crate::spatial::Twist;
@@ -69,19 +68,7 @@ impl<R: Real> Scratch<R> {
 /// Advances all lanes by one time step.
 #[inline(always)]
 pub fn step<R: Real>(model: &LaneTree<R>, state: &mut LaneState<R>, scratch: &mut Scratch<R>) {
-    match &model.relief {
-        None => step_on(model, &Flat, state, scratch),
-        Some(relief) => step_on(model, relief, state, scratch),
-    }
-}
-
-#[inline(always)]
-fn step_on<R: Real>(
-    model: &LaneTree<R>,
-    surface: &impl Surface<R>,
-    state: &mut LaneState<R>,
-    scratch: &mut Scratch<R>,
-) {
+    let surface = &model.relief;
     let dt = model.dt;
     let place = state.position + Vec3::new(state.travelled[0], state.travelled[1], R::zero());
     dynamics::place(&model.bodies, &state.motion, &mut scratch.frames);

@@ -32,7 +32,10 @@ impl<R: Real> Local<R> {
 pub struct Flat;
 
 impl<R: Real> Surface<R> for Flat {
-    const FLAT: bool = true;
+    #[inline(always)]
+    fn is_flat(&self) -> bool {
+        true
+    }
 
     #[inline(always)]
     fn under(&self, _point: Vec3<R>) -> Local<R> {
