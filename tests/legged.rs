@@ -3,7 +3,7 @@
 use sandgait::env::registry::Blueprint;
 use sandgait::env::shard::Shard;
 use sandgait::robots;
-use sandgait::sim::tree::{packed, plates::of_shapes};
+use sandgait::sim::tree::{packed, plates::of_touching};
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -29,11 +29,7 @@ fn sandcat(file: &str) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots").join(file);
     let import = robots::load(&path).unwrap();
     let touching = import.touching(None).unwrap();
-    let of_body = |b: usize| {
-        let shapes: Vec<_> = touching.iter().filter(|t| t.0 == b).map(|t| &import.tree.bodies[b].shapes[t.1]).collect();
-        of_shapes(&shapes, Some(0.02)).unwrap()
-    };
-    let plates: Vec<_> = (0..import.tree.bodies.len()).map(of_body).collect();
+    let plates = of_touching(&import.tree, &touching, Some(0.02)).unwrap();
     packed::pack(&import.tree, &plates).unwrap()
 }
 
@@ -143,4 +139,50 @@ fn broken_robots_and_options_are_refused_in_one_line() {
 fn a_tree_is_no_engine_for_hexapods() {
     let error = Blueprint::new("sandgait/HexapodGait-v1", json!({"engine": "tree"})).err().unwrap().to_string();
     assert!(error.contains("engine"), "{error}");
+}
+
+/// On dunes episodes begin at different places, robots stand on the slope there, and observed heights are those of the ground.
+#[test]
+fn robots_stand_on_dunes() {
+    let options = json!({"ground": "dunes", "measure_heights": true, "domain_rand": null});
+    let blueprint = blueprint(options.clone());
+    let relief = blueprint.setup.model.scene.relief.clone().unwrap();
+    let columns = blueprint.task.spec().observation.len();
+    assert_eq!(blueprint.task.spec().observation[columns - 187].name, "measured_heights -0.8 -0.5");
+    let mut shard = shard(options, 4);
+    let (first, second) = (shard.state(0).position, shard.state(1).position);
+    assert!((first[0] - second[0]).hypot(first[1] - second[1]) > 0.1, "{first:?} {second:?}");
+    let actions = vec![0.0; 4 * shard.actions()];
+    for _ in 0..150 {
+        shard.step(&actions);
+        assert!(shard.rows.ended.is_empty());
+    }
+    for k in 0..4 {
+        let state = shard.state(k);
+        let [x, y, z] = state.position;
+        let over = z - relief.at(x, y).0;
+        assert!((0.05..0.4).contains(&over), "{state:?}");
+        assert!(state.velocity.iter().all(|v| v.abs() < 5e-3), "{state:?}");
+        // The 94th of 187 points is under the base.
+        let seen = f64::from(shard.rows.observations[(k + 1) * columns - 94]);
+        assert!((seen - (over - 0.5)).abs() < 1e-4, "{seen} {over}");
+    }
+}
+
+/// Each mistake is one line that names what is wrong.
+#[test]
+fn bad_reliefs_are_refused() {
+    let steps: Vec<Vec<f64>> = (0..6).map(|k| vec![f64::from(k / 3); 6]).collect();
+    for (options, said) in [
+        (json!({"ground": "poppy-loose", "relief": {"heights": steps}}), "loose sand rests at 35"),
+        (json!({"relief": {"slope_deg": 40}}), "slope_deg"),
+        (json!({"relief": {"heights": [[0.0]]}}), "relief.heights"),
+        (json!({"relief": {"height": 1}}), "height"),
+        (json!({"ground": "dunes", "slope_deg": 5}), "own slopes"),
+    ] {
+        let error = Blueprint::new(ID, options.clone()).map(drop).unwrap_err().to_string();
+        assert!(error.contains(said) && !error.contains('\n'), "{options}: {error}");
+    }
+    // Hard ground may have steps.
+    blueprint(json!({"ground": "rigid", "relief": {"heights": steps}}));
 }

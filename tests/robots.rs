@@ -1,13 +1,16 @@
 //! Robots from files: their dynamics against other programs, their shapes against what they stand for.
 
-use nalgebra::{Isometry3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, Unit, UnitQuaternion, Vector3};
 use rand::{Rng as _, SeedableRng as _};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::number::Vec3;
 use sandgait::robots::{self, Import, states};
-use sandgait::sand::intruder::{Body, BodyShape, Given, Plate, Trial, area, compute, volume};
-use sandgait::sand::{Ground, Law, SandDescription, Site, Surface};
-use sandgait::sim::tree::{Geometry, TreeShape, plates};
+use sandgait::sand::intruder::{Plate, area, volume};
+use sandgait::sand::{Ground, Law, Medium, SandDescription, Site, Surface};
+use sandgait::sim::Model;
+use sandgait::sim::model::Scene;
+use sandgait::sim::tree::flight::{Pose, sand_loads};
+use sandgait::sim::tree::{Geometry, Tree, TreeBody, TreeModel, TreeShape, plates};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -200,22 +203,23 @@ fn hidden_plates_are_left_out() {
     assert!((all(&[ball(0.0), outer.clone()]) / outer.geometry.area() - 1.0).abs() < 0.01);
 }
 
-/// Force of the sand on plates as the engine of trees adds it up: those that lead, with the part below the surface, at its depth.
-fn force(ground: &Ground<f64>, plates: &[Plate], velocity: V) -> V {
-    let mut sum = V::zeros();
-    for plate in plates {
-        let rise = plate.half[0].z.abs() + plate.half[1].z.abs();
-        let depth = -plate.center.z;
-        if depth + rise <= 0.0 {
-            continue;
-        }
-        let wet = (depth + rise) / 2.0;
-        let (depth, share) = if depth < rise { (wet, wet / rise) } else { (depth, 1.0) };
-        let site = Site::fresh(depth, 0.0);
-        let v = Vec3::splat(velocity.into());
-        sum += V::from(ground.one_sided(&site, plate.area * share, plate.normal, v).force.lane(0));
-    }
-    sum
+/// A body of one shape in sand, for the engine of trees.
+fn alone(geometry: &Geometry, law: &str) -> Model {
+    let body = TreeBody {
+        name: "foot".into(),
+        parent: 0,
+        origin: Isometry3::identity(),
+        joint: None,
+        mass: 1.0,
+        center: V::zeros(),
+        inertia: Matrix3::identity(),
+        shapes: vec![shape(geometry.clone(), Isometry3::identity())],
+    };
+    let plates = plates::of_shapes(&[&body.shapes[0]], None).unwrap();
+    let tree = TreeModel::new(Tree { name: "foot".into(), bodies: vec![body] }, vec![plates]).unwrap();
+    let medium = Medium::named("poppy-loose").unwrap();
+    let scene = Scene { law: Law::named(law).unwrap(), surface: Surface::SOLID, ..Scene::flat(medium) };
+    Model::of_tree(tree, &scene).unwrap()
 }
 
 fn write_stl(path: &Path, faces: &[[V; 3]], turn: &Rotation3<f64>) {
@@ -231,50 +235,70 @@ fn write_stl(path: &Path, faces: &[[V; 3]], turn: &Rotation3<f64>) {
     std::fs::write(path, bytes).unwrap();
 }
 
-/// Feet of any shape at random poses, depths and velocities: coarse plates against `sandgait intrude` with fine ones.
+/// Feet of any shape at random poses, depths, velocities and spins: the engine's force and moment with the default plates
+/// against the law summed over 20,000 points of the surface, hard edges and all. Not the seed that defaults were chosen on.
 #[test]
-fn coarse_plates_feel_what_fine_ones_feel() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("foot.stl");
-    let mut chance = Xoshiro256PlusPlus::seed_from_u64(16);
+fn default_plates_feel_what_fine_ones_feel() {
+    let mut chance = Xoshiro256PlusPlus::seed_from_u64(7_011);
     let (mut lines, mut wrong) = (Vec::new(), false);
     for law in ["li2013", "agarwal2023"] {
         let sand = SandDescription::named("poppy-loose", law).unwrap();
-        let medium = sand.medium();
-        // As sharp a leading edge as the fine plates have: how engines blunt it is theirs.
-        let ground = Ground::new(Law::named(law).unwrap(), &medium, &Surface::BARE).with(&sand.mechanisms, &medium);
         for (name, geometry) in shapes() {
-            let faces = match &geometry {
-                Geometry::Sphere { radius } => ellipsoid(V::repeat(*radius), 120),
-                Geometry::Box { half } => box_faces(*half),
-                Geometry::Mesh(faces) => faces.to_vec(),
-                _ => continue,
-            };
-            let (mut errors, mut count) = (Vec::new(), 0);
-            for _ in 0..25 {
+            // What is flat begins to lead all at once: bluntly, as engines have it. What is round has a sharp edge.
+            let flat = !matches!(name, "sphere" | "capsule" | "mesh of a boot");
+            let surface = if flat { Surface::SOLID } else { Surface::BARE };
+            let ground: Ground<f64> = Ground::new(sand.law, &sand.medium(), &surface);
+            let model = alone(&geometry, law);
+            let fine = plates::of_shapes(
+                &[&shape(geometry.clone(), Isometry3::identity())],
+                Some((geometry.area() / 2e4).sqrt()),
+            )
+            .unwrap();
+            let mut errors = Vec::new();
+            for _ in 0..40 {
                 let mut unit = || V::from_fn(|_, _| chance.random::<f64>() - 0.5).normalize();
-                let turn = Rotation3::from_axis_angle(&nalgebra::Unit::new_normalize(unit()), 3.0 * unit().x);
-                let velocity = unit() * 0.3;
-                let height = geometry.radius();
-                let depth = height * (0.4 + 0.8 * unit().x.abs());
-                write_stl(&path, &faces, &turn);
-                let body = Body::cut(&BodyShape::Mesh(path.clone()), Some(height / 40.0)).unwrap();
-                let low = body.heights()[0];
-                let trial = Trial { velocity: velocity.into(), spin: [0.0; 3], given: Given::Depth(depth) };
-                let fine = V::from(compute(&body, &sand, &trial).force);
-                let place = Translation3::new(0.0, 0.0, -low - depth);
-                let origin = Isometry3::from_parts(place, UnitQuaternion::from_rotation_matrix(&turn));
-                let cut = plates::of_shapes(&[&shape(geometry.clone(), origin)], None).unwrap();
-                count = cut.len();
-                errors.push(((force(&ground, &cut, velocity) - fine).norm(), fine.norm()));
+                let turn = UnitQuaternion::from_axis_angle(&Unit::new_normalize(unit()), 3.0 * unit().x);
+                let (velocity, spin, size) = (unit() * 0.3, unit() * unit().x, geometry.radius());
+                let points = || {
+                    fine.iter().map(|p| (turn * V::from(p.center.lane(0)), turn * V::from(p.normal.lane(0)), p.area))
+                };
+                let lowest = points().map(|p| p.0.z).fold(0.0, f64::min);
+                let height = -lowest - size * (0.1 + 0.9 * unit().x.abs());
+                let (mut force, mut moment) = (V::zeros(), V::zeros());
+                for (at, n, area) in points().filter(|p| p.0.z + height < 0.0) {
+                    let v = velocity + spin.cross(&at);
+                    if n.dot(&v) > 0.0 {
+                        let [n, v] = [n, v].map(|v| Vec3::splat(v.into()));
+                        let f = V::from(ground.one_sided(&Site::fresh(-at.z - height, 0.0), area, n, v).force.lane(0));
+                        force += f;
+                        moment += at.cross(&f);
+                    }
+                }
+                let pose = Pose {
+                    quat: [turn.w, turn.i, turn.j, turn.k],
+                    v: velocity.into(),
+                    w: spin.into(),
+                    q: Vec::new(),
+                    qd: Vec::new(),
+                    tau: Vec::new(),
+                };
+                let [f, m] = sand_loads(&model, [0.0, 0.0, height], &pose)[0].map(V::from);
+                errors.push(((f - force).norm(), force.norm(), (m - moment).norm() / size));
             }
             // Where next to nothing of the body leads in the sand, a share of the force says nothing.
             let largest = errors.iter().map(|e| e.1).fold(0.0, f64::max);
-            let large = errors.iter().filter(|e| e.1 > 0.1 * largest);
-            let (worst, of_largest) = large.fold((0f64, 0f64), |(a, b), e| (a.max(e.0 / e.1), b.max(e.0 / largest)));
-            lines
-                .push(format!("{law} {name}: {count} plates, {worst:.4} of the force, {of_largest:.4} of the largest"));
-            wrong |= worst >= 0.02;
+            let large = || errors.iter().filter(|e| e.1 > 0.1 * largest);
+            let worst = large().map(|e| e.0 / e.1).fold(0.0, f64::max);
+            let mean = (large().map(|e| (e.0 / e.1).powi(2)).sum::<f64>() / large().count() as f64).sqrt();
+            let turns = large().map(|e| e.2 / e.1).fold(0.0, f64::max);
+            let tree = model.tree.as_ref().unwrap();
+            let count = [tree.plates[0].len(), tree.patches[0].patches.len(), fine.len()];
+            lines.push(format!(
+                "{law} {name}: {count:?} plates, patches, points; {worst:.4}, rms {mean:.4}, moment {turns:.4}"
+            ));
+            // Long and thin: few plates of it are in the sand where it is hardly in.
+            let thin = matches!(name, "capsule" | "cylinder");
+            wrong |= worst >= if thin { 0.05 } else { 0.02 } || mean >= if thin { 0.02 } else { 0.01 };
         }
     }
     assert!(!wrong, "{lines:#?}");

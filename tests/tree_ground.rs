@@ -5,7 +5,7 @@ use sandgait::robots;
 use sandgait::sand::{Medium, Surface};
 use sandgait::sim::engine::Command;
 use sandgait::sim::model::Scene;
-use sandgait::sim::tree::plates::of_shapes;
+use sandgait::sim::tree::plates::of_touching;
 use sandgait::sim::tree::{HardGround, TreeEngine, TreeModel};
 use sandgait::sim::{Model, State};
 use serde_json::Value;
@@ -16,11 +16,7 @@ fn sandcat(hard: Vec<HardGround>, dt: f64, reference: &Value) -> Model {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/sandcat.xml");
     let import = robots::load(&path).unwrap();
     let touching = import.touching(None).unwrap();
-    let of_body = |b: usize| {
-        let shapes: Vec<_> = touching.iter().filter(|t| t.0 == b).map(|t| &import.tree.bodies[b].shapes[t.1]).collect();
-        of_shapes(&shapes, None).unwrap()
-    };
-    let plates = (0..import.tree.bodies.len()).map(of_body).collect();
+    let plates = of_touching(&import.tree, &touching, None).unwrap();
     let mut tree = TreeModel::new(import.tree, plates).unwrap();
     for motor in &mut tree.motors {
         (motor.kp, motor.kd) = (reference["kp"].as_f64().unwrap(), reference["kd"].as_f64().unwrap());

@@ -34,7 +34,7 @@ pub struct Robot {
     /// Bodies, links or shapes that touch sand; feet, lower links and belly if not given
     #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
     touches: Option<Vec<String>>,
-    /// Size of the plates that touching shapes are cut into [m]; an eighth of a box's longest side, a twelfth of others', if not given
+    /// Size of the plates that touching shapes are cut into [m]; as fine as forces within 2 % need, if not given
     #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
     plate_size: Option<f64>,
     /// Print the robot as one text, as option `robot` of sandgait/LeggedVelocity-v0 takes it; with --json uncompressed
@@ -106,12 +106,7 @@ struct Touching {
 impl Touching {
     fn of(import: &Import, names: Option<&[String]>, plate_size: Option<f64>) -> Result<Self> {
         let shapes = import.touching(names)?;
-        let of_body = |b: usize| {
-            let body = &import.tree.bodies[b];
-            let own: Vec<&TreeShape> = shapes.iter().filter(|t| t.0 == b).map(|t| &body.shapes[t.1]).collect();
-            plates::of_shapes(&own, plate_size)
-        };
-        let plates = (0..import.tree.bodies.len()).map(of_body).collect::<Result<_>>()?;
+        let plates = plates::of_touching(&import.tree, &shapes, plate_size)?;
         Ok(Self { shapes, plates })
     }
 

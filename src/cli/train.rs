@@ -92,6 +92,8 @@ impl Train {
             let (name, value) = entry::pair("--option", option)?;
             options.insert(name, value);
         }
+        let mut options = Value::Object(options);
+        super::robot::read_option(&mut options)?;
         let within = |name: &str, value: u64, most: u64| match value <= most {
             true => Ok(()),
             false => Err(Error::invalid(name, format!("{value} is outside [0, {most}]"))),
@@ -102,7 +104,7 @@ impl Train {
         Ok(Request {
             out: self.out.unwrap_or_else(|| PathBuf::from("runs").join(format!("{name}-fast"))),
             task,
-            options: Value::Object(options),
+            options,
             settings,
             seed: self.seed,
             threads: if self.threads == 0 { parallel::processors() } else { self.threads },

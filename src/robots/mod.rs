@@ -5,9 +5,8 @@
 //!                              └─▶ files (inside of the package only) ─▶ mesh (STL, OBJ, DAE)
 //! ```
 //!
-//! Both formats are read by `roxmltree`, which draws figures already. `urdf-rs` leaves unknown elements out in silence, runs
-//! `rospack` to find meshes and brings twenty crates; `mjcf-rs` opens whatever path a file names and sends what it does not
-//! know to a log.
+//! Both formats are read by `roxmltree`, which draws figures already: so bytes, nodes and depth are bounded before anything is
+//! made of them, every element that is left out is named, and no path outside of the package is opened.
 
 use sandgait_base::error;
 use sandgait_sand as sand;

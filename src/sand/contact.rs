@@ -69,6 +69,15 @@ impl<R: Real> StressLaw<R> for Form<R> {
             Form::Agarwal2023(law) => law.stress(n, motion),
         }
     }
+
+    #[inline(always)]
+    fn mean_stress(&self, n: Vec3<R>, spread: R, motion: &Motion<R>) -> Vec3<R> {
+        match self {
+            Form::Li2013(law) => law.mean_stress(n, spread, motion),
+            Form::PenetrationDrag1d(law) => law.mean_stress(n, spread, motion),
+            Form::Agarwal2023(law) => law.mean_stress(n, spread, motion),
+        }
+    }
 }
 
 /// Sand under one environment (or one per lane), ready for evaluation.
@@ -150,6 +159,12 @@ impl<R: Real> Ground<R> {
         self.beyond.as_ref().map_or(depth, |beyond| beyond.depth(depth))
     }
 
+    /// 1/√(v² + v0²) [s/m].
+    #[inline(always)]
+    pub fn inverse_speed(&self, v: Vec3<R>) -> R {
+        R::one() / (v.norm_squared() + self.rest_speed_squared).sqrt()
+    }
+
     #[inline(always)]
     pub fn motion(&self, v: Vec3<R>) -> Motion<R> {
         let squared = v.norm_squared();
@@ -215,6 +230,30 @@ impl<R: Real> Ground<R> {
         let rising = (-full.dot(n)).max(R::zero()) * motion.inverse_speed * self.inverse_gate;
         let inside = R::select(R::zero().lt(gate), R::select(gate.lt(R::one()), rising, R::zero()), R::zero());
         Contact { force, drag: secant(force, &motion), edge: inside }
+    }
+
+    /// What leads of a curved face: `area` [m²] of it, whose mean normal `mean` is the shorter the more its normals differ, and
+    /// whose force grows by its `growth`-fold with n·v̂. The contact and the unit normal.
+    #[inline(always)]
+    #[allow(clippy::too_many_arguments)] // all of them are in registers
+    pub fn leading_part_by(
+        &self,
+        law: &impl StressLaw<R>,
+        beyond: &impl Beyond<R>,
+        site: &Site<R>,
+        area: R,
+        mean: Vec3<R>,
+        v: Vec3<R>,
+        growth: R,
+    ) -> (Contact<R>, Vec3<R>) {
+        let motion = self.motion(v);
+        let squared = mean.norm_squared();
+        let inverse = R::one() / (squared + R::splat(1e-20)).sqrt();
+        let n = mean * inverse;
+        let spread = (R::one() - squared * inverse).max(R::zero());
+        let force = beyond.force(law.mean_stress(n, spread, &motion), n, v, site, area);
+        let edge = (-force.dot(n)).max(R::zero()) * motion.inverse_speed * growth;
+        (Contact { force, drag: secant(force, &motion), edge }, n)
     }
 }
 

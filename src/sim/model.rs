@@ -4,6 +4,7 @@ use super::obstacle::{self, Obstacle};
 use super::robot::{Link, Robot, Servo, Tripod};
 use super::solid::Solid;
 use super::state::{ObjectState, State};
+use super::tree::relief::Relief;
 use super::tree::{HardGround, TreeModel};
 use crate::error::{Error, Result, check_range};
 use crate::number::Real;
@@ -39,6 +40,9 @@ pub struct Scene {
     /// Hard ground in the sand or in place of it; only engine `tree` takes any.
     #[serde(default)]
     pub hard: Vec<HardGround>,
+    /// Heights of the surface; none: it is flat. Only engine `tree` takes any. Whoever reads a scene adds it.
+    #[serde(skip)]
+    pub relief: Option<Arc<Relief>>,
 }
 
 impl Scene {
@@ -63,6 +67,7 @@ impl Scene {
             payload: 0.0,
             obstacles: Vec::new(),
             hard: Vec::new(),
+            relief: None,
         }
     }
 
@@ -248,7 +253,11 @@ impl Model {
             return Err(Error::invalid("hard", reason));
         }
         scene.hard.iter().try_for_each(HardGround::validate)?;
-        let tree = tree.with_payload(scene.payload).with_weak_motors(scene.mechanisms.motor_torque_limit);
+        if let Some(relief) = scene.relief.as_ref().filter(|_| !scene.hard.iter().any(HardGround::is_everything)) {
+            relief.check_repose()?;
+        }
+        let tree =
+            tree.with_payload(scene.payload).with_weak_motors(scene.mechanisms.motor_torque_limit).for_law(scene.law);
         let base = &tree.tree.bodies[0];
         let robot = Robot::bare(&tree.tree.name, base.mass);
         Ok(Self {
@@ -268,6 +277,11 @@ impl Model {
     /// Is there any sand to touch?
     pub fn has_sand(&self) -> bool {
         !self.scene.hard.iter().any(HardGround::is_everything)
+    }
+
+    /// Height of the ground at a place [m].
+    pub fn surface_height(&self, x: f64, y: f64) -> f64 {
+        self.scene.relief.as_ref().map_or(0.0, |relief| relief.at(x, y).0)
     }
 
     /// Of the whole robot, in the order of [`State::angles`].

@@ -2,11 +2,12 @@
 
 use super::camera::{Camera, clip, radius};
 use super::pose::Pose;
-use super::text;
+use super::{text, tree};
 use crate::error::{Error, Result};
 use crate::sim::frame::{M, V};
 use crate::sim::overlap::obstacle_poses;
 use crate::sim::robot::Tripod;
+use crate::sim::tree::{TreeModel, stance};
 use crate::sim::{Model, State};
 use resvg::tiny_skia::{
     Color, FillRule, GradientStop, LineCap, LinearGradient, Paint, Path, PathBuilder, Pixmap, Point, Rect, Shader,
@@ -64,7 +65,10 @@ pub fn draw(model: &Model, state: &State, footing: &[f64], size: [u32; 2], capti
     let mut canvas = Canvas::new(model, state, size)?;
     canvas.sand();
     let labels = canvas.lines(model, state);
-    let mut faces = robot_faces(model, &pose);
+    let mut faces = match &model.tree {
+        Some(robot) => tree_faces(robot, state),
+        None => robot_faces(model, &pose),
+    };
     faces.extend(obstacle_faces(model, state));
     canvas.shadow(&faces);
     canvas.faces(faces);
@@ -106,6 +110,29 @@ fn robot_faces(model: &Model, pose: &Pose) -> Vec<Face> {
             let axes = M::from_columns(&[piece.along, piece.across, piece.along.cross(&piece.across)]);
             let half = V::new(piece.size[0], piece.size[1], THICKNESS) / 2.0;
             faces.extend(cuboid(origin + turn * piece.center, turn * axes, half, |_, _| color));
+        }
+    }
+    faces
+}
+
+/// A robot from a file by its shapes; where it has meshes, which stay behind when it travels, by the plates they were cut into.
+fn tree_faces(robot: &TreeModel, state: &State) -> Vec<Face> {
+    let mut faces = Vec::new();
+    for (b, frame) in stance::frames(&robot.tree, state).iter().enumerate() {
+        let color = if b == 0 { BASE } else { tree::LINKS[tree::depth(&robot.tree, b) % tree::LINKS.len()] };
+        let shapes = &robot.tree.bodies[b].shapes;
+        let solid = shapes.iter().flat_map(|shape| {
+            let at = frame * shape.origin;
+            tree::triangles(&shape.geometry)
+                .into_iter()
+                .map(move |t| t.map(|p| (at * nalgebra::Point3::from(p)).coords))
+        });
+        let plates = robot.plates[b].iter().filter(|_| shapes.is_empty()).flat_map(|p| tree::quad(p, frame, 0.0));
+        for corners in solid.chain(plates) {
+            let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0]));
+            if let Some(normal) = normal.try_normalize(0.0) {
+                faces.push(Face { corners: corners.to_vec(), normal, color });
+            }
         }
     }
     faces

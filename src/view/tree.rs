@@ -16,7 +16,8 @@ type Rgb = [f64; 3];
 const SKY: [Rgb; 2] = [[226.0, 234.0, 241.0], [247.0, 246.0, 242.0]];
 const SAND: Rgb = [226.0, 209.0, 175.0];
 const BASE: Rgb = [120.0, 128.0, 140.0];
-const LINKS: [Rgb; 4] = [[70.0, 130.0, 180.0], [112.0, 164.0, 112.0], [176.0, 136.0, 84.0], [150.0, 116.0, 160.0]];
+pub(super) const LINKS: [Rgb; 4] =
+    [[70.0, 130.0, 180.0], [112.0, 164.0, 112.0], [176.0, 136.0, 84.0], [150.0, 116.0, 160.0]];
 const PLATES: Rgb = [214.0, 84.0, 40.0];
 const INK: [u8; 3] = [40, 44, 50];
 const LIGHT: [f64; 3] = [0.35, -0.45, 0.82];
@@ -72,7 +73,7 @@ pub fn draw(
 }
 
 /// How many joints are between a body and the base.
-fn depth(tree: &Tree, body: usize) -> usize {
+pub(super) fn depth(tree: &Tree, body: usize) -> usize {
     let (mut at, mut depth) = (body, 0);
     while tree.bodies[at].parent > 0 {
         at = tree.bodies[at].parent;
@@ -101,7 +102,7 @@ fn frames(tree: &Tree) -> Vec<Isometry3<f64>> {
     frames
 }
 
-fn quad(plate: &Plate, frame: &Isometry3<f64>, before: f64) -> [[V; 3]; 2] {
+pub(super) fn quad(plate: &Plate, frame: &Isometry3<f64>, before: f64) -> [[V; 3]; 2] {
     let vector = |v: crate::number::Vec3<f64>| frame.rotation * V::from(v.lane(0));
     let center = frame * nalgebra::Point3::from(V::from(plate.center.lane(0)));
     let middle = center.coords + vector(plate.normal) * before;
@@ -129,7 +130,7 @@ fn turned(profile: &[[f64; 2]]) -> Vec<[V; 3]> {
     faces
 }
 
-fn triangles(geometry: &Geometry) -> Vec<[V; 3]> {
+pub(super) fn triangles(geometry: &Geometry) -> Vec<[V; 3]> {
     let arc = |radius: f64, lift: f64, from: usize, to: usize| {
         let steps = SIDES / 2;
         (from..=to).map(move |k| {

@@ -51,6 +51,9 @@ and a negative sum of rewards is not cut at zero.
 An episode terminates when the base has tilted by more than 60° (`bad_orientation`) or, on `rigid` ground, touches it
 (`base_contact`); it is truncated after `max_episode_steps`, or when its state can no longer be computed (`diverged`).
 
+On ground with heights (`relief`, or ground `dunes`) an episode begins anywhere; `measure_heights` adds legged_gym's
+`measured_heights`, the base's height over 17 × 11 points less 0.5 m, within ± 1 m. A slope's sand is pushed along its own surface.
+
 Speeds beyond about 0.5 m/s of what is in the sand are outside of what resistive force theory was measured for.";
 
 /// The task's keywords before any are given.
@@ -76,6 +79,8 @@ pub struct LeggedVelocity {
     /// Default position of each joint [rad].
     angles: Vec<f64>,
     scale: f64,
+    /// Are heights observed?
+    measures: bool,
 }
 
 impl LeggedVelocity {
@@ -92,6 +97,9 @@ impl LeggedVelocity {
         let (joints, rewards) = (&setup.model.joint_names(), options.rewards.unwrap_or_default());
         let command =
             |name: &str, unit| Column::new(format!("commanded {name}"), unit, -Commands::MOST, Commands::MOST);
+        let measures = options.measure_heights.unwrap_or(false);
+        let height = |[x, y]: [f64; 2]| Column::new(format!("measured_heights {x:.1} {y:.1}"), "m", -1.0, 1.0);
+        let heights = if measures { measured().map(height).collect() } else { Vec::new() };
         let observation = [
             Column::xyz("base_lin_vel", "m/s", SPEED),
             Column::xyz("base_ang_vel", "rad/s", TURN),
@@ -100,6 +108,7 @@ impl LeggedVelocity {
             Column::each(joints, "joint_pos off its default", "rad", JOINT_OFFSET),
             Column::each(joints, "joint_vel", "rad/s", JOINT_SPEED),
             Column::each(joints, "last action", "1", 1.0),
+            heights,
         ];
         let terms = rewards.terms();
         let mut info: Vec<_> = terms.iter().map(|t| Column::free(format!("reward_{}", t.name), "1")).collect();
@@ -116,7 +125,13 @@ impl LeggedVelocity {
             max_episode_steps: options.max_episode_steps,
             control_rate: CONTROL_RATE,
         };
-        Ok(Self { spec, rewards, angles: tree.stance.angles.clone(), scale: options.action_scale.unwrap_or(0.25) })
+        Ok(Self {
+            spec,
+            rewards,
+            angles: tree.stance.angles.clone(),
+            scale: options.action_scale.unwrap_or(0.25),
+            measures,
+        })
     }
 }
 
@@ -158,7 +173,11 @@ impl Task for LeggedVelocity {
         let legged = LeggedEpisode::draw(setup, random);
         // What was drawn lies in ranges that were checked: the session's own model is there for what cannot be.
         let model = legged.model(setup).map_or_else(|_| setup.model.clone(), Arc::new);
-        let mut state = State::at_rest(height(&model, &angles), &angles);
+        // Anywhere on ground that is not flat.
+        let size = model.scene.relief.as_ref().map(|r| r.size());
+        let at = size.map_or([0.0; 2], |size| size.map(|length| random.uniform(0.0, length)));
+        let mut state = State::at_rest(height(&model, &angles, at), &angles);
+        (state.position[0], state.position[1]) = (at[0], at[1]);
         state.references.copy_from_slice(&self.angles);
         let [speed, _, turn] = legged.command(&setup.options);
         (state, Goal { speed, turn, model: Some(model), legged: Some(legged), ..Goal::default() })
@@ -184,6 +203,10 @@ impl Task for LeggedVelocity {
             v.into_iter().chain(w).chain(gravity).chain(command).chain(offsets).chain(state.rates.iter().copied());
         let numbers = numbers.map(|x| x as f32).chain(last_action.iter().copied());
         row.iter_mut().zip(numbers).for_each(|(out, x)| *out = x);
+        if let (true, Some(model)) = (self.measures, &goal.model) {
+            let from = row.len() - measured().count();
+            row[from..].iter_mut().zip(measured_heights(model, state)).for_each(|(out, x)| *out = x as f32);
+        }
     }
 
     fn judge(&self, t: &Transition, info: &mut [f32]) -> bool {
@@ -209,7 +232,7 @@ impl Task for LeggedVelocity {
             legged.now[1],
             legged.now[2],
             feet as f64,
-            t.after.position[2],
+            t.after.position[2] - t.model.surface_height(t.after.position[0], t.after.position[1]),
             t.after.work - t.before.work,
             t.model.total_mass() * GRAVITY,
             legged.friction,
@@ -225,8 +248,28 @@ impl Task for LeggedVelocity {
     }
 }
 
-/// Height of the base's origin at which the lowest point touches the ground [m].
-fn height(model: &Model, angles: &[f64]) -> f64 {
+/// Height of the base's origin over `at` at which the lowest point touches the ground [m].
+fn height(model: &Model, angles: &[f64], at: [f64; 2]) -> f64 {
     let Some(tree) = &model.tree else { return 0.0 };
-    tree.standing_height(angles)
+    tree.height_over(angles, |x, y| model.surface_height(at[0] + x, at[1] + y))
+}
+
+/// Points around the robot whose heights it observes [m]: those of legged_gym (`measured_points_x`, `measured_points_y`),
+/// 0.1 m from each other.
+const MEASURED: [i32; 2] = [8, 5];
+
+fn measured() -> impl Iterator<Item = [f64; 2]> {
+    let [ahead, aside] = MEASURED;
+    (-ahead..=ahead).flat_map(move |i| (-aside..=aside).map(move |j| [0.1 * f64::from(i), 0.1 * f64::from(j)]))
+}
+
+/// Height of the base's origin over each of them less 0.5 m, as legged_gym has it.
+fn measured_heights(model: &Model, state: &State) -> impl Iterator<Item = f64> {
+    let [x, y, z] = state.position;
+    let ahead = state.rotation();
+    let (sin, cos) = ahead[1][0].atan2(ahead[0][0]).sin_cos();
+    measured().map(move |[a, b]| {
+        let ground = model.surface_height(x + cos * a - sin * b, y + sin * a + cos * b);
+        (z - 0.5 - ground).clamp(-1.0, 1.0)
+    })
 }

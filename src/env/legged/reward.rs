@@ -28,7 +28,10 @@ impl Contacts {
     pub fn of(model: &Model, state: &State) -> Self {
         let Some(tree) = &model.tree else { return Self { feet: Vec::new(), base: false, others: 0 } };
         let frames = frames(&tree.tree, state);
-        let touches = |i: usize| lowest(&frames[i], &tree.contacts[i]).z < 0.0;
+        let touches = |i: usize| {
+            let low = lowest(&frames[i], &tree.contacts[i]);
+            low.z < model.surface_height(low.x, low.y)
+        };
         let feet = &tree.stance.feet;
         let others = (1..frames.len()).filter(|i| !feet.contains(i) && touches(*i)).count();
         Self { feet: feet.iter().map(|i| touches(*i)).collect(), base: touches(0), others }

@@ -3,7 +3,7 @@
 use crate::error::{Error, Result};
 
 /// What each keyword means, in the order of [`super::TaskOptions`].
-pub const OPTION_HELP: [(&str, &str); 25] = [
+pub const OPTION_HELP: [(&str, &str); 27] = [
     ("robot", "built-in robot; for LeggedVelocity also a packed file (Python: its path)"),
     ("engine", "engine that integrates the motion"),
     ("law", "resistive force law: li2013, penetration-drag-1d or agarwal2023"),
@@ -33,7 +33,10 @@ pub const OPTION_HELP: [(&str, &str); 25] = [
         "stroke",
         "carriage_speed [m/s], height of the hip over the sand [m], start: angles [hip, knee] in rad, lift: least mean lift [N], lift_weight and exit_weight of the penalties",
     ),
-    ("ground", "rigid, mixed (slabs of hard ground in loose poppy seeds), or the sand's medium as in `medium`"),
+    (
+        "ground",
+        "rigid, mixed (slabs of hard ground in loose poppy seeds), dunes (of loose poppy seeds), or the sand's medium as in `medium`",
+    ),
     (
         "commands",
         "ranges [low, high] of lin_vel_x, lin_vel_y [m/s] and ang_vel_yaw [rad/s], drawn anew every resampling_time [s]",
@@ -44,6 +47,11 @@ pub const OPTION_HELP: [(&str, &str); 25] = [
         "ranges [low, high] that an episode draws from: factors friction_range, sand_range, motor_strength_range; added_mass_range, a share of the mass; push_interval [s], 0: none; max_push_vel_xy [m/s]. None: nothing is drawn",
     ),
     ("action_scale", "what an action of 1 adds to a joint's default position [rad]"),
+    (
+        "relief",
+        "heights of the ground: random dunes by seed, wavelength [m] and slope_deg of the steepest place; or heights, rows along y of numbers along x [m], and their spacing [m]",
+    ),
+    ("measure_heights", "observe the ground's heights at legged_gym's 187 points around the robot"),
 ];
 
 /// Keywords of every task.
@@ -85,6 +93,8 @@ pub const LEGGED: Keywords = Keywords {
         "rewards",
         "domain_rand",
         "action_scale",
+        "relief",
+        "measure_heights",
     ],
 };
 

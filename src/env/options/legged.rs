@@ -187,8 +187,10 @@ impl Rewards {
     }
 }
 
-/// Kinds of ground that are no medium: hard, slabs of hard ground in sand.
-pub const GROUNDS: [&str; 2] = ["rigid", "mixed"];
+/// Kinds of ground that are no medium: hard, slabs of hard ground in sand, sand that is not flat.
+pub const GROUNDS: [&str; 3] = ["rigid", "mixed", DUNES];
+/// Loose sand that is not flat.
+pub(super) const DUNES: &str = "dunes";
 /// Size of the slabs of `mixed`, and distance after which the next comes [m]: our choice, a robot's length or two.
 const SLABS: [f64; 2] = [0.8, 1.6];
 
@@ -198,6 +200,7 @@ pub(super) fn ground(name: &str) -> Result<(Vec<HardGround>, Medium)> {
     let [size, every] = SLABS.map(|length| [length; 2]);
     match name {
         "rigid" => Ok((vec![HardGround::everywhere()], sand()?)),
+        DUNES => Ok((Vec::new(), sand()?)),
         "mixed" => Ok((vec![HardGround { size, every, ..HardGround::everywhere() }], sand()?)),
         _ => {
             let media = Medium::names();

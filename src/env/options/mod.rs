@@ -4,6 +4,7 @@ mod control;
 pub mod keywords;
 mod legged;
 mod randomize;
+mod relief;
 mod reset;
 mod robot;
 mod rocks;
@@ -15,6 +16,7 @@ pub use keywords::OPTION_HELP;
 pub use legged::{Commands, DomainRand, Rewards};
 pub(super) use randomize::Quantity;
 pub use randomize::Randomize;
+pub use relief::ReliefOptions;
 pub use reset::{Partial, ResetOptions};
 pub use robot::RobotName;
 pub use rocks::RockOptions;
@@ -28,6 +30,7 @@ use crate::sim::model::Scene;
 use crate::sim::{Model, Robot};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use serde_json::{Map, Value};
+use std::sync::Arc;
 
 /// Largest speed that can be commanded, either way [m/s].
 pub const MAX_COMMAND: f64 = 2.0;
@@ -84,6 +87,10 @@ pub struct TaskOptions {
     pub domain_rand: Option<DomainRand>,
     /// What an action of 1 adds to a joint's default position [rad].
     pub action_scale: Option<f64>,
+    /// Heights of the ground; none: it is flat, unless `ground` is `dunes`.
+    pub relief: Option<ReliefOptions>,
+    /// Does the robot observe heights around it?
+    pub measure_heights: Option<bool>,
 }
 
 impl Default for TaskOptions {
@@ -114,6 +121,8 @@ impl Default for TaskOptions {
             rewards: None,
             domain_rand: None,
             action_scale: None,
+            relief: None,
+            measure_heights: None,
         }
     }
 }
@@ -208,6 +217,10 @@ impl TaskOptions {
         (scene.law, scene.slope_deg, scene.dt, scene.payload) = (self.law, self.slope_deg, self.dt, self.payload);
         if !self.sand.is_empty() {
             scene.set_sand(&SandDescription::from_toml(&self.sand)?);
+        }
+        let dunes = (self.ground == legged::DUNES).then(ReliefOptions::default);
+        if let Some(relief) = self.relief.as_ref().or(dunes.as_ref()) {
+            scene.relief = Some(Arc::new(relief.checked(self.slope_deg)?));
         }
         Model::of_tree(self.robot.tree()?, &scene)
     }

@@ -74,7 +74,9 @@ impl Sum {
         let beside = if n[2].abs() < 0.9 { Vec3::new(0.0, 0.0, 1.0) } else { Vec3::new(1.0, 0.0, 0.0) };
         let across = normal.cross(beside);
         let across = across * (half / across.norm_squared().sqrt());
-        let half = [across, normal.cross(across)];
-        Some(Plate { center: normal.scale_add(out, center), normal, area: self.area, half, bend: [0.0; 2] })
+        // Normals that turn evenly by ±a along both sides of a square have a mean shorter than 1 by a²/3.
+        let turn = (3.0 * (1.0 - length / self.area).max(0.0)).sqrt();
+        let (half, bend) = ([across, normal.cross(across)], [turn / half; 2]);
+        Some(Plate { center: normal.scale_add(out, center), normal, area: self.area, half, bend })
     }
 }

@@ -87,6 +87,74 @@ fn functions<R: Real>(x1: R, x2: R, x3: R) -> [R; 3] {
     f
 }
 
+/// Σ c_ik t over given terms k, for i = 1, 2, 3.
+#[inline(always)]
+fn sum<R: Real, const N: usize>(terms: [(usize, R); N]) -> [R; 3] {
+    let mut f = [R::zero(); 3];
+    for (k, t) in terms {
+        for i in 0..3 {
+            f[i] = t.mul_add(R::splat(COEFFICIENTS[k][i]), f[i]);
+        }
+    }
+    f
+}
+
+/// Laplacian of α = f1 N + f2 u − f3 ẑ on the unit sphere of normals N. Of a homogeneous polynomial of degree d in N it is the
+/// Laplacian in space less d (d + 1) times itself; ∇x2 = −ẑ, ∇x3 = u, and their product is x1.
+#[inline(always)]
+fn laplacian<R: Real>(x1: R, x2: R, x3: R, n: Vec3<R>, u: Vec3<R>) -> Vec3<R> {
+    let (x11, x22, x33, x12, x13, x23) = (x1 * x1, x2 * x2, x3 * x3, x1 * x2, x1 * x3, x2 * x3);
+    let (one, s) = (R::one(), |x: f64| R::splat(x));
+    let two = s(2.0);
+    // Parts of degree 1, 2 and 3; that of degree 0 counts for f1 alone, which N multiplies.
+    let zeroth = sum([(0, one), (1, x1), (4, x11), (10, x11 * x1)])[0];
+    let first = sum([(2, x2), (3, x3), (7, x12), (9, x13), (14, x2 * x11), (17, x3 * x11)]);
+    let second = sum([(5, x22), (6, x33), (8, x23), (13, x1 * x22), (18, x1 * x33), (19, x12 * x3)]);
+    let third = sum([(11, x22 * x2), (12, x33 * x3), (15, x2 * x33), (16, x3 * x22)]);
+    let by_2 = sum([
+        (2, one),
+        (5, two * x2),
+        (7, x1),
+        (8, x3),
+        (11, s(3.0) * x22),
+        (13, two * x12),
+        (14, x11),
+        (15, x33),
+        (16, two * x23),
+        (19, x13),
+    ])[0];
+    let by_3 = sum([
+        (3, one),
+        (6, two * x3),
+        (8, x2),
+        (9, x1),
+        (12, s(3.0) * x33),
+        (15, two * x23),
+        (16, x22),
+        (17, x11),
+        (18, two * x13),
+        (19, x12),
+    ])[0];
+    let space = sum([
+        (5, two),
+        (6, two),
+        (8, two * x1),
+        (11, s(6.0) * x2),
+        (12, s(6.0) * x3),
+        (13, two * x1),
+        (15, two * x2 + s(4.0) * x13),
+        (16, two * x3 + s(4.0) * x12),
+        (18, two * x1),
+        (19, two * x11),
+    ]);
+    let less = |i: usize, d: [f64; 3]| third[i].mul_add(s(d[2]), second[i].mul_add(s(d[1]), first[i] * s(d[0])));
+    let along_n = space[0] - less(0, [6.0, 12.0, 20.0]) - two * zeroth;
+    let along_u = two * by_3 + space[1] - less(1, [2.0, 6.0, 12.0]);
+    let mut all = n.scale_add(along_n, u * along_u);
+    all.z += less(2, [2.0, 6.0, 12.0]) - space[2] - two * by_2;
+    all
+}
+
 /// The published components (α_r, α_θ, α_z)/ξ_n at angles [rad], before anything is done about the surface.
 /// β counts modulo π into [−π/2, π/2]; a π/2 that was rounded up when it was written stays itself.
 pub fn components(beta: f64, gamma: f64, psi: f64) -> [f64; 3] {
@@ -164,12 +232,28 @@ impl<R: Real> StressLaw<R> for SpatialTable<R> {
 
     #[inline(always)]
     fn stress(&self, n: Vec3<R>, m: &Motion<R>) -> Vec3<R> {
+        self.mean(n, None, m)
+    }
+
+    #[inline(always)]
+    fn mean_stress(&self, n: Vec3<R>, spread: R, m: &Motion<R>) -> Vec3<R> {
+        self.mean(n, Some(spread), m)
+    }
+}
+
+impl<R: Real> SpatialTable<R> {
+    #[inline(always)]
+    fn mean(&self, n: Vec3<R>, spread: Option<R>, m: &Motion<R>) -> Vec3<R> {
         let lower = R::select(R::zero().lt(n.z), -R::one(), R::one());
         let (n, u) = (n * lower, m.v * m.inverse_speed);
         let toward = n.dot(u);
         let [f1, f2, f3] = functions(-u.z, -n.z, toward);
         let mut alpha = n.scale_add(f1, u * f2);
         alpha.z -= f3;
+        if let Some(spread) = spread {
+            // σ²/4 of the Laplacian on the sphere, with σ² = 2 · spread.
+            alpha += laplacian(-u.z, -n.z, toward, n, u) * (spread * R::splat(0.5));
+        }
         let leading = (toward * self.inverse_gate).clamp(-R::one(), R::one());
         on_surface(alpha, n, leading, self.friction) * (self.scale * m.moving)
     }

@@ -71,4 +71,11 @@ pub trait StressLaw<R: Real>: Copy {
 
     /// Stress per depth [N/m³] on a thin segment with unit normal `n`, both sides together; the same for −`n`.
     fn stress(&self, n: Vec3<R>, motion: &Motion<R>) -> Vec3<R>;
+
+    /// Mean of [`StressLaw::stress`] over normals around the unit vector `n`, whose mean is shorter than 1 by `spread`: to second
+    /// order in how far they are from it, as if in all directions alike.
+    #[inline(always)]
+    fn mean_stress(&self, n: Vec3<R>, _spread: R, motion: &Motion<R>) -> Vec3<R> {
+        self.stress(n, motion)
+    }
 }

@@ -3,7 +3,7 @@
 use super::dynamics::{JointMotion, LaneBody, Motion};
 use super::floor::{BodyContacts, Floor};
 use super::model::TreeModel;
-use super::sand::BodyPlates;
+use super::relief::LaneRelief;
 use super::servo::{LaneMotor, LaneServo};
 use super::step::{LaneState, LaneTree, Scratch, step};
 use crate::engine::Command;
@@ -122,10 +122,11 @@ impl<R: Real> Lanes<R> {
         let lanes = LaneTree {
             bodies: LaneBody::all(&tree.tree),
             motors: LaneMotor::all(tree),
-            plates: if model.has_sand() { BodyPlates::all(tree) } else { Vec::new() },
+            patches: if model.has_sand() { tree.patches.clone() } else { Arc::default() },
             contacts: if model.scene.hard.is_empty() { Vec::new() } else { BodyContacts::all(tree) },
             ground: model.scene.ground(),
             floor: Floor::new(tree, &model.scene.hard),
+            relief: model.scene.relief.as_ref().map(|r| LaneRelief(vec![r.clone(); R::LANES])),
             gravity: Vec3::zero(),
             dt: R::splat(model.scene.dt),
         };
@@ -181,6 +182,9 @@ impl<R: Real> Block for Lanes<R> {
         self.tree.ground.set_lane(lane, &model.scene.medium, &model.scene.mechanisms);
         self.tree.floor.set_lane(lane, tree, &model.scene.hard);
         self.tree.gravity.set_lane(lane, model.gravity.into());
+        if let (Some(reliefs), Some(own)) = (&mut self.tree.relief, &model.scene.relief) {
+            reliefs.0[lane] = own.clone();
+        }
     }
 
     fn set_state(&mut self, lane: usize, state: &State) {

@@ -1,7 +1,9 @@
-//! A tree in free flight: its accelerations, in `f64`.
+//! A tree in free flight: its accelerations; and what sand does to it in a given motion; in `f64`.
 
-use super::Tree;
 use super::dynamics::{Drive, Frame, Hinge, JointMotion, LaneBody, Load, Motion, Push, fold, load, place, unfold};
+use super::relief::LaneRelief;
+use super::{Tree, sand};
+use crate::Model;
 use crate::number::{Real, Vec3};
 use crate::spatial::Twist;
 
@@ -43,6 +45,37 @@ pub struct Pose {
     pub tau: Vec<f64>,
 }
 
+impl Pose {
+    fn motion<R: Real>(&self) -> Motion<R> {
+        let [w, x, y, z] = self.quat;
+        let joint =
+            |(q, qd): (&f64, &f64)| JointMotion { position: R::splat(*q), rate: R::splat(*qd), change: R::zero() };
+        Motion {
+            orientation: (R::splat(w), Vec3::splat([x, y, z])),
+            velocity: Twist { angular: Vec3::splat(self.w), linear: Vec3::splat(self.v) },
+            change: Twist { angular: Vec3::zero(), linear: Vec3::zero() },
+            joints: self.q.iter().zip(&self.qd).map(joint).collect(),
+        }
+    }
+}
+
+/// Force of the sand [N] on each body, and its moment about the body's frame [N·m], world axes, with the base at `position`.
+pub fn sand_loads(model: &Model, position: [f64; 3], pose: &Pose) -> Vec<[[f64; 3]; 2]> {
+    let Some(tree) = &model.tree else { return Vec::new() };
+    let bodies = LaneBody::<f64>::all(&tree.tree);
+    let count = bodies.len();
+    let (mut frames, mut loads) = (vec![Frame::at_rest(); count], vec![Load::none(); count]);
+    place(&bodies, &pose.motion(), &mut frames);
+    let ground = model.scene.ground();
+    let relief = model.scene.relief.as_ref().map(|r| LaneRelief(vec![r.clone()]));
+    sand::press(&ground, &tree.patches, &frames, &Vec3::splat(position), &relief, &mut loads, model.scene.dt);
+    let of_body = |(frame, load): (&Frame<f64>, &Load<f64>)| {
+        let (force, moment) = (-load.bias.force, -load.bias.moment);
+        [force, moment - frame.origin.cross(force)].map(|v| v.lane(0))
+    };
+    frames.iter().zip(&loads).map(of_body).collect()
+}
+
 /// Accelerations in free flight under gravity (0, 0, −9.81); armature, damping, friction and limits are left out.
 /// `pose` has as many joints as the tree.
 pub fn accelerations(tree: &Tree, pose: &Pose) -> Accelerations {
@@ -53,15 +86,7 @@ pub fn accelerations(tree: &Tree, pose: &Pose) -> Accelerations {
 pub fn accelerations_by<R: Real>(tree: &Tree, pose: &Pose) -> Accelerations {
     let mut bodies = LaneBody::<R>::all(tree);
     bodies.iter_mut().for_each(|b| b.armature = R::zero());
-    let [w, x, y, z] = pose.quat;
-    let still = Twist { angular: Vec3::zero(), linear: Vec3::zero() };
-    let joint = |(q, qd): (&f64, &f64)| JointMotion { position: R::splat(*q), rate: R::splat(*qd), change: R::zero() };
-    let motion = Motion {
-        orientation: (R::splat(w), Vec3::splat([x, y, z])),
-        velocity: Twist { angular: Vec3::splat(pose.w), linear: Vec3::splat(pose.v) },
-        change: still,
-        joints: pose.q.iter().zip(&pose.qd).map(joint).collect(),
-    };
+    let (motion, still) = (pose.motion(), Twist { angular: Vec3::zero(), linear: Vec3::zero() });
     let torques: Vec<R> = pose.tau.iter().map(|t| R::splat(*t)).collect();
     let count = bodies.len();
     let (mut frames, mut loads) = (vec![Frame::at_rest(); count], vec![Load::none(); count]);

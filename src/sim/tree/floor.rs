@@ -13,6 +13,10 @@ use super::terrain::Local;
 use crate::number::{Real, Vec3};
 use crate::spatial::{Twist, Wrench};
 
+/// How much farther than its reach a body is looked at where the ground is not flat: our choice, more than twice the angle of
+/// repose from one end of it to the other.
+const BENT: f64 = 2.5;
+
 /// One piece of [`HardGround`], one lane each.
 #[derive(Clone, Copy)]
 struct Piece<R> {
@@ -116,13 +120,15 @@ impl<R: Real> Floor<R> {
             let center = frame.point(Vec3::splat(contacts.center));
             let under = local.under(*place + center);
             // Nothing stands out of the ground by more than the least depth of its pieces.
-            let depth = under.depth(*place + center) + R::splat(contacts.reach);
+            // Where the surface bends it may rise by more than its slope here says.
+            let reach = if local.is_flat() { 1.0 } else { BENT } * contacts.reach;
+            let depth = under.depth(*place + center) + R::splat(reach);
             let near = |p: &Piece<R>| R::any(p.depth.lt(depth));
             if !self.pieces.iter().any(near) {
                 continue;
             }
             for point in &contacts.points {
-                self.point(point, contacts.body, frame, place, &under, touches);
+                self.point(point, contacts.body, frame, place, local, touches);
             }
         }
     }
@@ -134,10 +140,11 @@ impl<R: Real> Floor<R> {
         body: usize,
         frame: &Frame<R>,
         place: &Vec3<R>,
-        under: &Local<R>,
+        local: &impl Surface<R>,
         touches: &mut Vec<Touch<R>>,
     ) {
         let center = frame.point(Vec3::splat(point.center.into()));
+        let under = local.under(*place + center);
         let radius = R::splat(point.radius);
         let lowest = |normal: Vec3<R>| match point.axis {
             None => normal.scale_add(-radius, center),
@@ -225,6 +232,9 @@ impl<R: Real> Floor<R> {
 
 /// Where the ground's surface is.
 pub trait Surface<R> {
+    /// Is it level everywhere?
+    fn is_flat(&self) -> bool;
+
     /// Under or over a point of the world.
     fn under(&self, point: Vec3<R>) -> Local<R>;
 }

@@ -7,9 +7,9 @@
 //! * [`engine`]: lanes of such robots; [`step`]: one time step.
 //! * [`dynamics`]: accelerations of a tree, over any number; [`flight`]: those in free flight, for checks.
 //! * [`servo`]: motors, bearings and stops; [`sand`]: sand on plates; [`floor`]: hard ground under points.
-//! * [`contact`]: the points; [`terrain`]: the ground's surface near a point.
+//! * [`contact`]: the points; [`terrain`]: the ground's surface near a point, [`relief`]: one that is not flat.
 //! * [`stance`]: the standing pose and the feet; [`packed`]: a robot as one text.
-//! * [`plates`]: collision shapes as the plates that push on sand; [`robot`]: our own robots as trees.
+//! * [`plates`]: collision shapes as the plates that push on sand, [`patches`]: those that look alike; [`robot`]: our own robots as trees.
 
 pub mod contact;
 pub mod dynamics;
@@ -19,7 +19,9 @@ pub mod floor;
 pub mod hard;
 pub mod model;
 pub mod packed;
+pub mod patches;
 pub mod plates;
+pub mod relief;
 mod robot;
 mod sand;
 mod servo;

@@ -2,10 +2,11 @@
 
 use super::Tree;
 use super::contact::{ContactPoint, contact_points};
+use super::patches::BodyPatches;
 use super::stance::{Stance, frames, lowest};
 use crate::error::{Error, Result, check_range};
-use crate::sand::GRAVITY;
 use crate::sand::intruder::Plate;
+use crate::sand::{GRAVITY, Law};
 use std::sync::Arc;
 
 /// A joint's motor and servo.
@@ -40,6 +41,8 @@ pub struct TreeModel {
     pub motors: Vec<TreeMotor>,
     /// What touches sand, in the frame of each body.
     pub plates: Arc<Vec<Vec<Plate>>>,
+    /// The same plates as engines take them; none before [`TreeModel::for_law`].
+    pub patches: Arc<Vec<BodyPatches>>,
     /// What touches hard ground, in the frame of each body.
     pub contacts: Arc<Vec<Vec<ContactPoint>>>,
     pub compliance: Compliance,
@@ -78,7 +81,14 @@ impl TreeModel {
         check(&tree)?;
         let (motors, compliance) = (motors(&tree), Compliance::of_mass(tree.mass()));
         let stance = Arc::new(Stance::of(&tree, &contacts));
-        Ok(Self { tree, motors, plates: Arc::new(plates), contacts: Arc::new(contacts), compliance, stance })
+        let (patches, contacts) = (Arc::default(), Arc::new(contacts));
+        Ok(Self { tree, motors, plates: Arc::new(plates), patches, contacts, compliance, stance })
+    }
+
+    /// Made ready for `law`.
+    pub fn for_law(mut self, law: Law) -> Self {
+        self.patches = Arc::new(BodyPatches::all(&self.plates, law));
+        self
     }
 
     /// With `payload` [kg] at the base's centre of mass.
@@ -95,10 +105,17 @@ impl TreeModel {
         self
     }
 
-    /// Height of the level base's origin at which the lowest point touches the ground [m], with joints at `angles`.
+    /// Height of the level base's origin at which the lowest point touches flat ground [m], with joints at `angles`.
     pub fn standing_height(&self, angles: &[f64]) -> f64 {
+        self.height_over(angles, |_, _| 0.0)
+    }
+
+    /// The same over ground with a height at each place, as far as the base's origin from 0.
+    pub fn height_over(&self, angles: &[f64], ground: impl Fn(f64, f64) -> f64) -> f64 {
         let frames = frames(&self.tree, &crate::State::at_rest(0.0, angles));
-        let low = frames.iter().zip(self.contacts.iter()).map(|(f, p)| lowest(f, p).z).fold(f64::INFINITY, f64::min);
+        let over = |low: nalgebra::Vector3<f64>| low.z - ground(low.x, low.y);
+        let low =
+            frames.iter().zip(self.contacts.iter()).map(|(f, p)| over(lowest(f, p))).fold(f64::INFINITY, f64::min);
         if low.is_finite() { -low } else { 0.0 }
     }
 

@@ -1,19 +1,25 @@
 //! Collision shapes cut into the plates that push on sand.
 
-use super::{Geometry, TreeShape};
+use super::{Geometry, Tree, TreeShape};
 use crate::error::{Error, Result, check_range};
 use crate::number::Vec3;
 use crate::sand::intruder::{Plate, cut, gathered};
 use nalgebra::{Point3, Vector3};
 use std::f64::consts::{PI, TAU};
 
-/// Plates along the longest side of a shape, unless their size is given, for boxes and for all that may be round. Our choice: at
-/// random poses and velocities forces are within 2 % of those of fine plates (`tests/robots.rs`).
-const ALONG: [f64; 2] = [8.0, 12.0];
+/// Plates of a box, of a ball or a short cylinder, and of a mesh, unless their size is given. Our choice: at random poses and
+/// velocities forces are within 2 % of those of fine plates (`tests/robots.rs`).
+const COUNTS: [f64; 3] = [200.0, 300.0, 500.0];
+/// Size of plates over the radius of what is long and round, at most: our choice, as above.
+const ROUND: [f64; 2] = [0.6, 0.5];
+/// How much longer than wide a plate may be where it is flat along its length: our choice.
+const LONG: f64 = 3.0;
 /// Fewest plates around what is round: our choice, half of what bodies of `sandgait intrude` have.
 const COARSE: usize = 8;
 /// Most plates of a shape: our choice, a hundred times what walks in real time.
 const MOST_PLATES: f64 = 20_000.0;
+/// How much larger than those of other bodies the plates of the base are: our choice.
+const BASE: f64 = 2.0;
 /// Sizes that may be asked for [m].
 const SIZES: std::ops::RangeInclusive<f64> = 1e-4..=1.0;
 
@@ -43,6 +49,18 @@ impl Geometry {
                 };
                 (0..3).map(|k| ends(k)[1] - ends(k)[0]).fold(0.0, f64::max)
             }
+        }
+    }
+
+    /// Of plates unless it is given [m]; round shapes are cut finer than they are asked for.
+    fn default_size(&self) -> f64 {
+        let of = |count: f64| (self.area() / count).sqrt();
+        match self {
+            Self::Box { .. } => of(COUNTS[0]),
+            Self::Mesh(_) => of(COUNTS[2]),
+            Self::Sphere { .. } => 1.5 * of(COUNTS[1]),
+            Self::Capsule { radius, .. } => (1.5 * of(COUNTS[1])).min(ROUND[0] * radius),
+            Self::Cylinder { radius, .. } => (1.2 * of(COUNTS[1])).min(ROUND[1] * radius),
         }
     }
 
@@ -122,13 +140,16 @@ impl TreeShape {
     }
 }
 
-/// Plates of one shape in the shape's frame, of about `size` [m]; none: an eighth of its longest side for a box, else a twelfth.
+/// Plates of one shape in the shape's frame, of about `size` [m]; none: as large as forces within 2 % allow.
 pub fn of_shape(shape: &TreeShape, size: Option<f64>) -> Result<Vec<Plate>> {
-    let longest = shape.geometry.longest();
-    let along = ALONG[usize::from(!matches!(shape.geometry, Geometry::Box { .. }))];
-    let size = match size {
-        Some(size) => check_range("plate-size", size, SIZES)?.min(longest),
-        None => longest / along,
+    one_shape(shape, size, 1.0)
+}
+
+/// `larger`: than usual, where their size is not given.
+fn one_shape(shape: &TreeShape, given: Option<f64>, larger: f64) -> Result<Vec<Plate>> {
+    let size = match given {
+        Some(size) => check_range("plate-size", size, SIZES)?.min(shape.geometry.longest()),
+        None => larger * shape.geometry.default_size(),
     };
     let least = (shape.geometry.area() / MOST_PLATES).sqrt();
     let too_many = || {
@@ -145,12 +166,43 @@ pub fn of_shape(shape: &TreeShape, size: Option<f64>) -> Result<Vec<Plate>> {
         _ => v,
     };
     let one = |p: Plate| Plate { center: turned(p.center), normal: turned(p.normal), half: p.half.map(turned), ..p };
-    Ok(plates.into_iter().map(one).collect())
+    let plates = plates.into_iter().map(one);
+    // Whoever gives a size has the plates of `sandgait intrude`.
+    Ok(if given.is_some() { plates.collect() } else { plates.flat_map(|p| squared(&p)).collect() })
+}
+
+/// A plate that is much longer than wide, and flat along its length, as several.
+fn squared(plate: &Plate) -> Vec<Plate> {
+    let [a, b] = plate.half.map(|h| h.norm_squared().sqrt());
+    let (k, ratio) = if a > b { (0, a / b) } else { (1, b / a) };
+    let count = (ratio / LONG).ceil();
+    if !(2.0..=MOST_PLATES).contains(&count) || plate.bend[k] != 0.0 {
+        return vec![*plate];
+    }
+    let mut half = plate.half;
+    half[k] = half[k] * (1.0 / count);
+    let at = |i: usize| plate.half[k].scale_add((2.0 * i as f64 + 1.0) / count - 1.0, plate.center);
+    (0..count as usize).map(|i| Plate { center: at(i), half, area: plate.area / count, ..*plate }).collect()
+}
+
+/// Plates of the shapes that touch, by index of body and shape, body by body. Those of the base, which seldom does, are larger
+/// unless their size is given.
+pub fn of_touching(tree: &Tree, touching: &[(usize, usize)], size: Option<f64>) -> Result<Vec<Vec<Plate>>> {
+    let of_body = |b: usize| {
+        let own: Vec<_> = touching.iter().filter(|t| t.0 == b).map(|t| &tree.bodies[b].shapes[t.1]).collect();
+        together(&own, size, if b == 0 { BASE } else { 1.0 })
+    };
+    (0..tree.bodies.len()).map(of_body).collect()
 }
 
 /// Plates of shapes that are fixed to one body, in the body's frame, without those that lie inside of another one.
 pub fn of_shapes(shapes: &[&TreeShape], size: Option<f64>) -> Result<Vec<Plate>> {
-    let cut: Vec<Vec<Plate>> = shapes.iter().map(|s| of_shape(s, size)).collect::<Result<_>>()?;
+    together(shapes, size, 1.0)
+}
+
+/// `larger`: than usual, where their size is not given.
+fn together(shapes: &[&TreeShape], size: Option<f64>, larger: f64) -> Result<Vec<Plate>> {
+    let cut: Vec<Vec<Plate>> = shapes.iter().map(|s| one_shape(s, size, larger)).collect::<Result<_>>()?;
     let mut all = Vec::new();
     for (i, plates) in cut.iter().enumerate() {
         for plate in plates {

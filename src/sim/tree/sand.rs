@@ -1,80 +1,17 @@
 //! Sand on plates that face any way, fixed to the bodies of a tree.
 //!
-//! One-sided plates with the leading-edge rule, as under the belly of [`crate::lanes`], and its scheme in time: the force
-//! is linearly implicit, f⁺ = f − C (v⁺ − v), and expects what the last step added where a motion is smooth. A plate that
-//! crosses the surface counts with the part below it, at that part's mean depth.
+//! One-sided plates with the leading-edge rule, and the scheme in time of [`crate::lanes`]: the force is linearly implicit,
+//! f⁺ = f − C (v⁺ − v), and expects what the last step added where a motion is smooth. The law is asked once a patch
+//! ([`super::patches`]), for what of its plates leads in the sand.
 
 use super::dynamics::{Frame, Load};
 use super::floor::Surface;
-use super::model::TreeModel;
+use super::patches::{BodyPatches, Facet, Patch};
 use super::terrain::Local;
 use crate::number::{Mat3, Real, Vec3};
-use crate::sand::intruder::Plate;
 use crate::sand::law::StressLaw;
 use crate::sand::{Beyond, Form, Ground, Plain, Site};
 use crate::spatial::{Inertia, PointMasses, Twist, Wrench};
-
-/// A body's plates, the same in all lanes.
-#[derive(Clone)]
-pub struct BodyPlates<R> {
-    pub body: usize,
-    /// Neighbours together, so that most of those in the air are left out at once.
-    bunches: Vec<Bunch>,
-    /// A ball around all of them, in the body's frame [m].
-    ball: Ball,
-    /// Corners of a box around them, where the trust in an expected change is judged.
-    corners: [[f64; 3]; 8],
-    /// Share of the sand's stress that they find, one lane each.
-    pub share: R,
-}
-
-/// Some plates.
-#[derive(Clone)]
-struct Bunch {
-    plates: Vec<Plate>,
-    ball: Ball,
-}
-
-/// A ball around plates [m].
-#[derive(Clone, Copy)]
-struct Ball {
-    center: [f64; 3],
-    reach: f64,
-}
-
-/// Plates in a bunch: our choice, the test for one costs about what two plates in the air do.
-const BUNCH: usize = 12;
-
-/// Ends of plates' centres along x, y and z.
-fn ends(plates: &[Plate]) -> [[f64; 2]; 3] {
-    [0, 1, 2].map(|k| {
-        let along = plates.iter().map(|p| p.center.lane(0)[k]);
-        along.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], x| [a.min(x), b.max(x)])
-    })
-}
-
-impl Ball {
-    fn around(plates: &[Plate]) -> Self {
-        let center = ends(plates).map(|[a, b]| (a + b) / 2.0);
-        let length = |v: Vec3<f64>| v.norm_squared().sqrt();
-        let away = |p: &Plate| length(p.center - Vec3::splat(center)) + length(p.half[0]) + length(p.half[1]);
-        Self { center, reach: plates.iter().map(away).fold(0.0, f64::max) }
-    }
-}
-
-/// Splits plates in halves along the longest side until they are few.
-fn bunches(mut plates: Vec<Plate>, out: &mut Vec<Bunch>) {
-    if plates.len() <= BUNCH {
-        let ball = Ball::around(&plates);
-        return out.push(Bunch { plates, ball });
-    }
-    let sides = ends(&plates).map(|[a, b]| b - a);
-    let k = (1..3).fold(0, |k, i| if sides[i] > sides[k] { i } else { k });
-    plates.sort_by(|a, b| a.center.lane(0)[k].total_cmp(&b.center.lane(0)[k]));
-    let rest = plates.split_off(plates.len() / 2);
-    bunches(plates, out);
-    bunches(rest, out);
-}
 
 /// What sand does to a body: forces about the base's origin, and its drag as masses.
 struct Total<R> {
@@ -83,26 +20,11 @@ struct Total<R> {
     edge: Inertia<R>,
 }
 
-impl<R: Real> BodyPlates<R> {
-    pub fn all(model: &TreeModel) -> Vec<Self> {
-        let touching = model.plates.iter().enumerate().filter(|(_, p)| !p.is_empty());
-        touching.map(|(body, plates)| Self::of(body, plates)).collect()
-    }
-
-    pub fn of(body: usize, plates: &[Plate]) -> Self {
-        let ends = ends(plates);
-        let corners = std::array::from_fn(|i| [0, 1, 2].map(|k| ends[k][i >> k & 1]));
-        let mut all = Vec::new();
-        bunches(plates.to_vec(), &mut all);
-        Self { body, bunches: all, ball: Ball::around(plates), corners, share: R::one() }
-    }
-}
-
 /// Adds the sand on all bodies to their loads; `place` is where the base's origin is.
 #[inline(always)]
 pub fn press<R: Real>(
     ground: &Ground<R>,
-    bodies: &[BodyPlates<R>],
+    bodies: &[BodyPatches],
     frames: &[Frame<R>],
     place: &Vec3<R>,
     surface: &impl Surface<R>,
@@ -115,7 +37,7 @@ pub fn press<R: Real>(
     for plates in bodies {
         let frame = &frames[plates.body];
         let center = *place + frame.point(Vec3::splat(plates.ball.center));
-        let under = surface.under(center);
+        let under = under_body(plates, frame, place, surface);
         if !R::any(R::zero().lt(under.depth(center) + R::splat(plates.ball.reach))) {
             continue;
         }
@@ -138,6 +60,23 @@ pub fn press<R: Real>(
     }
 }
 
+/// The surface under a body: where it is not flat its tangent plane under the body's lowest corner, which is in the sand first.
+#[inline(always)]
+fn under_body<R: Real>(plates: &BodyPatches, frame: &Frame<R>, place: &Vec3<R>, surface: &impl Surface<R>) -> Local<R> {
+    if surface.is_flat() {
+        return surface.under(*place);
+    }
+    let corner = |c: &[f64; 3]| frame.point(Vec3::splat(*c));
+    let mut low = corner(&plates.corners[0]);
+    for c in &plates.corners[1..] {
+        let other = corner(c);
+        let lower = other.z.lt(low.z);
+        let least = |a, b| R::select(lower, a, b);
+        low = Vec3::new(least(other.x, low.x), least(other.y, low.y), least(other.z, low.z));
+    }
+    surface.under(*place + low)
+}
+
 /// How far a body's next change of velocity at `place` can be expected to be its last one; see [`crate::lanes`].
 #[inline(always)]
 fn trust<R: Real>(frame: &Frame<R>, place: Vec3<R>) -> R {
@@ -150,7 +89,7 @@ fn trust<R: Real>(frame: &Frame<R>, place: Vec3<R>) -> R {
 #[allow(clippy::too_many_arguments)] // all of them are in registers
 fn on_body<R: Real>(
     ground: &Ground<R>,
-    plates: &BodyPlates<R>,
+    plates: &BodyPatches,
     frame: &Frame<R>,
     velocity: &Twist<R>,
     place: &Vec3<R>,
@@ -165,14 +104,65 @@ fn on_body<R: Real>(
     }
 }
 
+/// A body's velocity in its own frame, and where the surface is seen from there.
+struct Own<R> {
+    linear: Vec3<R>,
+    angular: Vec3<R>,
+    up: Vec3<R>,
+    /// Height of the body's origin over the surface [m].
+    height: R,
+}
+
+/// What of a patch leads in the sand; sums over its plates.
+struct Leading<R> {
+    /// [m²]
+    area: R,
+    /// ∫ depth dA [m³], and the same times normal and place.
+    load: R,
+    normal: Vec3<R>,
+    place: Vec3<R>,
+    /// How fast `load` grows with n·v̂ [m³].
+    growth: R,
+}
+
 /// The hottest loop of robots on sand.
+#[inline(always)]
+fn leading<R: Real>(patch: &Patch, own: &Own<R>, inverse_speed: R) -> Leading<R> {
+    let (zero, one) = (R::zero(), R::one());
+    let (linear, angular) = (own.linear * inverse_speed, own.angular * inverse_speed);
+    let mut sum = Leading { area: zero, load: zero, normal: Vec3::zero(), place: Vec3::zero(), growth: zero };
+    for facet in &patch.facets {
+        let Facet { center, normal, moment, area, rise, begun, growth } = facet;
+        let (center, normal): (Vec3<R>, Vec3<R>) = (lanes(center), lanes(normal));
+        let along = normal.dot(linear) + lanes(moment).dot(angular);
+        let share = along.mul_add(lane(*growth), lane(*begun));
+        let leads = share.clamp(zero, one);
+        let depth = -(own.up.dot(center) + own.height);
+        // √(1 − x²) within 0.05.
+        let x = normal.dot(own.up);
+        let flat = x * x;
+        let rise = lane::<R>(*rise) * (one - flat) * flat.mul_add(R::splat(0.6), one);
+        let (low, high) = (depth + rise, depth - rise);
+        let part = leads * lane::<R>(*area);
+        let half = part * R::splat(0.5);
+        let load = half * (low.max(zero) + high.max(zero));
+        sum.area += R::select(zero.lt(low), half, zero) + R::select(zero.lt(high), half, zero);
+        sum.load += load;
+        sum.normal = normal.scale_add(load, sum.normal);
+        sum.place = center.scale_add(load, sum.place);
+        let whole = lane::<R>(*growth) * lane::<R>(*area) * depth.max(zero);
+        sum.growth += R::select(zero.lt(share), R::select(share.lt(one), whole, zero), zero);
+    }
+    sum
+}
+
 #[inline(always)]
 #[allow(clippy::too_many_arguments)] // all of them are in registers
 fn by<R: Real>(
     law: &impl StressLaw<R>,
     beyond: &impl Beyond<R>,
     ground: &Ground<R>,
-    plates: &BodyPlates<R>,
+    plates: &BodyPatches,
     frame: &Frame<R>,
     velocity: &Twist<R>,
     place: &Vec3<R>,
@@ -180,63 +170,52 @@ fn by<R: Real>(
     under: &Local<R>,
     dt: R,
 ) -> Option<Total<R>> {
-    let (zero, half) = (R::zero(), R::splat(0.5));
+    let (zero, tiny) = (R::zero(), R::splat(1e-20));
     let (mut total, mut wet) = (Total::none(), false);
     // Rows of the surface's own axes in the world: z along its normal, x along the world's x.
     let axes = under.axes();
-    // The same in the body's frame, for what only needs heights.
-    let up = frame.rotation.apply_transposed(under.normal);
-    let height = under.normal.dot(*place + frame.origin - under.point);
-    for bunch in &plates.bunches {
-        let depth = -(up.dot(Vec3::splat(bunch.ball.center)) + height);
-        if !R::any(zero.lt(depth + R::splat(bunch.ball.reach))) {
+    let own = Own {
+        linear: frame.rotation.apply_transposed(velocity.at(frame.origin)),
+        angular: frame.rotation.apply_transposed(velocity.angular),
+        up: frame.rotation.apply_transposed(under.normal),
+        height: under.normal.dot(*place + frame.origin - under.point),
+    };
+    for patch in &plates.patches {
+        let center = Vec3::splat(patch.ball.center);
+        let depth = -(own.up.dot(center) + own.height);
+        if !R::any(zero.lt(depth + R::splat(patch.ball.reach))) {
             continue;
         }
-        for plate in &bunch.plates {
-            let center = lanes(plate.center);
-            let depth = -(up.dot(center) + height);
-            let rise = up.dot(lanes(plate.half[0])).abs() + up.dot(lanes(plate.half[1])).abs();
-            let below = depth + rise;
-            if !R::any(zero.lt(below)) {
-                continue;
+        let speed = own.linear + own.angular.cross(center);
+        let part = leading(patch, &own, ground.inverse_speed(speed));
+        if !R::any(zero.lt(part.load)) {
+            continue;
+        }
+        let inverse = R::one() / part.load.max(tiny);
+        let at = frame.point(part.place * inverse);
+        let mean = frame.rotation.apply(part.normal * inverse);
+        let v = velocity.at(at);
+        let site = Site::fresh(part.load / part.area.max(tiny), place.x + at.x).travelling(travel);
+        let growth = part.growth * inverse;
+        let (contact, normal) = match &axes {
+            None => ground.leading_part_by(law, beyond, &site, part.area, mean, v, growth),
+            Some(axes) => {
+                let (mean, v) = (axes.apply_transposed(mean), axes.apply_transposed(v));
+                let (mut contact, normal) = ground.leading_part_by(law, beyond, &site, part.area, mean, v, growth);
+                contact.force = axes.apply(contact.force);
+                (contact, axes.apply(normal))
             }
-            let (at, normal) = (frame.point(center), frame.rotation.apply(lanes(plate.normal)));
-            let v = velocity.at(at);
-            if !R::any(zero.lt(normal.dot(v))) {
-                continue;
-            }
-            let crossing = depth.lt(rise);
-            let part = below.max(zero) * half;
-            let depth = R::select(crossing, part, depth).max(zero);
-            let share = R::select(crossing, part / rise.max(R::splat(1e-9)), R::one());
-            let area = R::splat(plate.area) * share * plates.share;
-            let site = Site::fresh(depth, place.x + at.x).travelling(travel);
-            let contact = match &axes {
-                None => ground.one_sided_by(law, beyond, &site, area, normal, v),
-                Some(axes) => {
-                    let mut contact = ground.one_sided_by(
-                        law,
-                        beyond,
-                        &site,
-                        area,
-                        axes.apply_transposed(normal),
-                        axes.apply_transposed(v),
-                    );
-                    contact.force = axes.apply(contact.force);
-                    contact
-                }
-            };
-            wet = true;
-            total.wrench.force += contact.force;
-            total.wrench.moment += at.cross(contact.force);
-            let mass = contact.drag * dt;
-            let first = at * mass;
-            total.drag.mass += mass;
-            total.drag.first += first;
-            total.drag.second.add_product(at, first);
-            if R::any(zero.lt(contact.edge)) {
-                total.edge.add_outer(contact.edge * dt, &Wrench { moment: at.cross(normal), force: normal });
-            }
+        };
+        wet = true;
+        total.wrench.force += contact.force;
+        total.wrench.moment += at.cross(contact.force);
+        let mass = contact.drag * dt;
+        let first = at * mass;
+        total.drag.mass += mass;
+        total.drag.first += first;
+        total.drag.second.add_product(at, first);
+        if R::any(zero.lt(contact.edge)) {
+            total.edge.add_outer(contact.edge * dt, &Wrench { moment: at.cross(normal), force: normal });
         }
     }
     wet.then_some(total)
@@ -244,8 +223,13 @@ fn by<R: Real>(
 
 /// The same in all lanes.
 #[inline(always)]
-fn lanes<R: Real>(v: Vec3<f64>) -> Vec3<R> {
-    Vec3::new(R::splat(v.x), R::splat(v.y), R::splat(v.z))
+fn lane<R: Real>(x: f32) -> R {
+    R::splat(f64::from(x))
+}
+
+#[inline(always)]
+fn lanes<R: Real>(v: &[f32; 3]) -> Vec3<R> {
+    Vec3::new(lane(v[0]), lane(v[1]), lane(v[2]))
 }
 
 impl<R: Real> Total<R> {

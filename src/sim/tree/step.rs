@@ -1,22 +1,26 @@
 //! One time step of a tree robot: where everything is → sand → hard ground → joints → accelerations → move.
 
 use super::dynamics::{self, Frame, Hinge, LaneBody, Load, Motion};
-use super::floor::{BodyContacts, Floor, Surface, Touch};
-use super::sand::{self, BodyPlates};
+use super::floor::{BodyContacts, Floor, Touch};
+use super::patches::BodyPatches;
+use super::relief::LaneRelief;
+use super::sand;
 use super::servo::{Joints, LaneMotor, LaneServo};
-use super::terrain::Flat;
 use crate::number::{Real, Vec3};
 use crate::sand::Ground;
 use crate::spatial::Twist;
+use std::sync::Arc;
 
 /// Everything that stays while a robot moves, one lane each.
 pub struct LaneTree<R> {
     pub bodies: Vec<LaneBody<R>>,
     pub motors: Vec<LaneMotor<R>>,
-    pub plates: Vec<BodyPlates<R>>,
+    pub patches: Arc<Vec<BodyPatches>>,
     pub contacts: Vec<BodyContacts>,
     pub ground: Ground<R>,
     pub floor: Floor<R>,
+    /// None: it is flat.
+    pub relief: Option<LaneRelief>,
     pub gravity: Vec3<R>,
     /// The same in all lanes [s].
     pub dt: R,
@@ -64,21 +68,12 @@ impl<R: Real> Scratch<R> {
 /// Advances all lanes by one time step.
 #[inline(always)]
 pub fn step<R: Real>(model: &LaneTree<R>, state: &mut LaneState<R>, scratch: &mut Scratch<R>) {
-    step_on(model, &Flat, state, scratch);
-}
-
-#[inline(always)]
-fn step_on<R: Real>(
-    model: &LaneTree<R>,
-    surface: &impl Surface<R>,
-    state: &mut LaneState<R>,
-    scratch: &mut Scratch<R>,
-) {
+    let surface = &model.relief;
     let dt = model.dt;
     let place = state.position + Vec3::new(state.travelled[0], state.travelled[1], R::zero());
     dynamics::place(&model.bodies, &state.motion, &mut scratch.frames);
     dynamics::load(&model.bodies, &scratch.frames, model.gravity, &mut scratch.loads);
-    sand::press(&model.ground, &model.plates, &scratch.frames, &place, surface, &mut scratch.loads, dt);
+    sand::press(&model.ground, &model.patches, &scratch.frames, &place, surface, &mut scratch.loads, dt);
     model.floor.find(&model.contacts, &scratch.frames, &place, surface, &mut scratch.touches);
     if scratch.touches.is_empty() {
         solve(model, state, scratch);

@@ -33,6 +33,11 @@ pub struct Flat;
 
 impl<R: Real> Surface<R> for Flat {
     #[inline(always)]
+    fn is_flat(&self) -> bool {
+        true
+    }
+
+    #[inline(always)]
     fn under(&self, _point: Vec3<R>) -> Local<R> {
         Local { point: Vec3::zero(), normal: Vec3::splat([0.0, 0.0, 1.0]) }
     }

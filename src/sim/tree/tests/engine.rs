@@ -7,6 +7,7 @@ use crate::number::{Isa, Vec3};
 use crate::sand::Medium;
 use crate::sand::intruder::{Body, BodyShape, Plate};
 use crate::{Model, State};
+use std::sync::Arc;
 
 fn scene(dt: f64) -> Scene {
     Scene { dt, ..Scene::flat(Medium::named("poppy-loose").unwrap()) }
@@ -387,6 +388,37 @@ fn precisions_agree() {
     }
     // Balls of 2 cm sink deep under 12 kg.
     assert!(double.rotation()[2][2] > 0.98 && double.position[2] > 0.05, "{double:?}");
+}
+
+/// On a plane of heights under upright gravity a robot does what it does on level ground under gravity that is tilted as much:
+/// in sand, and on hard ground.
+#[test]
+fn a_plane_of_heights_is_a_slope() {
+    let angle = 10f64.to_radians();
+    let rows = vec![(0..40).map(|i| angle.tan() * 0.5 * f64::from(i)).collect::<Vec<f64>>(); 40];
+    let plane = Arc::new(super::super::relief::Relief::new(0.5, &rows).unwrap());
+    let turn = UnitQuaternion::from_axis_angle(&V::y_axis(), -angle);
+    // A point of the plane.
+    let origin = V::new(10.0, 10.0, 10.0 * angle.tan());
+    for hard in [false, true] {
+        let ground = if hard { vec![HardGround::everywhere()] } else { Vec::new() };
+        let model = |slope_deg: f64, relief| {
+            let scene = Scene { slope_deg, relief, hard: ground.clone(), ..scene(1e-3) };
+            let tree = quadruped();
+            let plates = plates(&tree);
+            Model::of_tree(TreeModel::new(tree, plates).unwrap(), &scene).unwrap()
+        };
+        let flat = run(Isa::F64, &model(10.0, None), &standing(&quadruped()), 0.6);
+        let mut start = standing(&quadruped());
+        start.position = (origin + turn * V::from(start.position)).into();
+        start.orientation = [turn.w, turn.i, turn.j, turn.k];
+        let tilted = run(Isa::F64, &model(0.0, Some(plane.clone())), &start, 0.6);
+        let back = turn.inverse() * (V::from(tilted.position) - origin);
+        // Places of single precision, of nodes whose heights are no more exact.
+        assert!((back - V::from(flat.position)).norm() < 2e-5, "{hard}: {back} {flat:?}");
+        let moved = (V::from(flat.position) - V::new(0.0, 0.0, 0.35)).norm();
+        assert!(moved > 0.01, "{hard}: {flat:?}");
+    }
 }
 
 /// A servo reaches its target, gives no more than its torque limit, and stays within its range.

@@ -6,7 +6,8 @@ use crate::sand::intruder::{Body, BodyShape, Given, Plate, Trial, compute};
 use crate::sand::{Ground, Law, Mechanisms, Medium, SandDescription, Surface};
 use crate::spatial::Twist;
 use crate::tree::dynamics::{Frame, Load};
-use crate::tree::sand::{BodyPlates, press};
+use crate::tree::patches::BodyPatches;
+use crate::tree::sand::press;
 use crate::tree::terrain::Flat;
 use std::io::Write;
 
@@ -58,7 +59,7 @@ fn by_lanes<R: Real>(
     (frame.rotation.x, frame.rotation.y, frame.rotation.z) = (column(0), column(1), column(2));
     frame.velocity = Twist { angular: Vec3::zero(), linear: Vec3::splat(v.into()) };
     let mut loads = [Load::none()];
-    let body = [BodyPlates::of(0, &plates)];
+    let body = [BodyPatches::of(0, &plates, sand.law)];
     press(&ground, &body, &[frame], &Vec3::splat([0.0, 0.0, -depth]), &Flat, &mut loads, R::splat(1e-3));
     let bias = loads[0].bias;
     (-V::from(bias.force.lane(0)), -V::from(bias.moment.lane(0)))
@@ -102,7 +103,8 @@ fn the_force_is_that_of_a_body_in_steady_motion() {
             // At least half of it in the sand: where it hardly touches, few plates carry all of the force.
             let (depth, v) = (0.01 * (1.0 + draw.number()), draw.vector() * 0.3);
             let found = by_lanes::<f64>(&ball.plates, &sand, &Rotation3::identity(), depth, v, 1e-20);
-            assert_near(found, by_intruder(&ball, &sand, depth, v), 5e-3);
+            // The law is asked for a patch's mean normal, not for each plate.
+            assert_near(found, by_intruder(&ball, &sand, depth, v), 1e-2);
         }
     }
 }

@@ -1,0 +1,219 @@
+//! Ground that is not flat: a field of heights, smooth between its nodes.
+
+use super::floor::Surface;
+use super::terrain::{Flat, Local};
+use crate::error::{Error, Result, check_range};
+use crate::number::{Real, Vec3};
+use std::f64::consts::TAU;
+use std::sync::Arc;
+
+/// Steepest slope that dry, loose sand rests at [°]: what [`crate::model::Scene`] takes at most; no medium has one of its own.
+pub const REPOSE_DEG: f64 = 35.0;
+/// Nodes along a side, and height of a node [m]: our choice of guards.
+const NODES: std::ops::RangeInclusive<f64> = 4.0..=512.0;
+const HEIGHTS: std::ops::RangeInclusive<f64> = -100.0..=100.0;
+/// Waves that dunes are the sum of: our choice, no direction stands out.
+const WAVES: usize = 24;
+/// Nodes along a side of dunes, and nodes a wave length: our choice.
+const SIDE: usize = 128;
+const A_WAVE: f64 = 16.0;
+
+/// Heights on a square grid; the surface is the quadratic B-spline over them, so its normal changes without a jump.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Relief {
+    /// Between nodes [m].
+    spacing: f64,
+    /// Rows along y, columns along x.
+    rows: usize,
+    columns: usize,
+    /// Row by row [m].
+    heights: Vec<f32>,
+    /// Does it come again beyond its end? Else it goes on as high as there.
+    repeats: bool,
+}
+
+impl Relief {
+    /// The node of row 0 and column 0 is at x = y = 0.
+    pub fn new(spacing: f64, rows: &[Vec<f64>]) -> Result<Self> {
+        check_range("relief.spacing", spacing, 1e-3..=100.0)?;
+        let columns = rows.first().map_or(0, Vec::len);
+        check_range("relief.heights: rows", rows.len() as f64, NODES)?;
+        check_range("relief.heights: columns", columns as f64, NODES)?;
+        if let Some((k, row)) = rows.iter().enumerate().find(|(_, row)| row.len() != columns) {
+            let reason = format!("row {} has {} numbers, the first {columns}", k + 1, row.len());
+            return Err(Error::invalid("relief.heights", reason));
+        }
+        rows.iter().flatten().try_for_each(|h| check_range("relief.heights", *h, HEIGHTS).map(drop))?;
+        let heights = rows.iter().flatten().map(|h| *h as f32).collect();
+        Ok(Self { spacing, rows: rows.len(), columns, heights, repeats: false })
+    }
+
+    /// Random dunes: waves of about `wavelength` [m] in all directions, the steepest place at `slope_deg`; they come again
+    /// after eight wave lengths.
+    pub fn dunes(seed: u64, wavelength: f64, slope_deg: f64) -> Result<Self> {
+        check_range("relief.wavelength", wavelength, 0.1..=100.0)?;
+        check_range("relief.slope_deg", slope_deg, 0.0..=REPOSE_DEG)?;
+        let mut draw = Draw(seed);
+        let whole = SIDE as f64 / A_WAVE;
+        let waves: Vec<[f64; 3]> = (0..WAVES)
+            .map(|_| {
+                let (angle, length) = (TAU * draw.next(), 0.5 + draw.next());
+                // Whole waves from end to end.
+                let [x, y] = [angle.cos(), angle.sin()].map(|part| (whole * length * part).round());
+                [x, y, TAU * draw.next()]
+            })
+            .filter(|[x, y, _]| x.hypot(*y) > 0.0)
+            .collect();
+        let height = |i: usize| {
+            let (x, y) = ((i % SIDE) as f64 / SIDE as f64, (i / SIDE) as f64 / SIDE as f64);
+            waves.iter().map(|[a, b, phase]| (TAU * (a * x + b * y) + phase).sin() / a.hypot(*b)).sum::<f64>() as f32
+        };
+        let heights = (0..SIDE * SIDE).map(height).collect();
+        let mut dunes = Self { spacing: wavelength / A_WAVE, rows: SIDE, columns: SIDE, heights, repeats: true };
+        let scale = slope_deg.to_radians().tan() / dunes.steepest().0.max(1e-9);
+        dunes.heights.iter_mut().for_each(|h| *h = (f64::from(*h) * scale) as f32);
+        Ok(dunes)
+    }
+
+    /// Length and width [m].
+    pub fn size(&self) -> [f64; 2] {
+        [self.columns, self.rows].map(|n| n as f64 * self.spacing)
+    }
+
+    /// Tangent of the steepest slope, and where it is [m]: at nodes and half way between them, where it is largest.
+    pub fn steepest(&self) -> (f64, [f64; 2]) {
+        let half = self.spacing / 2.0;
+        let places = (0..4 * self.rows * self.columns)
+            .map(|i| [(i % (2 * self.columns)) as f64 * half, (i / (2 * self.columns)) as f64 * half]);
+        places.fold((0.0, [0.0; 2]), |best, at| {
+            let [gx, gy] = self.at(at[0], at[1]).1;
+            let slope = gx.hypot(gy);
+            if slope > best.0 { (slope, at) } else { best }
+        })
+    }
+
+    /// Refuses what loose sand does not rest at.
+    pub fn check_repose(&self) -> Result<()> {
+        let (slope, [x, y]) = self.steepest();
+        let degrees = slope.atan().to_degrees();
+        if degrees <= REPOSE_DEG + 1e-6 {
+            return Ok(());
+        }
+        let reason = format!(
+            "at x = {x:.2} m, y = {y:.2} m it is {degrees:.1}° steep; loose sand rests at {REPOSE_DEG}° at most"
+        );
+        Err(Error::invalid("relief", reason))
+    }
+
+    /// Height [m], and how it grows along x and y.
+    #[inline]
+    pub fn at(&self, x: f64, y: f64) -> (f64, [f64; 2]) {
+        let along = |x: f64, count: usize| {
+            // As far as nodes can be counted.
+            let u = (x / self.spacing).clamp(-1e15, 1e15);
+            let node = u.round();
+            let t = u - node;
+            let [low, high] = [0.5 - t, 0.5 + t];
+            let index = |k: i64| {
+                let k = (node as i64).saturating_add(k);
+                let last = count as i64 - 1;
+                if self.repeats { k.rem_euclid(count as i64) as usize } else { k.clamp(0, last) as usize }
+            };
+            (
+                [index(-1), index(0), index(1)],
+                [0.5 * low * low, 0.75 - t * t, 0.5 * high * high],
+                [-low, -2.0 * t, high],
+            )
+        };
+        let (columns, wx, dx) = along(x, self.columns);
+        let (rows, wy, dy) = along(y, self.rows);
+        let (mut height, mut slope) = (0.0, [0.0; 2]);
+        for j in 0..3 {
+            let row = rows[j] * self.columns;
+            let h = columns.map(|c| f64::from(self.heights[row + c]));
+            let value = h[0] * wx[0] + h[1] * wx[1] + h[2] * wx[2];
+            height += wy[j] * value;
+            slope[0] += wy[j] * (h[0] * dx[0] + h[1] * dx[1] + h[2] * dx[2]);
+            slope[1] += dy[j] * value;
+        }
+        (height, slope.map(|s| s / self.spacing))
+    }
+}
+
+/// Numbers in [0, 1), the same on every machine (SplitMix64, Steele, Lea & Flood 2014).
+struct Draw(u64);
+
+impl Draw {
+    fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+    }
+}
+
+/// A relief in each lane.
+pub struct LaneRelief(pub Vec<Arc<Relief>>);
+
+/// None: level ground. One type for both, so that the step is compiled once.
+impl<R: Real> Surface<R> for Option<LaneRelief> {
+    #[inline(always)]
+    fn is_flat(&self) -> bool {
+        self.is_none()
+    }
+
+    #[inline(always)]
+    fn under(&self, p: Vec3<R>) -> Local<R> {
+        match self {
+            None => Flat.under(p),
+            Some(reliefs) => reliefs.under(p),
+        }
+    }
+}
+
+impl LaneRelief {
+    #[inline(never)]
+    fn under<R: Real>(&self, p: Vec3<R>) -> Local<R> {
+        let mut local = Local { point: p, normal: Vec3::zero() };
+        for (lane, relief) in self.0.iter().enumerate() {
+            let [x, y, _] = p.lane(lane);
+            let (height, [gx, gy]) = relief.at(x, y);
+            let length = (gx * gx + gy * gy + 1.0).sqrt();
+            local.point.z.set_lane(lane, height);
+            local.normal.set_lane(lane, [-gx / length, -gy / length, 1.0 / length]);
+        }
+        local
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_plane_is_a_plane() {
+        let rows: Vec<Vec<f64>> = (0..8).map(|j| (0..9).map(|i| 0.1 * i as f64 - 0.05 * j as f64).collect()).collect();
+        let plane = Relief::new(0.5, &rows).unwrap();
+        for (x, y) in [(1.0, 1.0), (1.3, 2.24), (2.9, 0.77)] {
+            let (height, [gx, gy]) = plane.at(x, y);
+            assert!((height - (0.2 * x - 0.1 * y)).abs() < 1e-7);
+            assert!((gx - 0.2).abs() < 1e-6 && (gy + 0.1).abs() < 1e-6);
+        }
+        // Beyond its end it goes on as high as there.
+        assert!(plane.at(1e9, 1.0).1[0].abs() < 1e-9 && plane.at(f64::MAX, -f64::MAX).0.is_finite());
+    }
+
+    #[test]
+    fn dunes_are_as_steep_as_asked_and_come_again() {
+        let dunes = Relief::dunes(3, 2.0, 20.0).unwrap();
+        assert!((dunes.steepest().0 - 20f64.to_radians().tan()).abs() < 1e-5);
+        let [length, _] = dunes.size();
+        assert!((length - 16.0).abs() < 1e-9);
+        assert!((dunes.at(1.234, 5.6).0 - dunes.at(1.234 - length, 5.6 + length).0).abs() < 1e-6);
+        assert_ne!(dunes, Relief::dunes(4, 2.0, 20.0).unwrap());
+        assert!(Relief::dunes(3, 2.0, 36.0).is_err());
+        let cliff: Vec<Vec<f64>> = (0..8).map(|j| vec![if j < 4 { 0.0 } else { 1.0 }; 8]).collect();
+        assert!(Relief::new(0.5, &cliff).unwrap().check_repose().unwrap_err().to_string().contains("steep"));
+    }
+}
