@@ -25,6 +25,7 @@ pub mod forward;
 pub mod further;
 pub mod judged;
 pub mod lack_of_fit;
+pub mod likelihood;
 pub mod minimise;
 pub mod misfit;
 pub mod motion;
@@ -37,6 +38,7 @@ pub mod page;
 pub mod profile;
 pub mod repeats;
 pub mod report;
+pub mod response;
 pub mod select;
 pub mod shared;
 

@@ -73,7 +73,7 @@ impl Known<'_> {
         let own = Whitener::new(&source, &noise).without(study.observations, held);
         let Some(Beside { discrepancy, raw, .. }) = self.beside else { return own };
         let sized = |column: &Vec<f64>| own.apply(column).iter().map(|v| discrepancy.size * v).collect();
-        own.beside(&raw.iter().map(sized).collect::<Vec<_>>())
+        own.beside(raw.iter().map(sized).collect())
     }
 }
 

@@ -5,6 +5,7 @@
 //! carries environment `i` (structure of arrays).
 
 mod denormal;
+mod doubles;
 mod isa;
 mod portable;
 #[cfg(test)]
@@ -16,6 +17,7 @@ mod x86;
 pub use denormal::flushed;
 #[cfg(all(test, target_arch = "x86_64"))]
 pub use denormal::met_denormals;
+pub use doubles::Doubles;
 pub use isa::Isa;
 pub use portable::Portable;
 pub use vector::{Mat3, Vec3};
