@@ -12,14 +12,60 @@ use crate::sand::intrusion::Load;
 use crate::sand::mechanism::Mechanisms;
 use crate::sand::shape::{Segment, straight};
 use crate::sand::{Ground, Shape};
+use std::ops::Range;
 
 /// Segments a plate or leg is cut into: the partly submerged one then errs by < 0.1 % of the peak force. Our choice.
 const SEGMENTS: usize = 40;
 /// Steps per sample interval in which the low-pass filter sees the force; linear in between. Our choice.
 const FILTER_STEPS: usize = 6;
-/// Samples that an acceleration is taken from: our choice. A velocity that swings once in thirteen samples then errs by 0.2 %
+/// Samples that an acceleration is taken from where the motion is smooth: our choice. A velocity that swings once in thirteen samples then errs by 0.2 %
 /// inside a trial and by 1 % at its ends, where two samples gave 4 % and a quarter; noise of a velocity counts a third more.
 const STENCIL: usize = 5;
+/// The same where no such stretch is smooth: as many as hold a ramp of three samples.
+const SHORT: usize = 3;
+/// A stretch is smooth where the last of its differences is below this share of those before: our choice, above the quarter of a
+/// swing of thirteen samples and below what a kink leaves.
+const SMOOTH: f64 = 0.5;
+
+/// For each sample the stretch that its acceleration is taken from. Drives start and stop with a kink in the speed, and a polynomial
+/// across a kink is wrong on both sides: of the stretches that hold the sample the smoothest is taken (as in essentially
+/// non-oscillatory schemes: Harten, Engquist, Osher & Chakravarthy 1987), a short one where no long one is smooth.
+pub fn stencils(track: &Track) -> Vec<Range<usize>> {
+    let poses = &track.poses;
+    let chosen = |i: usize| {
+        let of = |count: usize| {
+            let count = count.min(poses.len());
+            let starts = (i + 1).saturating_sub(count)..=i.min(poses.len() - count);
+            let rough = |start: usize| roughness(&poses[start..start + count]);
+            let middle = |start: usize| (2 * start + count).abs_diff(2 * i + 1);
+            let all = starts.map(|start| (rough(start), middle(start), start..start + count));
+            all.min_by(|a, b| a.0[0].total_cmp(&b.0[0]).then(a.1.cmp(&b.1)))
+        };
+        let [long, short] = [STENCIL, SHORT].map(of);
+        let smooth = long.as_ref().is_some_and(|l| l.0[0] <= SMOOTH * l.0[1]);
+        if smooth { long } else { short }.map_or(0..poses.len(), |l| l.2)
+    };
+    (0..poses.len()).map(chosen).collect()
+}
+
+/// Size of the last difference of the velocities over a stretch, and of the greatest but the first before it.
+fn roughness(poses: &[Pose]) -> [f64; 2] {
+    let mut differences: Vec<[f64; 3]> = poses.iter().map(|p| [p.omega, p.velocity[0], p.velocity[1]]).collect();
+    let interval = (poses[poses.len() - 1].t - poses[0].t) / (poses.len() - 1).max(1) as f64;
+    let mut sizes = Vec::new();
+    for order in 1..poses.len() {
+        // Divided differences, times the interval: those of even samples as they are.
+        let next = |i: usize| {
+            let way = (poses[i + order].t - poses[i].t) / (order as f64 * interval);
+            [0, 1, 2].map(|axis| (differences[i + 1][axis] - differences[i][axis]) / way)
+        };
+        differences = (0..poses.len() - order).map(next).collect();
+        let size = |d: &[f64; 3]| d.iter().map(|v| v * v).sum::<f64>().sqrt();
+        sizes.push(differences.iter().map(size).fold(0.0, f64::max));
+    }
+    let last = sizes.pop().unwrap_or(0.0);
+    [last, sizes.into_iter().skip(1).fold(0.0, f64::max)]
+}
 
 /// Segments that are computed together. Where some are left over, the last is filled up with segments without area.
 #[derive(Clone, Copy)]
@@ -142,6 +188,8 @@ pub struct Arm<'a, const N: usize> {
     pub mechanisms: &'a Mechanisms,
     pub sand: SandMechanisms<Doubles>,
     pub grounds: &'a [Ground<Doubles>; N],
+    /// [`stencils`] of the track; none are needed without added mass.
+    pub stencils: Vec<Range<usize>>,
     /// [`crate::sand::beyond::footprint`] of the track's pass.
     pub footprint: f64,
     /// λ ρ [kg/m³] and the form of inertial drag, where it is another than the catalogue's.
@@ -225,16 +273,15 @@ impl<const N: usize> Arm<'_, N> {
     }
 
     /// Angular acceleration [rad/s²] and the centre's acceleration [m/s²] at time `t`: slopes of the polynomial through the
-    /// logged velocities of the nearest samples (Lagrange), which needs no even sampling and no sample beyond an end. Before
+    /// logged velocities of samples beside it (Lagrange), which needs no even sampling and no sample beyond an end. Before
     /// and after the log they are those of its ends.
     fn acceleration(&self, t: f64) -> [f64; 3] {
         let poses = &self.track.poses;
         let t = t.clamp(poses[0].t, poses[poses.len() - 1].t);
-        let count = poses.len().min(STENCIL);
         let after = poses.partition_point(|p| p.t < t);
         let nearest = if after > 0 && t - poses[after - 1].t < poses[after].t - t { after - 1 } else { after };
-        let near = &poses[nearest.saturating_sub(STENCIL / 2).min(poses.len() - count)..][..count];
-        let others = |j: usize| (0..count).filter(move |&m| m != j);
+        let near = &poses[self.stencils[nearest].clone()];
+        let others = |j: usize| (0..near.len()).filter(move |&m| m != j);
         near.iter().enumerate().fold([0.0; 3], |sum, (j, pose)| {
             let share = |k: usize| (t - near[k].t) / (pose.t - near[k].t);
             let without = |m: usize| others(j).filter(|&k| k != m).map(share).product::<f64>();
@@ -389,6 +436,7 @@ mod tests {
             mechanisms: &mechanisms,
             sand: SandMechanisms::new(&mechanisms, 640.0),
             grounds: &[ground],
+            stencils: stencils(&track),
             footprint: 1.0,
             other_drag: None,
         };

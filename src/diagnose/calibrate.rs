@@ -6,12 +6,13 @@
 //! tails of F and not of χ².
 
 use super::fit::slope;
-use super::fit::{COEFFICIENTS, Column, dot};
+use super::fit::{COEFFICIENTS, Column};
 use super::lack_of_fit::{self, Lack};
 use super::noise::{Noise, Source, sizes};
 use super::observations::Observations;
 use super::study::Study;
 use super::whiten::Whitener;
+use crate::number::{add_scaled, dot};
 use crate::parallel;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
 use nalgebra::{DMatrix, DVector};
@@ -70,15 +71,11 @@ impl Gates {
         lack.mean > self.lack_of_fit || lack.worst > self.worst
     }
 
-    /// Degrees of freedom of a set of causes: of the one known least; of none, of any.
+    /// Degrees of freedom of a set of causes: of the one known least; of none, of any. At least 2, our choice, because with fewer
+    /// intervals would say nothing.
     pub fn degrees_of(&self, ids: &[usize]) -> f64 {
         let own = self.degrees.iter().filter(|d| ids.is_empty() || ids.contains(&d.0));
         own.map(|d| d.1).fold(MOST_DEGREES, f64::min)
-    }
-
-    /// The same for intervals: at least 2, our choice, because with fewer they would say nothing.
-    pub fn tail_degrees(&self, ids: &[usize]) -> f64 {
-        self.degrees_of(ids).max(2.0)
     }
 }
 
@@ -117,7 +114,7 @@ impl Screen {
         let adjusted = inverse * cr;
         let mut left = white;
         for (column, share) in c.iter().zip(&adjusted) {
-            left.iter_mut().zip(column).for_each(|(r, c)| *r -= share * c);
+            add_scaled(&mut left, -share, column);
         }
         Scores { gram, score, white: left }
     }
@@ -243,13 +240,14 @@ pub fn gates(study: &Study, source: &Source, screen: &Screen, noise: &Noise, sco
     let degrees: Vec<f64> = (0..screen.candidates.len()).map(|k| degrees(&nulls, k)).collect();
     let ideal = ideal(screen, &scores.gram, &degrees);
     let of = |f: fn(&Null) -> f64| spread(&nulls.iter().map(f).collect::<Vec<_>>());
-    let (mean, worst) = (of(|n| n.lack.mean), of(|n| n.lack.worst));
+    let (mean, worst, count) = (of(|n| n.lack.mean), of(|n| n.lack.worst), of(|n| n.lack.count).0);
     Gates {
         // The nulls may only widen the gate: they are few, and by chance their mean can fall below the known one.
         inflation: (of(|n| n.best).0 / spread(&ideal).0.max(1e-9)).max(1.0),
         single: (of(|n| n.best).0 / spread(&ideal).0.max(1e-9)).max(1.0) * quantile(ideal, 1.0 - FALSE_ALARM),
-        // A tenth more for the skewness of a sum of squares.
-        lack_of_fit: mean.0 + 1.1 * NORMAL * mean.1,
+        // A tenth more for the skewness of a sum of squares. A mean square that noise itself makes is no misfit, though nulls,
+        // whose noise is judged as what it is, may stay below it.
+        lack_of_fit: (mean.0 + 1.1 * NORMAL * mean.1).max(1.0 + 1.1 * NORMAL * (2.0 / count.max(1.0)).sqrt()),
         worst: worst.0 + GREATEST * worst.1,
         degrees: screen.candidates.iter().map(|c| c.0).zip(degrees).collect(),
     }

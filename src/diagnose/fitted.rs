@@ -4,12 +4,13 @@
 use super::calibrate::{FELT, Gates, Scores, Screen, gates, starts};
 use super::cross_validation::{HeldOut, leave_condition_out, unfitted};
 use super::discrepancy::{Directions, Discrepancy};
-use super::fit::{COEFFICIENTS, Fit, dot, slope};
+use super::fit::{COEFFICIENTS, Fit, slope};
 use super::lack_of_fit::{self, Lack};
 use super::noise::{Noise, Source};
 use super::nuisance::Nuisance;
 use super::study::Study;
 use super::whiten::Whitener;
+use crate::number::dot;
 use crate::parallel;
 use crate::sand::mechanism::CATALOG;
 

@@ -3,7 +3,7 @@
 //! Everything statistical is written against [`ForwardModel`]; [`ForceLogModel`] predicts force logs, track by track
 //! ([`super::arm`]).
 
-use super::arm::{Arm, Cut, PowerDrag, filtered, read};
+use super::arm::{Arm, Cut, PowerDrag, filtered, read, stencils};
 use super::experiment::{Experiment, Intruder};
 use super::fit::slope;
 use super::force_log::{ForceLog, Pose, Track};
@@ -296,6 +296,7 @@ impl<'a> ForceLogModel<'a> {
             mechanisms: m,
             sand: self.sand(m),
             grounds,
+            stencils: if m.added_mass == 0.0 { Vec::new() } else { stencils(track) },
             footprint: footprint(m.footprint, track.pass, track.pass_dx),
             other_drag: self.drag.map(|law| (density, law)),
         }

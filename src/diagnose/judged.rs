@@ -42,7 +42,7 @@ pub struct Judged {
 /// Where slopes are not to be trusted: the lowest place about the best, and how far its values can be moved.
 pub fn explored(study: &Study, fitted: Fitted, gates: &Gates) -> (Fitted, Vec<[f64; 2]>) {
     let Some(best) = fitted.best().filter(|_| study.model.roughness().is_some()) else { return (fitted, Vec::new()) };
-    let allowed = student::square_at_95(gates.tail_degrees(&best.fit.ids)) * gates.inflation;
+    let allowed = student::square_at_95(gates.degrees_of(&best.fit.ids)) * gates.inflation;
     let (lowest, intervals) = profile::explore(study, &best.fit, allowed);
     let mut candidates = fitted.candidates;
     if lowest.objective < candidates[0].fit.objective {
@@ -122,7 +122,7 @@ fn intervals(fit: &Fit, gates: &Gates, profiled: &[[f64; 2]]) -> Intervals {
     let (count, covariance) = (fit.ids.len(), fit.covariance());
     let range = |k: usize| {
         let at = fit.coordinates()[k];
-        let square = student::square_at_95(gates.tail_degrees(&fit.ids[k..=k])) * gates.inflation;
+        let square = student::square_at_95(gates.degrees_of(&fit.ids[k..=k])) * gates.inflation;
         let reach = (square * covariance[(k, k)]).sqrt();
         let profiled = profiled.get(k).filter(|i| i.iter().all(|u| u.is_finite()));
         let [low, high] = profiled.copied().unwrap_or([at - reach, at + reach]);

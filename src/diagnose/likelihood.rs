@@ -3,10 +3,10 @@
 //! Channels have noise of their own, so products of whitened columns are sums over channels. A search moves one number at a
 //! time: what the other channels contribute is kept, and the size of what a repetition has in common only scales products.
 
-use super::fit::dot;
 use super::noise::{ChannelFilter, ChannelNoise, Clock, Noise};
 use super::repeats::Repeats;
 use super::shared::Likelihood;
+use crate::number::dot;
 use nalgebra::{DMatrix, DVector};
 use std::sync::{Arc, Mutex, PoisonError};
 

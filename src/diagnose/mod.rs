@@ -176,7 +176,7 @@ fn testable(study: &Study) -> (Vec<usize>, Vec<Untestable>) {
     let plain = study.plain().prediction;
     let felt = |moved: &[f64]| {
         let white = study.whitener.apply(&fit::slope(moved, &plain, 1.0));
-        fit::dot(&white, &white) > calibrate::FELT
+        crate::number::dot(&white, &white) > calibrate::FELT
     };
     for (id, why) in asked {
         let moves = tried.iter().zip(&there).any(|(t, moved)| t.0 == id && felt(moved));

@@ -7,11 +7,12 @@
 use super::calibrate::Gates;
 use super::cross_validation::HeldOut;
 use super::errors::Errors;
-use super::fit::{COEFFICIENTS, Column, Fit, dot};
+use super::fit::{COEFFICIENTS, Column, Fit};
 use super::fitted::{Beside, Fitted};
 use super::noise::{Noise, Source};
 use super::study::Study;
 use super::whiten::Whitener;
+use crate::number::dot;
 use crate::parallel;
 use nalgebra::{DMatrix, DVector};
 use std::sync::Arc;

@@ -1,6 +1,7 @@
 //! How the data answer to the stress coefficients: the force is linear in them, so one walk along the tracks tells it for all.
 
 use super::fit::COEFFICIENTS;
+use crate::number::add_scaled;
 use crate::sand::Coefficients;
 use crate::sand::mechanism::Mechanisms;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -40,7 +41,7 @@ impl Response {
     pub fn at(&self, coefficients: &Coefficients) -> Vec<f64> {
         let mut all = self.rest.clone();
         for (column, c) in self.by.iter().zip(coefficients.to_array()) {
-            all.iter_mut().zip(column).for_each(|(a, b)| *a += c * b);
+            add_scaled(&mut all, c, column);
         }
         all
     }

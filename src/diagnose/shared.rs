@@ -4,7 +4,7 @@
 //! measurement of that run moves with them. With the directions as columns of U and their standard deviations in it, the
 //! covariance of a unit is D + U Uᵀ, D the noise of its channels.
 
-use super::fit::dot;
+use crate::number::{add_scaled, dot};
 use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
 
@@ -57,8 +57,7 @@ impl LowRank {
     pub fn apply(&self, own: &mut [f64]) {
         let along: Vec<f64> = self.columns.iter().map(|column| dot(column, own)).collect();
         for (column, row) in self.columns.iter().zip(&self.middle) {
-            let part = dot(row, &along);
-            own.iter_mut().zip(column).for_each(|(v, c)| *v -= part * c);
+            add_scaled(own, -dot(row, &along), column);
         }
     }
 }

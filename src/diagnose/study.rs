@@ -1,10 +1,11 @@
 //! Data, model, noise and nuisances: all that a fit needs.
 
-use super::fit::{COEFFICIENTS, Column, Fit, dot, slope};
+use super::fit::{COEFFICIENTS, Column, Fit, slope};
 use super::forward::ForwardModel;
 use super::nuisance::Nuisance;
 use super::observations::Observations;
 use super::whiten::Whitener;
+use crate::number::dot;
 use crate::parallel;
 use crate::sand::Coefficients;
 use crate::sand::mechanism::{CATALOG, Mechanisms};

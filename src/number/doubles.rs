@@ -129,3 +129,46 @@ impl Real for Doubles {
 fn with_avx2<K: Kernel>(kernel: K) {
     kernel.run();
 }
+
+/// Sum of products of two vectors, the same bits on every machine.
+pub fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let mut sum = 0.0;
+    Doubles::dispatch(Dot { a, b, sum: &mut sum });
+    sum
+}
+
+struct Dot<'a> {
+    a: &'a [f64],
+    b: &'a [f64],
+    sum: &'a mut f64,
+}
+
+impl Kernel for Dot<'_> {
+    #[inline(always)]
+    fn run(self) {
+        let (a, b) = (self.a.as_chunks::<LANES>(), self.b.as_chunks::<LANES>());
+        let mut sums = Doubles::splat(0.0);
+        for (a, b) in a.0.iter().zip(b.0) {
+            sums += Doubles(*a) * Doubles(*b);
+        }
+        *self.sum = sums.sum() + a.1.iter().zip(b.1).map(|(a, b)| a * b).sum::<f64>();
+    }
+}
+
+/// Adds `share` times the vector `from` to `to`.
+pub fn add_scaled(to: &mut [f64], share: f64, from: &[f64]) {
+    Doubles::dispatch(AddScaled { to, share, from });
+}
+
+struct AddScaled<'a> {
+    to: &'a mut [f64],
+    share: f64,
+    from: &'a [f64],
+}
+
+impl Kernel for AddScaled<'_> {
+    #[inline(always)]
+    fn run(self) {
+        self.to.iter_mut().zip(self.from).for_each(|(to, from)| *to += self.share * from);
+    }
+}

@@ -17,7 +17,7 @@ mod x86;
 pub use denormal::flushed;
 #[cfg(all(test, target_arch = "x86_64"))]
 pub use denormal::met_denormals;
-pub use doubles::Doubles;
+pub use doubles::{Doubles, add_scaled, dot};
 pub use isa::Isa;
 pub use portable::Portable;
 pub use vector::{Mat3, Vec3};
