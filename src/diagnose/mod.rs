@@ -8,6 +8,14 @@
 //! Everything from `noise` on sees only [`observations`] and a [`forward::ForwardModel`]: another kind of data needs its
 //! own reader and forward model, nothing else.
 
+use sandgait_base::{error, parallel, progress, student};
+use sandgait_number as number;
+use sandgait_plot as plot;
+use sandgait_sand as sand;
+use sandgait_sim as sim;
+use sandgait_sweep as sweep;
+use sandgait_table as table;
+
 pub mod arm;
 pub mod calibrate;
 pub mod chi_squared;
