@@ -16,6 +16,8 @@ use std::ops::Range;
 
 /// Segments a plate or leg is cut into: the partly submerged one then errs by < 0.1 % of the peak force. Our choice.
 const SEGMENTS: usize = 40;
+/// Share of its greatest speed below which an intruder rests at first: our choice, as where samples at rest are left out.
+const REST: f64 = 0.05;
 /// Steps per sample interval in which the low-pass filter sees the force; linear in between. Our choice.
 const FILTER_STEPS: usize = 6;
 /// Samples that an acceleration is taken from where the motion is smooth: our choice. A velocity that swings once in thirteen samples then errs by 0.2 %
@@ -156,15 +158,24 @@ fn filter_times(poses: &[Pose]) -> Vec<f64> {
     steps.chain(poses.last().map(|p| p.t)).collect()
 }
 
+/// Is the first speed next to nothing beside the greatest?
+fn begins_at_rest(poses: &[Pose]) -> bool {
+    let speeds = |p: &Pose| [p.omega.abs(), p.velocity[0].hypot(p.velocity[1])];
+    let first = speeds(&poses[0]);
+    (0..2).all(|k| first[k] <= REST * poses.iter().map(|p| speeds(p)[k]).fold(0.0, f64::max))
+}
+
 /// Loads at the poses behind a first-order filter of time constant `tau` [s], from those at its steps: τ ẏ = F − y, settled
-/// half a sample before the log, exact for a force that is linear between steps.
+/// half a sample before the log, exact for a force that is linear between steps. A trial that begins at rest begins without force:
+/// what the sand does when it sets out, it does from then on.
 pub fn filtered<const N: usize>(poses: &[Pose], steps: &[[Load; N]], tau: f64) -> Vec<[Load; N]> {
     let times = filter_times(poses);
-    let mut state = steps[0];
+    let rests = begins_at_rest(poses);
+    let mut state = if rests { [Load::default(); N] } else { steps[0] };
     let mut out = Vec::with_capacity(poses.len());
     for k in 1..steps.len() {
         let h = times[k] - times[k - 1];
-        if h > 0.0 {
+        if h > 0.0 && !(rests && k <= FILTER_STEPS) {
             let decay = (-h / tau).exp();
             // weights of the force at the start and the end of a step
             let end = 1.0 - (1.0 - decay) * tau / h;

@@ -24,8 +24,9 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 const FALSE_ALARM: f64 = 0.002;
 /// Normal quantile of it.
 const NORMAL: f64 = 2.88;
-/// Quantile of it for the greatest of many (Gumbel's distribution), in standard deviations above the mean.
-const GREATEST: f64 = 4.39;
+/// Quantile of a quarter of it for the greatest of many (Gumbel's distribution), in standard deviations above the mean: what one
+/// condition is wrong by is the least of what a verdict may rest on.
+const GREATEST: f64 = 5.48;
 /// Simulated nulls: their mean and spread are then known to some 10 %. Our choice, for the time it takes.
 const NULLS: usize = 80;
 
@@ -71,6 +72,11 @@ impl Gates {
         lack.mean > self.lack_of_fit || lack.worst > self.worst
     }
 
+    /// Is a lack of fit hardly beyond its limit? The limit comes from few nulls and from a noise that is learnt.
+    pub fn slight(&self, lack: &Lack) -> bool {
+        lack.mean <= SLIGHT * self.lack_of_fit && lack.worst <= SLIGHT * self.worst
+    }
+
     /// Degrees of freedom of a set of causes: of the one known least; of none, of any. At least 2, our choice, because with fewer
     /// intervals would say nothing.
     pub fn degrees_of(&self, ids: &[usize]) -> f64 {
@@ -79,6 +85,8 @@ impl Gates {
     }
 }
 
+/// A lack of fit up to so many times its limit hides no name: our choice, the limit itself is known to a tenth or so.
+const SLIGHT: f64 = 1.2;
 /// Degrees of freedom beyond which the tails are those of χ²: our choice, the difference is below 1 %.
 const MOST_DEGREES: f64 = 10_000.0;
 

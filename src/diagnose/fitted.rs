@@ -6,7 +6,7 @@ use super::cross_validation::{HeldOut, leave_condition_out, unfitted};
 use super::discrepancy::{Directions, Discrepancy};
 use super::fit::{COEFFICIENTS, Fit, slope};
 use super::lack_of_fit::{self, Lack};
-use super::noise::{Noise, Source};
+use super::noise::{Noise, Sizes, Source, sizes_of};
 use super::nuisance::Nuisance;
 use super::study::Study;
 use super::whiten::Whitener;
@@ -54,6 +54,8 @@ pub struct Candidate {
 /// Noise, whitening and nuisances about one candidate.
 pub struct Surroundings {
     pub noise: Noise,
+    /// What the noise is proportional to: the candidate's own prediction.
+    pub sizes: Sizes,
     pub whitener: Whitener,
     pub nuisances: Vec<Nuisance>,
 }
@@ -171,11 +173,12 @@ pub fn surroundings(study: &Study, source: &Source, start: &Noise, fit: &Fit) ->
     let model_error = study.model.model_error(&fit.mechanisms, &coefficients, &fit.prediction);
     // The noise is learnt from what the fit leaves, nuisances included; it acts along what the sand does.
     let reading = study.reading(fit);
-    let source = Source { prediction: &reading, shared: &shared, model_error: &model_error, ..*source };
+    let sizes = sizes_of(study.observations, &reading);
+    let source = Source { prediction: &reading, sizes: &sizes, shared: &shared, model_error: &model_error, ..*source };
     let noise = source.noise(Some(start), &|| study.model.stopped());
     let whitener = Whitener::new(&source, &noise);
     let nuisances = bent(study, &whitener, fit);
-    Surroundings { noise, whitener, nuisances }
+    Surroundings { noise, sizes, whitener, nuisances }
 }
 
 /// Rounds in which nuisances that bend are followed: our choice, most need two.

@@ -71,6 +71,12 @@ pub type Sizes = Vec<Vec<Vec<f64>>>;
 
 /// See [`Sizes`].
 pub fn sizes(observations: &Observations) -> Sizes {
+    sizes_of(observations, &observations.values)
+}
+
+/// The same of other values than those measured. Where a model is near the data its own are the better ones: measured small where
+/// noise made them small, samples would count for more because of their noise, and every fit would come out low.
+pub fn sizes_of(observations: &Observations, values: &[f64]) -> Sizes {
     let groups = observations.repetitions();
     let mut out = vec![Vec::new(); observations.units.len()];
     for group in &groups {
@@ -79,7 +85,7 @@ pub fn sizes(observations: &Observations) -> Sizes {
             let mean = |c: usize, at: f64| {
                 let of = |v: &usize| {
                     let other = &observations.units[*v];
-                    interpolate(&other.progress, &observations.values[other.block(c)], at)
+                    interpolate(&other.progress, &values[other.block(c)], at)
                 };
                 group.iter().map(of).sum::<f64>() / group.len() as f64
             };

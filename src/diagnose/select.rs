@@ -168,7 +168,8 @@ fn conclude(
         let best = fitted.best().filter(|_| fitted.found(&first.gates)).unwrap_or(&fitted.base);
         let left = renewed.restated(&best.fit);
         let lacks = [lacks[0], lack_of_fit::statistic(study.observations, &left.white)];
-        let known = Known { source: asked.source, noise: &around.noise, beside: beside.as_ref() };
+        let source = Source { sizes: &around.sizes, ..*asked.source };
+        let known = Known { source: &source, noise: &around.noise, beside: beside.as_ref() };
         let nested = nested(&last, &fitted, &first.gates, &known);
         let (gates, floor) = (&first.gates, asked.floor);
         let standing = Standing { fitted: &fitted, gates, discrepancy, lacks, floor, nested, profiled };
@@ -191,7 +192,8 @@ fn conclude(
 fn law(study: &Study, asked: &Asked, around: &Surroundings, fitted: &Fitted, first: &Screened) -> Option<Described> {
     let renewed = study.under(&around.whitener, around.nuisances.clone());
     let base = renewed.fit_from(&[&fitted.base.fit]).swap_remove(0);
-    let known = Known { source: asked.source, noise: &around.noise, beside: None };
+    let source = Source { sizes: &around.sizes, ..*asked.source };
+    let known = Known { source: &source, noise: &around.noise, beside: None };
     let law = described(&renewed, &known, &base, &first.gates)?;
     let plain = &fitted.plain_held_out.errors;
     (described::explained(&renewed, &base, &law, [plain, asked.floor]) >= MAIN_PART).then_some(law)
