@@ -181,7 +181,9 @@ pub fn filtered<const N: usize>(poses: &[Pose], steps: &[[Load; N]], tau: f64) -
             let end = 1.0 - (1.0 - decay) * tau / h;
             let start = 1.0 - decay - end;
             let next = |y: f64, a: f64, b: f64| decay * y + start * a + end * b;
-            for (y, (a, b)) in state.iter_mut().zip(steps[k - 1].iter().zip(&steps[k])) {
+            // At rest the direction of the motion to come is not known yet: the first force is that of the step after.
+            let before = if rests && k == FILTER_STEPS + 1 { &steps[k] } else { &steps[k - 1] };
+            for (y, (a, b)) in state.iter_mut().zip(before.iter().zip(&steps[k])) {
                 *y = Load { fx: next(y.fx, a.fx, b.fx), fz: next(y.fz, a.fz, b.fz), ty: next(y.ty, a.ty, b.ty) };
             }
         }

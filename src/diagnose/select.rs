@@ -2,8 +2,9 @@
 
 use super::calibrate::{FELT, Screen};
 use super::described::{self, Described, described};
-use super::discrepancy::Discrepancy;
+use super::discrepancy::{Directions, Discrepancy};
 use super::errors::Errors;
+use super::fit::Fit;
 use super::fitted::{
     Candidate, FINALISTS, Fitted, Screened, Surroundings, beside_discrepancy, candidate, screened, settled, singles,
     surroundings, with_pairs,
@@ -129,7 +130,40 @@ fn attempt(study: &Study, asked: &Asked, ids: &[usize], progress: &dyn Progress,
         }
     }
     let around = around.unwrap_or_else(|| surroundings(&straight, source, noise, &fitted.base.fit));
-    conclude(study, asked, first, fitted, around, progress)
+    let selection = conclude(study, asked, first, fitted, around, progress)?;
+    if selection.verdict != Verdict::NoneOfThese || !pairs {
+        return Ok(selection);
+    }
+    let again = beside_rough(study, asked, &selection.screened, progress)?;
+    let named = |s: &Selection| matches!(s.verdict, Verdict::Named | Verdict::Ambiguous);
+    Ok(again.filter(named).unwrap_or(selection))
+}
+
+/// Where nothing explains data far from every model: single causes anew, from the start beside the discrepancy that the plain model
+/// has. Noise alone makes the least noisy samples of few conditions rule all, and coefficients and nuisances go wherever they
+/// want to; a model that errs by tenths of its force all over holds them. None where nothing asks for a discrepancy.
+fn beside_rough(study: &Study, asked: &Asked, first: &Screened, progress: &dyn Progress) -> Result<Option<Selection>> {
+    let Asked { source, noise, .. } = *asked;
+    let [slopes, white_slopes] = study.marginal_slopes.clone();
+    let plain = Fit { slopes, white_slopes, ..study.plain() };
+    let directions = Directions::new(study, &plain);
+    let discrepancy = directions.about(&plain);
+    if discrepancy.size == 0.0 {
+        return Ok(None);
+    }
+    let whitener = study.whitener.beside(directions.columns(discrepancy.size));
+    let renewed = study.under(&whitener, study.nuisances.clone());
+    let screen = Screen::new(&renewed, &first.ids);
+    let scores = screen.scores(&whitener, &study.observations.values);
+    let first = Screened { screen, scores, gates: first.gates.clone(), ids: first.ids.clone() };
+    let fitted = singles(&renewed, &first);
+    let own = Surroundings {
+        noise: noise.clone(),
+        sizes: source.sizes.clone(),
+        whitener: study.whitener.clone(),
+        nuisances: study.nuisances.clone(),
+    };
+    conclude(study, asked, first, fitted, own, progress).map(Some)
 }
 
 /// Judges under the final noise.
