@@ -2,12 +2,11 @@
 
 use super::calibrate::{FELT, Screen};
 use super::described::{self, Described, described};
-use super::discrepancy::{Directions, Discrepancy};
+use super::discrepancy::Discrepancy;
 use super::errors::Errors;
-use super::fit::Fit;
 use super::fitted::{
-    Candidate, FINALISTS, Fitted, Screened, Surroundings, beside_discrepancy, candidate, screened, settled, singles,
-    surroundings, with_pairs,
+    Beside, Candidate, FINALISTS, Fitted, Screened, Surroundings, beside_discrepancy, candidate, dulled, screened,
+    settled, singles, surroundings, with_pairs,
 };
 use super::judged::{Judged, Standing, explored, judged};
 use super::lack_of_fit;
@@ -130,41 +129,37 @@ fn attempt(study: &Study, asked: &Asked, ids: &[usize], progress: &dyn Progress,
         }
     }
     let around = around.unwrap_or_else(|| surroundings(&straight, source, noise, &fitted.base.fit));
-    let selection = conclude(study, asked, first, fitted, around, progress)?;
+    let selection = conclude(study, asked, first, fitted, around, beside_discrepancy, progress)?;
     if selection.verdict != Verdict::NoneOfThese || !pairs {
         return Ok(selection);
     }
-    let again = beside_rough(study, asked, &selection.screened, progress)?;
-    let named = |s: &Selection| matches!(s.verdict, Verdict::Named | Verdict::Ambiguous);
-    Ok(again.filter(named).unwrap_or(selection))
+    let again = apart(study, asked, &selection.screened, progress)?;
+    let named = matches!(again.verdict, Verdict::Named | Verdict::Ambiguous);
+    Ok(if named { again } else { selection })
 }
 
-/// Where nothing explains data far from every model: single causes anew, from the start beside the discrepancy that the plain model
-/// has. Noise alone makes the least noisy samples of few conditions rule all, and coefficients and nuisances go wherever they
-/// want to; a model that errs by tenths of its force all over holds them. None where nothing asks for a discrepancy.
-fn beside_rough(study: &Study, asked: &Asked, first: &Screened, progress: &dyn Progress) -> Result<Option<Selection>> {
+/// Where nothing explains data far from every model: single causes anew, from the plain model and with noise as large as the misfit.
+/// Noise alone makes the least noisy samples of few conditions rule all, and coefficients and nuisances go wherever they want to.
+fn apart(study: &Study, asked: &Asked, first: &Screened, progress: &dyn Progress) -> Result<Selection> {
     let Asked { source, noise, .. } = *asked;
-    let [slopes, white_slopes] = study.marginal_slopes.clone();
-    let plain = Fit { slopes, white_slopes, ..study.plain() };
-    let directions = Directions::new(study, &plain);
-    let discrepancy = directions.about(&plain);
-    if discrepancy.size == 0.0 {
-        return Ok(None);
-    }
-    let whitener = study.whitener.beside(directions.columns(discrepancy.size));
-    let renewed = study.under(&whitener, study.nuisances.clone());
-    let screen = Screen::new(&renewed, &first.ids);
-    let scores = screen.scores(&whitener, &study.observations.values);
-    let first = Screened { screen, scores, gates: first.gates.clone(), ids: first.ids.clone() };
-    let fitted = singles(&renewed, &first);
     let own = Surroundings {
         noise: noise.clone(),
         sizes: source.sizes.clone(),
         whitener: study.whitener.clone(),
         nuisances: study.nuisances.clone(),
     };
-    conclude(study, asked, first, fitted, own, progress).map(Some)
+    let lack = lack_of_fit::statistic(study.observations, &study.plain().white);
+    let whitener = study.whitener.clone().dulled(lack.mean.max(1.0).sqrt());
+    let renewed = study.under(&whitener, study.nuisances.clone());
+    let screen = Screen::new(&renewed, &first.ids);
+    let scores = screen.scores(&whitener, &study.observations.values);
+    let first = Screened { screen, scores, gates: first.gates.clone(), ids: first.ids.clone() };
+    let fitted = singles(&renewed, &first);
+    conclude(study, asked, first, fitted, own, dulled, progress)
 }
+
+/// What is done where more than noise is left: everything fitted again beside that.
+type Rough = fn(&Study, &Surroundings, Fitted) -> (Fitted, Option<Beside>);
 
 /// Judges under the final noise.
 fn conclude(
@@ -173,6 +168,7 @@ fn conclude(
     first: Screened,
     fitted: Fitted,
     around: Surroundings,
+    beside: Rough,
     progress: &dyn Progress,
 ) -> Result<Selection> {
     progress.report(0.9, "intervals, form of the law, conditions held out")?;
@@ -187,7 +183,7 @@ fn conclude(
         let lacks =
             [lack(&fitted.base), fitted.best().filter(|_| fitted.found(&first.gates)).map_or(lack(&fitted.base), lack)];
         let beside = match first.gates.lacking(&lacks[1]) {
-            true => beside_discrepancy(study, &around, fitted),
+            true => beside(study, &around, fitted),
             false => (fitted, None),
         };
         let (fitted, beside) = beside;
