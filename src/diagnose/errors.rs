@@ -17,12 +17,6 @@ impl Errors {
         (self.square.iter().sum::<f64>() / self.count.iter().sum::<f64>().max(1.0)).sqrt()
     }
 
-    /// Of some conditions alone.
-    pub fn among(&self, kept: &[bool]) -> Errors {
-        let of = |all: &[f64]| all.iter().zip(kept).filter(|k| *k.1).map(|k| *k.0).collect();
-        Errors { square: of(&self.square), count: of(&self.count) }
-    }
-
     /// 95 % interval of the fraction by which `other` is smaller: conditions drawn with replacement, 2000 times.
     pub fn reduction_interval(&self, other: &Errors) -> [f64; 2] {
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(3);

@@ -240,8 +240,6 @@ pub fn settled(study: &Study, source: &Source, noise: &Noise, fitted: Fitted) ->
 
 /// A discrepancy, its directions as they are, and the whitening that knows of it.
 pub struct Beside {
-    /// What the noise is taken to be larger by; 1 beside a discrepancy.
-    pub dullness: f64,
     pub discrepancy: Discrepancy,
     pub raw: Vec<Vec<f64>>,
     pub whitener: Whitener,
@@ -267,27 +265,7 @@ pub fn beside_discrepancy(study: &Study, around: &Surroundings, fitted: Fitted) 
         let whitener = around.whitener.beside(directions.columns(discrepancy.size));
         let renewed = study.under(&whitener, around.nuisances.clone());
         fitted = all_refitted(&renewed, fitted);
-        found = Some(Beside { dullness: 1.0, discrepancy, raw: directions.raw, whitener });
-    }
-    (fitted, found)
-}
-
-/// The same where the misfit is neither small nor smooth: all noise is taken to be as much larger as the best leaves more than noise
-/// (the ratio by which Birge 1932 widens errors that do not agree). The priors then hold coefficients and nuisances, which few
-/// conditions cannot tell.
-pub fn dulled(study: &Study, around: &Surroundings, fitted: Fitted) -> (Fitted, Option<Beside>) {
-    let mut fitted = fitted;
-    let mut found = None;
-    for round in 0..=DISCREPANCIES {
-        let plain = study.under(&around.whitener, around.nuisances.clone());
-        let standing = fitted.best().filter(|_| round > 0).map_or(&fitted.plain, |c| &c.fit);
-        let lack = lack_of_fit::statistic(study.observations, &plain.restated(standing).white);
-        let dullness = lack.mean.max(1.0).sqrt();
-        let whitener = around.whitener.clone().dulled(dullness);
-        let renewed = study.under(&whitener, around.nuisances.clone());
-        fitted = all_refitted(&renewed, fitted);
-        let discrepancy = Discrepancy { size: 0.0, surprise: 0.0 };
-        found = Some(Beside { dullness, discrepancy, raw: Vec::new(), whitener });
+        found = Some(Beside { discrepancy, raw: directions.raw, whitener });
     }
     (fitted, found)
 }

@@ -1,6 +1,6 @@
 //! The third stage: what remains beside the best, how far its rivals are, what it is worth; all that a verdict needs.
 
-use super::calibrate::{FELT, Gates};
+use super::calibrate::Gates;
 use super::cross_validation::HeldOut;
 use super::discrepancy::Discrepancy;
 use super::errors::Errors;
@@ -12,7 +12,6 @@ use super::nested::Nested;
 use super::profile;
 use super::study::Study;
 use super::verdict::{Evidence, Rival};
-use crate::number::dot;
 use crate::sand::mechanism::CATALOG;
 use crate::student;
 
@@ -77,7 +76,7 @@ pub fn judged(study: &Study, standing: Standing) -> Judged {
         misfit: gates.lacking(&lacks[0]),
         remainder: gates.lacking(&lacks[1]),
         slight: gates.slight(&lacks[1]),
-        explained: explained(study, fitted, &lacks, &nested.reading, floor),
+        explained: explained(fitted, &lacks, &nested.reading, floor),
         form_excluded: form.as_ref().is_some_and(|form| form.excluded),
         described: false,
         inflation: gates.inflation,
@@ -89,32 +88,14 @@ pub fn judged(study: &Study, standing: Standing) -> Judged {
 
 /// Share of the misfit beyond noise that the best explains: of the error of readings on conditions held out, where the plain model's
 /// stands clear of the scatter; else of the whitened one. What a filter or a tilt did to the log is no misfit of the sand.
-/// A cause that acts in some conditions only is judged on these: what others are wrong by is another matter.
-fn explained(study: &Study, fitted: &Fitted, lacks: &[Lack; 2], nested: &[HeldOut; 2], floor: &Errors) -> f64 {
-    let acts = fitted.best().map_or_else(|| vec![true; floor.square.len()], |best| acts(study, &best.fit));
-    let [plain, base, extended, floor] =
-        [&fitted.plain_held_out.errors, &nested[0].errors, &nested[1].errors, floor].map(|e| e.among(&acts));
-    let reference = if plain.rmse() < base.rmse() { plain } else { base };
-    if reference.reduction_interval(&floor)[0] > CLEAR {
-        let [before, after, least] = [reference, extended, floor].map(|e| e.rmse().powi(2));
+fn explained(fitted: &Fitted, lacks: &[Lack; 2], nested: &[HeldOut; 2], floor: &Errors) -> f64 {
+    let plain = &fitted.plain_held_out.errors;
+    let reference = if plain.rmse() < nested[0].errors.rmse() { plain } else { &nested[0].errors };
+    if reference.reduction_interval(floor)[0] > CLEAR {
+        let [before, after, least] = [reference, &nested[1].errors, floor].map(|e| e.rmse().powi(2));
         return 1.0 - (after - least).max(0.0) / (before - least).max(1e-300);
     }
     1.0 - lacks[1].excess.max(0.0) / lacks[0].excess.max(1e-9)
-}
-
-/// In which conditions do the causes of a fit act?
-fn acts(study: &Study, fit: &Fit) -> Vec<bool> {
-    let o = study.observations;
-    let felt = |group: &Vec<usize>| {
-        let spans = group.iter().map(|&u| o.span(&o.units[u]));
-        let square = |span: std::ops::Range<usize>| {
-            fit.white_slopes[..fit.ids.len()].iter().map(|s| dot(&s[span.clone()], &s[span.clone()])).sum::<f64>()
-        };
-        spans.map(square).sum::<f64>()
-    };
-    let felt: Vec<f64> = o.repetitions().iter().map(felt).collect();
-    let most = felt.iter().copied().fold(0.0, f64::max);
-    felt.iter().map(|f| *f > FELT * most).collect()
 }
 
 fn rivals(fitted: &Fitted, best: &Candidate, gates: &Gates) -> Vec<Rival> {

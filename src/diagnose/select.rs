@@ -5,8 +5,8 @@ use super::described::{self, Described, described};
 use super::discrepancy::Discrepancy;
 use super::errors::Errors;
 use super::fitted::{
-    Beside, Candidate, FINALISTS, Fitted, Screened, Surroundings, beside_discrepancy, candidate, dulled, screened,
-    settled, singles, surroundings, with_pairs,
+    Candidate, FINALISTS, Fitted, Screened, Surroundings, beside_discrepancy, candidate, screened, settled, singles,
+    surroundings, with_pairs,
 };
 use super::judged::{Judged, Standing, explored, judged};
 use super::lack_of_fit;
@@ -129,37 +129,8 @@ fn attempt(study: &Study, asked: &Asked, ids: &[usize], progress: &dyn Progress,
         }
     }
     let around = around.unwrap_or_else(|| surroundings(&straight, source, noise, &fitted.base.fit));
-    let selection = conclude(study, asked, first, fitted, around, beside_discrepancy, progress)?;
-    if selection.verdict != Verdict::NoneOfThese || !pairs {
-        return Ok(selection);
-    }
-    let again = apart(study, asked, &selection.screened, progress)?;
-    let named = matches!(again.verdict, Verdict::Named | Verdict::Ambiguous);
-    Ok(if named { again } else { selection })
+    conclude(study, asked, first, fitted, around, progress)
 }
-
-/// Where nothing explains data far from every model: single causes anew, from the plain model and with noise as large as the misfit.
-/// Noise alone makes the least noisy samples of few conditions rule all, and coefficients and nuisances go wherever they want to.
-fn apart(study: &Study, asked: &Asked, first: &Screened, progress: &dyn Progress) -> Result<Selection> {
-    let Asked { source, noise, .. } = *asked;
-    let own = Surroundings {
-        noise: noise.clone(),
-        sizes: source.sizes.clone(),
-        whitener: study.whitener.clone(),
-        nuisances: study.nuisances.clone(),
-    };
-    let lack = lack_of_fit::statistic(study.observations, &study.plain().white);
-    let whitener = study.whitener.clone().dulled(lack.mean.max(1.0).sqrt());
-    let renewed = study.under(&whitener, study.nuisances.clone());
-    let screen = Screen::new(&renewed, &first.ids);
-    let scores = screen.scores(&whitener, &study.observations.values);
-    let first = Screened { screen, scores, gates: first.gates.clone(), ids: first.ids.clone() };
-    let fitted = singles(&renewed, &first);
-    conclude(study, asked, first, fitted, own, dulled, progress)
-}
-
-/// What is done where more than noise is left: everything fitted again beside that.
-type Rough = fn(&Study, &Surroundings, Fitted) -> (Fitted, Option<Beside>);
 
 /// Judges under the final noise.
 fn conclude(
@@ -168,7 +139,6 @@ fn conclude(
     first: Screened,
     fitted: Fitted,
     around: Surroundings,
-    beside: Rough,
     progress: &dyn Progress,
 ) -> Result<Selection> {
     progress.report(0.9, "intervals, form of the law, conditions held out")?;
@@ -183,7 +153,7 @@ fn conclude(
         let lacks =
             [lack(&fitted.base), fitted.best().filter(|_| fitted.found(&first.gates)).map_or(lack(&fitted.base), lack)];
         let beside = match first.gates.lacking(&lacks[1]) {
-            true => beside(study, &around, fitted),
+            true => beside_discrepancy(study, &around, fitted),
             false => (fitted, None),
         };
         let (fitted, beside) = beside;

@@ -22,8 +22,6 @@ pub struct Whitener {
     whole: LowRank,
     /// Numbers that are held out: 0 after whitening.
     held: Vec<Range<usize>>,
-    /// What the noise is taken to be larger by.
-    dullness: f64,
 }
 
 impl Whitener {
@@ -39,17 +37,12 @@ impl Whitener {
             filter.share(source, noise, (repetitions[unit.condition].len() as f64).sqrt());
             filter
         });
-        Self { units: units.collect(), whole: LowRank::new(Vec::new()), held: Vec::new(), dullness: 1.0 }
+        Self { units: units.collect(), whole: LowRank::new(Vec::new()), held: Vec::new() }
     }
 
     /// The same beside an error that all units share, along directions one standard deviation long that are whitened already.
     pub fn beside(&self, directions: Vec<Vec<f64>>) -> Self {
         Self { whole: LowRank::new(directions), ..self.clone() }
-    }
-
-    /// The same with all noise so many times as large.
-    pub fn dulled(self, dullness: f64) -> Self {
-        Self { dullness, ..self }
     }
 
     /// The same with some conditions held out.
@@ -65,9 +58,6 @@ impl Whitener {
             let own = &mut white[unit.span.clone()];
             unit.filter(own);
             unit.shared.apply(own);
-        }
-        if self.dullness != 1.0 {
-            white.iter_mut().for_each(|v| *v /= self.dullness);
         }
         self.held.iter().for_each(|span| white[span.clone()].fill(0.0));
         self.whole.apply(&mut white);
