@@ -14,7 +14,7 @@ SOURCES := $(shell find src tests/data/real_wheel python_client Cargo.toml Cargo
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .PHONY: help train policies test test-rust test-python test-browser page-three native film bench bench-peers bench-network study \
-	study-convergence study-rocks study-load proto task-pages docs
+	study-messy study-convergence study-rocks study-load proto task-pages docs
 
 help:
 	@echo "make train   train a hexapod to walk on sand (5 minutes), results in runs/; TASK=HexapodLegs, ARGS=--help"
@@ -28,6 +28,7 @@ help:
 	@echo "make bench-peers   sandgait beside EnvPool, MuJoCo and gymnasium's Ant, in one run"
 	@echo "make bench-network   servers in network namespaces, behind links with and without delay; needs root"
 	@echo "make study   how often the diagnosis is right, on data of known cause (some 15 minutes)"
+	@echo "make study-messy   the same on logs with the dirt of laboratories: all kinds, some 2 s a log; ARGS=\"FIRST COUNT\""
 	@echo "make study-convergence   walking speed against the time step, both engines (some 3 minutes)"
 	@echo "make study-rocks   overlaps of robot and rocks in 1,000 random episodes (some 10 minutes)"
 	@echo "make page-three   bundle what the page takes from three.js anew; needs npm"
@@ -105,6 +106,12 @@ $(VENV)-peers/ready:
 
 study:
 	cargo run --release --example diagnosis_study
+
+study-messy: $(VENV)/wheel
+	cargo build --release
+	for kind in nulls singles pairs laws outside; do \
+		$(BIN)/python examples/messy_study.py target/release/sandgait $$kind $(or $(ARGS),3000 20) || exit 1; \
+	done
 
 study-convergence:
 	cargo run --release --example convergence_study

@@ -273,12 +273,16 @@ def log(seed: int, hidden: dict[str, float]) -> tuple[str, dict[str, Any]]:
                 grid = np.linspace(0.0, trial["duration"], FINE)
             clean = loads(trial, grid, hidden, c, zero, bed)
             if len(grid) == FINE:
-                keep = math.exp(-(grid[1] - grid[0]) / 0.005)
+                share = (grid[1] - grid[0]) / 0.005  # of the filter's time; exact for a force linear in between
+                keep = math.exp(-share)
+                end = 1 - (1 - keep) / share
                 channel = ["Fx", "Fz"].index(rig["filter"])
                 state = 0.0 if trial["ramp"] > 0 else clean[0, channel]
                 clean[0] = 0.0 if trial["ramp"] > 0 else clean[0]
-                for i in range(FINE):
-                    state = keep * state + (1 - keep) * clean[i, channel]
+                force = clean[:, channel].copy()
+                clean[0, channel] = state
+                for i in range(1, FINE):
+                    state = keep * state + (1 - keep - end) * force[i - 1] + end * force[i]
                     clean[i, channel] = state
             f = np.column_stack([np.interp(t, grid, clean[:, k]) for k in range(3)])
             way, _, _ = path(trial, t)

@@ -10,7 +10,10 @@ pub fn processors() -> usize {
 
 /// `f` of every item, in the items' order.
 pub fn map<T: Sync, R: Send>(items: &[T], f: impl Fn(&T) -> R + Sync) -> Vec<R> {
-    let threads = processors().min(items.len().max(1));
+    let threads = processors().min(items.len());
+    if threads < 2 {
+        return items.iter().map(f).collect();
+    }
     let next = AtomicUsize::new(0);
     let work = || {
         let mut done = Vec::new();

@@ -6,27 +6,98 @@
 use super::experiment::Intruder;
 use super::force_log::{Pose, Track};
 use crate::error::Result;
-use crate::number::Vec3;
-use crate::sand::beyond::{SandMechanisms, Site, slope_depth};
+use crate::number::{Doubles, Kernel, Real, Vec3};
+use crate::sand::beyond::{Beyond, SandMechanisms, Site, slope_depth};
 use crate::sand::intrusion::Load;
 use crate::sand::mechanism::Mechanisms;
 use crate::sand::shape::{Segment, straight};
 use crate::sand::{Ground, Shape};
+use std::ops::Range;
 
 /// Segments a plate or leg is cut into: the partly submerged one then errs by < 0.1 % of the peak force. Our choice.
 const SEGMENTS: usize = 40;
+/// Share of its greatest speed below which an intruder rests at first: our choice, as where samples at rest are left out.
+const REST: f64 = 0.05;
 /// Steps per sample interval in which the low-pass filter sees the force; linear in between. Our choice.
 const FILTER_STEPS: usize = 6;
-/// Samples that an acceleration is taken from: our choice. A velocity that swings once in thirteen samples then errs by 0.2 %
+/// Samples that an acceleration is taken from where the motion is smooth: our choice. A velocity that swings once in thirteen samples then errs by 0.2 %
 /// inside a trial and by 1 % at its ends, where two samples gave 4 % and a quarter; noise of a velocity counts a third more.
 const STENCIL: usize = 5;
+/// The same where no such stretch is smooth: as many as hold a ramp of three samples.
+const SHORT: usize = 3;
+/// A stretch is smooth where the last of its differences is below this share of those before: our choice, above the quarter of a
+/// swing of thirteen samples and below what a kink leaves.
+const SMOOTH: f64 = 0.5;
+
+/// For each sample the stretch that its acceleration is taken from. Drives start and stop with a kink in the speed, and a polynomial
+/// across a kink is wrong on both sides: of the stretches that hold the sample the smoothest is taken (as in essentially
+/// non-oscillatory schemes: Harten, Engquist, Osher & Chakravarthy 1987), a short one where no long one is smooth.
+pub fn stencils(track: &Track) -> Vec<Range<usize>> {
+    let poses = &track.poses;
+    let chosen = |i: usize| {
+        let of = |count: usize| {
+            let count = count.min(poses.len());
+            let starts = (i + 1).saturating_sub(count)..=i.min(poses.len() - count);
+            let rough = |start: usize| roughness(&poses[start..start + count]);
+            let middle = |start: usize| (2 * start + count).abs_diff(2 * i + 1);
+            let all = starts.map(|start| (rough(start), middle(start), start..start + count));
+            all.min_by(|a, b| a.0[0].total_cmp(&b.0[0]).then(a.1.cmp(&b.1)))
+        };
+        let [long, short] = [STENCIL, SHORT].map(of);
+        let smooth = long.as_ref().is_some_and(|l| l.0[0] <= SMOOTH * l.0[1]);
+        if smooth { long } else { short }.map_or(0..poses.len(), |l| l.2)
+    };
+    (0..poses.len()).map(chosen).collect()
+}
+
+/// Size of the last difference of the velocities over a stretch, and of the greatest but the first before it.
+fn roughness(poses: &[Pose]) -> [f64; 2] {
+    let mut differences: Vec<[f64; 3]> = poses.iter().map(|p| [p.omega, p.velocity[0], p.velocity[1]]).collect();
+    let interval = (poses[poses.len() - 1].t - poses[0].t) / (poses.len() - 1).max(1) as f64;
+    let mut sizes = Vec::new();
+    for order in 1..poses.len() {
+        // Divided differences, times the interval: those of even samples as they are.
+        let next = |i: usize| {
+            let way = (poses[i + order].t - poses[i].t) / (order as f64 * interval);
+            [0, 1, 2].map(|axis| (differences[i + 1][axis] - differences[i][axis]) / way)
+        };
+        differences = (0..poses.len() - order).map(next).collect();
+        let size = |d: &[f64; 3]| d.iter().map(|v| v * v).sum::<f64>().sqrt();
+        sizes.push(differences.iter().map(size).fold(0.0, f64::max));
+    }
+    let last = sizes.pop().unwrap_or(0.0);
+    [last, sizes.into_iter().skip(1).fold(0.0, f64::max)]
+}
+
+/// Segments that are computed together. Where some are left over, the last is filled up with segments without area.
+#[derive(Clone, Copy)]
+struct Block {
+    center: [Doubles; 2],
+    normal: [Doubles; 2],
+    area: Doubles,
+}
+
+fn blocks(segments: &[Segment]) -> Vec<Block> {
+    let block = |part: &[Segment]| {
+        let lanes = |of: &dyn Fn(&Segment) -> f64| {
+            Doubles::from_array(std::array::from_fn(|i| of(&part[i.min(part.len() - 1)])))
+        };
+        let area = |i: usize| part.get(i).map_or(0.0, |s| s.area);
+        Block {
+            center: [0, 1].map(|k| lanes(&|s| s.center[k])),
+            normal: [0, 1].map(|k| lanes(&|s| s.normal[k])),
+            area: Doubles::from_array(std::array::from_fn(area)),
+        }
+    };
+    segments.chunks(Doubles::LANES).map(block).collect()
+}
 
 /// An intruder in segments.
 #[derive(Clone)]
 pub struct Cut {
-    segments: Vec<Segment>,
+    segments: Vec<Block>,
     /// Straight strip from hip to tip; empty for plates.
-    chord: Vec<Segment>,
+    chord: Vec<Block>,
     width: f64,
     half_thickness: f64,
 }
@@ -35,13 +106,13 @@ impl Cut {
     pub fn new(intruder: &Intruder) -> Result<Self> {
         Ok(match *intruder {
             Intruder::Leg { chord, width, xi_deg, thickness } => Cut {
-                segments: Shape::two_piece(xi_deg)?.segments(chord, width, SEGMENTS)?,
-                chord: straight([0.0, 0.0], [0.0, -chord], width, SEGMENTS),
+                segments: blocks(&Shape::two_piece(xi_deg)?.segments(chord, width, SEGMENTS)?),
+                chord: blocks(&straight([0.0, 0.0], [0.0, -chord], width, SEGMENTS)),
                 width,
                 half_thickness: thickness.unwrap_or(0.0) / 2.0,
             },
             Intruder::Plate { length, width, thickness } => Cut {
-                segments: straight([-length / 2.0, 0.0], [length / 2.0, 0.0], width, SEGMENTS),
+                segments: blocks(&straight([-length / 2.0, 0.0], [length / 2.0, 0.0], width, SEGMENTS)),
                 chord: Vec::new(),
                 width,
                 half_thickness: thickness.unwrap_or(0.0) / 2.0,
@@ -60,39 +131,94 @@ pub struct PowerDrag {
 
 impl PowerDrag {
     /// How much more than v_n² stands there [m²/s²].
-    fn beyond_square(&self, speed: f64) -> f64 {
-        self.speed.powi(2) * (speed / self.speed).powf(self.exponent) - speed * speed
+    fn beyond_square(&self, speeds: Doubles) -> Doubles {
+        let beyond = |speed: f64| self.speed.powi(2) * (speed / self.speed).powf(self.exponent) - speed * speed;
+        Doubles::from_array(std::array::from_fn(|i| beyond(speeds.lane(i))))
     }
 }
 
-/// One track under one set of mechanisms.
-pub struct Arm<'a> {
+/// What a tilted sensor with offsets makes of loads.
+pub fn read<const N: usize>(m: &Mechanisms, loads: &mut [[Load; N]]) {
+    let (sin, cos) = m.sensor_tilt.sin_cos();
+    for load in loads.iter_mut().flatten() {
+        let (fx, fz) = (load.fx, load.fz);
+        load.fx = fx * cos - fz * sin + m.bias_x;
+        load.fz = fx * sin + fz * cos + m.bias_z;
+    }
+}
+
+/// Times of the steps of a filter along a track, from half a sample before it.
+fn filter_times(poses: &[Pose]) -> Vec<f64> {
+    let first = poses.get(1).map_or(0.0, |p| p.t - poses[0].t);
+    let begins = [poses[0].t - 0.5 * first].into_iter().chain(poses.iter().map(|p| p.t));
+    let steps = begins.zip(poses).flat_map(|(from, to)| {
+        let h = (to.t - from) / FILTER_STEPS as f64;
+        (0..FILTER_STEPS).map(move |k| from + h * k as f64)
+    });
+    steps.chain(poses.last().map(|p| p.t)).collect()
+}
+
+/// Is the first speed next to nothing beside the greatest?
+fn begins_at_rest(poses: &[Pose]) -> bool {
+    let speeds = |p: &Pose| [p.omega.abs(), p.velocity[0].hypot(p.velocity[1])];
+    let first = speeds(&poses[0]);
+    (0..2).all(|k| first[k] <= REST * poses.iter().map(|p| speeds(p)[k]).fold(0.0, f64::max))
+}
+
+/// Loads at the poses behind a first-order filter of time constant `tau` [s], from those at its steps: τ ẏ = F − y, settled
+/// half a sample before the log, exact for a force that is linear between steps. A trial that begins at rest begins without force:
+/// what the sand does when it sets out, it does from then on.
+pub fn filtered<const N: usize>(poses: &[Pose], steps: &[[Load; N]], tau: f64) -> Vec<[Load; N]> {
+    let times = filter_times(poses);
+    let rests = begins_at_rest(poses);
+    let mut state = if rests { [Load::default(); N] } else { steps[0] };
+    let mut out = Vec::with_capacity(poses.len());
+    for k in 1..steps.len() {
+        let h = times[k] - times[k - 1];
+        if h > 0.0 && !(rests && k <= FILTER_STEPS) {
+            let decay = (-h / tau).exp();
+            // weights of the force at the start and the end of a step
+            let end = 1.0 - (1.0 - decay) * tau / h;
+            let start = 1.0 - decay - end;
+            let next = |y: f64, a: f64, b: f64| decay * y + start * a + end * b;
+            // At rest the direction of the motion to come is not known yet: the first force is that of the step after.
+            let before = if rests && k == FILTER_STEPS + 1 { &steps[k] } else { &steps[k - 1] };
+            for (y, (a, b)) in state.iter_mut().zip(before.iter().zip(&steps[k])) {
+                *y = Load { fx: next(y.fx, a.fx, b.fx), fz: next(y.fz, a.fz, b.fz), ty: next(y.ty, a.ty, b.ty) };
+            }
+        }
+        if k % FILTER_STEPS == 0 {
+            out.push(state);
+        }
+    }
+    out
+}
+
+/// One track under one set of mechanisms, in each of N grounds that differ in the stress coefficients only.
+pub struct Arm<'a, const N: usize> {
     pub track: &'a Track,
     pub cut: &'a Cut,
     pub mechanisms: &'a Mechanisms,
-    pub sand: SandMechanisms<f64>,
-    pub ground: &'a Ground<f64>,
+    pub sand: SandMechanisms<Doubles>,
+    pub grounds: &'a [Ground<Doubles>; N],
+    /// [`stencils`] of the track; none are needed without added mass.
+    pub stencils: Vec<Range<usize>>,
     /// [`crate::sand::beyond::footprint`] of the track's pass.
     pub footprint: f64,
     /// λ ρ [kg/m³] and the form of inertial drag, where it is another than the catalogue's.
     pub other_drag: Option<(f64, PowerDrag)>,
 }
 
-impl Arm<'_> {
+impl<const N: usize> Arm<'_, N> {
     /// Loads as logged, one a pose.
-    pub fn readings(&self) -> Vec<Load> {
+    pub fn readings(&self) -> Vec<[Load; N]> {
         let m = self.mechanisms;
-        let mut loads: Vec<Load> = if m.lowpass > 0.0 {
-            self.filtered(m.lowpass)
+        let mut loads: Vec<[Load; N]> = if m.lowpass > 0.0 {
+            filtered(&self.track.poses, &self.between(), m.lowpass)
         } else {
             self.track.poses.iter().enumerate().map(|(i, p)| self.load(&self.late(i, p))).collect()
         };
-        let (sin, cos) = m.sensor_tilt.sin_cos();
-        for load in &mut loads {
-            let (fx, fz) = (load.fx, load.fz);
-            load.fx = fx * cos - fz * sin + m.bias_x;
-            load.fz = fx * sin + fz * cos + m.bias_z;
-        }
+        read(m, &mut loads);
         loads
     }
 
@@ -133,67 +259,15 @@ impl Arm<'_> {
         }
     }
 
-    /// Loads behind a first-order filter of time constant `tau` [s], settled half a sample before the log: τ ẏ = F − y.
-    fn filtered(&self, tau: f64) -> Vec<Load> {
-        let poses = &self.track.poses;
-        let start = poses[0].t - poses.get(1).map_or(0.0, |p| 0.5 * (p.t - poses[0].t));
-        let mut out: Vec<Load> = Vec::with_capacity(poses.len());
-        for i in 0..poses.len() {
-            // A fast filter sees only the last moments: quadrature. A slow one is stepped through the samples.
-            let fast = i == 0 || tau < 2.0 * (poses[i].t - poses[i - 1].t);
-            out.push(if fast { self.remembered(i, tau, start) } else { self.stepped(i, tau, out[i - 1]) });
-        }
-        out
-    }
-
-    /// y(t) = ∫ e^(−u) F(t − τ u) du by Gauss-Laguerre quadrature (Abramowitz & Stegun table 25.9, n = 8).
-    fn remembered(&self, i: usize, tau: f64, start: f64) -> Load {
-        const NODES: [(f64, f64); 8] = [
-            (0.170_279_632_305, 3.691_885_893_42e-1),
-            (0.903_701_776_799, 4.187_867_808_14e-1),
-            (2.251_086_629_87, 1.757_949_866_37e-1),
-            (4.266_700_170_29, 3.334_349_226_12e-2),
-            (7.045_905_402_39, 2.794_536_235_23e-3),
-            (10.758_516_010_2, 9.076_508_773_36e-5),
-            (15.740_678_641_3, 8.485_746_716_27e-7),
-            (22.863_131_736_9, 1.048_001_174_87e-9),
-        ];
-        let t = self.track.poses[i].t;
-        NODES.iter().fold(Load::default(), |sum, (u, weight)| {
-            let then = (t - tau * u).max(start);
-            let f = self.load(&self.pose_at(then - self.mechanisms.delay, i));
-            Load { fx: sum.fx + weight * f.fx, fz: sum.fz + weight * f.fz, ty: sum.ty + weight * f.ty }
-        })
-    }
-
-    /// The filter's state at sample `i` from that at the sample before, exact for a force linear between steps.
-    fn stepped(&self, i: usize, tau: f64, mut state: Load) -> Load {
-        let (from, to) = (self.track.poses[i - 1].t, self.track.poses[i].t);
-        let h = (to - from) / FILTER_STEPS as f64;
-        let decay = (-h / tau).exp();
-        // weights of the force at the start and the end of a step
-        let end = 1.0 - (1.0 - decay) * tau / h;
-        let start = 1.0 - decay - end;
-        let at = |step: usize| {
-            let t = from + h * step as f64;
-            self.load(&self.pose_at(t - self.mechanisms.delay, i))
-        };
-        let mut before = at(0);
-        for step in 1..=FILTER_STEPS {
-            let now = at(step);
-            let next = |y: f64, a: f64, b: f64| decay * y + start * a + end * b;
-            state = Load {
-                fx: next(state.fx, before.fx, now.fx),
-                fz: next(state.fz, before.fz, now.fz),
-                ty: next(state.ty, before.ty, now.ty),
-            };
-            before = now;
-        }
-        state
+    /// Loads at the steps of a filter: [`FILTER_STEPS`] from one pose to the next, and half an interval's before the first.
+    pub fn between(&self) -> Vec<[Load; N]> {
+        let times = filter_times(&self.track.poses);
+        let load = |(k, t): (usize, &f64)| self.load(&self.pose_at(t - self.mechanisms.delay, k / FILTER_STEPS));
+        times.iter().enumerate().map(load).collect()
     }
 
     /// Load at a pose.
-    fn load(&self, pose: &Pose) -> Load {
+    fn load(&self, pose: &Pose) -> [Load; N] {
         let acceleration = if self.mechanisms.added_mass == 0.0 { [0.0; 3] } else { self.acceleration(pose.t) };
         match self.track.intruder {
             Intruder::Plate { .. } => self.plate(pose, acceleration),
@@ -202,7 +276,8 @@ impl Arm<'_> {
                 if self.mechanisms.compliance != 0.0 {
                     // Two rounds of θ = θ_motor + torque × compliance: the torque changes little over the lag.
                     for _ in 0..2 {
-                        lagged.theta = pose.theta + self.mechanisms.compliance * self.leg(&lagged, acceleration[0]).ty;
+                        lagged.theta =
+                            pose.theta + self.mechanisms.compliance * self.leg(&lagged, acceleration[0])[0].ty;
                     }
                 }
                 self.leg(&lagged, acceleration[0])
@@ -211,16 +286,15 @@ impl Arm<'_> {
     }
 
     /// Angular acceleration [rad/s²] and the centre's acceleration [m/s²] at time `t`: slopes of the polynomial through the
-    /// logged velocities of the nearest samples (Lagrange), which needs no even sampling and no sample beyond an end. Before
+    /// logged velocities of samples beside it (Lagrange), which needs no even sampling and no sample beyond an end. Before
     /// and after the log they are those of its ends.
     fn acceleration(&self, t: f64) -> [f64; 3] {
         let poses = &self.track.poses;
         let t = t.clamp(poses[0].t, poses[poses.len() - 1].t);
-        let count = poses.len().min(STENCIL);
         let after = poses.partition_point(|p| p.t < t);
         let nearest = if after > 0 && t - poses[after - 1].t < poses[after].t - t { after - 1 } else { after };
-        let near = &poses[nearest.saturating_sub(STENCIL / 2).min(poses.len() - count)..][..count];
-        let others = |j: usize| (0..count).filter(move |&m| m != j);
+        let near = &poses[self.stencils[nearest].clone()];
+        let others = |j: usize| (0..near.len()).filter(move |&m| m != j);
         near.iter().enumerate().fold([0.0; 3], |sum, (j, pose)| {
             let share = |k: usize| (t - near[k].t) / (pose.t - near[k].t);
             let without = |m: usize| others(j).filter(|&k| k != m).map(share).product::<f64>();
@@ -230,19 +304,19 @@ impl Arm<'_> {
         })
     }
 
-    fn plate(&self, pose: &Pose, acceleration: [f64; 3]) -> Load {
-        let (sin, cos) = self.track.beta.sin_cos();
+    fn plate(&self, pose: &Pose, acceleration: [f64; 3]) -> [Load; N] {
         let origin = [pose.center[0], pose.center[1] - self.mechanisms.depth_zero];
-        self.sum(&self.cut.segments, origin, (sin, cos), |_| pose.velocity, |_| [acceleration[1], acceleration[2]])
+        let change = [acceleration[1], acceleration[2]];
+        let place =
+            Place { origin, turn: self.track.beta.sin_cos(), velocity: pose.velocity, spin: 0.0, change, spin_up: 0.0 };
+        self.sum(&self.cut.segments, place)
     }
 
-    fn leg(&self, pose: &Pose, angular_acceleration: f64) -> Load {
-        let turn = pose.theta.sin_cos();
+    fn leg(&self, pose: &Pose, spin_up: f64) -> [Load; N] {
         let origin = [0.0, self.track.hip_height - self.mechanisms.depth_zero];
-        let velocity = |r: [f64; 2]| [-pose.omega * r[1], pose.omega * r[0]];
-        // Only the tangential part: the normal turns with the leg, so the centripetal part does not change v·n.
-        let change = |r: [f64; 2]| [-angular_acceleration * r[1], angular_acceleration * r[0]];
-        let full = self.sum(&self.cut.segments, origin, turn, velocity, change);
+        let turn = pose.theta.sin_cos();
+        let place = Place { origin, turn, velocity: [0.0; 2], spin: pose.omega, change: [0.0; 2], spin_up };
+        let full = self.sum(&self.cut.segments, place);
         let Intruder::Leg { xi_deg, .. } = self.track.intruder else {
             return full;
         };
@@ -251,60 +325,104 @@ impl Arm<'_> {
         if chi == 0.0 || xi_deg * pose.omega >= 0.0 {
             return full;
         }
-        let chord = self.sum(&self.cut.chord, origin, turn, velocity, change);
+        let chord = self.sum(&self.cut.chord, place);
         let mix = |segments: f64, straight: f64| (1.0 - chi) * segments + chi * straight;
-        Load { fx: mix(full.fx, chord.fx), fz: mix(full.fz, chord.fz), ty: mix(full.ty, chord.ty) }
+        let both = |k: usize| (&full[k], &chord[k]);
+        std::array::from_fn(|k| {
+            let (a, b) = both(k);
+            Load { fx: mix(a.fx, b.fx), fz: mix(a.fz, b.fz), ty: mix(a.ty, b.ty) }
+        })
     }
 
-    /// Sums stress over segments turned by (sin, cos) counter-clockwise about `origin`.
-    fn sum(
-        &self,
-        segments: &[Segment],
-        origin: [f64; 2],
-        (sin, cos): (f64, f64),
-        velocity: impl Fn([f64; 2]) -> [f64; 2],
-        change: impl Fn([f64; 2]) -> [f64; 2],
-    ) -> Load {
-        let turn = |p: [f64; 2]| [p[0] * cos - p[1] * sin, p[0] * sin + p[1] * cos];
-        let mut load = Load::default();
-        let slope = self.mechanisms.slope.sin_cos();
-        for s in segments {
-            let r = turn(s.center);
+    /// Sums stress over segments.
+    fn sum(&self, blocks: &[Block], place: Place) -> [Load; N] {
+        let mut loads = [Load::default(); N];
+        Doubles::dispatch(Sum { arm: self, blocks, place, loads: &mut loads });
+        loads
+    }
+}
+
+/// Where an intruder is and how it moves: turned by (sin, cos) counter-clockwise about its origin, whose velocity and
+/// acceleration these are.
+#[derive(Clone, Copy)]
+struct Place {
+    origin: [f64; 2],
+    turn: (f64, f64),
+    velocity: [f64; 2],
+    /// Angular velocity and acceleration. Of the latter only the tangential part counts: the normal turns with the leg, so the
+    /// centripetal part does not change v·n.
+    spin: f64,
+    change: [f64; 2],
+    spin_up: f64,
+}
+
+struct Sum<'a, const N: usize> {
+    arm: &'a Arm<'a, N>,
+    blocks: &'a [Block],
+    place: Place,
+    loads: &'a mut [Load; N],
+}
+
+impl<const N: usize> Kernel for Sum<'_, N> {
+    #[inline(always)]
+    fn run(self) {
+        let Sum { arm, blocks, place, loads } = self;
+        let splat = Doubles::splat;
+        let zero = Doubles::zero();
+        let turn = |[x, z]: [Doubles; 2]| {
+            let (sin, cos) = (splat(place.turn.0), splat(place.turn.1));
+            [x * cos - z * sin, x * sin + z * cos]
+        };
+        let moving = |r: [Doubles; 2], [x, z]: [f64; 2], spin: f64| {
+            [splat(x) - splat(spin) * r[1], splat(z) + splat(spin) * r[0]]
+        };
+        let slope = arm.mechanisms.slope.sin_cos();
+        let (s_sin, s_cos) = (splat(slope.0), splat(slope.1));
+        let into = |p: [Doubles; 2]| Vec3::new(p[0] * s_cos + p[1] * s_sin, zero, p[1] * s_cos - p[0] * s_sin);
+        let mut sums = [[zero; 3]; N];
+        for block in blocks {
+            let r = turn(block.center);
+            let at = [splat(place.origin[0]) + r[0], splat(place.origin[1]) + r[1]];
             // Well above the surface, whatever side leads: nothing to do.
-            if slope_depth(slope, origin[0] + r[0], origin[1] + r[1]) < -self.cut.half_thickness {
+            let reach = splat(-arm.cut.half_thickness);
+            if !Doubles::any(reach.lt(slope_depth(slope, at[0], at[1]))) {
                 continue;
             }
-            let n = turn(s.normal);
-            let (v, dv) = (velocity(r), change(r));
+            let n = turn(block.normal);
+            let (v, dv) = (moving(r, place.velocity, place.spin), moving(r, place.change, place.spin_up));
             let along = n[0] * v[0] + n[1] * v[1];
-            let lead = if along < 0.0 { -1.0 } else { 1.0 };
+            let lead = Doubles::select(along.lt(zero), splat(-1.0), splat(1.0));
             // The stress acts on the leading face, half a thickness ahead of the mid-surface.
-            let ahead = lead * self.cut.half_thickness;
-            let (x, z) = (origin[0] + r[0] + n[0] * ahead, origin[1] + r[1] + n[1] * ahead);
-            let (depth, (s_sin, s_cos)) = (slope_depth(slope, x, z), slope);
-            if depth <= 0.0 {
-                continue;
-            }
-            let into = |p: [f64; 2]| Vec3::new(p[0] * s_cos + p[1] * s_sin, 0.0, p[1] * s_cos - p[0] * s_sin);
+            let ahead = lead * splat(arm.cut.half_thickness);
+            let (x, z) = (at[0] + n[0] * ahead, at[1] + n[1] * ahead);
+            let depth = slope_depth(slope, x, z);
+            let inside = zero.lt(depth);
             let site = Site {
-                depth,
-                x: self.track.x_bed + x,
-                footprint: self.footprint,
-                width: self.cut.width,
+                depth: depth.max(zero),
+                x: splat(arm.track.x_bed) + x,
+                footprint: splat(arm.footprint),
+                width: splat(arm.cut.width),
                 normal_acceleration: lead * (n[0] * dv[0] + n[1] * dv[1]),
-                passes: f64::from(self.track.pass.max(1) - 1),
+                passes: splat(f64::from(arm.track.pass.max(1) - 1)),
                 // A log says where the intruder is, not what of its motion is travel.
-                travel: [0.0; 2],
+                travel: [zero; 2],
             };
-            let stress = self.sand.stress(self.ground, into(n), into(v), &site);
-            let more = self.other_drag.map_or(0.0, |(density, law)| density * law.beyond_square(along.abs()) * lead);
-            let fx = (stress.x * s_cos - stress.z * s_sin - more * n[0]) * s.area;
-            let fz = (stress.x * s_sin + stress.z * s_cos - more * n[1]) * s.area;
-            load.fx += fx;
-            load.fz += fz;
-            load.ty += r[0] * fz - r[1] * fx;
+            let more = arm.other_drag.map_or(zero, |(density, law)| splat(density) * law.beyond_square(along.abs()));
+            let more = Doubles::select(inside, more * lead, zero);
+            let (normal, velocity) = (into(n), into(v));
+            let motion = arm.grounds[0].motion(velocity);
+            for ([sum_x, sum_z, sum_turn], ground) in sums.iter_mut().zip(arm.grounds) {
+                let stress = arm.sand.force(ground.stress(normal, &motion), normal, velocity, &site, Doubles::one());
+                let fx = (stress.x * s_cos - stress.z * s_sin - more * n[0]) * block.area;
+                let fz = (stress.x * s_sin + stress.z * s_cos - more * n[1]) * block.area;
+                *sum_x += fx;
+                *sum_z += fz;
+                *sum_turn += r[0] * fz - r[1] * fx;
+            }
         }
-        load
+        for (load, [fx, fz, ty]) in loads.iter_mut().zip(sums) {
+            *load = Load { fx: fx.sum(), fz: fz.sum(), ty: ty.sum() };
+        }
     }
 }
 
@@ -330,7 +448,8 @@ mod tests {
             cut: &Cut::new(&intruder).unwrap(),
             mechanisms: &mechanisms,
             sand: SandMechanisms::new(&mechanisms, 640.0),
-            ground: &ground,
+            grounds: &[ground],
+            stencils: stencils(&track),
             footprint: 1.0,
             other_drag: None,
         };

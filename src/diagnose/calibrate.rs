@@ -6,12 +6,13 @@
 //! tails of F and not of χ².
 
 use super::fit::slope;
-use super::fit::{COEFFICIENTS, Column, dot};
+use super::fit::{COEFFICIENTS, Column};
 use super::lack_of_fit::{self, Lack};
 use super::noise::{Noise, Source, sizes};
 use super::observations::Observations;
 use super::study::Study;
 use super::whiten::Whitener;
+use crate::number::{add_scaled, dot};
 use crate::parallel;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
 use nalgebra::{DMatrix, DVector};
@@ -23,8 +24,9 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 const FALSE_ALARM: f64 = 0.002;
 /// Normal quantile of it.
 const NORMAL: f64 = 2.88;
-/// Quantile of it for the greatest of many (Gumbel's distribution), in standard deviations above the mean.
-const GREATEST: f64 = 4.39;
+/// Quantile of a quarter of it for the greatest of many (Gumbel's distribution), in standard deviations above the mean: what one
+/// condition is wrong by is the least of what a verdict may rest on.
+const GREATEST: f64 = 5.48;
 /// Simulated nulls: their mean and spread are then known to some 10 %. Our choice, for the time it takes.
 const NULLS: usize = 80;
 
@@ -70,18 +72,21 @@ impl Gates {
         lack.mean > self.lack_of_fit || lack.worst > self.worst
     }
 
-    /// Degrees of freedom of a set of causes: of the one known least; of none, of any.
+    /// Is a lack of fit hardly beyond its limit? The limit comes from few nulls and from a noise that is learnt.
+    pub fn slight(&self, lack: &Lack) -> bool {
+        lack.mean <= SLIGHT * self.lack_of_fit && lack.worst <= SLIGHT * self.worst
+    }
+
+    /// Degrees of freedom of a set of causes: of the one known least; of none, of any. At least 2, our choice, because with fewer
+    /// intervals would say nothing.
     pub fn degrees_of(&self, ids: &[usize]) -> f64 {
         let own = self.degrees.iter().filter(|d| ids.is_empty() || ids.contains(&d.0));
         own.map(|d| d.1).fold(MOST_DEGREES, f64::min)
     }
-
-    /// The same for intervals: at least 2, our choice, because with fewer they would say nothing.
-    pub fn tail_degrees(&self, ids: &[usize]) -> f64 {
-        self.degrees_of(ids).max(2.0)
-    }
 }
 
+/// A lack of fit up to so many times its limit hides no name: our choice, the limit itself is known to a tenth or so.
+const SLIGHT: f64 = 1.2;
 /// Degrees of freedom beyond which the tails are those of χ²: our choice, the difference is below 1 %.
 const MOST_DEGREES: f64 = 10_000.0;
 
@@ -117,7 +122,7 @@ impl Screen {
         let adjusted = inverse * cr;
         let mut left = white;
         for (column, share) in c.iter().zip(&adjusted) {
-            left.iter_mut().zip(column).for_each(|(r, c)| *r -= share * c);
+            add_scaled(&mut left, -share, column);
         }
         Scores { gram, score, white: left }
     }
@@ -243,13 +248,14 @@ pub fn gates(study: &Study, source: &Source, screen: &Screen, noise: &Noise, sco
     let degrees: Vec<f64> = (0..screen.candidates.len()).map(|k| degrees(&nulls, k)).collect();
     let ideal = ideal(screen, &scores.gram, &degrees);
     let of = |f: fn(&Null) -> f64| spread(&nulls.iter().map(f).collect::<Vec<_>>());
-    let (mean, worst) = (of(|n| n.lack.mean), of(|n| n.lack.worst));
+    let (mean, worst, count) = (of(|n| n.lack.mean), of(|n| n.lack.worst), of(|n| n.lack.count).0);
     Gates {
         // The nulls may only widen the gate: they are few, and by chance their mean can fall below the known one.
         inflation: (of(|n| n.best).0 / spread(&ideal).0.max(1e-9)).max(1.0),
         single: (of(|n| n.best).0 / spread(&ideal).0.max(1e-9)).max(1.0) * quantile(ideal, 1.0 - FALSE_ALARM),
-        // A tenth more for the skewness of a sum of squares.
-        lack_of_fit: mean.0 + 1.1 * NORMAL * mean.1,
+        // A tenth more for the skewness of a sum of squares. A mean square that noise itself makes is no misfit, though nulls,
+        // whose noise is judged as what it is, may stay below it.
+        lack_of_fit: (mean.0 + 1.1 * NORMAL * mean.1).max(1.0 + 1.1 * NORMAL * (2.0 / count.max(1.0)).sqrt()),
         worst: worst.0 + GREATEST * worst.1,
         degrees: screen.candidates.iter().map(|c| c.0).zip(degrees).collect(),
     }

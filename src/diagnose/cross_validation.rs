@@ -4,8 +4,9 @@
 //! fitted values little, so each fold is one Gauss-Newton step from the full fit: exact for a linear model.
 
 use super::errors::Errors;
-use super::fit::{COEFFICIENTS, Fit, dot};
+use super::fit::{COEFFICIENTS, Fit};
 use super::study::Study;
+use crate::number::dot;
 use nalgebra::{DMatrix, DVector};
 
 /// Held-out errors of one model.

@@ -7,10 +7,11 @@
 use super::calibrate::{Gates, chi_squared_over, quantile, square_root};
 use super::cross_validation::HeldOut;
 use super::errors::Errors;
-use super::fit::{Column, Fit, dot, slope};
+use super::fit::{Column, Fit, slope};
 use super::fitted::candidate;
 use super::nested::{self, Known};
 use super::study::Study;
+use crate::number::dot;
 use crate::parallel;
 use crate::sand::GRAVITY;
 use crate::sand::term::{On, Term};
@@ -180,7 +181,7 @@ fn fitted(study: &Study, base: &Fit, term: Term, gates: &Gates, nested: [HeldOut
     }
     let model = study.model.with_terms(std::slice::from_ref(&term))?;
     let fit = study.with_model(&*model).fit_near(&fit);
-    let reach = student::two_sided_95(gates.tail_degrees(&[])) * gates.inflation.sqrt() * sd;
+    let reach = student::two_sided_95(gates.degrees_of(&[])) * gates.inflation.sqrt() * sd;
     let delta_chi2 = base.objective - fit.objective;
     let ci95 = [term.coefficient - reach, term.coefficient + reach];
     term.check(&study.coefficients(&fit.deviations), study.model.medium().bulk_density).ok()?;

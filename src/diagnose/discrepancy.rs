@@ -6,10 +6,11 @@
 //! the error, is where the evidence of the residual is greatest. The weights are marginalised like the coefficients. (The idea:
 //! Kennedy & O'Hagan 2001.)
 
-use super::fit::{Fit, dot};
+use super::fit::Fit;
 use super::forward::Feature;
 use super::observations::{Observations, Size};
 use super::study::Study;
+use crate::number::dot;
 use crate::parallel;
 use nalgebra::{DMatrix, DVector};
 use rand::{Rng, SeedableRng};

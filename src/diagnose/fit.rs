@@ -6,6 +6,7 @@
 //! as columns behind those of the coefficients; they move what is measured and not the prediction of the sand.
 
 use super::study::Study;
+use crate::number::{add_scaled, dot};
 use crate::parallel;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
 use nalgebra::{DMatrix, DVector};
@@ -47,19 +48,6 @@ pub struct Fit {
     pub slopes: Vec<Column>,
     /// The same, whitened.
     pub white_slopes: Vec<Column>,
-}
-
-/// Sum of products, in eight partial sums so that it vectorises.
-pub fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let (left, right) = (a.chunks_exact(8), b.chunks_exact(8));
-    let rest: f64 = left.remainder().iter().zip(right.remainder()).map(|(a, b)| a * b).sum();
-    let mut sums = [0.0; 8];
-    for (a, b) in left.zip(right) {
-        for (sum, (a, b)) in sums.iter_mut().zip(a.iter().zip(b)) {
-            *sum += a * b;
-        }
-    }
-    sums.iter().sum::<f64>() + rest
 }
 
 impl Study<'_> {
@@ -122,6 +110,18 @@ impl Study<'_> {
             }
         }
         self.refine(again, ROUNDS / 2, true)
+    }
+
+    /// About how low the objectives of fits come here: one Gauss-Newton step from where each stands.
+    pub fn stepped(&self, fits: &[&Fit]) -> Vec<f64> {
+        let state = |f: &&Fit| (f.ids.clone(), f.mechanisms, f.deviations.clone());
+        let mut there = self.at_all(fits.iter().map(state).collect());
+        for fit in &mut there {
+            [fit.slopes, fit.white_slopes] = self.marginal_slopes.clone();
+        }
+        self.set_value_slopes(&mut there, &(0..fits.len()).collect::<Vec<_>>());
+        let gained = |fit: &Fit| fit.normal_equations().1.iter().zip(self.step(fit)).map(|(s, d)| s * d).sum::<f64>();
+        parallel::map(&there, |fit| fit.objective - gained(fit))
     }
 
     /// A fit as it is under this study, nothing fitted again, with the slopes that it had.
@@ -258,7 +258,7 @@ impl Study<'_> {
             let mut white = self.whitener.apply(&residual);
             let known = self.marginal_slopes[1].len() - self.nuisances.len();
             for (column, d) in self.marginal_slopes[1][known..].iter().zip(&deviations[COEFFICIENTS..]) {
-                white.iter_mut().zip(column.iter()).for_each(|(w, c)| *w -= d * c);
+                add_scaled(&mut white, -d, column);
             }
             let objective = dot(&white, &white) + dot(deviations, deviations);
             let objective = if objective.is_finite() { objective } else { f64::MAX };

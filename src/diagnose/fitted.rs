@@ -4,12 +4,13 @@
 use super::calibrate::{FELT, Gates, Scores, Screen, gates, starts};
 use super::cross_validation::{HeldOut, leave_condition_out, unfitted};
 use super::discrepancy::{Directions, Discrepancy};
-use super::fit::{COEFFICIENTS, Fit, dot, slope};
+use super::fit::{COEFFICIENTS, Fit, slope};
 use super::lack_of_fit::{self, Lack};
-use super::noise::{Noise, Source};
+use super::noise::{Noise, Sizes, Source, sizes_of};
 use super::nuisance::Nuisance;
 use super::study::Study;
 use super::whiten::Whitener;
+use crate::number::dot;
 use crate::parallel;
 use crate::sand::mechanism::CATALOG;
 
@@ -53,6 +54,8 @@ pub struct Candidate {
 /// Noise, whitening and nuisances about one candidate.
 pub struct Surroundings {
     pub noise: Noise,
+    /// What the noise is proportional to: the candidate's own prediction.
+    pub sizes: Sizes,
     pub whitener: Whitener,
     pub nuisances: Vec<Nuisance>,
 }
@@ -170,16 +173,12 @@ pub fn surroundings(study: &Study, source: &Source, start: &Noise, fit: &Fit) ->
     let model_error = study.model.model_error(&fit.mechanisms, &coefficients, &fit.prediction);
     // The noise is learnt from what the fit leaves, nuisances included; it acts along what the sand does.
     let reading = study.reading(fit);
-    let source = Source { prediction: &reading, shared: &shared, model_error: &model_error, ..*source };
+    let sizes = sizes_of(study.observations, &reading);
+    let source = Source { prediction: &reading, sizes: &sizes, shared: &shared, model_error: &model_error, ..*source };
     let noise = source.noise(Some(start), &|| study.model.stopped());
     let whitener = Whitener::new(&source, &noise);
     let nuisances = bent(study, &whitener, fit);
-    Surroundings { noise, whitener, nuisances }
-}
-
-/// The study under a whitening, its nuisances taken about a fit.
-fn about<'a>(study: &Study<'a>, whitener: &'a Whitener, fit: &Fit) -> Study<'a> {
-    study.under(whitener, study.nuisances_about(fit))
+    Surroundings { noise, sizes, whitener, nuisances }
 }
 
 /// Rounds in which nuisances that bend are followed: our choice, most need two.
@@ -190,7 +189,7 @@ const STRAIGHT: f64 = 0.02;
 /// Nuisances about `fit` under a whitening, the fit and they adjusted to each other: where a filter is slow against the fastest
 /// trials the first estimate is far off. A step that does not help is halved.
 fn bent(study: &Study, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> {
-    let mut now = about(study, whitener, fit);
+    let mut now = study.under(whitener, study.nuisances_about(fit));
     let mut at = now.fit_from(&[fit]).swap_remove(0);
     let mut least = f64::INFINITY;
     let mut before = fit.clone();
@@ -200,7 +199,8 @@ fn bent(study: &Study, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> {
         if turned.fold(0.0, f64::max) < STRAIGHT {
             break;
         }
-        let next = about(&now, whitener, &at);
+        // What a filter does to the forces changes with its time constant, and hardly with what little else is adjusted here.
+        let next = study.under(whitener, now.nuisances_of(fit, &at));
         let there = next.restated(&at);
         if there.objective > least {
             let half = at.deviations.iter().zip(&before.deviations).map(|(a, b)| 0.5 * (a + b)).collect();
@@ -211,7 +211,7 @@ fn bent(study: &Study, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> {
         at = next.fit_from(&[&there]).swap_remove(0);
         now = next;
     }
-    now.nuisances_about(&at)
+    now.nuisances_of(fit, &at)
 }
 
 /// Fits the best and its nearest rivals again under the noise that belongs to the best, until that moves the best by less than
@@ -262,7 +262,7 @@ pub fn beside_discrepancy(study: &Study, around: &Surroundings, fitted: Fitted) 
         if discrepancy.size == 0.0 {
             break;
         }
-        let whitener = around.whitener.beside(&directions.columns(discrepancy.size));
+        let whitener = around.whitener.beside(directions.columns(discrepancy.size));
         let renewed = study.under(&whitener, around.nuisances.clone());
         fitted = all_refitted(&renewed, fitted);
         found = Some(Beside { discrepancy, raw: directions.raw, whitener });
@@ -270,13 +270,22 @@ pub fn beside_discrepancy(study: &Study, around: &Surroundings, fitted: Fitted) 
     (fitted, found)
 }
 
-/// All candidates fitted again from where they stand, best of the chosen size first.
+/// The likeliest candidates of the chosen size fitted again from where they stand, best first; the others keep their distance to
+/// the best. The whitening is a new one and may rank them anew: one step of each tells which are the likeliest.
 fn all_refitted(study: &Study, fitted: Fitted) -> Fitted {
     let size = fitted.best().map_or(1, |c| c.fit.ids.len());
     let base = study.recalibrated();
-    let again = study.fit_from(&fitted.candidates.iter().map(|c| &c.fit).collect::<Vec<_>>());
-    let candidates = ranked(study, &base, &again, size);
-    let finalists = candidates.iter().filter(|c| c.fit.ids.len() == size).count();
+    let (same, others): (Vec<Candidate>, Vec<Candidate>) =
+        fitted.candidates.into_iter().partition(|c| c.fit.ids.len() == size);
+    let stepped = study.stepped(&same.iter().map(|c| &c.fit).collect::<Vec<_>>());
+    let mut order: Vec<usize> = (0..same.len()).collect();
+    order.sort_by(|a, b| stepped[*a].total_cmp(&stepped[*b]));
+    let again = study.fit_from(&order.iter().take(FINALISTS).map(|&k| &same[k].fit).collect::<Vec<_>>());
+    let mut candidates = ranked(study, &base, &again, size);
+    let finalists = candidates.len();
+    let mut same: Vec<Option<Candidate>> = same.into_iter().map(Some).collect();
+    candidates.extend(order[finalists..].iter().filter_map(|&k| same[k].take()));
+    candidates.extend(others);
     Fitted { base: candidate(study, &base, base.clone()), candidates, finalists, ..fitted }
 }
 

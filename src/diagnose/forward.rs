@@ -3,15 +3,17 @@
 //! Everything statistical is written against [`ForwardModel`]; [`ForceLogModel`] predicts force logs, track by track
 //! ([`super::arm`]).
 
-use super::arm::{Arm, Cut, PowerDrag};
+use super::arm::{Arm, Cut, PowerDrag, filtered, read, stencils};
 use super::experiment::{Experiment, Intruder};
 use super::fit::slope;
 use super::force_log::{ForceLog, Pose, Track};
 use super::motion::moving;
 use super::nuisance::{Nuisance, Priors};
 use super::observations::Observations;
+use super::response::{Response, Responses, is_linear};
 use super::shared::Shared;
 use crate::error::Result;
+use crate::number::{Doubles, Real};
 use crate::parallel;
 use crate::progress::Latch;
 use crate::sand::beyond::{SandMechanisms, footprint};
@@ -19,6 +21,7 @@ use crate::sand::intrusion::Load;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
 use crate::sand::{Coefficients, Ground, Law, Medium, SandDescription, Surface, Term};
 use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// What varies along the data and may explain a misfit.
 #[derive(Clone, Debug, PartialEq)]
@@ -119,6 +122,36 @@ pub struct ForceLogModel<'a> {
     priors: Priors,
     /// Form of inertial drag, where it is another than the catalogue's.
     drag: Option<PowerDrag>,
+    responses: Responses,
+    measuring: Kept<Measuring>,
+}
+
+/// What nuisances are made of, about one state.
+struct Measuring {
+    mechanisms: Mechanisms,
+    coefficients: Coefficients,
+    here: Vec<f64>,
+    /// Change of the data by each unit of delay, depth and tilt.
+    late: Vec<f64>,
+    deep: Vec<f64>,
+    tilt: Vec<f64>,
+    /// Of each track, the loads at the steps of a filter.
+    steps: Vec<Vec<[Load; 1]>>,
+}
+
+/// The last one made; a model that is cloned has none, for it may be changed then.
+struct Kept<T>(Mutex<Option<Arc<T>>>);
+
+impl<T> Default for Kept<T> {
+    fn default() -> Self {
+        Self(Mutex::new(None))
+    }
+}
+
+impl<T> Clone for Kept<T> {
+    fn clone(&self) -> Self {
+        Self::default()
+    }
 }
 
 /// Changes by which nuisances are felt: our choices, a share of what they usually are.
@@ -129,6 +162,8 @@ const TILT_STEP: f64 = 1e-4;
 const STRENGTH_STEP: f64 = 0.02;
 /// What each channel of each trial has of its own.
 const OFFSETS: [(&str, &str); 3] = [("offset_Fx", "drift_Fx"), ("offset_Fz", "drift_Fz"), ("offset_Ty", "drift_Ty")];
+/// States of the same mechanisms from which on finding the answer to the coefficients is the less work.
+const ANSWERS: usize = 4;
 /// Names of the channels.
 const CHANNELS: [&str; 3] = ["Fx", "Fz", "Ty"];
 
@@ -151,6 +186,8 @@ impl<'a> ForceLogModel<'a> {
             missing: log.missing.clone(),
             priors: experiment.nuisances.clone(),
             drag: None,
+            responses: Responses::default(),
+            measuring: Kept::default(),
         })
     }
 
@@ -172,9 +209,11 @@ impl<'a> ForceLogModel<'a> {
             missing: Vec::new(),
             priors: Priors::default(),
             drag: None,
+            responses: Responses::default(),
+            measuring: Kept::default(),
         };
-        let ground = Ground::new(Law::Li2013, &model.medium, &PRESCRIBED);
-        Ok(model.loads(&track, &sand.mechanisms, &ground))
+        let ground = model.ground(&model.medium.coefficients);
+        Ok(model.arm(&track, &sand.mechanisms, &[ground]).readings().into_iter().map(|[load]| load).collect())
     }
 
     /// A model of other tracks with the same intruders: for experiments not yet made.
@@ -192,6 +231,8 @@ impl<'a> ForceLogModel<'a> {
             missing: self.missing.clone(),
             priors: self.priors.clone(),
             drag: self.drag,
+            responses: Responses::default(),
+            measuring: Kept::default(),
         };
         (model, log.observations)
     }
@@ -234,25 +275,96 @@ impl<'a> ForceLogModel<'a> {
         (square / f64::max(count, 1.0)).sqrt().max(1e-6)
     }
 
-    fn sand(&self, m: &Mechanisms) -> SandMechanisms<f64> {
+    fn sand(&self, m: &Mechanisms) -> SandMechanisms<Doubles> {
         let mut sand = SandMechanisms::new(m, self.medium.bulk_density);
-        sand.set_terms(0, &self.medium.terms, self.medium.bulk_density);
+        (0..Doubles::LANES).for_each(|l| sand.set_terms(l, &self.medium.terms, self.medium.bulk_density));
         sand
     }
 
-    /// Loads as logged along one track.
-    fn loads(&self, track: &Track, m: &Mechanisms, ground: &Ground<f64>) -> Vec<Load> {
+    fn ground(&self, coefficients: &Coefficients) -> Ground<Doubles> {
+        Ground::new(Law::Li2013, &Medium { coefficients: *coefficients, ..self.medium.clone() }, &PRESCRIBED)
+    }
+
+    fn arm<'b, const N: usize>(
+        &'b self,
+        track: &'b Track,
+        m: &'b Mechanisms,
+        grounds: &'b [Ground<Doubles>; N],
+    ) -> Arm<'b, N> {
         let density = m.inertial_drag * self.medium.bulk_density;
-        let arm = Arm {
+        Arm {
             track,
             cut: &self.cuts[&track.shape],
             mechanisms: m,
             sand: self.sand(m),
-            ground,
+            grounds,
+            stencils: if m.added_mass == 0.0 { Vec::new() } else { stencils(track) },
             footprint: footprint(m.footprint, track.pass, track.pass_dx),
             other_drag: self.drag.map(|law| (density, law)),
+        }
+    }
+
+    /// Stacks of loads given track by track and pose by pose, one of each ground.
+    fn stacks<const N: usize>(&self, loads: &[Vec<[Load; N]>]) -> Vec<Vec<f64>> {
+        let mut stacks = vec![vec![0.0; self.numbers()]; N];
+        for &(track, start, samples) in &self.units {
+            for (i, of_pose) in self.kept[track].iter().map(|&pose| &loads[track][pose]).enumerate() {
+                for (stack, load) in stacks.iter_mut().zip(of_pose) {
+                    for (channel, value) in [load.fx, load.fz, load.ty].into_iter().take(self.channels).enumerate() {
+                        stack[start + channel * samples + i] = value;
+                    }
+                }
+            }
+        }
+        stacks
+    }
+
+    /// How many numbers a stack has.
+    fn numbers(&self) -> usize {
+        self.units.iter().map(|u| u.2 * self.channels).sum()
+    }
+
+    fn in_grounds<const N: usize>(&self, m: &Mechanisms, coefficients: [Coefficients; N]) -> Vec<Vec<f64>> {
+        let grounds = coefficients.map(|c| self.ground(&c));
+        let loads = parallel::map(&self.tracks, |t| self.arm(t, m, &grounds).readings());
+        self.stacks(&loads)
+    }
+
+    /// How the data answer to the coefficients under `m`, made once.
+    fn response(&self, m: &Mechanisms) -> Arc<Response> {
+        self.responses.of(m, || Response::new(|states| self.in_grounds(m, states)))
+    }
+
+    /// What nuisances are made of; the last one is kept.
+    fn measuring(&self, m: &Mechanisms, c: &Coefficients) -> Arc<Measuring> {
+        let mut kept = self.measuring.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(known) = kept.as_ref().filter(|k| k.mechanisms == *m && k.coefficients == *c) {
+            return known.clone();
+        }
+        let here = self.predict(m, c);
+        let by = |changed: Mechanisms, step: f64| slope(&self.predict(&changed, c), &here, step);
+        let late = by(Mechanisms { delay: m.delay + TIME_STEP, ..*m }, TIME_STEP);
+        let deep = by(Mechanisms { depth_zero: m.depth_zero + DEPTH_STEP, ..*m }, DEPTH_STEP);
+        let tilt = by(Mechanisms { sensor_tilt: m.sensor_tilt + TILT_STEP, ..*m }, TILT_STEP);
+        let grounds = [self.ground(c)];
+        let steps = parallel::map(&self.tracks, |t| self.arm(t, m, &grounds).between());
+        let made = Arc::new(Measuring { mechanisms: *m, coefficients: *c, here, late, deep, tilt, steps });
+        *kept = Some(made.clone());
+        made
+    }
+}
+
+impl Measuring {
+    /// Change of the data by a filter of time constant `tau`.
+    fn filtered(&self, model: &ForceLogModel, tau: f64) -> Vec<f64> {
+        let m = &self.mechanisms;
+        let through = |(steps, track): (&Vec<[Load; 1]>, &Track)| {
+            let mut loads = filtered(&track.poses, steps, m.lowpass + tau);
+            read(m, &mut loads);
+            loads
         };
-        arm.readings()
+        let loads: Vec<_> = self.steps.iter().zip(&model.tracks).map(through).collect();
+        slope(&model.stacks(&loads)[0], &self.here, 1.0)
     }
 }
 
@@ -284,24 +396,23 @@ impl ForwardModel for ForceLogModel<'_> {
     }
 
     fn nuisances(&self, m: &Mechanisms, c: &Coefficients, values: &[(String, f64)]) -> Vec<Nuisance> {
-        let here = self.predict(m, c);
-        let by = |changed: Mechanisms, step: f64| slope(&self.predict(&changed, c), &here, step);
-        let late = by(Mechanisms { delay: m.delay + TIME_STEP, ..*m }, TIME_STEP);
-        let deep = by(Mechanisms { depth_zero: m.depth_zero + DEPTH_STEP, ..*m }, DEPTH_STEP);
-        let tilt = by(Mechanisms { sensor_tilt: m.sensor_tilt + TILT_STEP, ..*m }, TILT_STEP);
+        if self.stopped() {
+            return Vec::new();
+        }
+        let measuring = self.measuring(m, c);
+        let Measuring { here, late, deep, tilt, .. } = &*measuring;
         let sd = |kind: &str| self.priors.sd(kind);
         let mut all = Vec::new();
         for (channel, name) in CHANNELS.into_iter().enumerate().take(self.channels) {
             let own = |stack: &[f64]| self.only(stack, channel);
             let unit = if channel == 2 { "N·m" } else { "N" };
-            let zero = sd("offset") * self.rms(&here, channel);
+            let zero = sd("offset") * self.rms(here, channel);
             all.push(Nuisance::linear(format!("offset_{name}"), unit, zero, own(&vec![1.0; here.len()])));
-            all.push(Nuisance::linear(format!("gain_{name}"), "1", sd("gain"), own(&here)));
+            all.push(Nuisance::linear(format!("gain_{name}"), "1", sd("gain"), own(here)));
             let id = format!("lowpass_{name}");
             // A filter cannot look ahead.
             let tau = values.iter().find(|v| v.0 == id).map_or(0.0, |v| v.1.max(0.0));
-            let filtered =
-                |tau: f64| own(&slope(&self.predict(&Mechanisms { lowpass: m.lowpass + tau, ..*m }, c), &here, 1.0));
+            let filtered = |tau: f64| own(&measuring.filtered(self, tau));
             let (at, beyond) =
                 (if tau > 0.0 { filtered(tau) } else { vec![0.0; here.len()] }, filtered(tau + TIME_STEP));
             let rate = slope(&beyond, &at, TIME_STEP);
@@ -311,30 +422,32 @@ impl ForwardModel for ForceLogModel<'_> {
         let time = self.stack(|t, _, _| t);
         let skewed = late.iter().zip(time).map(|(l, t)| l * t).collect();
         all.push(Nuisance::linear("clock".into(), "1", sd("clock"), skewed));
-        all.push(Nuisance::linear("delay".into(), "s", sd("delay"), late));
-        all.push(Nuisance::linear("depth_zero".into(), "m", sd("depth_zero"), deep));
-        all.push(Nuisance::linear("tilt".into(), "rad", sd("tilt"), tilt));
+        all.push(Nuisance::linear("delay".into(), "s", sd("delay"), late.clone()));
+        all.push(Nuisance::linear("depth_zero".into(), "m", sd("depth_zero"), deep.clone()));
+        all.push(Nuisance::linear("tilt".into(), "rad", sd("tilt"), tilt.clone()));
         all.retain(|n| n.sd > 0.0);
         all
     }
 
     fn predict(&self, mechanisms: &Mechanisms, coefficients: &Coefficients) -> Vec<f64> {
-        let numbers = self.units.iter().map(|u| u.2 * self.channels).sum();
         if self.stopped() {
-            return vec![f64::NAN; numbers];
+            return vec![f64::NAN; self.numbers()];
         }
-        let medium = Medium { coefficients: *coefficients, ..self.medium.clone() };
-        let ground = Ground::new(Law::Li2013, &medium, &PRESCRIBED);
-        let loads: Vec<_> = self.tracks.iter().map(|t| self.loads(t, mechanisms, &ground)).collect();
-        let mut stack = vec![0.0; numbers];
-        for &(track, start, samples) in &self.units {
-            for (i, load) in self.kept[track].iter().map(|&pose| loads[track][pose]).enumerate() {
-                for (channel, value) in [load.fx, load.fz, load.ty].into_iter().take(self.channels).enumerate() {
-                    stack[start + channel * samples + i] = value;
-                }
+        match self.responses.known(mechanisms) {
+            Some(response) => response.at(coefficients),
+            None => self.in_grounds(mechanisms, [*coefficients]).swap_remove(0),
+        }
+    }
+
+    /// Where several states differ in the coefficients alone, how the data answer to these is found once.
+    fn predict_many(&self, states: &[(Mechanisms, Coefficients)]) -> Vec<Vec<f64>> {
+        let alike = |m: &Mechanisms| states.iter().filter(|s| s.0 == *m).count();
+        parallel::map(states, |(m, c)| {
+            if !self.stopped() && is_linear(m) && alike(m) >= ANSWERS {
+                return self.response(m).at(c);
             }
-        }
-        stack
+            self.predict(m, c)
+        })
     }
 
     fn with_exponent(&self, id: usize, exponent: f64) -> Option<Box<dyn ForwardModel + '_>> {

@@ -1,8 +1,9 @@
 //! Further causes beside a fitted model: which would gain something, how much, and how large it can be at most.
 
-use super::fit::{Fit, dot, slope};
+use super::fit::{Fit, slope};
 use super::fitted::USUAL;
 use super::study::Study;
+use crate::number::dot;
 use crate::parallel;
 use crate::sand::mechanism::CATALOG;
 

@@ -8,6 +8,7 @@ use super::fit::Fit;
 use super::fitted::{Candidate, Fitted, candidate};
 use super::form::{self, Asked, Form};
 use super::lack_of_fit::Lack;
+use super::nested::Nested;
 use super::profile;
 use super::study::Study;
 use super::verdict::{Evidence, Rival};
@@ -42,7 +43,7 @@ pub struct Judged {
 /// Where slopes are not to be trusted: the lowest place about the best, and how far its values can be moved.
 pub fn explored(study: &Study, fitted: Fitted, gates: &Gates) -> (Fitted, Vec<[f64; 2]>) {
     let Some(best) = fitted.best().filter(|_| study.model.roughness().is_some()) else { return (fitted, Vec::new()) };
-    let allowed = student::square_at_95(gates.tail_degrees(&best.fit.ids)) * gates.inflation;
+    let allowed = student::square_at_95(gates.degrees_of(&best.fit.ids)) * gates.inflation;
     let (lowest, intervals) = profile::explore(study, &best.fit, allowed);
     let mut candidates = fitted.candidates;
     if lowest.objective < candidates[0].fit.objective {
@@ -60,7 +61,7 @@ pub struct Standing<'a> {
     pub lacks: [Lack; 2],
     /// Scatter of the repetitions.
     pub floor: &'a Errors,
-    pub nested: [HeldOut; 2],
+    pub nested: Nested,
     /// Intervals of a rough model.
     pub profiled: Vec<[f64; 2]>,
 }
@@ -74,18 +75,19 @@ pub fn judged(study: &Study, standing: Standing) -> Judged {
         found: best.is_some(),
         misfit: gates.lacking(&lacks[0]),
         remainder: gates.lacking(&lacks[1]),
-        explained: explained(fitted, &lacks, &nested, floor),
+        slight: gates.slight(&lacks[1]),
+        explained: explained(fitted, &lacks, &nested.reading, floor),
         form_excluded: form.as_ref().is_some_and(|form| form.excluded),
         described: false,
         inflation: gates.inflation,
         rivals: best.map_or(Vec::new(), |best| rivals(fitted, best, gates)),
     };
     let intervals = best.map(|c| intervals(&c.fit, gates, &profiled));
-    Judged { evidence, discrepancy, lacks, intervals, form, nested }
+    Judged { evidence, discrepancy, lacks, intervals, form, nested: nested.sand }
 }
 
-/// Share of the misfit beyond noise that the best explains: of the error on conditions held out, where the plain model's stands
-/// clear of the scatter; else of the whitened one.
+/// Share of the misfit beyond noise that the best explains: of the error of readings on conditions held out, where the plain model's
+/// stands clear of the scatter; else of the whitened one. What a filter or a tilt did to the log is no misfit of the sand.
 fn explained(fitted: &Fitted, lacks: &[Lack; 2], nested: &[HeldOut; 2], floor: &Errors) -> f64 {
     let plain = &fitted.plain_held_out.errors;
     let reference = if plain.rmse() < nested[0].errors.rmse() { plain } else { &nested[0].errors };
@@ -122,7 +124,7 @@ fn intervals(fit: &Fit, gates: &Gates, profiled: &[[f64; 2]]) -> Intervals {
     let (count, covariance) = (fit.ids.len(), fit.covariance());
     let range = |k: usize| {
         let at = fit.coordinates()[k];
-        let square = student::square_at_95(gates.tail_degrees(&fit.ids[k..=k])) * gates.inflation;
+        let square = student::square_at_95(gates.degrees_of(&fit.ids[k..=k])) * gates.inflation;
         let reach = (square * covariance[(k, k)]).sqrt();
         let profiled = profiled.get(k).filter(|i| i.iter().all(|u| u.is_finite()));
         let [low, high] = profiled.copied().unwrap_or([at - reach, at + reach]);

@@ -243,7 +243,7 @@ pub fn correlates(
     let mut found: Vec<Correlate> = Vec::new();
     for _ in 0..TERMS {
         let gain = |column: &[f64]| {
-            let (square, along) = (super::fit::dot(column, column), super::fit::dot(column, &left));
+            let (square, along) = (crate::number::dot(column, column), crate::number::dot(column, &left));
             if square > 1e-9 { (along * along / square, along / square) } else { (0.0, 0.0) }
         };
         let best = columns.iter().map(|c| (gain(&c.2), c)).max_by(|a, b| a.0.0.total_cmp(&b.0.0));

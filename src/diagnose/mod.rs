@@ -35,6 +35,7 @@ pub mod intruder_log;
 pub mod intruder_model;
 pub mod judged;
 pub mod lack_of_fit;
+pub mod likelihood;
 pub mod minimise;
 pub mod misfit;
 pub mod motion;
@@ -47,6 +48,7 @@ pub mod page;
 pub mod profile;
 pub mod repeats;
 pub mod report;
+pub mod response;
 pub mod select;
 pub mod shared;
 
@@ -192,7 +194,7 @@ fn testable(study: &Study) -> (Vec<usize>, Vec<Untestable>) {
     let plain = study.plain().prediction;
     let felt = |moved: &[f64]| {
         let white = study.whitener.apply(&fit::slope(moved, &plain, 1.0));
-        fit::dot(&white, &white) > calibrate::FELT
+        crate::number::dot(&white, &white) > calibrate::FELT
     };
     for (id, why) in asked {
         let moves = tried.iter().zip(&there).any(|(t, moved)| t.0 == id && felt(moved));

@@ -7,11 +7,12 @@
 use super::calibrate::Gates;
 use super::cross_validation::HeldOut;
 use super::errors::Errors;
-use super::fit::{COEFFICIENTS, Column, Fit, dot};
+use super::fit::{COEFFICIENTS, Column, Fit};
 use super::fitted::{Beside, Fitted};
 use super::noise::{Noise, Source};
 use super::study::Study;
 use super::whiten::Whitener;
+use crate::number::dot;
 use crate::parallel;
 use nalgebra::{DMatrix, DVector};
 use std::sync::Arc;
@@ -24,10 +25,20 @@ const CHOSEN_FROM: [usize; 2] = [4, 2];
 const SHOWN: f64 = 0.02;
 
 /// Held-out errors of base and of the extension chosen in each fold.
-pub fn nested(study: &Study, fitted: &Fitted, gates: &Gates, known: &Known) -> [HeldOut; 2] {
-    let places = folds(study.observations.conditions.len());
+#[derive(Clone)]
+pub struct Nested {
+    /// Of what the sand is predicted to do.
+    pub sand: [HeldOut; 2],
+    /// Of what the sensor is predicted to read, with nuisances as the rest of the data has them.
+    pub reading: [HeldOut; 2],
+}
+
+pub fn nested(study: &Study, fitted: &Fitted, gates: &Gates, known: &Known) -> Nested {
+    let conditions = study.observations.conditions.len();
+    let places = folds(conditions);
     let made = parallel::map(&places, |held| fold(study, fitted, gates, known, held));
-    together(&places, made, study.observations.conditions.len())
+    let (sand, reading) = made.into_iter().unzip();
+    Nested { sand: together(&places, sand, conditions), reading: together(&places, reading, conditions) }
 }
 
 /// Conditions held out in each fold.
@@ -73,7 +84,7 @@ impl Known<'_> {
         let own = Whitener::new(&source, &noise).without(study.observations, held);
         let Some(Beside { discrepancy, raw, .. }) = self.beside else { return own };
         let sized = |column: &Vec<f64>| own.apply(column).iter().map(|v| discrepancy.size * v).collect();
-        own.beside(&raw.iter().map(sized).collect::<Vec<_>>())
+        own.beside(raw.iter().map(sized).collect())
     }
 }
 
@@ -102,8 +113,8 @@ struct Adjusted {
     shown: bool,
 }
 
-/// Held-out errors of base and choice on the conditions `held`, in their order.
-fn fold(study: &Study, fitted: &Fitted, gates: &Gates, known: &Known, held: &[usize]) -> [HeldOut; 2] {
+/// Held-out errors of base and choice on the conditions `held`, in their order: of the sand, and of readings.
+fn fold(study: &Study, fitted: &Fitted, gates: &Gates, known: &Known, held: &[usize]) -> ([HeldOut; 2], [HeldOut; 2]) {
     let whitener = known.without(study, held);
     let mut whitened = Whitened { whitener: &whitener, known: Vec::new() };
     let base = &fitted.base.fit;
@@ -130,7 +141,9 @@ fn fold(study: &Study, fitted: &Fitted, gates: &Gates, known: &Known, held: &[us
     let beside = single.map_or(gates.single, &gained) + fitted.second_gate.unwrap_or(f64::INFINITY);
     let chosen = pair.filter(|t| size > 1 && gained(t) > beside).or(single);
     let (fit, adjusted) = chosen.map_or((base, &of_base), |t| (t.0, &t.1));
-    [errors(study, base, &of_base.step, held), errors(study, fit, &adjusted.step, held)]
+    let both = [(base, &of_base.step), (fit, &adjusted.step)];
+    let sand = both.map(|(fit, step)| errors(study, &fit.prediction, fit, &step[..fit.ids.len() + COEFFICIENTS], held));
+    (sand, both.map(|(fit, step)| errors(study, &study.reading(fit), fit, step, held)))
 }
 
 /// One Gauss-Newton step on what is not held out.
@@ -162,11 +175,10 @@ pub fn least_squares(slopes: &[Column], white: &[f64], deviations: &[f64]) -> (V
     (step.iter().copied().collect(), gained)
 }
 
-/// Errors on the conditions `held` of a fit moved by a step.
-fn errors(study: &Study, fit: &Fit, step: &[f64], held: &[usize]) -> HeldOut {
-    let sand = fit.ids.len() + COEFFICIENTS;
-    let moved = |k: usize| fit.slopes.iter().zip(&step[..sand]).map(|(s, d)| s[k] * d).sum::<f64>();
-    errors_of(study, |k| fit.prediction[k] + moved(k), held)
+/// Errors on the conditions `held` of a fit that predicts `from`, moved by a step along its first slopes.
+fn errors(study: &Study, from: &[f64], fit: &Fit, step: &[f64], held: &[usize]) -> HeldOut {
+    let moved = |k: usize| fit.slopes.iter().zip(step).map(|(s, d)| s[k] * d).sum::<f64>();
+    errors_of(study, |k| from[k] + moved(k), held)
 }
 
 /// Errors of a prediction, number by number, on the conditions `held`.

@@ -10,10 +10,11 @@
 //! parts' sizes maximise the likelihood of the differences between repetitions, which no wrong model can bias.
 
 use super::errors::Errors;
+use super::likelihood::Landscape;
 use super::minimise::minimise;
 use super::observations::{Observations, Size, interpolate};
 use super::repeats::Repeats;
-use super::shared::{Likelihood, Shared};
+use super::shared::Shared;
 use nalgebra::{DMatrix, DVector};
 use rand::{Rng, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
@@ -70,6 +71,12 @@ pub type Sizes = Vec<Vec<Vec<f64>>>;
 
 /// See [`Sizes`].
 pub fn sizes(observations: &Observations) -> Sizes {
+    sizes_of(observations, &observations.values)
+}
+
+/// The same of other values than those measured. Where a model is near the data its own are the better ones: measured small where
+/// noise made them small, samples would count for more because of their noise, and every fit would come out low.
+pub fn sizes_of(observations: &Observations, values: &[f64]) -> Sizes {
     let groups = observations.repetitions();
     let mut out = vec![Vec::new(); observations.units.len()];
     for group in &groups {
@@ -78,7 +85,7 @@ pub fn sizes(observations: &Observations) -> Sizes {
             let mean = |c: usize, at: f64| {
                 let of = |v: &usize| {
                     let other = &observations.units[*v];
-                    interpolate(&other.progress, &observations.values[other.block(c)], at)
+                    interpolate(&other.progress, &values[other.block(c)], at)
                 };
                 group.iter().map(of).sum::<f64>() / group.len() as f64
             };
@@ -202,12 +209,12 @@ impl Source<'_> {
     /// chance makes it (at 95 %). What is not there cannot be known, and would make the gates wide.
     pub fn asked_for(&self, noise: &Noise) -> Vec<&'static str> {
         let repeats = self.repeats();
-        let steps: Vec<Vec<f64>> = repeats.iter().map(|r| noise.clock.steps(&r.progress)).collect();
-        let least = noise.deviance(&repeats, &steps);
+        let landscape = Landscape::new(&repeats, noise.clock);
+        let least = landscape.deviance(noise);
         let needed = |(k, shared): &(usize, &Shared)| {
             let mut without = noise.clone();
             without.shared[*k] = 1e-6 * shared.guess;
-            !shared.optional || without.deviance(&repeats, &steps) - least > super::chi_squared::AT_95_PERCENT
+            !shared.optional || landscape.deviance(&without) - least > super::chi_squared::AT_95_PERCENT
         };
         self.shared.iter().enumerate().filter(needed).map(|(_, s)| s.name).collect()
     }
@@ -237,13 +244,13 @@ impl Source<'_> {
         center: &'b [f64],
         stopped: &'b (dyn Fn() -> bool + Sync),
     ) -> impl Fn(&[f64]) -> f64 + 'b {
-        let steps: Vec<Vec<f64>> = repeats.iter().map(|r| clock.steps(&r.progress)).collect();
+        let landscape = Landscape::new(repeats, clock);
         move |p: &[f64]| {
             if stopped() {
                 return f64::INFINITY;
             }
             let prior: f64 = p.iter().zip(center).map(|(a, b)| ((a - b) / 3.0).powi(2)).sum();
-            prior + Noise::unpack(p, self.observations.channels.len(), clock).deviance(repeats, &steps)
+            prior + landscape.deviance(&Noise::unpack(p, self.observations.channels.len(), clock))
         }
     }
 
@@ -379,31 +386,6 @@ impl Noise {
             square.iter_mut().zip(stack).for_each(|(s, e)| *s += e * e);
         }
         square.into_iter().map(f64::sqrt).collect()
-    }
-
-    /// −2 log likelihood of the differences between repetitions.
-    fn deviance(&self, repeats: &[Repeats], steps: &[Vec<f64>]) -> f64 {
-        let mut total = 0.0;
-        for (repeat, steps) in repeats.iter().zip(steps) {
-            let filters: Vec<_> =
-                self.channels.iter().zip(&repeat.sizes).map(|(n, s)| ChannelFilter::new(n, s, steps)).collect();
-            let whitened = |channels: &[Vec<f64>], factor: f64| {
-                let mut white: Vec<f64> = Vec::with_capacity(channels.iter().map(Vec::len).sum());
-                for (filter, values) in filters.iter().zip(channels) {
-                    let start = white.len();
-                    white.extend(values.iter().map(|v| factor * v));
-                    filter.whiten(&mut white[start..]);
-                }
-                white
-            };
-            let columns = repeat.shared.iter().map(|(family, d)| whitened(d, self.shared[*family]));
-            let shared = Likelihood::new(columns.collect());
-            let own: f64 = filters.iter().map(|f| f.log_determinant).sum();
-            for difference in &repeat.differences {
-                total += own + shared.log_determinant + shared.square(&whitened(difference, 1.0));
-            }
-        }
-        total
     }
 }
 

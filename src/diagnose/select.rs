@@ -1,12 +1,12 @@
 //! Which cause: screened, fitted, judged. Nothing that a stage has made changes after it.
 
-use super::calibrate::FELT;
+use super::calibrate::{FELT, Screen};
 use super::described::{self, Described, described};
 use super::discrepancy::Discrepancy;
 use super::errors::Errors;
 use super::fitted::{
-    Candidate, Fitted, Screened, Surroundings, beside_discrepancy, candidate, screened, settled, singles, surroundings,
-    with_pairs,
+    Candidate, FINALISTS, Fitted, Screened, Surroundings, beside_discrepancy, candidate, screened, settled, singles,
+    surroundings, with_pairs,
 };
 use super::judged::{Judged, Standing, explored, judged};
 use super::lack_of_fit;
@@ -76,7 +76,7 @@ pub fn select(study: &Study, asked: &Asked, progress: &dyn Progress) -> Result<S
     }
     let bare = study.under(study.whitener, Vec::new());
     let gains = |id: &usize| {
-        let column = super::calibrate::Screen::new(&bare, &[*id]);
+        let column = Screen::new(&bare, &[*id]);
         let scores = column.scores(bare.whitener, &bare.observations.values);
         let felt = (0..scores.score.len()).filter(|&k| scores.gram[(k, k)] > FELT);
         felt.map(|k| scores.score[k].powi(2) / scores.gram[(k, k)]).fold(0.0, f64::max)
@@ -84,14 +84,21 @@ pub fn select(study: &Study, asked: &Asked, progress: &dyn Progress) -> Result<S
     if sensor.iter().map(gains).fold(0.0, f64::max) < selection.screened.gates.single {
         return Ok(selection);
     }
-    let other = attempt(&bare, asked, asked.ids, progress, false)?;
     // Nuisances of each channel may explain what one mechanism of all channels does not: then it is not that mechanism.
     let count = study.nuisances.len() as f64;
     let allowed = count + 3.0 * (2.0 * count).sqrt();
+    let gates = &selection.screened.gates;
     let explains = |c: &Candidate| {
         let fit = bare.fit_from(&[&c.fit]);
-        fit[0].objective - selection.fitted.base.fit.objective < allowed * selection.screened.gates.inflation
+        fit[0].objective - selection.fitted.base.fit.objective < allowed * gates.inflation
     };
+    let screen = Screen::new(&bare, asked.ids);
+    let scores = screen.scores(bare.whitener, &bare.observations.values);
+    let alone = singles(&bare, &Screened { screen, scores, gates: gates.clone(), ids: asked.ids.to_vec() });
+    if !alone.candidates.iter().take(FINALISTS).any(explains) {
+        return Ok(selection);
+    }
+    let other = attempt(&bare, asked, asked.ids, progress, false)?;
     Ok(if other.best().is_some_and(explains) { other } else { selection })
 }
 
@@ -161,7 +168,8 @@ fn conclude(
         let best = fitted.best().filter(|_| fitted.found(&first.gates)).unwrap_or(&fitted.base);
         let left = renewed.restated(&best.fit);
         let lacks = [lacks[0], lack_of_fit::statistic(study.observations, &left.white)];
-        let known = Known { source: asked.source, noise: &around.noise, beside: beside.as_ref() };
+        let source = Source { sizes: &around.sizes, ..*asked.source };
+        let known = Known { source: &source, noise: &around.noise, beside: beside.as_ref() };
         let nested = nested(&last, &fitted, &first.gates, &known);
         let (gates, floor) = (&first.gates, asked.floor);
         let standing = Standing { fitted: &fitted, gates, discrepancy, lacks, floor, nested, profiled };
@@ -184,7 +192,8 @@ fn conclude(
 fn law(study: &Study, asked: &Asked, around: &Surroundings, fitted: &Fitted, first: &Screened) -> Option<Described> {
     let renewed = study.under(&around.whitener, around.nuisances.clone());
     let base = renewed.fit_from(&[&fitted.base.fit]).swap_remove(0);
-    let known = Known { source: asked.source, noise: &around.noise, beside: None };
+    let source = Source { sizes: &around.sizes, ..*asked.source };
+    let known = Known { source: &source, noise: &around.noise, beside: None };
     let law = described(&renewed, &known, &base, &first.gates)?;
     let plain = &fitted.plain_held_out.errors;
     (described::explained(&renewed, &base, &law, [plain, asked.floor]) >= MAIN_PART).then_some(law)

@@ -4,6 +4,7 @@
 //! measurement of that run moves with them. With the directions as columns of U and their standard deviations in it, the
 //! covariance of a unit is D + U Uᵀ, D the noise of its channels.
 
+use crate::number::{add_scaled, dot};
 use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
 
@@ -27,68 +28,71 @@ impl Shared {
     }
 }
 
-/// The symmetric root of (1 + W Wᵀ)⁻¹ for a few columns W.
+/// The symmetric root of (1 + W Wᵀ)⁻¹ for a few columns W: 1 − W B Wᵀ.
 #[derive(Clone)]
 pub struct LowRank {
-    /// Unit vectors, and what is left of the part along each.
-    axes: Vec<(Vec<f64>, f64)>,
+    columns: Vec<Vec<f64>>,
+    /// B, row by row.
+    middle: Vec<Vec<f64>>,
 }
 
 impl LowRank {
-    pub fn new(columns: &[Vec<f64>]) -> Self {
+    pub fn new(columns: Vec<Vec<f64>>) -> Self {
         if columns.is_empty() {
-            return Self { axes: Vec::new() };
+            return Self { columns, middle: Vec::new() };
         }
-        let eigen = gram(columns).symmetric_eigen();
-        let axis = |k: usize| {
-            let square = eigen.eigenvalues[k];
-            // A direction that the others already span brings nothing of its own.
-            (square > 1e-9 * eigen.eigenvalues.max().max(1e-3)).then(|| {
-                let mut unit = vec![0.0; columns[0].len()];
-                for (column, share) in columns.iter().zip(eigen.eigenvectors.column(k).iter()) {
-                    unit.iter_mut().zip(column).for_each(|(u, c)| *u += share / square.sqrt() * c);
-                }
-                (unit, 1.0 / (1.0 + square).sqrt())
-            })
+        let eigen = gram(&columns).symmetric_eigen();
+        // (1 − 1/√(1 + λ))/λ, without the difference of what is nearly alike
+        let share = |square: f64| {
+            let root = (1.0 + square.max(0.0)).sqrt();
+            1.0 / (root * (root + 1.0))
         };
-        Self { axes: (0..columns.len()).filter_map(axis).collect() }
+        let vectors = &eigen.eigenvectors;
+        let middle = vectors * DMatrix::from_diagonal(&eigen.eigenvalues.map(share)) * vectors.transpose();
+        let middle = middle.row_iter().map(|row| row.iter().copied().collect()).collect();
+        Self { columns, middle }
     }
 
     /// Whitens `own` in place.
     pub fn apply(&self, own: &mut [f64]) {
-        for (unit, keep) in &self.axes {
-            let part = own.iter().zip(unit).map(|(v, u)| v * u).sum::<f64>();
-            own.iter_mut().zip(unit).for_each(|(v, u)| *v -= (1.0 - keep) * part * u);
+        let along: Vec<f64> = self.columns.iter().map(|column| dot(column, own)).collect();
+        for (column, row) in self.columns.iter().zip(&self.middle) {
+            add_scaled(own, -dot(row, &along), column);
         }
     }
 }
 
 fn gram(columns: &[Vec<f64>]) -> DMatrix<f64> {
-    let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-    DMatrix::from_fn(columns.len(), columns.len(), |i, j| product(&columns[i], &columns[j]))
+    let mut gram = DMatrix::zeros(columns.len(), columns.len());
+    for i in 0..columns.len() {
+        for j in 0..=i {
+            let product = dot(&columns[i], &columns[j]);
+            (gram[(i, j)], gram[(j, i)]) = (product, product);
+        }
+    }
+    gram
 }
 
-/// ln |1 + W Wᵀ| and the quadratic form wᵀ (1 + W Wᵀ)⁻¹ w by the matrix inversion lemma.
+/// ln |1 + S G S|, S diagonal with standard deviations and G the products of directions, and its inverse's quadratic forms.
 pub struct Likelihood {
-    columns: Vec<Vec<f64>>,
     inverse: DMatrix<f64>,
     pub log_determinant: f64,
 }
 
 impl Likelihood {
-    pub fn new(columns: Vec<Vec<f64>>) -> Self {
-        let size = columns.len();
-        let factor = (gram(&columns) + DMatrix::identity(size, size)).cholesky();
+    /// `products` has G in its first rows and columns.
+    pub fn new(products: &DMatrix<f64>, sd: &[f64]) -> Self {
+        let size = sd.len();
+        let one = DMatrix::identity(size, size);
+        let factor = (DMatrix::from_fn(size, size, |i, j| sd[i] * sd[j] * products[(i, j)]) + one).cholesky();
         let log_determinant = factor.as_ref().map_or(f64::INFINITY, |f| f.ln_determinant());
         let inverse = factor.map_or_else(|| DMatrix::zeros(size, size), |f| f.inverse());
-        Self { columns, inverse, log_determinant }
+        Self { inverse, log_determinant }
     }
 
-    /// Of a vector given channel by channel.
-    pub fn square(&self, white: &[f64]) -> f64 {
-        let along = |c: &Vec<f64>| c.iter().zip(white).map(|(c, w)| c * w).sum::<f64>();
-        let b = DVector::from_iterator(self.columns.len(), self.columns.iter().map(along));
-        white.iter().map(|w| w * w).sum::<f64>() - (b.transpose() * &self.inverse * &b)[0]
+    /// wᵀ (1 + W Wᵀ)⁻¹ w by the matrix inversion lemma, from wᵀ w and W's products with w.
+    pub fn square(&self, own: f64, along: &DVector<f64>) -> f64 {
+        own - along.dot(&(&self.inverse * along))
     }
 }
 
@@ -106,10 +110,11 @@ mod tests {
         let vector = DVector::from_row_slice(&v);
         let square = (vector.transpose() * dense.clone().try_inverse().unwrap() * &vector)[0];
         let mut white = v;
-        LowRank::new(&columns).apply(&mut white);
+        LowRank::new(columns.clone()).apply(&mut white);
         assert!((white.iter().map(|w| w * w).sum::<f64>() - square).abs() < 1e-12);
-        let likelihood = Likelihood::new(columns);
-        assert!((likelihood.square(&v) - square).abs() < 1e-12);
+        let likelihood = Likelihood::new(&gram(&columns), &[1.0; 3]);
+        let along = DVector::from_iterator(3, columns.iter().map(|c| dot(c, &v)));
+        assert!((likelihood.square(dot(&v, &v), &along) - square).abs() < 1e-12);
         assert!((likelihood.log_determinant - dense.determinant().ln()).abs() < 1e-12);
     }
 }

@@ -1,10 +1,11 @@
 //! Data, model, noise and nuisances: all that a fit needs.
 
-use super::fit::{COEFFICIENTS, Column, Fit, dot, slope};
+use super::fit::{COEFFICIENTS, Column, Fit, slope};
 use super::forward::ForwardModel;
 use super::nuisance::Nuisance;
 use super::observations::Observations;
 use super::whiten::Whitener;
+use crate::number::dot;
 use crate::parallel;
 use crate::sand::Coefficients;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
@@ -124,11 +125,16 @@ impl<'a> Study<'a> {
 
     /// This study's nuisances as they are about `fit`.
     pub fn nuisances_about(&self, fit: &Fit) -> Vec<Nuisance> {
+        self.nuisances_of(fit, fit)
+    }
+
+    /// The same with the values of nuisances that another fit has.
+    pub fn nuisances_of(&self, fit: &Fit, adjusted: &Fit) -> Vec<Nuisance> {
         if self.nuisances.is_empty() {
             return Vec::new();
         }
         let coefficients = self.coefficients(&fit.deviations);
-        let mut there = self.model.nuisances(&fit.mechanisms, &coefficients, &self.nuisance_values(fit));
+        let mut there = self.model.nuisances(&fit.mechanisms, &coefficients, &self.nuisance_values(adjusted));
         there.retain(|n| self.nuisances.iter().any(|own| own.id == n.id));
         there
     }

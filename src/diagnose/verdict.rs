@@ -49,6 +49,8 @@ pub struct Evidence {
     pub misfit: bool,
     /// Is there misfit beyond noise beside the best cause?
     pub remainder: bool,
+    /// Is that misfit hardly larger than the limit?
+    pub slight: bool,
     /// Share of the misfit beyond noise that the best explains.
     pub explained: f64,
     /// Do the data exclude the form of the best's law?
@@ -66,7 +68,7 @@ pub fn verdict(e: &Evidence) -> (Verdict, Vec<usize>) {
     if !e.found {
         return (if e.misfit { otherwise } else { Verdict::NoiseFloor }, Vec::new());
     }
-    let main = !e.remainder || e.explained >= MAIN_PART;
+    let main = !e.remainder || e.slight || e.explained >= MAIN_PART;
     if e.form_excluded || !main {
         return (otherwise, Vec::new());
     }
@@ -97,6 +99,7 @@ mod tests {
             found: true,
             misfit: true,
             remainder: false,
+            slight: false,
             explained: 1.0,
             form_excluded: false,
             described: false,
@@ -110,6 +113,7 @@ mod tests {
         let named = (Verdict::Named, Vec::new());
         assert_eq!(verdict(&evidence()), named);
         assert_eq!(verdict(&Evidence { remainder: true, explained: 0.9, ..evidence() }), named);
+        assert_eq!(verdict(&Evidence { remainder: true, explained: 0.0, slight: true, ..evidence() }), named);
     }
 
     #[test]

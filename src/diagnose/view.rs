@@ -211,7 +211,7 @@ impl View<'_> {
             selection.screened.screen.candidates.iter().filter(|c| !CATALOG[c.0].ceiling).copied().collect();
         let limit = |further: &super::further::Further| {
             let entry = &CATALOG[further.id];
-            let degrees = gates.tail_degrees(&[further.id]);
+            let degrees = gates.degrees_of(&[further.id]);
             let sd = further.sd * gates.inflation.sqrt();
             let most = match entry.bounds[0] < 0.0 {
                 true => further.estimate.abs() + student::two_sided_95(degrees) * sd,

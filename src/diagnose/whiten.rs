@@ -33,15 +33,15 @@ impl Whitener {
             let span = source.observations.span(unit);
             let steps = noise.clock.steps(&unit.progress);
             let channels = noise.channels.iter().zip(sizes).map(|(n, s)| ChannelFilter::new(n, s, &steps)).collect();
-            let mut filter = UnitFilter { span, samples: unit.samples, channels, shared: LowRank::new(&[]) };
+            let mut filter = UnitFilter { span, samples: unit.samples, channels, shared: LowRank::new(Vec::new()) };
             filter.share(source, noise, (repetitions[unit.condition].len() as f64).sqrt());
             filter
         });
-        Self { units: units.collect(), whole: LowRank::new(&[]), held: Vec::new() }
+        Self { units: units.collect(), whole: LowRank::new(Vec::new()), held: Vec::new() }
     }
 
     /// The same beside an error that all units share, along directions one standard deviation long that are whitened already.
-    pub fn beside(&self, directions: &[Vec<f64>]) -> Self {
+    pub fn beside(&self, directions: Vec<Vec<f64>>) -> Self {
         Self { whole: LowRank::new(directions), ..self.clone() }
     }
 
@@ -89,6 +89,6 @@ impl UnitFilter {
             self.filter(&mut column);
             columns.push(column);
         }
-        self.shared = LowRank::new(&columns);
+        self.shared = LowRank::new(columns);
     }
 }

@@ -7,6 +7,7 @@
 use sandgait_base::error;
 
 mod denormal;
+mod doubles;
 mod isa;
 mod portable;
 #[cfg(test)]
@@ -18,6 +19,7 @@ mod x86;
 pub use denormal::flushed;
 #[cfg(target_arch = "x86_64")]
 pub use denormal::met_denormals;
+pub use doubles::{Doubles, add_scaled, dot};
 pub use isa::{Isa, Work};
 pub use portable::Portable;
 pub use vector::{Mat3, Vec3};

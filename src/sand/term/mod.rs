@@ -30,6 +30,10 @@ pub enum On {
 }
 
 /// A dimensionless number of a moving piece.
+///
+/// Grain size, curvature and walls stand here by our choice, without a published power of them: each measures one of the things that
+/// resistive force theory leaves out when it takes sand for a continuum (d/w), a face for flat pieces that do not know of each other
+/// (κ w) and the bed for a half-space (distance of a wall over w). Whoever finds such a law can write it down.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Group {
     /// v_n²/(g |z|)

@@ -1,0 +1,105 @@
+//! How likely the differences between repetitions are under a noise.
+//!
+//! Channels have noise of their own, so products of whitened columns are sums over channels. A search moves one number at a
+//! time: what the other channels contribute is kept, and the size of what a repetition has in common only scales products.
+
+use super::noise::{ChannelFilter, ChannelNoise, Clock, Noise};
+use super::repeats::Repeats;
+use super::shared::Likelihood;
+use crate::number::dot;
+use nalgebra::{DMatrix, DVector};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Noises of a channel whose products are kept: our choice, a few more than a gradient or a curvature goes through.
+const KEPT: usize = 12;
+
+/// One condition, one channel.
+struct Part {
+    log_determinant: f64,
+    /// Products of the shared directions and the differences, whitened.
+    products: DMatrix<f64>,
+}
+
+/// Part of every condition, by the channel's noise.
+type Known = Mutex<Vec<(ChannelNoise, Arc<Vec<Part>>)>>;
+
+/// Differences of repetitions, asked for their likelihood again and again.
+pub struct Landscape<'a> {
+    repeats: &'a [Repeats],
+    steps: Vec<Vec<f64>>,
+    channels: Vec<Known>,
+}
+
+impl<'a> Landscape<'a> {
+    pub fn new(repeats: &'a [Repeats], clock: Clock) -> Self {
+        let steps = repeats.iter().map(|r| clock.steps(&r.progress)).collect();
+        let channels = repeats.first().map_or(0, |r| r.sizes.len());
+        Self { repeats, steps, channels: (0..channels).map(|_| Known::default()).collect() }
+    }
+
+    /// −2 log likelihood.
+    pub fn deviance(&self, noise: &Noise) -> f64 {
+        if self.repeats.is_empty() {
+            return 0.0;
+        }
+        let parts: Vec<_> = noise.channels.iter().enumerate().map(|(c, own)| self.parts(c, own)).collect();
+        let mut total = 0.0;
+        for (k, repeat) in self.repeats.iter().enumerate() {
+            let mut products = parts[0][k].products.clone();
+            parts[1..].iter().for_each(|p| products += &p[k].products);
+            let own: f64 = parts.iter().map(|p| p[k].log_determinant).sum();
+            let sd: Vec<f64> = repeat.shared.iter().map(|(family, _)| noise.shared[*family]).collect();
+            let likelihood = Likelihood::new(&products, &sd);
+            for d in sd.len()..products.nrows() {
+                let along = DVector::from_fn(sd.len(), |i, _| sd[i] * products[(i, d)]);
+                total += own + likelihood.log_determinant + likelihood.square(products[(d, d)], &along);
+            }
+        }
+        total
+    }
+
+    /// Of channel `c` under its own noise.
+    fn parts(&self, c: usize, noise: &ChannelNoise) -> Arc<Vec<Part>> {
+        let kept = || self.channels[c].lock().unwrap_or_else(PoisonError::into_inner);
+        {
+            let mut known = kept();
+            if let Some(place) = known.iter().position(|k| k.0 == *noise) {
+                // What is asked for again goes to the end, and what stands first is forgotten first.
+                let found = known.remove(place);
+                let parts = found.1.clone();
+                known.push(found);
+                return parts;
+            }
+        }
+        let of = |(repeat, steps): (&Repeats, &Vec<f64>)| Part::new(repeat, c, noise, steps);
+        let made = Arc::new(self.repeats.iter().zip(&self.steps).map(of).collect::<Vec<_>>());
+        let mut known = kept();
+        if known.len() == KEPT {
+            known.remove(0);
+        }
+        known.push((*noise, made.clone()));
+        made
+    }
+}
+
+impl Part {
+    fn new(repeat: &Repeats, c: usize, noise: &ChannelNoise, steps: &[f64]) -> Self {
+        let filter = ChannelFilter::new(noise, &repeat.sizes[c], steps);
+        let all = repeat.shared.iter().map(|(_, direction)| direction).chain(&repeat.differences);
+        let white: Vec<Vec<f64>> = all
+            .map(|channels| {
+                let mut own = channels[c].clone();
+                filter.whiten(&mut own);
+                own
+            })
+            .collect();
+        let mut products = DMatrix::zeros(white.len(), white.len());
+        for i in 0..white.len() {
+            for j in 0..=i {
+                let product = dot(&white[i], &white[j]);
+                (products[(i, j)], products[(j, i)]) = (product, product);
+            }
+        }
+        Self { log_determinant: filter.log_determinant, products }
+    }
+}
