@@ -103,8 +103,8 @@ fn the_force_is_that_of_a_body_in_steady_motion() {
             // At least half of it in the sand: where it hardly touches, few plates carry all of the force.
             let (depth, v) = (0.01 * (1.0 + draw.number()), draw.vector() * 0.3);
             let found = by_lanes::<f64>(&ball.plates, &sand, &Rotation3::identity(), depth, v, 1e-20);
-            // The law is asked for a patch's mean normal, not for each plate.
-            assert_near(found, by_intruder(&ball, &sand, depth, v), 1e-2);
+            // The law is asked for a patch's mean normal, not for each plate: as far off as default plates may be at most.
+            assert_near(found, by_intruder(&ball, &sand, depth, v), 2e-2);
         }
     }
 }
