@@ -14,7 +14,7 @@ type V = Vector3<f64>;
 /// Largest distance of a plate from its patch's middle, of normals (unit vectors) and of places over the body's size times
 /// [`BY_PLACE`]: for laws of second degree in the normal, and for `agarwal2023`, which is of fourth and breaks where a plate
 /// is vertical. Our choice: forces on round feet are within 2 % of those of fine plates (`tests/robots.rs`).
-const APART: [f64; 2] = [0.4, 0.3];
+const APART: [f64; 2] = [0.4, 0.21];
 /// How much places count beside normals: our choice.
 const BY_PLACE: f64 = 0.6;
 /// How much more normals count where they turn one way only, which the law's mean over a patch knows nothing of: our choice.
