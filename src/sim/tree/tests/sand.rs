@@ -83,10 +83,10 @@ fn sands() -> [SandDescription; 3] {
 
 /// A velocity at which no face of a turned box moves almost along itself, where engines let it begin to lead bit by bit and the
 /// other code all at once.
-fn clear_of(turn: &Rotation3<f64>, mut draw: impl FnMut() -> V) -> V {
+fn clear_of(turn: &Rotation3<f64>, draw: impl FnMut() -> V) -> V {
     let along =
         |v: &V| (0..3).any(|k| turn.matrix().column(k).dot(&v.normalize()).abs() < Surface::SOLID.leading_edge_gate);
-    std::iter::repeat_with(|| draw()).find(|v| !along(v)).unwrap()
+    std::iter::repeat_with(draw).find(|v| !along(v)).unwrap()
 }
 
 /// Same plates, random poses and velocities, both laws, with mechanisms: the same force and moment where plates are flat and
