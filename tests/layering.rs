@@ -22,7 +22,10 @@ const KNOWS: [(&str, &[&str]); 27] = [
     ("session", &["error", "env", "sim", "pool", "view"]),
     ("calibrate", &["error", "student", "table", "plot", "sand"]),
     ("sweep", &["error", "parallel", "progress", "table", "plot", "sand", "sim"]),
-    ("diagnose", &["error", "parallel", "student", "progress", "number", "table", "plot", "sand", "sim", "sweep"]),
+    (
+        "diagnose",
+        &["error", "parallel", "student", "progress", "number", "table", "plot", "sand", "sim", "robots", "sweep"],
+    ),
     ("reproduce", &["error", "parallel", "progress", "number", "table", "plot", "sand", "sim", "sweep"]),
     ("validate", &["error", "parallel", "table", "plot", "sand", "sim", "calibrate", "reproduce"]),
     ("evaluate", &["error", "parallel", "progress", "table", "sand", "sim", "env", "policy"]),

@@ -196,7 +196,9 @@ fn bent(study: &Study, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> {
     let mut before = fit.clone();
     for _ in 0..BENDS {
         let bends = study.nuisances.iter().zip(&at.deviations[COEFFICIENTS..]).zip(&before.deviations[COEFFICIENTS..]);
-        let turned = bends.filter(|((n, _), _)| n.id.starts_with("lowpass")).map(|((_, a), b)| (a - b).abs());
+        let turned = bends
+            .filter(|((n, _), _)| n.id.starts_with("lowpass") || n.id.starts_with("imu"))
+            .map(|((_, a), b)| (a - b).abs());
         if turned.fold(0.0, f64::max) < STRAIGHT {
             break;
         }

@@ -42,6 +42,7 @@ pub mod shared;
 
 pub mod study;
 pub mod summary;
+pub mod trajectory;
 pub mod verdict;
 pub mod view;
 pub mod walking_log;
@@ -85,6 +86,10 @@ pub fn diagnose(data: &Path, experiment: &Experiment, progress: &dyn Progress) -
             let model = WalkingModel::new(&log, experiment, progress)?;
             let (observations, sha256, notes) = (log.observations, log.sha256, vec![model.step_note()?]);
             diagnose_measured(Measured { observations, coefficient_sd, interest, sha256, notes }, &model, progress)
+        }
+        Kind::Trajectory => {
+            let (measured, model) = trajectory::measured(data, experiment, progress)?;
+            diagnose_measured(measured, &model, progress)
         }
     }
 }
