@@ -1,33 +1,17 @@
 //! sandgait: batched reinforcement-learning environments of legged robots on sand.
 //!
 //! Data flow one way: [`service`] → [`session`] → [`pool`] → [`policy`] → [`env`] → [`sim`] → [`sand`]; no layer knows the ones before it.
-pub mod bench;
-pub mod calibrate;
 pub mod cli;
-pub mod client;
-pub mod diagnose;
-pub mod env;
-pub mod error;
-pub mod evaluate;
-pub mod number;
-pub mod parallel;
-pub mod plot;
-pub mod policy;
-pub mod pool;
-pub mod progress;
-pub mod reproduce;
-pub mod robots;
-pub mod sand;
-pub mod service;
-pub mod session;
-pub mod sim;
-pub mod student;
-pub mod sweep;
-pub mod table;
-pub mod train;
 pub mod validate;
-pub mod view;
-pub use error::{Error, Result};
+
+pub use sandgait_base::{Error, Result, error, parallel, progress, student};
+pub use {
+    sandgait_bench as bench, sandgait_calibrate as calibrate, sandgait_client as client, sandgait_diagnose as diagnose,
+    sandgait_env as env, sandgait_evaluate as evaluate, sandgait_number as number, sandgait_plot as plot,
+    sandgait_policy as policy, sandgait_pool as pool, sandgait_reproduce as reproduce, sandgait_robots as robots,
+    sandgait_sand as sand, sandgait_service as service, sandgait_session as session, sandgait_sim as sim,
+    sandgait_sweep as sweep, sandgait_table as table, sandgait_train as train, sandgait_view as view,
+};
 
 // The command line is written as a user of this crate would write it.
 extern crate self as sandgait;

@@ -1,5 +1,11 @@
 //! What drives environments when their speed is measured: the same steps in this process and through the service.
 
+use sandgait_base::{Error, Result};
+use sandgait_env as env;
+use sandgait_policy as policy;
+use sandgait_pool as pool;
+use sandgait_service as service;
+
 mod remote;
 
 pub use remote::{Remote, Rollouts};
@@ -8,7 +14,6 @@ use crate::env::ResetOptions;
 use crate::env::registry::Blueprint;
 use crate::policy::Network;
 use crate::pool::{Batch, Pool};
-use crate::{Error, Result};
 use std::time::{Duration, Instant};
 
 /// Where a measurement's actions come from.

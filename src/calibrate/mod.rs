@@ -4,6 +4,11 @@
 //! so ζ is one least-squares slope. Samples of a force trace are not independent: the confidence interval comes from
 //! leaving out one stretch of depth at a time, not from the scatter of single samples.
 
+use sandgait_base::{error, student};
+use sandgait_plot as plot;
+use sandgait_sand as sand;
+use sandgait_table as table;
+
 pub mod figure;
 pub mod pushes;
 pub mod read;

@@ -6,6 +6,8 @@
 //! * [`place`]: where a server is, and what it takes to use it.
 //! * [`stream`]: one RunSession stream; [`call`]: calls with one answer; [`study`]: studies, which tell their progress.
 
+use sandgait_service as service;
+
 pub mod call;
 mod keeper;
 mod place;

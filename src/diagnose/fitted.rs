@@ -168,9 +168,11 @@ pub fn surroundings(study: &Study, source: &Source, start: &Noise, fit: &Fit) ->
     let mut shared = study.model.shared(&fit.mechanisms, &coefficients, &fit.prediction);
     shared.retain(|s| source.shared.iter().any(|own| own.name == s.name));
     let model_error = study.model.model_error(&fit.mechanisms, &coefficients, &fit.prediction);
+    let own_error = study.model.own_error(&fit.prediction);
     // The noise is learnt from what the fit leaves, nuisances included; it acts along what the sand does.
     let reading = study.reading(fit);
-    let source = Source { prediction: &reading, shared: &shared, model_error: &model_error, ..*source };
+    let source =
+        Source { prediction: &reading, shared: &shared, model_error: &model_error, own_error: &own_error, ..*source };
     let noise = source.noise(Some(start), &|| study.model.stopped());
     let whitener = Whitener::new(&source, &noise);
     let nuisances = bent(study, &whitener, fit);

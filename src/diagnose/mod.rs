@@ -8,6 +8,15 @@
 //! Everything from `noise` on sees only [`observations`] and a [`forward::ForwardModel`]: another kind of data needs its
 //! own reader and forward model, nothing else.
 
+use sandgait_base::{error, parallel, progress, student};
+use sandgait_number as number;
+use sandgait_plot as plot;
+use sandgait_robots as robots;
+use sandgait_sand as sand;
+use sandgait_sim as sim;
+use sandgait_sweep as sweep;
+use sandgait_table as table;
+
 pub mod arm;
 pub mod calibrate;
 pub mod chi_squared;
@@ -115,6 +124,7 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
     let plain = model.predict(&Mechanisms::default(), &coefficients);
     let shared = model.shared(&Mechanisms::default(), &coefficients, &plain);
     let model_error = model.model_error(&Mechanisms::default(), &coefficients, &plain);
+    let own_error = model.own_error(&plain);
     let sizes = sizes(&observations);
     let source = Source {
         observations: &observations,
@@ -122,6 +132,7 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
         sizes: &sizes,
         shared: &shared,
         model_error: &model_error,
+        own_error: &own_error,
         left_out: &[],
     };
     let noise = source.noise(None, &|| model.stopped());

@@ -179,7 +179,7 @@ impl Shard {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::env::registry::{Blueprint, TASK_IDS};
+    use crate::registry::{Blueprint, TASK_IDS};
     use serde_json::Value;
 
     /// An environment of each task after some steps.
@@ -246,7 +246,7 @@ mod tests {
                 change(&mut drawn.0, &mut drawn.1);
                 if *drawn == before {
                     // LegStroke's leg has this shape; with a robot drawn it is refused all the same.
-                    assert_eq!(id, crate::env::stroke::LegStroke::ID, "{what}");
+                    assert_eq!(id, crate::stroke::LegStroke::ID, "{what}");
                 }
                 let error = resume(&blueprint, &crafted).err().unwrap_or_else(|| panic!("{id}: {what} is taken"));
                 assert!(

@@ -3,6 +3,12 @@
 //! [`gait`]: who is evaluated → [`run`]: episodes over lanes and cores, each an [`episode`] of sums → [`figures`]: means
 //! with intervals → [`table`]: for people, CSV and JSON. `docs/evaluate.md` defines every figure.
 
+use sandgait_base::{error, parallel, progress};
+use sandgait_env as env;
+use sandgait_policy as policy;
+use sandgait_sand as sand;
+use sandgait_sim as sim;
+
 pub mod episode;
 pub mod figures;
 pub mod gait;

@@ -84,8 +84,8 @@ mod control {
 }
 
 /// Has this thread computed with a denormal operand while `work` ran? The processor keeps count (MXCSR, bit 1), so even a
-/// number that no array holds is noticed.
-#[cfg(all(test, target_arch = "x86_64"))]
+/// number that no array holds is noticed. For tests of other crates.
+#[cfg(target_arch = "x86_64")]
 pub fn met_denormals(work: impl FnOnce()) -> bool {
     const DENORMAL_OPERAND: control::Word = 1 << 1;
     let before = control::read();

@@ -1,5 +1,6 @@
 //! Which instruction set the hot path runs on; chosen when a session is made, so one binary runs everywhere.
 
+use super::{Kernel, Portable, Real};
 use crate::error::{Error, Result};
 
 /// A way to compute lanes of environments.
@@ -13,6 +14,12 @@ pub enum Isa {
     Baseline,
     /// One lane of `f64`: the reference the others are measured against.
     F64,
+}
+
+/// Work for whichever number carries the lanes of an instruction set, see [`Isa::with`].
+pub trait Work {
+    type Out;
+    fn run<R: Real>(self) -> Self::Out;
 }
 
 impl Isa {
@@ -47,6 +54,33 @@ impl Isa {
             #[cfg(not(target_arch = "x86_64"))]
             Self::Avx512 | Self::Avx2 => false,
             Self::Baseline | Self::F64 => true,
+        }
+    }
+
+    /// Runs `work` with the number of this instruction set. There is no other way to the numbers that need one, so no
+    /// processor is given instructions that it does not have: an error names what is missing.
+    pub fn with<W: Work>(self, work: W) -> Result<W::Out> {
+        if !self.available() {
+            return Err(Error::invalid("instruction set", format!("this machine has no {}", self.name())));
+        }
+        Ok(match self {
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512 => work.run::<super::x86::Avx512>(),
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2 => work.run::<super::x86::Avx2>(),
+            Self::F64 => work.run::<f64>(),
+            _ => work.run::<Portable>(),
+        })
+    }
+
+    /// Runs `kernel` compiled for this instruction set where the machine has it, else for every processor.
+    pub fn run<K: Kernel>(self, kernel: K) {
+        match self {
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512 if self.available() => super::x86::Avx512::dispatch(kernel),
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2 if self.available() => super::x86::Avx2::dispatch(kernel),
+            _ => kernel.run(),
         }
     }
 

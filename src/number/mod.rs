@@ -4,6 +4,8 @@
 //! source once and runs as `f64` (the reference), as `f32`, or as a vector of `f32` lanes in which lane `i`
 //! carries environment `i` (structure of arrays).
 
+use sandgait_base::error;
+
 mod denormal;
 mod isa;
 mod portable;
@@ -14,13 +16,11 @@ mod vector;
 mod x86;
 
 pub use denormal::flushed;
-#[cfg(all(test, target_arch = "x86_64"))]
+#[cfg(target_arch = "x86_64")]
 pub use denormal::met_denormals;
-pub use isa::Isa;
+pub use isa::{Isa, Work};
 pub use portable::Portable;
 pub use vector::{Mat3, Vec3};
-#[cfg(target_arch = "x86_64")]
-pub(crate) use x86::{Avx2, Avx512};
 
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 

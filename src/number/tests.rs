@@ -1,6 +1,6 @@
 //! The number types compute what `f64` does, lane by lane.
 
-use super::{Kernel, Portable, Real};
+use super::{Isa, Kernel, Real, Work};
 
 /// Largest error of sine and cosine over ±100 rad, and of the other operations, in every lane.
 struct Check<R>(std::marker::PhantomData<R>);
@@ -31,17 +31,26 @@ impl<R: Real> Kernel for Check<R> {
 
 #[test]
 fn every_number_type_computes_alike() {
-    f64::dispatch(Check::<f64>(std::marker::PhantomData));
     f32::dispatch(Check::<f32>(std::marker::PhantomData));
-    Portable::dispatch(Check::<Portable>(std::marker::PhantomData));
-    #[cfg(target_arch = "x86_64")]
-    {
-        use super::{Avx2, Avx512, Isa};
-        if Isa::Avx2.available() {
-            Avx2::dispatch(Check::<Avx2>(std::marker::PhantomData));
-        }
-        if Isa::Avx512.available() {
-            Avx512::dispatch(Check::<Avx512>(std::marker::PhantomData));
-        }
+    for isa in Isa::ALL.into_iter().filter(|isa| isa.available()) {
+        isa.with(Compiled).unwrap();
+    }
+}
+
+/// The check with the number of an instruction set.
+struct Compiled;
+
+impl Work for Compiled {
+    type Out = ();
+
+    fn run<R: Real>(self) {
+        R::dispatch(Check::<R>(std::marker::PhantomData));
+    }
+}
+
+#[test]
+fn what_the_machine_has_not_is_refused() {
+    for isa in Isa::ALL {
+        assert_eq!(isa.with(Compiled).is_ok(), isa.available(), "{isa:?}");
     }
 }

@@ -7,6 +7,8 @@
 //! * [`color`]: palettes that stay apart for colour-blind readers.
 //! * [`png`]: SVG to pixels, with a font that is compiled in.
 
+use sandgait_base::error;
+
 pub mod axis;
 pub mod color;
 mod draw;

@@ -11,6 +11,9 @@
 //! A network is computed for [`LANES`] environments at a time, each in a lane of its own, sums in the order of the weights.
 //! So an action's bits depend on the environment's own observation alone, not on its neighbours, the batch or the threads.
 
+use sandgait_base::error;
+use sandgait_env as env;
+
 mod constant;
 mod format;
 mod network;

@@ -11,6 +11,10 @@
 //! one; of a rollout it hands out one control step of a shard wherever somebody else waits. This layer knows nothing of
 //! messages; it never runs on the async runtime's threads.
 
+use sandgait_base::{error, parallel};
+use sandgait_env as env;
+use sandgait_policy as policy;
+
 mod batch;
 mod building;
 mod seal;

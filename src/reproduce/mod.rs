@@ -7,6 +7,14 @@
 //! * [`speeds`]: figure 4. * [`shapes`]: figure 5. * [`assumptions`]: what the paper does not state.
 //! * [`claims`]: verdicts. * [`page`]: the report.
 
+use sandgait_base::{error, progress};
+use sandgait_number as number;
+use sandgait_plot as plot;
+use sandgait_sand as sand;
+use sandgait_sim as sim;
+use sandgait_sweep as sweep;
+use sandgait_table as table;
+
 pub mod assumptions;
 pub mod claims;
 mod conclusions;

@@ -3,7 +3,7 @@
 
 use super::files::Source;
 use crate::error::{Error, Result};
-use crate::robots::mesh::MOST_TRIANGLES;
+use crate::mesh::MOST_TRIANGLES;
 use nalgebra::{Matrix4, Point3, Rotation3, Unit, Vector3};
 use roxmltree::Node;
 use std::collections::HashMap;

@@ -9,6 +9,10 @@
 //! `rospack` to find meshes and brings twenty crates; `mjcf-rs` opens whatever path a file names and sends what it does not
 //! know to a log.
 
+use sandgait_base::error;
+use sandgait_sand as sand;
+use sandgait_sim as sim;
+
 mod check;
 mod collada;
 mod draft;

@@ -379,7 +379,7 @@ fn tanh<R: Real>(x: R) -> R {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sand::{Law, Medium, Surface};
+    use crate::{Law, Medium, Surface};
 
     fn ground() -> Ground<f64> {
         Ground::new(Law::Li2013, &Medium::named("poppy-loose").unwrap(), &Surface::default())

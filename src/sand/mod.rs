@@ -14,6 +14,9 @@
 //! * [`intruder`]: any rigid body in steady motion, from plates on its surface.
 //! * [`intrusion`]: a leg rotated about a fixed hip, as on a force-measuring arm.
 
+use sandgait_base::{error, parallel};
+use sandgait_number as number;
+
 pub mod beyond;
 pub mod contact;
 pub mod description;

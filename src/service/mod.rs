@@ -15,6 +15,17 @@
 //! * [`decode`], [`encode`], [`values`]: messages from and to the crate's types.
 //! * [`status`]: the one map from errors to gRPC codes.
 
+use sandgait_base::{error, parallel, progress};
+use sandgait_diagnose as diagnose;
+use sandgait_env as env;
+use sandgait_evaluate as evaluate;
+use sandgait_policy as policy;
+use sandgait_pool as pool;
+use sandgait_sand as sand;
+use sandgait_session as session;
+use sandgait_sim as sim;
+use sandgait_sweep as sweep;
+
 pub mod address;
 mod connections;
 mod decode;
@@ -90,13 +101,15 @@ pub struct Service {
 }
 
 /// Runs `work` on a thread that may compute.
-async fn off_runtime<T: Send + 'static>(work: impl FnOnce() -> crate::Result<T> + Send + 'static) -> Result<T, Status> {
+async fn off_runtime<T: Send + 'static>(
+    work: impl FnOnce() -> crate::error::Result<T> + Send + 'static,
+) -> Result<T, Status> {
     let done = tokio::task::spawn_blocking(work).await;
     let failed = |_| Err(Error::Internal("the request failed inside the server".into()));
     done.unwrap_or_else(failed).map_err(|e| status::status(&e))
 }
 
-fn check_protocol(client: u32) -> crate::Result<()> {
+fn check_protocol(client: u32) -> crate::error::Result<()> {
     if client == PROTOCOL {
         return Ok(());
     }

@@ -97,6 +97,6 @@ async fn pooled(pool: &Pool, batch: Batch, operation: Operation) -> Result<Batch
         // Whoever waits below is there until it has this.
         let _ = sender.send(batch);
     });
-    let closed = |_| Err(crate::Error::Exhausted("the worker pool was closed".into()));
+    let closed = |_| Err(crate::error::Error::Exhausted("the worker pool was closed".into()));
     receiver.await.unwrap_or_else(closed)
 }

@@ -294,7 +294,7 @@ impl Work {
     }
 
     /// Answers a request that changes nothing.
-    fn tell(self, answer: crate::Result<Response>) {
+    fn tell(self, answer: crate::error::Result<Response>) {
         match answer {
             Ok(response) => self.finish(response, false),
             Err(error) => self.refuse(&error),
@@ -332,7 +332,7 @@ mod tests {
     use super::*;
     use crate::env::registry::Blueprint;
     use crate::pool::Seal;
-    use crate::service::sessions::Limits;
+    use crate::sessions::Limits;
     use serde_json::Value;
     use tokio_util::sync::CancellationToken;
     use tonic::Code;

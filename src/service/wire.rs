@@ -163,8 +163,8 @@ fn varint(bytes: &mut &[u8]) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::service::proto::run_session_request::Request;
-    use crate::service::proto::{CreateSessionRequest, Reset, RunSessionRequest, Step};
+    use crate::proto::run_session_request::Request;
+    use crate::proto::{CreateSessionRequest, Reset, RunSessionRequest, Step};
     use prost::Message as _;
     use prost_types::value::Kind;
     use prost_types::{ListValue, Struct, Value};

@@ -4,6 +4,11 @@
 //! * [`roll`]: rollouts, some steps at a time.
 //! * [`environments`]: a session of this process, without messages or a network.
 
+use sandgait_base::error;
+use sandgait_env as env;
+use sandgait_pool as pool;
+use sandgait_sim as sim;
+
 pub mod environments;
 pub mod roll;
 pub mod view;

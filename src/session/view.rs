@@ -4,7 +4,7 @@ use crate::env::{Look, Spec};
 use crate::error::{Error, Result};
 use crate::pool::Batch;
 use crate::sim::Model;
-use crate::view::{self, About, Moment};
+use sandgait_view::{self as view, About, Moment};
 
 /// Most pixels of one request, all its pictures together: our choice of guard, 100 MB.
 pub const MOST_PIXELS: u64 = 1 << 25;

@@ -17,6 +17,10 @@
 //! * [`tree`]: any legged robot as a tree of bodies.
 //! * [`walk`]: the speed protocol of the reference experiments.
 
+use sandgait_base::error;
+use sandgait_number as number;
+use sandgait_sand as sand;
+
 pub mod carriage;
 pub mod engine;
 pub mod feet;

@@ -3,6 +3,11 @@
 //! [`parameter`]: what can be varied → [`grid`]: every design, its walks [`run`] over lanes and cores → [`table`]: CSV and
 //! figure, or [`optimize`]: a search for the best design. After Li et al. 2012, section 5.
 
+use sandgait_base::{error, parallel, progress};
+use sandgait_plot as plot;
+use sandgait_sand as sand;
+use sandgait_sim as sim;
+
 pub mod grid;
 pub mod optimize;
 pub mod parameter;

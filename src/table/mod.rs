@@ -1,6 +1,8 @@
 //! Tables that users bring: CSV with named columns and units, read row by row; every bad cell is named by file, row and
 //! column. Row 1 is the header, and rows are lines of the file.
 
+use sandgait_base::error;
+
 mod header;
 mod quantity;
 

@@ -1,6 +1,5 @@
 //! One step along a gradient: clipped to a greatest length, then Adam (Kingma & Ba 2015, arXiv:1412.6980) as PyTorch has it.
 
-use super::matrix::run;
 use crate::number::{Isa, Kernel};
 
 const BETAS: [f32; 2] = [0.9, 0.999];
@@ -38,7 +37,7 @@ impl Adam {
             rate: (rate / left(BETAS[0])) as f32,
             root: left(BETAS[1]).sqrt() as f32,
         };
-        run(isa, kernel);
+        isa.run(kernel);
         norm
     }
 }

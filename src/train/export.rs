@@ -71,10 +71,10 @@ fn through(file: &mut Writer, x: &str, layers: &[[Vec<f32>; 2]]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Settings;
     use crate::env::registry::Blueprint;
+    use crate::network::Networks;
     use crate::policy::Network;
-    use crate::train::Settings;
-    use crate::train::network::Networks;
     use serde_json::{Value, json};
 
     /// The file's actions are those of the networks that learn, with and without mirror and normalization.

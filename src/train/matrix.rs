@@ -4,7 +4,7 @@
 //! are those of crate `matrixmultiply`, which is in the program anyway. Measured 2026-11-22 on an AMD EPYC (Zen 5), one thread,
 //! 128 to 256 rows by 64 × 64: 70 to 130 GFLOP/s, crate `gemm` 48 to 71.
 
-use crate::number::{Isa, Kernel, Real as _};
+use crate::number::Kernel;
 
 /// A matrix of numbers in a slice, row by row, or its transpose.
 #[derive(Clone, Copy)]
@@ -72,17 +72,6 @@ pub fn tanh(x: f32) -> f32 {
     let q = s * q + 2.268_434_7e-3;
     let q = s * q + 4.893_525e-3;
     x * p / q
-}
-
-/// Runs `kernel` compiled for an instruction set.
-pub fn run<K: Kernel>(isa: Isa, kernel: K) {
-    match isa {
-        #[cfg(target_arch = "x86_64")]
-        Isa::Avx512 => crate::number::Avx512::dispatch(kernel),
-        #[cfg(target_arch = "x86_64")]
-        Isa::Avx2 => crate::number::Avx2::dispatch(kernel),
-        _ => kernel.run(),
-    }
 }
 
 /// Adds `bias` to every row, and takes the hyperbolic tangent of the sums if `curved`.

@@ -7,6 +7,16 @@
 //!                  └──▶ design: many designs, a gait learnt for each
 //! ```
 
+use sandgait_base::{error, parallel, progress};
+use sandgait_env as env;
+use sandgait_evaluate as evaluate;
+use sandgait_number as number;
+use sandgait_plot as plot;
+use sandgait_policy as policy;
+use sandgait_sim as sim;
+use sandgait_sweep as sweep;
+use sandgait_view as view;
+
 mod adam;
 mod checkpoint;
 mod collect;

@@ -3,7 +3,7 @@
 //! The actor gives the mean of a normal distribution; its standard deviations are parameters of their own. With a mirror
 //! both networks are averaged with their mirror images: (f(s) + M f(M s)) / 2 and (v(s) + v(M s)) / 2.
 
-use super::matrix::{Bend, Matrix, SumRows, Unbend, multiply, run};
+use super::matrix::{Bend, Matrix, SumRows, Unbend, multiply};
 use super::mirror::Mirror;
 use crate::number::Isa;
 use rand::Rng;
@@ -115,7 +115,7 @@ impl Stack {
             let weights = Matrix::new(&parameters[layer.weights.clone()], layer.outputs);
             multiply(Matrix::new(input, layer.inputs), weights, false, out);
             let bias = &parameters[layer.bias.clone()];
-            run(isa, Bend { rows: out, bias, curved: k + 1 < layers.len() });
+            isa.run(Bend { rows: out, bias, curved: k + 1 < layers.len() });
         }
     }
 
@@ -136,12 +136,12 @@ impl Stack {
             let slope = Matrix::new(slopes, layer.outputs);
             let out = &mut gradient[layer.weights.clone()];
             multiply(Matrix::new(input, layer.inputs).transposed(), slope, true, out);
-            run(isa, SumRows { rows: slopes, sum: &mut gradient[layer.bias.clone()] });
+            isa.run(SumRows { rows: slopes, sum: &mut gradient[layer.bias.clone()] });
             if let Some(earlier) = before.last_mut() {
                 let earlier = &mut earlier[..rows * layer.inputs];
                 let weights = Matrix::new(&parameters[layer.weights.clone()], layer.outputs);
                 multiply(slope, weights.transposed(), false, earlier);
-                run(isa, Unbend { slopes: earlier, outputs: input });
+                isa.run(Unbend { slopes: earlier, outputs: input });
             }
         }
     }

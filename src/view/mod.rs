@@ -13,6 +13,12 @@
 //!
 //! Knows models and states only: no tasks, sessions or messages.
 
+use sandgait_base::error;
+use sandgait_number as number;
+use sandgait_plot as plot;
+use sandgait_sand as sand;
+use sandgait_sim as sim;
+
 mod camera;
 mod header;
 pub mod page;

@@ -219,7 +219,7 @@ mod tests {
     use crate::sand::Medium;
     use crate::sim::Robot;
     use crate::sim::model::Scene;
-    use crate::view::{About, header};
+    use crate::{About, header};
 
     fn model() -> Model {
         let scene = Scene::flat(Medium::named("poppy-loose").unwrap());

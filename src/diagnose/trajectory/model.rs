@@ -6,16 +6,16 @@ use super::replay::{Body, Drive, Task, Track, replay};
 use super::sensors::{Layout, Mounting, read};
 use super::servo::{self, Asked};
 use super::windows::{BINS, Integral, Window, bins, windows};
-use crate::diagnose::experiment::Experiment;
-use crate::diagnose::fit::slope;
-use crate::diagnose::forward::{Feature, ForwardModel, Menu};
-use crate::diagnose::nuisance::{Nuisance, Priors};
-use crate::diagnose::observations::{Channel, Observations, Size, Unit};
-use crate::diagnose::shared::Shared;
 use crate::error::{Error, Result};
+use crate::experiment::Experiment;
+use crate::fit::slope;
+use crate::forward::{Feature, ForwardModel, Menu};
+use crate::nuisance::{Nuisance, Priors};
+use crate::observations::{Channel, Observations, Size, Unit};
 use crate::progress::Latch;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
 use crate::sand::{Coefficients, Medium, Surface};
+use crate::shared::Shared;
 use crate::sim::Model;
 use crate::sim::model::Scene;
 use std::collections::HashMap;
@@ -356,7 +356,7 @@ impl<'a> TrajectoryModel<'a> {
 
 /// Mean horizontal speed from `a` to `b` [m/s].
 fn speed(t: &[f64], place: &[Vec<f64>; 3], a: f64, b: f64) -> f64 {
-    let at = |k: usize, time: f64| crate::diagnose::observations::interpolate(t, &place[k], time);
+    let at = |k: usize, time: f64| crate::observations::interpolate(t, &place[k], time);
     (at(0, b) - at(0, a)).hypot(at(1, b) - at(1, a)) / (b - a)
 }
 
@@ -425,6 +425,16 @@ impl ForwardModel for TrajectoryModel<'_> {
         let fine = self.with_servo(self.read(&fine, Mounting::default()), mechanisms.motor_torque_limit);
         all.push(slope(&fine, prediction, 1.0));
         all
+    }
+
+    /// A share of the root mean square that each channel swings by in a stride.
+    fn own_error(&self, prediction: &[f64]) -> Vec<f64> {
+        let share = self.priors.sd("model_error");
+        let swing = |block: &[f64]| {
+            let mean = block.iter().sum::<f64>() / block.len() as f64;
+            (block.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / block.len() as f64).sqrt()
+        };
+        prediction.chunks(BINS).flat_map(|block| std::iter::repeat_n(share * swing(block), block.len())).collect()
     }
 
     fn nuisances(&self, m: &Mechanisms, c: &Coefficients, values: &[(String, f64)]) -> Vec<Nuisance> {

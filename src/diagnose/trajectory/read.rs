@@ -2,8 +2,8 @@
 
 use super::log::{Gather, Log, Names};
 use super::replay::Body;
-use crate::diagnose::experiment::Experiment;
 use crate::error::Result;
+use crate::experiment::Experiment;
 use crate::table::{self, Asked};
 use std::path::Path;
 

@@ -2,7 +2,7 @@
 
 use super::replay::{SIGNALS, Track};
 use super::windows::{BINS, Integral, Window, bins};
-use crate::diagnose::observations::Channel;
+use crate::observations::Channel;
 
 /// Names of torque channels, joint by joint.
 const TORQUES: [&str; super::log::MOST_JOINTS] = [

@@ -10,8 +10,9 @@ use std::f64::consts::TAU;
 pub const BINS: usize = 16;
 /// Turns of the hips, or windows, before the first stride that is compared: our choice.
 const LEAD_IN: f64 = 0.75;
-/// Strides that are compared of one window, and of one run: our choices. More would say the same again.
+/// Strides of a run that are replayed in one window, and how many of them are compared: our choices. More would say the same again.
 const STRIDES: usize = 12;
+const COMPARED: usize = 4;
 /// Windows of a run that is longer, and of a whole log: our choices, for the time that they take.
 const WINDOWS_OF_RUN: usize = 3;
 const WINDOWS: usize = 96;
@@ -60,7 +61,10 @@ fn of_run(index: usize, run: &Run, length: f64) -> Vec<Window> {
         return Vec::new();
     }
     if count <= STRIDES {
-        return vec![window(run.t[0], 0, count)];
+        let mut whole = window(run.t[0], 0, count);
+        let kept = count.min(COMPARED);
+        whole.strides = (0..kept).map(|k| whole.strides[k * (count - 1) / (kept - 1).max(1)]).collect();
+        return vec![whole];
     }
     // Windows begin one stride before the first that is compared.
     let last = count - STRIDES_OF_MANY;

@@ -1,11 +1,11 @@
 //! What an episode of LeggedVelocity draws when it begins, and what it remembers.
 
-use crate::env::locomotion::CONTROL_RATE;
-use crate::env::options::{Commands, DomainRand, TaskOptions};
-use crate::env::random::Random;
-use crate::env::task::Setup;
 use crate::error::Result;
+use crate::locomotion::CONTROL_RATE;
+use crate::options::{Commands, DomainRand, TaskOptions};
+use crate::random::Random;
 use crate::sim::Model;
+use crate::task::Setup;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 

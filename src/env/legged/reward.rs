@@ -1,10 +1,10 @@
 //! Terms of the reward of LeggedVelocity: names and laws of legged_gym (`_reward_…` in `legged_robot.py`).
 
 use super::{LeggedEpisode, base};
-use crate::env::locomotion::CONTROL_RATE;
-use crate::env::task::Transition;
+use crate::locomotion::CONTROL_RATE;
 use crate::sim::tree::stance::{frames, lowest};
 use crate::sim::{Model, State};
+use crate::task::Transition;
 
 /// σ of the tracking terms [m²/s², rad²/s²].
 const TRACKING: f64 = 0.25;
@@ -35,7 +35,7 @@ impl Contacts {
     }
 }
 
-/// Before they are weighted, in the order of [`crate::env::options::Rewards`].
+/// Before they are weighted, in the order of [`crate::options::Rewards`].
 pub fn terms(t: &Transition, legged: &LeggedEpisode, contacts: &Contacts, rest: &[f64], ended: bool) -> [f64; 13] {
     let [gravity, v, w] = base(t.after);
     let [x, y, yaw] = legged.now;

@@ -12,7 +12,7 @@ pub enum Control {
     HipTarget,
     /// The torque of each hip; the servo does nothing.
     Torque,
-    /// A gait as parameters; see [`crate::env::clock`].
+    /// A gait as parameters; see [`crate::clock`].
     Clock,
 }
 

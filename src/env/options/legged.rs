@@ -1,10 +1,10 @@
 //! What LeggedVelocity takes beyond other tasks: names and defaults after legged_gym (Rudin et al. 2022,
 //! `legged_robot_config.py`) where it has them.
 
-use crate::env::spec::Term;
 use crate::error::{Error, Result, check_range};
 use crate::sand::Medium;
 use crate::sim::tree::HardGround;
+use crate::spec::Term;
 use serde::{Deserialize, Serialize};
 
 /// Ranges [low, high] that commands are drawn from, at the start and every `resampling_time`.
@@ -159,7 +159,7 @@ const TERMS: [(&str, &str); 13] = [
 ];
 
 impl Rewards {
-    pub(in crate::env) fn values(&self) -> [f64; TERMS.len()] {
+    pub(crate) fn values(&self) -> [f64; TERMS.len()] {
         [
             self.tracking_lin_vel,
             self.tracking_ang_vel,

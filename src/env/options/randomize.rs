@@ -40,7 +40,7 @@ impl Default for Randomize {
 }
 
 /// One quantity that is drawn.
-pub(in crate::env) struct Quantity {
+pub(crate) struct Quantity {
     pub name: &'static str,
     /// What an episode draws from.
     pub range: [f64; 2],
@@ -52,7 +52,7 @@ pub(in crate::env) struct Quantity {
 
 impl Randomize {
     /// `slope_deg` [°] and `payload` [kg]: what drawn ones are added to, so that their sums stay within a scene's bounds.
-    pub(in crate::env) fn quantities(&self, slope_deg: f64, payload: f64) -> [Quantity; 7] {
+    pub(crate) fn quantities(&self, slope_deg: f64, payload: f64) -> [Quantity; 7] {
         let slope = [-Scene::MAX_SLOPE_DEG, Scene::MAX_SLOPE_DEG].map(|most| most - slope_deg);
         let load = [0.0, (Scene::MAX_PAYLOAD - payload).min(10.0)];
         let quantity = |name, range, guard, neutral| Quantity { name, range, guard, neutral };

@@ -54,7 +54,7 @@ impl StrokeOptions {
     }
 
     /// Depth of the leg's deepest joint or tip [m], 0 if it is out of the sand.
-    pub(in crate::env) fn deepest(&self, model: &Model, angles: &[f64]) -> f64 {
+    pub(crate) fn deepest(&self, model: &Model, angles: &[f64]) -> f64 {
         (model.standing_height(angles) - self.height).max(0.0)
     }
 }

@@ -1,7 +1,7 @@
 //! Weights of the reward of every task that walks.
 
-use crate::env::spec::Term;
 use crate::error::{Result, check_range};
+use crate::spec::Term;
 use serde::{Deserialize, Serialize};
 
 /// Weight of each reward term; all terms are of order 1 a step before weighting, `termination` once an episode. What each
@@ -41,7 +41,7 @@ impl Default for Weights {
 
 impl Weights {
     /// In the order of the info columns.
-    pub(in crate::env) fn values(&self) -> [f64; TERMS.len()] {
+    pub(crate) fn values(&self) -> [f64; TERMS.len()] {
         let Self { tracking, lateral, turning, power, smoothness, alive, termination } = *self;
         [tracking, lateral, turning, power, smoothness, alive, termination]
     }

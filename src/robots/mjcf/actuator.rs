@@ -3,9 +3,9 @@
 use super::compiler::limited;
 use super::defaults::{ACTUATORS, Defaults, KIND};
 use crate::error::Result;
-use crate::robots::notes::Notes;
-use crate::robots::xml::Element;
+use crate::notes::Notes;
 use crate::sim::tree::{Tree, TreeJoint};
+use crate::xml::Element;
 
 const KNOWN: [&str; 22] = [
     KIND,
@@ -61,7 +61,8 @@ pub fn apply(root: &Element, defaults: &Defaults, autolimits: bool, tree: &mut T
 fn drive(element: &Element, autolimits: bool, joint: &mut TreeJoint, notes: &mut Notes) -> Result<()> {
     notes.others(element, &KNOWN);
     let gear = element.list("gear")?.and_then(|g| g.first().copied()).unwrap_or(1.0);
-    let first = |name: &str, k: usize| Ok::<_, crate::Error>(element.list(name)?.and_then(|l| l.get(k).copied()));
+    let first =
+        |name: &str, k: usize| Ok::<_, crate::error::Error>(element.list(name)?.and_then(|l| l.get(k).copied()));
     let kind = element.tag.as_str();
     let general = kind == "general";
     let gain = if kind == "motor" { 1.0 } else { first("gainprm", 0)?.unwrap_or(1.0) };

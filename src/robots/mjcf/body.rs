@@ -3,11 +3,11 @@
 use super::compiler::{Compiler, FromGeoms, limited};
 use super::defaults::Defaults;
 use super::geom::{Assets, Geom, geom};
+use crate::draft::{Inertial, Link, MOST_LINKS, Visual, name_shapes, shift};
 use crate::error::Result;
-use crate::robots::draft::{Inertial, Link, MOST_LINKS, Visual, name_shapes, shift};
-use crate::robots::notes::Notes;
-use crate::robots::xml::Element;
+use crate::notes::Notes;
 use crate::sim::tree::{JointKind, TreeJoint, TreeShape};
+use crate::xml::Element;
 use nalgebra::{Isometry3, Matrix3, Unit, UnitQuaternion, Vector3};
 
 /// What is seen, sensed or switched, without an effect on motion.

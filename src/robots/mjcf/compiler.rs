@@ -1,8 +1,8 @@
 //! `<compiler>`: units and rules for all of the file; and orientations, which depend on them.
 
 use crate::error::Result;
-use crate::robots::notes::Notes;
-use crate::robots::xml::Element;
+use crate::notes::Notes;
+use crate::xml::Element;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, Unit, UnitQuaternion, Vector3};
 
 #[derive(Clone, Copy, PartialEq, Eq)]

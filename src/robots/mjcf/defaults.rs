@@ -1,7 +1,7 @@
 //! Default classes: what an element has that does not say so itself.
 
 use crate::error::Result;
-use crate::robots::xml::Element;
+use crate::xml::Element;
 use std::collections::HashMap;
 
 /// Elements that share one set of defaults: all are actuators, and the latest says which kind.

@@ -1,15 +1,15 @@
 //! `<geom>` and `<mesh>`: shapes, and the inertia that bodies take from them.
 
 use super::compiler::{Compiler, flag, from_z};
+use crate::draft::{Inertial, Look};
 use crate::error::{Error, Result};
-use crate::robots::draft::{Inertial, Look};
-use crate::robots::files::Files;
-use crate::robots::hull::hull;
-use crate::robots::mesh::{self, MeshFile, Meshes, Triangle};
-use crate::robots::notes::Notes;
-use crate::robots::shapes::{closed_mesh, ellipsoid};
-use crate::robots::xml::Element;
+use crate::files::Files;
+use crate::hull::hull;
+use crate::mesh::{self, MeshFile, Meshes, Triangle};
+use crate::notes::Notes;
+use crate::shapes::{closed_mesh, ellipsoid};
 use crate::sim::tree::Geometry;
+use crate::xml::Element;
 use nalgebra::{Isometry3, Matrix3, Quaternion, Translation3, Unit, UnitQuaternion, Vector3};
 use std::collections::HashMap;
 use std::f64::consts::PI;

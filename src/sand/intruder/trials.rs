@@ -4,7 +4,7 @@ use super::{Body, Plate};
 use crate::error::{Error, Result, check_range};
 use crate::number::Vec3;
 use crate::parallel;
-use crate::sand::{Ground, SandDescription, Site, Surface};
+use crate::{Ground, SandDescription, Site, Surface};
 
 /// Turns of a body that is not round, spread over a period: our choice; the mean force of a box has changed by less than
 /// 0.5 % when there are four times as many.

@@ -16,8 +16,8 @@
 //! * across a vertical plate, where β jumps from π/2 to −π/2, α jumps by up to 0.05 ξ_n.
 
 use super::{Motion, StressLaw};
+use crate::media::{Coefficients, Medium};
 use crate::number::{Real, Vec3};
-use crate::sand::media::{Coefficients, Medium};
 
 /// c_1k, c_2k, c_3k of each term, in the order of [`terms`]; PNAS 2023, supplementary table.
 pub const COEFFICIENTS: [[f64; 3]; 20] = [
@@ -131,7 +131,7 @@ pub fn calibrated(c: &Coefficients) -> f64 {
 /// ξ_n [N/m³] from the internal friction μ and the critical density ρ_c [kg/m³]: ρ_c g (894μ³ − 386μ² + 89μ), fitted
 /// for μ in [`FITTED_FRICTION`] (same paper).
 pub fn from_friction(mu: f64, density: f64) -> f64 {
-    density * crate::sand::GRAVITY * (894.0 * mu * mu * mu - 386.0 * mu * mu + 89.0 * mu)
+    density * crate::GRAVITY * (894.0 * mu * mu * mu - 386.0 * mu * mu + 89.0 * mu)
 }
 
 /// Range of μ in which [`from_friction`] was fitted.

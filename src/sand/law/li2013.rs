@@ -4,8 +4,8 @@
 //! in dry, uniform media.
 
 use super::{Motion, StressLaw};
+use crate::media::{Coefficients, Medium};
 use crate::number::{Real, Vec3};
-use crate::sand::media::{Coefficients, Medium};
 
 /// Terms of `li2013` gathered by the products that the trigonometry-free form needs; [N/m³].
 #[derive(Clone, Copy)]

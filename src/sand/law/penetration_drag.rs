@@ -2,8 +2,8 @@
 //! force and a horizontal drag force that know neither the segment's orientation nor each other.
 
 use super::{Motion, StressLaw};
+use crate::media::{Coefficients, Medium};
 use crate::number::{Real, Vec3};
-use crate::sand::media::{Coefficients, Medium};
 
 /// Stress per depth of the one-dimensional models; [N/m³].
 #[derive(Clone, Copy)]
@@ -18,7 +18,7 @@ pub struct PenetrationDrag<R> {
 }
 
 impl<R: Real> PenetrationDrag<R> {
-    /// `sign_gate`: see [`crate::sand::Surface::sign_gate`].
+    /// `sign_gate`: see [`crate::Surface::sign_gate`].
     pub fn splat(c: &Coefficients, sign_gate: f64) -> Self {
         Self {
             penetration: R::splat(c.penetration()),

@@ -1,8 +1,8 @@
 //! Terms in the hot loop: the same for one number and for lanes.
 
 use super::{Group, MOST_GROUPS, MOST_TERMS, On, Term};
+use crate::GRAVITY;
 use crate::number::{Real, Vec3};
-use crate::sand::GRAVITY;
 
 /// Speed [m/s] below which a term falls to zero, so that it has no edge at rest: our choice, a tenth of what cohesion has.
 const REST_SPEED: f64 = 1e-4;

@@ -2,7 +2,7 @@
 
 use super::Peer;
 use super::table::{Call, Calls, Place};
-use crate::service::rate::Rate;
+use crate::rate::Rate;
 use std::io::{self, IoSlice};
 use std::net::SocketAddr;
 use std::pin::Pin;

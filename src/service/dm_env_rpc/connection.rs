@@ -14,11 +14,11 @@ use super::proto::{self, EnvironmentRequest, EnvironmentResponse, EnvironmentSta
 use super::settings::{self, Changes, Settings};
 use super::tensors::{self, View};
 use super::worlds::{Interrupt, Place, Worlds};
+use crate::connections::Link;
 use crate::error::{Error, Result};
-use crate::service::connections::Link;
-use crate::service::frame::Frame;
-use crate::service::intake::Door;
-use crate::service::{status, wire};
+use crate::frame::Frame;
+use crate::intake::Door;
+use crate::{status, wire};
 use futures_util::{Stream, stream};
 use std::collections::HashMap;
 use std::sync::Arc;

@@ -8,7 +8,7 @@ use super::proto::tensor::Payload;
 use crate::env::registry::TASK_IDS;
 use crate::env::{ResetOptions, options};
 use crate::error::{Error, Result};
-use crate::service::values;
+use crate::values;
 use serde_json::{Map, Value};
 use std::collections::HashMap;
 

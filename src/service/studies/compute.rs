@@ -5,10 +5,8 @@ use super::{decode, encode};
 use crate::error::{Error, Result};
 use crate::evaluate;
 use crate::progress::Progress;
-use crate::service::proto::{self, DiagnoseRequest, DiagnoseResponse, IntrudeRequest, IntrudeResponse};
-use crate::service::proto::{
-    EvaluateRequest, EvaluateResponse, SweepRequest, SweepResponse, WalkRequest, WalkResponse,
-};
+use crate::proto::{self, DiagnoseRequest, DiagnoseResponse, IntrudeRequest, IntrudeResponse};
+use crate::proto::{EvaluateRequest, EvaluateResponse, SweepRequest, SweepResponse, WalkRequest, WalkResponse};
 use crate::sweep::{grid, optimize, walk_all};
 use std::path::Path;
 

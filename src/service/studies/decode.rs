@@ -4,20 +4,18 @@
 use crate::diagnose::experiment::Experiment;
 use crate::error::{Error, Result, check_range};
 use crate::evaluate::{self, Wanted};
+use crate::proto::diagnose_request::Experiment as Source;
+use crate::proto::evaluate_request::Policy;
+use crate::proto::{DiagnoseRequest, EvaluateRequest, File, IntrudeRequest, SweepRequest, Variation, WalkRequest};
 use crate::sand::intrusion::Rotation;
 use crate::sand::{Law, Medium, SandDescription, Shape};
-use crate::service::proto::diagnose_request::Experiment as Source;
-use crate::service::proto::evaluate_request::Policy;
-use crate::service::proto::{
-    DiagnoseRequest, EvaluateRequest, File, IntrudeRequest, SweepRequest, Variation, WalkRequest,
-};
-use crate::service::{proto, values};
 use crate::sim::engine::EngineKind;
 use crate::sim::model::Scene;
 use crate::sim::walk::Trial;
 use crate::sim::{Model, Robot};
 use crate::sweep::grid::check_grid;
 use crate::sweep::{Axis, Design, Measure, optimize};
+use crate::{proto, values};
 use std::path::Path;
 
 /// Sand, and what its user should know about it.

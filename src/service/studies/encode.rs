@@ -2,8 +2,8 @@
 
 use crate::diagnose::report::Curves;
 use crate::evaluate::{self, Row};
+use crate::proto::{Series, Table};
 use crate::sand::intrusion::Load;
-use crate::service::proto::{Series, Table};
 use crate::sim::walk::{Trial, WalkResult};
 use crate::sweep::optimize::Optimum;
 use crate::sweep::{Axis, table::values};

@@ -7,8 +7,8 @@
 
 use crate::error::{Error, Result};
 use crate::progress::Progress;
-use crate::service::proto::Progress as Event;
-use crate::service::status;
+use crate::proto::Progress as Event;
+use crate::status;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::{Semaphore, mpsc};

@@ -8,8 +8,8 @@
 use crate::env::{Look, Task};
 use crate::session::view;
 use crate::sim::{Model, State};
-use crate::view::recording::{head_block, rows_block};
 use bytes::Bytes;
+use sandgait_view::recording::{head_block, rows_block};
 use std::sync::Arc;
 use tokio::sync::{broadcast, watch};
 
@@ -38,8 +38,8 @@ impl Moment {
     /// The recording's row.
     fn row(&self) -> Vec<f32> {
         let Self { model, state, footing, time, action, reward, info, .. } = self;
-        let moment = crate::view::Moment { time: *time, state, footing, action, reward: *reward, info };
-        crate::view::row(model, &moment)
+        let moment = sandgait_view::Moment { time: *time, state, footing, action, reward: *reward, info };
+        sandgait_view::row(model, &moment)
     }
 
     /// Do both belong to one section of a recording?

@@ -3,7 +3,7 @@
 use super::frames::{Frame, Frames, Latest, Moment, encode};
 use crate::env::Task;
 use crate::pool::Batch;
-use crate::service::sessions::name;
+use crate::sessions::name;
 use bytes::Bytes;
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicUsize, Ordering};

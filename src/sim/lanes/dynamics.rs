@@ -15,9 +15,9 @@ use super::plane::{Field, Moments, PlaneForces};
 use crate::number::{Mat3, Real, Vec3};
 use crate::sand::law::StressLaw;
 use crate::sand::{Beyond, Form, Ground, Plain, Site};
-use crate::sim::spatial::{Inertia, PointMasses, Symmetric, Twist, Wrench};
+use crate::spatial::{Inertia, PointMasses, Symmetric, Twist, Wrench};
 
-/// State of the robots in one block, one lane each; see [`crate::sim::State`].
+/// State of the robots in one block, one lane each; see [`crate::State`].
 #[derive(Clone)]
 pub struct LaneState<R> {
     pub position: Vec3<R>,

@@ -14,7 +14,7 @@ use super::engine::Command;
 use super::spatial::Twist;
 use super::{Model, State};
 use crate::error::{Error, Result};
-use crate::number::{Isa, Kernel, Real, Vec3};
+use crate::number::{Isa, Kernel, Real, Vec3, Work};
 use dynamics::{LaneJoint, LaneState, Scratch};
 use model::LaneModel;
 use std::f64::consts::TAU;
@@ -25,6 +25,22 @@ pub struct LanesEngine {
     lanes: usize,
 }
 
+/// Makes blocks for the number of an instruction set.
+struct Blocks<'a> {
+    model: &'a Model,
+    count: usize,
+    joints: usize,
+}
+
+impl Work for Blocks<'_> {
+    type Out = Vec<Box<dyn Block>>;
+
+    fn run<R: Real>(self) -> Self::Out {
+        let block = if self.joints == 1 { Lanes::<R, 1>::boxed } else { Lanes::<R, 3>::boxed };
+        (0..self.count).map(|_| block(self.model)).collect()
+    }
+}
+
 impl LanesEngine {
     /// `count` robots with `model`, motionless until their state is set; instruction set by [`Isa::choose`].
     pub fn new(model: &Model, count: usize) -> Result<Self> {
@@ -32,31 +48,17 @@ impl LanesEngine {
     }
 
     pub fn with_isa(isa: Isa, model: &Model, count: usize) -> Result<Self> {
-        if !isa.available() {
-            return Err(Error::invalid("instruction set", format!("this machine has no {}", isa.name())));
-        }
         if !model.scene.obstacles.is_empty() {
             return Err(Error::invalid("engine", "lanes has no rigid obstacles; rapier does"));
         }
         model::check_planes(model)?;
         let joints = model.legs.first().map_or(0, Vec::len);
-        let block: fn(&Model) -> Box<dyn Block> = match (isa, joints) {
-            #[cfg(target_arch = "x86_64")]
-            (Isa::Avx512, 1) => Lanes::<crate::number::Avx512, 1>::boxed,
-            #[cfg(target_arch = "x86_64")]
-            (Isa::Avx512, 3) => Lanes::<crate::number::Avx512, 3>::boxed,
-            #[cfg(target_arch = "x86_64")]
-            (Isa::Avx2, 1) => Lanes::<crate::number::Avx2, 1>::boxed,
-            #[cfg(target_arch = "x86_64")]
-            (Isa::Avx2, 3) => Lanes::<crate::number::Avx2, 3>::boxed,
-            (Isa::Baseline, 1) => Lanes::<crate::number::Portable, 1>::boxed,
-            (Isa::Baseline, 3) => Lanes::<crate::number::Portable, 3>::boxed,
-            (Isa::F64, 1) => Lanes::<f64, 1>::boxed,
-            (Isa::F64, 3) => Lanes::<f64, 3>::boxed,
-            _ => return Err(Error::invalid("robot", format!("{joints} joints a leg; engine lanes takes 1 or 3"))),
-        };
+        if ![1, 3].contains(&joints) {
+            return Err(Error::invalid("robot", format!("{joints} joints a leg; engine lanes takes 1 or 3")));
+        }
+        let blocks = isa.with(Blocks { model, count: count.div_ceil(isa.lanes()), joints })?;
         let lanes = isa.lanes();
-        let mut engine = Self { blocks: (0..count.div_ceil(lanes)).map(|_| block(model)).collect(), lanes };
+        let mut engine = Self { blocks, lanes };
         (0..count).for_each(|index| engine.set_model(index, model));
         Ok(engine)
     }
@@ -256,10 +258,10 @@ impl<R: Real, const J: usize> Block for Lanes<R, J> {
 #[cfg(all(test, target_arch = "x86_64"))]
 mod tests {
     use super::*;
+    use crate::Robot;
+    use crate::model::Scene;
     use crate::number::met_denormals;
     use crate::sand::Medium;
-    use crate::sim::Robot;
-    use crate::sim::model::Scene;
 
     const FORMS: [(&str, &str); 7] = [
         ("xplorer", "L"),

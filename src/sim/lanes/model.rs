@@ -1,11 +1,11 @@
 //! A model's numbers with one lane an environment.
 
 use super::plane::Moments;
+use crate::Model;
 use crate::error::{Error, Result};
+use crate::model::{Body, Plate, exact};
 use crate::number::{Real, Vec3};
 use crate::sand::Ground;
-use crate::sim::Model;
-use crate::sim::model::{Body, Plate, exact};
 
 type V = nalgebra::Vector3<f64>;
 type M = nalgebra::Matrix3<f64>;
@@ -235,9 +235,9 @@ impl<R: Real, const J: usize> LaneModel<R, J> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Robot;
+    use crate::model::Scene;
     use crate::sand::Medium;
-    use crate::sim::Robot;
-    use crate::sim::model::Scene;
 
     fn model(robot: &str, shape: &str) -> Model {
         let robot = Robot::load(robot).unwrap().with_leg_shape(shape).unwrap();

@@ -6,7 +6,7 @@
 //! inertia once a body, not once a piece.
 
 use crate::number::{Real, Vec3};
-use crate::sim::spatial::{PointMasses, Symmetric, Twist, Wrench};
+use crate::spatial::{PointMasses, Symmetric, Twist, Wrench};
 
 /// A vector that changes linearly over a plane: `at` + p₀ `by[0]` + p₁ `by[1]`.
 #[derive(Clone, Copy)]
@@ -168,7 +168,7 @@ impl<R: Real> PlaneForces<R> {
 mod tests {
     use super::*;
     use crate::number::Mat3;
-    use crate::sim::spatial::Inertia;
+    use crate::spatial::Inertia;
 
     fn close(a: Vec3<f64>, b: Vec3<f64>) {
         assert!((a - b).norm_squared().sqrt() < 1e-12, "{a:?} is not {b:?}");

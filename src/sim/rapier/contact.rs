@@ -4,11 +4,11 @@
 //! rapier adds nothing to its mass properties.
 
 use super::units::{PER_METRE, plain, quat, scaled, vec3};
-use crate::sim::Model;
-use crate::sim::frame::V;
-use crate::sim::model::Body;
-use crate::sim::obstacle::{Obstacle, Shape};
-use crate::sim::solid::Solid;
+use crate::Model;
+use crate::frame::V;
+use crate::model::Body;
+use crate::obstacle::{Obstacle, Shape};
+use crate::solid::Solid;
 use rapier3d::glamx::{Pose3, Quat};
 use rapier3d::parry::transformation::try_convex_hull;
 use rapier3d::prelude::*;
@@ -88,7 +88,7 @@ fn base(model: &Model) -> SharedShape {
 
 /// A link's strip as a chain of thin boxes.
 fn link(body: &Body) -> SharedShape {
-    let piece = |p: &crate::sim::model::Piece| {
+    let piece = |p: &crate::model::Piece| {
         let axes = [p.along, p.across, p.along.cross(&p.across)];
         let turn = nalgebra::Rotation3::from_matrix_unchecked(nalgebra::Matrix3::from_columns(&axes));
         let pose = Pose3::from_parts(scaled(p.center), quat(&nalgebra::UnitQuaternion::from_rotation_matrix(&turn)));

@@ -1,7 +1,7 @@
 //! Point masses added to rigid bodies, as mass properties that rapier can hold.
 
 use super::units::{quat, scaled, scaled_twice};
-use crate::sim::frame::{M, V};
+use crate::frame::{M, V};
 use rapier3d::prelude::MassProperties;
 
 /// Point masses, or a whole body, by their moments; in the frame of the body that carries them.

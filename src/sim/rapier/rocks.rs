@@ -10,12 +10,12 @@
 use super::inertia::Masses;
 use super::sand::lanes;
 use super::world::World;
+use crate::frame::{M, V};
+use crate::model::Body;
 use crate::sand::{Ground, Site};
-use crate::sim::frame::{M, V};
-use crate::sim::model::Body;
-use crate::sim::solid::{Pose, Solid};
-use crate::sim::state::ObjectState;
-use crate::sim::{Model, Obstacle, State};
+use crate::solid::{Pose, Solid};
+use crate::state::ObjectState;
+use crate::{Model, Obstacle, State};
 use nalgebra::{Matrix6, Vector6};
 use rapier3d::prelude::MassProperties;
 

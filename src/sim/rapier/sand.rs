@@ -6,10 +6,10 @@
 //! (centrifugal, Coriolis, gyroscopic); each wrench here holds what cancels them.
 
 use super::inertia::Masses;
+use crate::frame::{Frame, V};
+use crate::model::{Body, Plate};
 use crate::number::Vec3;
 use crate::sand::{Contact, Ground, Site};
-use crate::sim::frame::{Frame, V};
-use crate::sim::model::{Body, Plate};
 
 /// Force [N] and moment [N·m] about the base's centre, world axes.
 #[derive(Clone, Copy, Debug)]

@@ -5,7 +5,7 @@
 //! then is now and then a deep overlap where there is a gap. So rapier's unit of length is smaller than a metre. Masses,
 //! times and angles stay what they are; so a force grows as a length does, a moment and an inertia as its square.
 
-use crate::sim::frame::V;
+use crate::frame::V;
 use rapier3d::glamx::{Quat, Vec3};
 
 /// rapier's units of length in a metre: our choice. A leg's strip of the reference robot is 1.3 units wide then, a rock

@@ -4,10 +4,10 @@ use super::contact::{self, Shapes};
 use super::inertia::mass_properties;
 use super::sand::Wrench;
 use super::units::{PER_METRE, PER_SQUARE_METRE, metres, plain, quat, scaled, scaled_twice, vec3};
-use crate::sim::frame::{M, V};
-use crate::sim::model::{Body, Model, Motor};
-use crate::sim::solid::Pose;
-use crate::sim::{State, engine::Command};
+use crate::frame::{M, V};
+use crate::model::{Body, Model, Motor};
+use crate::solid::Pose;
+use crate::{State, engine::Command};
 use rapier3d::glamx::{Pose3, Quat, Vec3};
 use rapier3d::prelude::*;
 

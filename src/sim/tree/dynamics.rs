@@ -7,7 +7,7 @@
 
 use super::{JointKind, Tree};
 use crate::number::{Mat3, Real, Vec3};
-use crate::sim::spatial::{Inertia, Symmetric, Twist, Wrench};
+use crate::spatial::{Inertia, Symmetric, Twist, Wrench};
 
 /// A [`super::TreeBody`], one lane an environment.
 #[derive(Clone)]

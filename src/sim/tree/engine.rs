@@ -1,4 +1,4 @@
-//! The engine of tree robots: blocks of environments over the lanes of an instruction set, as in [`crate::sim::lanes`].
+//! The engine of tree robots: blocks of environments over the lanes of an instruction set, as in [`crate::lanes`].
 
 use super::dynamics::{JointMotion, LaneBody, Motion};
 use super::floor::{BodyContacts, Floor};
@@ -6,11 +6,11 @@ use super::model::TreeModel;
 use super::sand::BodyPlates;
 use super::servo::{LaneMotor, LaneServo};
 use super::step::{LaneState, LaneTree, Scratch, step};
+use crate::engine::Command;
 use crate::error::{Error, Result};
-use crate::number::{Isa, Kernel, Real, Vec3};
-use crate::sim::engine::Command;
-use crate::sim::spatial::Twist;
-use crate::sim::{Model, State};
+use crate::number::{Isa, Kernel, Real, Vec3, Work};
+use crate::spatial::Twist;
+use crate::{Model, State};
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
@@ -20,6 +20,21 @@ pub struct TreeEngine {
     lanes: usize,
 }
 
+/// Makes blocks for the number of an instruction set.
+struct Blocks<'a> {
+    model: &'a Model,
+    tree: &'a Arc<TreeModel>,
+    count: usize,
+}
+
+impl Work for Blocks<'_> {
+    type Out = Vec<Box<dyn Block>>;
+
+    fn run<R: Real>(self) -> Self::Out {
+        (0..self.count).map(|_| Lanes::<R>::boxed(self.model, self.tree)).collect()
+    }
+}
+
 impl TreeEngine {
     /// `count` robots with `model`, motionless until their state is set; instruction set by [`Isa::choose`].
     pub fn new(model: &Model, count: usize) -> Result<Self> {
@@ -27,47 +42,37 @@ impl TreeEngine {
     }
 
     pub fn with_isa(isa: Isa, model: &Model, count: usize) -> Result<Self> {
-        if !isa.available() {
-            return Err(Error::invalid("instruction set", format!("this machine has no {}", isa.name())));
-        }
         let Some(tree) = &model.tree else {
             return Err(Error::invalid("engine", "tree takes robots from URDF or MJCF files; this one is for lanes"));
         };
-        let block: fn(&Model, &Arc<TreeModel>) -> Box<dyn Block> = match isa {
-            #[cfg(target_arch = "x86_64")]
-            Isa::Avx512 => Lanes::<crate::number::Avx512>::boxed,
-            #[cfg(target_arch = "x86_64")]
-            Isa::Avx2 => Lanes::<crate::number::Avx2>::boxed,
-            Isa::F64 => Lanes::<f64>::boxed,
-            _ => Lanes::<crate::number::Portable>::boxed,
-        };
+        let blocks = isa.with(Blocks { model, tree, count: count.div_ceil(isa.lanes()) })?;
         let lanes = isa.lanes();
-        let mut engine = Self { blocks: (0..count.div_ceil(lanes)).map(|_| block(model, tree)).collect(), lanes };
+        let mut engine = Self { blocks, lanes };
         (0..count).for_each(|index| engine.set_model(index, model));
         Ok(engine)
     }
 
-    /// See [`crate::sim::engine::Engine::set_model`].
+    /// See [`crate::engine::Engine::set_model`].
     pub fn set_model(&mut self, index: usize, model: &Model) {
         self.blocks[index / self.lanes].set_model(index % self.lanes, model);
     }
 
-    /// See [`crate::sim::engine::Engine::set_state`].
+    /// See [`crate::engine::Engine::set_state`].
     pub fn set_state(&mut self, index: usize, state: &State) {
         self.blocks[index / self.lanes].set_state(index % self.lanes, state);
     }
 
-    /// See [`crate::sim::engine::Engine::state`].
+    /// See [`crate::engine::Engine::state`].
     pub fn state(&self, index: usize, out: &mut State) {
         self.blocks[index / self.lanes].state(index % self.lanes, out);
     }
 
-    /// See [`crate::sim::engine::Engine::command`].
+    /// See [`crate::engine::Engine::command`].
     pub fn command(&mut self, index: usize, command: &Command) {
         self.blocks[index / self.lanes].command(index % self.lanes, command);
     }
 
-    /// See [`crate::sim::engine::Engine::advance`].
+    /// See [`crate::engine::Engine::advance`].
     pub fn advance(&mut self, steps: usize) {
         self.blocks.iter_mut().for_each(|b| b.advance(steps));
     }

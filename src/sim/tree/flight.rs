@@ -3,7 +3,7 @@
 use super::Tree;
 use super::dynamics::{Drive, Frame, Hinge, JointMotion, LaneBody, Load, Motion, Push, fold, load, place, unfold};
 use crate::number::{Real, Vec3};
-use crate::sim::spatial::Twist;
+use crate::spatial::Twist;
 
 /// Gravity of [`accelerations`] [m/s²]: what the reference programs take.
 pub const GRAVITY: f64 = 9.81;

@@ -11,7 +11,7 @@ use super::hard::HardGround;
 use super::model::TreeModel;
 use super::terrain::Local;
 use crate::number::{Real, Vec3};
-use crate::sim::spatial::{Twist, Wrench};
+use crate::spatial::{Twist, Wrench};
 
 /// One piece of [`HardGround`], one lane each.
 #[derive(Clone, Copy)]

@@ -97,7 +97,7 @@ impl TreeModel {
 
     /// Height of the level base's origin at which the lowest point touches the ground [m], with joints at `angles`.
     pub fn standing_height(&self, angles: &[f64]) -> f64 {
-        let frames = frames(&self.tree, &crate::sim::State::at_rest(0.0, angles));
+        let frames = frames(&self.tree, &crate::State::at_rest(0.0, angles));
         let low = frames.iter().zip(self.contacts.iter()).map(|(f, p)| lowest(f, p).z).fold(f64::INFINITY, f64::min);
         if low.is_finite() { -low } else { 0.0 }
     }

@@ -2,9 +2,9 @@
 
 use super::{Geometry, JointKind, Tree, TreeBody, TreeJoint, TreeShape};
 use crate::error::Result;
+use crate::model::{Model, Piece, Scene};
+use crate::robot::Robot;
 use crate::sand::Medium;
-use crate::sim::model::{Model, Piece, Scene};
-use crate::sim::robot::Robot;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, Unit, UnitQuaternion, Vector3};
 
 /// Thickness of strips [m]: our choice, that of pictures; the physics takes them as thin.

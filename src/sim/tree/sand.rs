@@ -1,6 +1,6 @@
 //! Sand on plates that face any way, fixed to the bodies of a tree.
 //!
-//! One-sided plates with the leading-edge rule, as under the belly of [`crate::sim::lanes`], and its scheme in time: the force
+//! One-sided plates with the leading-edge rule, as under the belly of [`crate::lanes`], and its scheme in time: the force
 //! is linearly implicit, f⁺ = f − C (v⁺ − v), and expects what the last step added where a motion is smooth. A plate that
 //! crosses the surface counts with the part below it, at that part's mean depth.
 
@@ -12,7 +12,7 @@ use crate::number::{Mat3, Real, Vec3};
 use crate::sand::intruder::Plate;
 use crate::sand::law::StressLaw;
 use crate::sand::{Beyond, Form, Ground, Plain, Site};
-use crate::sim::spatial::{Inertia, PointMasses, Twist, Wrench};
+use crate::spatial::{Inertia, PointMasses, Twist, Wrench};
 
 /// A body's plates, the same in all lanes.
 #[derive(Clone)]
@@ -138,7 +138,7 @@ pub fn press<R: Real>(
     }
 }
 
-/// How far a body's next change of velocity at `place` can be expected to be its last one; see [`crate::sim::lanes`].
+/// How far a body's next change of velocity at `place` can be expected to be its last one; see [`crate::lanes`].
 #[inline(always)]
 fn trust<R: Real>(frame: &Frame<R>, place: Vec3<R>) -> R {
     let (speed, change) = (frame.velocity.at(place).norm_squared(), frame.change.at(place).norm_squared());

@@ -1,7 +1,7 @@
 //! Torques at the joints: motors, bearings and stops, all linearly implicit in the joint's rate.
 //!
 //! Each is τ(q̈) = torque − yielding q̈. A motor is limited by its torque and a stop only pushes: which of them are at their limits
-//! is judged with the parent held still, as in [`crate::sim::lanes`]; those give their limit and no longer yield. Dry friction
+//! is judged with the parent held still, as in [`crate::lanes`]; those give their limit and no longer yield. Dry friction
 //! is F q̇⁺/max(|q̇|, v₀), with the rate after the step above and that before it below.
 
 use super::dynamics::{Drive, JointMotion, Push};

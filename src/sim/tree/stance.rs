@@ -2,7 +2,7 @@
 
 use super::contact::ContactPoint;
 use super::{JointKind, Tree};
-use crate::sim::State;
+use crate::State;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 type V = Vector3<f64>;

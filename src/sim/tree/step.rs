@@ -7,7 +7,7 @@ use super::servo::{Joints, LaneMotor, LaneServo};
 use super::terrain::Flat;
 use crate::number::{Real, Vec3};
 use crate::sand::Ground;
-use crate::sim::spatial::Twist;
+use crate::spatial::Twist;
 
 /// Everything that stays while a robot moves, one lane each.
 pub struct LaneTree<R> {
@@ -22,7 +22,7 @@ pub struct LaneTree<R> {
     pub dt: R,
 }
 
-/// See [`crate::sim::State`].
+/// See [`crate::State`].
 #[derive(Clone)]
 pub struct LaneState<R> {
     /// Of the base link's origin.

@@ -15,7 +15,7 @@ pub mod environment_server {
         /// Server streaming response type for the Process method.
         type ProcessStream: tonic::codegen::tokio_stream::Stream<
                 Item = std::result::Result<
-                    crate::service::dm_env_rpc::proto::EnvironmentResponse,
+                    crate::dm_env_rpc::proto::EnvironmentResponse,
                     tonic::Status,
                 >,
             >
@@ -25,8 +25,8 @@ pub mod environment_server {
             &self,
             request: tonic::Request<
                 tonic::Streaming<
-                    crate::service::frame::Frame<
-                        crate::service::dm_env_rpc::proto::EnvironmentRequest,
+                    crate::frame::Frame<
+                        crate::dm_env_rpc::proto::EnvironmentRequest,
                     >,
                 >,
             >,
@@ -114,11 +114,11 @@ pub mod environment_server {
                     impl<
                         T: Environment,
                     > tonic::server::StreamingService<
-                        crate::service::frame::Frame<
-                            crate::service::dm_env_rpc::proto::EnvironmentRequest,
+                        crate::frame::Frame<
+                            crate::dm_env_rpc::proto::EnvironmentRequest,
                         >,
                     > for ProcessSvc<T> {
-                        type Response = crate::service::dm_env_rpc::proto::EnvironmentResponse;
+                        type Response = crate::dm_env_rpc::proto::EnvironmentResponse;
                         type ResponseStream = T::ProcessStream;
                         type Future = BoxFuture<
                             tonic::Response<Self::ResponseStream>,
@@ -128,8 +128,8 @@ pub mod environment_server {
                             &mut self,
                             request: tonic::Request<
                                 tonic::Streaming<
-                                    crate::service::frame::Frame<
-                                        crate::service::dm_env_rpc::proto::EnvironmentRequest,
+                                    crate::frame::Frame<
+                                        crate::dm_env_rpc::proto::EnvironmentRequest,
                                     >,
                                 >,
                             >,
@@ -148,7 +148,7 @@ pub mod environment_server {
                     let inner = self.inner.clone();
                     let fut = async move {
                         let method = ProcessSvc(inner);
-                        let codec = crate::service::frame::FrameCodec::default();
+                        let codec = crate::frame::FrameCodec::default();
                         let mut grpc = tonic::server::Grpc::new(codec)
                             .apply_compression_config(
                                 accept_compression_encodings,

@@ -16,26 +16,26 @@ pub mod environment_service_server {
         async fn describe(
             &self,
             request: tonic::Request<
-                crate::service::frame::Frame<crate::service::proto::DescribeRequest>,
+                crate::frame::Frame<crate::proto::DescribeRequest>,
             >,
         ) -> std::result::Result<
-            tonic::Response<crate::service::proto::DescribeResponse>,
+            tonic::Response<crate::proto::DescribeResponse>,
             tonic::Status,
         >;
         /// Reserves environments. They have no state before the first reset.
         async fn create_session(
             &self,
             request: tonic::Request<
-                crate::service::frame::Frame<crate::service::proto::CreateSessionRequest>,
+                crate::frame::Frame<crate::proto::CreateSessionRequest>,
             >,
         ) -> std::result::Result<
-            tonic::Response<crate::service::proto::CreateSessionResponse>,
+            tonic::Response<crate::proto::CreateSessionResponse>,
             tonic::Status,
         >;
         /// Server streaming response type for the RunSession method.
         type RunSessionStream: tonic::codegen::tokio_stream::Stream<
                 Item = std::result::Result<
-                    crate::service::proto::RunSessionResponse,
+                    crate::proto::RunSessionResponse,
                     tonic::Status,
                 >,
             >
@@ -47,8 +47,8 @@ pub mod environment_service_server {
             &self,
             request: tonic::Request<
                 tonic::Streaming<
-                    crate::service::frame::Frame<
-                        crate::service::proto::RunSessionRequest,
+                    crate::frame::Frame<
+                        crate::proto::RunSessionRequest,
                     >,
                 >,
             >,
@@ -57,32 +57,32 @@ pub mod environment_service_server {
         async fn describe_session(
             &self,
             request: tonic::Request<
-                crate::service::frame::Frame<
-                    crate::service::proto::DescribeSessionRequest,
+                crate::frame::Frame<
+                    crate::proto::DescribeSessionRequest,
                 >,
             >,
         ) -> std::result::Result<
-            tonic::Response<crate::service::proto::DescribeSessionResponse>,
+            tonic::Response<crate::proto::DescribeSessionResponse>,
             tonic::Status,
         >;
         /// All sessions of this server, without the ids that would let one use them.
         async fn list_sessions(
             &self,
             request: tonic::Request<
-                crate::service::frame::Frame<crate::service::proto::ListSessionsRequest>,
+                crate::frame::Frame<crate::proto::ListSessionsRequest>,
             >,
         ) -> std::result::Result<
-            tonic::Response<crate::service::proto::ListSessionsResponse>,
+            tonic::Response<crate::proto::ListSessionsResponse>,
             tonic::Status,
         >;
         /// Frees a session.
         async fn close_session(
             &self,
             request: tonic::Request<
-                crate::service::frame::Frame<crate::service::proto::CloseSessionRequest>,
+                crate::frame::Frame<crate::proto::CloseSessionRequest>,
             >,
         ) -> std::result::Result<
-            tonic::Response<crate::service::proto::CloseSessionResponse>,
+            tonic::Response<crate::proto::CloseSessionResponse>,
             tonic::Status,
         >;
     }
@@ -168,11 +168,11 @@ pub mod environment_service_server {
                     impl<
                         T: EnvironmentService,
                     > tonic::server::UnaryService<
-                        crate::service::frame::Frame<
-                            crate::service::proto::DescribeRequest,
+                        crate::frame::Frame<
+                            crate::proto::DescribeRequest,
                         >,
                     > for DescribeSvc<T> {
-                        type Response = crate::service::proto::DescribeResponse;
+                        type Response = crate::proto::DescribeResponse;
                         type Future = BoxFuture<
                             tonic::Response<Self::Response>,
                             tonic::Status,
@@ -180,8 +180,8 @@ pub mod environment_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::service::frame::Frame<
-                                    crate::service::proto::DescribeRequest,
+                                crate::frame::Frame<
+                                    crate::proto::DescribeRequest,
                                 >,
                             >,
                         ) -> Self::Future {
@@ -199,7 +199,7 @@ pub mod environment_service_server {
                     let inner = self.inner.clone();
                     let fut = async move {
                         let method = DescribeSvc(inner);
-                        let codec = crate::service::frame::FrameCodec::default();
+                        let codec = crate::frame::FrameCodec::default();
                         let mut grpc = tonic::server::Grpc::new(codec)
                             .apply_compression_config(
                                 accept_compression_encodings,
@@ -220,11 +220,11 @@ pub mod environment_service_server {
                     impl<
                         T: EnvironmentService,
                     > tonic::server::UnaryService<
-                        crate::service::frame::Frame<
-                            crate::service::proto::CreateSessionRequest,
+                        crate::frame::Frame<
+                            crate::proto::CreateSessionRequest,
                         >,
                     > for CreateSessionSvc<T> {
-                        type Response = crate::service::proto::CreateSessionResponse;
+                        type Response = crate::proto::CreateSessionResponse;
                         type Future = BoxFuture<
                             tonic::Response<Self::Response>,
                             tonic::Status,
@@ -232,8 +232,8 @@ pub mod environment_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::service::frame::Frame<
-                                    crate::service::proto::CreateSessionRequest,
+                                crate::frame::Frame<
+                                    crate::proto::CreateSessionRequest,
                                 >,
                             >,
                         ) -> Self::Future {
@@ -252,7 +252,7 @@ pub mod environment_service_server {
                     let inner = self.inner.clone();
                     let fut = async move {
                         let method = CreateSessionSvc(inner);
-                        let codec = crate::service::frame::FrameCodec::default();
+                        let codec = crate::frame::FrameCodec::default();
                         let mut grpc = tonic::server::Grpc::new(codec)
                             .apply_compression_config(
                                 accept_compression_encodings,
@@ -273,11 +273,11 @@ pub mod environment_service_server {
                     impl<
                         T: EnvironmentService,
                     > tonic::server::StreamingService<
-                        crate::service::frame::Frame<
-                            crate::service::proto::RunSessionRequest,
+                        crate::frame::Frame<
+                            crate::proto::RunSessionRequest,
                         >,
                     > for RunSessionSvc<T> {
-                        type Response = crate::service::proto::RunSessionResponse;
+                        type Response = crate::proto::RunSessionResponse;
                         type ResponseStream = T::RunSessionStream;
                         type Future = BoxFuture<
                             tonic::Response<Self::ResponseStream>,
@@ -287,8 +287,8 @@ pub mod environment_service_server {
                             &mut self,
                             request: tonic::Request<
                                 tonic::Streaming<
-                                    crate::service::frame::Frame<
-                                        crate::service::proto::RunSessionRequest,
+                                    crate::frame::Frame<
+                                        crate::proto::RunSessionRequest,
                                     >,
                                 >,
                             >,
@@ -308,7 +308,7 @@ pub mod environment_service_server {
                     let inner = self.inner.clone();
                     let fut = async move {
                         let method = RunSessionSvc(inner);
-                        let codec = crate::service::frame::FrameCodec::default();
+                        let codec = crate::frame::FrameCodec::default();
                         let mut grpc = tonic::server::Grpc::new(codec)
                             .apply_compression_config(
                                 accept_compression_encodings,
@@ -329,11 +329,11 @@ pub mod environment_service_server {
                     impl<
                         T: EnvironmentService,
                     > tonic::server::UnaryService<
-                        crate::service::frame::Frame<
-                            crate::service::proto::DescribeSessionRequest,
+                        crate::frame::Frame<
+                            crate::proto::DescribeSessionRequest,
                         >,
                     > for DescribeSessionSvc<T> {
-                        type Response = crate::service::proto::DescribeSessionResponse;
+                        type Response = crate::proto::DescribeSessionResponse;
                         type Future = BoxFuture<
                             tonic::Response<Self::Response>,
                             tonic::Status,
@@ -341,8 +341,8 @@ pub mod environment_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::service::frame::Frame<
-                                    crate::service::proto::DescribeSessionRequest,
+                                crate::frame::Frame<
+                                    crate::proto::DescribeSessionRequest,
                                 >,
                             >,
                         ) -> Self::Future {
@@ -361,7 +361,7 @@ pub mod environment_service_server {
                     let inner = self.inner.clone();
                     let fut = async move {
                         let method = DescribeSessionSvc(inner);
-                        let codec = crate::service::frame::FrameCodec::default();
+                        let codec = crate::frame::FrameCodec::default();
                         let mut grpc = tonic::server::Grpc::new(codec)
                             .apply_compression_config(
                                 accept_compression_encodings,
@@ -382,11 +382,11 @@ pub mod environment_service_server {
                     impl<
                         T: EnvironmentService,
                     > tonic::server::UnaryService<
-                        crate::service::frame::Frame<
-                            crate::service::proto::ListSessionsRequest,
+                        crate::frame::Frame<
+                            crate::proto::ListSessionsRequest,
                         >,
                     > for ListSessionsSvc<T> {
-                        type Response = crate::service::proto::ListSessionsResponse;
+                        type Response = crate::proto::ListSessionsResponse;
                         type Future = BoxFuture<
                             tonic::Response<Self::Response>,
                             tonic::Status,
@@ -394,8 +394,8 @@ pub mod environment_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::service::frame::Frame<
-                                    crate::service::proto::ListSessionsRequest,
+                                crate::frame::Frame<
+                                    crate::proto::ListSessionsRequest,
                                 >,
                             >,
                         ) -> Self::Future {
@@ -414,7 +414,7 @@ pub mod environment_service_server {
                     let inner = self.inner.clone();
                     let fut = async move {
                         let method = ListSessionsSvc(inner);
-                        let codec = crate::service::frame::FrameCodec::default();
+                        let codec = crate::frame::FrameCodec::default();
                         let mut grpc = tonic::server::Grpc::new(codec)
                             .apply_compression_config(
                                 accept_compression_encodings,
@@ -435,11 +435,11 @@ pub mod environment_service_server {
                     impl<
                         T: EnvironmentService,
                     > tonic::server::UnaryService<
-                        crate::service::frame::Frame<
-                            crate::service::proto::CloseSessionRequest,
+                        crate::frame::Frame<
+                            crate::proto::CloseSessionRequest,
                         >,
                     > for CloseSessionSvc<T> {
-                        type Response = crate::service::proto::CloseSessionResponse;
+                        type Response = crate::proto::CloseSessionResponse;
                         type Future = BoxFuture<
                             tonic::Response<Self::Response>,
                             tonic::Status,
@@ -447,8 +447,8 @@ pub mod environment_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::service::frame::Frame<
-                                    crate::service::proto::CloseSessionRequest,
+                                crate::frame::Frame<
+                                    crate::proto::CloseSessionRequest,
                                 >,
                             >,
                         ) -> Self::Future {
@@ -467,7 +467,7 @@ pub mod environment_service_server {
                     let inner = self.inner.clone();
                     let fut = async move {
                         let method = CloseSessionSvc(inner);
-                        let codec = crate::service::frame::FrameCodec::default();
+                        let codec = crate::frame::FrameCodec::default();
                         let mut grpc = tonic::server::Grpc::new(codec)
                             .apply_compression_config(
                                 accept_compression_encodings,
@@ -539,16 +539,16 @@ pub mod study_service_server {
         async fn intrude(
             &self,
             request: tonic::Request<
-                crate::service::frame::Frame<crate::service::proto::IntrudeRequest>,
+                crate::frame::Frame<crate::proto::IntrudeRequest>,
             >,
         ) -> std::result::Result<
-            tonic::Response<crate::service::proto::IntrudeResponse>,
+            tonic::Response<crate::proto::IntrudeResponse>,
             tonic::Status,
         >;
         /// Server streaming response type for the Walk method.
         type WalkStream: tonic::codegen::tokio_stream::Stream<
                 Item = std::result::Result<
-                    crate::service::proto::WalkResponse,
+                    crate::proto::WalkResponse,
                     tonic::Status,
                 >,
             >
@@ -558,13 +558,13 @@ pub mod study_service_server {
         async fn walk(
             &self,
             request: tonic::Request<
-                crate::service::frame::Frame<crate::service::proto::WalkRequest>,
+                crate::frame::Frame<crate::proto::WalkRequest>,
             >,
         ) -> std::result::Result<tonic::Response<Self::WalkStream>, tonic::Status>;
         /// Server streaming response type for the Sweep method.
         type SweepStream: tonic::codegen::tokio_stream::Stream<
                 Item = std::result::Result<
-                    crate::service::proto::SweepResponse,
+                    crate::proto::SweepResponse,
                     tonic::Status,
                 >,
             >
@@ -574,13 +574,13 @@ pub mod study_service_server {
         async fn sweep(
             &self,
             request: tonic::Request<
-                crate::service::frame::Frame<crate::service::proto::SweepRequest>,
+                crate::frame::Frame<crate::proto::SweepRequest>,
             >,
         ) -> std::result::Result<tonic::Response<Self::SweepStream>, tonic::Status>;
         /// Server streaming response type for the Evaluate method.
         type EvaluateStream: tonic::codegen::tokio_stream::Stream<
                 Item = std::result::Result<
-                    crate::service::proto::EvaluateResponse,
+                    crate::proto::EvaluateResponse,
                     tonic::Status,
                 >,
             >
@@ -590,13 +590,13 @@ pub mod study_service_server {
         async fn evaluate(
             &self,
             request: tonic::Request<
-                crate::service::frame::Frame<crate::service::proto::EvaluateRequest>,
+                crate::frame::Frame<crate::proto::EvaluateRequest>,
             >,
         ) -> std::result::Result<tonic::Response<Self::EvaluateStream>, tonic::Status>;
         /// Server streaming response type for the Diagnose method.
         type DiagnoseStream: tonic::codegen::tokio_stream::Stream<
                 Item = std::result::Result<
-                    crate::service::proto::DiagnoseResponse,
+                    crate::proto::DiagnoseResponse,
                     tonic::Status,
                 >,
             >
@@ -606,7 +606,7 @@ pub mod study_service_server {
         async fn diagnose(
             &self,
             request: tonic::Request<
-                crate::service::frame::Frame<crate::service::proto::DiagnoseRequest>,
+                crate::frame::Frame<crate::proto::DiagnoseRequest>,
             >,
         ) -> std::result::Result<tonic::Response<Self::DiagnoseStream>, tonic::Status>;
     }
@@ -692,11 +692,11 @@ pub mod study_service_server {
                     impl<
                         T: StudyService,
                     > tonic::server::UnaryService<
-                        crate::service::frame::Frame<
-                            crate::service::proto::IntrudeRequest,
+                        crate::frame::Frame<
+                            crate::proto::IntrudeRequest,
                         >,
                     > for IntrudeSvc<T> {
-                        type Response = crate::service::proto::IntrudeResponse;
+                        type Response = crate::proto::IntrudeResponse;
                         type Future = BoxFuture<
                             tonic::Response<Self::Response>,
                             tonic::Status,
@@ -704,8 +704,8 @@ pub mod study_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::service::frame::Frame<
-                                    crate::service::proto::IntrudeRequest,
+                                crate::frame::Frame<
+                                    crate::proto::IntrudeRequest,
                                 >,
                             >,
                         ) -> Self::Future {
@@ -723,7 +723,7 @@ pub mod study_service_server {
                     let inner = self.inner.clone();
                     let fut = async move {
                         let method = IntrudeSvc(inner);
-                        let codec = crate::service::frame::FrameCodec::default();
+                        let codec = crate::frame::FrameCodec::default();
                         let mut grpc = tonic::server::Grpc::new(codec)
                             .apply_compression_config(
                                 accept_compression_encodings,
@@ -744,9 +744,9 @@ pub mod study_service_server {
                     impl<
                         T: StudyService,
                     > tonic::server::ServerStreamingService<
-                        crate::service::frame::Frame<crate::service::proto::WalkRequest>,
+                        crate::frame::Frame<crate::proto::WalkRequest>,
                     > for WalkSvc<T> {
-                        type Response = crate::service::proto::WalkResponse;
+                        type Response = crate::proto::WalkResponse;
                         type ResponseStream = T::WalkStream;
                         type Future = BoxFuture<
                             tonic::Response<Self::ResponseStream>,
@@ -755,8 +755,8 @@ pub mod study_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::service::frame::Frame<
-                                    crate::service::proto::WalkRequest,
+                                crate::frame::Frame<
+                                    crate::proto::WalkRequest,
                                 >,
                             >,
                         ) -> Self::Future {
@@ -774,7 +774,7 @@ pub mod study_service_server {
                     let inner = self.inner.clone();
                     let fut = async move {
                         let method = WalkSvc(inner);
-                        let codec = crate::service::frame::FrameCodec::default();
+                        let codec = crate::frame::FrameCodec::default();
                         let mut grpc = tonic::server::Grpc::new(codec)
                             .apply_compression_config(
                                 accept_compression_encodings,
@@ -795,9 +795,9 @@ pub mod study_service_server {
                     impl<
                         T: StudyService,
                     > tonic::server::ServerStreamingService<
-                        crate::service::frame::Frame<crate::service::proto::SweepRequest>,
+                        crate::frame::Frame<crate::proto::SweepRequest>,
                     > for SweepSvc<T> {
-                        type Response = crate::service::proto::SweepResponse;
+                        type Response = crate::proto::SweepResponse;
                         type ResponseStream = T::SweepStream;
                         type Future = BoxFuture<
                             tonic::Response<Self::ResponseStream>,
@@ -806,8 +806,8 @@ pub mod study_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::service::frame::Frame<
-                                    crate::service::proto::SweepRequest,
+                                crate::frame::Frame<
+                                    crate::proto::SweepRequest,
                                 >,
                             >,
                         ) -> Self::Future {
@@ -825,7 +825,7 @@ pub mod study_service_server {
                     let inner = self.inner.clone();
                     let fut = async move {
                         let method = SweepSvc(inner);
-                        let codec = crate::service::frame::FrameCodec::default();
+                        let codec = crate::frame::FrameCodec::default();
                         let mut grpc = tonic::server::Grpc::new(codec)
                             .apply_compression_config(
                                 accept_compression_encodings,
@@ -846,11 +846,11 @@ pub mod study_service_server {
                     impl<
                         T: StudyService,
                     > tonic::server::ServerStreamingService<
-                        crate::service::frame::Frame<
-                            crate::service::proto::EvaluateRequest,
+                        crate::frame::Frame<
+                            crate::proto::EvaluateRequest,
                         >,
                     > for EvaluateSvc<T> {
-                        type Response = crate::service::proto::EvaluateResponse;
+                        type Response = crate::proto::EvaluateResponse;
                         type ResponseStream = T::EvaluateStream;
                         type Future = BoxFuture<
                             tonic::Response<Self::ResponseStream>,
@@ -859,8 +859,8 @@ pub mod study_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::service::frame::Frame<
-                                    crate::service::proto::EvaluateRequest,
+                                crate::frame::Frame<
+                                    crate::proto::EvaluateRequest,
                                 >,
                             >,
                         ) -> Self::Future {
@@ -878,7 +878,7 @@ pub mod study_service_server {
                     let inner = self.inner.clone();
                     let fut = async move {
                         let method = EvaluateSvc(inner);
-                        let codec = crate::service::frame::FrameCodec::default();
+                        let codec = crate::frame::FrameCodec::default();
                         let mut grpc = tonic::server::Grpc::new(codec)
                             .apply_compression_config(
                                 accept_compression_encodings,
@@ -899,11 +899,11 @@ pub mod study_service_server {
                     impl<
                         T: StudyService,
                     > tonic::server::ServerStreamingService<
-                        crate::service::frame::Frame<
-                            crate::service::proto::DiagnoseRequest,
+                        crate::frame::Frame<
+                            crate::proto::DiagnoseRequest,
                         >,
                     > for DiagnoseSvc<T> {
-                        type Response = crate::service::proto::DiagnoseResponse;
+                        type Response = crate::proto::DiagnoseResponse;
                         type ResponseStream = T::DiagnoseStream;
                         type Future = BoxFuture<
                             tonic::Response<Self::ResponseStream>,
@@ -912,8 +912,8 @@ pub mod study_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::service::frame::Frame<
-                                    crate::service::proto::DiagnoseRequest,
+                                crate::frame::Frame<
+                                    crate::proto::DiagnoseRequest,
                                 >,
                             >,
                         ) -> Self::Future {
@@ -931,7 +931,7 @@ pub mod study_service_server {
                     let inner = self.inner.clone();
                     let fut = async move {
                         let method = DiagnoseSvc(inner);
-                        let codec = crate::service::frame::FrameCodec::default();
+                        let codec = crate::frame::FrameCodec::default();
                         let mut grpc = tonic::server::Grpc::new(codec)
                             .apply_compression_config(
                                 accept_compression_encodings,

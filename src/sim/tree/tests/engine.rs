@@ -1,12 +1,12 @@
 //! The engine: laws of free flight, precision, the same bits wherever a robot is computed, servos and stops.
 
 use super::*;
+use crate::engine::Command;
+use crate::model::Scene;
 use crate::number::{Isa, Vec3};
 use crate::sand::Medium;
 use crate::sand::intruder::{Body, BodyShape, Plate};
-use crate::sim::engine::Command;
-use crate::sim::model::Scene;
-use crate::sim::{Model, State};
+use crate::{Model, State};
 
 fn scene(dt: f64) -> Scene {
     Scene { dt, ..Scene::flat(Medium::named("poppy-loose").unwrap()) }

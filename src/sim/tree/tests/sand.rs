@@ -4,10 +4,10 @@ use super::*;
 use crate::number::{Portable, Real, Vec3};
 use crate::sand::intruder::{Body, BodyShape, Given, Plate, Trial, compute};
 use crate::sand::{Ground, Law, Mechanisms, Medium, SandDescription, Surface};
-use crate::sim::spatial::Twist;
-use crate::sim::tree::dynamics::{Frame, Load};
-use crate::sim::tree::sand::{BodyPlates, press};
-use crate::sim::tree::terrain::Flat;
+use crate::spatial::Twist;
+use crate::tree::dynamics::{Frame, Load};
+use crate::tree::sand::{BodyPlates, press};
+use crate::tree::terrain::Flat;
 use std::io::Write;
 
 fn vec3(v: V) -> Vec3<f64> {
