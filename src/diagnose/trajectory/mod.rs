@@ -11,6 +11,7 @@ pub mod read;
 pub mod replay;
 pub mod sensors;
 pub mod servo;
+pub mod slips;
 pub mod windows;
 
 pub use model::TrajectoryModel;
@@ -31,6 +32,7 @@ pub fn measured<'a>(
     let log = read(data, experiment)?;
     let sha256 = log.sha256.clone();
     let (model, observations) = TrajectoryModel::new(log, experiment, latch)?;
+    slips::against_replay(data, model.layout(), &observations.values, &model.plain())?;
     let notes = vec![format!(
         "joints are replayed as logged, in {} windows of {} strides; {}",
         model.windows().len(),

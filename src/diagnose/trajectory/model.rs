@@ -122,6 +122,11 @@ impl<'a> TrajectoryModel<'a> {
         &self.layout
     }
 
+    /// What the plain model predicts.
+    pub fn plain(&self) -> Vec<f64> {
+        self.predict(&Mechanisms::default(), &self.medium.coefficients)
+    }
+
     pub fn joint_names(&self) -> Vec<String> {
         self.bodies[0].joint_names()
     }

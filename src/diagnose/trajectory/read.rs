@@ -2,6 +2,7 @@
 
 use super::log::{Gather, Log, Names};
 use super::replay::Body;
+use super::slips;
 use crate::error::Result;
 use crate::experiment::Experiment;
 use crate::table::{self, Asked};
@@ -11,11 +12,14 @@ use std::path::Path;
 pub fn read(data: &Path, experiment: &Experiment) -> Result<Log> {
     let keys = &experiment.trajectory;
     let body = Body::load(experiment.robot.as_deref().unwrap_or("xplorer"), keys.touches.as_deref())?;
-    let names = Names::new(&body.joint_names(), keys)?;
+    let joints = body.joint_names();
+    let names = Names::new(&joints, keys)?;
     let columns = names.columns();
     let (renamed, units) = (experiment.columns.clone(), experiment.units.clone());
     let asked = Asked { columns: &columns, renamed, units, most_rows: None };
     let mut gather = Gather::new(&names, keys);
     let summary = table::read(data, &asked, |row| gather.take(row))?;
-    gather.finish(data, summary.sha256)
+    let log = gather.finish(data, summary.sha256)?;
+    slips::check(data, &log, &joints, keys.imu_quat)?;
+    Ok(log)
 }

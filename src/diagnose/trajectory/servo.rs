@@ -8,6 +8,7 @@ use super::replay::{Body, smoothed};
 use super::windows::{Integral, Window, bins};
 use crate::error::Result;
 use crate::sim::walk::hip_angle;
+use std::f64::consts::TAU;
 
 /// Time at the start of a run in which the hips hold [s]: within the protocol's 0.3 s.
 const HOLDING: f64 = 0.25;
@@ -16,6 +17,11 @@ const STILL: f64 = 0.05;
 /// Torques asked for beyond this share of the greatest logged one tell nothing more: our choice. A servo that has wound up asks for
 /// whatever.
 const MOST: f64 = 2.0;
+
+/// Latest command [s]: our choice, two steps of a controller of 1 kHz.
+const LATEST: f64 = 2e-3;
+/// Time from which the hips turn steadily [s]: after the protocol's ramp.
+const SETTLED: f64 = 0.6;
 
 /// Torques asked for: run by run, joint by joint, sample by sample [N·m].
 pub struct Asked {
@@ -46,11 +52,24 @@ fn of_run(run: &Run, body: &Body) -> Option<Vec<Vec<f64>>> {
         let torque = |i: usize| {
             let [told, rate] = hip_angle(frequency, run.t[i] - run.t[0]);
             let own = run.qd.get(j).map_or_else(|| slope(&run.t, &smooth, i), |qd| qd[i]);
-            (kp * (zero + told - smooth[i]) + kd * (rate - own)).clamp(-most, most)
+            kp * (zero + told - smooth[i]) + kd * (rate - own)
         };
         all.push((0..q.len()).map(torque).collect());
     }
+    let late = late(run, &all, TAU * frequency.abs() * gains[0][0]);
+    all.iter_mut().flatten().for_each(|torque: &mut f64| *torque = (*torque + late).clamp(-most, most));
     Some(all)
+}
+
+/// What the torques asked for are too small by because the command was later than its protocol says: the median over the samples, most
+/// of which no limit touches. `rate` is the torque that a second makes [N·m/s].
+fn late(run: &Run, asked: &[Vec<f64>], rate: f64) -> f64 {
+    let turning = run.t.partition_point(|t| *t < run.t[0] + SETTLED);
+    let pairs = asked.iter().zip(&run.tau);
+    let mut left: Vec<f64> =
+        pairs.flat_map(|(asked, tau)| asked.iter().zip(tau).skip(turning).map(|(a, t)| t - a)).collect();
+    left.sort_by(f64::total_cmp);
+    left.get(left.len() / 2).map_or(0.0, |median| median.clamp(-LATEST * rate, LATEST * rate))
 }
 
 fn slope(t: &[f64], q: &[f64], i: usize) -> f64 {
