@@ -4,6 +4,7 @@ use super::keys::Keys;
 use crate::error::{Error, Result};
 use crate::table::{Column, Quantity, Row};
 use std::collections::BTreeMap;
+use std::f64::consts::TAU;
 use std::path::Path;
 
 /// Numbers that are kept of a log: 160 MB, our choice.
@@ -228,14 +229,28 @@ impl<'a> Gather<'a> {
     }
 
     /// The log, checked run by run.
-    pub fn finish(self, path: &Path, sha256: String) -> Result<Log> {
+    pub fn finish(mut self, path: &Path, sha256: String) -> Result<Log> {
         let there = self.there.unwrap_or_default();
+        self.runs.iter_mut().flat_map(|r| &mut r.q).for_each(|q| unwrap(q));
         for run in &self.runs {
             run.validate().map_err(|reason| Error::file(path, format!("run {}: {reason}", run.name)))?;
         }
         let optional = [("qd:JOINT", there[0]), ("quat_w … quat_z", there[1]), ("x, y, z", there[2])];
         let missing = optional.iter().filter(|o| !o.1).map(|o| o.0).collect();
         Ok(Log { runs: self.runs, missing, sha256 })
+    }
+}
+
+/// Takes whole turns out of an angle that is logged between −π and π.
+fn unwrap(q: &mut [f64]) {
+    let mut turns = 0.0;
+    for i in 1..q.len() {
+        let change = q[i] + turns - q[i - 1];
+        // Only where a jump is nearly a turn: between samples no joint moves by 0.8 of one.
+        if (change.abs() / TAU - 1.0).abs() < 0.2 {
+            turns -= TAU.copysign(change);
+        }
+        q[i] += turns;
     }
 }
 

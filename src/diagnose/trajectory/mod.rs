@@ -4,6 +4,8 @@
 //! as any other. Strides are the repetitions of their run; what a run has of its own (bed, zeros of sensors) is an error that all of
 //! its strides share.
 
+#[cfg(test)]
+mod generate;
 pub mod keys;
 pub mod log;
 pub mod model;
@@ -12,6 +14,8 @@ pub mod replay;
 pub mod sensors;
 pub mod servo;
 pub mod slips;
+#[cfg(test)]
+mod tests;
 pub mod windows;
 
 pub use model::TrajectoryModel;

@@ -167,6 +167,12 @@ impl Drive {
         Self { tick, ticks, joints, angles }
     }
 
+    /// Of joints that stay at 0.
+    #[cfg(test)]
+    pub fn still(joints: usize, tick: f64) -> Self {
+        Self { tick, ticks: 0, joints, angles: vec![0.0; joints] }
+    }
+
     fn at(&self, tick: usize) -> &[f64] {
         let k = tick.min(self.ticks);
         &self.angles[k * self.joints..][..self.joints]
@@ -259,7 +265,7 @@ fn start(task: &Task) -> State {
 type V = nalgebra::Vector3<f64>;
 
 /// What sensors at the base read over the tick from `before` to `now`.
-fn sample(task: &Task, before: &State, now: &State, track: &mut Track) {
+pub fn sample(task: &Task, before: &State, now: &State, track: &mut Track) {
     let tick = task.drive.tick;
     let rows = now.rotation();
     let turn = nalgebra::Matrix3::from_fn(|i, j| rows[i][j]);
