@@ -74,7 +74,6 @@ struct File {
     leg: Option<String>,
     touches: Option<Vec<String>>,
     window: Option<f64>,
-    topics: Option<BTreeMap<String, String>>,
 }
 
 /// EXPERIMENT.toml, checked.
@@ -129,7 +128,6 @@ impl Experiment {
             leg: file.leg,
             touches: file.touches,
             window: file.window,
-            topics: file.topics,
         };
         if let Some(key) = given.first().filter(|_| file.kind != Kind::Trajectory) {
             return Err(Error::invalid(key, "only kind = \"trajectory\" takes it"));

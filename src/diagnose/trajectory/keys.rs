@@ -2,7 +2,6 @@
 
 use crate::error::{Error, Result, check_range};
 use serde::Deserialize;
-use std::collections::BTreeMap;
 
 /// The table `[imu]`.
 #[derive(Clone, Debug, Default, Deserialize)]
@@ -29,7 +28,6 @@ pub struct Given {
     pub leg: Option<String>,
     pub touches: Option<Vec<String>>,
     pub window: Option<f64>,
-    pub topics: Option<BTreeMap<String, String>>,
 }
 
 /// Checked.
@@ -49,8 +47,6 @@ pub struct Keys {
     pub touches: Option<Vec<String>>,
     /// Length of the windows that a gait without strides is cut into [s].
     pub window: f64,
-    /// Of an MCAP file: `joint_states` and `imu`, or one of our columns → topic and field.
-    pub topics: BTreeMap<String, String>,
 }
 
 impl Default for Keys {
@@ -65,7 +61,6 @@ impl Default for Keys {
             touches: None,
             // Our choice: about a stride.
             window: 0.5,
-            topics: BTreeMap::new(),
         }
     }
 }
@@ -81,7 +76,6 @@ impl Given {
             ("leg", self.leg.is_some()),
             ("touches", self.touches.is_some()),
             ("window", self.window.is_some()),
-            ("topics", self.topics.is_some()),
         ];
         all.iter().find(|k| k.1).map(|k| k.0)
     }
@@ -110,7 +104,6 @@ impl Given {
             leg: self.leg,
             touches: self.touches,
             window: check_range("window", self.window.unwrap_or(own.window), 0.05..=60.0)?,
-            topics: self.topics.unwrap_or_default(),
         })
     }
 }

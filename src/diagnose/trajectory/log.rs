@@ -231,6 +231,9 @@ impl<'a> Gather<'a> {
     /// The log, checked run by run.
     pub fn finish(mut self, path: &Path, sha256: String) -> Result<Log> {
         let there = self.there.unwrap_or_default();
+        if !there[0] {
+            self.runs.iter_mut().for_each(|r| r.qd.clear());
+        }
         self.runs.iter_mut().flat_map(|r| &mut r.q).for_each(|q| unwrap(q));
         for run in &self.runs {
             run.validate().map_err(|reason| Error::file(path, format!("run {}: {reason}", run.name)))?;
@@ -243,6 +246,10 @@ impl<'a> Gather<'a> {
 
 /// Takes whole turns out of an angle that is logged between −π and π.
 fn unwrap(q: &mut [f64]) {
+    let [low, high] = q.iter().fold([f64::MAX, f64::MIN], |[a, b], v| [a.min(*v), b.max(*v)]);
+    if high - low > 1.05 * TAU {
+        return; // it turns on already
+    }
     let mut turns = 0.0;
     for i in 1..q.len() {
         let change = q[i] + turns - q[i - 1];

@@ -8,20 +8,16 @@ use super::replay::{Body, smoothed};
 use super::windows::{Integral, Window, bins};
 use crate::error::Result;
 use crate::sim::walk::hip_angle;
-use std::f64::consts::TAU;
 
-/// Time at the start of a run in which the hips hold [s]: within the protocol's 0.3 s.
-const HOLDING: f64 = 0.25;
-/// The hips hold if they move by less [rad]: our choice.
-const STILL: f64 = 0.05;
 /// Torques asked for beyond this share of the greatest logged one tell nothing more: our choice. A servo that has wound up asks for
 /// whatever.
 const MOST: f64 = 2.0;
 
-/// Latest command [s]: our choice, two steps of a controller of 1 kHz.
-const LATEST: f64 = 2e-3;
 /// Time from which the hips turn steadily [s]: after the protocol's ramp.
 const SETTLED: f64 = 0.6;
+
+/// Fewest samples after that: our choice.
+const FEWEST: usize = 30;
 
 /// Torques asked for: run by run, joint by joint, sample by sample [N·m].
 pub struct Asked {
@@ -36,40 +32,37 @@ pub fn asked(log: &Log, bodies: &[Body]) -> Result<Option<Asked>> {
 
 fn of_run(run: &Run, body: &Body) -> Option<Vec<Vec<f64>>> {
     let frequency = run.frequency?;
-    let held = run.t.partition_point(|t| *t <= run.t[0] + HOLDING);
     let gains = body.gains();
     let most = MOST * run.tau.iter().flatten().fold(0.0, |m: f64, t| m.max(t.abs()));
+    let turning = run.t.partition_point(|t| *t < run.t[0] + SETTLED);
     let mut all = Vec::with_capacity(run.q.len());
     for (j, q) in run.q.iter().enumerate() {
         let [kp, kd] = gains[j];
-        let rests = q[..held].iter().all(|a| (a - q[0]).abs() < STILL);
-        if kp <= 0.0 || !rests {
+        if kp <= 0.0 || q.len() < turning + FEWEST {
             return None;
         }
-        // At rest the servo gives what the motor gave: that tells where it was told to be.
-        let zero = (0..held).map(|i| q[i] + run.tau[j][i] / kp).sum::<f64>() / held as f64;
         let smooth = smoothed(q);
         let torque = |i: usize| {
             let [told, rate] = hip_angle(frequency, run.t[i] - run.t[0]);
             let own = run.qd.get(j).map_or_else(|| slope(&run.t, &smooth, i), |qd| qd[i]);
-            kp * (zero + told - smooth[i]) + kd * (rate - own)
+            kp * (told - smooth[i]) + kd * (rate - own)
         };
-        all.push((0..q.len()).map(torque).collect());
+        let mut asked: Vec<f64> = (0..q.len()).map(torque).collect();
+        let zero = densest(asked.iter().zip(&run.tau[j]).skip(turning).map(|(a, t)| t - a).collect());
+        asked.iter_mut().for_each(|torque| *torque = (*torque + zero).clamp(-most, most));
+        all.push(asked);
     }
-    let late = late(run, &all, TAU * frequency.abs() * gains[0][0]);
-    all.iter_mut().flatten().for_each(|torque: &mut f64| *torque = (*torque + late).clamp(-most, most));
     Some(all)
 }
 
-/// What the torques asked for are too small by because the command was later than its protocol says: the median over the samples, most
-/// of which no limit touches. `rate` is the torque that a second makes [N·m/s].
-fn late(run: &Run, asked: &[Vec<f64>], rate: f64) -> f64 {
-    let turning = run.t.partition_point(|t| *t < run.t[0] + SETTLED);
-    let pairs = asked.iter().zip(&run.tau);
-    let mut left: Vec<f64> =
-        pairs.flat_map(|(asked, tau)| asked.iter().zip(tau).skip(turning).map(|(a, t)| t - a)).collect();
-    left.sort_by(f64::total_cmp);
-    left.get(left.len() / 2).map_or(0.0, |median| median.clamp(-LATEST * rate, LATEST * rate))
+/// Mean of the third of the values that lie closest together. Where a joint was when it was told to start, and when exactly, is known
+/// from the samples that no limit touches: for them the torque given is the one asked for.
+fn densest(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let third = (values.len() / 3).max(1);
+    let width = |k: &usize| values[k + third - 1] - values[*k];
+    let start = (0..=values.len() - third).min_by(|a, b| width(a).total_cmp(&width(b))).unwrap_or(0);
+    values[start..start + third].iter().sum::<f64>() / third as f64
 }
 
 fn slope(t: &[f64], q: &[f64], i: usize) -> f64 {

@@ -155,14 +155,16 @@ fn attitude(run: &Run) -> Option<String> {
     if w.is_empty() {
         return None;
     }
-    if upward(&as_is) < 0.7 {
-        return Some(match upward(&shifted) > 0.7 {
-            true => "quat has another order than w, x, y, z: it stands as x, y, z, w".into(),
-            false => "quat does not turn the specific force upward: it belongs to another frame".into(),
-        });
+    if upward(&as_is) > 0.7 && tilt(&as_is) > -0.5 {
+        return None;
     }
-    (tilt(&as_is) < -0.5 && tilt(&inverse) > 0.5)
-        .then(|| "quat tilts against acc: it is the inverse, from the level frame to the IMU's".to_string())
+    Some(if upward(&shifted) > 0.7 && tilt(&shifted) > 0.5 {
+        "quat has another order than w, x, y, z: it stands as x, y, z, w".into()
+    } else if upward(&inverse) > 0.7 && tilt(&inverse) > 0.5 {
+        "quat tilts against acc: it is the inverse, from the level frame to the IMU's".into()
+    } else {
+        "quat does not turn the specific force upward: it belongs to another frame".into()
+    })
 }
 
 /// Refuses a log whose torques, gyro or speed are not those of the replay by a factor that a unit or sign makes.
