@@ -93,7 +93,7 @@ impl Study<'_> {
             promising.push(own.len());
             begun.extend(own); // behind those still to be sorted out
         }
-        let mut fitted = self.refine(begun, ROUNDS, self.model.coefficients_bend()).into_iter();
+        let mut fitted = self.refine(begun, ROUNDS, false).into_iter();
         let best = |count: usize| {
             let own: Vec<Fit> = fitted.by_ref().take(count).collect();
             own.into_iter().min_by(|a, b| a.objective.total_cmp(&b.objective))

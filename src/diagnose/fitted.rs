@@ -11,7 +11,7 @@ use super::nuisance::Nuisance;
 use super::study::Study;
 use super::whiten::Whitener;
 use crate::parallel;
-use crate::sand::mechanism::CATALOG;
+use crate::sand::mechanism::{CATALOG, Mechanisms};
 
 /// A second term must earn this share of the deviance that the pair explains on held-out conditions (contract, 4).
 const SECOND_TERM_SHARE: f64 = 0.01;
@@ -305,6 +305,16 @@ fn refitted(study: &Study, fitted: Fitted) -> Fitted {
     Fitted { plain, plain_held_out, base, candidates: front, finalists, second_gate }
 }
 
+/// A rough model's single may have ended in a minimum beside the lowest, and a pair then gains by leading past it: the single
+/// fitted again from where the pair ended, if that is lower.
+fn beyond(study: &Study, single: &Candidate, pair: &Fit) -> Option<Fit> {
+    let id = *single.fit.ids.first().filter(|id| study.model.roughness().is_some() && pair.ids.contains(id))?;
+    let mechanisms = Mechanisms::default().with(id, pair.mechanisms.get(id));
+    let from = Fit { ids: vec![id], mechanisms, slopes: Vec::new(), white_slopes: Vec::new(), ..pair.clone() };
+    let again = study.fit_from(&[&from]).swap_remove(0);
+    (again.objective < single.fit.objective).then_some(again)
+}
+
 /// Second causes tried beside the best; pairs go to the front where the best of them earns its place. Does it?
 pub fn with_pairs(study: &Study, first: &Screened, fitted: Fitted) -> (Fitted, bool) {
     let Screened { screen, gates, .. } = first;
@@ -341,8 +351,14 @@ pub fn with_pairs(study: &Study, first: &Screened, fitted: Fitted) -> (Fitted, b
         further_starts(study, &ids, &values)
     };
     let fits = study.fit_all(&tried.iter().map(starts).collect::<Vec<_>>());
-    let base = &fitted.base.fit;
-    let mut pairs = ranked(study, base, &fits, 2);
+    let base = fitted.base.fit.clone();
+    let mut pairs = ranked(study, &base, &fits, 2);
+    let lower = pairs.first().and_then(|pair| beyond(study, &fitted.candidates[0], &pair.fit));
+    let mut fitted = fitted;
+    if let Some(lower) = lower {
+        fitted.candidates[0] = candidate(study, &base, lower);
+    }
+    let (best, base) = (&fitted.candidates[0], &base);
     let earns = pairs.first().is_some_and(|pair| {
         // What coefficients far from their prior explain is not explained: their deviations are charged as in a fit.
         let charged = |fit: &Fit, held_out: &HeldOut| held_out.deviance + dot(&fit.deviations, &fit.deviations);

@@ -57,10 +57,6 @@ pub trait ForwardModel: Sync {
     fn coefficient_step(&self) -> f64 {
         0.1
     }
-    /// Do the slopes by the coefficients change so much with the mechanisms that fits of a rough model need them anew on their way?
-    fn coefficients_bend(&self) -> bool {
-        false
-    }
     /// What a repetition may have in common over all its numbers, where `mechanisms` and `coefficients` predict
     /// `prediction`.
     fn shared(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Shared>;

@@ -403,11 +403,6 @@ impl ForwardModel for TrajectoryModel<'_> {
         1.0
     }
 
-    /// Inertia at speed is a third of the torque, and then a coefficient's share is another.
-    fn coefficients_bend(&self) -> bool {
-        true
-    }
-
     /// Strides of one run have nothing in common that the repetitions could tell: see [`Self::model_error`].
     fn shared(&self, _: &Mechanisms, _: &Coefficients, _prediction: &[f64]) -> Vec<Shared> {
         Vec::new()
