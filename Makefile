@@ -8,12 +8,12 @@ ARGS ?=
 TASK ?= HexapodGait
 
 # What the wheel is made from.
-SOURCES := $(shell find src robots python_client Cargo.toml Cargo.lock pyproject.toml README.md \
+SOURCES := $(shell find src tests/data/real_wheel python_client Cargo.toml Cargo.lock pyproject.toml README.md \
 	-type f -not -path '*/__pycache__/*' -not -name '_native*.so')
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help train policies test test-rust test-python test-browser page-three native bench bench-peers bench-network study \
+.PHONY: help train policies test test-rust test-python test-browser page-three native film bench bench-peers bench-network study \
 	study-convergence study-rocks study-load proto task-pages docs
 
 help:
@@ -22,6 +22,7 @@ help:
 	@echo "make test    formatting, lints and all tests, Rust and Python"
 	@echo "make test-browser   the live page and replays in headless Chromium, which apt installs if it is missing"
 	@echo "make docs    the documentation as a site in site/; every command in it is run by make test"
+	@echo "make film    the moving picture of README anew"
 	@echo "make native   the native module beside the Python sources, for those who change them"
 	@echo "make bench   speed of the Python environments beside the engine's"
 	@echo "make bench-peers   sandgait beside EnvPool, MuJoCo and gymnasium's Ant, in one run"
@@ -76,6 +77,10 @@ page-three:
 
 docs: $(VENV)/docs
 	$(BIN)/mkdocs build --strict
+
+# The moving picture of README and the site.
+film: $(VENV)/plot
+	$(BIN)/python docs/assets/film.py
 
 # The native module beside the Python sources, for PYTHONPATH=python_client; Cargo decides what is to be done.
 native:

@@ -24,11 +24,12 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
+XPLORER = ROOT / "src/sim/robots/xplorer.toml"
 SUBSTEPS = 40  # 0.5 ms steps in a 50 Hz control step
 
 
 def hexapod_mjcf(robot: dict) -> str:
-    """The robot of robots/xplorer.toml for MuJoCo: same masses, hinges, armature and servos; nothing to touch."""
+    """The robot `xplorer` for MuJoCo: same masses, hinges, armature and servos; nothing to touch."""
     base, link = robot["base"], robot["leg"]["link"][0]
     size = " ".join(str(s / 2) for s in base["size"])
     reach = " ".join(map(str, link["reach"]))
@@ -64,7 +65,7 @@ def mujoco_step(seconds: float, _cores: int) -> float:
 
     import mujoco
 
-    model = mujoco.MjModel.from_xml_string(hexapod_mjcf(tomllib.loads((ROOT / "robots/xplorer.toml").read_text())))
+    model = mujoco.MjModel.from_xml_string(hexapod_mjcf(tomllib.loads(XPLORER.read_text())))
     data = mujoco.MjData(model)
 
     def step() -> int:

@@ -1,6 +1,9 @@
-"""A step of `gymnasium.make`, as every tutorial writes it, beside gymnasium's own Ant-v5: median [µs].
+"""What everybody meets first, beside the peers, in turns, each in a process of its own:
 
-Both take turns, each in a process of its own. Needs sandgait and gymnasium[mujoco] in one environment.
+a step of `gymnasium.make`, as every tutorial writes it, and of gymnasium's own Ant-v5: median [µs];
+a vector of 8 environments here and EnvPool's Ant-v5 with 8: environment steps a second.
+
+Needs sandgait, gymnasium[mujoco] and envpool in one environment.
 
 usage: python benches/single.py [--seconds 1] [--rounds 5]
 """
@@ -12,16 +15,18 @@ import statistics
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from typing import Any
 
 import gymnasium
+import numpy as np
 
-IDS = ("sandgait/HexapodGait-v1", "Ant-v5")
+#: Environments of a small vector.
+SMALL = 8
 
 
-def measure(id: str, seconds: float) -> float:
-    """Median of a step with random actions; episodes end and begin."""
-    if id.startswith("sandgait"):
-        import sandgait  # noqa: F401 - registers the ids
+def single(id: str, seconds: float) -> float:
+    """Median of a step with random actions [µs]; episodes end and begin."""
     env = gymnasium.make(id)
     env.reset(seed=0)
     env.action_space.seed(0)
@@ -36,25 +41,59 @@ def measure(id: str, seconds: float) -> float:
     return 1e6 * statistics.median(times)
 
 
+def vector(env: Any, seconds: float) -> float:
+    """Environment steps a second with random actions."""
+    space = env.action_space
+    random = np.random.default_rng(0)
+    low, high = np.ravel(space.low)[: space.shape[-1]], np.ravel(space.high)[: space.shape[-1]]
+    actions = random.uniform(low, high, (64, SMALL, space.shape[-1])).astype(space.dtype)
+    env.reset()
+    steps, start = 0, time.perf_counter()
+    while (now := time.perf_counter()) < start + seconds:
+        env.step(actions[steps % 64])
+        steps += 1
+    return SMALL * steps / (now - start)
+
+
+def ours(seconds: float) -> float:
+    return vector(gymnasium.make_vec("sandgait/HexapodGait-v1", num_envs=SMALL), seconds)
+
+
+def envpool(seconds: float) -> float:
+    import envpool
+
+    return vector(envpool.make("Ant-v5", env_type="gymnasium", num_envs=SMALL), seconds)
+
+
+MEASURES: dict[str, tuple[Callable[[float], float], str]] = {
+    "gymnasium.make sandgait/HexapodGait-v1": (lambda s: single("sandgait/HexapodGait-v1", s), "µs a step"),
+    "gymnasium.make Ant-v5": (lambda s: single("Ant-v5", s), "µs a step"),
+    f"{SMALL} sandgait/HexapodGait-v1": (ours, "env-steps/s"),
+    f"{SMALL} EnvPool Ant-v5": (envpool, "env-steps/s"),
+}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n\n", maxsplit=1)[0])
     parser.add_argument("--seconds", type=float, default=1.0)
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--only", choices=IDS, help=argparse.SUPPRESS)
+    parser.add_argument("--only", choices=MEASURES, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.only:
-        print(measure(arguments.only, arguments.seconds))
+        import sandgait  # noqa: F401 - registers the ids
+
+        print(MEASURES[arguments.only][0](arguments.seconds))
         return
-    found: dict[str, list[float]] = {id: [] for id in IDS}
+    found: dict[str, list[float]] = {name: [] for name in MEASURES}
     for _ in range(arguments.rounds):
-        for id, times in found.items():
-            command = [sys.executable, __file__, "--only", id, "--seconds", str(arguments.seconds)]
+        for name, values in found.items():
+            command = [sys.executable, __file__, "--only", name, "--seconds", str(arguments.seconds)]
             run = subprocess.run(command, check=True, capture_output=True, text=True)
-            times.append(float(run.stdout.splitlines()[-1]))
-    ours, theirs = (statistics.median(times) for times in found.values())
-    for id, times in found.items():
-        print(f"{id}: {statistics.median(times):.0f} µs ({min(times):.0f} to {max(times):.0f})")
-    print(f"ratio {ours / theirs:.2f}")
+            values.append(float(run.stdout.splitlines()[-1]))
+    for (name, values), (_, unit) in zip(found.items(), MEASURES.values(), strict=True):
+        print(f"{name}: {statistics.median(values):,.0f} {unit} ({min(values):,.0f} to {max(values):,.0f})")
+    step, ant, eight, pool = (statistics.median(values) for values in found.values())
+    print(f"a step: {step / ant:.2f} of Ant-v5's; {SMALL} environments: {eight / pool:.1f} times EnvPool's")
 
 
 if __name__ == "__main__":

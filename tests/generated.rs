@@ -19,22 +19,22 @@ fn make(out: &Path) {
 
 /// The servers' traits. A request reaches them as a `Frame`: its bytes, which are sized before they are unpacked.
 fn server(files: prost_types::FileDescriptorSet, out: &Path) {
-    let packages = [("sandgait.v1", "crate::service::proto"), ("dm_env_rpc.v1", "crate::service::dm_env_rpc::proto")];
+    let packages = [("sandgait.v1", "crate::proto"), ("dm_env_rpc.v1", "crate::dm_env_rpc::proto")];
     let messages = packages.iter().map(|(package, module)| (format!(".{package}"), (*module).to_owned()));
     let requests = files.file.iter().filter_map(|file| {
         let (_, module) = packages.iter().find(|(package, _)| file.package() == *package)?;
         let inputs = file.service.iter().flat_map(|s| &s.method).map(|m| m.input_type().to_owned());
         let frame = |input: String| {
             let name = input.rsplit('.').next().unwrap_or_default();
-            let frame = format!("crate::service::frame::Frame<{module}::{name}>");
+            let frame = format!("crate::frame::Frame<{module}::{name}>");
             (input, frame)
         };
         Some(inputs.map(frame).collect::<Vec<_>>())
     });
     let mut paths: Vec<(String, String)> = messages.chain(requests.flatten()).collect();
-    paths.push((".google.rpc".into(), "crate::service::dm_env_rpc::proto::google::rpc".into()));
+    paths.push((".google.rpc".into(), "crate::dm_env_rpc::proto::google::rpc".into()));
     std::fs::create_dir_all(out).unwrap();
-    let builder = tonic_prost_build::configure().build_client(false).codec_path("crate::service::frame::FrameCodec");
+    let builder = tonic_prost_build::configure().build_client(false).codec_path("crate::frame::FrameCodec");
     let builder = paths.into_iter().fold(builder, |b, (proto, rust)| b.extern_path(proto, rust));
     builder.out_dir(out).compile_fds(files).unwrap();
 }

@@ -37,10 +37,10 @@ fn sandcat(file: &str) -> String {
     packed::pack(&import.tree, &plates).unwrap()
 }
 
-/// `robots/sandcat.json` is what `sandgait robot robots/sandcat.urdf --pack --json --plate-size 0.02` prints.
+/// `src/env/options/sandcat.json` is what `sandgait robot robots/sandcat.urdf --pack --json --plate-size 0.02` prints.
 #[test]
 fn the_built_in_robot_is_its_file() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/sandcat.json");
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/env/options/sandcat.json");
     assert_eq!(std::fs::read_to_string(path).unwrap().trim(), sandcat("sandcat.urdf"));
 }
 

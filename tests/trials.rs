@@ -91,11 +91,72 @@ fn the_scoreboard_is_written_and_names_its_worst() {
     let said = String::from_utf8(done.stdout).unwrap();
     assert!(said.starts_with("Worst regime where nothing was fitted on the wheels: locked, slip −1"), "{said}");
     let rows = std::fs::read_to_string(out.join("validation_rows.csv")).unwrap();
-    // 126 rows at slip angles up to 60°, in each of three comparisons.
-    assert_eq!(rows.lines().count(), 1 + 3 * 126);
-    for name in ["validation.md", "validation_0.svg", "validation_2.png"] {
+    // 126 rows at slip angles up to 60°, in each of three comparisons, and 36 of the smooth wheel at positive slip.
+    assert_eq!(rows.lines().count(), 1 + 3 * 126 + 36);
+    // Nothing but rounding lies between free flight here and in pinocchio and MuJoCo.
+    let flights = said.lines().filter(|l| l.contains("| pinocchio ") || l.contains("| MuJoCo "));
+    let off: Vec<f64> = flights.map(|l| l.split('|').nth(4).unwrap().trim().parse().unwrap()).collect();
+    assert!(off.len() == 5 && off.iter().all(|percent| *percent < 1e-7), "{off:?}");
+    for name in ["validation.md", "validation_0.svg", "validation_3.png"] {
         assert!(out.join(name).metadata().unwrap().len() > 1000, "{name}");
     }
     let missing = sandgait(&["validate", "--data", directory.path().to_str().unwrap()]);
     assert_eq!(missing.status.code(), Some(2));
+}
+
+/// A folder of one's own: what its description says is what the page shows.
+#[test]
+fn a_folder_of_ones_own_is_scored() {
+    let directory = tempfile::tempdir().unwrap();
+    let folder = directory.path().join("mine");
+    std::fs::create_dir(&folder).unwrap();
+    let write = |name: &str, text: &str| std::fs::write(folder.join(name), text).unwrap();
+    let description = r#"title = "A box in our sand"
+source = "our own laboratory"
+licence = "CC0"
+most_slip_angle_deg = 45.0
+
+[[intruder]]
+name = "box"
+body = "box:length=0.1,width=0.06,height=0.04"
+rows = "box.csv"
+sand = "sand.toml"
+"#;
+    write("validation.toml", description);
+    std::fs::copy(SAND, folder.join("sand.toml")).unwrap();
+    // What is measured is what the program itself says, Fz a tenth more.
+    write("trials.csv", "vx,vy,wy,depth\n0.01,0,0,0.01\n0.01,-0.002,0,0.015\n0.01,-0.02,0,0.015\n");
+    let [trials, forces, sand] = ["trials.csv", "forces.csv", "sand.toml"].map(|n| folder.join(n));
+    let body = ["intrude", "--body", "box:length=0.1,width=0.06,height=0.04", "--trials", trials.to_str().unwrap()];
+    let done = sandgait(&[&body[..], &["--sand", sand.to_str().unwrap(), "--csv", forces.to_str().unwrap()]].concat());
+    assert!(done.status.success());
+    let mut rows = String::from("vx,vy,wy,depth,Fx,Fy,Fz,slip_angle_deg,slip\n");
+    let angles = ["0", "11", "63"];
+    for (line, angle) in std::fs::read_to_string(&forces).unwrap().lines().skip(1).zip(angles) {
+        let cells: Vec<&str> = line.split(',').collect();
+        let [x, y, z] = [3, 4, 5].map(|k| cells[k].parse::<f64>().unwrap());
+        rows += &format!("{},{},{},{},{x},{y},{},{angle},-1\n", cells[0], cells[1], cells[2], cells[9], 1.1 * z);
+    }
+    write("box.csv", &rows);
+    let out = directory.path().join("board");
+    let done = sandgait(&["validate", "--data", folder.to_str().unwrap(), "--out", out.to_str().unwrap()]);
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    let page = std::fs::read_to_string(out.join("validation.md")).unwrap();
+    assert!(page.contains("## A box in our sand") && page.contains("our own laboratory") && page.contains("CC0"));
+    // Two rows: the third is beyond 45°. Fx and Fy are right, Fz is 1/11 of the measured one too small.
+    let all = page.lines().find(|l| l.starts_with("| all ")).unwrap();
+    let cells: Vec<&str> = all.split('|').map(str::trim).collect();
+    assert_eq!(cells[2], "2");
+    let value = |k: usize| cells[k].split(' ').next().unwrap().parse::<f64>().unwrap();
+    assert!(value(3) == 0.0 && value(4) == 0.0 && (9.0..9.4).contains(&value(5)), "{all}");
+    for (text, says) in [
+        (description.replace("box.csv", "none.csv"), "none.csv"),
+        (description.replace("source", "origin"), "validation.toml"),
+        (description.replace("length=0.1", "length=-1"), "length"),
+    ] {
+        write("validation.toml", &text);
+        let done = sandgait(&["validate", "--data", folder.to_str().unwrap()]);
+        let said = String::from_utf8_lossy(&done.stderr).into_owned();
+        assert!(done.status.code() == Some(2) && said.lines().count() == 1 && said.contains(says), "{said}");
+    }
 }

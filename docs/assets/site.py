@@ -1,4 +1,4 @@
-"""What mkdocs does not do by itself: formulas, and pages that are files of the repository's root."""
+"""What mkdocs does not do by itself: formulas, pages that are files of the root, the protocol's page, llms.txt."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 
 from latex2mathml.converter import convert
 from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).parents[2]
 
@@ -19,6 +20,9 @@ ELSEWHERE = {
     "benches/RESULTS.md": "results.md",
 }
 
+#: The pages' texts, for llms.txt.
+TEXTS: dict[str, str] = {}
+
 
 def on_files(files: Files, config: Any, **_: Any) -> Files:
     """Adds the pages of `ELSEWHERE`."""
@@ -27,12 +31,64 @@ def on_files(files: Files, config: Any, **_: Any) -> Files:
     return files
 
 
-def on_page_markdown(markdown: str, **_: Any) -> str:
+def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
     """Formulas (```math, which GitHub draws too) become MathML, which browsers draw; links to `ELSEWHERE` stay here."""
-    for source, page in ELSEWHERE.items():
-        markdown = markdown.replace(f"](../{source}", f"]({page}")
+    for source, target in ELSEWHERE.items():
+        markdown = markdown.replace(f"](../{source}", f"]({target}")
+    markdown = markdown.replace("<!-- proto/sandgait/v1 -->", protocol())
+    TEXTS[page.file.dest_uri] = markdown
     return re.sub(r"^```math\n(.*?)\n```$", _formula, markdown, flags=re.DOTALL | re.MULTILINE)
 
 
 def _formula(match: re.Match[str]) -> str:
     return f'<div class="formula">{convert(match[1], display="block")}</div>'
+
+
+def protocol() -> str:
+    """The files of proto/sandgait/v1 as Markdown: a section for each service and message, in the files' order."""
+    parts = []
+    for file in sorted((ROOT / "proto/sandgait/v1").glob("*.proto")):
+        comment: list[str] = []
+        body: list[str] = []
+        for line in file.read_text(encoding="utf-8").splitlines():
+            if body:
+                body.append(line)
+                if line == "}":
+                    parts.append("```proto\n" + "\n".join(body) + "\n```\n")
+                    body = []
+            elif line.startswith("//"):
+                comment.append(line.removeprefix("//").strip())
+            elif match := re.match(r"(service|message|enum) (\w+) \{(\})?", line):
+                parts.append(f"## {match[2]} ({match[1]})\n\n" + " ".join(comment) + "\n")
+                body = [] if match[3] else [line]
+                comment = []
+            elif line.startswith("syntax"):
+                parts.append(" ".join(comment) + "\n")
+                comment = []
+            elif not line.strip():
+                comment = []
+    return "\n".join(parts)
+
+
+def first_sentence(markdown: str) -> str:
+    """What a page begins with, its heading, pictures and code left out."""
+    prose = re.sub(r"^```.*?^```$|<!--.*?-->", "", markdown, flags=re.DOTALL | re.MULTILINE)
+    paragraphs = [part.strip() for part in prose.split("\n\n")]
+    first = next((part for part in paragraphs if part and part[0] not in "#!|<:"), "")
+    return re.split(r"(?<=[.:]) ", re.sub(r"\s+", " ", re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", first)))[0].rstrip(":")
+
+
+def on_post_build(config: Any, **_: Any) -> None:
+    """llms.txt, a list of pages for language models (https://llmstxt.org), and llms-full.txt with the texts."""
+    lines = [f"# {config.site_name}", "", f"> {config.site_description}", ""]
+    full = []
+    for title, pages in ((section, page) for entry in config.nav for section, page in entry.items()):
+        lines += [f"## {title}", ""]
+        for name, source in (item for page in pages for item in page.items()):
+            uri = source.removesuffix(".md") + ".html"
+            lines.append(f"- [{name}]({uri}): {first_sentence(TEXTS[uri])}")
+            full.append(TEXTS[uri])
+        lines.append("")
+    site = Path(config.site_dir)
+    (site / "llms.txt").write_text("\n".join(lines), encoding="utf-8")
+    (site / "llms-full.txt").write_text("\n\n".join(full), encoding="utf-8")

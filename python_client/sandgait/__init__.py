@@ -32,7 +32,7 @@ from .policies import Evaluation, evaluate
 from .recording import Recording, Section, read_recording
 from .remote import Remote
 from .spaces import Column, Option, Task
-from .studies import Intrusion, Sweep, Walks, intrude, sweep, walk
+from .studies import Intrusion, Sweep, Trials, Walks, intrude, sweep, walk
 from .tables import Table
 from .vector_env import SandgaitVectorEnv
 
@@ -64,6 +64,7 @@ __all__ = [
     "Sweep",
     "Table",
     "Task",
+    "Trials",
     "UnknownAttribute",
     "Walks",
     "describe",

@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -59,6 +59,33 @@ class Intrusion(Table):
         axes.axhline(0.0, color="0.7", linewidth=0.8, zorder=0)
         axes.legend()
         return axes
+
+
+class Trials(Table):
+    """Steady motions of a body through sand; one row a motion. What finds no equilibrium is not a number.
+
+    Columns: Fx, Fy, Fz [N], Tx, Ty, Tz [N·m] about the body's origin, depth [m], status (ok or no_equilibrium).
+    """
+
+    @property
+    def force(self) -> Numbers:
+        """Fx, Fy, Fz on the body [N], an array of rows by 3."""
+        return np.stack([self[name] for name in ("Fx", "Fy", "Fz")], axis=1)
+
+    @property
+    def torque(self) -> Numbers:
+        """Tx, Ty, Tz about the body's origin [N·m], an array of rows by 3."""
+        return np.stack([self[name] for name in ("Tx", "Ty", "Tz")], axis=1)
+
+    @property
+    def depth(self) -> Numbers:
+        """Of the lowest point below the undisturbed surface [m]."""
+        return self["depth"]
+
+    @property
+    def status(self) -> npt.NDArray[np.str_]:
+        """ok, or no_equilibrium where no depth carries the load."""
+        return self["status"]
 
 
 class Walks(Table):
@@ -171,6 +198,7 @@ class Sweep(Table):
         return axes
 
 
+@overload
 def intrude(
     shape: str,
     chord: float = 0.076,
@@ -181,14 +209,71 @@ def intrude(
     law: str | None = None,
     sand: FilePath | None = None,
     address: str | None = None,
-) -> Intrusion:
+) -> Intrusion: ...
+
+
+@overload
+def intrude(
+    *,
+    body: FilePath,
+    rows: Mapping[str, npt.ArrayLike],
+    mu_s: float | None = None,
+    plate_size: float | None = None,
+    medium: str | None = None,
+    law: str | None = None,
+    sand: FilePath | None = None,
+    address: str | None = None,
+    progress: ProgressOption = False,
+) -> Trials: ...
+
+
+def intrude(
+    shape: str | None = None,
+    chord: float = 0.076,
+    width: float = 0.025,
+    hip_height: float = 0.02,
+    omega: float = 0.2,
+    medium: str | None = None,
+    law: str | None = None,
+    sand: FilePath | None = None,
+    address: str | None = None,
+    *,
+    body: FilePath | None = None,
+    rows: Mapping[str, npt.ArrayLike] | None = None,
+    mu_s: float | None = None,
+    plate_size: float | None = None,
+    progress: ProgressOption = False,
+) -> Intrusion | Trials:
     """Rotates a leg about a hip fixed above sand and gives force and torque over its angle, −1.75 to 1.75 rad.
+
+    Or, with `body` and `rows`, moves any body steadily and gives forces and torques, one row a motion. `body`:
+    cylinder:radius=M,width=M (axle along y), box:length=M,width=M,height=M, sphere:radius=M, or an STL or OBJ file [m].
+    `rows`: columns as a mapping or a frame, vx, vy, vz [m/s] and wx, wy, wz [rad/s] in the body's frame (x heading,
+    y axle, z up; absent: 0), and depth [m] of the lowest point or load [N] that is carried (one of them, or where both
+    are columns one of them not a number); numbers stand for all rows. `mu_s`: friction coefficient of the body's
+    surface, in place of the sand's. `plate_size` [m]: of the plates that the body is cut into (none: a fiftieth of
+    its longest side).
 
     `shape`: L, revL, C, revC, flat or xi=DEGREES. `chord`: distance from hip to tip [m]. `width` [m]. `hip_height`: hip
     above the surface [m]. `omega`: angular speed [rad/s]; negative turns the tip backward. `medium`: a name from
     `sandgait media`, zeta=VALUE or mu=VALUE,rho=VALUE (none: poppy-loose). `law`: li2013, penetration-drag-1d or
     agarwal2023 (none: li2013). `sand`: a sand.toml, as a diagnosis saves it, in place of both.
     """
+    if body is not None or rows is not None:
+        if shape is not None or body is None or rows is None:
+            raise InvalidRequest("intrude: give shape, or body with rows")
+        request = _motions(rows) | {"sand": _sand(medium, law, sand), "friction": mu_s, "plate_size": plate_size}
+        is_mesh = Path(body).suffix.lower() in (".stl", ".obj")
+        request["shape"] = None if is_mesh else str(body)
+        request["mesh"] = file(body, "body") if is_mesh else None
+        with Display(progress) as told:
+            reply = study(address, "Trials", request, told)
+        arrays, units = columns(reply)
+        lost = arrays.pop("no_equilibrium")
+        arrays["status"], units["status"] = np.where(lost > 0.0, "no_equilibrium", "ok"), ""
+        return Trials(arrays, {name: units[name] for name in arrays})
+    if shape is None:
+        raise InvalidRequest("intrude: give shape, or body with rows")
     request = {
         "shape": shape,
         "chord": chord,
@@ -284,6 +369,26 @@ def file(path: FilePath, what: str) -> tuple[str, bytes]:
         return str(path), Path(path).read_bytes()
     except (OSError, TypeError) as error:
         raise InvalidRequest(f"{what}: {path!r} cannot be read as a file: {error}") from error
+
+
+_MOTION = ("vx", "vy", "vz", "wx", "wy", "wz", "depth", "load")
+
+
+def _motions(rows: Mapping[str, npt.ArrayLike]) -> dict[str, Any]:
+    """Columns of motions as bytes."""
+    for name in rows:
+        if name not in _MOTION:
+            raise InvalidRequest(f"rows: column {name!r} is unknown; known: {', '.join(_MOTION)}")
+    absent = {"depth": np.nan, "load": np.nan}
+    try:
+        given = [np.asarray(rows.get(name, absent.get(name, 0.0)), dtype=np.float64) for name in _MOTION]
+        full = np.broadcast_arrays(*(np.atleast_1d(column) for column in given))
+    except (TypeError, ValueError) as error:
+        raise InvalidRequest(f"rows: {error}") from error
+    if full[0].ndim != 1:
+        raise InvalidRequest("rows: a column has one number a row")
+    groups = {"velocity": full[:3], "spin": full[3:6], "depth": full[6:7], "load": full[7:]}
+    return {name: np.stack(group, axis=1).astype("<f8").tobytes() for name, group in groups.items()}
 
 
 def _sand(medium: str | None, law: str | None, path: FilePath | None) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -74,8 +75,8 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._actions = Actions(self.action_space, "actions", clip_actions)
-        self._names = tuple(c.name for c in self.task.info)
-        self._mask_names = tuple(f"_{name}" for name in self._names)
+        names = [c.name for c in self.task.info]
+        self._info_names = (*names, *(f"_{name}" for name in names))
         self._seeded = np.zeros(num_envs, dtype=np.bool_)
         self._in_flight = False
         #: The answer of the step in flight, once it has come.
@@ -160,7 +161,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         if self._in_flight:
             raise OutOfOrder("send: a step is in flight already; call recv first")
         rows = self._actions.rows(actions)
-        held = self._ended if self._next_step and self._ended.any() else None
+        held = self._ended if self._next_step and np.count_nonzero(self._ended) else None
         if held is not None:
             rows = np.where(held[:, None], np.float32(0.0), rows)  # ignored, even if out of bounds
         session = self._session
@@ -197,7 +198,8 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         ended = self._ended
         if self._next_step:
             infos = self._masked(batch.infos, ~ended)  # of those that stepped
-            batch.observations[batch.final_indices] = batch.final_observations
+            if batch.final_indices.size:
+                batch.observations[batch.final_indices] = batch.final_observations
             ended = batch.terminated | batch.truncated
         else:
             infos = self._infos(batch)
@@ -224,9 +226,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
 
     def _masked(self, columns: npt.NDArray[np.float32], mask: Flags) -> dict[str, Any]:
         """`{name: column, _name: mask}` of every info column; `columns` is [info, num_envs]."""
-        infos: dict[str, Any] = dict(zip(self._names, columns, strict=True))
-        infos.update(dict.fromkeys(self._mask_names, mask))
-        return infos
+        return dict(zip(self._info_names, (*columns, *repeat(mask, len(columns))), strict=True))
 
     def save(self, path: FilePath | None = None) -> bytes:
         """All environments as they are, for `restore`; also written to the file `path`, whole or not at all.

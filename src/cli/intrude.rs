@@ -1,6 +1,6 @@
 //! `sandgait intrude`
 
-use sandgait::error::check_range;
+use sandgait::sand::intruder::with_friction;
 use sandgait::sand::intrusion::{CHORD, HIP_HEIGHT, Load, OMEGA, Rotation, WIDTH};
 use sandgait::sand::{Law, Medium, Shape};
 use sandgait::{Error, Result};
@@ -90,8 +90,7 @@ impl Intrude {
         };
         let mut sand = super::sand(&self.medium, &self.law, self.sand.as_deref())?;
         if let Some(mu) = self.mu_s {
-            // 10 is rougher than any surface; below 0.1 the catalogue's 1/μ ends.
-            sand.mechanisms.friction_clip = 1.0 / check_range("mu-s", mu, 0.1..=10.0)?;
+            sand = with_friction(&sand, mu)?;
         }
         super::trials::run(body, self.plate_size, &sand, trials, self.csv.as_deref())
     }

@@ -14,7 +14,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// Learn a gait: PPO beside the environments, without Python.
 ///
 /// Settings are those of stable-baselines3's PPO and of examples/hyperparameters/ppo.yml; without a file the program's own,
-/// examples/hyperparameters/ppo_fast.yml. The directory gets policy.onnx (for evaluate, rollout_policy and export),
+/// src/train/ppo_fast.yml. The directory gets policy.onnx (for evaluate, rollout_policy and export),
 /// policy.safetensors, settings.json, curve.csv, curve.png, evaluation.txt, walk.rec (for replay), walk.png, checkpoints/ and
 /// tensorboard/. docs/learning.md says more.
 #[derive(clap::Args)]

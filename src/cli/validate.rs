@@ -7,7 +7,7 @@ use std::path::PathBuf;
 /// Compare the model with measurements: what is predicted, how far off it is, and where it fails.
 ///
 /// Without --data: two wheels and three discs in dry sand, measured at Carnegie Mellon University; legs in grains simulated one by
-/// one; walks by independent codes.
+/// one; walks by independent codes, and robots by pinocchio and MuJoCo.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait validate

@@ -2,8 +2,8 @@
 
 use super::place::Place;
 use super::{lost, studies};
-use crate::service::proto::{self, DiagnoseResponse, EvaluateResponse, SweepResponse, WalkResponse};
-use crate::service::proto::{diagnose_response, evaluate_response, sweep_response, walk_response};
+use crate::service::proto::{self, DiagnoseResponse, EvaluateResponse, SweepResponse, TrialsResponse, WalkResponse};
+use crate::service::proto::{diagnose_response, evaluate_response, sweep_response, trials_response, walk_response};
 use crate::service::studies::compute::{Outcome, Study};
 use futures_util::stream::{self, BoxStream, StreamExt as _};
 use tonic::{Status, Streaming};
@@ -25,6 +25,13 @@ impl From<proto::Table> for Event {
     fn from(table: proto::Table) -> Self {
         Self::Done(Outcome::Table(table))
     }
+}
+
+fn tried(answer: TrialsResponse) -> Option<Event> {
+    Some(match answer.event? {
+        trials_response::Event::Progress(progress) => progress.into(),
+        trials_response::Event::Table(table) => table.into(),
+    })
 }
 
 fn walked(answer: WalkResponse) -> Option<Event> {
@@ -73,6 +80,7 @@ pub async fn study(place: &Place, study: Study) -> Result<Events, Status> {
             let table = client.intrude(request).await.map_err(lost)?.into_inner().table.unwrap_or_default();
             stream::iter([Ok(table.into())]).boxed()
         }
+        Study::Trials(request) => events(client.trials(request).await.map_err(lost)?.into_inner(), tried),
         Study::Walk(request) => events(client.walk(request).await.map_err(lost)?.into_inner(), walked),
         Study::Sweep(request) => events(client.sweep(request).await.map_err(lost)?.into_inner(), swept),
         Study::Evaluate(request) => events(client.evaluate(request).await.map_err(lost)?.into_inner(), evaluated),

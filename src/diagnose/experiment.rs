@@ -3,7 +3,8 @@
 use super::nuisance::{Entry, Priors};
 use super::trajectory::keys::{Given, ImuTable, Keys, MotorTable};
 use crate::error::{Error, Result, check_range};
-use crate::sand::{Coefficients, Medium};
+use crate::sand::intruder::BodyShape;
+use crate::sand::{Coefficients, Law, Medium};
 use crate::table::{self, Asked, Column, Row, Summary};
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -22,6 +23,8 @@ pub enum Kind {
     Walking,
     /// A robot's own log: joints and IMU.
     Trajectory,
+    /// Steady states of a body under its load.
+    Intruder,
 }
 
 /// An intruder as the experimenter describes it; lengths in m.
@@ -32,6 +35,28 @@ pub enum Intruder {
     Leg { chord: f64, width: f64, xi_deg: f64, thickness: Option<f64> },
     /// Flat plate: `length` in the plane of motion, `width` across.
     Plate { length: f64, width: f64, thickness: Option<f64> },
+}
+
+/// A table `[body.NAME]`: what moves steadily.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BodyDescription {
+    /// As `sandgait intrude --body` takes it.
+    pub body: String,
+    /// Friction coefficient μ_s of its surface.
+    #[serde(default = "usual_friction")]
+    pub friction: f64,
+}
+
+/// Between polished steel and rough plates in dry sand (Potyondy 1961: 0.54 to 0.76 of the sand's friction angle).
+fn usual_friction() -> f64 {
+    0.45
+}
+
+impl BodyDescription {
+    pub fn shape(&self) -> Result<BodyShape> {
+        BodyShape::named(&self.body)
+    }
 }
 
 #[derive(Deserialize)]
@@ -61,6 +86,9 @@ struct File {
     robot: Option<String>,
     #[serde(default)]
     shape: BTreeMap<String, Intruder>,
+    law: Option<String>,
+    #[serde(default)]
+    body: BTreeMap<String, BodyDescription>,
     #[serde(default)]
     nuisances: BTreeMap<String, Entry>,
     #[serde(default)]
@@ -88,6 +116,9 @@ pub struct Experiment {
     pub coefficient_sd: f64,
     pub robot: Option<String>,
     pub shapes: BTreeMap<String, Intruder>,
+    /// Of bodies in steady motion.
+    pub law: Law,
+    pub bodies: BTreeMap<String, BodyDescription>,
     pub nuisances: Priors,
     /// Column → unit, where not SI.
     pub units: BTreeMap<String, String>,
@@ -143,7 +174,14 @@ impl Experiment {
         for (name, shape) in &file.shape {
             check_shape(name, shape)?;
         }
+        for (name, body) in &file.body {
+            body.shape().map_err(|e| Error::invalid(format!("body.{name}"), e.to_string()))?;
+            // As --mu-s of `sandgait intrude`.
+            check_range(&format!("body.{name}.friction"), body.friction, 0.1..=10.0)?;
+        }
         Ok(Self {
+            law: file.law.as_deref().map_or(Ok(Law::Agarwal2023), Law::named)?,
+            bodies: file.body,
             kind: file.kind,
             medium,
             own_sand,

@@ -91,6 +91,8 @@ pub trait ForwardModel: Sync {
     fn reach(&self) -> [f64; 3] {
         [1.0; 3]
     }
+    /// Puts into a sand for the simulator what this kind of data is predicted with beside the medium.
+    fn finish(&self, _sand: &mut SandDescription) {}
     /// The medium of the plain model.
     fn medium(&self) -> &Medium;
     /// Which mechanisms this kind of data can be asked about: index in the catalogue, or why not.

@@ -32,6 +32,8 @@ pub mod force_log;
 pub mod form;
 pub mod forward;
 pub mod further;
+pub mod intruder_log;
+pub mod intruder_model;
 pub mod judged;
 pub mod lack_of_fit;
 pub mod minimise;
@@ -65,6 +67,7 @@ use crate::sand::SandDescription;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
 use experiment::{Experiment, Kind};
 use forward::{ForceLogModel, ForwardModel};
+use intruder_model::IntruderModel;
 use noise::{Source, scatters, sizes};
 use observations::Observations;
 use report::{Curves, Diagnosis, Untestable};
@@ -99,6 +102,12 @@ pub fn diagnose(data: &Path, experiment: &Experiment, progress: &dyn Progress) -
         Kind::Trajectory => {
             let (measured, model) = trajectory::measured(data, experiment, progress)?;
             diagnose_measured(measured, &model, progress)
+        }
+        Kind::Intruder => {
+            let log = intruder_log::read(data, experiment)?;
+            let model = IntruderModel::new(&log, experiment, progress)?;
+            let (observations, sha256, notes) = (log.observations, log.sha256, intruder_model::notes(experiment));
+            diagnose_measured(Measured { observations, coefficient_sd, interest, sha256, notes }, &model, progress)
         }
     }
 }
@@ -170,6 +179,7 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
         sand.coefficients = study.coefficients(&law.fit.deviations);
         sand.terms = vec![law.term.clone()];
     }
+    model.finish(&mut sand);
     let extended = extension.map(|c| &c.fit).or(law.map(|l| &l.fit)).map(|fit| model.as_simulated(&fit.prediction));
     let band = noise.standard_deviation(&source);
     let groups = (0..observations.units.len()).map(|u| model.group(u).to_string()).collect();

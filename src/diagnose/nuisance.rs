@@ -39,13 +39,14 @@ impl Nuisance {
 
 /// Kinds of nuisances with unit and default prior standard deviation. Our choices, as wide as in a laboratory that was set up
 /// with care: a load cell's zero within a tenth of what it reads, its gain within 2 %, mounted within 3°; the surface within
-/// 2 mm; clocks within 2 ms and 0.1 %; filters up to some 5 ms.
+/// 2 mm; clocks within 2 ms and 0.1 %; filters up to some 5 ms; half the length of a body within 1 mm, the friction of its surface
+/// within 0.15.
 ///
 /// Of a robot's log: an IMU mounted within 3° whose log is 10 ms late, its zeros within 0.05 rad/s and 0.1 m/s²; torques within 2 %, their
 /// zeros and the friction of the joints within 5 % of what they read; the mass within 2 %; beds that scatter by 5 %;
 /// and rigid bodies and sand that are, part of a stride by part, within 10 % of a channel's swing what they stand for: two simulators of the
 /// same robot on the same sand differ by half of that, but alike in neighbouring parts.
-const KINDS: [(&str, &str, f64); 17] = [
+const KINDS: [(&str, &str, f64); 19] = [
     ("offset", "1", 0.1),
     ("gain", "1", 0.02),
     ("tilt", "rad", 0.05),
@@ -53,6 +54,8 @@ const KINDS: [(&str, &str, f64); 17] = [
     ("delay", "s", 2e-3),
     ("lowpass", "s", 5e-3),
     ("clock", "1", 1e-3),
+    ("geometry", "m", 1e-3),
+    ("surface_friction", "1", 0.15),
     ("imu_rotation", "rad", 0.05),
     ("imu_delay", "s", 0.01),
     ("gyro_bias", "rad/s", 0.05),

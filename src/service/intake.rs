@@ -90,6 +90,7 @@ impl Intake {
             // A robot and sand as files.
             Some("Intrude" | "Walk" | "Sweep") => LONGEST_OPTIONS + SMALL,
             Some("Evaluate") => studies::LARGEST_POLICY + LONGEST_OPTIONS + SMALL,
+            Some("Trials") => studies::LARGEST_TRIALS,
             Some("Diagnose") => studies::MOST_BYTES,
             _ => SMALL,
         };

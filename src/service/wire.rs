@@ -77,6 +77,23 @@ pub static RUN_SESSION: [Field; 10] = [
     once(30, "policy_rollout", usize::MAX, Some(PLAIN)),
 ];
 
+/// Largest mesh of a body [bytes]: our choice, 80,000 triangles in binary STL.
+pub const LARGEST_MESH: usize = 4 << 20;
+
+static FILE: [Field; 1] = [once(2, "mesh", LARGEST_MESH, None)];
+
+/// A million rows.
+const COLUMN: usize = 8 * crate::studies::MOST_TRIALS;
+
+pub static TRIALS: [Field; 6] = [
+    once(1, "shape", 1 << 10, None),
+    once(2, "mesh", LARGEST_MESH + (64 << 10), Some(&FILE)),
+    once(3, "velocity", 3 * COLUMN, None),
+    once(4, "spin", 3 * COLUMN, None),
+    once(5, "depth", COLUMN, None),
+    once(6, "load", COLUMN, None),
+];
+
 static VARIATION: [Field; 0] = [];
 
 pub static SWEEP: [Field; 2] = [any(1, "vary", &VARIATION), any(2, "set", &VARIATION)];

@@ -122,10 +122,8 @@ pub enum Tripod {
     B,
 }
 
-const BUILT_IN: [(&str, &str); 2] = [
-    ("xplorer", include_str!("../../robots/xplorer.toml")),
-    ("xplorer18", include_str!("../../robots/xplorer18.toml")),
-];
+const BUILT_IN: [(&str, &str); 2] =
+    [("xplorer", include_str!("robots/xplorer.toml")), ("xplorer18", include_str!("robots/xplorer18.toml"))];
 
 impl Robot {
     /// The reference robot.
@@ -133,7 +131,7 @@ impl Robot {
 
     /// The leg under the carriage of LegStroke: nothing that walks.
     pub fn stroke_leg() -> Result<Self> {
-        Self::from_toml(include_str!("../../robots/stroke-leg.toml"))
+        Self::from_toml(include_str!("robots/stroke-leg.toml"))
     }
 
     /// What is left of this description for a robot that is a tree of bodies: its name.

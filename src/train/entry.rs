@@ -8,7 +8,7 @@ use serde_json::{Map, Value};
 use std::path::Path;
 
 /// The settings that `sandgait train` has without a file.
-const OWN: &str = include_str!("../../examples/hyperparameters/ppo_fast.yml");
+const OWN: &str = include_str!("ppo_fast.yml");
 
 /// The id of task `name`, which may stand without `sandgait/` and version.
 pub fn task_id(name: &str) -> String {
@@ -69,7 +69,7 @@ mod tests {
         for task in all.as_object().unwrap().keys() {
             settings(None, task, &[]).unwrap();
         }
-        let python = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/hyperparameters/ppo.yml");
+        let python = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/hyperparameters/ppo.yml");
         for task in ["HexapodGait", "HexapodLegs", "HexapodTerrain", "HexapodRocks"] {
             let read = settings(Some(&python), &task_id(task), &[]).unwrap();
             assert_eq!((read.gamma, read.learning_rate.falls, read.mirror), (0.95, true, true));

@@ -4,6 +4,7 @@ pub mod data;
 pub mod fit;
 pub mod others;
 pub mod page;
+pub mod robots;
 pub mod score;
 
 /// Bulk density of the wheels' sand [kg/m³], documented with the data.

@@ -1,6 +1,6 @@
-//! What else the model is held against: discs of several sizes, grains simulated one by one, walks by independent codes.
+//! What else the model is held against: discs of several sizes, grains simulated one by one, walks and robots by independent codes.
 
-use super::data;
+use super::{data, robots};
 use crate::calibrate::pushes::{self, Law as PushLaw};
 use crate::error::Result;
 use crate::parallel;
@@ -23,7 +23,7 @@ const WALKS: [(&str, [f64; 4]); 2] =
 
 /// Markdown.
 pub fn text() -> Result<String> {
-    Ok(format!("{}\n{}\n{}", discs()?, grains()?, walks()?))
+    Ok(format!("{}\n{}\n{}\n{}", discs()?, grains()?, walks()?, robots::text()?))
 }
 
 /// ζ of one disc against the other discs.

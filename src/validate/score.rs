@@ -117,10 +117,11 @@ pub fn scatter(pairs: &[Pair]) -> [f64; 4] {
 /// Where a model may fail: a name and the rows that belong to it.
 pub type Regime = (&'static str, fn(&Row) -> bool);
 
-pub const REGIMES: [Regime; 6] = [
+pub const REGIMES: [Regime; 7] = [
     ("locked, slip −1", |r| r.slip < -0.9),
     ("skid, −0.9 to −0.55", |r| (-0.9..-0.55).contains(&r.slip)),
-    ("slip −0.55 to 0.55", |r| r.slip.abs() <= 0.55),
+    ("slip −0.5 to 0.5, set", |r| r.slip.abs() <= 0.55),
+    ("slip −0.5 to 0.5, measured", |r| r.slip.abs() <= 0.5),
     ("spin, above 0.55", |r| r.slip > 0.55),
     ("straight, 0°", |r| r.slip_angle.abs() < 1.0),
     ("sideways, 45° and more", |r| r.slip_angle.abs() >= 45.0),

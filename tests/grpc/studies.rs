@@ -7,6 +7,7 @@ use sandgait::service::proto::{
     DiagnoseRequest, DiagnoseResponse, File, IntrudeRequest, Progress, Robot, Sand, Series,
 };
 use sandgait::service::proto::{SweepRequest, SweepResponse, Table, Variation, WalkRequest, WalkResponse};
+use sandgait::service::proto::{TrialsRequest, TrialsResponse, trials_request, trials_response};
 use sandgait::service::proto::{diagnose_request, diagnose_response, sweep_response, walk_response};
 use std::process::Command;
 use std::time::{Duration, Instant};
@@ -80,6 +81,7 @@ macro_rules! message {
         }
     };
 }
+message!(TrialsResponse, trials_response);
 message!(WalkResponse, walk_response);
 message!(SweepResponse, sweep_response);
 message!(DiagnoseResponse, diagnose_response);
@@ -355,4 +357,71 @@ async fn a_server_that_stops_ends_its_studies() {
     let status = tokio::time::timeout(Duration::from_secs(5), ended).await.unwrap().unwrap_err();
     assert_eq!((status.code(), status.message()), (Code::Unavailable, "the server stops"));
     tokio::time::timeout(Duration::from_secs(5), server.done.take().unwrap()).await.unwrap().unwrap().unwrap();
+}
+
+fn doubles(values: &[f64]) -> Vec<u8> {
+    values.iter().flat_map(|v| v.to_le_bytes()).collect()
+}
+
+/// A wheel that rolls at 1 cm/s under 20 N in each row.
+fn rolling(rows: usize) -> TrialsRequest {
+    TrialsRequest {
+        body: Some(trials_request::Body::Shape("cylinder:radius=0.0625,width=0.06".into())),
+        velocity: doubles(&[0.01, 0.0, 0.0]).repeat(rows).into(),
+        spin: Some(doubles(&[0.0, 0.16, 0.0]).repeat(rows).into()),
+        load: Some(doubles(&[20.0]).repeat(rows).into()),
+        ..Default::default()
+    }
+}
+
+#[tokio::test]
+async fn trials_give_one_row_a_motion() {
+    let server = Server::start(1).await;
+    let mut client = client(&server).await;
+    let (told, last) = whole(client.trials(rolling(4_000)).await.unwrap().into_inner()).await;
+    assert!(told.iter().all(|p| p.stage == "trials") && told.is_sorted_by(|a, b| a.fraction <= b.fraction), "{told:?}");
+    let Some(trials_response::Event::Table(table)) = last.event else { panic!() };
+    let [fz, depth, lost] = ["Fz", "depth", "no_equilibrium"].map(|name| numbers(&table, name));
+    assert_eq!(fz.len(), 4_000);
+    assert!(fz.iter().all(|f| (f - 20.0).abs() < 1e-3) && depth.iter().all(|d| *d == depth[0] && *d > 1e-3));
+    assert!(lost.iter().all(|l| *l == 0.0));
+    // The client has gone: the next one comes before its time.
+    let mut long = client.trials(rolling(900_000)).await.unwrap().into_inner();
+    first_progress(&mut long).await;
+    drop(long);
+    let next = tokio::time::timeout(Duration::from_secs(20), walked(&mut client, walk(&[2.0]))).await;
+    assert!(next.is_ok(), "the slot was not freed");
+}
+
+#[tokio::test]
+async fn trials_that_cannot_be_are_refused() {
+    let server = Server::start(1).await;
+    let mut client = client(&server).await;
+    let one = || rolling(1);
+    let mesh = |name: &str, content: Vec<u8>| TrialsRequest {
+        body: Some(trials_request::Body::Mesh(File { name: name.into(), content: content.into() })),
+        ..one()
+    };
+    let cases = [
+        (TrialsRequest { body: None, ..one() }, "body: none given"),
+        (TrialsRequest { body: Some(trials_request::Body::Shape("/etc/passwd.stl".into())), ..one() }, "send the mesh"),
+        (TrialsRequest { velocity: vec![0; 23].into(), ..one() }, "velocity: 23 bytes"),
+        (TrialsRequest { velocity: vec![0; 32].into(), ..one() }, "not three a row"),
+        (TrialsRequest { velocity: vec![].into(), ..one() }, "number of rows: 0"),
+        (TrialsRequest { spin: Some(vec![0; 8].into()), ..one() }, "spin: 1 numbers where 1 rows have 3"),
+        (TrialsRequest { depth: Some(doubles(&[0.01]).into()), ..one() }, "trial 1: both depth and load"),
+        (TrialsRequest { load: None, ..one() }, "trial 1: neither depth nor load"),
+        (TrialsRequest { load: Some(doubles(&[f64::INFINITY]).into()), ..one() }, "trial 1: load"),
+        (TrialsRequest { friction: Some(f64::NAN), ..one() }, "mu-s"),
+        (TrialsRequest { plate_size: Some(1e-6), ..one() }, "plate-size"),
+        (mesh("scan.stl", vec![255; 200]), "scan.stl: "),
+        (mesh("scan.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n".to_vec()), "scan.obj: the surface is not closed"),
+        (mesh("scan.obj", vec![b' '; (4 << 20) + 1]), "mesh: 4194305 bytes are more than"),
+    ];
+    for (request, says) in cases {
+        let status = client.trials(request).await.err().unwrap_or_else(|| panic!("not refused: {says}"));
+        assert!(status.code() == Code::InvalidArgument && status.message().contains(says), "{says}: {status}");
+    }
+    let large = TrialsRequest { velocity: vec![0; 70 << 20].into(), ..one() };
+    assert_eq!(client.trials(large).await.unwrap_err().code(), Code::ResourceExhausted);
 }

@@ -125,6 +125,11 @@ def test_tasks_and_studies_are_the_same(remote: RemoteServer) -> None:
     def tables(address: str | None) -> list[sandgait.Table]:
         return [
             sandgait.intrude("revC", medium="zeta=0.4", address=address),
+            sandgait.intrude(
+                body="cylinder:radius=0.0625,width=0.06",
+                rows={"vx": 0.01, "wy": [0.1, 0.2], "load": 20},
+                address=address,
+            ),
             sandgait.walk([2.0, -1.0], leg="C", slope_deg=3.0, address=address),
             sandgait.sweep({"leg": ["L", "C"], "frequency": [1, 2]}, set={"leg_mass": 0.003}, address=address),
             sandgait.sweep({"xi": [0, 60]}, optimize="speed", address=address),
@@ -136,6 +141,7 @@ def test_tasks_and_studies_are_the_same(remote: RemoteServer) -> None:
         same(list(ours.values()), list(theirs.values()))
     wrong: list[Callable[[str | None], object]] = [
         lambda address: sandgait.intrude("Q", address=address),
+        lambda address: sandgait.intrude(body="sphere:radius=0.1", rows={"depth": 99}, address=address),
         lambda address: sandgait.walk(2, engine="horse", address=address),
         lambda address: sandgait.walk(2, slope_deg=90.0, address=address),
         lambda address: sandgait.sweep({"nothing": [1, 2]}, address=address),

@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -86,6 +87,79 @@ def test_intrude_is_the_command(options: dict[str, Any], tmp_path: Path) -> None
     close(forces.Fz, theirs["Fz"])
     close(forces.Ty, theirs["Ty"], 8)
     assert forces.units == {"theta": "rad", "Fx": "N", "Fz": "N", "Ty": "N·m"}
+
+
+WHEELS = Path(__file__).parents[1] / "data/real_wheel"
+MOTIONS = {
+    "vx": [0.01, 0.01, 0.0, 0.01],
+    "vy": [0.0, -0.005, 0.01, 0.0],
+    "vz": -0.001,
+    "wy": [0.16, 0.1, 0.0, 1.6],
+    "depth": [0.01, np.nan, 0.02, np.nan],
+    "load": [np.nan, 20.0, np.nan, 1e5],
+}
+SPHERE = "sphere:radius=0.1"
+BOX = """solid box
+{}
+endsolid box
+"""
+
+
+def box_file(path: Path) -> Path:
+    """A box of 4 × 3 × 2 cm as STL."""
+    corners = np.array([[x, y, z] for x in (-0.02, 0.02) for y in (-0.015, 0.015) for z in (-0.01, 0.01)])
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    facets = []
+    for a, b, c, d in quads:
+        for triangle in ((a, b, c), (a, c, d)):
+            loop = "\n".join("vertex {} {} {}".format(*corners[k]) for k in triangle)
+            facets.append(f"facet normal 0 0 0\nouter loop\n{loop}\nendloop\nendfacet")
+    path.write_text(BOX.format("\n".join(facets)))
+    return path
+
+
+def test_trials_are_the_command(tmp_path: Path) -> None:
+    frame = pd.DataFrame(MOTIONS)
+    frame.to_csv(tmp_path / "rows.csv", index=False)
+    sand = WHEELS / "sand_discs.toml"
+    bodies = ("cylinder:radius=0.0625,width=0.06", box_file(tmp_path / "box.stl"))
+    for body in bodies:
+        options: dict[str, Any] = {"sand": sand, "mu_s": 0.3, "plate_size": 0.004}
+        ours = sandgait.intrude(body=body, rows=MOTIONS, **options)
+        words = [f"--body={body}", f"--sand={sand}", "--mu-s=0.3", "--plate-size=0.004"]
+        command("intrude", *words, "--trials", tmp_path / "rows.csv", "--csv", tmp_path / "f.csv")
+        theirs = pd.read_csv(tmp_path / "f.csv")
+        for name, digits in (("Fx", 6), ("Fy", 6), ("Fz", 6), ("Tx", 8), ("Ty", 8), ("Tz", 8), ("depth", 8)):
+            expected = theirs[name].to_numpy()
+            assert np.array_equal(np.isnan(ours[name]), np.isnan(expected))
+            assert np.nanmax(np.abs(ours[name] - expected)) <= 0.6 * 10.0**-digits, name
+        assert ours.status.tolist() == theirs["status"].tolist() == ["ok", "ok", "ok", "no_equilibrium"]
+        assert abs(ours.force[1, 2] - 20.0) < 1e-3
+        assert ours.depth[0] == 0.01
+        assert ours.units["Tx"] == "N·m"
+        same = sandgait.intrude(body=body, rows=frame, **options)
+        assert all(np.array_equal(ours[name], same[name], equal_nan=name != "status") for name in ours)
+
+
+def test_trials_release_the_interpreters_lock() -> None:
+    """Another thread of Python goes on meanwhile."""
+    ticks = [0]
+    done = threading.Event()
+
+    def tick() -> None:
+        while not done.wait(0.001):
+            ticks[0] += 1
+
+    thread = threading.Thread(target=tick)
+    told: list[float] = []
+    rows = {"vx": np.full(8000, 0.01), "load": 20.0}
+    thread.start()
+    sandgait.intrude(body="cylinder:radius=0.06,width=0.06", rows=rows, progress=lambda share, _: told.append(share))
+    done.set()
+    thread.join()
+    assert ticks[0] > 20
+    assert told == sorted(told)
+    assert len(told) > 1
 
 
 def test_walk_is_the_command() -> None:
@@ -178,7 +252,7 @@ def test_the_diagnosed_sand_goes_into_every_study(diagnosis: sandgait.Diagnosis,
 
 
 def test_a_robot_of_the_clients(tmp_path: Path) -> None:
-    text = (Path(__file__).parents[2] / "robots/xplorer.toml").read_text()
+    text = (Path(__file__).parents[2] / "src/sim/robots/xplorer.toml").read_text()
     path = tmp_path / "mine.toml"
     path.write_text(text.replace("mass = 0.138", "mass = 0.2"))
     speed = sandgait.walk(2, robot=str(path)).speed[0]
@@ -202,6 +276,17 @@ def test_another_server(remote: RemoteServer) -> None:
         (lambda: sandgait.intrude("L", sand="/no/such/sand.toml"), "sand: .*/no/such/sand.toml"),
         (lambda: sandgait.intrude("L", sand=LOG), r"force_log.csv: sand"),
         (lambda: sandgait.intrude("L", medium="poppy-loose", sand=EXPERIMENT), "sand: a file excludes medium and law"),
+        (lambda: sandgait.intrude("L", body="sphere:radius=0.1", rows={"depth": 0}), "give shape, or body with rows"),
+        (lambda: sandgait.intrude(body="sphere:radius=0.1"), "give shape, or body with rows"),  # type: ignore[call-overload]
+        (lambda: sandgait.intrude(body="ball:radius=1", rows={"depth": 0.1}), 'body "ball:radius=1" is unknown'),
+        (lambda: sandgait.intrude(body="nowhere.stl", rows={"depth": 0.1}), "body: .*cannot be read"),
+        (lambda: sandgait.intrude(body=SPHERE, rows={"deep": 0.1}), "rows: column 'deep' is unknown"),
+        (lambda: sandgait.intrude(body=SPHERE, rows={"vx": 0.1}), "trial 1: neither depth nor load is given"),
+        (lambda: sandgait.intrude(body=SPHERE, rows={"depth": [0, 1], "vx": [1, 2, 3]}), "rows: "),
+        (lambda: sandgait.intrude(body=SPHERE, rows={"depth": [0.01, np.inf]}), "trial 2: depth"),
+        (lambda: sandgait.intrude(body=SPHERE, rows={"depth": []}), "number of rows: 0"),
+        (lambda: sandgait.intrude(body=SPHERE, rows={"depth": 0.1}, mu_s=-1), "mu-s: -1"),
+        (lambda: sandgait.intrude(body=SPHERE, rows={"depth": 0.1}, plate_size=1e-5), "plate-size"),
         (lambda: sandgait.walk([1, 30]), r"frequency: 30 is outside \[-20, 20\]"),
         (lambda: sandgait.walk([]), "number of frequencies: 0"),
         (lambda: sandgait.walk(1, robot="tank"), 'robot "tank" is unknown'),

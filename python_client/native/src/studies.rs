@@ -8,7 +8,7 @@ use crate::wait;
 use pyo3::prelude::*;
 use pyo3::types::PyMapping;
 use sandgait::service::from_json;
-use sandgait::service::proto::{self, diagnose_request, evaluate_request};
+use sandgait::service::proto::{self, diagnose_request, evaluate_request, trials_request};
 use sandgait::service::studies::compute::{Outcome, Study};
 
 /// Name and content.
@@ -41,6 +41,21 @@ struct Intrude {
     hip_height: f64,
     omega: f64,
     sand: Sand,
+}
+
+/// Columns as bytes.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct Trials {
+    shape: Option<String>,
+    mesh: Option<File>,
+    velocity: Vec<u8>,
+    spin: Vec<u8>,
+    depth: Vec<u8>,
+    load: Vec<u8>,
+    sand: Sand,
+    friction: Option<f64>,
+    plate_size: Option<f64>,
 }
 
 #[derive(FromPyObject)]
@@ -119,6 +134,15 @@ fn requested(name: &str, given: &Bound<'_, PyAny>) -> PyResult<Study> {
             let Intrude { shape, chord, width, hip_height, omega, sand } = given.extract()?;
             let [chord, width, hip_height, omega] = [chord, width, hip_height, omega].map(Some);
             Study::Intrude(proto::IntrudeRequest { shape, chord, width, hip_height, omega, sand: sand.message() })
+        }
+        "Trials" => {
+            let Trials { shape, mesh, velocity, spin, depth, load, sand, friction, plate_size } = given.extract()?;
+            let mesh = mesh.map(|mesh| trials_request::Body::Mesh(file(mesh)));
+            let body = mesh.or(shape.map(trials_request::Body::Shape));
+            let [spin, depth, load] = [spin, depth, load].map(|column| Some(column.into()));
+            let (velocity, sand) = (velocity.into(), sand.message());
+            let request = proto::TrialsRequest { body, velocity, spin, depth, load, sand, friction, plate_size };
+            Study::Trials(request)
         }
         "Walk" => {
             let Walk { leg, frequency, engine, sand, slope_deg, dt, robot } = given.extract()?;

@@ -22,7 +22,7 @@ pub const OPTION_HELP: [(&str, &str); 25] = [
     ("control", "what an action is: hip_speed, hip_target, torque or clock"),
     (
         "rocks",
-        "obstacles of an episode: count, ranges [low, high] of size and step_height [m], dynamic_fraction, density [kg/m³], friction, field [length, width] [m]",
+        "obstacles of an episode: count, ranges [low, high] of size and step_height [m], dynamic_fraction, density [kg/m³], friction, field: its [length, width] in m",
     ),
     (
         "randomize",
@@ -31,7 +31,7 @@ pub const OPTION_HELP: [(&str, &str); 25] = [
     ("difficulty", "how much of randomize: 0 nothing, 1 all"),
     (
         "stroke",
-        "carriage_speed [m/s], height of the hip over the sand [m], start [hip, knee] [rad], lift: least mean lift [N], lift_weight and exit_weight of the penalties",
+        "carriage_speed [m/s], height of the hip over the sand [m], start: angles [hip, knee] in rad, lift: least mean lift [N], lift_weight and exit_weight of the penalties",
     ),
     ("ground", "rigid, mixed (slabs of hard ground in loose poppy seeds), or the sand's medium as in `medium`"),
     (

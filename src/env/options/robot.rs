@@ -15,7 +15,7 @@ struct Held {
 }
 
 /// Built-in robots that are trees.
-const TREES: [(&str, &str); 1] = [("sandcat", include_str!("../../../robots/sandcat.json"))];
+const TREES: [(&str, &str); 1] = [("sandcat", include_str!("sandcat.json"))];
 
 impl RobotName {
     /// The default robot of LeggedVelocity.

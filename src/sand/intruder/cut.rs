@@ -12,10 +12,15 @@ fn pieces(length: f64, size: f64, least: usize) -> usize {
     ((length / size - 1e-9).ceil() as usize).max(least)
 }
 
-/// A cylinder about y. Along the rim the plates are half as long as `size` and four times as wide: pressure changes along
-/// the rim and hardly across it.
+/// A cylinder about y. Along the rim the plates are half as long as `size` and four times as wide: while its axis is level
+/// pressure changes along the rim and hardly across it.
 pub fn cylinder(radius: f64, width: f64, size: f64, least: usize) -> Vec<Plate> {
-    let (around, across) = (pieces(TAU * radius, size / 2.0, least), pieces(width, 4.0 * size, least / 8));
+    cylinder_across(radius, width, size, 4.0 * size, least)
+}
+
+/// The same with plates on the rim that are `wide`.
+pub fn cylinder_across(radius: f64, width: f64, size: f64, wide: f64, least: usize) -> Vec<Plate> {
+    let (around, across) = (pieces(TAU * radius, size / 2.0, least), pieces(width, wide, least / 8));
     let mut plates = Vec::new();
     for i in 0..around {
         let (sin, cos) = ((i as f64 + 0.5) / around as f64 * TAU).sin_cos();

@@ -26,7 +26,15 @@ pub fn read(path: &Path) -> Result<Vec<Triangle>> {
             format!("{} MiB is more than the {} MiB this reads", bytes >> 20, MOST_BYTES >> 20),
         ));
     }
-    let triangles = read_from(path, BufReader::new(file), MOST_TRIANGLES)?;
+    some(path, read_from(path, BufReader::new(file), MOST_TRIANGLES)?)
+}
+
+/// The same of a file's `bytes`, with at most `most` triangles.
+pub fn read_bytes(path: &Path, bytes: &[u8], most: usize) -> Result<Vec<Triangle>> {
+    some(path, read_mesh(path, bytes, most)?)
+}
+
+fn some(path: &Path, triangles: Vec<Triangle>) -> Result<Vec<Triangle>> {
     if triangles.is_empty() { Err(Error::file(path, "no triangles")) } else { Ok(triangles) }
 }
 
@@ -113,10 +121,9 @@ pub fn longest_side(triangles: &[Triangle]) -> f64 {
 }
 
 /// Outward plates no longer than `size`; triangles that are longer are halved.
-pub fn plates(path: &Path, triangles: &[Triangle], size: f64) -> Result<Vec<Plate>> {
-    let mut plates = halved(triangles, size).ok_or_else(|| {
-        Error::file(path, format!("more than {} plates: give a larger --plate-size", super::body::MOST_PLATES))
-    })?;
+pub fn plates(path: &Path, triangles: &[Triangle], size: f64, most: usize) -> Result<Vec<Plate>> {
+    let mut plates = halved_within(triangles, size, most)
+        .ok_or_else(|| Error::file(path, format!("more than {most} plates: give a larger plate-size")))?;
     let open = plates.iter().fold(Vec3::zero(), |sum: Vec3<f64>, p| p.normal.scale_add(p.area, sum));
     if open.norm_squared().sqrt() > OPEN * plates_area(&plates) {
         return Err(Error::file(path, "the surface is not closed"));
@@ -130,6 +137,10 @@ pub fn plates(path: &Path, triangles: &[Triangle], size: f64) -> Result<Vec<Plat
 
 /// A plate for each triangle, halved until no side is longer than `size`; none if that makes too many.
 pub fn halved(triangles: &[Triangle], size: f64) -> Option<Vec<Plate>> {
+    halved_within(triangles, size, super::body::MOST_PLATES)
+}
+
+fn halved_within(triangles: &[Triangle], size: f64, most: usize) -> Option<Vec<Plate>> {
     let mut plates = Vec::new();
     let mut left: Vec<Triangle> = triangles.to_vec();
     while let Some(triangle) = left.pop() {
@@ -151,7 +162,7 @@ pub fn halved(triangles: &[Triangle], size: f64) -> Option<Vec<Plate>> {
                 plates.push(Plate { center, normal, area, half: [edge, normal.cross(edge)], bend: [0.0; 2] });
             }
         }
-        if (plates.len() + left.len()) as f64 > super::body::MOST_PLATES {
+        if plates.len() + left.len() > most {
             return None;
         }
     }

@@ -12,7 +12,7 @@ mod trials;
 pub use body::{Body, BodyShape};
 pub use gather::gathered;
 pub use mesh::{Triangle, read_mesh};
-pub use trials::{Given, Outcome, Status, Trial, compute, compute_all};
+pub use trials::{Given, Outcome, Status, Trial, check_all, compute, compute_all, with_friction, without_effect};
 
 use crate::number::Vec3;
 

@@ -6,9 +6,6 @@ use crate::number::Vec3;
 use crate::parallel;
 use crate::{Ground, SandDescription, Site, Surface};
 
-/// Turns of a body that is not round, spread over a period: our choice; the mean force of a box has changed by less than
-/// 0.5 % when there are four times as many.
-const TURNS: usize = 48;
 /// Depths between none and covered at which a load is first looked for: our choice, 4 mm for a wheel of 125 mm.
 const STEPS: usize = 32;
 /// Depth to which a load is solved [m]: our choice, far below what can be measured.
@@ -92,15 +89,29 @@ pub fn without_effect(sand: &SandDescription) -> Vec<&'static str> {
     all.into_iter().filter(|(_, value)| *value != 0.0).map(|(id, _)| id).collect()
 }
 
+/// The same sand beside a surface with friction coefficient `mu`.
+pub fn with_friction(sand: &SandDescription, mu: f64) -> Result<SandDescription> {
+    let mut sand = sand.clone();
+    // 10 is rougher than any surface; below 0.1 the catalogue's 1/μ ends.
+    sand.mechanisms.friction_clip = 1.0 / check_range("mu-s", mu, 0.1..=10.0)?;
+    Ok(sand)
+}
+
 /// Every trial, on all processors.
 pub fn compute_all(body: &Body, sand: &SandDescription, trials: &[Trial]) -> Result<Vec<Outcome>> {
+    check_all(sand, trials)?;
+    Ok(parallel::map(trials, |trial| compute(body, sand, trial)))
+}
+
+/// Refuses trials that cannot be computed.
+pub fn check_all(sand: &SandDescription, trials: &[Trial]) -> Result<()> {
     if let Some(id) = without_effect(sand).first() {
         return Err(Error::invalid("sand", format!("{id} is not defined for a body in steady motion")));
     }
     for (row, trial) in trials.iter().enumerate() {
         trial.validated().map_err(|e| Error::invalid(format!("trial {}", row + 1), e.to_string()))?;
     }
-    Ok(parallel::map(trials, |trial| compute(body, sand, trial)))
+    Ok(())
 }
 
 /// What one plate feels: force = growing · D(depth) + constant, D the depth or its power.
@@ -163,13 +174,10 @@ impl Turns {
         let spin = Vec3::<f64>::splat(trial.spin);
         let rate = spin.norm_squared().sqrt();
         let axis = if rate > 0.0 { spin * (1.0 / rate) } else { Vec3::new(0.0, 1.0, 0.0) };
-        let count = if rate == 0.0 || body.is_round_about(axis) { 1 } else { TURNS };
-        let mut turns = Self { axis, count, heights: [f64::INFINITY, f64::NEG_INFINITY] };
-        for k in 0..count {
-            let [low, high] = body.heights(|v| turns.turned(k, v));
-            turns.heights = [turns.heights[0].min(low), turns.heights[1].max(high)];
+        if rate == 0.0 || body.is_round_about(axis) {
+            return Self { axis, count: 1, heights: body.heights() };
         }
-        turns
+        Self { axis, count: body.turns(), heights: body.heights_in_turn(axis) }
     }
 
     fn turned(&self, k: usize, v: Vec3<f64>) -> Vec3<f64> {
@@ -181,9 +189,15 @@ impl<'a> Motion<'a> {
     /// Of the plates that begin below `surface` [m] over the origin.
     fn new(body: &Body, ground: &'a Ground<f64>, trial: &Trial, turns: &Turns, surface: f64, plain: bool) -> Self {
         let mut pieces = Vec::new();
+        if turns.count == 1 {
+            // They lie in this order already.
+            let below = body.plates.iter().take_while(|p| p.center.z - p.rise() < surface);
+            pieces.extend(below.filter_map(|p| Piece::of(ground, p, trial, plain)));
+            return Self { ground, pieces, share: 1.0 };
+        }
         for k in 0..turns.count {
             let turned = |v| turns.turned(k, v);
-            let plates = body.plates.iter().map(|p| Plate {
+            let plates = body.turning().iter().map(|p| Plate {
                 center: turned(p.center),
                 normal: turned(p.normal),
                 half: p.half.map(turned),
@@ -192,9 +206,7 @@ impl<'a> Motion<'a> {
             let below = plates.filter(|p| p.center.z - p.rise() < surface);
             pieces.extend(below.filter_map(|p| Piece::of(ground, &p, trial, plain)));
         }
-        if turns.count > 1 {
-            pieces.sort_by(|a, b| (a.height - a.rise).total_cmp(&(b.height - b.rise)));
-        }
+        pieces.sort_by(|a, b| (a.height - a.rise).total_cmp(&(b.height - b.rise)));
         Self { ground, pieces, share: 1.0 / turns.count as f64 }
     }
 
@@ -245,8 +257,10 @@ impl Piece {
         if leading == 0.0 {
             return None;
         }
-        // The part that leads does so by half of what the edge does, where the centre does not.
-        let v = if leading < 1.0 { normal.scale_add((along + uneven) / 2.0 - along, v) } else { v };
+        // The part that leads does so by half of what the edge does, where the centre does not; a plate that moves along itself
+        // is pushed too, not pulled.
+        let toward = if leading < 1.0 { (along + uneven) / 2.0 } else { along.max(least) };
+        let v = normal.scale_add(toward - along, v);
         let at = |depth| {
             let site = Site::fresh(depth, plate.center.x).travelling([velocity.x, velocity.y]);
             ground.thin_plate(&site, plate.area * leading, normal, v).force

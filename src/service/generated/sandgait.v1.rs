@@ -727,6 +727,60 @@ pub struct IntrudeResponse {
     #[prost(message, optional, tag = "1")]
     pub table: ::core::option::Option<Table>,
 }
+/// What `sandgait intrude --body` computes. All columns have one f64, little-endian, a row; up to 1,000,000 rows.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct TrialsRequest {
+    /// vx, vy, vz of the body's origin, row by row \[m/s\]: x heading, y axle, z up.
+    #[prost(bytes = "bytes", tag = "3")]
+    pub velocity: ::prost::bytes::Bytes,
+    /// wx, wy, wz, row by row \[rad/s\]. Absent: none.
+    #[prost(bytes = "bytes", optional, tag = "4")]
+    pub spin: ::core::option::Option<::prost::bytes::Bytes>,
+    /// Of the lowest point below the surface \[m\]; not a number where a load is given. Absent: loads only.
+    #[prost(bytes = "bytes", optional, tag = "5")]
+    pub depth: ::core::option::Option<::prost::bytes::Bytes>,
+    /// Upward force to be carried \[N\]; not a number where a depth is given. Absent: depths only.
+    #[prost(bytes = "bytes", optional, tag = "6")]
+    pub load: ::core::option::Option<::prost::bytes::Bytes>,
+    #[prost(message, optional, tag = "7")]
+    pub sand: ::core::option::Option<Sand>,
+    /// Friction coefficient μ_s of the body's surface, in place of the sand's friction_clip.
+    #[prost(double, optional, tag = "8")]
+    pub friction: ::core::option::Option<f64>,
+    /// Size of the plates that the body is cut into \[m\]. Absent: a fiftieth of its longest side.
+    #[prost(double, optional, tag = "9")]
+    pub plate_size: ::core::option::Option<f64>,
+    #[prost(oneof = "trials_request::Body", tags = "1, 2")]
+    pub body: ::core::option::Option<trials_request::Body>,
+}
+/// Nested message and enum types in `TrialsRequest`.
+pub mod trials_request {
+    #[derive(Clone, PartialEq, Eq, Hash, ::prost::Oneof)]
+    pub enum Body {
+        /// cylinder:radius=M,width=M (axle along y), box:length=M,width=M,height=M or sphere:radius=M.
+        #[prost(string, tag = "1")]
+        Shape(::prost::alloc::string::String),
+        /// STL or OBJ \[m\], by the ending of its name; up to 4 MiB.
+        #[prost(message, tag = "2")]
+        Mesh(super::File),
+    }
+}
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct TrialsResponse {
+    #[prost(oneof = "trials_response::Event", tags = "1, 2")]
+    pub event: ::core::option::Option<trials_response::Event>,
+}
+/// Nested message and enum types in `TrialsResponse`.
+pub mod trials_response {
+    #[derive(Clone, PartialEq, ::prost::Oneof)]
+    pub enum Event {
+        #[prost(message, tag = "1")]
+        Progress(super::Progress),
+        /// Fx, Fy, Fz, Tx, Ty, Tz, depth, and no_equilibrium: 1 where nothing carries the load, all others not a number there.
+        #[prost(message, tag = "2")]
+        Table(super::Table),
+    }
+}
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct WalkRequest {
     /// As in IntrudeRequest. Absent: the robot's own.
@@ -1023,6 +1077,31 @@ pub mod study_service_client {
             req.extensions_mut()
                 .insert(GrpcMethod::new("sandgait.v1.StudyService", "Intrude"));
             self.inner.unary(req, path, codec).await
+        }
+        /// Moves any body steadily through sand: one row a motion.
+        pub async fn trials(
+            &mut self,
+            request: impl tonic::IntoRequest<super::TrialsRequest>,
+        ) -> std::result::Result<
+            tonic::Response<tonic::codec::Streaming<super::TrialsResponse>>,
+            tonic::Status,
+        > {
+            self.inner
+                .ready()
+                .await
+                .map_err(|e| {
+                    tonic::Status::unknown(
+                        format!("Service was not ready: {}", e.into()),
+                    )
+                })?;
+            let codec = tonic_prost::ProstCodec::default();
+            let path = http::uri::PathAndQuery::from_static(
+                "/sandgait.v1.StudyService/Trials",
+            );
+            let mut req = request.into_request();
+            req.extensions_mut()
+                .insert(GrpcMethod::new("sandgait.v1.StudyService", "Trials"));
+            self.inner.server_streaming(req, path, codec).await
         }
         /// Walks at constant stride frequencies: one row a frequency.
         pub async fn walk(

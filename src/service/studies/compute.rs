@@ -4,9 +4,14 @@
 use super::{decode, encode};
 use crate::error::{Error, Result};
 use crate::evaluate;
+use crate::parallel;
 use crate::progress::Progress;
 use crate::proto::{self, DiagnoseRequest, DiagnoseResponse, IntrudeRequest, IntrudeResponse};
-use crate::proto::{EvaluateRequest, EvaluateResponse, SweepRequest, SweepResponse, WalkRequest, WalkResponse};
+use crate::proto::{
+    EvaluateRequest, EvaluateResponse, SweepRequest, SweepResponse, TrialsRequest, TrialsResponse, WalkRequest,
+    WalkResponse,
+};
+use crate::sand::intruder;
 use crate::sweep::{grid, optimize, walk_all};
 use std::path::Path;
 
@@ -16,6 +21,7 @@ pub type Work<T> = Box<dyn FnOnce(&dyn Progress) -> Result<T> + Send>;
 /// A study that somebody asks for.
 pub enum Study {
     Intrude(IntrudeRequest),
+    Trials(TrialsRequest),
     Walk(WalkRequest),
     Sweep(SweepRequest),
     Evaluate(EvaluateRequest),
@@ -31,9 +37,13 @@ pub enum Outcome {
 impl Study {
     /// The whole of it, on this thread and those that it starts.
     pub fn compute(self, progress: &dyn Progress) -> Result<Outcome> {
-        use proto::{diagnose_response, evaluate_response, sweep_response, walk_response};
+        use proto::{diagnose_response, evaluate_response, sweep_response, trials_response, walk_response};
         let outcome = match self {
             Self::Intrude(request) => intrude(request)?.table.map(Outcome::Table),
+            Self::Trials(request) => match trials(request)?(progress)?.event {
+                Some(trials_response::Event::Table(table)) => Some(Outcome::Table(table)),
+                _ => None,
+            },
             Self::Walk(request) => match walk(request)?(progress)?.event {
                 Some(walk_response::Event::Table(table)) => Some(Outcome::Table(table)),
                 _ => None,
@@ -59,6 +69,22 @@ pub fn intrude(request: IntrudeRequest) -> Result<IntrudeResponse> {
     let (rotation, sand) = decode::intrude(request)?;
     let table = encode::table(encode::loads(&rotation.loads(&sand.description)?), sand.warnings);
     Ok(IntrudeResponse { table: Some(table) })
+}
+
+/// Motions between two reports: our choice, about a second of a wheel's.
+const TOGETHER: usize = 2_000;
+
+pub fn trials(request: TrialsRequest) -> Result<Work<TrialsResponse>> {
+    let decode::Trials { body, sand, trials } = decode::trials(request)?;
+    Ok(Box::new(move |progress| {
+        let mut outcomes = Vec::with_capacity(trials.len());
+        for part in trials.chunks(TOGETHER) {
+            progress.report(outcomes.len() as f64 / trials.len() as f64, "trials")?;
+            outcomes.extend(parallel::map(part, |trial| intruder::compute(&body, &sand.description, trial)));
+        }
+        let table = encode::table(encode::trials(&outcomes), sand.warnings);
+        Ok(TrialsResponse { event: Some(proto::trials_response::Event::Table(table)) })
+    }))
 }
 
 pub fn walk(request: WalkRequest) -> Result<Work<WalkResponse>> {

@@ -6,13 +6,18 @@ use crate::error::{Error, Result, check_range};
 use crate::evaluate::{self, Wanted};
 use crate::proto::diagnose_request::Experiment as Source;
 use crate::proto::evaluate_request::Policy;
-use crate::proto::{DiagnoseRequest, EvaluateRequest, File, IntrudeRequest, SweepRequest, Variation, WalkRequest};
+use crate::proto::trials_request::Body as Shaped;
+use crate::proto::{
+    DiagnoseRequest, EvaluateRequest, File, IntrudeRequest, SweepRequest, TrialsRequest, Variation, WalkRequest,
+};
+use crate::sand::intruder::{Body, BodyShape, Given, Trial as Motion, check_all, with_friction};
 use crate::sand::intrusion::Rotation;
 use crate::sand::{Law, Medium, SandDescription, Shape};
 use crate::sim::engine::EngineKind;
 use crate::sim::model::Scene;
 use crate::sim::walk::Trial;
 use crate::sim::{Model, Robot};
+use crate::studies::MOST_TRIALS;
 use crate::sweep::grid::check_grid;
 use crate::sweep::{Axis, Design, Measure, optimize};
 use crate::{proto, values};
@@ -22,6 +27,13 @@ use std::path::Path;
 pub struct Sand {
     pub description: SandDescription,
     pub warnings: Vec<String>,
+}
+
+/// A body and its motions.
+pub struct Trials {
+    pub body: Body,
+    pub sand: Sand,
+    pub trials: Vec<Motion>,
 }
 
 pub struct Walks {
@@ -81,6 +93,76 @@ pub fn intrude(request: IntrudeRequest) -> Result<(Rotation, Sand)> {
     rotation.hip_height = request.hip_height.unwrap_or(rotation.hip_height);
     rotation.omega = request.omega.unwrap_or(rotation.omega);
     Ok((rotation, sand(request.sand)?))
+}
+
+/// Plates of a body that a client sends: our choice, 8 MB, or 300 MB in the turns of a period. A default wheel has some 3,000.
+const MOST_PLATES: usize = 50_000;
+
+pub fn trials(request: TrialsRequest) -> Result<Trials> {
+    let TrialsRequest { body, velocity, spin, depth, load, sand: given, friction, plate_size } = request;
+    let velocity = column("velocity", &velocity)?;
+    let rows = velocity.len() / 3;
+    check_range("number of rows", rows as f64, 1.0..=MOST_TRIALS as f64)?;
+    let sized = |name: &str, bytes: Option<&[u8]>, wide: usize| -> Result<Option<Vec<f64>>> {
+        let Some(values) = bytes.map(|b| column(name, b)).transpose()? else { return Ok(None) };
+        if values.len() == wide * rows {
+            return Ok(Some(values));
+        }
+        Err(Error::invalid(name, format!("{} numbers where {rows} rows have {}", values.len(), wide * rows)))
+    };
+    if velocity.len() != 3 * rows {
+        return Err(Error::invalid("velocity", format!("{} numbers are not three a row", velocity.len())));
+    }
+    let (spin, depth, load) =
+        (sized("spin", spin.as_deref(), 3)?, sized("depth", depth.as_deref(), 1)?, sized("load", load.as_deref(), 1)?);
+    let three = |all: &[f64], row: usize| [all[3 * row], all[3 * row + 1], all[3 * row + 2]];
+    let motion = |row: usize| {
+        let of = |all: &Option<Vec<f64>>| all.as_ref().map(|v| v[row]).filter(|v| !v.is_nan());
+        let given = match (of(&depth), of(&load)) {
+            (Some(depth), None) => Given::Depth(depth),
+            (None, Some(load)) => Given::Load(load),
+            (None, None) => return Err(wrong(row, "neither depth nor load is given")),
+            (Some(_), Some(_)) => return Err(wrong(row, "both depth and load are given")),
+        };
+        Ok(Motion { velocity: three(&velocity, row), spin: spin.as_ref().map_or([0.0; 3], |s| three(s, row)), given })
+    };
+    let trials = (0..rows).map(motion).collect::<Result<Vec<_>>>()?;
+    let mut sand = sand(given)?;
+    if let Some(mu) = friction {
+        sand.description = with_friction(&sand.description, mu)?;
+    }
+    check_all(&sand.description, &trials)?;
+    Ok(Trials { body: shaped(body, plate_size)?, sand, trials })
+}
+
+fn wrong(row: usize, reason: &str) -> Error {
+    Error::invalid(format!("trial {}", row + 1), reason)
+}
+
+fn column(name: &str, bytes: &[u8]) -> Result<Vec<f64>> {
+    let (numbers, rest) = bytes.as_chunks();
+    if !rest.is_empty() {
+        return Err(Error::invalid(name, format!("{} bytes are no whole numbers of 8", bytes.len())));
+    }
+    Ok(numbers.iter().map(|b| f64::from_le_bytes(*b)).collect())
+}
+
+fn shaped(body: Option<Shaped>, plate_size: Option<f64>) -> Result<Body> {
+    match body {
+        None => Err(Error::invalid("body", "none given")),
+        Some(Shaped::Shape(text)) => match BodyShape::named(&text)? {
+            // A server does not read files that a client names.
+            BodyShape::Mesh(_) => Err(Error::invalid("body", format!("{text}: send the mesh's content"))),
+            shape => Body::cut_within(&shape, plate_size, MOST_PLATES),
+        },
+        Some(Shaped::Mesh(file)) => {
+            let of_ours = |e: Error| match e {
+                Error::File { reason, .. } => Error::invalid(&file.name, reason),
+                other => other,
+            };
+            Body::of_mesh(Path::new(&file.name), &file.content, plate_size, MOST_PLATES).map_err(of_ours)
+        }
+    }
 }
 
 pub fn walk(request: WalkRequest) -> Result<Walks> {
@@ -167,6 +249,11 @@ pub fn diagnose(request: DiagnoseRequest) -> Result<(File, Experiment)> {
     // A server does not read files that a client names.
     if let Some(robot) = experiment.robot.as_deref().filter(|r| !Robot::names().contains(r)) {
         return Err(Error::unknown("robot", robot, &Robot::names()));
+    }
+    for (name, body) in &experiment.bodies {
+        if let BodyShape::Mesh(_) = body.shape()? {
+            return Err(Error::invalid(format!("body.{name}"), "a mesh is read by the command line only"));
+        }
     }
     Ok((data, experiment))
 }

@@ -3,6 +3,7 @@
 use crate::diagnose::report::Curves;
 use crate::evaluate::{self, Row};
 use crate::proto::{Series, Table};
+use crate::sand::intruder::{Outcome, Status};
 use crate::sand::intrusion::Load;
 use crate::sim::walk::{Trial, WalkResult};
 use crate::sweep::optimize::Optimum;
@@ -29,6 +30,21 @@ pub fn loads(rows: &[(f64, Load)]) -> Vec<Series> {
         numbers("Fz", "N", rows.iter().map(|r| r.1.fz)),
         numbers("Ty", "N·m", rows.iter().map(|r| r.1.ty)),
     ]
+}
+
+pub fn trials(rows: &[Outcome]) -> Vec<Series> {
+    type Of = fn(&Outcome) -> f64;
+    let columns: [(&str, &str, Of); 8] = [
+        ("Fx", "N", |o| o.force[0]),
+        ("Fy", "N", |o| o.force[1]),
+        ("Fz", "N", |o| o.force[2]),
+        ("Tx", "N·m", |o| o.torque[0]),
+        ("Ty", "N·m", |o| o.torque[1]),
+        ("Tz", "N·m", |o| o.torque[2]),
+        ("depth", "m", |o| o.depth),
+        ("no_equilibrium", "1", |o| f64::from(o.status == Status::NoEquilibrium)),
+    ];
+    columns.iter().map(|(name, unit, of)| numbers(name, unit, rows.iter().map(of))).collect()
 }
 
 pub fn frequencies(trials: &[Trial]) -> Series {

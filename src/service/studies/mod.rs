@@ -13,6 +13,7 @@ use super::frame::Frame;
 use super::proto::study_service_server::StudyService;
 use super::proto::{self, DiagnoseRequest, DiagnoseResponse, IntrudeRequest, IntrudeResponse};
 use super::proto::{EvaluateRequest, EvaluateResponse, SweepRequest, SweepResponse, WalkRequest, WalkResponse};
+use super::proto::{TrialsRequest, TrialsResponse};
 use super::{off_runtime, wire};
 use crate::progress::Progress;
 use line::{Answer, Line};
@@ -25,6 +26,12 @@ pub const MOST_BYTES: usize = 64 << 20;
 
 /// Largest network that is evaluated [bytes].
 pub const LARGEST_POLICY: usize = crate::policy::MOST_BYTES;
+
+/// Motions of a body in one request: our choice, some ten minutes.
+pub const MOST_TRIALS: usize = 1_000_000;
+
+/// Largest request of trials [bytes]: all columns, a mesh, a sand.
+pub const LARGEST_TRIALS: usize = 64 * MOST_TRIALS + wire::LARGEST_MESH + wire::LONGEST_OPTIONS;
 
 /// The studies of one server.
 pub struct Studies {
@@ -48,6 +55,21 @@ impl StudyService for Studies {
     ) -> std::result::Result<Response<IntrudeResponse>, Status> {
         let (request, _share) = Frame::only(request, wire::PLAIN).await?;
         off_runtime(move || compute::intrude(request)).await.map(Response::new)
+    }
+
+    type TrialsStream = Events<TrialsResponse>;
+
+    async fn trials(
+        &self,
+        request: Request<Frame<TrialsRequest>>,
+    ) -> std::result::Result<Response<Self::TrialsStream>, Status> {
+        let (request, share) = Frame::only(request, &wire::TRIALS).await?;
+        let work = off_runtime(move || compute::trials(request)).await?;
+        let work = move |progress: &dyn Progress| {
+            let _share = &share;
+            work(progress)
+        };
+        self.line.enter(work).map(Response::new)
     }
 
     type WalkStream = Events<WalkResponse>;
@@ -108,6 +130,12 @@ impl StudyService for Studies {
             work(progress)
         };
         self.line.enter(work).map(Response::new)
+    }
+}
+
+impl Answer for TrialsResponse {
+    fn progress(progress: proto::Progress) -> Self {
+        Self { event: Some(proto::trials_response::Event::Progress(progress)) }
     }
 }
 

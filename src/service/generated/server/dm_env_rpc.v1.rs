@@ -25,9 +25,7 @@ pub mod environment_server {
             &self,
             request: tonic::Request<
                 tonic::Streaming<
-                    crate::frame::Frame<
-                        crate::dm_env_rpc::proto::EnvironmentRequest,
-                    >,
+                    crate::frame::Frame<crate::dm_env_rpc::proto::EnvironmentRequest>,
                 >,
             >,
         ) -> std::result::Result<tonic::Response<Self::ProcessStream>, tonic::Status>;
@@ -114,9 +112,7 @@ pub mod environment_server {
                     impl<
                         T: Environment,
                     > tonic::server::StreamingService<
-                        crate::frame::Frame<
-                            crate::dm_env_rpc::proto::EnvironmentRequest,
-                        >,
+                        crate::frame::Frame<crate::dm_env_rpc::proto::EnvironmentRequest>,
                     > for ProcessSvc<T> {
                         type Response = crate::dm_env_rpc::proto::EnvironmentResponse;
                         type ResponseStream = T::ProcessStream;

@@ -15,9 +15,7 @@ pub mod environment_service_server {
         /// What this server is and which tasks it offers.
         async fn describe(
             &self,
-            request: tonic::Request<
-                crate::frame::Frame<crate::proto::DescribeRequest>,
-            >,
+            request: tonic::Request<crate::frame::Frame<crate::proto::DescribeRequest>>,
         ) -> std::result::Result<
             tonic::Response<crate::proto::DescribeResponse>,
             tonic::Status,
@@ -46,20 +44,14 @@ pub mod environment_service_server {
         async fn run_session(
             &self,
             request: tonic::Request<
-                tonic::Streaming<
-                    crate::frame::Frame<
-                        crate::proto::RunSessionRequest,
-                    >,
-                >,
+                tonic::Streaming<crate::frame::Frame<crate::proto::RunSessionRequest>>,
             >,
         ) -> std::result::Result<tonic::Response<Self::RunSessionStream>, tonic::Status>;
         /// What a session is and how far it has come.
         async fn describe_session(
             &self,
             request: tonic::Request<
-                crate::frame::Frame<
-                    crate::proto::DescribeSessionRequest,
-                >,
+                crate::frame::Frame<crate::proto::DescribeSessionRequest>,
             >,
         ) -> std::result::Result<
             tonic::Response<crate::proto::DescribeSessionResponse>,
@@ -168,9 +160,7 @@ pub mod environment_service_server {
                     impl<
                         T: EnvironmentService,
                     > tonic::server::UnaryService<
-                        crate::frame::Frame<
-                            crate::proto::DescribeRequest,
-                        >,
+                        crate::frame::Frame<crate::proto::DescribeRequest>,
                     > for DescribeSvc<T> {
                         type Response = crate::proto::DescribeResponse;
                         type Future = BoxFuture<
@@ -180,9 +170,7 @@ pub mod environment_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::frame::Frame<
-                                    crate::proto::DescribeRequest,
-                                >,
+                                crate::frame::Frame<crate::proto::DescribeRequest>,
                             >,
                         ) -> Self::Future {
                             let inner = Arc::clone(&self.0);
@@ -220,9 +208,7 @@ pub mod environment_service_server {
                     impl<
                         T: EnvironmentService,
                     > tonic::server::UnaryService<
-                        crate::frame::Frame<
-                            crate::proto::CreateSessionRequest,
-                        >,
+                        crate::frame::Frame<crate::proto::CreateSessionRequest>,
                     > for CreateSessionSvc<T> {
                         type Response = crate::proto::CreateSessionResponse;
                         type Future = BoxFuture<
@@ -232,9 +218,7 @@ pub mod environment_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::frame::Frame<
-                                    crate::proto::CreateSessionRequest,
-                                >,
+                                crate::frame::Frame<crate::proto::CreateSessionRequest>,
                             >,
                         ) -> Self::Future {
                             let inner = Arc::clone(&self.0);
@@ -273,9 +257,7 @@ pub mod environment_service_server {
                     impl<
                         T: EnvironmentService,
                     > tonic::server::StreamingService<
-                        crate::frame::Frame<
-                            crate::proto::RunSessionRequest,
-                        >,
+                        crate::frame::Frame<crate::proto::RunSessionRequest>,
                     > for RunSessionSvc<T> {
                         type Response = crate::proto::RunSessionResponse;
                         type ResponseStream = T::RunSessionStream;
@@ -287,9 +269,7 @@ pub mod environment_service_server {
                             &mut self,
                             request: tonic::Request<
                                 tonic::Streaming<
-                                    crate::frame::Frame<
-                                        crate::proto::RunSessionRequest,
-                                    >,
+                                    crate::frame::Frame<crate::proto::RunSessionRequest>,
                                 >,
                             >,
                         ) -> Self::Future {
@@ -329,9 +309,7 @@ pub mod environment_service_server {
                     impl<
                         T: EnvironmentService,
                     > tonic::server::UnaryService<
-                        crate::frame::Frame<
-                            crate::proto::DescribeSessionRequest,
-                        >,
+                        crate::frame::Frame<crate::proto::DescribeSessionRequest>,
                     > for DescribeSessionSvc<T> {
                         type Response = crate::proto::DescribeSessionResponse;
                         type Future = BoxFuture<
@@ -341,9 +319,7 @@ pub mod environment_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::frame::Frame<
-                                    crate::proto::DescribeSessionRequest,
-                                >,
+                                crate::frame::Frame<crate::proto::DescribeSessionRequest>,
                             >,
                         ) -> Self::Future {
                             let inner = Arc::clone(&self.0);
@@ -382,9 +358,7 @@ pub mod environment_service_server {
                     impl<
                         T: EnvironmentService,
                     > tonic::server::UnaryService<
-                        crate::frame::Frame<
-                            crate::proto::ListSessionsRequest,
-                        >,
+                        crate::frame::Frame<crate::proto::ListSessionsRequest>,
                     > for ListSessionsSvc<T> {
                         type Response = crate::proto::ListSessionsResponse;
                         type Future = BoxFuture<
@@ -394,9 +368,7 @@ pub mod environment_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::frame::Frame<
-                                    crate::proto::ListSessionsRequest,
-                                >,
+                                crate::frame::Frame<crate::proto::ListSessionsRequest>,
                             >,
                         ) -> Self::Future {
                             let inner = Arc::clone(&self.0);
@@ -435,9 +407,7 @@ pub mod environment_service_server {
                     impl<
                         T: EnvironmentService,
                     > tonic::server::UnaryService<
-                        crate::frame::Frame<
-                            crate::proto::CloseSessionRequest,
-                        >,
+                        crate::frame::Frame<crate::proto::CloseSessionRequest>,
                     > for CloseSessionSvc<T> {
                         type Response = crate::proto::CloseSessionResponse;
                         type Future = BoxFuture<
@@ -447,9 +417,7 @@ pub mod environment_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::frame::Frame<
-                                    crate::proto::CloseSessionRequest,
-                                >,
+                                crate::frame::Frame<crate::proto::CloseSessionRequest>,
                             >,
                         ) -> Self::Future {
                             let inner = Arc::clone(&self.0);
@@ -538,76 +506,65 @@ pub mod study_service_server {
         /// Rotates a leg about a hip fixed above sand: one row an angle.
         async fn intrude(
             &self,
-            request: tonic::Request<
-                crate::frame::Frame<crate::proto::IntrudeRequest>,
-            >,
+            request: tonic::Request<crate::frame::Frame<crate::proto::IntrudeRequest>>,
         ) -> std::result::Result<
             tonic::Response<crate::proto::IntrudeResponse>,
             tonic::Status,
         >;
+        /// Server streaming response type for the Trials method.
+        type TrialsStream: tonic::codegen::tokio_stream::Stream<
+                Item = std::result::Result<crate::proto::TrialsResponse, tonic::Status>,
+            >
+            + std::marker::Send
+            + 'static;
+        /// Moves any body steadily through sand: one row a motion.
+        async fn trials(
+            &self,
+            request: tonic::Request<crate::frame::Frame<crate::proto::TrialsRequest>>,
+        ) -> std::result::Result<tonic::Response<Self::TrialsStream>, tonic::Status>;
         /// Server streaming response type for the Walk method.
         type WalkStream: tonic::codegen::tokio_stream::Stream<
-                Item = std::result::Result<
-                    crate::proto::WalkResponse,
-                    tonic::Status,
-                >,
+                Item = std::result::Result<crate::proto::WalkResponse, tonic::Status>,
             >
             + std::marker::Send
             + 'static;
         /// Walks at constant stride frequencies: one row a frequency.
         async fn walk(
             &self,
-            request: tonic::Request<
-                crate::frame::Frame<crate::proto::WalkRequest>,
-            >,
+            request: tonic::Request<crate::frame::Frame<crate::proto::WalkRequest>>,
         ) -> std::result::Result<tonic::Response<Self::WalkStream>, tonic::Status>;
         /// Server streaming response type for the Sweep method.
         type SweepStream: tonic::codegen::tokio_stream::Stream<
-                Item = std::result::Result<
-                    crate::proto::SweepResponse,
-                    tonic::Status,
-                >,
+                Item = std::result::Result<crate::proto::SweepResponse, tonic::Status>,
             >
             + std::marker::Send
             + 'static;
         /// Walks over a grid of designs, one row a design, the last parameter fastest; or searches for the best design, one row.
         async fn sweep(
             &self,
-            request: tonic::Request<
-                crate::frame::Frame<crate::proto::SweepRequest>,
-            >,
+            request: tonic::Request<crate::frame::Frame<crate::proto::SweepRequest>>,
         ) -> std::result::Result<tonic::Response<Self::SweepStream>, tonic::Status>;
         /// Server streaming response type for the Evaluate method.
         type EvaluateStream: tonic::codegen::tokio_stream::Stream<
-                Item = std::result::Result<
-                    crate::proto::EvaluateResponse,
-                    tonic::Status,
-                >,
+                Item = std::result::Result<crate::proto::EvaluateResponse, tonic::Status>,
             >
             + std::marker::Send
             + 'static;
         /// Plays episodes over unseen seeds: one row a medium and slope.
         async fn evaluate(
             &self,
-            request: tonic::Request<
-                crate::frame::Frame<crate::proto::EvaluateRequest>,
-            >,
+            request: tonic::Request<crate::frame::Frame<crate::proto::EvaluateRequest>>,
         ) -> std::result::Result<tonic::Response<Self::EvaluateStream>, tonic::Status>;
         /// Server streaming response type for the Diagnose method.
         type DiagnoseStream: tonic::codegen::tokio_stream::Stream<
-                Item = std::result::Result<
-                    crate::proto::DiagnoseResponse,
-                    tonic::Status,
-                >,
+                Item = std::result::Result<crate::proto::DiagnoseResponse, tonic::Status>,
             >
             + std::marker::Send
             + 'static;
         /// Shows what the simulation gets wrong about measured data, and why.
         async fn diagnose(
             &self,
-            request: tonic::Request<
-                crate::frame::Frame<crate::proto::DiagnoseRequest>,
-            >,
+            request: tonic::Request<crate::frame::Frame<crate::proto::DiagnoseRequest>>,
         ) -> std::result::Result<tonic::Response<Self::DiagnoseStream>, tonic::Status>;
     }
     #[derive(Debug)]
@@ -692,9 +649,7 @@ pub mod study_service_server {
                     impl<
                         T: StudyService,
                     > tonic::server::UnaryService<
-                        crate::frame::Frame<
-                            crate::proto::IntrudeRequest,
-                        >,
+                        crate::frame::Frame<crate::proto::IntrudeRequest>,
                     > for IntrudeSvc<T> {
                         type Response = crate::proto::IntrudeResponse;
                         type Future = BoxFuture<
@@ -704,9 +659,7 @@ pub mod study_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::frame::Frame<
-                                    crate::proto::IntrudeRequest,
-                                >,
+                                crate::frame::Frame<crate::proto::IntrudeRequest>,
                             >,
                         ) -> Self::Future {
                             let inner = Arc::clone(&self.0);
@@ -738,6 +691,55 @@ pub mod study_service_server {
                     };
                     Box::pin(fut)
                 }
+                "/sandgait.v1.StudyService/Trials" => {
+                    #[allow(non_camel_case_types)]
+                    struct TrialsSvc<T: StudyService>(pub Arc<T>);
+                    impl<
+                        T: StudyService,
+                    > tonic::server::ServerStreamingService<
+                        crate::frame::Frame<crate::proto::TrialsRequest>,
+                    > for TrialsSvc<T> {
+                        type Response = crate::proto::TrialsResponse;
+                        type ResponseStream = T::TrialsStream;
+                        type Future = BoxFuture<
+                            tonic::Response<Self::ResponseStream>,
+                            tonic::Status,
+                        >;
+                        fn call(
+                            &mut self,
+                            request: tonic::Request<
+                                crate::frame::Frame<crate::proto::TrialsRequest>,
+                            >,
+                        ) -> Self::Future {
+                            let inner = Arc::clone(&self.0);
+                            let fut = async move {
+                                <T as StudyService>::trials(&inner, request).await
+                            };
+                            Box::pin(fut)
+                        }
+                    }
+                    let accept_compression_encodings = self.accept_compression_encodings;
+                    let send_compression_encodings = self.send_compression_encodings;
+                    let max_decoding_message_size = self.max_decoding_message_size;
+                    let max_encoding_message_size = self.max_encoding_message_size;
+                    let inner = self.inner.clone();
+                    let fut = async move {
+                        let method = TrialsSvc(inner);
+                        let codec = crate::frame::FrameCodec::default();
+                        let mut grpc = tonic::server::Grpc::new(codec)
+                            .apply_compression_config(
+                                accept_compression_encodings,
+                                send_compression_encodings,
+                            )
+                            .apply_max_message_size_config(
+                                max_decoding_message_size,
+                                max_encoding_message_size,
+                            );
+                        let res = grpc.server_streaming(method, req).await;
+                        Ok(res)
+                    };
+                    Box::pin(fut)
+                }
                 "/sandgait.v1.StudyService/Walk" => {
                     #[allow(non_camel_case_types)]
                     struct WalkSvc<T: StudyService>(pub Arc<T>);
@@ -755,9 +757,7 @@ pub mod study_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::frame::Frame<
-                                    crate::proto::WalkRequest,
-                                >,
+                                crate::frame::Frame<crate::proto::WalkRequest>,
                             >,
                         ) -> Self::Future {
                             let inner = Arc::clone(&self.0);
@@ -806,9 +806,7 @@ pub mod study_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::frame::Frame<
-                                    crate::proto::SweepRequest,
-                                >,
+                                crate::frame::Frame<crate::proto::SweepRequest>,
                             >,
                         ) -> Self::Future {
                             let inner = Arc::clone(&self.0);
@@ -846,9 +844,7 @@ pub mod study_service_server {
                     impl<
                         T: StudyService,
                     > tonic::server::ServerStreamingService<
-                        crate::frame::Frame<
-                            crate::proto::EvaluateRequest,
-                        >,
+                        crate::frame::Frame<crate::proto::EvaluateRequest>,
                     > for EvaluateSvc<T> {
                         type Response = crate::proto::EvaluateResponse;
                         type ResponseStream = T::EvaluateStream;
@@ -859,9 +855,7 @@ pub mod study_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::frame::Frame<
-                                    crate::proto::EvaluateRequest,
-                                >,
+                                crate::frame::Frame<crate::proto::EvaluateRequest>,
                             >,
                         ) -> Self::Future {
                             let inner = Arc::clone(&self.0);
@@ -899,9 +893,7 @@ pub mod study_service_server {
                     impl<
                         T: StudyService,
                     > tonic::server::ServerStreamingService<
-                        crate::frame::Frame<
-                            crate::proto::DiagnoseRequest,
-                        >,
+                        crate::frame::Frame<crate::proto::DiagnoseRequest>,
                     > for DiagnoseSvc<T> {
                         type Response = crate::proto::DiagnoseResponse;
                         type ResponseStream = T::DiagnoseStream;
@@ -912,9 +904,7 @@ pub mod study_service_server {
                         fn call(
                             &mut self,
                             request: tonic::Request<
-                                crate::frame::Frame<
-                                    crate::proto::DiagnoseRequest,
-                                >,
+                                crate::frame::Frame<crate::proto::DiagnoseRequest>,
                             >,
                         ) -> Self::Future {
                             let inner = Arc::clone(&self.0);

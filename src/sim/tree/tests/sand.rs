@@ -66,7 +66,7 @@ fn by_lanes<R: Real>(
 
 /// The other code's.
 fn by_intruder(body: &Body, sand: &SandDescription, depth: f64, v: V) -> (V, V) {
-    let lowest = -body.heights(|p| p)[0];
+    let lowest = -body.heights()[0];
     let trial = Trial { velocity: v.into(), spin: [0.0; 3], given: Given::Depth(depth + lowest) };
     let outcome = compute(body, sand, &trial);
     (outcome.force.into(), outcome.torque.into())

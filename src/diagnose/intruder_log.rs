@@ -1,0 +1,130 @@
+//! Reads steady states of a body in sand (intruder CSV): one row a steady state under a known load.
+
+use super::experiment::Experiment;
+use super::observations::{Channel, Names, Observations, Size, Unit};
+use crate::error::{Error, Result};
+use crate::sand::intruder::{Given, Trial};
+use crate::table::{Column, Quantity, Row};
+use std::path::Path;
+
+/// What was done in one row.
+#[derive(Clone, Debug, PartialEq)]
+pub struct State {
+    /// A table `[body.NAME]` of the experiment.
+    pub body: String,
+    /// Under the measured load.
+    pub trial: Trial,
+    /// Standard deviations in time, channel by channel; 0 where the data do not say.
+    pub unsteadiness: [f64; 3],
+}
+
+/// Steady states, read and checked: one a unit.
+pub struct IntruderLog {
+    pub observations: Observations,
+    pub states: Vec<State>,
+    /// Are there standard deviations in time?
+    pub has_unsteadiness: bool,
+    pub sha256: String,
+}
+
+macro_rules! columns {
+    ($($place:ident = $name:literal $quantity:ident $required:literal;)*) => {
+        #[allow(non_camel_case_types, clippy::upper_case_acronyms)]
+        enum Place { $($place),* }
+        const COLUMNS: &[Column] =
+            &[$(Column { name: $name, quantity: Quantity::$quantity, required: $required }),*];
+        $(const $place: usize = Place::$place as usize;)*
+    };
+}
+columns! {
+    TRIAL = "trial" Text true;
+    CONDITION = "condition" Text true;
+    REP = "rep" Text true;
+    BODY = "body" Text true;
+    VX = "vx" Speed false;
+    VY = "vy" Speed false;
+    VZ = "vz" Speed false;
+    WX = "wx" AngularSpeed false;
+    WY = "wy" AngularSpeed false;
+    WZ = "wz" AngularSpeed false;
+    LOAD = "load" Force true;
+    DEPTH = "depth" Length true;
+    FX = "Fx" Force true;
+    FY = "Fy" Force true;
+    DEPTH_SD = "depth_sd" Length false;
+    FX_SD = "Fx_sd" Force false;
+    FY_SD = "Fy_sd" Force false;
+}
+
+/// What is predicted at the measured load: two forces, which count in the error, and the sinkage.
+pub const CHANNELS: [Channel; 3] = [
+    Channel { name: "Fx", unit: "N", in_rmse: true },
+    Channel { name: "Fy", unit: "N", in_rmse: true },
+    Channel { name: "depth", unit: "m", in_rmse: false },
+];
+
+/// Rows beyond this are refused: each is solved some ten thousand times. Our choice, 15 times what was measured with the wheels.
+const MOST_ROWS: usize = 2_000;
+
+/// Beyond this a number is in the wrong unit or broken: our choice.
+const MOST: f64 = 1e6;
+
+/// Reads the rows; `experiment` describes bodies and units.
+pub fn read(path: &Path, experiment: &Experiment) -> Result<IntruderLog> {
+    let (mut conditions, mut ids) = (Names::default(), Names::default());
+    let mut observations = Observations {
+        size: Size::Force,
+        values: Vec::new(),
+        channels: CHANNELS.to_vec(),
+        units: Vec::new(),
+        conditions: Vec::new(),
+    };
+    let (mut states, mut has_unsteadiness) = (Vec::new(), false);
+    let summary = experiment.read(path, COLUMNS, |row| {
+        let id = row.needed_text(TRIAL)?;
+        if ids.place(id) != states.len() {
+            return Err(row.error(TRIAL, format!("{id} stands there twice")));
+        }
+        if states.len() == MOST_ROWS {
+            return Err(row.error(TRIAL, format!("more than {MOST_ROWS} rows: split the data")));
+        }
+        row.needed_text(REP)?;
+        let condition = conditions.place(row.needed_text(CONDITION)?);
+        let unsteadiness = [sd(row, FX_SD)?, sd(row, FY_SD)?, sd(row, DEPTH_SD)?];
+        has_unsteadiness |= unsteadiness.iter().any(|s| *s > 0.0);
+        let start = observations.values.len();
+        observations.units.push(Unit { id: id.into(), condition, start, samples: 1, progress: vec![0.0] });
+        for column in [FX, FY, DEPTH] {
+            observations.values.push(row.within(column, MOST)?.ok_or_else(|| row.blank(column))?);
+        }
+        states.push(State { body: body(row, experiment)?, trial: trial(row, path)?, unsteadiness });
+        Ok(())
+    })?;
+    observations.conditions = conditions.list;
+    Ok(IntruderLog { observations, states, has_unsteadiness, sha256: summary.sha256 })
+}
+
+fn sd(row: &Row, column: usize) -> Result<f64> {
+    let value = row.within(column, MOST)?.unwrap_or(0.0);
+    if value < 0.0 { Err(row.error(column, format!("{value} is negative"))) } else { Ok(value) }
+}
+
+fn body(row: &Row, experiment: &Experiment) -> Result<String> {
+    let name = row.needed_text(BODY)?;
+    if experiment.bodies.contains_key(name) {
+        return Ok(name.into());
+    }
+    let known: Vec<&str> = experiment.bodies.keys().map(String::as_str).collect();
+    Err(row.error(BODY, Error::unknown("body", name, &known)))
+}
+
+fn trial(row: &Row, path: &Path) -> Result<Trial> {
+    let mut motion = [0.0; 6];
+    for (value, column) in motion.iter_mut().zip([VX, VY, VZ, WX, WY, WZ]) {
+        *value = row.within(column, MOST)?.unwrap_or(0.0);
+    }
+    let [vx, vy, vz, wx, wy, wz] = motion;
+    let load = row.within(LOAD, MOST)?.ok_or_else(|| row.blank(LOAD))?;
+    let trial = Trial { velocity: [vx, vy, vz], spin: [wx, wy, wz], given: Given::Load(load) };
+    trial.validated().map_err(|e| Error::file(path, format!("row {}: {e}", row.line)))
+}
