@@ -93,11 +93,17 @@ fn rows(
     let offsets: Vec<f64> = (0..joints).map(|_| 2e-4 * normal()).collect();
     let biases: Vec<f64> = (0..6).map(|k| if k < 3 { 0.02 } else { 0.05 } * normal()).collect();
     let late = (1e3 * truth.delay).round() as usize;
+    // The engine takes whole turns out; a log does not.
+    let mut angles = states[0].angles.clone();
     for i in (0..states.len() - 1).step_by(5) {
         let state = &states[i];
         write!(text, "{run},{leg}{frequency},{leg},{slope_deg},{frequency},{:.3}", 1e-3 * i as f64).unwrap();
         let step = TAU / 4096.0;
-        state.angles.iter().for_each(|q| write!(text, ",{:.5}", (q / step).round() * step).unwrap());
+        for (angle, now) in angles.iter_mut().zip(&state.angles) {
+            let change = now - *angle;
+            *angle += change - TAU * (change / TAU).round();
+            write!(text, ",{:.5}", (*angle / step).round() * step).unwrap();
+        }
         state.rates.iter().for_each(|q| write!(text, ",{:.3}", q + 0.05 * normal()).unwrap());
         for (tau, offset) in state.torques.iter().zip(&offsets) {
             write!(text, ",{:.5}", tau * (1.0 + 0.02 * normal()) + offset).unwrap();

@@ -48,7 +48,10 @@ fn speed(run: &Run, j: usize, name: &str) -> Option<String> {
     let q = &run.q[j];
     let inner = 2..q.len().saturating_sub(2);
     let change = |i: usize| (q[i + 2] - q[i - 2]) / (run.t[i + 2] - run.t[i - 2]);
-    let ratio = proportion(inner.map(|i| (change(i), qd[i])))?;
+    let [low, high] = q.iter().fold([f64::MAX, f64::MIN], |[a, b], v| [a.min(*v), b.max(*v)]);
+    // Not where an angle is wrapped.
+    let steady = |i: &usize| (q[i + 2] - q[i - 2]).abs() <= 0.5 * (high - low);
+    let ratio = proportion(inner.filter(steady).map(|i| (change(i), qd[i])))?;
     let known = [
         (-1.0, "has the opposite sign of the change of"),
         (DEGREES, "is 57.3 times the change of"),
