@@ -10,6 +10,7 @@ use super::fit::{COEFFICIENTS, Column};
 use super::lack_of_fit::{self, Lack};
 use super::noise::{Noise, Source, sizes};
 use super::observations::Observations;
+use super::shared::gram;
 use super::study::Study;
 use super::whiten::Whitener;
 use crate::number::{add_scaled, dot};
@@ -113,11 +114,11 @@ impl Screen {
         let c: Vec<_> = self.marginal_columns.iter().map(|c| whitener.apply(c)).collect();
         let z: Vec<_> = self.columns.iter().map(|c| whitener.apply(c)).collect();
         let count = c.len();
-        let prior = products(&c) + DMatrix::identity(count, count);
+        let prior = gram(&c) + DMatrix::identity(count, count);
         let inverse = prior.try_inverse().unwrap_or_else(|| DMatrix::identity(count, count));
         let cz = DMatrix::from_fn(count, z.len(), |i, j| dot(&c[i], &z[j]));
         let cr = DVector::from_fn(count, |i, _| dot(&c[i], &white));
-        let gram = products(&z) - cz.transpose() * &inverse * &cz;
+        let gram = gram(&z) - cz.transpose() * &inverse * &cz;
         let score = DVector::from_fn(z.len(), |i, _| dot(&z[i], &white)) - cz.transpose() * &inverse * &cr;
         let adjusted = inverse * cr;
         let mut left = white;
@@ -183,18 +184,6 @@ impl Screen {
             .collect();
         gates.inflation * quantile(draws, 1.0 - FALSE_ALARM)
     }
-}
-
-/// Products of every column with every other.
-fn products(columns: &[Vec<f64>]) -> DMatrix<f64> {
-    let mut gram = DMatrix::zeros(columns.len(), columns.len());
-    for i in 0..columns.len() {
-        for j in 0..=i {
-            let product = dot(&columns[i], &columns[j]);
-            (gram[(i, j)], gram[(j, i)]) = (product, product);
-        }
-    }
-    gram
 }
 
 /// Starts of a ceiling: from twice its typical value down to a quarter, each √2 lower; what a motor does changes altogether

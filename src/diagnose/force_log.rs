@@ -1,5 +1,6 @@
 //! Reads force logs of plates and legs (intrusion CSV) into trials.
 
+use super::columns::columns;
 use super::experiment::{Experiment, Intruder};
 use super::motion::{Heading, heading, moving, progress};
 use super::observations::{Channel, Names, Observations, Size, Unit};
@@ -50,15 +51,6 @@ pub struct ForceLog {
     pub sha256: String,
 }
 
-macro_rules! columns {
-    ($($place:ident = $name:literal $quantity:ident $required:literal;)*) => {
-        #[allow(non_camel_case_types, clippy::upper_case_acronyms)]
-        enum Place { $($place),* }
-        const COLUMNS: &[Column] =
-            &[$(Column { name: $name, quantity: Quantity::$quantity, required: $required }),*];
-        $(const $place: usize = Place::$place as usize;)*
-    };
-}
 columns! {
     TRIAL = "trial" Text true;
     CONDITION = "condition" Text true;

@@ -1,5 +1,6 @@
 //! Reads steady states of a body in sand (intruder CSV): one row a steady state under a known load.
 
+use super::columns::columns;
 use super::experiment::Experiment;
 use super::observations::{Channel, Names, Observations, Size, Unit};
 use crate::error::{Error, Result};
@@ -27,15 +28,6 @@ pub struct IntruderLog {
     pub sha256: String,
 }
 
-macro_rules! columns {
-    ($($place:ident = $name:literal $quantity:ident $required:literal;)*) => {
-        #[allow(non_camel_case_types, clippy::upper_case_acronyms)]
-        enum Place { $($place),* }
-        const COLUMNS: &[Column] =
-            &[$(Column { name: $name, quantity: Quantity::$quantity, required: $required }),*];
-        $(const $place: usize = Place::$place as usize;)*
-    };
-}
 columns! {
     TRIAL = "trial" Text true;
     CONDITION = "condition" Text true;

@@ -20,6 +20,7 @@ pub mod arm;
 pub mod calibrate;
 pub mod chi_squared;
 pub mod cli;
+mod columns;
 pub mod cross_validation;
 pub mod described;
 pub mod discrepancy;

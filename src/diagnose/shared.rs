@@ -62,7 +62,8 @@ impl LowRank {
     }
 }
 
-fn gram(columns: &[Vec<f64>]) -> DMatrix<f64> {
+/// Products of every column with every other.
+pub fn gram(columns: &[Vec<f64>]) -> DMatrix<f64> {
     let mut gram = DMatrix::zeros(columns.len(), columns.len());
     for i in 0..columns.len() {
         for j in 0..=i {

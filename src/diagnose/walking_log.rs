@@ -1,5 +1,6 @@
 //! Reads runs of a walking robot (walking CSV): one row a run.
 
+use super::columns::columns;
 use super::experiment::Experiment;
 use super::observations::{Channel, Names, Observations, Size, Unit};
 use crate::error::{Error, Result};
@@ -36,15 +37,6 @@ pub struct WalkingLog {
     pub sha256: String,
 }
 
-macro_rules! columns {
-    ($($place:ident = $name:literal $quantity:ident $required:literal;)*) => {
-        #[allow(non_camel_case_types, clippy::upper_case_acronyms)]
-        enum Place { $($place),* }
-        const COLUMNS: &[Column] =
-            &[$(Column { name: $name, quantity: Quantity::$quantity, required: $required }),*];
-        $(const $place: usize = Place::$place as usize;)*
-    };
-}
 columns! {
     RUN = "run" Text true;
     CONDITION = "condition" Text true;

@@ -6,7 +6,7 @@
 
 #[allow(dead_code)] // not every test that uses the laboratory has dirt and rests
 pub mod dirt;
-#[allow(dead_code)]
+#[allow(dead_code)] // the same
 pub mod rests;
 
 use rand::{Rng, SeedableRng};

@@ -67,9 +67,10 @@ impl Line {
     }
 
     /// Computes `work` when its turn comes. The stream has its progress and ends with its answer or a status; dropping
-    /// the stream stops the work at its next report.
+    /// the stream stops the work at its next report. `share` is held until the work has ended.
     pub fn enter<A: Answer>(
         &self,
+        share: impl Send + 'static,
         work: impl FnOnce(&dyn Progress) -> Result<A> + Send + 'static,
     ) -> std::result::Result<ReceiverStream<std::result::Result<A, Status>>, Status> {
         let place = Place::take(&self.taken).map_err(|e| status::status(&e))?;
@@ -98,7 +99,7 @@ impl Line {
                 Some(permit) => {
                     let teller = Teller { events: events.clone(), stop: stop.clone(), last: Mutex::default() };
                     // The place and the slot are held until the work has really ended.
-                    let held = (permit, place);
+                    let held = (permit, place, share);
                     let done = tokio::task::spawn_blocking(move || {
                         let _held = held;
                         work(&teller)

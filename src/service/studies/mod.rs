@@ -15,7 +15,6 @@ use super::proto::{self, DiagnoseRequest, DiagnoseResponse, IntrudeRequest, Intr
 use super::proto::{EvaluateRequest, EvaluateResponse, SweepRequest, SweepResponse, WalkRequest, WalkResponse};
 use super::proto::{TrialsRequest, TrialsResponse};
 use super::{off_runtime, wire};
-use crate::progress::Progress;
 use line::{Answer, Line};
 use tokio_stream::wrappers::ReceiverStream;
 use tokio_util::sync::CancellationToken;
@@ -65,11 +64,7 @@ impl StudyService for Studies {
     ) -> std::result::Result<Response<Self::TrialsStream>, Status> {
         let (request, share) = Frame::only(request, &wire::TRIALS).await?;
         let work = off_runtime(move || compute::trials(request)).await?;
-        let work = move |progress: &dyn Progress| {
-            let _share = &share;
-            work(progress)
-        };
-        self.line.enter(work).map(Response::new)
+        self.line.enter(share, work).map(Response::new)
     }
 
     type WalkStream = Events<WalkResponse>;
@@ -80,11 +75,7 @@ impl StudyService for Studies {
     ) -> std::result::Result<Response<Self::WalkStream>, Status> {
         let (request, share) = Frame::only(request, wire::PLAIN).await?;
         let work = off_runtime(move || compute::walk(request)).await?;
-        let work = move |progress: &dyn Progress| {
-            let _share = &share;
-            work(progress)
-        };
-        self.line.enter(work).map(Response::new)
+        self.line.enter(share, work).map(Response::new)
     }
 
     type SweepStream = Events<SweepResponse>;
@@ -95,11 +86,7 @@ impl StudyService for Studies {
     ) -> std::result::Result<Response<Self::SweepStream>, Status> {
         let (request, share) = Frame::only(request, &wire::SWEEP).await?;
         let work = off_runtime(move || compute::sweep(request)).await?;
-        let work = move |progress: &dyn Progress| {
-            let _share = &share;
-            work(progress)
-        };
-        self.line.enter(work).map(Response::new)
+        self.line.enter(share, work).map(Response::new)
     }
 
     type EvaluateStream = Events<EvaluateResponse>;
@@ -110,11 +97,7 @@ impl StudyService for Studies {
     ) -> std::result::Result<Response<Self::EvaluateStream>, Status> {
         let (request, share) = Frame::only(request, &wire::EVALUATE).await?;
         let work = off_runtime(move || compute::evaluate(request)).await?;
-        let work = move |progress: &dyn Progress| {
-            let _share = &share;
-            work(progress)
-        };
-        self.line.enter(work).map(Response::new)
+        self.line.enter(share, work).map(Response::new)
     }
 
     type DiagnoseStream = Events<DiagnoseResponse>;
@@ -125,11 +108,7 @@ impl StudyService for Studies {
     ) -> std::result::Result<Response<Self::DiagnoseStream>, Status> {
         let (request, share) = Frame::only(request, &wire::DIAGNOSE).await?;
         let work = off_runtime(move || compute::diagnose(request)).await?;
-        let work = move |progress: &dyn Progress| {
-            let _share = &share;
-            work(progress)
-        };
-        self.line.enter(work).map(Response::new)
+        self.line.enter(share, work).map(Response::new)
     }
 }
 
