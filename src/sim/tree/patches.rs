@@ -33,6 +33,9 @@ pub struct Facet {
     pub center: [f32; 3],
     /// Unit, outward.
     pub normal: [f32; 3],
+    /// Means over the plate, which may be bent, of its normal's products: xx, yy; yz, xz, xy.
+    pub squares: [f32; 2],
+    pub products: [f32; 3],
     /// center × normal: the normal part of the velocity at a spin.
     pub moment: [f32; 3],
     /// [m²]
@@ -118,19 +121,28 @@ impl BodyPatches {
 
 impl Facet {
     fn of(p: &Plate) -> Self {
-        let (at, n) = (center(p), normal(p));
-        let single = |v: V| [v.x as f32, v.y as f32, v.z as f32];
+        let n = normal(p);
         let sides = [length(p, 0), length(p, 1)];
         let square = |x: f64| x * x;
+        let at = center(p);
+        let single = |v: V| [v.x as f32, v.y as f32, v.z as f32];
         let rise = ((square(sides[0]) + square(sides[1])) / 6.0).sqrt();
         let turn = ((square(p.bend[0] * sides[0]) + square(p.bend[1] * sides[1])) / 2.0).sqrt();
         // A flat plate leads from when it moves outward, with the same bluntness as all solid bodies.
         let gate = Surface::SOLID.leading_edge_gate;
         let wide = EDGE * turn > gate / 2.0;
         let (begun, growth) = if wide { (0.5, 0.5 / (EDGE * turn)) } else { (0.0, 1.0 / gate) };
+        // A normal that turns evenly by ± a along t has the mean products (1 − a²/3) n n + a²/3 t t, to second order in a.
+        let mut second = n * n.transpose();
+        for k in (0..2).filter(|k| p.bend[*k] != 0.0) {
+            let (turned, along) = (square(p.bend[k] * sides[k]) / 3.0, V::from(p.half[k].lane(0)).normalize());
+            second += (along * along.transpose() - n * n.transpose()) * turned;
+        }
         Self {
             center: single(at),
             normal: single(n),
+            squares: [second[(0, 0)] as f32, second[(1, 1)] as f32],
+            products: [(1, 2), (0, 2), (0, 1)].map(|at| second[at] as f32),
             moment: single(at.cross(&n)),
             area: p.area as f32,
             rise: rise as f32,

@@ -145,7 +145,7 @@ fn leading<R: Real>(patch: &Patch, own: &Own<R>, inverse_speed: R) -> Leading<R>
         growth: zero,
     };
     for facet in &patch.facets {
-        let Facet { center, normal, moment, area, rise, begun, growth } = facet;
+        let Facet { center, normal, squares, products, moment, area, rise, begun, growth } = facet;
         let (center, normal): (Vec3<R>, Vec3<R>) = (lanes(center), lanes(normal));
         let along = normal.dot(linear) + lanes(moment).dot(angular);
         let share = along.mul_add(lane(*growth), lane(*begun));
@@ -163,18 +163,15 @@ fn leading<R: Real>(patch: &Patch, own: &Own<R>, inverse_speed: R) -> Leading<R>
         sum.deep = half.mul_add(lower.mul_add(lower, upper * upper), sum.deep);
         sum.area += R::select(zero.lt(low), half, zero) + R::select(zero.lt(high), half, zero);
         sum.load += load;
-        let loaded = normal * load;
-        sum.normal += loaded;
-        sum.squares.x = loaded.x.mul_add(normal.x, sum.squares.x);
-        sum.squares.y = loaded.y.mul_add(normal.y, sum.squares.y);
-        sum.products.x = loaded.y.mul_add(normal.z, sum.products.x);
-        sum.products.y = loaded.x.mul_add(normal.z, sum.products.y);
-        sum.products.z = loaded.x.mul_add(normal.y, sum.products.z);
+        sum.normal = normal.scale_add(load, sum.normal);
+        sum.squares.x = load.mul_add(lane(squares[0]), sum.squares.x);
+        sum.squares.y = load.mul_add(lane(squares[1]), sum.squares.y);
+        sum.products = lanes(products).scale_add(load, sum.products);
         sum.place = center.scale_add(load, sum.place);
         let whole = lane::<R>(*growth) * lane::<R>(*area) * depth.max(zero);
         sum.growth += R::select(zero.lt(share), R::select(share.lt(one), whole, zero), zero);
     }
-    // Normals are unit vectors.
+    // Normals are unit vectors, also those of bent plates.
     sum.squares.z = sum.load - sum.squares.x - sum.squares.y;
     sum
 }
