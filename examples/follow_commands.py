@@ -2,8 +2,8 @@
 
     python examples/follow_commands.py runs/go1/policy.onnx --options '{"robot": "go1.xml", "ground": "rigid"}'
 
-Nothing is drawn for the episodes (no pushes, nominal sand and masses) and every command is held. Speeds are means over the last
-four of six seconds and over the robots, in the base's frame.
+Nothing is drawn for the episodes (no pushes, nominal sand and masses) and every command is held. Speeds are means over
+the last four of six seconds and over the robots, in the base's frame.
 """
 
 from __future__ import annotations
@@ -79,9 +79,7 @@ def table(lines: list[Line]) -> str:
     text = ["forward  sideways  yaw (commanded)    forward  sideways    yaw   error   fell"]
     for line in lines:
         (a, b, c), (x, y, w) = line.command, line.speed
-        text.append(
-            f"{a:7.2f} {b:9.2f} {c:4.1f} {x:22.2f} {y:9.2f} {w:6.2f} {line.error:6.0%} {line.fell:6.0%}"
-        )
+        text.append(f"{a:7.2f} {b:9.2f} {c:4.1f} {x:22.2f} {y:9.2f} {w:6.2f} {line.error:6.0%} {line.fell:6.0%}")
     text.append(f"mean error {np.mean([line.error for line in lines]):.0%}")
     return "\n".join(text)
 
