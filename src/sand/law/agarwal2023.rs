@@ -15,7 +15,7 @@
 //!   along the motion, and more than 0.001 ξ_n only where it is nearly horizontal (β < 12°);
 //! * across a vertical plate, where β jumps from π/2 to −π/2, α jumps by up to 0.05 ξ_n.
 
-use super::{Motion, StressLaw};
+use super::{Motion, Normals, StressLaw};
 use crate::coefficients::Coefficients;
 use crate::media::Medium;
 use crate::number::{Real, Vec3};
@@ -227,8 +227,8 @@ impl<R: Real> StressLaw<R> for SpatialTable<R> {
     }
 
     #[inline(always)]
-    fn mean_stress(&self, n: Vec3<R>, spread: R, m: &Motion<R>) -> Vec3<R> {
-        self.mean(n, Some(spread), m)
+    fn mean_stress(&self, normals: &Normals<R>, m: &Motion<R>) -> Vec3<R> {
+        self.mean(normals.unit, Some(normals.spread), m)
     }
 }
 
