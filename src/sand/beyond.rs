@@ -3,7 +3,6 @@
 //! A strength of 0 leaves every bit as plain theory gives it, so lanes without a mechanism do not notice neighbours
 //! that have it.
 
-use super::contact::Ground;
 use super::mechanism::Mechanisms;
 use super::term::{LaneTerms, Piece, Term};
 use crate::number::{Real, Vec3};
@@ -234,12 +233,6 @@ impl<R: Real> SandMechanisms<R> {
         (self.graze_loss * fourth * fourth).mul_add(-aside, R::one())
     }
 
-    /// Stress [Pa] on a submerged thin segment with unit normal `n` and velocity `v`, both in the surface's frame.
-    #[inline(always)]
-    pub fn stress(&self, ground: &Ground<R>, n: Vec3<R>, v: Vec3<R>, site: &Site<R>) -> Vec3<R> {
-        self.force(ground.stress(n, &ground.motion(v)), n, v, site, R::one())
-    }
-
     /// |z| → z0 (|z|/z0)^p
     #[inline(always)]
     pub fn depth(&self, depth: R) -> R {
@@ -398,6 +391,7 @@ fn tanh<R: Real>(x: R) -> R {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Ground;
     use crate::{Law, Medium, Surface};
 
     fn ground() -> Ground<f64> {

@@ -103,6 +103,14 @@ pub struct Contact<R> {
     pub edge: R,
 }
 
+impl<R: Real> SandMechanisms<R> {
+    /// Stress [Pa] on a submerged thin segment with unit normal `n` and velocity `v`, both in the surface's frame.
+    #[inline(always)]
+    pub fn stress(&self, ground: &Ground<R>, n: Vec3<R>, v: Vec3<R>, site: &Site<R>) -> Vec3<R> {
+        self.force(ground.stress(n, &ground.motion(v)), n, v, site, R::one())
+    }
+}
+
 impl<R: Real> Ground<R> {
     pub fn new(law: Law, medium: &Medium, surface: &Surface) -> Self {
         let form = match law {
