@@ -252,7 +252,7 @@ impl Shard {
         self.rows.rewards[i] = row[..spec.reward.len()].iter().sum();
         self.rows.terminated[i] = u8::from(terminated);
         self.rows.truncated[i] = u8::from(truncated);
-        let change = episode.task.after_step(&mut episode.goal, &episode.after);
+        let change = episode.task.after_step(&mut episode.goal, &episode.after, row);
         if let Change::Push([x, y]) = change {
             (episode.after.velocity[0], episode.after.velocity[1]) = (x, y);
             self.engine.set_state(i, &episode.after);

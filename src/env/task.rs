@@ -81,8 +81,8 @@ pub trait Task: Send + Sync + Sized + 'static {
     /// What the servos do under `action`.
     fn command(&self, action: &[f32], state: &State, command: &mut Command);
 
-    /// Takes note of where a step has led, after it was evaluated; says what the engine must be told.
-    fn after_step(&self, _setup: &Setup<Self::Options>, _goal: &mut Goal, _state: &State) -> Change {
+    /// Takes note of where a step has led, after it was evaluated; says what the engine must be told. `info` is the step's row.
+    fn after_step(&self, _setup: &Setup<Self::Options>, _goal: &mut Goal, _state: &State, _info: &[f32]) -> Change {
         Change::Nothing
     }
 
@@ -113,7 +113,7 @@ pub trait AnyTask: Send + Sync {
     fn model(&self) -> &Arc<Model>;
     fn begin(&self, random: &mut Random) -> (State, Goal);
     fn command(&self, action: &[f32], state: &State, command: &mut Command);
-    fn after_step(&self, goal: &mut Goal, state: &State) -> Change;
+    fn after_step(&self, goal: &mut Goal, state: &State, info: &[f32]) -> Change;
     fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]);
     fn evaluate(&self, transition: &Transition, info: &mut [f32]) -> bool;
     fn most_obstacles(&self) -> usize;
@@ -206,8 +206,8 @@ impl<T: Task> AnyTask for TaskSetup<T> {
         self.task.command(action, state, command);
     }
 
-    fn after_step(&self, goal: &mut Goal, state: &State) -> Change {
-        self.task.after_step(&self.setup(), goal, state)
+    fn after_step(&self, goal: &mut Goal, state: &State, info: &[f32]) -> Change {
+        self.task.after_step(&self.setup(), goal, state, info)
     }
 
     fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]) {

@@ -228,7 +228,7 @@ impl Task for HexapodTerrain {
     }
 
     /// Prints, patches, and the way back.
-    fn after_step(&self, setup: &Setup<TerrainOptions>, goal: &mut Goal, state: &State) -> Change {
+    fn after_step(&self, setup: &Setup<TerrainOptions>, goal: &mut Goal, state: &State, _info: &[f32]) -> Change {
         let (Some(ground), Some(model)) = (&mut goal.ground, &mut goal.model) else { return Change::Nothing };
         let change = ground.after_step(model, state);
         if change == Change::Patch {

@@ -103,11 +103,11 @@ impl LeggedEpisode {
         self.commands.get(k % self.commands.len().max(1)).copied().unwrap_or_default()
     }
 
-    /// Takes note of a step after which `feet` touch the ground; gives the push that comes now.
-    pub fn after_step(&mut self, from: Draws, feet: &[bool]) -> Option<[f64; 2]> {
+    /// Takes note of a step after which `feet` touch the ground (1) or do not (0); gives the push that comes now.
+    pub fn after_step(&mut self, from: Draws, feet: &[f32]) -> Option<[f64; 2]> {
         self.step += 1;
         for (air, touches) in self.air.iter_mut().zip(feet) {
-            *air = if *touches { 0.0 } else { *air + 1.0 / CONTROL_RATE };
+            *air = if *touches == 1.0 { 0.0 } else { *air + 1.0 / CONTROL_RATE };
         }
         self.now = self.command(from);
         let interval = from.rand.push_interval;

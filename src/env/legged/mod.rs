@@ -47,8 +47,8 @@ zero. `domain_rand` says what else is drawn for an episode, and how often the ba
 
 Names and laws of reward terms, their weights, and the order of the observation are those of legged_gym (Rudin et al. 2022) and
 of Isaac Lab's velocity tasks; as there, each term counts its weight a second. A foot is in contact when it is in the ground, and a
-body collides when it is. Velocities are those of the base link's origin, in the base's frame. Unlike there, observations are not scaled
-and a negative sum of rewards is not cut at zero.
+body collides when it is. Velocities are those of the base link's origin, in the base's frame. Unlike there, observations are not scaled,
+a negative sum of rewards is not cut at zero, and actions end at ±1 (hence an `action_scale` of 1, which is 0.25 there).
 
 An episode terminates when the base has tilted by more than 60° (`bad_orientation`) or, on `rigid` ground, touches it
 (`base_contact`); it is truncated after `max_episode_steps`, or when its state can no longer be computed (`diverged`).
@@ -87,13 +87,15 @@ impl Observed<'_> {
 type Observe = fn(&Observed, usize) -> f64;
 
 /// Computes one figure of a step.
-type Figure = fn(&LeggedStep) -> f64;
+type Figure = fn(&LeggedStep, usize) -> f64;
 
 pub struct LeggedVelocity {
     spec: Spec,
     rewards: Rewards,
     observation: Features<Observe>,
     figures: Features<Figure>,
+    /// Where in an info row the feet's contacts stand.
+    contacts: usize,
     /// Default position of each joint [rad].
     angles: Vec<f64>,
     scale: f64,
@@ -118,30 +120,36 @@ fn observation(joints: &[String], heights: bool) -> Features<Observe> {
         .group((0..measured).map(height), |o, i| o.measured_height(i))
 }
 
+/// Is a foot in the ground?
+fn contact(foot: &String) -> Column {
+    Column::new(format!("contact, {foot}"), "1", 0.0, 1.0)
+}
+
 /// Info columns behind the reward's.
-fn figures() -> Features<Figure> {
+fn figures(feet: &[String]) -> Features<Figure> {
     Features::<Figure>::none()
-        .free("speed", "m/s", |s| s.velocity[0])
-        .free("lin_vel_y", "m/s", |s| s.velocity[1])
-        .free("ang_vel_yaw", "rad/s", |s| s.angular_velocity[2])
-        .free("x_velocity", "m/s", |s| (s.t.after.position[0] - s.t.before.position[0]) / s.t.period)
-        .free("command_lin_vel_x", "m/s", |s| s.legged.now[0])
-        .free("command_lin_vel_y", "m/s", |s| s.legged.now[1])
-        .free("command_ang_vel_yaw", "rad/s", |s| s.legged.now[2])
-        .free("feet_in_contact", "1", |s| s.contacts.feet.iter().filter(|touches| **touches).count() as f64)
-        .free("base_height", "m", |s| {
+        .free("speed", "m/s", |s, _| s.velocity[0])
+        .free("lin_vel_y", "m/s", |s, _| s.velocity[1])
+        .free("ang_vel_yaw", "rad/s", |s, _| s.angular_velocity[2])
+        .free("x_velocity", "m/s", |s, _| (s.t.after.position[0] - s.t.before.position[0]) / s.t.period)
+        .free("command_lin_vel_x", "m/s", |s, _| s.legged.now[0])
+        .free("command_lin_vel_y", "m/s", |s, _| s.legged.now[1])
+        .free("command_ang_vel_yaw", "rad/s", |s, _| s.legged.now[2])
+        .free("feet_in_contact", "1", |s, _| s.contacts.feet.iter().filter(|touches| **touches).count() as f64)
+        .group(feet.iter().map(contact), |s, i| flag(s.contacts.feet[i]))
+        .free("base_height", "m", |s, _| {
             let [x, y, z] = s.t.after.position;
             z - s.t.model.surface_height(x, y)
         })
-        .free("work", "J", |s| s.t.after.work - s.t.before.work)
-        .free("weight", "N", |s| s.t.model.total_mass() * GRAVITY)
-        .free("friction", "1", |s| s.legged.friction)
-        .free("sand", "1", |s| s.legged.sand)
-        .free("added_mass", "kg", |s| s.legged.added_mass)
-        .free("motor_strength", "1", |s| s.legged.motor_strength)
-        .free("bad_orientation", "1", |s| flag(s.fallen && !s.t.diverged))
-        .free("base_contact", "1", |s| flag(s.base_contact && !s.t.diverged))
-        .free("diverged", "1", |s| flag(s.t.diverged))
+        .free("work", "J", |s, _| s.t.after.work - s.t.before.work)
+        .free("weight", "N", |s, _| s.t.model.total_mass() * GRAVITY)
+        .free("friction", "1", |s, _| s.legged.friction)
+        .free("sand", "1", |s, _| s.legged.sand)
+        .free("added_mass", "kg", |s, _| s.legged.added_mass)
+        .free("motor_strength", "1", |s, _| s.legged.motor_strength)
+        .free("bad_orientation", "1", |s, _| flag(s.fallen && !s.t.diverged))
+        .free("base_contact", "1", |s, _| flag(s.base_contact && !s.t.diverged))
+        .free("diverged", "1", |s, _| flag(s.t.diverged))
 }
 
 /// Gravity's direction, velocity and angular velocity in the base's frame.
@@ -170,7 +178,8 @@ impl Task for LeggedVelocity {
             return Err(Error::invalid("robot", format!("{:?} has no joints", tree.tree.name)));
         }
         let (joints, rewards) = (&setup.model.joint_names(), options.rewards);
-        let (observation, figures) = (observation(joints, options.measure_heights), figures());
+        let feet: Vec<String> = tree.stance.feet.iter().map(|i| tree.tree.bodies[*i].name.clone()).collect();
+        let (observation, figures) = (observation(joints, options.measure_heights), figures(&feet));
         let reward = rewards.terms();
         let spec = Spec {
             id: Self::ID,
@@ -185,7 +194,9 @@ impl Task for LeggedVelocity {
             control_rate: CONTROL_RATE,
         };
         let angles = tree.stance.angles.clone();
-        Ok(Self { spec, rewards, observation, figures, angles, scale: options.action_scale })
+        let first = feet.first().map(|foot| contact(foot).name);
+        let contacts = spec.info.iter().position(|column| Some(&column.name) == first.as_ref()).unwrap_or(0);
+        Ok(Self { spec, rewards, observation, figures, contacts, angles, scale: options.action_scale })
     }
 
     fn spec(&self) -> &Spec {
@@ -213,9 +224,10 @@ impl Task for LeggedVelocity {
         command.targets.extend(self.angles.iter().zip(action).map(|(a, offset)| a + self.scale * f64::from(*offset)));
     }
 
-    fn after_step(&self, setup: &Setup<LeggedOptions>, goal: &mut Goal, state: &State) -> Change {
-        let (Some(legged), Some(model)) = (&mut goal.legged, &goal.model) else { return Change::Nothing };
-        let push = legged.after_step(setup.options.draws(), &Contacts::of(model, state).feet);
+    fn after_step(&self, setup: &Setup<LeggedOptions>, goal: &mut Goal, _state: &State, info: &[f32]) -> Change {
+        let Some(legged) = &mut goal.legged else { return Change::Nothing };
+        let feet = &info[self.contacts..][..legged.air.len()];
+        let push = legged.after_step(setup.options.draws(), feet);
         [goal.speed, _, goal.turn] = legged.now;
         push.map_or(Change::Nothing, Change::Push)
     }
@@ -241,7 +253,7 @@ impl Task for LeggedVelocity {
             LeggedStep { t, legged, contacts, default, gravity, velocity, angular_velocity, fallen, base_contact };
         let (rewards, rest) = info.split_at_mut(self.spec.reward.len());
         self.rewards.fill(&step, t.period, rewards);
-        self.figures.fill(rest, |value, _| value(&step));
+        self.figures.fill(rest, |value, i| value(&step, i));
         step.terminated()
     }
 

@@ -19,7 +19,8 @@ use std::sync::Arc;
 options! {
     /// Options of LeggedVelocity. `dt`: our choice, twice that of the hexapods, whose feet turn faster. A trot of the test
     /// quadruped went up to 5 % off one at 0.125 ms in sand and 10 % on hard ground; at 1 ms 8 % on hard ground. Episodes of 20 s
-    /// are legged_gym's.
+    /// are legged_gym's. Its actions have no bounds and an `action_scale` of 0.25; here they end at ± 1, which at that scale moves
+    /// Go1's feet too little to walk.
     pub struct LeggedOptions {
         robot: RobotName = RobotName::TREE.into(), "built-in robot sandcat, or a packed file (Python: its path)";
         law: Law = Law::Li2013, "resistive force law: li2013, penetration-drag-1d or agarwal2023";
@@ -33,7 +34,7 @@ options! {
         commands: Commands = Commands::default(), "ranges [low, high] of commands, drawn at the start and anew as time goes on";
         rewards: Rewards = Rewards::default(), "weight of each reward term, a second";
         domain_rand: Option<DomainRand> = Some(DomainRand::default()), "ranges [low, high] that an episode draws from; None: nothing is drawn";
-        action_scale: f64 = 0.25, [1e-3, 3.0], "what an action of 1 adds to a joint's default position [rad]";
+        action_scale: f64 = 1.0, [1e-3, 3.0], "what an action of 1, the largest, adds to a joint's default position [rad]";
         relief: Option<ReliefOptions> = None, "heights of the ground; None: it is flat, but for ground dunes";
         measure_heights: bool = false, "observe the ground's heights at legged_gym's 187 points around the robot";
     }
