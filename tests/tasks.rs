@@ -330,3 +330,31 @@ fn pages_are_what_the_code_says() {
         assert!(String::from_utf8(printed.stdout).unwrap() == made, "{path} is old: run `make task-pages`");
     }
 }
+
+#[allow(dead_code)]
+#[path = "../examples/own_task.rs"]
+mod own_task;
+
+/// A task of one's own needs one file: options, help, resets, rewards and figures follow from its lines.
+#[test]
+fn a_task_of_ones_own_is_one_file() {
+    let make = |options| Blueprint::of::<own_task::LevelWalk>(options);
+    let refused = |options| make(options).err().unwrap().to_string();
+    assert_eq!(refused(json!({"largest_tilt": 9})), "largest_tilt: 9 is outside [0.1, 3]");
+    assert_eq!(refused(json!({"level_weights": {"level": -1}})), "level_weights.level: -1 is outside [0, 100]");
+    assert!(refused(json!({"difficulty": 1})).starts_with("difficulty: example/LevelWalk-v0 has no such option"));
+    let level = make(json!({"level_weights": {"level": 0.5}})).unwrap();
+    let names: Vec<_> = level.task.spec().info.iter().map(|c| c.name.as_str()).collect();
+    assert_eq!(names, ["reward_progress", "reward_level", "tilt", "work"]);
+    assert_eq!(level.task.option("level_weights"), json!({"progress": 1.0, "level": 0.5}));
+    let keywords = level.keywords();
+    let tilt = keywords.iter().find(|k| k.name == "largest_tilt").unwrap();
+    assert_eq!((tilt.at_reset, &tilt.value), (true, &json!(0.8)));
+    let reset = |options| level.changed(&ResetOptions::new(options).unwrap());
+    assert_eq!(reset(json!({"largest_tilt": 0.3, "slope_deg": 5})).unwrap().task.option("largest_tilt"), 0.3);
+    let fixed = reset(json!({"level_weights": {"level": 0}})).err().unwrap().to_string();
+    assert!(fixed.starts_with("level_weights: no reset changes it; resets change: command, turn"), "{fixed}");
+    // Level or not, it walks; a price on tilt is paid.
+    let [free, priced] = [0.0, 5.0].map(|level| own_task::played(json!({"level_weights": {"level": level}})).unwrap());
+    assert!(free > 1.0 && priced < free, "{free} {priced}");
+}

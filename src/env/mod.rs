@@ -14,7 +14,8 @@
 //! * [`look`]: one environment for those who only look.
 //! * [`random`]: the stream of random numbers of an episode.
 
-use sandgait_base::error;
+pub use sandgait_base::error;
+
 use sandgait_sand as sand;
 use sandgait_sim as sim;
 

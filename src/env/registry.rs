@@ -33,7 +33,7 @@ struct Kind {
 
 impl Kind {
     const fn of<T: Task>() -> Self {
-        Self { id: T::ID, rows: T::Options::rows, make: Blueprint::make::<T> }
+        Self { id: T::ID, rows: T::Options::rows, make: Blueprint::of::<T> }
     }
 }
 
@@ -115,7 +115,8 @@ impl Blueprint {
         (kind.make)(options)
     }
 
-    fn make<T: Task>(keywords: Value) -> Result<Self> {
+    /// Task `T` with these keywords, in the registry or not.
+    pub fn of<T: Task>(keywords: Value) -> Result<Self> {
         let (rows, keywords) = (T::Options::rows(), options::object(keywords)?);
         keywords.keys().try_for_each(|name| check_keyword(T::ID, &rows, name))?;
         let mut options = T::Options::default();

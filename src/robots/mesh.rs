@@ -1,7 +1,8 @@
 //! Meshes that robots name: STL, OBJ and DAE, scaled, each file once.
 
+use super::collada::{self, MOST_TRIANGLES};
 use super::files::{MOST_MESH, Source};
-use super::{collada, hull};
+use super::hull;
 use crate::error::{Error, Result};
 use crate::sand::intruder;
 use nalgebra::{Matrix3, Vector3};
@@ -9,8 +10,6 @@ use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// Most triangles of a mesh: our choice, the largest we have seen (the trunk of go1.urdf) has 307,000.
-pub const MOST_TRIANGLES: usize = 500_000;
 /// Most triangles of all meshes of a robot: our choice, 144 MB.
 const MOST_TOGETHER: usize = 2_000_000;
 /// Corners nearer than this share of the mesh are one: our choice, ten times single precision's rounding.

@@ -3,6 +3,9 @@
 use crate::sim::frame::V;
 use crate::sim::{Model, State};
 
+/// Width and height that a picture may have [px]: our choice of guard.
+pub const SIZES: std::ops::RangeInclusive<u32> = 16..=4096;
+
 /// Towards the robot's front from its right side, and above the horizon [rad]: our choice, so that no leg hides another.
 const AZIMUTH: f64 = 0.55;
 const ELEVATION: f64 = 0.32;

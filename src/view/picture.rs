@@ -1,6 +1,6 @@
 //! One moment as an image, drawn by the processor alone: far things first, near things over them.
 
-use super::camera::{Camera, clip, radius};
+use super::camera::{Camera, SIZES, clip, radius};
 use super::pose::Pose;
 use super::{text, tree};
 use crate::error::{Error, Result};
@@ -13,9 +13,6 @@ use resvg::tiny_skia::{
     Color, FillRule, GradientStop, LineCap, LinearGradient, Paint, Path, PathBuilder, Pixmap, Point, Rect, Shader,
     SpreadMode, Stroke, Transform,
 };
-
-/// Width and height that a picture may have [px]: our choice of guard.
-pub const SIZES: std::ops::RangeInclusive<u32> = 16..=4096;
 
 type Rgb = [f64; 3];
 

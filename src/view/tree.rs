@@ -1,7 +1,6 @@
 //! A robot of any kind as an image: every triangle of what is seen, nearest first by a depth buffer.
 
-use super::camera::Camera;
-use super::picture::SIZES;
+use super::camera::{Camera, SIZES};
 use super::text;
 use crate::error::{Error, Result};
 use crate::sand::intruder::Plate;

@@ -10,8 +10,6 @@ const LENGTHS: std::ops::RangeInclusive<f64> = 1e-4..=10.0;
 /// Plates along the longest side of a body, unless another size is asked for. Our choice: forces are within 1 % of those of
 /// plates ten times finer.
 const ALONG: f64 = 50.0;
-/// Most plates of a body: our choice, 2 × 10⁶ take 240 MB.
-pub(super) const MOST_PLATES: usize = 2_000_000;
 
 /// What a body is, before it is cut.
 #[derive(Clone, Debug, PartialEq)]
@@ -130,7 +128,7 @@ enum Corners {
 impl Body {
     /// Cut into plates of about `size` [m]; none: a fiftieth of its longest side.
     pub fn cut(shape: &BodyShape, size: Option<f64>) -> Result<Self> {
-        Self::cut_within(shape, size, MOST_PLATES)
+        Self::cut_within(shape, size, mesh::MOST_PLATES)
     }
 
     /// The same in at most `most` plates.

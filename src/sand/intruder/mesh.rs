@@ -9,6 +9,9 @@ use std::path::Path;
 
 pub type Triangle = [Vec3<f64>; 3];
 
+/// Most plates of a body: our choice, 2 × 10⁶ take 240 MB.
+pub(super) const MOST_PLATES: usize = 2_000_000;
+
 /// Most triangles of a mesh: our choice; 10⁶ are finer than a scan needs to be.
 const MOST_TRIANGLES: usize = 1_000_000;
 /// Largest file that is read [bytes]: 10⁶ triangles as text, our choice of a guard.
@@ -137,7 +140,7 @@ pub fn plates(path: &Path, triangles: &[Triangle], size: f64, most: usize) -> Re
 
 /// A plate for each triangle, halved until no side is longer than `size`; none if that makes too many.
 pub fn halved(triangles: &[Triangle], size: f64) -> Option<Vec<Plate>> {
-    halved_within(triangles, size, super::body::MOST_PLATES)
+    halved_within(triangles, size, MOST_PLATES)
 }
 
 fn halved_within(triangles: &[Triangle], size: f64, most: usize) -> Option<Vec<Plate>> {

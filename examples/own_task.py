@@ -1,0 +1,98 @@
+"""A task of your own: observations, rewards and ends in numpy, on the columns that a sandgait environment gives.
+
+    python examples/own_task.py
+
+`Climb` pays what a hexapod gains in height, less the work it takes. The policy sees gravity and its hips but not its
+own speed, and an episode ends when the robot has tilted too far. The simulation is HexapodGait's; everything else is
+computed here, for all environments at once.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium.spaces import Box
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+import sandgait
+
+#: Columns of HexapodGait's observation that the policy sees, by the beginnings of their names.
+SEEN = ("gravity direction", "sine of hip angle", "cosine of hip angle", "hip speed", "previous action")
+
+#: What a joule of work costs in joules of height; tilt [rad] that ends an episode, and what that costs.
+WORK_PRICE, LARGEST_TILT, FALL_PRICE = 0.2, 1.0, 5.0
+
+
+class Climb(VectorEnv[Any, Any, Any]):
+    """Height gained for the work it takes, on a slope of 10°."""
+
+    metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
+
+    def __init__(self, num_envs: int, **options: Any) -> None:
+        self.slope = np.radians(options.setdefault("slope_deg", 10.0))
+        self.simulation = sandgait.SandgaitVectorEnv("sandgait/HexapodGait-v1", num_envs, **options)
+        task, self.num_envs = self.simulation.task, num_envs
+        self.info = {column.name: i for i, column in enumerate(task.info)}
+        seen = [i for i, column in enumerate(task.observation) if column.name.startswith(SEEN)]
+        names = [column.name for column in task.observation]
+        self.seen, self.up = np.array(seen), names.index("gravity direction, body frame, z")
+        low, high = (np.array([getattr(task.observation[i], end) for i in seen], np.float32) for end in ("low", "high"))
+        self.single_observation_space, self.single_action_space = Box(low, high), self.simulation.single_action_space
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = self.simulation.action_space
+        self.period = 1.0 / task.control_rate
+
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """First observations."""
+        observations, _ = self.simulation.reset(seed=seed, options=options)
+        return observations[:, self.seen], {}
+
+    def step(self, actions: npt.NDArray[np.float32]) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """One control step of all environments."""
+        self.simulation.send(actions)
+        batch = self.simulation.recv_batch()
+        # Each row of `infos` is one figure of all environments. Where an episode has just ended, the observation is the
+        # first of the next one; the last of the old one is in `final_observations`.
+        last = batch.observations.copy()
+        last[batch.final_indices] = batch.final_observations
+        fell = np.arccos(np.clip(-last[:, self.up], -1.0, 1.0)) > LARGEST_TILT
+        gained = batch.infos[self.info["x_velocity"]] * self.period * np.sin(self.slope)
+        height = batch.infos[self.info["weight"]] * gained
+        rewards = height - WORK_PRICE * batch.infos[self.info["work"]] - FALL_PRICE * fell
+        ended = batch.terminated | batch.truncated
+        infos: dict[str, Any] = {"height_work": height}
+        if (fell & ~ended).any():
+            # These end here although the simulation would go on: they alone are begun anew.
+            mask = fell & ~ended
+            observations, _ = self.simulation.reset(options={"reset_mask": mask})
+            batch.observations[mask] = observations[mask]
+        if (fell | ended).any():
+            infos |= {"final_obs": last[:, self.seen], "_final_obs": fell | ended}
+        terminated = batch.terminated | fell
+        return batch.observations[:, self.seen], rewards, terminated, batch.truncated & ~terminated, infos
+
+    def close_extras(self, **_: Any) -> None:
+        """Frees the simulation."""
+        self.simulation.close()
+
+
+def main() -> None:
+    """Random actions around a forward tripod, and what they earn."""
+    env = Climb(64)
+    generator = np.random.default_rng(0)
+    env.reset(seed=0)
+    returns, falls = np.zeros(env.num_envs), 0
+    for _ in range(200):
+        actions = generator.uniform(0.0, 1.0, env.action_space.shape).astype(np.float32)
+        _, rewards, terminated, _, _ = env.step(actions)
+        returns += rewards
+        falls += int(terminated.sum())
+    print(f"{env.num_envs} robots, 4 s: {returns.mean():.2f} J a robot, {falls} falls")
+    env.close()
+
+
+if __name__ == "__main__":
+    main()
