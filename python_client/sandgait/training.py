@@ -27,9 +27,9 @@ class Training:
     steps: int
     #: Time that the training took, earlier parts of a resumed one too [s].
     seconds: float
-    #: The learning curve: columns steps, seconds [s] and return, the mean of the episodes that ended since the row before.
+    #: The learning curve: columns steps, seconds [s] and return, the mean of episodes that ended since the row before.
     curve: Table
-    #: The policy without noise over 100 unseen seeds, as `sandgait evaluate --json` has it; none for tasks without walking.
+    #: The policy without noise over 100 unseen seeds, as in settings.json; none for tasks without walking.
     score: dict[str, Any] | None
     #: All of it as text.
     summary: str
@@ -69,12 +69,12 @@ def train(
     progress: ProgressOption = True,
     **options: Any,
 ) -> Training:
-    """Learns a gait by PPO, and writes policy, learning curve, film and score into the folder `out` (none: runs/TASK-fast).
+    """Learns a gait by PPO; writes policy, learning curve, film and score into the folder `out` (none: runs/TASK-fast).
 
     The training ends after `seconds`, or `timesteps` (without `seconds` only then, and the same to the bit each time).
     `hyperparameters`: a file in the manner of rl-zoo3, none: the program's own; `settings`: values in place of its.
-    `resume`: go on from the last checkpoint in `out`. `threads`: 0 is one a processor. `address`: simulate on that server.
-    `options`: as for `gymnasium.make`.
+    `resume`: go on from the last checkpoint in `out`. `threads`: 0 is one a processor. `address`: simulate on that
+    server. `options`: as for `gymnasium.make`.
 
     Ctrl-C, and whatever `progress` raises, end the training at once and leave a checkpoint.
     """

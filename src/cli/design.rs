@@ -2,7 +2,7 @@
 
 use sandgait::plot::{self, Figure, Mark, Panel, Style, color, png};
 use sandgait::sweep::Axis;
-use sandgait::train::design::{Between, Findings, Measure, Study, Trained};
+use sandgait::train::design::{Between, Compared, Findings, Measure, Study, Trained};
 use sandgait::{Error, Result};
 use std::path::Path;
 
@@ -28,6 +28,40 @@ fn csv(study: &Study, findings: &Findings) -> String {
         text += &(cells.join(",") + "\n");
     }
     text
+}
+
+/// Mean, and half the interval where there is one.
+fn between(all: &[f64]) -> String {
+    let Between { mean, half } = Between::of(all);
+    if half.is_nan() { format!("{mean:.3}") } else { format!("{mean:.3} ± {half:.3}") }
+}
+
+/// All designs, and the comparison of the best, as Markdown.
+fn markdown(study: &Study, findings: &Findings, measure: Measure, best: &[Vec<String>]) -> String {
+    let table = |rows: &[Vec<String>]| {
+        let line = |row: &Vec<String>| format!("| {} |\n", row.join(" | "));
+        let rule = rows.first().map_or(String::new(), |head| "|---".repeat(head.len()) + "|\n");
+        rows.iter()
+            .enumerate()
+            .map(|(k, row)| if k == 1 { rule.clone() + &line(row) } else { line(row) })
+            .collect::<String>()
+    };
+    let mut head: Vec<String> = study.axes.iter().map(|a| a.parameter.label()).collect();
+    head.extend(Measure::ALL.map(|m| m.label().to_owned()));
+    let row = |(values, trained): (&Vec<String>, &Vec<Trained>)| {
+        let measures = Measure::ALL.map(|m| between(&measured(m, trained)));
+        values.iter().cloned().chain(measures).collect::<Vec<_>>()
+    };
+    let all: Vec<_> = std::iter::once(head).chain(findings.designs.iter().zip(&findings.trained).map(row)).collect();
+    let best: Vec<Vec<String>> = best.iter().map(|row| [&row[..1], &row[2..]].concat()).collect();
+    format!(
+        "The best by {} on 100 seeds that neither training nor choice has seen (±: 95 % interval of the mean over {} trainings, \
+         Student's t):\n\n{}\nAll designs on the 32 seeds of the choice:\n\n{}",
+        measure.name(),
+        study.trainings,
+        table(&best),
+        table(&all)
+    )
 }
 
 /// Empty where it is not finite.
@@ -103,16 +137,14 @@ pub fn report(study: &Study, findings: &Findings, measure: Measure, out: &Path) 
     png::write_both(&figure(study, findings, measure).svg(), &out.join("learnt.svg"))?;
     let mut rows = vec![["design".to_owned(), "file".into()].to_vec()];
     rows[0].extend(Measure::ALL.map(|m| m.label().to_owned()));
-    for compared in &findings.best {
-        let named = study.axes.iter().zip(&findings.designs[compared.design]);
+    for Compared { design, values } in &findings.best {
+        let named = study.axes.iter().zip(&findings.designs[*design]);
         let named: Vec<_> = named.map(|(axis, value)| format!("{} = {value}", axis.parameter.name)).collect();
-        let mut cells = vec![named.join(", "), format!("design{}-*.onnx", compared.design)];
-        cells.extend(compared.values.iter().map(|all| {
-            let Between { mean, half } = Between::of(all);
-            if half.is_nan() { format!("{mean:.3}") } else { format!("{mean:.3} ± {half:.3}") }
-        }));
+        let mut cells = vec![named.join(", "), format!("design{design}-*.onnx")];
+        cells.extend(values.iter().map(|all| between(all)));
         rows.push(cells);
     }
+    write("learnt.md", markdown(study, findings, measure, &rows).as_bytes())?;
     let text = format!(
         "best by {} on 100 seeds that neither training nor choice has seen:\n\n{}\n\
          ±: 95 % interval of the mean over trainings (Student's t)\n",

@@ -66,7 +66,7 @@ def test_whatever_is_raised_ends_it_and_it_goes_on_with_the_same_bits(tmp_path: 
     assert training.policy.read_bytes() == (tmp_path / "whole" / "policy.onnx").read_bytes()
 
 
-#: An update takes long: Ctrl-C has to be heard within it. Prints the time of an update, and from the signal to the exception.
+#: An update takes long: Ctrl-C has to be heard within it. Prints the times of an update and from signal to exception.
 INTERRUPTED = f"""
 {HEARS_CTRL_C}
 import os, sys, threading, time
