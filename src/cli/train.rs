@@ -3,6 +3,7 @@
 use super::Bar;
 use sandgait::client::Place;
 use sandgait::client::training::Session;
+use sandgait::env::Task;
 use sandgait::env::gait::HexapodGait;
 use sandgait::evaluate::{FIRST_SEED, Request as Evaluation, table};
 use sandgait::progress::Progress;

@@ -24,7 +24,7 @@ fn layers(plan: &Plan) -> impl Iterator<Item = (String, &Layer)> {
 
 /// The options that episodes were played with; others would have been other episodes.
 fn options(plan: &Plan) -> String {
-    json!(plan.blueprint.setup.options).to_string()
+    json!(plan.blueprint.task.options()).to_string()
 }
 
 /// What stands in a checkpoint.

@@ -71,8 +71,7 @@ impl Kept {
         let envs: usize = pieces.iter().map(|p| p.envs).sum();
         let resumed = match (&self.episodes, remote) {
             (Episodes::Here(episodes), None) => {
-                let actions = blueprint.task.spec().action.len();
-                let resumed = episodes.iter().map(|episode| Resumed::new(episode, &blueprint.setup, actions));
+                let resumed = episodes.iter().map(|episode| Resumed::new(episode, &blueprint.task));
                 resumed.collect::<Result<Vec<_>>>()?
             }
             (Episodes::Away(snapshot), Some(remote)) => {

@@ -17,12 +17,12 @@ pub struct Record {
 impl Record {
     /// Training `training` of design number `design`; `before`: the designs that it was warm-started from.
     pub fn new(out: &Path, design: usize, training: usize, plan: &Plan, before: &[Vec<String>]) -> Self {
-        let model = &plan.blueprint.setup.model;
+        let model = plan.blueprint.task.model();
         let key = json!({
             "version": env!("CARGO_PKG_VERSION"),
             "instruction_set": plan.networks.isa.name(),
             "task": plan.blueprint.task.spec().id,
-            "options": plan.blueprint.setup.options,
+            "options": plan.blueprint.task.options(),
             "robot": model.robot,
             "scene": model.scene,
             "settings": plan.settings.json(),
