@@ -14,7 +14,7 @@ SOURCES := $(shell find src tests/data/real_wheel python_client Cargo.toml Cargo
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .PHONY: help train policies test test-rust test-python test-browser page-three native film bench bench-peers bench-network study \
-	study-messy study-convergence study-rocks study-load proto task-pages docs
+	study-messy study-convergence study-rocks study-load study-codesign study-starts proto task-pages docs
 
 help:
 	@echo "make train   train a hexapod to walk on sand (5 minutes), results in runs/; TASK=HexapodLegs, ARGS=--help"
@@ -30,6 +30,8 @@ help:
 	@echo "make study   how often the diagnosis is right, on data of known cause (some 15 minutes)"
 	@echo "make study-messy   the same on logs with the dirt of laboratories: all kinds, some 2 s a log; ARGS=\"FIRST COUNT\""
 	@echo "make study-convergence   walking speed against the time step, both engines (some 3 minutes)"
+	@echo "make study-codesign   a gait learnt for each of 25 legs, three times: docs/codesign.md anew (an hour on two quiet cores)"
+	@echo "make study-starts   walking speed at 1 ms where legs stick, over 24 starts, and with each mechanism (some 10 minutes)"
 	@echo "make study-rocks   overlaps of robot and rocks in 1,000 random episodes (some 10 minutes)"
 	@echo "make page-three   bundle what the page takes from three.js anew; needs npm"
 	@echo "make study-load      24 clients against one server: its memory and its numbers (5 minutes)"
@@ -116,8 +118,26 @@ study-messy: $(VENV)/wheel
 study-convergence:
 	cargo run --release --example convergence_study
 
+# Everything below the page's marker is written anew.
+study-starts:
+	cargo build --release --example starts_study
+	target/release/examples/starts_study > target/starts.md
+	sed -i '/<!-- starts -->/q' docs/convergence.md
+	{ echo; echo "\`make study-starts\` · $$(date +%Y-%m-%d) · $$(sed -n 's/^model name.*: //p' /proc/cpuinfo | head -1)"; echo; \
+		cat target/starts.md; } >> docs/convergence.md
+
 study-rocks:
 	cargo run --release --example rocks_study
+
+# Stopped, it goes on where it was: each training is kept. Everything below the page's marker is written anew.
+study-codesign:
+	cargo build --release
+	target/release/sandgait sweep --vary xi=-75:75:25 --learn-steps 3000000 --measure return \
+		--option 'command=[0.2,0.8]' --out runs/codesign
+	cp runs/codesign/learnt.png docs/images/codesign.png
+	sed -i '/<!-- measured -->/q' docs/codesign.md
+	{ echo; echo "Measured $$(date +%Y-%m-%d), $$(sed -n 's/^model name.*: //p' /proc/cpuinfo | head -1)."; echo; \
+		cat runs/codesign/learnt.md; } >> docs/codesign.md
 
 study-load:
 	SANDGAIT_LOAD_SECONDS=300 cargo test --release --test faults -- --nocapture under_load

@@ -14,6 +14,10 @@ Studies need no environment, and are the commands of the same names:
     sandgait.diagnose("force.csv", "experiment.toml").summary
     sandgait.evaluate("tripod:2", slopes=[0, 10]).to_frame()
 
+A gait is learnt in a minute, without torch:
+
+    sandgait.train("sandgait/HexapodGait-v1", seconds=60).policy
+
 All of it is computed in this process. With `address="host:port"` or `"unix:/path"` a running server does it instead; a
 `sandgait.Remote` holds what it takes to use one that asks for TLS or a token.
 """
@@ -34,6 +38,7 @@ from .remote import Remote
 from .spaces import Column, Option, Task
 from .studies import Intrusion, Sweep, Trials, Walks, intrude, sweep, walk
 from .tables import Table
+from .training import Training, train
 from .vector_env import SandgaitVectorEnv
 
 if TYPE_CHECKING:
@@ -64,6 +69,7 @@ __all__ = [
     "Sweep",
     "Table",
     "Task",
+    "Training",
     "Trials",
     "UnknownAttribute",
     "Walks",
@@ -75,6 +81,7 @@ __all__ = [
     "make_sb3",
     "read_recording",
     "sweep",
+    "train",
     "walk",
 ]
 

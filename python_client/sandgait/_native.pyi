@@ -1,6 +1,7 @@
 """The native module: `python_client/native/`."""
 
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -82,3 +83,6 @@ def study(
     place: Address | None, name: str, request: Mapping[str, Any], told: Callable[[float, str], None] | None
 ) -> Any: ...
 def threads() -> int | None: ...
+def train(
+    asked: Mapping[str, Any], told: Callable[[float, str], None] | None
+) -> tuple[Path, int, float, list[tuple[int, float, float]], str, str]: ...

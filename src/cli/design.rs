@@ -1,8 +1,8 @@
 //! `sandgait sweep --learn`: what a study of learnt gaits found, as files and for the terminal.
 
 use sandgait::plot::{self, Figure, Mark, Panel, Style, color, png};
-use sandgait::sweep::table::values;
-use sandgait::train::design::{Between, Findings, Measure, Study};
+use sandgait::sweep::Axis;
+use sandgait::train::design::{Between, Compared, Findings, Measure, Study, Trained};
 use sandgait::{Error, Result};
 use std::path::Path;
 
@@ -17,7 +17,7 @@ fn csv(study: &Study, findings: &Findings) -> String {
     head.push("steps of all trainings".into());
     let mut text = head.join(",") + "\n";
     for (design, trained) in findings.trained.iter().enumerate() {
-        let mut cells: Vec<String> = values(&study.axes, design).iter().map(|v| (*v).to_owned()).collect();
+        let mut cells = findings.designs[design].clone();
         for place in 0..Measure::ALL.len() {
             let all: Vec<f64> = trained.iter().map(|t| t.chosen_by[place]).collect();
             let Between { mean, half } = Between::of(&all);
@@ -30,42 +30,101 @@ fn csv(study: &Study, findings: &Findings) -> String {
     text
 }
 
+/// Mean, and half the interval where there is one.
+fn between(all: &[f64]) -> String {
+    let Between { mean, half } = Between::of(all);
+    if half.is_nan() { format!("{mean:.3}") } else { format!("{mean:.3} ± {half:.3}") }
+}
+
+/// All designs, and the comparison of the best, as Markdown.
+fn markdown(study: &Study, findings: &Findings, measure: Measure, best: &[Vec<String>]) -> String {
+    let table = |rows: &[Vec<String>]| {
+        let line = |row: &Vec<String>| format!("| {} |\n", row.join(" | "));
+        let rule = rows.first().map_or(String::new(), |head| "|---".repeat(head.len()) + "|\n");
+        rows.iter()
+            .enumerate()
+            .map(|(k, row)| if k == 1 { rule.clone() + &line(row) } else { line(row) })
+            .collect::<String>()
+    };
+    let mut head: Vec<String> = study.axes.iter().map(|a| a.parameter.label()).collect();
+    head.extend(Measure::ALL.map(|m| m.label().to_owned()));
+    let row = |(values, trained): (&Vec<String>, &Vec<Trained>)| {
+        let measures = Measure::ALL.map(|m| between(&measured(m, trained)));
+        values.iter().cloned().chain(measures).collect::<Vec<_>>()
+    };
+    let all: Vec<_> = std::iter::once(head).chain(findings.designs.iter().zip(&findings.trained).map(row)).collect();
+    let best: Vec<Vec<String>> = best.iter().map(|row| [&row[..1], &row[2..]].concat()).collect();
+    format!(
+        "The best by {} on 100 seeds that neither training nor choice has seen (±: 95 % interval of the mean over {} trainings, \
+         Student's t):\n\n{}\nAll designs on the 32 seeds of the choice:\n\n{}",
+        measure.name(),
+        study.trainings,
+        table(&best),
+        table(&all)
+    )
+}
+
 /// Empty where it is not finite.
 fn number(value: f64) -> String {
     if value.is_finite() { format!("{value:.6}") } else { String::new() }
 }
 
-/// The measure over one axis, each training as a dot, the means as a line; of two axes a line a value of the first.
-fn figure(study: &Study, findings: &Findings, measure: Measure) -> Figure {
+/// The measure of each training of `trained`.
+fn measured(measure: Measure, trained: &[Trained]) -> Vec<f64> {
     let place = Measure::ALL.iter().position(|m| *m == measure).unwrap_or(0);
-    let Some(along) = study.axes.last() else { return Figure::default() };
+    trained.iter().map(|t| t.chosen_by[place]).collect()
+}
+
+/// The measure over one axis, each training as a dot, the means as a line in their intervals; of two axes a line a value of the
+/// first.
+fn figure(study: &Study, findings: &Findings, measure: Measure) -> Figure {
+    let title = format!("a gait learnt for each design, {} trainings each", study.trainings);
+    let panels = match study.search {
+        Some(_) => (0..study.axes.len()).map(|k| searched(study, findings, measure, k)).collect(),
+        None => study.axes.last().map(|along| lines(study, findings, measure, along)).into_iter().collect(),
+    };
+    let note = match study.trainings {
+        1 => String::new(),
+        _ => "Dots: trainings; their mean with its 95 % interval (Student's t). Seeds of the choice.".into(),
+    };
+    Figure { title, panels, columns: 2, note }
+}
+
+fn lines(study: &Study, findings: &Findings, measure: Measure, along: &Axis) -> Panel {
     let x = along.numbers().unwrap_or_else(|| (1..=along.values.len()).map(|i| i as f64).collect());
     let mut marks = Vec::new();
     for (k, row) in findings.trained.chunks(x.len()).enumerate() {
-        let style = Style::line(color::CYCLE[k % color::CYCLE.len()]);
+        let shade = color::CYCLE[k % color::CYCLE.len()];
+        let style = Style::line(shade);
         let family =
             study.axes.iter().rev().nth(1).map_or("mean of the trainings".to_owned(), |axis| {
                 format!("{} = {}", axis.parameter.name, axis.values[k])
             });
-        let at = |trained: &Vec<_>| -> Vec<f64> {
-            trained.iter().map(|t: &sandgait::train::design::Trained| t.chosen_by[place]).collect()
-        };
-        let means = x.iter().zip(row).map(|(x, t)| [*x, Between::of(&at(t)).mean]).collect();
-        marks.push(Mark::line(&family, style.clone(), means));
-        for (x, trained) in x.iter().zip(row) {
-            // A line of one place is a dot.
-            let dots = at(trained).into_iter().map(|y| [*x, y]).collect();
-            marks.push(Mark::line("", Style { width: 0.5, ..style.clone() }.with_dots(), dots));
+        let between: Vec<Between> = row.iter().map(|trained| Between::of(&measured(measure, trained))).collect();
+        if study.trainings > 1 {
+            let points = x.iter().zip(&between).map(|(x, b)| [*x, b.mean - b.half, b.mean + b.half]).collect();
+            marks.push(Mark::band("", shade, points));
         }
+        marks.push(Mark::line(&family, style, x.iter().zip(&between).map(|(x, b)| [*x, b.mean]).collect()));
+        let dots = x.iter().zip(row).flat_map(|(x, t)| measured(measure, t).into_iter().map(|y| [*x, y])).collect();
+        marks.push(Mark::line("", dotted(shade), dots));
     }
-    let panel = Panel {
-        x: plot::Axis::new(&along.parameter.label()),
-        y: plot::Axis::new(measure.label()),
-        marks,
-        ..Panel::default()
-    };
-    let title = format!("a gait learnt for each design, {} trainings each", study.trainings);
-    Figure { title, panels: vec![panel], columns: 1, note: String::new() }
+    let (x, y) = (plot::Axis::new(&along.parameter.label()), plot::Axis::new(measure.label()));
+    Panel { x, y, marks, ..Panel::default() }
+}
+
+/// All designs of a search over axis `k`.
+fn searched(study: &Study, findings: &Findings, measure: Measure, k: usize) -> Panel {
+    let at = |values: &Vec<String>| values[k].parse().unwrap_or(f64::NAN);
+    let all = findings.designs.iter().zip(&findings.trained);
+    let dots = all.flat_map(|(values, t)| measured(measure, t).into_iter().map(move |y| [at(values), y])).collect();
+    let (x, y) = (plot::Axis::new(&study.axes[k].parameter.label()), plot::Axis::new(measure.label()));
+    Panel { x, y, marks: vec![Mark::line("a training", dotted(color::BLUE), dots)], ..Panel::default() }
+}
+
+/// Dots without a line.
+fn dotted(color: &'static str) -> Style {
+    Style { width: 0.0, ..Style::line(color) }.with_dots()
 }
 
 /// Writes everything into `out`; gives what the terminal is told.
@@ -76,23 +135,16 @@ pub fn report(study: &Study, findings: &Findings, measure: Measure, out: &Path) 
     };
     write("learnt.csv", csv(study, findings).as_bytes())?;
     png::write_both(&figure(study, findings, measure).svg(), &out.join("learnt.svg"))?;
-    for (design, trained) in findings.trained.iter().enumerate() {
-        for (k, trained) in trained.iter().enumerate() {
-            write(&format!("design{design}-{k}.onnx"), &trained.onnx)?;
-        }
-    }
     let mut rows = vec![["design".to_owned(), "file".into()].to_vec()];
     rows[0].extend(Measure::ALL.map(|m| m.label().to_owned()));
-    for compared in &findings.best {
-        let named = study.axes.iter().zip(values(&study.axes, compared.design));
+    for Compared { design, values } in &findings.best {
+        let named = study.axes.iter().zip(&findings.designs[*design]);
         let named: Vec<_> = named.map(|(axis, value)| format!("{} = {value}", axis.parameter.name)).collect();
-        let mut cells = vec![named.join(", "), format!("design{}-*.onnx", compared.design)];
-        cells.extend(compared.values.iter().map(|all| {
-            let Between { mean, half } = Between::of(all);
-            if half.is_nan() { format!("{mean:.3}") } else { format!("{mean:.3} ± {half:.3}") }
-        }));
+        let mut cells = vec![named.join(", "), format!("design{design}-*.onnx")];
+        cells.extend(values.iter().map(|all| between(all)));
         rows.push(cells);
     }
+    write("learnt.md", markdown(study, findings, measure, &rows).as_bytes())?;
     let text = format!(
         "best by {} on 100 seeds that neither training nor choice has seen:\n\n{}\n\
          ±: 95 % interval of the mean over trainings (Student's t)\n",

@@ -23,6 +23,7 @@ mod validate;
 mod walk;
 
 pub use robot::pack as pack_robot;
+pub use train::{Training, learn};
 
 use clap::error::ErrorKind;
 use clap::{CommandFactory as _, Parser, Subcommand};

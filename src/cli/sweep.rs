@@ -23,7 +23,8 @@ use std::path::PathBuf;
   sandgait sweep --vary xi=-75:75:31 --vary frequency=1:5:9 --out study
   sandgait sweep --robot mine.toml --vary medium=poppy-loose,poppy-close --vary width=0.005:0.02:16 --out study
   sandgait sweep --vary xi=0:75:2 --vary chord=0.03:0.05:2 --optimize cost-of-transport --out study
-  sandgait sweep --vary xi=-75:75:25 --learn 60 --option command=[0.1,0.4] --out study    (a gait learnt for each leg)")]
+  sandgait sweep --vary xi=-75:75:25 --learn 60 --option command=[0.2,0.8] --out study    (a gait learnt for each leg)
+  sandgait sweep --vary xi=-75:75:2 --vary chord=0.03:0.05:2 --optimize return --learn-steps 3000000 --out study")]
 pub struct Sweep {
     /// Parameter and its values, once or twice
     #[arg(long, value_name = "NAME=VALUES", required = true, allow_hyphen_values = true)]
@@ -49,21 +50,27 @@ pub struct Sweep {
     /// What the figure shows: speed or cost-of-transport; with --learn also return
     #[arg(long, default_value = "speed")]
     measure: String,
-    /// Search between the bounds instead of walking the grid: speed or cost-of-transport
+    /// Search between the bounds instead of walking the grid: speed or cost-of-transport; where gaits are learnt also return
     #[arg(long, value_name = "MEASURE")]
     optimize: Option<String>,
     /// Learn a gait for each design in place of walking at one frequency (HexapodGait, sandgait train's settings): so many
-    /// seconds each, on one thread
-    #[arg(long, value_name = "SECONDS", conflicts_with = "optimize")]
+    /// seconds each, on one thread. Each training is kept; run again, the study goes on where it was
+    #[arg(long, value_name = "SECONDS")]
     learn: Option<f64>,
+    /// The same for so many steps each: the same to the bit on a machine that does other work too
+    #[arg(long, value_name = "STEPS", conflicts_with = "learn")]
+    learn_steps: Option<u64>,
     /// Trainings of each design
-    #[arg(long, value_name = "N", default_value_t = 3, requires = "learn")]
+    #[arg(long, value_name = "N", default_value_t = 3)]
     trainings: usize,
-    /// Designs after the first on the last axis begin with their neighbour's gait and learn for so many seconds
-    #[arg(long, value_name = "SECONDS", requires = "learn")]
+    /// Designs after the first on the last axis begin with their neighbour's gait and learn for so many seconds, or steps
+    #[arg(long, value_name = "SECONDS|STEPS", conflicts_with = "optimize")]
     warm: Option<f64>,
+    /// Designs that --optimize looks at where gaits are learnt
+    #[arg(long, value_name = "N", default_value_t = 24)]
+    designs: usize,
     /// Option of the task that is learnt
-    #[arg(long, value_name = "NAME=VALUE", requires = "learn", allow_hyphen_values = true)]
+    #[arg(long, value_name = "NAME=VALUE", allow_hyphen_values = true)]
     option: Vec<String>,
     /// Directory for the results
     #[arg(long, value_name = "DIR")]
@@ -77,8 +84,11 @@ impl Sweep {
             return Err(Error::invalid("--vary", "a grid takes one or two parameters; --optimize takes more"));
         }
         let base = self.base()?;
-        if let Some(seconds) = self.learn {
-            return self.learnt(base, axes, seconds);
+        if self.learn.is_some() || self.learn_steps.is_some() {
+            return self.learnt(base, axes);
+        }
+        if self.warm.is_some() || !self.option.is_empty() {
+            return Err(Error::invalid("--warm, --option", "they are for studies with --learn or --learn-steps"));
         }
         let measure = Measure::named(&self.measure)?;
         match &self.optimize {
@@ -123,14 +133,17 @@ impl Sweep {
         Ok(format!("{best}{warning}{count} walks in {seconds:.1} s → {}\n", self.out.join("sweep.csv").display()))
     }
 
-    fn learnt(&self, base: Design, axes: Vec<Axis>, seconds: f64) -> Result<String> {
-        let measure = design::Measure::named(&self.measure)?;
-        let mut settings = entry::settings(None, HexapodGait::ID, &[format!("seconds={seconds}")])?;
+    fn learnt(&self, base: Design, axes: Vec<Axis>) -> Result<String> {
+        let measure = design::Measure::named(self.optimize.as_ref().unwrap_or(&self.measure))?;
+        let mut settings = entry::settings(None, HexapodGait::ID, entry::ends(self.learn_steps, self.learn))?;
         let pairs = self.option.iter().map(|o| entry::pair("--option", o)).collect::<Result<Vec<_>>>()?;
         let options = std::mem::take(&mut settings.env_kwargs).into_iter().chain(pairs).collect();
         check_range("--trainings", self.trainings as f64, 1.0..=1000.0)?;
-        self.warm.map_or(Ok(0.0), |warm| check_range("--warm", warm, 1e-3..=1e7))?;
-        let study = design::Study { base, axes, options, settings, trainings: self.trainings, warm: self.warm };
+        self.warm.map_or(Ok(0.0), |warm| check_range("--warm", warm, 1e-3..=1e12))?;
+        let search = self.optimize.as_ref().map(|_| self.designs);
+        search.map_or(Ok(0.0), |designs| check_range("--designs", designs as f64, 1.0..=300.0))?;
+        let (trainings, warm, out) = (self.trainings, self.warm, self.out.clone());
+        let study = design::Study { base, axes, options, settings, trainings, warm, search, out };
         study.check()?;
         self.prepare()?;
         let findings = study.run(measure, &Bar::new())?;

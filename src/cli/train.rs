@@ -1,14 +1,18 @@
 //! `sandgait train`
 
 use super::Bar;
+use sandgait::client::Place;
+use sandgait::client::training::Session;
 use sandgait::env::Task;
 use sandgait::env::gait::HexapodGait;
 use sandgait::evaluate::{FIRST_SEED, Request as Evaluation, table};
 use sandgait::progress::Progress;
-use sandgait::train::{Outcome, Request, entry};
+use sandgait::train::remote::Remote;
+use sandgait::train::{Connect, Outcome, Request, entry};
 use sandgait::{Error, Result, parallel};
 use serde_json::{Map, Value};
-use std::path::PathBuf;
+use std::net::IpAddr;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -24,7 +28,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
   sandgait train --task HexapodLegs --seed 1 --out runs/legs
   sandgait train --option leg=C --option slope_deg=5 --set gamma=0.97 --seconds 30
   sandgait train --resume --seconds 120              (go on from the last checkpoint in the directory)
-  sandgait train --timesteps 2000000                 (the same to the bit each time: no clock ends it)")]
+  sandgait train --timesteps 2000000                 (the same to the bit each time: no clock ends it)
+  sandgait train --address sand.lab:50051 --ca ca.pem --token-file token    (environments on a server)")]
 pub struct Train {
     /// Task's name or id
     #[arg(long, value_name = "TASK", default_value = HexapodGait::ID)]
@@ -59,6 +64,36 @@ pub struct Train {
     /// Threads; 0: one a processor
     #[arg(long, value_name = "N", default_value_t = 0)]
     threads: usize,
+    /// Simulate on the server at host:port or unix:/path; what is learnt is learnt here
+    #[arg(long, value_name = "ADDRESS")]
+    address: Option<String>,
+    /// The server's token
+    #[arg(long, value_name = "FILE", requires = "address")]
+    token_file: Option<PathBuf>,
+    /// Encrypt, and trust certificates of this authority (PEM)
+    #[arg(long, value_name = "FILE", requires = "address")]
+    ca: Option<PathBuf>,
+}
+
+/// A training as it is asked for, here or from Python.
+pub struct Training {
+    /// Name or id.
+    pub task: String,
+    pub hyperparameters: Option<PathBuf>,
+    /// Settings in place of those of the file.
+    pub changes: Vec<(String, Value)>,
+    /// Keywords of the task, an object.
+    pub options: Value,
+    pub seed: u64,
+    pub seconds: Option<f64>,
+    pub timesteps: Option<u64>,
+    pub out: Option<PathBuf>,
+    pub resume: bool,
+    pub checkpoint_every: u64,
+    /// 0: one a processor.
+    pub threads: usize,
+    /// A server for the environments.
+    pub place: Option<Place>,
 }
 
 /// Most threads, and largest seed: our choice of guards.
@@ -67,52 +102,98 @@ const MOST_SEED: u64 = (1 << 23) - 1;
 
 impl Train {
     pub fn run(self) -> Result<String> {
-        let task = entry::task_id(&self.task);
-        let request = self.request(task)?;
+        let request = self.asked()?.request()?;
         super::warn_of_unfelt_option(&request.options);
-        let outcome = request.run(&Interruptible { bar: Bar::new(), stop: interrupted() })?;
-        let text = report(&request, &outcome);
-        let path = request.out.join("evaluation.txt");
-        std::fs::write(&path, &text).map_err(|e| Error::file(&path, e))?;
+        let (_, text) = learn(&request, &Interruptible { bar: Bar::new(), stop: interrupted() })?;
         let out = request.out.display();
         Ok(format!(
             "{text}\nEverything is in {out}/. To see the walk: sandgait replay {out}/walk.rec --html walk.html\n"
         ))
     }
 
-    fn request(self, task: String) -> Result<Request> {
-        let mut changes = self.set;
-        if let Some(steps) = self.timesteps {
-            changes.push(format!("n_timesteps={steps}"));
-            changes.extend(self.seconds.is_none().then(|| "seconds=null".to_owned()));
-        }
-        changes.extend(self.seconds.map(|seconds| format!("seconds={seconds}")));
-        let settings = entry::settings(self.hyperparameters.as_deref(), &task, &changes)?;
-        let mut options = Map::new();
-        for option in &self.option {
-            let (name, value) = entry::pair("--option", option)?;
-            options.insert(name, value);
-        }
-        let mut options = Value::Object(options);
+    fn asked(self) -> Result<Training> {
+        let changes = self.set.iter().map(|change| entry::pair("--set", change)).collect::<Result<_>>()?;
+        let options = self.option.iter().map(|option| entry::pair("--option", option));
+        let mut options = Value::Object(options.collect::<Result<Map<_, _>>>()?);
         super::robot::read_option(&mut options)?;
+        let place = self.address.map(|address| place(address, self.token_file.as_deref(), self.ca.as_deref()));
+        Ok(Training {
+            task: self.task,
+            hyperparameters: self.hyperparameters,
+            changes,
+            options,
+            seed: self.seed,
+            seconds: self.seconds,
+            timesteps: self.timesteps,
+            out: self.out,
+            resume: self.resume,
+            checkpoint_every: self.checkpoint_every,
+            threads: self.threads,
+            place: place.transpose()?,
+        })
+    }
+}
+
+/// A server as it is reached; a token travels encrypted, over a Unix socket or to this machine only.
+fn place(address: String, token: Option<&Path>, ca: Option<&Path>) -> Result<Place> {
+    let port = address.rsplit_once(':').is_some_and(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok());
+    if !port && !address.starts_with("unix:") {
+        return Err(Error::invalid("--address", format!("{address:?} is neither host:port nor unix:/path")));
+    }
+    let read = |path: &Path| std::fs::read(path).map_err(|e| Error::file(path, e));
+    let token = token.map(read).transpose()?.map(|token| String::from_utf8_lossy(&token).trim().to_owned());
+    let ca = ca.map(read).transpose()?;
+    let host = address.rsplit_once(':').map_or(address.as_str(), |(host, _)| host).trim_matches(['[', ']']);
+    let local = host == "localhost" || host.parse().is_ok_and(|host: IpAddr| host.is_loopback());
+    if token.is_some() && ca.is_none() && !local && !address.starts_with("unix:") {
+        let reason = format!("it would travel to {address} unencrypted; add --ca");
+        return Err(Error::invalid("--token-file", reason));
+    }
+    Ok(Place { tls: ca.is_some(), address, token, ca, identity: None })
+}
+
+impl Training {
+    /// Checked, but for what only the task and the server can say.
+    pub fn request(self) -> Result<Request> {
+        let task = entry::task_id(&self.task);
+        let mut changes = self.changes;
+        changes.extend(entry::ends(self.timesteps, self.seconds));
+        let settings = entry::settings(self.hyperparameters.as_deref(), &task, changes)?;
         let within = |name: &str, value: u64, most: u64| match value <= most {
             true => Ok(()),
             false => Err(Error::invalid(name, format!("{value} is outside [0, {most}]"))),
         };
-        within("--threads", self.threads as u64, MOST_THREADS as u64)?;
-        within("--seed", self.seed, MOST_SEED)?;
+        within("threads", self.threads as u64, MOST_THREADS as u64)?;
+        within("seed", self.seed, MOST_SEED)?;
         let name = task.trim_start_matches("sandgait/").rsplit_once("-v").map_or(task.as_str(), |(name, _)| name);
         Ok(Request {
             out: self.out.unwrap_or_else(|| PathBuf::from("runs").join(format!("{name}-fast"))),
             task,
-            options,
+            options: self.options,
             settings,
             seed: self.seed,
             threads: if self.threads == 0 { parallel::processors() } else { self.threads },
             resume: self.resume,
             checkpoint_every: self.checkpoint_every.max(1),
+            connect: self.place.map(connected),
         })
     }
+}
+
+fn connected(place: Place) -> Box<Connect> {
+    Box::new(move |blueprint, options, envs, pause| {
+        let session = Session::new(place.clone(), blueprint, options, envs, pause)?;
+        Ok(Box::new(session) as Box<dyn Remote>)
+    })
+}
+
+/// Learns, and writes everything; gives what came of it, and as text.
+pub fn learn(request: &Request, progress: &dyn Progress) -> Result<(Outcome, String)> {
+    let outcome = request.run(progress)?;
+    let text = report(request, &outcome);
+    let path = request.out.join("evaluation.txt");
+    std::fs::write(&path, &text).map_err(|e| Error::file(&path, e))?;
+    Ok((outcome, text))
 }
 
 fn report(request: &Request, outcome: &Outcome) -> String {
@@ -126,6 +207,9 @@ fn report(request: &Request, outcome: &Outcome) -> String {
         learnt.steps as f64 / 1e6,
         learnt.seconds,
     );
+    if let Some(why) = &outcome.anew {
+        text += &format!("new episodes began where it went on: {why}\n");
+    }
     if let Some(row) = &outcome.score {
         let rows = [row.clone()];
         let last = FIRST_SEED + Evaluation::SEEDS as u64 - 1;

@@ -5,14 +5,18 @@
 //!
 //! * [`place`]: where a server is, and what it takes to use it.
 //! * [`stream`]: one RunSession stream; [`call`]: calls with one answer; [`study`]: studies, which tell their progress.
+//! * [`training`]: a training's environments.
 
+use sandgait_base::error;
 use sandgait_service as service;
+use sandgait_train as train;
 
 pub mod call;
 mod keeper;
 mod place;
 mod stream;
 mod study;
+pub mod training;
 
 pub use place::Place;
 pub use stream::{PATIENCE, Stream};

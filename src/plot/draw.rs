@@ -242,7 +242,9 @@ fn draw_mark(svg: &mut String, mark: &Mark, to_page: &impl Fn([f64; 2]) -> [f64;
         Mark::Horizontal { at, text: content } => {
             let [_, y] = to_page([0.0, *at]);
             polyline(svg, &Style::thin(color::GREY).dashed(), &[[0.0, y], [WIDTH, y]]);
-            text(svg, [6.0, y - 5.0], "start", 11.0, content, HALO);
+            // Under a line that leaves no room above it.
+            let y = if y < 18.0 { y + 14.0 } else { y - 5.0 };
+            text(svg, [6.0, y], "start", 11.0, content, HALO);
         }
         Mark::Vertical { at, text: content } => {
             let [x, _] = to_page([*at, 0.0]);

@@ -1,12 +1,15 @@
 //! What has been learnt as a file, to go on from, here or with stable-baselines3 (`sandgait.export.to_sb3`).
 
 use super::adam::Adam;
+use super::kept::{Episodes, Kept};
 use super::learner::{Learnt, Plan};
 use super::network::Layer;
 use super::normal::{Normal, Running};
 use super::tensors::{Numbers, Tensors};
 use crate::error::{Error, Result};
+use serde_json::json;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// What the files' `format` says; a reader refuses any other.
 const FORMAT: &str = "sandgait policy 1";
@@ -19,8 +22,22 @@ fn layers(plan: &Plan) -> impl Iterator<Item = (String, &Layer)> {
     actor.chain(shape.critic.iter().enumerate().map(named("critic")))
 }
 
-/// Everything that `learnt` holds. Weights are f32 [inputs, outputs].
-pub fn save(path: &Path, plan: &Plan, learnt: &Learnt) -> Result<()> {
+/// The options that episodes were played with; others would have been other episodes.
+fn options(plan: &Plan) -> String {
+    json!(plan.blueprint.task.options()).to_string()
+}
+
+/// What stands in a checkpoint.
+pub struct Saved {
+    pub learnt: Learnt,
+    /// [`super::curve::Curve::open`]
+    pub open: [f64; 2],
+    /// Why new episodes begin, where they do.
+    pub anew: Option<String>,
+}
+
+/// Everything that `learnt` holds, and `open` episodes of the curve. Weights are f32 [inputs, outputs].
+pub fn save(path: &Path, plan: &Plan, learnt: &Learnt, open: [f64; 2]) -> Result<()> {
     let mut file = Tensors::default();
     let about = [
         ("format", FORMAT.to_owned()),
@@ -31,9 +48,11 @@ pub fn save(path: &Path, plan: &Plan, learnt: &Learnt) -> Result<()> {
         ("steps", learnt.steps.to_string()),
         ("updates", learnt.updates.to_string()),
         ("adam_steps", learnt.adam.steps.to_string()),
+        ("options", options(plan)),
     ];
     file.about.extend(about.map(|(name, text)| (name.to_owned(), text.into())));
     file.add("seconds", &[], Numbers::F64(vec![learnt.seconds]));
+    file.add("curve.open", &[2], Numbers::F64(open.to_vec()));
     for (prefix, numbers) in
         [("", &learnt.parameters), ("adam.first.", &learnt.adam.first), ("adam.second.", &learnt.adam.second)]
     {
@@ -58,19 +77,54 @@ pub fn save(path: &Path, plan: &Plan, learnt: &Learnt) -> Result<()> {
         file.add(format!("mirror.{name}.order"), &[mirror.order.len()], Numbers::I64(order));
         file.add(format!("mirror.{name}.signs"), &[mirror.signs.len()], Numbers::F32(mirror.signs.clone()));
     }
+    if let Some(kept) = &learnt.environments {
+        let bytes = kept.episodes.bytes()?;
+        let place = if matches!(kept.episodes, Episodes::Away(_)) { "server" } else { "here" };
+        file.about.insert("environments".into(), place.into());
+        file.add("environments", &[bytes.len()], Numbers::U8(bytes));
+        file.add("environments.discounted", &[kept.discounted.len()], Numbers::F64(kept.discounted.clone()));
+        file.add("environments.returns", &[kept.returns.len()], Numbers::F64(kept.returns.clone()));
+    }
     file.save(path)
 }
 
-/// What [`save`] wrote for a plan with the same task, networks and normalization.
-pub fn load(path: &Path, plan: &Plan) -> Result<Learnt> {
+/// What [`save`] wrote for a plan with the same task, networks and normalization; `away`: environments are on a server.
+pub fn load(path: &Path, plan: &Plan, away: bool) -> Result<Saved> {
     let file = Tensors::load(path)?;
-    read(&file, plan).map_err(|e| match e {
+    read(&file, plan, away).map_err(|e| match e {
         Error::Invalid { reason, .. } => Error::file(path, reason),
         other => other,
     })
 }
 
-fn read(file: &Tensors, plan: &Plan) -> Result<Learnt> {
+/// The environments, or why those of `file` are of no use here.
+fn environments(file: &Tensors, plan: &Plan, away: bool) -> Result<std::result::Result<Kept, String>> {
+    let envs = plan.settings.n_envs;
+    let count = |name: &str| file.f64(name, envs);
+    let unfit = match file.text("environments").ok() {
+        None => "the checkpoint has no environments".to_owned(),
+        Some(place) if (place == "server") != away => format!(
+            "the checkpoint's environments are of {}",
+            match away {
+                true => "this process",
+                false => "a server",
+            }
+        ),
+        Some(_) if file.text("sandgait")? != env!("CARGO_PKG_VERSION") => {
+            format!("the checkpoint is of sandgait {}", file.text("sandgait")?)
+        }
+        Some(_) if file.text("options")? != options(plan) => "the checkpoint's task has other options".into(),
+        Some(_) if count("environments.returns").is_err() => format!("the checkpoint has not {envs} environments"),
+        Some(_) => {
+            let (discounted, returns) = (count("environments.discounted")?, count("environments.returns")?);
+            let episodes = Episodes::read(file.bytes("environments")?, away)?;
+            return Ok(Ok(Kept { episodes, discounted, returns }));
+        }
+    };
+    Ok(Err(unfit))
+}
+
+fn read(file: &Tensors, plan: &Plan, away: bool) -> Result<Saved> {
     let wrong = |why: String| Error::invalid("checkpoint", why);
     if file.text("format")? != FORMAT {
         return Err(wrong(format!("it is {:?}, not {FORMAT:?}", file.text("format")?)));
@@ -108,14 +162,18 @@ fn read(file: &Tensors, plan: &Plan) -> Result<Learnt> {
         Ok(Normal { observations, returns: running("returns", 1)? })
     };
     let adam = Adam { first: all("adam.first.")?, second: all("adam.second.")?, steps: whole("adam_steps")? };
-    Ok(Learnt {
+    let environments = environments(file, plan, away)?;
+    let learnt = Learnt {
         parameters: all("")?,
         adam,
         normal: normalized.then(normal).transpose()?,
         steps: whole("steps")?,
         updates: whole("updates")?,
         seconds: file.f64("seconds", 1)?[0],
-    })
+        environments: environments.as_ref().ok().cloned().map(Arc::new),
+    };
+    let open = file.f64("curve.open", 2).map_or([0.0; 2], |open| [open[0], open[1]]);
+    Ok(Saved { learnt, open, anew: environments.err() })
 }
 
 /// The file of a checkpoint in the results' folder `out`.

@@ -4,9 +4,11 @@ use super::learn::Rollout;
 use super::loss::Spread;
 use super::network::{Networks, Pass};
 use super::normal::{Moments, Scales};
+use super::remote::Rows;
 use super::settings::Settings;
 use crate::env::Shard;
 use crate::env::registry::Blueprint;
+use crate::env::snapshot::{Resumed, SavedEpisode};
 use crate::error::Result;
 use rand::{Rng as _, SeedableRng as _};
 use rand_distr::StandardNormal;
@@ -15,27 +17,65 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 /// Parts that the environments are cut into, however many threads there are; fewer where environments move in lanes.
 const PIECES: usize = 8;
 
+/// Where a piece's environments are.
+enum Place {
+    Here(Box<Shard>),
+    /// On a server; what their last step gave.
+    Away(Rows),
+}
+
+/// What the last reset or step gave, wherever that was.
+struct Met<'a> {
+    observations: &'a [f32],
+    rewards: &'a [f32],
+    terminated: &'a [u8],
+    truncated: &'a [u8],
+    ended: &'a [u32],
+    final_observations: &'a [f32],
+}
+
+impl Place {
+    fn met(&self) -> Met<'_> {
+        macro_rules! met {
+            ($rows:expr) => {
+                Met {
+                    observations: &$rows.observations,
+                    rewards: &$rows.rewards,
+                    terminated: &$rows.terminated,
+                    truncated: &$rows.truncated,
+                    ended: &$rows.ended,
+                    final_observations: &$rows.final_observations,
+                }
+            };
+        }
+        match self {
+            Self::Here(shard) => met!(shard.rows),
+            Self::Away(rows) => met!(rows),
+        }
+    }
+}
+
 /// Some of the environments, and what they met in this rollout; rows of a step lie together.
 pub struct Piece {
-    shard: Shard,
+    place: Place,
     /// Environments.
     pub envs: usize,
     random: Xoshiro256PlusPlus,
     pass: Pass,
     spread: Spread,
     /// f32 [envs, action], clipped to the action space.
-    clipped: Vec<f32>,
+    pub clipped: Vec<f32>,
     /// Bounds of each number of an action.
     bounds: Vec<[f32; 2]>,
     pub data: Rollout,
     /// Did the episode end with this step?
     ended: Vec<bool>,
     /// Discounted sum of rewards of each environment, for their normalization.
-    discounted: Vec<f64>,
+    pub discounted: Vec<f64>,
     /// Of the last step's observations and discounted sums.
     pub seen: [Moments; 2],
     /// Sum of rewards of each environment's episode so far, and of those that ended in this rollout.
-    running: Vec<f64>,
+    pub running: Vec<f64>,
     pub finished: Vec<f64>,
 }
 
@@ -49,33 +89,26 @@ pub struct Play<'a> {
 }
 
 impl Piece {
-    /// All environments of a training, which begin their first episode with seeds from `first_seed` on.
-    pub fn all(blueprint: &Blueprint, settings: &Settings, networks: &Networks, first_seed: u64) -> Result<Vec<Self>> {
+    /// All environments of a training, without a state yet; `away`: on a server.
+    pub fn all(blueprint: &Blueprint, settings: &Settings, networks: &Networks, away: bool) -> Result<Vec<Self>> {
         let lanes = blueprint.engine.shard_size();
         let size = settings.n_envs.div_ceil(PIECES).next_multiple_of(lanes);
         let starts = (0..settings.n_envs).step_by(size);
         let piece = |start: usize| {
             let envs = size.min(settings.n_envs - start);
-            Self::new(blueprint, envs, settings, networks, first_seed + start as u64)
+            let place = match away {
+                true => Place::Away(Rows::default()),
+                false => Place::Here(Box::new(Shard::new(blueprint, envs)?)),
+            };
+            Ok(Self::new(blueprint, envs, settings, networks, place))
         };
         starts.map(piece).collect()
     }
 
-    fn new(
-        blueprint: &Blueprint,
-        envs: usize,
-        settings: &Settings,
-        networks: &Networks,
-        first_seed: u64,
-    ) -> Result<Self> {
+    fn new(blueprint: &Blueprint, envs: usize, settings: &Settings, networks: &Networks, place: Place) -> Self {
         let spec = blueprint.task.spec();
-        let mut shard = Shard::new(blueprint, envs)?;
-        let seeds: Vec<u64> = (first_seed..).take(envs).collect();
-        shard.reset(|_| true, Some(&seeds), |_| None);
-        let mut seen = [Moments::new(spec.observation.len()), Moments::new(1)];
-        seen[0].set(&shard.rows.observations);
-        Ok(Self {
-            shard,
+        Self {
+            place,
             envs,
             random: Xoshiro256PlusPlus::seed_from_u64(0),
             pass: networks.pass(envs),
@@ -85,10 +118,40 @@ impl Piece {
             data: Rollout::new(envs * settings.n_steps, spec.observation.len(), spec.action.len()),
             ended: vec![false; envs * settings.n_steps],
             discounted: vec![0.0; envs],
-            seen,
+            seen: [Moments::new(spec.observation.len()), Moments::new(1)],
             running: vec![0.0; envs],
             finished: Vec::new(),
-        })
+        }
+    }
+
+    /// Begins the first episodes, of environments in this process.
+    pub fn reset(&mut self, seeds: &[u64]) {
+        if let Place::Here(shard) = &mut self.place {
+            shard.reset(|_| true, Some(seeds), |_| None);
+            self.seen[0].set(&shard.rows.observations);
+        }
+    }
+
+    /// The same of environments on a server, which gave `rows`.
+    pub fn take(&mut self, rows: Rows) {
+        self.seen[0].set(&rows.observations);
+        self.place = Place::Away(rows);
+    }
+
+    /// The episodes as they are; none of environments on a server.
+    pub fn episodes(&self) -> Vec<SavedEpisode> {
+        match &self.place {
+            Place::Here(shard) => (0..self.envs).map(|i| shard.save(i)).collect(),
+            Place::Away(_) => Vec::new(),
+        }
+    }
+
+    /// Goes on with these episodes, one an environment.
+    pub fn resume(&mut self, episodes: &[Resumed]) {
+        if let Place::Here(shard) = &mut self.place {
+            shard.rows.clear();
+            episodes.iter().enumerate().for_each(|(i, episode)| shard.restore(i, episode));
+        }
     }
 
     /// Ready for a rollout: its noise is a function of `seed`.
@@ -97,7 +160,7 @@ impl Piece {
         self.finished.clear();
     }
 
-    /// Step `step` of the rollout.
+    /// Step `step` of the rollout; of environments on a server only its actions.
     pub fn act(&mut self, play: &Play, step: usize) {
         if step > 0 {
             self.pay(play, step - 1);
@@ -106,7 +169,7 @@ impl Piece {
         let (wide, width) = (shape.observation, shape.action);
         let rows = step * self.envs..(step + 1) * self.envs;
         let observations = &mut self.data.observations[rows.start * wide..rows.end * wide];
-        observe(play, &self.shard.rows.observations, observations);
+        observe(play, self.place.met().observations, observations);
         play.networks.forward(play.parameters, &mut self.pass, self.envs, |out| out.copy_from_slice(observations));
         self.spread.set(&play.parameters[shape.log_std.clone()]);
         let deviations = &play.parameters[shape.log_std.clone()];
@@ -127,14 +190,22 @@ impl Piece {
             self.data.log_probabilities[row] = self.spread.log_probability(action, mean);
         }
         self.data.values[rows.clone()].copy_from_slice(&self.pass.values[..self.envs]);
-        self.shard.step(&self.clipped);
-        self.note(play, rows);
+        if let Place::Here(shard) = &mut self.place {
+            shard.step(&self.clipped);
+            self.note(play, step);
+        }
     }
 
-    /// Takes note of what the step that filled `rows` has led to.
-    fn note(&mut self, play: &Play, rows: std::ops::Range<usize>) {
-        let met = &self.shard.rows;
-        for (i, row) in rows.enumerate() {
+    /// What step `step` has led to on the server.
+    pub fn answered(&mut self, play: &Play, step: usize, rows: Rows) {
+        self.place = Place::Away(rows);
+        self.note(play, step);
+    }
+
+    /// Takes note of what step `step` has led to.
+    fn note(&mut self, play: &Play, step: usize) {
+        let met = self.place.met();
+        for (i, row) in (step * self.envs..(step + 1) * self.envs).enumerate() {
             let reward = f64::from(met.rewards[i]);
             let ended = met.terminated[i] + met.truncated[i] > 0;
             self.data.rewards[row] = met.rewards[i];
@@ -146,10 +217,10 @@ impl Piece {
             }
         }
         if play.scales.is_some() {
-            self.seen[0].set(&met.observations);
+            self.seen[0].set(met.observations);
             self.seen[1].set(&self.discounted);
         }
-        for i in &met.ended {
+        for i in met.ended {
             self.discounted[*i as usize] = 0.0;
         }
     }
@@ -160,12 +231,12 @@ impl Piece {
         if let Some(scales) = play.scales {
             scales.rewards(&mut self.data.rewards[first..first + self.envs]);
         }
-        let met = &self.shard.rows;
+        let met = self.place.met();
         if met.ended.is_empty() {
             return;
         }
         play.networks.forward(play.parameters, &mut self.pass, met.ended.len(), |out| {
-            observe(play, &met.final_observations, out);
+            observe(play, met.final_observations, out);
         });
         for (i, value) in met.ended.iter().zip(&self.pass.values) {
             let i = *i as usize;
@@ -180,7 +251,7 @@ impl Piece {
         let (envs, steps) = (self.envs, play.settings.n_steps);
         self.pay(play, steps - 1);
         play.networks.forward(play.parameters, &mut self.pass, envs, |out| {
-            observe(play, &self.shard.rows.observations, out);
+            observe(play, self.place.met().observations, out);
         });
         let (gamma, lambda) = (play.settings.gamma as f32, play.settings.gae_lambda as f32);
         let data = &mut self.data;

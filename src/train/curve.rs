@@ -21,14 +21,14 @@ pub struct Curve {
     file: File,
     path: PathBuf,
     /// Sum of returns and number of the episodes that no point has yet.
-    open: (f64, usize),
+    pub open: [f64; 2],
     /// Episodes of a point.
-    enough: usize,
+    enough: f64,
 }
 
 impl Curve {
-    /// A curve in `path`; where a training goes on, with the points of before up to `until` steps.
-    pub fn new(path: &Path, until: Option<u64>, envs: usize) -> Result<Self> {
+    /// A curve in `path`; where a training goes on, with the points of before up to `until` steps and what was open then.
+    pub fn new(path: &Path, until: Option<u64>, open: [f64; 2], envs: usize) -> Result<Self> {
         let broken = |e: &dyn std::fmt::Display| Error::file(path, e);
         let points = match until {
             Some(until) => read(path)?.into_iter().filter(|p| p.steps <= until).collect(),
@@ -36,7 +36,7 @@ impl Curve {
         };
         let file = File::create(path).map_err(|e| broken(&e))?;
         // Python's curves have a point an eighth of the environments too.
-        let mut curve = Self { points, file, path: path.into(), open: (0.0, 0), enough: envs.div_ceil(8) };
+        let mut curve = Self { points, file, path: path.into(), open, enough: envs.div_ceil(8) as f64 };
         curve.write("steps,seconds,return\n")?;
         for point in curve.points.clone() {
             curve.write(&line(&point))?;
@@ -47,14 +47,14 @@ impl Curve {
     /// Takes account of an update.
     pub fn note(&mut self, report: &Report) -> Result<()> {
         if report.episodes > 0 {
-            self.open.0 += report.mean_return * report.episodes as f64;
-            self.open.1 += report.episodes;
+            self.open[0] += report.mean_return * report.episodes as f64;
+            self.open[1] += report.episodes as f64;
         }
-        if self.open.1 < self.enough {
+        if self.open[1] < self.enough {
             return Ok(());
         }
-        let (sum, count) = std::mem::take(&mut self.open);
-        let point = Point { steps: report.steps, seconds: report.seconds, mean_return: sum / count as f64 };
+        let [sum, count] = std::mem::take(&mut self.open);
+        let point = Point { steps: report.steps, seconds: report.seconds, mean_return: sum / count };
         self.points.push(point);
         self.write(&line(&point))
     }

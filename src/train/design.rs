@@ -1,15 +1,17 @@
-//! Design studies in which every design gets a gait of its own: designs of a grid, several trainings of each, and the best
-//! of them compared on seeds that neither the trainings nor the choice has seen.
+//! Design studies in which every design gets a gait of its own: designs of a grid or of a search, several trainings of each, and
+//! the best of them compared on seeds that neither the trainings nor the choice has seen.
 
 use super::export::onnx;
-use super::learner::{Learnt, Plan};
+use super::learner::{Learnt, Plan, Report};
+pub use super::measure::{Between, Measure};
+use super::record::Record;
+use super::search::{self, Look};
 use super::settings::Settings;
 use crate::env::Task;
 use crate::env::gait::HexapodGait;
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result, check_range};
 use crate::evaluate::FIRST_SEED;
-use crate::evaluate::episode::Episode;
 use crate::evaluate::gait::Gait;
 use crate::evaluate::run::{Job, play};
 use crate::parallel;
@@ -17,7 +19,10 @@ use crate::policy::Network;
 use crate::progress::{Progress, Silent};
 use crate::sim::Model;
 use crate::sweep::{Axis, Design, table};
+use rand::SeedableRng as _;
+use rand_xoshiro::Xoshiro256PlusPlus;
 use serde_json::{Map, Value, json};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -29,6 +34,10 @@ const SEEDS: usize = 100;
 const COMPARED: usize = 3;
 /// Most trainings of a study: our choice of guard, some days.
 const MOST_TRAININGS: usize = 10_000;
+/// Designs of a search that are looked at together, and spread evenly at its beginning with so many more a parameter: our choice.
+const TOGETHER: usize = 4;
+/// The same search every time.
+const SEARCH_SEED: u64 = 1;
 
 /// What is asked for.
 pub struct Study {
@@ -36,64 +45,17 @@ pub struct Study {
     pub axes: Vec<Axis>,
     /// Options of the task that the design does not have, such as `command`.
     pub options: Map<String, Value>,
-    /// With the time of each training on one thread.
+    /// With the steps or the time of each training, on one thread.
     pub settings: Settings,
     /// Trainings of each design.
     pub trainings: usize,
-    /// If given, designs after the first on the last axis begin with what their neighbour has learnt, and learn for so long [s].
+    /// If given, designs after the first on the last axis begin with what their neighbour has learnt, and learn for so long: [s],
+    /// or steps where steps end a training.
     pub warm: Option<f64>,
-}
-
-/// What is compared.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Measure {
-    Return,
-    Speed,
-    CostOfTransport,
-}
-
-impl Measure {
-    pub const ALL: [Self; 3] = [Self::Return, Self::Speed, Self::CostOfTransport];
-
-    pub fn named(name: &str) -> Result<Self> {
-        let known = Self::ALL.map(Self::name);
-        Self::ALL.into_iter().find(|m| m.name() == name).ok_or_else(|| Error::unknown("measure", name, &known))
-    }
-
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Return => "return",
-            Self::Speed => "speed",
-            Self::CostOfTransport => "cost-of-transport",
-        }
-    }
-
-    pub fn label(self) -> &'static str {
-        match self {
-            Self::Return => "return of an episode",
-            Self::Speed => "forward speed [m/s]",
-            Self::CostOfTransport => "cost of transport",
-        }
-    }
-
-    /// Over all episodes of a policy.
-    fn of(self, episodes: &[Episode]) -> f64 {
-        let sum = |term: fn(&Episode) -> f64| episodes.iter().map(term).sum::<f64>();
-        match self {
-            Self::Return => sum(|e| e.total_reward) / episodes.len() as f64,
-            Self::Speed => sum(|e| e.distance) / sum(|e| e.time),
-            Self::CostOfTransport => {
-                let way = sum(|e| e.weight * e.distance);
-                if way > 0.0 { sum(|e| e.work) / way } else { f64::INFINITY }
-            }
-        }
-    }
-
-    /// Smaller is better; what is not a number is worst.
-    fn cost(self, value: f64) -> f64 {
-        let cost = if self == Self::CostOfTransport { value } else { -value };
-        if cost.is_nan() { f64::INFINITY } else { cost }
-    }
+    /// Designs of a search between the axes' least and greatest values; none: the grid.
+    pub search: Option<usize>,
+    /// Folder where each training is kept, and taken from if it was made before.
+    pub out: PathBuf,
 }
 
 /// A gait that was learnt.
@@ -104,33 +66,9 @@ pub struct Trained {
     pub chosen_by: [f64; 3],
 }
 
-/// Mean over trainings, and its 95 % interval by Student's t; without ends where there is one training.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Between {
-    pub mean: f64,
-    pub half: f64,
-}
-
-impl Between {
-    pub fn of(values: &[f64]) -> Self {
-        let n = values.len() as f64;
-        let mean = values.iter().sum::<f64>() / n;
-        let variance = values.iter().map(|v| (v - mean) * (v - mean)).sum::<f64>() / (n - 1.0);
-        let half = if values.len() > 1 { student(values.len() - 1) * (variance / n).sqrt() } else { f64::NAN };
-        Self { mean, half }
-    }
-}
-
-/// 97.5 % point of Student's t distribution (Fisher & Yates, Statistical Tables, table III); beyond the table that of its last row,
-/// which is a little too wide.
-fn student(freedom: usize) -> f64 {
-    const POINTS: [f64; 10] = [12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228];
-    POINTS[freedom.clamp(1, POINTS.len()) - 1]
-}
-
 /// A design in the comparison.
 pub struct Compared {
-    /// Number of the design in the grid.
+    /// Number of the design.
     pub design: usize,
     /// Each measure over the unseen seeds, one a training.
     pub values: [Vec<f64>; 3],
@@ -138,29 +76,52 @@ pub struct Compared {
 
 /// What a study found.
 pub struct Findings {
-    /// One row a design in the order of the grid, the last axis fastest; one entry a training.
+    /// Values on the axes, in the order of the grid, the last axis fastest, or of the search.
+    pub designs: Vec<Vec<String>>,
+    /// One row a design, one entry a training.
     pub trained: Vec<Vec<Trained>>,
     /// The best ones by the measure, best first.
     pub best: Vec<Compared>,
 }
 
 impl Study {
-    /// Refuses what no training could begin with.
-    pub fn check(&self) -> Result<usize> {
-        let designs: usize = self.axes.iter().map(|a| a.values.len()).product();
+    /// Refuses what no training could begin with; gives the designs of the grid, or none for a search.
+    pub fn check(&self) -> Result<Vec<Vec<String>>> {
+        let points: usize = self.axes.iter().map(|a| a.values.len()).product();
+        let designs = self.search.unwrap_or(points);
         check_range("number of trainings", (designs * self.trainings) as f64, 1.0..=MOST_TRAININGS as f64)?;
         let gaits = ["frequency", "phase"];
         if let Some(axis) = self.axes.iter().find(|a| gaits.contains(&a.parameter.name)) {
             return Err(Error::invalid(axis.parameter.name, "each design learns its own with --learn"));
         }
-        (0..designs).try_for_each(|design| self.plan(design, 0).map(drop))?;
-        Ok(designs)
+        if self.search.is_some() {
+            check_range("number of parameters", self.axes.len() as f64, 1.0..=search::MOST_PARAMETERS as f64)?;
+            let [low, high] = self.bounds()?;
+            [low, high].iter().try_for_each(|end| self.plan(&named(end), 0).map(drop))?;
+            return Ok(Vec::new());
+        }
+        let all = (0..points).map(|i| table::values(&self.axes, i).into_iter().map(str::to_owned).collect());
+        let all: Vec<Vec<String>> = all.collect();
+        all.iter().try_for_each(|values| self.plan(values, 0).map(drop))?;
+        Ok(all)
     }
 
-    /// The training number `training` of design `design`.
-    fn plan(&self, design: usize, training: usize) -> Result<Plan> {
+    /// Least and greatest value of each axis.
+    fn bounds(&self) -> Result<[Vec<f64>; 2]> {
+        let (mut low, mut high) = (Vec::new(), Vec::new());
+        for axis in &self.axes {
+            let reason = format!("{} needs two numbers to search between", axis.parameter.name);
+            let values = axis.numbers().filter(|v| v.len() > 1).ok_or_else(|| Error::invalid("vary", reason))?;
+            low.push(values.iter().copied().fold(f64::INFINITY, f64::min));
+            high.push(values.iter().copied().fold(f64::NEG_INFINITY, f64::max));
+        }
+        Ok([low, high])
+    }
+
+    /// The training number `training` of the design with these values.
+    fn plan(&self, values: &[String], training: usize) -> Result<Plan> {
         let mut changed = self.base.clone();
-        for (axis, value) in self.axes.iter().zip(table::values(&self.axes, design)) {
+        for (axis, value) in self.axes.iter().zip(values) {
             axis.parameter.set(&mut changed, value)?;
         }
         let mut options = self.options.clone();
@@ -175,103 +136,195 @@ impl Study {
         Plan::new(blueprint, self.settings.clone(), training as u64, 1)
     }
 
-    /// Learns, chooses and compares. An error of `progress` stops the work.
+    /// Learns, chooses and compares. An error of `progress` stops the work; what has been learnt by then is kept.
     pub fn run(&self, measure: Measure, progress: &dyn Progress) -> Result<Findings> {
-        let designs = self.check()?;
-        let trained = self.train(designs, progress)?;
-        let mean = |design: &usize| {
-            let place = Measure::ALL.iter().position(|m| *m == measure).unwrap_or(0);
-            let all = trained[*design].iter().map(|t| t.chosen_by[place]);
-            measure.cost(all.sum::<f64>() / self.trainings as f64)
+        let grid = self.check()?;
+        let (designs, trained, costs) = match self.search {
+            None => {
+                let total = grid.len() as f64;
+                let trained = self.train(&grid, 0, &Told::new(progress, 0.0, total * self.trainings as f64))?;
+                let costs: Vec<f64> = trained.iter().map(|all| measure.cost(mean(measure, all))).collect();
+                (grid, trained, costs)
+            }
+            Some(count) => self.search(count, measure, progress)?,
         };
-        let mut order: Vec<usize> = (0..designs).collect();
-        order.sort_by(|a, b| mean(a).total_cmp(&mean(b)));
+        let mut order: Vec<usize> = (0..designs.len()).collect();
+        order.sort_by(|a, b| costs[*a].total_cmp(&costs[*b]));
         let compare = |design: &usize| {
             let seeds: Vec<u64> = (FIRST_SEED..).take(SEEDS).collect();
             let played = trained[*design].iter().enumerate();
-            let played = played.map(|(k, t)| self.measures(*design, k, &t.onnx, &seeds)).collect::<Result<Vec<_>>>()?;
+            let played = played.map(|(k, t)| measures(&self.plan(&designs[*design], k)?, &t.onnx, &seeds));
+            let played = played.collect::<Result<Vec<_>>>()?;
             let values = [0, 1, 2].map(|m| played.iter().map(|all| all[m]).collect());
             Ok(Compared { design: *design, values })
         };
         let best = order.iter().take(COMPARED).map(compare).collect::<Result<_>>()?;
-        Ok(Findings { trained, best })
+        Ok(Findings { designs, trained, best })
     }
 
-    /// All trainings: chains of neighbours where these are warm-started, else each for itself; one thread a training.
-    fn train(&self, designs: usize, progress: &dyn Progress) -> Result<Vec<Vec<Trained>>> {
-        let length = match self.warm {
-            Some(_) => self.axes.last().map_or(1, |axis| axis.values.len()),
-            None => 1,
+    /// A search for the best design: evenly spread ones first, then some at a time where the best is expected. Gives what is
+    /// expected of each design in the end: less of its luck than its own trainings have.
+    fn search(
+        &self,
+        count: usize,
+        measure: Measure,
+        progress: &dyn Progress,
+    ) -> Result<(Designs, Trainings, Vec<f64>)> {
+        let [low, high] = self.bounds()?;
+        // To a thousandth of the range, so that tables can be read.
+        let at = |place: &[f64]| -> Vec<f64> {
+            let within = |((x, low), high): ((&f64, &f64), &f64)| low + (x * 1000.0).round() / 1000.0 * (high - low);
+            place.iter().zip(&low).zip(&high).map(within).collect()
         };
-        let starts = (0..designs).step_by(length);
+        let mut random = Xoshiro256PlusPlus::seed_from_u64(SEARCH_SEED);
+        let first = (TOGETHER * (1 + self.axes.len())).min(count);
+        let mut places: Vec<Vec<f64>> = (0..first as u64).map(|k| search::spread(k, self.axes.len())).collect();
+        let (mut designs, mut trained): (Designs, Trainings) = Default::default();
+        let mut looks: Vec<Look> = Vec::new();
+        while !places.is_empty() {
+            let new: Designs = places.iter().map(|place| named(&at(place))).collect();
+            let told = Told::new(progress, (designs.len() * self.trainings) as f64, (count * self.trainings) as f64);
+            let learnt = self.train(&new, designs.len(), &told)?;
+            let value = |all: &Vec<Trained>| -measure.cost(mean(measure, all));
+            looks.extend(places.into_iter().zip(&learnt).map(|(at, all)| Look { at, value: value(all) }));
+            designs.extend(new);
+            trained.extend(learnt);
+            let more = TOGETHER.min(count - designs.len());
+            places = search::next(&finite(&looks), noise(measure, &trained), more, &mut random);
+        }
+        let expected = search::smoothed(&finite(&looks), noise(measure, &trained));
+        Ok((designs, trained, expected.into_iter().map(|value| -value).collect()))
+    }
+
+    /// All trainings of `designs`, which are counted from `first`: chains of neighbours where these are warm-started, else each
+    /// for itself; one thread a training.
+    fn train(&self, designs: &[Vec<String>], first: usize, told: &Told) -> Result<Trainings> {
+        let length = match (self.warm, self.search) {
+            (Some(_), None) => self.axes.last().map_or(1, |axis| axis.values.len()),
+            _ => 1,
+        };
+        let starts = (0..designs.len()).step_by(length);
         let chains: Vec<[usize; 2]> = starts.flat_map(|d| (0..self.trainings).map(move |t| [d, t])).collect();
-        let total = (designs * self.trainings) as f64;
-        let thousandths = AtomicU64::new(0);
-        let advance = |by: f64| {
-            let done = thousandths.fetch_add((by * 1e6) as u64, Ordering::Relaxed) as f64 / 1e6 + by;
-            progress.report((done / total).min(1.0), &format!("{total} trainings"))
-        };
-        let learnt = parallel::map(&chains, |[first, training]| {
+        let learnt = parallel::map(&chains, |[start, training]| {
             let mut before: Option<Learnt> = None;
             let mut all = Vec::with_capacity(length);
-            for design in *first..first + length {
-                let (onnx, learnt) = self.one(design, *training, before.as_ref(), &advance)?;
-                let seeds: Vec<u64> = CHOICE_SEEDS.collect();
-                let chosen_by = self.measures(design, *training, &onnx, &seeds)?;
-                all.push(Trained { onnx, steps: learnt.steps, chosen_by });
+            let chain = &designs[*start..start + length];
+            for (k, values) in chain.iter().enumerate() {
+                let mut plan = self.plan(values, *training)?;
+                if before.is_some() {
+                    self.shorten(&mut plan.settings);
+                }
+                let record = Record::new(&self.out, first + start + k, *training, &plan, &chain[..k]);
+                let (trained, learnt) = one(&plan, &record, before.as_ref(), told)?;
+                all.push(trained);
                 before = Some(learnt);
             }
             Ok(all)
         });
-        let mut trained: Vec<Vec<Trained>> = (0..designs).map(|_| Vec::with_capacity(self.trainings)).collect();
-        for ([first, _], chain) in chains.iter().zip(learnt) {
-            chain?.into_iter().enumerate().for_each(|(k, t)| trained[first + k].push(t));
+        let mut trained: Trainings = designs.iter().map(|_| Vec::with_capacity(self.trainings)).collect();
+        for ([start, _], chain) in chains.iter().zip(learnt) {
+            chain?.into_iter().enumerate().for_each(|(k, t)| trained[start + k].push(t));
         }
         Ok(trained)
     }
 
-    /// One training, from what a neighbour has learnt if there is one.
-    fn one(
-        &self,
-        design: usize,
-        training: usize,
-        before: Option<&Learnt>,
-        advance: &(dyn Fn(f64) -> Result<()> + Sync),
-    ) -> Result<(Vec<u8>, Learnt)> {
-        let mut plan = self.plan(design, training)?;
-        let mut learnt = plan.begin();
-        if let (Some(before), Some(seconds)) = (before, self.warm) {
-            learnt.parameters.clone_from(&before.parameters);
-            learnt.normal.clone_from(&before.normal);
-            plan.settings.seconds = Some(seconds);
+    /// What a training that begins with a neighbour's gait takes.
+    fn shorten(&self, settings: &mut Settings) {
+        match (self.warm, settings.seconds) {
+            (Some(warm), Some(_)) => settings.seconds = Some(warm),
+            (Some(warm), None) => settings.n_timesteps = warm as u64,
+            (None, _) => (),
         }
-        let mut told = 0.0;
-        let learnt = plan.run(learnt, |_, report| {
-            let more = report.done - told;
-            told = report.done;
-            advance(more)
-        })?;
-        Ok((onnx(&plan, &learnt), learnt))
-    }
-
-    /// Every measure of a policy over `seeds`.
-    fn measures(&self, design: usize, training: usize, onnx: &[u8], seeds: &[u64]) -> Result<[f64; 3]> {
-        let plan = self.plan(design, training)?;
-        let gait = Gait::Network(Arc::new(Network::new(onnx, plan.blueprint.task.spec())?));
-        let jobs = [Job { blueprint: &plan.blueprint, gait: &gait, seeds }];
-        let episodes = play(&jobs, &Silent)?.into_iter().next().unwrap_or_default();
-        Ok(Measure::ALL.map(|m| m.of(&episodes)))
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
+type Designs = Vec<Vec<String>>;
+type Trainings = Vec<Vec<Trained>>;
 
-    #[test]
-    fn the_interval_is_student_s() {
-        let three = Between::of(&[1.0, 2.0, 3.0]);
-        assert!((three.mean - 2.0).abs() < 1e-12 && (three.half - 4.303 / 3.0_f64.sqrt()).abs() < 1e-9);
-        assert!(Between::of(&[1.0]).half.is_nan());
+/// How far all trainings have come.
+struct Told<'a> {
+    progress: &'a dyn Progress,
+    total: f64,
+    /// Trainings that are done [1e-6].
+    millionths: AtomicU64,
+}
+
+impl<'a> Told<'a> {
+    /// `done` of `total` trainings are.
+    fn new(progress: &'a dyn Progress, done: f64, total: f64) -> Self {
+        Self { progress, total, millionths: AtomicU64::new((1e6 * done) as u64) }
     }
+
+    fn advance(&self, by: f64) -> Result<()> {
+        let done = self.millionths.fetch_add((by * 1e6) as u64, Ordering::Relaxed) as f64 / 1e6 + by;
+        self.progress.report((done / self.total).min(1.0), &format!("{} trainings", self.total))
+    }
+}
+
+/// Values as the axes take them.
+fn named(values: &[f64]) -> Vec<String> {
+    // Six digits: a sum of steps shall not read 0.30000000000000004.
+    values.iter().map(|v| format!("{v:.6e}").parse().map_or_else(|_| v.to_string(), |v: f64| v.to_string())).collect()
+}
+
+/// Over the trainings of a design.
+fn mean(measure: Measure, trained: &[Trained]) -> f64 {
+    let place = Measure::ALL.iter().position(|m| *m == measure).unwrap_or(0);
+    trained.iter().map(|t| t.chosen_by[place]).sum::<f64>() / trained.len() as f64
+}
+
+/// Variance of a design's mean, from the scatter of trainings within all designs; 0 where there is one training each.
+fn noise(measure: Measure, trained: &[Vec<Trained>]) -> f64 {
+    let (mut squares, mut freedom) = (0.0, 0.0);
+    for all in trained {
+        let center = mean(measure, all);
+        let off = all.iter().map(|t| mean(measure, std::slice::from_ref(t)) - center);
+        let sum: f64 = off.map(|d| d * d).sum();
+        if sum.is_finite() {
+            squares += sum;
+            freedom += all.len() as f64 - 1.0;
+        }
+    }
+    let each = trained.first().map_or(1, Vec::len) as f64;
+    if freedom > 0.0 { squares / freedom / each } else { 0.0 }
+}
+
+/// Designs that came to nothing get the least value of the others.
+fn finite(looks: &[Look]) -> Vec<Look> {
+    let least = looks.iter().map(|l| l.value).filter(|v| v.is_finite()).fold(f64::INFINITY, f64::min);
+    let least = if least.is_finite() { least } else { 0.0 };
+    let value = |look: &Look| if look.value.is_finite() { look.value } else { least };
+    looks.iter().map(|look| Look { at: look.at.clone(), value: value(look) }).collect()
+}
+
+/// One training, from what a neighbour has learnt if there is one; taken from its files where it was made before.
+fn one(plan: &Plan, record: &Record, before: Option<&Learnt>, told: &Told) -> Result<(Trained, Learnt)> {
+    if let Some((learnt, chosen_by)) = record.read(plan) {
+        told.advance(1.0)?;
+        return Ok((Trained { onnx: onnx(plan, &learnt), steps: learnt.steps, chosen_by }, learnt));
+    }
+    let mut learnt = plan.begin();
+    if let Some(before) = before {
+        learnt.parameters.clone_from(&before.parameters);
+        learnt.normal.clone_from(&before.normal);
+    }
+    let mut so_far = 0.0;
+    let learnt = plan.run(learnt, None, &mut |_: &Learnt, report: &Report| {
+        let more = report.done - so_far;
+        so_far = report.done;
+        told.advance(more)
+    })?;
+    let onnx = onnx(plan, &learnt);
+    let seeds: Vec<u64> = CHOICE_SEEDS.collect();
+    let chosen_by = measures(plan, &onnx, &seeds)?;
+    record.write(plan, &learnt, &onnx, &chosen_by)?;
+    Ok((Trained { onnx, steps: learnt.steps, chosen_by }, learnt))
+}
+
+/// Every measure of a policy over `seeds`.
+fn measures(plan: &Plan, onnx: &[u8], seeds: &[u64]) -> Result<[f64; 3]> {
+    let gait = Gait::Network(Arc::new(Network::new(onnx, plan.blueprint.task.spec())?));
+    let jobs = [Job { blueprint: &plan.blueprint, gait: &gait, seeds }];
+    let episodes = play(&jobs, &Silent)?.into_iter().next().unwrap_or_default();
+    Ok(Measure::ALL.map(|m| m.of(&episodes)))
 }

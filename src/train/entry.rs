@@ -4,7 +4,7 @@ use super::settings::Settings;
 use super::yaml;
 use crate::env::registry::TASK_IDS;
 use crate::error::{Error, Result};
-use serde_json::{Map, Value};
+use serde_json::{Map, Value, json};
 use std::path::Path;
 
 /// The settings that `sandgait train` has without a file.
@@ -17,11 +17,22 @@ pub fn task_id(name: &str) -> String {
     TASK_IDS.iter().find(short).map_or_else(|| name.to_owned(), |id| (*id).to_owned())
 }
 
-/// What stands for `task` in `file`, or in the program's own; with `changes`, each NAME=YAML, in its place.
-pub fn settings(file: Option<&Path>, task: &str, changes: &[String]) -> Result<Settings> {
+/// When a training ends, as changes of settings: a number of steps alone leaves no limit of time.
+pub fn ends(timesteps: Option<u64>, seconds: Option<f64>) -> Vec<(String, Value)> {
+    let steps = timesteps.map(|steps| ("n_timesteps", json!(steps)));
+    let time = match (timesteps, seconds) {
+        (_, Some(seconds)) => Some(json!(seconds)),
+        (Some(_), None) => Some(Value::Null),
+        (None, None) => None,
+    };
+    let time = time.map(|time| ("seconds", time));
+    steps.into_iter().chain(time).map(|(name, value)| (name.to_owned(), value)).collect()
+}
+
+/// What stands for `task` in `file`, or in the program's own; with `changes` in its place.
+pub fn settings(file: Option<&Path>, task: &str, changes: Vec<(String, Value)>) -> Result<Settings> {
     let mut entry = entry(file, task)?;
-    for change in changes {
-        let (name, value) = pair("--set", change)?;
+    for (name, value) in changes {
         // A dictionary changes key by key.
         match (entry.get_mut(&name), value) {
             (Some(Value::Object(old)), Value::Object(new)) => old.extend(new),
@@ -67,11 +78,11 @@ mod tests {
     fn own_settings_are_sound() {
         let all = yaml::read(OWN).unwrap();
         for task in all.as_object().unwrap().keys() {
-            settings(None, task, &[]).unwrap();
+            settings(None, task, Vec::new()).unwrap();
         }
         let python = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/hyperparameters/ppo.yml");
         for task in ["HexapodGait", "HexapodLegs", "HexapodTerrain", "HexapodRocks"] {
-            let read = settings(Some(&python), &task_id(task), &[]).unwrap();
+            let read = settings(Some(&python), &task_id(task), Vec::new()).unwrap();
             assert_eq!((read.gamma, read.learning_rate.falls, read.mirror), (0.95, true, true));
             // What settings.json says gives the same settings again.
             assert_eq!(Settings::from_entry(read.json().as_object().unwrap()).unwrap(), read);
@@ -95,11 +106,12 @@ mod tests {
             ("policy_kwargs={squash_output: true}", "setting of policy_kwargs \"squash_output\" is unknown"),
             ("gamma=[", "--set gamma: YAML: "),
         ] {
-            let error = settings(None, &id, &[change.to_owned()]).unwrap_err().to_string();
+            let error = pair("--set", change).and_then(|change| settings(None, &id, vec![change]));
+            let error = error.unwrap_err().to_string();
             assert!(error.starts_with(says) && !error.contains('\n'), "{error}");
         }
-        let kept = settings(None, &id, &["policy_kwargs={log_std_init: -1}".into()]).unwrap();
+        let kept = settings(None, &id, vec![pair("--set", "policy_kwargs={log_std_init: -1}").unwrap()]).unwrap();
         assert_eq!((kept.log_std_init, &kept.net_arch[0]), (-1.0, &vec![64, 64]));
-        assert!(settings(None, "sandgait/None-v1", &[]).unwrap_err().to_string().contains("no settings for"));
+        assert!(settings(None, "sandgait/None-v1", Vec::new()).unwrap_err().to_string().contains("no settings for"));
     }
 }

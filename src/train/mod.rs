@@ -1,8 +1,8 @@
 //! Learning a gait: proximal policy optimization beside the environments, without Python.
 //!
 //! ```text
-//!  settings ──▶ learner ──▶ rollouts (collect, normal) and updates (learn, loss, adam) in turn, over a crew of threads
-//!                  │                         └── network, mirror, matrix
+//!  settings ──▶ learner ──▶ training: rollouts (collect, normal, remote) and updates (learn, loss, adam) in turn, over a crew
+//!                  │                         └── network, mirror, matrix            of threads; kept: to go on with the same bits
 //!                  ├──▶ run: one training, with policy.onnx, checkpoints, learning curve, events, film
 //!                  └──▶ design: many designs, a gait learnt for each
 //! ```
@@ -29,19 +29,26 @@ mod export;
 mod film;
 #[cfg(test)]
 mod gradients;
+mod kept;
 mod learn;
 pub mod learner;
 mod loss;
 mod matrix;
+mod measure;
 mod mirror;
 mod network;
 mod normal;
+mod record;
+pub mod remote;
 mod run;
+mod search;
 pub mod settings;
 mod tensors;
+mod training;
 mod yaml;
 
+pub use curve::Point;
 pub use export::onnx;
-pub use learner::{Learnt, Plan, Report};
-pub use run::{Outcome, Request};
+pub use learner::{Heed, Learnt, Plan, Report};
+pub use run::{Connect, Outcome, Request};
 pub use settings::Settings;

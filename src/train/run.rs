@@ -1,9 +1,10 @@
 //! A training with everything that stays of it: `settings.json`, `curve.csv`, checkpoints, TensorBoard's events and, at the end,
 //! the policy, its score over unseen seeds, the learning curve and a film.
 
-use super::curve::Curve;
+use super::curve::{Curve, Point};
 use super::events::Events;
-use super::learner::{Learnt, Plan, Report};
+use super::learner::{Heed, Learnt, Plan, Report};
+use super::remote::{Pause, Remote};
 use super::settings::Settings;
 use super::{checkpoint, export, film};
 use crate::env::registry::Blueprint;
@@ -13,9 +14,16 @@ use crate::policy::Network;
 use crate::progress::{Part, Progress};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 /// Share of the progress that the training is; the rest is for the evaluation.
 const TRAINING: f64 = 0.97;
+
+/// Between two looks at whether somebody has stopped the training: our choice, well below the 100 ms that a person notices.
+const PATIENCE: Duration = Duration::from_millis(20);
+
+/// Makes environments on a server: of a blueprint, its options and a number.
+pub type Connect = dyn Fn(&Blueprint, &Value, usize, Pause) -> Result<Box<dyn Remote>> + Send + Sync;
 
 /// What is asked for.
 pub struct Request {
@@ -31,12 +39,18 @@ pub struct Request {
     pub resume: bool,
     /// Steps between two checkpoints.
     pub checkpoint_every: u64,
+    /// Environments on a server in place of this process's.
+    pub connect: Option<Box<Connect>>,
 }
 
 /// What came of it.
 pub struct Outcome {
     pub learnt: Learnt,
     pub last: Option<Report>,
+    /// The learning curve.
+    pub curve: Vec<Point>,
+    /// Why a training that goes on began new episodes, where it did.
+    pub anew: Option<String>,
     /// The policy without noise over 100 unseen seeds; none for tasks that are not about walking.
     pub score: Option<Row>,
 }
@@ -47,9 +61,17 @@ impl Request {
         let options = self.options()?;
         let blueprint = Blueprint::new(&self.task, options.clone())?;
         let plan = Plan::new(blueprint, self.settings.clone(), self.seed, self.threads)?;
-        let learnt = match self.resume {
-            true => checkpoint::load(&checkpoint::last(&self.out)?, &plan)?,
-            false => plan.begin(),
+        let saved = match self.resume {
+            true => checkpoint::load(&checkpoint::last(&self.out)?, &plan, self.connect.is_some())?,
+            false => checkpoint::Saved { learnt: plan.begin(), open: [0.0; 2], anew: None },
+        };
+        let checkpoint::Saved { learnt, open, anew } = saved;
+        let mut remote = match &self.connect {
+            Some(connect) => {
+                let pause = &mut || progress.report(0.0, "connecting");
+                Some(connect(&plan.blueprint, &options, self.settings.n_envs, pause)?)
+            }
+            None => None,
         };
         let folder = checkpoint::folder(&self.out);
         std::fs::create_dir_all(&folder).map_err(|e| Error::file(&folder, e))?;
@@ -63,22 +85,26 @@ impl Request {
         });
         self.write("settings.json", format!("{about:#}\n").as_bytes())?;
         let until = self.resume.then_some(learnt.steps);
+        let part = Part::new(progress, [0.0, TRAINING]);
         let mut diary = Diary {
             plan: &plan,
-            curve: Curve::new(&self.out.join("curve.csv"), until, self.settings.n_envs)?,
+            curve: Curve::new(&self.out.join("curve.csv"), until, open, self.settings.n_envs)?,
             events: Events::new(&self.out.join("tensorboard"))?,
             last: None,
             saved: learnt.steps,
             seconds: learnt.seconds,
             newest: learnt.clone(),
             request: self,
+            progress: &part,
+            told: (0.0, "the training".into()),
+            asked: Instant::now(),
         };
-        let part = Part::new(progress, [0.0, TRAINING]);
-        let learnt = match plan.run(learnt, |learnt, report| diary.note(learnt, report, &part)) {
+        let learnt = match plan.run(learnt, remote.as_deref_mut(), &mut diary) {
             Ok(learnt) => learnt,
             Err(error) => return Err(diary.abandon(error)),
         };
-        checkpoint::save(&checkpoint::path(&self.out, learnt.steps), &plan, &learnt)?;
+        drop(remote);
+        diary.save()?;
         let score = self.keep(&plan, &learnt, options, &Part::new(progress, [TRAINING, 1.0]))?;
         let reached = score.as_ref().map(|row| row.figures.total_reward.mean);
         diary.curve.draw(&self.out.join("curve.svg"), &self.task, reached)?;
@@ -87,7 +113,7 @@ impl Request {
         about["seconds"] = learnt.seconds.into();
         about["score"] = json!(score);
         self.write("settings.json", format!("{about:#}\n").as_bytes())?;
-        Ok(Outcome { learnt, last: diary.last, score })
+        Ok(Outcome { learnt, last: diary.last, curve: diary.curve.points, anew, score })
     }
 
     fn options(&self) -> Result<Value> {
@@ -104,7 +130,8 @@ impl Request {
     fn keep(&self, plan: &Plan, learnt: &Learnt, options: Value, progress: &dyn Progress) -> Result<Option<Row>> {
         let onnx = export::onnx(plan, learnt);
         self.write("policy.onnx", &onnx)?;
-        checkpoint::save(&self.out.join("policy.safetensors"), plan, learnt)?;
+        let policy = Learnt { environments: None, ..learnt.clone() };
+        checkpoint::save(&self.out.join("policy.safetensors"), plan, &policy, [0.0; 2])?;
         let spec = plan.blueprint.task.spec();
         let network = Network::new(&onnx, spec)?;
         let (recording, picture) = (self.out.join("walk.rec"), self.out.join("walk.png"));
@@ -142,10 +169,22 @@ struct Diary<'a> {
     /// Seconds at the last update.
     seconds: f64,
     newest: Learnt,
+    progress: &'a dyn Progress,
+    /// What progress was told last, and when it was asked last.
+    told: (f64, String),
+    asked: Instant,
 }
 
-impl Diary<'_> {
-    fn note(&mut self, learnt: &Learnt, report: &Report, progress: &dyn Progress) -> Result<()> {
+impl Heed for Diary<'_> {
+    fn pause(&mut self) -> Result<()> {
+        if self.asked.elapsed() < PATIENCE {
+            return Ok(());
+        }
+        self.asked = Instant::now();
+        self.progress.report(self.told.0, &self.told.1)
+    }
+
+    fn update(&mut self, learnt: &Learnt, report: &Report) -> Result<()> {
         self.newest.clone_from(learnt);
         self.curve.note(report)?;
         let samples = (self.request.settings.n_envs * self.request.settings.n_steps) as f64;
@@ -159,9 +198,13 @@ impl Diary<'_> {
         let reached = self.curve.points.last().map_or(String::new(), |p| format!(", return {:.0}", p.mean_return));
         let stage =
             format!("the training: {:.2} M steps{reached}, {:.0} k a second", report.steps as f64 / 1e6, rate / 1e3);
-        progress.report(report.done, &stage)
+        self.told = (report.done, stage);
+        self.asked = Instant::now();
+        self.progress.report(self.told.0, &self.told.1)
     }
+}
 
+impl Diary<'_> {
     fn log(&mut self, report: &Report, rate: f64) -> Result<()> {
         let scalars = [
             ("rollout/ep_rew_mean", report.mean_return),
@@ -181,7 +224,7 @@ impl Diary<'_> {
 
     fn save(&mut self) -> Result<PathBuf> {
         let path = checkpoint::path(&self.request.out, self.newest.steps);
-        checkpoint::save(&path, self.plan, &self.newest)?;
+        checkpoint::save(&path, self.plan, &self.newest, self.curve.open)?;
         self.saved = self.newest.steps;
         Ok(path)
     }
@@ -189,7 +232,8 @@ impl Diary<'_> {
     /// Leaves a checkpoint of what was sound, and says so.
     fn abandon(mut self, error: Error) -> Error {
         let steps = self.newest.steps;
-        let kept = |path: &Path| format!("; the policy of {steps} steps is kept in {}", path.display());
+        let kept =
+            |path: &Path| format!("; the policy of {steps} steps is kept in {}, go on with --resume", path.display());
         let note = match steps {
             0 => String::new(),
             _ => match self.save() {
@@ -199,7 +243,7 @@ impl Diary<'_> {
         };
         match error {
             Error::Invalid { field, reason } => Error::Invalid { field, reason: reason + &note },
-            Error::Cancelled(why) => Error::Cancelled(why + &note + ", go on with --resume"),
+            Error::Cancelled(why) => Error::Cancelled(why + &note),
             other => other,
         }
     }

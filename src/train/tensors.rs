@@ -8,8 +8,8 @@ use crate::error::{Error, Result};
 use serde_json::{Map, Value, json};
 use std::path::Path;
 
-/// Largest file that is read [bytes]: our choice of guard, a hundred times a usual one.
-const MOST: u64 = 64 << 20;
+/// Largest file that is read [bytes]: our choice of guard. A usual one has 1 MiB, nearly all of it environments.
+const MOST: u64 = 1 << 30;
 
 /// An array; all numbers are kept as they are.
 #[derive(Clone, Debug, PartialEq)]
@@ -17,6 +17,7 @@ pub enum Numbers {
     F32(Vec<f32>),
     F64(Vec<f64>),
     I64(Vec<i64>),
+    U8(Vec<u8>),
 }
 
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -42,6 +43,13 @@ impl Tensors {
         match self.get(name)? {
             Numbers::F64(numbers) if numbers.len() == count => Ok(numbers.clone()),
             _ => Err(wrong(format!("{name:?} is not {count} numbers of f64"))),
+        }
+    }
+
+    pub fn bytes(&self, name: &str) -> Result<Vec<u8>> {
+        match self.get(name)? {
+            Numbers::U8(bytes) => Ok(bytes.clone()),
+            _ => Err(wrong(format!("{name:?} is not bytes"))),
         }
     }
 
@@ -76,6 +84,10 @@ impl Tensors {
                 Numbers::I64(all) => {
                     bytes.extend(all.iter().flat_map(|x| x.to_le_bytes()));
                     "I64"
+                }
+                Numbers::U8(all) => {
+                    bytes.extend_from_slice(all);
+                    "U8"
                 }
             };
             let entry = json!({"dtype": dtype, "shape": shape, "data_offsets": [start, bytes.len()]});
@@ -137,6 +149,7 @@ fn array(entry: &Value, bytes: &[u8]) -> Option<(Vec<usize>, Numbers)> {
         "F32" => Numbers::F32(cut(bytes, count, f32::from_le_bytes)?),
         "F64" => Numbers::F64(cut(bytes, count, f64::from_le_bytes)?),
         "I64" => Numbers::I64(cut(bytes, count, i64::from_le_bytes)?),
+        "U8" => Numbers::U8(cut(bytes, count, u8::from_le_bytes)?),
         _ => return None,
     };
     Some((shape, numbers))

@@ -14,6 +14,8 @@ pyo3::create_exception!(
 /// The class of `sandgait.errors` that says what the caller can do.
 fn class(error: &Error) -> &'static str {
     match error {
+        // A training's, see `sandgait::client::training`.
+        Error::Invalid { field, .. } if field.starts_with("server ") => "ServerLost",
         Error::Invalid { .. } | Error::Unknown { .. } | Error::Replaced { .. } => "InvalidRequest",
         Error::OutOfOrder(_) => "OutOfOrder",
         Error::Exhausted(_) => "LimitReached",

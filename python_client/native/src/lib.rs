@@ -3,6 +3,7 @@
 //! * [`local`]: the environments of one session; [`process`]: the threads that they share.
 //! * [`remote`]: environments on servers.
 //! * [`studies`]: the offline tools.
+//! * [`train`]: learning gaits.
 //! * [`wait`]: work that Python waits for without holding its lock, until it is done or interrupted.
 //! * [`arrays`], [`values`], [`tables`]: numpy's arrays, keywords and tables from and to the crate's types.
 //! * [`errors`]: the one map from errors to Python's exceptions.
@@ -17,6 +18,7 @@ mod process;
 mod remote;
 mod studies;
 mod tables;
+mod train;
 mod values;
 mod wait;
 
@@ -60,4 +62,6 @@ mod _native {
     use super::studies::study;
     #[pymodule_export]
     use super::tables::describe;
+    #[pymodule_export]
+    use super::train::train;
 }

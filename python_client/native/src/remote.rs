@@ -21,7 +21,7 @@ use tonic::Status;
 /// Address, token, TLS, authority, certificate and key, as `sandgait.Remote` has them.
 pub type Address = (String, Option<String>, bool, Option<Vec<u8>>, Option<Vec<u8>>, Option<Vec<u8>>);
 
-fn place((address, token, tls, ca, certificate, key): Address) -> Place {
+pub fn place((address, token, tls, ca, certificate, key): Address) -> Place {
     Place { address, token, tls, ca, identity: certificate.zip(key) }
 }
 

@@ -4,9 +4,9 @@ use crate::errors::raise;
 use pyo3::prelude::*;
 use sandgait::progress::Progress;
 use sandgait::{Error, Result};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 /// Between two looks at whether Python was interrupted: our choice, well below the 100 ms that a person notices.
@@ -37,7 +37,7 @@ struct ProgressSender<T> {
 impl<T: Send> Progress for ProgressSender<T> {
     fn report(&self, done: f64, stage: &str) -> Result<()> {
         if self.stop.is_set() {
-            return Err(Error::Cancelled("the study was stopped".into()));
+            return Err(Error::Cancelled("stopped".into()));
         }
         // Whoever has gone has set `stop`.
         let _ = self.events.send(Event::Progress(done, stage.to_owned()));
@@ -55,7 +55,7 @@ pub fn background<T: Send + 'static>(
     spawn(move || {
         let _ = sender.send(Event::Done(work(&own)));
     })?;
-    wait(py, events, &stop, None)
+    wait(py, &Mutex::new(events), &stop, None)
 }
 
 /// The same for work that tells its progress: to `told`, with the share done and what is done now.
@@ -64,13 +64,42 @@ pub fn study<T: Send + 'static>(
     told: Option<&Bound<'_, PyAny>>,
     work: impl FnOnce(&dyn Progress) -> Result<T> + Send + 'static,
 ) -> PyResult<T> {
+    let (stop, events) = begun(work)?;
+    wait(py, &events, &stop, told)
+}
+
+/// The same for work that must come to its own end, as it leaves something behind: an interrupt is raised after that, with what the
+/// work says of its end as a note. A second Ctrl-C does not wait.
+pub fn to_the_end<T: Send + 'static>(
+    py: Python<'_>,
+    told: Option<&Bound<'_, PyAny>>,
+    work: impl FnOnce(&dyn Progress) -> Result<T> + Send + 'static,
+) -> PyResult<T> {
+    let (stop, events) = begun(work)?;
+    let outcome = wait(py, &events, &stop, told);
+    let Err(raised) = &outcome else { return outcome };
+    if stop.is_set()
+        && let Err(ended) = wait(py, &events, &stop, None)
+    {
+        raised.value(py).call_method1("add_note", (ended.value(py).str()?,))?;
+    }
+    outcome
+}
+
+/// Starts work that tells its progress.
+fn begun<T: Send + 'static>(
+    work: impl FnOnce(&dyn Progress) -> Result<T> + Send + 'static,
+) -> PyResult<(Stop, Events<T>)> {
     let (stop, (sender, events)) = (Stop::default(), channel());
     let progress = ProgressSender { events: sender.clone(), stop: stop.clone() };
     spawn(move || {
         let _ = sender.send(Event::Done(work(&progress)));
     })?;
-    wait(py, events, &stop, told)
+    Ok((stop, Mutex::new(events)))
 }
+
+/// What work tells; locked by whoever waits.
+type Events<T> = Mutex<Receiver<Event<T>>>;
 
 /// Starts a thread that nobody waits for.
 pub fn spawn(work: impl FnOnce() + Send + 'static) -> PyResult<()> {
@@ -78,18 +107,11 @@ pub fn spawn(work: impl FnOnce() + Send + 'static) -> PyResult<()> {
     started.map(drop).map_err(|e| raise(&Error::Exhausted(format!("no thread can be started: {e}"))))
 }
 
-fn wait<T: Send>(
-    py: Python<'_>,
-    mut events: Receiver<Event<T>>,
-    stop: &Stop,
-    told: Option<&Bound<'_, PyAny>>,
-) -> PyResult<T> {
+fn wait<T: Send>(py: Python<'_>, events: &Events<T>, stop: &Stop, told: Option<&Bound<'_, PyAny>>) -> PyResult<T> {
     let mut last = (0.0, String::new());
     loop {
-        let interrupted = match py.detach({
-            let events = &mut events;
-            move || events.recv_timeout(PATIENCE)
-        }) {
+        let next = || events.lock().unwrap_or_else(PoisonError::into_inner).recv_timeout(PATIENCE);
+        let interrupted = match py.detach(next) {
             Ok(Event::Done(done)) => return done.map_err(|e| raise(&e)),
             Ok(Event::Progress(done, stage)) => {
                 // Reports of several threads come out of order; what is told only grows.

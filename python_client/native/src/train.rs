@@ -1,0 +1,62 @@
+//! `sandgait.train`: what the command `sandgait train` does.
+
+use crate::remote::{self, Address};
+use crate::values::keywords;
+use crate::wait;
+use pyo3::prelude::*;
+use pyo3::types::PyMapping;
+use sandgait::cli::{Training, learn};
+use serde_json::json;
+use std::path::PathBuf;
+
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct Asked<'py> {
+    task: String,
+    hyperparameters: Option<PathBuf>,
+    settings: Bound<'py, PyMapping>,
+    options: Bound<'py, PyMapping>,
+    seed: u64,
+    seconds: Option<f64>,
+    timesteps: Option<u64>,
+    out: Option<PathBuf>,
+    resume: bool,
+    checkpoint_every: u64,
+    threads: usize,
+    place: Option<Address>,
+}
+
+/// Folder, steps, seconds, the learning curve as (steps, seconds, return), the score as JSON, and all of it as text.
+type Learnt = (PathBuf, u64, f64, Vec<(u64, f64, f64)>, String, String);
+
+/// Learns a gait. `told` is called with the share done and what is done now. Ctrl-C and what `told` raises end the training,
+/// which leaves a checkpoint first.
+#[pyfunction]
+#[pyo3(signature = (asked, told))]
+pub fn train(py: Python<'_>, asked: Asked<'_>, told: Option<&Bound<'_, PyAny>>) -> PyResult<Learnt> {
+    let changes = match keywords(&asked.settings)? {
+        serde_json::Value::Object(changes) => changes.into_iter().collect(),
+        _ => Vec::new(),
+    };
+    let training = Training {
+        task: asked.task,
+        hyperparameters: asked.hyperparameters,
+        changes,
+        options: keywords(&asked.options)?,
+        seed: asked.seed,
+        seconds: asked.seconds,
+        timesteps: asked.timesteps,
+        out: asked.out,
+        resume: asked.resume,
+        checkpoint_every: asked.checkpoint_every,
+        threads: asked.threads,
+        place: asked.place.map(remote::place),
+    };
+    wait::to_the_end(py, told, move |progress| {
+        let request = training.request()?;
+        let (outcome, text) = learn(&request, progress)?;
+        let curve = outcome.curve.iter().map(|p| (p.steps, p.seconds, p.mean_return)).collect();
+        let (steps, seconds) = (outcome.learnt.steps, outcome.learnt.seconds);
+        Ok((request.out, steps, seconds, curve, json!(outcome.score).to_string(), text))
+    })
+}

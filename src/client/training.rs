@@ -1,0 +1,185 @@
+//! The environments of `sandgait train --address`: a session on a server.
+
+use super::call::{close_session, create_session};
+use super::place::Place;
+use super::stream::{PATIENCE, Stream};
+use super::{runtime, wait};
+use crate::error::{Error, Result};
+use crate::service::proto::run_session_request::Request as Asked;
+use crate::service::proto::run_session_response::Response as Answer;
+use crate::service::proto::{Batch, Reset, Restore, RunSessionRequest, Save, Step, Task};
+use crate::train::remote::{Pause, Remote, Rows};
+use sandgait_env::Spec;
+use sandgait_env::registry::Blueprint;
+use serde_json::Value;
+use std::pin::pin;
+use std::time::{Duration, Instant};
+use tonic::{Code, Status};
+
+/// How long a server that is not reached is tried again, as the Python client does it.
+const RETRY: Duration = Duration::from_secs(2);
+
+/// Longest wait for a server to free a session that is no longer needed; after that its lease ends it.
+const CLOSING: Duration = Duration::from_secs(2);
+
+/// A session with one request in flight at most.
+pub struct Session {
+    place: Place,
+    id: String,
+    stream: Stream,
+    sequence: u64,
+    envs: usize,
+    observation: usize,
+}
+
+/// A server's refusal, or that there is none any more.
+fn failed(place: &Place, status: &Status) -> Error {
+    let what = if status.code() == Code::Unavailable { "it cannot be reached: " } else { "" };
+    Error::invalid(format!("server {}", place.address), format!("{what}{}", status.message()))
+}
+
+impl Session {
+    /// `envs` environments of `blueprint`, made with `options`.
+    pub fn new(place: Place, blueprint: &Blueprint, options: &Value, envs: usize, pause: Pause) -> Result<Self> {
+        let spec = blueprint.task.spec();
+        let runtime = runtime().map_err(|e| failed(&place, &e))?;
+        let created = {
+            let mut call = pin!(create_session(&place, spec.id.into(), envs as u32, options));
+            loop {
+                match wait(&runtime, call.as_mut(), PATIENCE) {
+                    Some(created) => break created.map_err(|e| failed(&place, &e))?,
+                    None => pause()?,
+                }
+            }
+        };
+        let stream = open(&place, &created.session_id, pause)?;
+        let observation = spec.observation.len();
+        let session = Self { place, id: created.session_id, stream, sequence: 0, envs, observation };
+        if !is_same(&created.task.unwrap_or_default(), spec) {
+            let reason = format!("its {} has other observations, actions or options than this version's", spec.id);
+            return Err(Error::invalid(format!("server {}", session.place.address), reason));
+        }
+        Ok(session)
+    }
+
+    /// The answer to `asked`. Where the stream breaks, another one is tried for a while; requests are numbered, so nothing is
+    /// done twice.
+    fn ask(&mut self, asked: Asked, pause: Pause) -> Result<Answer> {
+        self.sequence += 1;
+        let request = RunSessionRequest { session_id: String::new(), sequence: self.sequence, request: Some(asked) };
+        self.stream.send(request.clone(), true);
+        let mut lost: Option<Instant> = None;
+        loop {
+            let status = match self.stream.receive(PATIENCE) {
+                None => {
+                    pause()?;
+                    continue;
+                }
+                Some(Ok(answer)) if answer.sequence < self.sequence => continue,
+                Some(Ok(answer)) => match answer.response {
+                    Some(Answer::Failure(failure)) => {
+                        return Err(failed(&self.place, &Status::new(Code::InvalidArgument, failure.message)));
+                    }
+                    Some(answer) => return Ok(answer),
+                    None => return Err(self.wrong()),
+                },
+                Some(Err(status)) => status,
+            };
+            let since = *lost.get_or_insert_with(Instant::now);
+            if status.code() != Code::Unavailable || since.elapsed() > RETRY {
+                return Err(failed(&self.place, &status));
+            }
+            std::thread::sleep(PATIENCE);
+            pause()?;
+            match open(&self.place, &self.id, pause) {
+                Ok(stream) => {
+                    self.stream = stream;
+                    self.stream.send(request.clone(), true);
+                }
+                // Tried again: the old stream still says that it is broken.
+                Err(Error::Invalid { reason, .. })
+                    if since.elapsed() <= RETRY && reason.starts_with("it cannot be reached") => {}
+                Err(error) => return Err(error),
+            }
+        }
+    }
+
+    fn rows(&mut self, asked: Asked, pause: Pause) -> Result<Rows> {
+        match self.ask(asked, pause)? {
+            Answer::Batch(batch) => unpacked(&batch, self.envs, self.observation).ok_or_else(|| self.wrong()),
+            _ => Err(self.wrong()),
+        }
+    }
+
+    fn wrong(&self) -> Error {
+        Error::invalid(format!("server {}", self.place.address), "it answered something else than was asked")
+    }
+}
+
+impl Remote for Session {
+    fn reset(&mut self, seeds: &[u64], pause: Pause) -> Result<Rows> {
+        self.rows(Asked::Reset(Reset { seeds: seeds.to_vec(), ..Reset::default() }), pause)
+    }
+
+    fn step(&mut self, actions: &[f32], pause: Pause) -> Result<Rows> {
+        let actions: Vec<u8> = actions.iter().flat_map(|x| x.to_le_bytes()).collect();
+        self.rows(Asked::Step(Step { actions: actions.into(), ..Step::default() }), pause)
+    }
+
+    fn save(&mut self, pause: Pause) -> Result<Vec<u8>> {
+        match self.ask(Asked::Save(Save {}), pause)? {
+            Answer::Snapshot(snapshot) => Ok(snapshot.data.to_vec()),
+            _ => Err(self.wrong()),
+        }
+    }
+
+    fn restore(&mut self, snapshot: &[u8], pause: Pause) -> Result<Rows> {
+        let snapshot = snapshot.to_vec().into();
+        self.rows(Asked::Restore(Restore { snapshot, ..Restore::default() }), pause)
+    }
+}
+
+impl Drop for Session {
+    fn drop(&mut self) {
+        self.stream.close();
+        if let Ok(runtime) = runtime() {
+            // A server that does not answer frees the session when its lease has run out.
+            let _ = runtime.block_on(close_session(&self.place, self.id.clone(), CLOSING));
+        }
+    }
+}
+
+fn open(place: &Place, id: &str, pause: Pause) -> Result<Stream> {
+    Stream::open(place.clone(), id.to_owned(), pause)?.map_err(|e| failed(place, &e))
+}
+
+/// Has a session the rows of `spec`, and episodes as long?
+fn is_same(task: &Task, spec: &Spec) -> bool {
+    let names = |columns: &[crate::service::proto::Column]| columns.iter().map(|c| c.name.clone()).collect::<Vec<_>>();
+    let own = |columns: &[sandgait_env::Column]| columns.iter().map(|c| c.name.clone()).collect::<Vec<_>>();
+    names(&task.observation) == own(&spec.observation)
+        && names(&task.action) == own(&spec.action)
+        && task.max_episode_steps == spec.max_episode_steps
+}
+
+/// A batch's bytes as numbers; none where their lengths do not fit.
+fn unpacked(batch: &Batch, envs: usize, observation: usize) -> Option<Rows> {
+    let floats = |bytes: &[u8], count: usize| -> Option<Vec<f32>> {
+        let (all, rest) = bytes.as_chunks::<4>();
+        (rest.is_empty() && all.len() == count).then(|| all.iter().map(|b| f32::from_le_bytes(*b)).collect())
+    };
+    let flags = |bytes: &[u8]| (bytes.len() == envs).then(|| bytes.to_vec());
+    let (ended, rest) = batch.final_indices.as_chunks::<4>();
+    let ended: Vec<u32> = ended.iter().map(|b| u32::from_le_bytes(*b)).collect();
+    if !rest.is_empty() || ended.iter().any(|i| *i as usize >= envs) {
+        return None;
+    }
+    Some(Rows {
+        observations: floats(&batch.observations, envs * observation)?,
+        rewards: floats(&batch.rewards, envs)?,
+        terminated: flags(&batch.terminated)?,
+        truncated: flags(&batch.truncated)?,
+        final_observations: floats(&batch.final_observations, ended.len() * observation)?,
+        ended,
+    })
+}

@@ -1,0 +1,98 @@
+//! Environments in the middle of their episodes: what a training needs of them to go on with the same bits.
+
+use super::collect::Piece;
+use super::remote::{Away, Pause};
+use crate::env::registry::Blueprint;
+use crate::env::snapshot::{Resumed, SavedEpisode};
+use crate::error::{Error, Result};
+use std::sync::{Mutex, PoisonError};
+
+/// All environments of a training, as they are between two updates.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Kept {
+    pub episodes: Episodes,
+    /// Discounted sum of rewards of each environment.
+    pub discounted: Vec<f64>,
+    /// Sum of rewards of each environment's episode so far.
+    pub returns: Vec<f64>,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub enum Episodes {
+    /// Of environments in this process.
+    Here(Vec<SavedEpisode>),
+    /// A server's snapshot.
+    Away(Vec<u8>),
+}
+
+impl Episodes {
+    /// As bytes of a file: CBOR, or the server's snapshot as it is.
+    pub fn bytes(&self) -> Result<Vec<u8>> {
+        match self {
+            Self::Here(episodes) => {
+                let mut bytes = Vec::new();
+                let written = ciborium::into_writer(episodes, &mut bytes);
+                written.map_err(|e| Error::invalid("checkpoint", format!("episodes cannot be written: {e}")))?;
+                Ok(bytes)
+            }
+            Self::Away(snapshot) => Ok(snapshot.clone()),
+        }
+    }
+
+    pub fn read(bytes: Vec<u8>, away: bool) -> Result<Self> {
+        if away {
+            return Ok(Self::Away(bytes));
+        }
+        let read = ciborium::from_reader(&bytes[..]);
+        read.map(Self::Here).map_err(|e| Error::invalid("checkpoint", format!("its episodes cannot be read: {e}")))
+    }
+}
+
+impl Kept {
+    /// The environments in `pieces`, or of `remote`, as they are now.
+    pub fn of(pieces: &[Mutex<Piece>], remote: Away<'_>, pause: Pause) -> Result<Self> {
+        let mut kept = Self { episodes: Episodes::Here(Vec::new()), discounted: Vec::new(), returns: Vec::new() };
+        let mut here = Vec::new();
+        for piece in pieces {
+            let piece = piece.lock().unwrap_or_else(PoisonError::into_inner);
+            here.extend(piece.episodes());
+            kept.discounted.extend(&piece.discounted);
+            kept.returns.extend(&piece.running);
+        }
+        kept.episodes = match remote {
+            Some(remote) => Episodes::Away(remote.save(pause)?),
+            None => Episodes::Here(here),
+        };
+        Ok(kept)
+    }
+
+    /// Lets the environments in `pieces` go on from here.
+    pub fn restore(&self, pieces: &mut [Piece], blueprint: &Blueprint, remote: Away<'_>, pause: Pause) -> Result<()> {
+        let envs: usize = pieces.iter().map(|p| p.envs).sum();
+        let resumed = match (&self.episodes, remote) {
+            (Episodes::Here(episodes), None) => {
+                let resumed = episodes.iter().map(|episode| Resumed::new(episode, &blueprint.task));
+                resumed.collect::<Result<Vec<_>>>()?
+            }
+            (Episodes::Away(snapshot), Some(remote)) => {
+                let rows = remote.restore(snapshot, pause)?;
+                super::remote::deal(pieces.iter_mut(), &rows, |piece, part| piece.take(part));
+                Vec::new()
+            }
+            _ => return Err(Error::invalid("checkpoint", "its environments were elsewhere")),
+        };
+        if self.discounted.len() != envs || self.returns.len() != envs || !(resumed.is_empty() || resumed.len() == envs)
+        {
+            return Err(Error::invalid("checkpoint", format!("its environments are not {envs}")));
+        }
+        let mut first = 0;
+        for piece in pieces {
+            let own = first..first + piece.envs;
+            first = own.end;
+            piece.discounted.copy_from_slice(&self.discounted[own.clone()]);
+            piece.running.copy_from_slice(&self.returns[own.clone()]);
+            piece.resume(resumed.get(own).unwrap_or(&[]));
+        }
+        Ok(())
+    }
+}

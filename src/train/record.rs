@@ -1,0 +1,62 @@
+//! Trainings of a design study as files: a study that was stopped goes on where it was.
+
+use super::checkpoint;
+use super::learner::{Learnt, Plan};
+use crate::error::{Error, Result};
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+
+/// Files of one training, `designD-K.…`: the policy, what it takes to go on from it, and what it came to.
+pub struct Record {
+    /// Without an ending.
+    path: PathBuf,
+    /// Everything that the training's result depends on.
+    key: String,
+}
+
+impl Record {
+    /// Training `training` of design number `design`; `before`: the designs that it was warm-started from.
+    pub fn new(out: &Path, design: usize, training: usize, plan: &Plan, before: &[Vec<String>]) -> Self {
+        let model = plan.blueprint.task.model();
+        let key = json!({
+            "version": env!("CARGO_PKG_VERSION"),
+            "instruction_set": plan.networks.isa.name(),
+            "task": plan.blueprint.task.spec().id,
+            "options": plan.blueprint.task.options(),
+            "robot": model.robot,
+            "scene": model.scene,
+            "settings": plan.settings.json(),
+            "seed": plan.seed,
+            "before": before,
+        });
+        Self { path: out.join(format!("design{design}-{training}")), key: key.to_string() }
+    }
+
+    fn file(&self, ending: &str) -> PathBuf {
+        self.path.with_extension(ending)
+    }
+
+    /// What the training came to, if it was made before: what it learnt, and its measures.
+    pub fn read(&self, plan: &Plan) -> Option<(Learnt, [f64; 3])> {
+        let about: Value = serde_json::from_slice(&std::fs::read(self.file("json")).ok()?).ok()?;
+        if about["key"].as_str() != Some(&self.key) {
+            return None;
+        }
+        let measures = about["measures"].as_array()?.iter().map(|m| m.as_f64().unwrap_or(f64::INFINITY));
+        let measures = <[f64; 3]>::try_from(measures.collect::<Vec<_>>()).ok()?;
+        Some((checkpoint::load(&self.file("safetensors"), plan, false).ok()?.learnt, measures))
+    }
+
+    /// Keeps what the training came to. The last file says that the others are whole.
+    pub fn write(&self, plan: &Plan, learnt: &Learnt, onnx: &[u8], measures: &[f64; 3]) -> Result<()> {
+        let keep = |ending: &str, content: &[u8]| {
+            let path = self.file(ending);
+            std::fs::write(&path, content).map_err(|e| Error::file(&path, e))
+        };
+        let policy = Learnt { environments: None, ..learnt.clone() };
+        checkpoint::save(&self.file("safetensors"), plan, &policy, [0.0; 2])?;
+        keep("onnx", onnx)?;
+        let about = json!({"measures": measures, "steps": learnt.steps, "seconds": learnt.seconds, "key": self.key});
+        keep("json", format!("{about:#}\n").as_bytes())
+    }
+}

@@ -1,0 +1,101 @@
+//! Environments on a server: the training sees rows, as of environments in this process.
+
+use super::collect::Piece;
+use crate::error::Result;
+use std::ops::{DerefMut, Range};
+
+/// Is called while an answer is waited for; an error of it ends the wait.
+pub type Pause<'a> = &'a mut dyn FnMut() -> Result<()>;
+
+/// All environments of a training, on a server. Each call waits for its answer.
+pub trait Remote: Send {
+    /// Begins an episode in each environment; one seed an environment.
+    fn reset(&mut self, seeds: &[u64], pause: Pause) -> Result<Rows>;
+    /// f32 [envs, action]; where an episode ends, the next one begins at once.
+    fn step(&mut self, actions: &[f32], pause: Pause) -> Result<Rows>;
+    /// All environments as they are now.
+    fn save(&mut self, pause: Pause) -> Result<Vec<u8>>;
+    /// Lets the environments go on as saved ones.
+    fn restore(&mut self, snapshot: &[u8], pause: Pause) -> Result<Rows>;
+}
+
+/// Environments on a server, if they are there.
+pub type Away<'a> = Option<&'a mut (dyn Remote + 'static)>;
+
+/// What the last reset or step gave, one row an environment.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Rows {
+    /// f32 [envs, observation]
+    pub observations: Vec<f32>,
+    /// f32 [envs]
+    pub rewards: Vec<f32>,
+    /// [envs], 0 or 1
+    pub terminated: Vec<u8>,
+    /// [envs], 0 or 1
+    pub truncated: Vec<u8>,
+    /// Environments whose episode ended in this step, ascending.
+    pub ended: Vec<u32>,
+    /// f32 [ended, observation]: last row of each ended episode.
+    pub final_observations: Vec<f32>,
+}
+
+impl Rows {
+    /// Those of the environments in `part`, counted from its start.
+    fn part(&self, part: Range<usize>) -> Self {
+        let wide = self.observations.len() / self.rewards.len().max(1);
+        let ended: Vec<usize> = (0..self.ended.len()).filter(|k| part.contains(&(self.ended[*k] as usize))).collect();
+        Self {
+            observations: self.observations[part.start * wide..part.end * wide].to_vec(),
+            rewards: self.rewards[part.clone()].to_vec(),
+            terminated: self.terminated[part.clone()].to_vec(),
+            truncated: self.truncated[part.clone()].to_vec(),
+            ended: ended.iter().map(|k| self.ended[*k] - part.start as u32).collect(),
+            final_observations: ended
+                .iter()
+                .flat_map(|k| &self.final_observations[k * wide..][..wide])
+                .copied()
+                .collect(),
+        }
+    }
+}
+
+/// Hands each piece its environments' rows.
+pub fn deal<P: DerefMut<Target = Piece>>(
+    pieces: impl Iterator<Item = P>,
+    rows: &Rows,
+    mut hand: impl FnMut(&mut Piece, Rows),
+) {
+    let mut first = 0;
+    for mut piece in pieces {
+        let part = first..first + piece.envs;
+        first = part.end;
+        hand(&mut piece, rows.part(part));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_are_counted_from_their_start() {
+        let rows = Rows {
+            observations: (0..10).map(|k| k as f32).collect(),
+            rewards: vec![0.0, 1.0, 2.0, 3.0, 4.0],
+            terminated: vec![0, 1, 0, 0, 0],
+            truncated: vec![0, 0, 0, 1, 1],
+            ended: vec![1, 3, 4],
+            final_observations: vec![10.0, 11.0, 30.0, 31.0, 40.0, 41.0],
+        };
+        let part = rows.part(2..4);
+        let wanted = Rows {
+            observations: vec![4.0, 5.0, 6.0, 7.0],
+            rewards: vec![2.0, 3.0],
+            terminated: vec![0, 0],
+            truncated: vec![0, 1],
+            ended: vec![1],
+            final_observations: vec![30.0, 31.0],
+        };
+        assert_eq!(part, wanted);
+    }
+}

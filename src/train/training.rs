@@ -1,0 +1,366 @@
+//! A training under way: a rollout and what is learnt from it, again and again.
+
+use super::collect::{Piece, Play};
+use super::crew::Crew;
+use super::kept::Kept;
+use super::learn::{Chunk, Minibatches, Rollout};
+use super::learner::{Heed, Learnt, Plan, Report};
+use super::loss::{Sums, Weights, entropy};
+use super::normal::{Moments, Running, Scales};
+use super::remote::{Away, deal};
+use crate::error::{Error, Result};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+use std::time::Instant;
+
+/// Where seeds of trainings begin: none that an evaluation takes.
+const FIRST_SEED: u64 = 1 << 40;
+
+/// What threads work on. Phases take turns, so nobody waits for these locks.
+pub struct Shared<'a> {
+    plan: &'a Plan,
+    parameters: RwLock<Vec<f32>>,
+    scales: RwLock<Option<Scales>>,
+    pieces: Vec<Mutex<Piece>>,
+    rollout: RwLock<Rollout>,
+    minibatches: RwLock<Minibatches>,
+    chunks: Vec<Mutex<Chunk>>,
+}
+
+#[derive(Clone, Copy)]
+pub enum Phase {
+    /// A step of the rollout; one item a piece.
+    Act { step: usize },
+    /// Its end; one item a piece.
+    Finish,
+    /// The gradient of a minibatch; one item a chunk.
+    Learn { weights: Weights },
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn read<T>(lock: &RwLock<T>) -> RwLockReadGuard<'_, T> {
+    lock.read().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn write<T>(lock: &RwLock<T>) -> RwLockWriteGuard<'_, T> {
+    lock.write().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl<'a> Shared<'a> {
+    /// With the environments that `learnt` holds, or at the beginning of new episodes.
+    pub fn new(plan: &'a Plan, learnt: &Learnt, mut remote: Away<'_>, heed: &mut dyn Heed) -> Result<Self> {
+        let Plan { blueprint, settings, networks, .. } = plan;
+        let mut pieces = Piece::all(blueprint, settings, networks, remote.is_some())?;
+        let mut pause = || heed.pause();
+        match &learnt.environments {
+            Some(kept) => kept.restore(&mut pieces, blueprint, remote.as_deref_mut(), &mut pause)?,
+            None => {
+                // Whoever goes on without environments meets other episodes than before.
+                let begun = learnt.updates.wrapping_mul(settings.n_envs as u64) & u64::from(u32::MAX);
+                let first = FIRST_SEED.wrapping_add(plan.seed << 32).wrapping_add(begun);
+                let seeds: Vec<u64> = (first..).take(settings.n_envs).collect();
+                match remote {
+                    Some(remote) => {
+                        let rows = remote.reset(&seeds, &mut pause)?;
+                        deal(pieces.iter_mut(), &rows, |piece, part| piece.take(part));
+                    }
+                    None => {
+                        let mut seeds = &seeds[..];
+                        for piece in &mut pieces {
+                            piece.reset(seeds.split_off(..piece.envs).unwrap_or_default());
+                        }
+                    }
+                }
+            }
+        }
+        let shape = &networks.shape;
+        let chunks = settings.batch_size.div_ceil(super::learn::CHUNK);
+        Ok(Self {
+            plan,
+            parameters: RwLock::new(learnt.parameters.clone()),
+            scales: RwLock::new(None),
+            pieces: pieces.into_iter().map(Mutex::new).collect(),
+            rollout: RwLock::new(Rollout::new(settings.n_envs * settings.n_steps, shape.observation, shape.action)),
+            minibatches: RwLock::default(),
+            chunks: (0..chunks).map(|_| Mutex::new(Chunk::new(networks))).collect(),
+        })
+    }
+
+    pub fn work(&self, phase: Phase, item: usize) {
+        let Plan { settings, networks, .. } = self.plan;
+        let parameters = read(&self.parameters);
+        match phase {
+            Phase::Learn { weights } => {
+                let (rollout, minibatches) = (read(&self.rollout), read(&self.minibatches));
+                lock(&self.chunks[item]).learn(networks, &parameters, &rollout, &minibatches, item, &weights);
+            }
+            Phase::Act { .. } | Phase::Finish => {
+                let scales = read(&self.scales);
+                let play = Play { settings, networks, parameters: &parameters, scales: scales.as_ref() };
+                let mut piece = lock(&self.pieces[item]);
+                match phase {
+                    Phase::Act { step } => piece.act(&play, step),
+                    _ => piece.finish(&play),
+                }
+            }
+        }
+    }
+}
+
+/// A training under way, as its leader sees it.
+pub struct Training<'a, 'r> {
+    plan: &'a Plan,
+    shared: &'a Shared<'a>,
+    pub learnt: Learnt,
+    remote: Away<'r>,
+    began: Instant,
+    /// Time of earlier parts [s].
+    before: f64,
+    /// Time that rollouts took [s].
+    rollouts: f64,
+}
+
+impl<'a, 'r> Training<'a, 'r> {
+    pub fn new(plan: &'a Plan, shared: &'a Shared<'a>, learnt: Learnt, remote: Away<'r>) -> Self {
+        let before = learnt.seconds;
+        Self { plan, shared, learnt, remote, began: Instant::now(), before, rollouts: 0.0 }
+    }
+
+    /// Share of the training that is done: of its steps or its time, whichever is further.
+    pub fn done(&self) -> f64 {
+        let settings = &self.plan.settings;
+        let steps = self.learnt.steps as f64 / settings.n_timesteps as f64;
+        let time = settings.seconds.map_or(0.0, |seconds| (self.before + self.began.elapsed().as_secs_f64()) / seconds);
+        steps.max(time).min(1.0)
+    }
+
+    /// A rollout and what is learnt from it. After an error `learnt` is of no use any more.
+    pub fn update(&mut self, crew: &Crew<'_, Phase>, heed: &mut dyn Heed) -> Result<Report> {
+        let done = self.done();
+        let start = Instant::now();
+        let (finished, explained_variance) = self.roll(crew, heed)?;
+        self.rollouts += start.elapsed().as_secs_f64();
+        let settings = &self.plan.settings;
+        let rate = settings.learning_rate.at(done);
+        let sums = self.learn(crew, heed, done, rate)?;
+        self.learnt.updates += 1;
+        let remote = self.remote.as_deref_mut();
+        self.learnt.environments = Some(Arc::new(Kept::of(&self.shared.pieces, remote, &mut || heed.pause())?));
+        self.learnt.parameters.clone_from(&read(&self.shared.parameters));
+        self.learnt.seconds = self.before + self.began.elapsed().as_secs_f64();
+        let log_std = &self.learnt.parameters[self.plan.networks.shape.log_std.clone()];
+        let mean = |sum: f64| sum / sums.samples.max(1.0);
+        Ok(Report {
+            steps: self.learnt.steps,
+            seconds: self.learnt.seconds,
+            done: self.done(),
+            mean_return: finished.iter().sum::<f64>() / finished.len() as f64,
+            episodes: finished.len(),
+            learning_rate: rate,
+            policy_loss: mean(sums.policy),
+            value_loss: mean(sums.value),
+            entropy: f64::from(entropy(log_std)),
+            kl: mean(sums.kl),
+            clip_fraction: mean(sums.clipped),
+            explained_variance,
+            deviation: log_std.iter().map(|s| f64::from(s.exp())).sum::<f64>() / log_std.len() as f64,
+            simulation: self.rollouts / self.began.elapsed().as_secs_f64(),
+        })
+    }
+
+    /// Fills the rollout; gives the returns of the episodes that ended, and how well they had been foreseen.
+    fn roll(&mut self, crew: &Crew<'_, Phase>, heed: &mut dyn Heed) -> Result<(Vec<f64>, f64)> {
+        let (settings, pieces) = (&self.plan.settings, &self.shared.pieces);
+        for (k, piece) in pieces.iter().enumerate() {
+            lock(piece).begin(self.plan.noise(self.learnt.updates, k as u64));
+        }
+        if self.learnt.steps == 0 {
+            self.normalize(false);
+        }
+        self.reflect_statistics();
+        for step in 0..settings.n_steps {
+            crew.run(Phase::Act { step }, pieces.len());
+            self.step_away(step, heed)?;
+            self.normalize(true);
+            heed.pause()?;
+        }
+        crew.run(Phase::Finish, pieces.len());
+        self.learnt.steps += (settings.n_envs * settings.n_steps) as u64;
+        let mut rollout = write(&self.shared.rollout);
+        rollout.clear();
+        let mut finished = Vec::new();
+        for piece in pieces {
+            let mut piece = lock(piece);
+            rollout.append(&mut piece.data);
+            finished.append(&mut piece.finished);
+        }
+        Ok((finished, rollout.explained_variance()))
+    }
+
+    /// Step `step` of environments on a server, with the actions that the pieces have chosen.
+    fn step_away(&mut self, step: usize, heed: &mut dyn Heed) -> Result<()> {
+        let Some(remote) = &mut self.remote else { return Ok(()) };
+        let pieces = &self.shared.pieces;
+        let actions: Vec<f32> = pieces.iter().flat_map(|piece| lock(piece).clipped.clone()).collect();
+        let rows = remote.step(&actions, &mut || heed.pause())?;
+        let (parameters, scales) = (read(&self.shared.parameters), read(&self.shared.scales));
+        let Plan { settings, networks, .. } = self.plan;
+        let play = Play { settings, networks, parameters: &parameters, scales: scales.as_ref() };
+        deal(pieces.iter().map(lock), &rows, |piece, part| piece.answered(&play, step, part));
+        Ok(())
+    }
+
+    /// Takes account of what all pieces have just seen, of rewards too if there are some.
+    fn normalize(&mut self, rewarded: bool) {
+        let Some(normal) = &mut self.learnt.normal else { return };
+        let join = |what: usize| {
+            let mut all: Option<Moments> = None;
+            for piece in &self.shared.pieces {
+                let piece = lock(piece);
+                match &mut all {
+                    None => all = Some(piece.seen[what].clone()),
+                    Some(all) => all.join(&piece.seen[what]),
+                }
+            }
+            all
+        };
+        let update = |running: &mut Running, what: usize| {
+            join(what).iter().for_each(|moments| running.update(moments));
+        };
+        update(&mut normal.observations, 0);
+        if rewarded {
+            update(&mut normal.returns, 1);
+        }
+        *write(&self.shared.scales) = Some(normal.scales());
+    }
+
+    /// Keeps the statistics symmetric; else normalized rows would not be mirror images of each other.
+    fn reflect_statistics(&mut self) {
+        let Some(normal) = &mut self.learnt.normal else { return };
+        if let Some([mirror, _]) = &self.plan.networks.mirror {
+            let Running { mean, variance, .. } = &mut normal.observations;
+            let (old_mean, old_variance) = (mean.clone(), variance.clone());
+            for (k, (from, sign)) in mirror.order.iter().zip(&mirror.signs).enumerate() {
+                mean[k] = 0.5 * (old_mean[k] + f64::from(*sign) * old_mean[*from]);
+                variance[k] = 0.5 * (old_variance[k] + old_variance[*from]);
+            }
+        }
+        *write(&self.shared.scales) = Some(normal.scales());
+    }
+
+    /// All epochs; gives the sums over all minibatches.
+    fn learn(&mut self, crew: &Crew<'_, Phase>, heed: &mut dyn Heed, done: f64, rate: f64) -> Result<Sums> {
+        let (plan, shared) = (self.plan, self.shared);
+        let settings = &plan.settings;
+        let rows = settings.n_envs * settings.n_steps;
+        let mut random = plan.random(self.learnt.updates, u64::MAX - 1);
+        let mut all = Sums::default();
+        for _ in 0..settings.n_epochs {
+            write(&shared.minibatches).shuffle(rows, &mut random);
+            for first in (0..rows).step_by(settings.batch_size) {
+                let (samples, chunks) = {
+                    let mut minibatches = write(&shared.minibatches);
+                    let rollout = read(&shared.rollout);
+                    let samples = minibatches.take(&rollout, first, settings.batch_size, settings.normalize_advantage);
+                    (samples, minibatches.chunks())
+                };
+                let weights = Weights {
+                    clip: settings.clip_range.at(done) as f32,
+                    clip_value: settings.clip_range_vf.map(|clip| clip.at(done) as f32),
+                    value: settings.vf_coef as f32,
+                    samples,
+                };
+                crew.run(Phase::Learn { weights }, chunks);
+                let (mut gradient, sums) = self.gather(chunks);
+                all += sums;
+                if settings.target_kl.is_some_and(|target| sums.kl / sums.samples > 1.5 * target) {
+                    return Ok(all);
+                }
+                // The entropy's slope by each logarithm of a deviation is 1.
+                gradient[plan.networks.shape.log_std.clone()].iter_mut().for_each(|g| *g -= settings.ent_coef as f32);
+                let mut parameters = write(&shared.parameters);
+                let norm =
+                    self.learnt.adam.step(&mut parameters, &gradient, rate, settings.max_grad_norm, plan.networks.isa);
+                if !(norm.is_finite() && (sums.policy + sums.value).is_finite()) {
+                    return Err(self.diverged(rate));
+                }
+                drop(parameters);
+                heed.pause()?;
+            }
+        }
+        Ok(all)
+    }
+
+    /// The gradient of a minibatch from those of its chunks, in their order.
+    fn gather(&self, chunks: usize) -> (Vec<f32>, Sums) {
+        let mut sums = Sums::default();
+        let mut gradient = vec![0.0; self.plan.networks.shape.parameters];
+        for chunk in &self.shared.chunks[..chunks] {
+            let chunk = lock(chunk);
+            gradient.iter_mut().zip(&chunk.gradient).for_each(|(sum, g)| *sum += g);
+            sums += chunk.sums;
+        }
+        (gradient, sums)
+    }
+
+    fn diverged(&self, rate: f64) -> Error {
+        let steps = self.learnt.steps;
+        Error::invalid(
+            "training",
+            format!(
+                "loss or gradient is not a number after {steps} steps; a smaller learning_rate than {rate} may help"
+            ),
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::crew;
+    use serde_json::json;
+
+    /// The numbers that tests/python/test_from_rust.py gives SB3's PPO, which made `sb3_update.json` of them.
+    #[test]
+    fn an_update_is_sb3_s() {
+        let rows = 64;
+        let entry = json!({
+            "n_envs": 16, "n_steps": 4, "batch_size": rows, "n_epochs": 3, "learning_rate": 1e-3, "clip_range_vf": 0.3,
+            "ent_coef": 0.01, "policy_kwargs": {"net_arch": [8, 7], "log_std_init": -0.3},
+        });
+        let plan = crate::learner::tests::plan(&entry, 1);
+        let mut learnt = plan.begin();
+        let wave = |x: &mut [f32], size: f64, pitch: f64, shift: f64| {
+            x.iter_mut().enumerate().for_each(|(k, x)| *x = (size * (pitch * k as f64).sin() + shift) as f32);
+        };
+        let weights = plan.networks.shape.log_std.start;
+        wave(&mut learnt.parameters[..weights], 0.4, 1.1, 0.0);
+        let mut heed = |_: &Learnt, _: &Report| Ok(());
+        let shared = Shared::new(&plan, &learnt, None, &mut heed).unwrap();
+        {
+            let mut rollout = write(&shared.rollout);
+            wave(&mut rollout.observations, 1.5, 0.37, 0.1);
+            wave(&mut rollout.actions, 1.2, 0.71, 0.0);
+            wave(&mut rollout.log_probabilities, 0.4, 1.9, -6.0);
+            wave(&mut rollout.values, 0.5, 0.53, 0.0);
+            wave(&mut rollout.advantages, 2.0, 0.91, 0.3);
+            wave(&mut rollout.returns, 1.0, 0.77, 0.2);
+        }
+        let before = learnt.parameters.clone();
+        let mut training = Training::new(&plan, &shared, learnt, None);
+        let work = |phase: Phase, item: usize| shared.work(phase, item);
+        let sums = crew::with(1, &work, |crew| training.learn(crew, &mut heed, 0.0, 1e-3)).unwrap();
+        assert_eq!(sums.samples, 3.0 * rows as f64);
+        let wanted: Vec<f64> = serde_json::from_str(include_str!("../../tests/data/train/sb3_update.json")).unwrap();
+        let got = read(&shared.parameters);
+        assert_eq!(got.len(), wanted.len());
+        let moved = got.iter().zip(&before).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(moved > 2e-3, "three steps of Adam move by the rate each");
+        for (k, (got, wanted)) in got.iter().zip(&wanted).enumerate() {
+            // Where a slope is nearly zero, Adam makes much of its rounding: a hundredth of a step.
+            assert!((f64::from(*got) - wanted).abs() < 1e-5, "parameter {k}: {got} {wanted}");
+        }
+    }
+}

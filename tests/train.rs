@@ -1,0 +1,362 @@
+//! `sandgait train` as those see it who run it: what is refused, what a stop and a killed server leave, and that going on gives
+//! the same bits.
+
+use sandgait::progress::{Progress, Silent};
+use sandgait::train::{Request, Settings};
+use sandgait::{Error, Result};
+use serde_json::{Value, json};
+use std::io::{BufRead as _, BufReader, Read as _};
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::Mutex;
+
+fn train(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_sandgait")).arg("train").args(arguments).output().unwrap()
+}
+
+/// Exit code 2 and one line on stderr, which is given.
+fn one_line(arguments: &[&str]) -> String {
+    let output = train(arguments);
+    let line = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {line}");
+    assert!(output.stdout.is_empty() && line.ends_with('\n') && line.lines().count() == 1, "{arguments:?}: {line:?}");
+    line
+}
+
+#[test]
+fn wrong_settings_are_one_line_and_write_nothing() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = |name: &str| directory.path().join(name).to_str().unwrap().to_owned();
+    let (out, file) = (path("out"), path("broken.yml"));
+    std::fs::write(&file, "sandgait/HexapodGait-v1: [").unwrap();
+    for (arguments, words) in [
+        (&["--set", "gama=0.9"] as &[&str], "setting \"gama\" is unknown"),
+        (&["--set", "n_envs=0"], "n_envs: 0 is outside [1, "),
+        (&["--set", "n_envs=4", "--set", "n_steps=4"], "batch_size: 1024 is more than n_envs · n_steps = 16"),
+        (&["--set", "learning_rate=nan"], "learning_rate"),
+        (&["--timesteps", "0"], "n_timesteps: 0 is outside"),
+        (&["--seconds", "-1"], "unexpected argument '-1'"),
+        (&["--threads", "5000"], "threads: 5000 is outside [0, 1024]"),
+        (&["--seed", "99999999999"], "seed: 99999999999 is outside"),
+        (&["--task", "Hexapod"], "there are no settings for \"Hexapod\""),
+        (&["--option", "leg=Q"], "leg"),
+        (&["--option", "legs=L"], "legs"),
+        (&["--hyperparameters", &file], "broken.yml: YAML: "),
+        (&["--hyperparameters", "/none.yml"], "/none.yml: "),
+        (&["--resume"], "checkpoints: there is no checkpoint to go on from"),
+        (&["--address", "nowhere"], "--address: \"nowhere\" is neither host:port nor unix:/path"),
+        (&["--address", "unix:/none/sand.sock"], "server unix:/none/sand.sock: it cannot be reached: "),
+        (&["--token-file", &file], "--address"),
+        (&["--address", "192.0.2.1:1", "--token-file", &file], "it would travel to 192.0.2.1:1 unencrypted"),
+    ] {
+        let line = one_line(&[arguments, &["--out", &out]].concat());
+        assert!(line.contains(words), "{line}");
+        assert!(!Path::new(&out).exists(), "{arguments:?} wrote something");
+    }
+}
+
+#[test]
+fn what_is_no_checkpoint_is_refused_and_stays() {
+    let directory = tempfile::tempdir().unwrap();
+    let checkpoints = directory.path().join("checkpoints");
+    std::fs::create_dir(&checkpoints).unwrap();
+    let out = directory.path().to_str().unwrap();
+    let settings = ["--set", "n_envs=16", "--set", "n_steps=4", "--set", "batch_size=64"];
+    for content in [b"" as &[u8], b"{}", &[0xff; 64], &[0; 4096]] {
+        let file = checkpoints.join("64.safetensors");
+        std::fs::write(&file, content).unwrap();
+        let line = one_line(&[&settings[..], &["--resume", "--out", out]].concat());
+        assert!(line.contains("64.safetensors: "), "{line}");
+        assert_eq!(std::fs::read(&file).unwrap(), content);
+    }
+    assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 1, "nothing was written");
+}
+
+/// A rate far too large.
+#[test]
+fn a_loss_that_is_not_a_number_ends_in_one_line_with_a_checkpoint() {
+    let directory = tempfile::tempdir().unwrap();
+    let out = directory.path().join("out");
+    let settings = ["n_envs=16", "n_steps=4", "batch_size=64", "learning_rate=1000", "normalize_advantage=false"];
+    let mut arguments = vec!["--timesteps", "640000", "--out", out.to_str().unwrap(), "--set", "max_grad_norm=1e9"];
+    settings.iter().for_each(|setting| arguments.extend(["--set", setting]));
+    let line = one_line(&arguments);
+    assert!(line.contains("loss or gradient is not a number after"), "{line}");
+    let kept = std::fs::read_dir(out.join("checkpoints")).unwrap().count();
+    assert_eq!(kept, usize::from(line.contains("go on with --resume")), "{line}");
+    assert!(!out.join("policy.onnx").exists());
+}
+
+/// Sixteen environments for `timesteps` steps into `out`.
+fn request(task: &str, out: &Path, timesteps: u64, changes: &Value) -> Request {
+    let mut entry = json!({
+        "n_envs": 16, "n_steps": 8, "n_timesteps": timesteps, "batch_size": 64, "n_epochs": 2, "normalize": true,
+        "mirror": true, "learning_rate": "lin_1e-3", "policy_kwargs": {"net_arch": [16]},
+    });
+    let entry = entry.as_object_mut().unwrap();
+    entry.extend(changes.as_object().unwrap().clone());
+    Request {
+        task: task.into(),
+        options: json!({"max_episode_steps": 30}),
+        settings: Settings::from_entry(entry).unwrap(),
+        seed: 3,
+        threads: 2,
+        out: out.into(),
+        resume: false,
+        checkpoint_every: 1_000_000,
+        connect: None,
+    }
+}
+
+/// Stops a training at the report after so many updates, and the last share that was told.
+struct Stop(Mutex<(usize, f64)>);
+
+impl Progress for Stop {
+    fn report(&self, done: f64, _: &str) -> Result<()> {
+        let mut state = self.0.lock().unwrap();
+        let (left, last) = *state;
+        if left == 0 {
+            return Err(Error::Cancelled("stopped".into()));
+        }
+        *state = (left - usize::from(done > last), done);
+        Ok(())
+    }
+}
+
+/// The policy's bytes, and the curve without its times.
+fn result(out: &Path) -> (Vec<u8>, Vec<String>) {
+    let curve = std::fs::read_to_string(out.join("curve.csv")).unwrap();
+    let line = |line: &str| line.split(',').step_by(2).collect::<Vec<_>>().join(",");
+    (std::fs::read(out.join("policy.onnx")).unwrap(), curve.lines().map(line).collect())
+}
+
+/// In one go, or stopped in any place and gone on with: the same policy and the same curve, to the bit.
+#[test]
+fn going_on_gives_the_bits_of_never_having_stopped() {
+    for (task, changes) in [
+        ("sandgait/HexapodGait-v1", json!({})),
+        ("sandgait/HexapodTerrain-v1", json!({"normalize": false})),
+        ("sandgait/LegStroke-v0", json!({"mirror": false})),
+    ] {
+        let directory = tempfile::tempdir().unwrap();
+        let [whole, parts] = ["whole", "parts"].map(|name| directory.path().join(name));
+        let options = if task.contains("Stroke") { json!({}) } else { json!({"max_episode_steps": 30}) };
+        let of = |out: &Path, resume: bool| Request {
+            options: options.clone(),
+            resume,
+            ..request(task, out, 1280, &changes)
+        };
+        of(&whole, false).run(&Silent).unwrap();
+        for (k, updates) in [3, 4].into_iter().enumerate() {
+            let stopped = of(&parts, k > 0).run(&Stop(Mutex::new((updates, 0.0))));
+            let Err(Error::Cancelled(why)) = stopped else { panic!("{task}: not stopped") };
+            assert!(why.contains("is kept in") && why.ends_with("go on with --resume"), "{why}");
+        }
+        let outcome = of(&parts, true).run(&Silent).unwrap();
+        assert_eq!(outcome.anew, None, "{task}");
+        assert!(result(&whole) == result(&parts), "{task}");
+    }
+}
+
+/// Other environments than those that were kept: new episodes, and the reason.
+#[test]
+fn other_environments_begin_anew() {
+    let directory = tempfile::tempdir().unwrap();
+    let out = directory.path();
+    request("sandgait/HexapodGait-v1", out, 256, &json!({})).run(&Silent).unwrap();
+    let anew = |changes: Value, options: Value| {
+        let request = Request { options, resume: true, ..request("sandgait/HexapodGait-v1", out, 512, &changes) };
+        request.run(&Silent).unwrap().anew.unwrap()
+    };
+    let same = json!({"max_episode_steps": 30});
+    assert_eq!(anew(json!({"n_envs": 32}), same), "the checkpoint has not 32 environments");
+    let slope = json!({"max_episode_steps": 30, "slope_deg": 3.0});
+    assert_eq!(anew(json!({"n_timesteps": 1024}), slope), "the checkpoint's task has other options");
+}
+
+/// `sandgait serve`, which ends with this.
+struct Server {
+    process: Child,
+    address: String,
+}
+
+impl Server {
+    fn start() -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_sandgait"));
+        command.args(["serve", "--listen", "127.0.0.1:0", "--exit-on-stdin-close"]);
+        let mut process = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+        let mut line = String::new();
+        BufReader::new(process.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
+        let address = line.trim().trim_start_matches("listening on ").to_owned();
+        Self { process, address }
+    }
+
+    fn kill(&mut self) {
+        self.process.kill().unwrap();
+        self.process.wait().unwrap();
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+/// Settings of small trainings for the command line.
+const SMALL: [&str; 14] = [
+    "--set",
+    "n_envs=16",
+    "--set",
+    "n_steps=8",
+    "--set",
+    "batch_size=64",
+    "--set",
+    "n_epochs=2",
+    "--set",
+    "policy_kwargs={net_arch: [16]}",
+    "--option",
+    "max_episode_steps=30",
+    "--checkpoint-every",
+    "100000000",
+];
+
+/// Environments on a server give what those in the process give, to the bit, and go on so.
+#[test]
+fn a_server_s_environments_are_the_same() {
+    let server = Server::start();
+    let directory = tempfile::tempdir().unwrap();
+    let [here, away] = ["here", "away"].map(|name| directory.path().join(name));
+    let run = |out: &Path, more: &[&str]| {
+        let done =
+            train(&[&SMALL[..], &["--out", out.to_str().unwrap(), "--set", "learning_rate=1e-3"], more].concat());
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+        String::from_utf8(done.stdout).unwrap()
+    };
+    run(&here, &["--timesteps", "1280"]);
+    run(&away, &["--timesteps", "640", "--address", &server.address]);
+    let text = run(&away, &["--timesteps", "1280", "--address", &server.address, "--resume"]);
+    assert!(!text.contains("new episodes began"), "{text}");
+    assert!(result(&here) == result(&away));
+    let text = run(&away, &["--timesteps", "1408", "--resume"]);
+    assert!(
+        text.contains("new episodes began where it went on: the checkpoint's environments are of a server"),
+        "{text}"
+    );
+}
+
+/// A server that dies in the middle: one line, a checkpoint, and the training goes on without it.
+#[test]
+fn a_killed_server_loses_nothing() {
+    let mut server = Server::start();
+    let directory = tempfile::tempdir().unwrap();
+    let out = directory.path().join("out");
+    let curve = out.join("curve.csv");
+    let arguments = [&SMALL[..], &["--out", out.to_str().unwrap(), "--timesteps", "100000000"]].concat();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_sandgait"));
+    command.arg("train").args(&arguments).args(["--address", &server.address]);
+    let mut training = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    // Some updates, so that there is something to lose.
+    while std::fs::read_to_string(&curve).map_or(0, |text| text.lines().count()) < 5 {
+        assert!(training.try_wait().unwrap().is_none(), "the training ended");
+        std::thread::sleep(std::time::Duration::from_millis(10));
+    }
+    server.kill();
+    assert_eq!(training.wait().unwrap().code(), Some(2));
+    let mut line = String::new();
+    training.stderr.take().unwrap().read_to_string(&mut line).unwrap();
+    let begins = format!("sandgait: server {}: ", server.address);
+    assert!(
+        line.starts_with(&begins) && line.lines().count() == 1 && line.ends_with("go on with --resume\n"),
+        "{line}"
+    );
+    let text = std::fs::read_to_string(&curve).unwrap();
+    let told: u64 = text.lines().last().unwrap().split(',').next().unwrap().parse().unwrap();
+    let kept = std::fs::read_dir(out.join("checkpoints")).unwrap();
+    let kept = kept.map(|e| e.unwrap().path().file_stem().unwrap().to_str().unwrap().parse::<u64>().unwrap());
+    let kept = kept.max().unwrap();
+    assert!(kept >= told, "{kept} steps are kept, {told} were told");
+    let more = (kept + 128).to_string();
+    let arguments = [&arguments[..arguments.len() - 1], &[more.as_str(), "--resume"]].concat();
+    let done = train(&arguments);
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+}
+
+/// `sandgait sweep` with short episodes.
+fn sweep(arguments: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_sandgait"));
+    command.arg("sweep").args(arguments).args(["--option", "max_episode_steps=40"]).output().unwrap()
+}
+
+/// Numbers of steps end the trainings: what is taken from files and what is learnt again are the same to the bit.
+#[test]
+fn a_study_that_was_stopped_goes_on() {
+    let directory = tempfile::tempdir().unwrap();
+    let out = directory.path().join("study");
+    let study = |steps: &str| {
+        let arguments = ["--vary", "xi=-40:40:2", "--learn-steps", steps, "--trainings", "2", "--out"];
+        let done = sweep(&[&arguments[..], &[out.to_str().unwrap(), "--measure", "return"]].concat());
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+        String::from_utf8(done.stdout).unwrap()
+    };
+    let read = |name: &str| std::fs::read(out.join(name)).unwrap();
+    let made = |name: &str| std::fs::metadata(out.join(name)).unwrap().modified().unwrap();
+    let text = study("8192");
+    assert!(text.contains("design0-*.onnx") && text.contains("±"), "{text}");
+    let (table, policy, kept, lost) =
+        (read("learnt.csv"), read("design1-0.onnx"), made("design0-1.json"), made("design1-0.json"));
+    // As a study that was stopped in its last training but one.
+    std::fs::remove_file(out.join("design1-0.json")).unwrap();
+    assert_eq!(study("8192"), text);
+    assert!(read("learnt.csv") == table && read("design1-0.onnx") == policy);
+    assert!(made("design0-1.json") == kept && made("design1-0.json") > lost);
+    // Other trainings are other results, in the same directory too.
+    study("4096");
+    assert!(read("learnt.csv") != table && made("design0-1.json") > kept);
+}
+
+/// A search with learning inside looks at designs within the bounds, more of them where it expects the best.
+#[test]
+fn a_search_learns_for_each_design() {
+    let directory = tempfile::tempdir().unwrap();
+    let out = directory.path().to_str().unwrap();
+    let arguments = ["--vary", "base-mass=0.1:0.4:2", "--optimize", "return", "--designs", "10", "--trainings", "1"];
+    let done = sweep(&[&arguments[..], &["--learn-steps", "4096", "--out", out]].concat());
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    let table = std::fs::read_to_string(directory.path().join("learnt.csv")).unwrap();
+    let masses: Vec<f64> = table.lines().skip(1).map(|l| l.split(',').next().unwrap().parse().unwrap()).collect();
+    assert_eq!(masses.len(), 10);
+    assert!(masses.iter().all(|m| (0.1..=0.4).contains(m)), "{masses:?}");
+    let mut sorted = masses.clone();
+    sorted.sort_by(f64::total_cmp);
+    sorted.dedup();
+    assert_eq!(sorted.len(), 10, "{masses:?}");
+}
+
+#[test]
+fn wrong_studies_are_one_line_and_write_nothing() {
+    let directory = tempfile::tempdir().unwrap();
+    let out = directory.path().join("out");
+    let vary = ["--vary", "xi=-40:40:2", "--out", out.to_str().unwrap()];
+    for (arguments, words) in [
+        (&["--learn", "5", "--learn-steps", "5"] as &[&str], "cannot be used with"),
+        (&["--learn-steps", "0"], "n_timesteps: 0 is outside"),
+        (&["--learn", "0"], "seconds: 0 is outside"),
+        (&["--learn", "5", "--trainings", "0"], "--trainings: 0 is outside"),
+        (&["--learn", "5", "--optimize", "return", "--designs", "0"], "--designs: 0 is outside"),
+        (&["--learn", "5", "--optimize", "height"], "measure \"height\" is unknown"),
+        (
+            &["--learn", "5", "--optimize", "return", "--vary", "leg=L,C"],
+            "vary: leg needs two numbers to search between",
+        ),
+        (&["--learn", "5", "--vary", "frequency=1:2:2"], "frequency: each design learns its own with --learn"),
+        (&["--warm", "5"], "they are for studies with --learn or --learn-steps"),
+    ] {
+        let done = sweep(&[&vary[..], arguments].concat());
+        let line = String::from_utf8(done.stderr).unwrap();
+        assert_eq!(done.status.code(), Some(2), "{arguments:?}: {line}");
+        assert!(line.lines().count() == 1 && line.contains(words), "{line}");
+        assert!(!out.exists(), "{arguments:?} wrote something");
+    }
+}
