@@ -12,7 +12,7 @@ use super::study::Study;
 use super::whiten::Whitener;
 use crate::number::dot;
 use crate::parallel;
-use crate::sand::mechanism::CATALOG;
+use crate::sand::mechanism::{CATALOG, Mechanisms};
 
 /// A second term must earn this share of the deviance that the pair explains on held-out conditions (contract, 4).
 const SECOND_TERM_SHARE: f64 = 0.01;
@@ -171,10 +171,18 @@ pub fn surroundings(study: &Study, source: &Source, start: &Noise, fit: &Fit) ->
     let mut shared = study.model.shared(&fit.mechanisms, &coefficients, &fit.prediction);
     shared.retain(|s| source.shared.iter().any(|own| own.name == s.name));
     let model_error = study.model.model_error(&fit.mechanisms, &coefficients, &fit.prediction);
+    let own_error = study.model.own_error(&fit.prediction);
     // The noise is learnt from what the fit leaves, nuisances included; it acts along what the sand does.
     let reading = study.reading(fit);
     let sizes = sizes_of(study.observations, &reading);
-    let source = Source { prediction: &reading, sizes: &sizes, shared: &shared, model_error: &model_error, ..*source };
+    let source = Source {
+        prediction: &reading,
+        sizes: &sizes,
+        shared: &shared,
+        model_error: &model_error,
+        own_error: &own_error,
+        ..*source
+    };
     let noise = source.noise(Some(start), &|| study.model.stopped());
     let whitener = Whitener::new(&source, &noise);
     let nuisances = bent(study, &whitener, fit);
@@ -195,7 +203,9 @@ fn bent(study: &Study, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> {
     let mut before = fit.clone();
     for _ in 0..BENDS {
         let bends = study.nuisances.iter().zip(&at.deviations[COEFFICIENTS..]).zip(&before.deviations[COEFFICIENTS..]);
-        let turned = bends.filter(|((n, _), _)| n.id.starts_with("lowpass")).map(|((_, a), b)| (a - b).abs());
+        let turned = bends
+            .filter(|((n, _), _)| n.id.starts_with("lowpass") || n.id.starts_with("imu"))
+            .map(|((_, a), b)| (a - b).abs());
         if turned.fold(0.0, f64::max) < STRAIGHT {
             break;
         }
@@ -310,6 +320,16 @@ fn refitted(study: &Study, fitted: Fitted) -> Fitted {
     Fitted { plain, plain_held_out, base, candidates: front, finalists, second_gate }
 }
 
+/// A rough model's single may have ended in a minimum beside the lowest, and a pair then gains by leading past it: the single
+/// fitted again from where the pair ended, if that is lower.
+fn beyond(study: &Study, single: &Candidate, pair: &Fit) -> Option<Fit> {
+    let id = *single.fit.ids.first().filter(|id| study.model.roughness().is_some() && pair.ids.contains(id))?;
+    let mechanisms = Mechanisms::default().with(id, pair.mechanisms.get(id));
+    let from = Fit { ids: vec![id], mechanisms, slopes: Vec::new(), white_slopes: Vec::new(), ..pair.clone() };
+    let again = study.fit_from(&[&from]).swap_remove(0);
+    (again.objective < single.fit.objective).then_some(again)
+}
+
 /// Second causes tried beside the best; pairs go to the front where the best of them earns its place. Does it?
 pub fn with_pairs(study: &Study, first: &Screened, fitted: Fitted) -> (Fitted, bool) {
     let Screened { screen, gates, .. } = first;
@@ -346,8 +366,14 @@ pub fn with_pairs(study: &Study, first: &Screened, fitted: Fitted) -> (Fitted, b
         further_starts(study, &ids, &values)
     };
     let fits = study.fit_all(&tried.iter().map(starts).collect::<Vec<_>>());
-    let base = &fitted.base.fit;
-    let mut pairs = ranked(study, base, &fits, 2);
+    let base = fitted.base.fit.clone();
+    let mut pairs = ranked(study, &base, &fits, 2);
+    let lower = pairs.first().and_then(|pair| beyond(study, &fitted.candidates[0], &pair.fit));
+    let mut fitted = fitted;
+    if let Some(lower) = lower {
+        fitted.candidates[0] = candidate(study, &base, lower);
+    }
+    let (best, base) = (&fitted.candidates[0], &base);
     let earns = pairs.first().is_some_and(|pair| {
         // What coefficients far from their prior explain is not explained: their deviations are charged as in a fit.
         let charged = |fit: &Fit, held_out: &HeldOut| held_out.deviance + dot(&fit.deviations, &fit.deviations);

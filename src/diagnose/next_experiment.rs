@@ -34,6 +34,7 @@ pub fn propose(menu: &Menu, noise: &Noise, study: &Study, set: &[&Fit], count: u
     // One unit stands for all repetitions, whose common error their number does not lessen.
     let mut model_error = menu.model.model_error(mechanisms, coefficients, first);
     model_error.iter_mut().flatten().for_each(|e| *e *= (REPETITIONS as f64).sqrt());
+    let own_error: Vec<f64> = menu.model.own_error(first).iter().map(|e| e * (REPETITIONS as f64).sqrt()).collect();
     let (sizes, prediction) = (&sizes(&observations), first.as_slice());
     let source = Source {
         observations: &observations,
@@ -41,6 +42,7 @@ pub fn propose(menu: &Menu, noise: &Noise, study: &Study, set: &[&Fit], count: u
         sizes,
         shared: &shared,
         model_error: &model_error,
+        own_error: &own_error,
         left_out: &[],
     };
     let whitener = Whitener::new(&source, noise);
