@@ -70,7 +70,7 @@ pub trait ForwardModel: Sync {
     }
     /// How far each number of the model may be from what it stands for, one standard deviation, apart from all other numbers and alike
     /// in every repetition; empty where that is not known of the model.
-    fn own_error(&self, _prediction: &[f64]) -> Vec<f64> {
+    fn own_error(&self, _: &Mechanisms, _: &Coefficients, _prediction: &[f64]) -> Vec<f64> {
         Vec::new()
     }
     /// What measuring may have done to all data alike, about where `mechanisms` and `coefficients` predict; `values` has those

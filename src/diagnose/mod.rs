@@ -136,7 +136,7 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
     let plain = model.predict(&Mechanisms::default(), &coefficients);
     let shared = model.shared(&Mechanisms::default(), &coefficients, &plain);
     let model_error = model.model_error(&Mechanisms::default(), &coefficients, &plain);
-    let own_error = model.own_error(&plain);
+    let own_error = model.own_error(&Mechanisms::default(), &coefficients, &plain);
     let sizes = sizes(&observations);
     let source = Source {
         observations: &observations,

@@ -4,15 +4,19 @@
 //! as any other. Strides are the repetitions of their run; what a run has of its own (bed, zeros of sensors) is an error that all of
 //! its strides share.
 
+mod forecast;
 #[cfg(test)]
 mod generate;
 pub mod keys;
 pub mod log;
+mod measuring;
 pub mod model;
+mod plan;
 pub mod read;
 pub mod replay;
 pub mod sensors;
 pub mod servo;
+mod simulate;
 pub mod slips;
 #[cfg(test)]
 mod tests;
