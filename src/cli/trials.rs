@@ -7,7 +7,7 @@ use sandgait::{Error, Result};
 use std::fmt::Write as _;
 use std::path::Path;
 
-const fn optional(name: &'static str, quantity: Quantity) -> Column {
+const fn optional(name: &'static str, quantity: Quantity) -> Column<'static> {
     Column { name, quantity, required: false }
 }
 

@@ -1,6 +1,7 @@
 //! EXPERIMENT.toml: what the data file alone does not say.
 
 use super::nuisance::{Entry, Priors};
+use super::trajectory::keys::{Given, ImuTable, Keys, MotorTable};
 use crate::error::{Error, Result, check_range};
 use crate::sand::intruder::BodyShape;
 use crate::sand::{Coefficients, Law, Medium};
@@ -20,6 +21,8 @@ pub enum Kind {
     Intrusion,
     /// Runs of a walking robot.
     Walking,
+    /// A robot's own log: joints and IMU.
+    Trajectory,
     /// Steady states of a body under its load.
     Intruder,
 }
@@ -92,6 +95,13 @@ struct File {
     units: BTreeMap<String, String>,
     #[serde(default)]
     columns: BTreeMap<String, String>,
+    imu: Option<ImuTable>,
+    motor: Option<MotorTable>,
+    slope_deg: Option<f64>,
+    stride_frequency: Option<f64>,
+    leg: Option<String>,
+    touches: Option<Vec<String>>,
+    window: Option<f64>,
 }
 
 /// EXPERIMENT.toml, checked.
@@ -114,6 +124,8 @@ pub struct Experiment {
     pub units: BTreeMap<String, String>,
     /// Our column name → theirs.
     pub columns: BTreeMap<String, String>,
+    /// Of a robot's log.
+    pub trajectory: Keys,
 }
 
 /// Relative prior sd of the coefficients where the experiment does not say: the contract's default.
@@ -139,6 +151,18 @@ impl Experiment {
                 format!("{}{}", line.map(|l| format!("line {l}: ")).unwrap_or_default(), e.message()),
             )
         })?;
+        let given = Given {
+            imu: file.imu,
+            motor: file.motor,
+            slope_deg: file.slope_deg,
+            stride_frequency: file.stride_frequency,
+            leg: file.leg,
+            touches: file.touches,
+            window: file.window,
+        };
+        if let Some(key) = given.first().filter(|_| file.kind != Kind::Trajectory) {
+            return Err(Error::invalid(key, "only kind = \"trajectory\" takes it"));
+        }
         let own_sand = file.sand.is_some();
         let mut medium = medium(file.medium.as_deref(), file.sand)?;
         if let Some(density) = file.bulk_density {
@@ -167,6 +191,7 @@ impl Experiment {
             nuisances: Priors::from_table(&file.nuisances)?,
             units: file.units,
             columns: file.columns,
+            trajectory: given.checked()?,
         })
     }
 }

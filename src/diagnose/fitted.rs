@@ -12,7 +12,7 @@ use super::study::Study;
 use super::whiten::Whitener;
 use crate::number::dot;
 use crate::parallel;
-use crate::sand::mechanism::CATALOG;
+use crate::sand::mechanism::{CATALOG, Mechanisms};
 
 /// A second term must earn this share of the deviance that the pair explains on held-out conditions (contract, 4).
 const SECOND_TERM_SHARE: f64 = 0.01;
@@ -143,6 +143,19 @@ fn far_start(study: &Study, id: usize, estimate: f64) -> Option<f64> {
     (study.model.roughness().is_some() && !entry.ceiling).then_some(far)
 }
 
+/// A rough model's plain fit may have ended in a minimum beside the lowest, and a cause then gains by leading past it: the plain model
+/// fitted again from where the best of `fits` ended, if that is lower than `base`.
+fn beneath(study: &Study, base: Fit, fits: &[Fit]) -> Fit {
+    let best = fits.iter().min_by(|a, b| a.objective.total_cmp(&b.objective));
+    let Some(best) = best.filter(|best| study.model.roughness().is_some() && best.objective < base.objective) else {
+        return base;
+    };
+    let (ids, mechanisms) = (Vec::new(), Mechanisms::default());
+    let from = Fit { ids, mechanisms, slopes: Vec::new(), white_slopes: Vec::new(), ..best.clone() };
+    let again = study.fit_from(&[&from]).swap_remove(0);
+    if again.objective < base.objective { again } else { base }
+}
+
 /// Every cause alone.
 pub fn singles(study: &Study, Screened { screen, scores, ids, .. }: &Screened) -> Fitted {
     let (plain, base) = (study.plain(), study.recalibrated());
@@ -155,6 +168,7 @@ pub fn singles(study: &Study, Screened { screen, scores, ids, .. }: &Screened) -
         (ids, from)
     };
     let fits = study.fit_all(&columns.iter().map(start).collect::<Vec<_>>());
+    let base = beneath(study, base, &fits);
     Fitted {
         plain_held_out: unfitted(study, &plain),
         candidates: ranked(study, &base, &fits, 1),
@@ -171,10 +185,18 @@ pub fn surroundings(study: &Study, source: &Source, start: &Noise, fit: &Fit) ->
     let mut shared = study.model.shared(&fit.mechanisms, &coefficients, &fit.prediction);
     shared.retain(|s| source.shared.iter().any(|own| own.name == s.name));
     let model_error = study.model.model_error(&fit.mechanisms, &coefficients, &fit.prediction);
+    let own_error = study.model.own_error(&fit.mechanisms, &coefficients, &fit.prediction);
     // The noise is learnt from what the fit leaves, nuisances included; it acts along what the sand does.
     let reading = study.reading(fit);
     let sizes = sizes_of(study.observations, &reading);
-    let source = Source { prediction: &reading, sizes: &sizes, shared: &shared, model_error: &model_error, ..*source };
+    let source = Source {
+        prediction: &reading,
+        sizes: &sizes,
+        shared: &shared,
+        model_error: &model_error,
+        own_error: &own_error,
+        ..*source
+    };
     let noise = source.noise(Some(start), &|| study.model.stopped());
     let whitener = Whitener::new(&source, &noise);
     let nuisances = bent(study, &whitener, fit);
@@ -195,7 +217,9 @@ fn bent(study: &Study, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> {
     let mut before = fit.clone();
     for _ in 0..BENDS {
         let bends = study.nuisances.iter().zip(&at.deviations[COEFFICIENTS..]).zip(&before.deviations[COEFFICIENTS..]);
-        let turned = bends.filter(|((n, _), _)| n.id.starts_with("lowpass")).map(|((_, a), b)| (a - b).abs());
+        let turned = bends
+            .filter(|((n, _), _)| n.id.starts_with("lowpass") || n.id.starts_with("imu"))
+            .map(|((_, a), b)| (a - b).abs());
         if turned.fold(0.0, f64::max) < STRAIGHT {
             break;
         }
@@ -274,13 +298,13 @@ pub fn beside_discrepancy(study: &Study, around: &Surroundings, fitted: Fitted) 
 /// the best. The whitening is a new one and may rank them anew: one step of each tells which are the likeliest.
 fn all_refitted(study: &Study, fitted: Fitted) -> Fitted {
     let size = fitted.best().map_or(1, |c| c.fit.ids.len());
-    let base = study.recalibrated();
     let (same, others): (Vec<Candidate>, Vec<Candidate>) =
         fitted.candidates.into_iter().partition(|c| c.fit.ids.len() == size);
     let stepped = study.stepped(&same.iter().map(|c| &c.fit).collect::<Vec<_>>());
     let mut order: Vec<usize> = (0..same.len()).collect();
     order.sort_by(|a, b| stepped[*a].total_cmp(&stepped[*b]));
     let again = study.fit_from(&order.iter().take(FINALISTS).map(|&k| &same[k].fit).collect::<Vec<_>>());
+    let base = beneath(study, study.recalibrated(), &again);
     let mut candidates = ranked(study, &base, &again, size);
     let finalists = candidates.len();
     let mut same: Vec<Option<Candidate>> = same.into_iter().map(Some).collect();
@@ -295,7 +319,6 @@ fn refitted(study: &Study, fitted: Fitted) -> Fitted {
     let size = candidates[0].fit.ids.len();
     let same: Vec<usize> =
         (0..candidates.len()).filter(|&k| candidates[k].fit.ids.len() == size).take(FINALISTS).collect();
-    let base = study.recalibrated();
     let beside = study.beside(&candidates[0].fit);
     let mut again = study.fit_from(&same.iter().map(|&k| &candidates[k].fit).chain(&beside).collect::<Vec<_>>());
     for other in again.split_off(same.len()) {
@@ -303,11 +326,22 @@ fn refitted(study: &Study, fitted: Fitted) -> Fitted {
             again[0] = other;
         }
     }
+    let base = beneath(study, study.recalibrated(), &again);
     let mut front = ranked(study, &base, &again, size);
     let finalists = front.len();
     front.extend(candidates.into_iter().enumerate().filter(|(k, _)| !same.contains(k)).map(|(_, c)| c));
     let base = candidate(study, &base, base.clone());
     Fitted { plain, plain_held_out, base, candidates: front, finalists, second_gate }
+}
+
+/// A rough model's single may have ended in a minimum beside the lowest, and a pair then gains by leading past it: the single
+/// fitted again from where the pair ended, if that is lower.
+fn beyond(study: &Study, single: &Candidate, pair: &Fit) -> Option<Fit> {
+    let id = *single.fit.ids.first().filter(|id| study.model.roughness().is_some() && pair.ids.contains(id))?;
+    let mechanisms = Mechanisms::default().with(id, pair.mechanisms.get(id));
+    let from = Fit { ids: vec![id], mechanisms, slopes: Vec::new(), white_slopes: Vec::new(), ..pair.clone() };
+    let again = study.fit_from(&[&from]).swap_remove(0);
+    (again.objective < single.fit.objective).then_some(again)
 }
 
 /// Second causes tried beside the best; pairs go to the front where the best of them earns its place. Does it?
@@ -346,8 +380,14 @@ pub fn with_pairs(study: &Study, first: &Screened, fitted: Fitted) -> (Fitted, b
         further_starts(study, &ids, &values)
     };
     let fits = study.fit_all(&tried.iter().map(starts).collect::<Vec<_>>());
-    let base = &fitted.base.fit;
-    let mut pairs = ranked(study, base, &fits, 2);
+    let base = fitted.base.fit.clone();
+    let mut pairs = ranked(study, &base, &fits, 2);
+    let lower = pairs.first().and_then(|pair| beyond(study, &fitted.candidates[0], &pair.fit));
+    let mut fitted = fitted;
+    if let Some(lower) = lower {
+        fitted.candidates[0] = candidate(study, &base, lower);
+    }
+    let (best, base) = (&fitted.candidates[0], &base);
     let earns = pairs.first().is_some_and(|pair| {
         // What coefficients far from their prior explain is not explained: their deviations are charged as in a fit.
         let charged = |fit: &Fit, held_out: &HeldOut| held_out.deviance + dot(&fit.deviations, &fit.deviations);

@@ -68,6 +68,11 @@ pub trait ForwardModel: Sync {
     fn model_error(&self, _: &Mechanisms, _: &Coefficients, _prediction: &[f64]) -> Vec<Vec<f64>> {
         Vec::new()
     }
+    /// How far each number of the model may be from what it stands for, one standard deviation, apart from all other numbers and alike
+    /// in every repetition; empty where that is not known of the model.
+    fn own_error(&self, _: &Mechanisms, _: &Coefficients, _prediction: &[f64]) -> Vec<f64> {
+        Vec::new()
+    }
     /// What measuring may have done to all data alike, about where `mechanisms` and `coefficients` predict; `values` has those
     /// of nuisances known so far.
     fn nuisances(&self, _: &Mechanisms, _: &Coefficients, _values: &[(String, f64)]) -> Vec<Nuisance> {

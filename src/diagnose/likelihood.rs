@@ -84,7 +84,7 @@ impl<'a> Landscape<'a> {
 
 impl Part {
     fn new(repeat: &Repeats, c: usize, noise: &ChannelNoise, steps: &[f64]) -> Self {
-        let filter = ChannelFilter::new(noise, &repeat.sizes[c], steps);
+        let filter = ChannelFilter::new(noise, &repeat.sizes[c], steps, &[]);
         let all = repeat.shared.iter().map(|(_, direction)| direction).chain(&repeat.differences);
         let white: Vec<Vec<f64>> = all
             .map(|channels| {

@@ -11,6 +11,7 @@
 use sandgait_base::{error, parallel, progress, student};
 use sandgait_number as number;
 use sandgait_plot as plot;
+use sandgait_robots as robots;
 use sandgait_sand as sand;
 use sandgait_sim as sim;
 use sandgait_sweep as sweep;
@@ -55,6 +56,7 @@ pub mod shared;
 
 pub mod study;
 pub mod summary;
+pub mod trajectory;
 pub mod verdict;
 pub mod view;
 pub mod walking_log;
@@ -100,6 +102,10 @@ pub fn diagnose(data: &Path, experiment: &Experiment, progress: &dyn Progress) -
             let (observations, sha256, notes) = (log.observations, log.sha256, vec![model.step_note()?]);
             diagnose_measured(Measured { observations, coefficient_sd, interest, sha256, notes }, &model, progress)
         }
+        Kind::Trajectory => {
+            let (measured, model) = trajectory::measured(data, experiment, progress)?;
+            diagnose_measured(measured, &model, progress)
+        }
         Kind::Intruder => {
             let log = intruder_log::read(data, experiment)?;
             let model = IntruderModel::new(&log, experiment, progress)?;
@@ -130,6 +136,7 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
     let plain = model.predict(&Mechanisms::default(), &coefficients);
     let shared = model.shared(&Mechanisms::default(), &coefficients, &plain);
     let model_error = model.model_error(&Mechanisms::default(), &coefficients, &plain);
+    let own_error = model.own_error(&Mechanisms::default(), &coefficients, &plain);
     let sizes = sizes(&observations);
     let source = Source {
         observations: &observations,
@@ -137,6 +144,7 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
         sizes: &sizes,
         shared: &shared,
         model_error: &model_error,
+        own_error: &own_error,
         left_out: &[],
     };
     let noise = source.noise(None, &|| model.stopped());

@@ -34,6 +34,8 @@ pub fn propose(menu: &Menu, noise: &Noise, study: &Study, set: &[&Fit], count: u
     // One unit stands for all repetitions, whose common error their number does not lessen.
     let mut model_error = menu.model.model_error(mechanisms, coefficients, first);
     model_error.iter_mut().flatten().for_each(|e| *e *= (REPETITIONS as f64).sqrt());
+    let mut own_error = menu.model.own_error(mechanisms, coefficients, first);
+    own_error.iter_mut().for_each(|e| *e *= (REPETITIONS as f64).sqrt());
     let (sizes, prediction) = (&sizes(&observations), first.as_slice());
     let source = Source {
         observations: &observations,
@@ -41,6 +43,7 @@ pub fn propose(menu: &Menu, noise: &Noise, study: &Study, set: &[&Fit], count: u
         sizes,
         shared: &shared,
         model_error: &model_error,
+        own_error: &own_error,
         left_out: &[],
     };
     let whitener = Whitener::new(&source, noise);

@@ -119,17 +119,18 @@ pub struct ChannelFilter {
 }
 
 impl ChannelFilter {
-    /// `clock` has the steps between samples ([`Clock::steps`]).
-    pub fn new(noise: &ChannelNoise, magnitude: &[f64], clock: &[f64]) -> Self {
+    /// `clock` has the steps between samples ([`Clock::steps`]), `own` the variance of each sample alone, if it is not empty.
+    pub fn new(noise: &ChannelNoise, magnitude: &[f64], clock: &[f64], own: &[f64]) -> Self {
         let (mut variance, mut log_determinant, mut product) = (1.0, 0.0, 1.0);
         let steps: Vec<_> = magnitude
             .iter()
             .zip(clock)
-            .map(|(size, step)| {
+            .enumerate()
+            .map(|(i, (size, step))| {
                 let phi = if *step == 1.0 { noise.phi } else { noise.phi.powf(*step) };
                 variance = phi * phi * variance + 1.0 - phi * phi;
                 let s = noise.grain * size;
-                let total = s * s * variance + noise.sensor * noise.sensor;
+                let total = s * s * variance + noise.sensor * noise.sensor + own.get(i).copied().unwrap_or(0.0);
                 let gain = variance * s / total;
                 // One logarithm for many factors, before their product leaves the range of a number.
                 product *= total;
@@ -164,6 +165,8 @@ pub struct Source<'a> {
     pub shared: &'a [Shared],
     /// What [`super::forward::ForwardModel::model_error`] says at `prediction`. Repetitions differ by none of it.
     pub model_error: &'a [Vec<f64>],
+    /// What [`super::forward::ForwardModel::own_error`] says there.
+    pub own_error: &'a [f64],
     /// Conditions from which nothing is learnt.
     pub left_out: &'a [usize],
 }
@@ -346,6 +349,18 @@ impl Noise {
                 source.observations.span(unit).for_each(|k| values[k] += share * stack[k]);
             }
         }
+        if !source.own_error.is_empty() {
+            let mut shares: Vec<Vec<f64>> = vec![Vec::new(); source.observations.conditions.len()];
+            for unit in &source.observations.units {
+                let own = &mut shares[unit.condition];
+                for (i, k) in source.observations.span(unit).enumerate() {
+                    if i == own.len() {
+                        own.push(normal(rng));
+                    }
+                    values[k] += own[i] * source.own_error[k];
+                }
+            }
+        }
         for (unit, sizes) in source.observations.units.iter().zip(source.sizes) {
             let span = source.observations.span(unit);
             for (shared, sd) in source.shared.iter().zip(&self.shared) {
@@ -385,6 +400,7 @@ impl Noise {
         for stack in source.model_error {
             square.iter_mut().zip(stack).for_each(|(s, e)| *s += e * e);
         }
+        square.iter_mut().zip(source.own_error).for_each(|(s, e)| *s += e * e);
         square.into_iter().map(f64::sqrt).collect()
     }
 }

@@ -32,9 +32,16 @@ impl Whitener {
         let units = source.observations.units.iter().zip(source.sizes).map(|(unit, sizes)| {
             let span = source.observations.span(unit);
             let steps = noise.clock.steps(&unit.progress);
-            let channels = noise.channels.iter().zip(sizes).map(|(n, s)| ChannelFilter::new(n, s, &steps)).collect();
+            // An error that all n repetitions share counts n times in each, as in `share`.
+            let repeated = repetitions[unit.condition].len() as f64;
+            let own = |c: usize| -> Vec<f64> {
+                let errors = source.own_error.get(unit.block(c)).unwrap_or_default();
+                errors.iter().map(|e| repeated * e * e).collect()
+            };
+            let each = noise.channels.iter().zip(sizes).enumerate();
+            let channels = each.map(|(c, (n, s))| ChannelFilter::new(n, s, &steps, &own(c))).collect();
             let mut filter = UnitFilter { span, samples: unit.samples, channels, shared: LowRank::new(Vec::new()) };
-            filter.share(source, noise, (repetitions[unit.condition].len() as f64).sqrt());
+            filter.share(source, noise, repeated.sqrt());
             filter
         });
         Self { units: units.collect(), whole: LowRank::new(Vec::new()), held: Vec::new() }

@@ -71,6 +71,14 @@ const STAND: f64 = 10.0;
 /// Commands and samples come this often [s]: fine against a stride, coarse against a time step.
 const TICK: f64 = 1e-3;
 
+/// What the protocol tells the hips at `time` [s] after its start: how far to have turned [rad], and how fast to turn [rad/s].
+pub fn hip_angle(frequency: f64, time: f64) -> [f64; 2] {
+    let ramped = (time - HOLD).clamp(0.0, RAMP);
+    let turning = (time - HOLD - RAMP).max(0.0);
+    let speed = TAU * frequency;
+    [speed * (0.5 * ramped * ramped / RAMP + turning), speed * ramped / RAMP]
+}
+
 impl Trial {
     pub fn new(model: Model, frequency: f64) -> Self {
         Self { model, frequency, phase: 0.0, x_bed: 0.0, strides: STRIDES_MEASURED }

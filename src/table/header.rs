@@ -8,16 +8,16 @@ use std::path::Path;
 
 /// A column that a reader asks for.
 #[derive(Clone, Copy, Debug)]
-pub struct Column {
-    pub name: &'static str,
+pub struct Column<'a> {
+    pub name: &'a str,
     pub quantity: Quantity,
     /// Must the header have it? (Its cells may still be blank where the quantity does not apply.)
     pub required: bool,
 }
 
-impl Column {
+impl<'a> Column<'a> {
     /// One that the header must have.
-    pub const fn needed(name: &'static str, quantity: Quantity) -> Self {
+    pub const fn needed(name: &'a str, quantity: Quantity) -> Self {
         Self { name, quantity, required: true }
     }
 }
@@ -25,7 +25,7 @@ impl Column {
 /// What a reader asks of a table.
 #[derive(Clone, Debug)]
 pub struct Asked<'a> {
-    pub columns: &'a [Column],
+    pub columns: &'a [Column<'a>],
     /// Our column name → theirs, where it is another.
     pub renamed: BTreeMap<String, String>,
     /// Column, by our name or theirs → unit. A header may name it as well: `depth [mm]` or `depth (mm)`.
@@ -42,7 +42,7 @@ pub(super) struct Place {
 
 impl<'a> Asked<'a> {
     /// Columns under our own names, of any number of rows, whose units only the header says.
-    pub fn new(columns: &'a [Column]) -> Self {
+    pub fn new(columns: &'a [Column<'a>]) -> Self {
         Self { columns, renamed: BTreeMap::new(), units: BTreeMap::new(), most_rows: None }
     }
 
@@ -69,7 +69,7 @@ impl<'a> Asked<'a> {
         self.columns.iter().map(|column| self.place(path, header, column)).collect()
     }
 
-    fn theirs(&self, column: &Column) -> &str {
+    fn theirs<'b>(&'b self, column: &Column<'b>) -> &'b str {
         self.renamed.get(column.name).map_or(column.name, String::as_str)
     }
 

@@ -25,7 +25,7 @@ const SHOWN: usize = 300;
 /// One row, its cells in the order of the asked columns.
 pub struct Row<'a> {
     file: &'a Path,
-    columns: &'a [Column],
+    columns: &'a [Column<'a>],
     places: &'a [Option<Place>],
     record: &'a csv::StringRecord,
     /// Line in the file; the header is 1.

@@ -12,10 +12,12 @@ pub enum Quantity {
     Degrees,
     AngularSpeed,
     Speed,
+    Acceleration,
     Force,
     Torque,
     Mass,
     Frequency,
+    Current,
 }
 
 impl Quantity {
@@ -33,6 +35,11 @@ impl Quantity {
                 &[("rad/s", 1.0), ("deg/s", DEGREE), ("°/s", DEGREE), ("rpm", 6.0 * DEGREE), ("Hz", 360.0 * DEGREE)]
             }
             Quantity::Speed => &[("m/s", 1.0), ("cm/s", 1e-2), ("mm/s", 1e-3)],
+            Quantity::Acceleration => {
+                // Standard gravity.
+                &[("m/s²", 1.0), ("m/s^2", 1.0), ("m/s2", 1.0), ("mm/s²", 1e-3), ("mm/s^2", 1e-3), ("g", 9.80665)]
+            }
+            Quantity::Current => &[("A", 1.0), ("mA", 1e-3)],
             Quantity::Force => {
                 &[("N", 1.0), ("mN", 1e-3), ("kN", 1e3), ("gf", 9.80665e-3), ("kgf", 9.80665), ("lbf", 4.4482216152605)]
             }

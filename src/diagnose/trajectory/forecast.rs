@@ -1,0 +1,138 @@
+//! A robot's log as a forward model: what the diagnosis asks of any.
+
+use super::model::{State, TrajectoryModel};
+use super::sensors::Mounting;
+use super::windows::{BINS, Window};
+use crate::fit::slope;
+use crate::forward::{Feature, ForwardModel, Menu};
+use crate::nuisance::Nuisance;
+use crate::sand::mechanism::{CATALOG, Mechanisms};
+use crate::sand::{Coefficients, Medium};
+use crate::shared::Shared;
+use std::collections::HashMap;
+use std::f64::consts::TAU;
+
+/// A slope of the simulation is trusted once its step moves the data by this many σ altogether: our choice, as for walks.
+const ROUGHNESS: f64 = 4.0;
+/// Step of the sand's strength that makes the direction of the beds' scatter: our choice, about that scatter.
+const STRENGTH_STEP: f64 = 0.05;
+/// Step of the robot's mass, relative: our choice.
+const MASS_STEP: f64 = 0.05;
+
+impl ForwardModel for TrajectoryModel<'_> {
+    fn stopped(&self) -> bool {
+        self.latch.stopped()
+    }
+
+    fn predict(&self, mechanisms: &Mechanisms, coefficients: &Coefficients) -> Vec<f64> {
+        self.simulate(&[(*mechanisms, *coefficients)]).swap_remove(0)
+    }
+
+    fn predict_many(&self, states: &[State]) -> Vec<Vec<f64>> {
+        self.simulate(states)
+    }
+
+    fn roughness(&self) -> Option<f64> {
+        Some(ROUGHNESS)
+    }
+
+    fn coefficient_step(&self) -> f64 {
+        1.0
+    }
+
+    /// Strides of one run have nothing in common that the repetitions could tell: see [`Self::model_error`].
+    fn shared(&self, _: &Mechanisms, _: &Coefficients, _prediction: &[f64]) -> Vec<Shared> {
+        Vec::new()
+    }
+
+    /// What all strides of a run have in common: the strength of its bed and the zeros of its sensors.
+    fn model_error(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Vec<f64>> {
+        let sd = |kind: &str| self.priors.sd(kind);
+        let strength = Mechanisms { scale: (1.0 + mechanisms.scale) * (1.0 + STRENGTH_STEP) - 1.0, ..*mechanisms };
+        let stronger = self.predict(&strength, coefficients);
+        let mut all = vec![slope(&stronger, prediction, STRENGTH_STEP / sd("bed_strength").max(1e-9))];
+        let torque = sd("torque_offset") * self.torque_rms(prediction);
+        let joints = self.layout.joints;
+        for channel in 0..self.layout.count() {
+            let size = match channel {
+                c if c < joints => torque,
+                c if c < joints + 3 => sd("gyro_bias"),
+                c if c < joints + 6 => sd("acc_bias"),
+                c if Some(c) == self.layout.servo_channel() => torque / (joints as f64).sqrt(),
+                _ => continue,
+            };
+            all.push(self.stack(|_, c, _| if c == channel { size } else { 0.0 }));
+        }
+        let fine = self.tracks(&[(*mechanisms, *coefficients)], 0.0, 4.0).swap_remove(0);
+        let fine = self.with_servo(self.read(&fine, Mounting::default()), mechanisms.motor_torque_limit);
+        all.push(slope(&fine, prediction, 1.0));
+        all
+    }
+
+    /// A share of the root mean square that each channel swings by in a stride; and what a change too small to matter does.
+    fn own_error(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<f64> {
+        let share = self.priors.sd("model_error");
+        let swing = |block: &[f64]| {
+            let mean = block.iter().sum::<f64>() / block.len() as f64;
+            (block.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / block.len() as f64).sqrt()
+        };
+        let own = prediction.chunks(BINS).flat_map(|block| std::iter::repeat_n(share * swing(block), block.len()));
+        let unsettled = self.unsettled(&(*mechanisms, *coefficients), prediction);
+        own.zip(unsettled).map(|(own, square)| (own * own + square).sqrt()).collect()
+    }
+
+    fn nuisances(&self, m: &Mechanisms, c: &Coefficients, values: &[(String, f64)]) -> Vec<Nuisance> {
+        let here = self.predict(m, c);
+        let tracks = self.tracks(&[(*m, *c)], 0.0, 1.0).swap_remove(0);
+        let mut all = self.mounting(&tracks, values);
+        let torque = self.stack(|_, channel, _| if self.is_torque(channel) { 1.0 } else { 0.0 });
+        let gain = here.iter().zip(&torque).map(|(v, t)| v * t).collect();
+        all.push(Nuisance::linear("torque_constant".into(), "1", self.priors.sd("torque_constant"), gain));
+        all.push(self.friction(self.torque_rms(&here)));
+        let heavier = self.tracks(&[(*m, *c)], MASS_STEP, 1.0).swap_remove(0);
+        let heavier = self.with_servo(self.read(&heavier, Mounting::default()), m.motor_torque_limit);
+        let by_mass = slope(&heavier, &here, MASS_STEP);
+        all.push(Nuisance::linear("mass".into(), "1", self.priors.sd("mass"), by_mass));
+        all.retain(|n| n.sd > 0.0);
+        all
+    }
+
+    fn medium(&self) -> &Medium {
+        &self.medium
+    }
+
+    fn testable(&self) -> Vec<(usize, Option<String>)> {
+        let why = |m: &crate::sand::mechanism::Mechanism| match m.id {
+            "packing_grad" => Some("the log does not say where in the bed each run began".to_string()),
+            "motor_torque_limit" if self.asked.is_none() => Some(
+                "the log does not say what the hips were told (stride_frequency), or the robot has no servo".into(),
+            ),
+            _ => None,
+        };
+        CATALOG.iter().enumerate().filter(|(_, m)| m.walking).map(|(index, m)| (index, why(m))).collect()
+    }
+
+    fn features(&self) -> Vec<Feature> {
+        let per_bin = |name, unit, f: &dyn Fn(usize, usize) -> f64| Feature {
+            name,
+            unit,
+            values: (self.window_of.iter()).map(|&w| (0..BINS).map(|b| f(self.windows[w].run, b)).collect()).collect(),
+        };
+        let frequency =
+            |w: &Window| w.strides.len() as f64 / (w.strides.last().map_or(1.0, |s| s[1]) - w.strides[0][0]);
+        let own: HashMap<usize, f64> = self.windows.iter().map(|w| (w.run, frequency(w))).collect();
+        vec![
+            per_bin("stride_frequency", "Hz", &|run, _| own.get(&run).copied().unwrap_or(0.0)),
+            per_bin("phase", "rad", &|_, bin| (bin as f64 + 0.5) * TAU / BINS as f64),
+            per_bin("slope_deg", "°", &|run, _| self.log.runs[run].slope_deg),
+        ]
+    }
+
+    fn menu(&self) -> Option<Menu<'_>> {
+        self.planned()
+    }
+
+    fn group(&self, unit: usize) -> &str {
+        self.log.runs[self.windows[self.window_of[unit]].run].leg.as_deref().unwrap_or("robot")
+    }
+}

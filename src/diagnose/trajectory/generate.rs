@@ -1,0 +1,136 @@
+//! Logs for tests: the hexapod walks in the other engine, with servos, and its sensors are imperfect.
+
+use super::replay::{Body, Drive, SIGNALS, Task, Track, sample};
+use crate::sand::mechanism::Mechanisms;
+use crate::sand::{Coefficients, Medium};
+use crate::sim::engine::EngineKind;
+use crate::sim::model::Scene;
+use crate::sim::walk::{Trial, Watch, walk_watched};
+use crate::sim::{Model, Robot, State};
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+use rand_xoshiro::Xoshiro256PlusPlus;
+use std::f64::consts::TAU;
+use std::fmt::Write;
+
+/// What is true of a log and not told.
+#[derive(Clone)]
+pub struct Truth {
+    pub mechanisms: Mechanisms,
+    /// Of the IMU in its frame [rad].
+    pub turn: [f64; 3],
+    /// [s]
+    pub delay: f64,
+    /// Of the base, over what its description says.
+    pub mass: f64,
+    pub seed: u64,
+}
+
+impl Truth {
+    pub fn new(mechanisms: Mechanisms, seed: u64) -> Self {
+        Self { mechanisms, turn: [0.02, -0.015, 0.02], delay: 0.004, mass: 1.0, seed }
+    }
+}
+
+/// Leg, stride frequency [Hz] and slope [°] of each run.
+pub const RUNS: [(&str, f64, f64); 5] =
+    [("L", 1.5, 0.0), ("L", 3.0, 5.0), ("revL", 2.0, 0.0), ("revL", 3.5, 5.0), ("L", 2.0, 0.0)];
+/// Length of each run [s].
+const LENGTH: f64 = 2.7;
+const EXPERIMENT: &str = "kind = \"trajectory\"\nrobot = \"xplorer\"\nmedium = \"poppy-loose\"\nbulk_density = 638.0\n\
+    coefficient_sd = 0.05\n[imu]\nposition = [0.01, 0.0, 0.0]\n";
+
+pub fn experiment() -> crate::experiment::Experiment {
+    crate::experiment::Experiment::from_toml(EXPERIMENT).unwrap()
+}
+
+/// The log as CSV.
+pub fn csv(truth: &Truth) -> String {
+    let mut rng = Xoshiro256PlusPlus::seed_from_u64(truth.seed);
+    let mut normal = move || -> f64 { StandardNormal.sample(&mut rng) };
+    let robot = Robot::built_in("xplorer").unwrap();
+    let joints = robot.joint_names();
+    let mut text = String::from("run,condition,leg,slope_deg,stride_frequency,t");
+    for kind in ["q", "qd", "tau"] {
+        joints.iter().for_each(|j| write!(text, ",{kind}:{j}").unwrap());
+    }
+    text += ",gyro_x,gyro_y,gyro_z,acc_x,acc_y,acc_z\n";
+    let mut medium = Medium::named("poppy-loose").unwrap();
+    medium.coefficients = Coefficients::from_array(medium.coefficients.to_array().map(|c| c * (1.0 + 0.05 * normal())));
+    for (k, (leg, frequency, slope_deg)) in RUNS.into_iter().enumerate() {
+        let mut robot = robot.clone().with_leg_shape(leg).unwrap();
+        robot.base.mass *= truth.mass;
+        let mut scene = Scene::flat(medium.clone());
+        (scene.slope_deg, scene.dt) = (slope_deg, 5e-4);
+        let bed = 1.0 + 0.03 * normal();
+        scene.mechanisms = Mechanisms { scale: (1.0 + truth.mechanisms.scale) * bed - 1.0, ..truth.mechanisms };
+        let phase = 0.1 * normal().clamp(-2.0, 2.0);
+        let model = Model::new(&robot, &scene).unwrap();
+        let trial = Trial { phase, strides: (LENGTH - 0.5) * frequency - 2.0, ..Trial::new(model, frequency) };
+        rows(&mut text, truth, &trial, (k, leg, slope_deg, frequency), &mut normal);
+    }
+    text
+}
+
+/// Sensors of one run, each 5 ms.
+fn rows(
+    text: &mut String,
+    truth: &Truth,
+    trial: &Trial,
+    (run, leg, slope_deg, frequency): (usize, &str, f64, f64),
+    normal: &mut impl FnMut() -> f64,
+) {
+    let mut states: Vec<State> = Vec::new();
+    let mut watch = Watch { rate: 1000.0, see: &mut |_, state| states.push(state.clone()) };
+    walk_watched(EngineKind::Rapier, trial, &mut watch).unwrap();
+    let joints = trial.model.joints();
+    let imu = [0.01, 0.0, 0.0];
+    let (model, drive) = (&trial.model, Drive::still(joints, 1e-3));
+    let mut track = Track { signals: vec![Vec::new(); joints + SIGNALS] };
+    let task = Task { model, drive: &drive, imu };
+    states.windows(2).for_each(|s| sample(&task, &s[0], &s[1], &mut track));
+    let turn = nalgebra::Rotation3::from_scaled_axis(nalgebra::Vector3::from(truth.turn)).inverse();
+    let offsets: Vec<f64> = (0..joints).map(|_| 2e-4 * normal()).collect();
+    let biases: Vec<f64> = (0..6).map(|k| if k < 3 { 0.02 } else { 0.05 } * normal()).collect();
+    let late = (1e3 * truth.delay).round() as usize;
+    // The engine takes whole turns out; a log does not.
+    let mut angles = states[0].angles.clone();
+    for i in (0..states.len() - 1).step_by(5) {
+        let state = &states[i];
+        write!(text, "{run},{leg}{frequency},{leg},{slope_deg},{frequency},{:.3}", 1e-3 * i as f64).unwrap();
+        let step = TAU / 4096.0;
+        for (angle, now) in angles.iter_mut().zip(&state.angles) {
+            let change = now - *angle;
+            *angle += change - TAU * (change / TAU).round();
+            write!(text, ",{:.5}", (*angle / step).round() * step).unwrap();
+        }
+        state.rates.iter().for_each(|q| write!(text, ",{:.3}", q + 0.05 * normal()).unwrap());
+        for (tau, offset) in state.torques.iter().zip(&offsets) {
+            write!(text, ",{:.5}", tau * (1.0 + 0.02 * normal()) + offset).unwrap();
+        }
+        let read = |signal: usize| {
+            let at = i.saturating_sub(late);
+            let window = &track.signals[joints + signal][at.saturating_sub(2)..(at + 3).min(states.len() - 1)];
+            window.iter().sum::<f64>() / window.len() as f64
+        };
+        let own = |first: usize| turn * nalgebra::Vector3::from_fn(|k, _| read(first + k));
+        let (gyro, acc) = (own(0), own(3));
+        for (k, value) in gyro.iter().chain(acc.iter()).enumerate() {
+            let noise = if k < 3 { 0.01 } else { 0.05 };
+            write!(text, ",{:.4}", value + biases[k] + noise * normal()).unwrap();
+        }
+        text.push('\n');
+    }
+}
+
+/// A log written where a test may read it.
+pub fn file(text: &str) -> tempfile::NamedTempFile {
+    let file = tempfile::Builder::new().suffix(".csv").tempfile().unwrap();
+    std::fs::write(file.path(), text).unwrap();
+    file
+}
+
+/// The robot that walks.
+pub fn body() -> Body {
+    Body::load("xplorer", None).unwrap()
+}

@@ -1,0 +1,109 @@
+//! What an experiment file says of a robot's log alone.
+
+use crate::error::{Error, Result, check_range};
+use serde::Deserialize;
+
+/// The table `[imu]`.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ImuTable {
+    position: Option<[f64; 3]>,
+    quat: Option<[f64; 4]>,
+}
+
+/// The table `[motor]`.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MotorTable {
+    torque_constant: Option<f64>,
+}
+
+/// Keys as they stand in the file.
+#[derive(Clone, Debug, Default)]
+pub struct Given {
+    pub imu: Option<ImuTable>,
+    pub motor: Option<MotorTable>,
+    pub slope_deg: Option<f64>,
+    pub stride_frequency: Option<f64>,
+    pub leg: Option<String>,
+    pub touches: Option<Vec<String>>,
+    pub window: Option<f64>,
+}
+
+/// Checked.
+#[derive(Clone, Debug)]
+pub struct Keys {
+    /// Of the IMU in the base's frame [m].
+    pub imu_position: [f64; 3],
+    /// IMU's frame to the base's, w, x, y, z, as mounted.
+    pub imu_quat: [f64; 4],
+    /// [N·m/A]; then the log has currents.
+    pub torque_constant: Option<f64>,
+    /// Where the log has no such column.
+    pub slope_deg: f64,
+    pub stride_frequency: Option<f64>,
+    pub leg: Option<String>,
+    /// Bodies or shapes of a robot from a file that touch the sand.
+    pub touches: Option<Vec<String>>,
+    /// Length of the windows that a gait without strides is cut into [s].
+    pub window: f64,
+}
+
+impl Default for Keys {
+    fn default() -> Self {
+        Self {
+            imu_position: [0.0; 3],
+            imu_quat: [1.0, 0.0, 0.0, 0.0],
+            torque_constant: None,
+            slope_deg: 0.0,
+            stride_frequency: None,
+            leg: None,
+            touches: None,
+            // Our choice: about a stride.
+            window: 0.5,
+        }
+    }
+}
+
+impl Given {
+    /// The first key that is given.
+    pub fn first(&self) -> Option<&'static str> {
+        let all = [
+            ("imu", self.imu.is_some()),
+            ("motor", self.motor.is_some()),
+            ("slope_deg", self.slope_deg.is_some()),
+            ("stride_frequency", self.stride_frequency.is_some()),
+            ("leg", self.leg.is_some()),
+            ("touches", self.touches.is_some()),
+            ("window", self.window.is_some()),
+        ];
+        all.iter().find(|k| k.1).map(|k| k.0)
+    }
+
+    pub fn checked(self) -> Result<Keys> {
+        let own = Keys::default();
+        let imu = self.imu.unwrap_or_default();
+        let position = imu.position.unwrap_or(own.imu_position);
+        // A sensor more than 10 m from the base is a slip of units, as is a motor of 1000 N·m/A: our choices of guards.
+        position.iter().try_for_each(|p| check_range("imu.position", *p, -10.0..=10.0).map(drop))?;
+        let quat = imu.quat.unwrap_or(own.imu_quat);
+        let norm = quat.iter().map(|q| q * q).sum::<f64>().sqrt();
+        if !(norm - 1.0).is_finite() || (norm - 1.0).abs() > 0.02 {
+            return Err(Error::invalid("imu.quat", format!("a quaternion (w, x, y, z) of length {norm}, not 1")));
+        }
+        let constant = self.motor.and_then(|m| m.torque_constant);
+        Ok(Keys {
+            imu_position: position,
+            imu_quat: quat.map(|q| q / norm),
+            torque_constant: constant.map(|k| check_range("motor.torque_constant", k, 1e-6..=1e3)).transpose()?,
+            slope_deg: check_range("slope_deg", self.slope_deg.unwrap_or(0.0), -35.0..=35.0)?,
+            stride_frequency: self
+                .stride_frequency
+                .map(|f| check_range("stride_frequency", f, -20.0..=20.0))
+                .transpose()?,
+            leg: self.leg,
+            touches: self.touches,
+            window: check_range("window", self.window.unwrap_or(own.window), 0.05..=60.0)?,
+        })
+    }
+}

@@ -1,0 +1,289 @@
+//! A robot's own log: runs of joints and IMU, one row a sample.
+
+use super::keys::Keys;
+use crate::error::{Error, Result};
+use crate::table::{Column, Quantity, Row};
+use std::collections::BTreeMap;
+use std::f64::consts::TAU;
+use std::path::Path;
+
+/// Numbers that are kept of a log: 160 MB, our choice.
+const MOST_NUMBERS: usize = 20_000_000;
+/// Joints of a robot: our choice, a hexapod with four a leg.
+pub const MOST_JOINTS: usize = 24;
+/// Runs of a log: our choice.
+const MOST_RUNS: usize = 1000;
+/// Fewest samples of a run: our choice, a tenth of a second at 200 Hz says nothing of a gait.
+const FEWEST_SAMPLES: usize = 20;
+/// Longest time between two samples [s], and how many times the usual one it may be: our choices. A slower log misses a
+/// stride's forces; over a longer gap nothing is known of the joints.
+const LONGEST_STEP: f64 = 0.05;
+const LONGEST_GAP: f64 = 10.0;
+/// Numbers beyond this are broken: our choice, far above anything in SI units.
+const MOST: f64 = 1e6;
+
+/// One run.
+#[derive(Clone, Debug, Default)]
+pub struct Run {
+    pub name: String,
+    pub condition: String,
+    pub leg: Option<String>,
+    pub slope_deg: f64,
+    /// Commanded turns of the hips a second [Hz].
+    pub frequency: Option<f64>,
+    /// [s]
+    pub t: Vec<f64>,
+    /// Joint by joint [rad].
+    pub q: Vec<Vec<f64>>,
+    /// [rad/s]; empty where the log has none.
+    pub qd: Vec<Vec<f64>>,
+    /// [N·m]
+    pub tau: Vec<Vec<f64>>,
+    /// In the IMU's frame [rad/s], [m/s²].
+    pub gyro: [Vec<f64>; 3],
+    pub acc: [Vec<f64>; 3],
+    /// IMU's frame to the level frame, w, x, y, z; empty where the log has none.
+    pub attitude: [Vec<f64>; 4],
+    /// Of the base [m]; empty where the log has none.
+    pub place: [Vec<f64>; 3],
+}
+
+/// All runs.
+#[derive(Clone, Debug, Default)]
+pub struct Log {
+    pub runs: Vec<Run>,
+    /// Optional columns that are absent.
+    pub missing: Vec<&'static str>,
+    pub sha256: String,
+}
+
+/// Columns that do not depend on the robot; those of joints follow.
+const FIXED: [(&str, Quantity, bool); 23] = [
+    ("run", Quantity::Text, false),
+    ("condition", Quantity::Text, false),
+    ("rep", Quantity::Text, false),
+    ("leg", Quantity::Text, false),
+    ("slope_deg", Quantity::Degrees, false),
+    ("stride_frequency", Quantity::Frequency, false),
+    ("t", Quantity::Time, true),
+    ("gyro_x", Quantity::AngularSpeed, true),
+    ("gyro_y", Quantity::AngularSpeed, true),
+    ("gyro_z", Quantity::AngularSpeed, true),
+    ("acc_x", Quantity::Acceleration, true),
+    ("acc_y", Quantity::Acceleration, true),
+    ("acc_z", Quantity::Acceleration, true),
+    ("quat_w", Quantity::Number, false),
+    ("quat_x", Quantity::Number, false),
+    ("quat_y", Quantity::Number, false),
+    ("quat_z", Quantity::Number, false),
+    ("x", Quantity::Length, false),
+    ("y", Quantity::Length, false),
+    ("z", Quantity::Length, false),
+    ("vx", Quantity::Speed, false),
+    ("vy", Quantity::Speed, false),
+    ("vz", Quantity::Speed, false),
+];
+const RUN: usize = 0;
+const CONDITION: usize = 1;
+const LEG: usize = 3;
+const SLOPE: usize = 4;
+const FREQUENCY: usize = 5;
+const T: usize = 6;
+const GYRO: usize = 7;
+const ACC: usize = 10;
+const QUAT: usize = 13;
+const PLACE: usize = 17;
+
+/// Names of the columns of joints, three a joint.
+pub struct Names {
+    of_joints: Vec<String>,
+    joints: usize,
+    currents: bool,
+}
+
+impl Names {
+    /// Columns of a robot with these joints; of currents where the torque constant is known.
+    pub fn new(joints: &[String], keys: &Keys) -> Result<Self> {
+        if joints.is_empty() || joints.len() > MOST_JOINTS {
+            let reason = format!("{} joints; a log is replayed with 1 to {MOST_JOINTS}", joints.len());
+            return Err(Error::invalid("robot", reason));
+        }
+        let currents = keys.torque_constant.is_some();
+        let torque = if currents { "i" } else { "tau" };
+        let of_joints =
+            ["q", "qd", torque].into_iter().flat_map(|kind| joints.iter().map(move |j| format!("{kind}:{j}")));
+        Ok(Self { of_joints: of_joints.collect(), joints: joints.len(), currents })
+    }
+
+    /// What is asked of a table.
+    pub fn columns(&self) -> Vec<Column<'_>> {
+        let fixed = FIXED.iter().map(|&(name, quantity, required)| Column { name, quantity, required });
+        let kinds = [
+            (Quantity::Angle, true),
+            (Quantity::AngularSpeed, false),
+            (if self.currents { Quantity::Current } else { Quantity::Torque }, true),
+        ];
+        let own = self.of_joints.iter().enumerate().map(|(k, name)| {
+            let (quantity, required) = kinds[k / self.joints];
+            Column { name, quantity, required }
+        });
+        fixed.chain(own).collect()
+    }
+}
+
+/// Gathers rows to runs.
+pub struct Gather<'a> {
+    names: &'a Names,
+    keys: &'a Keys,
+    runs: Vec<Run>,
+    places: BTreeMap<String, usize>,
+    numbers: usize,
+    /// Which optional columns are there; known from the first row on.
+    there: Option<[bool; 3]>,
+}
+
+impl<'a> Gather<'a> {
+    pub fn new(names: &'a Names, keys: &'a Keys) -> Self {
+        Self { names, keys, runs: Vec::new(), places: BTreeMap::new(), numbers: 0, there: None }
+    }
+
+    pub fn take(&mut self, row: &Row) -> Result<()> {
+        let joints = self.names.joints;
+        let there = *self.there.get_or_insert_with(|| {
+            let all = |from: usize, count: usize| (from..from + count).all(|c| row.text(c).is_some());
+            [all(FIXED.len() + joints, joints), all(QUAT, 4), all(PLACE, 3)]
+        });
+        let place = self.place(row)?;
+        let constant = self.keys.torque_constant.unwrap_or(1.0);
+        let number = |column: usize| row.within(column, MOST)?.ok_or_else(|| row.blank(column));
+        let t = number(T)?;
+        let run = &mut self.runs[place];
+        if run.t.last().is_some_and(|last| t <= *last) {
+            return Err(row.error(T, format!("{t} s is not after the sample before, of the same run")));
+        }
+        run.t.push(t);
+        let base = FIXED.len();
+        for j in 0..joints {
+            run.q[j].push(number(base + j)?);
+            if there[0] {
+                run.qd[j].push(number(base + joints + j)?);
+            }
+            run.tau[j].push(constant * number(base + 2 * joints + j)?);
+        }
+        let three = |from: usize, to: &mut [Vec<f64>]| -> Result<()> {
+            to.iter_mut().enumerate().try_for_each(|(k, v)| number(from + k).map(|n| v.push(n)))
+        };
+        three(GYRO, &mut run.gyro)?;
+        three(ACC, &mut run.acc)?;
+        if there[1] {
+            three(QUAT, &mut run.attitude)?;
+            let norm = run.attitude.iter().map(|v| v[v.len() - 1].powi(2)).sum::<f64>().sqrt();
+            // Rounded quaternions have a norm within a percent of 1: our choice of guard.
+            if (norm - 1.0).abs() > 0.02 {
+                return Err(row.error(QUAT, format!("quaternion of length {norm:.3}, not 1")));
+            }
+        }
+        if there[2] {
+            three(PLACE, &mut run.place)?;
+        }
+        self.numbers += 7 + 3 * joints + 4 * usize::from(there[1]) + 3 * usize::from(there[2]);
+        match self.numbers > MOST_NUMBERS {
+            true => Err(row.error(T, format!("more than {MOST_NUMBERS} numbers: keep every n-th sample"))),
+            false => Ok(()),
+        }
+    }
+
+    /// The run that a row belongs to.
+    fn place(&mut self, row: &Row) -> Result<usize> {
+        let name = row.text(RUN).unwrap_or("1");
+        if let Some(place) = self.places.get(name) {
+            return Ok(*place);
+        }
+        if self.runs.len() == MOST_RUNS {
+            return Err(row.error(RUN, format!("more than {MOST_RUNS} runs")));
+        }
+        let joints = self.names.joints;
+        let frequency = row.number(FREQUENCY)?.or(self.keys.stride_frequency);
+        if frequency.is_some_and(|f| !(-20.0..=20.0).contains(&f)) {
+            return Err(row.error(FREQUENCY, "is outside [-20, 20] Hz"));
+        }
+        let slope_deg = row.number(SLOPE)?.unwrap_or(self.keys.slope_deg);
+        if slope_deg.abs() > crate::sim::model::Scene::MAX_SLOPE_DEG {
+            return Err(
+                row.error(SLOPE, format!("{slope_deg} is outside ±{}", crate::sim::model::Scene::MAX_SLOPE_DEG))
+            );
+        }
+        self.runs.push(Run {
+            name: name.into(),
+            condition: row.text(CONDITION).unwrap_or(name).into(),
+            leg: row.text(LEG).map(Into::into).or_else(|| self.keys.leg.clone()),
+            slope_deg,
+            frequency,
+            q: vec![Vec::new(); joints],
+            qd: vec![Vec::new(); joints],
+            tau: vec![Vec::new(); joints],
+            ..Run::default()
+        });
+        self.places.insert(name.into(), self.runs.len() - 1);
+        Ok(self.runs.len() - 1)
+    }
+
+    /// The log, checked run by run.
+    pub fn finish(mut self, path: &Path, sha256: String) -> Result<Log> {
+        let there = self.there.unwrap_or_default();
+        if !there[0] {
+            self.runs.iter_mut().for_each(|r| r.qd.clear());
+        }
+        self.runs.iter_mut().flat_map(|r| &mut r.q).for_each(|q| unwrap(q));
+        for run in &self.runs {
+            run.validate().map_err(|reason| Error::file(path, format!("run {}: {reason}", run.name)))?;
+        }
+        let optional = [("qd:JOINT", there[0]), ("quat_w … quat_z", there[1]), ("x, y, z", there[2])];
+        let missing = optional.iter().filter(|o| !o.1).map(|o| o.0).collect();
+        Ok(Log { runs: self.runs, missing, sha256 })
+    }
+}
+
+/// Takes whole turns out of an angle that is logged between −π and π.
+fn unwrap(q: &mut [f64]) {
+    let [low, high] = q.iter().fold([f64::MAX, f64::MIN], |[a, b], v| [a.min(*v), b.max(*v)]);
+    if high - low > 1.05 * TAU {
+        return; // it turns on already
+    }
+    let mut turns = 0.0;
+    for i in 1..q.len() {
+        let change = q[i] + turns - q[i - 1];
+        // Only where a jump is nearly a turn: between samples no joint moves by 0.8 of one.
+        if (change.abs() / TAU - 1.0).abs() < 0.2 {
+            turns -= TAU.copysign(change);
+        }
+        q[i] += turns;
+    }
+}
+
+impl Run {
+    /// Time between samples [s]: the median.
+    pub fn step(&self) -> f64 {
+        let mut steps: Vec<f64> = self.t.windows(2).map(|w| w[1] - w[0]).collect();
+        steps.sort_by(f64::total_cmp);
+        steps.get(steps.len() / 2).copied().unwrap_or(0.0)
+    }
+
+    fn validate(&self) -> std::result::Result<(), String> {
+        if self.t.len() < FEWEST_SAMPLES {
+            return Err(format!("{} samples; at least {FEWEST_SAMPLES} are needed", self.t.len()));
+        }
+        let step = self.step();
+        if step > LONGEST_STEP {
+            let hint = if step > 1.0 { "; is t in ms? state [units] t = \"ms\"" } else { "" };
+            return Err(format!(
+                "a sample each {step:.3} s; at least {} a second are needed{hint}",
+                1.0 / LONGEST_STEP
+            ));
+        }
+        match self.t.windows(2).find(|w| w[1] - w[0] > LONGEST_GAP * step) {
+            Some(w) => Err(format!("nothing is logged from t = {} to {} s: split it into two runs", w[0], w[1])),
+            None => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,207 @@
+//! Predicts a robot's log by replaying its joints.
+
+use super::keys::Keys;
+use super::log::Log;
+use super::replay::{Body, Drive};
+use super::sensors::Layout;
+use super::servo::{self, Asked};
+use super::windows::{BINS, Integral, Window, bins, windows};
+use crate::error::{Error, Result};
+use crate::experiment::Experiment;
+use crate::forward::ForwardModel;
+use crate::nuisance::Priors;
+use crate::observations::{Channel, Observations, Size, Unit};
+use crate::progress::Latch;
+use crate::sand::mechanism::Mechanisms;
+use crate::sand::{Coefficients, Medium};
+use crate::sim::model::Scene;
+use std::collections::HashMap;
+use std::f64::consts::TAU;
+use std::sync::Mutex;
+
+/// Predictions that are kept: our choice, some 10 MB.
+pub(super) const KNOWN: usize = 128;
+
+pub(super) type State = (Mechanisms, Coefficients);
+
+/// See the module.
+pub struct TrajectoryModel<'a> {
+    pub(super) latch: &'a Latch<'a>,
+    pub(super) medium: Medium,
+    pub(super) keys: Keys,
+    pub(super) priors: Priors,
+    pub(super) log: Log,
+    /// Of each run.
+    pub(super) bodies: Vec<Body>,
+    pub(super) windows: Vec<Window>,
+    pub(super) drives: Vec<Drive>,
+    /// Window of each unit.
+    pub(super) window_of: Vec<usize>,
+    pub(super) layout: Layout,
+    pub(super) asked: Option<Asked>,
+    pub(super) known: Mutex<HashMap<Vec<u64>, Vec<f64>>>,
+}
+
+impl<'a> TrajectoryModel<'a> {
+    /// The model and what it predicts.
+    pub fn new(log: Log, experiment: &Experiment, latch: &'a Latch<'a>) -> Result<(Self, Observations)> {
+        let keys = experiment.trajectory.clone();
+        let robot = experiment.robot.as_deref().unwrap_or("xplorer");
+        let body = Body::load(robot, keys.touches.as_deref())?;
+        let bodies = log.runs.iter().map(|r| body.with_leg(r.leg.as_deref())).collect::<Result<Vec<_>>>()?;
+        let windows = windows(&log.runs, keys.window);
+        if windows.is_empty() {
+            let reason = "no run has a whole stride after its first: runs of at least three strides are needed";
+            return Err(Error::invalid("data", reason));
+        }
+        let drives = windows.iter().map(|w| Drive::new(&log.runs[w.run], w, Scene::DEFAULT_DT)).collect();
+        let asked = servo::asked(&log, &bodies)?;
+        let there = |name: &str| !log.missing.contains(&name);
+        let layout = Layout {
+            joints: log.runs[0].q.len(),
+            attitude: there("quat_w … quat_z"),
+            place: there("x, y, z"),
+            servo: asked.is_some(),
+        };
+        let window_of = window_of(&windows);
+        let model = Self {
+            latch,
+            medium: experiment.medium.clone(),
+            keys,
+            priors: experiment.nuisances.clone(),
+            log,
+            bodies,
+            windows,
+            drives,
+            window_of,
+            layout,
+            asked,
+            known: Mutex::default(),
+        };
+        let plain = model.predict(&Mechanisms::default(), &model.medium.coefficients);
+        if let Some(error) = latch.error() {
+            return Err(error);
+        }
+        if plain.iter().any(|p| !p.is_finite()) {
+            let span = BINS * model.layout.count();
+            let place = plain.iter().position(|p| !p.is_finite()).unwrap_or(0) / span;
+            let run = &model.log.runs[model.windows[model.window_of[place]].run].name;
+            return Err(Error::invalid(
+                "data",
+                format!("the simulation of run {run} diverges: do robot and log belong together?"),
+            ));
+        }
+        let observations = model.observations();
+        Ok((model, observations))
+    }
+
+    pub fn log(&self) -> &Log {
+        &self.log
+    }
+
+    pub fn windows(&self) -> &[Window] {
+        &self.windows
+    }
+
+    pub fn layout(&self) -> &Layout {
+        &self.layout
+    }
+
+    /// What the plain model predicts.
+    pub fn plain(&self) -> Vec<f64> {
+        self.predict(&Mechanisms::default(), &self.medium.coefficients)
+    }
+
+    pub fn joint_names(&self) -> Vec<String> {
+        self.bodies[0].joint_names()
+    }
+
+    /// Is it known what the hips were told?
+    pub fn knows_commands(&self) -> bool {
+        self.asked.is_some()
+    }
+
+    pub(super) fn span(&self) -> usize {
+        BINS * self.layout.count()
+    }
+
+    /// The log as it is compared: strides are the repetitions of their run.
+    fn observations(&self) -> Observations {
+        let values = self.windows.iter().flat_map(|w| self.measured(w)).collect();
+        let mut conditions: Vec<String> = Vec::new();
+        let mut places = HashMap::new();
+        let mut units = Vec::new();
+        for (u, &w) in self.window_of.iter().enumerate() {
+            let run = &self.log.runs[self.windows[w].run];
+            let condition = *places.entry(self.windows[w].run).or_insert_with(|| {
+                conditions.push(if run.condition == run.name {
+                    run.name.clone()
+                } else {
+                    format!("{}, run {}", run.condition, run.name)
+                });
+                conditions.len() - 1
+            });
+            units.push(Unit {
+                id: format!("{}:{}", run.name, u + 1),
+                condition,
+                start: u * self.span(),
+                samples: BINS,
+                progress: progress(),
+            });
+        }
+        Observations { size: Size::Channel, values, channels: self.layout.channels(), units, conditions }
+    }
+
+    /// What the log reads in one window.
+    fn measured(&self, window: &Window) -> Vec<f64> {
+        let run = &self.log.runs[window.run];
+        let [w, x, y, z] = &run.attitude;
+        let up: Vec<Vec<f64>> = match self.layout.attitude {
+            // The direction up, in the frame that the quaternion turns into the level one.
+            true => vec![
+                (0..run.t.len()).map(|i| 2.0 * (x[i] * z[i] - w[i] * y[i])).collect(),
+                (0..run.t.len()).map(|i| 2.0 * (y[i] * z[i] + w[i] * x[i])).collect(),
+            ],
+            false => Vec::new(),
+        };
+        let signals: Vec<&Vec<f64>> = run.tau.iter().chain(&run.gyro).chain(&run.acc).chain(&up).collect();
+        let integrals: Vec<Integral> = signals.iter().map(|s| Integral::new(&run.t, s)).collect();
+        let servo = self.asked.as_ref().map(|_| servo::logged(run, window));
+        let mut stack = Vec::with_capacity(window.strides.len() * self.span());
+        for (s, stride) in window.strides.iter().enumerate() {
+            for integral in &integrals {
+                stack.extend(bins(*stride).map(|[a, b]| integral.mean(a, b)));
+            }
+            if self.layout.place {
+                stack.extend(bins(*stride).map(|[a, b]| speed(&run.t, &run.place, a, b)));
+            }
+            if let Some(servo) = &servo {
+                stack.extend(&servo[s * BINS..(s + 1) * BINS]);
+            }
+        }
+        stack
+    }
+}
+
+/// Window of each unit.
+pub(super) fn window_of(windows: &[Window]) -> Vec<usize> {
+    let of_window = |(k, w): (usize, &Window)| std::iter::repeat_n(k, w.strides.len());
+    windows.iter().enumerate().flat_map(of_window).collect()
+}
+
+/// Parts of a stride, for what is plotted along it [rad].
+pub(super) fn progress() -> Vec<f64> {
+    (0..BINS).map(|b| (b as f64 + 0.5) * TAU / BINS as f64).collect()
+}
+
+/// Mean horizontal speed from `a` to `b` [m/s].
+fn speed(t: &[f64], place: &[Vec<f64>; 3], a: f64, b: f64) -> f64 {
+    let at = |k: usize, time: f64| crate::observations::interpolate(t, &place[k], time);
+    (at(0, b) - at(0, a)).hypot(at(1, b) - at(1, a)) / (b - a)
+}
+
+/// The channels of a log, for what names them.
+pub fn channel_names(channels: &[Channel], joints: &[String]) -> String {
+    let own = channels.iter().filter(|c| c.name.starts_with("torque_")).zip(joints);
+    own.map(|(c, joint)| format!("{} is {joint}", c.name)).collect::<Vec<_>>().join(", ")
+}

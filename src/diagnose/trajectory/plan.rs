@@ -1,0 +1,145 @@
+//! Walks that could be logged next, for what they tell: "walk at 3 Hz up 5°".
+
+use super::log::Run;
+use super::model::{TrajectoryModel, progress, window_of};
+use super::replay::{Body, Drive, Track};
+use super::servo::Asked;
+use super::windows::{BINS, Window, windows};
+use crate::forward::Menu;
+use crate::observations::{Observations, Size, Unit};
+use crate::sand::mechanism::Mechanisms;
+use crate::sim::model::Scene;
+use crate::sim::walk::hip_angle;
+use std::f64::consts::TAU;
+use std::sync::Mutex;
+
+/// Stride frequencies [Hz] and slopes [°] that are offered: our choices, round numbers about what six-legged robots do on sand.
+const FREQUENCIES: [f64; 5] = [1.0, 2.0, 3.0, 4.0, 5.0];
+const SLOPES_DEG: [f64; 4] = [0.0, 5.0, 10.0, -5.0];
+/// A frequency is offered up to this much beyond those of the log: our choice, motors that made those make it too.
+const BEYOND: f64 = 1.5;
+/// Turns that a planned walk has: a lead-in and the stride that is compared.
+const TURNS: f64 = 2.9;
+/// The protocol's hold and ramp [s].
+const START: f64 = 0.5;
+/// Rate of its samples [Hz].
+const RATE: f64 = 200.0;
+
+impl TrajectoryModel<'_> {
+    /// Walks at constant stride frequency; none of a robot whose joints swing, because what it would do is not known.
+    pub(super) fn planned(&self) -> Option<Menu<'_>> {
+        let (runs, bodies, descriptions) = self.walks()?;
+        let mut all = windows(&runs, self.keys.window);
+        if all.len() != runs.len() {
+            return None;
+        }
+        all.iter_mut().for_each(|w| w.strides = w.strides.split_off(w.strides.len() - 1));
+        let mut model = TrajectoryModel {
+            latch: self.latch,
+            medium: self.medium.clone(),
+            keys: self.keys.clone(),
+            priors: self.priors.clone(),
+            drives: all.iter().map(|w| Drive::new(&runs[w.run], w, Scene::DEFAULT_DT)).collect(),
+            window_of: window_of(&all),
+            windows: all,
+            log: super::log::Log { runs, missing: self.log.missing.clone(), sha256: String::new() },
+            bodies,
+            layout: self.layout,
+            asked: None,
+            known: Mutex::default(),
+        };
+        if self.layout.servo {
+            model.asked = Some(model.needed()?);
+        }
+        let span = model.span();
+        let unit = |(u, id): (usize, &String)| Unit {
+            id: id.clone(),
+            condition: u,
+            start: u * span,
+            samples: BINS,
+            progress: progress(),
+        };
+        let observations = Observations {
+            size: Size::Channel,
+            values: vec![0.0; span * descriptions.len()],
+            channels: self.layout.channels(),
+            units: descriptions.iter().enumerate().map(unit).collect(),
+            conditions: descriptions.clone(),
+        };
+        Some(Menu { model: Box::new(model), observations, descriptions })
+    }
+
+    /// The walks, their robots, and what they are in words.
+    fn walks(&self) -> Option<(Vec<Run>, Vec<Body>, Vec<String>)> {
+        let known: Option<Vec<f64>> = self.log.runs.iter().map(|r| r.frequency).collect();
+        let known = known.filter(|k| k.iter().all(|f| f.abs() > 0.02))?;
+        let turns = |run: &Run| run.q.iter().all(|q| (q[q.len() - 1] - q[0]).abs() > TAU);
+        if matches!(self.bodies[0], Body::Tree(_)) || !self.log.runs.iter().all(turns) {
+            return None;
+        }
+        let (low, high) = known.iter().fold((f64::MAX, 0.0), |(l, h), f| (f64::min(l, f.abs()), f64::max(h, f.abs())));
+        let offered = FREQUENCIES.iter().filter(|f| (low / BEYOND..=high * BEYOND).contains(*f));
+        let mut legs: Vec<Option<String>> = self.log.runs.iter().map(|r| r.leg.clone()).collect();
+        if legs.iter().all(Option::is_some) {
+            legs.extend(["L", "revL"].map(|leg| Some(leg.to_string())));
+        }
+        legs.sort();
+        legs.dedup();
+        let (mut runs, mut bodies, mut descriptions) = (Vec::new(), Vec::new(), Vec::new());
+        for frequency in offered {
+            for slope_deg in SLOPES_DEG {
+                for leg in &legs {
+                    bodies.push(self.bodies[0].with_leg(leg.as_deref()).ok()?);
+                    descriptions.push(words(*frequency, slope_deg, leg.as_deref()));
+                    runs.push(walk(&self.log.runs[0], frequency.copysign(known[0]), slope_deg, leg.clone()));
+                }
+            }
+        }
+        (!runs.is_empty()).then_some((runs, bodies, descriptions))
+    }
+
+    /// The torques that the joints' motion needs on the plain sand: what servos ask of motors that give it.
+    fn needed(&self) -> Option<Asked> {
+        let plain = (Mechanisms::default(), self.medium.coefficients);
+        let tracks = self.tracks(&[plain], 0.0, 1.0).swap_remove(0);
+        let of = |window: &Window, track: &Track| -> Option<Vec<Vec<f64>>> {
+            let run = &self.log.runs[window.run];
+            let tick = |t: f64| (((t - window.from) / Scene::DEFAULT_DT).round() as usize).max(1) - 1;
+            let joint = |j: usize| -> Option<Vec<f64>> {
+                let own = track.signals.get(j).filter(|s| !s.is_empty())?;
+                Some(run.t.iter().map(|t| own[tick(*t).min(own.len() - 1)]).collect())
+            };
+            (0..self.layout.joints).map(joint).collect()
+        };
+        let torques: Option<Vec<_>> = self.windows.iter().zip(&tracks).map(|(w, t)| of(w, t)).collect();
+        Some(Asked::exactly(&self.log.runs, torques?))
+    }
+}
+
+/// A walk whose joints start as those of `first` and then turn as the protocol tells them.
+fn walk(first: &Run, frequency: f64, slope_deg: f64, leg: Option<String>) -> Run {
+    let length = START + TURNS / frequency.abs();
+    let t: Vec<f64> = (0..=(length * RATE).ceil() as usize).map(|i| i as f64 / RATE).collect();
+    let turned: Vec<f64> = t.iter().map(|t| hip_angle(frequency, *t)[0]).collect();
+    Run {
+        name: "planned".into(),
+        condition: "planned".into(),
+        leg,
+        slope_deg,
+        frequency: Some(frequency),
+        q: first.q.iter().map(|q| turned.iter().map(|turn| q[0] + turn).collect()).collect(),
+        tau: vec![vec![0.0; t.len()]; first.q.len()],
+        t,
+        ..Run::default()
+    }
+}
+
+fn words(frequency: f64, slope_deg: f64, leg: Option<&str>) -> String {
+    let slope = match slope_deg {
+        s if s > 0.0 => format!("up {s}°"),
+        s if s < 0.0 => format!("down {}°", -s),
+        _ => "on level sand".to_string(),
+    };
+    let leg = leg.map(|leg| format!(", leg {leg}")).unwrap_or_default();
+    format!("walk at {frequency} Hz {slope}{leg}")
+}

@@ -1,0 +1,286 @@
+//! The logged joints drive the simulation: angles are prescribed, the base is free.
+//!
+//! The engines have servos and no prescribed joints; servos twenty times as stiff as the robot's follow to a millirad, and what
+//! they give is the torque that the motion needs.
+
+use super::log::Run;
+use super::windows::Window;
+use crate::error::{Error, Result};
+use crate::progress::Latch;
+use crate::robots;
+use crate::sim::engine::{Command, Engine, EngineKind};
+use crate::sim::model::Scene;
+use crate::sim::tree::{TreeModel, of_shapes};
+use crate::sim::{Model, Robot, State};
+use std::path::Path;
+use std::sync::Arc;
+
+/// How much stiffer than the robot's own the servos of a replay are: our choice; a joint then lags by a millirad, and numbers of
+/// 32 bits still resolve the torque to a hundredth of its rms.
+const STIFFER: f64 = 20.0;
+/// What is sampled beside torques: gyro, specific force, the direction up (all in the base's frame), horizontal speed and height.
+pub const SIGNALS: usize = 11;
+/// Time simulated beyond a window [s], for logs that are late: five times the usual delay.
+pub const BEYOND: f64 = 0.03;
+/// Robots that advance in one engine: the widest block of lanes.
+const TOGETHER: usize = 16;
+/// Ticks between two looks at whether the work is to stop.
+const HEED: usize = 256;
+
+/// A robot from any source.
+#[derive(Clone)]
+pub enum Body {
+    Legged(Box<Robot>),
+    Tree(Arc<TreeModel>),
+}
+
+impl Body {
+    /// A built-in robot, our own TOML, or a URDF or MJCF file.
+    pub fn load(name: &str, touches: Option<&[String]>) -> Result<Self> {
+        let lower = name.to_ascii_lowercase();
+        if ![".urdf", ".xml", ".mjcf"].iter().any(|end| lower.ends_with(end)) {
+            return match touches {
+                None => Ok(Self::Legged(Box::new(Robot::load(name)?))),
+                Some(_) => Err(Error::invalid("touches", "only robots from URDF and MJCF files take it")),
+            };
+        }
+        let import = robots::load(Path::new(name))?;
+        let touching = import.touching(touches)?;
+        let of_body = |b: usize| {
+            let shapes: Vec<_> =
+                touching.iter().filter(|t| t.0 == b).map(|t| &import.tree.bodies[b].shapes[t.1]).collect();
+            of_shapes(&shapes, None)
+        };
+        let plates = (0..import.tree.bodies.len()).map(of_body).collect::<Result<Vec<_>>>()?;
+        Ok(Self::Tree(Arc::new(TreeModel::new(import.tree, plates)?)))
+    }
+
+    pub fn joint_names(&self) -> Vec<String> {
+        match self {
+            Self::Legged(robot) => robot.joint_names(),
+            Self::Tree(tree) => tree.tree.joints().map(|j| j.name.clone()).collect(),
+        }
+    }
+
+    /// The same with another leg; robots from files have none to choose.
+    pub fn with_leg(&self, leg: Option<&str>) -> Result<Self> {
+        match (self, leg) {
+            (Self::Legged(robot), Some(leg)) => Ok(Self::Legged(Box::new(robot.as_ref().clone().with_leg_shape(leg)?))),
+            (Self::Tree(_), Some(_)) => Err(Error::invalid("leg", "only built-in robots and our own TOML take it")),
+            (own, None) => Ok(own.clone()),
+        }
+    }
+
+    /// Gains of the servo at each joint, where there is one: kp [N·m/rad], kd [N·m·s/rad].
+    pub fn gains(&self) -> Vec<[f64; 2]> {
+        match self {
+            Self::Legged(robot) => vec![[robot.servo.kp, robot.servo.kd]; robot.joint_names().len()],
+            Self::Tree(tree) => {
+                let known = |j: &crate::sim::tree::TreeJoint| [j.kp.unwrap_or(0.0), j.kd.unwrap_or(0.0)];
+                tree.tree.joints().map(known).collect()
+            }
+        }
+    }
+
+    /// A model whose joints follow what they are told.
+    pub fn model(&self, scene: &Scene) -> Result<Model> {
+        match self {
+            Self::Legged(robot) => {
+                let mut model = Model::new(robot, scene)?;
+                let weight = model.total_mass() * crate::sim::model::GRAVITY;
+                let kp = if robot.servo.kp > 0.0 { robot.servo.kp } else { weight * robot.base.size[0] };
+                // kd/kp of the reference hexapod where there is none.
+                let kd = if robot.servo.kd > 0.0 { robot.servo.kd } else { 0.01 * kp };
+                model.motor.kp = STIFFER * kp;
+                model.motor.kd = STIFFER * kd;
+                let free = 1e9;
+                (model.motor.torque_limit, model.motor.speed_limit, model.motor.lag_limit) = (free, free, free);
+                Ok(model)
+            }
+            Self::Tree(tree) => {
+                let mut stiff = tree.as_ref().clone();
+                for motor in &mut stiff.motors {
+                    (motor.kp, motor.kd) = (STIFFER * motor.kp, STIFFER * motor.kd);
+                    (motor.torque_limit, motor.speed_limit) = (None, None);
+                }
+                Model::of_tree(stiff, scene)
+            }
+        }
+    }
+
+    pub fn engine(&self) -> EngineKind {
+        match self {
+            Self::Legged(_) => EngineKind::Lanes,
+            Self::Tree(_) => EngineKind::Tree,
+        }
+    }
+}
+
+/// A logged joint, smoothed: a cubic through seven samples (Savitzky & Golay 1964), which takes an encoder's steps away.
+pub fn smoothed(q: &[f64]) -> Vec<f64> {
+    const WEIGHTS: [f64; 7] = [-2.0, 3.0, 6.0, 7.0, 6.0, 3.0, -2.0];
+    let n = q.len();
+    let at = |i: usize| {
+        if i < 3 || i + 3 >= n {
+            return q[i];
+        }
+        WEIGHTS.iter().zip(&q[i - 3..]).map(|(w, v)| w * v).sum::<f64>() / 21.0
+    };
+    (0..n).map(at).collect()
+}
+
+/// Cubic through samples, with the slope of their neighbours (Catmull & Rom 1974).
+fn between(t: &[f64], q: &[f64], at: f64) -> f64 {
+    let n = t.len();
+    let right = t.partition_point(|&p| p < at).clamp(1, n - 1);
+    let left = right - 1;
+    let h = t[right] - t[left];
+    let s = ((at - t[left]) / h).clamp(0.0, 1.0);
+    let slope = |i: usize| {
+        let (a, b) = (i.saturating_sub(1), (i + 1).min(n - 1));
+        (q[b] - q[a]) / (t[b] - t[a])
+    };
+    let (m0, m1) = (h * slope(left), h * slope(right));
+    let (s2, s3) = (s * s, s * s * s);
+    (2.0 * s3 - 3.0 * s2 + 1.0) * q[left] + (s3 - 2.0 * s2 + s) * m0 + (3.0 * s2 - 2.0 * s3) * q[right] + (s3 - s2) * m1
+}
+
+/// Joint angles of a window, tick by tick, all joints one after the other.
+pub struct Drive {
+    pub tick: f64,
+    pub ticks: usize,
+    joints: usize,
+    angles: Vec<f64>,
+}
+
+impl Drive {
+    pub fn new(run: &Run, window: &Window, tick: f64) -> Self {
+        let ticks = ((window.end() + BEYOND - window.from) / tick).ceil() as usize;
+        let joints = run.q.len();
+        let mut angles = vec![0.0; joints * (ticks + 1)];
+        for (j, q) in run.q.iter().enumerate() {
+            let smooth = smoothed(q);
+            for k in 0..=ticks {
+                angles[k * joints + j] = between(&run.t, &smooth, window.from + k as f64 * tick);
+            }
+        }
+        Self { tick, ticks, joints, angles }
+    }
+
+    /// Of joints that stay at 0.
+    #[cfg(test)]
+    pub fn still(joints: usize, tick: f64) -> Self {
+        Self { tick, ticks: 0, joints, angles: vec![0.0; joints] }
+    }
+
+    fn at(&self, tick: usize) -> &[f64] {
+        let k = tick.min(self.ticks);
+        &self.angles[k * self.joints..][..self.joints]
+    }
+}
+
+/// One replay: signals tick by tick, torques first, then [`SIGNALS`]; the first tick ends one step after the start.
+#[derive(Clone, Default)]
+pub struct Track {
+    /// Signal by signal.
+    pub signals: Vec<Vec<f64>>,
+}
+
+/// What is replayed: a model, how it is driven, and where the IMU is [m].
+pub struct Task<'a> {
+    pub model: &'a Model,
+    pub drive: &'a Drive,
+    pub imu: [f64; 3],
+}
+
+/// Replays all tasks, spread over the processors; empty tracks once stopped.
+pub fn replay(engine: EngineKind, tasks: &[Task], latch: &Latch) -> Result<Vec<Track>> {
+    // Long ones together, so that few lanes wait.
+    let mut order: Vec<usize> = (0..tasks.len()).collect();
+    order.sort_by_key(|&k| std::cmp::Reverse(tasks[k].drive.ticks));
+    let chunks: Vec<&[usize]> = order.chunks(TOGETHER).collect();
+    let done = crate::parallel::map(&chunks, |chunk| {
+        let own: Vec<&Task> = chunk.iter().map(|&k| &tasks[k]).collect();
+        block(engine, &own, latch)
+    });
+    let mut all = vec![Track::default(); tasks.len()];
+    for (chunk, tracks) in chunks.iter().zip(done) {
+        for (&k, track) in chunk.iter().zip(tracks?) {
+            all[k] = track;
+        }
+    }
+    Ok(all)
+}
+
+fn block(kind: EngineKind, tasks: &[&Task], latch: &Latch) -> Result<Vec<Track>> {
+    let Some(first) = tasks.first() else { return Ok(Vec::new()) };
+    let joints = first.drive.joints;
+    let mut engine = Engine::new(kind, first.model, tasks.len())?;
+    let mut before: Vec<State> = Vec::new();
+    for (i, task) in tasks.iter().enumerate() {
+        let state = start(task);
+        engine.set_model(i, task.model);
+        engine.set_state(i, &state);
+        before.push(state);
+    }
+    let steps = (first.drive.tick / first.model.scene.dt).round().max(1.0) as usize;
+    let ticks = tasks.iter().map(|t| t.drive.ticks).max().unwrap_or(0);
+    let mut tracks: Vec<Track> =
+        tasks.iter().map(|t| Track { signals: vec![Vec::with_capacity(t.drive.ticks); joints + SIGNALS] }).collect();
+    let mut command = Command::still(joints);
+    let mut now = before[0].clone();
+    for k in 0..ticks {
+        if k % HEED == 0 && latch.stopped() {
+            return Ok(vec![Track::default(); tasks.len()]);
+        }
+        for (i, task) in tasks.iter().enumerate() {
+            let (from, to) = (task.drive.at(k), task.drive.at(k + 1));
+            if kind == EngineKind::Tree {
+                command.targets.clear();
+                command.targets.extend_from_slice(from);
+            }
+            command.rates.iter_mut().zip(from.iter().zip(to)).for_each(|(r, (a, b))| *r = (b - a) / task.drive.tick);
+            engine.command(i, &command);
+        }
+        engine.advance(steps);
+        for (i, task) in tasks.iter().enumerate().filter(|(_, t)| k < t.drive.ticks) {
+            engine.state(i, &mut now);
+            sample(task, &before[i], &now, &mut tracks[i]);
+            before[i].clone_from(&now);
+        }
+    }
+    Ok(tracks)
+}
+
+/// Feet on the surface, the base level in the surface's frame and still.
+fn start(task: &Task) -> State {
+    let angles = task.drive.at(0);
+    let height = match &task.model.tree {
+        Some(tree) => tree.standing_height(angles),
+        None => task.model.standing_height(angles),
+    };
+    State::at_rest(height, angles)
+}
+
+type V = nalgebra::Vector3<f64>;
+
+/// What sensors at the base read over the tick from `before` to `now`.
+pub fn sample(task: &Task, before: &State, now: &State, track: &mut Track) {
+    let tick = task.drive.tick;
+    let rows = now.rotation();
+    let turn = nalgebra::Matrix3::from_fn(|i, j| rows[i][j]);
+    let vector = V::from;
+    let omega = vector(now.angular_velocity);
+    let alpha = (omega - vector(before.angular_velocity)) / tick;
+    let place = turn * vector(task.imu);
+    let acceleration = (vector(now.velocity) - vector(before.velocity)) / tick;
+    let gravity = task.model.gravity;
+    let specific = acceleration + alpha.cross(&place) + omega.cross(&omega.cross(&place)) - gravity;
+    let up = -gravity / gravity.norm();
+    let own = |v: V| turn.tr_mul(&v);
+    let (gyro, acc, up) = (own(omega), own(specific), own(up));
+    let speed = now.velocity[0].hypot(now.velocity[1]);
+    let signals = gyro.iter().chain(acc.iter()).chain(up.iter()).chain([&speed, &now.position[2]]);
+    let all = now.torques.iter().chain(signals);
+    track.signals.iter_mut().zip(all).for_each(|(to, value)| to.push(*value));
+}

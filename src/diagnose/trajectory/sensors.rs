@@ -1,0 +1,154 @@
+//! What the log's sensors would read of a replay, mean by mean over the parts of strides.
+
+use super::replay::{SIGNALS, Track};
+use super::windows::{BINS, Integral, Window, bins};
+use crate::observations::Channel;
+
+/// Names of torque channels, joint by joint.
+const TORQUES: [&str; super::log::MOST_JOINTS] = [
+    "torque_1",
+    "torque_2",
+    "torque_3",
+    "torque_4",
+    "torque_5",
+    "torque_6",
+    "torque_7",
+    "torque_8",
+    "torque_9",
+    "torque_10",
+    "torque_11",
+    "torque_12",
+    "torque_13",
+    "torque_14",
+    "torque_15",
+    "torque_16",
+    "torque_17",
+    "torque_18",
+    "torque_19",
+    "torque_20",
+    "torque_21",
+    "torque_22",
+    "torque_23",
+    "torque_24",
+];
+const IMU: [(&str, &str); 6] = [
+    ("gyro_x", "rad/s"),
+    ("gyro_y", "rad/s"),
+    ("gyro_z", "rad/s"),
+    ("acc_x", "m/s²"),
+    ("acc_y", "m/s²"),
+    ("acc_z", "m/s²"),
+];
+
+/// Which channels there are, and in what order: torques, gyro, specific force, direction up, speed, servo.
+#[derive(Clone, Copy, Debug)]
+pub struct Layout {
+    pub joints: usize,
+    /// Is there an attitude?
+    pub attitude: bool,
+    /// Is the base's place known?
+    pub place: bool,
+    /// Is it known what the hips were told?
+    pub servo: bool,
+}
+
+impl Layout {
+    pub fn channels(&self) -> Vec<Channel> {
+        let of = |name, unit, in_rmse| Channel { name, unit, in_rmse };
+        let mut all: Vec<Channel> = TORQUES[..self.joints].iter().map(|name| of(*name, "N·m", true)).collect();
+        all.extend(IMU.iter().map(|&(name, unit)| of(name, unit, false)));
+        if self.attitude {
+            all.extend([of("up_x", "1", false), of("up_y", "1", false)]);
+        }
+        if self.place {
+            all.push(of("speed", "m/s", false));
+        }
+        if self.servo {
+            all.push(of("servo", "N·m", true));
+        }
+        all
+    }
+
+    pub fn count(&self) -> usize {
+        self.joints + 6 + 2 * usize::from(self.attitude) + usize::from(self.place) + usize::from(self.servo)
+    }
+
+    /// First channel of the direction up, where there is one.
+    pub fn up(&self) -> Option<usize> {
+        self.attitude.then_some(self.joints + 6)
+    }
+
+    pub fn servo_channel(&self) -> Option<usize> {
+        self.servo.then(|| self.count() - 1)
+    }
+}
+
+/// How the IMU is mounted and how late its log is.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Mounting {
+    /// Turned by this beyond what the experiment says [rad], a rotation vector in the IMU's frame.
+    pub turn: [f64; 3],
+    /// Its log is late by [s].
+    pub delay: f64,
+}
+
+type M = nalgebra::Matrix3<f64>;
+
+impl Mounting {
+    /// Base's frame to the IMU's, which the experiment says has the quaternion `quat` in the base's.
+    fn to_imu(self, quat: [f64; 4]) -> M {
+        let [w, x, y, z] = quat;
+        let nominal = nalgebra::UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z));
+        let turn = nalgebra::UnitQuaternion::from_scaled_axis(nalgebra::Vector3::from(self.turn));
+        (nominal * turn).to_rotation_matrix().into_inner().transpose()
+    }
+}
+
+/// Numbers of all strides of one window, stride by stride, in each channel by channel. The servo's channel is left at 0.
+pub fn read(
+    layout: &Layout,
+    window: &Window,
+    track: &Track,
+    tick: f64,
+    mounting: Mounting,
+    quat: [f64; 4],
+) -> Vec<f64> {
+    let (count, joints) = (layout.count(), layout.joints);
+    let mut stack = vec![f64::NAN; window.strides.len() * count * BINS];
+    let samples = track.signals.first().map_or(0, Vec::len);
+    if samples < 2 || track.signals.len() < joints + SIGNALS {
+        return stack;
+    }
+    let t: Vec<f64> = (1..=samples).map(|k| window.from + k as f64 * tick).collect();
+    let integrals: Vec<Integral> = track.signals.iter().map(|s| Integral::new(&t, s)).collect();
+    let turn = mounting.to_imu(quat);
+    for (s, stride) in window.strides.iter().enumerate() {
+        let own = &mut stack[s * count * BINS..][..count * BINS];
+        for (b, [from, to]) in bins(*stride).enumerate() {
+            let mean = |signal: usize, late: f64| integrals[signal].mean(from - late, to - late);
+            let vector =
+                |first: usize| turn * nalgebra::Vector3::from_fn(|k, _| mean(joints + first + k, mounting.delay));
+            for j in 0..joints {
+                own[j * BINS + b] = mean(j, 0.0);
+            }
+            let (gyro, acc) = (vector(0), vector(3));
+            for (k, value) in gyro.iter().chain(acc.iter()).enumerate() {
+                own[(joints + k) * BINS + b] = *value;
+            }
+            let mut next = joints + 6;
+            if layout.attitude {
+                let up = vector(6);
+                (own[next * BINS + b], own[(next + 1) * BINS + b]) = (up.x, up.y);
+                next += 2;
+            }
+            if layout.place {
+                own[next * BINS + b] = mean(joints + 9, 0.0);
+                next += 1;
+            }
+            if layout.servo {
+                own[next * BINS + b] = 0.0;
+            }
+        }
+    }
+    stack
+}

@@ -1,0 +1,152 @@
+//! What the servos ask of the motors: a motor that gives less is weak.
+//!
+//! A replay takes the joints' motion as it was, so it cannot show that they did not follow. The servo's own law can: from what
+//! the hips were told and where they were it says which torque was asked for.
+
+use super::log::{Log, Run};
+use super::replay::{Body, smoothed};
+use super::windows::{Integral, Window, bins};
+use crate::error::Result;
+use crate::sim::walk::hip_angle;
+
+/// Torques asked for beyond this share of the greatest logged one tell nothing more: our choice. A servo that has wound up asks for
+/// whatever.
+const MOST: f64 = 2.0;
+
+/// Time from which the hips turn steadily [s]: after the protocol's ramp.
+const SETTLED: f64 = 0.6;
+
+/// Fewest samples after that: our choice.
+const FEWEST: usize = 30;
+
+/// Torques asked for in one run, joint by joint, sample by sample [N·m].
+struct OfRun {
+    joints: Vec<Vec<f64>>,
+    /// First sample of steady turning.
+    turning: usize,
+    /// Greatest torque that tells anything [N·m].
+    most: f64,
+    /// Is it known where each joint was when it was told to start?
+    exact: bool,
+}
+
+/// Torques asked for in all runs.
+pub struct Asked {
+    runs: Vec<OfRun>,
+}
+
+/// What the hips were told in a log: none where it does not say, or where the robot has no servo.
+pub fn asked(log: &Log, bodies: &[Body]) -> Result<Option<Asked>> {
+    let runs: Option<Vec<_>> = log.runs.iter().zip(bodies).map(|(run, body)| of_run(run, body)).collect();
+    Ok(runs.map(|runs| Asked { runs }))
+}
+
+fn of_run(run: &Run, body: &Body) -> Option<OfRun> {
+    let frequency = run.frequency?;
+    let gains = body.gains();
+    let turning = run.t.partition_point(|t| *t < run.t[0] + SETTLED);
+    let mut joints = Vec::with_capacity(run.q.len());
+    for (j, q) in run.q.iter().enumerate() {
+        let [kp, kd] = gains[j];
+        if kp <= 0.0 || q.len() < turning + FEWEST {
+            return None;
+        }
+        let smooth = smoothed(q);
+        let torque = |i: usize| {
+            let [told, rate] = hip_angle(frequency, run.t[i] - run.t[0]);
+            let own = run.qd.get(j).map_or_else(|| slope(&run.t, &smooth, i), |qd| qd[i]);
+            kp * (told - smooth[i]) + kd * (rate - own)
+        };
+        joints.push((0..q.len()).map(torque).collect());
+    }
+    Some(OfRun { joints, turning, most: most(run), exact: false })
+}
+
+fn most(run: &Run) -> f64 {
+    MOST * run.tau.iter().flatten().fold(0.0, |m: f64, t| m.max(t.abs()))
+}
+
+fn slope(t: &[f64], q: &[f64], i: usize) -> f64 {
+    let (a, b) = (i.saturating_sub(1), (i + 1).min(q.len() - 1));
+    (q[b] - q[a]) / (t[b] - t[a])
+}
+
+/// Places at which the zero of a servo is tried first, among the differences that it may be: our choice.
+const TRIED: usize = 24;
+/// Steps from the best of them: our choice, each halves what is left at least.
+const CLOSER: usize = 8;
+
+/// Where a joint was when it was told to start, and when exactly, is not known: the torque [N·m] to add to what was asked for, so that
+/// motors with a limit give what was logged, as nearly as can be. Samples that the limit cuts say nothing of it.
+fn zero(asked: &[f64], given: &[f64], limit: f64) -> f64 {
+    let mut apart: Vec<f64> = asked.iter().zip(given).map(|(a, t)| t - a).collect();
+    if limit == f64::MAX {
+        return apart.iter().sum::<f64>() / apart.len().max(1) as f64;
+    }
+    let square = |zero: f64| -> f64 {
+        asked.iter().zip(given).map(|(a, t)| (t - (a + zero).clamp(-limit, limit)).powi(2)).sum()
+    };
+    apart.sort_by(f64::total_cmp);
+    let tried = (0..TRIED).map(|k| apart[(apart.len() - 1) * k / (TRIED - 1)]).map(|z| (square(z), z));
+    let Some((mut least, mut best)) = tried.min_by(|a, b| a.0.total_cmp(&b.0)) else { return 0.0 };
+    for _ in 0..CLOSER {
+        let free = asked.iter().zip(given).filter(|(a, _)| (**a + best).abs() < limit).map(|(a, t)| t - a);
+        let (sum, count) = free.fold((0.0, 0.0), |(s, n), v| (s + v, n + 1.0));
+        let next = sum / f64::max(count, 1.0);
+        if count == 0.0 || square(next) >= least {
+            break;
+        }
+        (least, best) = (square(next), next);
+    }
+    best
+}
+
+/// Torques that motors give [N·m], mean over the joints, sample by sample of each run.
+pub struct Given {
+    runs: Vec<Vec<f64>>,
+}
+
+impl Given {
+    /// Means over the parts of a window's strides.
+    pub fn of(&self, run: &Run, window: &Window) -> Vec<f64> {
+        mean(run, window, &self.runs[window.run])
+    }
+}
+
+impl Asked {
+    /// Of joints whose servos ask for `torques`, run by run and joint by joint, sample by sample.
+    pub fn exactly(runs: &[Run], torques: Vec<Vec<Vec<f64>>>) -> Self {
+        let of = |(run, joints): (&Run, Vec<Vec<f64>>)| {
+            let most = joints.iter().flatten().fold(0.0, |m: f64, t| m.max(t.abs()));
+            OfRun { joints, turning: run.t.len(), most, exact: true }
+        };
+        Self { runs: runs.iter().zip(torques).map(of).collect() }
+    }
+
+    /// What motors with a limit [N·m] give; a limit of 0 is none.
+    pub fn given(&self, runs: &[Run], limit: f64) -> Given {
+        let limit = if limit > 0.0 { limit } else { f64::MAX };
+        let of = |(own, run): (&OfRun, &Run)| {
+            let mut sum = vec![0.0; run.t.len()];
+            for (asked, given) in own.joints.iter().zip(&run.tau) {
+                let zero = if own.exact { 0.0 } else { zero(&asked[own.turning..], &given[own.turning..], limit) };
+                let most = limit.min(own.most);
+                let share = 1.0 / own.joints.len() as f64;
+                sum.iter_mut().zip(asked).for_each(|(s, a)| *s += share * (a + zero).clamp(-most, most));
+            }
+            sum
+        };
+        Given { runs: self.runs.iter().zip(runs).map(of).collect() }
+    }
+}
+
+/// What the motors gave [N·m], mean over the joints, as [`Given::of`] says it.
+pub fn logged(run: &Run, window: &Window) -> Vec<f64> {
+    let given = |i: usize| run.tau.iter().map(|tau| tau[i]).sum::<f64>() / run.tau.len() as f64;
+    mean(run, window, &(0..run.t.len()).map(given).collect::<Vec<_>>())
+}
+
+fn mean(run: &Run, window: &Window, values: &[f64]) -> Vec<f64> {
+    let integral = Integral::new(&run.t, values);
+    window.strides.iter().flat_map(|s| bins(*s)).map(|[a, b]| integral.mean(a, b)).collect()
+}

@@ -1,0 +1,157 @@
+//! Replays of many states, read as the log's sensors read.
+
+use super::model::{KNOWN, State, TrajectoryModel};
+use super::replay::{Body, Task, Track, replay};
+use super::sensors::{Mounting, read};
+use super::windows::{BINS, bins};
+use crate::error::Result;
+use crate::sand::mechanism::Mechanisms;
+use crate::sand::{Medium, Surface};
+use crate::sim::Model;
+use crate::sim::model::Scene;
+use std::collections::HashMap;
+use std::sync::PoisonError;
+
+/// Changes of the sand's strength, relative, that are next to nothing: our choice, a hundredth of how beds scatter at most.
+const NUDGES: [f64; 6] = [-3e-4, -2e-4, -1e-4, 1e-4, 2e-4, 3e-4];
+/// A scatter counts as so many times its variance: our choice, so that what it does to χ² stays below a quarter for each window and channel.
+const SETTLED: f64 = 4.0;
+
+impl TrajectoryModel<'_> {
+    pub(super) fn models(&self, (mechanisms, coefficients): &State, payload: f64, dt: f64) -> Result<Vec<Model>> {
+        let of = |run: usize| {
+            let mut scene = Scene::flat(Medium { coefficients: *coefficients, ..self.medium.clone() });
+            // How the joints moved is known: a weak motor shows in what the servos asked for.
+            scene.mechanisms = Mechanisms { motor_torque_limit: 0.0, ..*mechanisms };
+            (scene.slope_deg, scene.dt) = (self.log.runs[run].slope_deg, dt);
+            if matches!(self.bodies[run], Body::Tree(_)) {
+                scene.surface = Surface::SOLID;
+            }
+            let model = self.bodies[run].model(&scene)?;
+            match payload > 0.0 {
+                true => {
+                    scene.payload = payload * model.total_mass();
+                    self.bodies[run].model(&scene)
+                }
+                false => Ok(model),
+            }
+        };
+        (0..self.log.runs.len()).map(of).collect()
+    }
+
+    /// Tracks of several states, state by state and window by window, with `payload` as a share of the robot's mass.
+    pub(super) fn tracks(&self, states: &[State], payload: f64, finer: f64) -> Vec<Vec<Track>> {
+        let dt = Scene::DEFAULT_DT / finer;
+        let models: Result<Vec<Vec<Model>>> = states.iter().map(|s| self.models(s, payload, dt)).collect();
+        let lost = || vec![vec![Track::default(); self.windows.len()]; states.len()];
+        let Ok(models) = models else { return lost() };
+        let task = |(state, k): (usize, usize)| Task {
+            model: &models[state][self.windows[k].run],
+            drive: &self.drives[k],
+            imu: self.keys.imu_position,
+        };
+        let tasks: Vec<Task> =
+            (0..states.len()).flat_map(|s| (0..self.windows.len()).map(move |k| (s, k))).map(task).collect();
+        match replay(self.bodies[0].engine(), &tasks, self.latch) {
+            Ok(tracks) => tracks.chunks(self.windows.len()).map(<[Track]>::to_vec).collect(),
+            Err(_) => lost(),
+        }
+    }
+
+    /// Numbers of all windows, the servo's channel at 0.
+    pub(super) fn read(&self, tracks: &[Track], mounting: Mounting) -> Vec<f64> {
+        let of = |(k, track): (usize, &Track)| {
+            read(&self.layout, &self.windows[k], track, self.drives[k].tick, mounting, self.keys.imu_quat)
+        };
+        tracks.iter().enumerate().flat_map(of).collect()
+    }
+
+    /// Puts in what the motors give.
+    pub(super) fn with_servo(&self, mut stack: Vec<f64>, limit: f64) -> Vec<f64> {
+        let (Some(asked), Some(channel)) = (&self.asked, self.layout.servo_channel()) else { return stack };
+        let given = asked.given(&self.log.runs, limit);
+        let mut unit = 0;
+        for window in &self.windows {
+            let means = given.of(&self.log.runs[window.run], window);
+            for own in means.chunks(BINS) {
+                let from = unit * self.span() + channel * BINS;
+                stack[from..from + BINS].copy_from_slice(own);
+                unit += 1;
+            }
+        }
+        stack
+    }
+
+    /// Replays of several states, as read by an IMU that is mounted as the experiment says.
+    pub(super) fn simulate(&self, states: &[State]) -> Vec<Vec<f64>> {
+        let keys: Vec<Vec<u64>> = states.iter().map(key).collect();
+        let known = || self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        let (mut new, mut found): (Vec<usize>, HashMap<&[u64], Vec<f64>>) = (Vec::new(), HashMap::new());
+        {
+            let known = known();
+            for (k, key) in keys.iter().enumerate() {
+                match known.get(key) {
+                    Some(stack) => drop(found.insert(key, stack.clone())),
+                    None if !keys[..k].contains(key) => new.push(k),
+                    None => {}
+                }
+            }
+        }
+        // A few at a time: tracks are long.
+        for part in new.chunks(16) {
+            let states: Vec<State> = part.iter().map(|&k| states[k]).collect();
+            let tracks = self.tracks(&states, 0.0, 1.0);
+            let stacks = crate::parallel::map(&tracks, |t| self.read(t, Mounting::default()));
+            part.iter().zip(stacks).for_each(|(&k, stack)| drop(found.insert(&keys[k], stack)));
+        }
+        let mut known = known();
+        for &k in &new {
+            if known.len() >= KNOWN {
+                known.clear();
+            }
+            known.insert(keys[k].clone(), found[keys[k].as_slice()].clone());
+        }
+        keys.iter()
+            .zip(states)
+            .map(|(k, s)| self.with_servo(found[k.as_slice()].clone(), s.0.motor_torque_limit))
+            .collect()
+    }
+
+    /// Where a gait hops or sways, a change of the sand that nobody could measure throws it into another course, as it would the robot:
+    /// such numbers say little. The variance that this adds to each: replays on sand that differs by next to nothing scatter by so
+    /// much, and in one window and channel they err together, so that all of these numbers tell no more than a part of one.
+    pub(super) fn unsettled(&self, (mechanisms, coefficients): &State, prediction: &[f64]) -> Vec<f64> {
+        let states = NUDGES.map(|nudge| {
+            let scale = (1.0 + mechanisms.scale) * (1.0 + nudge) - 1.0;
+            (Mechanisms { scale, ..*mechanisms }, *coefficients)
+        });
+        let nudged = self.simulate(&states);
+        let (span, count) = (self.span(), self.layout.count());
+        let mut squares = vec![0.0; self.windows.len() * count];
+        let block = |k: usize| self.window_of[k / span] * count + k % span / BINS;
+        for (k, here) in prediction.iter().enumerate() {
+            let square = nudged.iter().map(|n| (n[k] - here).powi(2)).sum::<f64>() / NUDGES.len() as f64;
+            squares[block(k)] += if square.is_finite() { square } else { 0.0 };
+        }
+        // The mean square times the block's numbers is the sum.
+        (0..prediction.len()).map(|k| SETTLED * squares[block(k)]).collect()
+    }
+
+    /// A stack of f(unit's run, channel, bin's ends).
+    pub(super) fn stack(&self, f: impl Fn(usize, usize, [f64; 2]) -> f64) -> Vec<f64> {
+        let mut stack = Vec::with_capacity(self.window_of.len() * self.span());
+        for window in &self.windows {
+            for stride in &window.strides {
+                for channel in 0..self.layout.count() {
+                    stack.extend(bins(*stride).map(|bin| f(window.run, channel, bin)));
+                }
+            }
+        }
+        stack
+    }
+}
+
+fn key((mechanisms, coefficients): &State) -> Vec<u64> {
+    let felt = Mechanisms { motor_torque_limit: 0.0, ..*mechanisms };
+    felt.values().into_iter().chain(coefficients.to_array()).map(f64::to_bits).collect()
+}

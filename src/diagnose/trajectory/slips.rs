@@ -1,0 +1,206 @@
+//! Slips of units and signs, found before anything is diagnosed: each is one line that says what to state in the experiment.
+//!
+//! Quantities that must agree are compared: joint speeds with the change of angles, angles with the command, specific force with
+//! gravity and with the attitude, and torques, gyro and speed with the replay, which errs by some ten percent and not by a factor of 57.
+
+use super::log::{Log, Run};
+use super::sensors::Layout;
+use super::windows::BINS;
+use crate::error::{Error, Result};
+use crate::sim::model::GRAVITY;
+use std::f64::consts::{PI, TAU};
+use std::path::Path;
+
+/// A ratio within this share of a known one is that one: our choice, far from the distance between any two.
+const NEAR: f64 = 0.2;
+/// Correlation from which a ratio means anything: our choice.
+const CLEAR: f64 = 0.7;
+const DEGREES: f64 = 180.0 / PI;
+
+/// The proportion of `b` to `a` and their correlation, both about zero.
+fn proportion(pairs: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
+    let (aa, ab, bb) = pairs.fold((0.0, 0.0, 0.0), |(x, y, z), (a, b)| (x + a * a, y + a * b, z + b * b));
+    (ab.abs() > CLEAR * (aa * bb).sqrt() && aa > 0.0 && bb > 0.0).then(|| ab.signum() * (bb / aa).sqrt())
+}
+
+/// What a ratio is called, of those that it may be.
+fn named<'a>(ratio: f64, known: &[(f64, &'a str)]) -> Option<&'a str> {
+    known.iter().find(|k| (ratio / k.0 - 1.0).abs() < NEAR).map(|k| k.1)
+}
+
+/// Refuses a log in which joints, gravity and attitude contradict each other. `joints` has the joints' names.
+pub fn check(path: &Path, log: &Log, joints: &[String], mount: [f64; 4]) -> Result<()> {
+    for run in &log.runs {
+        let found = (joints.iter().enumerate())
+            .find_map(|(j, name)| speed(run, j, name).or_else(|| command(run, j, name)))
+            .or_else(|| gravity(run, mount))
+            .or_else(|| attitude(run));
+        if let Some(slip) = found {
+            return Err(Error::file(path, format!("run {}: {slip}", run.name)));
+        }
+    }
+    Ok(())
+}
+
+/// Joint speeds against the change of angles.
+fn speed(run: &Run, j: usize, name: &str) -> Option<String> {
+    let qd = run.qd.get(j)?;
+    let q = &run.q[j];
+    let inner = 2..q.len().saturating_sub(2);
+    let change = |i: usize| (q[i + 2] - q[i - 2]) / (run.t[i + 2] - run.t[i - 2]);
+    let [low, high] = q.iter().fold([f64::MAX, f64::MIN], |[a, b], v| [a.min(*v), b.max(*v)]);
+    // Not where an angle is wrapped.
+    let steady = |i: &usize| (q[i + 2] - q[i - 2]).abs() <= 0.5 * (high - low);
+    let ratio = proportion(inner.filter(steady).map(|i| (change(i), qd[i])))?;
+    let known = [
+        (-1.0, "has the opposite sign of the change of"),
+        (DEGREES, "is 57.3 times the change of"),
+        (-DEGREES, "is -57.3 times the change of"),
+        (1.0 / DEGREES, "is 1/57.3 of the change of"),
+        (60.0 / TAU, "is 9.55 times the change of"),
+        (1.0 / TAU, "is 1/6.28 of the change of"),
+    ];
+    let what = named(ratio, &known)?;
+    let mend = match named(
+        ratio.abs(),
+        &[(1.0, "="), (DEGREES, "qd"), (1.0 / DEGREES, "q"), (60.0 / TAU, "rpm"), (1.0 / TAU, "Hz")],
+    ) {
+        Some("qd") => format!("it is in degrees; state [units] \"qd:{name}\" = \"deg/s\""),
+        Some("q") => format!("that is in degrees; state [units] \"q:{name}\" = \"deg\""),
+        Some("rpm") => format!("it is in turns a minute; state [units] \"qd:{name}\" = \"rpm\""),
+        Some("Hz") => format!("it is in turns a second; state [units] \"qd:{name}\" = \"Hz\""),
+        _ => "one of the two has the wrong sign".to_string(),
+    };
+    Some(format!("qd:{name} {what} q:{name}: {mend}"))
+}
+
+/// Angles against the hips' command, of joints that turn on and on.
+fn command(run: &Run, j: usize, name: &str) -> Option<String> {
+    let told = TAU * run.frequency?;
+    let (q, half) = (&run.q[j], run.t.len() / 2);
+    let rate = (q[q.len() - 1] - q[half]) / (run.t[q.len() - 1] - run.t[half]);
+    match named(rate / told, &[(DEGREES, "deg"), (1.0 / TAU, "turns"), (-1.0, "sign"), (-DEGREES, "both")])? {
+        "deg" => Some(format!(
+            "q:{name} turns 57.3 times as fast as stride_frequency says: it is in degrees; state [units] \"q:{name}\" = \"deg\""
+        )),
+        "turns" => Some(format!("q:{name} turns by 1 a stride and not by 2π: it is in turns, not in radians")),
+        "sign" => Some(format!("q:{name} turns against stride_frequency: one of the two has the wrong sign")),
+        _ => Some(format!("q:{name} turns against stride_frequency and is in degrees")),
+    }
+}
+
+/// The mean specific force is gravity's, upward.
+fn gravity(run: &Run, [w, x, y, z]: [f64; 4]) -> Option<String> {
+    let mean = |v: &Vec<f64>| v.iter().sum::<f64>() / v.len() as f64;
+    let own = nalgebra::Vector3::from_fn(|k, _| mean(&run.acc[k]));
+    let mount = nalgebra::UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z));
+    let acc = mount * own;
+    let size = acc.norm() / GRAVITY;
+    if size < 0.5 {
+        return Some(match named(size * GRAVITY, &[(1.0, "g")]) {
+            Some(_) => {
+                "acc has a mean of 1 and not of 9.81: it is in g; state [units] acc_x, acc_y, acc_z = \"g\"".into()
+            }
+            None => format!(
+                "acc has a mean of {:.2} m/s²: gravity is missing in it; the specific force is needed",
+                acc.norm()
+            ),
+        });
+    }
+    if size > 2.0 {
+        return Some(match named(size, &[(1e3, "mm")]) {
+            Some(_) => {
+                "acc has a mean of 9810 and not of 9.81: it is in mm/s²; state [units] acc_x, acc_y, acc_z = \"mm/s²\""
+                    .into()
+            }
+            None => format!("acc has a mean of {:.1} and not of 9.81 m/s²: its unit is wrong", acc.norm()),
+        });
+    }
+    let up = acc.z / acc.norm();
+    if up < -0.7 {
+        return Some(
+            "acc_z is negative on average: acc has gravity's direction; the specific force points up (+9.81 at rest)"
+                .into(),
+        );
+    }
+    // A robot that stands on the steepest slope and pitches still has four fifths of it along z.
+    (up < 0.7).then(|| {
+        let axis = ["x", "y", "z"][own.iamax()];
+        format!("acc_{axis} has most of gravity: the IMU is mounted otherwise than [imu] quat says")
+    })
+}
+
+/// The attitude turns the specific force upward.
+fn attitude(run: &Run) -> Option<String> {
+    let [w, x, y, z] = &run.attitude;
+    let upward = |q: &dyn Fn(usize) -> [f64; 4]| {
+        let up = |i: usize| {
+            let [w, x, y, z] = q(i);
+            let up = [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)];
+            (0..3).map(|k| up[k] * run.acc[k][i]).sum::<f64>()
+        };
+        (0..w.len()).map(up).sum::<f64>() / (w.len().max(1) as f64 * GRAVITY)
+    };
+    // Beside the mean upward share, that of the tilt alone, which a wrong order or direction turns round.
+    let tilt = |q: &dyn Fn(usize) -> [f64; 4]| {
+        let pairs = (0..w.len()).flat_map(|i| {
+            let [w, x, y, z] = q(i);
+            let up = [2.0 * (x * z - w * y), 2.0 * (y * z + w * x)];
+            [(up[0] * GRAVITY, run.acc[0][i]), (up[1] * GRAVITY, run.acc[1][i])]
+        });
+        let (aa, ab, bb) =
+            pairs.fold((0.0, 0.0, 0.0), |(s, t, u), (a, b): (f64, f64)| (s + a * a, t + a * b, u + b * b));
+        ab / (aa * bb).sqrt().max(1e-12)
+    };
+    let as_is = |i: usize| [w[i], x[i], y[i], z[i]];
+    let inverse = |i: usize| [w[i], -x[i], -y[i], -z[i]];
+    let shifted = |i: usize| [z[i], w[i], x[i], y[i]];
+    if w.is_empty() {
+        return None;
+    }
+    if upward(&as_is) > 0.7 && tilt(&as_is) > -0.5 {
+        return None;
+    }
+    Some(if upward(&shifted) > 0.7 && tilt(&shifted) > 0.5 {
+        "quat has another order than w, x, y, z: it stands as x, y, z, w".into()
+    } else if upward(&inverse) > 0.7 && tilt(&inverse) > 0.5 {
+        "quat tilts against acc: it is the inverse, from the level frame to the IMU's".into()
+    } else {
+        "quat does not turn the specific force upward: it belongs to another frame".into()
+    })
+}
+
+/// Refuses a log whose torques, gyro or speed are not those of the replay by a factor that a unit or sign makes.
+pub fn against_replay(path: &Path, layout: &Layout, measured: &[f64], replayed: &[f64]) -> Result<()> {
+    let span = BINS * layout.count();
+    let ratio = |channels: std::ops::Range<usize>| {
+        let own = move |k: &usize| channels.contains(&(k % span / BINS));
+        proportion((0..measured.len()).filter(own).map(|k| (replayed[k], measured[k])))
+    };
+    let torque = [
+        (-1.0, "has the wrong sign"),
+        (1e3, "is in mN·m: state it in [units]"),
+        (1e2, "is in N·cm: state it in [units]"),
+    ];
+    let gyro = [
+        (-1.0, "has the wrong sign"),
+        (DEGREES, "is in deg/s: state it in [units]"),
+        (-DEGREES, "is in deg/s and has the wrong sign"),
+    ];
+    let speed = [(1e3, "is in mm: state it in [units]"), (1e2, "is in cm: state it in [units]")];
+    let joints = layout.joints;
+    let place = layout.place.then(|| layout.count() - 1 - usize::from(layout.servo));
+    let checks = [
+        ("torque", Some(0..joints), &torque[..]),
+        ("gyro", Some(joints..joints + 3), &gyro[..]),
+        ("x, y, z", place.map(|c| c..c + 1), &speed[..]),
+    ];
+    for (what, channels, known) in checks {
+        let slip = channels.and_then(&ratio).and_then(|r| named(r, known).map(|slip| (r, slip)));
+        if let Some((ratio, slip)) = slip {
+            let reason = format!("{what} is {ratio:.3} times what a replay of the joints gives: it {slip}");
+            return Err(Error::file(path, reason));
+        }
+    }
+    Ok(())
+}

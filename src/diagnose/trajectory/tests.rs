@@ -1,0 +1,149 @@
+//! Logs of our own generator, whose rigid bodies are the other engine's, and what the diagnosis makes of them.
+
+use super::generate::{Truth, csv, experiment, file};
+use super::log::Log;
+use super::{read, slips};
+use crate::diagnose;
+use crate::error::Result;
+use crate::progress::Silent;
+use crate::report::Diagnosis;
+use crate::sand::mechanism::Mechanisms;
+use crate::verdict::Verdict;
+
+fn diagnosed(text: &str) -> Result<Diagnosis> {
+    diagnose(file(text).path(), &experiment(), &Silent)
+}
+
+fn read_text(text: &str) -> Result<Log> {
+    read(file(text).path(), &experiment())
+}
+
+/// The one cause, within a tenth.
+fn named(truth: &Truth, id: &str, value: f64) {
+    let report = diagnosed(&csv(truth)).unwrap().report;
+    assert_eq!(report.verdict, Verdict::Named, "{}", report.summary);
+    let [cause] = &report.causes[..] else { panic!("{}", report.summary) };
+    assert_eq!(cause.id, id, "{}", report.summary);
+    assert!((cause.value / value - 1.0).abs() < 0.1, "{id} {} of {value}", cause.value);
+}
+
+/// A robot 3 % heavier than its description, and nothing hidden.
+#[test]
+fn nothing_hidden_is_the_noise_floor() {
+    let truth = Truth { mass: 1.03, delay: 0.008, ..Truth::new(Mechanisms::PLAIN, 1) };
+    let report = diagnosed(&csv(&truth)).unwrap().report;
+    assert_eq!(report.verdict, Verdict::NoiseFloor, "{}", report.summary);
+    let value = |id: &str| report.nuisances.iter().find(|n| n.id == id).unwrap().value;
+    assert!((value("imu_delay") - truth.delay).abs() < 1.5e-3, "{}", value("imu_delay"));
+    for (axis, turn) in ["x", "y", "z"].iter().zip(truth.turn) {
+        let found = value(&format!("imu_rotation_{axis}"));
+        assert!((found - turn).abs() < 0.01, "{axis} {found} of {turn}");
+    }
+}
+
+#[test]
+fn inertial_drag_is_named() {
+    named(&Truth::new(Mechanisms { inertial_drag: 5.0, ..Mechanisms::PLAIN }, 2), "inertial_drag", 5.0);
+}
+
+#[test]
+fn a_slope_is_named() {
+    named(&Truth::new(Mechanisms { slope: 0.07, ..Mechanisms::PLAIN }, 3), "slope", 0.07);
+}
+
+#[test]
+fn the_strength_of_the_medium_is_named() {
+    named(&Truth::new(Mechanisms { scale: 0.5, ..Mechanisms::PLAIN }, 4), "scale", 0.5);
+}
+
+#[test]
+fn a_weak_motor_is_named() {
+    let weak = Mechanisms { motor_torque_limit: 0.01, ..Mechanisms::PLAIN };
+    named(&Truth { delay: 0.002, ..Truth::new(weak, 5) }, "motor_torque_limit", 0.01);
+}
+
+/// A log with some columns changed.
+fn changed(text: &str, columns: &[&str], change: impl Fn(f64) -> f64) -> String {
+    let mut lines = text.lines();
+    let header: Vec<&str> = lines.next().unwrap().split(',').collect();
+    let places: Vec<usize> = (0..header.len()).filter(|&k| columns.iter().any(|c| header[k].starts_with(c))).collect();
+    let mut out = header.join(",") + "\n";
+    for line in lines {
+        let mut cells: Vec<String> = line.split(',').map(Into::into).collect();
+        places.iter().for_each(|&k| cells[k] = change(cells[k].parse().unwrap()).to_string());
+        out += &(cells.join(",") + "\n");
+    }
+    out
+}
+
+#[test]
+fn slips_are_named() {
+    let text = csv(&Truth::new(Mechanisms::PLAIN, 6));
+    assert!(read_text(&text).is_ok());
+    let told = |columns: &[&str], change: &dyn Fn(f64) -> f64, words: &str| {
+        let error = diagnosed(&changed(&text, columns, change)).err().map(|e| e.to_string()).unwrap_or_default();
+        assert!(error.contains(words) && !error.contains('\n'), "{columns:?}: {error:?} lacks {words:?}");
+    };
+    told(&["qd:"], &|v| v.to_degrees(), "\"qd:right-front\" = \"deg/s\"");
+    told(&["qd:right-rear"], &|v| -v, "qd:right-rear has the opposite sign");
+    told(&["q:"], &|v| v.to_degrees(), "\"q:right-front\" = \"deg\"");
+    told(&["q:", "qd:"], &|v| v.to_degrees(), "turns 57.3 times as fast as stride_frequency");
+    told(&["q:", "qd:"], &|v| -v, "turns against stride_frequency");
+    told(&["acc_"], &|v| -v, "gravity's direction");
+    told(&["acc_"], &|v| v / 9.81, "it is in g");
+    told(&["acc_"], &|v| 1e3 * v, "mm/s²");
+    told(&["tau:"], &|v| 1e3 * v, "mN·m");
+    told(&["tau:"], &|v| -v, "torque is -");
+    told(&["gyro_"], &|v| v.to_degrees(), "deg/s");
+    told(&["gyro_"], &|v| -v, "gyro is -");
+    told(&["t"], &|v| 1e3 * v, "is t in ms");
+}
+
+/// Attitudes in another order and direction.
+#[test]
+fn attitudes_are_checked() {
+    let mut log = read_text(&csv(&Truth::new(Mechanisms::PLAIN, 7))).unwrap();
+    log.runs.truncate(1);
+    let run = &mut log.runs[0];
+    run.acc = [vec![2.0; run.t.len()], vec![0.5; run.t.len()], vec![9.6; run.t.len()]];
+    // The rotation that turns that upward.
+    let up = nalgebra::Vector3::new(2.0, 0.5, 9.6);
+    let turn = nalgebra::UnitQuaternion::rotation_between(&up, &nalgebra::Vector3::z()).unwrap();
+    let [x, y, z, w] = [turn.i, turn.j, turn.k, turn.w];
+    let names: Vec<String> = super::generate::body().joint_names();
+    let mut told = |q: [f64; 4]| {
+        log.runs[0].attitude = q.map(|v| vec![v; log.runs[0].t.len()]);
+        let checked = slips::check(std::path::Path::new("log"), &log, &names, [1.0, 0.0, 0.0, 0.0]);
+        checked.err().map(|e| e.to_string()).unwrap_or_default()
+    };
+    assert_eq!(told([w, x, y, z]), "");
+    assert!(told([w, -x, -y, -z]).contains("inverse"));
+    assert!(told([x, y, z, w]).contains("x, y, z, w"));
+}
+
+/// Mutated logs give a log or one line, in bounded memory.
+#[test]
+fn mutated_logs_do_not_panic() {
+    use rand::{Rng, SeedableRng};
+    let whole = csv(&Truth::new(Mechanisms::PLAIN, 8));
+    let small: String = whole.lines().take(40).flat_map(|l| [l, "\n"]).collect();
+    assert!(read_text(&small).is_ok());
+    let mut rng = rand_xoshiro::Xoshiro256PlusPlus::seed_from_u64(1);
+    for _ in 0..1000 {
+        let mut bytes = small.clone().into_bytes();
+        for _ in 0..rng.random_range(1..8) {
+            let at = rng.random_range(0..bytes.len());
+            match rng.random_range(0..4) {
+                0 => bytes[at] = rng.random(),
+                1 => drop(bytes.remove(at)),
+                2 => bytes.insert(at, b",\n-e9\""[rng.random_range(0..6)]),
+                _ => bytes.truncate(at.max(1)),
+            }
+        }
+        let file = tempfile::Builder::new().suffix(".csv").tempfile().unwrap();
+        std::fs::write(file.path(), &bytes).unwrap();
+        if let Err(error) = read(file.path(), &experiment()) {
+            assert!(!error.to_string().contains('\n'), "{error}");
+        }
+    }
+}
