@@ -71,6 +71,7 @@ fn separation(log: &Log, cause: &str, name: &str) -> Outcome<f64> {
         shared: &[strength],
         model_error: &[],
         left_out: &[],
+        own_error: &[],
     };
     let whitener = Whitener::new(&source, &noise);
     // Rivals in the sensor are rivals here, so nuisances take no part.

@@ -103,15 +103,15 @@ impl<'a> Twins<'a> {
             let before = self.states[i].clone();
             self.engine.state(i, &mut self.states[i]);
             let rows = self.evaluate(i, &before, &actions[i], period);
-            self.after_step(i);
+            self.after_step(i, &rows.1);
             rows
         });
         self.last = actions;
         rows
     }
 
-    fn after_step(&mut self, i: usize) {
-        let change = self.blueprint.task.after_step(&mut self.goals[i], &self.states[i]);
+    fn after_step(&mut self, i: usize, info: &[f32]) {
+        let change = self.blueprint.task.after_step(&mut self.goals[i], &self.states[i], info);
         let (Some(model), Some(ground)) = (&self.goals[i].model, &self.goals[i].ground) else { return };
         if change == Change::Patch {
             self.engine.set_model(i, model);
