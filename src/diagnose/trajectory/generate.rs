@@ -56,13 +56,20 @@ pub fn csv(truth: &Truth) -> String {
     }
     text += ",gyro_x,gyro_y,gyro_z,acc_x,acc_y,acc_z\n";
     let mut medium = Medium::named("poppy-loose").unwrap();
-    medium.coefficients = Coefficients::from_array(medium.coefficients.to_array().map(|c| c * (1.0 + 0.05 * normal())));
+    // Coefficients and beds differ from the nominal ones, but not all of them in one direction: that would be another strength than
+    // the truth says.
+    let nominal = medium.coefficients.to_array();
+    let drawn = nominal.map(|c| c * (1.0 + 0.05 * normal()));
+    let size = |all: [f64; 9]| all.iter().map(|c| c.abs()).sum::<f64>();
+    medium.coefficients = Coefficients::from_array(drawn.map(|c| c * size(nominal) / size(drawn)));
+    let beds = RUNS.map(|_| 1.0 + 0.03 * normal());
+    let mean = beds.iter().sum::<f64>() / beds.len() as f64;
     for (k, (leg, frequency, slope_deg)) in RUNS.into_iter().enumerate() {
         let mut robot = robot.clone().with_leg_shape(leg).unwrap();
         robot.base.mass *= truth.mass;
         let mut scene = Scene::flat(medium.clone());
         (scene.slope_deg, scene.dt) = (slope_deg, 5e-4);
-        let bed = 1.0 + 0.03 * normal();
+        let bed = beds[k] / mean;
         scene.mechanisms = Mechanisms { scale: (1.0 + truth.mechanisms.scale) * bed - 1.0, ..truth.mechanisms };
         let phase = 0.1 * normal().clamp(-2.0, 2.0);
         let model = Model::new(&robot, &scene).unwrap();
