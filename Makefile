@@ -133,7 +133,7 @@ study-rocks:
 study-codesign:
 	cargo build --release
 	target/release/sandgait sweep --vary xi=-75:75:25 --learn-steps 3000000 --measure return \
-		--option 'command=[0.2,0.8]' --out runs/codesign
+		--option 'command=[0.1,0.6]' --out runs/codesign
 	cp runs/codesign/learnt.png docs/images/codesign.png
 	sed -i '/<!-- measured -->/q' docs/codesign.md
 	{ echo; echo "Measured $$(date +%Y-%m-%d), $$(sed -n 's/^model name.*: //p' /proc/cpuinfo | head -1)."; echo; \

@@ -23,7 +23,7 @@ use std::path::PathBuf;
   sandgait sweep --vary xi=-75:75:31 --vary frequency=1:5:9 --out study
   sandgait sweep --robot mine.toml --vary medium=poppy-loose,poppy-close --vary width=0.005:0.02:16 --out study
   sandgait sweep --vary xi=0:75:2 --vary chord=0.03:0.05:2 --optimize cost-of-transport --out study
-  sandgait sweep --vary xi=-75:75:25 --learn 60 --option command=[0.2,0.8] --out study    (a gait learnt for each leg)
+  sandgait sweep --vary xi=-75:75:25 --learn 60 --option command=[0.1,0.6] --out study    (a gait learnt for each leg)
   sandgait sweep --vary xi=-75:75:2 --vary chord=0.03:0.05:2 --optimize return --learn-steps 3000000 --out study")]
 pub struct Sweep {
     /// Parameter and its values, once or twice
