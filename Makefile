@@ -136,7 +136,8 @@ study-codesign:
 		--option 'command=[0.1,0.6]' --out runs/codesign
 	cp runs/codesign/learnt.png docs/images/codesign.png
 	sed -i '/<!-- measured -->/q' docs/codesign.md
-	{ echo; echo "Measured $$(date +%Y-%m-%d), $$(sed -n 's/^model name.*: //p' /proc/cpuinfo | head -1)."; echo; \
+	{ echo; echo "![Return of each leg with its own gait over the leg's angle](images/codesign.png)"; echo; \
+		echo "Measured $$(date +%Y-%m-%d), $$(sed -n 's/^model name.*: //p' /proc/cpuinfo | head -1)."; echo; \
 		cat runs/codesign/learnt.md; } >> docs/codesign.md
 
 study-load:
