@@ -9,6 +9,9 @@ use std::time::Duration;
 use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio_util::sync::CancellationToken;
+use tracing_subscriber::filter::Targets;
+use tracing_subscriber::layer::SubscriberExt as _;
+use tracing_subscriber::util::SubscriberInitExt as _;
 
 /// Threads beside one for each processor, which is what making environments may take, that check large requests and free
 /// environments: one for a study, one so that large requests do not hold up small ones. They compute and never wait, so
@@ -299,11 +302,13 @@ impl Peers {
 
 impl LogFormat {
     fn start(self) {
-        let filter = tracing_subscriber::EnvFilter::try_from_env("SANDGAIT_LOG").unwrap_or_else(|_| "info".into());
-        let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+        let asked = std::env::var("SANDGAIT_LOG").ok().and_then(|text| text.parse().ok());
+        let filter = asked.unwrap_or_else(|| Targets::new().with_default(tracing::Level::INFO));
+        let log = tracing_subscriber::registry().with(filter);
+        let lines = tracing_subscriber::fmt::layer().with_writer(std::io::stderr);
         match self {
-            Self::Text => log.with_ansi(std::io::stderr().is_terminal()).init(),
-            Self::Json => log.json().init(),
+            Self::Text => log.with(lines.with_ansi(std::io::stderr().is_terminal())).init(),
+            Self::Json => log.with(lines.json()).init(),
         }
     }
 }
