@@ -2,9 +2,9 @@
 
 use super::adam::Adam;
 use super::kept::{Episodes, Kept};
-use super::learner::{Learnt, Plan};
 use super::network::Layer;
 use super::normal::{Normal, Running};
+use super::plan::{Learnt, Plan};
 use super::tensors::{Numbers, Tensors};
 use crate::error::{Error, Result};
 use serde_json::json;

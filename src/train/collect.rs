@@ -13,6 +13,7 @@ use crate::error::Result;
 use rand::{Rng as _, SeedableRng as _};
 use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
+use std::ops::DerefMut;
 
 /// Parts that the environments are cut into, however many threads there are; fewer where environments move in lanes.
 const PIECES: usize = 8;
@@ -274,5 +275,19 @@ fn observe(play: &Play, rows: &[f32], out: &mut [f32]) {
     match play.scales {
         Some(scales) => scales.observations(rows, out),
         None => out.copy_from_slice(rows),
+    }
+}
+
+/// Hands each piece its environments' rows.
+pub fn deal<P: DerefMut<Target = Piece>>(
+    pieces: impl Iterator<Item = P>,
+    rows: &Rows,
+    mut hand: impl FnMut(&mut Piece, Rows),
+) {
+    let mut first = 0;
+    for mut piece in pieces {
+        let part = first..first + piece.envs;
+        first = part.end;
+        hand(&mut piece, rows.part(part));
     }
 }

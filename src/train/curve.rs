@@ -1,6 +1,6 @@
 //! The learning curve: a point whenever enough episodes have ended, as file and figure.
 
-use super::learner::Report;
+use super::plan::Report;
 use crate::error::{Error, Result};
 use crate::plot::{Axis, Figure, Mark, Panel, Style, color, png};
 use std::fs::File;

@@ -2,8 +2,8 @@
 //! the best of them compared on seeds that neither the trainings nor the choice has seen.
 
 use super::export::onnx;
-use super::learner::{Learnt, Plan, Report};
 pub use super::measure::{Between, Measure};
+use super::plan::{Learnt, Plan, Report};
 use super::record::Record;
 use super::search::{self, Look};
 use super::settings::Settings;

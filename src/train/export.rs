@@ -1,8 +1,8 @@
 //! What has been learnt as a network that needs nothing else: normalization and mirror are part of it.
 
-use super::learner::{Learnt, Plan};
 use super::network::Layer;
 use super::normal::{CLIP, EPSILON};
+use super::plan::{Learnt, Plan};
 use crate::policy::write::Writer;
 
 /// The policy without its noise as the bytes of an ONNX file, from the environments' observations to actions.

@@ -76,7 +76,7 @@ impl Kept {
             }
             (Episodes::Away(snapshot), Some(remote)) => {
                 let rows = remote.restore(snapshot, pause)?;
-                super::remote::deal(pieces.iter_mut(), &rows, |piece, part| piece.take(part));
+                super::collect::deal(pieces.iter_mut(), &rows, |piece, part| piece.take(part));
                 Vec::new()
             }
             _ => return Err(Error::invalid("checkpoint", "its environments were elsewhere")),

@@ -1,7 +1,7 @@
 //! Learning a gait: proximal policy optimization beside the environments, without Python.
 //!
 //! ```text
-//!  settings ──▶ learner ──▶ training: rollouts (collect, normal, remote) and updates (learn, loss, adam) in turn, over a crew
+//!  settings ──▶ plan, learner ──▶ training: rollouts (collect, normal, remote) and updates (learn, loss, adam) in turn, over a crew
 //!                  │                         └── network, mirror, matrix            of threads; kept: to go on with the same bits
 //!                  ├──▶ run: one training, with policy.onnx, checkpoints, learning curve, events, film
 //!                  └──▶ design: many designs, a gait learnt for each
@@ -31,13 +31,14 @@ mod film;
 mod gradients;
 mod kept;
 mod learn;
-pub mod learner;
+mod learner;
 mod loss;
 mod matrix;
 mod measure;
 mod mirror;
 mod network;
 mod normal;
+pub mod plan;
 mod record;
 pub mod remote;
 mod run;
@@ -49,6 +50,6 @@ mod yaml;
 
 pub use curve::Point;
 pub use export::onnx;
-pub use learner::{Heed, Learnt, Plan, Report};
+pub use plan::{Heed, Learnt, Plan, Report};
 pub use run::{Connect, Outcome, Request};
 pub use settings::Settings;

@@ -1,7 +1,7 @@
 //! Trainings of a design study as files: a study that was stopped goes on where it was.
 
 use super::checkpoint;
-use super::learner::{Learnt, Plan};
+use super::plan::{Learnt, Plan};
 use crate::error::{Error, Result};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};

@@ -1,8 +1,7 @@
 //! Environments on a server: the training sees rows, as of environments in this process.
 
-use super::collect::Piece;
 use crate::error::Result;
-use std::ops::{DerefMut, Range};
+use std::ops::Range;
 
 /// Is called while an answer is waited for; an error of it ends the wait.
 pub type Pause<'a> = &'a mut dyn FnMut() -> Result<()>;
@@ -41,7 +40,7 @@ pub struct Rows {
 
 impl Rows {
     /// Those of the environments in `part`, counted from its start.
-    fn part(&self, part: Range<usize>) -> Self {
+    pub fn part(&self, part: Range<usize>) -> Self {
         let wide = self.observations.len() / self.rewards.len().max(1);
         let ended: Vec<usize> = (0..self.ended.len()).filter(|k| part.contains(&(self.ended[*k] as usize))).collect();
         Self {
@@ -56,20 +55,6 @@ impl Rows {
                 .copied()
                 .collect(),
         }
-    }
-}
-
-/// Hands each piece its environments' rows.
-pub fn deal<P: DerefMut<Target = Piece>>(
-    pieces: impl Iterator<Item = P>,
-    rows: &Rows,
-    mut hand: impl FnMut(&mut Piece, Rows),
-) {
-    let mut first = 0;
-    for mut piece in pieces {
-        let part = first..first + piece.envs;
-        first = part.end;
-        hand(&mut piece, rows.part(part));
     }
 }
 

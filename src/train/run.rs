@@ -3,7 +3,7 @@
 
 use super::curve::{Curve, Point};
 use super::events::Events;
-use super::learner::{Heed, Learnt, Plan, Report};
+use super::plan::{Heed, Learnt, Plan, Report};
 use super::remote::{Pause, Remote};
 use super::settings::Settings;
 use super::{checkpoint, export, film};

@@ -1,13 +1,13 @@
 //! A training under way: a rollout and what is learnt from it, again and again.
 
-use super::collect::{Piece, Play};
+use super::collect::{Piece, Play, deal};
 use super::crew::Crew;
 use super::kept::Kept;
 use super::learn::{Chunk, Minibatches, Rollout};
-use super::learner::{Heed, Learnt, Plan, Report};
 use super::loss::{Sums, Weights, entropy};
 use super::normal::{Moments, Running, Scales};
-use super::remote::{Away, deal};
+use super::plan::{Heed, Learnt, Plan, Report};
+use super::remote::Away;
 use crate::error::{Error, Result};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use std::time::Instant;
@@ -330,7 +330,7 @@ mod tests {
             "n_envs": 16, "n_steps": 4, "batch_size": rows, "n_epochs": 3, "learning_rate": 1e-3, "clip_range_vf": 0.3,
             "ent_coef": 0.01, "policy_kwargs": {"net_arch": [8, 7], "log_std_init": -0.3},
         });
-        let plan = crate::learner::tests::plan(&entry, 1);
+        let plan = crate::plan::tests::plan(&entry, 1);
         let mut learnt = plan.begin();
         let wave = |x: &mut [f32], size: f64, pitch: f64, shift: f64| {
             x.iter_mut().enumerate().for_each(|(k, x)| *x = (size * (pitch * k as f64).sin() + shift) as f32);
