@@ -20,7 +20,7 @@ from symmetry import MirroredNetworks, Reflection, mirror  # noqa: E402
 SETTINGS = yaml.safe_load((ROOT / "examples/hyperparameters/ppo.yml").read_text())
 
 
-@pytest.mark.parametrize("name", [task for task, entry in SETTINGS.items() if entry["mirror"]])
+@pytest.mark.parametrize("name", [task for task, entry in SETTINGS.items() if entry.get("mirror")])
 def test_what_a_mirrored_policy_does_in_the_mirror_is_mirrored(name: str) -> None:
     env = sandgait.SandgaitVectorEnv(name, 1)
     observation, action = (mirror([c.name for c in columns]) for columns in (env.task.observation, env.task.action))
