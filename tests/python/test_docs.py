@@ -170,7 +170,7 @@ def test_the_page_on_physics_has_the_numbers_of_the_sources() -> None:
     spatial = (ROOT / "src/sand/law/agarwal2023.rs").read_text(encoding="utf-8")
     for numbers in re.findall(r"^    \[(-?\d\.\d{5}), (.*?), (.*?)\],$", spatial, flags=re.MULTILINE):
         assert f" | {' | '.join(numbers)} |" in page, numbers
-    planar = (ROOT / "src/sand/media.rs").read_text(encoding="utf-8")
+    planar = (ROOT / "src/sand/coefficients.rs").read_text(encoding="utf-8")
     sets = re.findall(r"per_cm3\(\[([-\d., ]+)\]\)", planar)
     assert len(sets) == 3
     for numbers in sets:

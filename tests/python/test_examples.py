@@ -28,7 +28,7 @@ def test_training_writes_what_it_promises_and_goes_on(tmp_path: Path) -> None:
     arguments = ["--envs", "16", "--options", options, "--checkpoint-every", "1024", "--out", str(tmp_path / "run")]
     output = run("examples/train.py", *arguments, "--steps", "4096")
     written = {path.name for path in (tmp_path / "run").iterdir()}
-    files = {"policy.zip", "normalize.pkl", "settings.json", "curve.csv", "curve.png", "evaluation.txt"}
+    files = {"policy.zip", "policy.onnx", "normalize.pkl", "settings.json", "curve.csv", "curve.png", "evaluation.txt"}
     assert written == files | {"checkpoints", "tensorboard", "videos"}
     for name in ("learnt (PPO)", "the best rate", "random actions"):
         assert re.search(re.escape(name) + r" .*-?\d+\.\d ± \d+\.\d", output)

@@ -27,8 +27,8 @@ def example() -> Any:
 
 
 def test_rewards_are_computed_from_columns(own: Any) -> None:
-    climb = own.Climb(5, threads=1)
-    plain = sandgait.SandgaitVectorEnv("sandgait/HexapodGait-v1", 5, slope_deg=10.0, threads=1)
+    climb = own.Climb(5)
+    plain = sandgait.SandgaitVectorEnv("sandgait/HexapodGait-v1", 5, slope_deg=10.0)
     seen, _ = climb.reset(seed=3)
     rows, _ = plain.reset(seed=3)
     assert climb.observation_space.contains(seen)
@@ -48,7 +48,7 @@ def test_rewards_are_computed_from_columns(own: Any) -> None:
 
 def test_who_tilts_too_far_begins_anew(own: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(own, "LARGEST_TILT", 0.05)
-    climb = own.Climb(8, threads=1)
+    climb = own.Climb(8)
     climb.reset(seed=0)
     fell, ended = np.zeros(8, np.bool_), np.zeros(8, np.bool_)
     for _ in range(60):
