@@ -331,7 +331,7 @@ fn pages_are_what_the_code_says() {
     }
 }
 
-#[allow(dead_code)]
+#[allow(dead_code)] // its `main` runs in the example only
 #[path = "../examples/own_task.rs"]
 mod own_task;
 

@@ -62,10 +62,7 @@ impl<R: Real> StressLaw<R> for PlanarTable<R> {
     #[inline(always)]
     fn stress(&self, n: Vec3<R>, m: &Motion<R>) -> Vec3<R> {
         let along = n.x.mul_add(m.v.x, n.y * m.v.y);
-        // 1e-6 of the vertical speed along the normal decides e only where the motion is vertical to that accuracy.
-        let nudge = R::splat(1e-6) * m.v.z.abs();
-        let nudge = R::select(along.lt(R::zero()), -nudge, nudge);
-        let (ex, ey) = (n.x.mul_add(nudge, m.v.x), n.y.mul_add(nudge, m.v.y));
+        let [ex, ey] = heading(n, along, m);
         let normal_along = n.x.mul_add(ex, n.y * ey);
         let squared = ex.mul_add(ex, ey.mul_add(ey, R::splat(1e-36)));
         let ratio = normal_along / squared; // (N·e)/|v_h|
@@ -82,9 +79,7 @@ impl<R: Real> StressLaw<R> for PlanarTable<R> {
     fn mean_stress(&self, normals: &Normals<R>, m: &Motion<R>) -> Vec3<R> {
         let (n, s, p) = (normals.unit, normals.squares, normals.products);
         let along = n.x.mul_add(m.v.x, n.y * m.v.y);
-        let nudge = R::splat(1e-6) * m.v.z.abs();
-        let nudge = R::select(along.lt(R::zero()), -nudge, nudge);
-        let (ex, ey) = (n.x.mul_add(nudge, m.v.x), n.y.mul_add(nudge, m.v.y));
+        let [ex, ey] = heading(n, along, m);
         let inverse = R::one() / ex.mul_add(ex, ey.mul_add(ey, R::splat(1e-36)));
         let two_xy = p.z + p.z;
         let along_e = ex.mul_add(ex.mul_add(s.x, ey * two_xy), ey * ey * s.y);
@@ -108,4 +103,13 @@ impl<R: Real> PlanarTable<R> {
             .mul_add(m.moving, self.b_sum.mul_add(cos_2b, self.b01).mul_add(sin_g, self.b_difference * sin_2b_cos_g));
         Vec3::new(-along_v.mul_add(m.v.x, along_e * ex), -along_v.mul_add(m.v.y, along_e * ey), vertical)
     }
+}
+
+/// Along e, about as long as the horizontal velocity; `along` is its product with the normal.
+#[inline(always)]
+fn heading<R: Real>(n: Vec3<R>, along: R, m: &Motion<R>) -> [R; 2] {
+    // 1e-6 of the vertical speed along the normal decides e only where the motion is vertical to that accuracy.
+    let nudge = R::splat(1e-6) * m.v.z.abs();
+    let nudge = R::select(along.lt(R::zero()), -nudge, nudge);
+    [n.x.mul_add(nudge, m.v.x), n.y.mul_add(nudge, m.v.y)]
 }
