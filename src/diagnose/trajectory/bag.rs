@@ -6,7 +6,7 @@ use super::cdr::{self, Imu, JointState};
 use super::keys::{Cut, Topics};
 use crate::error::{Error, Result};
 use crate::table::Cells;
-use mcap::records::Record;
+use mcap::records::op;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use std::collections::HashMap;
 use std::fs::File;
@@ -46,7 +46,8 @@ pub struct Bag {
 /// What is known while a file is read.
 struct Reading<'a> {
     topics: &'a Topics,
-    schemas: HashMap<u16, String>,
+    /// Those that are read.
+    schemas: HashMap<u16, Kind>,
     channels: HashMap<u16, Kind>,
     /// Topics taken, of each kind.
     taken: [Option<String>; 2],
@@ -71,72 +72,108 @@ pub fn read(path: &Path, topics: &Topics, cuts: &[Cut]) -> Result<Bag> {
                 reader.notify_read(count);
             }
             LinearReadEvent::Record { opcode, data } => {
-                let record = match mcap::records::op::MESSAGE == opcode
-                    || mcap::records::op::CHANNEL == opcode
-                    || mcap::records::op::SCHEMA == opcode
-                {
-                    true => mcap::parse_record(opcode, data),
-                    false => continue,
-                };
-                let record = record.map_err(|e| Error::file(path, format!("MCAP: {e}")))?;
-                reading.take(record).map_err(|reason| Error::file(path, reason))?;
+                reading.take(opcode, data).map_err(|reason| Error::file(path, reason))?;
             }
         }
     }
     reading.bag.finish(path, reading.taken)
 }
 
+type Told<T> = std::result::Result<T, String>;
+
+/// What is left of a record.
+struct Fields<'a> {
+    data: &'a [u8],
+}
+
+impl<'a> Fields<'a> {
+    fn bytes<const N: usize>(&mut self) -> Told<[u8; N]> {
+        let (bytes, rest) = self.data.split_first_chunk::<N>().ok_or("MCAP: a record ends too early")?;
+        self.data = rest;
+        Ok(*bytes)
+    }
+
+    fn short(&mut self) -> Told<u16> {
+        self.bytes().map(u16::from_le_bytes)
+    }
+
+    fn text(&mut self) -> Told<&'a str> {
+        let length = u32::from_le_bytes(self.bytes()?) as usize;
+        let (text, rest) = self.data.split_at_checked(length).ok_or("MCAP: a text reaches beyond its record")?;
+        self.data = rest;
+        std::str::from_utf8(text).map_err(|_| "MCAP: a text that is not UTF-8".into())
+    }
+}
+
 impl Reading<'_> {
-    fn take(&mut self, record: Record) -> std::result::Result<(), String> {
-        match record {
-            Record::Schema { header, .. } => {
-                self.schemas.insert(header.id, header.name);
+    /// Takes a record, which is a slice of the file: lengths in it are believed only as far as it reaches.
+    fn take(&mut self, opcode: u8, data: &[u8]) -> Told<()> {
+        let mut fields = Fields { data };
+        match opcode {
+            op::SCHEMA => {
+                let (id, name) = (fields.short()?, fields.text()?);
+                // Before ROS 2 spoke of msg, packages had no such part.
+                let is = |own: &str| name == own || name == own.replace("/msg/", "/");
+                match [(JOINTS, Kind::Joints), (IMU, Kind::Imu)].into_iter().find(|k| is(k.0)) {
+                    Some((_, kind)) => drop(self.schemas.insert(id, kind)),
+                    None => drop(self.schemas.remove(&id)),
+                }
             }
-            Record::Channel(channel) => {
-                let schema = self.schemas.get(&channel.schema_id).map(|name| name.replace("/msg/", "/"));
-                let of = |name: &str| schema.as_deref() == Some(name.replace("/msg/", "/").as_str());
-                let (kind, asked) = match (of(JOINTS), of(IMU)) {
-                    (true, _) => (Kind::Joints, &self.topics.joints),
-                    (_, true) => (Kind::Imu, &self.topics.imu),
-                    _ => return self.bounded(),
-                };
-                if asked.as_ref().is_some_and(|asked| *asked != channel.topic) {
-                    return self.bounded();
-                }
-                if channel.message_encoding != "cdr" {
-                    return Err(format!("topic {}: encoding {:?}, not cdr", channel.topic, channel.message_encoding));
-                }
-                let taken = &mut self.taken[kind as usize];
-                if let Some(other) = taken.as_ref().filter(|other| **other != channel.topic) {
-                    let what = if kind == Kind::Joints { "joints" } else { "imu" };
-                    let both = format!("topics {other} and {} both have {}", channel.topic, schema.unwrap_or_default());
-                    return Err(format!("{both}: state [topics] {what}"));
-                }
-                *taken = Some(channel.topic);
-                self.channels.insert(channel.id, kind);
+            op::CHANNEL => {
+                let (id, schema) = (fields.short()?, fields.short()?);
+                self.channel(id, schema, fields.text()?, fields.text()?)?;
             }
-            Record::Message { header, data } => {
-                let log_time = 1e-9 * header.log_time as f64;
-                match self.channels.get(&header.channel_id) {
-                    Some(Kind::Joints) => {
-                        let state = cdr::joint_state(&data).map_err(|e| format!("a message of joints {e}"))?;
-                        self.joints(state, log_time)?;
-                    }
-                    Some(Kind::Imu) => {
-                        let imu = cdr::imu(&data).map_err(|e| format!("a message of the IMU {e}"))?;
-                        let stamp = if imu.stamp == 0.0 { log_time } else { imu.stamp };
-                        self.bag.imu.push(Imu { stamp, ..imu });
-                        self.numbers += 11;
-                    }
-                    None => {}
-                }
+            op::MESSAGE => {
+                let id = fields.short()?;
+                fields.bytes::<4>()?; // its number
+                let log_time = 1e-9 * u64::from_le_bytes(fields.bytes()?) as f64;
+                fields.bytes::<8>()?; // when it was published
+                self.message(id, log_time, fields.data)?;
             }
             _ => {}
         }
         self.bounded()
     }
 
-    fn bounded(&self) -> std::result::Result<(), String> {
+    fn channel(&mut self, id: u16, schema: u16, topic: &str, encoding: &str) -> Told<()> {
+        let (kind, key, asked) = match self.schemas.get(&schema) {
+            Some(Kind::Joints) => (Kind::Joints, "joints", &self.topics.joints),
+            Some(Kind::Imu) => (Kind::Imu, "imu", &self.topics.imu),
+            None => return Ok(()),
+        };
+        if asked.as_ref().is_some_and(|asked| asked != topic) {
+            return Ok(());
+        }
+        if encoding != "cdr" {
+            return Err(format!("topic {topic}: encoding {encoding:?}, not cdr"));
+        }
+        let taken = &mut self.taken[kind as usize];
+        if let Some(other) = taken.as_ref().filter(|other| *other != topic) {
+            return Err(format!("topics {other} and {topic} are of one kind: state [topics] {key}"));
+        }
+        *taken = Some(topic.to_string());
+        self.channels.insert(id, kind);
+        Ok(())
+    }
+
+    fn message(&mut self, id: u16, log_time: f64, data: &[u8]) -> Told<()> {
+        match self.channels.get(&id) {
+            Some(Kind::Joints) => {
+                let state = cdr::joint_state(data).map_err(|e| format!("a message of joints {e}"))?;
+                self.joints(state, log_time)?;
+            }
+            Some(Kind::Imu) => {
+                let imu = cdr::imu(data).map_err(|e| format!("a message of the IMU {e}"))?;
+                let stamp = if imu.stamp == 0.0 { log_time } else { imu.stamp };
+                self.bag.imu.push(Imu { stamp, ..imu });
+                self.numbers += 11;
+            }
+            None => {}
+        }
+        Ok(())
+    }
+
+    fn bounded(&self) -> Told<()> {
         if self.numbers > MOST_NUMBERS {
             return Err(format!("more than {MOST_NUMBERS} numbers: keep every n-th message"));
         }
@@ -146,7 +183,7 @@ impl Reading<'_> {
         }
     }
 
-    fn joints(&mut self, state: JointState, log_time: f64) -> std::result::Result<(), String> {
+    fn joints(&mut self, state: JointState, log_time: f64) -> Told<()> {
         let bag = &mut self.bag;
         if bag.names.is_empty() {
             bag.names.clone_from(&state.names);
@@ -170,7 +207,8 @@ impl Reading<'_> {
 
 impl Bag {
     fn finish(mut self, path: &Path, taken: [Option<String>; 2]) -> Result<Self> {
-        let what = [(self.joints.is_empty(), &taken[0], "joints", JOINTS), (self.imu.is_empty(), &taken[1], "imu", IMU)];
+        let what =
+            [(self.joints.is_empty(), &taken[0], "joints", JOINTS), (self.imu.is_empty(), &taken[1], "imu", IMU)];
         if let Some((_, topic, key, kind)) = what.into_iter().find(|w| w.0) {
             let reason = match topic {
                 Some(topic) => format!("topic {topic} has no messages"),
@@ -190,7 +228,8 @@ impl Bag {
     pub fn header(&self) -> Vec<String> {
         let fixed = ["run", "condition", "leg", "slope_deg", "stride_frequency", "t"];
         let kinds = [(true, "q"), (self.lists[0], "qd"), (self.lists[1], "tau")];
-        let of = |name: &String| kinds.iter().filter(|k| k.0).map(move |k| format!("{}:{name}", k.1)).collect::<Vec<_>>();
+        let of =
+            |name: &String| kinds.iter().filter(|k| k.0).map(move |k| format!("{}:{name}", k.1)).collect::<Vec<_>>();
         let mut all: Vec<String> = fixed.map(String::from).into();
         all.extend(self.names.iter().flat_map(of));
         all.extend(["gyro_x", "gyro_y", "gyro_z", "acc_x", "acc_y", "acc_z"].map(String::from));

@@ -177,7 +177,8 @@ fn one_log_in_three_formats() {
         for (a, b) in got.runs.iter().zip(&want.runs) {
             assert_eq!((&a.name, &a.condition, &a.leg), (&b.name, &b.condition, &b.leg));
             assert_eq!((a.slope_deg, a.frequency, a.t.len()), (b.slope_deg, b.frequency, b.t.len()));
-            let all = |r: &super::log::Run| [r.q.concat(), r.qd.concat(), r.tau.concat(), r.gyro.concat(), r.acc.concat()];
+            let all =
+                |r: &super::log::Run| [r.q.concat(), r.qd.concat(), r.tau.concat(), r.gyro.concat(), r.acc.concat()];
             for (a, b) in all(a).concat().iter().zip(all(b).concat()) {
                 assert!((a - b).abs() <= close, "{a} {b}");
             }
