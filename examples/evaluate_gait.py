@@ -51,7 +51,8 @@ class Score:
     @property
     def relative_error(self) -> Values:
         """|mean speed − commanded speed| / |commanded speed|."""
-        return self.error / np.abs(self.commanded)
+        with np.errstate(divide="ignore"):
+            return self.error / np.abs(self.commanded)
 
     def summary(self) -> dict[str, Any]:
         """Means, and the half width of the return's 95 % interval."""
@@ -68,7 +69,10 @@ def evaluate(
     """Plays one episode for each of `seeds` unseen seeds."""
     env = sandgait.SandgaitVectorEnv(task, seeds, address, **options)
     observations, _ = env.reset(seed=FIRST_SEED)
-    sums = {key: np.zeros(seeds) for key in ("reward", "steps", "x_velocity", "commanded_speed", "work")}
+    # LeggedVelocity turns, so its speed is that along the base, and its command has three parts.
+    turns = "command_lin_vel_x" in [column.name for column in env.task.info]
+    moved, wanted = ("speed", "command_lin_vel_x") if turns else ("x_velocity", "commanded_speed")
+    sums = {key: np.zeros(seeds) for key in ("reward", "steps", moved, wanted, "work")}
     fell = np.zeros(seeds, dtype=np.bool_)
     running = np.ones(seeds, dtype=np.bool_)
     while running.any():
@@ -80,10 +84,10 @@ def evaluate(
         running &= ~(terminated | truncated)
     env.close()
     steps = sums["steps"]
-    speed, power = sums["x_velocity"] / steps, sums["work"] / steps * env.task.control_rate
+    speed, power = sums[moved] / steps, sums["work"] / steps * env.task.control_rate
     moving = np.where(speed > LEAST_SPEED, speed, np.nan)
     cost = power / (infos.get("weight", np.nan) * moving)
-    return Score(name, sums["reward"], speed, sums["commanded_speed"] / steps, power, cost, fell)
+    return Score(name, sums["reward"], speed, sums[wanted] / steps, power, cost, fell)
 
 
 def constant_rate(frequency: float) -> Policy:

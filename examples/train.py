@@ -7,7 +7,8 @@
     tensorboard --logdir runs
 
 Settings stand in examples/hyperparameters/, one file an algorithm and one entry a task. The output directory gets
-policy.zip, normalize.pkl, settings.json, curve.csv, curve.png, evaluation.txt, checkpoints/, videos/ and tensorboard/.
+policy.zip, policy.onnx, normalize.pkl, settings.json, curve.csv, curve.png, evaluation.txt, checkpoints/, videos/ and
+tensorboard/.
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ from training import (
     task_id,
 )
 from video import Video
+
+import sandgait
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -114,6 +117,7 @@ def main() -> None:
     progress = training.progress
     training.model.save(out / "policy.zip")
     training.normalized.save(str(out / "normalize.pkl"))
+    sandgait.export_onnx(training.model, out / "policy.onnx", training.normalized)
     name = f"learnt ({arguments.algorithm.upper()})"
     policy = learnt(training.model, training.normalized)
     scores = [evaluate(name, policy, arguments.id, arguments.address, **arguments.options)]

@@ -4,6 +4,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use rand::{Rng as _, SeedableRng as _};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::Result;
+use sandgait::env::Task;
 use sandgait::env::gait::HexapodGait;
 use sandgait::evaluate::episode::Episode;
 use sandgait::evaluate::{Figures, Request, Row, Study, Wanted};

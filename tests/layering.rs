@@ -1,6 +1,7 @@
 //! Data flow one way. The folders of `src/` are crates, so Cargo refuses every circle and the compiler every name of a crate
 //! that a Cargo.toml does not list; these tests hold what the lists may say. See ARCHITECTURE.md.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// Only these may depend on what stands first: threads that wait, networks and messages, the other engine's library.
@@ -68,4 +69,121 @@ fn every_folder_of_sources_is_a_crate() {
             known.iter().any(|(listed, _)| *listed == name) || ["cli", "validate"].contains(&name.as_str());
         assert!(!path.is_dir() || crate_or_root, "src/{name} is in no list");
     }
+}
+
+/// Circles of files that are left, each as its files; this list must only shrink.
+const CIRCLES: [&[&str]; 4] = [
+    &["diagnose/likelihood", "diagnose/noise", "diagnose/repeats"],
+    &[
+        "diagnose/arm",
+        "diagnose/experiment",
+        "diagnose/fit",
+        "diagnose/force_log",
+        "diagnose/forward",
+        "diagnose/motion",
+        "diagnose/nuisance",
+        "diagnose/response",
+        "diagnose/study",
+    ],
+    &["diagnose/summary", "diagnose/view"],
+    &["sim/tree/floor", "sim/tree/terrain"],
+];
+
+type File = Vec<String>;
+
+/// Every file of `src/NAME` but tests and generated ones, as its path in the crate, with the files that it names by
+/// `crate::` or `super::` outside of its tests. A file and its folder's `mod.rs` may name each other.
+fn files(name: &str) -> BTreeMap<File, BTreeSet<File>> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src").join(name);
+    let mut texts: BTreeMap<File, String> = BTreeMap::new();
+    let mut folders = vec![root.clone()];
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            let (stem, relative) = (path.file_stem().unwrap(), path.strip_prefix(&root).unwrap());
+            if path.is_dir() && !["generated", "tests"].iter().any(|skipped| path.ends_with(skipped)) {
+                folders.push(path.clone());
+            } else if path.extension().is_some_and(|e| e == "rs") && stem != "tests" {
+                let place = relative.with_extension("");
+                let parts = place.iter().map(|part| part.to_str().unwrap().to_owned()).filter(|part| part != "mod");
+                texts.insert(parts.collect(), std::fs::read_to_string(&path).unwrap());
+            }
+        }
+    }
+    let known: BTreeSet<File> = texts.keys().cloned().collect();
+    texts.into_iter().map(|(file, text)| (file.clone(), named(&file, &text, &known))).collect()
+}
+
+/// The files among `known` that `text`, the text of `file`, names.
+fn named(file: &File, text: &str, known: &BTreeSet<File>) -> BTreeSet<File> {
+    let code = text.split("#[cfg(test)]\nmod").next().unwrap_or_default();
+    let lines = code.lines().map(|line| line.split("//").next().unwrap_or_default());
+    let mut all = BTreeSet::new();
+    for line in lines {
+        for (at, start) in line.match_indices("crate::").chain(line.match_indices("super::")) {
+            // The second of `super::super::`, and `my_crate::`, are no starts.
+            if line[..at].ends_with(|c: char| c.is_alphanumeric() || c == '_' || c == ':') {
+                continue;
+            }
+            let mut rest = &line[at + start.len()..];
+            let mut place = if start == "crate::" { Vec::new() } else { file[..file.len().saturating_sub(1)].to_vec() };
+            while let Some(shorter) = rest.strip_prefix("super::") {
+                rest = shorter;
+                place.pop();
+            }
+            let branches = rest.strip_prefix('{').map_or(vec![rest], |list| list.split(", ").collect());
+            for branch in branches {
+                let mut found = place.clone();
+                for part in branch.split("::").map(|p| p.trim_end_matches(|c: char| !c.is_alphanumeric() && c != '_')) {
+                    found.push(part.to_owned());
+                    if !known.contains(&found) {
+                        found.pop();
+                        break;
+                    }
+                }
+                let related = found.starts_with(file) || file.starts_with(&found);
+                if !related {
+                    all.insert(found);
+                }
+            }
+        }
+    }
+    all
+}
+
+/// All files that `from` names, or that those name.
+fn reached<'a>(from: &'a File, files: &'a BTreeMap<File, BTreeSet<File>>) -> BTreeSet<&'a File> {
+    let (mut all, mut next) = (BTreeSet::new(), vec![from]);
+    while let Some(file) = next.pop() {
+        for other in files.get(file).into_iter().flatten() {
+            if all.insert(other) {
+                next.push(other);
+            }
+        }
+    }
+    all
+}
+
+#[test]
+fn no_files_use_each_other_in_a_circle() {
+    let mut found: BTreeSet<Vec<String>> = BTreeSet::new();
+    for (name, _) in crates() {
+        if name == "root" {
+            continue;
+        }
+        let files = files(&name);
+        for file in files.keys() {
+            let circle = reached(file, &files).into_iter().filter(|other| reached(other, &files).contains(file));
+            let circle: BTreeSet<_> = circle.map(|other| format!("{name}/{}", other.join("/"))).collect();
+            if !circle.is_empty() {
+                found.insert(circle.into_iter().collect());
+            }
+        }
+    }
+    let known: BTreeSet<Vec<String>> =
+        CIRCLES.iter().map(|circle| circle.iter().map(|file| (*file).to_owned()).collect()).collect();
+    let new: Vec<_> = found.difference(&known).collect();
+    assert!(new.is_empty(), "new circles of files: {new:#?}");
+    let gone: Vec<_> = known.difference(&found).collect();
+    assert!(gone.is_empty(), "circles that are gone, to be struck off the list: {gone:#?}");
 }

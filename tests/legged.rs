@@ -146,7 +146,7 @@ fn a_tree_is_no_engine_for_hexapods() {
 fn robots_stand_on_dunes() {
     let options = json!({"ground": "dunes", "measure_heights": true, "domain_rand": null});
     let blueprint = blueprint(options.clone());
-    let relief = blueprint.setup.model.scene.relief.clone().unwrap();
+    let relief = blueprint.task.model().scene.relief.clone().unwrap();
     let columns = blueprint.task.spec().observation.len();
     assert_eq!(blueprint.task.spec().observation[columns - 187].name, "measured_heights -0.8 -0.5");
     let mut shard = shard(options, 4);

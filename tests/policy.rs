@@ -8,6 +8,7 @@ mod mutate;
 
 use rand::{Rng as _, SeedableRng as _};
 use rand_xoshiro::Xoshiro256PlusPlus;
+use sandgait::env::Task;
 use sandgait::env::gait::HexapodGait;
 use sandgait::env::registry::Blueprint;
 use sandgait::policy::Network;

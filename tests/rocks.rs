@@ -1,14 +1,15 @@
 //! Rigid obstacles on engine `rapier`: laws first, then what a robot does among them.
 
 use sandgait::env::ResetOptions;
-use sandgait::env::options::{Partial, RockOptions};
+use sandgait::env::options::Options;
 use sandgait::env::random::Random;
 use sandgait::env::registry::Blueprint;
+use sandgait::env::rocks::RockOptions;
 use sandgait::pool::{Batch, Pool};
 use sandgait::sand::Medium;
 use sandgait::sim::engine::{Command, Engine, EngineKind};
 use sandgait::sim::model::Scene;
-use sandgait::sim::obstacle::{MOST, Obstacle, Shape};
+use sandgait::sim::obstacle::{MOST, Obstacle, ObstacleShape};
 use sandgait::sim::overlap::overlap;
 use sandgait::sim::{Model, Robot, State};
 
@@ -53,10 +54,10 @@ fn run(model: &Model, state: &State, command: &Command, time: f64, mut look: imp
     now
 }
 
-fn rock(size: f64) -> Shape {
+fn rock(size: f64) -> ObstacleShape {
     let at =
         [[1.0, 0.2, 0.3], [-0.8, 0.5, -0.2], [0.1, -0.9, 0.4], [0.2, 0.7, -0.6], [-0.5, -0.6, -0.5], [0.0, 0.1, 0.9]];
-    Shape::Hull { points: at.map(|p| p.map(|c| c * size / 2.0)).to_vec() }
+    ObstacleShape::Hull { points: at.map(|p| p.map(|c| c * size / 2.0)).to_vec() }
 }
 
 /// Momentum [kg·m/s] and angular momentum [kg·m²/s] of robot and rocks, and kinetic energy [J]; legs as points.
@@ -97,7 +98,7 @@ fn mechanics(model: &Model, state: &State) -> (V, V, f64) {
 /// A robot that hits a free rock, no weight, no sand: action and reaction.
 #[test]
 fn a_collision_keeps_momentum_and_makes_no_energy() {
-    for shape in [Shape::Sphere { radius: 0.02 }, Shape::Box { size: [0.03, 0.04, 0.05] }, rock(0.05)] {
+    for shape in [ObstacleShape::Sphere { radius: 0.02 }, ObstacleShape::Box { size: [0.03, 0.04, 0.05] }, rock(0.05)] {
         let obstacle = Obstacle::fixed(shape, [0.12, 0.03, 100.0]).loose(DENSITY);
         let mut model = model(&[obstacle]);
         model.gravity *= 0.0;
@@ -127,7 +128,7 @@ fn a_collision_keeps_momentum_and_makes_no_energy() {
 /// A new world's first step has its contacts too: legs that fly at a ball, one time step a call.
 #[test]
 fn contacts_hold_from_the_first_step_of_a_world() {
-    let ball = Obstacle::fixed(Shape::Sphere { radius: 0.02 }, [0.12, 0.04, 99.97]).loose(DENSITY);
+    let ball = Obstacle::fixed(ObstacleShape::Sphere { radius: 0.02 }, [0.12, 0.04, 99.97]).loose(DENSITY);
     let mut model = model(&[ball]);
     model.gravity *= 0.0;
     let mut state = State { position: [0.0, 0.0, 100.0], velocity: [1.0, 0.0, 0.0], ..start(&model) };
@@ -148,7 +149,7 @@ fn contacts_hold_from_the_first_step_of_a_world() {
 #[test]
 fn a_loose_rock_rests() {
     let size = 0.04;
-    for shape in [Shape::Box { size: [size; 3] }, Shape::Sphere { radius: size / 2.0 }, rock(size)] {
+    for shape in [ObstacleShape::Box { size: [size; 3] }, ObstacleShape::Sphere { radius: size / 2.0 }, rock(size)] {
         let obstacle = Obstacle::fixed(shape.clone(), [0.3, 0.0, size / 2.0]).loose(DENSITY);
         let model = model(&[obstacle]);
         let first = start(&model);
@@ -162,7 +163,7 @@ fn a_loose_rock_rests() {
             end.objects[0].velocity
         );
         assert!(moved.norm() < 1e-4, "{shape:?} moved {moved}");
-        if let Shape::Box { .. } = shape {
+        if let ObstacleShape::Box { .. } = shape {
             // Let go on the surface it stops where ½ 0.254 N/cm³ × area × depth² is the weight's work m g × depth, twice
             // as deep as where the force alone is m g. On top of that: 1e-5 m/s of creep, and the step.
             let depth = 2.0 * DENSITY * size * 9.80665 / 0.254e6;
@@ -223,7 +224,7 @@ fn a_hard_patch_carries_the_robot() {
 
 #[test]
 fn a_walking_robot_pushes_a_loose_rock() {
-    let light = Obstacle::fixed(Shape::Sphere { radius: 0.015 }, [0.2, 0.0, 0.013]).loose(1000.0);
+    let light = Obstacle::fixed(ObstacleShape::Sphere { radius: 0.015 }, [0.2, 0.0, 0.013]).loose(1000.0);
     let model = model(&[light]);
     let mut most: f64 = 0.0;
     let first = start(&model);
@@ -248,7 +249,7 @@ fn a_state_with_rocks_resumes_with_the_same_bits() {
     let obstacles = [
         Obstacle::block([0.15, 0.0], [0.05, 0.3], 0.015, 0.3),
         Obstacle::fixed(rock(0.03), [0.13, 0.05, 0.03]).loose(DENSITY),
-        Obstacle::fixed(Shape::Sphere { radius: 0.01 }, [0.14, -0.05, 0.025]).loose(DENSITY),
+        Obstacle::fixed(ObstacleShape::Sphere { radius: 0.01 }, [0.14, -0.05, 0.025]).loose(DENSITY),
     ];
     let model = model(&obstacles);
     let first = start(&model);
@@ -267,8 +268,8 @@ fn what_is_refused() {
     assert!(refused(Obstacle { density: Some(0.0), ..step.clone() }));
     assert!(refused(Obstacle { orientation: [0.0; 4], ..step.clone() }));
     assert!(refused(Obstacle { friction: f64::NAN, ..step.clone() }));
-    assert!(refused(Obstacle::fixed(Shape::Sphere { radius: -0.1 }, [0.0; 3])));
-    assert!(refused(Obstacle::fixed(Shape::Hull { points: vec![[0.0; 3]; 8] }, [0.0; 3])));
+    assert!(refused(Obstacle::fixed(ObstacleShape::Sphere { radius: -0.1 }, [0.0; 3])));
+    assert!(refused(Obstacle::fixed(ObstacleShape::Hull { points: vec![[0.0; 3]; 8] }, [0.0; 3])));
     assert!(model(&[]).with_obstacles(&vec![step.clone(); MOST + 1]).is_err());
     let text = serde_json::to_string(&step).unwrap();
     assert_eq!(serde_json::from_str::<Obstacle>(&text).unwrap(), step);
@@ -285,7 +286,7 @@ fn a_robot_with_random_actions_passes_through_nothing() {
     let (mut deepest, mut touched): (f64, usize) = (0.0, 0);
     for seed in 0..8 {
         let mut random = Random::new(seed, 0);
-        let (mut state, goal) = blueprint.task.begin(&blueprint.setup, &mut random);
+        let (mut state, goal) = blueprint.task.begin(&mut random);
         let model = goal.model.unwrap();
         let mut engine = Engine::new(EngineKind::Rapier, &model, 1).unwrap();
         engine.set_state(0, &state);
@@ -313,9 +314,9 @@ fn a_robot_with_random_actions_passes_through_nothing() {
 #[test]
 fn drawn_rocks_suit_the_scene_and_the_seed() {
     let options = RockOptions::default();
-    options.validate().unwrap();
+    options.check_all("").unwrap();
     let widest = RockOptions { count: 64, size: [5e-3, 0.5], step_height: [0.0, 0.5], field: [100.0; 2], ..options };
-    widest.validate().unwrap();
+    widest.check_all("").unwrap();
     for seed in 0..50 {
         for options in [options, widest] {
             let draw = |seed| options.draw(&mut Random::new(seed, 0));
@@ -348,8 +349,8 @@ fn rows(threads: usize) -> Vec<f32> {
     batch = pool.wait(batch, reset).unwrap();
     for step in 0..60 {
         if step == 30 {
-            let rocks = Some(Partial::all(&RockOptions { count: 30, dynamic_fraction: 1.0, ..RockOptions::default() }));
-            let reset = batch.reset(None, None, ResetOptions { rocks, ..ResetOptions::default() }).unwrap();
+            let rocks = serde_json::json!({"rocks": {"count": 30, "dynamic_fraction": 1.0}});
+            let reset = batch.reset(None, None, ResetOptions::new(rocks).unwrap()).unwrap();
             batch = pool.wait(batch, reset).unwrap();
         }
         let actions = (0..36).map(|i| ((i * 7 + step) % 11) as f32 / 11.0).collect();
@@ -382,10 +383,10 @@ fn the_task_scans_heights_and_refuses_what_has_no_rocks() {
     assert!(error("sandgait/HexapodRocks-v1", serde_json::json!({"rocks": {"colour": 1}})).contains("rocks"));
 
     let rocks = blueprint("sandgait/HexapodRocks-v1", serde_json::Value::Null).unwrap();
-    let (state, mut goal) = rocks.task.begin(&rocks.setup, &mut Random::new(0, 0));
+    let (state, mut goal) = rocks.task.begin(&mut Random::new(0, 0));
     // One step 10 to 12 cm ahead of a robot that looks along +y.
     let step = Obstacle::block([0.0, 0.13], [0.5, 0.02], 0.015, 0.0);
-    goal.model = Some(rocks.setup.model.with_obstacles(&[step]).unwrap().into());
+    goal.model = Some(rocks.task.model().with_obstacles(&[step]).unwrap().into());
     let half = std::f64::consts::FRAC_1_SQRT_2;
     let state = State { orientation: [half, 0.0, 0.0, half], objects: Vec::new(), ..state };
     let columns = &rocks.task.spec().observation;

@@ -1,10 +1,10 @@
 //! What every task keeps to: left and right are alike, and its page is what its code says.
 
-use sandgait::env::Column;
 use sandgait::env::ground::Change;
 use sandgait::env::random::Random;
 use sandgait::env::registry::Blueprint;
 use sandgait::env::task::{Goal, Transition};
+use sandgait::env::{Column, ResetOptions};
 use sandgait::number::Isa;
 use sandgait::sim::engine::Command;
 use sandgait::sim::lanes::LanesEngine;
@@ -76,8 +76,8 @@ struct Twins<'a> {
 
 impl<'a> Twins<'a> {
     fn new(blueprint: &'a Blueprint) -> Self {
-        let model = &blueprint.setup.model;
-        let (state, goal) = blueprint.task.begin(&blueprint.setup, &mut Random::new(5, 0));
+        let model = blueprint.task.model();
+        let (state, goal) = blueprint.task.begin(&mut Random::new(5, 0));
         let mut engine = LanesEngine::with_isa(Isa::F64, model, 2).unwrap();
         let states = [state.clone(), mirrored_state(&state, &other_side(model))];
         for (i, state) in states.iter().enumerate() {
@@ -91,27 +91,27 @@ impl<'a> Twins<'a> {
 
     /// Observation and info of each.
     fn step(&mut self, actions: [Vec<f32>; 2]) -> [(Vec<f32>, Vec<f32>); 2] {
-        let (task, setup) = (&*self.blueprint.task, &self.blueprint.setup);
+        let task = &*self.blueprint.task;
         let period = 1.0 / task.spec().control_rate;
-        let mut command = Command::still(setup.model.joints());
+        let mut command = Command::still(task.model().joints());
         for (i, action) in actions.iter().enumerate() {
             task.command(action, &self.states[i], &mut command);
             self.engine.command(i, &command);
         }
-        self.engine.advance((period / setup.model.scene.dt).round() as usize);
+        self.engine.advance((period / task.model().scene.dt).round() as usize);
         let rows = [0, 1].map(|i| {
             let before = self.states[i].clone();
             self.engine.state(i, &mut self.states[i]);
-            let rows = self.judge(i, &before, &actions[i], period);
-            self.walked(i);
+            let rows = self.evaluate(i, &before, &actions[i], period);
+            self.after_step(i);
             rows
         });
         self.last = actions;
         rows
     }
 
-    fn walked(&mut self, i: usize) {
-        let change = self.blueprint.task.walked(&self.blueprint.setup, &mut self.goals[i], &self.states[i]);
+    fn after_step(&mut self, i: usize) {
+        let change = self.blueprint.task.after_step(&mut self.goals[i], &self.states[i]);
         let (Some(model), Some(ground)) = (&self.goals[i].model, &self.goals[i].ground) else { return };
         if change == Change::Patch {
             self.engine.set_model(i, model);
@@ -120,15 +120,14 @@ impl<'a> Twins<'a> {
         self.engine.set_footing(i, model, &ground.footing);
     }
 
-    fn judge(&self, i: usize, before: &State, action: &[f32], period: f64) -> (Vec<f32>, Vec<f32>) {
+    fn evaluate(&self, i: usize, before: &State, action: &[f32], period: f64) -> (Vec<f32>, Vec<f32>) {
         let (task, after) = (&self.blueprint.task, &self.states[i]);
         let (mut row, mut info) = (vec![0.0; task.spec().observation.len()], vec![0.0; task.spec().info.len()]);
         task.observe(&self.goals[i], after, action, &mut row);
         let (goal, previous_action) = (&self.goals[i], &self.last[i]);
-        let (setup, own) = (&self.blueprint.setup, &goal.model);
-        let (model, options) = (own.as_deref().unwrap_or(&setup.model), &setup.options);
-        task.judge(
-            &Transition { options, model, goal, before, after, action, previous_action, period, diverged: false },
+        let model = goal.model.as_ref().unwrap_or(task.model());
+        task.evaluate(
+            &Transition { model, goal, before, after, action, previous_action, period, diverged: false },
             &mut info,
         );
         (row, info)
@@ -159,7 +158,7 @@ fn tasks_know_no_left_and_right() {
     for (id, options) in every_walk() {
         let what = format!("{id} {options}");
         let blueprint = blueprint(id, options);
-        let (model, spec) = (&*blueprint.setup.model, blueprint.task.spec());
+        let (model, spec) = (&**blueprint.task.model(), blueprint.task.spec());
         let mut twins = Twins::new(&blueprint);
         let mut aside = 0.0;
         // Legs without servos fling the robot about: rounding grows, and after a second it shows.
@@ -223,7 +222,7 @@ fn what_is_commanded_is_observed() {
     for id in WALKING {
         let blueprint = blueprint(id, json!({"turn": [0.5, 0.5], "command": [0.2, 0.2]}));
         let (task, columns) = (&blueprint.task, &blueprint.task.spec().observation);
-        let (state, goal) = task.begin(&blueprint.setup, &mut Random::new(1, 0));
+        let (state, goal) = task.begin(&mut Random::new(1, 0));
         let mut row = vec![0.0; columns.len()];
         task.observe(&goal, &state, &vec![0.0; task.spec().action.len()], &mut row);
         let told = |name: &str| row[columns.iter().position(|c| c.name == name).unwrap()];
@@ -242,15 +241,14 @@ fn yawed(state: &State, yaw: f64) -> State {
 /// the yaw speed `turning` [rad/s] and this much `work` [J].
 fn paid(headings: [f64; 2], moved: [f64; 2], turning: f64, work: f64) -> impl Fn(&str) -> f64 {
     let blueprint = blueprint(GAIT, json!({"command": [0.25, 0.25]}));
-    let (task, setup) = (blueprint.task.clone(), &blueprint.setup);
-    let (state, goal) = task.begin(setup, &mut Random::new(1, 0));
+    let task = blueprint.task.clone();
+    let (state, goal) = task.begin(&mut Random::new(1, 0));
     let [before, mut after] = headings.map(|yaw| yawed(&state, yaw));
     after.position = [state.position[0] + moved[0], state.position[1] + moved[1], state.position[2]];
     (after.angular_velocity[2], after.work) = (turning, work);
     let mut info = vec![0.0; task.spec().info.len()];
     let transition = Transition {
-        options: &setup.options,
-        model: &setup.model,
+        model: task.model(),
         goal: &goal,
         before: &before,
         after: &after,
@@ -259,7 +257,7 @@ fn paid(headings: [f64; 2], moved: [f64; 2], turning: f64, work: f64) -> impl Fn
         period: 0.02,
         diverged: false,
     };
-    task.judge(&transition, &mut info);
+    task.evaluate(&transition, &mut info);
     let names: Vec<_> = task.spec().info.iter().map(|c| c.name.clone()).collect();
     move |name| f64::from(info[names.iter().position(|n| n == name).unwrap()])
 }
@@ -309,8 +307,8 @@ fn options_of_other_tasks_are_refused() {
     );
     assert!(refused(GAIT, json!({"control": "magic"})).starts_with("control: "));
     assert!(refused(GAIT, json!({"controls": "clock"})).contains("known: robot, engine"));
-    let reset = serde_json::from_value(json!({"rocks": {"count": 1}})).unwrap();
-    let error = blueprint(GAIT, Value::Null).setup.changed(&reset).err().unwrap().to_string();
+    let reset = ResetOptions::new(json!({"rocks": {"count": 1}})).unwrap();
+    let error = blueprint(GAIT, Value::Null).changed(&reset).err().unwrap().to_string();
     assert!(error.starts_with("rocks: ") && error.contains("HexapodRocks"), "{error}");
 }
 

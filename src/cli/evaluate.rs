@@ -1,6 +1,7 @@
 //! `sandgait evaluate`
 
 use super::Bar;
+use sandgait::env::Task;
 use sandgait::env::gait::HexapodGait;
 use sandgait::evaluate::{Request, Row, Study, Wanted, table};
 use sandgait::{Error, Result};

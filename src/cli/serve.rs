@@ -47,7 +47,7 @@ pub struct Serve {
     #[command(flatten)]
     security: Security,
     #[command(flatten)]
-    lent: Lent,
+    session_limits: SessionLimits,
     #[command(flatten)]
     peers: Peers,
     #[command(flatten)]
@@ -128,7 +128,7 @@ struct Peers {
 
 /// What the server lends out at most.
 #[derive(clap::Args)]
-struct Lent {
+struct SessionLimits {
     /// Sessions at a time
     #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(1..))]
     max_sessions: u32,
@@ -184,7 +184,8 @@ impl Serve {
     }
 
     fn limits(&self) -> Limits {
-        let Lent { max_sessions, max_envs, max_memory_mib, max_message_mib, lease_seconds } = self.lent;
+        let SessionLimits { max_sessions, max_envs, max_memory_mib, max_message_mib, lease_seconds } =
+            self.session_limits;
         Limits {
             sessions: max_sessions as usize,
             environments: max_envs as usize,

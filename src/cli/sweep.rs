@@ -1,6 +1,7 @@
 //! `sandgait sweep`
 
 use super::Bar;
+use sandgait::env::Task;
 use sandgait::env::gait::HexapodGait;
 use sandgait::error::check_range;
 use sandgait::plot::png;

@@ -1,7 +1,7 @@
 //! The page of a task: its tables as Markdown, made from the data that make its rows.
 
 use sandgait::Result;
-use sandgait::env::options::Control;
+use sandgait::env::control::Control;
 use sandgait::env::registry::{Blueprint, Keyword};
 use sandgait::env::spec::Term;
 use sandgait::env::{Column, Spec};
@@ -29,7 +29,7 @@ pub fn page(id: &str) -> Result<String> {
         rows(&["column", "term", "weight"], terms.iter().zip(reward).map(term)),
         rows(&["column", "unit", "range"], figures.iter().map(|c| vec![code(&c.name), c.unit.into(), range(c)])),
         columns(observation),
-        rows(&["option", "default", "at", "meaning"], keywords.iter().map(option)),
+        rows(&["option", "default", "at", "meaning"], keywords.iter().flat_map(option)),
     ))
 }
 
@@ -45,9 +45,18 @@ fn term((column, term): (&Column, &Term)) -> Vec<String> {
     vec![code(&column.name), term.law.into(), format!("{}", term.weight)]
 }
 
-fn option(k: &Keyword) -> Vec<String> {
+/// One row, or of a dictionary one more for each of its keys.
+fn option(k: &Keyword) -> Vec<Vec<String>> {
     let when = if k.at_reset { "make, reset" } else { "make" };
-    vec![code(k.name), code(&k.value.to_string()), when.into(), k.summary.into()]
+    let row =
+        |name: &str, value: &Value, help: &str| vec![code(name), code(&value.to_string()), when.into(), help.into()];
+    let keys = k.keys.iter().filter(|_| k.value.is_object());
+    let keys = keys.map(|key| row(&format!("{}.{}", k.name, key.name), &k.value[key.name], key.help));
+    let whole = match k.keys.is_empty() || k.value.is_null() {
+        true => row(k.name, &k.value, &k.summary),
+        false => vec![code(k.name), "a dictionary:".into(), when.into(), k.help.into()],
+    };
+    std::iter::once(whole).chain(keys).collect()
 }
 
 fn columns(table: &[Column]) -> String {

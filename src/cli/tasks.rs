@@ -62,7 +62,7 @@ fn as_text(task: &Blueprint) -> String {
     let columns = |table: &[Column]| super::table(&table.iter().enumerate().map(column).collect::<Vec<_>>());
     let option = |k: Keyword| {
         let when = if k.at_reset { "make, reset" } else { "make" };
-        vec![format!("  {}", k.name), k.value.to_string(), when.into(), k.summary.into()]
+        vec![format!("  {}", k.name), k.value.to_string(), when.into(), k.summary]
     };
     let options = super::table(&task.keywords().into_iter().map(option).collect::<Vec<_>>());
     format!(

@@ -1,6 +1,7 @@
 //! `sandgait train`
 
 use super::Bar;
+use sandgait::env::Task;
 use sandgait::env::gait::HexapodGait;
 use sandgait::evaluate::{FIRST_SEED, Request as Evaluation, table};
 use sandgait::progress::Progress;

@@ -34,7 +34,7 @@ fn tried(answer: TrialsResponse) -> Option<Event> {
     })
 }
 
-fn walked(answer: WalkResponse) -> Option<Event> {
+fn walk_event(answer: WalkResponse) -> Option<Event> {
     Some(match answer.event? {
         walk_response::Event::Progress(progress) => progress.into(),
         walk_response::Event::Table(table) => table.into(),
@@ -81,7 +81,7 @@ pub async fn study(place: &Place, study: Study) -> Result<Events, Status> {
             stream::iter([Ok(table.into())]).boxed()
         }
         Study::Trials(request) => events(client.trials(request).await.map_err(lost)?.into_inner(), tried),
-        Study::Walk(request) => events(client.walk(request).await.map_err(lost)?.into_inner(), walked),
+        Study::Walk(request) => events(client.walk(request).await.map_err(lost)?.into_inner(), walk_event),
         Study::Sweep(request) => events(client.sweep(request).await.map_err(lost)?.into_inner(), swept),
         Study::Evaluate(request) => events(client.evaluate(request).await.map_err(lost)?.into_inner(), evaluated),
         Study::Diagnose(request) => events(client.diagnose(request).await.map_err(lost)?.into_inner(), diagnosed),

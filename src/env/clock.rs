@@ -9,9 +9,8 @@
 //! control step later. So snapshots hold it, left and right are alike, and legs that the speed limit holds up are
 //! waited for. Speeds are constant within a control step, which rounds the corners between stance and swing.
 
-use super::locomotion::CONTROL_RATE;
 use super::reference::toward;
-use super::spec::Column;
+use super::spec::{CONTROL_RATE, Column};
 use crate::sim::State;
 use crate::sim::engine::Command;
 use crate::sim::robot::{Robot, Tripod};
@@ -52,7 +51,7 @@ fn scaled(action: f32, [low, high]: [f64; 2]) -> f64 {
 }
 
 /// `x` less whole strides, in [-0.5, 0.5).
-fn wrapped(x: f64) -> f64 {
+fn wrap_stride(x: f64) -> f64 {
     (x + 0.5).rem_euclid(1.0) - 0.5
 }
 
@@ -68,14 +67,14 @@ impl Stride {
 
     /// Hip angle [rad] at `phase`, in strides from the middle of stance.
     fn angle(&self, phase: f64) -> f64 {
-        let phase = wrapped(phase);
+        let phase = wrap_stride(phase);
         let (stance, swing) = (phase.clamp(-self.duty / 2.0, self.duty / 2.0), 1.0 - self.duty);
         self.offset + stance * self.sweep / self.duty + (phase - stance) * (TAU - self.sweep) / swing
     }
 
     /// The phase at which the hip is at `angle` [rad]; the inverse of [`Self::angle`].
     fn phase(&self, angle: f64) -> f64 {
-        let angle = wrapped((angle - self.offset) / TAU) * TAU;
+        let angle = wrap_stride((angle - self.offset) / TAU) * TAU;
         let stance = angle.clamp(-self.sweep / 2.0, self.sweep / 2.0);
         stance * self.duty / self.sweep + (angle - stance) * (1.0 - self.duty) / (TAU - self.sweep)
     }
@@ -144,8 +143,8 @@ mod tests {
     fn the_phase_of_an_angle_is_the_inverse() {
         for i in -50..50 {
             let phase = f64::from(i) / 100.0;
-            assert!((wrapped(NARROW.phase(NARROW.angle(phase)) - phase)).abs() < 1e-12, "{phase}");
-            assert!((wrapped(NARROW.phase(NARROW.angle(phase) + 3.0 * TAU) - phase)).abs() < 1e-12, "{phase}");
+            assert!((wrap_stride(NARROW.phase(NARROW.angle(phase)) - phase)).abs() < 1e-12, "{phase}");
+            assert!((wrap_stride(NARROW.phase(NARROW.angle(phase) + 3.0 * TAU) - phase)).abs() < 1e-12, "{phase}");
         }
     }
 
@@ -181,13 +180,13 @@ mod tests {
         let clock = Clock::new(&Robot::built_in("xplorer").unwrap());
         let phases = |references: &[f64]| -> Vec<f64> {
             let ahead = |i: usize| clock.tripod[i] + scaled(action[4 + i], PHASE);
-            (0..6).map(|i| wrapped(stride.phase(references[i]) - ahead(i))).collect()
+            (0..6).map(|i| wrap_stride(stride.phase(references[i]) - ahead(i))).collect()
         };
         for k in [150, 160, 199] {
             let all = phases(&history[k]);
-            assert!(all.iter().all(|p| wrapped(p - all[0]).abs() < 1e-9), "step {k}: {all:?}");
+            assert!(all.iter().all(|p| wrap_stride(p - all[0]).abs() < 1e-9), "step {k}: {all:?}");
             let before = phases(&history[k - 1]);
-            assert!((wrapped(all[0] - before[0]) - stride.frequency / CONTROL_RATE).abs() < 1e-9);
+            assert!((wrap_stride(all[0] - before[0]) - stride.frequency / CONTROL_RATE).abs() < 1e-9);
         }
     }
 }

@@ -1,14 +1,34 @@
 //! Ways to drive one hip a leg: what an action of HexapodGait means.
 
 use super::clock::Clock;
-use super::locomotion::CONTROL_RATE;
-use super::options::Control;
+use super::options::OptionValue;
 use super::reference::{TOP_SPEED, toward};
-use super::spec::Column;
-use super::task::Setup;
-use crate::sim::State;
+use super::spec::{CONTROL_RATE, Column};
 use crate::sim::engine::Command;
+use crate::sim::{Robot, State};
+use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
+
+/// The keyword `control`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Control {
+    /// The speed of each hip's reference.
+    HipSpeed,
+    /// The angle each hip's reference goes to.
+    HipTarget,
+    /// The torque of each hip; the servo does nothing.
+    Torque,
+    /// A gait as parameters; see [`super::clock`].
+    Clock,
+}
+
+impl Control {
+    /// As the keyword has them.
+    pub const NAMES: [&'static str; 4] = ["hip_speed", "hip_target", "torque", "clock"];
+}
+
+impl OptionValue for Control {}
 
 /// A way of driving a certain robot.
 pub struct Driver {
@@ -20,10 +40,8 @@ pub struct Driver {
 }
 
 impl Driver {
-    pub fn new(control: Control, setup: &Setup) -> Self {
-        let robot = &setup.model.robot;
-        let (torque_limit, clock) = (setup.options.torque_limit, Clock::new(robot));
-        Self { control, torque_limit, joints: robot.joint_names(), clock }
+    pub fn new(control: Control, robot: &Robot, torque_limit: f64) -> Self {
+        Self { control, torque_limit, joints: robot.joint_names(), clock: Clock::new(robot) }
     }
 
     /// What an action is, for the task's summary.
@@ -72,5 +90,17 @@ impl Driver {
             }
             Control::Clock => self.clock.command(action, state, command),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_the_keywords() {
+        use Control::*;
+        let all = [HipSpeed, HipTarget, Torque, Clock].map(|c| serde_json::to_value(c).unwrap());
+        assert_eq!(all, Control::NAMES.map(serde_json::Value::from));
     }
 }

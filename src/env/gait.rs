@@ -1,16 +1,26 @@
 //! `sandgait/HexapodGait-v1`: follow commanded forward and yaw speeds on flat or sloping sand with one joint a leg,
 //! driven in one of four ways.
 
-use super::control::Driver;
-use super::locomotion::{self, BASE_COLUMNS, CONTROL_RATE};
-use super::options::{Control, Weights, keywords};
+use super::control::{Control, Driver};
+use super::feature::Features;
+use super::locomotion::{self, Figure, Observe, Observed, WalkStep, Weights};
 use super::random::Random;
-use super::reference::{TOP_SPEED, wrapped};
-use super::spec::{Column, Spec};
+use super::reference::{TOP_SPEED, wrap_angle};
+use super::spec::{CONTROL_RATE, Column, Spec};
 use super::task::{Goal, Setup, Task, Transition};
+use super::walking::{self, Walking};
 use crate::error::{Error, Result};
-use crate::sim::State;
-use crate::sim::engine::Command;
+use crate::options;
+use crate::sim::engine::{Command, EngineKind};
+use crate::sim::{Model, State};
+
+options! {
+    /// Options of HexapodGait.
+    pub struct GaitOptions {
+        ..walking: Walking = Walking::default();
+        control: Control = Control::HipSpeed, "what an action is: hip_speed, hip_target, torque or clock";
+    }
+}
 
 /// Bound of the observed hip speed [rad/s]; what goes beyond is clipped.
 const HIP_SPEED: f64 = 3.0 * TOP_SPEED;
@@ -39,52 +49,60 @@ pub struct HexapodGait {
     spec: Spec,
     weights: Weights,
     driver: Driver,
+    observation: Features<Observe>,
+    figures: Features<Figure>,
 }
 
-impl HexapodGait {
-    pub const ID: &'static str = keywords::GAIT.task;
+impl Task for HexapodGait {
+    const ID: &'static str = "sandgait/HexapodGait-v1";
+    type Options = GaitOptions;
 
-    pub fn new(setup: &Setup) -> Result<Self> {
-        let (robot, options) = (&setup.model.robot, &setup.options);
+    fn engine(options: &GaitOptions) -> EngineKind {
+        options.walking.engine
+    }
+
+    fn model(options: &GaitOptions) -> Result<Model> {
+        options.walking.model(options.control != Control::Torque)
+    }
+
+    fn new(setup: &Setup<GaitOptions>) -> Result<Self> {
+        let (robot, options) = (&setup.model.robot, setup.options);
+        let Walking { torque_limit, weights, max_episode_steps, .. } = options.walking;
         if robot.leg.link.len() != 1 {
             let reason = format!("{:?} has several joints a leg; this task drives hips", robot.name);
             return Err(Error::invalid("robot", reason));
         }
         let joints = &robot.joint_names();
-        let driver = Driver::new(options.control.unwrap_or(Control::HipSpeed), setup);
-        let observation = [
-            locomotion::base_columns(),
-            Column::each(joints, "sine of hip angle", "1", 1.0),
-            Column::each(joints, "cosine of hip angle", "1", 1.0),
-            Column::each(joints, "hip speed", "rad/s", HIP_SPEED),
-            Column::each(joints, "hip torque", "N·m", options.torque_limit),
-            Column::each(&driver.labels(), "previous action", "1", 1.0),
-            locomotion::command_columns(),
-        ];
-        let mut info = locomotion::info_columns();
-        info.push(Column::free("hip_turn", "rad"));
+        let driver = Driver::new(options.control, robot, torque_limit);
+        let observation = locomotion::base_features()
+            .each(joints, "sine of hip angle", "1", 1.0, |o, i| o.state.angles[i].sin())
+            .each(joints, "cosine of hip angle", "1", 1.0, |o, i| o.state.angles[i].cos())
+            .each(joints, "hip speed", "rad/s", HIP_SPEED, |o, i| o.state.rates[i])
+            .each(joints, "hip torque", "N·m", torque_limit, |o, i| o.state.torques[i])
+            .each(&driver.labels(), "previous action", "1", 1.0, |o, i| o.last_action[i].into())
+            .and(locomotion::command_features());
+        let figures = locomotion::figures().free("hip_turn", "rad", |w, _| hip_turn(w.t));
+        let reward = weights.terms();
         let spec = Spec {
             id: Self::ID,
             summary: format!("Follow commanded forward and yaw speeds on sand; actions are {}.", driver.summary()),
-            observation: observation.concat(),
+            observation: observation.columns(),
             action: driver.columns(),
             about: ABOUT,
-            reward: options.weights.terms(),
-            info,
-            max_episode_steps: options.max_episode_steps,
+            info: [Column::rewards(&reward), figures.columns()].concat(),
+            reward,
+            max_episode_steps,
             control_rate: CONTROL_RATE,
         };
-        Ok(Self { spec, weights: options.weights, driver })
+        Ok(Self { spec, weights, driver, observation, figures })
     }
-}
 
-impl Task for HexapodGait {
     fn spec(&self) -> &Spec {
         &self.spec
     }
 
-    fn begin(&self, setup: &Setup, random: &mut Random) -> (State, Goal) {
-        locomotion::begin(setup, random)
+    fn begin(&self, setup: &Setup<GaitOptions>, random: &mut Random) -> (State, Goal) {
+        walking::begin(&setup.with(&setup.options.walking), random)
     }
 
     fn command(&self, action: &[f32], state: &State, command: &mut Command) {
@@ -92,30 +110,18 @@ impl Task for HexapodGait {
     }
 
     fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]) {
-        let (base, rest) = row.split_at_mut(BASE_COLUMNS);
-        locomotion::observe_base(state, base);
-        let joints = state.angles.len();
-        for i in 0..joints {
-            let (sin, cos) = state.angles[i].sin_cos();
-            rest[i] = sin as f32;
-            rest[joints + i] = cos as f32;
-            rest[2 * joints + i] = state.rates[i] as f32;
-            rest[3 * joints + i] = state.torques[i] as f32;
-        }
-        let (actions, commands) = rest[4 * joints..].split_at_mut(last_action.len());
-        actions.copy_from_slice(last_action);
-        locomotion::observe_command(goal, commands);
+        Observed::new(goal, state, last_action).fill(&self.observation, row);
     }
 
-    fn judge(&self, transition: &Transition, info: &mut [f32]) -> bool {
-        let (turn, walk) = (info.len() - 1, ..info.len() - 1);
-        info[turn] = hip_turn(transition) as f32;
-        locomotion::judge(&self.weights, transition, &mut info[walk])
+    fn evaluate(&self, _setup: &Setup<GaitOptions>, transition: &Transition, info: &mut [f32]) -> bool {
+        let step = WalkStep::new(transition);
+        step.fill(&self.weights, &self.figures, info);
+        step.terminated
     }
 }
 
 /// By how much the hips turned in a step, on average [rad]; the distance of a wheel's tread is 2R times that.
 fn hip_turn(t: &Transition) -> f64 {
     let hips = t.after.angles.iter().zip(&t.before.angles);
-    hips.map(|(after, before)| wrapped(after - before)).sum::<f64>() / t.after.angles.len() as f64
+    hips.map(|(after, before)| wrap_angle(after - before)).sum::<f64>() / t.after.angles.len() as f64
 }

@@ -13,7 +13,7 @@ const PRINTS: usize = 512;
 /// An episode's ground, and what the robot has done to it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Ground {
+pub struct UsedGround {
     /// ζ of each patch over the medium's own.
     pub zeta: Vec<f64>,
     /// Length of a patch along x [m]; patch 0 begins at x = 0.
@@ -48,7 +48,7 @@ pub enum Change {
     Push([f64; 2]),
 }
 
-impl Ground {
+impl UsedGround {
     /// Is it what an episode of a robot with `legs` legs can have come to?
     pub fn is_sound(&self, legs: usize) -> bool {
         let number = |x: &f64| x.is_finite();
@@ -80,7 +80,7 @@ impl Ground {
     }
 
     /// Takes note of where the robot is now.
-    pub fn walked(&mut self, model: &Model, state: &State) -> Change {
+    pub fn after_step(&mut self, model: &Model, state: &State) -> Change {
         let mut change = Change::Nothing;
         // Prints of this step count from the next one on: the order of the legs must not matter.
         let mut left = Vec::new();
@@ -128,8 +128,8 @@ mod tests {
     use crate::sim::Robot;
     use crate::sim::model::Scene;
 
-    fn ground(footprint: f64) -> Ground {
-        Ground {
+    fn ground(footprint: f64) -> UsedGround {
+        UsedGround {
             zeta: vec![1.0; PATCHES],
             patch_length: 0.3,
             footprint,
@@ -160,12 +160,12 @@ mod tests {
     #[test]
     fn prints_are_found_again() {
         let (model, mut ground) = (model(), ground(0.5));
-        assert_eq!(ground.walked(&model, &at(&model, 0.0, true)), Change::Nothing);
-        assert_eq!(ground.walked(&model, &at(&model, 0.0, true)), Change::Nothing);
-        assert_eq!(ground.walked(&model, &at(&model, 0.03, false)), Change::Nothing);
+        assert_eq!(ground.after_step(&model, &at(&model, 0.0, true)), Change::Nothing);
+        assert_eq!(ground.after_step(&model, &at(&model, 0.0, true)), Change::Nothing);
+        assert_eq!(ground.after_step(&model, &at(&model, 0.03, false)), Change::Nothing);
         assert_eq!(ground.prints.len(), 6);
         // Legs are 6 cm apart along x, the middle ones 5 mm further out.
-        assert_eq!(ground.walked(&model, &at(&model, 0.06, true)), Change::Footing);
+        assert_eq!(ground.after_step(&model, &at(&model, 0.06, true)), Change::Footing);
         let near = 1.0 - 0.5 * (-0.005_f64 / 0.03).exp();
         let fresh = 1.0 - 0.5 * (-0.06_f64 / 0.03).exp();
         for (leg, expected) in [fresh, near, near, fresh, near, near].into_iter().enumerate() {
@@ -183,7 +183,7 @@ mod tests {
             (-0.01, 15, Change::Patch),
             (4.81, 0, Change::Patch),
         ] {
-            assert_eq!((ground.walked(&model, &at(&model, x, false)), ground.patch), (change, patch), "{x}");
+            assert_eq!((ground.after_step(&model, &at(&model, x, false)), ground.patch), (change, patch), "{x}");
         }
     }
 
@@ -191,7 +191,7 @@ mod tests {
     #[test]
     fn robots_turn_round_at_both_ends() {
         for outward in [1.0, -1.0] {
-            let mut ground = Ground { outward, ..ground(0.0) };
+            let mut ground = UsedGround { outward, ..ground(0.0) };
             let turns = [0.5, 1.1, 1.2, 0.1, -0.1, -0.2, -1.1, -0.5, 0.1, 1.1, 0.5].map(|x| ground.turned(x * outward));
             let expected = [false, true, false, false, true, false, false, false, false, true, false];
             assert_eq!(turns, expected, "outward {outward}");
@@ -202,7 +202,7 @@ mod tests {
     fn memory_is_bounded() {
         let (model, mut ground) = (model(), ground(0.5));
         for k in 0..1000 {
-            ground.walked(&model, &at(&model, 0.0, k % 2 == 0));
+            ground.after_step(&model, &at(&model, 0.0, k % 2 == 0));
         }
         assert_eq!(ground.prints.len(), PRINTS);
         assert!(ground.is_sound(6) && !ground.is_sound(5));

@@ -1,13 +1,22 @@
 //! `sandgait/HexapodLegs-v1`: foot trajectories of a robot with three joints a leg; speed and turning commands.
 
-use super::locomotion::{self, BASE_COLUMNS, CONTROL_RATE};
-use super::options::{Weights, keywords};
+use super::feature::Features;
+use super::locomotion::{self, Figure, Observe, Observed, WalkStep, Weights};
 use super::random::Random;
-use super::spec::{Column, Spec};
+use super::spec::{CONTROL_RATE, Column, Spec};
 use super::task::{Goal, Setup, Task, Transition};
+use super::walking::{self, Walking};
 use crate::error::{Error, Result};
-use crate::sim::State;
-use crate::sim::engine::Command;
+use crate::options;
+use crate::sim::engine::{Command, EngineKind};
+use crate::sim::{Model, State};
+
+options! {
+    /// Options of HexapodLegs.
+    pub struct LegsOptions {
+        ..walking: Walking = Walking { robot: "xplorer18".into(), leg: "flat".into(), ..Walking::default() };
+    }
+}
 
 /// Fastest a target moves [rad/s]: a small hobby servo's 60° in 0.08 s. Our choice, because the robot is our own.
 const TARGET_SPEED: f64 = 13.0;
@@ -35,15 +44,27 @@ Over a stretch of steps the cost of transport is Σ`work` / (`weight` · distanc
 pub struct HexapodLegs {
     spec: Spec,
     weights: Weights,
+    observation: Features<Observe>,
+    figures: Features<Figure>,
     /// Middle and half width of each joint's range [rad].
     ranges: Vec<[f64; 2]>,
 }
 
-impl HexapodLegs {
-    pub const ID: &'static str = keywords::LEGS.task;
+impl Task for HexapodLegs {
+    const ID: &'static str = "sandgait/HexapodLegs-v1";
+    type Options = LegsOptions;
 
-    pub fn new(setup: &Setup) -> Result<Self> {
-        let (model, options) = (&setup.model, &setup.options);
+    fn engine(options: &LegsOptions) -> EngineKind {
+        options.walking.engine
+    }
+
+    fn model(options: &LegsOptions) -> Result<Model> {
+        options.walking.model(true)
+    }
+
+    fn new(setup: &Setup<LegsOptions>) -> Result<Self> {
+        let Walking { weights, torque_limit, max_episode_steps, .. } = setup.options.walking;
+        let model = setup.model;
         let joints = &model.robot.joint_names();
         let bounds = model.legs.iter().flatten().map(|b| b.range).collect::<Option<Vec<_>>>();
         let bounds = bounds.ok_or_else(|| {
@@ -55,39 +76,35 @@ impl HexapodLegs {
         let angle = |(name, [low, high]): (&String, &[f64; 2])| {
             Column::new(format!("joint angle, {name}"), "rad", low - OVERSHOOT, high + OVERSHOOT)
         };
-        let observation = [
-            locomotion::base_columns(),
-            joints.iter().zip(&bounds).map(angle).collect(),
-            Column::each(joints, "joint speed", "rad/s", JOINT_SPEED),
-            Column::each(joints, "joint torque", "N·m", options.torque_limit),
-            Column::each(joints, "previous action", "1", 1.0),
-            locomotion::command_columns(),
-        ];
-        let info = locomotion::info_columns();
+        let observation = locomotion::base_features()
+            .group(joints.iter().zip(&bounds).map(angle), |o, i| o.state.angles[i])
+            .each(joints, "joint speed", "rad/s", JOINT_SPEED, |o, i| o.state.rates[i])
+            .each(joints, "joint torque", "N·m", torque_limit, |o, i| o.state.torques[i])
+            .each(joints, "previous action", "1", 1.0, |o, i| o.last_action[i].into())
+            .and(locomotion::command_features());
+        let (figures, reward) = (locomotion::figures(), weights.terms());
         let spec = Spec {
             id: Self::ID,
             summary: "Follow commanded forward and yaw speeds with three joints a leg; actions are target angles over each joint's range."
                 .into(),
-            observation: observation.concat(),
+            observation: observation.columns(),
             action: Column::each(joints, "target angle over the joint's range", "1", 1.0),
             about: ABOUT,
-            reward: options.weights.terms(),
-            info,
-            max_episode_steps: options.max_episode_steps,
+            info: [Column::rewards(&reward), figures.columns()].concat(),
+            reward,
+            max_episode_steps,
             control_rate: CONTROL_RATE,
         };
         let ranges = bounds.iter().map(|[low, high]| [(high + low) / 2.0, (high - low) / 2.0]).collect();
-        Ok(Self { spec, weights: options.weights, ranges })
+        Ok(Self { spec, weights, observation, figures, ranges })
     }
-}
 
-impl Task for HexapodLegs {
     fn spec(&self) -> &Spec {
         &self.spec
     }
 
-    fn begin(&self, setup: &Setup, random: &mut Random) -> (State, Goal) {
-        locomotion::begin(setup, random)
+    fn begin(&self, setup: &Setup<LegsOptions>, random: &mut Random) -> (State, Goal) {
+        walking::begin(&setup.with(&setup.options.walking), random)
     }
 
     /// The servo's reference moves to the target within the control step, no faster than [`TARGET_SPEED`].
@@ -99,19 +116,12 @@ impl Task for HexapodLegs {
     }
 
     fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]) {
-        let (base, rest) = row.split_at_mut(BASE_COLUMNS);
-        locomotion::observe_base(state, base);
-        let joints = state.angles.len();
-        for i in 0..joints {
-            rest[i] = state.angles[i] as f32;
-            rest[joints + i] = state.rates[i] as f32;
-            rest[2 * joints + i] = state.torques[i] as f32;
-            rest[3 * joints + i] = last_action[i];
-        }
-        locomotion::observe_command(goal, &mut rest[4 * joints..]);
+        Observed::new(goal, state, last_action).fill(&self.observation, row);
     }
 
-    fn judge(&self, transition: &Transition, info: &mut [f32]) -> bool {
-        locomotion::judge(&self.weights, transition, info)
+    fn evaluate(&self, _setup: &Setup<LegsOptions>, transition: &Transition, info: &mut [f32]) -> bool {
+        let step = WalkStep::new(transition);
+        step.fill(&self.weights, &self.figures, info);
+        step.terminated
     }
 }

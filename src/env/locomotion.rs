@@ -1,14 +1,16 @@
-//! What every walking task shares: reward terms, how episodes begin and end, and the base's part of the observation.
+//! What every walking task shares: reward terms, how episodes end, and the base's part of the observation.
 
-use super::options::{MAX_COMMAND, MAX_TURN, TaskOptions, Weights};
-use super::random::Random;
-use super::spec::Column;
-use super::task::{Goal, Setup, Transition};
+use super::feature::{Features, flag};
+use super::task::{Goal, Transition};
+use crate::reward_terms;
 use crate::sim::State;
 use crate::sim::model::GRAVITY;
 
-/// Control steps a second: 50, usual for legged robots of this size.
-pub const CONTROL_RATE: f64 = 50.0;
+/// Largest speed that can be commanded, either way [m/s].
+pub const MAX_COMMAND: f64 = 2.0;
+
+/// Largest yaw speed that can be commanded, either way [rad/s].
+pub const MAX_TURN: f64 = 3.0;
 
 /// The base's centre this far under the surface [m] counts as buried: half the reference base's height.
 const BURIED: f64 = -0.015;
@@ -18,38 +20,51 @@ const BURIED: f64 = -0.015;
 const BASE_SPEED: f64 = 5.0; // [m/s]
 const BASE_TURN: f64 = 100.0; // [rad/s]
 
-/// Numbers of the base in an observation row.
-pub const BASE_COLUMNS: usize = 9;
-
-/// Gravity's direction and the base's velocities, all in the body frame.
-pub fn base_columns() -> Vec<Column> {
-    let columns = [
-        Column::xyz("gravity direction, body frame,", "1", 1.0),
-        Column::xyz("base velocity, body frame,", "m/s", BASE_SPEED),
-        Column::xyz("base angular velocity, body frame,", "rad/s", BASE_TURN),
-    ];
-    columns.concat()
+/// What an observation is computed from.
+pub struct Observed<'a> {
+    pub goal: &'a Goal,
+    pub state: &'a State,
+    pub last_action: &'a [f32],
+    /// Gravity's direction and the base's velocities, all in the body frame.
+    pub gravity: [f64; 3],
+    pub velocity: [f64; 3],
+    pub angular_velocity: [f64; 3],
 }
 
-/// Fills [`base_columns`].
-pub fn observe_base(state: &State, row: &mut [f32]) {
-    let r = state.rotation();
-    let body = |v: [f64; 3]| [0, 1, 2].map(|i| r[0][i] * v[0] + r[1][i] * v[1] + r[2][i] * v[2]);
-    let vectors = [body([0.0, 0.0, -1.0]), body(state.velocity), body(state.angular_velocity)];
-    row.iter_mut().zip(vectors.as_flattened()).for_each(|(out, v)| *out = *v as f32);
+/// Computes one number of an observation.
+pub type Observe = fn(&Observed, usize) -> f64;
+
+impl<'a> Observed<'a> {
+    pub fn new(goal: &'a Goal, state: &'a State, last_action: &'a [f32]) -> Self {
+        let r = state.rotation();
+        let body = |v: [f64; 3]| [0, 1, 2].map(|i| r[0][i] * v[0] + r[1][i] * v[1] + r[2][i] * v[2]);
+        let (velocity, angular_velocity) = (body(state.velocity), body(state.angular_velocity));
+        Self { goal, state, last_action, gravity: body([0.0, 0.0, -1.0]), velocity, angular_velocity }
+    }
+
+    /// Fills a row.
+    pub fn fill(&self, features: &Features<Observe>, row: &mut [f32]) {
+        features.fill(row, |value, place| value(self, place));
+    }
+}
+
+/// What every observation begins with.
+pub fn base_features() -> Features<Observe> {
+    Features::<Observe>::none()
+        .xyz("gravity direction, body frame,", "1", 1.0, |o, i| o.gravity[i])
+        .xyz("base velocity, body frame,", "m/s", BASE_SPEED, |o, i| o.velocity[i])
+        .xyz("base angular velocity, body frame,", "rad/s", BASE_TURN, |o, i| o.angular_velocity[i])
 }
 
 /// What is commanded.
-pub fn command_columns() -> Vec<Column> {
-    vec![
-        Column::new("commanded speed", "m/s", -MAX_COMMAND, MAX_COMMAND),
-        Column::new("commanded yaw speed", "rad/s", -MAX_TURN, MAX_TURN),
-    ]
-}
-
-/// Fills [`command_columns`].
-pub fn observe_command(goal: &Goal, row: &mut [f32]) {
-    row.copy_from_slice(&[goal.speed as f32, goal.turn as f32]);
+pub fn command_features() -> Features<Observe> {
+    Features::<Observe>::none().one("commanded speed", "m/s", -MAX_COMMAND, MAX_COMMAND, |o, _| o.goal.speed).one(
+        "commanded yaw speed",
+        "rad/s",
+        -MAX_TURN,
+        MAX_TURN,
+        |o, _| o.goal.turn,
+    )
 }
 
 /// Where the base's x axis points along the surface: cosine and sine of its heading.
@@ -82,68 +97,69 @@ fn cost(x: f64) -> f64 {
     2.0 * ((1.0 + x * x).sqrt() - 1.0)
 }
 
-/// Weighted reward terms, then figures of the step.
-pub fn info_columns() -> Vec<Column> {
-    let terms = Weights::default().terms();
-    let terms: Vec<_> = terms.iter().map(|t| Column::free(format!("reward_{}", t.name), "1")).collect();
-    let figures = [
-        Column::free("speed", "m/s"),
-        Column::free("x_velocity", "m/s"),
-        Column::free("commanded_speed", "m/s"),
-        Column::new("work", "J", 0.0, f64::INFINITY),
-        Column::new("weight", "N", 0.0, f64::INFINITY),
-        Column::new("flipped", "1", 0.0, 1.0),
-        Column::new("buried", "1", 0.0, 1.0),
-        Column::new("diverged", "1", 0.0, 1.0),
-    ];
-    terms.into_iter().chain(figures).collect()
+reward_terms! {
+    /// Weight of each reward term; all terms are of order 1 a step before weighting, `termination` once an episode. Our choice:
+    /// tracking dominates, the costs break ties between gaits of the same speed. `alive` and `termination` make sure that
+    /// falling never pays: standing is worth `alive` a step, less than it costs on any slope, and a fall costs as much as 4 s of
+    /// it (tests/falls.rs). gymnasium's Ant has `healthy_reward`, Isaac Lab `is_alive` and `is_terminated`. v_forward, v_left: the
+    /// base's mean velocity over the step in its heading frame; ω_z: its yaw speed after the step.
+    pub struct Weights of WalkStep<'_>, weights in [0.0, 1e3] {
+        tracking: 1.0, "exp(−((v_forward − commanded speed) / 0.1 m/s)²)", |w| (-((w.forward - w.t.goal.speed) / 0.1).powi(2)).exp();
+        lateral: 0.1, "−2 (√(1 + (v_left / 0.1 m/s)²) − 1)", |w| -cost(w.left / 0.1);
+        turning: 0.05, "−2 (√(1 + ((ω_z − commanded yaw speed) / 1 rad/s)²) − 1)", |w| -cost(w.t.after.angular_velocity[2] - w.t.goal.turn);
+        power: 0.1, "−mechanical power Σ|τ ω| / 1 W", |w| -w.work / w.t.period;
+        smoothness: 0.05, "−mean squared change of the action", |w| -change_of_action(w.t);
+        alive: 0.1, "1 in every step that does not terminate the episode", |w| 1.0 - flag(w.terminated);
+        termination: 20.0, "−1 in the step that terminates it", |w| -flag(w.terminated);
+    }
 }
 
-/// At rest on the surface, joints near their start, commands drawn from the options' ranges.
-pub fn begin(setup: &Setup, random: &mut Random) -> (State, Goal) {
-    let TaskOptions { angle_noise, command, turn, .. } = setup.options;
-    let mut angles = setup.model.tripod_angles();
-    angles.iter_mut().for_each(|a| *a += random.uniform(-angle_noise, angle_noise));
-    let [speed, turn] = [command, turn].map(|[low, high]| random.uniform(low, high));
-    let goal = Goal { speed, turn, ..Goal::default() };
-    (State::at_rest(setup.model.standing_height(&angles), &angles), goal)
+/// What the reward and the figures of a step are computed from.
+pub struct WalkStep<'a> {
+    pub t: &'a Transition<'a>,
+    /// Mean velocity in the heading frame [m/s].
+    pub forward: f64,
+    pub left: f64,
+    /// [J]
+    pub work: f64,
+    pub flipped: bool,
+    pub buried: bool,
+    pub terminated: bool,
 }
 
-/// Fills an info row and says whether the robot flipped or is buried.
-pub fn judge(weights: &Weights, t: &Transition, info: &mut [f32]) -> bool {
-    let [forward, left] = heading_velocity(t);
-    let work = t.after.work - t.before.work;
-    let up = t.after.rotation()[2][2];
-    let (flipped, buried) = (up < 0.0, t.after.position[2] < BURIED);
-    let terminated = !t.diverged && (flipped || buried);
-    let (rewards, figures) = info.split_at_mut(weights.values().len());
-    let weighted = terms(t, forward, left, work, terminated).into_iter().zip(weights.values());
-    rewards.iter_mut().zip(weighted).for_each(|(out, (term, w))| *out = (term * w) as f32);
-    let flag = |b: bool| f32::from(u8::from(b));
-    figures.copy_from_slice(&[
-        forward as f32,
-        ((t.after.position[0] - t.before.position[0]) / t.period) as f32,
-        t.goal.speed as f32,
-        work as f32,
-        (t.model.total_mass() * GRAVITY) as f32,
-        flag(flipped),
-        flag(buried),
-        flag(t.diverged),
-    ]);
-    terminated
+/// Computes one figure of a step.
+pub type Figure = fn(&WalkStep, usize) -> f64;
+
+impl<'a> WalkStep<'a> {
+    pub fn new(t: &'a Transition<'a>) -> Self {
+        let [forward, left] = heading_velocity(t);
+        let (flipped, buried) = (t.after.rotation()[2][2] < 0.0, t.after.position[2] < BURIED);
+        let terminated = !t.diverged && (flipped || buried);
+        Self { t, forward, left, work: t.after.work - t.before.work, flipped, buried, terminated }
+    }
+
+    /// Fills an info row: terms weighted by `weights`, then `figures`.
+    pub fn fill(&self, weights: &Weights, figures: &Features<Figure>, info: &mut [f32]) {
+        let (rewards, rest) = info.split_at_mut(info.len() - figures.len());
+        weights.fill(self, 1.0, rewards);
+        figures.fill(rest, |value, place| value(self, place));
+    }
 }
 
-/// The reward's terms, in the order of [`Weights`].
-fn terms(t: &Transition, forward: f64, left: f64, work: f64, terminated: bool) -> [f64; 7] {
+/// Info columns behind the reward's terms.
+pub fn figures() -> Features<Figure> {
+    Features::<Figure>::none()
+        .free("speed", "m/s", |w, _| w.forward)
+        .free("x_velocity", "m/s", |w, _| (w.t.after.position[0] - w.t.before.position[0]) / w.t.period)
+        .free("commanded_speed", "m/s", |w, _| w.t.goal.speed)
+        .one("work", "J", 0.0, f64::INFINITY, |w, _| w.work)
+        .one("weight", "N", 0.0, f64::INFINITY, |w, _| w.t.model.total_mass() * GRAVITY)
+        .flag("flipped", |w, _| flag(w.flipped))
+        .flag("buried", |w, _| flag(w.buried))
+        .flag("diverged", |w, _| flag(w.t.diverged))
+}
+
+fn change_of_action(t: &Transition) -> f64 {
     let changes = t.action.iter().zip(t.previous_action).map(|(a, b)| f64::from(a - b).powi(2));
-    let ended = f64::from(u8::from(terminated));
-    [
-        (-((forward - t.goal.speed) / 0.1).powi(2)).exp(),
-        -cost(left / 0.1),
-        -cost(t.after.angular_velocity[2] - t.goal.turn),
-        -work / t.period,
-        -changes.sum::<f64>() / t.action.len() as f64,
-        1.0 - ended,
-        -ended,
-    ]
+    changes.sum::<f64>() / t.action.len() as f64
 }

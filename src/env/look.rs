@@ -29,7 +29,7 @@ impl Shard {
     pub fn look(&self, i: usize, ended: bool) -> Look<'_> {
         let spec = self.spec();
         let episode = &self.episodes[i];
-        let Episode { setup, seed, number, steps, goal, after, last_action, .. } = episode;
+        let Episode { task, seed, number, steps, goal, after, last_action, .. } = episode;
         let just_ended = self.rows.terminated[i] != 0 || self.rows.truncated[i] != 0;
         let old = episode.ended.as_ref().filter(|_| ended && just_ended);
         let (goal, steps, action) = match old {
@@ -41,7 +41,7 @@ impl Shard {
         let (width, paid) = (spec.info.len(), f32::from(u8::from(rewarded)));
         Look {
             spec,
-            model: goal.model.as_ref().unwrap_or(&setup.model),
+            model: goal.model.as_ref().unwrap_or(task.model()),
             state: if old.is_some() { &episode.before } else { after },
             goal,
             footing: goal.ground.as_ref().map_or(&[], |g| &g.footing),

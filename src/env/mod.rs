@@ -3,8 +3,9 @@
 //! This layer turns simulated robots into episodes. It knows nothing of threads, sessions or messages.
 //!
 //! * [`spec`]: observation, action and info tables; they generate vectors, replies, Python spaces and docs.
-//! * [`task`]: the trait a task implements; [`options`]: its keywords; [`registry`]: which tasks there are.
-//! * [`locomotion`]: what walking tasks share; [`gait`]: the task HexapodGait, [`legs`]: HexapodLegs, [`rocks`]: HexapodRocks.
+//! * [`task`]: the trait a task implements; [`registry`]: which tasks there are.
+//! * [`options`]: how a task declares its keywords, [`feature`]: the numbers of its rows, [`reward`]: its reward's terms.
+//! * [`locomotion`], [`walking`]: what walking tasks share; [`gait`]: the task HexapodGait, [`legs`]: HexapodLegs, [`rocks`]: HexapodRocks.
 //! * [`terrain`]: the task HexapodTerrain; [`ground`]: what its episodes remember; [`stroke`]: the task LegStroke.
 //! * [`legged`]: the task LeggedVelocity, of any robot from a file.
 //! * [`control`]: ways of driving hips; [`clock`]: the one that is a gait as parameters; [`reference`](mod@reference): how far references go.
@@ -19,6 +20,7 @@ use sandgait_sim as sim;
 
 pub mod clock;
 pub mod control;
+pub mod feature;
 pub mod gait;
 pub mod ground;
 pub mod legged;
@@ -29,6 +31,7 @@ pub mod options;
 pub mod random;
 pub mod reference;
 pub mod registry;
+pub mod reward;
 pub mod rocks;
 pub mod rollout;
 pub mod shard;
@@ -37,9 +40,10 @@ pub mod spec;
 pub mod stroke;
 pub mod task;
 pub mod terrain;
+pub mod walking;
 
 pub use look::Look;
-pub use options::{ResetOptions, TaskOptions};
+pub use options::ResetOptions;
 pub use shard::Shard;
 pub use spec::{Column, Spec};
-pub use task::Task;
+pub use task::{AnyTask, Task};

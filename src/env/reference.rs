@@ -1,6 +1,6 @@
 //! How the references of servos move.
 
-use super::locomotion::CONTROL_RATE;
+use super::spec::CONTROL_RATE;
 use std::f64::consts::{PI, TAU};
 
 /// Fastest a servo's reference moves [rad/s]: 5 Hz, the highest stride frequency of Li et al. 2012. The limit is the
@@ -10,11 +10,11 @@ pub const TOP_SPEED: f64 = 5.0 * TAU;
 /// Speed [rad/s] that takes a reference to `target` [rad] by the shortest way within a control step, no faster than
 /// [`TOP_SPEED`].
 pub fn toward(target: f64, reference: f64) -> f64 {
-    (wrapped(target - reference) * CONTROL_RATE).clamp(-TOP_SPEED, TOP_SPEED)
+    (wrap_angle(target - reference) * CONTROL_RATE).clamp(-TOP_SPEED, TOP_SPEED)
 }
 
 /// An angle [rad] less its whole turns, in [−π, π).
-pub fn wrapped(angle: f64) -> f64 {
+pub fn wrap_angle(angle: f64) -> f64 {
     (angle + PI).rem_euclid(TAU) - PI
 }
 

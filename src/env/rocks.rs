@@ -1,19 +1,52 @@
 //! `sandgait/HexapodRocks-v1`: HexapodGait among rocks and steps that are drawn anew for every episode.
 
-use super::gait::HexapodGait;
+use super::gait::{GaitOptions, HexapodGait};
 use super::locomotion;
-use super::options::{RockOptions, keywords};
 use super::random::Random;
 use super::spec::{Column, Spec};
 use super::task::{Goal, Setup, Task, Transition};
-use crate::error::{Error, Result};
+use super::walking::Walking;
+use crate::error::{Error, Result, check_range};
+use crate::options;
 use crate::sim::engine::{Command, EngineKind};
-use crate::sim::obstacle::{Obstacle, Shape};
+use crate::sim::obstacle::{FRICTION, Obstacle, ObstacleShape};
 use crate::sim::overlap::obstacle_poses;
 use crate::sim::solid::Solid;
 use crate::sim::{Model, State};
+use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 use std::sync::Arc;
+
+options! {
+    /// Options of HexapodRocks.
+    pub struct RocksOptions {
+        ..gait: GaitOptions = GaitOptions {
+            walking: Walking {
+                engine: EngineKind::Rapier,
+                dt: EngineKind::Rapier.default_dt(),
+                ..Walking::default()
+            },
+            ..GaitOptions::default()
+        };
+        rocks: RockOptions = RockOptions::default(), reset, "what lies on the sand";
+    }
+}
+
+options! {
+    /// What lies on the sand. Sizes are our choice: rocks of half to one and a half times the reference robot's leg, steps of up
+    /// to half a leg. Granite has 2,650 kg/m³.
+    #[derive(Copy, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct RockOptions {
+        count: usize = 16, [0.0, 64.0], reset, "obstacles of an episode; fewer where no free place is found";
+        size: [f64; 2] = [0.02, 0.06], [5e-3, 0.5], reset, "range [low, high] of a rock's diameter and a step's length and width [m]";
+        step_height: [f64; 2] = [0.0, 0.02], [0.0, 0.5], reset, "range [low, high] of a step's height over the sand [m]";
+        dynamic_fraction: f64 = 0.5, [0.0, 1.0], reset, "share that are loose rocks; the others are fixed, half of them rocks and half steps";
+        density: f64 = 2650.0, [100.0, 2e4], reset, "of loose rocks [kg/m³]";
+        friction: f64 = FRICTION, [0.0, 10.0], reset, "Coulomb coefficient between robot and rock";
+        field: [f64; 2] = [1.6, 0.8], reset, "length and width of the field [m]; the start is in its middle line, 0.3 m from its beginning";
+    }
+}
 
 /// The field reaches this far behind the start [m].
 const BEHIND: f64 = 0.3;
@@ -36,6 +69,11 @@ const SCAN_Y: [f64; 5] = [-0.1, -0.05, 0.0, 0.05, 0.1];
 const SCAN_HEIGHT: f64 = 0.1;
 
 impl RockOptions {
+    fn validate(&self) -> Result<()> {
+        check_range("rocks.field[0]", self.field[0], 0.5..=100.0)?;
+        check_range("rocks.field[1]", self.field[1], 0.4..=100.0).map(drop)
+    }
+
     /// Draws an episode's obstacles; none overlap at the start.
     pub fn draw(&self, random: &mut Random) -> Vec<Obstacle> {
         let mut placed: Vec<([f64; 2], f64)> = vec![([0.0; 2], CLEAR)];
@@ -77,7 +115,7 @@ impl RockOptions {
 
 /// An irregular rock: hull of points on an ellipsoid with axes of 0.7 to 1 times `radius` [m]. Three pairs of them lie
 /// on its axes, so the hull has a volume.
-fn rock(radius: f64, random: &mut Random) -> Shape {
+fn rock(radius: f64, random: &mut Random) -> ObstacleShape {
     let axes = [0; 3].map(|_| radius * random.uniform(0.7, 1.0));
     let mut points = Vec::with_capacity(CORNERS);
     for (axis, length) in axes.into_iter().enumerate() {
@@ -90,7 +128,7 @@ fn rock(radius: f64, random: &mut Random) -> Shape {
         let across = (1.0 - z * z).sqrt();
         points.push([axes[0] * across * turn.cos(), axes[1] * across * turn.sin(), axes[2] * z]);
     }
-    Shape::Hull { points }
+    ObstacleShape::Hull { points }
 }
 
 const ABOUT: &str = "\
@@ -102,29 +140,6 @@ are rapier's; see HexapodGait-v1 for `control`, for how episodes end, and for th
 pub struct HexapodRocks {
     gait: HexapodGait,
     spec: Spec,
-}
-
-impl HexapodRocks {
-    pub const ID: &'static str = keywords::ROCKS.task;
-
-    pub fn new(setup: &Setup) -> Result<Self> {
-        if setup.options.engine != EngineKind::Rapier {
-            let reason = format!("{} has no rigid obstacles; this task needs rapier", setup.options.engine.name());
-            return Err(Error::invalid("engine", reason));
-        }
-        let gait = HexapodGait::new(setup)?;
-        let mut spec = gait.spec().clone();
-        spec.id = Self::ID;
-        spec.about = ABOUT;
-        spec.summary = spec.summary.replace("on sand", "among rocks and steps");
-        let scan = scan_points().map(|[x, y]| {
-            let name =
-                format!("height of what lies {} cm ahead and {} cm to the left", (x * 1e2) as i32, (y * 1e2) as i32);
-            Column::new(name, "m", 0.0, SCAN_HEIGHT)
-        });
-        spec.observation.extend(scan);
-        Ok(Self { gait, spec })
-    }
 }
 
 /// The scan's points in the order of the columns [m].
@@ -154,13 +169,45 @@ fn scan(model: &Model, state: &State, row: &mut [f32]) {
 }
 
 impl Task for HexapodRocks {
+    const ID: &'static str = "sandgait/HexapodRocks-v1";
+    type Options = RocksOptions;
+
+    fn engine(options: &RocksOptions) -> EngineKind {
+        HexapodGait::engine(&options.gait)
+    }
+
+    fn model(options: &RocksOptions) -> Result<Model> {
+        options.rocks.validate()?;
+        let engine = Self::engine(options);
+        if engine != EngineKind::Rapier {
+            let reason = format!("{} has no rigid obstacles; this task needs rapier", engine.name());
+            return Err(Error::invalid("engine", reason));
+        }
+        HexapodGait::model(&options.gait)
+    }
+
+    fn new(setup: &Setup<RocksOptions>) -> Result<Self> {
+        let gait = HexapodGait::new(&setup.with(&setup.options.gait))?;
+        let mut spec = gait.spec().clone();
+        spec.id = Self::ID;
+        spec.about = ABOUT;
+        spec.summary = spec.summary.replace("on sand", "among rocks and steps");
+        let scan = scan_points().map(|[x, y]| {
+            let name =
+                format!("height of what lies {} cm ahead and {} cm to the left", (x * 1e2) as i32, (y * 1e2) as i32);
+            Column::new(name, "m", 0.0, SCAN_HEIGHT)
+        });
+        spec.observation.extend(scan);
+        Ok(Self { gait, spec })
+    }
+
     fn spec(&self) -> &Spec {
         &self.spec
     }
 
-    fn begin(&self, setup: &Setup, random: &mut Random) -> (State, Goal) {
-        let (mut state, goal) = self.gait.begin(setup, random);
-        let rocks = setup.options.rocks.map_or(Vec::new(), |rocks| rocks.draw(random));
+    fn begin(&self, setup: &Setup<RocksOptions>, random: &mut Random) -> (State, Goal) {
+        let (mut state, goal) = self.gait.begin(&setup.with(&setup.options.gait), random);
+        let rocks = setup.options.rocks.draw(random);
         // What `draw` makes is within every range: a test holds it to that.
         let model = setup.model.with_obstacles(&rocks).map_or_else(|_| setup.model.clone(), Arc::new);
         state.objects = model.objects_at_rest();
@@ -179,7 +226,18 @@ impl Task for HexapodRocks {
         }
     }
 
-    fn judge(&self, transition: &Transition, info: &mut [f32]) -> bool {
-        self.gait.judge(transition, info)
+    fn evaluate(&self, setup: &Setup<RocksOptions>, transition: &Transition, info: &mut [f32]) -> bool {
+        self.gait.evaluate(&setup.with(&setup.options.gait), transition, info)
+    }
+
+    fn most_obstacles(options: &RocksOptions) -> usize {
+        options.rocks.count
+    }
+
+    fn resume(_setup: &Setup<RocksOptions>, goal: &mut Goal) -> std::result::Result<(), String> {
+        match goal {
+            Goal { model: Some(_), ground: None, legged: None, .. } => Ok(()),
+            _ => Err("its rocks".into()),
+        }
     }
 }

@@ -3,7 +3,6 @@
 //!
 //! An environment's rollout ends with its episode: what it would do after that counts nothing and is reported as zeros.
 
-use super::shard::Shard;
 use crate::error::Error;
 
 /// What a rollout gave so far; one row an environment.
@@ -34,7 +33,7 @@ pub struct Recorded {
 }
 
 impl Rollout {
-    fn begin(envs: usize) -> Self {
+    pub(super) fn begin(envs: usize) -> Self {
         Self {
             returns: vec![0.0; envs],
             lengths: vec![0; envs],
@@ -45,48 +44,7 @@ impl Rollout {
         }
     }
 
-    fn over(&self, i: usize) -> bool {
+    pub(super) fn over(&self, i: usize) -> bool {
         self.terminated[i] + self.truncated[i] > 0
-    }
-}
-
-impl Shard {
-    /// Before the first [`Shard::roll`] of a rollout.
-    pub fn begin_rollout(&mut self) {
-        self.rollout = Rollout::begin(self.envs());
-    }
-
-    /// Goes on with a rollout by one step; `actions` is f32 [envs, action] within its bounds.
-    pub fn roll(&mut self, actions: &[f32], record: bool) {
-        let over: Vec<bool> = (0..self.envs()).map(|i| self.rollout.over(i)).collect();
-        self.step(actions);
-        let (rows, rollout) = (&self.rows, &mut self.rollout);
-        for i in (0..over.len()).filter(|i| !over[*i]) {
-            rollout.returns[i] += f64::from(rows.rewards[i]);
-            rollout.lengths[i] += 1;
-            rollout.terminated[i] = rows.terminated[i];
-            rollout.truncated[i] = rows.truncated[i];
-        }
-        if record {
-            let step = self.recorded(actions, &over);
-            self.rollout.steps.push(step);
-        }
-    }
-
-    /// The last step's rows, zeros where `over`.
-    fn recorded(&self, actions: &[f32], over: &[bool]) -> Recorded {
-        let rows = &self.rows;
-        let [wide, width] = [rows.observations.len(), actions.len()].map(|n| n / over.len());
-        let (observations, rewards) = (rows.observations.clone(), rows.rewards.clone());
-        let mut step = Recorded { observations, rewards, actions: actions.to_vec() };
-        for (i, last) in rows.ended.iter().zip(rows.final_observations.chunks_exact(wide)) {
-            step.observations[*i as usize * wide..][..wide].copy_from_slice(last);
-        }
-        for i in (0..over.len()).filter(|i| over[*i]) {
-            step.observations[i * wide..][..wide].fill(0.0);
-            step.actions[i * width..][..width].fill(0.0);
-            step.rewards[i] = 0.0;
-        }
-        step
     }
 }

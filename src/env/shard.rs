@@ -3,9 +3,9 @@
 use super::ground::Change;
 use super::random::Random;
 use super::registry::Blueprint;
-use super::rollout::Rollout;
+use super::rollout::{Recorded, Rollout};
 use super::spec::Spec;
-use super::task::{Goal, Setup, Task, Transition};
+use super::task::{AnyTask, Goal, Transition};
 use crate::error::Result;
 use crate::sim::engine::{Command, Engine};
 use crate::sim::{Model, State};
@@ -20,8 +20,9 @@ pub(super) struct Ended {
 
 /// One environment's episode.
 pub(super) struct Episode {
-    pub setup: Setup,
-    /// A reset may have changed the setup since the engine was last told.
+    /// With the options and the model that this environment has.
+    pub task: Arc<dyn AnyTask>,
+    /// A reset may have changed the task's options since the engine was last told.
     pub stale: bool,
     pub seed: u64,
     pub number: u64,
@@ -37,9 +38,9 @@ pub(super) struct Episode {
 
 impl Episode {
     /// Fills an observation row; what lies beyond its column's bounds is clipped to them.
-    fn observe(&self, task: &dyn Task, row: &mut [f32]) {
-        task.observe(&self.goal, &self.after, &self.last_action, row);
-        for (value, column) in row.iter_mut().zip(&task.spec().observation) {
+    fn observe(&self, row: &mut [f32]) {
+        self.task.observe(&self.goal, &self.after, &self.last_action, row);
+        for (value, column) in row.iter_mut().zip(&self.task.spec().observation) {
             *value = value.clamp(column.low as f32, column.high as f32);
         }
     }
@@ -47,7 +48,7 @@ impl Episode {
 
 /// A run of environments of one session. Owned by one thread at a time.
 pub struct Shard {
-    task: Arc<dyn Task>,
+    task: Arc<dyn AnyTask>,
     pub(super) engine: Engine,
     pub(super) episodes: Vec<Episode>,
     command: Command,
@@ -116,9 +117,9 @@ impl Shard {
     /// `envs` environments without a state; [`Shard::reset`] must come first.
     pub fn new(blueprint: &Blueprint, envs: usize) -> Result<Self> {
         let spec = blueprint.task.spec();
-        let model = &blueprint.setup.model;
+        let model = blueprint.task.model();
         let episode = || Episode {
-            setup: blueprint.setup.clone(),
+            task: blueprint.task.clone(),
             stale: false,
             seed: 0,
             number: 0,
@@ -162,8 +163,8 @@ impl Shard {
 
     /// What environment `i`'s episode is simulated with.
     pub fn model(&self, i: usize) -> &Model {
-        let Episode { goal, setup, .. } = &self.episodes[i];
-        goal.model.as_ref().unwrap_or(&setup.model)
+        let Episode { goal, task, .. } = &self.episodes[i];
+        goal.model.as_ref().unwrap_or(task.model())
     }
 
     /// Is no step of the present episodes made yet?
@@ -171,20 +172,20 @@ impl Shard {
         self.episodes.iter().all(|e| e.steps == 0)
     }
 
-    /// Begins new episodes where `chosen` says so, with `setup` of an environment in place of its own where there is one.
+    /// Begins new episodes where `chosen` says so, with `task` of an environment in place of its own where there is one.
     /// With `seeds` the environments' streams of random numbers start anew, without they go on.
     pub fn reset<'a>(
         &mut self,
         chosen: impl Fn(usize) -> bool,
         seeds: Option<&[u64]>,
-        setup: impl Fn(usize) -> Option<&'a Setup>,
+        task: impl Fn(usize) -> Option<&'a Arc<dyn AnyTask>>,
     ) {
         self.rows.clear();
         for i in (0..self.episodes.len()).filter(|i| chosen(*i)) {
             let episode = &mut self.episodes[i];
-            if let Some(setup) = setup(i) {
+            if let Some(task) = task(i) {
                 episode.stale = true;
-                episode.setup = setup.clone();
+                episode.task = task.clone();
             }
             match seeds {
                 Some(seeds) => (episode.seed, episode.number) = (seeds[i], 0),
@@ -201,7 +202,7 @@ impl Shard {
         let width = self.task.spec().action.len();
         for (i, episode) in self.episodes.iter_mut().enumerate() {
             std::mem::swap(&mut episode.before, &mut episode.after);
-            self.task.command(&actions[i * width..][..width], &episode.before, &mut self.command);
+            episode.task.command(&actions[i * width..][..width], &episode.before, &mut self.command);
             self.engine.command(i, &self.command);
         }
         self.engine.advance(self.substeps);
@@ -221,7 +222,7 @@ impl Shard {
         }
     }
 
-    /// Judges environment `i`'s step and begins the next episode where one ended.
+    /// Evaluates environment `i`'s step and begins the next episode where one ended.
     fn finish(&mut self, i: usize, action: &[f32]) {
         let spec = self.task.spec();
         let (wide, info) = (spec.observation.len(), spec.info.len());
@@ -233,10 +234,9 @@ impl Shard {
         }
         episode.steps += 1;
         let row = &mut self.rows.infos[i * info..][..info];
-        let terminated = self.task.judge(
+        let terminated = episode.task.evaluate(
             &Transition {
-                options: &episode.setup.options,
-                model: episode.goal.model.as_ref().unwrap_or(&episode.setup.model),
+                model: episode.goal.model.as_ref().unwrap_or(episode.task.model()),
                 goal: &episode.goal,
                 before: &episode.before,
                 after: &episode.after,
@@ -252,7 +252,7 @@ impl Shard {
         self.rows.rewards[i] = row[..spec.reward.len()].iter().sum();
         self.rows.terminated[i] = u8::from(terminated);
         self.rows.truncated[i] = u8::from(truncated);
-        let change = self.task.walked(&episode.setup, &mut episode.goal, &episode.after);
+        let change = episode.task.after_step(&mut episode.goal, &episode.after);
         if let Change::Push([x, y]) = change {
             (episode.after.velocity[0], episode.after.velocity[1]) = (x, y);
             self.engine.set_state(i, &episode.after);
@@ -261,7 +261,7 @@ impl Shard {
             tell(&mut self.engine, i, episode, change);
         }
         let observation = &mut self.rows.observations[i * wide..][..wide];
-        episode.observe(&*self.task, observation);
+        episode.observe(observation);
         if terminated || truncated {
             self.rows.ended.push(i as u32);
             self.rows.final_observations.extend_from_slice(observation);
@@ -277,13 +277,13 @@ impl Shard {
     fn begin(&mut self, i: usize) {
         let episode = &mut self.episodes[i];
         let mut random = Random::new(episode.seed, episode.number);
-        (episode.after, episode.goal) = self.task.begin(&episode.setup, &mut random);
+        (episode.after, episode.goal) = episode.task.begin(&mut random);
         episode.steps = 0;
         episode.last_action.fill(0.0);
         let stale = std::mem::take(&mut episode.stale);
         match &episode.goal.model {
             Some(model) => self.engine.set_model(i, model),
-            None if stale => self.engine.set_model(i, &episode.setup.model),
+            None if stale => self.engine.set_model(i, episode.task.model()),
             None => (),
         }
         self.take_up(i);
@@ -299,7 +299,48 @@ impl Shard {
         self.engine.state(i, &mut episode.after);
         let wide = self.task.spec().observation.len();
         let row = &mut self.rows.observations[i * wide..][..wide];
-        episode.observe(&*self.task, row);
+        episode.observe(row);
+    }
+}
+
+impl Shard {
+    /// Before the first [`Shard::roll`] of a rollout.
+    pub fn begin_rollout(&mut self) {
+        self.rollout = Rollout::begin(self.envs());
+    }
+
+    /// Goes on with a rollout by one step; `actions` is f32 [envs, action] within its bounds.
+    pub fn roll(&mut self, actions: &[f32], record: bool) {
+        let over: Vec<bool> = (0..self.envs()).map(|i| self.rollout.over(i)).collect();
+        self.step(actions);
+        let (rows, rollout) = (&self.rows, &mut self.rollout);
+        for i in (0..over.len()).filter(|i| !over[*i]) {
+            rollout.returns[i] += f64::from(rows.rewards[i]);
+            rollout.lengths[i] += 1;
+            rollout.terminated[i] = rows.terminated[i];
+            rollout.truncated[i] = rows.truncated[i];
+        }
+        if record {
+            let step = self.recorded(actions, &over);
+            self.rollout.steps.push(step);
+        }
+    }
+
+    /// The last step's rows, zeros where `over`.
+    fn recorded(&self, actions: &[f32], over: &[bool]) -> Recorded {
+        let rows = &self.rows;
+        let [wide, width] = [rows.observations.len(), actions.len()].map(|n| n / over.len());
+        let (observations, rewards) = (rows.observations.clone(), rows.rewards.clone());
+        let mut step = Recorded { observations, rewards, actions: actions.to_vec() };
+        for (i, last) in rows.ended.iter().zip(rows.final_observations.chunks_exact(wide)) {
+            step.observations[*i as usize * wide..][..wide].copy_from_slice(last);
+        }
+        for i in (0..over.len()).filter(|i| over[*i]) {
+            step.observations[i * wide..][..wide].fill(0.0);
+            step.actions[i * width..][..width].fill(0.0);
+            step.rewards[i] = 0.0;
+        }
+        step
     }
 }
 

@@ -3,14 +3,14 @@
 //! [`Shard::save`] and [`Shard::restore`] keep every bit: an environment that was restored goes on exactly as the one
 //! that was saved, in any lane of any batch of the same task.
 
-use super::ground::Ground;
-use super::legged::LeggedEpisode;
+use super::ground::UsedGround;
+use super::legged::episode::LeggedEpisode;
 use super::rocks::CORNERS;
 use super::shard::{Episode, Shard};
-use super::task::{Goal, Setup};
+use super::task::{AnyTask, Goal};
 use crate::error::{Error, Result, check_range};
 use crate::sim::model::Scene;
-use crate::sim::obstacle::{Obstacle, Shape};
+use crate::sim::obstacle::{Obstacle, ObstacleShape};
 use crate::sim::{Model, Robot, State};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -27,7 +27,7 @@ pub struct SavedEpisode {
     /// What the episode is simulated with where it drew something of its own, such as rocks.
     pub drawn: Option<Box<(Robot, Scene)>>,
     /// Of tasks whose ground changes along the way.
-    pub ground: Option<Ground>,
+    pub ground: Option<UsedGround>,
     /// Of LeggedVelocity; its model is made again from what it drew.
     #[serde(default)]
     pub legged: Option<LeggedEpisode>,
@@ -39,7 +39,7 @@ pub struct SavedEpisode {
 
 /// A [`SavedEpisode`] that was checked and is ready to go on.
 pub struct Resumed {
-    setup: Setup,
+    task: Arc<dyn AnyTask>,
     seed: u64,
     number: u64,
     steps: u32,
@@ -49,51 +49,37 @@ pub struct Resumed {
 }
 
 impl Resumed {
-    /// Checks that `saved` can go on with `setup` in a task of `actions` actions.
-    pub fn new(saved: &SavedEpisode, setup: &Setup, actions: usize) -> Result<Self> {
+    /// Checks that `saved` can go on as an episode of `task`.
+    pub fn new(saved: &SavedEpisode, task: &Arc<dyn AnyTask>) -> Result<Self> {
         let unfit = |why: &str| Error::invalid("snapshot", format!("an environment does not suit this task: {why}"));
-        let model = saved.drawn.as_deref().map(|(robot, scene)| drawn(robot, scene, setup)).transpose();
+        let model = saved.drawn.as_deref().map(|(robot, scene)| drawn(robot, scene, &**task)).transpose();
         let model = model.map_err(|e| unfit(&e.to_string()))?.map(Arc::new);
-        if model.is_some() != (setup.options.rocks.is_some() || setup.options.randomize.is_some()) {
-            return Err(unfit("its robot and sand"));
-        }
-        if saved.legged.is_some() != setup.model.tree.is_some() {
-            return Err(unfit("its robot"));
-        }
-        let model = match &saved.legged {
-            Some(legged) if !legged.is_sound(setup) => return Err(unfit("what it drew")),
-            Some(legged) => Some(Arc::new(legged.model(setup).map_err(|e| unfit(&e.to_string()))?)),
-            None => model,
-        };
-        let joints = setup.model.joints();
-        let state =
-            State::from_row(joints, &saved.state).filter(State::is_possible).ok_or_else(|| unfit("its state"))?;
-        let loose = model.as_deref().unwrap_or(&setup.model).objects_at_rest().len();
-        if state.objects.len() != loose {
-            return Err(unfit("its rocks"));
-        }
-        if saved.last_action.len() != actions || !saved.last_action.iter().all(|a| (-1.0..=1.0).contains(a)) {
-            return Err(unfit("its last action"));
-        }
-        let legs = setup.model.legs.len();
-        let grounded = setup.options.randomize.is_some();
-        if saved.ground.is_some() != grounded || saved.ground.as_ref().is_some_and(|g| !g.is_sound(legs)) {
-            return Err(unfit("its ground"));
-        }
         let [speed, turn] = saved.goal;
         if !saved.goal.iter().all(|g| g.abs() < 1e3) {
             return Err(unfit("its goal"));
         }
+        let mut goal = Goal { speed, turn, model, ground: saved.ground.clone(), legged: saved.legged.clone() };
+        task.resume(&mut goal).map_err(|why| unfit(&why))?;
+        let own = task.model();
+        let state =
+            State::from_row(own.joints(), &saved.state).filter(State::is_possible).ok_or_else(|| unfit("its state"))?;
+        if state.objects.len() != goal.model.as_ref().unwrap_or(own).objects_at_rest().len() {
+            return Err(unfit("its rocks"));
+        }
+        let (actions, last) = (task.spec().action.len(), &saved.last_action);
+        if last.len() != actions || !last.iter().all(|a| (-1.0..=1.0).contains(a)) {
+            return Err(unfit("its last action"));
+        }
         // Both are counted up from 0.
-        if saved.steps > setup.options.max_episode_steps || saved.number > u64::MAX / 2 {
+        if saved.steps > task.spec().max_episode_steps || saved.number > u64::MAX / 2 {
             return Err(unfit("its counters"));
         }
         Ok(Self {
-            setup: setup.clone(),
+            task: task.clone(),
             seed: saved.seed,
             number: saved.number,
             steps: saved.steps,
-            goal: Goal { speed, turn, model, ground: saved.ground.clone(), legged: saved.legged.clone() },
+            goal,
             state,
             last_action: saved.last_action.clone(),
         })
@@ -101,9 +87,9 @@ impl Resumed {
 }
 
 /// The model of an episode that drew some of it. Masses, sand and slope are checked like any other input; whatever its size
-/// in memory depends on must be as `setup` has it.
-fn drawn(robot: &Robot, scene: &Scene, setup: &Setup) -> Result<Model> {
-    let own = &setup.model;
+/// in memory depends on must be as `task` has it.
+fn drawn(robot: &Robot, scene: &Scene, task: &dyn AnyTask) -> Result<Model> {
+    let own = task.model();
     if !robot.is_variant_of(&own.robot) {
         return Err(Error::invalid("robot", "not the session's"));
     }
@@ -119,9 +105,9 @@ fn drawn(robot: &Robot, scene: &Scene, setup: &Setup) -> Result<Model> {
     for c in scene.medium.coefficients.to_array() {
         check_range("coefficients", c, -1e9..=1e9)?;
     }
-    let most = setup.options.rocks.map_or(0, |rocks| rocks.count);
+    let most = task.most_obstacles();
     check_range("number of rocks", scene.obstacles.len() as f64, 0.0..=most as f64)?;
-    let corners = |o: &Obstacle| if let Shape::Hull { points } = &o.shape { points.len() } else { 0 };
+    let corners = |o: &Obstacle| if let ObstacleShape::Hull { points } = &o.shape { points.len() } else { 0 };
     if scene.obstacles.iter().any(|o| corners(o) > CORNERS) {
         return Err(Error::invalid("rocks", format!("one has more than {CORNERS} corners")));
     }
@@ -150,28 +136,28 @@ impl Shard {
 
     /// Environment `i` as it is now, for this shard's own use.
     pub fn keep(&self, i: usize) -> Resumed {
-        let Episode { setup, seed, number, steps, goal, after, last_action, .. } = &self.episodes[i];
-        let (setup, goal) = (setup.clone(), goal.clone());
+        let Episode { task, seed, number, steps, goal, after, last_action, .. } = &self.episodes[i];
+        let (task, goal) = (task.clone(), goal.clone());
         let (state, last_action) = (after.clone(), last_action.clone());
-        Resumed { setup, seed: *seed, number: *number, steps: *steps, goal, state, last_action }
+        Resumed { task, seed: *seed, number: *number, steps: *steps, goal, state, last_action }
     }
 
-    /// The options environment `i` has now.
-    pub fn setup(&self, i: usize) -> &Setup {
-        &self.episodes[i].setup
+    /// The task of environment `i` with the options and the model that it has now.
+    pub fn task(&self, i: usize) -> &Arc<dyn AnyTask> {
+        &self.episodes[i].task
     }
 
     /// Lets environment `i` go on as `resumed`; fills its observation row.
     pub fn restore(&mut self, i: usize, resumed: &Resumed) {
-        let Resumed { setup, seed, number, steps, goal, state, last_action } = resumed;
+        let Resumed { task, seed, number, steps, goal, state, last_action } = resumed;
         let episode = &mut self.episodes[i];
-        episode.setup = setup.clone();
+        episode.task = task.clone();
         episode.stale = false;
         (episode.seed, episode.number, episode.steps) = (*seed, *number, *steps);
         episode.goal = goal.clone();
         episode.after.clone_from(state);
         episode.last_action.clone_from(last_action);
-        self.engine.set_model(i, goal.model.as_ref().unwrap_or(&setup.model));
+        self.engine.set_model(i, goal.model.as_ref().unwrap_or(task.model()));
         self.take_up(i);
     }
 }
@@ -196,7 +182,7 @@ mod tests {
     }
 
     fn resume(blueprint: &Blueprint, saved: &SavedEpisode) -> Result<Resumed> {
-        Resumed::new(saved, &blueprint.setup, blueprint.task.spec().action.len())
+        Resumed::new(saved, &blueprint.task)
     }
 
     type Change = (&'static str, fn(&mut Robot, &mut Scene));
@@ -231,11 +217,11 @@ mod tests {
     fn a_crafted_robot_is_refused_in_every_task() {
         for (blueprint, honest) in saved() {
             resume(&blueprint, &honest).unwrap();
-            if blueprint.setup.model.tree.is_some() {
+            if blueprint.task.model().tree.is_some() {
                 continue; // it draws no robot: see the next test
             }
             let id = blueprint.task.spec().id;
-            let own = || Box::new((blueprint.setup.model.robot.clone(), blueprint.setup.model.scene.clone()));
+            let own = || Box::new((blueprint.task.model().robot.clone(), blueprint.task.model().scene.clone()));
             for (what, change) in CRAFTED {
                 let mut crafted = honest.clone();
                 let drawn = crafted.drawn.get_or_insert_with(own);
@@ -246,7 +232,7 @@ mod tests {
                 change(&mut drawn.0, &mut drawn.1);
                 if *drawn == before {
                     // LegStroke's leg has this shape; with a robot drawn it is refused all the same.
-                    assert_eq!(id, crate::stroke::LegStroke::ID, "{what}");
+                    assert_eq!(id, "sandgait/LegStroke-v0", "{what}");
                 }
                 let error = resume(&blueprint, &crafted).err().unwrap_or_else(|| panic!("{id}: {what} is taken"));
                 assert!(
@@ -261,7 +247,7 @@ mod tests {
 
     #[test]
     fn what_a_legged_episode_drew_is_checked() {
-        let (blueprint, honest) = saved().into_iter().find(|(b, _)| b.setup.model.tree.is_some()).unwrap();
+        let (blueprint, honest) = saved().into_iter().find(|(b, _)| b.task.model().tree.is_some()).unwrap();
         let with = |change: &dyn Fn(&mut LeggedEpisode)| {
             let mut crafted = honest.clone();
             change(crafted.legged.as_mut().unwrap());
@@ -282,7 +268,7 @@ mod tests {
 
     #[test]
     fn rocks_are_no_more_than_the_session_draws() {
-        let (blueprint, honest) = saved().into_iter().find(|(b, _)| b.setup.options.rocks.is_some()).unwrap();
+        let (blueprint, honest) = saved().into_iter().find(|(b, _)| b.task.most_obstacles() > 0).unwrap();
         let with = |change: &dyn Fn(&mut Vec<Obstacle>)| {
             let mut crafted = honest.clone();
             change(&mut crafted.drawn.as_mut().unwrap().1.obstacles);
@@ -294,7 +280,7 @@ mod tests {
         let hull = |corners| {
             let point = |k: usize| [(k as f64).sin(), (k as f64).cos(), (k as f64 * 0.7).sin()].map(|c| 0.01 * c);
             let points = (0..corners).map(point).collect();
-            Obstacle::fixed(Shape::Hull { points }, [9.0, 0.0, 0.0])
+            Obstacle::fixed(ObstacleShape::Hull { points }, [9.0, 0.0, 0.0])
         };
         let last_fixed = |all: &[Obstacle]| all.iter().rposition(|o| !o.moves()).unwrap();
         assert!(with(&|all| {

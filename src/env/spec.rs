@@ -2,6 +2,9 @@
 
 use crate::error::{Error, Result};
 
+/// Control steps a second of every task: 50, usual for legged robots of this size.
+pub const CONTROL_RATE: f64 = 50.0;
+
 /// One number of an observation, action or info row.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Column {
@@ -29,6 +32,11 @@ impl Column {
     /// Without bounds.
     pub fn free(name: impl Into<String>, unit: &'static str) -> Self {
         Self::new(name, unit, f64::NEG_INFINITY, f64::INFINITY)
+    }
+
+    /// The columns of a reward's terms in an info row.
+    pub fn rewards(terms: &[Term]) -> Vec<Self> {
+        terms.iter().map(|term| Self::free(format!("reward_{}", term.name), "1")).collect()
     }
 
     /// One column an axis.

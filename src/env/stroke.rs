@@ -1,24 +1,74 @@
 //! `sandgait/LegStroke-v0`: the stroke of one leg through sand that gives the most thrust per work.
 
-use super::locomotion::CONTROL_RATE;
-use super::options::{StrokeOptions, TaskOptions, keywords};
+use super::feature::{Features, flag};
 use super::random::Random;
-use super::spec::{Column, Spec, Term};
+use super::spec::{CONTROL_RATE, Column, Spec, Term};
 use super::task::{Goal, Setup, Task, Transition};
-use crate::error::{Error, Result};
-use crate::sim::State;
-use crate::sim::engine::Command;
-use std::f64::consts::TAU;
+use super::walking::{MAX_STEPS, set_sand};
+use crate::error::{Error, Result, check_range};
+use crate::options;
+use crate::sand::{Law, Medium};
+use crate::sim::engine::{Command, EngineKind};
+use crate::sim::model::Scene;
+use crate::sim::{Model, Robot, State};
+use serde::{Deserialize, Serialize};
+use std::f64::consts::{PI, TAU};
+
+options! {
+    /// Options of LegStroke. `dt`: the midpoint rule's efficiencies are within 1 % of those at an eighth of it, which a test holds.
+    pub struct StrokeTaskOptions {
+        law: Law = Law::Li2013, "resistive force law: li2013, penetration-drag-1d or agarwal2023";
+        dt: f64 = 4e-3, "time step [s], which divides the control period";
+        angle_noise: f64 = 0.0, [0.0, PI], "initial joint angles are uniform within ± this around stroke.start [rad]";
+        medium: String = Medium::DEFAULT.into(), reset, "sand: a medium's name, zeta=VALUE or mu=VALUE,rho=VALUE";
+        sand: String = String::new(), "a sand.toml, as a diagnosis writes it: replaces medium and law (Python: its path)";
+        max_episode_steps: u32 = 50, [1.0, MAX_STEPS], "control steps of a stroke, 50 a second";
+        stroke: StrokeOptions = StrokeOptions::default(), reset, "carriage, leg and constraint";
+    }
+}
+
+options! {
+    /// Carriage, leg and constraint. Our choices: at `carriage_speed` a stroke is two lengths of the leg long, with which
+    /// constant-rate strokes do best near the middle of the range of joint speeds; `lift` is a sixth of the weight of the
+    /// reference hexapod grown to this leg (lengths × 1.9, mass × 1.9³); `lift_weight` is more than the greatest efficiency there
+    /// can be. `height` and `start` are as in Li et al. 2012, section 3: the tip points forward, 1.75 rad from straight down. Below
+    /// the slowest carriage speed thrust per work says nothing (see the task's page); the fastest is where RFT ends.
+    #[derive(Copy, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct StrokeOptions {
+        carriage_speed: f64 = 0.2, [0.01, 0.5], reset, "speed of the carriage toward +x [m/s]";
+        height: f64 = 0.02, [0.0, 0.1], reset, "height of the hip over the sand [m]";
+        start: [f64; 2] = [-1.75, 0.0], reset, "angles [hip, knee] at the start [rad], with the leg out of the sand";
+        lift: f64 = 1.7, [1e-3, 1e3], reset, "least mean lift over the stroke [N]";
+        lift_weight: f64 = 2.0, [0.0, 1e3], reset, "penalty of a stroke without any lift";
+        exit_weight: f64 = 1.0, [0.0, 1e3], reset, "penalty of a stroke that leaves the leg 1 cm or more in the sand";
+    }
+}
+
+impl StrokeOptions {
+    /// Checks the start; `model`: the leg.
+    fn validate(&self, model: &Model) -> Result<()> {
+        let range = |i: usize| model.legs[0][i].range.unwrap_or([-TAU, TAU]);
+        for (i, angle) in self.start.iter().enumerate() {
+            check_range(&format!("stroke.start[{i}]"), *angle, range(i)[0]..=range(i)[1])?;
+        }
+        let deepest = self.deepest(model, &self.start);
+        if deepest > 1e-9 {
+            let reason = format!("{:?} begins {:.1} mm in the sand", self.start, 1e3 * deepest);
+            return Err(Error::invalid("stroke.start", reason));
+        }
+        Ok(())
+    }
+
+    /// Depth of the leg's deepest joint or tip [m], 0 if it is out of the sand.
+    fn deepest(&self, model: &Model, angles: &[f64]) -> f64 {
+        (model.standing_height(angles) - self.height).max(0.0)
+    }
+}
 
 /// Joint speed at action 1 [rad/s]: one turn in the default stroke. A straight leg's tip reaches 0.7 m/s then; resistive
 /// force theory is known to hold up to some 0.5 m/s.
 const TOP_SPEED: f64 = TAU;
-
-/// Time step [s]: the midpoint rule's efficiencies are within 1 % of those at an eighth of it, which a test holds.
-pub const DT: f64 = 4e-3;
-
-/// Control steps of a stroke: 1 s at 50 a second.
-pub const STEPS: u32 = 50;
 
 /// Work below this counts as this [J], so that a leg at rest has an efficiency: a hundredth of what good strokes take.
 const LEAST_WORK: f64 = 1e-3;
@@ -60,8 +110,16 @@ with the efficiency clipped to [−1, 1] and work counted as 1 mJ at least. The 
 **Baseline**: circular strokes: the knee locked, the hip at one speed; the best over knee angle, speed and where it starts
 (`stroke.start`).";
 
+/// Computes one number of an observation from goal, state, last action and the stroke's length [s].
+type Observe = fn(&Goal, &State, &[f32], f64, usize) -> f64;
+
+/// Computes one figure of a step.
+type Figure = fn(&StrokeStep) -> f64;
+
 pub struct LegStroke {
     spec: Spec,
+    observation: Features<Observe>,
+    figures: Features<Figure>,
     /// Of the joints [rad].
     ranges: Vec<Option<[f64; 2]>>,
     /// Length of a stroke [s].
@@ -78,58 +136,51 @@ struct Account {
     progress: f64,
 }
 
-impl LegStroke {
-    pub const ID: &'static str = keywords::STROKE.task;
+/// What the reward and the figures of a step are computed from.
+struct StrokeStep<'a> {
+    t: &'a Transition<'a>,
+    before: Account,
+    after: Account,
+    /// Depth in which the leg is left at the end [m].
+    left: f64,
+    /// Length of the whole stroke [s].
+    duration: f64,
+}
 
-    pub fn new(setup: &Setup) -> Result<Self> {
-        let TaskOptions { max_episode_steps, stroke, .. } = setup.options;
-        let stroke = stroke.ok_or_else(|| Error::invalid("stroke", "null is no carriage"))?;
-        let joints = setup.model.robot.joint_names();
-        let observation = [
-            Column::each(&joints, "sine of angle", "1", 1.0),
-            Column::each(&joints, "cosine of angle", "1", 1.0),
-            Column::each(&joints, "torque", "N·m", TORQUE),
-            Column::each(&joints, "previous action", "1", 1.0),
-            vec![
-                Column::new("share of the stroke made", "1", 0.0, 1.0),
-                Column::new("thrust impulse so far", "N·s", -IMPULSE, IMPULSE),
-                Column::new("lift impulse so far", "N·s", -IMPULSE, IMPULSE),
-                Column::new("work so far", "J", -WORK, WORK),
-            ],
-        ];
-        let reward = vec![
-            Term { name: "efficiency", law: "change of: thrust impulse × carriage speed / work", weight: 1.0 },
-            Term { name: "lift", law: "−change of: share of the lift impulse missing", weight: stroke.lift_weight },
-            Term {
-                name: "exit", law: "at the end: −depth of the leg / 1 cm, at least −1", weight: stroke.exit_weight
-            },
-        ];
-        let figures = [
-            Column::free("thrust", "N"),
-            Column::free("lift", "N"),
-            Column::free("work", "J"),
-            Column::new("efficiency", "1", -1.0, 1.0),
-            Column::free("mean_lift", "N"),
-            Column::new("diverged", "1", 0.0, 1.0),
-        ];
-        let terms = reward.iter().map(|t| Column::free(format!("reward_{}", t.name), "1"));
-        let spec = Spec {
-            id: Self::ID,
-            summary:
-                "Find the stroke of one leg through sand that gives the most thrust per work; actions are joint speeds."
-                    .into(),
-            about: ABOUT,
-            observation: observation.concat(),
-            action: Column::each(&joints, "speed / 1 turn a second", "1", 1.0),
-            info: terms.chain(figures).collect(),
-            reward,
-            max_episode_steps,
-            control_rate: CONTROL_RATE,
-        };
-        let ranges = setup.model.legs.iter().flatten().map(|b| b.range).collect();
-        Ok(Self { spec, ranges, duration: f64::from(max_episode_steps) / CONTROL_RATE })
+impl StrokeStep<'_> {
+    /// Mean force along axis `i` in this step [N].
+    fn force(&self, i: usize) -> f64 {
+        (self.t.after.impulse[i] - self.t.before.impulse[i]) / self.t.period
     }
+}
 
+/// The reward's terms: name, what it is, weight, function of the step.
+fn terms(stroke: &StrokeOptions) -> [(&'static str, &'static str, f64, Figure); 3] {
+    [
+        ("efficiency", "change of: thrust impulse × carriage speed / work", 1.0, |s| {
+            s.after.efficiency - s.before.efficiency
+        }),
+        ("lift", "−change of: share of the lift impulse missing", stroke.lift_weight, |s| {
+            s.before.missing - s.after.missing
+        }),
+        ("exit", "at the end: −depth of the leg / 1 cm, at least −1", stroke.exit_weight, |s| {
+            -(s.left / LEFT_DEPTH).min(1.0)
+        }),
+    ]
+}
+
+/// Info columns behind them.
+fn figures() -> Features<Figure> {
+    Features::<Figure>::none()
+        .free("thrust", "N", |s| s.force(0))
+        .free("lift", "N", |s| s.force(2))
+        .free("work", "J", |s| s.t.after.work - s.t.before.work)
+        .one("efficiency", "1", -1.0, 1.0, |s| s.after.efficiency)
+        .free("mean_lift", "N", |s| s.t.after.impulse[2] / s.duration)
+        .flag("diverged", |s| flag(s.t.diverged))
+}
+
+impl LegStroke {
     /// Of a stroke that has come to `state`. The carriage's way says how much of it is made.
     fn account(&self, stroke: &StrokeOptions, state: &State) -> Account {
         let progress = state.position[0] / (stroke.carriage_speed * self.duration);
@@ -142,12 +193,64 @@ impl LegStroke {
 }
 
 impl Task for LegStroke {
+    const ID: &'static str = "sandgait/LegStroke-v0";
+    type Options = StrokeTaskOptions;
+
+    fn engine(_options: &StrokeTaskOptions) -> EngineKind {
+        EngineKind::Carriage
+    }
+
+    fn model(options: &StrokeTaskOptions) -> Result<Model> {
+        // No servos: an action is a joint's speed.
+        let robot = Robot::stroke_leg()?.with_leg_shape("flat")?;
+        let mut scene = Scene::flat(Medium::named(&options.medium)?);
+        (scene.law, scene.dt) = (options.law, options.dt);
+        set_sand(&mut scene, &options.sand)?;
+        let model = Model::new(&robot, &scene)?;
+        options.stroke.validate(&model)?;
+        Ok(model)
+    }
+
+    fn new(setup: &Setup<StrokeTaskOptions>) -> Result<Self> {
+        let StrokeTaskOptions { max_episode_steps, stroke, .. } = *setup.options;
+        let joints = setup.model.robot.joint_names();
+        let observation = Features::<Observe>::none()
+            .each(&joints, "sine of angle", "1", 1.0, |_, state, _, _, i| state.angles[i].sin())
+            .each(&joints, "cosine of angle", "1", 1.0, |_, state, _, _, i| state.angles[i].cos())
+            .each(&joints, "torque", "N·m", TORQUE, |_, state, _, _, i| state.torques[i])
+            .each(&joints, "previous action", "1", 1.0, |_, _, action, _, i| action[i].into())
+            .one("share of the stroke made", "1", 0.0, 1.0, |goal, state, _, duration, _| {
+                state.position[0] / (goal.speed * duration)
+            })
+            .one("thrust impulse so far", "N·s", -IMPULSE, IMPULSE, |_, state, _, _, _| state.impulse[0])
+            .one("lift impulse so far", "N·s", -IMPULSE, IMPULSE, |_, state, _, _, _| state.impulse[2])
+            .one("work so far", "J", -WORK, WORK, |_, state, _, _, _| state.work);
+        let reward: Vec<_> =
+            terms(&stroke).into_iter().map(|(name, law, weight, _)| Term { name, law, weight }).collect();
+        let figures = figures();
+        let spec = Spec {
+            id: Self::ID,
+            summary:
+                "Find the stroke of one leg through sand that gives the most thrust per work; actions are joint speeds."
+                    .into(),
+            about: ABOUT,
+            observation: observation.columns(),
+            action: Column::each(&joints, "speed / 1 turn a second", "1", 1.0),
+            info: [Column::rewards(&reward), figures.columns()].concat(),
+            reward,
+            max_episode_steps,
+            control_rate: CONTROL_RATE,
+        };
+        let ranges = setup.model.legs.iter().flatten().map(|b| b.range).collect();
+        Ok(Self { spec, observation, figures, ranges, duration: f64::from(max_episode_steps) / CONTROL_RATE })
+    }
+
     fn spec(&self) -> &Spec {
         &self.spec
     }
 
-    fn begin(&self, setup: &Setup, random: &mut Random) -> (State, Goal) {
-        let (stroke, noise) = (setup.options.stroke.unwrap_or_default(), setup.options.angle_noise);
+    fn begin(&self, setup: &Setup<StrokeTaskOptions>, random: &mut Random) -> (State, Goal) {
+        let StrokeTaskOptions { stroke, angle_noise: noise, .. } = *setup.options;
         let angles = stroke.start.map(|a| a + random.uniform(-noise, noise));
         let mut state = State::at_rest(stroke.height, &angles);
         state.velocity[0] = stroke.carriage_speed;
@@ -165,38 +268,21 @@ impl Task for LegStroke {
     }
 
     fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]) {
-        let joints = state.angles.len();
-        for i in 0..joints {
-            let (sin, cos) = state.angles[i].sin_cos();
-            row[i] = sin as f32;
-            row[joints + i] = cos as f32;
-            row[2 * joints + i] = state.torques[i] as f32;
-            row[3 * joints + i] = last_action[i];
-        }
-        let made = state.position[0] / (goal.speed * self.duration);
-        let [thrust, _, lift] = state.impulse;
-        row[4 * joints..].copy_from_slice(&[made, thrust, lift, state.work].map(|x| x as f32));
+        self.observation.fill(row, |value, i| value(goal, state, last_action, self.duration, i));
     }
 
-    fn judge(&self, t: &Transition, info: &mut [f32]) -> bool {
-        let stroke = t.options.stroke.unwrap_or_default();
-        let [before, after] = [t.before, t.after].map(|state| self.account(&stroke, state));
+    fn evaluate(&self, setup: &Setup<StrokeTaskOptions>, t: &Transition, info: &mut [f32]) -> bool {
+        let stroke = &setup.options.stroke;
+        let [before, after] = [t.before, t.after].map(|state| self.account(stroke, state));
         // Half a step of room: the carriage's way is a sum of many small ones.
         let over = after.progress * self.duration * CONTROL_RATE > f64::from(self.spec.max_episode_steps) - 0.5;
         let left = if over { stroke.deepest(t.model, &t.after.angles) } else { 0.0 };
-        let mean = |i: usize| (t.after.impulse[i] - t.before.impulse[i]) / t.period;
-        let row = [
-            after.efficiency - before.efficiency,
-            stroke.lift_weight * (before.missing - after.missing),
-            -stroke.exit_weight * (left / LEFT_DEPTH).min(1.0),
-            mean(0),
-            mean(2),
-            t.after.work - t.before.work,
-            after.efficiency,
-            t.after.impulse[2] / self.duration,
-            f64::from(u8::from(t.diverged)),
-        ];
-        info.iter_mut().zip(row).for_each(|(out, x)| *out = x as f32);
+        let step = StrokeStep { t, before, after, left, duration: self.duration };
+        let (rewards, rest) = info.split_at_mut(self.spec.reward.len());
+        for (out, (_, _, weight, value)) in rewards.iter_mut().zip(terms(stroke)) {
+            *out = (weight * value(&step)) as f32;
+        }
+        self.figures.fill(rest, |value, _| value(&step));
         over && !t.diverged
     }
 }

@@ -1,17 +1,17 @@
-//! What a task is.
+//! What a task is: what its author writes ([`Task`]), and what an environment holds ([`AnyTask`]).
 
-use super::ground::{Change, Ground};
-use super::legged::LeggedEpisode;
-use super::options::keywords::Keywords;
-use super::options::{ResetOptions, TaskOptions};
+use super::ground::{Change, UsedGround};
+use super::legged::episode::LeggedEpisode;
+use super::options::{OptionRow, Options, ResetOptions};
 use super::random::Random;
 use super::spec::Spec;
-use crate::error::Result;
-use crate::sim::engine::Command;
+use crate::error::{Error, Result};
+use crate::sim::engine::{Command, EngineKind};
 use crate::sim::{Model, State};
+use serde_json::{Map, Value};
 use std::sync::Arc;
 
-/// What an episode is about: drawn or chosen when it begins, and changed by [`Task::walked`] alone.
+/// What an episode is about: drawn or chosen when it begins, and changed by [`Task::after_step`] alone.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Goal {
     /// Commanded forward speed [m/s].
@@ -21,50 +21,26 @@ pub struct Goal {
     /// The setup's model with what this episode drew, for tasks that draw some of it.
     pub model: Option<Arc<Model>>,
     /// Ground that changes along the way and remembers, for the task that has it.
-    pub ground: Option<Ground>,
+    pub ground: Option<UsedGround>,
     /// What an episode of LeggedVelocity drew and remembers.
     pub legged: Option<LeggedEpisode>,
 }
 
-/// What one environment may have been told by a reset: its own options and the model they make.
-#[derive(Clone)]
-pub struct Setup {
-    keywords: &'static Keywords,
-    pub options: TaskOptions,
-    pub model: Arc<Model>,
+/// An environment's options, and the model that they make.
+pub struct Setup<'a, O> {
+    pub options: &'a O,
+    pub model: &'a Arc<Model>,
 }
 
-impl Setup {
-    /// `keywords`: what the task takes.
-    pub fn new(keywords: &'static Keywords, options: TaskOptions) -> Result<Self> {
-        let model = Arc::new(options.model()?);
-        Ok(Self { keywords, options, model })
-    }
-
-    pub fn keywords(&self) -> &'static Keywords {
-        self.keywords
-    }
-
-    /// The same number for all copies of a setup, another for every other setup that is alive: its model is made with it.
-    pub fn id(&self) -> usize {
-        Arc::as_ptr(&self.model).addr()
-    }
-
-    /// The same task with all of `options`.
-    pub fn with(&self, options: TaskOptions) -> Result<Self> {
-        Self::new(self.keywords, options)
-    }
-
-    /// This setup with a reset's changes.
-    pub fn changed(&self, reset: &ResetOptions) -> Result<Self> {
-        reset.given().iter().try_for_each(|name| self.keywords.check(name))?;
-        self.with(self.options.changed(reset)?)
+impl<'a, O> Setup<'a, O> {
+    /// The same model with the options of a task that this one is built on.
+    pub fn with<P>(&self, options: &'a P) -> Setup<'a, P> {
+        Setup { options, model: self.model }
     }
 }
 
-/// One control step as a task judges it.
+/// One control step.
 pub struct Transition<'a> {
-    pub options: &'a TaskOptions,
     /// What the episode is simulated with.
     pub model: &'a Model,
     pub goal: &'a Goal,
@@ -80,17 +56,33 @@ pub struct Transition<'a> {
 }
 
 /// A task: pure functions from states to rows, the same for every environment of a session.
-pub trait Task: Send + Sync {
+pub trait Task: Send + Sync + Sized + 'static {
+    /// For example `sandgait/HexapodGait-v1`.
+    const ID: &'static str;
+
+    /// Memory of an episode's state, options and bookkeeping [bytes], and its share of the messages in flight; measured.
+    const EPISODE_BYTES: usize = 2_000;
+
+    type Options: Options;
+
+    /// The engine that these options choose.
+    fn engine(options: &Self::Options) -> EngineKind;
+
+    /// Checks of the options what their own lines cannot say, and builds robot, sand and slope.
+    fn model(options: &Self::Options) -> Result<Model>;
+
+    fn new(setup: &Setup<Self::Options>) -> Result<Self>;
+
     fn spec(&self) -> &Spec;
 
     /// First state and goal of an episode.
-    fn begin(&self, setup: &Setup, random: &mut Random) -> (State, Goal);
+    fn begin(&self, setup: &Setup<Self::Options>, random: &mut Random) -> (State, Goal);
 
     /// What the servos do under `action`.
     fn command(&self, action: &[f32], state: &State, command: &mut Command);
 
-    /// Takes note of where a step has led, after it was judged; says what the engine must be told.
-    fn walked(&self, _setup: &Setup, _goal: &mut Goal, _state: &State) -> Change {
+    /// Takes note of where a step has led, after it was evaluated; says what the engine must be told.
+    fn after_step(&self, _setup: &Setup<Self::Options>, _goal: &mut Goal, _state: &State) -> Change {
         Change::Nothing
     }
 
@@ -98,5 +90,168 @@ pub trait Task: Send + Sync {
     fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]);
 
     /// Fills an info row (weighted reward terms first) and says whether the episode terminated.
-    fn judge(&self, transition: &Transition, info: &mut [f32]) -> bool;
+    fn evaluate(&self, setup: &Setup<Self::Options>, transition: &Transition, info: &mut [f32]) -> bool;
+
+    /// Obstacles that an episode's model may have.
+    fn most_obstacles(_options: &Self::Options) -> usize {
+        0
+    }
+
+    /// Checks what a snapshot says an episode drew and remembers, and makes what the snapshot leaves out. The error is
+    /// what does not suit.
+    fn resume(_setup: &Setup<Self::Options>, goal: &mut Goal) -> std::result::Result<(), String> {
+        match goal {
+            Goal { model: None, ground: None, legged: None, .. } => Ok(()),
+            _ => Err("its robot and sand".into()),
+        }
+    }
+}
+
+/// A task with an environment's options and model: all that an environment is made from but its engine.
+pub trait AnyTask: Send + Sync {
+    fn spec(&self) -> &Spec;
+    fn model(&self) -> &Arc<Model>;
+    fn begin(&self, random: &mut Random) -> (State, Goal);
+    fn command(&self, action: &[f32], state: &State, command: &mut Command);
+    fn after_step(&self, goal: &mut Goal, state: &State) -> Change;
+    fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]);
+    fn evaluate(&self, transition: &Transition, info: &mut [f32]) -> bool;
+    fn most_obstacles(&self) -> usize;
+    fn resume(&self, goal: &mut Goal) -> std::result::Result<(), String>;
+
+    /// The options' declarations.
+    fn rows(&self) -> Vec<OptionRow>;
+
+    /// What option `name` is; null if there is none.
+    fn option(&self, name: &str) -> Value;
+
+    /// The same task with a reset's changes.
+    fn changed(&self, reset: &ResetOptions) -> Result<Arc<dyn AnyTask>>;
+
+    /// The same task with another robot or sand than options can name. Resets with options would bring these back.
+    fn with_model(&self, model: Model) -> Result<Arc<dyn AnyTask>>;
+
+    /// The same number for all copies of a setup, another for every other setup that is alive: its model is made with it.
+    fn id(&self) -> usize {
+        Arc::as_ptr(self.model()).addr()
+    }
+
+    /// Every option's value by name.
+    fn options(&self) -> Map<String, Value> {
+        self.rows().iter().map(|row| (row.name.to_owned(), self.option(row.name))).collect()
+    }
+
+    /// What a reset must change so that the options are `all`, as [`AnyTask::options`] has given them; none where a reset
+    /// cannot.
+    fn reset_to(&self, mut all: Map<String, Value>) -> Option<ResetOptions> {
+        let rows = self.rows();
+        if rows.len() != all.len() {
+            return None;
+        }
+        for row in rows {
+            let value = all.get(row.name)?;
+            if *value == self.option(row.name) {
+                all.remove(row.name);
+            } else if !row.at_reset {
+                return None;
+            }
+        }
+        ResetOptions::new(Value::Object(all)).ok()
+    }
+}
+
+/// Refuses a keyword that is not among the options of the task with this id.
+pub(super) type CheckKeyword = fn(&str, &[OptionRow], &str) -> Result<()>;
+
+/// [`AnyTask`] of one type of task.
+pub(super) struct TaskSetup<T: Task> {
+    check_keyword: CheckKeyword,
+    task: Arc<T>,
+    options: T::Options,
+    model: Arc<Model>,
+}
+
+impl<T: Task> TaskSetup<T> {
+    /// `options` are checked here.
+    pub fn new(options: T::Options, check_keyword: CheckKeyword) -> Result<Self> {
+        let model = Self::checked(&options)?;
+        let task = Arc::new(T::new(&Setup { options: &options, model: &model })?);
+        Ok(Self { check_keyword, task, options, model })
+    }
+
+    fn checked(options: &T::Options) -> Result<Arc<Model>> {
+        options.check_all("")?;
+        T::model(options).map(Arc::new)
+    }
+
+    fn setup(&self) -> Setup<'_, T::Options> {
+        Setup { options: &self.options, model: &self.model }
+    }
+}
+
+impl<T: Task> AnyTask for TaskSetup<T> {
+    fn spec(&self) -> &Spec {
+        self.task.spec()
+    }
+
+    fn model(&self) -> &Arc<Model> {
+        &self.model
+    }
+
+    fn begin(&self, random: &mut Random) -> (State, Goal) {
+        self.task.begin(&self.setup(), random)
+    }
+
+    fn command(&self, action: &[f32], state: &State, command: &mut Command) {
+        self.task.command(action, state, command);
+    }
+
+    fn after_step(&self, goal: &mut Goal, state: &State) -> Change {
+        self.task.after_step(&self.setup(), goal, state)
+    }
+
+    fn observe(&self, goal: &Goal, state: &State, last_action: &[f32], row: &mut [f32]) {
+        self.task.observe(goal, state, last_action, row);
+    }
+
+    fn evaluate(&self, transition: &Transition, info: &mut [f32]) -> bool {
+        self.task.evaluate(&self.setup(), transition, info)
+    }
+
+    fn most_obstacles(&self) -> usize {
+        T::most_obstacles(&self.options)
+    }
+
+    fn resume(&self, goal: &mut Goal) -> std::result::Result<(), String> {
+        T::resume(&self.setup(), goal)
+    }
+
+    fn rows(&self) -> Vec<OptionRow> {
+        T::Options::rows()
+    }
+
+    fn option(&self, name: &str) -> Value {
+        self.options.get(name).unwrap_or_default()
+    }
+
+    fn changed(&self, reset: &ResetOptions) -> Result<Arc<dyn AnyTask>> {
+        let rows = T::Options::rows();
+        let mut options = self.options.clone();
+        for (name, value) in reset.keywords() {
+            (self.check_keyword)(T::ID, &rows, name)?;
+            if !rows.iter().any(|row| row.name == name && row.at_reset) {
+                let can: Vec<_> = rows.iter().filter(|row| row.at_reset).map(|row| row.name).collect();
+                return Err(Error::invalid(name, format!("no reset changes it; resets change: {}", can.join(", "))));
+            }
+            options.set(name, value)?;
+        }
+        let model = Self::checked(&options)?;
+        Ok(Arc::new(Self { check_keyword: self.check_keyword, task: self.task.clone(), options, model }))
+    }
+
+    fn with_model(&self, model: Model) -> Result<Arc<dyn AnyTask>> {
+        let model = Arc::new(model);
+        let task = Arc::new(T::new(&Setup { options: &self.options, model: &model })?);
+        Ok(Arc::new(Self { check_keyword: self.check_keyword, task, options: self.options.clone(), model }))
+    }
 }

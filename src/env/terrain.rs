@@ -1,38 +1,109 @@
 //! `sandgait/HexapodTerrain-v1`: HexapodGait where sand, slope, load and motors are drawn for every episode, the sand
 //! changes along the way, and the robot is sent back over ground that it has used.
 
-use super::gait::HexapodGait;
-use super::ground::{Change, Ground, PATCHES};
-use super::options::{Quantity, Randomize, TaskOptions, keywords};
+use super::feature::Features;
+use super::gait::{GaitOptions, HexapodGait};
+use super::ground::{Change, PATCHES, UsedGround};
 use super::random::Random;
-use super::spec::{Column, Spec};
+use super::spec::Spec;
 use super::task::{Goal, Setup, Task, Transition};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, check_range};
+use crate::options;
 use crate::sand::Medium;
-use crate::sim::State;
-use crate::sim::engine::Command;
+use crate::sim::engine::{Command, EngineKind};
 use crate::sim::model::Scene;
+use crate::sim::{Model, State};
+use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// What one episode drew that its model holds.
-struct Draw {
-    slope_deg: f64,
-    payload: f64,
-    torque_limit: f64,
+options! {
+    /// Options of HexapodTerrain.
+    pub struct TerrainOptions {
+        ..gait: GaitOptions = GaitOptions::default();
+        randomize: Randomize = Randomize::default(), reset, "ranges [low, high] that an episode draws from; they change what the other options say";
+        difficulty: f64 = 1.0, [0.0, 1.0], reset, "how much of randomize: 0 nothing, 1 all";
+    }
+}
+
+options! {
+    /// Ranges [low, high] that an episode's quantities are drawn from, uniformly. `zeta`: our choice, on poppy seeds from plastic
+    /// pellets to twice as stiff as close packing makes them; batches alone differ by 20-40 % (Li, Zhang & Goldman 2013). The
+    /// others are our choice too: patches of one to four body lengths, payloads of up to a third of the robot's mass; no published
+    /// law of `footprint` was found. Bounds stand in [`Randomize::quantities`].
+    #[derive(Copy, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct Randomize {
+        zeta: [f64; 2] = [0.45, 2.0], reset, "factor on the medium's ζ, for each patch";
+        patch_length: [f64; 2] = [0.15, 0.6], reset, "length of a patch along x [m]";
+        slope_deg: [f64; 2] = [-10.0, 10.0], reset, "added to slope_deg [°]";
+        payload: [f64; 2] = [0.0, 0.05], reset, "added to payload [kg]";
+        torque_limit: [f64; 2] = [0.4, 1.0], reset, "factor on torque_limit";
+        footprint: [f64; 2] = [0.0, 0.5], reset, "κ of re-used ground; see mechanism footprint";
+        turning_point: [f64; 2] = [0.3, 1.2], reset, "distance after which the robot is sent back, and again when it is back at the start [m]";
+    }
+}
+
+/// One quantity that is drawn.
+struct Quantity {
+    name: &'static str,
+    /// What an episode draws from.
+    range: [f64; 2],
+    /// What the range must lie in.
+    guard: [f64; 2],
+    /// The value that leaves everything as the other options say, if `difficulty` scales the range.
+    neutral: Option<f64>,
 }
 
 impl Randomize {
+    /// `slope_deg` [°] and `payload` [kg]: what drawn ones are added to, so that their sums stay within a scene's bounds.
+    fn quantities(&self, slope_deg: f64, payload: f64) -> [Quantity; 7] {
+        let slope = [-Scene::MAX_SLOPE_DEG, Scene::MAX_SLOPE_DEG].map(|most| most - slope_deg);
+        let load = [0.0, (Scene::MAX_PAYLOAD - payload).min(10.0)];
+        let quantity = |name, range, guard, neutral| Quantity { name, range, guard, neutral };
+        [
+            quantity("zeta", self.zeta, [0.1, 10.0], Some(1.0)),
+            quantity("patch_length", self.patch_length, [0.02, 100.0], None),
+            quantity("slope_deg", self.slope_deg, slope, Some(0.0)),
+            quantity("payload", self.payload, load, Some(0.0)),
+            quantity("torque_limit", self.torque_limit, [0.01, 1.0], Some(1.0)),
+            quantity("footprint", self.footprint, [-2.0, 1.0], Some(0.0)),
+            quantity("turning_point", self.turning_point, [0.05, 1e3], None),
+        ]
+    }
+
+    /// The arguments are those of [`Self::quantities`].
+    fn validate(&self, slope_deg: f64, payload: f64) -> Result<()> {
+        for Quantity { name, range: [low, high], guard: [least, most], .. } in self.quantities(slope_deg, payload) {
+            let added = match name {
+                "slope_deg" => format!(" (it is added to slope_deg = {slope_deg})"),
+                "payload" => format!(" (it is added to payload = {payload})"),
+                _ => String::new(),
+            };
+            let check = |end: usize, value: f64, low: f64| {
+                let field = format!("randomize.{name}[{end}]");
+                let why = |e: Error| match e {
+                    Error::Invalid { field, reason } => Error::invalid(field, reason + &added),
+                    other => other,
+                };
+                check_range(&field, value, low..=most).map_err(why)
+            };
+            check(0, low, least)?;
+            check(1, high, low)?;
+        }
+        Ok(())
+    }
+
     /// Draws an episode's quantities, always as many numbers in the same order, for a robot with `legs` legs that is told to
     /// go at `speed` [m/s].
-    fn draw(&self, options: &TaskOptions, speed: f64, legs: usize, random: &mut Random) -> (Draw, Ground) {
-        let difficulty = options.difficulty.unwrap_or(1.0);
-        let ranges = self.quantities(options.slope_deg, options.payload).map(|Quantity { range, neutral, .. }| {
+    fn draw(&self, options: &TerrainOptions, speed: f64, legs: usize, random: &mut Random) -> (Draw, UsedGround) {
+        let (difficulty, own) = (options.difficulty, &options.gait.walking);
+        let ranges = self.quantities(own.slope_deg, own.payload).map(|Quantity { range, neutral, .. }| {
             range.map(|end| neutral.map_or(end, |neutral| neutral + difficulty * (end - neutral)))
         });
         let [zeta, patch_length, slope_deg, payload, torque_limit, footprint, turning_point] = ranges;
         let mut one = |[low, high]: [f64; 2]| random.uniform(low, high);
         let draw = Draw { slope_deg: one(slope_deg), payload: one(payload), torque_limit: one(torque_limit) };
-        let ground = Ground {
+        let ground = UsedGround {
             patch_length: one(patch_length),
             footprint: one(footprint),
             turning_point: one(turning_point),
@@ -46,6 +117,13 @@ impl Randomize {
         };
         (draw, ground)
     }
+}
+
+/// What one episode drew that its model holds.
+struct Draw {
+    slope_deg: f64,
+    payload: f64,
+    torque_limit: f64,
 }
 
 const ABOUT: &str = "\
@@ -66,59 +144,80 @@ round, and again when the robot is back, so it walks over its own prints; slippi
 **Curriculum.** `difficulty` from 0 to 1 scales the ranges of ζ, slope, payload, motors and κ from nothing to all of
 `randomize`; a reset may change both. See HexapodGait-v1 for `control`, for how episodes end, and for the cost of transport.";
 
+/// What an info row tells of the ground.
+struct Drawn<'a> {
+    t: &'a Transition<'a>,
+    difficulty: f64,
+    ground: &'a UsedGround,
+}
+
+/// Computes one of them.
+type Figure = fn(&Drawn) -> f64;
+
 /// The task; what it shares with HexapodGait is that task's own.
 pub struct HexapodTerrain {
     gait: HexapodGait,
     spec: Spec,
+    figures: Features<Figure>,
 }
 
 /// Info columns beyond HexapodGait's.
-const DRAWN: [(&str, &str); 9] = [
-    ("difficulty", "1"),
-    ("zeta", "1"),
-    ("patch_length", "m"),
-    ("slope_deg", "°"),
-    ("payload", "kg"),
-    ("torque_limit", "N·m"),
-    ("footprint", "1"),
-    ("turning_point", "m"),
-    ("footing", "1"),
-];
-
-impl HexapodTerrain {
-    pub const ID: &'static str = keywords::TERRAIN.task;
-
-    pub fn new(setup: &Setup) -> Result<Self> {
-        if setup.options.randomize.is_none() {
-            return Err(Error::invalid("randomize", "null is no set of ranges"));
-        }
-        let gait = HexapodGait::new(setup)?;
-        let mut spec = gait.spec().clone();
-        spec.id = Self::ID;
-        spec.about = ABOUT;
-        spec.summary = spec.summary.replace("on sand", "over sand that changes and remembers");
-        spec.info.extend(DRAWN.map(|(name, unit)| Column::free(name, unit)));
-        Ok(Self { gait, spec })
-    }
+fn figures() -> Features<Figure> {
+    Features::<Figure>::none()
+        .free("difficulty", "1", |d| d.difficulty)
+        .free("zeta", "1", |d| d.ground.zeta[d.ground.patch])
+        .free("patch_length", "m", |d| d.ground.patch_length)
+        .free("slope_deg", "°", |d| d.t.model.scene.slope_deg)
+        .free("payload", "kg", |d| d.t.model.scene.payload)
+        .free("torque_limit", "N·m", |d| d.t.model.motor.torque_limit)
+        .free("footprint", "1", |d| d.ground.footprint)
+        .free("turning_point", "m", |d| d.ground.turning_point)
+        .free("footing", "1", |d| d.ground.footing.iter().sum::<f64>() / d.ground.footing.len() as f64)
 }
 
 /// The sand of the patch in force.
-fn sand(setup: &Setup, ground: &Ground) -> Medium {
-    let own = &setup.model.scene.medium;
+fn sand(model: &Model, ground: &UsedGround) -> Medium {
+    let own = &model.scene.medium;
     Medium { coefficients: own.coefficients.scaled(ground.zeta[ground.patch]), ..own.clone() }
 }
 
 impl Task for HexapodTerrain {
+    const ID: &'static str = "sandgait/HexapodTerrain-v1";
+    /// With a model of its own and the longest memory of footprints; counted.
+    const EPISODE_BYTES: usize = 26_000;
+    type Options = TerrainOptions;
+
+    fn engine(options: &TerrainOptions) -> EngineKind {
+        HexapodGait::engine(&options.gait)
+    }
+
+    fn model(options: &TerrainOptions) -> Result<Model> {
+        // First the model, which says what is wrong with slope and payload themselves.
+        let (model, own) = (HexapodGait::model(&options.gait)?, &options.gait.walking);
+        options.randomize.validate(own.slope_deg, own.payload)?;
+        Ok(model)
+    }
+
+    fn new(setup: &Setup<TerrainOptions>) -> Result<Self> {
+        let (gait, figures) = (HexapodGait::new(&setup.with(&setup.options.gait))?, figures());
+        let mut spec = gait.spec().clone();
+        spec.id = Self::ID;
+        spec.about = ABOUT;
+        spec.summary = spec.summary.replace("on sand", "over sand that changes and remembers");
+        spec.info.extend(figures.columns());
+        Ok(Self { gait, spec, figures })
+    }
+
     fn spec(&self) -> &Spec {
         &self.spec
     }
 
-    fn begin(&self, setup: &Setup, random: &mut Random) -> (State, Goal) {
-        let (state, goal) = self.gait.begin(setup, random);
-        let (options, legs) = (&setup.options, setup.model.legs.len());
-        let (draw, ground) = options.randomize.unwrap_or_default().draw(options, goal.speed, legs, random);
+    fn begin(&self, setup: &Setup<TerrainOptions>, random: &mut Random) -> (State, Goal) {
+        let (state, goal) = self.gait.begin(&setup.with(&setup.options.gait), random);
+        let (options, legs) = (setup.options, setup.model.legs.len());
+        let (draw, ground) = options.randomize.draw(options, goal.speed, legs, random);
         let Scene { slope_deg, payload, .. } = setup.model.scene;
-        let mut model = setup.model.with_medium(sand(setup, &ground));
+        let mut model = setup.model.with_medium(sand(setup.model, &ground));
         model.set_load(slope_deg + draw.slope_deg, payload + draw.payload);
         model.weaken_motors(draw.torque_limit);
         (state, Goal { model: Some(Arc::new(model)), ground: Some(ground), ..goal })
@@ -129,11 +228,11 @@ impl Task for HexapodTerrain {
     }
 
     /// Prints, patches, and the way back.
-    fn walked(&self, setup: &Setup, goal: &mut Goal, state: &State) -> Change {
+    fn after_step(&self, setup: &Setup<TerrainOptions>, goal: &mut Goal, state: &State) -> Change {
         let (Some(ground), Some(model)) = (&mut goal.ground, &mut goal.model) else { return Change::Nothing };
-        let change = ground.walked(model, state);
+        let change = ground.after_step(model, state);
         if change == Change::Patch {
-            *model = Arc::new(model.with_medium(sand(setup, ground)));
+            *model = Arc::new(model.with_medium(sand(setup.model, ground)));
         }
         if ground.turned(state.position[0]) {
             goal.speed = -goal.speed;
@@ -145,24 +244,21 @@ impl Task for HexapodTerrain {
         self.gait.observe(goal, state, last_action, row);
     }
 
-    fn judge(&self, t: &Transition, info: &mut [f32]) -> bool {
+    fn evaluate(&self, setup: &Setup<TerrainOptions>, t: &Transition, info: &mut [f32]) -> bool {
         let (walk, drawn) = info.split_at_mut(self.gait.spec().info.len());
         if let Some(ground) = &t.goal.ground {
-            let (scene, own) = (&t.model.scene, t.options);
-            let footing = ground.footing.iter().sum::<f64>() / ground.footing.len() as f64;
-            let figures = [
-                own.difficulty.unwrap_or(1.0),
-                ground.zeta[ground.patch],
-                ground.patch_length,
-                scene.slope_deg,
-                scene.payload,
-                t.model.motor.torque_limit,
-                ground.footprint,
-                ground.turning_point,
-                footing,
-            ];
-            drawn.iter_mut().zip(figures).for_each(|(out, x)| *out = x as f32);
+            let facts = Drawn { t, difficulty: setup.options.difficulty, ground };
+            self.figures.fill(drawn, |value, _| value(&facts));
         }
-        self.gait.judge(t, walk)
+        self.gait.evaluate(&setup.with(&setup.options.gait), t, walk)
+    }
+
+    fn resume(setup: &Setup<TerrainOptions>, goal: &mut Goal) -> std::result::Result<(), String> {
+        let legs = setup.model.legs.len();
+        match goal {
+            Goal { ground: Some(ground), .. } if !ground.is_sound(legs) => Err("its ground".into()),
+            Goal { model: Some(_), ground: Some(_), legged: None, .. } => Ok(()),
+            _ => Err("its robot, sand and ground".into()),
+        }
     }
 }

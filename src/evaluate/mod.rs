@@ -90,19 +90,22 @@ impl Study {
         check_range("seeds", *seeds as f64, 2.0..=MOST_SEEDS as f64)?;
         let options = policy.with_control(options.clone())?;
         let base = Blueprint::new(task, options)?;
-        let own = &base.setup.options;
-        if !media.is_empty() && !own.sand.is_empty() {
+        let text = |name: &str| base.task.option(name).as_str().unwrap_or_default().to_owned();
+        if !media.is_empty() && !text("sand").is_empty() {
             return Err(Error::invalid("media", "the option sand excludes them"));
         }
-        let media = if media.is_empty() { vec![own.medium.clone()] } else { media.clone() };
-        let slopes = if slopes.is_empty() { vec![own.slope_deg] } else { slopes.clone() };
+        let media = if media.is_empty() { vec![text("medium")] } else { media.clone() };
+        let slopes = if slopes.is_empty() {
+            vec![base.task.option("slope_deg").as_f64().unwrap_or_default()]
+        } else {
+            slopes.clone()
+        };
         check_range("media times slopes", (media.len() * slopes.len()) as f64, 1.0..=MOST_CONDITIONS as f64)?;
         let gait = policy.gait(&base)?;
         episode::Columns::of(base.task.spec())?;
         let condition = |medium: &String, slope_deg: f64| {
-            let change =
-                ResetOptions { medium: Some(medium.clone()), slope_deg: Some(slope_deg), ..Default::default() };
-            let blueprint = Blueprint { setup: base.setup.changed(&change)?, ..base.clone() };
+            let change = ResetOptions::new(json!({"medium": medium, "slope_deg": slope_deg}))?;
+            let blueprint = base.changed(&change)?;
             Ok(Condition { medium: medium.clone(), slope_deg, blueprint, gait: gait.clone() })
         };
         let all = media.iter().flat_map(|m| slopes.iter().map(move |s| (m, *s)));

@@ -119,6 +119,11 @@ impl<R: Real> Mat3<R> {
     pub fn apply_transposed(&self, v: Vec3<R>) -> Vec3<R> {
         Vec3::new(self.x.dot(v), self.y.dot(v), self.z.dot(v))
     }
+    #[inline(always)]
+    pub fn transposed(&self) -> Self {
+        let (a, b, c) = (&self.x, &self.y, &self.z);
+        Self::new(Vec3::new(a.x, b.x, c.x), Vec3::new(a.y, b.y, c.y), Vec3::new(a.z, b.z, c.z))
+    }
     /// Matrix times matrix.
     #[inline(always)]
     pub fn compose(&self, o: &Self) -> Self {

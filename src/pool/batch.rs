@@ -1,10 +1,8 @@
 //! All environments of one session, cut into shards.
 
-use super::snapshot::Snapshot;
 use crate::env::registry::Blueprint;
 use crate::env::snapshot::Resumed;
-use crate::env::task::Setup;
-use crate::env::{Look, ResetOptions, Shard, Spec, Task};
+use crate::env::{AnyTask, Look, ResetOptions, Shard, Spec};
 use crate::error::{Error, Result, check_range};
 use crate::policy::Network;
 use std::collections::HashMap;
@@ -14,30 +12,29 @@ use std::sync::Arc;
 /// The environments of one session. `Pool::run` takes it and gives it back.
 pub struct Batch {
     pub(super) shards: Vec<Shard>,
-    task: Arc<dyn Task>,
-    setup: Setup,
+    task: Arc<dyn AnyTask>,
     envs: usize,
-    begun: Vec<bool>,
+    pub(super) begun: Vec<bool>,
 }
 
 /// A checked request; only [`Batch`] makes one, so a pool never sees a malformed one.
 pub enum Operation {
-    Reset { chosen: Option<Vec<bool>>, seeds: Option<Vec<u64>>, setups: Option<Setups> },
+    Reset { chosen: Option<Vec<bool>>, seeds: Option<Vec<u64>>, tasks: Option<Tasks> },
     Step { actions: Vec<f32>, held: Option<Vec<bool>> },
     Restore { episodes: Vec<Arc<Resumed>> },
     Roll(Roll),
 }
 
-/// What a reset makes of the setups of those that it begins anew.
-pub struct Setups {
+/// What a reset makes of the tasks of those that it begins anew: the same with other options.
+pub struct Tasks {
     /// Each different one once.
-    all: Vec<Setup>,
+    all: Vec<Arc<dyn AnyTask>>,
     /// Which of them an environment gets; none for those that are not chosen.
     of: Vec<Option<u32>>,
 }
 
-impl Setups {
-    fn get(&self, env: usize) -> Option<&Setup> {
+impl Tasks {
+    fn get(&self, env: usize) -> Option<&Arc<dyn AnyTask>> {
         self.all.get(self.of[env]? as usize)
     }
 }
@@ -90,8 +87,7 @@ impl Batch {
     /// These environments of `blueprint`, which wait for their first reset.
     pub(super) fn of(blueprint: &Blueprint, shards: Vec<Shard>) -> Self {
         let envs = shards.iter().map(Shard::envs).sum();
-        let (task, setup) = (blueprint.task.clone(), blueprint.setup.clone());
-        Self { shards, task, setup, envs, begun: vec![false; envs] }
+        Self { shards, task: blueprint.task.clone(), envs, begun: vec![false; envs] }
     }
 
     pub fn envs(&self) -> usize {
@@ -127,33 +123,33 @@ impl Batch {
         chosen.as_ref().map_or(Ok(()), |c| count("mask", c.len()))?;
         seeds.as_ref().map_or(Ok(()), |s| count("seeds", s.len()))?;
         let changes = options != ResetOptions::default();
-        let setups = changes.then(|| self.changed(chosen.as_deref(), &options)).transpose()?;
+        let tasks = changes.then(|| self.changed(chosen.as_deref(), &options)).transpose()?;
         for (i, begun) in self.begun.iter_mut().enumerate() {
             *begun |= chosen.as_ref().is_none_or(|c| c[i]);
         }
-        Ok(Operation::Reset { chosen, seeds, setups })
+        Ok(Operation::Reset { chosen, seeds, tasks })
     }
 
-    /// What `options` make of the setups of those that are `chosen`. Environments that share a setup go on sharing one.
-    fn changed(&self, chosen: Option<&[bool]>, options: &ResetOptions) -> Result<Setups> {
-        let mut setups = Setups { all: Vec::new(), of: Vec::with_capacity(self.envs) };
+    /// What `options` make of the tasks of those that are `chosen`. Environments that share one go on sharing one.
+    fn changed(&self, chosen: Option<&[bool]>, options: &ResetOptions) -> Result<Tasks> {
+        let mut tasks = Tasks { all: Vec::new(), of: Vec::with_capacity(self.envs) };
         let mut known: HashMap<usize, u32> = HashMap::new();
-        let own = self.shards.iter().flat_map(|shard| (0..shard.envs()).map(|i| shard.setup(i)));
+        let own = self.shards.iter().flat_map(|shard| (0..shard.envs()).map(|i| shard.task(i)));
         for (env, old) in own.enumerate() {
             if chosen.is_some_and(|chosen| !chosen[env]) {
-                setups.of.push(None);
+                tasks.of.push(None);
                 continue;
             }
             let index = match known.entry(old.id()) {
                 Entry::Occupied(known) => *known.get(),
                 Entry::Vacant(new) => {
-                    setups.all.push(old.changed(options)?);
-                    *new.insert(setups.all.len() as u32 - 1)
+                    tasks.all.push(old.changed(options)?);
+                    *new.insert(tasks.all.len() as u32 - 1)
                 }
             };
-            setups.of.push(Some(index));
+            tasks.of.push(Some(index));
         }
-        Ok(setups)
+        Ok(tasks)
     }
 
     /// Checks a step: `actions` is f32 [envs, action], each number within its column's bounds.
@@ -182,14 +178,6 @@ impl Batch {
             Operation::Step { actions, .. } => Ok(Operation::Step { actions, held: Some(held) }),
             other => Ok(other),
         }
-    }
-
-    /// Checks that environment i can go on as environment `sources[i]` of `snapshot`; without sources as number i
-    /// modulo the snapshot's, so that a snapshot of one environment is forked.
-    pub fn restore(&mut self, snapshot: &Snapshot, sources: Option<&[u32]>) -> Result<Operation> {
-        let episodes = self.resumed(snapshot, sources)?;
-        self.begun.fill(true);
-        Ok(Operation::Restore { episodes })
     }
 
     /// What puts every environment back to where it is now.
@@ -246,8 +234,8 @@ impl Batch {
         self.begun.iter().all(|b| *b) && self.shards.iter().all(Shard::is_fresh)
     }
 
-    pub(super) fn setup(&self) -> &Setup {
-        &self.setup
+    pub(super) fn task(&self) -> &Arc<dyn AnyTask> {
+        &self.task
     }
 
     pub(super) fn check_begun(&self, what: &str) -> Result<()> {
@@ -307,10 +295,10 @@ impl Operation {
                     None => shard.step(actions),
                 }
             }
-            Self::Reset { chosen, seeds, setups } => {
+            Self::Reset { chosen, seeds, tasks } => {
                 let chosen = |i: usize| chosen.as_ref().is_none_or(|c| c[start + i]);
                 let seeds = seeds.as_ref().map(|s| &s[start..start + envs]);
-                shard.reset(chosen, seeds, |i| setups.as_ref().and_then(|setups| setups.get(start + i)));
+                shard.reset(chosen, seeds, |i| tasks.as_ref().and_then(|tasks| tasks.get(start + i)));
             }
             Self::Restore { episodes } => {
                 shard.rows.clear();

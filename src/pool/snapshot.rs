@@ -8,14 +8,14 @@
 //! refused. Options and episodes are CBOR inside the CBOR and unpacked one by one, only those that are asked for: however
 //! many a snapshot has, a batch that takes it up needs memory for its own environments.
 
-use super::batch::Batch;
+use super::batch::{Batch, Operation};
 use super::seal::Seal;
+use crate::env::AnyTask;
 use crate::env::snapshot::{Resumed, SavedEpisode};
-use crate::env::task::Setup;
-use crate::env::{ResetOptions, TaskOptions};
 use crate::error::{Error, Result};
 use serde::de::{DeserializeOwned, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde_json::{Map, Value};
 use std::collections::HashMap;
 use std::sync::Arc;
 
@@ -31,7 +31,7 @@ const PART: std::ops::RangeInclusive<usize> = 64..=1 << 19;
 #[serde(deny_unknown_fields)]
 pub struct Snapshot {
     pub task: String,
-    /// Each different set of options once: [`TaskOptions`].
+    /// Each different set of options once: [`AnyTask::options`].
     options: Vec<Part>,
     /// Which options an environment has, and its episode: [`SavedEpisode`].
     episodes: Vec<(u32, Part)>,
@@ -119,26 +119,33 @@ impl Batch {
     /// All environments as they are now.
     pub fn save(&self) -> Result<Snapshot> {
         self.check_begun("save")?;
-        let mut setups: Vec<&Setup> = Vec::new();
+        let mut tasks: Vec<&Arc<dyn AnyTask>> = Vec::new();
         let mut episodes = Vec::with_capacity(self.envs());
         for shard in self.shards() {
             for i in 0..shard.envs() {
-                let setup = shard.setup(i);
-                let same = |s: &&Setup| Arc::ptr_eq(&s.model, &setup.model) && s.options == setup.options;
-                let index = setups.iter().rposition(same).unwrap_or_else(|| {
-                    setups.push(setup);
-                    setups.len() - 1
+                let task = shard.task(i);
+                let index = tasks.iter().rposition(|t| t.id() == task.id()).unwrap_or_else(|| {
+                    tasks.push(task);
+                    tasks.len() - 1
                 });
                 episodes.push((index as u32, Part::pack(&shard.save(i))?));
             }
         }
-        let options = setups.iter().map(|s| Part::pack(&s.options)).collect::<Result<_>>()?;
+        let options = tasks.iter().map(|t| Part::pack(&t.options())).collect::<Result<_>>()?;
         Ok(Snapshot { task: self.spec().id.into(), options, episodes })
+    }
+
+    /// Checks that environment i can go on as environment `sources[i]` of `snapshot`; without sources as number i
+    /// modulo the snapshot's, so that a snapshot of one environment is forked.
+    pub fn restore(&mut self, snapshot: &Snapshot, sources: Option<&[u32]>) -> Result<Operation> {
+        let episodes = self.resumed(snapshot, sources)?;
+        self.begun.fill(true);
+        Ok(Operation::Restore { episodes })
     }
 
     /// Checks that environment i of this batch can go on as environment `sources[i]` of `snapshot` (none given: i
     /// modulo the snapshot's number).
-    pub(super) fn resumed(&self, snapshot: &Snapshot, sources: Option<&[u32]>) -> Result<Vec<Arc<Resumed>>> {
+    fn resumed(&self, snapshot: &Snapshot, sources: Option<&[u32]>) -> Result<Vec<Arc<Resumed>>> {
         if snapshot.task != self.spec().id {
             return Err(broken(format!("it is of {}, not of {}", snapshot.task, self.spec().id)));
         }
@@ -147,7 +154,7 @@ impl Batch {
             return Err(Error::invalid("sources", format!("{got} entries for {} environments", self.envs())));
         }
         let all = &snapshot.episodes;
-        let mut setups: HashMap<&Part, Setup> = HashMap::new();
+        let mut tasks: HashMap<&Part, Arc<dyn AnyTask>> = HashMap::new();
         let mut resumed: HashMap<usize, Arc<Resumed>> = HashMap::new();
         let mut one = |i: usize| {
             let source = sources.map_or(i % all.len(), |s| s[i] as usize);
@@ -157,27 +164,25 @@ impl Batch {
             let range = || Error::invalid(format!("sources[{i}]"), format!("{source} is outside [0, {})", all.len()));
             let (index, episode) = all.get(source).ok_or_else(range)?;
             let options = snapshot.options.get(*index as usize).ok_or_else(|| broken("it is inconsistent"))?;
-            let setup = match setups.get(options) {
-                Some(setup) => setup,
-                None => setups.entry(options).or_insert(self.setup_of(&options.unpack()?)?),
+            let task = match tasks.get(options) {
+                Some(task) => task,
+                None => tasks.entry(options).or_insert(self.task_with(options.unpack()?)?),
             };
             let episode: SavedEpisode = episode.unpack()?;
-            let new = Arc::new(Resumed::new(&episode, setup, self.spec().action.len())?);
+            let new = Arc::new(Resumed::new(&episode, task)?);
             resumed.insert(source, new.clone());
             Ok(new)
         };
         (0..self.envs()).map(&mut one).collect()
     }
 
-    /// A setup with `options`, which may differ from this session's in what a reset may change.
-    fn setup_of(&self, options: &TaskOptions) -> Result<Setup> {
-        let mine = &self.setup().options;
-        if mine == options {
-            return Ok(self.setup().clone());
+    /// This session's task with `options`, which may differ from the session's in what a reset may change.
+    fn task_with(&self, options: Map<String, Value>) -> Result<Arc<dyn AnyTask>> {
+        let fixed = "it was taken with options that this session does not have and a reset cannot change";
+        let changes = self.task().reset_to(options).ok_or_else(|| broken(fixed))?;
+        match changes.keywords().is_empty() {
+            true => Ok(self.task().clone()),
+            false => self.task().changed(&changes),
         }
-        if mine.changed(&ResetOptions::all_of(options))? != *options {
-            return Err(broken("it was taken with options that this session does not have and a reset cannot change"));
-        }
-        self.setup().with(options.clone())
     }
 }

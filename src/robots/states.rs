@@ -23,7 +23,7 @@ struct Row {
 /// Rows alone, or with the names of the joints that their numbers belong to; more is ignored.
 #[derive(Deserialize)]
 #[serde(untagged)]
-enum Form {
+enum JointRows {
     Named { joints: Option<Vec<String>>, rows: Vec<Row> },
     Bare(Vec<Row>),
 }
@@ -31,7 +31,7 @@ enum Form {
 /// The accelerations at each row of `path`, joints in the order of the file's `joints`, or the tree's if it has none.
 pub fn compute(tree: &Tree, path: &Path) -> Result<Vec<Accelerations>> {
     let source = Source::read(path, MOST_BYTES)?;
-    let form: Form = serde_json::from_str(source.text()?).map_err(|e| {
+    let file: JointRows = serde_json::from_str(source.text()?).map_err(|e| {
         let reason = match e.classify() {
             serde_json::error::Category::Data => {
                 "needs rows {quat, v, w, q, qd, tau}, bare or as {\"joints\": […], \"rows\": […]}".to_owned()
@@ -41,9 +41,9 @@ pub fn compute(tree: &Tree, path: &Path) -> Result<Vec<Accelerations>> {
         Error::file(path, reason)
     })?;
     let own: Vec<&str> = tree.joints().map(|j| j.name.as_str()).collect();
-    let (joints, rows) = match form {
-        Form::Named { joints, rows } => (joints, rows),
-        Form::Bare(rows) => (None, rows),
+    let (joints, rows) = match file {
+        JointRows::Named { joints, rows } => (joints, rows),
+        JointRows::Bare(rows) => (None, rows),
     };
     // For each joint of the tree its place in the rows.
     let places = match joints {

@@ -3,7 +3,6 @@
 //! A strength of 0 leaves every bit as plain theory gives it, so lanes without a mechanism do not notice neighbours
 //! that have it.
 
-use super::contact::Ground;
 use super::mechanism::Mechanisms;
 use super::term::{LaneTerms, Piece, Term};
 use crate::number::{Real, Vec3};
@@ -70,6 +69,13 @@ pub trait Beyond<R: Real> {
     /// Force [N] on a segment of `area` [m²] with unit normal `n` and velocity `v`, from the law's stress per depth
     /// [N/m³]. Where nothing goes beyond the law it has the bits of [`Plain`]: depth times area comes first.
     fn force(&self, per_depth: Vec3<R>, n: Vec3<R>, v: Vec3<R>, site: &Site<R>, area: R) -> Vec3<R>;
+
+    /// What the law's force on a large piece is multiplied by because parts of it lie at different depths, of which `mean` is
+    /// the mean over its area and `loaded` the mean weighted by depth.
+    #[inline(always)]
+    fn by_depths(&self, _mean: R, _loaded: R) -> R {
+        R::one()
+    }
 }
 
 /// Plain resistive force theory: proportional to depth, nothing else.
@@ -227,12 +233,6 @@ impl<R: Real> SandMechanisms<R> {
         (self.graze_loss * fourth * fourth).mul_add(-aside, R::one())
     }
 
-    /// Stress [Pa] on a submerged thin segment with unit normal `n` and velocity `v`, both in the surface's frame.
-    #[inline(always)]
-    pub fn stress(&self, ground: &Ground<R>, n: Vec3<R>, v: Vec3<R>, site: &Site<R>) -> Vec3<R> {
-        self.force(ground.stress(n, &ground.motion(v)), n, v, site, R::one())
-    }
-
     /// |z| → z0 (|z|/z0)^p
     #[inline(always)]
     pub fn depth(&self, depth: R) -> R {
@@ -266,6 +266,18 @@ impl<R: Real> SandMechanisms<R> {
 }
 
 impl<R: Real> Beyond<R> for SandMechanisms<R> {
+    /// A power of depth p is asked for at the depth that carries: for a piece from the surface down this is 1.4 % off at p = 0.2,
+    /// and 4 % at the mean depth.
+    #[inline(always)]
+    fn by_depths(&self, mean: R, loaded: R) -> R {
+        if !self.active.depth_power {
+            return R::one();
+        }
+        let tiny = R::splat(1e-12);
+        let (mean, loaded) = (mean.max(tiny), loaded.max(tiny));
+        self.depth(loaded) * mean / (self.depth(mean) * loaded)
+    }
+
     /// The depth-proportional stress carries scale, packing, footprint, rate and the friction cap; inertia, added mass
     /// and cohesion push against the leading face in addition.
     #[inline(always)]
@@ -379,6 +391,7 @@ fn tanh<R: Real>(x: R) -> R {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Ground;
     use crate::{Law, Medium, Surface};
 
     fn ground() -> Ground<f64> {

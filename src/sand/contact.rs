@@ -4,7 +4,7 @@
 //! stiff. Two named parameters make it usable in dynamics; both are in [`Surface`].
 
 use super::beyond::{Beyond, Plain, SandMechanisms, Site};
-use super::law::{Law, Motion, PenetrationDrag, PlanarTable, SpatialTable, StressLaw};
+use super::law::{Law, Motion, Normals, PenetrationDrag, PlanarTable, SpatialTable, StressLaw};
 use super::mechanism::Mechanisms;
 use super::media::Medium;
 use crate::number::{Real, Vec3};
@@ -71,11 +71,11 @@ impl<R: Real> StressLaw<R> for Form<R> {
     }
 
     #[inline(always)]
-    fn mean_stress(&self, n: Vec3<R>, spread: R, motion: &Motion<R>) -> Vec3<R> {
+    fn mean_stress(&self, normals: &Normals<R>, motion: &Motion<R>) -> Vec3<R> {
         match self {
-            Form::Li2013(law) => law.mean_stress(n, spread, motion),
-            Form::PenetrationDrag1d(law) => law.mean_stress(n, spread, motion),
-            Form::Agarwal2023(law) => law.mean_stress(n, spread, motion),
+            Form::Li2013(law) => law.mean_stress(normals, motion),
+            Form::PenetrationDrag1d(law) => law.mean_stress(normals, motion),
+            Form::Agarwal2023(law) => law.mean_stress(normals, motion),
         }
     }
 }
@@ -101,6 +101,14 @@ pub struct Contact<R> {
     pub drag: R,
     /// Slope of the leading-edge gate along the normal [N·s/m], never negative; 0 for two-sided segments.
     pub edge: R,
+}
+
+impl<R: Real> SandMechanisms<R> {
+    /// Stress [Pa] on a submerged thin segment with unit normal `n` and velocity `v`, both in the surface's frame.
+    #[inline(always)]
+    pub fn stress(&self, ground: &Ground<R>, n: Vec3<R>, v: Vec3<R>, site: &Site<R>) -> Vec3<R> {
+        self.force(ground.stress(n, &ground.motion(v)), n, v, site, R::one())
+    }
 }
 
 impl<R: Real> Ground<R> {
@@ -232,8 +240,8 @@ impl<R: Real> Ground<R> {
         Contact { force, drag: secant(force, &motion), edge: inside }
     }
 
-    /// What leads of a curved face: `area` [m²] of it, whose mean normal `mean` is the shorter the more its normals differ, and
-    /// whose force grows by its `growth`-fold with n·v̂. The contact and the unit normal.
+    /// What leads of a curved face: `area` [m²] of it, whose mean depth weighted by depth is `loaded` [m], and whose force grows
+    /// by its `growth`-fold with n·v̂.
     #[inline(always)]
     #[allow(clippy::too_many_arguments)] // all of them are in registers
     pub fn leading_part_by(
@@ -242,18 +250,16 @@ impl<R: Real> Ground<R> {
         beyond: &impl Beyond<R>,
         site: &Site<R>,
         area: R,
-        mean: Vec3<R>,
+        loaded: R,
+        normals: &Normals<R>,
         v: Vec3<R>,
         growth: R,
-    ) -> (Contact<R>, Vec3<R>) {
-        let motion = self.motion(v);
-        let squared = mean.norm_squared();
-        let inverse = R::one() / (squared + R::splat(1e-20)).sqrt();
-        let n = mean * inverse;
-        let spread = (R::one() - squared * inverse).max(R::zero());
-        let force = beyond.force(law.mean_stress(n, spread, &motion), n, v, site, area);
+    ) -> Contact<R> {
+        let (motion, n) = (self.motion(v), normals.unit);
+        let per_depth = law.mean_stress(normals, &motion) * beyond.by_depths(site.depth, loaded);
+        let force = beyond.force(per_depth, n, v, site, area);
         let edge = (-force.dot(n)).max(R::zero()) * motion.inverse_speed * growth;
-        (Contact { force, drag: secant(force, &motion), edge }, n)
+        Contact { force, drag: secant(force, &motion), edge }
     }
 }
 

@@ -18,8 +18,10 @@ use sandgait_base::{error, parallel};
 use sandgait_number as number;
 
 pub mod beyond;
+mod coefficients;
 pub mod contact;
 pub mod description;
+mod friction;
 pub mod intruder;
 pub mod intrusion;
 pub mod law;
@@ -29,11 +31,12 @@ pub mod shape;
 pub mod term;
 
 pub use beyond::{Beyond, Plain, SandMechanisms, Site};
+pub use coefficients::Coefficients;
 pub use contact::{Contact, Form, Ground, Surface};
 pub use description::SandDescription;
 pub use law::Law;
 pub use mechanism::{Mechanism, Mechanisms};
-pub use media::{Coefficients, Medium};
+pub use media::Medium;
 pub use shape::{Segment, Shape};
 pub use term::Term;
 

@@ -2,7 +2,7 @@
 
 use super::proto::{self, run_session_request::Request};
 use super::values;
-use crate::env::{ResetOptions, options};
+use crate::env::ResetOptions;
 use crate::error::{Error, Result};
 use crate::pool::{Batch, Operation, Seal, Snapshot};
 
@@ -20,7 +20,7 @@ pub fn operation(batch: &mut Batch, request: Option<Request>, seal: &Seal) -> Re
         Some(Request::Reset(reset)) => {
             let chosen = if reset.mask.is_empty() { None } else { Some(flags("mask", &reset.mask, envs)?) };
             let seeds = if reset.seeds.is_empty() { None } else { Some(reset.seeds) };
-            let changes: ResetOptions = options::parse(values::to_json(reset.options)?)?;
+            let changes = ResetOptions::new(values::to_json(reset.options)?)?;
             batch.reset(chosen, seeds, changes)
         }
         Some(Request::Restore(restore)) => {

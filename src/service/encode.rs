@@ -106,7 +106,7 @@ fn columns(table: &[Column]) -> Vec<proto::Column> {
 fn option(keyword: Keyword) -> proto::Option {
     proto::Option {
         name: keyword.name.into(),
-        summary: keyword.summary.into(),
+        summary: keyword.summary,
         default_value: Some(values::from_json(&keyword.value)),
         at_reset: keyword.at_reset,
     }

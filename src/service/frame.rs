@@ -1,7 +1,7 @@
 //! A request as it arrived: bytes that nobody has unpacked yet.
 
 use super::intake::{Door, Share};
-use super::wire::{self, Shape};
+use super::wire::{self, MessageLayout};
 use super::{off_runtime, status};
 use crate::error::{Error, Result};
 use bytes::{Buf as _, Bytes};
@@ -19,31 +19,34 @@ const LIGHT: usize = 16 << 10;
 
 impl<T: Message + Default + 'static> Frame<T> {
     /// The message, with its share of the memory for requests. Its parts are counted before any is unpacked.
-    pub fn open(self, door: &Door, shape: Shape) -> Result<(T, Option<Share>)> {
+    pub fn open(self, door: &Door, layout: MessageLayout) -> Result<(T, Option<Share>)> {
         let (bytes, share) = door.take(self.0);
-        Ok((unpacked(bytes, shape)?, share))
+        Ok((unpacked(bytes, layout)?, share))
     }
 
     /// [`Self::receive`] of a call's only message.
-    pub async fn only(request: Request<Self>, shape: Shape) -> std::result::Result<(T, Option<Share>), Status> {
+    pub async fn only(
+        request: Request<Self>,
+        layout: MessageLayout,
+    ) -> std::result::Result<(T, Option<Share>), Status> {
         let door = Door::of(&request);
-        request.into_inner().receive(&door, shape).await
+        request.into_inner().receive(&door, layout).await
     }
 
     /// [`Self::open`]; what may take long is unpacked off the async runtime's threads.
-    pub async fn receive(self, door: &Door, shape: Shape) -> std::result::Result<(T, Option<Share>), Status> {
+    pub async fn receive(self, door: &Door, layout: MessageLayout) -> std::result::Result<(T, Option<Share>), Status> {
         let (bytes, share) = door.take(self.0);
         let message = if bytes.len() <= LIGHT {
-            unpacked(bytes, shape).map_err(|e| status::status(&e))?
+            unpacked(bytes, layout).map_err(|e| status::status(&e))?
         } else {
-            off_runtime(move || unpacked(bytes, shape)).await?
+            off_runtime(move || unpacked(bytes, layout)).await?
         };
         Ok((message, share))
     }
 }
 
-fn unpacked<T: Message + Default>(bytes: Bytes, shape: Shape) -> Result<T> {
-    wire::check(&bytes, shape)?;
+fn unpacked<T: Message + Default>(bytes: Bytes, layout: MessageLayout) -> Result<T> {
+    wire::check(&bytes, layout)?;
     T::decode(bytes).map_err(|e| Error::invalid("message", format!("cannot be read: {e}")))
 }
 

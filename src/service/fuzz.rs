@@ -7,6 +7,7 @@ use super::proto::run_session_request::Request;
 use super::proto::{CreateSessionRequest, PolicyRollout, Reset, Restore, Rollout, RunSessionRequest, Step};
 use super::sessions::{Limits, Sessions};
 use super::{decode, values, wire};
+use crate::env::Task;
 use crate::env::registry::{Blueprint, TASK_IDS};
 use crate::env::rocks::HexapodRocks;
 use crate::env::stroke::LegStroke;

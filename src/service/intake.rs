@@ -8,8 +8,7 @@
 //! control stops its sender. The share goes with the request ([`Share`]) until that is done with its memory.
 
 use super::sessions::Limits;
-use super::studies;
-use super::wire::LONGEST_OPTIONS;
+use super::wire::{LARGEST_DIAGNOSIS, LARGEST_POLICY, LARGEST_TRIALS, LONGEST_OPTIONS};
 use crate::error::{Error, Result};
 use axum::body::{Body, BodyDataStream};
 use axum::extract::{Request, State};
@@ -89,9 +88,9 @@ impl Intake {
             Some("CreateSession" | "Process") => LONGEST_OPTIONS + SMALL,
             // A robot and sand as files.
             Some("Intrude" | "Walk" | "Sweep") => LONGEST_OPTIONS + SMALL,
-            Some("Evaluate") => studies::LARGEST_POLICY + LONGEST_OPTIONS + SMALL,
-            Some("Trials") => studies::LARGEST_TRIALS,
-            Some("Diagnose") => studies::MOST_BYTES,
+            Some("Evaluate") => LARGEST_POLICY + LONGEST_OPTIONS + SMALL,
+            Some("Trials") => LARGEST_TRIALS,
+            Some("Diagnose") => LARGEST_DIAGNOSIS,
             _ => SMALL,
         };
         limit.min(self.largest)

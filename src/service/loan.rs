@@ -1,6 +1,7 @@
 //! A session whose environments are on their way through an operation.
 
-use super::sessions::{Environments, Sessions, name};
+use super::names::name;
+use super::sessions::{Environments, Sessions};
 use crate::error::Error;
 use std::sync::Arc;
 

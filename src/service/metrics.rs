@@ -2,7 +2,6 @@
 
 use super::pages;
 use super::refusals::Refusals;
-use super::sessions::Sessions;
 use crate::error::{Error, Result};
 use crate::pool::{Batch, Operation};
 use axum::http::header::CONTENT_TYPE;
@@ -110,8 +109,7 @@ impl Metrics {
     }
 
     /// The page, in the text format of Prometheus.
-    fn page(&self, sessions: &Sessions) -> Result<String> {
-        let usage = sessions.usage();
+    fn page(&self, usage: Usage) -> Result<String> {
         self.sessions.set(usage.sessions as i64);
         self.environments.set(usage.environments as i64);
         self.memory.set(usage.memory as i64);
@@ -121,10 +119,25 @@ impl Metrics {
     }
 }
 
-/// Answers `GET /metrics` until `stop` is cancelled.
-pub async fn serve(listener: TcpListener, sessions: Arc<Sessions>, refusals: Arc<Refusals>, stop: CancellationToken) {
+/// What is lent out now.
+#[derive(Clone, Copy, Default)]
+pub struct Usage {
+    pub sessions: usize,
+    pub environments: usize,
+    /// Estimated [bytes].
+    pub memory: usize,
+}
+
+/// Answers `GET /metrics` until `stop` is cancelled; `usage` says what sessions take now.
+pub async fn serve(
+    listener: TcpListener,
+    metrics: Arc<Metrics>,
+    usage: impl Fn() -> Usage + Clone + Send + Sync + 'static,
+    refusals: Arc<Refusals>,
+    stop: CancellationToken,
+) {
     let page = async move || {
-        let page = sessions.metrics.page(&sessions).map_err(|e| e.to_string())?;
+        let page = metrics.page(usage()).map_err(|e| e.to_string())?;
         Ok::<_, String>(([(CONTENT_TYPE, FORMAT)], page).into_response())
     };
     let app = axum::Router::new().route("/metrics", get(page));

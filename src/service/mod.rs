@@ -38,6 +38,7 @@ mod gate;
 mod intake;
 mod loan;
 mod metrics;
+mod names;
 mod pages;
 mod rate;
 mod refusals;

@@ -1,6 +1,6 @@
 //! `--max-requests-per-second`: the requests of a peer, however many connections and streams it has.
 
-use super::connections::Peer;
+use super::connections::table::Peer;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;

@@ -107,27 +107,28 @@ pub async fn serve(listener: Listener, setup: Setup, stop: CancellationToken) ->
     tokio::spawn(sessions.clone().expire());
     let refusals = Arc::<Refusals>::default();
     if let Some(listener) = metrics {
-        tokio::spawn(metrics::serve(listener, sessions.clone(), refusals.clone(), stop.clone()));
+        let (metrics, all) = (sessions.metrics.clone(), sessions.clone());
+        tokio::spawn(metrics::serve(listener, metrics, move || all.usage(), refusals.clone(), stop.clone()));
     }
     if let Some(listener) = viewer {
         tokio::spawn(viewer::serve(listener, sessions.clone(), refusals.clone(), stop.clone()));
     }
     let health = HealthReporter::new();
-    let mut offer = Offer { routes: Routes::builder(), names: vec![""] };
+    let mut services = Services { routes: Routes::builder(), names: vec![""] };
     if dm_env_rpc {
-        offer.add(DmEnvRpcServer::new(DmEnvRpc::new(sessions.clone(), pool.clone())));
+        services.add(DmEnvRpcServer::new(DmEnvRpc::new(sessions.clone(), pool.clone())));
     }
     let intake = Intake::new(sessions.limits());
     let window = intake.window();
-    add_services(&mut offer, &sessions, pool.clone(), &intake, &health)?;
-    for name in &offer.names {
+    add_services(&mut services, &sessions, pool.clone(), &intake, &health)?;
+    for name in &services.names {
         health.set_service_status(name, ServingStatus::Serving).await;
     }
     let gate = Gate { token, metrics: sessions.metrics.clone(), refusals: refusals.clone() };
-    let routes = offer.routes.routes().into_axum_router();
+    let routes = services.routes.routes().into_axum_router();
     let routes = routes.layer(middleware::from_fn_with_state(intake, intake::pass));
     let routes = routes.layer(middleware::from_fn_with_state(gate, gate::pass));
-    let saved = tokio::spawn(end(sessions, health, offer.names, state));
+    let saved = tokio::spawn(end(sessions, health, services.names, state));
     // The socket's file stays until all connections have ended.
     let (socket, _file) = match listener {
         Listener::Tcp(listener) => (listener.into(), None),
@@ -145,12 +146,12 @@ pub async fn serve(listener: Listener, setup: Setup, stop: CancellationToken) ->
 }
 
 /// Services and their names.
-struct Offer {
+struct Services {
     routes: RoutesBuilder,
     names: Vec<&'static str>,
 }
 
-impl Offer {
+impl Services {
     fn add<S>(&mut self, service: S) -> &mut Self
     where
         S: NamedService + Clone + Send + Sync + 'static,
@@ -166,7 +167,7 @@ impl Offer {
 
 /// Everything a client can call.
 fn add_services(
-    offer: &mut Offer,
+    services: &mut Services,
     sessions: &Arc<Sessions>,
     pool: Arc<Pool>,
     intake: &Arc<Intake>,
@@ -181,7 +182,7 @@ fn add_services(
             .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
     };
     let broken = |e| Error::Exhausted(format!("reflection is not available: {e}"));
-    offer
+    services
         .add(
             EnvironmentServiceServer::new(environments)
                 .max_decoding_message_size(largest)

@@ -11,17 +11,17 @@
 //!
 //! The environments lie here whenever no operation runs on them, so a stream that breaks off loses nothing.
 
-use super::metrics::Metrics;
+use super::metrics::{Metrics, Usage};
+use super::names::name;
 use super::proto::RunSessionResponse;
 use super::status::SESSION;
-use super::viewer::Watchers;
+use super::viewer::watchers::Watchers;
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
 use crate::parallel::processors;
 use crate::pool::{Batch, Building, Seal};
 use crate::session::{MOST_ENVIRONMENTS, MOST_MEMORY};
 use serde_json::Value;
-use sha2::{Digest as _, Sha256};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -63,15 +63,6 @@ impl Default for Limits {
     }
 }
 
-/// What is lent out now.
-#[derive(Clone, Copy, Default)]
-pub struct Usage {
-    pub sessions: usize,
-    pub environments: usize,
-    /// Estimated [bytes].
-    pub memory: usize,
-}
-
 /// A session's share of the server's limits; given back when it is dropped.
 pub struct Reservation {
     usage: Arc<Mutex<Usage>>,
@@ -96,18 +87,18 @@ pub struct Environments {
 }
 
 /// The same without the batch, while the pool has that.
-pub struct Rest {
+pub struct Bookkeeping {
     done: Done,
     reservation: Reservation,
 }
 
 impl Environments {
-    pub fn into_parts(self) -> (Batch, Rest) {
-        (self.batch, Rest { done: self.done, reservation: self.reservation })
+    pub fn into_parts(self) -> (Batch, Bookkeeping) {
+        (self.batch, Bookkeeping { done: self.done, reservation: self.reservation })
     }
 }
 
-impl Rest {
+impl Bookkeeping {
     pub fn with(self, batch: Batch) -> Environments {
         Environments { batch, done: self.done, reservation: self.reservation }
     }
@@ -231,12 +222,6 @@ pub struct Sessions {
 /// Every change under these locks is one step, so the data are sound even if a holder panicked.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// What logs and lists call a session: its id is the right to use it.
-pub fn name(id: &str) -> String {
-    let digest = Sha256::digest(id);
-    digest.iter().take(4).map(|b| format!("{b:02x}")).collect()
 }
 
 impl Sessions {

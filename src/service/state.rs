@@ -9,8 +9,9 @@
 //! can read it; it is written whole or not at all, and removed once it is taken up. One that was cut off or changed since
 //! is refused by its tag: a message that ends between two fields can be read, and would be another session.
 
+use super::names::name;
 use super::proto::RunSessionResponse;
-use super::sessions::{Done, Environments, Session, Sessions, name};
+use super::sessions::{Done, Environments, Session, Sessions};
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
 use crate::pool::{Pool, Seal, Snapshot};

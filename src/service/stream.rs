@@ -16,7 +16,7 @@ use super::loan::{Loan, broken};
 use super::proto::run_session_request::Request;
 use super::proto::run_session_response::Response;
 use super::proto::{Attached, RunSessionRequest, RunSessionResponse, Snapshot};
-use super::sessions::{Done, Environments, Hold, Rest, Sessions};
+use super::sessions::{Bookkeeping, Done, Environments, Hold, Sessions};
 use super::{decode, encode, rollout, status, view, wire};
 use crate::error::Error;
 use crate::pool::{Batch, Operation, Pool};
@@ -113,7 +113,7 @@ impl Reply {
     }
 
     /// These environments go on.
-    pub fn with(self, rest: Rest, batch: Batch) -> Work {
+    pub fn with(self, rest: Bookkeeping, batch: Batch) -> Work {
         Work { environments: rest.with(batch), reply: self }
     }
 }

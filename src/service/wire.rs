@@ -6,7 +6,7 @@
 use crate::error::{Error, Result};
 
 /// The fields of a message that are looked into or have a longest length.
-pub type Shape = &'static [Field];
+pub type MessageLayout = &'static [Field];
 
 pub struct Field {
     number: u64,
@@ -15,12 +15,12 @@ pub struct Field {
     longest: usize,
     /// May it stand there more than once?
     repeated: bool,
-    /// The shape of what is in it, if it is a message.
-    inside: Option<Shape>,
+    /// The layout of what is in it, if it is a message.
+    inside: Option<MessageLayout>,
 }
 
 /// A message whose fields are counted, and no more.
-pub const PLAIN: Shape = &[];
+pub const PLAIN: MessageLayout = &[];
 
 /// Longest options of a session or a reset [bytes]: our choice. The text of a `sand.toml`, by far the longest option, has
 /// some 2 KiB.
@@ -35,11 +35,11 @@ const MOST_MESSAGES: usize = 4_096;
 /// Lists in lists and the like; a value is three or four of these.
 const DEEPEST: usize = 48;
 
-const fn once(number: u64, name: &'static str, longest: usize, inside: Option<Shape>) -> Field {
+const fn once(number: u64, name: &'static str, longest: usize, inside: Option<MessageLayout>) -> Field {
     Field { number, name, longest, repeated: false, inside }
 }
 
-const fn any(number: u64, name: &'static str, inside: Shape) -> Field {
+const fn any(number: u64, name: &'static str, inside: MessageLayout) -> Field {
     Field { number, name, longest: usize::MAX, repeated: true, inside: Some(inside) }
 }
 
@@ -82,8 +82,20 @@ pub const LARGEST_MESH: usize = 4 << 20;
 
 static FILE: [Field; 1] = [once(2, "mesh", LARGEST_MESH, None)];
 
+/// Largest request of a diagnosis [bytes]: 40,000 rows of a force log, the most that are diagnosed, have about 8 MB.
+pub const LARGEST_DIAGNOSIS: usize = 64 << 20;
+
+/// Largest network that is evaluated [bytes].
+pub const LARGEST_POLICY: usize = crate::policy::MOST_BYTES;
+
+/// Motions of a body in one request: our choice, some ten minutes.
+pub const MOST_TRIALS: usize = 1_000_000;
+
+/// Largest request of trials [bytes]: all columns, a mesh, a sand.
+pub const LARGEST_TRIALS: usize = 64 * MOST_TRIALS + LARGEST_MESH + LONGEST_OPTIONS;
+
 /// A million rows.
-const COLUMN: usize = 8 * crate::studies::MOST_TRIALS;
+const COLUMN: usize = 8 * MOST_TRIALS;
 
 pub static TRIALS: [Field; 6] = [
     once(1, "shape", 1 << 10, None),
@@ -102,9 +114,9 @@ pub static EVALUATE: [Field; 1] = [options(4)];
 
 pub static DIAGNOSE: [Field; 1] = [once(3, "values", LONGEST_OPTIONS, Some(&STRUCT))];
 
-/// Refuses a message that would unpack to more than `shape` allows.
-pub fn check(bytes: &[u8], shape: Shape) -> Result<()> {
-    Count::default().message(bytes, shape, 0)
+/// Refuses a message that would unpack to more than `layout` allows.
+pub fn check(bytes: &[u8], layout: MessageLayout) -> Result<()> {
+    Count::default().message(bytes, layout, 0)
 }
 
 /// What has been found so far.
@@ -115,7 +127,7 @@ struct Count {
 }
 
 impl Count {
-    fn message(&mut self, mut bytes: &[u8], shape: Shape, depth: usize) -> Result<()> {
+    fn message(&mut self, mut bytes: &[u8], layout: MessageLayout, depth: usize) -> Result<()> {
         let mut seen = 0_u32;
         while !bytes.is_empty() {
             self.fields += 1;
@@ -123,8 +135,8 @@ impl Count {
                 return Err(Error::invalid("message", format!("more than {MOST_FIELDS} fields")));
             }
             let (number, value) = field(&mut bytes).ok_or_else(unreadable)?;
-            let (Some(k), Some(value)) = (shape.iter().position(|f| f.number == number), value) else { continue };
-            let Field { name, longest, repeated, inside, .. } = &shape[k];
+            let (Some(k), Some(value)) = (layout.iter().position(|f| f.number == number), value) else { continue };
+            let Field { name, longest, repeated, inside, .. } = &layout[k];
             if value.len() > *longest {
                 return Err(Error::invalid(*name, format!("{} bytes are more than {longest}", value.len())));
             }
@@ -195,8 +207,8 @@ mod tests {
         CreateSessionRequest { options, ..Default::default() }.encode_to_vec()
     }
 
-    fn refusal(bytes: &[u8], shape: Shape) -> String {
-        check(bytes, shape).unwrap_err().to_string()
+    fn refusal(bytes: &[u8], layout: MessageLayout) -> String {
+        check(bytes, layout).unwrap_err().to_string()
     }
 
     #[test]

@@ -5,7 +5,7 @@
 //!
 //! Bodies and sand are those of engine [`super::rapier`], in `f64`. A time step is the midpoint rule.
 
-use super::engine::Command;
+use super::command::Command;
 use super::frame::Frame;
 use super::rapier::{Place, fold_turns, load_link};
 use super::{Model, State};

@@ -10,6 +10,8 @@ use crate::error::{Error, Result};
 use crate::number::flushed;
 use serde::{Deserialize, Serialize};
 
+pub use super::command::Command;
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum EngineKind {
@@ -66,23 +68,6 @@ impl EngineKind {
     pub fn named(name: &str) -> Result<Self> {
         let known = Self::ALL.map(Self::name);
         Self::ALL.into_iter().find(|e| e.name() == name).ok_or_else(|| Error::unknown("engine", name, &known))
-    }
-}
-
-/// What each joint's servo is told; held until it is told otherwise.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Command {
-    /// Speed at which the reference angle moves, ω_ref [rad/s], a joint.
-    pub rates: Vec<f64>,
-    /// Torque added to the servo's [N·m], a joint.
-    pub torques: Vec<f64>,
-    /// Where the reference angle is put at once [rad], a joint; empty: it goes on from where it is. Engine `tree` alone.
-    pub targets: Vec<f64>,
-}
-
-impl Command {
-    pub fn still(joints: usize) -> Self {
-        Self { rates: vec![0.0; joints], torques: vec![0.0; joints], targets: Vec::new() }
     }
 }
 

@@ -22,9 +22,11 @@ use sandgait_number as number;
 use sandgait_sand as sand;
 
 pub mod carriage;
+pub mod command;
 pub mod engine;
 pub mod feet;
 pub mod frame;
+mod hull;
 pub mod lanes;
 pub mod model;
 pub mod obstacle;

@@ -12,6 +12,7 @@ use crate::sand::{Ground, Law, Mechanisms, Medium, SandDescription, Segment, Sha
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
+pub use super::solid::Plate;
 pub use crate::sand::GRAVITY;
 
 type V = nalgebra::Vector3<f64>;
@@ -103,19 +104,6 @@ impl Scene {
         }
         check_range("surface.friction", friction, 0.0..=10.0).map(drop)
     }
-}
-
-/// A small flat piece that pushes on sand, in the frame of the body that carries it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Plate {
-    /// [m]
-    pub center: V,
-    /// Unit normal; outward for the belly, either way for thin strips.
-    pub normal: V,
-    /// [m²]
-    pub area: f64,
-    /// Across the plane of motion [m].
-    pub width: f64,
 }
 
 /// A flat, straight part of a link's strip, in the frame of the body that carries it: what rigid obstacles touch.

@@ -23,7 +23,7 @@ pub const FRICTION: f64 = 0.36;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Obstacle {
-    pub shape: Shape,
+    pub shape: ObstacleShape,
     /// Centre of mass at the start [m].
     pub position: [f64; 3],
     /// Unit quaternion w, x, y, z at the start: own frame to world.
@@ -40,7 +40,7 @@ pub struct Obstacle {
 /// Lengths in m, about the centre of mass.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
-pub enum Shape {
+pub enum ObstacleShape {
     Sphere {
         radius: f64,
     },
@@ -64,7 +64,7 @@ fn friction() -> f64 {
 
 impl Obstacle {
     /// Fixed, upright, with the default friction.
-    pub fn fixed(shape: Shape, position: [f64; 3]) -> Self {
+    pub fn fixed(shape: ObstacleShape, position: [f64; 3]) -> Self {
         Self { shape, position, orientation: upright(), density: None, friction: FRICTION }
     }
 
@@ -72,7 +72,7 @@ impl Obstacle {
     /// [rad], with a foundation in the sand. Height 0 is a hard patch flush with the sand.
     pub fn block([x, y]: [f64; 2], [length, width]: [f64; 2], height: f64, yaw: f64) -> Self {
         let size = [length, width, height + FOUNDATION];
-        Self::fixed(Shape::Box { size }, [x, y, height - size[2] / 2.0]).turned(yaw)
+        Self::fixed(ObstacleShape::Box { size }, [x, y, height - size[2] / 2.0]).turned(yaw)
     }
 
     /// Turned about the vertical by `yaw` [rad].
@@ -100,14 +100,16 @@ impl Obstacle {
         check_range("obstacle.friction", self.friction, 0.0..=10.0)?;
         check_range("obstacle.density", self.density.unwrap_or(1.0), 1.0..=3e4)?;
         match &self.shape {
-            Shape::Sphere { radius } => Ok(Solid::sphere(check_range("obstacle.radius", *radius, 1e-3..=10.0)?)),
-            Shape::Box { size } => {
+            ObstacleShape::Sphere { radius } => {
+                Ok(Solid::sphere(check_range("obstacle.radius", *radius, 1e-3..=10.0)?))
+            }
+            ObstacleShape::Box { size } => {
                 for s in size {
                     check_range("obstacle.size", *s, 1e-3..=100.0)?;
                 }
                 Ok(Solid::cuboid(*size))
             }
-            Shape::Hull { points } => {
+            ObstacleShape::Hull { points } => {
                 if !(4..=MOST_CORNERS).contains(&points.len()) {
                     let reason = format!("{} is outside [4, {MOST_CORNERS}]", points.len());
                     return Err(Error::invalid("obstacle.points (number)", reason));

@@ -1,11 +1,23 @@
 //! Geometry of convex bodies: mass, surface facets for the sand, what is inside and what is on top.
 
-use super::model::Plate;
 use crate::error::{Error, Result, check_range};
 use std::f64::consts::{PI, TAU};
 
 type V = nalgebra::Vector3<f64>;
 type M = nalgebra::Matrix3<f64>;
+
+/// A small flat piece that pushes on sand, in the frame of the body that carries it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Plate {
+    /// [m]
+    pub center: V,
+    /// Unit normal; outward for the belly, either way for thin strips.
+    pub normal: V,
+    /// [m²]
+    pub area: f64,
+    /// Across the plane of motion [m].
+    pub width: f64,
+}
 
 /// Rings and sectors of a sphere's facets; a box's side has [`GRID`]² of them, a hull's triangle 4. Our choice: facets
 /// are then a fraction of the sizes a rock sinks by.
@@ -42,11 +54,11 @@ pub struct Solid {
     pub corners: Vec<V>,
     /// Triangles of corners, counter-clockwise seen from outside; none on a sphere.
     pub faces: Vec<[usize; 3]>,
-    form: Form,
+    kind: SolidKind,
 }
 
 #[derive(Clone, Debug, PartialEq)]
-enum Form {
+enum SolidKind {
     Sphere {
         radius: f64,
     },
@@ -89,7 +101,7 @@ impl Solid {
             }
         }
         let inertia = M::identity() * (0.4 * volume * radius * radius);
-        Self { volume, inertia, facets, corners: Vec::new(), faces: Vec::new(), form: Form::Sphere { radius } }
+        Self { volume, inertia, facets, corners: Vec::new(), faces: Vec::new(), kind: SolidKind::Sphere { radius } }
     }
 
     pub fn cuboid(size: [f64; 3]) -> Self {
@@ -119,7 +131,7 @@ impl Solid {
         let sign = |bit: usize, i: usize| if i >> bit & 1 == 0 { -1.0 } else { 1.0 };
         let corners = (0..8).map(|i| half.component_mul(&V::new(sign(0, i), sign(1, i), sign(2, i))));
         let faces = CUBE_FACES.map(|f| f.map(usize::from)).to_vec();
-        Self { volume, inertia, facets, corners: corners.collect(), faces, form: Form::Sides(sides) }
+        Self { volume, inertia, facets, corners: corners.collect(), faces, kind: SolidKind::Sides(sides) }
     }
 
     /// The convex hull of `points` [m].
@@ -133,7 +145,7 @@ impl Solid {
         if spread.min() <= 1e-6 * spread.max() {
             return Err(flat());
         }
-        let (corners, triangles) = super::rapier::hull(points).ok_or_else(flat)?;
+        let (corners, triangles) = super::hull::hull(points).ok_or_else(flat)?;
         let faces = triangles.clone();
         let triangles = triangles.iter().map(|t| t.map(|i| corners[i]));
         // Tetrahedra from the points' mean, which is inside: ∫dV, ∫p dV, ∫p pᵀ dV.
@@ -173,24 +185,24 @@ impl Solid {
             facets,
             corners: corners.iter().map(|p| p - center).collect(),
             faces,
-            form: Form::Sides(sides),
+            kind: SolidKind::Sides(sides),
         })
     }
 
     /// How deep `point` [m] of the world lies inside the body at `pose` [m]; negative outside.
     pub fn depth(&self, pose: &Pose, point: V) -> f64 {
         let p = pose.inward(point);
-        match &self.form {
-            Form::Sphere { radius } => radius - p.norm(),
-            Form::Sides(sides) => sides.iter().map(|(n, d)| d - n.dot(&p)).fold(f64::INFINITY, f64::min),
+        match &self.kind {
+            SolidKind::Sphere { radius } => radius - p.norm(),
+            SolidKind::Sides(sides) => sides.iter().map(|(n, d)| d - n.dot(&p)).fold(f64::INFINITY, f64::min),
         }
     }
 
     /// Depth [m] of the centre of mass under the surface.
     pub fn depth_of_centre(&self) -> f64 {
-        match &self.form {
-            Form::Sphere { radius } => *radius,
-            Form::Sides(sides) => sides.iter().map(|(_, d)| *d).fold(f64::INFINITY, f64::min),
+        match &self.kind {
+            SolidKind::Sphere { radius } => *radius,
+            SolidKind::Sides(sides) => sides.iter().map(|(_, d)| *d).fold(f64::INFINITY, f64::min),
         }
     }
 
@@ -198,13 +210,13 @@ impl Solid {
     pub fn top(&self, pose: &Pose, x: f64, y: f64) -> Option<f64> {
         let start = pose.inward(V::new(x, y, 0.0));
         let up = pose.rotation.transpose() * V::z();
-        match &self.form {
-            Form::Sphere { radius } => {
+        match &self.kind {
+            SolidKind::Sphere { radius } => {
                 let along = start.dot(&up);
                 let under = radius * radius - start.norm_squared() + along * along;
                 (under >= 0.0).then(|| under.sqrt() - along)
             }
-            Form::Sides(sides) => {
+            SolidKind::Sides(sides) => {
                 let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
                 for (n, d) in sides {
                     let (rate, gap) = (n.dot(&up), d - n.dot(&start));
@@ -221,17 +233,17 @@ impl Solid {
 
     /// Radius of the smallest sphere about the centre of mass that holds the body [m].
     pub fn reach(&self) -> f64 {
-        match self.form {
-            Form::Sphere { radius } => radius,
-            Form::Sides(_) => self.corners.iter().map(V::norm).fold(0.0, f64::max),
+        match self.kind {
+            SolidKind::Sphere { radius } => radius,
+            SolidKind::Sides(_) => self.corners.iter().map(V::norm).fold(0.0, f64::max),
         }
     }
 
     /// Depth of the lowest point under the centre of mass [m] with the body turned as in `pose`.
     pub fn below(&self, pose: &Pose) -> f64 {
-        match self.form {
-            Form::Sphere { radius } => radius,
-            Form::Sides(_) => self.corners.iter().map(|c| -(pose.rotation * c).z).fold(0.0, f64::max),
+        match self.kind {
+            SolidKind::Sphere { radius } => radius,
+            SolidKind::Sides(_) => self.corners.iter().map(|c| -(pose.rotation * c).z).fold(0.0, f64::max),
         }
     }
 }

@@ -35,8 +35,8 @@ struct Problem<'a> {
     axes: &'a [Axis],
     measure: Measure,
     progress: &'a dyn Progress,
-    /// Robots that have walked.
-    walked: Cell<usize>,
+    /// Robots that were simulated.
+    simulated: Cell<usize>,
 }
 
 impl Problem<'_> {
@@ -46,8 +46,8 @@ impl Problem<'_> {
 
     fn walk(&self, swarm: &[&[f64]]) -> Result<Vec<WalkResult>> {
         let trials = swarm.iter().map(|values| self.trial(values)).collect::<Result<Vec<_>>>()?;
-        let before = self.walked.get();
-        self.walked.set(before + swarm.len());
+        let before = self.simulated.get();
+        self.simulated.set(before + swarm.len());
         let ends = [before, before + swarm.len()].map(|n| (n as f64 / WALKS as f64).min(1.0));
         walk_all(EngineKind::Lanes, &trials, &Part::new(self.progress, ends))
     }
@@ -82,7 +82,7 @@ impl CostFunction for Problem<'_> {
     }
 }
 
-/// Least and greatest value of each axis. Wrong bounds are the user's to mend: designs at both ends are tried.
+/// Least and greatest value of each axis. Wrong bounds are the user's to mend: designs at both ends are simulated.
 pub fn bounds(base: &Design, axes: &[Axis]) -> Result<[Vec<f64>; 2]> {
     let (mut low, mut high) = (Vec::new(), Vec::new());
     for axis in axes {
@@ -99,7 +99,7 @@ pub fn bounds(base: &Design, axes: &[Axis]) -> Result<[Vec<f64>; 2]> {
 /// Searches between the least and greatest value of each axis. An error of `progress` stops the search.
 pub fn optimize(base: &Design, axes: &[Axis], measure: Measure, progress: &dyn Progress) -> Result<Optimum> {
     let [low, high] = bounds(base, axes)?;
-    let problem = Problem { base, axes, measure, progress, walked: Cell::new(0) };
+    let problem = Problem { base, axes, measure, progress, simulated: Cell::new(0) };
     let random = Xoshiro256PlusPlus::seed_from_u64(SEED);
     let swarm = ParticleSwarm::new((low, high), SWARM).with_rng_generator(random);
     let run = Executor::new(problem, swarm).configure(|state| state.max_iters(MOVES)).run();

@@ -31,15 +31,15 @@ pub fn walk_all(engine: EngineKind, trials: &[Trial], progress: &dyn Progress) -
     // Slow walks come last in each kind; started first, they do not leave a core waiting at the end.
     blocks.reverse();
     let clock = Clock::of(trials, &blocks, progress);
-    let walked = parallel::map(&blocks, |block| {
+    let outcomes = parallel::map(&blocks, |block| {
         // Once stopped, no further block sets out.
         clock.advance(0.0)?;
         let packed: Vec<Trial> = block.iter().map(|i| trials[*i].clone()).collect();
         walk_many(engine, &packed, &|seconds| clock.advance(seconds))
     });
     let mut results = vec![None; trials.len()];
-    for (block, walked) in blocks.iter().zip(walked) {
-        for (index, result) in block.iter().zip(walked?) {
+    for (block, outcomes) in blocks.iter().zip(outcomes) {
+        for (index, result) in block.iter().zip(outcomes?) {
             results[*index] = Some(result);
         }
     }

@@ -4,6 +4,7 @@
 use super::export::onnx;
 use super::learner::{Learnt, Plan};
 use super::settings::Settings;
+use crate::env::Task;
 use crate::env::gait::HexapodGait;
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result, check_range};
@@ -168,7 +169,7 @@ impl Study {
         }
         let blueprint = Blueprint::new(HexapodGait::ID, Value::Object(options))?;
         // As the task has its servos.
-        changed.robot.servo.torque_limit = Some(blueprint.setup.options.torque_limit);
+        changed.robot.servo.torque_limit = blueprint.task.option("torque_limit").as_f64();
         changed.robot.servo.anti_windup = true;
         let blueprint = blueprint.with_model(Model::new(&changed.robot, &changed.scene)?)?;
         Plan::new(blueprint, self.settings.clone(), training as u64, 1)

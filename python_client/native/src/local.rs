@@ -9,8 +9,8 @@ use crate::wait::{self, PATIENCE};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyMapping, PyTuple};
 use sandgait::Error;
+use sandgait::env::ResetOptions;
 use sandgait::env::registry::Blueprint;
-use sandgait::env::{ResetOptions, options};
 use sandgait::pool::{Batch, Operation, Pool, Seal, Snapshot};
 use sandgait::service;
 use sandgait::session::{Answer, Environments, Loan, view};
@@ -109,7 +109,7 @@ impl Local {
         }
         let changes = keywords(options)?;
         // Models are built from options: that takes a while.
-        self.start(py, |loan, pool| loan.run(pool, |b| b.reset(mask, seeds, options::parse(changes)?)))
+        self.start(py, |loan, pool| loan.run(pool, |b| b.reset(mask, seeds, ResetOptions::new(changes)?)))
     }
 
     /// `actions` is float32 [num_envs, action]; `held` says which environments stay as they are. `here`: the caller only

@@ -29,12 +29,12 @@ impl Stop {
 }
 
 /// Progress of a study, for Python.
-struct Teller<T> {
+struct ProgressSender<T> {
     events: Sender<Event<T>>,
     stop: Stop,
 }
 
-impl<T: Send> Progress for Teller<T> {
+impl<T: Send> Progress for ProgressSender<T> {
     fn report(&self, done: f64, stage: &str) -> Result<()> {
         if self.stop.is_set() {
             return Err(Error::Cancelled("the study was stopped".into()));
@@ -65,9 +65,9 @@ pub fn study<T: Send + 'static>(
     work: impl FnOnce(&dyn Progress) -> Result<T> + Send + 'static,
 ) -> PyResult<T> {
     let (stop, (sender, events)) = (Stop::default(), channel());
-    let teller = Teller { events: sender.clone(), stop: stop.clone() };
+    let progress = ProgressSender { events: sender.clone(), stop: stop.clone() };
     spawn(move || {
-        let _ = sender.send(Event::Done(work(&teller)));
+        let _ = sender.send(Event::Done(work(&progress)));
     })?;
     wait(py, events, &stop, told)
 }

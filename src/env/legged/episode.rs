@@ -1,11 +1,10 @@
 //! What an episode of LeggedVelocity draws when it begins, and what it remembers.
 
+use super::draws::{Draws, MOST_COMMAND};
 use crate::error::Result;
-use crate::locomotion::CONTROL_RATE;
-use crate::options::{Commands, DomainRand, TaskOptions};
 use crate::random::Random;
 use crate::sim::Model;
-use crate::task::Setup;
+use crate::spec::CONTROL_RATE;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -38,15 +37,14 @@ pub struct LeggedEpisode {
 
 impl LeggedEpisode {
     /// Always as many numbers in the same order.
-    pub fn draw(setup: &Setup, random: &mut Random) -> Self {
-        let options = &setup.options;
-        let (commands, rand) = (options.commands.unwrap_or_default(), options.domain_rand.unwrap_or(DomainRand::NONE));
+    pub fn draw(from: Draws, model: &Model, random: &mut Random) -> Self {
+        let Draws { commands, rand, steps } = from;
         let mut one = |[low, high]: [f64; 2]| random.uniform(low, high);
         let friction = one(rand.friction_range);
         let sand = one(rand.sand_range);
-        let added_mass = one(rand.added_mass_range) * setup.model.total_mass();
+        let added_mass = one(rand.added_mass_range) * model.total_mass();
         let motor_strength = one(rand.motor_strength_range);
-        let seconds = f64::from(options.max_episode_steps) / CONTROL_RATE;
+        let seconds = f64::from(steps) / CONTROL_RATE;
         let count =
             |interval: f64| if interval > 0.0 { ((seconds / interval).ceil() as usize).clamp(1, MOST) } else { 0 };
         let mut command = || {
@@ -57,20 +55,20 @@ impl LeggedEpisode {
         let all: Vec<_> = (0..count(commands.resampling_time)).map(|_| command()).collect();
         let most = [-rand.max_push_vel_xy, rand.max_push_vel_xy];
         let pushes = (0..count(rand.push_interval)).map(|_| [one(most), one(most)]).collect();
-        let feet = setup.model.tree.as_ref().map_or(0, |tree| tree.stance.feet.len());
+        let feet = model.tree.as_ref().map_or(0, |tree| tree.stance.feet.len());
         let now = all.first().copied().unwrap_or_default();
         Self { friction, sand, added_mass, motor_strength, commands: all, pushes, now, step: 0, air: vec![0.0; feet] }
     }
 
-    /// Can an episode of `setup` have come to this?
-    pub fn is_sound(&self, setup: &Setup) -> bool {
-        let feet = setup.model.tree.as_ref().map_or(0, |tree| tree.stance.feet.len());
-        let most = |x: &f64| x.abs() <= Commands::MOST;
-        let rand = setup.options.domain_rand.unwrap_or(DomainRand::NONE);
+    /// Can an episode that draws `from` these have come to this? `model`: the session's.
+    pub fn is_sound(&self, from: Draws, model: &Model) -> bool {
+        let feet = model.tree.as_ref().map_or(0, |tree| tree.stance.feet.len());
+        let most = |x: &f64| x.abs() <= MOST_COMMAND;
+        let rand = from.rand;
         // A reset may have changed the ranges since: the guards of options.
         (0.0..=10.0).contains(&self.friction)
             && (0.05..=20.0).contains(&self.sand)
-            && (-0.3..=1.0).contains(&(self.added_mass / setup.model.total_mass()))
+            && (-0.3..=1.0).contains(&(self.added_mass / model.total_mass()))
             && (0.1..=10.0).contains(&self.motor_strength)
             && (1..=MOST).contains(&self.commands.len())
             && self.commands.iter().flatten().chain(&self.now).all(most)
@@ -81,9 +79,9 @@ impl LeggedEpisode {
             && self.air.iter().all(|t| (0.0..1e6).contains(t))
     }
 
-    /// The setup's model with what was drawn.
-    pub fn model(&self, setup: &Setup) -> Result<Model> {
-        let mut model = (*setup.model).clone();
+    /// The session's model with what was drawn.
+    pub fn model(&self, own: &Model) -> Result<Model> {
+        let mut model = own.clone();
         let Some(tree) = &model.tree else { return Ok(model) };
         let mut tree = (**tree).clone();
         tree.tree.bodies[0].mass = (tree.tree.bodies[0].mass + self.added_mass).max(0.1 * tree.tree.bodies[0].mass);
@@ -99,20 +97,20 @@ impl LeggedEpisode {
     }
 
     /// The command for the present step.
-    pub fn command(&self, options: &TaskOptions) -> [f64; 3] {
-        let steps = (options.commands.unwrap_or_default().resampling_time * CONTROL_RATE).max(1.0);
+    fn command(&self, from: Draws) -> [f64; 3] {
+        let steps = (from.commands.resampling_time * CONTROL_RATE).max(1.0);
         let k = (f64::from(self.step) / steps) as usize;
         self.commands.get(k % self.commands.len().max(1)).copied().unwrap_or_default()
     }
 
     /// Takes note of a step after which `feet` touch the ground; gives the push that comes now.
-    pub fn stepped(&mut self, options: &TaskOptions, feet: &[bool]) -> Option<[f64; 2]> {
+    pub fn after_step(&mut self, from: Draws, feet: &[bool]) -> Option<[f64; 2]> {
         self.step += 1;
         for (air, touches) in self.air.iter_mut().zip(feet) {
             *air = if *touches { 0.0 } else { *air + 1.0 / CONTROL_RATE };
         }
-        self.now = self.command(options);
-        let interval = options.domain_rand.unwrap_or(DomainRand::NONE).push_interval;
+        self.now = self.command(from);
+        let interval = from.rand.push_interval;
         let steps = (interval * CONTROL_RATE).round() as u32;
         if steps == 0 || self.pushes.is_empty() || !self.step.is_multiple_of(steps) {
             return None;

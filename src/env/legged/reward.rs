@@ -1,9 +1,11 @@
 //! Terms of the reward of LeggedVelocity: names and laws of legged_gym (`_reward_…` in `legged_robot.py`).
 
-use super::{LeggedEpisode, base};
-use crate::locomotion::CONTROL_RATE;
+use super::episode::LeggedEpisode;
+use crate::feature::flag;
+use crate::reward_terms;
 use crate::sim::tree::stance::{frames, lowest};
 use crate::sim::{Model, State};
+use crate::spec::CONTROL_RATE;
 use crate::task::Transition;
 
 /// σ of the tracking terms [m²/s², rad²/s²].
@@ -38,37 +40,80 @@ impl Contacts {
     }
 }
 
-/// Before they are weighted, in the order of [`crate::options::Rewards`].
-pub fn terms(t: &Transition, legged: &LeggedEpisode, contacts: &Contacts, rest: &[f64], ended: bool) -> [f64; 13] {
-    let [gravity, v, w] = base(t.after);
-    let [x, y, yaw] = legged.now;
-    let square = |x: f64| x * x;
-    let squares = |all: &[f64]| all.iter().map(|x| x * x).sum::<f64>();
-    let commanded = x.hypot(y);
-    let changes = t.after.rates.iter().zip(&t.before.rates).map(|(after, before)| square((after - before) / t.period));
-    let actions = t.action.iter().zip(t.previous_action).map(|(a, b)| square(f64::from(a - b)));
-    let landed = legged.air.iter().zip(&contacts.feet).filter(|(air, touches)| **air > 0.0 && **touches);
-    let air = landed.map(|(air, _)| air + 1.0 / CONTROL_RATE - AIR).sum::<f64>();
-    let off = t.after.angles.iter().zip(rest).map(|(q, rest)| (q - rest).abs());
-    [
-        (-(square(v[0] - x) + square(v[1] - y)) / TRACKING).exp(),
-        (-square(w[2] - yaw) / TRACKING).exp(),
-        square(v[2]),
-        square(w[0]) + square(w[1]),
-        square(gravity[0]) + square(gravity[1]),
-        squares(&t.after.torques),
-        changes.sum(),
-        actions.sum(),
-        if commanded > STANDING { air } else { 0.0 },
-        contacts.others as f64,
-        beyond(t.model, t.after),
-        if commanded < STANDING { off.sum() } else { 0.0 },
-        f64::from(u8::from(ended)),
-    ]
+/// What the reward and the figures of a step are computed from.
+pub struct LeggedStep<'a> {
+    pub t: &'a Transition<'a>,
+    pub legged: &'a LeggedEpisode,
+    pub contacts: Contacts,
+    /// Default position of each joint [rad].
+    pub default: &'a [f64],
+    /// Gravity's direction, velocity and angular velocity in the base's frame after the step.
+    pub gravity: [f64; 3],
+    pub velocity: [f64; 3],
+    pub angular_velocity: [f64; 3],
+    pub fallen: bool,
+    pub base_contact: bool,
+}
+
+impl LeggedStep<'_> {
+    pub fn terminated(&self) -> bool {
+        !self.t.diverged && (self.fallen || self.base_contact)
+    }
+
+    /// Commanded speed along the ground [m/s].
+    fn commanded(&self) -> f64 {
+        self.legged.now[0].hypot(self.legged.now[1])
+    }
+}
+
+reward_terms! {
+    /// Weights of the reward's terms, with legged_gym's names, signs and values; each counts for a second. All but the last two
+    /// velocities are in the base's frame.
+    pub struct Rewards of LeggedStep<'_>, weights in [-1e4, 1e4] {
+        tracking_lin_vel: 1.0, "exp(−((v_x − commanded)² + (v_y − commanded)²) / 0.25 m²/s²)", |s| {
+            (-(square(s.velocity[0] - s.legged.now[0]) + square(s.velocity[1] - s.legged.now[1])) / TRACKING).exp()
+        };
+        tracking_ang_vel: 0.5, "exp(−(ω_z − commanded)² / 0.25 rad²/s²)", |s| (-square(s.angular_velocity[2] - s.legged.now[2]) / TRACKING).exp();
+        lin_vel_z: -2.0, "v_z²", |s| square(s.velocity[2]);
+        ang_vel_xy: -0.05, "ω_x² + ω_y²", |s| square(s.angular_velocity[0]) + square(s.angular_velocity[1]);
+        orientation: 0.0, "squares of gravity's direction along x and y of the base", |s| square(s.gravity[0]) + square(s.gravity[1]);
+        torques: -1e-5, "Σ τ²", |s| s.t.after.torques.iter().map(|x| x * x).sum::<f64>();
+        dof_acc: -2.5e-7, "Σ (change of a joint's speed over the step)²", |s| accelerations(s.t);
+        action_rate: -0.01, "Σ (change of the action)²", |s| {
+            s.t.action.iter().zip(s.t.previous_action).map(|(a, b)| square(f64::from(a - b))).sum()
+        };
+        feet_air_time: 1.0, "Σ (time in the air − 0.5 s) of feet that touch down, if more than 0.1 m/s is commanded", |s| {
+            if s.commanded() > STANDING { air_time(s) } else { 0.0 }
+        };
+        collision: -1.0, "number of bodies in the ground that are neither base nor feet", |s| s.contacts.others as f64;
+        dof_pos_limits: -10.0, "Σ way of joints into the outer 5 % of their range at either end [rad]", |s| beyond_limits(s.t.model, s.t.after);
+        stand_still: 0.0, "Σ |joint − default|, if less than 0.1 m/s is commanded", |s| {
+            if s.commanded() < STANDING { off_default(s) } else { 0.0 }
+        };
+        termination: -100.0, "1 in the step that terminates the episode", |s| flag(s.terminated());
+    }
+}
+
+fn square(x: f64) -> f64 {
+    x * x
+}
+
+fn accelerations(t: &Transition) -> f64 {
+    let rates = t.after.rates.iter().zip(&t.before.rates);
+    rates.map(|(after, before)| square((after - before) / t.period)).sum()
+}
+
+fn air_time(s: &LeggedStep) -> f64 {
+    let landed = s.legged.air.iter().zip(&s.contacts.feet).filter(|(air, touches)| **air > 0.0 && **touches);
+    landed.map(|(air, _)| air + 1.0 / CONTROL_RATE - AIR).sum()
+}
+
+fn off_default(s: &LeggedStep) -> f64 {
+    s.t.after.angles.iter().zip(s.default).map(|(q, default)| (q - default).abs()).sum()
 }
 
 /// Way of all joints into the outer parts of their ranges [rad].
-fn beyond(model: &Model, state: &State) -> f64 {
+fn beyond_limits(model: &Model, state: &State) -> f64 {
     let Some(tree) = &model.tree else { return 0.0 };
     let way = |(joint, q): (&crate::sim::tree::TreeJoint, &f64)| {
         let [low, high] = joint.range?;

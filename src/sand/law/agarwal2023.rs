@@ -15,9 +15,12 @@
 //!   along the motion, and more than 0.001 ξ_n only where it is nearly horizontal (β < 12°);
 //! * across a vertical plate, where β jumps from π/2 to −π/2, α jumps by up to 0.05 ξ_n.
 
-use super::{Motion, StressLaw};
-use crate::media::{Coefficients, Medium};
+use super::{Motion, Normals, StressLaw};
+use crate::coefficients::Coefficients;
+use crate::media::Medium;
 use crate::number::{Real, Vec3};
+
+pub use crate::friction::{FITTED_FRICTION, PENETRATION, from_friction};
 
 /// c_1k, c_2k, c_3k of each term, in the order of [`terms`]; PNAS 2023, supplementary table.
 pub const COEFFICIENTS: [[f64; 3]; 20] = [
@@ -42,9 +45,6 @@ pub const COEFFICIENTS: [[f64; 3]; 20] = [
     [0.01033, 0.13527, 0.07881],
     [0.15120, -0.33207, -0.27519],
 ];
-
-/// α_z(0, π/2, 0)/ξ_n: what the table gives for a horizontal plate pushed straight down.
-pub const PENETRATION: f64 = 0.87574;
 
 /// T_k(x1, x2, x3).
 #[inline(always)]
@@ -196,15 +196,6 @@ pub fn calibrated(c: &Coefficients) -> f64 {
     c.penetration() / PENETRATION
 }
 
-/// ξ_n [N/m³] from the internal friction μ and the critical density ρ_c [kg/m³]: ρ_c g (894μ³ − 386μ² + 89μ), fitted
-/// for μ in [`FITTED_FRICTION`] (same paper).
-pub fn from_friction(mu: f64, density: f64) -> f64 {
-    density * crate::GRAVITY * (894.0 * mu * mu * mu - 386.0 * mu * mu + 89.0 * mu)
-}
-
-/// Range of μ in which [`from_friction`] was fitted.
-pub const FITTED_FRICTION: std::ops::RangeInclusive<f64> = 0.3..=0.9;
-
 /// ξ_n and the surface's friction.
 #[derive(Clone, Copy)]
 pub struct SpatialTable<R> {
@@ -236,8 +227,8 @@ impl<R: Real> StressLaw<R> for SpatialTable<R> {
     }
 
     #[inline(always)]
-    fn mean_stress(&self, n: Vec3<R>, spread: R, m: &Motion<R>) -> Vec3<R> {
-        self.mean(n, Some(spread), m)
+    fn mean_stress(&self, normals: &Normals<R>, m: &Motion<R>) -> Vec3<R> {
+        self.mean(normals.unit, Some(normals.spread), m)
     }
 }
 

@@ -3,7 +3,7 @@
 //! Valid for slow motion (below 0.5 m/s inertia of the grains stays under 10 % of the force; Li et al. 2012, section 2)
 //! in dry, uniform media.
 
-use super::{Motion, StressLaw};
+use super::{Motion, Normals, StressLaw};
 use crate::media::{Coefficients, Medium};
 use crate::number::{Real, Vec3};
 
@@ -73,8 +73,33 @@ impl<R: Real> StressLaw<R> for PlanarTable<R> {
         let minus_2nz = n.z * R::splat(-2.0);
         let sin_2b_over_h = minus_2nz * ratio; // times (ex, ey): sin 2β e
 
-        let sin_g = -(m.v.z * m.inverse_speed);
         let sin_2b_cos_g = minus_2nz * along * m.inverse_speed;
+        self.planar(cos_2b, sin_2b_over_h, sin_2b_cos_g, [ex, ey], m)
+    }
+
+    /// Exact, because the stress is of second degree in the normal; e is the one of the mean normal where the motion is vertical.
+    #[inline(always)]
+    fn mean_stress(&self, normals: &Normals<R>, m: &Motion<R>) -> Vec3<R> {
+        let (n, s, p) = (normals.unit, normals.squares, normals.products);
+        let along = n.x.mul_add(m.v.x, n.y * m.v.y);
+        let nudge = R::splat(1e-6) * m.v.z.abs();
+        let nudge = R::select(along.lt(R::zero()), -nudge, nudge);
+        let (ex, ey) = (n.x.mul_add(nudge, m.v.x), n.y.mul_add(nudge, m.v.y));
+        let inverse = R::one() / ex.mul_add(ex, ey.mul_add(ey, R::splat(1e-36)));
+        let two_xy = p.z + p.z;
+        let along_e = ex.mul_add(ex.mul_add(s.x, ey * two_xy), ey * ey * s.y);
+        let cos_2b = s.z - along_e * inverse;
+        let sin_2b_over_h = R::splat(-2.0) * p.y.mul_add(ex, p.x * ey) * inverse; // times (ex, ey): sin 2β e
+        let sin_2b_cos_g = R::splat(-2.0) * p.y.mul_add(m.v.x, p.x * m.v.y) * m.inverse_speed;
+        self.planar(cos_2b, sin_2b_over_h, sin_2b_cos_g, [ex, ey], m)
+    }
+}
+
+impl<R: Real> PlanarTable<R> {
+    /// The law, of cos 2β, sin 2β / |v_h| and sin 2β cos γ.
+    #[inline(always)]
+    fn planar(&self, cos_2b: R, sin_2b_over_h: R, sin_2b_cos_g: R, [ex, ey]: [R; 2], m: &Motion<R>) -> Vec3<R> {
+        let sin_g = -(m.v.z * m.inverse_speed);
         let along_v = self.c_sum.mul_add(cos_2b, self.c01) * m.inverse_speed;
         let along_e = self.c_difference.mul_add(sin_g, self.d10 * m.moving) * sin_2b_over_h;
         let vertical = self
@@ -82,12 +107,5 @@ impl<R: Real> StressLaw<R> for PlanarTable<R> {
             .mul_add(cos_2b, self.a00)
             .mul_add(m.moving, self.b_sum.mul_add(cos_2b, self.b01).mul_add(sin_g, self.b_difference * sin_2b_cos_g));
         Vec3::new(-along_v.mul_add(m.v.x, along_e * ex), -along_v.mul_add(m.v.y, along_e * ey), vertical)
-    }
-
-    /// What depends on the normal is of second degree in it and a surface harmonic of degree 2: the mean loses three times the
-    /// spread of it, which a normal does that is shorter by one and a half times that.
-    #[inline(always)]
-    fn mean_stress(&self, n: Vec3<R>, spread: R, m: &Motion<R>) -> Vec3<R> {
-        self.stress(n * spread.mul_add(R::splat(-1.5), R::one()), m)
     }
 }

@@ -17,7 +17,7 @@ pub use penetration_drag::PenetrationDrag;
 
 use super::media::Medium;
 use crate::error::{Error, Result};
-use crate::number::{Real, Vec3};
+use crate::number::{Mat3, Real, Vec3};
 use serde::{Deserialize, Serialize};
 
 /// Which law gives the stress.
@@ -72,10 +72,45 @@ pub trait StressLaw<R: Real>: Copy {
     /// Stress per depth [N/m³] on a thin segment with unit normal `n`, both sides together; the same for −`n`.
     fn stress(&self, n: Vec3<R>, motion: &Motion<R>) -> Vec3<R>;
 
-    /// Mean of [`StressLaw::stress`] over normals around the unit vector `n`, whose mean is shorter than 1 by `spread`: to second
-    /// order in how far they are from it, as if in all directions alike.
+    /// Mean of [`StressLaw::stress`] over `normals`; here to second order in how far they are from their mean, as if in all
+    /// directions alike.
     #[inline(always)]
-    fn mean_stress(&self, n: Vec3<R>, _spread: R, motion: &Motion<R>) -> Vec3<R> {
-        self.stress(n, motion)
+    fn mean_stress(&self, normals: &Normals<R>, motion: &Motion<R>) -> Vec3<R> {
+        self.stress(normals.unit, motion)
+    }
+}
+
+/// Normals of a curved face.
+#[derive(Clone, Copy)]
+pub struct Normals<R> {
+    /// Along their mean.
+    pub unit: Vec3<R>,
+    /// How much shorter than 1 their mean is.
+    pub spread: R,
+    /// Means of their products: xx, yy, zz and yz, xz, xy.
+    pub squares: Vec3<R>,
+    pub products: Vec3<R>,
+}
+
+impl<R: Real> Normals<R> {
+    /// `mean` is their mean, which is not 0.
+    #[inline(always)]
+    pub fn new(mean: Vec3<R>, squares: Vec3<R>, products: Vec3<R>) -> Self {
+        let squared = mean.norm_squared();
+        let inverse = R::one() / (squared + R::splat(1e-20)).sqrt();
+        let spread = (R::one() - squared * inverse).max(R::zero());
+        Self { unit: mean * inverse, spread, squares, products }
+    }
+
+    /// The same in other axes, whose columns `axes` has.
+    #[inline(always)]
+    pub fn turned(mean: Vec3<R>, squares: Vec3<R>, products: Vec3<R>, axes: &Mat3<R>) -> Self {
+        let (s, p) = (squares, products);
+        let products = Mat3::new(Vec3::new(s.x, p.z, p.y), Vec3::new(p.z, s.y, p.x), Vec3::new(p.y, p.x, s.z));
+        // Rows of axes · products, and of the axes.
+        let (half, rows) = (axes.compose(&products).transposed(), axes.transposed());
+        let squares = Vec3::new(half.x.dot(rows.x), half.y.dot(rows.y), half.z.dot(rows.z));
+        let products = Vec3::new(half.y.dot(rows.z), half.x.dot(rows.z), half.x.dot(rows.y));
+        Self::new(axes.apply(mean), squares, products)
     }
 }

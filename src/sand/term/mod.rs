@@ -7,7 +7,7 @@
 mod lanes;
 
 use super::GRAVITY;
-use super::media::Coefficients;
+use super::coefficients::Coefficients;
 use crate::error::{Error, Result, check_range};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

@@ -10,10 +10,10 @@
 //!
 //! * [`table`]: who is connected; [`wire`]: a connection's bytes.
 
-mod table;
+pub mod table;
 mod wire;
 
-pub use table::{Caps, Peer, Table};
+pub use table::{Caps, Table};
 pub use wire::{Connection, Greeting, Link};
 
 use super::rate::Rate;
@@ -24,7 +24,7 @@ use std::io;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
-use table::Place;
+use table::{Peer, Place};
 use tokio::net::{TcpListener, TcpStream, UnixListener};
 use tokio::sync::mpsc;
 use tokio::time::{interval, timeout};

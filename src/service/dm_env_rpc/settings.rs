@@ -5,8 +5,8 @@
 
 use super::proto::Tensor;
 use super::proto::tensor::Payload;
-use crate::env::registry::TASK_IDS;
-use crate::env::{ResetOptions, options};
+use crate::env::ResetOptions;
+use crate::env::registry::{TASK_IDS, reset_names};
 use crate::error::{Error, Result};
 use crate::values;
 use serde_json::{Map, Value};
@@ -52,12 +52,13 @@ pub fn plan(settings: Settings) -> Result<Plan> {
 pub fn changes(settings: Settings) -> Result<Changes> {
     let mut keywords = keywords(settings)?;
     let seed = seed(&mut keywords)?;
-    let unknown = keywords.keys().find(|name| !ResetOptions::NAMES.contains(&name.as_str()));
+    let names = reset_names();
+    let unknown = keywords.keys().find(|name| !names.contains(&name.as_str()));
     if let Some(name) = unknown {
-        let known = [&["seed"][..], &ResetOptions::NAMES].concat();
+        let known = [vec!["seed"], names].concat();
         return Err(Error::unknown("setting of a reset", name, &known));
     }
-    Ok(Changes { options: options::parse(Value::Object(keywords))?, seed })
+    Ok(Changes { options: ResetOptions::new(Value::Object(keywords))?, seed })
 }
 
 /// Settings of JoinWorld: there are none.

@@ -3,7 +3,7 @@
 use super::proto::ActionObservationSpecs;
 use super::settings::{Changes, Plan};
 use super::tensors::{self, View};
-use crate::env::Task;
+use crate::env::AnyTask;
 use crate::error::{Error, Result};
 use crate::loan::{Loan, broken};
 use crate::pool::{Batch, Operation, Pool};
@@ -32,7 +32,7 @@ pub struct Worlds {
 pub struct Place {
     hold: Hold,
     worlds: Arc<Worlds>,
-    pub task: Arc<dyn Task>,
+    pub task: Arc<dyn AnyTask>,
 }
 
 impl Drop for Place {
@@ -45,15 +45,15 @@ impl Drop for Place {
 }
 
 /// How ResetWorld gets at a world.
-enum Way {
+enum Entry {
     /// Nobody had joined it.
-    In(Place),
+    Free(Place),
     /// The connection that has joined it answers here at its next step.
-    Told(oneshot::Receiver<Result<()>>),
+    Waiting(oneshot::Receiver<Result<()>>),
 }
 
 /// What a world is asked to do.
-enum Ask {
+enum WorldRequest {
     /// Show the first observation of an episode that has not been played yet.
     Begin,
     /// Begin another episode.
@@ -61,7 +61,7 @@ enum Ask {
     Step(Vec<f32>),
 }
 
-impl Ask {
+impl WorldRequest {
     /// None: nothing moves.
     fn operation(self, batch: &mut Batch) -> Result<Option<Operation>> {
         match self {
@@ -136,8 +136,8 @@ impl Worlds {
     pub async fn reset(self: &Arc<Self>, name: &str, changes: Changes) -> Result<()> {
         loop {
             let told = match self.enter_or_interrupt(name, &changes)? {
-                Way::In(place) => return place.reset(changes).await.map(drop),
-                Way::Told(told) => told,
+                Entry::Free(place) => return place.reset(changes).await.map(drop),
+                Entry::Waiting(told) => told,
             };
             // Without an answer the other connection has left: the world is free now.
             if let Ok(result) = told.await {
@@ -146,15 +146,15 @@ impl Worlds {
         }
     }
 
-    fn enter_or_interrupt(self: &Arc<Self>, name: &str, changes: &Changes) -> Result<Way> {
+    fn enter_or_interrupt(self: &Arc<Self>, name: &str, changes: &Changes) -> Result<Entry> {
         let mut joined = self.lock();
         match joined.get_mut(name) {
-            None => self.enter(&mut joined, name).map(Way::In),
+            None => self.enter(&mut joined, name).map(Entry::Free),
             Some(Some(_)) => Err(Error::OutOfOrder(format!("world_name: another reset_world of {name:?} is waiting"))),
             Some(slot) => {
                 let (done, told) = oneshot::channel();
                 *slot = Some(Interrupt { changes: changes.clone(), done });
-                Ok(Way::Told(told))
+                Ok(Entry::Waiting(told))
             }
         }
     }
@@ -187,32 +187,32 @@ impl Place {
 
     /// The first observation of an episode that has not been played yet.
     pub async fn begin(&self) -> Result<View> {
-        self.run(Ask::Begin).await
+        self.run(WorldRequest::Begin).await
     }
 
     /// Begins another episode, with `changes`.
     pub async fn reset(&self, changes: Changes) -> Result<View> {
-        self.run(Ask::Reset(Box::new(changes))).await
+        self.run(WorldRequest::Reset(Box::new(changes))).await
     }
 
     /// One control step; `action` is one row within its bounds.
     pub async fn step(&self, action: Vec<f32>) -> Result<View> {
-        self.run(Ask::Step(action)).await
+        self.run(WorldRequest::Step(action)).await
     }
 
-    /// Carries `ask` out on the pool. What was begun is finished, and the environment put back, even if nobody waits
+    /// Carries `request` out on the pool. What was begun is finished, and the environment put back, even if nobody waits
     /// for the answer any more.
-    async fn run(&self, ask: Ask) -> Result<View> {
+    async fn run(&self, request: WorldRequest) -> Result<View> {
         let gone = || Error::Cancelled(format!("world_name: {:?} was closed or taken by another stream", self.name()));
         let mut environments = self.worlds.sessions.take(&self.hold).await.ok_or_else(gone)?;
         let (sender, answer) = oneshot::channel();
         let pool = self.worlds.pool.clone();
         // Dropped before the environments are back, as a panic does, it ends the session.
         let mut loan = Loan::new(self.worlds.sessions.clone(), self.hold.id.clone());
-        let (light, view) = (ask.is_light(), ask.view());
+        let (light, view) = (request.is_light(), request.view());
         let begin = move || {
             // Whoever waited for an answer may be gone: hence the results of `send` mean nothing.
-            let operation = match ask.operation(&mut environments.batch) {
+            let operation = match request.operation(&mut environments.batch) {
                 Ok(Some(operation)) => operation,
                 unmoved => {
                     let seen = unmoved.map(|_| view(&environments.batch));

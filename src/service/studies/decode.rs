@@ -17,9 +17,9 @@ use crate::sim::engine::EngineKind;
 use crate::sim::model::Scene;
 use crate::sim::walk::Trial;
 use crate::sim::{Model, Robot};
-use crate::studies::MOST_TRIALS;
 use crate::sweep::grid::check_grid;
 use crate::sweep::{Axis, Design, Measure, optimize};
+use crate::wire::MOST_TRIALS;
 use crate::{proto, values};
 use std::path::Path;
 

@@ -97,12 +97,13 @@ impl Line {
             let answer = match permit {
                 None => Err(Status::cancelled("the study was stopped before its turn came")),
                 Some(permit) => {
-                    let teller = Teller { events: events.clone(), stop: stop.clone(), last: Mutex::default() };
+                    let progress =
+                        ProgressSender { events: events.clone(), stop: stop.clone(), last: Mutex::default() };
                     // The place and the slot are held until the work has really ended.
                     let held = (permit, place, share);
                     let done = tokio::task::spawn_blocking(move || {
                         let _held = held;
-                        work(&teller)
+                        work(&progress)
                     });
                     let failed = |_| Err(Error::Internal("the study failed inside the server".into()));
                     done.await.unwrap_or_else(failed).map_err(|e| status::status(&e))
@@ -118,14 +119,14 @@ impl Line {
 }
 
 /// Tells the client how far its study has come, and the study that its client has gone.
-struct Teller<A> {
+struct ProgressSender<A> {
     events: mpsc::Sender<std::result::Result<A, Status>>,
     stop: CancellationToken,
     /// What was told last. Reports of several threads come out of order; what is told only grows.
     last: Mutex<Option<(f64, String)>>,
 }
 
-impl<A: Answer> Progress for Teller<A> {
+impl<A: Answer> Progress for ProgressSender<A> {
     fn report(&self, done: f64, stage: &str) -> Result<()> {
         if self.events.is_closed() || self.stop.is_cancelled() {
             return Err(Error::Cancelled("the study was stopped".into()));

@@ -20,18 +20,6 @@ use tokio_stream::wrappers::ReceiverStream;
 use tokio_util::sync::CancellationToken;
 use tonic::{Request, Response, Status};
 
-/// Largest request [bytes]: 40,000 rows of a force log, the most that are diagnosed, have about 8 MB.
-pub const MOST_BYTES: usize = 64 << 20;
-
-/// Largest network that is evaluated [bytes].
-pub const LARGEST_POLICY: usize = crate::policy::MOST_BYTES;
-
-/// Motions of a body in one request: our choice, some ten minutes.
-pub const MOST_TRIALS: usize = 1_000_000;
-
-/// Largest request of trials [bytes]: all columns, a mesh, a sand.
-pub const LARGEST_TRIALS: usize = 64 * MOST_TRIALS + wire::LARGEST_MESH + wire::LONGEST_OPTIONS;
-
 /// The studies of one server.
 pub struct Studies {
     line: Line,

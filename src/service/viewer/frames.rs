@@ -5,7 +5,7 @@
 //!                        (copied)   (only the newest waits)       (who is slow misses some)
 //! ```
 
-use crate::env::{Look, Task};
+use crate::env::{AnyTask, Look};
 use crate::session::view;
 use crate::sim::{Model, State};
 use bytes::Bytes;
@@ -62,7 +62,7 @@ pub type Latest = watch::Sender<Option<Arc<Moment>>>;
 pub type Frames = broadcast::Sender<Frame>;
 
 /// Encodes moments of `task` until the place where they go in is dropped. Needs a tokio runtime.
-pub fn encode(task: Arc<dyn Task>) -> (Latest, Frames) {
+pub fn encode(task: Arc<dyn AnyTask>) -> (Latest, Frames) {
     let (latest, mut moments) = watch::channel(None::<Arc<Moment>>);
     let frames = broadcast::Sender::new(WAITING);
     // Not held here, so that who waits for a frame learns that there will be no more.

@@ -11,9 +11,7 @@
 //! * [`watchers`]: who watches what; [`frames`]: what they are sent. Whoever steps only leaves a copy of the state.
 
 mod frames;
-mod watchers;
-
-pub use watchers::Watchers;
+pub mod watchers;
 
 use super::pages;
 use super::refusals::{Refusal, Refusals};

@@ -1,9 +1,9 @@
 //! Who watches which environment.
 
 use super::frames::{Frame, Frames, Latest, Moment, encode};
-use crate::env::Task;
+use crate::env::AnyTask;
+use crate::names::name;
 use crate::pool::Batch;
-use crate::sessions::name;
 use bytes::Bytes;
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -63,7 +63,7 @@ impl Watchers {
 
     /// Follows environment `index` of the session that is called `session`; none if there are too many who watch. Needs a
     /// tokio runtime.
-    pub fn watch(self: &Arc<Self>, session: &str, index: usize, task: &Arc<dyn Task>) -> Option<Watcher> {
+    pub fn watch(self: &Arc<Self>, session: &str, index: usize, task: &Arc<dyn AnyTask>) -> Option<Watcher> {
         let mut sessions = self.lock();
         let count = self.count.load(Ordering::Relaxed);
         if count >= self.most {

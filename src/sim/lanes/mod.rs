@@ -10,7 +10,7 @@ mod dynamics;
 mod model;
 mod plane;
 
-use super::engine::Command;
+use super::command::Command;
 use super::spatial::Twist;
 use super::{Model, State};
 use crate::error::{Error, Result};

@@ -3,14 +3,13 @@
 //! Colliders carry no mass: masses are ours (`inertia`, `rocks`). Each body has one collider in its own frame, so that
 //! rapier adds nothing to its mass properties.
 
-use super::units::{PER_METRE, plain, quat, scaled, vec3};
+use super::units::{PER_METRE, quat, scaled};
 use crate::Model;
 use crate::frame::V;
 use crate::model::Body;
-use crate::obstacle::{Obstacle, Shape};
+use crate::obstacle::{Obstacle, ObstacleShape};
 use crate::solid::Solid;
 use rapier3d::glamx::{Pose3, Quat};
-use rapier3d::parry::transformation::try_convex_hull;
 use rapier3d::prelude::*;
 
 /// Thickness of a leg's strip over its width: 2 mm on the reference robot. Our choice, because the paper does not say.
@@ -104,9 +103,9 @@ fn cuboid(size: V) -> SharedShape {
 
 fn obstacle(obstacle: &Obstacle, solid: &Solid) -> SharedShape {
     match &obstacle.shape {
-        Shape::Sphere { radius } => SharedShape::ball((radius * PER_METRE) as f32),
-        Shape::Box { size } => cuboid(V::from(*size)),
-        Shape::Hull { .. } => {
+        ObstacleShape::Sphere { radius } => SharedShape::ball((radius * PER_METRE) as f32),
+        ObstacleShape::Box { size } => cuboid(V::from(*size)),
+        ObstacleShape::Hull { .. } => {
             let corners: Vec<_> = solid.corners.iter().map(|c| scaled(*c)).collect();
             // The corners are those of a hull already; a box around them stands in should f32 see it differently.
             let reach = (solid.reach() * PER_METRE) as f32;
@@ -129,11 +128,4 @@ pub fn tune(parameters: &mut IntegrationParameters) {
     // Contact points would be kept over 5 cm, a third of the robot.
     parameters.contact_recycling = false;
     parameters.friction_model = FrictionModel::Coulomb;
-}
-
-/// Corners [m] and outward triangles of the convex hull of `points`; none if they span no volume.
-pub fn hull(points: &[[f64; 3]]) -> Option<(Vec<V>, Vec<[usize; 3]>)> {
-    let points: Vec<_> = points.iter().map(|p| vec3(V::from(*p))).collect();
-    let (corners, triangles) = try_convex_hull(&points).ok()?;
-    Some((corners.into_iter().map(plain).collect(), triangles.iter().map(|t| t.map(|i| i as usize)).collect()))
 }

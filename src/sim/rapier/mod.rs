@@ -19,11 +19,10 @@ mod sand;
 mod units;
 mod world;
 
-use super::engine::Command;
+use super::command::Command;
 use super::frame::{Frame, V};
 use super::{Model, State};
 use crate::sand::Ground;
-pub use contact::hull;
 pub(super) use sand::{Place, load_link};
 
 use contact::Shapes;

@@ -1,8 +1,8 @@
 //! Plates gathered into patches: the law of the sand, which is dear, is asked once a patch, while what leads and what is in the
 //! sand is found plate by plate.
 //!
-//! A patch is a part of a body's surface whose plates look nearly the same way. Its force is the law's for the mean normal of
-//! what leads in the sand, weighted by depth, and for how far the normals differ from it
+//! A patch is a part of a body's surface whose plates look nearly the same way and lie near each other. Its force is the law's
+//! for what leads in the sand, weighted by depth: for the mean normal, and for how the normals differ from it
 //! ([`crate::sand::law::StressLaw::mean_stress`]).
 
 use crate::sand::intruder::Plate;
@@ -12,13 +12,14 @@ use nalgebra::Vector3;
 type V = Vector3<f64>;
 
 /// Largest distance of a plate from its patch's middle, of normals (unit vectors) and of places over the body's size times
-/// [`BY_PLACE`]: for laws of second degree in the normal, and for `agarwal2023`, which is of fourth and breaks where a plate
-/// is vertical. Our choice: forces on round feet are within 2 % of those of fine plates (`tests/robots.rs`).
-const APART: [f64; 2] = [0.4, 0.21];
+/// [`BY_PLACE`]. Our choice: forces on round feet are within 2 % of those of fine plates (`tests/robots.rs`). `li2013` has the
+/// exact mean over normals, so that its patches are large; mechanisms know the mean normal only. `agarwal2023` is of fourth degree
+/// in the normal and breaks where a plate is vertical.
+const APART: [f64; 2] = [0.7, 0.21];
 /// How much places count beside normals: our choice.
 const BY_PLACE: f64 = 0.6;
-/// How much more normals count where they turn one way only, which the law's mean over a patch knows nothing of: our choice.
-const ONE_WAY: f64 = 1.6;
+/// How much more normals count where they turn one way only, which the mean of `agarwal2023` knows nothing of: our choice.
+const ONE_WAY: [f64; 2] = [1.0, 1.6];
 /// Most patches of a body: our choice of a guard.
 const MOST: usize = 512;
 /// Rounds in which patches are moved to the middle of their plates (Lloyd 1982): our choice, little changes after these.
@@ -32,6 +33,9 @@ pub struct Facet {
     pub center: [f32; 3],
     /// Unit, outward.
     pub normal: [f32; 3],
+    /// Means over the plate, which may be bent, of its normal's products: xx, yy; yz, xz, xy.
+    pub squares: [f32; 2],
+    pub products: [f32; 3],
     /// center × normal: the normal part of the velocity at a spin.
     pub moment: [f32; 3],
     /// [m²]
@@ -106,7 +110,7 @@ impl BodyPatches {
         let ends = ends(plates);
         let corners = std::array::from_fn(|i| [0, 1, 2].map(|k| ends[k][i >> k & 1]));
         let ball = Ball::around(plates);
-        let alike = alike(plates, &ball, APART[usize::from(law == Law::Agarwal2023)]);
+        let alike = alike(plates, &ball, law);
         let patch = |members: &Vec<usize>| {
             let own: Vec<Plate> = members.iter().map(|i| plates[*i]).collect();
             Patch { facets: own.iter().map(Facet::of).collect(), ball: Ball::around(&own) }
@@ -117,19 +121,28 @@ impl BodyPatches {
 
 impl Facet {
     fn of(p: &Plate) -> Self {
-        let (at, n) = (center(p), normal(p));
-        let single = |v: V| [v.x as f32, v.y as f32, v.z as f32];
+        let n = normal(p);
         let sides = [length(p, 0), length(p, 1)];
         let square = |x: f64| x * x;
+        let at = center(p);
+        let single = |v: V| [v.x as f32, v.y as f32, v.z as f32];
         let rise = ((square(sides[0]) + square(sides[1])) / 6.0).sqrt();
         let turn = ((square(p.bend[0] * sides[0]) + square(p.bend[1] * sides[1])) / 2.0).sqrt();
         // A flat plate leads from when it moves outward, with the same bluntness as all solid bodies.
         let gate = Surface::SOLID.leading_edge_gate;
         let wide = EDGE * turn > gate / 2.0;
         let (begun, growth) = if wide { (0.5, 0.5 / (EDGE * turn)) } else { (0.0, 1.0 / gate) };
+        // A normal that turns evenly by ± a along t has the mean products (1 − a²/3) n n + a²/3 t t, to second order in a.
+        let mut second = n * n.transpose();
+        for k in (0..2).filter(|k| p.bend[*k] != 0.0) {
+            let (turned, along) = (square(p.bend[k] * sides[k]) / 3.0, V::from(p.half[k].lane(0)).normalize());
+            second += (along * along.transpose() - n * n.transpose()) * turned;
+        }
         Self {
             center: single(at),
             normal: single(n),
+            squares: [second[(0, 0)] as f32, second[(1, 1)] as f32],
+            products: [(1, 2), (0, 2), (0, 1)].map(|at| second[at] as f32),
             moment: single(at.cross(&n)),
             area: p.area as f32,
             rise: rise as f32,
@@ -147,11 +160,13 @@ fn apart(a: &Look, b: &Look) -> f64 {
 }
 
 /// Indices of the plates of each patch: as many patches as it takes for all plates to be near the middle of one.
-fn alike(plates: &[Plate], ball: &Ball, most: f64) -> Vec<Vec<usize>> {
+fn alike(plates: &[Plate], ball: &Ball, law: Law) -> Vec<Vec<usize>> {
+    let kind = usize::from(law == Law::Agarwal2023);
+    let (most, turned) = (APART[kind], ONE_WAY[kind]);
     let scale = BY_PLACE / ball.reach.max(1e-9);
     let look = |p: &Plate| -> Look {
         let one_way = (p.bend[0] == 0.0) != (p.bend[1] == 0.0);
-        let n = normal(p) * if one_way { ONE_WAY } else { 1.0 };
+        let n = normal(p) * if one_way { turned } else { 1.0 };
         let at = (center(p) - V::from(ball.center)) * scale;
         [n.x, n.y, n.z, at.x, at.y, at.z]
     };

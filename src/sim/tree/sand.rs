@@ -9,7 +9,7 @@ use super::floor::Surface;
 use super::patches::{BodyPatches, Facet, Patch};
 use super::terrain::Local;
 use crate::number::{Mat3, Real, Vec3};
-use crate::sand::law::StressLaw;
+use crate::sand::law::{Normals, StressLaw};
 use crate::sand::{Beyond, Form, Ground, Plain, Site};
 use crate::spatial::{Inertia, PointMasses, Twist, Wrench};
 
@@ -117,9 +117,12 @@ struct Own<R> {
 struct Leading<R> {
     /// [m²]
     area: R,
-    /// ∫ depth dA [m³], and the same times normal and place.
+    /// ∫ depth dA [m³], and the same times depth, normal, its products (xx, yy, zz; yz, xz, xy) and place.
     load: R,
+    deep: R,
     normal: Vec3<R>,
+    squares: Vec3<R>,
+    products: Vec3<R>,
     place: Vec3<R>,
     /// How fast `load` grows with n·v̂ [m³].
     growth: R,
@@ -130,9 +133,19 @@ struct Leading<R> {
 fn leading<R: Real>(patch: &Patch, own: &Own<R>, inverse_speed: R) -> Leading<R> {
     let (zero, one) = (R::zero(), R::one());
     let (linear, angular) = (own.linear * inverse_speed, own.angular * inverse_speed);
-    let mut sum = Leading { area: zero, load: zero, normal: Vec3::zero(), place: Vec3::zero(), growth: zero };
+    let none = Vec3::zero();
+    let mut sum = Leading {
+        area: zero,
+        load: zero,
+        deep: zero,
+        normal: none,
+        squares: none,
+        products: none,
+        place: none,
+        growth: zero,
+    };
     for facet in &patch.facets {
-        let Facet { center, normal, moment, area, rise, begun, growth } = facet;
+        let Facet { center, normal, squares, products, moment, area, rise, begun, growth } = facet;
         let (center, normal): (Vec3<R>, Vec3<R>) = (lanes(center), lanes(normal));
         let along = normal.dot(linear) + lanes(moment).dot(angular);
         let share = along.mul_add(lane(*growth), lane(*begun));
@@ -145,14 +158,21 @@ fn leading<R: Real>(patch: &Patch, own: &Own<R>, inverse_speed: R) -> Leading<R>
         let (low, high) = (depth + rise, depth - rise);
         let part = leads * lane::<R>(*area);
         let half = part * R::splat(0.5);
-        let load = half * (low.max(zero) + high.max(zero));
+        let (lower, upper) = (low.max(zero), high.max(zero));
+        let load = half * (lower + upper);
+        sum.deep = half.mul_add(lower.mul_add(lower, upper * upper), sum.deep);
         sum.area += R::select(zero.lt(low), half, zero) + R::select(zero.lt(high), half, zero);
         sum.load += load;
         sum.normal = normal.scale_add(load, sum.normal);
+        sum.squares.x = load.mul_add(lane(squares[0]), sum.squares.x);
+        sum.squares.y = load.mul_add(lane(squares[1]), sum.squares.y);
+        sum.products = lanes(products).scale_add(load, sum.products);
         sum.place = center.scale_add(load, sum.place);
         let whole = lane::<R>(*growth) * lane::<R>(*area) * depth.max(zero);
         sum.growth += R::select(zero.lt(share), R::select(share.lt(one), whole, zero), zero);
     }
+    // Normals are unit vectors, also those of bent plates.
+    sum.squares.z = sum.load - sum.squares.x - sum.squares.y;
     sum
 }
 
@@ -174,6 +194,7 @@ fn by<R: Real>(
     let (mut total, mut wet) = (Total::none(), false);
     // Rows of the surface's own axes in the world: z along its normal, x along the world's x.
     let axes = under.axes();
+    let turn = axes.as_ref().map_or(frame.rotation, |axes| axes.transposed().compose(&frame.rotation));
     let own = Own {
         linear: frame.rotation.apply_transposed(velocity.at(frame.origin)),
         angular: frame.rotation.apply_transposed(velocity.angular),
@@ -193,17 +214,17 @@ fn by<R: Real>(
         }
         let inverse = R::one() / part.load.max(tiny);
         let at = frame.point(part.place * inverse);
-        let mean = frame.rotation.apply(part.normal * inverse);
+        let normals = Normals::turned(part.normal * inverse, part.squares * inverse, part.products * inverse, &turn);
         let v = velocity.at(at);
         let site = Site::fresh(part.load / part.area.max(tiny), place.x + at.x).travelling(travel);
-        let growth = part.growth * inverse;
+        let (growth, loaded) = (part.growth * inverse, part.deep * inverse);
         let (contact, normal) = match &axes {
-            None => ground.leading_part_by(law, beyond, &site, part.area, mean, v, growth),
+            None => (ground.leading_part_by(law, beyond, &site, part.area, loaded, &normals, v, growth), normals.unit),
             Some(axes) => {
-                let (mean, v) = (axes.apply_transposed(mean), axes.apply_transposed(v));
-                let (mut contact, normal) = ground.leading_part_by(law, beyond, &site, part.area, mean, v, growth);
+                let v = axes.apply_transposed(v);
+                let mut contact = ground.leading_part_by(law, beyond, &site, part.area, loaded, &normals, v, growth);
                 contact.force = axes.apply(contact.force);
-                (contact, axes.apply(normal))
+                (contact, axes.apply(normals.unit))
             }
         };
         wet = true;

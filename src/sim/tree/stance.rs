@@ -51,22 +51,18 @@ fn chain(tree: &Tree, base: Isometry3<f64>, angles: &[f64]) -> Vec<Isometry3<f64
 
 /// The lowest of a body's points [m], for a body at `frame`; infinite without any.
 pub fn lowest(frame: &Isometry3<f64>, points: &[ContactPoint]) -> V {
-    let mut low = V::new(0.0, 0.0, f64::INFINITY);
-    for p in points {
-        let mut at = frame.transform_point(&p.center.into()).coords;
-        match p.axis {
-            None => at.z -= p.radius,
-            Some(axis) => {
-                let axis = frame.rotation * axis;
-                let rim = V::z() - axis * axis.z;
-                at -= rim * (p.radius / (rim.norm() + 1e-9));
-            }
-        }
-        if at.z < low.z {
-            low = at;
-        }
-    }
-    low
+    // Up, seen from the body: heights are all that most points need.
+    let up = frame.rotation.inverse_transform_vector(&V::z());
+    let height = |p: &ContactPoint| {
+        let drop = p.axis.map_or(1.0, |axis| (1.0 - axis.dot(&up).powi(2)).max(0.0).sqrt());
+        up.dot(&p.center) - p.radius * drop
+    };
+    let heights = points.iter().map(height).enumerate();
+    let low = heights.fold((0, f64::INFINITY), |low, one| if one.1 < low.1 { one } else { low });
+    let Some(p) = points.get(low.0) else { return V::new(0.0, 0.0, f64::INFINITY) };
+    // Toward the lowest point of a ball or of a rim.
+    let rim = p.axis.map_or(up, |axis| (up - axis * axis.dot(&up)).try_normalize(1e-9).unwrap_or_default());
+    frame.transform_point(&(p.center - rim * p.radius).into()).coords
 }
 
 impl Stance {

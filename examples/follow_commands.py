@@ -1,0 +1,96 @@
+"""How well does a robot follow commanded velocities? A table, one line a command, for a policy of LeggedVelocity.
+
+    python examples/follow_commands.py runs/go1/policy.onnx --options '{"robot": "go1.xml", "ground": "rigid"}'
+
+Nothing is drawn for the episodes (no pushes, nominal sand and masses) and every command is held. Speeds are means over
+the last four of six seconds and over the robots, in the base's frame.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+import sandgait
+
+#: Forward, sideways [m/s] and yaw [rad/s]: half and nearly all of what is commanded in training, alone and together.
+COMMANDS = (
+    (0.5, 0.0, 0.0),
+    (0.9, 0.0, 0.0),
+    (-0.5, 0.0, 0.0),
+    (0.0, 0.4, 0.0),
+    (0.0, -0.4, 0.0),
+    (0.0, 0.0, 0.8),
+    (0.0, 0.0, -0.8),
+    (0.6, 0.0, 0.6),
+    (0.6, 0.3, 0.0),
+)
+
+#: Robots a command, and seconds of which the first are not counted.
+ROBOTS, SECONDS, BEGINNING = 16, 6.0, 2.0
+
+#: Training takes small seeds; evaluation starts here.
+FIRST_SEED = 1_000_000
+
+
+@dataclass
+class Line:
+    """One command, what came of it [m/s, m/s, rad/s], and the share of robots that fell."""
+
+    command: tuple[float, float, float]
+    speed: npt.NDArray[np.float64]
+    fell: float
+
+    @property
+    def error(self) -> float:
+        """|velocity − command| / |command|; a turn counts by its rate, as legged_gym's rewards count it."""
+        command = np.array(self.command)
+        return float(np.linalg.norm(self.speed - command) / np.linalg.norm(command))
+
+
+def follow(onnx: Path, command: tuple[float, float, float], options: Mapping[str, Any]) -> Line:
+    """Holds `command` and looks at how the robots move."""
+    names = ("lin_vel_x", "lin_vel_y", "ang_vel_yaw")
+    calm = {"push_interval": 0.0, "max_push_vel_xy": 0.0, "friction_range": [1.0, 1.0], "sand_range": [1.0, 1.0]}
+    calm |= {"added_mass_range": [0.0, 0.0], "motor_strength_range": [1.0, 1.0]}
+    held = {"commands": {n: [v, v] for n, v in zip(names, command, strict=True)}, "domain_rand": calm}
+    env = sandgait.SandgaitVectorEnv("sandgait/LeggedVelocity-v0", ROBOTS, **{**options, **held})
+    env.reset(seed=FIRST_SEED)
+    rate = env.task.control_rate
+    rollout = env.rollout_policy(onnx, round(SECONDS * rate), trajectories=True)
+    columns = [column.name for column in env.task.observation]
+    env.close()
+    chosen = [columns.index(name) for name in ("base_lin_vel x", "base_lin_vel y", "base_ang_vel z")]
+    rows = rollout.observations[round(BEGINNING * rate) :, :, :][..., chosen]
+    fell = rollout.terminated.astype(bool)
+    standing = rows[:, ~fell] if not fell.all() else rows
+    return Line(command, standing.mean(axis=(0, 1)).astype(np.float64), float(fell.mean()))
+
+
+def table(lines: list[Line]) -> str:
+    """One line a command, and the mean error."""
+    text = ["forward  sideways  yaw (commanded)    forward  sideways    yaw   error   fell"]
+    for line in lines:
+        (a, b, c), (x, y, w) = line.command, line.speed
+        text.append(f"{a:7.2f} {b:9.2f} {c:4.1f} {x:22.2f} {y:9.2f} {w:6.2f} {line.error:6.0%} {line.fell:6.0%}")
+    text.append(f"mean error {np.mean([line.error for line in lines]):.0%}")
+    return "\n".join(text)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=str(__doc__).split("\n\n", maxsplit=1)[0])
+    parser.add_argument("policy", type=Path, help="policy.onnx of `sandgait train` or of sandgait.export_onnx")
+    parser.add_argument("--options", type=json.loads, default={}, help="the options that it was trained with, as JSON")
+    arguments = parser.parse_args()
+    print(table([follow(arguments.policy, command, arguments.options) for command in COMMANDS]))
+
+
+if __name__ == "__main__":
+    main()

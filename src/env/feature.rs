@@ -1,0 +1,89 @@
+//! Numbers of a row, each declared once: name, unit, bounds, and how it is computed.
+//!
+//! ```ignore
+//! type Figure = fn(&Transition, usize) -> f64;
+//! let figures = Features::<Figure>::none()
+//!     .free("work", "J", |t, _| t.after.work - t.before.work)
+//!     .each(&joints, "hip speed", "rad/s", 9.0, |t, i| t.after.rates[i]);
+//! ```
+
+use super::spec::Column;
+
+/// A list of numbers that a function of type `F` computes; the function's last argument is the number's place in its group.
+pub struct Features<F>(Vec<Feature<F>>);
+
+struct Feature<F> {
+    column: Column,
+    value: F,
+    /// Which joint, axis or point it belongs to.
+    place: usize,
+}
+
+impl<F: Copy> Features<F> {
+    pub fn none() -> Self {
+        Self(Vec::new())
+    }
+
+    /// One number.
+    pub fn one(mut self, name: &str, unit: &'static str, low: f64, high: f64, value: F) -> Self {
+        self.0.push(Feature { column: Column::new(name, unit, low, high), value, place: 0 });
+        self
+    }
+
+    /// One number without bounds.
+    pub fn free(self, name: &str, unit: &'static str, value: F) -> Self {
+        self.one(name, unit, f64::NEG_INFINITY, f64::INFINITY, value)
+    }
+
+    /// One number that is 0 or 1.
+    pub fn flag(self, name: &str, value: F) -> Self {
+        self.one(name, "1", 0.0, 1.0, value)
+    }
+
+    /// One number an axis.
+    pub fn xyz(self, name: &str, unit: &'static str, bound: f64, value: F) -> Self {
+        self.group(Column::xyz(name, unit, bound), value)
+    }
+
+    /// One number a joint.
+    pub fn each(self, joints: &[String], name: &str, unit: &'static str, bound: f64, value: F) -> Self {
+        self.group(Column::each(joints, name, unit, bound), value)
+    }
+
+    /// These columns, one after the other.
+    pub fn group(mut self, columns: impl IntoIterator<Item = Column>, value: F) -> Self {
+        let group = columns.into_iter().enumerate();
+        self.0.extend(group.map(|(place, column)| Feature { column, value, place }));
+        self
+    }
+
+    /// These features, then `others`.
+    pub fn and(mut self, others: Self) -> Self {
+        self.0.extend(others.0);
+        self
+    }
+
+    pub fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    pub fn columns(&self) -> Vec<Column> {
+        self.0.iter().map(|feature| feature.column.clone()).collect()
+    }
+
+    /// Fills a row; `call` calls a feature's function with its place.
+    pub fn fill(&self, row: &mut [f32], call: impl Fn(F, usize) -> f64) {
+        for (out, feature) in row.iter_mut().zip(&self.0) {
+            *out = call(feature.value, feature.place) as f32;
+        }
+    }
+}
+
+/// 1 for yes, 0 for no.
+pub fn flag(yes: bool) -> f64 {
+    f64::from(u8::from(yes))
+}

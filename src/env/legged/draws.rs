@@ -1,0 +1,54 @@
+//! What an episode of LeggedVelocity draws from.
+
+use crate::options;
+use serde::{Deserialize, Serialize};
+
+/// Largest command [m/s, rad/s].
+pub const MOST_COMMAND: f64 = 5.0;
+
+/// Everything that an episode draws from.
+#[derive(Clone, Copy)]
+pub struct Draws {
+    pub commands: Commands,
+    pub rand: DomainRand,
+    /// Longest episode [control steps].
+    pub steps: u32,
+}
+
+options! {
+    /// As legged_gym's.
+    #[derive(Copy, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct Commands {
+        lin_vel_x: [f64; 2] = [-1.0, 1.0], [-MOST_COMMAND, MOST_COMMAND], "forward [m/s]";
+        lin_vel_y: [f64; 2] = [-1.0, 1.0], [-MOST_COMMAND, MOST_COMMAND], "to the left [m/s]";
+        ang_vel_yaw: [f64; 2] = [-1.0, 1.0], [-MOST_COMMAND, MOST_COMMAND], "yaw speed [rad/s]";
+        resampling_time: f64 = 10.0, [0.1, 1e4], "time after which commands are drawn anew [s]";
+    }
+}
+
+options! {
+    /// legged_gym has friction 0.5 to 1.25, ± 1 kg of 12, and a push every 15 s of up to 1 m/s.
+    #[derive(Copy, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct DomainRand {
+        friction_range: [f64; 2] = [0.5, 1.25], [0.0, 10.0], "factor on the friction of hard ground";
+        sand_range: [f64; 2] = [0.6, 1.6], [0.05, 20.0], "factor on the sand's stress";
+        added_mass_range: [f64; 2] = [-0.08, 0.08], [-0.3, 1.0], "added to the base, as a share of the robot's mass";
+        motor_strength_range: [f64; 2] = [0.9, 1.1], [0.1, 10.0], "factor on torque limits and gains of the motors";
+        push_interval: f64 = 15.0, [0.0, 1e4], "time between two pushes [s], at least 0.1; 0: none";
+        max_push_vel_xy: f64 = 0.5, [0.0, 5.0], "largest velocity along x and along y that a push gives the base [m/s]";
+    }
+}
+
+impl DomainRand {
+    /// Nothing is drawn.
+    pub const NONE: Self = Self {
+        friction_range: [1.0; 2],
+        sand_range: [1.0; 2],
+        added_mass_range: [0.0; 2],
+        motor_strength_range: [1.0; 2],
+        push_interval: 0.0,
+        max_push_vel_xy: 0.0,
+    };
+}

@@ -1,0 +1,115 @@
+//! Options of LeggedVelocity: names and defaults after legged_gym (Rudin et al. 2022, `legged_robot_config.py`) where it has
+//! them.
+
+use super::draws::{Commands, DomainRand, Draws};
+use super::reward::Rewards;
+use crate::error::{Error, Result, check_range};
+use crate::options;
+use crate::options::RobotName;
+use crate::sand::{Law, Medium, Surface};
+use crate::sim::Model;
+use crate::sim::model::Scene;
+use crate::sim::tree::HardGround;
+use crate::sim::tree::relief::Relief;
+use crate::walking::{MAX_STEPS, set_sand};
+use serde::{Deserialize, Serialize};
+use std::f64::consts::PI;
+use std::sync::Arc;
+
+options! {
+    /// Options of LeggedVelocity. `dt`: our choice, twice that of the hexapods, whose feet turn faster. A trot of the test
+    /// quadruped went up to 5 % off one at 0.125 ms in sand and 10 % on hard ground; at 1 ms 8 % on hard ground. Episodes of 20 s
+    /// are legged_gym's.
+    pub struct LeggedOptions {
+        robot: RobotName = RobotName::TREE.into(), "built-in robot sandcat, or a packed file (Python: its path)";
+        law: Law = Law::Li2013, "resistive force law: li2013, penetration-drag-1d or agarwal2023";
+        dt: f64 = 2e-3, "time step [s], which divides the control period";
+        angle_noise: f64 = 0.1, [0.0, PI], "initial joint angles are uniform within ± this around the default pose [rad]";
+        sand: String = String::new(), "a sand.toml, as a diagnosis writes it: replaces medium and law (Python: its path)";
+        slope_deg: f64 = 0.0, reset, "surface rises toward +x [°]";
+        payload: f64 = 0.0, reset, "extra mass at the base's centre [kg]";
+        max_episode_steps: u32 = 1000, [1.0, MAX_STEPS], "control steps until an episode is truncated";
+        ground: String = Medium::DEFAULT.into(), "rigid, mixed (slabs of hard ground in loose poppy seeds), dunes (of loose poppy seeds), a medium's name, zeta=VALUE or mu=VALUE,rho=VALUE";
+        commands: Commands = Commands::default(), "ranges [low, high] of commands, drawn at the start and anew as time goes on";
+        rewards: Rewards = Rewards::default(), "weight of each reward term, a second";
+        domain_rand: Option<DomainRand> = Some(DomainRand::default()), "ranges [low, high] that an episode draws from; None: nothing is drawn";
+        action_scale: f64 = 0.25, [1e-3, 3.0], "what an action of 1 adds to a joint's default position [rad]";
+        relief: Option<ReliefOptions> = None, "heights of the ground; None: it is flat, but for ground dunes";
+        measure_heights: bool = false, "observe the ground's heights at legged_gym's 187 points around the robot";
+    }
+}
+
+options! {
+    /// Random dunes by a seed, or heights of your own. Three lengths of a robot from crest to crest, and steep enough to be felt:
+    /// our choice.
+    #[derive(Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct ReliefOptions {
+        seed: u64 = 0, "of random dunes";
+        wavelength: f64 = 2.0, "about how far it is from crest to crest [m]";
+        slope_deg: f64 = 15.0, "of the steepest place [°]";
+        heights: Option<Vec<Vec<f64>>> = None, "rows along y of heights along x [m], in place of dunes";
+        spacing: f64 = 0.1, "between two of these heights [m]";
+    }
+}
+
+impl ReliefOptions {
+    fn relief(&self) -> Result<Relief> {
+        match &self.heights {
+            Some(rows) => Relief::new(self.spacing, rows),
+            None => Relief::dunes(self.seed, self.wavelength, self.slope_deg),
+        }
+    }
+}
+
+impl LeggedOptions {
+    pub(super) fn draws(&self) -> Draws {
+        let rand = self.domain_rand.unwrap_or(DomainRand::NONE);
+        Draws { commands: self.commands, rand, steps: self.max_episode_steps }
+    }
+
+    pub(super) fn model(&self) -> Result<Model> {
+        let interval = self.draws().rand.push_interval;
+        if interval != 0.0 {
+            check_range("domain_rand.push_interval", interval, 0.1..=1e4)?;
+        }
+        let (hard, medium) = ground(&self.ground)?;
+        let mut scene = Scene { hard, surface: Surface::SOLID, ..Scene::flat(medium) };
+        (scene.law, scene.slope_deg, scene.dt, scene.payload) = (self.law, self.slope_deg, self.dt, self.payload);
+        set_sand(&mut scene, &self.sand)?;
+        let dunes = (self.ground == DUNES).then(ReliefOptions::default);
+        if let Some(relief) = self.relief.as_ref().or(dunes.as_ref()) {
+            if self.slope_deg != 0.0 {
+                return Err(Error::invalid("slope_deg", "a relief has its own slopes"));
+            }
+            scene.relief = Some(Arc::new(relief.relief()?));
+        }
+        Model::of_tree(self.robot.tree()?, &scene)
+    }
+}
+
+/// Kinds of ground that are no medium: hard, slabs of hard ground in sand, sand that is not flat.
+const GROUNDS: [&str; 3] = ["rigid", "mixed", DUNES];
+/// Loose sand that is not flat.
+const DUNES: &str = "dunes";
+/// Size of the slabs of `mixed`, and distance after which the next comes [m]: our choice, a robot's length or two.
+const SLABS: [f64; 2] = [0.8, 1.6];
+
+/// Hard ground of a kind, and the medium of the sand.
+fn ground(name: &str) -> Result<(Vec<HardGround>, Medium)> {
+    let sand = || Medium::named(Medium::DEFAULT);
+    let [size, every] = SLABS.map(|length| [length; 2]);
+    match name {
+        "rigid" => Ok((vec![HardGround::everywhere()], sand()?)),
+        DUNES => Ok((Vec::new(), sand()?)),
+        "mixed" => Ok((vec![HardGround { size, every, ..HardGround::everywhere() }], sand()?)),
+        _ => {
+            let media = Medium::names();
+            let medium = Medium::named(name).map_err(|e| match e {
+                Error::Unknown { .. } => Error::unknown("ground", name, &[&GROUNDS[..], &media].concat()),
+                other => other,
+            });
+            Ok((Vec::new(), medium?))
+        }
+    }
+}

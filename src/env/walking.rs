@@ -1,0 +1,75 @@
+//! Options of every task whose robot walks on identical legs, the model that they make, and how episodes begin.
+
+use super::locomotion::{MAX_COMMAND, MAX_TURN, Weights};
+use super::options::RobotName;
+use super::random::Random;
+use super::task::{Goal, Setup};
+use crate::error::{Error, Result};
+use crate::options;
+use crate::sand::{Law, Medium, SandDescription};
+use crate::sim::engine::EngineKind;
+use crate::sim::model::Scene;
+use crate::sim::{Model, Robot, State};
+use std::f64::consts::PI;
+
+/// Longest episode [control steps].
+pub const MAX_STEPS: f64 = 1e6;
+
+options! {
+    /// Options of a robot that walks. `torque_limit`: our choice, some six times the rms torque of a 2 Hz walk.
+    pub struct Walking {
+        robot: RobotName = "xplorer".into(), "built-in robot: xplorer or xplorer18";
+        engine: EngineKind = EngineKind::Lanes, "engine that integrates the motion: lanes or rapier";
+        law: Law = Law::Li2013, "resistive force law: li2013, penetration-drag-1d or agarwal2023";
+        dt: f64 = Scene::DEFAULT_DT, "time step [s], which divides the control period; 1 ms, with engine rapier 0.5 ms";
+        torque_limit: f64 = 0.05, [1e-4, 1e3], "largest servo torque [N·m]";
+        command: [f64; 2] = [0.1, 0.4], [-MAX_COMMAND, MAX_COMMAND], reset, "range [low, high] the commanded speed is drawn from [m/s]";
+        turn: [f64; 2] = [0.0, 0.0], [-MAX_TURN, MAX_TURN], reset, "range [low, high] the commanded yaw speed is drawn from [rad/s]";
+        angle_noise: f64 = 0.2, [0.0, PI], "initial joint angles are uniform within ± this around the task's own [rad]";
+        weights: Weights = Weights::default(), "weight of each reward term";
+        leg: String = "L".into(), reset, "leg shape: L, revL, C, revC, flat or xi=DEGREES";
+        medium: String = Medium::DEFAULT.into(), reset, "sand: a medium's name, zeta=VALUE or mu=VALUE,rho=VALUE";
+        sand: String = String::new(), "a sand.toml, as a diagnosis writes it: replaces medium and law (Python: its path)";
+        slope_deg: f64 = 0.0, reset, "surface rises toward +x [°]";
+        payload: f64 = 0.0, reset, "extra mass at the base's centre [kg]";
+        max_episode_steps: u32 = 500, [1.0, MAX_STEPS], "control steps until an episode is truncated";
+    }
+}
+
+impl Walking {
+    /// Robot, sand and slope; without `servos` the robot's joints are driven by torques alone.
+    pub fn model(&self, servos: bool) -> Result<Model> {
+        if self.robot.name().ends_with(".toml") {
+            return Err(Error::unknown("robot", self.robot.name(), &Robot::names()));
+        }
+        let mut robot = Robot::load(self.robot.name())?.with_leg_shape(&self.leg)?;
+        robot.servo.torque_limit = Some(self.torque_limit);
+        // What a servo's lag adds up to is not observed.
+        robot.servo.anti_windup = true;
+        if !servos {
+            (robot.servo.kp, robot.servo.kd) = (0.0, 0.0);
+        }
+        let mut scene = Scene::flat(Medium::named(&self.medium)?);
+        (scene.law, scene.slope_deg, scene.dt, scene.payload) = (self.law, self.slope_deg, self.dt, self.payload);
+        set_sand(&mut scene, &self.sand)?;
+        Model::new(&robot, &scene)
+    }
+}
+
+/// Puts the sand of a sand.toml into `scene` if its text is not empty.
+pub fn set_sand(scene: &mut Scene, text: &str) -> Result<()> {
+    if !text.is_empty() {
+        scene.set_sand(&SandDescription::from_toml(text)?);
+    }
+    Ok(())
+}
+
+/// At rest on the surface, joints near their start, commands drawn from the options' ranges.
+pub fn begin(setup: &Setup<Walking>, random: &mut Random) -> (State, Goal) {
+    let Walking { angle_noise, command, turn, .. } = *setup.options;
+    let mut angles = setup.model.tripod_angles();
+    angles.iter_mut().for_each(|a| *a += random.uniform(-angle_noise, angle_noise));
+    let [speed, turn] = [command, turn].map(|[low, high]| random.uniform(low, high));
+    let goal = Goal { speed, turn, ..Goal::default() };
+    (State::at_rest(setup.model.standing_height(&angles), &angles), goal)
+}
