@@ -1,7 +1,7 @@
 //! EXPERIMENT.toml: what the data file alone does not say.
 
 use super::nuisance::{Entry, Priors};
-use super::trajectory::keys::{Given, ImuTable, Keys, MotorTable};
+use super::trajectory::keys::{Cut, Given, ImuTable, Keys, MotorTable, Topics};
 use crate::error::{Error, Result, check_range};
 use crate::sand::intruder::BodyShape;
 use crate::sand::{Coefficients, Law, Medium};
@@ -102,6 +102,9 @@ struct File {
     leg: Option<String>,
     touches: Option<Vec<String>>,
     window: Option<f64>,
+    topics: Option<Topics>,
+    #[serde(default)]
+    run: Vec<Cut>,
 }
 
 /// EXPERIMENT.toml, checked.
@@ -159,6 +162,8 @@ impl Experiment {
             leg: file.leg,
             touches: file.touches,
             window: file.window,
+            topics: file.topics,
+            run: file.run,
         };
         if let Some(key) = given.first().filter(|_| file.kind != Kind::Trajectory) {
             return Err(Error::invalid(key, "only kind = \"trajectory\" takes it"));

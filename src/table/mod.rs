@@ -130,8 +130,44 @@ pub fn parse(
         return Err(Error::file(path, "row 2: no rows below the header"));
     }
     drop(reader);
-    let sha256 = source.hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
-    Ok(Summary { header, sha256 })
+    Ok(Summary { header, sha256: hexadecimal(source.hash) })
+}
+
+/// The same of rows that another reader makes, their first line 2; `next` fills a row and says whether there was one more.
+pub fn rows(
+    path: &Path,
+    header: &[String],
+    asked: &Asked,
+    mut next: impl FnMut(&mut Cells) -> Result<bool>,
+    mut take: impl FnMut(&Row) -> Result<()>,
+) -> Result<()> {
+    let places = asked.places(path, header)?;
+    let mut record = Cells::new();
+    let mut line = 1;
+    loop {
+        record.clear();
+        if !next(&mut record)? {
+            break;
+        }
+        line += 1;
+        take(&Row { file: path, columns: asked.columns, places: &places, record: &record, line })?;
+    }
+    if line == 1 { Err(Error::file(path, "no rows")) } else { Ok(()) }
+}
+
+/// The cells of a row.
+pub type Cells = csv::StringRecord;
+
+/// Hexadecimal SHA-256 of a file that is not too large to be read.
+pub fn sha256(path: &Path) -> Result<String> {
+    let file = File::open(path).map_err(|e| Error::file(path, e))?;
+    let mut source = Hashed { inner: file, hash: Sha256::new(), bytes: 0 };
+    std::io::copy(&mut source, &mut std::io::sink()).map_err(|e| Error::file(path, e))?;
+    Ok(hexadecimal(source.hash))
+}
+
+fn hexadecimal(hash: Sha256) -> String {
+    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// Reads through to a hash of everything read; ends in an error where that is too much.

@@ -37,7 +37,7 @@ pub const RUNS: [(&str, f64, f64); 5] =
     [("L", 1.5, 0.0), ("L", 3.0, 5.0), ("revL", 2.0, 0.0), ("revL", 3.5, 5.0), ("L", 2.0, 0.0)];
 /// Length of each run [s].
 const LENGTH: f64 = 2.7;
-const EXPERIMENT: &str = "kind = \"trajectory\"\nrobot = \"xplorer\"\nmedium = \"poppy-loose\"\nbulk_density = 638.0\n\
+pub const EXPERIMENT: &str = "kind = \"trajectory\"\nrobot = \"xplorer\"\nmedium = \"poppy-loose\"\nbulk_density = 638.0\n\
     coefficient_sd = 0.05\n[imu]\nposition = [0.01, 0.0, 0.0]\n";
 
 pub fn experiment() -> crate::experiment::Experiment {

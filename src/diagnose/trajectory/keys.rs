@@ -18,6 +18,36 @@ pub struct MotorTable {
     torque_constant: Option<f64>,
 }
 
+/// The table `[topics]`: which topics of an MCAP file are read, where it has several of a kind.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Topics {
+    pub joints: Option<String>,
+    pub imu: Option<String>,
+}
+
+/// A table `[[run]]`: what is cut out of an MCAP file, which knows no runs, from its first message of joints on [s].
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Cut {
+    pub name: Option<String>,
+    pub from: Option<f64>,
+    pub to: Option<f64>,
+    pub condition: Option<String>,
+    pub leg: Option<String>,
+    pub slope_deg: Option<f64>,
+    pub stride_frequency: Option<f64>,
+}
+
+impl Cut {
+    pub fn holds(&self, t: f64) -> bool {
+        self.from.is_none_or(|from| t >= from) && self.to.is_none_or(|to| t < to)
+    }
+}
+
+/// Runs that are cut out: our choice, as of every log.
+const MOST_CUTS: usize = 1000;
+
 /// Keys as they stand in the file.
 #[derive(Clone, Debug, Default)]
 pub struct Given {
@@ -28,6 +58,8 @@ pub struct Given {
     pub leg: Option<String>,
     pub touches: Option<Vec<String>>,
     pub window: Option<f64>,
+    pub topics: Option<Topics>,
+    pub run: Vec<Cut>,
 }
 
 /// Checked.
@@ -47,6 +79,8 @@ pub struct Keys {
     pub touches: Option<Vec<String>>,
     /// Length of the windows that a gait without strides is cut into [s].
     pub window: f64,
+    pub topics: Topics,
+    pub cuts: Vec<Cut>,
 }
 
 impl Default for Keys {
@@ -61,7 +95,17 @@ impl Default for Keys {
             touches: None,
             // Our choice: about a stride.
             window: 0.5,
+            topics: Topics::default(),
+            cuts: Vec::new(),
         }
+    }
+}
+
+impl Keys {
+    /// The first key that only MCAP files take.
+    pub fn of_mcap(&self) -> Option<&'static str> {
+        let topics = self.topics.joints.is_some() || self.topics.imu.is_some();
+        [("topics", topics), ("run", !self.cuts.is_empty())].iter().find(|k| k.1).map(|k| k.0)
     }
 }
 
@@ -76,6 +120,8 @@ impl Given {
             ("leg", self.leg.is_some()),
             ("touches", self.touches.is_some()),
             ("window", self.window.is_some()),
+            ("topics", self.topics.is_some()),
+            ("run", !self.run.is_empty()),
         ];
         all.iter().find(|k| k.1).map(|k| k.0)
     }
@@ -91,6 +137,17 @@ impl Given {
         if !(norm - 1.0).is_finite() || (norm - 1.0).abs() > 0.02 {
             return Err(Error::invalid("imu.quat", format!("a quaternion (w, x, y, z) of length {norm}, not 1")));
         }
+        let mut cuts = self.run;
+        if cuts.len() > MOST_CUTS {
+            return Err(Error::invalid("run", format!("{} runs; at most {MOST_CUTS} are cut out", cuts.len())));
+        }
+        for (k, cut) in cuts.iter_mut().enumerate() {
+            let ends = [cut.from.unwrap_or(0.0), cut.to.unwrap_or(f64::MAX)];
+            if ends.iter().any(|e| e.is_nan()) || ends[0] >= ends[1] {
+                return Err(Error::invalid("run", format!("run {}: from {} to {}", k + 1, ends[0], ends[1])));
+            }
+            cut.name.get_or_insert_with(|| (k + 1).to_string());
+        }
         let constant = self.motor.and_then(|m| m.torque_constant);
         Ok(Keys {
             imu_position: position,
@@ -104,6 +161,8 @@ impl Given {
             leg: self.leg,
             touches: self.touches,
             window: check_range("window", self.window.unwrap_or(own.window), 0.05..=60.0)?,
+            topics: self.topics.unwrap_or_default(),
+            cuts,
         })
     }
 }

@@ -4,6 +4,9 @@
 //! as any other. Strides are the repetitions of their run; what a run has of its own (bed, zeros of sensors) is an error that all of
 //! its strides share.
 
+mod bag;
+mod cdr;
+mod columnar;
 mod forecast;
 #[cfg(test)]
 mod generate;
@@ -11,8 +14,11 @@ pub mod keys;
 pub mod log;
 mod measuring;
 pub mod model;
+mod pages;
 mod plan;
 pub mod read;
+#[cfg(test)]
+mod readers;
 pub mod replay;
 pub mod sensors;
 pub mod servo;

@@ -150,3 +150,19 @@ fn mean(run: &Run, window: &Window, values: &[f64]) -> Vec<f64> {
     let integral = Integral::new(&run.t, values);
     window.strides.iter().flat_map(|s| bins(*s)).map(|[a, b]| integral.mean(a, b)).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::zero;
+
+    /// A motor that is cut nearly all the time, and a servo whose start is not known.
+    #[test]
+    fn a_zero_is_found_beside_the_limit() {
+        let asked: Vec<f64> = (0..400).map(|i| 0.03 * (0.1 * f64::from(i)).sin() + 0.02).collect();
+        for (limit, hidden) in [(0.01, 0.013), (0.01, -0.05), (0.02, 0.0)] {
+            let given: Vec<f64> = asked.iter().map(|a| (a + hidden).clamp(-limit, limit)).collect();
+            let found = zero(&asked, &given, limit);
+            assert!((found - hidden).abs() < 1e-4, "{found} of {hidden}");
+        }
+    }
+}

@@ -2,10 +2,11 @@
 
 use super::generate::{Truth, csv, experiment, file};
 use super::log::Log;
-use super::{read, slips};
+use super::{TrajectoryModel, read, slips};
 use crate::diagnose;
 use crate::error::Result;
-use crate::progress::Silent;
+use crate::forward::ForwardModel;
+use crate::progress::{Latch, Silent};
 use crate::report::Diagnosis;
 use crate::sand::mechanism::Mechanisms;
 use crate::verdict::Verdict;
@@ -60,6 +61,30 @@ fn the_strength_of_the_medium_is_named() {
 fn a_weak_motor_is_named() {
     let weak = Mechanisms { motor_torque_limit: 0.01, ..Mechanisms::PLAIN };
     named(&Truth { delay: 0.002, ..Truth::new(weak, 5) }, "motor_torque_limit", 0.01);
+}
+
+/// Walks that could be logged next are predicted like any log, and tell explanations apart.
+#[test]
+fn walks_are_planned() {
+    let log = read_text(&csv(&Truth::new(Mechanisms::PLAIN, 7))).unwrap();
+    let latch = Latch::new(&Silent);
+    let (model, _) = TrajectoryModel::new(log, &experiment(), &latch).unwrap();
+    let menu = model.menu().unwrap();
+    assert!(menu.descriptions.iter().any(|d| d == "walk at 3 Hz up 5°, leg L"), "{:?}", menu.descriptions);
+    assert_eq!(menu.descriptions.len(), menu.observations.units.len());
+    let coefficients = model.medium().coefficients;
+    let causes = [
+        Mechanisms::PLAIN,
+        Mechanisms { slope: 0.1, ..Mechanisms::PLAIN },
+        Mechanisms { motor_torque_limit: 0.005, ..Mechanisms::PLAIN },
+    ];
+    let [plain, slope, weak] = causes.map(|m| menu.model.predict(&m, &coefficients));
+    for unit in &menu.observations.units {
+        let span = menu.observations.span(unit);
+        let apart = |a: &[f64]| a[span.clone()].iter().zip(&plain[span.clone()]).any(|(a, b)| (a - b).abs() > 1e-5);
+        assert!(plain[span.clone()].iter().all(|p| p.is_finite()), "{}", unit.id);
+        assert!(apart(&slope) && apart(&weak), "{}", unit.id);
+    }
 }
 
 /// A log with some columns changed.
