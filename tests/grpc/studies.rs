@@ -9,6 +9,7 @@ use sandgait::service::proto::{
 use sandgait::service::proto::{SweepRequest, SweepResponse, Table, Variation, WalkRequest, WalkResponse};
 use sandgait::service::proto::{TrialsRequest, TrialsResponse, trials_request, trials_response};
 use sandgait::service::proto::{diagnose_request, diagnose_response, sweep_response, walk_response};
+use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};
 use tonic::transport::Channel;
@@ -231,6 +232,35 @@ async fn wrong_data_are_refused_as_on_the_command_line() {
     assert!(status.code() == Code::InvalidArgument && status.message().contains("mood"), "{status}");
     let large = DiagnoseRequest { data: file("force.csv", &"x".repeat(65 << 20)), experiment: None };
     assert_eq!(failed(&mut client, large).await.unwrap_err().code(), Code::ResourceExhausted);
+}
+
+/// A file of tests/data/trajectory.
+fn walk_log(name: &str) -> Option<File> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/trajectory").join(name);
+    Some(File { name: path.to_str().unwrap().into(), content: std::fs::read(path).unwrap().into() })
+}
+
+#[tokio::test]
+async fn a_robots_own_log_travels_as_the_bytes_it_has() {
+    let server = Server::start(1).await;
+    let mut client = client(&server).await;
+    let experiment = walk_log("walk_mcap.toml").map(diagnose_request::Experiment::File);
+    let request = DiagnoseRequest { data: walk_log("walk.mcap"), experiment };
+    let (_, last) = whole(client.diagnose(request).await.unwrap().into_inner()).await;
+    let Some(diagnose_response::Event::Diagnosis(diagnosis)) = last.event else { panic!() };
+    assert!(diagnosis.report_json.contains("\"named\"") && diagnosis.report_json.contains("inertial_drag"));
+    assert!(diagnosis.sand_toml.contains("inertial_drag"));
+    let out = tempfile::tempdir().unwrap();
+    for log in ["walk.mcap", "walk.parquet", "walk.csv"] {
+        // The experiment of the other formats, with what only MCAP takes or without what it needs.
+        let mut wrong = walk_log(if log == "walk.mcap" { "walk.toml" } else { "walk_mcap.toml" }).unwrap();
+        let data = walk_log(log);
+        let [d, e] = [&data.as_ref().unwrap().name, &wrong.name];
+        let said = command_line(&["diagnose", d, "--experiment", e, "--out", out.path().join("x").to_str().unwrap()]);
+        wrong.name = "experiment.toml".into();
+        let request = DiagnoseRequest { data, experiment: Some(diagnose_request::Experiment::File(wrong)) };
+        refused(failed(&mut client, request).await, &said);
+    }
 }
 
 #[tokio::test]

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -233,6 +234,21 @@ def test_a_frame_and_tables_are_as_good_as_files(diagnosis: sandgait.Diagnosis) 
     assert all(stage for _, stage in told)
 
 
+WALK = Path(__file__).parents[1] / "data/trajectory"
+
+
+def test_a_robots_own_log_in_each_format(tmp_path: Path) -> None:
+    experiment = tomllib.loads((WALK / "walk_mcap.toml").read_text())
+    mcap = sandgait.diagnose(WALK / "walk.mcap", experiment, progress=False)
+    command("diagnose", WALK / "walk.mcap", "--experiment", WALK / "walk_mcap.toml", "--out", tmp_path)
+    assert mcap.report_json == (tmp_path / "report.json").read_text()
+    assert (mcap.verdict, [cause["id"] for cause in mcap.causes]) == ("named", ["inertial_drag"])
+    parquet = sandgait.diagnose(WALK / "walk.parquet", WALK / "walk.toml", progress=False)
+    frame = sandgait.diagnose(pd.read_csv(WALK / "walk.csv"), WALK / "walk.toml", progress=False)
+    for name in ("verdict", "causes", "candidates", "gain"):
+        assert parquet.report[name] == frame.report[name]
+
+
 def test_the_curves_are_the_data(diagnosis: sandgait.Diagnosis) -> None:
     log, frame = pd.read_csv(LOG), diagnosis.to_frame()
     assert len(frame) == len(log)
@@ -308,6 +324,9 @@ def test_another_server(remote: RemoteServer) -> None:
         (lambda: sandgait.diagnose(LOG, {**TABLES, "mood": 1}), "experiment: .*mood"),
         (lambda: sandgait.diagnose(pd.DataFrame({"trial": [1]}), EXPERIMENT), "data: "),
         (lambda: sandgait.diagnose(EXPERIMENT, EXPERIMENT), "force_log.toml: "),
+        (lambda: sandgait.diagnose(WALK / "walk.csv", WALK / "walk_mcap.toml"), "topics: only MCAP files"),
+        (lambda: sandgait.diagnose(WALK / "walk.mcap", WALK / "walk.toml"), "walk.mcap: run 1: .*two runs"),
+        (lambda: sandgait.diagnose(WALK / "walk.parquet", EXPERIMENT), "walk.parquet: "),
     ],
 )
 def test_wrong_use(call: Any, says: str) -> None:

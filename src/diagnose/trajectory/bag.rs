@@ -4,6 +4,7 @@
 
 use super::cdr::{self, Imu, JointState};
 use super::keys::{Cut, Topics};
+use super::packed::Packing;
 use crate::error::{Error, Result};
 use crate::table::Cells;
 use mcap::records::op;
@@ -21,8 +22,8 @@ const PIECE: usize = 1 << 20;
 const MOST_NUMBERS: usize = 20_000_000;
 /// Channels and schemas of a file: our choice, what is known of them is kept.
 const MOST_CHANNELS: usize = 10_000;
-/// Longest time between two messages of the IMU between which its readings are known [s]: our choice, as between joints.
-const LONGEST_GAP: f64 = 0.05;
+/// Longest time between two messages of the IMU between which its readings are known [ns]: our choice, as between joints.
+const LONGEST_GAP: i64 = 50_000_000;
 
 const JOINTS: &str = "sensor_msgs/msg/JointState";
 const IMU: &str = "sensor_msgs/msg/Imu";
@@ -38,7 +39,7 @@ pub struct Bag {
     names: Vec<String>,
     /// Which of velocity and effort there are.
     lists: [bool; 2],
-    joints: Vec<(f64, Vec<f64>)>,
+    joints: Vec<(i64, Vec<f64>)>,
     imu: Vec<Imu>,
     cuts: Vec<Cut>,
 }
@@ -62,7 +63,10 @@ pub fn read(path: &Path, topics: &Topics, cuts: &[Cut]) -> Result<Bag> {
     let (schemas, channels) = (HashMap::new(), HashMap::new());
     let mut reading = Reading { topics, schemas, channels, taken: [None, None], numbers: 0, bag };
     // A log whose robot fell ends without its summary.
-    let options = LinearReaderOptions::default().with_skip_end_magic(true).with_record_length_limit(LONGEST);
+    let options = LinearReaderOptions::default()
+        .with_skip_end_magic(true)
+        .with_emit_chunks(true)
+        .with_record_length_limit(LONGEST);
     let mut reader = LinearReader::new_with_options(options);
     while let Some(event) = reader.next_event() {
         match event.map_err(|e| Error::file(path, format!("MCAP: {e}")))? {
@@ -97,11 +101,20 @@ impl<'a> Fields<'a> {
         self.bytes().map(u16::from_le_bytes)
     }
 
-    fn text(&mut self) -> Told<&'a str> {
-        let length = u32::from_le_bytes(self.bytes()?) as usize;
-        let (text, rest) = self.data.split_at_checked(length).ok_or("MCAP: a text reaches beyond its record")?;
+    fn long(&mut self) -> Told<u64> {
+        self.bytes().map(u64::from_le_bytes)
+    }
+
+    fn part(&mut self, length: u64) -> Told<&'a [u8]> {
+        let length = usize::try_from(length).unwrap_or(usize::MAX);
+        let (part, rest) = self.data.split_at_checked(length).ok_or("MCAP: a part reaches beyond its record")?;
         self.data = rest;
-        std::str::from_utf8(text).map_err(|_| "MCAP: a text that is not UTF-8".into())
+        Ok(part)
+    }
+
+    fn text(&mut self) -> Told<&'a str> {
+        let length = u32::from_le_bytes(self.bytes()?);
+        std::str::from_utf8(self.part(length.into())?).map_err(|_| "MCAP: a text that is not UTF-8".into())
     }
 }
 
@@ -126,13 +139,44 @@ impl Reading<'_> {
             op::MESSAGE => {
                 let id = fields.short()?;
                 fields.bytes::<4>()?; // its number
-                let log_time = 1e-9 * u64::from_le_bytes(fields.bytes()?) as f64;
+                let log_time =
+                    i64::try_from(fields.long()?).map_err(|_| "MCAP: a message of the year 2262 or later")?;
                 fields.bytes::<8>()?; // when it was published
                 self.message(id, log_time, fields.data)?;
             }
+            op::CHUNK => self.chunk(fields)?,
             _ => {}
         }
         self.bounded()
+    }
+
+    /// Takes the records of a chunk, each an opcode, a length and its bytes.
+    fn chunk(&mut self, mut fields: Fields) -> Told<()> {
+        fields.bytes::<16>()?; // times of its first and last message
+        let size = fields.long()?;
+        let sum = u32::from_le_bytes(fields.bytes()?);
+        let packing = match fields.text()? {
+            "" => Packing::Plain,
+            "lz4" => Packing::Lz4,
+            "zstd" => Packing::Zstd,
+            other => return Err(format!("MCAP: chunks packed with {other:?} are not read; lz4 and zstd are")),
+        };
+        let length = fields.long()?;
+        let unpacked = packing.unpack(fields.part(length)?, size).map_err(|e| format!("MCAP: a chunk: {e}"))?;
+        // Zero says that no sum was made.
+        if sum != 0 && sum != crc32fast::hash(&unpacked) {
+            return Err("MCAP: a chunk was damaged: its sum is another".into());
+        }
+        let mut records = Fields { data: &unpacked };
+        while !records.data.is_empty() {
+            let [opcode] = records.bytes()?;
+            let length = records.long()?;
+            let data = records.part(length)?;
+            if opcode != op::CHUNK {
+                self.take(opcode, data)?;
+            }
+        }
+        Ok(())
     }
 
     fn channel(&mut self, id: u16, schema: u16, topic: &str, encoding: &str) -> Told<()> {
@@ -156,7 +200,7 @@ impl Reading<'_> {
         Ok(())
     }
 
-    fn message(&mut self, id: u16, log_time: f64, data: &[u8]) -> Told<()> {
+    fn message(&mut self, id: u16, log_time: i64, data: &[u8]) -> Told<()> {
         match self.channels.get(&id) {
             Some(Kind::Joints) => {
                 let state = cdr::joint_state(data).map_err(|e| format!("a message of joints {e}"))?;
@@ -164,7 +208,7 @@ impl Reading<'_> {
             }
             Some(Kind::Imu) => {
                 let imu = cdr::imu(data).map_err(|e| format!("a message of the IMU {e}"))?;
-                let stamp = if imu.stamp == 0.0 { log_time } else { imu.stamp };
+                let stamp = if imu.stamp == 0 { log_time } else { imu.stamp };
                 self.bag.imu.push(Imu { stamp, ..imu });
                 self.numbers += 11;
             }
@@ -183,7 +227,7 @@ impl Reading<'_> {
         }
     }
 
-    fn joints(&mut self, state: JointState, log_time: f64) -> Told<()> {
+    fn joints(&mut self, state: JointState, log_time: i64) -> Told<()> {
         let bag = &mut self.bag;
         if bag.names.is_empty() {
             bag.names.clone_from(&state.names);
@@ -200,7 +244,7 @@ impl Reading<'_> {
             }
         }
         self.numbers += row.len() + 1;
-        bag.joints.push((if state.stamp == 0.0 { log_time } else { state.stamp }, row));
+        bag.joints.push((if state.stamp == 0 { log_time } else { state.stamp }, row));
         Ok(())
     }
 }
@@ -216,11 +260,8 @@ impl Bag {
             };
             return Err(Error::file(path, reason));
         }
-        if self.joints.iter().map(|j| j.0).chain(self.imu.iter().map(|i| i.stamp)).any(|t| !t.is_finite()) {
-            return Err(Error::file(path, "a time is not finite"));
-        }
-        self.imu.sort_by(|a, b| a.stamp.total_cmp(&b.stamp));
-        self.joints.sort_by(|a, b| a.0.total_cmp(&b.0));
+        self.imu.sort_by_key(|i| i.stamp);
+        self.joints.sort_by_key(|j| j.0);
         Ok(self)
     }
 
@@ -245,14 +286,15 @@ impl Bag {
 
     /// The rows, one after the other: those between the IMU's messages, and of the runs that were cut out, if any were.
     pub fn rows(&self) -> impl FnMut(&mut Cells) -> Result<bool> + '_ {
-        let start = self.joints.first().map_or(0.0, |j| j.0);
+        let start = self.joints.first().map_or(0, |j| j.0);
         let whole = [Cut::default()];
         let attitude = self.attitude();
         let mut next = 0;
         move |cells| {
             while let Some((stamp, joints)) = self.joints.get(next) {
                 next += 1;
-                let t = stamp - start;
+                // A quotient, so that 20 ms are 0.02 s as a text would say it.
+                let t = stamp.saturating_sub(start) as f64 / 1e9;
                 let cuts = if self.cuts.is_empty() { &whole[..] } else { &self.cuts };
                 let cut = cuts.iter().find(|c| c.holds(t));
                 let (Some(cut), Some(imu)) = (cut, self.imu_at(*stamp)) else { continue };
@@ -272,15 +314,15 @@ impl Bag {
     }
 
     /// What the IMU said at a time, where that is known.
-    fn imu_at(&self, t: f64) -> Option<Imu> {
+    fn imu_at(&self, t: i64) -> Option<Imu> {
         let right = self.imu.partition_point(|i| i.stamp < t);
         let after = self.imu.get(right)?;
         let before = if after.stamp == t { after } else { self.imu.get(right.checked_sub(1)?)? };
-        let apart = after.stamp - before.stamp;
+        let apart = after.stamp.saturating_sub(before.stamp);
         if apart > LONGEST_GAP {
             return None;
         }
-        let share = if apart > 0.0 { (t - before.stamp) / apart } else { 0.0 };
+        let share = if apart > 0 { (t - before.stamp) as f64 / apart as f64 } else { 0.0 };
         let mix = |a: f64, b: f64| a + share * (b - a);
         let attitude = before.attitude.zip(after.attitude).map(|(a, b)| {
             // The two signs of a quaternion are the same attitude.

@@ -6,8 +6,8 @@ const MOST_NAMES: usize = 256;
 /// sensor_msgs/msg/JointState.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct JointState {
-    /// [s]
-    pub stamp: f64,
+    /// [ns]
+    pub stamp: i64,
     pub names: Vec<String>,
     /// Empty where the message has none.
     pub position: Vec<f64>,
@@ -18,8 +18,8 @@ pub struct JointState {
 /// sensor_msgs/msg/Imu.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Imu {
-    /// [s]
-    pub stamp: f64,
+    /// [ns]
+    pub stamp: i64,
     /// w, x, y, z; none where the sensor has no attitude.
     pub attitude: Option<[f64; 4]>,
     pub gyro: [f64; 3],
@@ -90,10 +90,10 @@ impl<'a> Cdr<'a> {
         (0..count).map(|_| self.number()).collect()
     }
 
-    /// std_msgs/msg/Header; its time [s].
-    fn header(&mut self) -> Read<f64> {
+    /// std_msgs/msg/Header; its time [ns].
+    fn header(&mut self) -> Read<i64> {
         let seconds = self.whole()?.cast_signed();
-        let stamp = f64::from(seconds) + 1e-9 * f64::from(self.whole()?);
+        let stamp = 1_000_000_000 * i64::from(seconds) + i64::from(self.whole()?);
         self.text()?;
         Ok(stamp)
     }

@@ -1,23 +1,22 @@
 //! Logs as Parquet, column by column: the same columns as in CSV, handed on row by row.
 
-use super::pages;
+use super::packed::Packing;
+use super::pages::{Counts, Pages};
 use crate::error::{Error, Result};
 use crate::table::{Asked, Cells, Row, rows};
 use parquet::basic::Compression;
-use parquet::column::reader::{ColumnReader, ColumnReaderImpl};
+use parquet::column::reader::{ColumnReader, ColumnReaderImpl, get_column_reader};
 use parquet::data_type::DataType;
-use parquet::file::metadata::ColumnChunkMetaData;
-use parquet::file::reader::{FileReader, SerializedFileReader};
+use parquet::file::metadata::{ColumnChunkMetaData, ParquetMetaDataReader};
 use std::fs::File;
 use std::io::{Read as _, Seek, SeekFrom};
 use std::path::Path;
+use std::sync::Arc;
 
 /// The first bytes of a file.
 pub const MAGIC: &[u8] = b"PAR1";
 /// Bytes of the summary at a file's end, which is unpacked whole: our choice.
 const LONGEST_SUMMARY: u32 = 16 << 20;
-/// Bytes that the pages read at once may have, unpacked: our choice.
-const AT_ONCE: u64 = 256 << 20;
 /// Rows taken from each column at once: our choice.
 const TOGETHER: usize = 1024;
 /// Characters of a cell: our choice, names of runs are short.
@@ -30,15 +29,17 @@ pub fn read(path: &Path, asked: &Asked, take: impl FnMut(&Row) -> Result<()>) ->
     let wrong = |reason: &dyn std::fmt::Display| Error::file(path, format!("Parquet: {reason}"));
     let mut file = File::open(path).map_err(|e| Error::file(path, e))?;
     let bytes = summary(&mut file).map_err(|reason| wrong(&reason))?;
-    let reader = SerializedFileReader::new(file.try_clone().map_err(|e| Error::file(path, e))?);
-    let reader = reader.map_err(|e| wrong(&e))?;
-    let columns = reader.metadata().file_metadata().schema_descr().columns();
+    let reader = ParquetMetaDataReader::new().parse_and_finish(&file);
+    let metadata = reader.map_err(|e| wrong(&e))?;
+    let file = Arc::new(file);
+    let columns = metadata.file_metadata().schema_descr().columns();
     let names: Vec<String> = columns.iter().map(|c| c.path().string()).collect();
     let wanted = asked.wanted(path, &names)?;
     let header: Vec<String> = wanted.iter().map(|&k| names[k].clone()).collect();
     let of_values: Vec<i16> = columns.iter().map(|c| c.max_def_level()).collect();
     let mut batch = Batch::default();
-    let (mut group, mut row, mut pages) = (0, 0, 0);
+    let (mut group, mut row) = (0, 0);
+    let counts = Arc::new(Counts::default());
     let mut open: Vec<ColumnReader> = Vec::new();
     let next = |cells: &mut Cells| -> Result<bool> {
         while row == batch.rows {
@@ -47,15 +48,16 @@ pub fn read(path: &Path, asked: &Asked, take: impl FnMut(&Row) -> Result<()>) ->
             if batch.rows > 0 {
                 break;
             }
-            if group == reader.num_row_groups() {
-                return Ok(false);
-            }
-            let metadata = reader.metadata().row_group(group);
-            let chunks = wanted.iter().map(|&k| metadata.columns().get(k).map(|chunk| (&names[k], chunk)));
-            check(&mut file, bytes, chunks, &mut pages).map_err(|reason| wrong(&reason))?;
-            let own = reader.get_row_group(group).map_err(|e| wrong(&e))?;
-            open = wanted.iter().map(|&k| own.get_column_reader(k).map_err(|e| wrong(&e))).collect::<Result<_>>()?;
+            open.clear();
+            let Some(own) = metadata.row_groups().get(group) else { return Ok(false) };
             group += 1;
+            for &k in &wanted {
+                let reason = |reason: String| wrong(&format!("column {}: {reason}", names[k]));
+                let chunk = own.columns().get(k).ok_or_else(|| reason("is not in each group of rows".into()))?;
+                let (span, packing) = place(chunk, bytes).map_err(reason)?;
+                let pages = Pages::new(file.clone(), span, packing, counts.clone());
+                open.push(get_column_reader(columns[k].clone(), Box::new(pages)));
+            }
         }
         batch.columns.iter().for_each(|column| cells.push_field(&column[row]));
         row += 1;
@@ -77,37 +79,26 @@ fn summary(file: &mut File) -> Read<u64> {
     }
 }
 
-/// Looks at the pages of the columns of one group of rows before any of them is unpacked.
-fn check<'a>(
-    file: &mut File,
-    bytes: u64,
-    chunks: impl Iterator<Item = Option<(&'a String, &'a ColumnChunkMetaData)>>,
-    pages: &mut usize,
-) -> Read<()> {
-    let mut together = 0;
-    for chunk in chunks {
-        let (name, chunk) = chunk.ok_or("a group of rows lacks columns")?;
-        if !matches!(chunk.compression(), Compression::UNCOMPRESSED | Compression::SNAPPY | Compression::ZSTD(_)) {
-            return Err(format!("column {name}: {} is not read; snappy and zstd are", chunk.compression()));
-        }
-        if chunk.column_descr().max_rep_level() > 0 {
-            return Err(format!("column {name}: lists are not read"));
-        }
-        let from = chunk.dictionary_page_offset().unwrap_or_else(|| chunk.data_page_offset());
-        let ends = [from, chunk.data_page_offset(), chunk.compressed_size()].map(u64::try_from);
-        let [Ok(from), Ok(data), Ok(length)] = ends else {
-            return Err(format!("column {name}: lies before the file"));
-        };
-        let end = from.checked_add(length).filter(|end| *end <= bytes && data >= from && data < *end);
-        let end = end.ok_or_else(|| format!("column {name}: lies beyond the file"))?;
-        let largest = pages::check(file, from, end - from, pages).map_err(|e| format!("column {name}: {e}"))?;
-        // A dictionary stays beside the page that it is for.
-        together += 2 * largest;
+/// Where in the file a column of one group of rows lies, and how it is packed.
+fn place(chunk: &ColumnChunkMetaData, bytes: u64) -> Read<([u64; 2], Packing)> {
+    let packing = match chunk.compression() {
+        Compression::UNCOMPRESSED => Packing::Plain,
+        Compression::SNAPPY => Packing::Snappy,
+        Compression::GZIP(_) => Packing::Gzip,
+        Compression::LZ4_RAW => Packing::Lz4Block,
+        Compression::ZSTD(_) => Packing::Zstd,
+        other => return Err(format!("{other} is not read; snappy, gzip, lz4_raw and zstd are")),
+    };
+    if chunk.column_descr().max_rep_level() > 0 {
+        return Err("lists are not read".into());
     }
-    match together > AT_ONCE {
-        true => Err(format!("{} MiB of pages at once; at most {} MiB are read", together >> 20, AT_ONCE >> 20)),
-        false => Ok(()),
-    }
+    let from = chunk.dictionary_page_offset().unwrap_or_else(|| chunk.data_page_offset());
+    let ends = [from, chunk.data_page_offset(), chunk.compressed_size()].map(u64::try_from);
+    let [Ok(from), Ok(data), Ok(length)] = ends else {
+        return Err("lies before the file".into());
+    };
+    let end = from.checked_add(length).filter(|end| *end <= bytes && data >= from && data < *end);
+    Ok(([from, end.ok_or("lies beyond the file")?], packing))
 }
 
 /// Some rows, column by column, as text.

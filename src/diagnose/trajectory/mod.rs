@@ -14,6 +14,7 @@ pub mod keys;
 pub mod log;
 mod measuring;
 pub mod model;
+mod packed;
 mod pages;
 mod plan;
 pub mod read;

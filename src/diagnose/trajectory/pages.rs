@@ -1,45 +1,207 @@
-//! Pages of a Parquet file, looked at before they are unpacked: a page says itself how large it will be, and whoever unpacks it believes
-//! that.
+//! Pages of a Parquet column, read one after the other and unpacked within limits: the `parquet` crate believes what a page says of its
+//! size, and would bring decompressors in C.
 //!
 //! Headers are Thrift's compact protocol (Apache Thrift, thrift-compact-protocol.md); fields of a page are those of parquet.thrift.
 
+use super::packed::Packing;
+use parquet::basic::Encoding;
+use parquet::column::page::{Page, PageMetadata, PageReader};
+use parquet::errors::{ParquetError, Result};
+use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
-/// Most bytes that a page may have unpacked: our choice, writers make pages of about a megabyte.
-const LARGEST: u64 = 64 << 20;
 /// Most bytes of a page's header, which may have statistics: our choice.
 const HEADER: u64 = 16 << 10;
 /// Pages of a file: our choice, so that tiny ones do not take hours.
-pub const MOST_PAGES: usize = 100_000;
+const MOST_PAGES: u64 = 100_000;
+/// Bytes that the pages read at once may have, unpacked: our choice.
+const AT_ONCE: u64 = 256 << 20;
 /// How deep a header's tables may nest: our choice, those in use are three deep.
 const DEEPEST: usize = 16;
 
-type Checked<T> = Result<T, String>;
+/// What the columns of a file have together.
+#[derive(Default)]
+pub struct Counts {
+    pages: AtomicU64,
+    /// Bytes of the pages that are read now.
+    held: AtomicU64,
+}
 
-/// Looks at all pages of a column in bytes `from` … `from` + `length`; `count` counts pages. Gives the largest page's bytes, unpacked.
-pub fn check(file: &mut (impl Read + Seek), from: u64, length: u64, count: &mut usize) -> Checked<u64> {
-    let (mut at, mut largest) = (0, 0);
-    let mut bytes = Vec::new();
-    while at < length {
-        bytes.clear();
-        file.seek(SeekFrom::Start(from + at)).map_err(|e| e.to_string())?;
-        file.by_ref().take(HEADER.min(length - at)).read_to_end(&mut bytes).map_err(|e| e.to_string())?;
-        let mut compact = Compact { bytes: &bytes, at: 0 };
-        let [unpacked, packed] = compact.page().ok_or("a page's header is broken")?;
-        *count += 1;
-        if *count > MOST_PAGES {
-            return Err(format!("more than {MOST_PAGES} pages"));
-        }
-        if unpacked > LARGEST {
-            return Err(format!("a page of {} MiB; at most {} MiB are read", unpacked >> 20, LARGEST >> 20));
-        }
-        at += compact.at as u64 + packed;
-        if at > length {
-            return Err("a page ends beyond its column".into());
-        }
-        largest = largest.max(unpacked);
+/// The pages of a column in one group of rows.
+pub struct Pages {
+    file: Arc<File>,
+    at: u64,
+    end: u64,
+    packing: Packing,
+    counts: Arc<Counts>,
+    /// Bytes of the dictionary and of the last page.
+    held: [u64; 2],
+}
+
+impl Pages {
+    /// Those in bytes `from` … `end` of the file.
+    pub fn new(file: Arc<File>, [from, end]: [u64; 2], packing: Packing, counts: Arc<Counts>) -> Self {
+        Self { file, at: from, end, packing, counts, held: [0; 2] }
     }
-    Ok(largest)
+
+    fn next_page(&mut self) -> std::result::Result<Option<Page>, String> {
+        while self.at < self.end {
+            let mut bytes = Vec::new();
+            self.read(HEADER.min(self.end - self.at), &mut bytes)?;
+            let mut compact = Compact { bytes: &bytes, at: 0 };
+            let header = compact.header().ok_or("a page's header is broken")?;
+            self.at += compact.at as u64;
+            if header.packed > self.end - self.at {
+                return Err("a page ends beyond its column".into());
+            }
+            if self.counts.pages.fetch_add(1, Relaxed) >= MOST_PAGES {
+                return Err(format!("more than {MOST_PAGES} pages"));
+            }
+            let from = self.at;
+            self.at += header.packed;
+            if header.kind == INDEX {
+                continue;
+            }
+            self.hold(&header)?;
+            bytes.clear();
+            let next = std::mem::replace(&mut self.at, from);
+            self.read(header.packed, &mut bytes)?;
+            self.at = next;
+            return header.page(&bytes, self.packing).map(Some);
+        }
+        Ok(None)
+    }
+
+    fn read(&self, length: u64, bytes: &mut Vec<u8>) -> std::result::Result<(), String> {
+        let mut file = &*self.file;
+        file.seek(SeekFrom::Start(self.at)).map_err(|e| e.to_string())?;
+        match file.take(length).read_to_end(bytes).map_err(|e| e.to_string())? as u64 == length {
+            true => Ok(()),
+            false => Err("the file ends within a page".into()),
+        }
+    }
+
+    /// A page takes the place of the one before; a dictionary stays beside the pages that it is for.
+    fn hold(&mut self, header: &Header) -> std::result::Result<(), String> {
+        let place = &mut self.held[usize::from(header.kind != DICTIONARY)];
+        let before = std::mem::replace(place, header.unpacked);
+        let held = self.counts.held.fetch_add(header.unpacked, Relaxed).saturating_add(header.unpacked);
+        self.counts.held.fetch_sub(before, Relaxed);
+        match held > AT_ONCE {
+            true => Err(format!("{} MiB of pages at once; at most {} MiB are read", held >> 20, AT_ONCE >> 20)),
+            false => Ok(()),
+        }
+    }
+}
+
+impl Drop for Pages {
+    fn drop(&mut self) {
+        self.counts.held.fetch_sub(self.held.iter().sum(), Relaxed);
+    }
+}
+
+impl Iterator for Pages {
+    type Item = Result<Page>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        self.get_next_page().transpose()
+    }
+}
+
+impl PageReader for Pages {
+    fn get_next_page(&mut self) -> Result<Option<Page>> {
+        self.next_page().map_err(ParquetError::General)
+    }
+
+    // Asked for only where pages are skipped, which is never done here.
+    fn peek_next_page(&mut self) -> Result<Option<PageMetadata>> {
+        Err(ParquetError::NYI("pages are read one after the other".into()))
+    }
+
+    fn skip_next_page(&mut self) -> Result<()> {
+        Err(ParquetError::NYI("pages are read one after the other".into()))
+    }
+
+    /// Columns without lists have a row a value.
+    fn at_record_boundary(&mut self) -> Result<bool> {
+        Ok(true)
+    }
+}
+
+const DATA: i64 = 0;
+const INDEX: i64 = 1;
+const DICTIONARY: i64 = 2;
+const DATA_V2: i64 = 3;
+
+/// A page's header.
+struct Header {
+    kind: i64,
+    unpacked: u64,
+    packed: u64,
+    /// Fields of the table that its kind has, by number from 1 on; truth values are 0 and 1.
+    own: [Option<i64>; 8],
+}
+
+impl Header {
+    fn own(&self, id: usize) -> std::result::Result<i64, String> {
+        self.own[id - 1].ok_or_else(|| "a page's header lacks a field".into())
+    }
+
+    fn count(&self, id: usize) -> std::result::Result<u32, String> {
+        u32::try_from(self.own(id)?).map_err(|_| "a page's header has a negative number".into())
+    }
+
+    fn encoding(&self, id: usize) -> std::result::Result<Encoding, String> {
+        Ok(match self.own(id)? {
+            0 => Encoding::PLAIN,
+            2 => Encoding::PLAIN_DICTIONARY,
+            3 => Encoding::RLE,
+            5 => Encoding::DELTA_BINARY_PACKED,
+            6 => Encoding::DELTA_LENGTH_BYTE_ARRAY,
+            7 => Encoding::DELTA_BYTE_ARRAY,
+            8 => Encoding::RLE_DICTIONARY,
+            9 => Encoding::BYTE_STREAM_SPLIT,
+            other => return Err(format!("encoding {other} is not read")),
+        })
+    }
+
+    fn page(&self, bytes: &[u8], packing: Packing) -> std::result::Result<Page, String> {
+        // In the second version levels stand before what is packed, and a page need not be.
+        let levels = if self.kind == DATA_V2 { u64::from(self.count(5)?) + u64::from(self.count(6)?) } else { 0 };
+        let packed = self.kind != DATA_V2 || self.own[6] != Some(0);
+        let packing = if packed { packing } else { Packing::Plain };
+        let size = self.unpacked.checked_sub(levels).ok_or("a page's levels are longer than the page")?;
+        let (before, rest) = bytes.split_at_checked(levels as usize).ok_or("a page's levels end beyond it")?;
+        // Pages without a value have nothing that is packed.
+        let rest = if size == 0 { Vec::new() } else { packing.unpack(rest, size)? };
+        let buf = if levels == 0 { rest } else { [before, &rest].concat() }.into();
+        let num_values = self.count(1)?;
+        Ok(match self.kind {
+            DATA => Page::DataPage {
+                buf,
+                num_values,
+                encoding: self.encoding(2)?,
+                def_level_encoding: self.encoding(3)?,
+                rep_level_encoding: self.encoding(4)?,
+                statistics: None,
+            },
+            DICTIONARY => Page::DictionaryPage { buf, num_values, encoding: self.encoding(2)?, is_sorted: false },
+            DATA_V2 => Page::DataPageV2 {
+                buf,
+                num_values,
+                encoding: self.encoding(4)?,
+                num_nulls: self.count(2)?,
+                num_rows: self.count(3)?,
+                def_levels_byte_len: self.count(5)?,
+                rep_levels_byte_len: self.count(6)?,
+                is_compressed: false,
+                statistics: None,
+            },
+            other => return Err(format!("a page of the unknown kind {other}")),
+        })
+    }
 }
 
 struct Compact<'a> {
@@ -48,17 +210,38 @@ struct Compact<'a> {
 }
 
 impl Compact<'_> {
-    /// Unpacked and packed size of a page; leaves off behind its header.
-    fn page(&mut self) -> Option<[u64; 2]> {
-        let mut sizes = [None; 2];
+    /// A page's header; leaves off behind it.
+    fn header(&mut self) -> Option<Header> {
+        let (mut sizes, mut own) = ([None; 3], [None; 8]);
         let mut id = 0;
         while let Some(kind) = self.field(&mut id)? {
             match (id, kind) {
-                (2 | 3, 5) => sizes[id as usize - 2] = Some(u64::try_from(self.signed()?).ok()?),
+                (1..=3, 5) => sizes[id as usize - 1] = Some(self.signed()?),
+                (5 | 7 | 8, 12) => own = self.table()?,
                 _ => self.skip(kind, 0)?,
             }
         }
-        Some([sizes[0]?, sizes[1]?])
+        let [kind, unpacked, packed] = sizes;
+        Some(Header {
+            kind: kind?,
+            unpacked: u64::try_from(unpacked?).ok()?,
+            packed: u64::try_from(packed?).ok()?,
+            own,
+        })
+    }
+
+    /// Whole numbers and truth values of a table.
+    fn table(&mut self) -> Option<[Option<i64>; 8]> {
+        let mut own = [None; 8];
+        let mut id = 0;
+        while let Some(kind) = self.field(&mut id)? {
+            match (id, kind) {
+                (1..=8, 4..=6) => own[id as usize - 1] = Some(self.signed()?),
+                (1..=8, 1 | 2) => own[id as usize - 1] = Some(i64::from(kind == 1)),
+                _ => self.skip(kind, 0)?,
+            }
+        }
+        Some(own)
     }
 
     fn byte(&mut self) -> Option<u8> {
@@ -156,26 +339,47 @@ impl Compact<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::{MOST_PAGES, check};
-    use std::io::Cursor;
+    use super::{Counts, MOST_PAGES, Page, Pages};
+    use crate::trajectory::packed::Packing;
+    use std::io::Write;
+    use std::sync::Arc;
 
-    fn told(bytes: &[u8]) -> Result<u64, String> {
-        check(&mut Cursor::new(bytes), 0, bytes.len() as u64, &mut 0)
+    /// The last page, or what is wrong.
+    fn told(bytes: &[u8]) -> Result<Page, String> {
+        let mut file = tempfile::tempfile().unwrap();
+        file.write_all(bytes).unwrap();
+        let counts = Arc::new(Counts::default());
+        let pages = Pages::new(Arc::new(file), [0, bytes.len() as u64], Packing::Plain, counts);
+        let all: Result<Vec<Page>, _> = pages.collect();
+        all.map_err(|e| e.to_string()).map(|mut pages| pages.pop().unwrap())
+    }
+
+    /// Kind 0, two bytes; its table says 300 values, plain, levels by runs, and has statistics; then the two bytes.
+    const PAGE: [u8; 22] = [
+        0x15, 0x00, 0x15, 0x04, 0x15, 0x04, 0x2c, 0x15, 0xd8, 0x04, 0x15, 0x00, 0x15, 0x06, 0x15, 0x06, 0x1c, 0x00,
+        0x00, 0x00, 7, 8,
+    ];
+
+    #[test]
+    fn pages_are_read() {
+        let Ok(Page::DataPage { buf, num_values, .. }) = told(&[PAGE, PAGE].concat()) else { panic!() };
+        assert_eq!((&buf[..], num_values), (&[7, 8][..], 300));
     }
 
     #[test]
-    fn pages_say_how_large_they_are() {
-        // Type 0, 300 bytes unpacked, 2 packed, a table with a list; then the two bytes.
-        let page = [0x15, 0x00, 0x15, 0xd8, 0x04, 0x15, 0x04, 0x2c, 0x19, 0x25, 0x02, 0x04, 0x00, 0x00, 7, 7];
-        assert_eq!(told(&[page, page].concat()), Ok(300));
-        assert!(told(&page[..15]).unwrap_err().contains("ends beyond"));
-        assert!(told(&page[..9]).unwrap_err().contains("broken"));
-        let large = [0x15, 0x00, 0x15, 0x80, 0x80, 0x80, 0x80, 0x04, 0x15, 0x00, 0x00];
+    fn pages_say_no_more_than_there_is() {
+        assert!(told(&PAGE[..21]).unwrap_err().contains("ends beyond"));
+        assert!(told(&PAGE[..9]).unwrap_err().contains("broken"));
+        // 64 MiB and a byte unpacked; three bytes where there are two.
+        let large = [&PAGE[..3], &[0x82, 0x80, 0x80, 0x40], &PAGE[4..]].concat();
         assert!(told(&large).unwrap_err().contains("at most"));
-        let tiny = [0x25, 0x00, 0x15, 0x00, 0x00].repeat(MOST_PAGES + 1);
+        let longer = [&PAGE[..3], &[0x06], &PAGE[4..]].concat();
+        assert!(told(&longer).unwrap_err().contains("has others"));
+        // Pages of an index, which are passed over, but not without end.
+        let tiny = [0x15, 0x02, 0x15, 0x00, 0x15, 0x00, 0x00].repeat(MOST_PAGES as usize + 1);
         assert!(told(&tiny).unwrap_err().contains("pages"));
         // Negative sizes, and a list that claims more than there is.
-        assert!(told(&[0x25, 0x01, 0x15, 0x00, 0x00]).is_err());
-        assert!(told(&[0x59, 0xf5, 0xff, 0xff, 0xff, 0xff, 0x0f, 0x00]).is_err());
+        assert!(told(&[0x15, 0x00, 0x15, 0x01, 0x15, 0x00, 0x00]).unwrap_err().contains("broken"));
+        assert!(told(&[0x59, 0xf5, 0xff, 0xff, 0xff, 0xff, 0x0f, 0x00]).unwrap_err().contains("broken"));
     }
 }
