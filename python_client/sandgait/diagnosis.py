@@ -125,10 +125,11 @@ def diagnose(
 ) -> Diagnosis:
     """Shows what the simulation gets wrong about `data`, names the cause, extends the model, measures the gain.
 
-    `data`: path of a CSV file, or a pandas DataFrame with the same columns (at most 63 MiB as CSV). `experiment`: path
-    of an EXPERIMENT.toml, or the same tables as a dict. Ctrl-C stops the work on the server too.
+    `data`: path of a CSV file (a robot's own log may be Parquet or MCAP too), or a pandas DataFrame with the same
+    columns; at most 63 MiB. `experiment`: path of an EXPERIMENT.toml, or the same tables as a dict. Ctrl-C stops the
+    work on the server too.
     """
-    name, content = _csv(data)
+    name, content = _content(data)
     if len(content) > MOST_BYTES:
         size = len(content) / 2**20
         raise LimitReached(
@@ -143,7 +144,7 @@ def diagnose(
     return Diagnosis(report, html, sand, Table(*columns(curves)))
 
 
-def _csv(data: Any) -> tuple[str, bytes]:
+def _content(data: Any) -> tuple[str, bytes]:
     if hasattr(data, "to_csv"):
-        return "data", data.to_csv(index=False).encode()
+        return "data", data.to_content(index=False).encode()
     return file(data, "data")

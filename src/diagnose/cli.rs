@@ -10,7 +10,7 @@ use std::path::PathBuf;
 /// What a simulation gets wrong about measured data, and why.
 #[derive(Clone, Debug, clap::Args)]
 pub struct Arguments {
-    /// Measured data, CSV
+    /// Measured data: CSV, a robot's own log also Parquet or MCAP
     pub data: PathBuf,
     /// What the data do not say: medium, shapes, units (TOML)
     #[arg(long)]

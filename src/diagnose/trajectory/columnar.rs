@@ -1,5 +1,6 @@
 //! Logs as Parquet, column by column: the same columns as in CSV, handed on row by row.
 
+use super::compact::Compact;
 use super::packed::Packing;
 use super::pages::{Counts, Pages};
 use crate::error::{Error, Result};
@@ -15,8 +16,13 @@ use std::sync::Arc;
 
 /// The first bytes of a file.
 pub const MAGIC: &[u8] = b"PAR1";
-/// Bytes of the summary at a file's end, which is unpacked whole: our choice.
-const LONGEST_SUMMARY: u32 = 16 << 20;
+/// Bytes of the summary at a file's end, which is unpacked whole: our choice, a hundred columns in a hundred groups of rows have 2 MB.
+const LONGEST_SUMMARY: u64 = 4 << 20;
+/// Columns of a file: our choice, as many as ten robots have.
+const MOST_COLUMNS: u64 = 1000;
+/// Fields of a summary and of its columns (parquet.thrift).
+const SCHEMA: i64 = 2;
+const CHILDREN: usize = 5;
 /// Rows taken from each column at once: our choice.
 const TOGETHER: usize = 1024;
 /// Characters of a cell: our choice, names of runs are short.
@@ -66,17 +72,47 @@ pub fn read(path: &Path, asked: &Asked, take: impl FnMut(&Row) -> Result<()>) ->
     rows(path, &header, asked, next, take)
 }
 
-/// Length of a file whose summary is not too long.
+/// Length of a file whose summary is not too long, and has no more columns than it says: whoever unpacks it believes that, and
+/// goes as deep as they nest.
 fn summary(file: &mut File) -> Read<u64> {
     let end = file.seek(SeekFrom::End(-8)).map_err(|_| "shorter than its own ends")?;
     let mut tail = [0; 8];
     file.read_exact(&mut tail).map_err(|e| e.to_string())?;
     let [a, b, c, d, ..] = tail;
-    let length = u32::from_le_bytes([a, b, c, d]);
-    match length > LONGEST_SUMMARY {
-        true => Err(format!("a summary of {length} bytes; at most {LONGEST_SUMMARY} are read")),
+    let length = u64::from(u32::from_le_bytes([a, b, c, d]));
+    if length > LONGEST_SUMMARY {
+        return Err(format!("a summary of {length} bytes; at most {LONGEST_SUMMARY} are read"));
+    }
+    let from = end.checked_sub(length).ok_or("a summary longer than the file")?;
+    let mut bytes = Vec::new();
+    file.seek(SeekFrom::Start(from)).map_err(|e| e.to_string())?;
+    file.take(length).read_to_end(&mut bytes).map_err(|e| e.to_string())?;
+    let columns = columns(&bytes).ok_or("its summary is broken")?;
+    match columns > MOST_COLUMNS {
+        true => Err(format!("{columns} columns; at most {MOST_COLUMNS} are read")),
         false => Ok(end + 8),
     }
+}
+
+/// Columns of a summary, or the children that one of them says it has.
+fn columns(bytes: &[u8]) -> Option<u64> {
+    let mut compact = Compact { bytes, at: 0 };
+    let (mut id, mut most) = (0, 0);
+    while let Some(kind) = compact.field(&mut id)? {
+        if (id, kind) == (SCHEMA, 9) {
+            let (_, count) = compact.list()?;
+            most = most.max(count);
+            for _ in 0..count.min(MOST_COLUMNS) {
+                most = most.max(u64::try_from(compact.table()?[CHILDREN - 1].unwrap_or(0)).ok()?);
+            }
+            if count > MOST_COLUMNS {
+                break;
+            }
+        } else {
+            compact.skip(kind, 0)?;
+        }
+    }
+    Some(most)
 }
 
 /// Where in the file a column of one group of rows lies, and how it is packed.
@@ -157,4 +193,26 @@ fn some<T: DataType>(
         false => Ok(String::new()),
     };
     levels.iter().take(records).map(&mut cell).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::columns;
+
+    /// A version, then two columns: a root with `children`, and a leaf.
+    fn summary(children: &[u8]) -> Vec<u8> {
+        let (root, leaf) = ([&[0x48, 1, b'r', 0x15], children, &[0]].concat(), [0x15, 0x0a, 0x38, 1, b'a', 0]);
+        [&[0x15, 2, 0x19, 0x2c], &root[..], &leaf, &[0]].concat()
+    }
+
+    #[test]
+    fn a_summary_says_how_many_columns_there_are() {
+        assert_eq!(columns(&summary(&[2])), Some(2));
+        // A milliard of children.
+        assert_eq!(columns(&summary(&[0x80, 0xa8, 0xd6, 0xb9, 0x07])), Some(1_000_000_000));
+        // A milliard of columns, and fewer than none.
+        assert_eq!(columns(&[0x29, 0xfc, 0x80, 0x94, 0xeb, 0xdc, 0x03]), None);
+        assert_eq!(columns(&summary(&[1])), None);
+        assert_eq!(columns(&summary(&[2])[..9]), None);
+    }
 }

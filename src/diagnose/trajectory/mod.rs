@@ -7,6 +7,7 @@
 mod bag;
 mod cdr;
 mod columnar;
+mod compact;
 mod forecast;
 #[cfg(test)]
 mod generate;

@@ -1,8 +1,9 @@
 //! Pages of a Parquet column, read one after the other and unpacked within limits: the `parquet` crate believes what a page says of its
 //! size, and would bring decompressors in C.
 //!
-//! Headers are Thrift's compact protocol (Apache Thrift, thrift-compact-protocol.md); fields of a page are those of parquet.thrift.
+//! Fields of a page are those of parquet.thrift.
 
+use super::compact::{Compact, Numbers};
 use super::packed::Packing;
 use parquet::basic::Encoding;
 use parquet::column::page::{Page, PageMetadata, PageReader};
@@ -18,8 +19,6 @@ const HEADER: u64 = 16 << 10;
 const MOST_PAGES: u64 = 100_000;
 /// Bytes that the pages read at once may have, unpacked: our choice.
 const AT_ONCE: u64 = 256 << 20;
-/// How deep a header's tables may nest: our choice, those in use are three deep.
-const DEEPEST: usize = 16;
 
 /// What the columns of a file have together.
 #[derive(Default)]
@@ -51,7 +50,7 @@ impl Pages {
             let mut bytes = Vec::new();
             self.read(HEADER.min(self.end - self.at), &mut bytes)?;
             let mut compact = Compact { bytes: &bytes, at: 0 };
-            let header = compact.header().ok_or("a page's header is broken")?;
+            let header = Header::read(&mut compact).ok_or("a page's header is broken")?;
             self.at += compact.at as u64;
             if header.packed > self.end - self.at {
                 return Err("a page ends beyond its column".into());
@@ -141,10 +140,25 @@ struct Header {
     unpacked: u64,
     packed: u64,
     /// Fields of the table that its kind has, by number from 1 on; truth values are 0 and 1.
-    own: [Option<i64>; 8],
+    own: Numbers,
 }
 
 impl Header {
+    /// Reads a header and leaves off behind it.
+    fn read(compact: &mut Compact) -> Option<Self> {
+        let (mut sizes, mut own) = ([None; 3], [None; 8]);
+        let mut id = 0;
+        while let Some(kind) = compact.field(&mut id)? {
+            match (id, kind) {
+                (1..=3, 5) => sizes[id as usize - 1] = Some(compact.signed()?),
+                (5 | 7 | 8, 12) => own = compact.table()?,
+                _ => compact.skip(kind, 0)?,
+            }
+        }
+        let [kind, unpacked, packed] = sizes;
+        Some(Self { kind: kind?, unpacked: u64::try_from(unpacked?).ok()?, packed: u64::try_from(packed?).ok()?, own })
+    }
+
     fn own(&self, id: usize) -> std::result::Result<i64, String> {
         self.own[id - 1].ok_or_else(|| "a page's header lacks a field".into())
     }
@@ -201,139 +215,6 @@ impl Header {
             },
             other => return Err(format!("a page of the unknown kind {other}")),
         })
-    }
-}
-
-struct Compact<'a> {
-    bytes: &'a [u8],
-    at: usize,
-}
-
-impl Compact<'_> {
-    /// A page's header; leaves off behind it.
-    fn header(&mut self) -> Option<Header> {
-        let (mut sizes, mut own) = ([None; 3], [None; 8]);
-        let mut id = 0;
-        while let Some(kind) = self.field(&mut id)? {
-            match (id, kind) {
-                (1..=3, 5) => sizes[id as usize - 1] = Some(self.signed()?),
-                (5 | 7 | 8, 12) => own = self.table()?,
-                _ => self.skip(kind, 0)?,
-            }
-        }
-        let [kind, unpacked, packed] = sizes;
-        Some(Header {
-            kind: kind?,
-            unpacked: u64::try_from(unpacked?).ok()?,
-            packed: u64::try_from(packed?).ok()?,
-            own,
-        })
-    }
-
-    /// Whole numbers and truth values of a table.
-    fn table(&mut self) -> Option<[Option<i64>; 8]> {
-        let mut own = [None; 8];
-        let mut id = 0;
-        while let Some(kind) = self.field(&mut id)? {
-            match (id, kind) {
-                (1..=8, 4..=6) => own[id as usize - 1] = Some(self.signed()?),
-                (1..=8, 1 | 2) => own[id as usize - 1] = Some(i64::from(kind == 1)),
-                _ => self.skip(kind, 0)?,
-            }
-        }
-        Some(own)
-    }
-
-    fn byte(&mut self) -> Option<u8> {
-        let byte = *self.bytes.get(self.at)?;
-        self.at += 1;
-        Some(byte)
-    }
-
-    fn unsigned(&mut self) -> Option<u64> {
-        let mut value = 0u64;
-        for shift in (0..64).step_by(7) {
-            let byte = self.byte()?;
-            value |= u64::from(byte & 0x7f) << shift;
-            if byte < 0x80 {
-                return Some(value);
-            }
-        }
-        None
-    }
-
-    fn signed(&mut self) -> Option<i64> {
-        let value = self.unsigned()?;
-        Some((value >> 1).cast_signed() ^ -((value & 1).cast_signed()))
-    }
-
-    fn over(&mut self, count: u64) -> Option<()> {
-        let next = self.at.checked_add(usize::try_from(count).ok()?)?;
-        self.at = next;
-        (next <= self.bytes.len()).then_some(())
-    }
-
-    /// Type of the next field, whose number is left in `id`; `Some(None)` at the end.
-    fn field(&mut self, id: &mut i64) -> Option<Option<u8>> {
-        let byte = self.byte()?;
-        if byte == 0 {
-            return Some(None);
-        }
-        *id = match i64::from(byte >> 4) {
-            0 => self.signed()?,
-            more => id.checked_add(more)?,
-        };
-        Some(Some(byte & 0x0f))
-    }
-
-    fn skip(&mut self, kind: u8, depth: usize) -> Option<()> {
-        if depth > DEEPEST {
-            return None;
-        }
-        match kind {
-            1 | 2 => Some(()),
-            3 => self.over(1),
-            4..=6 => self.unsigned().map(drop),
-            7 => self.over(8),
-            8 => {
-                let length = self.unsigned()?;
-                self.over(length)
-            }
-            9 | 10 => {
-                let head = self.byte()?;
-                let count = if head >> 4 == 15 { self.unsigned()? } else { u64::from(head >> 4) };
-                self.elements(&[head & 0x0f], count, depth)
-            }
-            11 => match self.unsigned()? {
-                0 => Some(()),
-                count => {
-                    let kinds = self.byte()?;
-                    self.elements(&[kinds >> 4, kinds & 0x0f], count, depth)
-                }
-            },
-            12 => {
-                let mut id = 0;
-                while let Some(kind) = self.field(&mut id)? {
-                    self.skip(kind, depth + 1)?;
-                }
-                Some(())
-            }
-            _ => None,
-        }
-    }
-
-    fn elements(&mut self, kinds: &[u8], count: u64, depth: usize) -> Option<()> {
-        // Each element has at least a byte.
-        if count > self.bytes.len() as u64 {
-            return None;
-        }
-        for _ in 0..count {
-            for kind in kinds {
-                // A truth value has a byte of its own here.
-                if matches!(kind, 1 | 2) { self.over(1)? } else { self.skip(*kind, depth + 1)? }
-            }
-        }
-        Some(())
     }
 }
 
