@@ -68,9 +68,9 @@ fn wrong_use_is_one_line_and_writes_nothing() {
     refused(&mcap, &with("[columns]\n\"q:left-rear\" = \"q:LR\"\n"), &["walk.log", "q:LR", "missing"]);
     // Files that end early, are damaged or are none.
     refused(&csv[..1000], &toml, &["walk.log", "row"]);
-    refused(&parquet[..parquet.len() / 2], &toml, &["walk.log", "Parquet"]);
+    refused(&parquet[..parquet.len() / 2], &toml, &["walk.log", "Parquet: the file does not end"]);
     refused(&mcap[..mcap.len() / 2], &toml, &["walk.log", "MCAP"]);
-    refused(b"SQLite format 3\0", &toml, &["walk.log"]);
+    refused(b"SQLite format 3\0", &toml, &["walk.log", "neither CSV nor Parquet nor MCAP"]);
     refused(b"", &toml, &["walk.log", "row 1"]);
     // Experiments.
     refused(&csv, &with("[columns]\nt = \"time\"\n"), &["walk.log", "time", "missing"]);
@@ -81,5 +81,5 @@ fn wrong_use_is_one_line_and_writes_nothing() {
     refused(&csv, &toml.replace("trajectory", "walking"), &["imu", "trajectory"]);
     // Slips of units and signs.
     refused(&csv, &with("[units]\nacc_x = \"g\"\nacc_y = \"g\"\nacc_z = \"g\"\n"), &["walk.log", "acc"]);
-    refused(&csv, &with("[units]\nt = \"ms\"\n"), &["walk.log"]);
+    refused(&csv, &with("[units]\nt = \"ms\"\n"), &["run 3_0 diverges"]);
 }

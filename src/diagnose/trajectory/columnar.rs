@@ -78,6 +78,9 @@ fn summary(file: &mut File) -> Read<u64> {
     let end = file.seek(SeekFrom::End(-8)).map_err(|_| "shorter than its own ends")?;
     let mut tail = [0; 8];
     file.read_exact(&mut tail).map_err(|e| e.to_string())?;
+    if !tail.ends_with(MAGIC) {
+        return Err("the file does not end as one of Parquet: it was cut off".into());
+    }
     let [a, b, c, d, ..] = tail;
     let length = u64::from(u32::from_le_bytes([a, b, c, d]));
     if length > LONGEST_SUMMARY {

@@ -37,18 +37,21 @@ impl Packing {
             Self::Lz4 => more(FrameDecoder::new(packed), size, &mut all)?,
             Self::Zstd => zstd(packed, size, &mut all)?,
             Self::Lz4Block => all = block::decompress(packed, size as usize).map_err(|e| format!("lz4: {e}"))?,
-            Self::Snappy => {
-                let own = snap::raw::decompress_len(packed).map_err(|e| e.to_string())?;
-                if own as u64 == size {
-                    all = snap::raw::Decoder::new().decompress_vec(packed).map_err(|e| e.to_string())?;
-                }
+            // Its own word counts, so that it is looked at first.
+            Self::Snappy if snap::raw::decompress_len(packed).ok() == Some(size as usize) => {
+                all = snap::raw::Decoder::new().decompress_vec(packed).map_err(|e| e.to_string())?;
             }
+            Self::Snappy => return Err(other(size)),
         }
         match all.len() as u64 == size {
             true => Ok(all),
-            false => Err(format!("a part that says it has {size} bytes has others")),
+            false => Err(other(size)),
         }
     }
+}
+
+fn other(size: u64) -> String {
+    format!("a part that says it has {size} bytes has others")
 }
 
 /// Reads until there is one byte more than there should be.

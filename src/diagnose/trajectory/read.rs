@@ -34,6 +34,8 @@ pub fn read(data: &Path, experiment: &Experiment) -> Result<Log> {
         let sha256 = table::sha256(data)?;
         columnar::read(data, &asked, |row| gather.take(row))?;
         sha256
+    } else if first.contains(&0) {
+        return Err(Error::file(data, "neither CSV nor Parquet nor MCAP; `ros2 bag convert` makes MCAP of other bags"));
     } else {
         table::read(data, &asked, |row| gather.take(row))?.sha256
     };
