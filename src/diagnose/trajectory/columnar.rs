@@ -9,10 +9,12 @@ use parquet::basic::Compression;
 use parquet::column::reader::{ColumnReader, ColumnReaderImpl, get_column_reader};
 use parquet::data_type::DataType;
 use parquet::file::metadata::{ColumnChunkMetaData, ParquetMetaDataReader};
+use std::cell::Cell;
 use std::fs::File;
 use std::io::{Read as _, Seek, SeekFrom};
+use std::panic::{AssertUnwindSafe, catch_unwind, set_hook, take_hook};
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, Once};
 
 /// The first bytes of a file.
 pub const MAGIC: &[u8] = b"PAR1";
@@ -35,8 +37,8 @@ pub fn read(path: &Path, asked: &Asked, take: impl FnMut(&Row) -> Result<()>) ->
     let wrong = |reason: &dyn std::fmt::Display| Error::file(path, format!("Parquet: {reason}"));
     let mut file = File::open(path).map_err(|e| Error::file(path, e))?;
     let bytes = summary(&mut file).map_err(|reason| wrong(&reason))?;
-    let reader = ParquetMetaDataReader::new().parse_and_finish(&file);
-    let metadata = reader.map_err(|e| wrong(&e))?;
+    let parse = || ParquetMetaDataReader::new().parse_and_finish(&file).map_err(|e| e.to_string());
+    let metadata = guarded(parse).map_err(|reason| wrong(&reason))?;
     let file = Arc::new(file);
     let columns = metadata.file_metadata().schema_descr().columns();
     let names: Vec<String> = columns.iter().map(|c| c.path().string()).collect();
@@ -50,7 +52,8 @@ pub fn read(path: &Path, asked: &Asked, take: impl FnMut(&Row) -> Result<()>) ->
     let next = |cells: &mut Cells| -> Result<bool> {
         while row == batch.rows {
             row = 0;
-            batch = Batch::read(&mut open, &wanted, &names, &of_values).map_err(|reason| wrong(&reason))?;
+            let read = || Batch::read(&mut open, &wanted, &names, &of_values);
+            batch = guarded(read).map_err(|reason| wrong(&reason))?;
             if batch.rows > 0 {
                 break;
             }
@@ -70,6 +73,25 @@ pub fn read(path: &Path, asked: &Asked, take: impl FnMut(&Row) -> Result<()>) ->
         Ok(true)
     };
     rows(path, &header, asked, next, take)
+}
+
+/// Runs what the `parquet` crate does with a file: some of its decoders panic where a page has less than it says (60.1.0). Such a page
+/// is an error as any other, and nothing is printed.
+fn guarded<T>(work: impl FnOnce() -> Read<T>) -> Read<T> {
+    static HOOK: Once = Once::new();
+    thread_local!(static WITHIN: Cell<bool> = const { Cell::new(false) });
+    HOOK.call_once(|| {
+        let before = take_hook();
+        set_hook(Box::new(move |info| {
+            if !WITHIN.get() {
+                before(info)
+            }
+        }));
+    });
+    WITHIN.set(true);
+    let done = catch_unwind(AssertUnwindSafe(work));
+    WITHIN.set(false);
+    done.unwrap_or_else(|_| Err("a page or the summary is broken".into()))
 }
 
 /// Length of a file whose summary is not too long, and has no more columns than it says: whoever unpacks it believes that, and

@@ -54,7 +54,11 @@ def messages(row: dict[str, str], nanoseconds: int) -> tuple[bytes, bytes]:
     for kind in ("q", "qd", "tau"):
         joints.list([float(row[f"{kind}:{name}"]) for name in names])
     imu.header(nanoseconds)
-    for columns in (("quat_x", "quat_y", "quat_z", "quat_w"), ("gyro_x", "gyro_y", "gyro_z"), ("acc_x", "acc_y", "acc_z")):
+    for columns in (
+        ("quat_x", "quat_y", "quat_z", "quat_w"),
+        ("gyro_x", "gyro_y", "gyro_z"),
+        ("acc_x", "acc_y", "acc_z"),
+    ):
         imu.put("d", *(float(row[name]) for name in columns), *9 * [0.0])
     return joints.message(), imu.message()
 
