@@ -82,7 +82,7 @@ def mujoco_step(seconds: float, _cores: int) -> float:
 
 
 def mujoco_floor(robot: Path) -> Callable[[float, int], float]:
-    """The file's robot on a plane; its servos get random targets around its first keyframe; it begins anew every 2 s."""
+    """The file's robot on a plane; random targets of its servos; it begins anew every 2 s."""
 
     def measure(seconds: float, _cores: int) -> float:
         import mujoco
