@@ -116,7 +116,8 @@ def test_wrong_files_are_one_clear_line(tmp_path: Path, remote: RemoteServer) ->
         for door in ({}, {"address": remote.address}):
             with pytest.raises(sandgait.SandgaitError) as error:
                 sandgait.SandgaitVectorEnv(TASK, 2, robot=path, **door)
-            assert "\n" not in str(error.value) and name in str(error.value)
+            assert "\n" not in str(error.value)
+            assert name in str(error.value)
     for door in ({}, {"address": remote.address}):
         with pytest.raises((sandgait.SandgaitError, OSError), match=r"nowhere\.urdf"):
             sandgait.SandgaitVectorEnv(TASK, 2, robot=tmp_path / "nowhere.urdf", **door)
