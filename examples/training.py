@@ -270,7 +270,7 @@ def prepare(
     checkpoint: Path | None,
     start_from: Path | None = None,
 ) -> Training:
-    """A new training, or the one in `out` from a checkpoint on. `start_from`: folder of a training whose policy it takes."""
+    """A new training, or the one in `out` from a checkpoint on. `start_from`: folder of a training, its policy is taken."""
     timed = Timed(sandgait.make_sb3(task, int(settings["n_envs"]), address, **options))
     kind = ALGORITHMS[algorithm]
     curve: list[Row] = []
@@ -282,7 +282,7 @@ def prepare(
             normalized.training = True
         model = create(kind, normalized, settings, seed, out / "tensorboard")
         if start_from is not None:
-            model.set_parameters(start_from / "policy.zip", device="cpu")
+            model.set_parameters(str(start_from / "policy.zip"), device="cpu")
     else:
         steps = steps_of(checkpoint)
         normalized = VecNormalize.load(str(checkpoint.with_name(f"model_vecnormalize_{steps}_steps.pkl")), timed)
