@@ -270,7 +270,7 @@ def prepare(
     checkpoint: Path | None,
     start_from: Path | None = None,
 ) -> Training:
-    """A new training, or the one in `out` from a checkpoint on. `start_from`: folder of a training, its policy is taken."""
+    """A new training, or the one in `out` from a checkpoint on. `start_from`: the folder whose policy a new one takes."""
     timed = Timed(sandgait.make_sb3(task, int(settings["n_envs"]), address, **options))
     kind = ALGORITHMS[algorithm]
     curve: list[Row] = []
