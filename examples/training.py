@@ -270,7 +270,7 @@ def prepare(
     checkpoint: Path | None,
     start_from: Path | None = None,
 ) -> Training:
-    """A new training, or the one in `out` from a checkpoint on; a new one may take the policy in folder `start_from`."""
+    """A new training, or the one in `out` from a checkpoint on; a new one may take the policy in `start_from`."""
     timed = Timed(sandgait.make_sb3(task, int(settings["n_envs"]), address, **options))
     kind = ALGORITHMS[algorithm]
     curve: list[Row] = []
