@@ -1,7 +1,7 @@
 //! Force on one segment, and the derivatives an implicit integrator needs.
 //!
 //! Resistive force theory depends on the direction of the velocity only: it is dry friction, undefined at rest and
-//! stiff. Two named parameters make it usable in dynamics; both are in [`Surface`].
+//! stiff. The parameters in [`Surface`] make it usable in dynamics.
 
 use super::beyond::{Beyond, Plain, SandMechanisms, Site};
 use super::law::{Law, Motion, Normals, PenetrationDrag, PlanarTable, SpatialTable, StressLaw};
@@ -28,12 +28,12 @@ pub struct Surface {
 }
 
 impl Surface {
-    /// No regularisation: for looking at a law itself, not for dynamics.
+    /// No regularisation: for the law itself, not for dynamics.
     pub const BARE: Self = Self { rest_speed: 1e-30, leading_edge_gate: 1e-20, sign_gate: 1e-20, friction: None };
-    /// For solid bodies whose many plates face all ways: a sharper leading edge. Our choice 0.02: forces within 1 % of a sharp
-    /// edge's, and walks at 1 ms within 1 % of those at 0.125 ms.
+    /// For solid bodies with many plates that face all ways: a sharper leading edge. Our choice 0.02: forces are
+    /// within 1 % of a sharp edge's, and walks at 1 ms within 1 % of those at 0.125 ms.
     pub const SOLID: Self = Self { leading_edge_gate: 0.02, ..Self::DEFAULT };
-    /// The regularisation that dynamics needs; each number's reason stands at its field.
+    /// The regularisation for dynamics; each field gives the reason for its number.
     pub const DEFAULT: Self = Self { rest_speed: 1e-5, leading_edge_gate: 0.2, sign_gate: 0.02, friction: None };
 }
 
@@ -43,7 +43,7 @@ impl Default for Surface {
     }
 }
 
-/// The numbers of the chosen law. Hot loops match once and then run with the law as a type.
+/// The coefficients of the chosen law. Hot loops match on it once and then take the law as a type parameter.
 #[derive(Clone, Copy)]
 pub enum Form<R> {
     Li2013(PlanarTable<R>),
@@ -51,7 +51,7 @@ pub enum Form<R> {
     Agarwal2023(SpatialTable<R>),
 }
 
-/// The law chosen anew at every call: for code that is not the hottest.
+/// Matches on the law at every call, for code that is not the hottest.
 impl<R: Real> StressLaw<R> for Form<R> {
     fn set_lane(&mut self, lane: usize, medium: &Medium) {
         match self {
@@ -84,20 +84,21 @@ impl<R: Real> StressLaw<R> for Form<R> {
 #[derive(Clone, Copy)]
 pub struct Ground<R> {
     pub form: Form<R>,
-    /// What goes beyond the law; none while no lane has any.
+    /// The mechanisms that act in the sand; none while no lane has any.
     pub beyond: Option<SandMechanisms<R>>,
     rest_speed_squared: R,
     inverse_gate: R,
 }
 
-/// What the sand does to a segment at its present velocity v, and how that changes with v:
-/// f(v + Δv) ≈ force − drag Δv − edge (n·Δv) n.
+/// The force of the sand on a segment at its present velocity v, and its change with v: f(v + Δv) ≈ force − drag Δv
+/// − edge (n·Δv) n.
 #[derive(Clone, Copy)]
 pub struct Contact<R> {
     /// [N]
     pub force: Vec3<R>,
-    /// Resisting part of the force over the speed, −f·v/v² [N·s/m], never negative. It is the secant, so that at rest,
-    /// where the regularised force is linear in v, it is the true slope: v² + v0² below would leave it far too small.
+    /// Resisting part of the force over the speed, −f·v/v² [N·s/m], never negative. It is the secant. At rest the
+    /// regularised force is linear in v, and the secant is the slope; for this, v² below must not contain v0²,
+    /// which would make it far too small.
     pub drag: R,
     /// Slope of the leading-edge gate along the normal [N·s/m], never negative; 0 for two-sided segments.
     pub edge: R,
@@ -143,7 +144,7 @@ impl<R: Real> Ground<R> {
         self
     }
 
-    /// Gives lane `lane` its own medium and mechanisms.
+    /// Sets the medium and mechanisms of lane `lane`.
     pub fn set_lane(&mut self, lane: usize, medium: &Medium, mechanisms: &Mechanisms) {
         self.form.set_lane(lane, medium);
         if self.beyond.is_some() || !mechanisms.sand_is_plain() || !medium.terms.is_empty() {
@@ -155,13 +156,13 @@ impl<R: Real> Ground<R> {
         }
     }
 
-    /// Stress per depth [N/m³] at full speed along `v`; the bare law.
+    /// Stress per depth [N/m³] of the law alone, at full speed along `v`.
     #[inline(always)]
     pub fn stress(&self, n: Vec3<R>, motion: &Motion<R>) -> Vec3<R> {
         self.form.stress(n, motion)
     }
 
-    /// What the law's stress per depth is multiplied by at a depth [m]: the depth, unless `depth_power` changes it.
+    /// The factor on the law's stress per depth at a depth [m]: the depth, unless `depth_power` changes it.
     #[inline(always)]
     pub fn grown(&self, depth: R) -> R {
         self.beyond.as_ref().map_or(depth, |beyond| beyond.depth(depth))
@@ -193,7 +194,7 @@ impl<R: Real> Ground<R> {
         }
     }
 
-    /// A thin plate with law and mechanisms already chosen, for loops that choose once.
+    /// The same for loops that have matched on law and mechanisms.
     #[inline(always)]
     pub fn thin_plate_by(
         &self,
@@ -219,7 +220,7 @@ impl<R: Real> Ground<R> {
         }
     }
 
-    /// One face with law and mechanisms already chosen, for loops that choose once.
+    /// The same for loops that have matched on law and mechanisms.
     #[inline(always)]
     pub fn one_sided_by(
         &self,
@@ -240,10 +241,10 @@ impl<R: Real> Ground<R> {
         Contact { force, drag: secant(force, &motion), edge: inside }
     }
 
-    /// What leads of a curved face: `area` [m²] of it, whose mean depth weighted by depth is `loaded` [m], and whose force grows
-    /// by its `growth`-fold with n·v̂.
+    /// The leading part of a curved face: `area` [m²], whose mean depth weighted by depth is `loaded` [m], and
+    /// whose force grows with n·v̂ by the factor `growth`.
     #[inline(always)]
-    #[allow(clippy::too_many_arguments)] // all of them are in registers
+    #[allow(clippy::too_many_arguments)] // all arguments stay in registers
     pub fn leading_part_by(
         &self,
         law: &impl StressLaw<R>,
@@ -263,7 +264,7 @@ impl<R: Real> Ground<R> {
     }
 }
 
-/// −f·v/v², or 0 where the force does not resist or nothing moves.
+/// −f·v/v², or 0 where the force does not resist or the segment is at rest.
 #[inline(always)]
 fn secant<R: Real>(force: Vec3<R>, motion: &Motion<R>) -> R {
     (-force.dot(motion.v)).max(R::zero()) * motion.inverse_square

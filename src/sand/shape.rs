@@ -12,7 +12,7 @@ use std::f64::consts::PI;
 pub struct Segment {
     /// Centre (x, z) [m] in the intruder's frame.
     pub center: [f64; 2],
-    /// Unit normal (x, z); its sign does not matter for a thin plate.
+    /// Unit normal (x, z); for a thin plate the sign does not matter.
     pub normal: [f64; 2],
     /// [m²]
     pub area: f64,
@@ -50,7 +50,7 @@ impl Shape {
         })
     }
 
-    /// A two-piece leg by its knee angle [°]; ±90° has no length left and is refused.
+    /// A two-piece leg by its knee angle [°]. At ±90° the leg would have no length; that is refused.
     pub fn two_piece(xi_deg: f64) -> Result<Self> {
         if !(xi_deg.is_finite() && xi_deg.abs() < 90.0) {
             return Err(Error::invalid("xi_deg", format!("{xi_deg} is not between -90 and 90 (exclusive)")));
@@ -58,7 +58,7 @@ impl Shape {
         Ok(Shape::TwoPiece { xi: xi_deg.to_radians() })
     }
 
-    /// 1 if it bulges forward, −1 backward, 0 if it is straight.
+    /// Direction in which it bulges: 1 forward, −1 backward, 0 for a straight leg.
     pub fn bulge(&self) -> f64 {
         match *self {
             Shape::TwoPiece { xi: 0.0 } => 0.0,
@@ -73,7 +73,7 @@ impl Shape {
         }
     }
 
-    /// Corners of the mid-surface from hip to tip, as unit vectors times the hip-tip distance 1.
+    /// Corners of the mid-surface from hip to tip, for a hip-tip distance of 1.
     fn two_piece_corners(xi: f64) -> [[f64; 2]; 3] {
         let (sin, cos) = xi.sin_cos();
         [[0.0, 0.0], [cos * sin, -cos * cos], [0.0, -1.0]]
@@ -81,7 +81,7 @@ impl Shape {
 
     /// Cuts the strip into exactly `count` ≥ 2 segments (`chord` = hip-tip distance 2R [m], `width` [m]).
     pub fn segments(&self, chord: f64, width: f64, count: usize) -> Result<Vec<Segment>> {
-        // Robots smaller than 1 mm or larger than 10 m are unit slips: our choice of guard.
+        // A robot smaller than 1 mm or larger than 10 m has wrong units: our choice.
         check_range("chord", chord, 1e-3..=10.0)?;
         check_range("width", width, 1e-4..=10.0)?;
         if !(2..=100_000).contains(&count) {
