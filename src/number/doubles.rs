@@ -61,7 +61,7 @@ impl SubAssign for Doubles {
 
 impl Real for Doubles {
     const LANES: usize = LANES;
-    /// All bits of a lane set or none.
+    /// In each lane all bits are set, or none.
     type Mask = [u64; LANES];
 
     #[inline(always)]

@@ -1,9 +1,9 @@
-//! What the sand does to one body: a wrench, and the point masses that make it implicit.
+//! The sand's effect on one body: a wrench, and the point masses that make it implicit.
 //!
-//! After a step the sand's force is f − C (v⁺ − v) with the present velocity v and C = drag·1 + edge·n nᵀ. A point mass
-//! dt·C at the segment does the same: it resists acceleration, carries no weight, and because rapier's multibody keeps
-//! velocities and not momentum it may change from step to step. A mass also brings velocity-product forces of its own
-//! (centrifugal, Coriolis, gyroscopic); each wrench here holds what cancels them.
+//! After a step the sand's force is f − C (v⁺ − v) with the present velocity v and C = drag·1 + edge·n nᵀ. A point
+//! mass dt·C at the segment has the same effect: it resists acceleration and has no weight. rapier's multibody
+//! keeps velocities and not momentum, so the mass may change from step to step. A mass also causes velocity-product
+//! forces (centrifugal, Coriolis, gyroscopic); each wrench here contains their negative.
 
 use super::inertia::Masses;
 use crate::frame::{Frame, V};
@@ -45,11 +45,11 @@ pub struct Load {
     pub edge: Masses,
 }
 
-/// Where a body is: its frame about the base's centre, and that centre [m].
+/// Pose of a body: its frame about the base's centre, and that centre [m].
 pub struct Place<'a> {
     pub frame: &'a Frame,
     pub base: &'a [f64; 3],
-    /// How the base travels along x and y [m/s].
+    /// Velocity of the base along x and y [m/s].
     pub travel: [f64; 2],
 }
 
@@ -79,7 +79,7 @@ impl Load {
         Self { wrench: Wrench::none(), drag: Masses::none(), edge: Masses::none() }
     }
 
-    /// `contact` takes site, area [m²], unit normal and velocity [m/s].
+    /// `contact` takes the segment's state, area [m²], unit normal and velocity [m/s].
     fn add(
         &mut self,
         plates: &[Plate],

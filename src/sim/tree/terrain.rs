@@ -19,7 +19,7 @@ impl<R: Real> Local<R> {
         self.normal.dot(self.point - p)
     }
 
-    /// The normal of a plane whose depth below this one grows by `tilt` along x and y.
+    /// The normal of a plane whose depth below this one has the derivatives `tilt` along x and y.
     #[inline(always)]
     pub fn tilted(&self, tilt: [R; 2]) -> Vec3<R> {
         let n = self.normal + Vec3::new(tilt[0], tilt[1], R::zero());
