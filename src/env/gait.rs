@@ -1,5 +1,5 @@
 //! `sandgait/HexapodGait-v1`: follow commanded forward and yaw speeds on flat or sloping sand with one joint a leg,
-//! driven in one of four ways.
+//! with one of four control modes.
 
 use super::control::{Control, Driver};
 use super::feature::Features;
@@ -22,7 +22,7 @@ options! {
     }
 }
 
-/// Bound of the observed hip speed [rad/s]; what goes beyond is clipped.
+/// Bound of the observed hip speed [rad/s]; larger values are clipped.
 const HIP_SPEED: f64 = 3.0 * TOP_SPEED;
 
 const ABOUT: &str = "\
@@ -120,7 +120,7 @@ impl Task for HexapodGait {
     }
 }
 
-/// By how much the hips turned in a step, on average [rad]; the distance of a wheel's tread is 2R times that.
+/// Mean angle that the hips turned in a step [rad]; a wheel's tread would move 2R times that.
 fn hip_turn(t: &Transition) -> f64 {
     let hips = t.after.angles.iter().zip(&t.before.angles);
     hips.map(|(after, before)| wrap_angle(after - before)).sum::<f64>() / t.after.angles.len() as f64

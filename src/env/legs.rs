@@ -18,13 +18,14 @@ options! {
     }
 }
 
-/// Fastest a target moves [rad/s]: a small hobby servo's 60° in 0.08 s. Our choice, because the robot is our own.
+/// Largest speed of a target [rad/s]: that of a small hobby servo, 60° in 0.08 s. Our choice, because the robot is
+/// our own.
 const TARGET_SPEED: f64 = 13.0;
 
-/// Bound of the observed joint speed [rad/s]; what goes beyond is clipped.
+/// Bound of the observed joint speed [rad/s]; larger values are clipped.
 const JOINT_SPEED: f64 = 3.0 * TARGET_SPEED;
 
-/// Observed angles may pass their range by this much [rad] under load.
+/// Observed angles may exceed their range by this much [rad] under load.
 const OVERSHOOT: f64 = 0.5;
 
 const ABOUT: &str = "\

@@ -28,11 +28,12 @@ options! {
 }
 
 options! {
-    /// Carriage, leg and constraint. Our choices: at `carriage_speed` a stroke is two lengths of the leg long, with which
-    /// constant-rate strokes do best near the middle of the range of joint speeds; `lift` is a sixth of the weight of the
-    /// reference hexapod grown to this leg (lengths × 1.9, mass × 1.9³); `lift_weight` is more than the greatest efficiency there
-    /// can be. `height` and `start` are as in Li et al. 2012, section 3: the tip points forward, 1.75 rad from straight down. Below
-    /// the slowest carriage speed thrust per work says nothing (see the task's page); the fastest is where RFT ends.
+    /// Carriage, leg and constraint. Our choices: at `carriage_speed` a stroke is two lengths of the leg long, with
+    /// which constant-rate strokes do best near the middle of the range of joint speeds; `lift` is a sixth of the
+    /// weight of the reference hexapod scaled to this leg (lengths × 1.9, mass × 1.9³); `lift_weight` is more than
+    /// the greatest possible efficiency. `height` and `start` are as in Li et al. 2012, section 3: the tip points
+    /// forward, 1.75 rad from straight down. Below the slowest carriage speed thrust per work has no meaning (see
+    /// the task's page); above the fastest RFT is not valid.
     #[derive(Copy, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct StrokeOptions {
@@ -66,17 +67,17 @@ impl StrokeOptions {
     }
 }
 
-/// Joint speed at action 1 [rad/s]: one turn in the default stroke. A straight leg's tip reaches 0.7 m/s then; resistive
-/// force theory is known to hold up to some 0.5 m/s.
+/// Joint speed at action 1 [rad/s]: one turn in the default stroke. A straight leg's tip then reaches 0.7 m/s;
+/// resistive force theory is known to be valid up to some 0.5 m/s.
 const TOP_SPEED: f64 = TAU;
 
-/// Work below this counts as this [J], so that a leg at rest has an efficiency: a hundredth of what good strokes take.
+/// Least work in the efficiency [J], so that a leg at rest has one: a hundredth of what good strokes take.
 const LEAST_WORK: f64 = 1e-3;
 
-/// Depth of the leg at the end at which the penalty for that is full [m]. Our choice.
+/// Depth of the leg at the end at which its penalty is full [m]. Our choice.
 const LEFT_DEPTH: f64 = 0.01;
 
-/// Bounds of what is observed, far beyond what good strokes reach on the default sand; what goes beyond is clipped.
+/// Bounds of the observation, far beyond good strokes on the default sand; values beyond are clipped.
 const TORQUE: f64 = 10.0; // [N·m]
 const IMPULSE: f64 = 20.0; // [N·s]
 const WORK: f64 = 20.0; // [J]
@@ -126,22 +127,23 @@ pub struct LegStroke {
     duration: f64,
 }
 
-/// What a stroke has come to.
+/// Results of a stroke so far.
 struct Account {
     /// Thrust impulse × carriage speed / work, in [-1, 1].
     efficiency: f64,
-    /// Share of the lift impulse that is still missing; 0 before the stroke begins, so that its terms sum up to the end's.
+    /// Share of the lift impulse that is still missing; 0 before the stroke begins, so that the terms of the steps
+    /// sum up to the missing share at the end.
     missing: f64,
-    /// Share of the stroke that is made.
+    /// Share of the stroke that is done.
     progress: f64,
 }
 
-/// What the reward and the figures of a step are computed from.
+/// The arguments of reward terms and figures.
 struct StrokeStep<'a> {
     t: &'a Transition<'a>,
     before: Account,
     after: Account,
-    /// Depth in which the leg is left at the end [m].
+    /// Depth of the leg at the end [m].
     left: f64,
     /// Length of the whole stroke [s].
     duration: f64,
@@ -169,7 +171,7 @@ fn terms(stroke: &StrokeOptions) -> [(&'static str, &'static str, f64, Figure); 
     ]
 }
 
-/// Info columns behind them.
+/// Info columns after the reward's terms.
 fn figures() -> Features<Figure> {
     Features::<Figure>::none()
         .free("thrust", "N", |s| s.force(0))
@@ -181,7 +183,7 @@ fn figures() -> Features<Figure> {
 }
 
 impl LegStroke {
-    /// Of a stroke that has come to `state`. The carriage's way says how much of it is made.
+    /// Results of a stroke in `state`. The carriage's distance gives the share that is done.
     fn account(&self, stroke: &StrokeOptions, state: &State) -> Account {
         let progress = state.position[0] / (stroke.carriage_speed * self.duration);
         let [thrust, _, lift] = state.impulse;
@@ -201,7 +203,7 @@ impl Task for LegStroke {
     }
 
     fn model(options: &StrokeTaskOptions) -> Result<Model> {
-        // No servos: an action is a joint's speed.
+        // There are no servos: an action is a joint's speed.
         let robot = Robot::stroke_leg()?.with_leg_shape("flat")?;
         let mut scene = Scene::flat(Medium::named(&options.medium)?);
         (scene.law, scene.dt) = (options.law, options.dt);
@@ -274,7 +276,7 @@ impl Task for LegStroke {
     fn evaluate(&self, setup: &Setup<StrokeTaskOptions>, t: &Transition, info: &mut [f32]) -> bool {
         let stroke = &setup.options.stroke;
         let [before, after] = [t.before, t.after].map(|state| self.account(stroke, state));
-        // Half a step of room: the carriage's way is a sum of many small ones.
+        // Half a step of tolerance, because the carriage's distance is a sum of many small ones.
         let over = after.progress * self.duration * CONTROL_RATE > f64::from(self.spec.max_episode_steps) - 0.5;
         let left = if over { stroke.deepest(t.model, &t.after.angles) } else { 0.0 };
         let step = StrokeStep { t, before, after, left, duration: self.duration };

@@ -60,7 +60,7 @@ impl<R: Real> Twist<R> {
     pub fn at(&self, r: Vec3<R>) -> Vec3<R> {
         self.linear + self.angular.cross(r)
     }
-    /// Rate of change of a twist `other` that is carried along with this velocity.
+    /// Rate of change of a twist `other` that is fixed to a body with this velocity.
     #[inline(always)]
     pub fn carries(&self, other: &Self) -> Self {
         Self {

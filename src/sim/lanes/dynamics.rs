@@ -85,7 +85,7 @@ impl<R: Real, const J: usize> Scratch<R, J> {
     }
 }
 
-/// Where a body is and how it moves; lengths from the base's centre of mass.
+/// Position and motion of a body; lengths from the base's centre of mass.
 #[derive(Clone, Copy)]
 struct Frame<R> {
     rotation: Mat3<R>,

@@ -134,7 +134,7 @@ impl Rock {
 }
 
 impl Wet {
-    /// Velocity of the wet rock's centre of mass and angular velocity, in rapier's precision: what it holds of a body.
+    /// Velocity of the wet rock's centre of mass and angular velocity, rounded to rapier's precision.
     fn held(&self, object: &ObjectState) -> [V; 2] {
         let omega = V::from(object.angular_velocity);
         [V::from(object.velocity) + omega.cross(&self.arm), omega].map(|v| v.map(|c| f64::from(c as f32)))

@@ -105,7 +105,7 @@ pub fn pack(tree: &Tree, plates: &[Vec<Plate>]) -> Result<String> {
     serde_json::to_string(&packed).map_err(|e| Error::invalid("robot", e.to_string()))
 }
 
-/// A text of [`pack`], compressed.
+/// The text of [`pack`], compressed.
 pub fn compressed(text: &str) -> Result<String> {
     let mut stream = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::best());
     let bytes = stream.write_all(text.as_bytes()).and_then(|()| stream.finish());

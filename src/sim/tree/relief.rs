@@ -81,7 +81,8 @@ impl Relief {
         [self.columns, self.rows].map(|n| n as f64 * self.spacing)
     }
 
-    /// Tangent of the steepest slope, and where it is [m]: at nodes and half way between them, where it is largest.
+    /// Tangent of the steepest slope, and its position [m], from nodes and the points half way between them, where
+    /// it is largest.
     pub fn steepest(&self) -> (f64, [f64; 2]) {
         let half = self.spacing / 2.0;
         let places = (0..4 * self.rows * self.columns)

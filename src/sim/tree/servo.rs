@@ -13,7 +13,7 @@ use crate::number::Real;
 const NO_LIMIT: f64 = 1e9;
 /// Rate v₀ [rad/s] with which a joint creeps while dry friction holds it: our choice.
 const CREEP: f64 = 1e-3;
-/// How much faster than free motion stops take speed away: our choice.
+/// A stop resists acceleration this many times as much as the joint's inertia does: our choice.
 const STIFF: f64 = 1e3;
 /// Number of time steps in which a stop pushes a joint back into its range: our choice.
 const RETURN: f64 = 8.0;
@@ -22,7 +22,7 @@ const RETURN: f64 = 8.0;
 /// speed limit).
 const STALL: f64 = 2.0;
 
-/// What drives and holds a joint, one lane each.
+/// The torques that drive and hold a joint, one lane each.
 #[derive(Clone, Copy)]
 pub struct LaneMotor<R> {
     kp: R,

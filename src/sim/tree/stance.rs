@@ -50,7 +50,7 @@ fn chain(tree: &Tree, base: Isometry3<f64>, angles: &[f64]) -> Vec<Isometry3<f64
     all
 }
 
-/// The lowest of a body's points [m], for a body at `frame`; infinite without any.
+/// The lowest of a body's points [m], for a body at `frame`; infinite if it has none.
 pub fn lowest(frame: &Isometry3<f64>, points: &[ContactPoint]) -> V {
     // The upward direction in the body's frame; most points need only heights.
     let up = frame.rotation.inverse_transform_vector(&V::z());

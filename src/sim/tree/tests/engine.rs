@@ -77,8 +77,8 @@ fn flown(tree: &Tree, pose: &Pose, dt: f64, time: f64) -> [(V, V, f64); 2] {
     [before, conserved(&model, &state)]
 }
 
-/// In free flight momentum changes by gravity alone, angular momentum about the centre of mass and energy do not; what the time
-/// step adds falls with it.
+/// In free flight momentum changes by gravity alone, and angular momentum about the centre of mass and energy are
+/// constant. The error falls with the time step.
 #[test]
 fn free_flight_conserves() {
     let mut draw = Draw::new(3);

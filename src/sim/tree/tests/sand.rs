@@ -89,8 +89,9 @@ fn clear_of(turn: &Rotation3<f64>, draw: impl FnMut() -> V) -> V {
     std::iter::repeat_with(draw).find(|v| !along(v)).unwrap()
 }
 
-/// Same plates, random poses and velocities, both laws, with mechanisms: the same force and moment where plates are flat and
-/// the leading edge is sharp; where they are a ball's, the other code divides plates at the edge.
+/// Same plates, random poses and velocities, both laws, with mechanisms. Force and moment are equal where plates
+/// are flat and the leading edge is sharp. On a ball they differ, because `sand::intruder` divides plates at the
+/// leading edge.
 #[test]
 fn the_force_is_that_of_a_body_in_steady_motion() {
     let folder = tempfile::tempdir().unwrap();
