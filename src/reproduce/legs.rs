@@ -28,7 +28,7 @@ fn stroke(law: Law, xi_deg: f64, hip: f64) -> Result<Vec<(f64, Load)>> {
     Ok(angles().map(|t| (t, rotating_leg(&ground, &segments, t.to_radians(), OMEGA, hip))).collect())
 }
 
-/// One number of a load.
+/// One component of a load.
 pub type Component = fn(&Load) -> f64;
 
 /// Lift, and drag against the tip's motion [N].
@@ -41,11 +41,11 @@ fn peak(stroke: &[(f64, Load)], of: Component) -> f64 {
 /// ξ, name, colour.
 const LEGS: [(f64, &str, &str); 2] = [(-XI_DEG, "reversed L-leg", color::VERMILION), (XI_DEG, "L-leg", color::BLUE)];
 
-/// What the experiment says that was simulated grain by grain.
+/// Results of the simulated experiment with grains.
 pub struct StandIn {
     pub figure: Figure,
     pub table: Table,
-    /// One sentence about where RFT stands.
+    /// A sentence on the accuracy of RFT.
     pub summary: String,
     /// Greatest lift of the 1D models over that of the grains at the lower speed: L-leg, reversed L-leg.
     pub lift_ratios: [f64; 2],

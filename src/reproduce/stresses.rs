@@ -64,7 +64,7 @@ fn figure(ground: &Ground<f64>) -> Figure {
     }
 }
 
-/// Sentences about the experiment: nothing to predict.
+/// Sentences about the experiment, which models cannot predict.
 fn set_up() -> Vec<Claim> {
     let input = "describes the experiment: an input, nothing to predict";
     vec![

@@ -1,4 +1,4 @@
-//! Where everything of a robot is at a moment, and what the sand does to it there.
+//! Poses of a robot's parts at one moment, and the sand's forces on them.
 
 use crate::number::Vec3;
 use crate::sand::{Contact, Ground, Site};
@@ -6,16 +6,16 @@ use crate::sim::frame::{Frame, M, V};
 use crate::sim::model::{Body, Plate};
 use crate::sim::{Model, State};
 
-/// A leg stands if the sand holds it with more than this part of the robot's weight: our choice, far above what a leg in
-/// the air has (nothing) and far below what one of three legs carries (a third).
+/// A leg stands if the sand holds it with more than this share of the robot's weight: our choice, far above the
+/// force on a leg in the air (none) and far below that on one of three legs (a third).
 const STANCE: f64 = 0.02;
 
 /// A small flat piece that sand may push on, as a [`Model`] has it.
 #[derive(Clone, Copy, Debug)]
 pub struct Segment<'a> {
-    /// Which body carries it, counted as [`Pose::bodies`].
+    /// Index of the body that carries it, as in [`Pose::bodies`].
     pub body: usize,
-    /// Which leg that belongs to; none: the base.
+    /// Index of that body's leg; None: the base.
     pub leg: Option<usize>,
     pub plate: &'a Plate,
 }
@@ -43,8 +43,8 @@ pub struct Pose {
     travel: [f64; 2],
 }
 
-/// All segments of a robot: the belly's, then each link's, and after those of its strip the ones of its chord if the
-/// sand's mechanisms fill concave sides.
+/// All segments of a robot: the belly's, then each link's. If the sand's mechanisms fill concave sides, a link's
+/// strip is followed by the segments of its chord.
 pub fn segments(model: &Model) -> Vec<Segment<'_>> {
     let belly = model.belly.iter().map(|plate| Segment { body: 0, leg: None, plate });
     let fills = model.scene.mechanisms.concave_fill > 0.0;
@@ -57,9 +57,8 @@ pub fn segments(model: &Model) -> Vec<Segment<'_>> {
 }
 
 impl Pose {
-    /// Forces are those of the sand at this moment's velocities, by the functions the engines use, in `f64`. `footing` is
-    /// the share of the stress that each leg finds, as [`crate::sim::engine::Engine::set_footing`] takes it; none given: all
-    /// of it.
+    /// The forces are those of the sand at this moment's velocities, computed in `f64` by the engines' functions.
+    /// `footing` is each leg's share of the stress, see [`crate::sim::engine::Engine::set_footing`]; None: 1.
     pub fn of(model: &Model, state: &State, footing: &[f64]) -> Self {
         let ground: Ground<f64> = model.scene.ground();
         let base = Frame::base(state);
@@ -91,8 +90,8 @@ impl Pose {
         pose
     }
 
-    /// Sand on a link: on its strip, or in part on the straight chord where its concave side leads and fills. `found` is
-    /// the share of its stress.
+    /// Sand on a link: on its strip, or in part on the straight chord where its concave side leads and fills.
+    /// `found` is the leg's share of the stress.
     fn press_link(
         &mut self,
         model: &Model,
@@ -112,7 +111,7 @@ impl Pose {
         }
     }
 
-    /// `contact` takes site, area [m²], unit normal and velocity [m/s].
+    /// `contact` takes the segment's state, area [m²], unit normal and velocity [m/s].
     fn press(
         &mut self,
         plates: &[Plate],
@@ -159,7 +158,7 @@ mod tests {
         Model::new(&Robot::load(robot).unwrap(), &Scene::flat(Medium::named("poppy-loose").unwrap())).unwrap()
     }
 
-    /// What carries a robot over some strides is the sand: the mean of all forces is its weight.
+    /// Over some strides the sand carries the robot: the mean of all forces is its weight.
     #[test]
     fn the_forces_carry_the_robot() {
         let model = model("xplorer");
@@ -171,7 +170,7 @@ mod tests {
         engine.command(0, &command);
         engine.advance(2000);
         let (mut sum, mut stances) = (V::zeros(), 0);
-        // Four strides of 0.5 s, a look every millisecond.
+        // Four strides of 0.5 s, sampled every millisecond.
         for _ in 0..2000 {
             engine.advance(2);
             engine.state(0, &mut state);
