@@ -1,12 +1,12 @@
 //! Diagnosis: show what the simulation gets wrong, name the cause, extend the model, measure the gain.
 //!
 //! data ([`force_log`] or [`walking_log`], [`experiment`]) → [`forward`] model ([`walking_model`] for runs) →
-//! [`noise`] from repetitions, with what they have in common ([`shared`]) → [`whiten`] → [`fit`]
-//! with [`nuisance`]s marginalised → [`select`]: [`calibrate`]d gates, then [`fitted`], then [`judged`] with [`discrepancy`],
+//! [`noise`] from repetitions, with what they have in common ([`shared`]) → [`whiten`] → [`fit`] with [`nuisance`]s
+//! marginalised → [`select`]: [`calibrate`]d gates, then [`fitted`], then [`judged`] with [`discrepancy`],
 //! [`nested`] and [`lack_of_fit`], then the pure [`verdict`] → [`view`] → [`report`].
 //!
-//! Everything from `noise` on sees only [`observations`] and a [`forward::ForwardModel`]: another kind of data needs its
-//! own reader and forward model, nothing else.
+//! Everything from `noise` on uses only [`observations`] and a [`forward::ForwardModel`]: another kind of data
+//! needs only its own reader and forward model.
 
 use sandgait_base::{error, parallel, progress, student};
 use sandgait_number as number;
@@ -83,8 +83,8 @@ use whiten::Whitener;
 
 pub use cli::run;
 
-/// Reads the data and diagnoses them. Errors name file, row and column of what cannot be read; an error of `progress`
-/// stops the work and is handed back.
+/// Reads the data and diagnoses them. Errors name file, row and column of what cannot be read; an error of
+/// `progress` stops the work and is returned.
 pub fn diagnose(data: &Path, experiment: &Experiment, progress: &dyn Progress) -> Result<Diagnosis> {
     let progress = &Latch::new(progress);
     progress.report(0.0, "reading the data")?;
@@ -115,20 +115,20 @@ pub fn diagnose(data: &Path, experiment: &Experiment, progress: &dyn Progress) -
     }
 }
 
-/// Measured numbers, and what is known of them beside.
+/// Measured numbers, and facts about them.
 pub struct Measured {
     pub observations: Observations,
     /// Relative prior standard deviation of each stress coefficient.
     pub coefficient_sd: f64,
-    /// Mechanisms of the sensor that are to be told as causes.
+    /// Mechanisms of the sensor that may be named as causes.
     pub interest: Vec<String>,
     /// Of the data file.
     pub sha256: String,
-    /// What a reader of the report should know about how the numbers were prepared.
+    /// Notes for the report on how the numbers were prepared.
     pub notes: Vec<String>,
 }
 
-/// Diagnoses measured numbers with a forward model of them.
+/// Diagnoses measured numbers with a forward model for them.
 pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress: &dyn Progress) -> Result<Diagnosis> {
     let Measured { observations, coefficient_sd, interest, sha256, notes } = measured;
     progress.report(0.02, "noise from the repetitions")?;
@@ -191,7 +191,7 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
     Ok(Diagnosis { report, sand, curves })
 }
 
-/// Causes that the data can be asked about, and the others with the reason.
+/// Causes that the data can show, and the others with the reason why not.
 fn testable(study: &Study) -> (Vec<usize>, Vec<Untestable>) {
     let (mut ids, mut untestable) = (Vec::new(), Vec::new());
     let coefficients = study.model.medium().coefficients;

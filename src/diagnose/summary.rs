@@ -16,7 +16,7 @@ pub fn names(fit: &Fit) -> Vec<String> {
     fit.ids.iter().map(|&id| CATALOG[id].id.to_string()).collect()
 }
 
-/// The verdict in one sentence, and where the plain model errs.
+/// The verdict in one sentence, and the ranges with the largest errors of the plain model.
 pub fn summary(study: &Study, selection: Option<&Selection>, causes: &[Cause], whereabouts: Option<&str>) -> String {
     let Some(selection) = selection else {
         let why = match study.observations.has_replicates() {
@@ -61,13 +61,14 @@ pub fn summary(study: &Study, selection: Option<&Selection>, causes: &[Cause], w
         ),
         false => verdict,
     };
-    // Where other misfit remains, the power is fitted to that.
+    // If other misfit remains, the exponent is fitted to that misfit too, so it is not stated.
     let form = selection.judged.form.as_ref().filter(|form| form.lack_of_fit <= selection.screened.gates.lack_of_fit);
     let verdict = verdict + &form.map_or(String::new(), Form::said);
     whereabouts.map_or(verdict.clone(), |place| format!("{verdict}; {place}"))
 }
 
-/// What stands in for the cause that was not found: how much better, or how surely not, conditions held out are predicted.
+/// The proxy for a cause that was not found: how much better, or how uncertain, its predictions of held-out
+/// conditions are.
 fn stand_in(study: &Study, selection: &Selection) -> String {
     let Some(best) = selection.fitted.best() else { return String::new() };
     let (plain, chosen) = (selection.plain_errors(), &selection.judged.nested[1].errors);
@@ -112,8 +113,7 @@ fn not_enough(study: &Study, selection: &Selection) -> String {
     }
 }
 
-/// A warning where the fit needs coefficients that their declared uncertainty hardly allows: beyond three of its standard
-/// deviations, our choice.
+/// A warning if the fit needs coefficients beyond three of their declared standard deviations: our choice.
 pub fn far_coefficients(fit: &Fit) -> Option<String> {
     let furthest = fit.deviations[..COEFFICIENTS].iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs()))?;
     (furthest.abs() > 3.0).then(|| {
@@ -124,7 +124,7 @@ pub fn far_coefficients(fit: &Fit) -> Option<String> {
     })
 }
 
-/// Which rival comes nearest to the one cause named, and how near.
+/// The nearest rival of the one named cause, and its distance.
 fn nearest_rival(selection: &Selection) -> String {
     let nearest = selection.rivals().min_by(|a, b| a.1.total_cmp(&b.1));
     nearest.map_or(String::new(), |(rival, away)| {

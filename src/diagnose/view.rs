@@ -1,4 +1,4 @@
-//! A diagnosis as a report shows it.
+//! Converts a diagnosis to a report.
 
 use super::described::Described;
 use super::errors::Errors;
@@ -18,15 +18,16 @@ use crate::sand::mechanism::CATALOG;
 use crate::sand::term::On;
 use crate::student;
 
-/// The candidate that extends the model: the cause found; failing that, where misfit remains, the candidate that fits best if
-/// what is chosen without the conditions held out surely predicts them better: as a proxy and not as a cause.
+/// The candidate in the extended model: the cause that was found; or else, if misfit remains, the candidate that
+/// fits best, provided that the choices without the held-out conditions predict these better with certainty. It is
+/// then a proxy and not a cause.
 pub fn extension(selection: &Selection) -> Option<&Candidate> {
     let helps = selection.plain_errors().reduction_interval(&selection.judged.nested[1].errors)[0] > 0.0;
     let proxy = || selection.fitted.best().filter(|_| selection.judged.evidence.found && helps);
     selection.best().or_else(|| (selection.verdict == Verdict::NoneOfThese).then(proxy).flatten())
 }
 
-/// Everything a report is made from.
+/// The inputs of a report.
 pub struct View<'a> {
     pub study: &'a Study<'a>,
     pub source: &'a Source<'a>,
@@ -112,7 +113,7 @@ impl View<'_> {
             let (entry, at) = (&CATALOG[id], fit.coordinates()[k]);
             let [low, high] =
                 ranges.as_ref().and_then(|r| r.get(k)).copied().unwrap_or([at, at]).map(|u| entry.value(u));
-            // A ceiling may be so high as to be none: its greatest value stands for that.
+            // The end of an upper limit's interval may be infinite; the greatest value replaces it.
             let most = if entry.ceiling && low == 0.0 { entry.bounds[1] } else { low };
             Cause {
                 id: entry.id.into(),
@@ -138,12 +139,12 @@ impl View<'_> {
         self.selection.and_then(|s| s.law.as_ref()).map(found).into_iter().collect()
     }
 
-    /// The fit that stands for the data: the extension, or the plain model adjusted.
+    /// The final fit: the extension, or the fitted plain model.
     fn standing(&self) -> Option<&Candidate> {
         self.selection.map(|s| extension(s).unwrap_or(&s.fitted.base))
     }
 
-    /// Values of what measuring did to all data, and sizes of what each trial and bed had of its own.
+    /// Values of nuisances that all data share, and sizes of those that each trial and bed has of its own.
     fn nuisances(&self) -> Vec<NuisanceValue> {
         let (Some(selection), Some(standing)) = (self.selection, self.standing()) else { return Vec::new() };
         let fit = &standing.fit;
@@ -199,7 +200,7 @@ impl View<'_> {
         })
     }
 
-    /// How large each cause that was not found can be at most.
+    /// Upper limits of the causes that were not found.
     fn upper_limits(&self) -> Vec<UpperLimit> {
         let (Some(selection), Some(standing)) = (self.selection, self.standing()) else { return Vec::new() };
         if standing.fit.slopes.is_empty() {
@@ -220,7 +221,7 @@ impl View<'_> {
             UpperLimit { id: entry.id.into(), value: most, unit: entry.unit.into(), level: 0.95 }
         };
         let all = study.further(&standing.fit, &asked);
-        // A limit beyond what the law allows is none.
+        // A limit beyond the law's bound is left out.
         all.iter().map(|f| (f.id, limit(f))).filter(|(id, l)| l.value < CATALOG[*id].bounds[1]).map(|l| l.1).collect()
     }
 
@@ -262,7 +263,7 @@ impl View<'_> {
         let extends = extension(selection).is_some() || selection.law.is_some();
         let extended = if extends { &chosen.errors } else { plain };
         let (before, after, floor) = (plain.rmse(), extended.rmse(), self.floor.rmse());
-        // Where the plain model's error can hardly be told from the scatter, a share of their difference is any number.
+        // If the plain model's error is hardly larger than the scatter, a share of their difference has no meaning.
         let told = plain.reduction_interval(&self.floor)[0] > 0.0;
         Gain {
             held_out_rmse_plain: Some(before),
@@ -292,7 +293,7 @@ impl View<'_> {
         )
     }
 
-    /// Measured and predicted means of every condition; for runs, of which each is one number a channel.
+    /// Measured and predicted means of every condition, for runs, which have one number a channel.
     fn runs(&self) -> Vec<RunMeans> {
         let o = self.study.observations;
         if o.units.iter().any(|u| u.samples > 1) {
