@@ -83,7 +83,7 @@ impl Study<'_> {
             own.sort_by(|a, b| a.objective.total_cmp(&b.objective));
             own.truncate(2);
             promising.push(own.len());
-            begun.extend(own); // leaves out fits that were abandoned or not tried
+            begun.extend(own); // behind the starts that are not sorted yet
         }
         let mut fitted = self.refine(begun, ROUNDS, false).into_iter();
         let best = |count: usize| {

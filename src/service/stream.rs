@@ -5,8 +5,8 @@
 //!     └── refused: Failure, nothing has changed, the stream goes on
 //! ```
 //!
-//! A client may send ahead; the next message is read when the last one is answered, so a fast sender is slowed down
-//! by flow control. Nothing here computes: a light request is checked on the async thread, a heavy one on a blocking
+//! A client may send ahead; the next message is read after the last one was answered, so flow control slows a fast
+//! sender. This file does not compute: a light request is checked on the async thread, a heavy one on a blocking
 //! thread, and the pool's threads step and encode.
 
 use super::connections::Link;
@@ -26,11 +26,11 @@ use std::sync::Arc;
 use tokio::sync::mpsc;
 use tonic::{Status, Streaming};
 
-/// What belongs to a call from its start.
+/// Data of a call from its start.
 pub struct Call {
     pub door: Door,
     pub intake: Arc<Intake>,
-    /// None in tests: nobody's connection.
+    /// None in tests without a connection.
     pub link: Option<Link>,
 }
 
@@ -55,19 +55,20 @@ pub fn run(
 struct Run {
     requests: Streaming<Frame<RunSessionRequest>>,
     call: Call,
-    /// No message was read yet: it counts as one with the call.
+    /// No message was read yet: the first one is counted with the call.
     first: bool,
     sessions: Arc<Sessions>,
     pool: Arc<Pool>,
     /// None until the first message has named the session.
     attached: Option<Guard>,
-    /// Where the present request's answers come from.
+    /// Receives the present request's answers.
     answers: Option<mpsc::Receiver<RunSessionResponse>>,
-    /// Memory of the present request and its answer: until the next request, for then the answer has been sent.
+    /// Memory of the present request and its answer. It is released at the next request, when the answer has been
+    /// sent.
     share: Option<Arc<Share>>,
 }
 
-/// Lets the session go when the stream ends.
+/// Detaches from the session when the stream ends.
 struct Guard {
     hold: Hold,
     sessions: Arc<Sessions>,
@@ -79,19 +80,19 @@ impl Drop for Guard {
     }
 }
 
-/// What a request was given for its work.
+/// The inputs of a request's work.
 pub struct Work {
     pub environments: Environments,
     pub reply: Reply,
 }
 
-/// What is owed for the environments of a [`Work`]: they are given back and the request is answered by [`Work::finish`], or,
-/// where a panic prevents that, the request is answered with INTERNAL and the session ends.
+/// The obligation that comes with the environments of a [`Work`]: [`Work::finish`] returns them and answers the
+/// request. If a panic prevents that, dropping this answers with INTERNAL and ends the session.
 pub struct Reply {
     pub sequence: u64,
     pub loan: Loan,
     pub answers: mpsc::Sender<RunSessionResponse>,
-    /// Memory that the request takes.
+    /// Memory share of the request.
     pub share: Option<Arc<Share>>,
 }
 
@@ -104,7 +105,7 @@ impl Drop for Reply {
 }
 
 impl Reply {
-    /// The environments will not come back: answers and ends the session.
+    /// The environments are lost: answers and ends the session.
     pub fn lose(&mut self, error: &Error) {
         let response = Some(Response::Failure(status::failure(error)));
         // A stream that does not read loses its session without this answer.
@@ -112,14 +113,14 @@ impl Reply {
         self.loan.lose(error);
     }
 
-    /// These environments go on.
+    /// The environments are still intact.
     pub fn with(self, rest: Bookkeeping, batch: Batch) -> Work {
         Work { environments: rest.with(batch), reply: self }
     }
 }
 
 impl Run {
-    /// The next answer; none when the client has no more requests.
+    /// The next answer; None when the client has no more requests.
     async fn answer(&mut self) -> Result<Option<RunSessionResponse>, Status> {
         loop {
             if let Some(answers) = &mut self.answers {
@@ -170,7 +171,7 @@ impl Run {
         }
     }
 
-    /// Starts work on a request. Some: it is answered at once.
+    /// Starts work on a request. Some: the immediate answer.
     async fn begin(&mut self, request: RunSessionRequest) -> Result<Option<RunSessionResponse>, Status> {
         let hold = match &self.attached {
             Some(attached) => &attached.hold,
@@ -189,7 +190,7 @@ impl Run {
             let reason = format!("{:?} is not this stream's; leave it empty or open a stream", request.session_id);
             return at_once(Response::Failure(status::failure(&Error::invalid("session_id", reason))));
         }
-        // Waited for before the environments are taken: this may be broken off.
+        // Waits before the environments are taken, because this wait may be interrupted.
         let pictures = match &request.request {
             Some(Request::Render(render)) => Some(self.call.intake.share(view::size(render)).await),
             _ => None,
@@ -223,7 +224,7 @@ impl Run {
     }
 }
 
-/// The answer to a request that is not the next one: the last one's again, or a refusal.
+/// The answer to a request out of sequence: the last answer again, or a refusal.
 fn repeated(done: &Done, sequence: u64) -> Option<RunSessionResponse> {
     match sequence {
         0 => None,
@@ -240,7 +241,7 @@ fn repeated(done: &Done, sequence: u64) -> Option<RunSessionResponse> {
 
 fn start(work: Work, request: RunSessionRequest, pool: Arc<Pool>) {
     let light = decode::is_light(&request);
-    // A panic drops the work, which then ends its session, and shall not end this thread's other work.
+    // A panic drops the work, which then ends its session; this thread's other work must go on.
     let begin = move || drop(catch_unwind(AssertUnwindSafe(|| carry_out(work, request.request, &pool))));
     if light {
         begin();
@@ -277,7 +278,7 @@ fn carry_out(mut work: Work, request: Option<Request>, pool: &Arc<Pool>) {
 }
 
 impl Work {
-    /// Carries `operation` out and answers with the batch that it gives.
+    /// Runs `operation` and answers with its batch.
     fn run(self, operation: Operation, pool: &Pool) {
         let Self { environments, mut reply } = self;
         let (batch, rest) = environments.into_parts();
@@ -301,13 +302,13 @@ impl Work {
         }
     }
 
-    /// Refuses the request; the environments are as they were.
+    /// Refuses the request; the environments are unchanged.
     pub fn refuse(self, error: &Error) {
         self.finish(Response::Failure(status::failure(error)), true);
     }
 
-    /// Puts the environments back and answers. A request that changed nothing need not keep its answer: it can be
-    /// carried out again.
+    /// Returns the environments and answers. A request that changed nothing need not keep its answer, because it
+    /// can be repeated.
     pub fn finish(mut self, response: Response, keep: bool) {
         let sequence = self.reply.sequence;
         let answer = RunSessionResponse { sequence, response: Some(response) };
@@ -316,12 +317,12 @@ impl Work {
         }
         let answers = self.reply.answers.clone();
         self.give_back();
-        // The stream may be gone; whoever takes the session next asks for the answer again. The channel has room: this
-        // is the last of a request's answers, and the stream reads them all before it reads the next request.
+        // The stream may be gone; the next stream of the session asks for the answer again. The channel has room:
+        // this is the last of a request's answers, and the stream reads them all before it reads the next request.
         let _ = answers.try_send(answer);
     }
 
-    /// Puts the environments back without an answer: nobody waits for it.
+    /// Returns the environments without an answer, because no client waits for it.
     pub fn give_back(mut self) {
         self.reply.loan.give_back(self.environments);
     }
@@ -337,7 +338,7 @@ mod tests {
     use tokio_util::sync::CancellationToken;
     use tonic::Code;
 
-    /// A session's environments on their way, and where its answers arrive.
+    /// A session's environments in an operation, and the channel of its answers.
     fn lent(sessions: &Arc<Sessions>) -> (Work, mpsc::Receiver<RunSessionResponse>) {
         let blueprint = Blueprint::new("sandgait/HexapodGait-v1", Value::Null).unwrap();
         let environments = sessions.build(&blueprint, 2).unwrap();
@@ -378,7 +379,7 @@ mod tests {
         assert_eq!(sessions.usage().sessions, 0);
     }
 
-    /// In a task of the runtime, as a rollout is.
+    /// In a task of the runtime, for example a rollout.
     #[test]
     fn a_panic_between_the_parts_of_a_rollout_is_answered() {
         let sessions = sessions();

@@ -82,7 +82,7 @@ mod tests {
         }
     }
 
-    /// Wherever a training is broken off, it goes on from its last update as if nothing had been.
+    /// Wherever a training is interrupted, it goes on from its last update with the same bits.
     #[test]
     fn what_is_broken_off_goes_on_with_the_same_bits() {
         let entry = json!({
@@ -102,7 +102,7 @@ mod tests {
         }
     }
 
-    /// A rate far too large: the parameters of before are kept, and the message says what to do.
+    /// A learning rate that is far too large: the earlier parameters are kept, and the message suggests a remedy.
     #[test]
     fn what_is_not_finite_ends_the_training() {
         let entry = json!({

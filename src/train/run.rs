@@ -28,7 +28,7 @@ pub type Connect = dyn Fn(&Blueprint, &Value, usize, Pause) -> Result<Box<dyn Re
 /// A request for a training.
 pub struct Request {
     pub task: String,
-    /// Keywords of the task; those of the settings' `env_kwargs` count where there are none here.
+    /// Keywords of the task; without them the settings' `env_kwargs` apply.
     pub options: Value,
     pub settings: Settings,
     pub seed: u64,

@@ -82,7 +82,7 @@ const NAMES: [&str; 21] = [
     "env_kwargs",
 ];
 
-/// Limits, our choice: far above what helps, far below what fills a machine's memory.
+/// Limits, our choice: far above useful values, far below what fills a machine's memory.
 const MOST_ENVS: f64 = 65_536.0;
 const MOST_SAMPLES: usize = 1 << 22;
 const MOST_LAYERS: usize = 8;
