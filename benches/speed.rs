@@ -1,4 +1,5 @@
-//! Where the time of a step goes: one segment, one time step of a robot, a step of the pool, a step through the service.
+//! Times of the parts of a step: one segment, one time step of a robot, a step of the pool, a step through the
+//! service.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use sandgait::bench::{Direct, Remote, Stepper, random_actions};

@@ -1,6 +1,6 @@
-"""Setting an attribute of an environment would change nothing on the server, so it is refused.
+"""Refuses to set attributes of environments, because that would not change the simulation.
 
-The simulation is elsewhere. Task options change at a reset or are fixed when the environment is made.
+Task options change at a reset, or are fixed when the environment is made.
 """
 
 from __future__ import annotations

@@ -15,10 +15,11 @@ const COLUMNS: [Column; 3] = [
 
 /// Evaluate a force law: stress per depth at given angles.
 ///
-/// Reads columns beta (tilt of the plate), gamma (direction of its velocity below the horizontal) and, for agarwal2023,
-/// psi (azimuth of its normal from the velocity's), in rad; beta counts modulo π. Prints them with the stress per depth
-/// in N/m³: alpha_x against the motion and alpha_z up, or for agarwal2023 the components alpha_r along the motion,
-/// alpha_theta across it and alpha_z up. The laws stand here bare, without the regularisation that dynamics needs.
+/// Reads columns beta (tilt of the plate), gamma (direction of its velocity below the horizontal) and, for
+/// agarwal2023, psi (azimuth of its normal from the velocity's), in rad; beta counts modulo π. Prints them with the
+/// stress per depth in N/m³: alpha_x against the motion and alpha_z up, or for agarwal2023 the components alpha_r
+/// along the motion, alpha_theta across it and alpha_z up. The laws are evaluated without the regularisation that
+/// dynamics needs.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait stress --input angles.csv

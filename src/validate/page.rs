@@ -8,10 +8,10 @@ use crate::plot::{Axis, Figure, Mark, Panel, Style, color, png};
 use std::fmt::Write as _;
 use std::path::Path;
 
-/// What is drawn of a pair: measured and predicted, where there are both.
+/// The series of a figure: measured and predicted values, if both exist.
 type Measure = fn(&Pair) -> Option<[f64; 2]>;
 
-/// What stands above the scoreboard.
+/// The text above the scoreboard.
 const INTRODUCTION: &str = "\
 Written by `sandgait validate --out DIR`; the numbers are computed, the words are not. *Not fitted* means that no number was
 fitted on the rows, though their maker had seen them; *left out* that a fit saw other slip angles, or other slips, of the same wheels; *fitted* is no prediction at all.
@@ -29,7 +29,7 @@ Data of your own: a folder with a `validation.toml` as in `tests/data/real_wheel
 depth, Fx, Fy, Fz, slip_angle_deg and slip; then `sandgait validate --data FOLDER --out DIR`.
 ";
 
-/// One comparison: what was fitted on what, and the rows it was asked about.
+/// One comparison: the rows of the fit, and the predicted rows.
 struct Comparison {
     title: String,
     pairs: Vec<Pair>,
@@ -42,7 +42,7 @@ pub struct Scoreboard {
 }
 
 impl Scoreboard {
-    /// Predicts every row, and fits anew with one slip angle left out at a time.
+    /// Predicts every row, and fits again with one slip angle left out at a time.
     pub fn new(data: DataSet) -> Result<Self> {
         let mut comparisons = Vec::new();
         let each = |of: &dyn Fn(&Wheel) -> Option<crate::sand::SandDescription>| -> Vec<Pair> {
@@ -75,7 +75,7 @@ impl Scoreboard {
         Ok(Self { data, comparisons })
     }
 
-    /// Markdown.
+    /// The scoreboard as Markdown.
     pub fn text(&self) -> String {
         let d = &self.data;
         let mut text = format!("## {}\n\nData: {}. Licence: {}.\n\n", d.title, d.source, d.licence);
@@ -125,7 +125,7 @@ impl Scoreboard {
         text
     }
 
-    /// The sentence that a reader should see first: the largest error of the first comparison, where it is, and how large.
+    /// The first sentence of the page: the largest error of the first comparison, and where it is.
     pub fn worst(&self) -> String {
         let c = &self.comparisons[0];
         let regimes = REGIMES.iter().map(|(name, belongs)| (name, select(c, |p| belongs(&p.row))));
@@ -215,9 +215,9 @@ fn capital(text: &str) -> String {
     letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 
-/// Positive slips predicted from a fit on all others.
+/// Positive slips are predicted from a fit on all others.
 fn positive(wheels: &[Wheel]) -> Result<Vec<Pair>> {
-    // A wheel that rolls is measured with slips of up to 3 %.
+    // A wheel that rolls freely is measured with slips of up to 3 %.
     let split = |wheel: &Wheel, above: bool| -> Vec<Row> {
         wheel.rows.iter().filter(|r| (r.slip > 0.03) == above).copied().collect()
     };
