@@ -7,11 +7,11 @@ use super::experiment::Intruder;
 use super::force_log::{Pose, Track};
 use crate::error::Result;
 use crate::number::{Doubles, Kernel, Real, Vec3};
-use crate::sand::beyond::{Beyond, SandMechanisms, Site, slope_depth};
 use crate::sand::intrusion::Load;
 use crate::sand::mechanism::Mechanisms;
+use crate::sand::mechanism_laws::{SandMechanisms, SegmentState, StressModel, slope_depth};
 use crate::sand::shape::{Segment, straight};
-use crate::sand::{Ground, Shape};
+use crate::sand::{LegShape, SandBed};
 use std::ops::Range;
 
 /// Number of segments of a plate or leg. The partly submerged segment then causes an error of < 0.1 % of the peak
@@ -115,7 +115,7 @@ impl Cut {
     pub fn new(intruder: &Intruder) -> Result<Self> {
         Ok(match *intruder {
             Intruder::Leg { chord, width, xi_deg, thickness } => Cut {
-                segments: blocks(&Shape::two_piece(xi_deg)?.segments(chord, width, SEGMENTS)?),
+                segments: blocks(&LegShape::two_piece(xi_deg)?.segments(chord, width, SEGMENTS)?),
                 chord: blocks(&straight([0.0, 0.0], [0.0, -chord], width, SEGMENTS)),
                 width,
                 half_thickness: thickness.unwrap_or(0.0) / 2.0,
@@ -142,8 +142,8 @@ pub struct PowerDrag {
 impl PowerDrag {
     /// How much more than v_n² stands there [m²/s²].
     fn beyond_square(&self, speeds: Doubles) -> Doubles {
-        let beyond = |speed: f64| self.speed.powi(2) * (speed / self.speed).powf(self.exponent) - speed * speed;
-        Doubles::from_array(std::array::from_fn(|i| beyond(speeds.lane(i))))
+        let excess = |speed: f64| self.speed.powi(2) * (speed / self.speed).powf(self.exponent) - speed * speed;
+        Doubles::from_array(std::array::from_fn(|i| excess(speeds.lane(i))))
     }
 }
 
@@ -211,10 +211,10 @@ pub struct Arm<'a, const N: usize> {
     pub cut: &'a Cut,
     pub mechanisms: &'a Mechanisms,
     pub sand: SandMechanisms<Doubles>,
-    pub grounds: &'a [Ground<Doubles>; N],
+    pub grounds: &'a [SandBed<Doubles>; N],
     /// [`stencils`] of the track; empty without added mass.
     pub stencils: Vec<Range<usize>>,
-    /// [`crate::sand::beyond::footprint`] of the track's pass.
+    /// [`crate::sand::mechanism_laws::footprint`] of the track's pass.
     pub footprint: f64,
     /// λ ρ [kg/m³] and the exponent of inertial drag, if it differs from the catalogue's.
     pub other_drag: Option<(f64, PowerDrag)>,
@@ -410,7 +410,7 @@ impl<const N: usize> Kernel for Sum<'_, N> {
             let (x, z) = (at[0] + n[0] * ahead, at[1] + n[1] * ahead);
             let depth = slope_depth(slope, x, z);
             let inside = zero.lt(depth);
-            let site = Site {
+            let site = SegmentState {
                 depth: depth.max(zero),
                 x: splat(arm.track.x_bed) + x,
                 footprint: splat(arm.footprint),
@@ -456,7 +456,7 @@ mod tests {
         let ends = [poses[0].t, poses[39].t];
         let intruder = Intruder::Plate { length: 0.04, width: 0.025, thickness: None };
         let (track, mechanisms) = (Track::leg(intruder, 0.0, poses), Mechanisms::default());
-        let ground = Ground::new(Law::Li2013, &Medium::named("poppy-loose").unwrap(), &Surface::DEFAULT);
+        let ground = SandBed::new(Law::Li2013, &Medium::named("poppy-loose").unwrap(), &Surface::DEFAULT);
         let arm = Arm {
             track: &track,
             cut: &Cut::new(&intruder).unwrap(),

@@ -15,10 +15,10 @@ use crate::error::Result;
 use crate::number::{Doubles, Real};
 use crate::parallel;
 use crate::progress::Latch;
-use crate::sand::beyond::{SandMechanisms, footprint};
 use crate::sand::intrusion::Load;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
-use crate::sand::{Coefficients, Ground, Law, Medium, SandDescription, Surface, Term};
+use crate::sand::mechanism_laws::{SandMechanisms, footprint};
+use crate::sand::{Coefficients, Law, Medium, SandBed, SandDescription, Surface, Term};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -287,15 +287,15 @@ impl<'a> ForceLogModel<'a> {
         sand
     }
 
-    fn ground(&self, coefficients: &Coefficients) -> Ground<Doubles> {
-        Ground::new(Law::Li2013, &Medium { coefficients: *coefficients, ..self.medium.clone() }, &PRESCRIBED)
+    fn ground(&self, coefficients: &Coefficients) -> SandBed<Doubles> {
+        SandBed::new(Law::Li2013, &Medium { coefficients: *coefficients, ..self.medium.clone() }, &PRESCRIBED)
     }
 
     fn arm<'b, const N: usize>(
         &'b self,
         track: &'b Track,
         m: &'b Mechanisms,
-        grounds: &'b [Ground<Doubles>; N],
+        grounds: &'b [SandBed<Doubles>; N],
     ) -> Arm<'b, N> {
         let density = m.inertial_drag * self.medium.bulk_density;
         Arm {

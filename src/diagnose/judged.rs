@@ -7,10 +7,10 @@ use super::discrepancy::Discrepancy;
 use super::errors::Errors;
 use super::fit::Fit;
 use super::fitted::{Candidate, Fitted, candidate};
-use super::form::{self, Asked, Form};
 use super::lack_of_fit::Lack;
 use super::nested::Nested;
 use super::profile;
+use super::speed_exponent::{self, SpeedExponent, SpeedLaw};
 use super::study::Study;
 use super::verdict::{Evidence, Rival};
 use crate::sand::mechanism::CATALOG;
@@ -36,7 +36,7 @@ pub struct Judged {
     /// Lack of fit of base and best under the noise alone, without a discrepancy.
     pub lacks: [Lack; 2],
     pub intervals: Option<Intervals>,
-    pub form: Option<Form>,
+    pub form: Option<SpeedExponent>,
     /// Errors of the plain model and of the extension, chosen anew in each fold.
     pub nested: [HeldOut; 2],
 }
@@ -111,14 +111,14 @@ fn rivals(fitted: &Fitted, best: &Candidate, gates: &Gates) -> Vec<Rival> {
 
 /// Does the law of the best cause have the right form? If the data exclude it, or if the cause alone in another
 /// form explains as much as with a second term, which then only replaces that form, none of the causes is named.
-fn questioned(study: &Study, fitted: &Fitted, gates: &Gates) -> Option<Form> {
+fn questioned(study: &Study, fitted: &Fitted, gates: &Gates) -> Option<SpeedExponent> {
     let best = &fitted.candidates[0].fit;
-    let asked = Asked::of(study, best)?;
+    let asked = SpeedLaw::of(study, best)?;
     let alone = fitted.candidates.iter().find(|c| asked.alone(&c.fit)).filter(|_| best.ids.len() > 1);
     // It was fitted with an earlier noise.
-    let alone = alone.and_then(|c| form::check(study, &study.fit_from(&[&c.fit])[0], asked, gates.inflation));
+    let alone = alone.and_then(|c| speed_exponent::check(study, &study.fit_from(&[&c.fit])[0], asked, gates.inflation));
     let stands_in = alone.filter(|form| form.excluded && form.objective <= best.objective);
-    stands_in.or_else(|| form::check(study, best, asked, gates.inflation))
+    stands_in.or_else(|| speed_exponent::check(study, best, asked, gates.inflation))
 }
 
 /// 95 % intervals, widened because the noise is only estimated.

@@ -30,7 +30,6 @@ pub mod experiment;
 pub mod fit;
 pub mod fitted;
 pub mod force_log;
-pub mod form;
 pub mod forward;
 pub mod further;
 pub mod intruder_log;
@@ -53,6 +52,7 @@ pub mod report;
 pub mod response;
 pub mod select;
 pub mod shared;
+pub mod speed_exponent;
 
 pub mod study;
 pub mod summary;

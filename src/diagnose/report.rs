@@ -1,8 +1,8 @@
 //! Contents of the report: `report.json`, as the contract defines it, and `sand.toml`.
 
-use super::form::Form;
 use super::misfit::{Correlate, Misfit};
 use super::next_experiment::Proposal;
+use super::speed_exponent::SpeedExponent;
 use super::verdict::Verdict;
 use crate::error::{Error, Result};
 use crate::sand::SandDescription;
@@ -154,7 +154,7 @@ pub struct Report {
     pub degrees_of_freedom: Option<f64>,
     /// Does the law of the best cause have the right exponent of the speed? None if it has no such exponent or it
     /// cannot be tested.
-    pub form: Option<Form>,
+    pub form: Option<SpeedExponent>,
     pub misfit: Vec<Misfit>,
     /// The ranges with the largest errors of the plain model, in one sentence; None without significant misfit.
     #[serde(rename = "where")]

@@ -2,9 +2,9 @@
 
 use super::described::Described;
 use super::fit::{COEFFICIENTS, Fit};
-use super::form::Form;
 use super::report::Cause;
 use super::select::Selection;
+use super::speed_exponent::SpeedExponent;
 use super::study::Study;
 use super::verdict::Verdict;
 use super::view::extension;
@@ -63,7 +63,7 @@ pub fn summary(study: &Study, selection: Option<&Selection>, causes: &[Cause], w
     };
     // If other misfit remains, the exponent is fitted to that misfit too, so it is not stated.
     let form = selection.judged.form.as_ref().filter(|form| form.lack_of_fit <= selection.screened.gates.lack_of_fit);
-    let verdict = verdict + &form.map_or(String::new(), Form::said);
+    let verdict = verdict + &form.map_or(String::new(), SpeedExponent::said);
     whereabouts.map_or(verdict.clone(), |place| format!("{verdict}; {place}"))
 }
 

@@ -4,7 +4,7 @@ use super::columns::columns;
 use super::experiment::Experiment;
 use super::observations::{Channel, Names, Observations, Size, Unit};
 use crate::error::{Error, Result};
-use crate::sand::Shape;
+use crate::sand::LegShape;
 use crate::sim::Robot;
 use crate::table::{Column, Quantity, Row};
 use std::path::Path;
@@ -13,7 +13,7 @@ use std::path::Path;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Setup {
     pub robot: String,
-    /// Name of a leg shape, see [`Shape::named`].
+    /// Name of a leg shape, see [`LegShape::named`].
     pub leg: String,
     /// [Hz]
     pub frequency: f64,
@@ -156,8 +156,8 @@ fn setup(row: &Row, experiment: &Experiment) -> Result<Setup> {
 /// The leg's shape: its name, or for two-piece legs the knee angle if it is given.
 fn leg(row: &Row) -> Result<String> {
     let name = row.needed_text(LEG)?;
-    if !Shape::NAMES.contains(&name) {
-        return Err(row.error(LEG, format!("leg {name:?} is unknown; known: {}", Shape::NAMES.join(", "))));
+    if !LegShape::NAMES.contains(&name) {
+        return Err(row.error(LEG, format!("leg {name:?} is unknown; known: {}", LegShape::NAMES.join(", "))));
     }
     let Some(xi) = row.within(XI, 89.9)? else { return Ok(name.into()) };
     let wrong = match name {
@@ -212,7 +212,7 @@ pub fn possible(setups: &[Setup]) -> Vec<(Setup, String)> {
     let (low, high) = frequencies.fold((f64::MAX, 0.0), |(l, h), f| (f64::min(l, f), f64::max(h, f)));
     let mut legs: Vec<String> = setups.iter().map(|s| s.leg.clone()).collect();
     legs.extend(["L", "revL"].map(String::from));
-    let shape = |leg: &String| Shape::named(leg).ok();
+    let shape = |leg: &String| LegShape::named(leg).ok();
     legs.sort();
     legs.dedup_by(|a, b| shape(a) == shape(b));
     let mut out = Vec::new();

@@ -77,11 +77,11 @@ impl<'a> WalkingModel<'a> {
         let plain = (Mechanisms::default(), model.medium.coefficients);
         let trials = model.trials(&plain).into_iter().collect::<Result<Vec<_>>>()?;
         trials.iter().try_for_each(Trial::validate)?;
-        let walked = model.simulate(&[plain], 0.0);
+        let results = model.simulate(&[plain], 0.0);
         if let Some(error) = latch.error() {
             return Err(error);
         }
-        let lost = walked.iter().flatten().zip(&model.setups).find(|(result, _)| !result.speed.is_finite());
+        let lost = results.iter().flatten().zip(&model.setups).find(|(result, _)| !result.speed.is_finite());
         match lost {
             Some((_, s)) => {
                 Err(Error::invalid("data", format!("the simulation of {} at {} Hz diverges", s.leg, s.frequency)))
@@ -147,14 +147,14 @@ impl<'a> WalkingModel<'a> {
             let known = known();
             (0..states.len()).filter(|&k| !known.contains_key(&keys[k]) && !keys[..k].contains(&keys[k])).collect()
         };
-        let results = self.walked(&new.iter().map(|&k| states[k]).collect::<Vec<_>>(), phase);
+        let results = self.simulate_phase(&new.iter().map(|&k| states[k]).collect::<Vec<_>>(), phase);
         let mut known = known();
         known.extend(new.iter().map(|&k| keys[k].clone()).zip(results));
         keys.iter().map(|key| known[key].clone()).collect()
     }
 
     /// Every state's results with all hips `phase` [rad] ahead.
-    fn walked(&self, states: &[State], phase: f64) -> Vec<Vec<WalkResult>> {
+    fn simulate_phase(&self, states: &[State], phase: f64) -> Vec<Vec<WalkResult>> {
         let ahead = |trial: Result<Trial>| trial.map(|t| Trial { phase, ..t });
         let trials: Result<Vec<Trial>> = states.iter().flat_map(|s| self.trials(s)).map(ahead).collect();
         let results = trials.and_then(|t| walk_all(EngineKind::Lanes, &t, self));

@@ -1,6 +1,6 @@
 //! Ground of HexapodTerrain that varies with position and keeps footprints.
 
-use crate::sand::beyond::footprint;
+use crate::sand::mechanism_laws::footprint;
 use crate::sim::{Model, State};
 use serde::{Deserialize, Serialize};
 

@@ -1,6 +1,8 @@
 //! Writes learnt policies as ONNX files, which any ONNX runtime and [`super::Network`] can read.
 
-use super::format::{Dimension, FLOAT, Graph, Model, Node, OperatorSet, Shape, Tensor, TensorType, Type, ValueInfo};
+use super::format::{
+    Dimension, FLOAT, Graph, Model, Node, OperatorSet, Tensor, TensorShape, TensorType, Type, ValueInfo,
+};
 use prost::Message as _;
 
 /// Operator set and format version of the files: those of 2022, which present runtimes support.
@@ -129,6 +131,6 @@ impl Writer {
 fn rows(name: &str, width: usize) -> ValueInfo {
     let dim =
         vec![Dimension { value: None, name: "n".into() }, Dimension { value: Some(width as i64), name: String::new() }];
-    let tensor = TensorType { elem_type: FLOAT, shape: Some(Shape { dim }) };
+    let tensor = TensorType { elem_type: FLOAT, shape: Some(TensorShape { dim }) };
     ValueInfo { name: name.into(), kind: Some(Type { tensor: Some(tensor) }) }
 }

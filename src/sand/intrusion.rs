@@ -1,9 +1,9 @@
 //! A leg rotated about a fixed hip: the experiment of Li et al. 2012, section 3.
 
-use super::beyond::Site;
-use super::contact::{Ground, Surface};
+use super::contact::{SandBed, Surface};
 use super::description::SandDescription;
-use super::shape::{Segment, Shape, straight};
+use super::mechanism_laws::SegmentState;
+use super::shape::{LegShape, Segment, straight};
 use crate::error::{Result, check_range};
 use crate::number::Vec3;
 
@@ -20,7 +20,7 @@ pub struct Load {
 
 /// The load on a leg at angle `theta` [rad] (0: tip straight down; positive: tip forward) that turns with `omega`
 /// [rad/s] about a hip `hip_height` [m] above the surface.
-pub fn rotating_leg(ground: &Ground<f64>, segments: &[Segment], theta: f64, omega: f64, hip_height: f64) -> Load {
+pub fn rotating_leg(ground: &SandBed<f64>, segments: &[Segment], theta: f64, omega: f64, hip_height: f64) -> Load {
     let (sin, cos) = theta.sin_cos();
     let turn = |p: [f64; 2]| [p[0] * cos - p[1] * sin, p[0] * sin + p[1] * cos];
     let mut load = Load::default();
@@ -31,7 +31,7 @@ pub fn rotating_leg(ground: &Ground<f64>, segments: &[Segment], theta: f64, omeg
             continue;
         }
         let v = Vec3::new(-omega * z, 0.0, omega * x);
-        let f = ground.thin_plate(&Site::fresh(depth, x), s.area, Vec3::new(n[0], 0.0, n[1]), v).force;
+        let f = ground.thin_plate(&SegmentState::fresh(depth, x), s.area, Vec3::new(n[0], 0.0, n[1]), v).force;
         load.fx += f.x;
         load.fz += f.z;
         load.ty += x * f.z - z * f.x;
@@ -48,7 +48,7 @@ const HALF_SWEEP: i32 = 175;
 /// A leg that turns once through the sand about a fixed hip.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rotation {
-    pub shape: Shape,
+    pub shape: LegShape,
     /// Distance from hip to tip [m].
     pub chord: f64,
     /// [m]
@@ -70,7 +70,7 @@ pub const OMEGA: f64 = 0.2;
 
 impl Rotation {
     /// A leg in the paper's experiment.
-    pub fn of(shape: Shape) -> Self {
+    pub fn of(shape: LegShape) -> Self {
         Self { shape, chord: CHORD, width: WIDTH, hip_height: HIP_HEIGHT, omega: OMEGA }
     }
 
@@ -81,7 +81,7 @@ impl Rotation {
         check_range("hip-height", self.hip_height, -1.0..=1.0)?;
         check_range("omega", self.omega, -100.0..=100.0)?;
         let (medium, mechanisms) = (sand.medium(), &sand.mechanisms);
-        let ground = Ground::new(sand.law, &medium, &Surface::default()).with(mechanisms, &medium);
+        let ground = SandBed::new(sand.law, &medium, &Surface::default()).with(mechanisms, &medium);
         let chord = straight([0.0, 0.0], [0.0, -self.chord], self.width, SEGMENTS);
         // Does the concave side lead? A leg that bulges forward and turns backward fills with sand, and so does the
         // reverse.

@@ -1,6 +1,6 @@
 //! Mechanisms that plain resistive force theory leaves out: the one list that simulator, diagnosis, report and
 //! documents read. A new mechanism is one new entry of [`CATALOG`]'s table and, if it acts in the sand, one line in
-//! [`super::beyond::SandMechanisms::stress`].
+//! [`super::mechanism_laws::SandMechanisms::stress`].
 //!
 //! Every parameter is 0 when its mechanism is off. The equations of the sand side are in
 //! [`super::beyond`]; those of the measuring side (sensors, log, drive) are in `diagnose::forward`.

@@ -9,7 +9,7 @@ use super::command::Command;
 use super::frame::Frame;
 use super::rapier::{Place, fold_turns, load_link};
 use super::{Model, State};
-use crate::sand::Ground;
+use crate::sand::SandBed;
 
 /// Carriages; independent of each other.
 pub struct CarriageEngine {
@@ -18,7 +18,7 @@ pub struct CarriageEngine {
 
 struct Carriage {
     model: Model,
-    ground: Ground<f64>,
+    ground: SandBed<f64>,
     state: State,
     /// Speed of each joint [rad/s].
     rates: Vec<f64>,

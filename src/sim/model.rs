@@ -8,7 +8,7 @@ use super::tree::relief::Relief;
 use super::tree::{HardGround, TreeModel};
 use crate::error::{Error, Result, check_range};
 use crate::number::Real;
-use crate::sand::{Ground, Law, Mechanisms, Medium, SandDescription, Segment, Shape, Surface};
+use crate::sand::{Law, LegShape, Mechanisms, Medium, SandBed, SandDescription, Segment, Surface};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -85,8 +85,8 @@ impl Scene {
     }
 
     /// The sand, ready for evaluation.
-    pub fn ground<R: Real>(&self) -> Ground<R> {
-        Ground::new(self.law, &self.medium, &self.surface).with(&self.mechanisms, &self.medium)
+    pub fn ground<R: Real>(&self) -> SandBed<R> {
+        SandBed::new(self.law, &self.medium, &self.surface).with(&self.mechanisms, &self.medium)
     }
 
     fn validate(&self) -> Result<()> {
@@ -432,8 +432,8 @@ fn body(link: &Link, joint: V, turn: nalgebra::Rotation3<f64>) -> Result<Body> {
     let forward = width_axis.cross(&down); // where the tip goes when the joint turns positively about the width axis
     let place = |p: [f64; 2]| turn * (forward * p[0] - down * p[1]);
     let (shape, width, count) = match &link.sand {
-        Some(strip) => (Shape::named(&strip.shape)?, strip.width, strip.segments),
-        None => (Shape::TwoPiece { xi: 0.0 }, 0.01, 12),
+        Some(strip) => (LegShape::named(&strip.shape)?, strip.width, strip.segments),
+        None => (LegShape::TwoPiece { xi: 0.0 }, 0.01, 12),
     };
     let segments = shape.segments(reach.norm(), width, count)?;
     let total: f64 = segments.iter().map(|s| s.area).sum();
@@ -466,7 +466,7 @@ fn body(link: &Link, joint: V, turn: nalgebra::Rotation3<f64>) -> Result<Body> {
         armature: link.armature,
         range: link.range,
         plates: touching(&segments),
-        chord: touching(&Shape::TwoPiece { xi: 0.0 }.segments(reach.norm(), width, count)?),
+        chord: touching(&LegShape::TwoPiece { xi: 0.0 }.segments(reach.norm(), width, count)?),
         bulge: shape.bulge(),
         pieces: pieces(&segments, width, place, turn * width_axis),
         reach: exact(turn * reach),

@@ -1,7 +1,7 @@
 //! A robot as its user describes it in a TOML file. Unknown keys are refused.
 
 use crate::error::{Error, Result, check_range};
-use crate::sand::Shape;
+use crate::sand::LegShape;
 use serde::{Deserialize, Serialize};
 
 /// The whole robot; SI units, origin at the base's centre, x forward, y left, z up.
@@ -169,9 +169,9 @@ impl Robot {
         Ok(robot)
     }
 
-    /// Replaces the shape of every strip (see [`Shape::named`]).
+    /// Replaces the shape of every strip (see [`LegShape::named`]).
     pub fn with_leg_shape(mut self, shape: &str) -> Result<Self> {
-        Shape::named(shape)?;
+        LegShape::named(shape)?;
         for strip in self.leg.link.iter_mut().filter_map(|l| l.sand.as_mut()) {
             strip.shape = shape.into();
         }
@@ -250,6 +250,6 @@ impl Link {
         check_range("leg.link.sand.width_axis (length)", norm(width_axis), 0.99..=1.01)?;
         let along: f64 = width_axis.iter().zip(self.reach).map(|(w, r)| w * r).sum();
         check_range("leg.link.sand.width_axis (along reach)", along / norm(self.reach), -1e-3..=1e-3)?;
-        Shape::named(&strip.shape)?.segments(norm(self.reach), strip.width, strip.segments).map(drop)
+        LegShape::named(&strip.shape)?.segments(norm(self.reach), strip.width, strip.segments).map(drop)
     }
 }

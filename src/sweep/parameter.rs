@@ -32,7 +32,7 @@ impl Parameter {
             unit: "°",
             set: |d, v| {
                 let shape = format!("xi={}", number(v)?);
-                crate::sand::Shape::named(&shape)?;
+                crate::sand::LegShape::named(&shape)?;
                 strips(d, |s| s.shape.clone_from(&shape));
                 Ok(())
             },

@@ -4,7 +4,7 @@
 use super::learn::{CHUNK, Chunk, Minibatches, Rollout};
 use super::loss::Weights;
 use super::mirror::Mirror;
-use super::network::{Layer, Networks, Shape};
+use super::network::{Layer, NetworkSizes, Networks};
 use crate::number::Isa;
 use rand::SeedableRng as _;
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -29,7 +29,7 @@ fn reflect(mirror: &Mirror, x: &[f64]) -> Vec<f64> {
 }
 
 fn outputs(networks: &Networks, p: &[f64], x: &[f64]) -> (Vec<f64>, f64) {
-    let Shape { actor, critic, .. } = &networks.shape;
+    let NetworkSizes { actor, critic, .. } = &networks.shape;
     let (own, value) = (through(actor, p, x.to_vec()), through(critic, p, x.to_vec())[0]);
     let Some([seen, done]) = &networks.mirror else { return (own, value) };
     let image = reflect(seen, x);
@@ -71,7 +71,7 @@ fn networks(mirrored: bool) -> Networks {
         Mirror { order: vec![1, 0, 2, 3], signs: vec![1.0, 1.0, -1.0, 1.0] },
         Mirror { order: vec![1, 0, 2], signs: vec![-1.0, -1.0, 1.0] },
     ];
-    let shape = Shape::new(OBSERVATION, ACTION, &[vec![7, 5], vec![6]]);
+    let shape = NetworkSizes::new(OBSERVATION, ACTION, &[vec![7, 5], vec![6]]);
     Networks { shape, mirror: mirrored.then_some(mirror), isa: Isa::choose().unwrap() }
 }
 

@@ -22,7 +22,7 @@ pub struct Layer {
 
 /// Sizes of both networks.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Shape {
+pub struct NetworkSizes {
     pub observation: usize,
     pub action: usize,
     pub actor: Vec<Layer>,
@@ -33,7 +33,7 @@ pub struct Shape {
     pub parameters: usize,
 }
 
-impl Shape {
+impl NetworkSizes {
     /// `hidden`: sizes of the hidden layers, of the actor and of the critic.
     pub fn new(observation: usize, action: usize, hidden: &[Vec<usize>; 2]) -> Self {
         let mut parameters = 0;
@@ -152,7 +152,7 @@ impl Stack {
 /// Both networks, without their parameters.
 #[derive(Clone, Debug)]
 pub struct Networks {
-    pub shape: Shape,
+    pub shape: NetworkSizes,
     /// The mirrors of observations and of actions.
     pub mirror: Option<[Mirror; 2]>,
     pub isa: Isa,

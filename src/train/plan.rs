@@ -3,7 +3,7 @@
 use super::adam::Adam;
 use super::kept::Kept;
 use super::mirror::Mirror;
-use super::network::{Networks, Shape};
+use super::network::{NetworkSizes, Networks};
 use super::normal::Normal;
 use super::settings::Settings;
 use crate::env::registry::Blueprint;
@@ -81,7 +81,7 @@ pub struct Report {
 impl Plan {
     pub fn new(blueprint: Blueprint, settings: Settings, seed: u64, threads: usize) -> Result<Self> {
         let spec = blueprint.task.spec();
-        let shape = Shape::new(spec.observation.len(), spec.action.len(), &settings.net_arch);
+        let shape = NetworkSizes::new(spec.observation.len(), spec.action.len(), &settings.net_arch);
         let mirror = settings.mirror.then(|| Mirror::both(spec)).transpose()?;
         let networks = Networks { shape, mirror, isa: Isa::choose()? };
         Ok(Self { blueprint, settings, networks, seed, threads: threads.max(1) })

@@ -1,7 +1,7 @@
 //! Poses of a robot's parts at one moment, and the sand's forces on them.
 
 use crate::number::Vec3;
-use crate::sand::{Contact, Ground, Site};
+use crate::sand::{Contact, SandBed, SegmentState};
 use crate::sim::frame::{Frame, M, V};
 use crate::sim::model::{Body, Plate};
 use crate::sim::{Model, State};
@@ -60,7 +60,7 @@ impl Pose {
     /// The forces are those of the sand at this moment's velocities, computed in `f64` by the engines' functions.
     /// `footing` is each leg's share of the stress, see [`crate::sim::engine::Engine::set_footing`]; None: 1.
     pub fn of(model: &Model, state: &State, footing: &[f64]) -> Self {
-        let ground: Ground<f64> = model.scene.ground();
+        let ground: SandBed<f64> = model.scene.ground();
         let base = Frame::base(state);
         let at = V::from(state.position);
         let mut pose = Self {
@@ -95,16 +95,17 @@ impl Pose {
     fn press_link(
         &mut self,
         model: &Model,
-        ground: &Ground<f64>,
+        ground: &SandBed<f64>,
         body: &Body,
         [rate, found]: [f64; 2],
         frame: &Frame,
         at: V,
     ) {
         let concave_leads = body.bulge * rate < 0.0;
-        let fill = ground.beyond.as_ref().filter(|_| concave_leads).map_or(0.0, |beyond| beyond.fill);
-        let plate =
-            |share: f64| move |site: &Site<f64>, area: f64, n, v| ground.thin_plate(site, area * share * found, n, v);
+        let fill = ground.mechanisms.as_ref().filter(|_| concave_leads).map_or(0.0, |mechanisms| mechanisms.fill);
+        let plate = |share: f64| {
+            move |site: &SegmentState<f64>, area: f64, n, v| ground.thin_plate(site, area * share * found, n, v)
+        };
         self.press(&body.plates, frame, at, plate(1.0 - fill));
         if model.scene.mechanisms.concave_fill > 0.0 {
             self.press(&body.chord, frame, at, plate(fill));
@@ -117,7 +118,7 @@ impl Pose {
         plates: &[Plate],
         frame: &Frame,
         at: V,
-        contact: impl Fn(&Site<f64>, f64, Vec3<f64>, Vec3<f64>) -> Contact<f64>,
+        contact: impl Fn(&SegmentState<f64>, f64, Vec3<f64>, Vec3<f64>) -> Contact<f64>,
     ) {
         let vector = |v: V| Vec3::new(v.x, v.y, v.z);
         self.loads.extend(plates.iter().map(|plate| {
@@ -125,7 +126,7 @@ impl Pose {
             let position = at + frame.origin + arm;
             let mut force = V::zeros();
             if position.z < 0.0 {
-                let site = Site::fresh(-position.z, position.x).travelling(self.travel);
+                let site = SegmentState::fresh(-position.z, position.x).travelling(self.travel);
                 let (normal, velocity) = (frame.rotation * plate.normal, frame.velocity_at(arm));
                 let pushed = contact(&site, plate.area, vector(normal), vector(velocity)).force;
                 force = V::new(pushed.x, pushed.y, pushed.z);

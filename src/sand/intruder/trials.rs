@@ -4,7 +4,7 @@ use super::{Body, Plate};
 use crate::error::{Error, Result, check_range};
 use crate::number::Vec3;
 use crate::parallel;
-use crate::{Ground, SandDescription, Site, Surface};
+use crate::{SandBed, SandDescription, SegmentState, Surface};
 
 /// Number of depths, from no part covered to all covered, at which the search for a load begins: our choice, 4 mm
 /// apart for a wheel of 125 mm.
@@ -132,7 +132,7 @@ const PARTS: [f64; 2] = [0.4, 1.0];
 
 /// A body in motion: its leading plates below some height, lowest first, in all positions of its turn.
 struct Motion<'a> {
-    ground: &'a Ground<f64>,
+    ground: &'a SandBed<f64>,
     pieces: Vec<Piece>,
     share: f64,
 }
@@ -147,7 +147,7 @@ struct Turns {
 /// Computes one trial.
 pub fn compute(body: &Body, sand: &SandDescription, trial: &Trial) -> Outcome {
     let medium = sand.medium();
-    let ground = Ground::new(sand.law, &medium, &Surface::BARE).with(&sand.mechanisms, &medium);
+    let ground = SandBed::new(sand.law, &medium, &Surface::BARE).with(&sand.mechanisms, &medium);
     let plain = sand.mechanisms.inertial_drag == 0.0 && sand.mechanisms.cohesion == 0.0;
     let turns = Turns::of(body, trial);
     let height = turns.heights[1] - turns.heights[0];
@@ -190,7 +190,7 @@ impl Turns {
 
 impl<'a> Motion<'a> {
     /// Makes pieces of the plates that begin below `surface` [m] above the origin.
-    fn new(body: &Body, ground: &'a Ground<f64>, trial: &Trial, turns: &Turns, surface: f64, plain: bool) -> Self {
+    fn new(body: &Body, ground: &'a SandBed<f64>, trial: &Trial, turns: &Turns, surface: f64, plain: bool) -> Self {
         let mut pieces = Vec::new();
         if turns.count == 1 {
             // The plates are sorted already.
@@ -244,7 +244,7 @@ impl<'a> Motion<'a> {
 impl Piece {
     /// The leading share of a plate: None where no part leads; where the leading edge crosses the plate, in
     /// proportion.
-    fn of(ground: &Ground<f64>, plate: &Plate, trial: &Trial, plain: bool) -> Option<Self> {
+    fn of(ground: &SandBed<f64>, plate: &Plate, trial: &Trial, plain: bool) -> Option<Self> {
         let (velocity, spin) = (Vec3::<f64>::splat(trial.velocity), Vec3::<f64>::splat(trial.spin));
         let v = velocity + spin.cross(plate.center);
         let speed = v.norm_squared().sqrt();
@@ -267,7 +267,7 @@ impl Piece {
         let toward = if leading < 1.0 { (along + uneven) / 2.0 } else { along.max(least) };
         let v = normal.scale_add(toward - along, v);
         let at = |depth| {
-            let site = Site::fresh(depth, plate.center.x).travelling([velocity.x, velocity.y]);
+            let site = SegmentState::fresh(depth, plate.center.x).travelling([velocity.x, velocity.y]);
             ground.thin_plate(&site, plate.area * leading, normal, v).force
         };
         let less = ground.grown(PROBES[0]);

@@ -5,7 +5,7 @@
 //! * [`agarwal2023`]: three-dimensional RFT: one universal polynomial, one number a medium.
 //!
 //! A law is a type that implements [`StressLaw`]. Hot loops take it as a type parameter and match on
-//! [`super::contact::Form`] once a loop, so a new law does not slow the others.
+//! [`super::contact::LawCoefficients`] once a loop, so a new law does not slow the others.
 
 pub mod agarwal2023;
 pub mod li2013;

@@ -12,7 +12,7 @@ use crate::proto::{
 };
 use crate::sand::intruder::{Body, BodyShape, Given, Trial as Motion, check_all, with_friction};
 use crate::sand::intrusion::Rotation;
-use crate::sand::{Law, Medium, SandDescription, Shape};
+use crate::sand::{Law, LegShape, Medium, SandDescription};
 use crate::sim::engine::EngineKind;
 use crate::sim::model::Scene;
 use crate::sim::walk::Trial;
@@ -87,7 +87,7 @@ fn robot(message: Option<proto::Robot>) -> Result<Robot> {
 }
 
 pub fn intrude(request: IntrudeRequest) -> Result<(Rotation, Sand)> {
-    let mut rotation = Rotation::of(Shape::named(&request.shape)?);
+    let mut rotation = Rotation::of(LegShape::named(&request.shape)?);
     rotation.chord = request.chord.unwrap_or(rotation.chord);
     rotation.width = request.width.unwrap_or(rotation.width);
     rotation.hip_height = request.hip_height.unwrap_or(rotation.hip_height);

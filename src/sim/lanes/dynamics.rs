@@ -15,7 +15,7 @@ use super::model::{LaneBody, LaneModel, LanePlate};
 use super::plane::{Field, Moments, PlaneForces};
 use crate::number::{Mat3, Real, Vec3};
 use crate::sand::law::StressLaw;
-use crate::sand::{Beyond, Form, Ground, Plain, Site};
+use crate::sand::{LawCoefficients, Plain, SandBed, SegmentState, StressModel};
 use crate::spatial::{Inertia, PointMasses, Symmetric, Twist, Wrench};
 
 /// State of the robots in one block, one lane each; see [`crate::State`].
@@ -170,11 +170,13 @@ fn belly<R: Real, const J: usize>(
     inertia: &mut Inertia<R>,
     bias: &mut Wrench<R>,
 ) {
-    match (&model.ground.form, &model.ground.beyond) {
-        (Form::Li2013(law), None) => belly_by(law, &Plain, model, base, travel, inertia, bias),
-        (form, None) => belly_by(form, &Plain, model, base, travel, inertia, bias),
-        (Form::Li2013(law), Some(beyond)) => belly_by(law, beyond, model, base, travel, inertia, bias),
-        (form, Some(beyond)) => belly_by(form, beyond, model, base, travel, inertia, bias),
+    match (&model.ground.law, &model.ground.mechanisms) {
+        (LawCoefficients::Li2013(law), None) => belly_by(law, &Plain, model, base, travel, inertia, bias),
+        (law, None) => belly_by(law, &Plain, model, base, travel, inertia, bias),
+        (LawCoefficients::Li2013(law), Some(mechanisms)) => {
+            belly_by(law, mechanisms, model, base, travel, inertia, bias)
+        }
+        (law, Some(mechanisms)) => belly_by(law, mechanisms, model, base, travel, inertia, bias),
     }
 }
 
@@ -182,7 +184,7 @@ fn belly<R: Real, const J: usize>(
 #[inline(always)]
 fn belly_by<R: Real, const J: usize>(
     law: &impl StressLaw<R>,
-    beyond: &impl Beyond<R>,
+    stress_model: &impl StressModel<R>,
     model: &LaneModel<R, J>,
     base: &Frame<R>,
     travel: &Travel<R>,
@@ -204,12 +206,12 @@ fn belly_by<R: Real, const J: usize>(
     for plate in &model.belly {
         let Some(depth) = submerged(&places, plate.center, travel.position.z) else { continue };
         wet = true;
-        let site = Site {
+        let site = SegmentState {
             width: plate.width,
-            ..Site::fresh(depth, travel.position.x + places.value(plate.center).x).travelling(travel.velocity)
+            ..SegmentState::fresh(depth, travel.position.x + places.value(plate.center).x).travelling(travel.velocity)
         };
         let velocity = velocities.value(plate.center);
-        let contact = model.ground.one_sided_by(law, beyond, &site, plate.area, normal, velocity);
+        let contact = model.ground.one_sided_by(law, stress_model, &site, plate.area, normal, velocity);
         forces.add(contact.force, plate.center);
         drag.add(contact.drag, plate.center);
         edge.add(contact.edge, plate.center);
@@ -268,7 +270,7 @@ fn link<R: Real, const J: usize>(
 /// forces, and the drags as masses.
 #[inline(always)]
 fn link_sand<R: Real>(
-    ground: &Ground<R>,
+    ground: &SandBed<R>,
     body: &LaneBody<R>,
     rate: R,
     places: &Field<R>,
@@ -276,25 +278,27 @@ fn link_sand<R: Real>(
     travel: &Travel<R>,
 ) -> (PlaneForces<R>, Moments<R>) {
     let mut total = (PlaneForces::zero(), Moments::zero());
-    let Some(beyond) = &ground.beyond else {
+    let Some(mechanisms) = &ground.mechanisms else {
         let plates = &body.plates;
-        match &ground.form {
-            Form::Li2013(law) => {
+        match &ground.law {
+            LawCoefficients::Li2013(law) => {
                 strip(law, &Plain, ground, plates, places, velocities, travel, R::one(), &mut total);
             }
-            form => strip(form, &Plain, ground, plates, places, velocities, travel, R::one(), &mut total),
+            law => strip(law, &Plain, ground, plates, places, velocities, travel, R::one(), &mut total),
         }
         return total;
     };
     let concave_leads = (body.bulge * rate).lt(R::zero());
-    let fill = R::select(concave_leads, beyond.fill, R::zero());
+    let fill = R::select(concave_leads, mechanisms.fill, R::zero());
     for (plates, share) in [(&body.plates, R::one() - fill), (&body.chord, fill)] {
         if !R::any(R::zero().lt(share)) {
             continue;
         }
-        match &ground.form {
-            Form::Li2013(law) => strip(law, beyond, ground, plates, places, velocities, travel, share, &mut total),
-            form => strip(form, beyond, ground, plates, places, velocities, travel, share, &mut total),
+        match &ground.law {
+            LawCoefficients::Li2013(law) => {
+                strip(law, mechanisms, ground, plates, places, velocities, travel, share, &mut total)
+            }
+            law => strip(law, mechanisms, ground, plates, places, velocities, travel, share, &mut total),
         }
     }
     total
@@ -305,8 +309,8 @@ fn link_sand<R: Real>(
 #[allow(clippy::too_many_arguments)] // all arguments stay in registers
 fn strip<R: Real>(
     law: &impl StressLaw<R>,
-    beyond: &impl Beyond<R>,
-    ground: &Ground<R>,
+    stress_model: &impl StressModel<R>,
+    ground: &SandBed<R>,
     plates: &[LanePlate<R>],
     places: &Field<R>,
     velocities: &Field<R>,
@@ -317,11 +321,11 @@ fn strip<R: Real>(
     for plate in plates {
         let Some(depth) = submerged(places, plate.center, travel.position.z) else { continue };
         let (normal, velocity) = (places.change(plate.normal), velocities.value(plate.center));
-        let site = Site {
+        let site = SegmentState {
             width: plate.width,
-            ..Site::fresh(depth, travel.position.x + places.value(plate.center).x).travelling(travel.velocity)
+            ..SegmentState::fresh(depth, travel.position.x + places.value(plate.center).x).travelling(travel.velocity)
         };
-        let contact = ground.thin_plate_by(law, beyond, &site, plate.area * share, normal, velocity);
+        let contact = ground.thin_plate_by(law, stress_model, &site, plate.area * share, normal, velocity);
         total.0.add(contact.force, plate.center);
         total.1.add(contact.drag, plate.center);
     }

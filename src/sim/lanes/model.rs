@@ -5,7 +5,7 @@ use crate::Model;
 use crate::error::{Error, Result};
 use crate::model::{Body, Plate, exact};
 use crate::number::{Real, Vec3};
-use crate::sand::Ground;
+use crate::sand::SandBed;
 
 type V = nalgebra::Vector3<f64>;
 type M = nalgebra::Matrix3<f64>;
@@ -55,7 +55,7 @@ pub struct LaneModel<R, const J: usize> {
     pub speed_limit: R,
     pub lag_limit: R,
     pub gravity: Vec3<R>,
-    pub ground: Ground<R>,
+    pub ground: SandBed<R>,
     /// The same in all lanes [s].
     pub dt: R,
 }

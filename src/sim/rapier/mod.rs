@@ -22,7 +22,7 @@ mod world;
 use super::command::Command;
 use super::frame::{Frame, V};
 use super::{Model, State};
-use crate::sand::Ground;
+use crate::sand::SandBed;
 pub(super) use sand::{Place, load_link};
 
 use contact::Shapes;
@@ -82,7 +82,7 @@ struct Robot {
     model: Model,
     /// Model that replaces the present one at the next `set_state`.
     next_model: Option<Model>,
-    ground: Ground<f64>,
+    ground: SandBed<f64>,
     /// Mass properties of the links with no sand on them.
     dry: Vec<MassProperties>,
     world: World,

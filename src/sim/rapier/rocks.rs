@@ -13,7 +13,7 @@ use super::sand::lanes;
 use super::world::World;
 use crate::frame::{M, V};
 use crate::model::Body;
-use crate::sand::{Ground, Site};
+use crate::sand::{SandBed, SegmentState};
 use crate::solid::{Pose, Solid};
 use crate::state::ObjectState;
 use crate::{Model, Obstacle, State};
@@ -39,7 +39,7 @@ const APPROACH: f64 = 2.0;
 /// Which objects stay fixed for the next `time` [s]: those that neither move nor fall, and that neither the robot
 /// nor a moving object can reach. If a robot pushes a rock against a resting one within that time, the resting one
 /// acts as fixed; at the next call it moves.
-pub fn resting(model: &Model, rocks: &[Rock], ground: &Ground<f64>, state: &State, time: f64) -> Vec<bool> {
+pub fn resting(model: &Model, rocks: &[Rock], ground: &SandBed<f64>, state: &State, time: f64) -> Vec<bool> {
     let slow = |(rock, object): (&Rock, &ObjectState)| {
         let (solid, mut after) = (&model.solids[rock.index], *object);
         rock.fall(solid, ground, model.gravity, model.scene.dt, &mut after);
@@ -84,7 +84,7 @@ impl Rock {
     }
 
     /// Gives `object` the velocities after a step of `dt` [s] under weight and sand alone.
-    pub fn fall(&self, solid: &Solid, ground: &Ground<f64>, gravity: V, dt: f64, object: &mut ObjectState) -> Wet {
+    pub fn fall(&self, solid: &Solid, ground: &SandBed<f64>, gravity: V, dt: f64, object: &mut ObjectState) -> Wet {
         let pose = Pose::new(object.position, object.orientation);
         let (velocity, omega) = (V::from(object.velocity), V::from(object.angular_velocity));
         let inertia = pose.rotation * self.inertia * pose.rotation.transpose();
@@ -102,7 +102,7 @@ impl Rock {
                 continue;
             }
             let normal = pose.rotation * facet.normal;
-            let site = Site::fresh(depth, pose.position.x + arm.x);
+            let site = SegmentState::fresh(depth, pose.position.x + arm.x);
             let contact = ground.one_sided(&site, facet.area, lanes(normal), lanes(velocity + omega.cross(&arm)));
             let push = V::new(contact.force.x, contact.force.y, contact.force.z);
             force += push;

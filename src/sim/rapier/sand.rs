@@ -9,7 +9,7 @@ use super::inertia::Masses;
 use crate::frame::{Frame, V};
 use crate::model::{Body, Plate};
 use crate::number::Vec3;
-use crate::sand::{Contact, Ground, Site};
+use crate::sand::{Contact, SandBed, SegmentState};
 
 /// Force [N] and moment [N·m] about the base's centre, world axes.
 #[derive(Clone, Copy, Debug)]
@@ -54,7 +54,7 @@ pub struct Place<'a> {
 }
 
 /// Sand under a base.
-pub fn load_belly(ground: &Ground<f64>, plates: &[Plate], at: &Place, dt: f64) -> Load {
+pub fn load_belly(ground: &SandBed<f64>, plates: &[Plate], at: &Place, dt: f64) -> Load {
     let mut load = Load::none();
     load.add(plates, at, dt, |site, area, normal, velocity| ground.one_sided(site, area, normal, velocity));
     load
@@ -62,9 +62,9 @@ pub fn load_belly(ground: &Ground<f64>, plates: &[Plate], at: &Place, dt: f64) -
 
 /// Sand on a link that turns at `rate` [rad/s]: on its strip, or in part on the straight chord where its concave side
 /// leads and fills.
-pub fn load_link(ground: &Ground<f64>, body: &Body, rate: f64, at: &Place, dt: f64) -> Load {
+pub fn load_link(ground: &SandBed<f64>, body: &Body, rate: f64, at: &Place, dt: f64) -> Load {
     let concave_leads = body.bulge * rate < 0.0;
-    let fill = ground.beyond.as_ref().filter(|_| concave_leads).map_or(0.0, |beyond| beyond.fill);
+    let fill = ground.mechanisms.as_ref().filter(|_| concave_leads).map_or(0.0, |mechanisms| mechanisms.fill);
     let mut load = Load::none();
     for (plates, share) in [(&body.plates, 1.0 - fill), (&body.chord, fill)] {
         if share > 0.0 {
@@ -85,7 +85,7 @@ impl Load {
         plates: &[Plate],
         at: &Place,
         dt: f64,
-        contact: impl Fn(&Site<f64>, f64, Vec3<f64>, Vec3<f64>) -> Contact<f64>,
+        contact: impl Fn(&SegmentState<f64>, f64, Vec3<f64>, Vec3<f64>) -> Contact<f64>,
     ) {
         let Place { frame, base, travel } = at;
         for plate in plates {
@@ -95,8 +95,10 @@ impl Load {
                 continue;
             }
             let (normal, velocity) = (frame.rotation * plate.normal, frame.velocity_at(arm));
-            let site =
-                Site { width: plate.width, ..Site::fresh(depth, base[0] + frame.origin.x + arm.x).travelling(*travel) };
+            let site = SegmentState {
+                width: plate.width,
+                ..SegmentState::fresh(depth, base[0] + frame.origin.x + arm.x).travelling(*travel)
+            };
             let contact = contact(&site, plate.area, lanes(normal), lanes(velocity));
             let mass = contact.drag * dt;
             let force = V::new(contact.force.x, contact.force.y, contact.force.z);

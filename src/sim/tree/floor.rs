@@ -215,7 +215,7 @@ impl<R: Real> Floor<R> {
 
     /// Decides which points are left out, held or sliding, from the bodies' `accelerations` in the first solution.
     #[inline(always)]
-    pub fn judge(&self, touches: &mut [Touch<R>], accelerations: &[Twist<R>], dt: R) {
+    pub fn classify(&self, touches: &mut [Touch<R>], accelerations: &[Twist<R>], dt: R) {
         let (zero, one) = (R::zero(), R::one());
         for t in touches {
             let after = accelerations[t.body].at(t.at).scale_add(dt, t.velocity);

@@ -41,7 +41,7 @@ struct Body {
     center: [f64; 3],
     /// xx, yy, zz, xy, xz, yz.
     inertia: [f64; 6],
-    shapes: Vec<Shape>,
+    shapes: Vec<PackedShape>,
     /// Centre, radius, friction, axis (zero: a ball).
     contacts: Vec<[f64; 8]>,
     /// Centre, normal, area, two half sides, two bends.
@@ -68,7 +68,7 @@ struct Joint {
 /// A shape that is not a mesh, for pictures.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Shape {
+struct PackedShape {
     name: String,
     origin: [f64; 7],
     kind: Kind,
@@ -245,7 +245,7 @@ fn joint_of(j: Joint) -> TreeJoint {
     }
 }
 
-fn shape(s: &TreeShape) -> Option<Shape> {
+fn shape(s: &TreeShape) -> Option<PackedShape> {
     let (kind, size) = match s.geometry {
         Geometry::Sphere { radius } => (Kind::Sphere, [radius, 0.0, 0.0]),
         Geometry::Capsule { radius, half_length } => (Kind::Capsule, [radius, half_length, 0.0]),
@@ -253,10 +253,10 @@ fn shape(s: &TreeShape) -> Option<Shape> {
         Geometry::Box { half } => (Kind::Box, half.into()),
         Geometry::Mesh(_) => return None,
     };
-    Some(Shape { name: s.name.clone(), origin: place(&s.origin), kind, size, friction: s.friction })
+    Some(PackedShape { name: s.name.clone(), origin: place(&s.origin), kind, size, friction: s.friction })
 }
 
-fn shape_of(s: Shape) -> TreeShape {
+fn shape_of(s: PackedShape) -> TreeShape {
     let [radius, half_length, _] = s.size;
     let geometry = match s.kind {
         Kind::Sphere => Geometry::Sphere { radius },

@@ -11,7 +11,7 @@ use super::patches::{BodyPatches, Facet, Patch};
 use super::terrain::Local;
 use crate::number::{Mat3, Real, Vec3};
 use crate::sand::law::{Normals, StressLaw};
-use crate::sand::{Beyond, Form, Ground, Plain, Site};
+use crate::sand::{LawCoefficients, Plain, SandBed, SegmentState, StressModel};
 use crate::spatial::{Inertia, PointMasses, Twist, Wrench};
 
 /// The sand's effect on a body: forces about the base's origin, and its drag as masses.
@@ -24,7 +24,7 @@ struct Total<R> {
 /// Adds the sand's forces on all bodies to their loads; `place` is the position of the base's origin.
 #[inline(always)]
 pub fn press<R: Real>(
-    ground: &Ground<R>,
+    ground: &SandBed<R>,
     bodies: &[BodyPatches],
     frames: &[Frame<R>],
     place: &Vec3<R>,
@@ -91,7 +91,7 @@ fn trust<R: Real>(frame: &Frame<R>, place: Vec3<R>) -> R {
 #[inline(always)]
 #[allow(clippy::too_many_arguments)] // all arguments stay in registers
 fn on_body<R: Real>(
-    ground: &Ground<R>,
+    ground: &SandBed<R>,
     plates: &BodyPatches,
     frame: &Frame<R>,
     velocity: &Twist<R>,
@@ -100,10 +100,12 @@ fn on_body<R: Real>(
     under: &Local<R>,
     dt: R,
 ) -> Option<Total<R>> {
-    match (&ground.form, &ground.beyond) {
-        (Form::Li2013(law), None) => by(law, &Plain, ground, plates, frame, velocity, place, travel, under, dt),
-        (form, None) => by(form, &Plain, ground, plates, frame, velocity, place, travel, under, dt),
-        (form, Some(beyond)) => by(form, beyond, ground, plates, frame, velocity, place, travel, under, dt),
+    match (&ground.law, &ground.mechanisms) {
+        (LawCoefficients::Li2013(law), None) => {
+            by(law, &Plain, ground, plates, frame, velocity, place, travel, under, dt)
+        }
+        (law, None) => by(law, &Plain, ground, plates, frame, velocity, place, travel, under, dt),
+        (law, Some(mechanisms)) => by(law, mechanisms, ground, plates, frame, velocity, place, travel, under, dt),
     }
 }
 
@@ -183,8 +185,8 @@ fn leading<R: Real>(patch: &Patch, own: &Own<R>, inverse_speed: R) -> Leading<R>
 #[allow(clippy::too_many_arguments)] // all arguments stay in registers
 fn by<R: Real>(
     law: &impl StressLaw<R>,
-    beyond: &impl Beyond<R>,
-    ground: &Ground<R>,
+    stress_model: &impl StressModel<R>,
+    ground: &SandBed<R>,
     plates: &BodyPatches,
     frame: &Frame<R>,
     velocity: &Twist<R>,
@@ -219,13 +221,16 @@ fn by<R: Real>(
         let at = frame.point(part.place * inverse);
         let normals = Normals::turned(part.normal * inverse, part.squares * inverse, part.products * inverse, &turn);
         let v = velocity.at(at);
-        let site = Site::fresh(part.load / part.area.max(tiny), place.x + at.x).travelling(travel);
+        let site = SegmentState::fresh(part.load / part.area.max(tiny), place.x + at.x).travelling(travel);
         let (growth, loaded) = (part.growth * inverse, part.deep * inverse);
         let (contact, normal) = match &axes {
-            None => (ground.leading_part_by(law, beyond, &site, part.area, loaded, &normals, v, growth), normals.unit),
+            None => {
+                (ground.leading_part_by(law, stress_model, &site, part.area, loaded, &normals, v, growth), normals.unit)
+            }
             Some(axes) => {
                 let v = axes.apply_transposed(v);
-                let mut contact = ground.leading_part_by(law, beyond, &site, part.area, loaded, &normals, v, growth);
+                let mut contact =
+                    ground.leading_part_by(law, stress_model, &site, part.area, loaded, &normals, v, growth);
                 contact.force = axes.apply(contact.force);
                 (contact, axes.apply(normals.unit))
             }

@@ -7,7 +7,7 @@ use super::relief::LaneRelief;
 use super::sand;
 use super::servo::{Joints, LaneMotor, LaneServo};
 use crate::number::{Real, Vec3};
-use crate::sand::Ground;
+use crate::sand::SandBed;
 use crate::spatial::Twist;
 use std::sync::Arc;
 
@@ -17,7 +17,7 @@ pub struct LaneTree<R> {
     pub motors: Vec<LaneMotor<R>>,
     pub patches: Arc<Vec<BodyPatches>>,
     pub contacts: Vec<BodyContacts>,
-    pub ground: Ground<R>,
+    pub ground: SandBed<R>,
     pub floor: Floor<R>,
     /// None: the surface is flat.
     pub relief: Option<LaneRelief>,
@@ -81,7 +81,7 @@ pub fn step<R: Real>(model: &LaneTree<R>, state: &mut LaneState<R>, scratch: &mu
         scratch.bare.copy_from_slice(&scratch.loads);
         model.floor.press(&scratch.touches, &mut scratch.loads, dt);
         solve(model, state, scratch);
-        model.floor.judge(&mut scratch.touches, &scratch.accelerations, dt);
+        model.floor.classify(&mut scratch.touches, &scratch.accelerations, dt);
         scratch.loads.copy_from_slice(&scratch.bare);
         model.floor.press(&scratch.touches, &mut scratch.loads, dt);
         solve(model, state, scratch);

@@ -3,7 +3,7 @@
 use super::*;
 use crate::number::{Portable, Real, Vec3};
 use crate::sand::intruder::{Body, BodyShape, Given, Plate, Trial, compute};
-use crate::sand::{Ground, Law, Mechanisms, Medium, SandDescription, Surface};
+use crate::sand::{Law, Mechanisms, Medium, SandBed, SandDescription, Surface};
 use crate::spatial::Twist;
 use crate::tree::dynamics::{Frame, Load};
 use crate::tree::patches::BodyPatches;
@@ -53,7 +53,7 @@ fn by_lanes<R: Real>(
     let plates: Vec<Plate> = plates.iter().map(back).collect();
     let surface = Surface { rest_speed: 1e-9, leading_edge_gate: gate, ..Surface::DEFAULT };
     let medium = sand.medium();
-    let ground = Ground::<R>::new(sand.law, &medium, &surface).with(&sand.mechanisms, &medium);
+    let ground = SandBed::<R>::new(sand.law, &medium, &surface).with(&sand.mechanisms, &medium);
     let mut frame = Frame::<R>::at_rest();
     let column = |k: usize| Vec3::splat(turn.matrix().column(k).into_owned().into());
     (frame.rotation.x, frame.rotation.y, frame.rotation.z) = (column(0), column(1), column(2));

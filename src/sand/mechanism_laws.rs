@@ -30,7 +30,7 @@ const TRAVEL_SPEED: f64 = 3e-4;
 
 /// What the mechanisms need of a segment besides its normal and velocity.
 #[derive(Clone, Copy)]
-pub struct Site<R> {
+pub struct SegmentState<R> {
     /// Depth below the surface, ≥ 0 [m].
     pub depth: R,
     /// Position in the bed [m]: x_bed + x in force logs, travelled distance in walking.
@@ -48,7 +48,7 @@ pub struct Site<R> {
     pub travel: [R; 2],
 }
 
-impl<R: Real> Site<R> {
+impl<R: Real> SegmentState<R> {
     /// On fresh ground, in steady motion.
     #[inline(always)]
     pub fn fresh(depth: R, x: R) -> Self {
@@ -65,10 +65,10 @@ impl<R: Real> Site<R> {
 
 /// Computes the stress on a segment from a law's stress per depth. Hot loops take it as a type parameter, so that
 /// plain theory does not pay for mechanisms.
-pub trait Beyond<R: Real> {
+pub trait StressModel<R: Real> {
     /// Force [N] on a segment of `area` [m²] with unit normal `n` and velocity `v`, from the law's stress per depth
     /// [N/m³]. Without a mechanism it has the bits of [`Plain`]: depth times area is computed first.
-    fn force(&self, per_depth: Vec3<R>, n: Vec3<R>, v: Vec3<R>, site: &Site<R>, area: R) -> Vec3<R>;
+    fn force(&self, per_depth: Vec3<R>, n: Vec3<R>, v: Vec3<R>, site: &SegmentState<R>, area: R) -> Vec3<R>;
 
     /// Factor on the law's force for a large piece whose parts lie at different depths: `mean` is their mean depth
     /// over the area, `loaded` the mean weighted by depth.
@@ -82,9 +82,9 @@ pub trait Beyond<R: Real> {
 #[derive(Clone, Copy)]
 pub struct Plain;
 
-impl<R: Real> Beyond<R> for Plain {
+impl<R: Real> StressModel<R> for Plain {
     #[inline(always)]
-    fn force(&self, per_depth: Vec3<R>, _n: Vec3<R>, _v: Vec3<R>, site: &Site<R>, area: R) -> Vec3<R> {
+    fn force(&self, per_depth: Vec3<R>, _n: Vec3<R>, _v: Vec3<R>, site: &SegmentState<R>, area: R) -> Vec3<R> {
         per_depth * (site.depth * area)
     }
 }
@@ -253,7 +253,7 @@ impl<R: Real> SandMechanisms<R> {
 
     /// Product of all factors on the depth-proportional stress.
     #[inline(always)]
-    fn factor(&self, v: Vec3<R>, site: &Site<R>) -> R {
+    fn factor(&self, v: Vec3<R>, site: &SegmentState<R>) -> R {
         let mut factor = site.footprint * self.scale;
         if self.active.packing_grad {
             factor = factor * self.packing.mul_add(site.x, R::one()).max(R::splat(LEAST_FACTOR));
@@ -266,7 +266,7 @@ impl<R: Real> SandMechanisms<R> {
     }
 }
 
-impl<R: Real> Beyond<R> for SandMechanisms<R> {
+impl<R: Real> StressModel<R> for SandMechanisms<R> {
     /// A power of depth p is computed at the depth weighted by depth. For a piece that reaches the surface this is
     /// 1.4 % off at p = 0.2; the mean depth would be 4 % off.
     #[inline(always)]
@@ -282,7 +282,7 @@ impl<R: Real> Beyond<R> for SandMechanisms<R> {
     /// The depth-proportional stress carries scale, packing, footprint, rate and the friction cap; inertia, added mass
     /// and cohesion push against the leading face in addition.
     #[inline(always)]
-    fn force(&self, per_depth: Vec3<R>, n: Vec3<R>, v: Vec3<R>, site: &Site<R>, area: R) -> Vec3<R> {
+    fn force(&self, per_depth: Vec3<R>, n: Vec3<R>, v: Vec3<R>, site: &SegmentState<R>, area: R) -> Vec3<R> {
         let along = n.dot(v);
         let slips = self.active.skid_loss || self.active.slip_bearing;
         let slip = if slips { slip(v, site.travel) } else { R::zero() };
@@ -392,15 +392,15 @@ fn tanh<R: Real>(x: R) -> R {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Ground;
+    use crate::SandBed;
     use crate::{Law, Medium, Surface};
 
-    fn ground() -> Ground<f64> {
-        Ground::new(Law::Li2013, &Medium::named("poppy-loose").unwrap(), &Surface::default())
+    fn ground() -> SandBed<f64> {
+        SandBed::new(Law::Li2013, &Medium::named("poppy-loose").unwrap(), &Surface::default())
     }
 
     fn stress(m: Mechanisms, v: [f64; 3]) -> Vec3<f64> {
-        let site = Site {
+        let site = SegmentState {
             depth: 0.03,
             x: 0.05,
             footprint: 1.0,
@@ -470,14 +470,14 @@ mod tests {
             friction_clip: 3.0,
             ..Default::default()
         };
-        let mut beyond = SandMechanisms::<Portable>::new(&Mechanisms::default(), 600.0);
-        beyond.set_lane(0, &every, 600.0);
+        let mut mechanisms = SandMechanisms::<Portable>::new(&Mechanisms::default(), 600.0);
+        mechanisms.set_lane(0, &every, 600.0);
         let medium = Medium::named("poppy-loose").unwrap();
-        let ground = Ground::<Portable>::new(Law::Li2013, &medium, &Surface::default());
+        let ground = SandBed::<Portable>::new(Law::Li2013, &medium, &Surface::default());
         let (n, v) = (Vec3::splat([0.6, 0.0, -0.8]), Vec3::splat([0.1, 0.02, -0.3]));
-        let site = Site::fresh(Portable::splat(0.013), Portable::splat(0.2));
+        let site = SegmentState::fresh(Portable::splat(0.013), Portable::splat(0.2));
         let plain = Plain.force(ground.stress(n, &ground.motion(v)), n, v, &site, Portable::splat(1.0));
-        let stress = beyond.stress(&ground, n, v, &site);
+        let stress = mechanisms.stress(&ground, n, v, &site);
         assert_ne!(stress.lane(0), plain.lane(0));
         assert_eq!(stress.lane(1), plain.lane(1));
     }
@@ -486,7 +486,7 @@ mod tests {
     #[test]
     fn nothing_pushes_in_the_air() {
         let every = Mechanisms { inertial_drag: 1.0, cohesion: 100.0, added_mass: 1.0, ..Default::default() };
-        let site = Site {
+        let site = SegmentState {
             depth: 0.0,
             x: 0.0,
             footprint: 1.0,

@@ -30,7 +30,7 @@ const INTERVAL: f64 = chi_squared::AT_95_PERCENT;
 
 /// Results on the exponent of the speed in a law.
 #[derive(Clone, Debug, Serialize, PartialEq)]
-pub struct Form {
+pub struct SpeedExponent {
     pub id: String,
     /// The law's own exponent.
     pub law: f64,
@@ -49,10 +49,10 @@ pub struct Form {
     pub objective: f64,
 }
 
-impl Form {
+impl SpeedExponent {
     /// A clause for the report's sentence; empty if the data agree with the law.
     pub fn said(&self) -> String {
-        let Form { id, law, found, ci95: [low, high], .. } = self;
+        let SpeedExponent { id, law, found, ci95: [low, high], .. } = self;
         if self.excluded {
             format!(
                 "; the data ask for the power {found:.2} of the speed (95 % interval {low:.2} to {high:.2}) where {id} has {law}"
@@ -72,14 +72,14 @@ impl Form {
 
 /// A law whose exponent can be tested.
 #[derive(Clone, Copy)]
-pub struct Asked {
+pub struct SpeedLaw {
     /// Index in the catalogue.
     id: usize,
     /// The law's own exponent.
     law: f64,
 }
 
-impl Asked {
+impl SpeedLaw {
     /// The first cause of `fit` that the study's model can predict with other exponents.
     pub fn of(study: &Study, fit: &Fit) -> Option<Self> {
         let laws = fit.ids.iter().filter_map(|&id| Some(Self { id, law: CATALOG[id].exponent? }));
@@ -93,7 +93,7 @@ impl Asked {
 }
 
 /// Scans the exponent of the given law about `fit`; `inflation` is the factor on χ² differences.
-pub fn check(study: &Study, fit: &Fit, Asked { id, law }: Asked, inflation: f64) -> Option<Form> {
+pub fn check(study: &Study, fit: &Fit, SpeedLaw { id, law }: SpeedLaw, inflation: f64) -> Option<SpeedExponent> {
     let fitted = |exponent: f64| {
         let model = study.model.with_exponent(id, exponent)?;
         Some(study.with_model(&*model).fit_near(fit))
@@ -118,7 +118,7 @@ pub fn check(study: &Study, fit: &Fit, Asked { id, law }: Asked, inflation: f64)
     let near = scan.iter().filter(|s| (s.0 - law).abs() <= SAME + 1e-9).map(|s| s.1).fold(f64::MAX, f64::min);
     let ci95 = within(&scan, objective, INTERVAL * inflation);
     let excluded = near - objective > EXCLUDED * inflation;
-    Some(Form {
+    Some(SpeedExponent {
         id: CATALOG[id].id.into(),
         law,
         found,
