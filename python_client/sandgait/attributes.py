@@ -40,4 +40,4 @@ def refusal(task: Task, name: str, value: Any) -> UnknownAttribute:
             f"sandgait.make_sb3: {name}={value!r}"
         )
     known = ", ".join(o.name for o in task.options if o.at_reset)
-    return UnknownAttribute(f"{name}: the simulation has nothing of this name; reset(options=...) takes {known}")
+    return UnknownAttribute(f"{name}: the simulation has no option of this name; reset(options=...) takes {known}")

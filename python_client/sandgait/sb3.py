@@ -172,7 +172,7 @@ def make(
 ) -> Environments:
     """Implements `sandgait.make_sb3`."""
     if "autoreset_mode" in options:
-        raise InvalidRequest("autoreset_mode: stable-baselines3 has only the one it has")
+        raise InvalidRequest("autoreset_mode: stable-baselines3 has a fixed one")
     envs = SandgaitVecEnv(SandgaitVectorEnv(task, num_envs, address, autoreset_mode="SAME_STEP", **options))
     if monitor is False:
         return envs

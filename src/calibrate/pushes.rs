@@ -380,15 +380,15 @@ fn cautions(study: &Pushes, pushes: &[Push]) -> Vec<String> {
     match (&study.size_exponent, &study.sizes[..]) {
         (Some(Value { value, interval: [low, high] }), [first, .., last]) if *low > 0.0 || *high < 0.0 => {
             cautions.push(format!(
-                "pressure goes with size to the power {value:.2} [{low:.2}, {high:.2}]: ζ of {:.0} mm is {:.2} times that of {:.0} mm, \
-                 so it does not carry over to feet of another size",
+                "pressure grows as size to the power {value:.2} [{low:.2}, {high:.2}]: ζ of {:.0} mm is {:.2} times that of {:.0} mm, \
+                 so it does not apply to feet of another size",
                 1e3 * last.diameter,
                 last.zeta / first.zeta,
                 1e3 * first.diameter
             ));
         }
         (None, [only]) => cautions.push(format!(
-            "one size only ({:.0} mm): whether ζ carries over to other sizes is not known",
+            "one size only ({:.0} mm): whether ζ applies to other sizes is not known",
             1e3 * only.diameter
         )),
         _ => (),

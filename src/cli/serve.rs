@@ -241,7 +241,7 @@ impl Security {
         match (&self.tls_self_signed, listen) {
             (Some(_), Address::Unix(_)) => return local("--tls-self-signed"),
             (Some(_), Address::Tcp(address)) if address.ip().is_unspecified() => {
-                let reason = format!("{listen} is no address that a client calls; listen on one that is");
+                let reason = format!("{listen} is not an address that clients can connect to; listen on another");
                 return Err(Error::invalid("--tls-self-signed", reason));
             }
             _ => {}

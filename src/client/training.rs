@@ -112,7 +112,7 @@ impl Session {
     }
 
     fn wrong(&self) -> Error {
-        Error::invalid(format!("server {}", self.place.address), "it answered something else than was asked")
+        Error::invalid(format!("server {}", self.place.address), "its answer does not match the request")
     }
 }
 

@@ -285,7 +285,7 @@ fn assemble(
     }
     let said = || {
         format!(
-            "{resting} of {rows} rows are left out: there the intruder rests, and resistive force theory says nothing of that"
+            "{resting} of {rows} rows are left out: there the intruder rests, and resistive force theory does not predict the force at rest"
         )
     };
     let notes = if resting > 0 { vec![said()] } else { Vec::new() };

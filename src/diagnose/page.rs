@@ -115,8 +115,8 @@ fn form(html: &mut String, r: &Report) {
     let said = match (form.excluded, form.told_apart) {
         _ if lacking => "other misfit remains, so the interval is too narrow",
         (true, _) => "the data exclude the law's",
-        (false, true) => "the data bear out the law's",
-        (false, false) => "the data do not tell the law's from others",
+        (false, true) => "the data agree with the law's",
+        (false, false) => "the data do not distinguish the law's from others",
     };
     let _ = write!(
         html,

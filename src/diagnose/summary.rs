@@ -23,7 +23,7 @@ pub fn summary(study: &Study, selection: Option<&Selection>, causes: &[Cause], w
             true => "repetitions are copies of each other, so their scatter is no noise floor",
             false => "no condition is repeated",
         };
-        return format!("{why}: without a noise floor nothing can be said");
+        return format!("{why}: without a noise floor there is no verdict");
     };
     let said = |c: &Cause| {
         let [value, low, high] = [c.value, c.ci95[0], c.ci95[1]].map(digits);
@@ -31,7 +31,9 @@ pub fn summary(study: &Study, selection: Option<&Selection>, causes: &[Cause], w
     };
     let found = causes.iter().map(said).collect::<Vec<_>>().join(" with ");
     let verdict = match selection.verdict {
-        Verdict::NoiseFloor => "no significant misfit: the plain model is as good as the data repeat themselves".into(),
+        Verdict::NoiseFloor => {
+            "no significant misfit: the plain model's error is within the scatter of the repetitions".into()
+        }
         Verdict::Named => format!("the misfit is explained by {found}{}", nearest_rival(selection)),
         Verdict::Ambiguous => {
             let rivals: Vec<_> =
@@ -87,7 +89,7 @@ fn stand_in(study: &Study, selection: &Selection) -> String {
         Some(_) => format!("; as a stand-in and not as the cause, {name} lowers the error {gain}"),
         None => {
             format!(
-                "; nothing surely helps: {name}, which does best, changes the error {gain}, so the sand stays plain"
+                "; no cause helps with certainty: {name}, which does best, changes the error {gain}, so the sand stays plain"
             )
         }
     }

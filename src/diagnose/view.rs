@@ -53,7 +53,7 @@ impl View<'_> {
         let set =
             self.selection.map_or(Vec::new(), |s| s.set.iter().map(|&k| names(&s.fitted.candidates[k].fit)).collect());
         let mut warnings: Vec<String> =
-            causes.iter().filter(|c| c.at_bound).map(|c| format!("{} sits at its bound", c.id)).collect();
+            causes.iter().filter(|c| c.at_bound).map(|c| format!("{} is at its bound", c.id)).collect();
         let extension = self.selection.and_then(extension);
         warnings.extend(extension.and_then(|c| far_coefficients(&c.fit)));
         let unfelt = extension.map(|c| c.fit.mechanisms.unfelt_by_walkers()).unwrap_or_default();
@@ -62,9 +62,7 @@ impl View<'_> {
         let form = self.selection.and_then(|s| s.judged.form.clone());
         let powers =
             best.iter().flat_map(|c| &c.fit.ids).filter(|&&id| form.is_none() && CATALOG[id].exponent.is_some());
-        notes.extend(
-            powers.map(|&id| format!("these data were not asked for another power of the speed in {}", CATALOG[id].id)),
-        );
+        notes.extend(powers.map(|&id| format!("no other power of the speed was tested in {}", CATALOG[id].id)));
         let channels = observations.channels.iter().zip(&self.noise.channels);
         Report {
             schema: "sandgait.diagnosis.v2",

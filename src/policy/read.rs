@@ -148,7 +148,7 @@ impl<'a> Reader<'a> {
         self.names
             .get(name.as_str())
             .map(Some)
-            .ok_or_else(|| wrong(node, format!("reads {name:?}, which nothing before it makes")))
+            .ok_or_else(|| wrong(node, format!("reads {name:?}, which no earlier node computes")))
     }
 
     /// Input `k` as a value that depends on the observation.

@@ -47,7 +47,7 @@ impl Seal {
             Some(_) if checksum() => Err("it has no seal, and this server takes only what is sealed with its key"),
             Some(_) => Err("its seal is wrong: it was made with another key, or changed since"),
             None if checksum() => Ok(()),
-            None => Err("it is damaged, or sealed with a key that this server has not: its checksum is wrong"),
+            None => Err("it is damaged, or sealed with a key that this server does not have: its checksum is wrong"),
         }
     }
 }

@@ -31,7 +31,7 @@ impl Refusal {
         match self {
             Self::Token => "a call without this server's token was refused",
             Self::Handshake => "a TLS handshake failed",
-            Self::Silent => "a connection was closed that did not begin to speak",
+            Self::Silent => "a connection was closed that sent no first bytes",
             Self::Connection => "a connection was closed: the limit is reached",
             Self::Accept => "cannot accept a connection",
             Self::Watcher => "a watcher was refused: the limit is reached",

@@ -76,9 +76,9 @@ impl StateDir {
             }
             let file = path.display();
             match load(&path, &sessions.seal).and_then(|saved| adopt(saved, sessions, pool)) {
-                Ok(session) => tracing::info!(session, "a session was taken up"),
+                Ok(session) => tracing::info!(session, "a session was restored"),
                 Err(error) => {
-                    tracing::error!(%file, %error, "a session could not be taken up; its file stays");
+                    tracing::error!(%file, %error, "a session could not be restored; its file stays");
                     continue;
                 }
             }

@@ -109,7 +109,7 @@ impl Environments {
         let mut building = Building::new(blueprint, envs)?;
         while building.missing() > 0 {
             if stopped() {
-                return Err(Error::Cancelled("nobody waits for the environments any more".into()));
+                return Err(Error::Cancelled("the caller does not wait for the environments any more".into()));
             }
             building.go_on(BUILDING)?;
         }

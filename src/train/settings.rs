@@ -136,7 +136,7 @@ impl Settings {
             "normalize" => self.normalize = flag(name, value)?,
             "mirror" => self.mirror = flag(name, value)?,
             "policy" if value == "MlpPolicy" => (),
-            "policy" => return Err(Error::invalid(name, format!("{value} is not MlpPolicy, which is all there is"))),
+            "policy" => return Err(Error::invalid(name, format!("{value} is not MlpPolicy, the only policy"))),
             "learning_rate" => self.learning_rate = schedule(name, value)?,
             "n_steps" => self.n_steps = whole(name, value, 1.0, MOST_SAMPLES as f64)? as usize,
             "batch_size" => self.batch_size = whole(name, value, 2.0, MOST_SAMPLES as f64)? as usize,

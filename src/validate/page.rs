@@ -13,18 +13,18 @@ type Measure = fn(&Pair) -> Option<[f64; 2]>;
 
 /// The text above the scoreboard.
 const INTRODUCTION: &str = "\
-Written by `sandgait validate --out DIR`; the numbers are computed, the words are not. *Not fitted* means that no number was
-fitted on the rows, though their maker had seen them; *left out* that a fit saw other slip angles, or other slips, of the same wheels; *fitted* is no prediction at all.
+Written by `sandgait validate --out DIR`. The numbers are computed; the text is fixed. *Not fitted* means that no number was
+fitted on the rows, although the model's authors knew them; *left out* that the fit used other slip angles, or other slips, of the same wheels; *fitted* is no prediction at all.
 
-What limits it: 3D-RFT loads each plate as if it were alone. A locked wheel sinks 20 mm deeper than predicted, because the sand
+Limits: 3D-RFT loads each plate as if it were alone. A locked wheel sinks 20 mm deeper than predicted, because the sand
 under it is carried away (`skid_loss`); a spinning one sinks less, because a smooth surface carries more than the law
 gives to a plate that moves along itself (`slip_bearing`); a side face that travels nearly along itself bears less than the law
-says (`graze_loss`). With these the oblique locked wheel stays worst. `depth_power` below 0 is no property of the sand: discs in it grow stiffer with
-depth and with size, so a file fitted on these wheels does not carry over to other sizes or loads. The grouser wheel is a
+says (`graze_loss`). With these mechanisms the oblique locked wheel still has the largest errors. A `depth_power` below 0 is not a property of the sand: the resistance of discs in it grows faster than
+depth and size, so a file fitted on these wheels does not apply to other sizes or loads. The grouser wheel is a
 cylinder of its tip radius with the friction of sand on sand; its rows at positive slip are not in the program, and
-neither the sinkage there nor the pull of its teeth has been compared with anything here.
+neither the sinkage there nor the pull of its grousers has been compared with measurements.
 
-Data of your own: a folder with a `validation.toml` as in `tests/data/real_wheel` (title, source, licence, and an
+For your own data make a folder with a `validation.toml` as in `tests/data/real_wheel` (title, source, licence, and an
 `[[intruder]]` table for each body: name, body, rows, sand, and fitted where there is one) and rows with the columns vx, vy, wy,
 depth, Fx, Fy, Fz, slip_angle_deg and slip; then `sandgait validate --data FOLDER --out DIR`.
 ";

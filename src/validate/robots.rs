@@ -89,7 +89,7 @@ pub fn text() -> Result<String> {
         let _ = writeln!(text, "| {name} | {program} | {count} | {:.0e} |", 100.0 * worst);
     }
     let floor: Floor = read(FLOOR)?;
-    text += "\nA quadruped on a hard floor, three seconds from its drop, beside MuJoCo 4.0 (feet give way by other laws there):\n\n\
+    text += "\nA quadruped on a hard floor, three seconds from its drop, beside MuJoCo 4.0 (whose contact law for feet differs):\n\n\
              | motion | moments | trunk off by at most [mm] |\n|---|---|---|\n";
     for (name, trots, rows) in [("stands", false, &floor.stand), ("trots", true, &floor.trot)] {
         let _ = writeln!(text, "| {name} | {} | {:.1} |", rows.len(), 1e3 * moved(&floor, trots, rows)?);

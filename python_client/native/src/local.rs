@@ -230,7 +230,7 @@ fn refused(loan: Loan, answer: Option<Answer>) -> PyErr {
         }
         other => {
             loan.end(other);
-            invalid("receive", "nothing of this kind was sent")
+            invalid("receive", "no request of this kind was sent")
         }
     }
 }

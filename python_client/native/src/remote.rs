@@ -185,7 +185,7 @@ pub struct Response(RunSessionResponse);
 
 impl Response {
     fn wrong(&self) -> PyErr {
-        raise(&Status::internal("the server answered something else than was asked"))
+        raise(&Status::internal("the server's answer does not match the request"))
     }
 
     fn part(&self) -> Option<&proto::RolloutPart> {

@@ -97,7 +97,7 @@ impl Compiler {
         };
         self.autolimits = flag(section, "autolimits")?.unwrap_or(self.autolimits);
         if let Some(other) = section.get("coordinate").filter(|c| *c != "local") {
-            return Err(section.wrong("coordinate", format!("{other:?} is not read: MuJoCo took it out in 2.3.4")));
+            return Err(section.wrong("coordinate", format!("{other:?} is not read: MuJoCo removed it in 2.3.4")));
         }
         if let Some(sequence) = section.get("eulerseq") {
             if sequence.chars().count() != 3 || !sequence.chars().all(|c| "xyzXYZ".contains(c)) {

@@ -45,7 +45,7 @@ pub fn robot(
             return Err(section.error(format!("<{}> is not simulated", section.children[0].tag)));
         }
         if tag == "tendon" {
-            notes.say("tendons are left out, and what they do");
+            notes.say("tendons are left out with their effects");
         }
         if !READ.contains(&tag) {
             notes.left_out(section);
@@ -152,7 +152,7 @@ impl Including<'_> {
             let path = self.files.find("", child.required("file")?).map_err(|e| child.error(e))?;
             // MuJoCo also includes each file only once.
             if !self.seen.insert(path.clone()) {
-                return Err(child.error("the file is included already: it would go in circles"));
+                return Err(child.error("the file is included already: a circular include"));
             }
             if self.seen.len() > MOST_FILES {
                 return Err(child.error(format!("more than {MOST_FILES} files")));

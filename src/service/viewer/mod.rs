@@ -67,7 +67,7 @@ async fn same_machine(request: Request, next: Next) -> Response {
     if plain == "localhost" || plain.parse::<IpAddr>().is_ok() {
         return next.run(request).await;
     }
-    (StatusCode::FORBIDDEN, "this page is asked for by an address or as localhost").into_response()
+    (StatusCode::FORBIDDEN, "request this page by an IP address or as localhost").into_response()
 }
 
 async fn show() -> impl IntoResponse {
