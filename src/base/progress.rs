@@ -1,4 +1,4 @@
-//! Progress reports of long work. Whoever receives them may stop the work.
+//! Progress reports of long work. Their receiver may stop the work.
 
 use crate::error::{Error, Result};
 use std::sync::{Mutex, MutexGuard, PoisonError};

@@ -30,8 +30,8 @@ const ROUNDS: usize = 12;
 /// From this step on a fit can be abandoned because it is far behind another; the first step may be short. Our
 /// choice.
 const HEAD_START: usize = 2;
-/// A fit is abandoned if this many more steps as large as its last would not make it the best: our choice; steps
-/// shrink.
+/// A fit is abandoned if its distance to the best is more than this many times the gain of its last step: our
+/// choice; gains shrink from step to step.
 const REACH: f64 = 4.0;
 
 /// A fitted model.
@@ -83,7 +83,7 @@ impl Study<'_> {
             own.sort_by(|a, b| a.objective.total_cmp(&b.objective));
             own.truncate(2);
             promising.push(own.len());
-            begun.extend(own); // behind the starts that are not sorted yet
+            begun.extend(own); // after the starts of the remaining sets
         }
         let mut fitted = self.refine(begun, ROUNDS, false).into_iter();
         let best = |count: usize| {

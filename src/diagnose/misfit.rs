@@ -117,7 +117,7 @@ fn add(
     }
 }
 
-/// The report locates an error in a range where it is this many times the least one of the same table: our choice.
+/// The report names a range if its error is this many times the smallest error of the same table: our choice.
 const UNEVEN: f64 = 1.25;
 /// An error counts as increasing or decreasing along a feature despite reversals by this share of its greatest
 /// size: our choice, for noise.

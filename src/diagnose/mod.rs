@@ -122,7 +122,7 @@ pub struct Measured {
     pub coefficient_sd: f64,
     /// Mechanisms of the sensor that may be named as causes.
     pub interest: Vec<String>,
-    /// Of the data file.
+    /// Checksum of the data file.
     pub sha256: String,
     /// Notes for the report on how the numbers were prepared.
     pub notes: Vec<String>,

@@ -78,8 +78,8 @@ pub fn sizes(observations: &Observations) -> Sizes {
     sizes_of(observations, &observations.values)
 }
 
-/// The same of other values than those measured. Where a model is near the data its own are the better ones: measured small where
-/// noise made them small, samples would count for more because of their noise, and every fit would come out low.
+/// The same for other values than the measured ones. Near the data a model's own sizes are better. With measured
+/// sizes, samples that noise has made small would get too much weight, and every fit would be too low.
 pub fn sizes_of(observations: &Observations, values: &[f64]) -> Sizes {
     let groups = observations.repetitions();
     let mut out = vec![Vec::new(); observations.units.len()];

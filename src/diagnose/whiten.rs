@@ -18,7 +18,7 @@ struct UnitFilter {
 #[derive(Clone)]
 pub struct Whitener {
     units: Vec<UnitFilter>,
-    /// Of what all units may have in common.
+    /// Whitening of an error that all units may share.
     whole: LowRank,
     /// Held-out numbers, which become 0.
     held: Vec<Range<usize>>,

@@ -27,17 +27,17 @@ const HIP_SPEED: f64 = 3.0 * TOP_SPEED;
 
 const ABOUT: &str = "\
 The robot starts at rest in the alternating tripod, its joints off by up to `angle_noise`; a speed is drawn from `command`
-and a yaw speed from `turn`, and both hold for the episode. `control` says how the hips are driven, always within `torque_limit` and, but for `torque`, 5 Hz.
+and a yaw speed from `turn`, and both hold for the episode. `control` selects how the hips are driven, always within `torque_limit` and, except for `torque`, 5 Hz.
 
 With `control=\"clock\"` an action is a gait: in the share *duty factor* of a stride a leg sweeps the angle *stance sweep*
-about *stance offset* (0: tip straight down) at one speed, in the rest it goes round at another, and each leg has its phase;
+about *stance offset* (0: tip straight down) at one speed, in the rest it turns on at another, and each leg has its phase;
 after the Buehler clock of RHex (Saranli, Buehler & Koditschek, Int. J. Robotics Research 20:616, 2001). Action 0 is the
-alternating tripod at one constant speed of 2.5 Hz. The clock is read off the servos' references, so an action may change at
-every step; common shifts of all phases do nothing. It does not walk backward.
+alternating tripod at one constant speed of 2.5 Hz. The clock is computed from the servos' references, so an action may change at
+every step; a common shift of all phases has no effect. A clock cannot walk backward.
 
-Velocities are paid for in the base's own heading: v_forward (`speed` in `info`) and v_left are the displacement of its centre
-over a control step along its heading on the surface and to the left of it, the heading halfway through the step, over the
-step's duration. `x_velocity` is the displacement along x, uphill.
+Rewards use velocities in the base's own heading. v_forward (`speed` in `info`) and v_left are the displacement of its centre
+in a control step, divided by the step's duration, along its heading on the surface and to the left of it. The heading is that
+halfway through the step. `x_velocity` is the displacement along x, uphill.
 
 An episode terminates when the base lies on its back (`flipped`) or its centre is 15 mm under the surface (`buried`); it is
 truncated after `max_episode_steps`, or when its state can no longer be computed (`diverged`).

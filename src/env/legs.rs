@@ -33,9 +33,9 @@ The robot starts at rest with its joints off by up to `angle_noise`; a speed is 
 `turn`, and both hold for the episode. Each servo's reference moves to its target within the control step, at 13 rad/s or
 less. `slope_deg` tilts the sand.
 
-Velocities are paid for in the base's own heading: v_forward (`speed` in `info`) and v_left are the displacement of its centre
-over a control step along its heading on the surface and to the left of it, the heading halfway through the step, over the
-step's duration. `x_velocity` is the displacement along x, uphill.
+Rewards use velocities in the base's own heading. v_forward (`speed` in `info`) and v_left are the displacement of its centre
+in a control step, divided by the step's duration, along its heading on the surface and to the left of it. The heading is that
+halfway through the step. `x_velocity` is the displacement along x, uphill.
 
 An episode terminates when the base lies on its back (`flipped`) or its centre is 15 mm under the surface (`buried`); it is
 truncated after `max_episode_steps`, or when its state can no longer be computed (`diverged`).

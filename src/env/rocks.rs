@@ -133,8 +133,8 @@ fn rock(radius: f64, random: &mut Random) -> ObstacleShape {
 
 const ABOUT: &str = "\
 HexapodGait on a field of obstacles that is drawn anew for every episode: rocks that are fixed in the sand, steps, and loose
-rocks that the robot pushes and the sand holds. The observation ends with a scan of heights around the base. Rigid contacts
-are rapier's; see HexapodGait-v1 for `control`, for how episodes end, and for the cost of transport.";
+rocks that the robot can push. The observation ends with a scan of heights around the base. Rigid contacts
+are computed by rapier; see HexapodGait-v1 for `control`, for how episodes end, and for the cost of transport.";
 
 /// The task; the parts it shares with HexapodGait are those of that task.
 pub struct HexapodRocks {

@@ -83,32 +83,32 @@ const IMPULSE: f64 = 20.0; // [N·s]
 const WORK: f64 = 20.0; // [J]
 
 const ABOUT: &str = "\
-A carriage moves one leg over the sand at a constant speed and height and measures the forces, as the paper's arm does; the
+A carriage moves one leg over the sand at a constant speed and height and measures the forces, like the arm of Li et al. 2012; the
 speeds of hip and knee are the action. One stroke is an episode. Forces are those of the sand's law on the leg's 24 segments;
 the leg has no mass, so only sand does work on it.
 
-**What is sought**: thrust per work. Thrust is the sand's mean forward force on the leg; work is what both joints
-give together, ∫Σ τ ω dt: what goes into the sand and into the carriage. The figure of merit is the *efficiency* of propulsion,
+**Goal**: thrust per work. Thrust is the sand's mean forward force on the leg; work is that of both joints
+together, ∫Σ τ ω dt, which goes into the sand and into the carriage. The figure of merit is the *efficiency* of propulsion,
 
 ```text
 efficiency = thrust impulse [N·s] × carriage speed [m/s] / work [J],
 ```
 
-the share of that work which pushes the carriage. It is thrust per work times a constant, has no unit, and cannot pass 1:
-sand only takes energy. Under a carriage that stands still thrust per work has no greatest value: the sand's forces do not
-depend on speed, so the same path at half the speed gives twice the impulse for the same work. A carriage that moves sets the
-speed that counts.
+the share of that work which pushes the carriage. It is thrust per work times a constant, has no unit, and cannot exceed 1,
+because sand only takes energy. Under a carriage at rest thrust per work would have no maximum: the sand's forces do not
+depend on speed, so the same path at half the speed gives twice the impulse for the same work. The speed of a moving carriage
+removes this freedom.
 
-**Constraint**: the mean lift over the whole stroke is at least `stroke.lift`, and the leg is out of the sand at the end. What
-is missing is paid for. The reward's terms are differences, so that the return is exactly
+**Constraint**: the mean lift over the whole stroke is at least `stroke.lift`, and the leg is out of the sand at the end. Violations
+are penalised. The reward's terms are differences, so that the return is exactly
 
 ```text
 efficiency − lift_weight · (share of the lift that is missing) − exit_weight · (depth at the end / 1 cm, at most 1)
 ```
 
-with the efficiency clipped to [−1, 1] and work counted as 1 mJ at least. The episode terminates with the stroke.
+with the efficiency clipped to [−1, 1] and a work of at least 1 mJ. The episode terminates with the stroke.
 
-**Baseline**: circular strokes: the knee locked, the hip at one speed; the best over knee angle, speed and where it starts
+**Baseline**: circular strokes: the knee locked, the hip at one speed; the best over knee angle, speed and start
 (`stroke.start`).";
 
 /// Computes one number of an observation from goal, state, last action and the stroke's length [s].
@@ -121,7 +121,7 @@ pub struct LegStroke {
     spec: Spec,
     observation: Features<Observe>,
     figures: Features<Figure>,
-    /// Of the joints [rad].
+    /// Ranges of the joints [rad].
     ranges: Vec<Option<[f64; 2]>>,
     /// Length of a stroke [s].
     duration: f64,

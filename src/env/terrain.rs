@@ -128,19 +128,19 @@ struct Draw {
 }
 
 const ABOUT: &str = "\
-HexapodGait on ground that nobody has told the policy about. At every reset the quantities in `randomize` are drawn from the
-episode's own random numbers and stand in `info` at every step; they change what the other options say (`zeta` and
+HexapodGait on ground that the policy does not observe. At every reset the quantities in `randomize` are drawn from the
+episode's own random numbers; `info` has them at every step. They change the values of other options (`zeta` and
 `torque_limit` multiply, `slope_deg` and `payload` add).
 
-**Media change along the way.** The bed is cut into patches of one length, each with a ζ of its own; after 16 patches they
-repeat. The sand in force is that of the patch under the base's centre, for all legs, and changes between control steps:
-patches are no shorter than the robot by default, and the engine holds one sand a robot.
+**Media vary along the way.** The bed is divided into patches of equal length, each with a ζ of its own; after 16 patches they
+repeat. All legs use the sand of the patch under the base's centre, which changes only between control steps:
+patches are by default at least as long as the robot, and the engine has one sand for each robot.
 
-**Ground is remembered.** Where a leg's tip went into the sand it leaves a print when it comes out; a leg that goes in at the
-distance d from the nearest print finds, for as long as it stands, 1 − κ e^(−d/3 cm) of fresh ground's stress (mechanism
-`footprint`; `info` has the mean over legs as `footing`). The last 512 prints count, whichever leg made them. The belly leaves
-none. Beyond `turning_point` from where it started, in the direction along x of its first command, the commanded speed turns
-round, and again when the robot is back, so it walks over its own prints; slipping the other way turns nothing. A clock does not walk backward: give it a far `turning_point`.
+**Footprints.** When a leg's tip leaves the sand, there is a footprint where it entered. If a leg enters at the
+distance d from the nearest footprint, its stress is 1 − κ e^(−d/3 cm) of that on fresh ground until it leaves the sand (mechanism
+`footprint`; `info` has the mean over legs as `footing`). The last 512 footprints of all legs count. The belly leaves
+none. Beyond `turning_point` from the start, in the direction along x of the first command, the commanded speed changes its
+sign, and again when the robot is back, so it walks over its own footprints. Slipping the other way does not change the command. A clock cannot walk backward: use a far `turning_point`.
 
 **Curriculum.** `difficulty` from 0 to 1 scales the ranges of ζ, slope, payload, motors and κ from nothing to all of
 `randomize`; a reset may change both. See HexapodGait-v1 for `control`, for how episodes end, and for the cost of transport.";
@@ -204,7 +204,7 @@ impl Task for HexapodTerrain {
         let mut spec = gait.spec().clone();
         spec.id = Self::ID;
         spec.about = ABOUT;
-        spec.summary = spec.summary.replace("on sand", "over sand that changes and remembers");
+        spec.summary = spec.summary.replace("on sand", "over sand that varies and keeps footprints");
         spec.info.extend(figures.columns());
         Ok(Self { gait, spec, figures })
     }

@@ -1,8 +1,8 @@
-//! The one number trait the hot path is written against.
+//! The number trait of the hot path.
 //!
-//! Sand laws and the articulated-body dynamics are generic over [`Real`], so each equation stands in the
-//! source once and runs as `f64` (the reference), as `f32`, or as a vector of `f32` lanes in which lane `i`
-//! carries environment `i` (structure of arrays).
+//! Sand laws and the articulated-body dynamics are generic over [`Real`], so each equation is in the source once
+//! and runs as `f64` (the reference), as `f32`, or as a vector of `f32` lanes in which lane `i` carries environment
+//! `i` (structure of arrays).
 
 use sandgait_base::error;
 

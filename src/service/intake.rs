@@ -48,7 +48,7 @@ pub struct Intake {
     shares: Arc<Semaphore>,
     /// [bytes]
     room: usize,
-    /// Of one message [bytes].
+    /// Largest message [bytes].
     largest: usize,
 }
 

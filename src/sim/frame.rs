@@ -13,7 +13,7 @@ pub struct Frame {
     pub rotation: M,
     /// [m]
     pub origin: V,
-    /// Of the origin [m/s].
+    /// Velocity of the origin [m/s].
     velocity: V,
     /// [rad/s]
     pub angular_velocity: V,

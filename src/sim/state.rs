@@ -44,7 +44,7 @@ pub struct ObjectState {
     pub position: [f64; 3],
     /// Unit quaternion w, x, y, z: own frame to world.
     pub orientation: [f64; 4],
-    /// Of the centre of mass [m/s].
+    /// Velocity of the centre of mass [m/s].
     pub velocity: [f64; 3],
     /// [rad/s]
     pub angular_velocity: [f64; 3],

@@ -23,9 +23,9 @@ pub struct Segment<'a> {
 /// The sand on a segment.
 #[derive(Clone, Copy, Debug)]
 pub struct Load {
-    /// Of the segment's centre in the world [m].
+    /// Position of the segment's centre in the world [m].
     pub position: V,
-    /// Of the sand on the segment, in the world's axes [N]; zero outside the sand.
+    /// Force of the sand on the segment, in the world's axes [N]; zero outside the sand.
     pub force: V,
 }
 

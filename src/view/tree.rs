@@ -114,7 +114,7 @@ pub(super) fn quad(plate: &Plate, frame: &Isometry3<f64>, before: f64) -> [[V; 3
     if out { [[a, b, c], [a, c, d]] } else { [[a, c, b], [a, d, c]] }
 }
 
-/// Of a round profile along z: (distance from the axis, height), from below.
+/// Triangles of a round shape from its profile along z: (distance from the axis, height), from below.
 fn turned(profile: &[[f64; 2]]) -> Vec<[V; 3]> {
     let at = |[r, z]: [f64; 2], k: usize| {
         let (sin, cos) = (TAU * (k % SIDES) as f64 / SIDES as f64).sin_cos();

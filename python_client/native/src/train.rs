@@ -26,7 +26,8 @@ pub struct Asked<'py> {
     place: Option<Address>,
 }
 
-/// Folder, steps, seconds, the learning curve as (steps, seconds, return), the score as JSON, and all of it as text.
+/// Folder, steps, seconds, the learning curve as (steps, seconds, return), the score as JSON, and all results as
+/// text.
 type Learnt = (PathBuf, u64, f64, Vec<(u64, f64, f64)>, String, String);
 
 /// Trains a gait. `told` is called with the finished share and the stage. Ctrl-C and an exception of `told` end the

@@ -43,7 +43,7 @@ const ABOUT: &str = "\
 The robot starts in its default pose, joints off by up to `angle_noise`, just over the ground. An action is an offset of each
 joint's target from its default position, times `action_scale`; a servo at each joint (the file's gains, or kp = torque limit / 1 rad and kd =
 kp / 40 s⁻¹) follows it. Commands are drawn from `commands` at the start and every `resampling_time`; those below 0.2 m/s are
-zero. `domain_rand` says what else is drawn for an episode, and how often the base is pushed.
+zero. `domain_rand` has the other quantities that an episode draws, and how often the base is pushed.
 
 Names and laws of reward terms, their weights, and the order of the observation are those of legged_gym (Rudin et al. 2022) and
 of Isaac Lab's velocity tasks; as there, each term counts its weight a second. A foot is in contact when it is in the ground, and a
@@ -53,10 +53,10 @@ a negative sum of rewards is not cut at zero, and actions end at ±1 (hence an `
 An episode terminates when the base has tilted by more than 60° (`bad_orientation`) or, on `rigid` ground, touches it
 (`base_contact`); it is truncated after `max_episode_steps`, or when its state can no longer be computed (`diverged`).
 
-On ground with heights (`relief`, or ground `dunes`) an episode begins anywhere; `measure_heights` adds legged_gym's
-`measured_heights`, the base's height over 17 × 11 points less 0.5 m, within ± 1 m. A slope's sand is pushed along its own surface.
+On ground with heights (`relief`, or ground `dunes`) an episode begins at a random position; `measure_heights` adds legged_gym's
+`measured_heights`, the base's height over 17 × 11 points less 0.5 m, within ± 1 m. On a slope, depth and forces refer to the sand's own surface.
 
-Speeds beyond about 0.5 m/s of what is in the sand are outside of what resistive force theory was measured for.";
+Resistive force theory was measured for segments up to about 0.5 m/s in the sand; faster ones are extrapolated.";
 
 /// The arguments of an observation's functions.
 struct Observed<'a> {

@@ -10,7 +10,7 @@ use serde::de::DeserializeOwned;
 use serde_json::Value;
 use std::ops::RangeInclusive;
 
-/// A value whose type determines its checks.
+/// The value of an option; its type determines the checks.
 pub trait OptionValue {
     /// Refuses values that deserialisation accepts but the option does not.
     fn check(&self, _name: &str) -> Result<()> {

@@ -41,7 +41,7 @@ pub enum Group {
     Froude,
     /// |z|/w, w the width across the plane of motion
     DepthOverWidth,
-    /// Grain diameter over w; 0 where nobody gives it.
+    /// Grain diameter over w; 0 where it is not given.
     GrainOverWidth,
     /// Curvature times w; 0 of flat pieces, as all pieces of the engines are.
     Curvature,

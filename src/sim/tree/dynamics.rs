@@ -27,7 +27,7 @@ pub struct LaneBody<R> {
 /// Position and motion of a robot, one lane each.
 #[derive(Clone)]
 pub struct Motion<R> {
-    /// Of the base: quaternion w and (x, y, z).
+    /// Orientation of the base: quaternion w and (x, y, z).
     pub orientation: (R, Vec3<R>),
     /// Velocity of the base, linear part at its origin.
     pub velocity: Twist<R>,

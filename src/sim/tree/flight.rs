@@ -27,7 +27,7 @@ pub struct Accelerations {
     pub a: [f64; 3],
     /// Angular acceleration of the base [rad/s²], world axes.
     pub alpha: [f64; 3],
-    /// Of the joints, in the order of [`Tree::joints`] [rad/s² or m/s²].
+    /// Accelerations of the joints, in the order of [`Tree::joints`] [rad/s² or m/s²].
     pub qdd: Vec<f64>,
 }
 

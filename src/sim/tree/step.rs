@@ -29,7 +29,7 @@ pub struct LaneTree<R> {
 /// See [`crate::State`].
 #[derive(Clone)]
 pub struct LaneState<R> {
-    /// Of the base link's origin.
+    /// Position of the base link's origin.
     pub position: Vec3<R>,
     /// Origin of x and y, for ground that varies with position [m].
     pub travelled: [R; 2],

@@ -13,7 +13,7 @@ pub struct Local<R> {
 }
 
 impl<R: Real> Local<R> {
-    /// Of a point of the world below it [m].
+    /// Depth of a point of the world below the plane [m].
     #[inline(always)]
     pub fn depth(&self, p: Vec3<R>) -> R {
         self.normal.dot(self.point - p)
