@@ -77,7 +77,7 @@ use report::{Curves, Diagnosis, Untestable};
 use select::{Asked, select};
 use std::path::Path;
 use study::Study;
-use view::{View, extension};
+use view::View;
 use walking_model::WalkingModel;
 use whiten::Whitener;
 
@@ -167,7 +167,7 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
     progress.report(0.95, "report")?;
     let view = View { study: &study, source: &source, noise: &noise, selection: selection.as_ref(), floor };
     let report = view.report(untestable, sha256, notes);
-    let extension = selection.as_ref().and_then(extension);
+    let extension = selection.as_ref().and_then(select::Selection::extension);
     let mut sand = SandDescription::plain(model.medium());
     if let Some(fit) = extension.map(|c| &c.fit) {
         sand.name = format!("{}-extended", sand.name);

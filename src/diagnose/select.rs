@@ -45,6 +45,15 @@ impl Selection {
         others.filter(|(_, r)| r.explains).map(|(c, r)| (c, r.squared.sqrt()))
     }
 
+    /// The candidate in the extended model: the cause that was found; or else, if misfit remains, the candidate that
+    /// fits best, provided that the choices without the held-out conditions predict these better with certainty. It
+    /// is then a proxy and not a cause.
+    pub fn extension(&self) -> Option<&Candidate> {
+        let helps = self.plain_errors().reduction_interval(&self.judged.nested[1].errors)[0] > 0.0;
+        let proxy = || self.fitted.best().filter(|_| self.judged.evidence.found && helps);
+        self.best().or_else(|| (self.verdict == Verdict::NoneOfThese).then(proxy).flatten())
+    }
+
     /// Errors of the plain model on held-out conditions.
     pub fn plain_errors(&self) -> &Errors {
         &self.fitted.plain_held_out.errors

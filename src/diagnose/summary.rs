@@ -7,7 +7,6 @@ use super::select::Selection;
 use super::speed_exponent::SpeedExponent;
 use super::study::Study;
 use super::verdict::Verdict;
-use super::view::extension;
 use super::words::{after, digits};
 use crate::sand::mechanism::CATALOG;
 
@@ -84,7 +83,7 @@ fn stand_in(study: &Study, selection: &Selection) -> String {
         digits(now),
         100.0 * (1.0 - now / before)
     );
-    match extension(selection) {
+    match selection.extension() {
         None if now >= before => "; none of them predicts conditions held out better than the plain model".into(),
         Some(_) => format!("; as a stand-in and not as the cause, {name} lowers the error {gain}"),
         None => {

@@ -18,15 +18,6 @@ use crate::sand::mechanism::CATALOG;
 use crate::sand::term::On;
 use crate::student;
 
-/// The candidate in the extended model: the cause that was found; or else, if misfit remains, the candidate that
-/// fits best, provided that the choices without the held-out conditions predict these better with certainty. It is
-/// then a proxy and not a cause.
-pub fn extension(selection: &Selection) -> Option<&Candidate> {
-    let helps = selection.plain_errors().reduction_interval(&selection.judged.nested[1].errors)[0] > 0.0;
-    let proxy = || selection.fitted.best().filter(|_| selection.judged.evidence.found && helps);
-    selection.best().or_else(|| (selection.verdict == Verdict::NoneOfThese).then(proxy).flatten())
-}
-
 /// The inputs of a report.
 pub struct View<'a> {
     pub study: &'a Study<'a>,
@@ -54,7 +45,7 @@ impl View<'_> {
             self.selection.map_or(Vec::new(), |s| s.set.iter().map(|&k| names(&s.fitted.candidates[k].fit)).collect());
         let mut warnings: Vec<String> =
             causes.iter().filter(|c| c.at_bound).map(|c| format!("{} is at its bound", c.id)).collect();
-        let extension = self.selection.and_then(extension);
+        let extension = self.selection.and_then(Selection::extension);
         warnings.extend(extension.and_then(|c| far_coefficients(&c.fit)));
         let unfelt = extension.map(|c| c.fit.mechanisms.unfelt_by_walkers()).unwrap_or_default();
         warnings.extend(unfelt.into_iter().map(|line| format!("sand.toml: {line}")));
@@ -139,7 +130,7 @@ impl View<'_> {
 
     /// The final fit: the extension, or the fitted plain model.
     fn standing(&self) -> Option<&Candidate> {
-        self.selection.map(|s| extension(s).unwrap_or(&s.fitted.base))
+        self.selection.map(|s| s.extension().unwrap_or(&s.fitted.base))
     }
 
     /// Values of nuisances that all data share, and sizes of those that each trial and bed has of its own.
@@ -172,7 +163,7 @@ impl View<'_> {
         let (selection, standing) = (self.selection?, self.standing()?);
         let evidence = &selection.judged.evidence;
         let o = self.study.observations;
-        let extends = extension(selection).is_some();
+        let extends = selection.extension().is_some();
         let of_law = selection.law.as_ref().map(|l| lack_of_fit::statistic(o, &l.fit.white));
         let lack = of_law.as_ref().unwrap_or(&selection.judged.lacks[usize::from(extends)]);
         let significant = selection.screened.gates.lacking(lack);
@@ -258,7 +249,7 @@ impl View<'_> {
         };
         let plain = selection.plain_errors();
         let [base, chosen] = selection.law.as_ref().map_or(&selection.judged.nested, |l| &l.nested);
-        let extends = extension(selection).is_some() || selection.law.is_some();
+        let extends = selection.extension().is_some() || selection.law.is_some();
         let extended = if extends { &chosen.errors } else { plain };
         let (before, after, floor) = (plain.rmse(), extended.rmse(), self.floor.rmse());
         // If the plain model's error is hardly larger than the scatter, a share of their difference has no meaning.
@@ -300,7 +291,8 @@ impl View<'_> {
         let simulated = |prediction: &[f64]| self.study.model.as_simulated(prediction);
         let plain = simulated(&self.study.plain().prediction);
         let law = self.selection.and_then(|s| s.law.as_ref()).map(|l| &l.fit);
-        let extended = self.selection.and_then(extension).map(|c| &c.fit).or(law).map(|f| simulated(&f.prediction));
+        let extended =
+            self.selection.and_then(Selection::extension).map(|c| &c.fit).or(law).map(|f| simulated(&f.prediction));
         let groups = o.repetitions();
         let row = |(condition, units): (usize, &Vec<usize>), c: usize| {
             let mean = |stack: &[f64]| {

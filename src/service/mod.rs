@@ -8,7 +8,8 @@
 //! requests.
 //! * [`metrics`]: counters; [`pages`]: HTTP/1 for metrics and the live page.
 //! * [`sessions`]: the environments of clients, and the limits; [`state`]: sessions that outlive their server.
-//! * [`stream`]: one RunSession stream, request by request; [`rollout`]: the request of many steps.
+//! * [`stream`]: one RunSession stream, request by request; [`work`]: the work of one request; [`rollout`]: the request of many
+//!   steps.
 //! * [`view`]: requests for pictures and moments; [`viewer`]: the page that follows sessions.
 //! * [`studies`]: the offline tools, one at a time.
 //! * [`dm_env_rpc`]: the same environments for DeepMind's protocol.
@@ -56,6 +57,7 @@ mod values;
 mod view;
 mod viewer;
 mod wire;
+mod work;
 
 /// Generated from `proto/sandgait/v1/` by `make proto`; `tests/generated.rs` checks that it is current.
 pub mod proto {

@@ -4,7 +4,7 @@
 use super::proto;
 use super::proto::RunSessionResponse;
 use super::proto::run_session_response::Response;
-use super::stream::Work;
+use super::work::Work;
 use super::{decode, encode};
 use crate::error::Result;
 use crate::pool::{Batch, Operation, Pool, Roll};

@@ -10,7 +10,7 @@ use super::contact::ContactPoint;
 use super::dynamics::{Frame, Load};
 use super::hard::HardGround;
 use super::model::TreeModel;
-use super::terrain::Local;
+use super::terrain::Surface;
 use crate::number::{Real, Vec3};
 use crate::spatial::{Twist, Wrench};
 
@@ -231,15 +231,6 @@ impl<R: Real> Floor<R> {
             t.hold = R::select(slides, zero, self.hold(most, along));
         }
     }
-}
-
-/// The ground's surface.
-pub trait Surface<R> {
-    /// Is it level everywhere?
-    fn is_flat(&self) -> bool;
-
-    /// The surface below or above a point of the world.
-    fn under(&self, point: Vec3<R>) -> Local<R>;
 }
 
 /// Two directions perpendicular to a normal that points up.

@@ -1,7 +1,6 @@
 //! Ground that is not flat: a field of heights, smooth between its nodes.
 
-use super::floor::Surface;
-use super::terrain::{Flat, Local};
+use super::terrain::{Flat, Local, Surface};
 use crate::error::{Error, Result, check_range};
 use crate::number::{Real, Vec3};
 use std::f64::consts::TAU;

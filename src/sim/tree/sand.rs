@@ -6,9 +6,8 @@
 //! the sand.
 
 use super::dynamics::{Frame, Load};
-use super::floor::Surface;
 use super::patches::{BodyPatches, Facet, Patch};
-use super::terrain::Local;
+use super::terrain::{Local, Surface};
 use crate::number::{Mat3, Real, Vec3};
 use crate::sand::law::{Normals, StressLaw};
 use crate::sand::{LawCoefficients, Plain, SandBed, SegmentState, StressModel};

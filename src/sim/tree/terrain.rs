@@ -1,7 +1,15 @@
 //! The ground's surface near a point: a plane.
 
-use super::floor::Surface;
 use crate::number::{Real, Vec3};
+
+/// The ground's surface.
+pub trait Surface<R> {
+    /// Is it level everywhere?
+    fn is_flat(&self) -> bool;
+
+    /// The surface below or above a point of the world.
+    fn under(&self, point: Vec3<R>) -> Local<R>;
+}
 
 /// The tangent plane of the surface.
 #[derive(Clone, Copy)]
