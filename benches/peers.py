@@ -1,9 +1,10 @@
-"""sandgait beside its peers, in one run on this machine.
+"""Compares sandgait with its peers, in one run on this machine.
 
 usage: python benches/peers.py [--binary BINARY] [--robot robots/sandcat.xml] [--seconds 2] [--repeats 5]
 
 Measured in turn, each on one pinned core and then on all of this machine's cores, so that drift of the machine's
-speed meets everybody: `sandgait bench` (whole environment steps, sand included), EnvPool Ant-v5, gymnasium's Ant-v5 in
+speed affects all alike: `sandgait bench` (whole environment steps, sand included), EnvPool Ant-v5, gymnasium's
+Ant-v5 in
 a SyncVectorEnv, and MuJoCo's bare `mj_step` of the same hexapod, without any sand, at the same 0.5 ms time step.
 A robot from a file (MJCF) on a hard floor, random actions: LeggedVelocity at its own time step, `mj_step` at 2 ms; a
 step of both is 20 ms.
@@ -114,7 +115,7 @@ def mujoco_floor(robot: Path) -> Callable[[float, int], float]:
 
 
 def ant_steps(pool: Any, envs: int, seconds: float) -> float:
-    """Of a vector of Ants, with random actions drawn beforehand."""
+    """Speed of a vector of Ants, with random actions drawn beforehand."""
     import numpy as np
 
     actions = np.random.default_rng(0).uniform(-1, 1, (16, envs, 8))
@@ -138,7 +139,7 @@ def envpool_ant(seconds: float, cores: int) -> float:
 
 
 def gymnasium_ant(seconds: float, _cores: int) -> float:
-    """SyncVectorEnv uses one core whatever there is."""
+    """SyncVectorEnv uses one core on any machine."""
     import gymnasium
 
     envs = 16

@@ -1,4 +1,4 @@
-"""Train a hexapod to walk on sand with PPO or SAC, and compare it with gaits that need no learning.
+"""Train a hexapod to walk on sand with PPO or SAC, and compare it with gaits without learning.
 
     python examples/train.py                                   # HexapodGait with PPO, five minutes on two cores
     python examples/train.py --task HexapodLegs --seconds 300 --out runs/legs
@@ -7,7 +7,7 @@
     python examples/train.py --options '{"slope_deg": 10}' --start-from runs/HexapodGait-ppo --out runs/slope
     tensorboard --logdir runs
 
-Settings stand in examples/hyperparameters/, one file an algorithm and one entry a task. The output directory gets
+Settings are in examples/hyperparameters/, one file an algorithm and one entry a task. The output directory gets
 policy.zip, policy.onnx, normalize.pkl, settings.json, curve.csv, curve.png, evaluation.txt, checkpoints/, videos/ and
 tensorboard/.
 """
@@ -108,7 +108,7 @@ def main() -> None:
     about = {name: getattr(arguments, name) for name in ("task", "algorithm", "seed", "options", "address")}
     made_by = {**provenance(), **about, "hyperparameters": settings}
     write_settings(out, made_by)
-    torch.set_num_threads(1)  # networks this small are slower on several
+    torch.set_num_threads(1)  # networks this small are slower on several threads
     training = prepare(
         arguments.algorithm,
         arguments.id,

@@ -27,11 +27,12 @@ pub struct Asked<'py> {
     place: Option<Address>,
 }
 
-/// Folder, steps, seconds, the learning curve as (steps, seconds, return), the score as JSON, and all of it as text.
+/// Folder, steps, seconds, the learning curve as (steps, seconds, return), the score as JSON, and all results as
+/// text.
 type Learnt = (PathBuf, u64, f64, Vec<(u64, f64, f64)>, String, String);
 
-/// Learns a gait. `told` is called with the share done and what is done now. Ctrl-C and what `told` raises end the training,
-/// which leaves a checkpoint first.
+/// Trains a gait. `told` is called with the finished share and the stage. Ctrl-C and an exception of `told` end the
+/// training, which leaves a checkpoint first.
 #[pyfunction]
 #[pyo3(signature = (asked, told))]
 pub fn train(py: Python<'_>, asked: Asked<'_>, told: Option<&Bound<'_, PyAny>>) -> PyResult<Learnt> {
