@@ -5,13 +5,13 @@
 //! * [`spec`]: observation, action and info tables; they generate vectors, replies, Python spaces and docs.
 //! * [`task`]: the trait a task implements; [`registry`]: the list of tasks.
 //! * [`options`]: how a task declares its keywords, [`feature`]: the numbers of its rows, [`reward`]: its reward's
-//! terms.
+//!   terms.
 //! * [`locomotion`], [`walking`]: the parts that walking tasks share; [`gait`]: the task HexapodGait, [`legs`]:
-//! HexapodLegs, [`rocks`]: HexapodRocks.
+//!   HexapodLegs, [`rocks`]: HexapodRocks.
 //! * [`terrain`]: the task HexapodTerrain; [`ground`]: its patches and footprints; [`stroke`]: the task LegStroke.
 //! * [`legged`]: the task LeggedVelocity, of any robot from a file.
 //! * [`control`]: control modes of hips; [`clock`]: the mode with a gait's parameters as action;
-//! [`reference`](mod@reference): how the servos' references move.
+//!   [`reference`](mod@reference): how the servos' references move.
 //! * [`shard`]: environments that advance together on one engine; reset, step, autoreset.
 //! * [`snapshot`]: episodes as data; [`rollout`]: many steps in one call.
 //! * [`look`]: one environment for viewers.

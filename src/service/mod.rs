@@ -5,7 +5,7 @@
 //! * [`address`]: where to listen; [`server`]: serving until told to stop.
 //! * [`connections`]: incoming connections and their limits; [`refusals`]: the sampled log of refusals.
 //! * [`security`]: TLS and the token; [`gate`]: the layer around all calls; [`rate`]: the limit of a peer's
-//! requests.
+//!   requests.
 //! * [`metrics`]: counters; [`pages`]: HTTP/1 for metrics and the live page.
 //! * [`sessions`]: the environments of clients, and the limits; [`state`]: sessions that outlive their server.
 //! * [`stream`]: one RunSession stream, request by request; [`work`]: the work of one request; [`rollout`]: the request of many
@@ -14,7 +14,7 @@
 //! * [`studies`]: the offline tools, one at a time.
 //! * [`dm_env_rpc`]: the same environments for DeepMind's protocol.
 //! * [`intake`]: the memory of requests; [`frame`], [`wire`]: requests whose size is checked before they are
-//! unpacked.
+//!   unpacked.
 //! * [`decode`], [`encode`], [`values`]: messages from and to the crate's types.
 //! * [`status`]: the map from errors to gRPC codes.
 

@@ -13,7 +13,7 @@
 //!
 //! Two properties of the published fit that users should know, both tested in `tests/laws_of_sand.rs`:
 //! * a plate drawn upward can gain energy: in 0.08 % of all pairs of directions, at most 0.006 ξ_n of stress per
-//! depth   along the motion, and more than 0.001 ξ_n only where it is nearly horizontal (β < 12°);
+//!   depth   along the motion, and more than 0.001 ξ_n only where it is nearly horizontal (β < 12°);
 //! * across a vertical plate, where β jumps from π/2 to −π/2, α jumps by up to 0.05 ξ_n.
 
 use super::{Motion, Normals, StressLaw};

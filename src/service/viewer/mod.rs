@@ -9,7 +9,7 @@
 //! Sessions have their names of logs and lists here, never their ids. Watching changes nothing.
 //!
 //! * [`watchers`]: the watchers of each environment; [`frames`]: their data. The thread that steps only copies the
-//! state.
+//!   state.
 
 mod frames;
 pub mod watchers;

@@ -5,15 +5,15 @@
 //! base's frame is the one its file gives it (URDF: the root link's, MJCF: the free body's).
 //!
 //! * [`model`]: the same ready for an engine: motors, plates, points of contact; [`hard`]: hard ground as a user
-//! describes it.
+//!   describes it.
 //! * [`engine`]: lanes of such robots; [`step`]: one time step.
 //! * [`dynamics`]: accelerations of a tree, over any number; [`flight`]: those in free flight, for checks.
 //! * [`servo`]: motors, bearings and stops; [`sand`]: sand on plates; [`floor`]: hard ground under points.
 //! * [`contact`]: the points; [`terrain`]: the ground's surface near a point, [`relief`]: a surface that is not
-//! flat.
+//!   flat.
 //! * [`stance`]: the standing pose and the feet; [`packed`]: a robot as one text.
 //! * [`plates`]: collision shapes as the plates that push on sand, [`patches`]: plates with nearly the same normal,
-//! gathered; [`robot`]: our own robots as trees.
+//!   gathered; [`robot`]: our own robots as trees.
 
 pub mod contact;
 pub mod dynamics;
