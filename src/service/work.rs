@@ -107,7 +107,7 @@ mod tests {
     use super::*;
     use crate::env::registry::Blueprint;
     use crate::pool::Seal;
-    use crate::sessions::Limits;
+    use crate::sessions::{Limits, Sessions};
     use serde_json::Value;
     use tokio_util::sync::CancellationToken;
     use tonic::Code;
