@@ -233,6 +233,14 @@ def last_checkpoint(out: Path) -> Path:
     return max(found, key=steps_of)
 
 
+def other_training(folder: Path) -> Path:
+    """`folder` if it holds what a training starts from."""
+    for name in ("policy.zip", "normalize.pkl"):
+        if not (folder / name).is_file():
+            raise BadSettings(f"--start-from: no {name} in {folder}")
+    return folder
+
+
 def create(
     kind: type[BaseAlgorithm], env: VecNormalize, settings: dict[str, Any], seed: int, log: Path
 ) -> BaseAlgorithm:
@@ -261,15 +269,21 @@ def prepare(
     address: str | None,
     options: dict[str, Any],
     checkpoint: Path | None,
+    start_from: Path | None = None,
 ) -> Training:
-    """A new training, or the one in `out` continued from a checkpoint."""
+    """A new training, or the one in `out` continued from a checkpoint; `start_from` gives a new one its policy."""
     timed = Timed(sandgait.make_sb3(task, int(settings["n_envs"]), address, **options))
     kind = ALGORITHMS[algorithm]
     curve: list[Row] = []
     if checkpoint is None:
         flag = bool(settings["normalize"])
         normalized = VecNormalize(timed, norm_obs=flag, norm_reward=flag, gamma=settings["gamma"])
+        if start_from is not None:
+            normalized = VecNormalize.load(str(start_from / "normalize.pkl"), timed)
+            normalized.training = True
         model = create(kind, normalized, settings, seed, out / "tensorboard")
+        if start_from is not None:
+            model.set_parameters(str(start_from / "policy.zip"), device="cpu")
     else:
         steps = steps_of(checkpoint)
         normalized = VecNormalize.load(str(checkpoint.with_name(f"model_vecnormalize_{steps}_steps.pkl")), timed)

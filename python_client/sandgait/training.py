@@ -63,6 +63,7 @@ def train(
     hyperparameters: FilePath | None = None,
     settings: Mapping[str, Any] | None = None,
     resume: bool = False,
+    start_from: FilePath | None = None,
     checkpoint_every: int = 1_000_000,
     threads: int = 0,
     address: str | None = None,
@@ -75,8 +76,9 @@ def train(
     has the same bits each time).
     `hyperparameters`: a file in the format of rl-zoo3, none: the program's own; `settings`: replace values of the
     file.
-    `resume`: go on from the last checkpoint in `out`. `threads`: 0 is one a processor. `address`: simulate on that
-    server. `options`: as for `gymnasium.make`.
+    `resume`: go on from the last checkpoint in `out`. `start_from`: begin with what another training has learnt, its
+    policy.safetensors (same task, observation and actions). `threads`: 0 is one a processor. `address`: simulate on
+    that server. `options`: as for `gymnasium.make`.
 
     Ctrl-C, and an exception of `progress`, end the training at once and leave a checkpoint.
     """
@@ -90,6 +92,7 @@ def train(
         "timesteps": timesteps,
         "out": None if out is None else Path(out),
         "resume": resume,
+        "start_from": None if start_from is None else Path(start_from),
         "checkpoint_every": checkpoint_every,
         "threads": threads,
         "place": _place(address),

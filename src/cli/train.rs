@@ -28,6 +28,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
   sandgait train --task HexapodLegs --seed 1 --out runs/legs
   sandgait train --option leg=C --option slope_deg=5 --set gamma=0.97 --seconds 30
   sandgait train --resume --seconds 120              (go on from the last checkpoint in the directory)
+  sandgait train --option slope_deg=10 --start-from runs/HexapodGait-fast/policy.safetensors --out runs/slope
   sandgait train --timesteps 2000000                 (the same to the bit each time: no clock ends it)
   sandgait train --address sand.lab:50051 --ca ca.pem --token-file token    (environments on a server)")]
 pub struct Train {
@@ -58,6 +59,9 @@ pub struct Train {
     /// Go on from the last checkpoint in the directory
     #[arg(long)]
     resume: bool,
+    /// Begin with another training's networks: its policy.safetensors or a checkpoint; same task, observation and actions
+    #[arg(long, value_name = "FILE.safetensors", conflicts_with = "resume")]
+    start_from: Option<PathBuf>,
     /// Steps between two checkpoints
     #[arg(long, value_name = "STEPS", default_value_t = 1_000_000)]
     checkpoint_every: u64,
@@ -89,6 +93,8 @@ pub struct Training {
     pub timesteps: Option<u64>,
     pub out: Option<PathBuf>,
     pub resume: bool,
+    /// What another training has learnt, to begin with.
+    pub start_from: Option<PathBuf>,
     pub checkpoint_every: u64,
     /// 0: one a processor.
     pub threads: usize,
@@ -127,6 +133,7 @@ impl Train {
             timesteps: self.timesteps,
             out: self.out,
             resume: self.resume,
+            start_from: self.start_from,
             checkpoint_every: self.checkpoint_every,
             threads: self.threads,
             place: place.transpose()?,
@@ -174,6 +181,7 @@ impl Training {
             seed: self.seed,
             threads: if self.threads == 0 { parallel::processors() } else { self.threads },
             resume: self.resume,
+            start_from: self.start_from,
             checkpoint_every: self.checkpoint_every.max(1),
             connect: self.place.map(connected),
         })

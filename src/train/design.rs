@@ -305,11 +305,7 @@ fn one(plan: &Plan, record: &Record, before: Option<&Learnt>, told: &Told) -> Re
         told.advance(1.0)?;
         return Ok((Trained { onnx: onnx(plan, &learnt), steps: learnt.steps, chosen_by }, learnt));
     }
-    let mut learnt = plan.begin();
-    if let Some(before) = before {
-        learnt.parameters.clone_from(&before.parameters);
-        learnt.normal.clone_from(&before.normal);
-    }
+    let learnt = before.map_or_else(|| plan.begin(), |before| plan.begin_from(before));
     let mut so_far = 0.0;
     let learnt = plan.run(learnt, None, &mut |_: &Learnt, report: &Report| {
         let more = report.done - so_far;

@@ -102,6 +102,11 @@ impl Plan {
         }
     }
 
+    /// The networks and the normalization of `other`, and nothing else of it.
+    pub fn begin_from(&self, other: &Learnt) -> Learnt {
+        Learnt { parameters: other.parameters.clone(), normal: other.normal.clone(), ..self.begin() }
+    }
+
     /// Random numbers for purpose `what` in update `update`.
     pub(crate) fn random(&self, update: u64, what: u64) -> Xoshiro256PlusPlus {
         Xoshiro256PlusPlus::seed_from_u64(self.noise(update, what))

@@ -37,6 +37,8 @@ pub struct Request {
     pub out: PathBuf,
     /// Continue from the last checkpoint there?
     pub resume: bool,
+    /// Begin with the networks and the normalization of another training's checkpoint; not with `resume`.
+    pub start_from: Option<PathBuf>,
     /// Steps between two checkpoints.
     pub checkpoint_every: u64,
     /// Environments on a server, instead of this process.
@@ -61,9 +63,17 @@ impl Request {
         let options = self.options()?;
         let blueprint = Blueprint::new(&self.task, options.clone())?;
         let plan = Plan::new(blueprint, self.settings.clone(), self.seed, self.threads)?;
-        let saved = match self.resume {
-            true => checkpoint::load(&checkpoint::last(&self.out)?, &plan, self.connect.is_some())?,
-            false => checkpoint::Saved { learnt: plan.begin(), open: [0.0; 2], anew: None },
+        let away = self.connect.is_some();
+        let saved = match (self.resume, &self.start_from) {
+            (true, Some(_)) => {
+                return Err(Error::invalid("start_from", "resume goes on from the training's own checkpoint"));
+            }
+            (true, None) => checkpoint::load(&checkpoint::last(&self.out)?, &plan, away)?,
+            (false, Some(other)) => {
+                let learnt = plan.begin_from(&checkpoint::load(other, &plan, away)?.learnt);
+                checkpoint::Saved { learnt, open: [0.0; 2], anew: None }
+            }
+            (false, None) => checkpoint::Saved { learnt: plan.begin(), open: [0.0; 2], anew: None },
         };
         let checkpoint::Saved { learnt, open, anew } = saved;
         let mut remote = match &self.connect {
