@@ -5,7 +5,7 @@
 //! `legged_robot.py`) and the velocity tasks of Isaac Lab (Mittal et al. 2023; `velocity_env_cfg.py`).
 //!
 //! * [`options`]: its options; [`draws`]: the ranges that an episode draws from; [`episode`]: the values that an
-//!   episode has drawn and updates;   [`reward`]: the terms.
+//!   episode has drawn and updates; [`reward`]: the terms.
 
 mod draws;
 pub mod episode;
