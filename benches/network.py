@@ -110,7 +110,7 @@ def delayed(address: str, delay: float) -> Iterator[str]:
     """The address of a relay to `address` that holds every byte for `delay` seconds, each way."""
     host, port = address.rsplit(":", 1)
     listener = socket.create_server(("127.0.0.1", 0))
-    # Spawned: a fork would copy this process's threads' locks.
+    # A new process by spawn, because a fork would copy locks that other threads of this process hold.
     process = multiprocessing.get_context("spawn").Process(
         target=relay, args=(listener, (host, int(port)), delay), daemon=True
     )

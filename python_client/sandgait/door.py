@@ -47,7 +47,7 @@ class Door(Protocol):
 
     @property
     def owes(self) -> bool:
-        """Is an answer pending, or available (also again)?"""
+        """Is an answer pending, or still kept from the last request?"""
 
     def send_reset(
         self, seeds: Sequence[int] | None, mask: npt.NDArray[np.bool_] | None, options: Mapping[str, Any]

@@ -134,7 +134,7 @@ class Session:
 
     @property
     def owes(self) -> bool:
-        """Is an answer pending, or available (also again)?"""
+        """Is an answer pending, or still kept from the last request?"""
         return bool(self._unanswered) or self._last is not None
 
     def send_reset(

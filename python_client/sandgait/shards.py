@@ -114,7 +114,7 @@ class Shards:
 
     @property
     def owes(self) -> bool:
-        """Is an answer pending, or available (also again)?"""
+        """Is an answer pending, or still kept from the last request?"""
         return any(door.owes for door in self._doors)
 
     def save(self) -> list[bytes]:

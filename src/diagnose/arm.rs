@@ -362,8 +362,8 @@ struct Place {
     origin: [f64; 2],
     turn: (f64, f64),
     velocity: [f64; 2],
-    /// Angular velocity and acceleration. Of the latter only the tangential part counts: the normal turns with the leg, so the
-    /// centripetal part does not change v·n.
+    /// Angular velocity and acceleration. Only the tangential part of the acceleration changes v·n, because the
+    /// normal turns with the leg.
     spin: f64,
     change: [f64; 2],
     spin_up: f64,

@@ -136,7 +136,7 @@ impl Environments {
         }
     }
 
-    /// Is an answer pending, or available (also again)?
+    /// Is an answer pending, or still kept from the last request?
     pub fn owes(&self) -> bool {
         let slot = self.shared.lock();
         slot.answer.is_some() || matches!(slot.place, Place::Away)

@@ -180,7 +180,7 @@ impl Local {
         }
     }
 
-    /// Is an answer pending, or available (also again)?
+    /// Is an answer pending, or still kept from the last request?
     #[getter]
     fn owes(&self) -> bool {
         self.environments.owes()

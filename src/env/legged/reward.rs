@@ -19,7 +19,7 @@ const OUTER: f64 = 0.05;
 
 /// The bodies that touch the ground.
 pub struct Contacts {
-    /// In the order of the stance's feet.
+    /// Contact of each foot, in the order of the stance's feet.
     pub feet: Vec<bool>,
     pub base: bool,
     /// Other bodies.

@@ -111,7 +111,7 @@ const FEWEST_TURNS: usize = 48;
 const MOST_TURNS: usize = 384;
 const MOST_TURNED: usize = 2_500_000;
 
-/// Number of positions of a body `along` plates long, in `plates` plates.
+/// Number of positions in a period, for a body of `plates` plates, `along` of them along its longest side.
 fn turns(along: f64, plates: usize) -> usize {
     let most = (MOST_TURNED / plates.max(1)).clamp(FEWEST_TURNS, MOST_TURNS);
     ((TURNS * along).round() as usize).clamp(FEWEST_TURNS, most)
