@@ -1,7 +1,7 @@
-"""Speed from Python: whole `step` calls in this process, or with `--isolated` through a server on a Unix socket, beside
-`sandgait bench`.
+"""Speed from Python: whole `step` calls in this process, or with `--isolated` through a server on a Unix socket,
+compared with `sandgait bench`.
 
-`own` is what a step call costs beyond the simulation.
+`own` is the time of a step call beyond the simulation.
 
 usage: python benches/client.py [--envs 1 32 256 4096] [--seconds 2] [--isolated] [--json]
 """

@@ -5,8 +5,8 @@ usage: python benches/network.py [--servers 1 2] [--envs 256 4096] [--delays 0 0
     client ── [relay that holds every byte for a delay] ── veth link ── namespace: sandgait serve, pinned to a core
 
 Needs root, for the namespaces; they, their links and their servers are gone when this ends. The relay stands in for
-`tc netem`, which not every kernel has; it takes processor time of its own, so the row with a delay of 0 is what others
-are to be compared with. The rounds interleave all rows of a table.
+`tc netem`, which not every kernel has; it takes processor time of its own, so other rows must be compared with the
+row with a delay of 0. The rounds interleave all rows of a table.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from shards import ID, speed
 import sandgait
 from sandgait import server
 
-#: Of the range that RFC 2544 sets aside for measurements: server k has 198.18.k.2, this side of its link 198.18.k.1.
+#: From the range that RFC 2544 reserves for measurements: server k has 198.18.k.2, this side of its link 198.18.k.1.
 NETWORK = "198.18"
 
 PORT = 50051
@@ -48,7 +48,7 @@ def ip(*arguments: str) -> None:
 
 @contextlib.contextmanager
 def namespace(k: int) -> Iterator[str]:
-    """A network namespace with one link, to here."""
+    """A network namespace with one link to this process's namespace."""
     name, near, far = f"sandgait-{os.getpid()}-{k}", f"sg{os.getpid()}n{k}", f"sg{os.getpid()}f{k}"
     ip("netns", "add", name)
     try:
@@ -110,7 +110,7 @@ def delayed(address: str, delay: float) -> Iterator[str]:
     """The address of a relay to `address` that holds every byte for `delay` seconds, each way."""
     host, port = address.rsplit(":", 1)
     listener = socket.create_server(("127.0.0.1", 0))
-    # Spawned: a fork would copy this process's threads' locks.
+    # A new process by spawn, because a fork would copy locks that other threads of this process hold.
     process = multiprocessing.get_context("spawn").Process(
         target=relay, args=(listener, (host, int(port)), delay), daemon=True
     )
@@ -138,7 +138,7 @@ class Whole:
 
 
 class Halves:
-    """Two batches of half the environments: while one is on its way or simulated, the other's rows are looked at."""
+    """Two batches of half the environments: while one is in transit or simulated, the other's rows are read."""
 
     def __init__(self, envs: int, addresses: list[str]) -> None:
         self.halves = [sandgait.SandgaitVectorEnv(ID, envs // 2, addresses) for _ in range(2)]
@@ -193,13 +193,13 @@ def round_trip(addresses: list[str]) -> float:
 
 
 class Row(NamedTuple):
-    """What one way of playing one number of environments gave."""
+    """Results of one way of stepping one number of environments."""
 
     servers: int
     envs: int
     way: str
     batch: str
-    #: Of a step of one environment a server [s].
+    #: Time of a step of one environment a server [s].
     round_trip: float
     #: Environment steps a second, one a round.
     speeds: list[float]

@@ -1,10 +1,13 @@
-"""sandgait beside its peers, in one run on this machine.
+"""Compares sandgait with its peers, in one run on this machine.
 
-usage: python benches/peers.py [--binary target/release/sandgait] [--seconds 2] [--repeats 5]
+usage: python benches/peers.py [--binary BINARY] [--robot robots/sandcat.xml] [--seconds 2] [--repeats 5]
 
 Measured in turn, each on one pinned core and then on all of this machine's cores, so that drift of the machine's
-speed meets everybody: `sandgait bench` (whole environment steps, sand included), EnvPool Ant-v5, gymnasium's Ant-v5 in
+speed affects all alike: `sandgait bench` (whole environment steps, sand included), EnvPool Ant-v5, gymnasium's
+Ant-v5 in
 a SyncVectorEnv, and MuJoCo's bare `mj_step` of the same hexapod, without any sand, at the same 0.5 ms time step.
+A robot from a file (MJCF) on a hard floor, random actions: LeggedVelocity at its own time step, `mj_step` at 2 ms; a
+step of both is 20 ms.
 Needs: pip install "gymnasium[mujoco]" envpool (a target of the Makefile makes an environment with them).
 Prints a table and, as the last line, the same as JSON.
 """
@@ -26,6 +29,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 XPLORER = ROOT / "src/sim/robots/xplorer.toml"
 SUBSTEPS = 40  # 0.5 ms steps in a 50 Hz control step
+FLOOR_STEP, FLOOR_SUBSTEPS = 0.002, 10
 
 
 def hexapod_mjcf(robot: dict) -> str:
@@ -78,8 +82,40 @@ def mujoco_step(seconds: float, _cores: int) -> float:
     return timed(step, seconds)
 
 
+def mujoco_floor(robot: Path) -> Callable[[float, int], float]:
+    """The file's robot on a plane; random targets of its servos; it begins anew every 2 s."""
+
+    def measure(seconds: float, _cores: int) -> float:
+        import mujoco
+        import numpy as np
+
+        spec = mujoco.MjSpec.from_file(str(robot))
+        if not any(geom.type == mujoco.mjtGeom.mjGEOM_PLANE for geom in spec.worldbody.geoms):
+            spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[50, 50, 0.1])
+        spec.option.timestep = FLOOR_STEP
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        rest = model.key_ctrl[0] if model.nkey else np.zeros(model.nu)
+        actions = rest + np.random.default_rng(0).uniform(-1, 1, (100, model.nu))
+
+        def step() -> int:
+            if model.nkey:
+                mujoco.mj_resetDataKeyframe(model, data, 0)
+            else:
+                mujoco.mj_resetData(model, data)
+            for action in actions:
+                data.ctrl[:] = action
+                mujoco.mj_step(model, data, FLOOR_SUBSTEPS)
+            return len(actions)
+
+        step()
+        return timed(step, seconds)
+
+    return measure
+
+
 def ant_steps(pool: Any, envs: int, seconds: float) -> float:
-    """Of a vector of Ants, with random actions drawn beforehand."""
+    """Speed of a vector of Ants, with random actions drawn beforehand."""
     import numpy as np
 
     actions = np.random.default_rng(0).uniform(-1, 1, (16, envs, 8))
@@ -103,7 +139,7 @@ def envpool_ant(seconds: float, cores: int) -> float:
 
 
 def gymnasium_ant(seconds: float, _cores: int) -> float:
-    """SyncVectorEnv uses one core whatever there is."""
+    """SyncVectorEnv uses one core on any machine."""
     import gymnasium
 
     envs = 16
@@ -112,7 +148,7 @@ def gymnasium_ant(seconds: float, _cores: int) -> float:
     return ant_steps(pool, envs, seconds)
 
 
-def sandgait(binary: Path, task: str) -> Callable[[float, int], float]:
+def sandgait(binary: Path, task: str, options: tuple[str, ...] = ()) -> Callable[[float, int], float]:
     def measure(seconds: float, cores: int) -> float:
         command = [
             binary,
@@ -126,6 +162,7 @@ def sandgait(binary: Path, task: str) -> Callable[[float, int], float]:
             "--repeats",
             5,
             "--json",
+            *(part for option in options for part in ("--option", option)),
         ]
         output = subprocess.run(list(map(str, command)), check=True, capture_output=True, text=True).stdout
         return float(json.loads(output)["env_steps_per_second"])
@@ -133,19 +170,22 @@ def sandgait(binary: Path, task: str) -> Callable[[float, int], float]:
     return measure
 
 
-def rows(binary: Path) -> dict[str, Callable[[float, int], float]]:
+def rows(binary: Path, robot: Path) -> dict[str, Callable[[float, int], float]]:
+    floor = (f"robot={robot}", "ground=rigid")
     return {
         "sandgait HexapodGait (6 joints, sand)": sandgait(binary, "sandgait/HexapodGait-v1"),
         "sandgait HexapodLegs (18 joints, sand)": sandgait(binary, "sandgait/HexapodLegs-v1"),
         "MuJoCo mj_step, same hexapod, no sand": mujoco_step,
+        f"sandgait {robot.name}, hard floor": sandgait(binary, "sandgait/LeggedVelocity-v0", floor),
+        f"MuJoCo mj_step, {robot.name}, hard floor": mujoco_floor(robot),
         "EnvPool Ant-v5": envpool_ant,
         "gymnasium Ant-v5, SyncVectorEnv": gymnasium_ant,
     }
 
 
-def child(binary: Path, name: str, seconds: float, cores: list[int]) -> float:
+def child(binary: Path, robot: Path, name: str, seconds: float, cores: list[int]) -> float:
     """Measures one row in a process of its own, pinned before any library starts threads."""
-    command = [sys.executable, __file__, "--binary", binary, "--only", name, "--seconds", seconds]
+    command = [sys.executable, __file__, "--binary", binary, "--robot", robot, "--only", name, "--seconds", seconds]
     output = subprocess.run(
         list(map(str, command)),
         check=True,
@@ -159,11 +199,12 @@ def child(binary: Path, name: str, seconds: float, cores: list[int]) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--binary", type=Path, default=ROOT / "target/release/sandgait")
+    parser.add_argument("--robot", type=Path, default=ROOT / "robots/sandcat.xml", help="MJCF")
     parser.add_argument("--seconds", type=float, default=2.0)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--only", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    table = rows(arguments.binary)
+    table = rows(arguments.binary, arguments.robot)
     if arguments.only:
         print(table[arguments.only](arguments.seconds, len(os.sched_getaffinity(0))))
         return
@@ -173,7 +214,7 @@ def main() -> None:
         figures: dict[str, list[float]] = {name: [] for name in table}
         for _ in range(arguments.repeats):
             for name in table:
-                figures[name].append(child(arguments.binary, name, arguments.seconds, cores))
+                figures[name].append(child(arguments.binary, arguments.robot, name, arguments.seconds, cores))
         ours = statistics.median(figures["sandgait HexapodGait (6 joints, sand)"])
         print(f"\n{len(cores)} cores: environment steps/s, median (min to max), HexapodGait's ratio to it")
         for name, values in figures.items():

@@ -1,4 +1,5 @@
-"""Speed of rollouts of 150 steps beside steps in process, as environment steps a second: Rust and Python clients.
+"""Speed of rollouts of 150 steps compared with steps in process, as environment steps a second: Rust and Python
+clients.
 
 usage: taskset -c 0 python benches/rollouts.py [--envs 16 64 256 1024] [--seconds 1]
 """
@@ -20,7 +21,7 @@ STEPS = 150
 
 
 def rust(envs: int, through: str, seconds: float) -> float:
-    """By `sandgait bench`, one thread; the median of five repeats that take `seconds` together."""
+    """Speed by `sandgait bench`, one thread; the median of five repeats that take `seconds` together."""
     options = ["--envs", str(envs), "--threads", "1", "--repeats", "5", "--seconds", str(seconds / 5), "--json"]
     command = [*server.command(), "bench", "--through", through, *options]
     result = subprocess.run(command, capture_output=True, text=True, check=True)
@@ -28,7 +29,7 @@ def rust(envs: int, through: str, seconds: float) -> float:
 
 
 def python(envs: int, trajectories: bool, seconds: float) -> float:
-    """Through a server of its own; the median over single rollouts."""
+    """Speed through a separate server; the median over single rollouts."""
     env = sandgait.SandgaitVectorEnv(ID, envs)
     env.reset(seed=0)
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (STEPS, envs, 6)).astype(np.float32)

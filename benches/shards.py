@@ -2,8 +2,7 @@
 
 usage: python benches/shards.py [--envs 256 4096] [--seconds 0.5] [--rounds 5] [--json]
 
-The rounds interleave the three, so whatever else the machine does meets all of them; the ratio of each round is what
-to look at.
+The rounds interleave the three, so other work of the machine affects all of them; compare the ratios of each round.
 """
 
 from __future__ import annotations

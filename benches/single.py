@@ -1,4 +1,4 @@
-"""What everybody meets first, beside the peers, in turns, each in a process of its own:
+"""Speed of the usual first programs, compared with the peers, in turns, each in a process of its own:
 
 a step of `gymnasium.make`, as every tutorial writes it, and of gymnasium's own Ant-v5: median [µs];
 a vector of 8 environments here and EnvPool's Ant-v5 with 8: environment steps a second.

@@ -76,7 +76,7 @@ def measured_forces(truth: Path, generator: np.random.Generator, samples: int = 
 
 
 def noisy(clean: dict[str, Numbers], generator: np.random.Generator) -> dict[str, Numbers]:
-    """One trial's readings of the loads `clean`."""
+    """One trial's sensor readings for the true loads `clean`."""
     size = np.hypot(clean["Fx"], clean["Fz"])
     gain = 1.0 + 0.05 * generator.standard_normal()
     readings = {}
@@ -131,7 +131,7 @@ def returns(env: sandgait.SandgaitVectorEnv, gaits: Numbers, seed: int) -> tuple
 
 
 def learn(sand: Path, seed: int, generations: int) -> Numbers:
-    """The gait that the cross-entropy method ends with."""
+    """The result of the cross-entropy method."""
     generator = np.random.default_rng(seed)
     env = sandgait.SandgaitVectorEnv(ID, GAITS * EPISODES, sand=sand, max_episode_steps=STEPS)
     mean, spread = START, np.full(len(START), 0.3)
@@ -145,7 +145,8 @@ def learn(sand: Path, seed: int, generations: int) -> Numbers:
 
 
 def interval(rows: Numbers, generator: np.random.Generator) -> tuple[float, float, float]:
-    """Mean of `rows` [training seeds, evaluation seeds] and its 95 % interval: both are drawn anew 2000 times."""
+    """Mean of `rows` [training seeds, evaluation seeds] and its 95 % interval, by a bootstrap over both seeds with
+    2000 draws."""
     trained, played = rows.shape
     again = [
         rows[np.ix_(generator.integers(trained, size=trained), generator.integers(played, size=played))].mean()

@@ -1,8 +1,9 @@
 //! The full study of the diagnosis on data of our own test-bed: writes a table for docs/diagnosis_study.md.
 //!
-//! Usage: diagnosis_study SEEDS NULLS SETS [CAUSES [FIRST]]: seeds a mechanism (3), number of logs with nothing hidden (40),
-//! and walking sets a cause (1). CAUSES, ids with commas between, has only these hidden (`nothing`, `outside`, `forms` and
-//! `pairs` are causes too); FIRST is the number of the first seed (0). So a long study can be made in pieces, whose tables add up.
+//! Usage: diagnosis_study SEEDS NULLS SETS [CAUSES [FIRST]]: seeds a mechanism (3), number of logs with nothing
+//! hidden (40), and walking sets a cause (1). CAUSES, ids with commas between, selects the hidden causes (also
+//! `nothing`, `outside`, `forms` and `pairs`); FIRST is the number of the first seed (0). So a long study can be
+//! made in parts, whose tables can be joined.
 
 #[path = "../tests/testbed/walking.rs"]
 mod hall;
@@ -45,7 +46,8 @@ fn report(log: &Log, name: &str) -> Outcome<Report> {
     Ok(diagnosis?.report)
 }
 
-/// Whitened distance [σ] from the truth to the nearest model that lacks `cause`: every other single fitted to the noise-free log.
+/// Whitened distance [σ] from the truth to the nearest model without `cause`: every other single cause fitted to
+/// the noise-free log.
 fn separation(log: &Log, cause: &str, name: &str) -> Outcome<f64> {
     let path = std::env::temp_dir().join(format!("sandgait-clean-{}-{name}.csv", std::process::id()));
     std::fs::write(&path, &log.clean)?;
@@ -74,7 +76,7 @@ fn separation(log: &Log, cause: &str, name: &str) -> Outcome<f64> {
         own_error: &[],
     };
     let whitener = Whitener::new(&source, &noise);
-    // Rivals in the sensor are rivals here, so nuisances take no part.
+    // Sensor mechanisms are rivals here, so nuisances are left out.
     let study = Study::new(o, &model, &whitener, experiment.coefficient_sd).under(&whitener, Vec::new());
     let truth = CATALOG.iter().position(|m| m.id == cause).map(|id| study.fit(&[id], &[CATALOG[id].typical]).objective);
     let rivals: Vec<usize> = model.testable().into_iter().map(|t| t.0).filter(|&id| CATALOG[id].id != cause).collect();
@@ -93,13 +95,13 @@ fn strength(id: &str, rng: &mut Xoshiro256PlusPlus) -> f64 {
     let Some(entry) = CATALOG.iter().find(|m| m.id == id) else {
         return 1.0;
     };
-    // Typical strengths are visible ones; 0.1 to 2 of them covers hardly visible to plain.
+    // Typical strengths are visible; 0.1 to 2 of them range from hardly visible to obvious.
     let size = entry.typical * 0.1 * 20f64.powf(rng.random_range(0.0..1.0));
     if entry.bounds[0] < 0.0 && rng.random_range(0..2) == 0 { -size } else { size }
 }
 
-/// A strength from one to six of the mechanism's typical one, its sign by chance, four fifths of its bound at most; a motor from
-/// one that hardly ever saturates to one that stalls.
+/// A strength from one to six of the mechanism's typical one, with a random sign, four fifths of its bound at most;
+/// for a motor, from one that hardly ever saturates to one that stalls.
 fn walking_strength(id: usize, rng: &mut Xoshiro256PlusPlus) -> f64 {
     let entry = &CATALOG[id];
     if entry.ceiling {
@@ -151,7 +153,7 @@ fn main() -> Outcome<()> {
     Ok(())
 }
 
-/// Walking runs of the other engine, with one hidden cause of drawn strength and sign, or none.
+/// Walking runs of engine rapier, with one hidden cause of random strength and sign, or none.
 fn walking(sets: Range<usize>, asked: &dyn Fn(&str) -> bool) -> Outcome<()> {
     let experiment = Experiment::from_toml(hall::EXPERIMENT)?;
     println!(
@@ -301,7 +303,8 @@ fn outside(seeds: Range<usize>) -> Outcome<()> {
     Ok(())
 }
 
-/// Drag with the law's power of the speed and with another, over wide and narrow ranges of speed and in less and more noise.
+/// Drag with the law's exponent of the speed and with another, over wide and narrow ranges of speed and with less
+/// and more noise.
 fn forms(seeds: Range<usize>) -> Outcome<()> {
     println!(
         "\n| power | speeds | noise | logs | inertial_drag named | excluded | told apart | interval holds | in the set |"

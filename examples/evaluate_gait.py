@@ -1,4 +1,5 @@
-"""How good is a gait? Returns and speeds over seeds that no training saw, for policies and for gaits without any."""
+"""How good is a gait? Returns and speeds over seeds that no training uses, for policies and for gaits without
+learning."""
 
 from __future__ import annotations
 
@@ -13,7 +14,7 @@ import sandgait
 
 GAIT = "sandgait/HexapodGait-v1"
 
-#: Training takes small seeds; evaluation starts here.
+#: Training uses small seeds; the seeds of an evaluation start here.
 FIRST_SEED = 1_000_000
 
 #: Below this [m/s] a robot stands: a tenth of the slowest command.
@@ -27,7 +28,7 @@ Policy = Callable[[Rows], npt.NDArray[Any]]
 
 @dataclass
 class Score:
-    """Of one gait; each array has one entry an episode."""
+    """Results of one gait; each array has one entry an episode."""
 
     name: str
     #: Sum of rewards.
@@ -102,12 +103,12 @@ def random_actions(width: int, seed: int = 0) -> Policy:
 
 
 def learnt(model: Any, normalize: Any) -> Policy:
-    """A stable-baselines3 model behind the VecNormalize it was trained with, without exploration."""
+    """A stable-baselines3 model with the VecNormalize of its training, without exploration."""
     return lambda rows: model.predict(normalize.normalize_obs(rows), deterministic=True)[0]
 
 
 def best_tripod(address: str | None = None, **options: Any) -> Score:
-    """The constant rate of the highest return, up to the motors' 5 Hz."""
+    """The constant rate with the highest return, up to the motors' 5 Hz."""
     options = {**options, "control": "hip_speed"}
     tripods = [
         evaluate(f"tripod at {f:.2f} Hz, the best rate", constant_rate(f), GAIT, address, **options)
@@ -117,7 +118,7 @@ def best_tripod(address: str | None = None, **options: Any) -> Score:
 
 
 def compare(task: str, address: str | None = None, **options: Any) -> list[Score]:
-    """What needs no learning, at the same motors and over the same unseen seeds as a learnt gait."""
+    """Gaits without learning, with the same motors and the same unseen seeds as a learnt gait."""
     env = sandgait.SandgaitVectorEnv(task, 1, address, **options)
     width = len(env.task.action)
     env.close()
@@ -126,7 +127,7 @@ def compare(task: str, address: str | None = None, **options: Any) -> list[Score
 
 
 def half_width(values: npt.NDArray[Any]) -> float:
-    """Of the 95 % interval of the mean."""
+    """Half width of the 95 % interval of the mean."""
     return float(1.96 * np.std(values, ddof=1) / np.sqrt(len(values)))
 
 

@@ -2,7 +2,7 @@
 
     python examples/follow_commands.py runs/go1/policy.onnx --options '{"robot": "go1.xml", "ground": "rigid"}'
 
-Nothing is drawn for the episodes (no pushes, nominal sand and masses) and every command is held. Speeds are means over
+Episodes have no randomization (no pushes, nominal sand and masses), and every command is held. Speeds are means over
 the last four of six seconds and over the robots, in the base's frame.
 """
 
@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 import sandgait
 
-#: Forward, sideways [m/s] and yaw [rad/s]: half and nearly all of what is commanded in training, alone and together.
+#: Forward, sideways [m/s] and yaw [rad/s]: half and nearly all of the training's range, alone and together.
 COMMANDS = (
     (0.5, 0.0, 0.0),
     (0.9, 0.0, 0.0),
@@ -33,16 +33,16 @@ COMMANDS = (
     (0.6, 0.3, 0.0),
 )
 
-#: Robots a command, and seconds of which the first are not counted.
+#: Robots a command, duration [s], and the time at the start that is not counted [s].
 ROBOTS, SECONDS, BEGINNING = 16, 6.0, 2.0
 
-#: Training takes small seeds; evaluation starts here.
+#: Training uses small seeds; the seeds of an evaluation start here.
 FIRST_SEED = 1_000_000
 
 
 @dataclass
 class Line:
-    """One command, what came of it [m/s, m/s, rad/s], and the share of robots that fell."""
+    """One command, the mean velocity [m/s, m/s, rad/s], and the share of robots that fell."""
 
     command: tuple[float, float, float]
     speed: npt.NDArray[np.float64]
@@ -50,13 +50,13 @@ class Line:
 
     @property
     def error(self) -> float:
-        """|velocity − command| / |command|; a turn counts by its rate, as legged_gym's rewards count it."""
+        """|velocity − command| / |command|; yaw rates count as in legged_gym's rewards."""
         command = np.array(self.command)
         return float(np.linalg.norm(self.speed - command) / np.linalg.norm(command))
 
 
 def follow(onnx: Path, command: tuple[float, float, float], options: Mapping[str, Any]) -> Line:
-    """Holds `command` and looks at how the robots move."""
+    """Holds `command` and measures the robots' velocities."""
     names = ("lin_vel_x", "lin_vel_y", "ang_vel_yaw")
     calm = {"push_interval": 0.0, "max_push_vel_xy": 0.0, "friction_range": [1.0, 1.0], "sand_range": [1.0, 1.0]}
     calm |= {"added_mass_range": [0.0, 0.0], "motor_strength_range": [1.0, 1.0]}

@@ -1,8 +1,8 @@
-"""How well the diagnosis does on force logs as laboratories have them, all of their dirt at once.
+"""How well the diagnosis works on force logs with all errors of a laboratory at once.
 
 usage: messy_study.py SANDGAIT KIND FIRST COUNT      KIND: nulls, singles, pairs, laws, outside, or a mechanism's id
 
-A generator of its own, written from the equations in docs/physics.md: it shares no code with the tool. Every log has
+The generator is written from the equations in docs/physics.md and shares no code with the tool. Every log has
 an offset and a drift in each channel of each trial, a bed whose strength scatters, a surface that is logged wrong,
 grain noise along the path, sensor noise and steps of the load cell, and wrong coefficients; by chance one channel is
 filtered, trials start from rest, samples are uneven or at a fixed rate, Ty is missing. Prints one line a log and a
@@ -150,7 +150,7 @@ def law(
 
 
 def outside(hidden: dict[str, float], x: Array, z: Array, along: Array, depth: Array) -> Array:
-    """Causes that no library has: a wall, a crust, stick and slip, a buried stone."""
+    """Causes that are not in the catalogue: a wall, a crust, stick and slip, a buried stone."""
     factor = 1 + hidden.get("wall", 0.0) * np.exp(-np.maximum(0.12 - x, 0.0) / 0.04)
     factor = factor * np.where(depth < 0.012, 1 + hidden.get("crust", 0.0), 1.0)
     factor = factor * (1 + hidden.get("stick_slip", 0.0) * np.sin(2 * math.pi * along / 0.02))
@@ -159,7 +159,7 @@ def outside(hidden: dict[str, float], x: Array, z: Array, along: Array, depth: A
 
 
 def path(trial: dict[str, Any], t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Way, speed and its change: ramps at both ends, three waves between."""
+    """Position, speed and acceleration: ramps at both ends, three waves between."""
     duration, ramp, wave = trial["duration"], trial["ramp"], trial["wave"]
     grid = np.linspace(0.0, duration, 4 * FINE)
     share = grid / duration
@@ -269,11 +269,11 @@ def log(seed: int, hidden: dict[str, float]) -> tuple[str, dict[str, Any]]:
             zero = float(np.clip(rng.normal(0, rig["zero"]), -2 * rig["zero"], 2 * rig["zero"]))
             bed = 1 + rig["bed"] * rng.standard_normal()
             grid = t
-            if rig["filter"] and trial["duration"] < 3.0:  # in slower trials 5 ms are nothing
+            if rig["filter"] and trial["duration"] < 3.0:  # in slower trials 5 ms are negligible
                 grid = np.linspace(0.0, trial["duration"], FINE)
             clean = loads(trial, grid, hidden, c, zero, bed)
             if len(grid) == FINE:
-                share = (grid[1] - grid[0]) / 0.005  # of the filter's time; exact for a force linear in between
+                share = (grid[1] - grid[0]) / 0.005  # exact for a force that is linear between the filter's times
                 keep = math.exp(-share)
                 end = 1 - (1 - keep) / share
                 channel = ["Fx", "Fz"].index(rig["filter"])
@@ -287,7 +287,7 @@ def log(seed: int, hidden: dict[str, float]) -> tuple[str, dict[str, Any]]:
             f = np.column_stack([np.interp(t, grid, clean[:, k]) for k in range(3)])
             way, _, _ = path(trial, t)
             if trial["ramp"] > 0:
-                f[0] = 0.0  # at rest the sand does not push yet
+                f[0] = 0.0  # at rest there is no force from the sand yet
             size = np.hypot(f[:, 0], f[:, 1])
             for k, arm in enumerate([1.0, 1.0, 0.05]):
                 grain = rng.standard_normal()

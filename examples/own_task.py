@@ -2,7 +2,7 @@
 
     python examples/own_task.py
 
-`Climb` pays what a hexapod gains in height, less the work it takes. The policy sees gravity and its hips but not its
+`Climb` rewards the height that a hexapod gains, less the work for it. The policy sees gravity and its hips but not its
 own speed, and an episode ends when the robot has tilted too far. The simulation is HexapodGait's; everything else is
 computed here, for all environments at once.
 """
@@ -22,7 +22,7 @@ import sandgait
 #: Columns of HexapodGait's observation that the policy sees, by the beginnings of their names.
 SEEN = ("gravity direction", "sine of hip angle", "cosine of hip angle", "hip speed", "previous action")
 
-#: What a joule of work costs in joules of height; tilt [rad] that ends an episode, and what that costs.
+#: Cost of a joule of work in joules of height; tilt [rad] that ends an episode, and its cost.
 WORK_PRICE, LARGEST_TILT, FALL_PRICE = 0.2, 1.0, 5.0
 
 
@@ -65,7 +65,7 @@ class Climb(VectorEnv[Any, Any, Any]):
         ended = batch.terminated | batch.truncated
         infos: dict[str, Any] = {"height_work": height}
         if (fell & ~ended).any():
-            # These end here although the simulation would go on: they alone are begun anew.
+            # These end here although the simulation would go on: only they are reset.
             mask = fell & ~ended
             observations, _ = self.simulation.reset(options={"reset_mask": mask})
             batch.observations[mask] = observations[mask]
@@ -80,7 +80,7 @@ class Climb(VectorEnv[Any, Any, Any]):
 
 
 def main() -> None:
-    """Random actions around a forward tripod, and what they earn."""
+    """Random actions around a forward tripod, and their returns."""
     env = Climb(64)
     generator = np.random.default_rng(0)
     env.reset(seed=0)

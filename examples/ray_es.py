@@ -2,7 +2,7 @@
 
 A gait is nine numbers: each hip's mean speed, and a wave's amplitude, frequency and phase, half a turn apart for the
 tripods. Every node has a server and an evaluator that plays its part of the population, one whole episode of every
-candidate in one message. Candidates of a generation meet the same start, so they differ by their gaits alone.
+candidate in one message. Candidates of a generation have the same start, so they differ by their gaits alone.
 
 usage: python examples/ray_es.py [--generations 20] [--population 256] [--ray auto]
 """
@@ -29,7 +29,7 @@ START = np.array([0.2] * 6 + [0.1, 1.0, 0.0])
 #: Spread of the candidates around their mean: our choice, a tenth of the numbers' range or so.
 SIGMA = np.array([0.1] * 6 + [0.1, 0.3, 0.5])
 
-#: Spreads that the mean moves where a number and the rank go hand in hand: our choice.
+#: Step of the mean, in spreads, for a number that is fully correlated with the rank: our choice.
 RATE = 4.0
 
 #: Control steps of an episode: 3 s.
@@ -71,11 +71,11 @@ def evolve(
     mean, curve = START.copy(), []
     for generation in range(generations):
         half = random.standard_normal((population // 2, mean.size))
-        noise = np.concatenate([half, -half])  # antithetic: the mean's own return cancels
+        noise = np.concatenate([half, -half])  # antithetic pairs: the mean's own return cancels
         gaits = mean + SIGMA * noise
         parts = [e.returns.remote(gaits[part], seed + generation) for e, part in zip(evaluators, shares, strict=True)]
         returns = np.concatenate(ray.get(parts))
-        ranks = returns.argsort().argsort() / (population - 1) - 0.5  # ranks: no scale of rewards to tune
+        ranks = returns.argsort().argsort() / (population - 1) - 0.5  # ranks, so that no scale of rewards needs tuning
         correlation = ranks @ noise / population / np.sqrt(np.mean(ranks**2))
         mean = mean + RATE * SIGMA * correlation
         curve.append(float(returns.mean()))

@@ -1,7 +1,7 @@
 //! Writes the sands of tests/data/real_wheel: `cargo run --release --example real_wheel -- tests/data/real_wheel`
 //!
-//! `sand_discs.toml` knows the discs only; `sand_smooth.toml` and `sand_grouser.toml` share four numbers that are fitted on the
-//! rows of both wheels at slip angles up to 60°, and differ in the friction of the surface.
+//! `sand_discs.toml` is calibrated on the discs only; `sand_smooth.toml` and `sand_grouser.toml` share four numbers
+//! that are fitted on the rows of both wheels at slip angles up to 60°, and differ in the friction of the surface.
 
 use sandgait::sand::{Law, Mechanisms, Medium, SandDescription};
 use sandgait::table::{self, Asked, Column, Quantity};
@@ -11,10 +11,10 @@ use std::path::{Path, PathBuf};
 
 /// As wide as the wheels [m].
 const DIAMETER: f64 = 0.06;
-/// The most that a wheel carried [N]: deeper the discs grow stiffer than in proportion.
+/// Greatest load of a wheel [N]; deeper, the discs' force grows faster than in proportion.
 const MOST_FORCE: f64 = 30.0;
-/// μ_s for the discs' file, which discs say nothing about: tan(0.7 · 35°). Steel in dry sand has 0.54 (smooth) to 0.76 (rough)
-/// of the sand's friction angle (Potyondy 1961), dry sands have 30° to 40°.
+/// μ_s for the discs' file, which pushes of discs cannot show: tan(0.7 · 35°). Steel in dry sand has 0.54 (smooth)
+/// to 0.76 (rough) of the sand's friction angle (Potyondy 1961), dry sands have 30° to 40°.
 const FRICTION: f64 = 0.46;
 
 fn main() -> Result<(), Box<dyn Error>> {

@@ -1,6 +1,6 @@
-"""RLlib's PPO over a Ray cluster: a server on every node, and beside each a runner that steps a whole batch of it.
+"""RLlib's PPO over a Ray cluster: every node has a server and a runner that steps a batch of its environments.
 
-RLlib wants environments as one vector with the autoreset mode NEXT_STEP, as `SandgaitVectorEnv` is. A runner
+RLlib needs a vector environment with the autoreset mode NEXT_STEP, such as `SandgaitVectorEnv`. A runner
 talks to the server of its own node, so rows stay on the node; RLlib carries episodes to the learner and weights back.
 
 usage: python examples/rllib_ppo.py [--iterations 30] [--runners 1] [--envs 64] [--ray auto]
@@ -52,7 +52,7 @@ def build(servers: sandgait.ray.Servers, runners: int, envs: int, seed: int = 0,
 
 
 def train(algorithm: PPO, iterations: int) -> list[float]:
-    """Mean return of the episodes that ended in each iteration; not a number while none has."""
+    """Mean return of the episodes that ended in each iteration; NaN while none has ended."""
     curve = []
     for iteration in range(iterations):
         runners = algorithm.train()["env_runners"]

@@ -1,10 +1,10 @@
-//! Does a robot ever pass through a rock? Random actions among rocks, whole episodes, overlaps measured by geometry that
-//! the engine does not use. `cargo run --release --example rocks_study [EPISODES] [STEPS] [FIRST_SEED]`
+//! Does a robot ever pass through a rock? Random actions among rocks, whole episodes, overlaps measured by geometry
+//! that the engine does not use. `cargo run --release --example rocks_study [EPISODES] [STEPS] [FIRST_SEED]`
 //!
-//! Prints the deepest overlap of each episode's legs (middle surface of the strips) and base with any obstacle, looked
-//! at after every control step, as quantiles over episodes. So that nothing slips through between two looks, it also
-//! prints how deep the robot went on the way from one to the next (poses in between, angles and places linear), as a
-//! share of the depth of the obstacle's centre: what passes through a middle comes close to 1.
+//! Prints the deepest overlap of each episode's legs (middle surface of the strips) and base with any obstacle
+//! after a control step, as quantiles over episodes. For overlaps between control steps it also interpolates poses
+//! (angles and positions linear), and prints the deepest overlap as a share of the depth of the obstacle's centre:
+//! a body that passes through a middle reaches nearly 1.
 
 use sandgait::env::random::Random;
 use sandgait::env::registry::Blueprint;
@@ -14,13 +14,14 @@ use sandgait::sim::state::{ObjectState, State};
 use std::f64::consts::{PI, TAU};
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Poses looked at from one control step to the next: a leg's tip moves at most 4 mm in between.
+/// Number of poses between two control steps: a leg's tip moves at most 4 mm from one to the next.
 const BETWEEN: usize = 8;
 
-/// More than this share of the depth of an obstacle's centre counts as passing through: our choice, half way in.
+/// An overlap beyond this share of the depth of an obstacle's centre counts as passing through: our choice, half
+/// way in.
 const THROUGH: f64 = 0.5;
 
-/// What one episode showed.
+/// Results of one episode.
 struct Episode {
     /// Deepest overlap [m].
     overlap: f64,
@@ -76,7 +77,8 @@ fn episode(blueprint: &Blueprint, seed: u64, steps: usize) -> sandgait::Result<E
     let substeps = (1.0 / (task.spec().control_rate * model.scene.dt)).round() as usize;
     let (mut most, mut share): (f64, f64) = (0.0, 0.0);
     for step in 0..steps {
-        // A new random action every 0.2 s: long enough to reach speed. Half of the episodes mean to go forward.
+        // A new random action every 0.2 s: long enough to reach speed. In half of the episodes the mean action is
+        // forward.
         if step % 10 == 0 {
             let low = if seed.is_multiple_of(2) { -1.0 } else { 0.0 };
             action.iter_mut().for_each(|a| *a = random.uniform(low, 1.0) as f32);

@@ -1,6 +1,6 @@
-//! Walking speed at 1 ms against the converged reference: where legs stick and slip, as means over 24 starts, and with each
-//! mechanism alone; the tables at the end of docs/convergence.md.
-//! `cargo run --release --example starts_study` (or `make study-starts`)
+//! Walking speed at 1 ms compared with the converged reference: means over 24 starts where legs stick and slip, and
+//! each mechanism alone; the tables at the end of docs/convergence.md. `cargo run --release --example starts_study`
+//! (or `make study-starts`)
 
 use sandgait::Result;
 use sandgait::parallel;
@@ -11,11 +11,11 @@ use sandgait::sim::model::Scene;
 use sandgait::sim::walk::{Trial, walk_many};
 use sandgait::sim::{Model, Robot};
 
-/// Starts: the hips' angles are off by so many equal parts of a turn.
+/// Number of starts; the hips' angles differ by equal parts of a turn.
 const STARTS: usize = 24;
 /// Leg and stride frequency [Hz]. The first two stick and slip.
 const WALKS: [(&str, f64); 4] = [("revL", 1.0), ("revC", 2.0), ("L", 2.0), ("revL", 2.0)];
-/// Time step of the reference, engine rapier, and of what is judged, engine lanes [s].
+/// Time step of the reference, engine rapier, and of the tested engine `lanes` [s].
 const FINE: f64 = 2e-5;
 const JUDGED: f64 = 1e-3;
 

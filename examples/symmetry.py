@@ -1,7 +1,7 @@
 """Policies that treat left and right alike.
 
-A hexapod's mirror image is a hexapod, and sand has no handedness: what a good policy does in a mirrored situation is
-the mirror image of what it does. A network that is averaged with its own mirror image cannot do otherwise. That matters
+A hexapod's mirror image is a hexapod, and sand has no handedness: in a mirrored situation a good policy chooses the
+mirrored action. A network that is averaged with its own mirror image always does so. That matters
 for walking straight: tasks do not show the heading, so nothing corrects what a gait has turned in the strides before.
 """
 
@@ -20,19 +20,19 @@ from stable_baselines3.common.type_aliases import Schedule
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
-#: Which column holds the mirrored value of each, and its sign.
+#: For each column the column with its mirrored value, and the sign.
 Mirror = tuple[list[int], list[float]]
 
-#: In the mirror y points the other way, so vectors change sign along y and turns about x and z; a coxa turns about z.
+#: The mirror reverses y: vectors change sign along y, rotations about x and z; a coxa rotates about z.
 TURNED = re.compile(r"(gravity direction|base velocity), body frame, y|angular velocity, body frame, [xz]|coxa|yaw")
 
 
-#: Where a height is looked up: the number changes its sign.
+#: Lateral positions of measured heights: the number changes its sign.
 PLACE = re.compile(r"(-?\d+)(?= cm to the left)")
 
 
 def mirror(names: list[str]) -> Mirror:
-    """How a row of a task's table looks in the mirror; `names` are its columns'."""
+    """The mirror of a task's rows; `names` are the columns' names."""
     swapped = {"right": "left", "left": "right"}
 
     def image(name: str) -> str:
@@ -44,7 +44,7 @@ def mirror(names: list[str]) -> Mirror:
 
 
 class Reflection(nn.Module):
-    """Rows as they look in the mirror: times a matrix of 0, 1 and −1, which is exact and which ONNX files can hold."""
+    """Mirror images of rows: the product with a matrix of 0, 1 and −1, which is exact and possible in ONNX."""
 
     matrix: torch.Tensor
 
@@ -109,7 +109,7 @@ class MirroredPolicy(ActorCriticPolicy):
 
     def _build(self, lr_schedule: Schedule) -> None:
         super()._build(lr_schedule)
-        self.action_net = nn.Identity()  # the mean is mirrored; a layer behind it would undo that
+        self.action_net = nn.Identity()  # the mean is mirrored; another layer after it would undo that
         self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)  # type: ignore[call-arg]
 
     def _get_constructor_parameters(self) -> dict[str, Any]:

@@ -1,12 +1,13 @@
-"""Train a hexapod to walk on sand with PPO or SAC, and compare it with gaits that need no learning.
+"""Train a hexapod to walk on sand with PPO or SAC, and compare it with gaits without learning.
 
     python examples/train.py                                   # HexapodGait with PPO, five minutes on two cores
     python examples/train.py --task HexapodLegs --seconds 300 --out runs/legs
     python examples/train.py --algorithm sac --set gamma=0.97 --set batch_size=256
     python examples/train.py --resume                          # go on from the last checkpoint in --out
+    python examples/train.py --options '{"slope_deg": 10}' --start-from runs/HexapodGait-ppo --out runs/slope
     tensorboard --logdir runs
 
-Settings stand in examples/hyperparameters/, one file an algorithm and one entry a task. The output directory gets
+Settings are in examples/hyperparameters/, one file an algorithm and one entry a task. The output directory gets
 policy.zip, policy.onnx, normalize.pkl, settings.json, curve.csv, curve.png, evaluation.txt, checkpoints/, videos/ and
 tensorboard/.
 """
@@ -28,6 +29,7 @@ from training import (
     Row,
     hyperparameters,
     last_checkpoint,
+    other_training,
     prepare,
     provenance,
     task_id,
@@ -71,6 +73,9 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, help="output directory (runs/TASK-ALGORITHM)")
     parser.add_argument("--resume", action="store_true", help="go on from the last checkpoint in the output directory")
     parser.add_argument(
+        "--start-from", type=Path, metavar="DIR", help="begin with the policy of another training's folder"
+    )
+    parser.add_argument(
         "--checkpoint-every", type=int, default=1_000_000, metavar="STEPS", help="steps between two (%(default)s)"
     )
     parser.add_argument(
@@ -87,6 +92,10 @@ def parse() -> argparse.Namespace:
         arguments.settings = hyperparameters(arguments.algorithm, arguments.id, arguments.set + given)
         arguments.options = {**arguments.settings.get("env_kwargs", {}), **arguments.options}
         arguments.checkpoint = last_checkpoint(arguments.out) if arguments.resume else None
+        if arguments.start_from is not None:
+            if arguments.resume:
+                raise BadSettings("--start-from: --resume goes on from the training's own checkpoint")
+            arguments.start_from = other_training(arguments.start_from)
     except BadSettings as error:
         parser.error(str(error))
     return arguments
@@ -99,7 +108,7 @@ def main() -> None:
     about = {name: getattr(arguments, name) for name in ("task", "algorithm", "seed", "options", "address")}
     made_by = {**provenance(), **about, "hyperparameters": settings}
     write_settings(out, made_by)
-    torch.set_num_threads(1)  # networks this small are slower on several
+    torch.set_num_threads(1)  # networks this small are slower on several threads
     training = prepare(
         arguments.algorithm,
         arguments.id,
@@ -109,6 +118,7 @@ def main() -> None:
         arguments.address,
         arguments.options,
         arguments.checkpoint,
+        arguments.start_from,
     )
     if arguments.video_every:
         films = Video(arguments.video_every, out / "videos", arguments.id, arguments.address, arguments.options)

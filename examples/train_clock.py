@@ -3,8 +3,8 @@
     python examples/train_clock.py                      # some ten minutes on two cores
     python examples/train_clock.py --generations 20 --coarse --out runs/try
 
-All of them are clocks of `sandgait/HexapodGait-v1` with control="clock": the same motors, sand, start and accounting of
-energy. Written to the output directory: clocks.json, front.png, evaluation.txt.
+All are clocks of `sandgait/HexapodGait-v1` with control="clock": same motors, sand, start and measure of energy.
+Written to the output directory: clocks.json, front.png, evaluation.txt.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ import matplotlib.pyplot as plt
 
 Values = npt.NDArray[np.float64]
 
-#: Steps of a trial: a whole episode. Fast tripods turn aside only after some seconds, so shorter trials flatter them.
+#: Steps of a trial: a whole episode. Fast tripods turn aside only after some seconds, so shorter trials favour them.
 STEPS = 500
 
 #: Commanded speeds [m/s] for which the grid's rewards are compared: the task's range.
@@ -39,7 +39,7 @@ COMMANDS = np.linspace(0.1, 0.4, 31)
 #: Width [m/s] of the task's tracking term.
 TRACKING_WIDTH = 0.1
 
-#: What a cost of transport above the limit costs, in m/s per unit: an excess of 0.01 outweighs any gain in speed left.
+#: Penalty of a cost of transport above the limit, in m/s per unit: an excess of 0.01 outweighs any gain in speed.
 EXCESS = 5.0
 
 
@@ -49,7 +49,7 @@ POPULATION = 22
 
 @dataclass
 class Trial:
-    """What clocks did, one entry a clock."""
+    """Results of clocks, one entry a clock."""
 
     #: Mean speed along x [m/s].
     speed: Values
@@ -70,7 +70,7 @@ def trial(clocks: npt.NDArray[Any], seed: int, address: str | None, options: dic
         _, reward, terminated, _, infos = env.step(clocks)
         running &= ~terminated
         tracking = np.exp(-(((infos["speed"][:, None] - COMMANDS) / TRACKING_WIDTH) ** 2))
-        # A clock does not change, so it pays nothing for smoothness: no first step from an action of zero.
+        # A clock's action is constant, so it has no cost of smoothness: there is no first step from an action of zero.
         others = reward - infos["reward_tracking"] - infos["reward_smoothness"]
         rewards += np.where(running[:, None], tracking + others[:, None], 0.0)
         distance += infos["x_velocity"] / env.task.control_rate
@@ -78,7 +78,7 @@ def trial(clocks: npt.NDArray[Any], seed: int, address: str | None, options: dic
     weight = float(infos["weight"][0])
     env.close()
     seconds = STEPS / env.task.control_rate
-    distance[~running] = 0.0  # who falls gets nowhere
+    distance[~running] = 0.0  # a robot that fell has no speed
     with np.errstate(divide="ignore"):
         cost = np.where(distance > 0, work / (weight * np.maximum(distance, 1e-9)), np.inf)
     return Trial(distance / seconds, cost, rewards / STEPS)
@@ -112,7 +112,7 @@ def policy(clocks: Values) -> Policy:
 
 
 def evolve(limit: float, arguments: argparse.Namespace) -> tuple[Values, list[str]]:
-    """CMA-ES on all ten parameters for speed at a cost of transport up to `limit`, and what each restart came to.
+    """CMA-ES on all ten parameters for speed at a cost of transport up to `limit`, and the result of each restart.
 
     Speed over phases has many hills, so the restarts begin at the best of many random clocks near the top frequency.
     """
@@ -128,12 +128,12 @@ def evolve(limit: float, arguments: argparse.Namespace) -> tuple[Values, list[st
     ]
     for generation in range(arguments.generations):
         rows = np.array([[search.ask() for _ in range(POPULATION)] for search in searches])
-        # Another start in every generation, the same for all clocks: none wins by its luck.
+        # Another start in every generation, the same for all clocks, so that none wins by its start alone.
         played = trial(rows.reshape(-1, 10), 1 + generation, address, options)
         values = costs(played, limit).reshape(restarts, POPULATION)
         for search, clocks, cost in zip(searches, rows, values, strict=True):
             search.tell([(clock, float(c)) for clock, c in zip(clocks, cost, strict=True)])
-    # What is kept is the mean of the last generation, judged on a start that no generation had.
+    # The result is the mean of the last generation, evaluated at a start that no generation had.
     means = np.array([search.mean for search in searches])
     last = trial(means, 0, address, options)
     pairs = zip(last.speed, last.cost_of_transport, strict=True)
@@ -142,7 +142,7 @@ def evolve(limit: float, arguments: argparse.Namespace) -> tuple[Values, list[st
 
 
 def costs(played: Trial, limit: float) -> Values:
-    """What CMA-ES makes small: slowness, and a cost of transport beyond the limit."""
+    """Objective of CMA-ES: slowness, and a cost of transport beyond the limit."""
     return EXCESS * np.maximum(0.0, np.minimum(played.cost_of_transport, 10.0) - limit) - played.speed
 
 
@@ -177,7 +177,7 @@ def draw(tripod: Trial, searched: Trial, evolved: Score, path: Path) -> None:
 
 
 def save(out: Path, clocks: dict[str, Values], scores: list[Score], made_by: dict[str, Any]) -> None:
-    """Clocks, one action or one an entry of COMMANDS, and what they were scored."""
+    """Clocks, one action or one an entry of COMMANDS, and their scores."""
     chosen = {name: rows.tolist() for name, rows in clocks.items()}
     summaries = {score.name: score.summary() for score in scores}
     made = {**made_by, "commands": COMMANDS.tolist(), "clocks": chosen, "scores": summaries}
@@ -216,7 +216,7 @@ def main() -> None:
         "the best tripod for each command": rates[tripod.rewards.argmax(axis=0)],
         "the best two-speed clock for each command": two_speed[searched.rewards.argmax(axis=0)],
     }
-    clocks = {name: rows.round(4) for name, rows in clocks.items()}  # as they are kept
+    clocks = {name: rows.round(4) for name, rows in clocks.items()}  # in the form of the kept files
     scores = judge(clocks, address, options)
     text = "\n".join([table(scores), "", *log])
     (out / "evaluation.txt").write_text(text + "\n")

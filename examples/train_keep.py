@@ -1,4 +1,4 @@
-"""Keeps what trainings of several seeds came to, small enough for the repository.
+"""Keeps the results of trainings with several seeds, small enough for the repository.
 
     python examples/train_keep.py runs/legs-0 runs/legs-1 runs/legs-2
 

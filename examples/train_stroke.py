@@ -1,11 +1,12 @@
-"""The stroke of one leg that gives the most thrust per work: the best circular stroke, and what CMA-ES makes of it.
+"""The stroke of one leg that gives the most thrust per work: the best circular stroke, and its improvement by CMA-ES.
 
     python examples/train_stroke.py                     # some minutes on two cores
     python examples/train_stroke.py --generations 20 --out runs/try
 
 A circular stroke locks the knee and turns the hip at one speed; searched are knee angle, where the hip starts, and
 speed. From the best of them CMA-ES searches where it starts, and the speeds of both joints at ten times of the stroke,
-with straight lines between them. Both are judged by the task's return: efficiency less what is missing of lift. Written
+with straight lines between them. Both are compared by the task's return: efficiency less the penalty for missing
+lift. Written
 to the output directory: strokes.json, strokes.png, evaluation.txt.
 """
 
@@ -35,7 +36,7 @@ Values = npt.NDArray[np.float64]
 #: Times of a stroke at which CMA-ES chooses the speeds of both joints.
 KNOTS = 10
 
-#: Hip angles [rad] that a circular stroke starts from: all that are out of the sand, and the task's own.
+#: Start angles [rad] of the hip for circular strokes: all that are out of the sand, and the task's own.
 HIPS = np.arange(-3.0, 3.01, 0.25)
 
 #: Hip speeds of circular strokes as actions: up to a turn a second, either way.
@@ -45,23 +46,23 @@ SPEEDS = np.linspace(-1.0, 1.0, 81)
 #: Strokes of a generation: twice what Hansen's rule, 4 + 3 ln n, gives for 22 numbers.
 POPULATION = 26
 
-#: Hip and knee angle [rad] of the task's own start, and how far from it CMA-ES may begin.
+#: Hip and knee angle [rad] of the task's own start, and how far from it CMA-ES may start.
 START, REACH = np.array([-1.75, 0.0]), np.array([1.25, 1.5])
 
-#: What a stroke that begins in the sand counts as: less than any return.
+#: Value of a stroke that begins in the sand: less than any return.
 REFUSED = -4.0
 
 
 @dataclass
 class Stroke:
-    """One stroke and what it gave."""
+    """One stroke and its result."""
 
     name: str
     #: Hip and knee angle [rad] at the start.
     start: list[float]
     #: [steps, 2], speeds of hip and knee in turns a second.
     actions: Values
-    #: The task's return; equal to the efficiency where nothing is missing.
+    #: The task's return; equal to the efficiency if no lift is missing.
     score: float
 
 
@@ -111,7 +112,7 @@ def begin(env: sandgait.SandgaitVectorEnv, starts: Values, options: dict[str, An
 
 
 def evolved(first: Stroke, arguments: argparse.Namespace, options: dict[str, Any]) -> Stroke:
-    """The best stroke that some restarts of CMA-ES found from `first`; where it starts is searched too."""
+    """The best stroke that some restarts of CMA-ES found from `first`; its start is searched too."""
     env = sandgait.SandgaitVectorEnv(TASK, POPULATION, **options)
     steps = env.task.max_episode_steps
     env.reset(seed=0)
@@ -143,7 +144,7 @@ def evolved(first: Stroke, arguments: argparse.Namespace, options: dict[str, Any
 
 
 def play(stroke: Stroke, options: dict[str, Any]) -> dict[str, Values]:
-    """The stroke step by step: angles [rad], thrust and lift [N], and what it came to."""
+    """The stroke step by step: angles [rad], thrust and lift [N], and the return."""
     given = {**options, "stroke": {**options.get("stroke", {}), "start": stroke.start}}
     env = sandgait.SandgaitVectorEnv(TASK, 1, **given)
     rows, _ = env.reset(seed=0)

@@ -1,4 +1,4 @@
-"""What a training is made of: hyperparameters from files, environments, callbacks, and taking up where one ended."""
+"""Parts of a training: hyperparameters from files, environments, callbacks, and resuming."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC}
 #: One file an algorithm, one entry a task.
 HYPERPARAMETERS = Path(__file__).parent / "hyperparameters"
 
-#: Keys of an entry that are this script's; the others are the algorithm's.
+#: Keys of an entry that this script uses; the others are the algorithm's.
 OWN_KEYS = ("n_envs", "n_timesteps", "seconds", "normalize", "learning_rate", "mirror", "env_kwargs")
 
 CHECKPOINT = re.compile(r"model_(\d+)_steps\.zip")
@@ -49,7 +49,7 @@ def task_id(name: str) -> str:
 
 
 def hyperparameters(algorithm: str, task: str, changes: list[str]) -> dict[str, Any]:
-    """The task's entry in the algorithm's file, with `changes` (NAME=YAML) in place of what stands there."""
+    """The task's entry in the algorithm's file, with `changes` (NAME=YAML)."""
     path = HYPERPARAMETERS / f"{algorithm}.yml"
     entries = yaml.safe_load(path.read_text())
     if task not in entries:
@@ -69,7 +69,7 @@ def hyperparameters(algorithm: str, task: str, changes: list[str]) -> dict[str, 
 
 
 def learning_rate(setting: Any) -> tuple[float, bool]:
-    """A rate and whether it falls to zero: 0.001, or as rl-zoo3 writes it `lin_0.001`."""
+    """A rate, and whether it falls to zero: 0.001, or as rl-zoo3 writes it `lin_0.001`."""
     text = str(setting)
     try:
         return float(text.removeprefix("lin_")), text.startswith("lin_")
@@ -78,13 +78,14 @@ def learning_rate(setting: Any) -> tuple[float, bool]:
 
 
 def git(*words: str) -> str:
-    """What git says of this repository; nothing where there is none."""
+    """Output of git for this repository; empty without one."""
     command = ["git", "-C", str(Path(__file__).parents[1]), *words]
     return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
 
 
 def provenance() -> dict[str, str]:
-    """What it takes to make a result again: command, commit and date. Results kept before this one change no commit."""
+    """Command, commit and date, with which a result can be reproduced. Results that were kept before do not mark
+    the commit as changed."""
     commit = git("rev-parse", "--short", "HEAD") or "unknown"
     changed = git("status", "--porcelain", "--untracked-files=no", "--", ".", ":!examples/policies")
     command = shlex.join(["python", "examples/" + Path(sys.argv[0]).name, *sys.argv[1:]])
@@ -113,7 +114,7 @@ class Timed(VecEnvWrapper):
 
 @dataclass
 class Row:
-    """One point of the learning curve: environment steps and seconds so far, mean return of the episodes that ended."""
+    """One point of the learning curve: environment steps and seconds so far, mean return of the last episodes."""
 
     steps: int
     seconds: float
@@ -137,7 +138,7 @@ class Progress(BaseCallback):
         self.rate, self.falls = learning_rate(settings["learning_rate"])
         #: Since the first training began, without the time between two.
         self.seconds = self.before = curve[-1].seconds if curve else 0.0
-        #: How much of this training's time went into stepping the environments.
+        #: Time of this training that the environments' steps took [s].
         self.simulation_share = 0.0
         self.returns: list[float] = []
 
@@ -148,13 +149,13 @@ class Progress(BaseCallback):
         self.writer.writerow(("steps", "seconds", "return"))
         self.writer.writerows((r.steps, r.seconds, r.mean_return) for r in self.curve)
         form = "{desc}{percentage:3.0f} %|{bar}| {elapsed} < {remaining}"
-        pause = 0.5 if sys.stderr.isatty() else 20.0  # a log file wants few lines
+        pause = 0.5 if sys.stderr.isatty() else 20.0  # a log file should have few lines
         self.bar = tqdm(total=1.0, desc="training", bar_format=form, mininterval=pause)
         self._set_rate()
 
     @property
     def share(self) -> float:
-        """How much of the training is done, 0 to 1."""
+        """Finished share of the training, 0 to 1."""
         return min(1.0, max(self.seconds / self.total_seconds, self.num_timesteps / self.total_steps))
 
     def _set_rate(self) -> None:
@@ -186,7 +187,7 @@ class Progress(BaseCallback):
 
 
 class Checkpoints(CheckpointCallback):
-    """Policy and normalization every so many steps; of replay buffers, which are large, the last one only."""
+    """Policy and normalization every so many steps; only the last replay buffer is kept, because they are large."""
 
     def _on_step(self) -> bool:
         goes_on = super()._on_step()
@@ -205,11 +206,11 @@ class Training:
     model: BaseAlgorithm
     normalized: VecNormalize
     progress: Progress
-    #: Others than progress and checkpoints.
+    #: Callbacks besides progress and checkpoints.
     callbacks: list[BaseCallback]
 
     def run(self, checkpoint_every: int, out: Path) -> None:
-        """Learns until steps or time are up; every so many steps a checkpoint: policy, normalization, replay buffer."""
+        """Learns until steps or time are up; with regular checkpoints of policy, normalization and replay buffer."""
         every = max(1, checkpoint_every // self.normalized.num_envs)
         where = str(out / "checkpoints")
         checkpoints = Checkpoints(every, where, "model", save_replay_buffer=True, save_vecnormalize=True)
@@ -232,10 +233,18 @@ def last_checkpoint(out: Path) -> Path:
     return max(found, key=steps_of)
 
 
+def other_training(folder: Path) -> Path:
+    """`folder` if it holds what a training starts from."""
+    for name in ("policy.zip", "normalize.pkl"):
+        if not (folder / name).is_file():
+            raise BadSettings(f"--start-from: no {name} in {folder}")
+    return folder
+
+
 def create(
     kind: type[BaseAlgorithm], env: VecNormalize, settings: dict[str, Any], seed: int, log: Path
 ) -> BaseAlgorithm:
-    """A model that knows nothing yet."""
+    """A new model."""
     rest = {name: value for name, value in settings.items() if name not in OWN_KEYS}
     if settings.get("mirror"):
         mirrors = dict(zip(("observation", "action"), mirrors_of(env), strict=True))
@@ -260,22 +269,28 @@ def prepare(
     address: str | None,
     options: dict[str, Any],
     checkpoint: Path | None,
+    start_from: Path | None = None,
 ) -> Training:
-    """A new training, or the one in `out` from a checkpoint on."""
+    """A new training, or the one in `out` continued from a checkpoint; `start_from` gives a new one its policy."""
     timed = Timed(sandgait.make_sb3(task, int(settings["n_envs"]), address, **options))
     kind = ALGORITHMS[algorithm]
     curve: list[Row] = []
     if checkpoint is None:
         flag = bool(settings["normalize"])
         normalized = VecNormalize(timed, norm_obs=flag, norm_reward=flag, gamma=settings["gamma"])
+        if start_from is not None:
+            normalized = VecNormalize.load(str(start_from / "normalize.pkl"), timed)
+            normalized.training = True
         model = create(kind, normalized, settings, seed, out / "tensorboard")
+        if start_from is not None:
+            model.set_parameters(str(start_from / "policy.zip"), device="cpu")
     else:
         steps = steps_of(checkpoint)
         normalized = VecNormalize.load(str(checkpoint.with_name(f"model_vecnormalize_{steps}_steps.pkl")), timed)
         model = kind.load(checkpoint, env=normalized, device="cpu")
         if isinstance(model, SAC):
             model.load_replay_buffer(checkpoint.with_name(f"model_replay_buffer_{steps}_steps.pkl"))
-        normalized.seed(seed + steps)  # other episodes than those it has seen
+        normalized.seed(seed + steps)  # its episodes differ from those of the first part
         curve = read_curve(out / "curve.csv", until=steps)
     progress = Progress(timed, settings, out / "curve.csv", curve)
     symmetric = settings.get("mirror") and settings["normalize"]

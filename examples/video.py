@@ -1,4 +1,4 @@
-"""Films of a gait: one episode of an unseen seed as a GIF, by hand or every so many steps of a training."""
+"""Films of a gait: one episode of an unseen seed as a GIF, on request or at regular steps of a training."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ STRIDE = 2
 
 
 def film(policy: Policy, path: Path, task: str, address: str | None = None, **options: Any) -> None:
-    """Plays one episode and writes what it looks like."""
+    """Plays one episode and writes its pictures as a GIF."""
     env = sandgait.SandgaitEnv(task, address, render_mode="rgb_array", **options)
     observation, _ = env.reset(seed=FIRST_SEED)
     pictures, step, over = [], 0, False
@@ -33,7 +33,7 @@ def film(policy: Policy, path: Path, task: str, address: str | None = None, **op
 
 
 class Video(BaseCallback):
-    """Films the policy as it is, without exploration, every so many steps."""
+    """Films the present policy, without exploration, at regular steps."""
 
     def __init__(self, every: int, folder: Path, task: str, address: str | None, options: dict[str, Any]) -> None:
         super().__init__()

@@ -1,6 +1,7 @@
 //! sandgait: batched reinforcement-learning environments of legged robots on sand.
 //!
-//! Data flow one way: [`service`] → [`session`] → [`pool`] → [`policy`] → [`env`] → [`sim`] → [`sand`]; no layer knows the ones before it.
+//! Data flow one way: [`service`] → [`session`] → [`pool`] → [`policy`] → [`env`] → [`sim`] → [`sand`]; no crate
+//! uses one before it in this list.
 pub mod cli;
 pub mod validate;
 
@@ -13,5 +14,5 @@ pub use {
     sandgait_sweep as sweep, sandgait_table as table, sandgait_train as train, sandgait_view as view,
 };
 
-// The command line is written as a user of this crate would write it.
+// Examples call the command line as a user of this crate would.
 extern crate self as sandgait;

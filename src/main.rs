@@ -2,8 +2,8 @@
 
 use std::process::ExitCode;
 
-/// glibc's allocator keeps what sessions of many sizes leave behind: a server that 24 clients use grew for as long as they
-/// did (`make study-load`).
+/// mimalloc, because glibc's allocator does not release the memory of sessions of many sizes: a server with 24
+/// clients grew for as long as they ran (`make study-load`).
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 

@@ -4,7 +4,7 @@ use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::number::Vec3;
 use sandgait::sand::intruder::{Body, BodyShape, Given, Outcome, Status, Trial, compute};
-use sandgait::sand::{Ground, Law, Mechanisms, Medium, SandDescription, Site, Surface};
+use sandgait::sand::{Law, Mechanisms, Medium, SandBed, SandDescription, SegmentState, Surface};
 use sandgait::validate::{data, fit, score};
 use std::f64::consts::PI;
 
@@ -216,8 +216,8 @@ fn slip_adds_no_energy() {
         for law in [Law::Li2013, Law::Agarwal2023] {
             let clipped = Mechanisms { friction_clip: mechanisms.friction_clip, ..Mechanisms::PLAIN };
             let force = |m: &Mechanisms| {
-                let ground = Ground::new(law, &medium, &Surface::BARE).with(m, &medium);
-                let site = Site::fresh(0.01, 0.0).travelling([travel.x, travel.y]);
+                let ground = SandBed::new(law, &medium, &Surface::BARE).with(m, &medium);
+                let site = SegmentState::fresh(0.01, 0.0).travelling([travel.x, travel.y]);
                 ground.thin_plate(&site, 1e-4, n, v).force
             };
             let (with, without) = (force(&mechanisms), force(&clipped));

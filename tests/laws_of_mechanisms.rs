@@ -4,10 +4,10 @@ use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::number::{Portable, Real, Vec3};
 use sandgait::progress::Silent;
-use sandgait::sand::beyond::{LEAST_FACTOR, Site, footprint};
 use sandgait::sand::intrusion::Rotation;
 use sandgait::sand::mechanism::{CATALOG, Mechanism, Side};
-use sandgait::sand::{Ground, Law, Mechanisms, Medium, SandDescription, Shape, Surface};
+use sandgait::sand::mechanism_laws::{LEAST_FACTOR, SegmentState, footprint};
+use sandgait::sand::{Law, LegShape, Mechanisms, Medium, SandBed, SandDescription, Surface};
 use sandgait::sim::engine::EngineKind;
 use sandgait::sim::model::Scene;
 use sandgait::sim::walk::{Trial, WalkResult};
@@ -73,10 +73,15 @@ fn segment(random: &mut impl Rng) -> Segment {
 }
 
 impl Segment {
-    fn site<R: Real>(&self, m: &Mechanisms) -> Site<R> {
+    fn site<R: Real>(&self, m: &Mechanisms) -> SegmentState<R> {
         let [depth, x] = [self.depth, self.x].map(R::splat);
         let footprint = R::splat(footprint(m.footprint, 2, self.pass_dx));
-        Site { footprint, width: R::splat(0.01), travel: self.travel.map(R::splat), ..Site::fresh(depth, x) }
+        SegmentState {
+            footprint,
+            width: R::splat(0.01),
+            travel: self.travel.map(R::splat),
+            ..SegmentState::fresh(depth, x)
+        }
     }
 
     fn splat<R: Real>(v: Vec3<f64>) -> Vec3<R> {
@@ -100,16 +105,16 @@ fn sand_with_mechanisms_never_adds_energy() {
     let medium = Medium::named("poppy-loose").unwrap();
     let mut random = Xoshiro256PlusPlus::seed_from_u64(3);
     for law in Law::ALL {
-        let plain = Ground::<f64>::new(law, &medium, &Surface::DEFAULT);
+        let plain = SandBed::<f64>::new(law, &medium, &Surface::DEFAULT);
         for (what, m) in extremes(false, 60) {
             let ground = plain.with(&m, &medium);
-            let lanes = Ground::<Portable>::new(law, &medium, &Surface::DEFAULT);
+            let lanes = SandBed::<Portable>::new(law, &medium, &Surface::DEFAULT);
             let lanes = lanes.with(&m, &medium);
             for _ in 0..3_000 {
                 let s = segment(&mut random);
                 let (site, area, speed) = (s.site(&m), 1e-4, s.v.norm_squared().sqrt());
                 let given = |bare: Vec3<f64>| bare.dot(s.v).max(0.0) * s.most(&m);
-                let fresh = Site::fresh(s.depth, s.x);
+                let fresh = SegmentState::fresh(s.depth, s.x);
                 for (contact, bare) in [
                     (ground.thin_plate(&site, area, s.n, s.v), plain.thin_plate(&fresh, area, s.n, s.v)),
                     (ground.one_sided(&site, area, s.n, s.v), plain.one_sided(&fresh, area, s.n, s.v)),
@@ -141,7 +146,7 @@ fn sand_brakes_a_turning_leg() {
     for (what, mechanisms) in extremes(false, 20) {
         for omega in [-100.0, -20.0, -10.0, 0.2, 10.0, 20.0, 100.0] {
             for shape in ["L", "revL", "C", "flat"] {
-                let leg = Rotation { omega, ..Rotation::of(Shape::named(shape).unwrap()) };
+                let leg = Rotation { omega, ..Rotation::of(LegShape::named(shape).unwrap()) };
                 for (theta, load) in leg.loads(&SandDescription { mechanisms, ..poppy.clone() }).unwrap() {
                     let power = load.ty * omega;
                     assert!(power <= 1e-12 * omega.abs(), "{what}: leg {shape} at {theta} rad: {power} W");
@@ -155,7 +160,7 @@ fn sand_brakes_a_turning_leg() {
 #[test]
 fn added_mass_gives_back_what_it_took() {
     let medium = Medium::named("poppy-loose").unwrap();
-    let plain = Ground::<f64>::new(Law::Li2013, &medium, &Surface::DEFAULT);
+    let plain = SandBed::<f64>::new(Law::Li2013, &medium, &Surface::DEFAULT);
     let m = Mechanisms { added_mass: 30.0, ..Mechanisms::PLAIN };
     let ground = plain.with(&m, &medium);
     let n = Vec3::new(0.6, 0.0, -0.8);
@@ -165,7 +170,7 @@ fn added_mass_gives_back_what_it_took() {
         let phase = (f64::from(k) + 0.5) / f64::from(steps) * std::f64::consts::TAU;
         let (speed, acceleration) = (0.2 - 0.1 * phase.cos(), 0.1 * phase.sin());
         let v = n * speed;
-        let site = Site { width: 0.01, normal_acceleration: acceleration, ..Site::fresh(0.02, 0.0) };
+        let site = SegmentState { width: 0.01, normal_acceleration: acceleration, ..SegmentState::fresh(0.02, 0.0) };
         let extra = ground.thin_plate(&site, 1e-4, n, v).force - plain.thin_plate(&site, 1e-4, n, v).force;
         work += extra.dot(v);
         moved += extra.dot(v).abs();

@@ -3,11 +3,11 @@
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::number::Vec3;
-use sandgait::sand::{Form, Ground, Law, Medium, Site, Surface};
+use sandgait::sand::{Law, LawCoefficients, Medium, SandBed, SegmentState, Surface};
 
 /// 1 cm deep.
-fn here() -> Site<f64> {
-    Site::fresh(0.01, 0.0)
+fn here() -> SegmentState<f64> {
+    SegmentState::fresh(0.01, 0.0)
 }
 
 fn unit(random: &mut impl Rng) -> Vec3<f64> {
@@ -31,11 +31,11 @@ impl MapEach for Vec3<f64> {
 }
 
 /// Every medium and law, 20,000 random segments each.
-fn everywhere(check: impl Fn(&Ground<f64>, Vec3<f64>, Vec3<f64>, &str)) {
+fn everywhere(check: impl Fn(&SandBed<f64>, Vec3<f64>, Vec3<f64>, &str)) {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(1);
     for name in Medium::names() {
         for law in Law::ALL {
-            let ground = Ground::new(law, &Medium::named(name).unwrap(), &Surface::default());
+            let ground = SandBed::new(law, &Medium::named(name).unwrap(), &Surface::default());
             for _ in 0..20_000 {
                 let speed = 10f64.powf(random.random_range(-8.0..0.0));
                 let (n, v) = (unit(&mut random), unit(&mut random) * speed);
@@ -52,7 +52,7 @@ fn sand_never_adds_energy() {
     everywhere(|ground, n, v, what| {
         let down = Vec3::new(0.0, 0.0, -1.0);
         let penetration = ground.thin_plate(&here(), 1e-4, down, down).force.z;
-        let allowed = if matches!(ground.form, Form::Agarwal2023(_)) { 0.007 * penetration } else { 1e-12 };
+        let allowed = if matches!(ground.law, LawCoefficients::Agarwal2023(_)) { 0.007 * penetration } else { 1e-12 };
         for contact in [ground.thin_plate(&here(), 1e-4, n, v), ground.one_sided(&here(), 1e-4, n, v)] {
             let power = contact.force.dot(v);
             assert!(power <= allowed * v.norm_squared().sqrt(), "{what}: {power} W");
@@ -115,7 +115,7 @@ fn one_sided_surfaces_only_push_ahead() {
 #[test]
 fn three_dimensional_rft_adds_energy_almost_nowhere() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(2);
-    let ground = Ground::new(Law::Agarwal2023, &Medium::named("poppy-loose").unwrap(), &Surface::BARE);
+    let ground = SandBed::new(Law::Agarwal2023, &Medium::named("poppy-loose").unwrap(), &Surface::BARE);
     let adds = (0..100_000).filter(|_| {
         let (n, v) = (unit(&mut random), unit(&mut random));
         let power = ground.stress(n, &ground.motion(v)).dot(v);

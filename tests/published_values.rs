@@ -2,14 +2,14 @@
 
 use sandgait::number::Vec3;
 use sandgait::sand::intrusion::{Load, rotating_leg};
-use sandgait::sand::{Ground, Law, Medium, Shape, Surface};
+use sandgait::sand::{Law, LegShape, Medium, SandBed, Surface};
 
-fn ground(medium: &str) -> Ground<f64> {
-    Ground::new(Law::Li2013, &Medium::named(medium).unwrap(), &Surface::default())
+fn ground(medium: &str) -> SandBed<f64> {
+    SandBed::new(Law::Li2013, &Medium::named(medium).unwrap(), &Surface::default())
 }
 
 /// (α_x, α_z) in N/cm³ in the plane: v = (cos γ, −sin γ), n = (sin β, −cos β), F = (−α_x, α_z).
-fn alpha(ground: &Ground<f64>, beta_deg: f64, gamma_deg: f64) -> (f64, f64) {
+fn alpha(ground: &SandBed<f64>, beta_deg: f64, gamma_deg: f64) -> (f64, f64) {
     let (b, g) = (beta_deg.to_radians(), gamma_deg.to_radians());
     let motion = ground.motion(Vec3::new(g.cos(), 0.0, -g.sin()));
     let f = ground.stress(Vec3::new(b.sin(), 0.0, -b.cos()), &motion);
@@ -36,7 +36,7 @@ fn stresses_of_loose_poppy_seeds() {
 
 fn sweep(shape: &str) -> Vec<(f64, Load)> {
     let ground = ground("poppy-loose");
-    let segments = Shape::named(shape).unwrap().segments(0.076, 0.025, 400).unwrap();
+    let segments = LegShape::named(shape).unwrap().segments(0.076, 0.025, 400).unwrap();
     (-175..=175).map(|i| i as f64 * 0.01).map(|t| (t, rotating_leg(&ground, &segments, t, 0.2, 0.02))).collect()
 }
 

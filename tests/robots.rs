@@ -6,7 +6,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::number::Vec3;
 use sandgait::robots::{self, Import, states};
 use sandgait::sand::intruder::{Plate, area, volume};
-use sandgait::sand::{Ground, Law, Medium, SandDescription, Site, Surface};
+use sandgait::sand::{Law, Medium, SandBed, SandDescription, SegmentState, Surface};
 use sandgait::sim::Model;
 use sandgait::sim::model::Scene;
 use sandgait::sim::tree::flight::{Pose, sand_loads};
@@ -247,7 +247,7 @@ fn default_plates_feel_what_fine_ones_feel() {
             // What is flat begins to lead all at once: bluntly, as engines have it. What is round has a sharp edge.
             let flat = !matches!(name, "sphere" | "capsule" | "mesh of a boot");
             let surface = if flat { Surface::SOLID } else { Surface::BARE };
-            let ground: Ground<f64> = Ground::new(sand.law, &sand.medium(), &surface);
+            let ground: SandBed<f64> = SandBed::new(sand.law, &sand.medium(), &surface);
             let model = alone(&geometry, law);
             let fine = plates::of_shapes(
                 &[&shape(geometry.clone(), Isometry3::identity())],
@@ -269,7 +269,9 @@ fn default_plates_feel_what_fine_ones_feel() {
                     let v = velocity + spin.cross(&at);
                     if n.dot(&v) > 0.0 {
                         let [n, v] = [n, v].map(|v| Vec3::splat(v.into()));
-                        let f = V::from(ground.one_sided(&Site::fresh(-at.z - height, 0.0), area, n, v).force.lane(0));
+                        let f = V::from(
+                            ground.one_sided(&SegmentState::fresh(-at.z - height, 0.0), area, n, v).force.lane(0),
+                        );
                         force += f;
                         moment += at.cross(&f);
                     }

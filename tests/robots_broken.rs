@@ -164,7 +164,7 @@ fn broken_mjcf() -> Vec<Broken> {
             &["none", "class"],
         ),
         entry("no joint", changed("joint=\"FL_knee\"", "joint=\"FL_kne\""), &["FL_kne"]),
-        entry("including itself", changed("<default>", "<include file=\"robot.xml\"/><default>"), &["circles"]),
+        entry("including itself", changed("<default>", "<include file=\"robot.xml\"/><default>"), &["circular"]),
         entry(
             "including what is outside",
             changed("<default>", "<include file=\"../../etc/passwd\"/><default>"),

@@ -2,7 +2,7 @@
 
 use sandgait::env::Shard;
 use sandgait::env::registry::Blueprint;
-use sandgait::sand::{Ground, Law, Medium, Shape, Surface, intrusion};
+use sandgait::sand::{Law, LegShape, Medium, SandBed, Surface, intrusion};
 use sandgait::sim::carriage::CarriageEngine;
 use sandgait::sim::engine::Command;
 use sandgait::sim::model::Scene;
@@ -45,7 +45,7 @@ fn paddle(k: usize) -> [f64; 2] {
 #[test]
 fn forces_are_those_of_a_rotating_leg() {
     let surface = Surface::default();
-    let ground = Ground::<f64>::new(Law::Li2013, &medium(), &surface);
+    let ground = SandBed::<f64>::new(Law::Li2013, &medium(), &surface);
     for (knee, xi) in [(FRAC_PI_2, PI / 4.0), (-FRAC_PI_2, -PI / 4.0)] {
         let mut largest: f64 = 0.0;
         for theta in [-1.0_f64, -0.7, -0.3, 0.1, 0.6] {
@@ -59,7 +59,7 @@ fn forces_are_those_of_a_rotating_leg() {
             engine.command(0, &Command { rates: vec![-omega, 0.0], torques: vec![0.0; 2], targets: vec![] });
             engine.advance(1);
             engine.state(0, &mut state);
-            let segments = Shape::TwoPiece { xi }.segments(0.076, 0.025, 24).unwrap();
+            let segments = LegShape::TwoPiece { xi }.segments(0.076, 0.025, 24).unwrap();
             let load = intrusion::rotating_leg(&ground, &segments, theta, omega, 0.02);
             let force = state.impulse.map(|i| i / dt);
             for (ours, theirs) in [(force[0], load.fx), (force[2], load.fz)] {

@@ -7,7 +7,7 @@ use sandgait::diagnose::forward::{ForceLogModel, ForwardModel};
 use sandgait::progress::Silent;
 use sandgait::sand::intrusion::Rotation;
 use sandgait::sand::mechanism::{CATALOG, Mechanisms};
-use sandgait::sand::{Medium, SandDescription, Shape};
+use sandgait::sand::{LegShape, Medium, SandDescription};
 use sandgait::sim::engine::EngineKind;
 use sandgait::sim::model::Scene;
 use sandgait::sim::{Robot, walk};
@@ -221,7 +221,7 @@ fn mechanisms_do_to_a_rotated_leg_what_the_diagnosis_says() {
     std::fs::write(&path, log).unwrap();
     let log = force_log::read(&path, &experiment).unwrap();
     let model = ForceLogModel::new(&log, &experiment).unwrap();
-    let rotation = Rotation { omega: 10.0, ..Rotation::of(Shape::named("revL").unwrap()) };
+    let rotation = Rotation { omega: 10.0, ..Rotation::of(LegShape::named("revL").unwrap()) };
     let loads = |mechanisms: Mechanisms| {
         let sand = SandDescription { mechanisms, ..SandDescription::plain(&experiment.medium) };
         rotation.loads(&sand).unwrap().into_iter().step_by(10).map(|(_, l)| l).collect::<Vec<_>>()

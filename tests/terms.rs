@@ -2,8 +2,8 @@
 
 use sandgait::number::{Portable, Real, Vec3};
 use sandgait::progress::Silent;
-use sandgait::sand::beyond::Site;
-use sandgait::sand::{Ground, Law, Mechanisms, SandDescription, Surface};
+use sandgait::sand::mechanism_laws::SegmentState;
+use sandgait::sand::{Law, Mechanisms, SandBed, SandDescription, Surface};
 use sandgait::sim::engine::EngineKind;
 use sandgait::sim::model::Scene;
 use sandgait::sim::walk::Trial;
@@ -43,22 +43,23 @@ fn both_engines_walk_on_a_sand_with_a_term() {
 fn a_term_is_its_formula_in_every_lane() {
     let (with, without) = (sand(TERM), sand(""));
     let (n, v) = (Vec3::new(0.6, 0.0, -0.8), Vec3::new(0.3, 0.0, -0.4));
-    let site = Site { width: 0.02, ..Site::fresh(0.03, 0.0) };
+    let site = SegmentState { width: 0.02, ..SegmentState::fresh(0.03, 0.0) };
     let one = |sand: &SandDescription| {
         let medium = sand.medium();
-        let ground = Ground::<f64>::new(Law::Li2013, &medium, &Surface::BARE).with(&Mechanisms::PLAIN, &medium);
+        let ground = SandBed::<f64>::new(Law::Li2013, &medium, &Surface::BARE).with(&Mechanisms::PLAIN, &medium);
         ground.thin_plate(&site, 1e-4, n, v).force
     };
     let extra = one(&with) - one(&without);
     let froude: f64 = 0.25 / (9.80665 * 0.03);
     let expected = 30.0 * with.bulk_density * 9.80665 * 0.03 * froude.powf(0.75) * 1.5f64.powf(-0.25) * 1e-4;
     assert!((-extra.dot(n) / expected - 1.0).abs() < 1e-6, "{extra:?} {expected}");
-    let plain = Ground::<Portable>::new(Law::Li2013, &without.medium(), &Surface::BARE);
+    let plain = SandBed::<Portable>::new(Law::Li2013, &without.medium(), &Surface::BARE);
     let mut mixed = plain;
     mixed.set_lane(1, &with.medium(), &Mechanisms::PLAIN);
-    let lanes = Site { width: Portable::splat(0.02), ..Site::fresh(Portable::splat(0.03), Portable::zero()) };
+    let lanes =
+        SegmentState { width: Portable::splat(0.02), ..SegmentState::fresh(Portable::splat(0.03), Portable::zero()) };
     let wide = |v: Vec3<f64>| Vec3::splat([v.x, v.y, v.z]);
-    let force = |ground: &Ground<Portable>| ground.thin_plate(&lanes, Portable::splat(1e-4), wide(n), wide(v)).force;
+    let force = |ground: &SandBed<Portable>| ground.thin_plate(&lanes, Portable::splat(1e-4), wide(n), wide(v)).force;
     let (mixed, plain) = (force(&mixed), force(&plain));
     assert_eq!(mixed.x.lane(0), plain.x.lane(0));
     assert!((mixed.z.lane(1) / one(&with).z - 1.0).abs() < 1e-5);

@@ -6,7 +6,7 @@ use sandgait::train::{Request, Settings};
 use sandgait::{Error, Result};
 use serde_json::{Value, json};
 use std::io::{BufRead as _, BufReader, Read as _};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::Mutex;
 
@@ -103,6 +103,7 @@ fn request(task: &str, out: &Path, timesteps: u64, changes: &Value) -> Request {
         threads: 2,
         out: out.into(),
         resume: false,
+        start_from: None,
         checkpoint_every: 1_000_000,
         connect: None,
     }
@@ -156,6 +157,31 @@ fn going_on_gives_the_bits_of_never_having_stopped() {
         assert_eq!(outcome.anew, None, "{task}");
         assert!(result(&whole) == result(&parts), "{task}");
     }
+}
+
+/// A training that starts from another's networks begins where that one ended, and learns for itself from there.
+#[test]
+fn a_training_starts_from_what_another_has_learnt() {
+    let directory = tempfile::tempdir().unwrap();
+    let [first, second] = ["first", "second"].map(|name| directory.path().join(name));
+    let of = |out: &Path, start_from: Option<PathBuf>, changes: Value| Request {
+        start_from,
+        ..request("sandgait/HexapodGait-v1", out, 256, &changes)
+    };
+    let slow = json!({"learning_rate": 1e-12});
+    let before = of(&first, None, json!({})).run(&Silent).unwrap().learnt;
+    let policy = first.join("policy.safetensors");
+    let after = of(&second, Some(policy.clone()), slow).run(&Silent).unwrap().learnt;
+    let apart =
+        |other: &[f32]| before.parameters.iter().zip(other).map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max);
+    assert!(apart(&after.parameters) < 1e-6, "{}", apart(&after.parameters));
+    assert_eq!(after.steps, 256);
+    assert!(after.normal.unwrap().observations.count > before.normal.unwrap().observations.count);
+    let refused = |request: Request| request.run(&Silent).err().unwrap().to_string();
+    let other = of(&second, Some(policy.clone()), json!({"policy_kwargs": {"net_arch": [8]}}));
+    assert!(refused(other).contains("policy.safetensors"));
+    let both = Request { resume: true, ..of(&second, Some(policy), json!({})) };
+    assert!(refused(both).contains("start_from"));
 }
 
 /// Other environments than those that were kept: new episodes, and the reason.

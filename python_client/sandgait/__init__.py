@@ -14,12 +14,12 @@ Studies need no environment, and are the commands of the same names:
     sandgait.diagnose("force.csv", "experiment.toml").summary
     sandgait.evaluate("tripod:2", slopes=[0, 10]).to_frame()
 
-A gait is learnt in a minute, without torch:
+Learning a gait takes a minute, without torch:
 
     sandgait.train("sandgait/HexapodGait-v1", seconds=60).policy
 
-All of it is computed in this process. With `address="host:port"` or `"unix:/path"` a running server does it instead; a
-`sandgait.Remote` holds what it takes to use one that asks for TLS or a token.
+This process computes all of it. With `address="host:port"` or `"unix:/path"` a running server does; a
+`sandgait.Remote` is the address of a server that requires TLS or a token.
 """
 
 from __future__ import annotations
@@ -107,8 +107,8 @@ def make_sb3(
 ) -> Environments:
     """`num_envs` environments of task `id` as a stable-baselines3 `VecEnv`; `options` as for `gymnasium.make_vec`.
 
-    They are inside a `VecMonitor`, from which stable-baselines3 has `ep_rew_mean`. `monitor`: a path also writes every
-    episode to that file, with the info columns `info_keywords`; False leaves it out.
+    A `VecMonitor` wraps them; stable-baselines3 takes `ep_rew_mean` from it. `monitor`: with a path it also writes
+    every episode to that file, with the info columns `info_keywords`; False leaves the wrapper out.
     """
     from .sb3 import make
 
@@ -118,8 +118,8 @@ def make_sb3(
 def export_onnx(model: Any, path: FilePath, normalize: Any = None) -> Path:
     """Writes the deterministic policy of a stable-baselines3 `model` (PPO, A2C, SAC, TD3, DDPG) to an ONNX file.
 
-    `normalize`: the VecNormalize it was trained with; its statistics and its clipping become part of the network. The
-    file is what `rollout_policy`, `evaluate` and `sandgait evaluate` take. Gives its path. Needs `sandgait[sb3]`.
+    `normalize`: the VecNormalize it was trained with; its statistics and its clipping become part of the network.
+    `rollout_policy`, `evaluate` and `sandgait evaluate` take the file. Returns its path. Needs `sandgait[sb3]`.
     """
     from .export import export_onnx
 

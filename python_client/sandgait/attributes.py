@@ -1,6 +1,6 @@
-"""Setting an attribute of an environment would change nothing on the server, so it is refused.
+"""Refuses to set attributes of environments, because that would not change the simulation.
 
-The simulation is elsewhere. Task options change at a reset or are fixed when the environment is made.
+Task options change at a reset, or are fixed when the environment is made.
 """
 
 from __future__ import annotations
@@ -40,4 +40,4 @@ def refusal(task: Task, name: str, value: Any) -> UnknownAttribute:
             f"sandgait.make_sb3: {name}={value!r}"
         )
     known = ", ".join(o.name for o in task.options if o.at_reset)
-    return UnknownAttribute(f"{name}: the simulation has nothing of this name; reset(options=...) takes {known}")
+    return UnknownAttribute(f"{name}: the simulation has no option of this name; reset(options=...) takes {known}")

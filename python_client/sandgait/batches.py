@@ -1,4 +1,4 @@
-"""What environments answer: arrays of all of them at once."""
+"""Results of environments, as arrays over all of them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Batch(NamedTuple):
 
 
 class Rollout(NamedTuple):
-    """What sequences of actions gave; an environment's rollout ends with its episode."""
+    """Results of a rollout; an environment's rollout ends with its episode."""
 
     #: f64 [num_envs]: sum of rewards until the rollout or the episode ended.
     returns: npt.NDArray[np.float64]
@@ -39,7 +39,7 @@ class Rollout(NamedTuple):
     truncated: npt.NDArray[np.bool_]
     #: f32 [steps, num_envs, observation] after each step, zero where a rollout had ended; empty unless asked for.
     observations: npt.NDArray[np.float32]
-    #: f32 [steps, num_envs], likewise.
+    #: f32 [steps, num_envs], as above.
     rewards: npt.NDArray[np.float32]
-    #: f32 [steps, num_envs, action], likewise: what a policy chose in each step; empty for given actions.
+    #: f32 [steps, num_envs, action], as above: a policy's choices; empty for given actions.
     actions: npt.NDArray[np.float32]

@@ -1,6 +1,6 @@
-"""The wire: calls to servers, by the native module.
+"""Calls to servers, by the native module.
 
-A `Stream` takes one request for a batched reset or step and gives one answer; `session` makes a session of streams.
+A `Stream` returns one answer for each request; `session` makes a lasting session of streams.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ PROTOCOL = 1
 #: Longest wait for a server to confirm that a session is closed [s].
 CLOSE_TIMEOUT = 2.0
 
-#: gRPC's status codes: their names, and what each asks of the caller.
+#: gRPC's status codes: their names, and the exception for each.
 _CODES: dict[int, tuple[str, type[SandgaitError]]] = {
     1: ("CANCELLED", SessionLost),
     3: ("INVALID_ARGUMENT", InvalidRequest),
@@ -46,7 +46,7 @@ _NOT_FOUND, _INVALID, _UNAUTHENTICATED = 5, 3, 16
 
 
 def place(address: str) -> _native.Address:
-    """What the native module has to know of a server."""
+    """The native module's description of a server."""
     if not re.fullmatch(r"unix:.+|.+:\d{1,5}", address):
         raise InvalidRequest(f'address: {address!r} is neither "host:port" nor "unix:/path"')
     if isinstance(address, Remote):
@@ -86,7 +86,7 @@ def create_session(address: str, task: str, num_envs: int, options: Mapping[str,
         session_id, made, lines = _native.create_session(place(address), task, num_envs, with_files(options))
     except _native.StatusError as error:
         code, message = error.args
-        # A task or option of that name: there is no session to lose.
+        # no such task or option: there is no session to lose
         raise _error(_INVALID if code == _NOT_FOUND else code, message, address) from None
     for line in lines:
         warnings.warn(line, UserWarning, stacklevel=2)
@@ -102,15 +102,15 @@ class Stream:
             self._native = _native.Stream(place(address), session_id)
         except _native.StatusError as error:
             raise _error(*error.args, address) from None
-        #: Number of the last request that the session has carried out or refused.
+        #: Number of the last request that the session has answered.
         self.last_sequence = self._native.last_sequence
 
     def send(self, request: Request, here: bool = False) -> None:
-        """Sends without waiting. `here`: the caller waits for the answer next."""
+        """Sends without waiting. `here`: the caller will wait for the answer next."""
         self._native.send(request, here)
 
     def receive(self) -> Response:
-        """The next answer. `ServerLost` if the connection broke: the session may still be there."""
+        """The next answer. `ServerLost` if the connection broke: the session may still exist."""
         try:
             return self._native.receive()
         except _native.StatusError as error:
@@ -130,12 +130,13 @@ def close_session(address: str, session_id: str, timeout: float = CLOSE_TIMEOUT)
 def reset_request(
     seeds: Sequence[int] | None, mask: npt.NDArray[np.bool_] | None, options: Mapping[str, Any]
 ) -> Request:
-    """A reset. `seeds` and `mask` have one entry an environment; without seeds streams go on."""
+    """A reset. `seeds` and `mask` have one entry an environment; without seeds the random streams continue."""
     return Request.reset(seeds, None if mask is None else mask.tobytes(), options)
 
 
 def step_request(actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None = None) -> Request:
-    """A step; `actions` is f32 [num_envs, action]. Bounds are checked by the server. `held`: who stays as it is."""
+    """A step; `actions` is f32 [num_envs, action]. The server checks bounds. Environments in `held` keep their
+    state."""
     return Request.step(actions, None if held is None else held.tobytes())
 
 
@@ -155,13 +156,13 @@ def rollout(parts: Sequence[Response], num_envs: int, task: Task) -> Rollout:
 
 
 def failure(response: Response, address: str) -> SandgaitError | None:
-    """The error that a response stands for, if it is a refusal."""
+    """The error in a response, if it is a refusal."""
     refused = response.failure
     return None if refused is None else _error(*refused, address)
 
 
 def _error(code: int, message: str, address: str) -> SandgaitError:
-    """A status as the exception that says what the caller can do."""
+    """Converts a status to the exception that tells what the caller can do."""
     if code == _UNAUTHENTICATED:
         return SandgaitError(f"{address}: {message}; sandgait.Remote takes it (token or token_file)")
     name, kind = _CODES.get(code, (str(code), None))

@@ -1,4 +1,4 @@
-"""Diagnosis: what a simulation gets wrong about measured data, why, and what extending it is worth."""
+"""Diagnosis: where a simulation differs from measured data, why, and the gain of an extended model."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .tables import Table, new_axes
 #: Largest data a server takes [bytes]; `sandgait diagnose` on the command line reads larger files.
 MOST_BYTES = 63 * 2**20
 
-#: Conditions that a figure shows unless others are asked for: those where the plain model errs most.
+#: Default number of conditions in a figure: those with the largest errors of the plain model.
 CONDITIONS = 4
 
 
@@ -29,7 +29,7 @@ class Diagnosis:
         self.report: dict[str, Any] = json.loads(report_json)
         #: `report.html`: one self-contained page.
         self.html = html
-        #: The extended model as `sand.toml`: the plain one where nothing helps.
+        #: The extended model as `sand.toml`; the plain one if nothing helps.
         self.sand = sand
         #: Measured and predicted loads, one row a sample: trial, condition, shape, progress (angle [rad] or place
         #: along the path [m]), then for each channel C: C, C_plain, C_extended, C_sd.
@@ -37,7 +37,7 @@ class Diagnosis:
 
     @property
     def verdict(self) -> str:
-        """noise_floor, named, ambiguous, none_of_these or insufficient_data."""
+        """The verdict: noise_floor, named, ambiguous, none_of_these or insufficient_data."""
         return cast(str, self.report["verdict"])
 
     @property
@@ -47,7 +47,7 @@ class Diagnosis:
 
     @property
     def causes(self) -> list[dict[str, Any]]:
-        """Each with id, value, unit and ci95; empty unless the verdict is named or ambiguous."""
+        """The causes, each with id, value, unit and ci95; empty unless the verdict is named or ambiguous."""
         return cast(list[dict[str, Any]], self.report["causes"])
 
     def __repr__(self) -> str:
@@ -70,7 +70,8 @@ class Diagnosis:
     def plot(self, conditions: list[str] | None = None, channels: tuple[str, ...] = ("Fx", "Fz")) -> Any:
         """Measured (dots), plain and extended loads of some conditions, one row a condition, one column a channel.
 
-        `conditions`: as the data name them (none: the 4 where the plain model errs most). Gives the matplotlib figure.
+        `conditions`: by their names in the data (none: the 4 with the largest errors of the plain model). Returns
+        the matplotlib figure.
         Needs `sandgait[plot]`.
         """
         c = self.curves
@@ -96,7 +97,7 @@ class Diagnosis:
         return figure
 
     def _worst(self, channels: tuple[str, ...]) -> list[str]:
-        """Conditions in which the plain model is off by the most σ of a repetition."""
+        """Conditions with the largest errors of the plain model, in σ of a repetition."""
         c = self.curves
         off = sum(((c[n] - c[f"{n}_plain"]) / np.maximum(c[f"{n}_sd"], 1e-12)) ** 2 for n in channels)
         names, index = np.unique(c["condition"], return_inverse=True)
@@ -107,7 +108,7 @@ class Diagnosis:
         c = self.curves
         x = c["progress"][chosen]
         ax.plot(x, c[channel][chosen], ".", color="0.35", markersize=2.5, label="measured")
-        # Repetitions are driven alike: the first trial's curve stands for all.
+        # Repetitions have the same motion, so the first trial's curve represents all.
         first = chosen & (c["trial"] == c["trial"][chosen][0])
         x = c["progress"][first]
         plain, extended, sd = (c[f"{channel}_{what}"][first] for what in ("plain", "extended", "sd"))
@@ -123,7 +124,7 @@ class Diagnosis:
 def diagnose(
     data: Any, experiment: FilePath | Mapping[str, Any], address: str | None = None, progress: ProgressOption = True
 ) -> Diagnosis:
-    """Shows what the simulation gets wrong about `data`, names the cause, extends the model, measures the gain.
+    """Shows where the simulation differs from `data`, names the cause, extends the model, measures the gain.
 
     `data`: path of a CSV file (a robot's own log may be Parquet or MCAP too), or a pandas DataFrame with the same
     columns; at most 63 MiB. `experiment`: path of an EXPERIMENT.toml, or the same tables as a dict. Ctrl-C stops the

@@ -1,6 +1,6 @@
 """The two doors to environments: in this process, and over the network.
 
-`Door` is what an environment asks of either. `Local` is the one in this process; `session.Session` the other.
+`Door` is their common interface: `Local` for this process, `session.Session` for the network.
 """
 
 from __future__ import annotations
@@ -19,35 +19,35 @@ from .options import with_files
 from .spaces import Task
 from .threads import agreed
 
-#: Who is told how far a study has come: the share done, and what is done now.
+#: Called with a study's progress: the finished share, and the present stage.
 Told = Callable[[float, str], None]
 
 
 class Held(NamedTuple):
-    """What it takes to close a session that nobody refers to any more."""
+    """Closes a session that is not referred to any more."""
 
     close: Callable[[], object]
-    #: Says how long `close` may take [s].
+    #: Sets how long `close` may take [s].
     hurry: Callable[[float], None]
 
 
 class Door(Protocol):
-    """Environments of one task in one place. An answer is owed for what was sent, until it is received."""
+    """Environments of one task in one place. Each request has an answer, which must be received."""
 
     num_envs: int
     task: Task
 
     @property
     def address(self) -> str | None:
-        """Of the server that has the environments; None: they are in this process."""
+        """Address of the server that has the environments; None: they are in this process."""
 
     @property
     def held(self) -> Held:
-        """What it takes to close this; it does not keep it alive."""
+        """An object that closes this door without keeping it alive."""
 
     @property
     def owes(self) -> bool:
-        """Is there an answer that nobody has received, or that may be received again?"""
+        """Is an answer pending, or still kept from the last request?"""
 
     def send_reset(
         self, seeds: Sequence[int] | None, mask: npt.NDArray[np.bool_] | None, options: Mapping[str, Any]
@@ -141,7 +141,7 @@ def describe(address: str | None = None) -> tuple[str, tuple[Task, ...]]:
 def study(address: str | None, name: str, request: Mapping[str, Any], told: Told | None = None) -> Any:
     """Result of a study at `address`, or in this process: a table, or of a diagnosis its three files and a table.
 
-    Whatever interrupts the wait, an exception of `told` or Ctrl-C, also stops the study.
+    An exception of `told` or Ctrl-C interrupts the wait and stops the study.
     """
     if address is None:
         return _native.study(None, name, request, told)

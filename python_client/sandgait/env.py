@@ -1,4 +1,4 @@
-"""One environment as a `gymnasium.Env`: a session of one."""
+"""One environment as a `gymnasium.Env`: a session with one environment."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from .view import RENDER_MODES, SIZE
 Observation = npt.NDArray[np.float32]
 
 
-#: The most steps an episode can have on a server.
+#: The longest episode that a server supports.
 LONGEST_EPISODE = 1_000_000
 
 
 class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     """One environment of `task` in this process, or on the server at `address`.
 
-    For training take `SandgaitVectorEnv`: sixteen environments take little longer than one. `resume`: outlive a
-    server that dies, by snapshots. `clip_actions`: put actions inside their bounds; without it one that is outside is
-    refused. `threads`: how many of this process simulate; its first environment decides.
-    `isolated`: without an address, a server process of one's own, which may crash alone.
+    For training use `SandgaitVectorEnv`: sixteen environments take little longer than one. `resume`: survive the
+    death of a server, by snapshots. `clip_actions`: clip actions to their bounds; without it an action outside is
+    refused. `threads`: number of simulating threads of this process; its first environment decides. `isolated`:
+    without an address, use a separate server process, so that a crash does not affect this one.
     `render_mode`: "rgb_array" for pictures of `render_size` (width, height), "human" for the same in a window.
 
-    A step that was interrupted (Ctrl-C) has been taken all the same: the next call of `step` gives its answer.
-    Pickling and copying an environment that was reset takes its state along (`pickling`).
+    A step that was interrupted (Ctrl-C) is made nevertheless: the next call of `step` returns its answer. Pickling
+    and copying an environment that was reset include its state (`pickling`).
     """
 
     metadata: dict[str, Any] = {"render_modes": RENDER_MODES}
@@ -62,19 +62,19 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._over = False
         #: First row of the next episode: the server has begun it in the step that ended the last one.
         self._next: Observation | None = None
-        #: The action of a step whose answer nobody has taken, and the answer once it has come.
+        #: The action of a step whose answer was not returned yet, and the answer once it has come.
         self._in_flight: npt.NDArray[np.float32] | None = None
         self._batch: Batch | None = None
-        #: What is set on it from here on is no business of ours.
+        #: Attributes that are set after this are the user's own.
         self._own = frozenset(self.__dict__) | {"_own"}
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begins an episode. `options`: task options that may change at a reset; they hold from then on."""
+        """Begins an episode. `options`: task options that a reset can change; they hold from then on."""
         if self._in_flight is not None:
             with contextlib.suppress(InvalidRequest):
-                self._answer()  # it may have ended the episode, and then the next one is there
+                self._answer()  # it may have ended the episode, and then the next one has begun
         super().reset(seed=seed)
         first, self._next, self._over = self._next, None, False
         if first is not None and seed is None and not options:
@@ -109,7 +109,7 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         return self._answer()
 
     def _answer(self) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """What the step in flight came to. An interrupt may strike at any point: it can then be taken again."""
+        """Result of the step in flight. It can be called again after an interrupt at any point."""
         if self._batch is None:
             try:
                 self._batch = self._session.receive()
@@ -136,7 +136,7 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             raise OutOfOrder(f"{call}: a step was interrupted; call step for its answer, or reset")
 
     def set_wrapper_attr(self, name: str, value: Any, *, force: bool = True) -> bool:
-        """Refused where it would change nothing; what you added to this object yourself can be set."""
+        """Refused if it would change nothing; attributes that you added yourself can be set."""
         ours = name in self._own or hasattr(SandgaitEnv, name) or not hasattr(self, name)
         if ours and name != "np_random":
             raise refusal(self.task, name, value)
@@ -162,14 +162,14 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._view.stop_recording()
 
     def save(self, path: FilePath | None = None) -> bytes:
-        """The environment as it is, for `restore`; also written to the file `path`, whole or not at all."""
+        """The environment as it is, for `restore`; also written to the file `path`, completely or not at all."""
         self._require_rest("save")
         if self._over:
             raise OutOfOrder("save: the episode is over; call reset first")
         return write_snapshot(self._session.save(), path)
 
     def restore(self, snapshot: bytes | FilePath) -> Observation:
-        """Goes on from a snapshot (bytes or a file), with the same bits; gives the observation."""
+        """Continues from a snapshot (bytes or a file), with the same bits; returns the observation."""
         self._session.send_restore(read_snapshot(snapshot), None)
         self._over, self._next, self._seeded, self._in_flight = False, None, True, None
         observation: Observation = self._session.receive().observations[0]
@@ -192,13 +192,13 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
 
 def registered(task: str, **options: Any) -> SandgaitEnv:
-    """What `gymnasium.make` calls for a task with a time limit.
+    """`gymnasium.make` calls this for a task with a time limit.
 
-    gymnasium keeps `max_episode_steps` to itself and counts in a wrapper (TimeLimit), so the server's own limit is put
-    out of the way.
+    gymnasium does not pass `max_episode_steps` on and counts in a wrapper (TimeLimit), so the environment's own
+    limit is set to its maximum.
     """
     return SandgaitEnv(task, **{"max_episode_steps": LONGEST_EPISODE, **options})
 
 
-#: gymnasium reads from it which render modes there are.
+#: gymnasium reads the render modes from it.
 registered.metadata = SandgaitEnv.metadata  # type: ignore[attr-defined]

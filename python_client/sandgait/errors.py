@@ -1,4 +1,4 @@
-"""What can go wrong, by what the caller can do about it."""
+"""Exceptions, distinguished by what the caller can do."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class InvalidRequest(SandgaitError, ValueError):
 
 
 class UnknownAttribute(SandgaitError, AttributeError):
-    """An attribute that is not there, or that would change nothing; the message says what to use instead."""
+    """An attribute that does not exist, or that would change nothing; the message says what to use instead."""
 
 
 class OutOfOrder(SandgaitError):
@@ -20,12 +20,12 @@ class OutOfOrder(SandgaitError):
 
 
 class LimitReached(SandgaitError):
-    """The server refuses to give more: environments, sessions or memory."""
+    """A limit of environments, sessions or memory was reached."""
 
 
 class ServerLost(SandgaitError, ConnectionError):
-    """The server cannot be reached, or went away. Make the environment anew once it is back."""
+    """The server cannot be reached, or has ended. Make the environment again once it is back."""
 
 
 class SessionLost(SandgaitError):
-    """The server is there, but this session has ended. Make the environment anew."""
+    """The server runs, but this session has ended. Make the environment again."""

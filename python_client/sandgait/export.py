@@ -15,7 +15,7 @@ from .from_rust import to_sb3 as to_sb3
 from .snapshots import FilePath
 
 try:
-    import onnxscript  # noqa: F401 - torch needs it and says so late
+    import onnxscript  # noqa: F401 - torch needs it and reports its absence late
     import torch
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.policies import ActorCriticPolicy
@@ -27,7 +27,8 @@ except ImportError as error:
 
 
 def export_onnx(model: BaseAlgorithm, path: FilePath, normalize: VecNormalize | None = None) -> Path:
-    """Writes the deterministic policy of a PPO, A2C, SAC, TD3 or DDPG `model` to the ONNX file `path`; gives that path.
+    """Writes the deterministic policy of a PPO, A2C, SAC, TD3 or DDPG `model` to the ONNX file `path`; returns that
+    path.
 
     `normalize`: the VecNormalize it was trained with; its statistics as they are now and its clipping become part of
     the network. Input: `observation`, f32 [n, observation], as the environments give them. Output: `action`, f32
@@ -49,7 +50,7 @@ def export_onnx(model: BaseAlgorithm, path: FilePath, normalize: VecNormalize | 
         )
     assert program is not None
     graph = program.model.graph
-    for part in (graph, *graph):  # torch notes where in which files it found every node
+    for part in (graph, *graph):  # torch records in which file and line it found every node
         part.metadata_props.clear()
     path = Path(path)
     program.save(path, external_data=False)
@@ -57,7 +58,7 @@ def export_onnx(model: BaseAlgorithm, path: FilePath, normalize: VecNormalize | 
 
 
 class _Actor(torch.nn.Module):
-    """From raw observations to the action that `predict(deterministic=True)` gives."""
+    """From raw observations to the action of `predict(deterministic=True)`."""
 
     center: torch.Tensor
     rest: torch.Tensor
@@ -79,7 +80,7 @@ class _Actor(torch.nn.Module):
             statistics: Any = normalize.obs_rms
             if isinstance(statistics, dict):
                 raise InvalidRequest("normalize: observations that are dicts have no ONNX here")
-            # VecNormalize computes in f64. The mean in two parts of f32 is as good where an observation hardly varies.
+            # VecNormalize computes in f64. A mean as a sum of two f32 is as accurate where observations hardly vary.
             mean = torch.as_tensor(statistics.mean, dtype=torch.float64)
             scale = torch.sqrt(torch.as_tensor(statistics.var, dtype=torch.float64) + normalize.epsilon)
             self.register_buffer("center", mean.float())
@@ -98,7 +99,7 @@ class _Actor(torch.nn.Module):
 
 
 def _mean(policy: Any) -> Callable[[Any], Any]:
-    """What a policy does without noise, before SB3 scales or clips it to the action space."""
+    """The policy without noise, before SB3 scales or clips its output to the action space."""
     if isinstance(policy, ActorCriticPolicy):
 
         def actor_critic(rows: Any) -> Any:
@@ -122,7 +123,7 @@ def _mean(policy: Any) -> Callable[[Any], Any]:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """The exporter's own advice is about torch, not about this network."""
+    """Hides the exporter's warnings, which are about torch and not about this network."""
     logger = logging.getLogger("torch.onnx")
     level = logger.level
     logger.setLevel(logging.ERROR)

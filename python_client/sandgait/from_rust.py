@@ -1,4 +1,4 @@
-"""Policies that `sandgait train` has learnt, as models of stable-baselines3 to go on with."""
+"""Policies of `sandgait train` as models of stable-baselines3, for further training."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def to_sb3(path: FilePath, env: VecEnv, **changes: Any) -> PPO:
 
     `env`: environments of the same task, as `make_sb3` gives them. Where the training normalized, the model's
     `get_env()` is a `VecNormalize` around them with the training's statistics. `changes`: other arguments of PPO
-    than the training's, for example `learning_rate`. The optimizer begins anew.
+    than the training's, for example `learning_rate`. The optimizer's state is not restored.
     """
     about, arrays = read_policy(path)
     settings = json.loads(about["settings"])
@@ -86,7 +86,7 @@ def to_sb3(path: FilePath, env: VecEnv, **changes: Any) -> PPO:
 
 
 def _schedule(setting: Any) -> Any:
-    """A number, or one that falls to zero."""
+    """A constant, or a schedule that falls to zero."""
     if not isinstance(setting, str):
         return setting
     first = float(setting.removeprefix("lin_"))
@@ -118,12 +118,12 @@ def _load(policy: Any, arrays: Arrays, mirrored: bool) -> None:
         policy.log_std.copy_(torch.from_numpy(arrays["log_std"].copy()))
 
 
-#: Which column holds the mirrored value of each, and its sign.
+#: For each column the column with its mirrored value, and the sign.
 Mirror = tuple[list[int], list[float]]
 
 
 class _Reflection(nn.Module):
-    """Rows as they look in the mirror: times a matrix of 0, 1 and -1, which is exact and which ONNX files can hold."""
+    """Mirror images of rows: the product with a matrix of 0, 1 and -1, which is exact and possible in ONNX."""
 
     matrix: torch.Tensor
 
@@ -179,7 +179,7 @@ class MirroredPolicy(ActorCriticPolicy):
 
     def _build(self, lr_schedule: Schedule) -> None:
         super()._build(lr_schedule)
-        self.action_net = nn.Identity()  # the mean is mirrored; a layer behind it would undo that
+        self.action_net = nn.Identity()  # the mean is mirrored; another layer after it would undo that
         self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)  # type: ignore[call-arg]
 
     def _get_constructor_parameters(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Keywords of tasks, as they leave this process."""
+"""Prepares keywords of tasks for sending."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .errors import InvalidRequest
 
 
 def with_files(options: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Options that are paths here are texts where environments are made: a sand.toml, a URDF or an MJCF."""
+    """Replaces paths by the files' text: a sand.toml, a URDF or an MJCF."""
     texts = {}
     if "sand" in options:
         try:
@@ -21,12 +21,12 @@ def with_files(options: Mapping[str, Any]) -> Mapping[str, Any]:
             raise InvalidRequest(f"sand: {options['sand']!r} cannot be read as a file: {error}") from error
     robot = options.get("robot")
     if isinstance(robot, (str, Path)) and Path(robot).suffix in ROBOT_FILES:
-        # With its meshes cut into plates: what a server takes.
+        # with its meshes cut into plates, as servers require
         texts["robot"], lines = _native.pack_robot(str(robot))
         for line in lines:
             warnings.warn(line, UserWarning, stacklevel=2)
     return {**options, **texts}
 
 
-#: Endings of files that hold a robot.
+#: Endings of robots' files.
 ROBOT_FILES = (".urdf", ".xml", ".mjcf")

@@ -1,7 +1,7 @@
-"""What an environment is made from, and how it is pickled and copied.
+"""Arguments of an environment, and how it is pickled and copied.
 
-An environment that has never been reset is its constructor's arguments. One that has is these and a snapshot; the
-session is opened, and the snapshot restored, where it is first used. What follows has the same bits.
+An environment that was never reset is pickled as its constructor's arguments, later with a snapshot too. The copy
+opens its session, and restores the snapshot, when it is first used. It goes on with the same bits.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from .view import View
 
 @dataclass(frozen=True)
 class Origin:
-    """What it takes to open a session, and to see it."""
+    """The arguments for opening a session and its view."""
 
     task: str
     num_envs: int
@@ -41,18 +41,18 @@ class Origin:
 
 
 class Pickled:
-    """An environment with a session that need not be open yet."""
+    """An environment whose session is opened when needed."""
 
     task: Task
     _origin: Origin
     #: None: not yet, or it was closed before.
     _opened: tuple[Shards, View] | None
-    #: What the session begins with; None: as it was made.
+    #: Snapshot that the session starts from; None: a new one.
     _kept: bytes | None
     _shut: bool
-    #: Whether environments have had a reset.
+    #: Were the environments reset?
     _seeded: Any
-    #: Names of the task's options: nobody may believe that setting one as an attribute does something.
+    #: Names of the task's options; setting one as an attribute is refused, because it would have no effect.
     _options: frozenset[str] = frozenset()
 
     def _begin(self, origin: Origin) -> None:
@@ -96,7 +96,7 @@ class Pickled:
             shards.close()
 
     def _in_step(self) -> bool:
-        """Does a step wait for its answer to be taken?"""
+        """Is a step's answer still to be received?"""
         raise NotImplementedError
 
     def __getstate__(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Policies that the server runs: networks as ONNX files, and gaits that need none."""
+"""Policies that the server runs: networks as ONNX files, and gaits without a network."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .tables import Numbers, Table
 
 
 def read_policy(onnx: bytes | FilePath) -> bytes:
-    """The bytes of an ONNX file. What is inside is checked by the server."""
+    """The bytes of an ONNX file. The server checks its contents."""
     if isinstance(onnx, bytes):
         return onnx
     try:
@@ -28,7 +28,7 @@ def read_policy(onnx: bytes | FilePath) -> bytes:
 
 
 class Evaluation(Table):
-    """How good a gait is; one row a medium and slope. What has no value is not a number.
+    """Evaluation of a gait; one row a medium and slope. Undefined values are NaN.
 
     Columns: medium, slope_deg [°], rate [Hz] of a tripod whose rate was searched, episodes; return, speed [m/s],
     speed_error [m/s], cost_of_transport, slip and falls, each with the ends `_low` and `_high` of its 95 % interval;
@@ -42,7 +42,7 @@ class Evaluation(Table):
 
     @property
     def cost_of_transport(self) -> Numbers:
-        """Work of all episodes over weight times distance; not a number where the robot does not go forward."""
+        """Work of all episodes over weight times distance; NaN where the robot does not go forward."""
         return self["cost_of_transport"]
 
 
@@ -62,7 +62,7 @@ def evaluate(
     `policy`: an ONNX file that `sandgait.export_onnx` wrote, or its bytes; or "tripod:HZ", "tripod" (the best rate,
     searched on other seeds), "clock:N,N,…" or "clock:FILE.json" (one action of `control="clock"`, held), "standing",
     "random".
-    `options`: as for `gymnasium.make`. What `sandgait evaluate` computes.
+    `options`: as for `gymnasium.make`. `sandgait evaluate` computes the same.
     """
     network = isinstance(policy, (bytes, PathLike)) or policy.endswith(".onnx")
     name = "policy.onnx" if isinstance(policy, bytes) else str(policy)
@@ -81,7 +81,7 @@ def evaluate(
 
 
 def _with_clock(gait: str) -> str:
-    """The numbers of a clock's file in place of its name: the server may be elsewhere."""
+    """Replaces a clock's file by its numbers, because the server may be on another machine."""
     kind, _, rest = gait.partition(":")
     if kind != "clock" or not rest.endswith(".json"):
         return gait

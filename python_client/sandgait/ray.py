@@ -4,7 +4,8 @@
         env = sandgait.SandgaitVectorEnv(id, 4096, address=servers.addresses)
 
 Every server listens on its node's address in the cluster, with TLS and a token. The token is drawn by `serve`, each
-server makes its own certificate, and both travel through Ray: who may use the cluster may use its servers, nobody else.
+server makes its own certificate, and Ray transfers both: all users of the cluster can use its servers, and nobody
+else.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ class _Server:
 
     def __init__(self, threads: int, token: str) -> None:
         listen = f"{ray.util.get_node_ip_address()}:0"
-        #: Only this user can enter it. The server has read and written its files when it says where it listens.
+        #: Only this user can enter it. When the server reports its address, it has read and written its files.
         self._directory = tempfile.TemporaryDirectory()
         token_file, self._certificate = (Path(self._directory.name) / name for name in ("token", "certificate"))
         token_file.touch(0o600)
@@ -53,7 +54,7 @@ class _Server:
         self._process = subprocess.Popen(command + security, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
     def address(self) -> tuple[str, bytes]:
-        """Where the server listens and its certificate; both empty if it could not start (its log is the actor's)."""
+        """The server's address and its certificate; both empty if it could not start (its log is in the actor's)."""
         assert self._process.stdout is not None
         address = self._process.stdout.readline().removeprefix("listening on ").strip()
         certificate = self._certificate.read_bytes() if address else b""
@@ -69,11 +70,11 @@ class _Server:
 
 @dataclass
 class Servers:
-    """Servers of a cluster, one a node. They end with `close`, or when this is no longer referred to."""
+    """Servers of a cluster, one a node. They end with `close`, or when this object is garbage-collected."""
 
-    #: For `address=` of an environment: of all servers, or some. With what it takes to use them.
+    #: For `address=` of an environment: the addresses, with credentials, of all servers; or take some of them.
     addresses: list[Remote]
-    #: Ray's id of each server's node, to place its clients there.
+    #: Ray's id of each server's node, for placing clients there.
     nodes: list[str]
     #: Threads of each server.
     threads: list[int]
@@ -85,7 +86,7 @@ class Servers:
 
     def close(self) -> None:
         """Ends all servers. Sessions on them are lost."""
-        with contextlib.suppress(ray.exceptions.RayError):  # a node or the cluster may be gone already
+        with contextlib.suppress(ray.exceptions.RayError):  # the node or the cluster may have ended already
             ray.get([actor.stop.remote() for actor in self._actors], timeout=server.STOP_TIMEOUT)
         for actor in self._actors:
             ray.kill(actor)
@@ -101,9 +102,9 @@ class Servers:
 def serve(nodes: Sequence[str] | None = None, threads: int | None = None, num_cpus: float = 0.0) -> Servers:
     """Starts one server on each of `nodes` (Ray's ids; none: every node that has processors) and waits for all.
 
-    `threads`: of each server; without it, as many as Ray counts processors on the node. `num_cpus`: what each server
-    takes from Ray's count; 0 leaves all to the clients, which wait while their server computes. Ray is initialized by
-    the caller, and this package installed on every node.
+    `threads`: of each server; by default as many as Ray counts processors on the node. `num_cpus`: how many of them
+    Ray reserves for each server; 0 leaves all to the clients, which wait while their server computes. The caller
+    initializes Ray, and this package must be installed on every node.
     """
     if threads is not None and not 1 <= threads <= 65_535:
         raise InvalidRequest(f"threads: {threads} is outside [1, 65535]")

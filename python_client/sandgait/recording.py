@@ -1,6 +1,6 @@
-"""Recordings: what a robot did, moment by moment, in a file that `sandgait replay` makes a page of.
+"""Recordings: the motion of a robot, moment by moment, in a file that `sandgait replay` can show.
 
-A file is a gzip stream of blocks; `docs/seeing.md` has the format. It is read without the server.
+A file is a gzip stream of blocks; `docs/seeing.md` has the format. Reading needs no server.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ _FORMAT, _VERSION = "sandgait recording", 1
 _BLOCK = struct.Struct("<4sI")
 _FOREIGN = "this is none of sandgait's recordings"
 
-#: What a recording may unpack to [bytes]: our choice, four hours of a hexapod with 300 numbers a moment at 50 Hz.
+#: Largest unpacked size of a recording [bytes]: our choice, four hours of a hexapod with 300 numbers a moment at 50 Hz.
 MAX_BYTES = 2**30
 
 
 class Section:
-    """An episode, or what was recorded of it: `section["angles"]` is f32 [moments, joints]."""
+    """An episode, or its recorded part: `section["angles"]` is f32 [moments, joints]."""
 
     def __init__(self, header: dict[str, Any], rows: Floats) -> None:
         #: Names, units and shapes of the columns, geometry of the robot, seed: see docs/seeing.md.
@@ -73,7 +73,7 @@ class Recording:
 
     @property
     def header(self) -> dict[str, Any]:
-        """Of the first section."""
+        """Header of the first section."""
         return self.sections[0].header
 
     @property
@@ -110,7 +110,7 @@ class _CutOff(Exception):
 
 
 def _blocks(stream: IO[bytes], path: FilePath, left: int) -> Iterator[tuple[bytes, list[bytes]]]:
-    """Header and rows of each section. At most `left` bytes are unpacked, whatever the blocks say of themselves."""
+    """Header and rows of each section. At most `left` bytes are unpacked, whatever lengths the blocks claim."""
     header: bytes | None = None
     rows: list[bytes] = []
     while start := stream.read(_BLOCK.size):
@@ -151,7 +151,7 @@ def _section(head: bytes, rows: list[bytes], path: FilePath) -> Section:
 
 
 class Recorder:
-    """Writes a recording; moments come as a server gives them."""
+    """Writes a recording of moments in the server's form."""
 
     def __init__(self, path: FilePath) -> None:
         self._path = Path(path)

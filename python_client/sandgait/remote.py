@@ -1,4 +1,4 @@
-"""Addresses of servers that want to know who calls them."""
+"""Addresses of servers that require TLS, a token or a certificate."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ FilePath = str | PathLike[str]
 
 
 class Remote(str):
-    """The address of a server with what it takes to use it; goes wherever an address does.
+    """The address of a server with credentials; can be used wherever an address can.
 
         gymnasium.make_vec(id, num_envs=256, address=sandgait.Remote("sand.lab:50051", ca="ca.pem", token_file="token"))
 
     `address`: `host:port` or `unix:/path`.
 
-    `token`, `token_file`: what the server's `--token-file` has. It is sent in every call, but only over TLS, over a
+    `token`, `token_file`: the content of the server's `--token-file`. It is sent in every call, but only over TLS,
+    over a
     Unix socket or to this machine.
 
     `ca`: encrypt, and trust certificates of this authority (PEM, as a file or as bytes). `tls=True`: encrypt, and trust
@@ -27,7 +28,7 @@ class Remote(str):
 
     `cert`, `key`: this client's certificate and its key (PEM files), for a server with `--client-ca`.
 
-    Files are read once, here. Its text is the address alone: neither `str` nor `repr` shows the token.
+    Files are read once, here. `str` and `repr` show the address, not the token.
     """
 
     token: str | None

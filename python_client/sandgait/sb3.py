@@ -25,9 +25,9 @@ Indices = None | int | Iterable[int]
 
 
 class EnvironmentView:
-    """One environment of a batch, as far as SB3 asks for single ones: what it can be asked, and a reset of its own.
+    """One environment of a batch, for SB3's calls to single environments: its attributes, and a reset of its own.
 
-    Nothing can be set on it: that would stay here and not reach the simulation.
+    Its attributes cannot be set, because that would not change the simulation.
     """
 
     __slots__ = ("_envs", "_index")
@@ -81,7 +81,7 @@ class EnvironmentView:
 class SandgaitVecEnv(VecEnv):
     """`SandgaitVectorEnv` behind stable-baselines3's interface.
 
-    The info dictionaries hold something only where an episode ended: the step's reward terms and figures,
+    The info dictionaries have entries only where an episode ended: the step's reward terms and figures,
     `terminal_observation` and `TimeLimit.truncated`. The columns of every step are in `batch`.
     """
 
@@ -91,12 +91,12 @@ class SandgaitVecEnv(VecEnv):
         self.envs = envs
         self._views = [EnvironmentView(envs, i) for i in range(envs.num_envs)]
         self._names = [c.name for c in envs.task.info]
-        #: gymnasium's registration; VecMonitor writes its id.
+        #: gymnasium's registration; VecMonitor writes its id to its file.
         self.spec = gymnasium.registry.get(envs.task.id)
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
 
     def reset(self) -> npt.NDArray[np.float32]:
-        """Begins new episodes with what `seed` and `set_options` left for this reset."""
+        """Begins new episodes, with the arguments of the last `seed` and `set_options`."""
         groups: list[tuple[dict[str, Any], npt.NDArray[np.bool_]]] = []
         for i, options in enumerate(self._options):
             mask = next((m for o, m in groups if o == options), None)
@@ -133,7 +133,7 @@ class SandgaitVecEnv(VecEnv):
         return super().render(mode)
 
     def get_images(self) -> Sequence[npt.NDArray[np.uint8] | None]:
-        """A picture of every environment: what SB3's `render` puts side by side."""
+        """A picture of every environment; SB3's `render` puts them side by side."""
         return self.envs.render() or [None] * self.num_envs
 
     def close(self) -> None:
@@ -143,7 +143,7 @@ class SandgaitVecEnv(VecEnv):
         return [getattr(view, attr_name) for view in self._chosen(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Refused: what is set here would not reach the simulation. The message says what does."""
+        """Refused, because it would not change the simulation. The message says what does."""
         raise refusal(self.envs.task, attr_name, value)
 
     def env_method(self, method_name: str, *args: Any, indices: Indices = None, **kwargs: Any) -> list[Any]:
@@ -158,7 +158,7 @@ class SandgaitVecEnv(VecEnv):
         return [self._views[i] for i in self._get_indices(indices)]
 
 
-#: What `sandgait.make_sb3` gives: with and without a monitor.
+#: The result of `sandgait.make_sb3`, with and without a monitor.
 Environments = SandgaitVecEnv | VecMonitor
 
 
@@ -170,9 +170,9 @@ def make(
     info_keywords: tuple[str, ...],
     options: dict[str, Any],
 ) -> Environments:
-    """What `sandgait.make_sb3` does."""
+    """Implements `sandgait.make_sb3`."""
     if "autoreset_mode" in options:
-        raise InvalidRequest("autoreset_mode: stable-baselines3 has only the one it has")
+        raise InvalidRequest("autoreset_mode: stable-baselines3 has a fixed one")
     envs = SandgaitVecEnv(SandgaitVectorEnv(task, num_envs, address, autoreset_mode="SAME_STEP", **options))
     if monitor is False:
         return envs

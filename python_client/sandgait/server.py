@@ -1,9 +1,10 @@
 """The embedded server: one `sandgait serve` per Python process, on a Unix socket that only this user can reach.
 
-It starts with the first environment that asks to be isolated, and ends with the process: its standard input is a pipe
-that this process holds, and it exits when the pipe closes, whatever ended Python.
+It starts with the first environment that is `isolated`, and ends with the process: its standard input is a pipe
+from this process, and it exits when the pipe closes, however Python ended.
 
-Environments of one process share it, and so its threads: the first number that is asked for holds (`ask_for_threads`).
+Environments of one process share it and its threads; the first requested number of threads applies
+(`ask_for_threads`).
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ STOP_TIMEOUT = 5.0
 
 
 def command() -> list[str]:
-    """The program `sandgait`: $SANDGAIT_BINARY, else this package in a Python of its own."""
+    """The program `sandgait`: $SANDGAIT_BINARY, or else this package in a new Python process."""
     chosen = os.environ.get("SANDGAIT_BINARY")
     if not chosen:
         program = Path(__file__).parents[1] / "sandgait_command" / "__main__.py"
@@ -62,8 +63,8 @@ class EmbeddedServer:
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=self._log,
-            env={"SANDGAIT_LOG": "warn", **os.environ},  # its last words are about what went wrong
-            start_new_session=True,  # Ctrl-C is for Python; the pipe tells the server when to end
+            env={"SANDGAIT_LOG": "warn", **os.environ},  # the last lines of its log give the reason
+            start_new_session=True,  # Ctrl-C is for Python; the closing pipe tells the server to end
         )
         try:
             self._wait_until_ready()
@@ -109,12 +110,12 @@ class EmbeddedServer:
         except subprocess.TimeoutExpired:
             self.process.kill()
             self.process.wait()
-        with contextlib.suppress(FileNotFoundError):  # the server removes it, unless it was killed
+        with contextlib.suppress(FileNotFoundError):  # the server removes the socket unless it was killed
             os.unlink(self.path)
         self._log.close()
 
     def disown(self) -> None:
-        """In a forked child: let go of the pipe, so that the parent's end alone ends the server."""
+        """In a forked child: closes the pipe, so that the server ends with the parent."""
         if self.process.stdin is not None:
             self.process.stdin.close()
 
@@ -136,14 +137,14 @@ def _private_directory() -> str:
 _lock = threading.Lock()
 _server: EmbeddedServer | None = None
 _inherited: list[EmbeddedServer] = []
-#: Threads that environments asked for; None: SANDGAIT_THREADS decides.
+#: Threads that environments have requested; None: SANDGAIT_THREADS decides.
 _threads: int | None = None
 
 
 def ask_for_threads(threads: int | None) -> None:
-    """Says with how many threads the embedded server is to simulate; None is content with any.
+    """Requests a number of threads for the embedded server; None accepts any number.
 
-    Refused when a server runs with another number: its environments have their share already.
+    Refused while a server runs with another number.
     """
     global _threads
     if threads is None:
@@ -154,7 +155,7 @@ def ask_for_threads(threads: int | None) -> None:
 
 
 def _threads_wanted() -> int:
-    """Of a server that starts now; 0: one for each processor."""
+    """Number of threads of a server that starts now; 0: one for each processor."""
     return wanted() if _threads is None else _threads
 
 
@@ -171,7 +172,7 @@ def address() -> str:
 
 
 def is_dead(address: str) -> bool:
-    """Is this the address of an embedded server that has ended? It will not come back there."""
+    """Is this the address of an embedded server that has ended? No server will listen there again."""
     server = _server
     if server is None or server.address != address:
         return _is_ours(address)
@@ -188,7 +189,7 @@ def _is_ours(address: str) -> bool:
 
 
 def last_words(address: str) -> str:
-    """What the embedded server at `address` said before it ended; empty for any other server."""
+    """The last log lines of the embedded server at `address` that has ended; empty for any other server."""
     server = _server
     if server is None or server.address != address:
         return ""
@@ -203,7 +204,7 @@ def _stop() -> None:
 
 
 def _after_fork() -> None:
-    """A child starts a server of its own; the parent's object is kept so that nothing finalises it here."""
+    """A child starts a server of its own. The parent's object is kept, so that no finalizer runs here."""
     global _server, _lock
     _lock = threading.Lock()
     if _server is not None:

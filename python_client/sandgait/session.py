@@ -1,8 +1,8 @@
 """The door over the network: a session that outlives its connections.
 
-Requests are numbered. When the stream breaks, the next one asks which number the server came to, and what has no answer
-yet is sent again: nothing is lost and nothing is done twice. With `resume=True` a session also outlives its server: now
-and then it takes a snapshot and keeps every request since then, and plays them again on a server that it can reach.
+Requests are numbered. When the stream breaks, the next one asks for the last number that the server has answered,
+and later requests are sent again: nothing is lost or done twice. With `resume=True` a session also outlives its
+server: it takes snapshots, stores every request since the last one, and repeats these on another server.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from .door import Held
 from .errors import InvalidRequest, SandgaitError, ServerLost, SessionLost
 from .spaces import Task
 
-#: How long a server that does not answer is tried again [s]: without and with `resume`. The lease is 300 s by default.
+#: How long an unreachable server is tried again [s]: without and with `resume`. The lease is 300 s by default.
 RETRY = 2.0
 RETRY_RESUME = 60.0
 
-#: Requests between two snapshots of a session with `resume=True`: some seconds of work to be done again at most.
+#: Requests between two snapshots of a session with `resume=True`: at most some seconds of work are repeated.
 SNAPSHOT_EVERY = 200
 
 
 class _Link:
-    """What has to be let go of when a session ends; a finalizer holds it, so it must not hold the session."""
+    """Resources to release when a session ends. A finalizer refers to it, so it must not refer to the session."""
 
     def __init__(self) -> None:
         self.process = os.getpid()
@@ -64,7 +64,8 @@ class _Link:
 class Session:
     """Environments of one task on one server.
 
-    `addresses`: where to go, the first one first; the others only with `resume`. None is this process's own server.
+    `addresses`: servers in order of preference; all but the first only with `resume`. None is this process's own
+    server.
     """
 
     def __init__(
@@ -85,9 +86,9 @@ class Session:
         self._sequence = 0
         #: Requests without an answer, with their numbers, in order.
         self._unanswered: list[Request] = []
-        #: The last answer, until something else is asked: whoever was interrupted while taking it takes it again.
+        #: The last answer, until the next request: a caller that was interrupted can take it again.
         self._last: Response | None = None
-        #: The last snapshot (empty: none), and what was carried out since.
+        #: The last snapshot (empty: none), and the requests carried out since.
         self._snapshot = b""
         self._since: list[Request] = []
         self._link = _Link()
@@ -97,12 +98,12 @@ class Session:
 
     @property
     def held(self) -> Held:
-        """What it takes to close this session; it does not keep it alive."""
+        """An object that closes this session without keeping it alive."""
         return Held(self.close, self._link.hurry)
 
     @property
     def address(self) -> str:
-        """Of the server that has the session."""
+        """Address of the server that has the session."""
         return self._link.address
 
     def _create(self, address: str | None, task: str) -> Task:
@@ -113,9 +114,9 @@ class Session:
         return created.task
 
     def send(self, request: Request, here: bool = False) -> None:
-        """Sends a request without waiting for its answer; with `resume` a snapshot is taken before, now and then.
+        """Sends a request without waiting for its answer; with `resume` it sometimes takes a snapshot first.
 
-        `here`: the caller waits for the answer next."""
+        `here`: the caller will wait for the answer next."""
         self._check_usable()
         if self._resume and len(self._since) >= SNAPSHOT_EVERY and request.changes:
             self.save()
@@ -127,13 +128,13 @@ class Session:
         try:
             assert self._link.stream is not None
             self._link.stream.send(request, here)
-        except BaseException:  # whether it was sent is not known; another stream will send it
+        except BaseException:  # whether it was sent is not known; the next stream sends it again
             self._link.drop()
             raise
 
     @property
     def owes(self) -> bool:
-        """Is there an answer that nobody has taken, or that may be taken again?"""
+        """Is an answer pending, or still kept from the last request?"""
         return bool(self._unanswered) or self._last is not None
 
     def send_reset(
@@ -154,7 +155,7 @@ class Session:
         self.send(Request.policy_rollout(onnx, steps, trajectories))
 
     def receive(self) -> Batch:
-        """Answer to the reset or step that was sent last; answers that nobody waited for are dropped."""
+        """Answer to the last reset or step; earlier answers that were not received are dropped."""
         return client.batch(self._receive())
 
     def save(self) -> bytes:
@@ -175,11 +176,11 @@ class Session:
         return self._receive().observation
 
     def receive_rollout(self) -> Rollout:
-        """Answer to the rollout that was sent last."""
+        """Answer to the last rollout."""
         parts = [self._receive()]
         while parts[-1].is_part:
             parts.append(self._receive())
-            if parts[-1].first_step == 0:  # the stream broke, and the rollout began anew
+            if parts[-1].first_step == 0:  # the stream broke, and the rollout started again
                 del parts[:-1]
         return client.rollout(parts, self.num_envs, self.task)
 
@@ -211,7 +212,7 @@ class Session:
                 self._broken = str(error)
                 raise
             if response.sequence >= self._sequence and self._last is None:
-                return response  # a first part of a rollout: its answer is the last one
+                return response  # the first part of a rollout: its answer is not complete
 
     def _answered(self, response: Response) -> Response:
         error = client.failure(response, self.address)
@@ -223,7 +224,7 @@ class Session:
         return response
 
     def _reconnect(self, reason: ServerLost | None) -> None:
-        """Takes the session up again, or makes it anew elsewhere; raises what went wrong if that cannot be."""
+        """Attaches to the session again, or makes it again on another server; raises the error if neither works."""
         deadline = time.monotonic() + (RETRY_RESUME if self._resume else RETRY)
         error: SandgaitError | None = reason
         pause = 0.01
@@ -233,7 +234,7 @@ class Session:
                     return self._attach()
                 except ServerLost as lost:
                     error = error or lost
-                except SessionLost as lost:  # the server is there, and knows nothing of this session
+                except SessionLost as lost:  # the server runs, but does not have this session
                     error = lost if not isinstance(error, ServerLost) else error
                     if not self._resume:
                         break
@@ -249,7 +250,7 @@ class Session:
         raise error if error is not None else ServerLost(f"{self.address}: the server cannot be reached")
 
     def _attach(self) -> None:
-        """Opens another stream to the session and sends again what has no answer."""
+        """Opens another stream to the session, and sends requests without an answer again."""
         stream = Stream(self._link.address, self._link.session_id)
         self._link.stream = stream
         for request in self._unanswered:
@@ -257,7 +258,8 @@ class Session:
                 stream.send(request)
 
     def _rebuild(self) -> bool:
-        """Makes the session anew on the first server that takes it, and plays everything since the last snapshot."""
+        """Makes the session again on the first server that accepts it, and repeats all requests since the last
+        snapshot."""
         for address in self._addresses:
             with contextlib.suppress(ServerLost, SessionLost):
                 self._create(address, self.task.id)
@@ -273,7 +275,7 @@ class Session:
         for number, request in enumerate(past + self._unanswered, start=1):
             request.sequence = number
         self._sequence = len(past) + len(self._unanswered)
-        for request in past:  # one by one: what is sent ahead waits in this process's memory
+        for request in past:  # one by one, because requests sent ahead would wait in this process's memory
             stream.send(request)
             error = client.failure(stream.receive(), self.address)
             if error is not None:

@@ -1,6 +1,6 @@
-"""One batch of environments in one or several places, and the same numbers wherever they are.
+"""One batch of environments in one or several places; the results do not depend on the places.
 
-Environments are numbered through; place k has a run of them. Every server simulates while the others do.
+Place k has consecutive environments of the batch. All servers simulate at the same time.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ Address = str | Sequence[str] | None
 #: Longest wait for servers to confirm that sessions are closed [s].
 CLOSE_TIMEOUT = 2.0
 
-#: The same where others have used up the time already: enough for a server that is there [s].
+#: The same if other doors have used up the time: enough for a server that runs [s].
 LEAST_PATIENCE = 0.05
 
-#: Until when sessions are closed at the end of Python, once that has begun.
+#: Deadline for closing sessions at the end of Python, once that has begun.
 _last_call: float | None = None
 
 
@@ -58,13 +58,14 @@ class Shards:
 
     @property
     def addresses(self) -> list[str | None]:
-        """Of the servers that have the environments now; None: this process."""
+        """Addresses of the servers that have the environments now; None: this process."""
         return [door.address for door in self._doors]
 
     def send_reset(
         self, seeds: Sequence[int] | None, mask: npt.NDArray[np.bool_] | None, options: Mapping[str, Any]
     ) -> None:
-        """Asks for a reset. `seeds` and `mask` have one entry an environment; without seeds streams go on."""
+        """Asks for a reset. `seeds` and `mask` have one entry an environment; without seeds the random streams
+        continue."""
         for i, seed in enumerate(seeds or ()):
             if not 0 <= seed < 2**64:
                 raise InvalidRequest(f"seed[{i}]: {seed} is outside [0, 2**64)")
@@ -75,9 +76,10 @@ class Shards:
     def send_step(
         self, actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None = None, here: bool = False
     ) -> None:
-        """Asks for a step; `actions` is f32 [num_envs, action], `held` [num_envs] says which environments stay as they
-        are. `here`: the caller only waits for this step, so its thread may make it. Bounds are checked where the
-        environments are, and here if one place's refusal would leave the others a step ahead."""
+        """Asks for a step; `actions` is f32 [num_envs, action], environments in `held` [num_envs] keep their state.
+        `here`: the caller only waits for this step, so its thread may compute it. The places check bounds; with
+        several places they are checked here too, because one place's refusal would leave the others a step
+        ahead."""
         if len(self._doors) == 1:
             self._doors[0].send_step(actions, held, here)
             return
@@ -87,7 +89,7 @@ class Shards:
 
     def _check(self, actions: npt.NDArray[np.float32]) -> None:
         low, high = (np.array([getattr(c, end) for c in self.task.action]) for end in ("low", "high"))
-        wrong = np.argwhere(~((low <= actions) & (actions <= high)))  # not a number is wrong too
+        wrong = np.argwhere(~((low <= actions) & (actions <= high)))  # NaN is refused too
         if wrong.size:
             i, k = wrong[0]
             column = self.task.action[k]
@@ -95,7 +97,7 @@ class Shards:
             raise InvalidRequest(f"actions[{i}][{k}]: {actions[i, k]:g} ({column.name}) is outside {range_}")
 
     def receive(self) -> Batch:
-        """Answer to what was sent last."""
+        """Answer to the last request."""
         if len(self._doors) == 1:
             return self._doors[0].receive()
         batches: list[Batch] = self._all("receive")
@@ -112,7 +114,7 @@ class Shards:
 
     @property
     def owes(self) -> bool:
-        """Is there an answer that nobody has taken, or that may be taken again?"""
+        """Is an answer pending, or still kept from the last request?"""
         return any(door.owes for door in self._doors)
 
     def save(self) -> list[bytes]:
@@ -130,7 +132,7 @@ class Shards:
             door.send_restore(snapshots[k % len(snapshots)], None if sources is None else sources[part])
 
     def rollout(self, actions: npt.NDArray[np.float32], trajectories: bool) -> Rollout:
-        """Runs `actions`, f32 [steps, num_envs, action], from where the environments are, and puts them back."""
+        """Runs `actions`, f32 [steps, num_envs, action], from the environments' present state, and restores it."""
         expected = (self.num_envs, len(self.task.action))
         if actions.ndim != 3 or actions.shape[1:] != expected or not len(actions):
             raise InvalidRequest(f"actions: shape {actions.shape}, expected [steps, {expected[0]}, {expected[1]}]")
@@ -139,15 +141,15 @@ class Shards:
         return self._rollout()
 
     def rollout_policy(self, onnx: bytes, steps: int, trajectories: bool) -> Rollout:
-        """Runs a network for `steps` and puts the environments back."""
+        """Runs a network for `steps`, and restores the environments."""
         for door in self._doors:
             door.send_policy_rollout(onnx, steps, trajectories)
         return self._rollout()
 
     def _rollout(self) -> Rollout:
-        """Answer to the rollout that was sent last."""
+        """Answer to the last rollout."""
         if len(self._doors) == 1:
-            return self._doors[0].receive_rollout()  # megabytes: no copy to join one part
+            return self._doors[0].receive_rollout()  # megabytes: a single part is not copied
         parts: list[Rollout] = self._all("receive_rollout")
         ends = [np.concatenate(column) for column in zip(*(p[:4] for p in parts), strict=True)]
         rows = [np.concatenate(column, axis=1) for column in zip(*(p[4:] for p in parts), strict=True)]
@@ -166,7 +168,7 @@ class Shards:
         return door.observe(index - part.start, ended)
 
     def _all(self, receive: str) -> list[Any]:
-        """Every door's answer. A refusal of one is raised when all have answered, so that none lags behind."""
+        """Every door's answer. A refusal is raised after all have answered, so that all stay at the same step."""
         answers, errors = [], []
         for door in self._doors:
             try:
@@ -187,8 +189,8 @@ def open_shards(
     threads: int | None = None,
     isolated: bool = False,
 ) -> Shards:
-    """Environments at `address`, which may be several; without one in this process, or if `isolated` on a server of
-    its own. `threads`: of this process, or of that server."""
+    """Environments at `address`, which may be several; by default in this process, or if `isolated` on a separate
+    server. `threads`: of this process, or of that server."""
     addresses = [address] if address is None or isinstance(address, str) else list(address)
     if threads is not None and None not in addresses:
         raise InvalidRequest("threads: of this process; a server that has an address was started with its own")
@@ -209,9 +211,9 @@ def open_shards(
 
 
 def close_all(all: Sequence[Held]) -> None:
-    """Closes sessions side by side, so that many servers that are dead take about as long as one.
+    """Closes sessions in parallel, so that many dead servers take about as long as one.
 
-    When Python ends no thread can be started: then one after the other, and all that there are share the time.
+    At the end of Python no thread can be started: then they are closed one after the other within a common time limit.
     """
     if threading.main_thread().is_alive():
         deadline = time.monotonic() + CLOSE_TIMEOUT

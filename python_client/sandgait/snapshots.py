@@ -19,7 +19,8 @@ _MAGIC = b"sandgait snapshots\n"
 
 
 def write_snapshot(snapshots: Sequence[bytes], path: FilePath | None) -> bytes:
-    """One piece of bytes. The file is complete or not there: it is written beside `path` and then renamed."""
+    """One piece of bytes. The file is written under another name and then renamed, so it is either complete or not
+    there."""
     lengths = struct.pack(f"<{1 + len(snapshots)}Q", len(snapshots), *map(len, snapshots))
     data = _MAGIC + lengths + b"".join(snapshots)
     if path is None:
@@ -43,7 +44,7 @@ def write_snapshot(snapshots: Sequence[bytes], path: FilePath | None) -> bytes:
 
 
 def read_snapshot(snapshot: bytes | FilePath) -> list[bytes]:
-    """The inverse of `write_snapshot`, from its bytes or its file. What is inside is checked by the server."""
+    """The inverse of `write_snapshot`, from its bytes or its file. The server checks the contents."""
     if not isinstance(snapshot, bytes):
         try:
             snapshot = Path(snapshot).read_bytes()

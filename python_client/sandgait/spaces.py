@@ -1,6 +1,6 @@
-"""A task's tables, and the gymnasium spaces they make.
+"""A task's tables, and gymnasium spaces made from them.
 
-The server owns the tables: names, units and bounds of every number. Nothing here is known before a session is open.
+The server sends the tables when a session is opened: names, units and bounds of every number.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Option:
 
 @dataclass(frozen=True)
 class Task:
-    """A task as the server describes it."""
+    """A task's description by the server."""
 
     id: str
     summary: str
@@ -54,7 +54,7 @@ class Task:
 
     @classmethod
     def of(cls, fields: Any) -> Task:
-        """From its fields in order, columns and options as tuples."""
+        """A task from its fields in order, with columns and options as tuples."""
         id, summary, observation, action, info, terms, steps, rate, options = fields
         observation, action, info = (tuple(Column(*c) for c in table) for table in (observation, action, info))
         options = tuple(Option(*option) for option in options)
@@ -69,21 +69,21 @@ def box(columns: tuple[Column, ...]) -> spaces.Space[npt.NDArray[np.float32]]:
 
 
 class Actions:
-    """Actions as the wire takes them. `name` is what errors call them; with `clip` they are put inside their bounds."""
+    """Prepares actions for sending. Errors use `name` for them; with `clip` they are clipped to their bounds."""
 
     def __init__(self, space: spaces.Space[npt.NDArray[np.float32]], name: str, clip: bool) -> None:
         box = cast("spaces.Box", space)
         self._low, self._high, self._name, self._clip = box.low, box.high, name, clip
 
     def rows(self, actions: npt.ArrayLike) -> npt.NDArray[np.float32]:
-        """The caller's `actions` as float32 of the right shape; an array of its own if it was clipped."""
+        """The caller's `actions` as float32 of the right shape; a copy if it was clipped."""
         rows = np.asarray(actions, dtype=np.float32)
         if rows.shape != self._low.shape:
             raise InvalidRequest(f"{self._name}: shape {rows.shape}, expected {self._low.shape}")
         return np.clip(rows, self._low, self._high) if self._clip else rows
 
     def explain(self, error: BaseException) -> BaseException:
-        """The refusal of an action beyond its bounds, with the way out; other errors as they are."""
+        """Adds a remedy to the refusal of an action beyond its bounds; other errors are unchanged."""
         text = str(error)
         if not isinstance(error, InvalidRequest) or not text.startswith("actions[") or "NaN" in text or "nan" in text:
             return error

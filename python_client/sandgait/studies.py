@@ -22,7 +22,7 @@ from .tables import Numbers, Table, new_axes
 
 FilePath = str | PathLike[str]
 
-#: True: a line on the terminal (or in the notebook). Or who wants to know: called with the fraction done and the stage.
+#: True: a line on the terminal (or in the notebook). Or a function, called with the finished share and the stage.
 ProgressOption = bool | Callable[[float, str], None]
 
 
@@ -50,7 +50,7 @@ class Intrusion(Table):
         return self["Ty"]
 
     def plot(self, axes: Any = None, label: str = "") -> Any:
-        """Forces over the leg's angle on matplotlib `axes`; gives the axes. Needs `sandgait[plot]`."""
+        """Forces over the leg's angle on matplotlib `axes`; returns the axes. Needs `sandgait[plot]`."""
         axes = new_axes(axes)
         for name, style in (("Fx", "-"), ("Fz", "--")):
             axes.plot(np.degrees(self.theta), self[name], style, label=f"{name} {label}".strip())
@@ -62,7 +62,7 @@ class Intrusion(Table):
 
 
 class Trials(Table):
-    """Steady motions of a body through sand; one row a motion. What finds no equilibrium is not a number.
+    """Steady motions of a body through sand; one row a motion. Rows without equilibrium are NaN.
 
     Columns: Fx, Fy, Fz [N], Tx, Ty, Tz [N·m] about the body's origin, depth [m], status (ok or no_equilibrium).
     """
@@ -79,7 +79,7 @@ class Trials(Table):
 
     @property
     def depth(self) -> Numbers:
-        """Of the lowest point below the undisturbed surface [m]."""
+        """Depth of the lowest point below the undisturbed surface [m]."""
         return self["depth"]
 
     @property
@@ -89,7 +89,7 @@ class Trials(Table):
 
 
 class Walks(Table):
-    """Walks at constant stride frequencies; one row a frequency. What diverged is not a number.
+    """Walks at constant stride frequencies; one row a frequency. Walks that diverged are NaN.
 
     Columns: frequency [Hz], speed [m/s], base_height [m], pitch_rms [rad], hip_torque_rms [N·m], hip_speed_error_rms
     [rad/s], cost_of_transport, sink [m], drift [m].
@@ -107,11 +107,11 @@ class Walks(Table):
 
     @property
     def cost_of_transport(self) -> Numbers:
-        """Work of the hips over weight times distance; not a number where the robot stands."""
+        """Work of the hips over weight times distance; NaN where the robot stands."""
         return self["cost_of_transport"]
 
     def plot(self, axes: Any = None, label: str = "") -> Any:
-        """Speed over stride frequency on matplotlib `axes`; gives the axes. Needs `sandgait[plot]`."""
+        """Speed over stride frequency on matplotlib `axes`; returns the axes. Needs `sandgait[plot]`."""
         axes = new_axes(axes)
         order = np.argsort(self.frequency)
         axes.plot(self.frequency[order], 100.0 * self.speed[order], "o-", markersize=3, label=label or None)
@@ -143,9 +143,9 @@ class Sweep(Table):
         measure: str,
     ) -> None:
         super().__init__(columns, units)
-        #: Names of what was varied, in order.
+        #: Names of the varied parameters, in order.
         self.parameters = parameters
-        #: What `best` and `plot` look at: speed or cost-of-transport.
+        #: The measure of `best` and `plot`: speed or cost-of-transport.
         self.measure = measure
 
     @property
@@ -155,7 +155,7 @@ class Sweep(Table):
 
     @property
     def cost_of_transport(self) -> Numbers:
-        """Work of the hips over weight times distance; not a number where the robot stands."""
+        """Work of the hips over weight times distance; NaN where the robot stands."""
         return self["cost_of_transport"]
 
     def best(self, measure: str | None = None) -> dict[str, Any]:
@@ -170,7 +170,7 @@ class Sweep(Table):
     def plot(self, measure: str | None = None, axes: Any = None) -> Any:
         """A heat map over two number parameters, or lines over the last one, one for each name of the first.
 
-        On matplotlib `axes`; gives the axes. Needs `sandgait[plot]`.
+        On matplotlib `axes`; returns the axes. Needs `sandgait[plot]`.
         """
         column, factor, label, _ = _MEASURES[_measure(measure or self.measure)]
         if len(self.parameters) > 2:
@@ -244,13 +244,15 @@ def intrude(
     plate_size: float | None = None,
     progress: ProgressOption = False,
 ) -> Intrusion | Trials:
-    """Rotates a leg about a hip fixed above sand and gives force and torque over its angle, −1.75 to 1.75 rad.
+    """Rotates a leg about a hip fixed above sand; returns force and torque over its angle, −1.75 to 1.75 rad.
 
-    Or, with `body` and `rows`, moves any body steadily and gives forces and torques, one row a motion. `body`:
-    cylinder:radius=M,width=M (axle along y), box:length=M,width=M,height=M, sphere:radius=M, or an STL or OBJ file [m].
+    Or, with `body` and `rows`, moves any body steadily; returns forces and torques, one row a motion. `body`:
+    cylinder:radius=M,width=M (axle along y), box:length=M,width=M,height=M, sphere:radius=M, or an STL or OBJ file
+    [m].
     `rows`: columns as a mapping or a frame, vx, vy, vz [m/s] and wx, wy, wz [rad/s] in the body's frame (x heading,
-    y axle, z up; absent: 0), and depth [m] of the lowest point or load [N] that is carried (one of them, or where both
-    are columns one of them not a number); numbers stand for all rows. `mu_s`: friction coefficient of the body's
+    y axle, z up; absent: 0), and depth [m] of the lowest point or load [N] that is carried (one of them; if both
+    are columns, one of them is NaN in each row); a single number applies to all rows. `mu_s`: friction coefficient
+    of the body's
     surface, in place of the sand's. `plate_size` [m]: of the plates that the body is cut into (none: a fiftieth of
     its longest side).
 
@@ -298,7 +300,8 @@ def walk(
     address: str | None = None,
     progress: ProgressOption = False,
 ) -> Walks:
-    """Walks with an alternating tripod at each stride frequency [Hz] and measures; 0 stands for 10 s.
+    """Walks with an alternating tripod at each stride frequency [Hz] and measures speed and work; at 0 the robot
+    stands for 10 s.
 
     `leg`: L, revL, C, revC, flat or xi=DEGREES (none: the robot's own). `engine`: lanes or rapier. `medium`, `law`,
     `sand`: as for :func:`intrude`. `slope_deg`: the surface rises in walking direction [°]. `dt`: time step [s] (none:
@@ -339,7 +342,7 @@ def sweep(
     width [m], leg_mass [kg], base_mass [kg], hip_height [m], belly [m], frequency [Hz], phase [rad], medium, zeta
     [N/cm³], law, slope [°], payload [kg], torque_limit [N·m], kp [N·m/rad]. `robot`, `medium`, `law`, `sand`: as for
     :func:`walk`.
-    `frequency`: stride frequency [Hz]. `measure`: what the figure shows and `best` means, speed or cost-of-transport.
+    `frequency`: stride frequency [Hz]. `measure`: used by `plot` and `best`, speed or cost-of-transport.
     `optimize`: a measure; search between the least and greatest value of each parameter instead of walking the grid.
     """
     request = {
@@ -364,7 +367,7 @@ def _measure(name: str) -> str:
 
 
 def file(path: FilePath, what: str) -> tuple[str, bytes]:
-    """Name and content of a file of ours, read here because the server may be elsewhere."""
+    """Name and content of a local file, read here because the server may be on another machine."""
     try:
         return str(path), Path(path).read_bytes()
     except (OSError, TypeError) as error:
@@ -401,7 +404,7 @@ def _robot(robot: str) -> dict[str, Any]:
 
 
 def _variation(name: str, values: list[Any]) -> tuple[str, list[float], list[str]]:
-    # A column name such as leg_mass is what the command line calls leg-mass.
+    # the command line writes leg-mass for the column leg_mass
     parameter = name.replace("_", "-")
     if all(isinstance(value, str) for value in values):
         return parameter, [], values
@@ -414,7 +417,7 @@ def _variation(name: str, values: list[Any]) -> tuple[str, list[float], list[str
 def columns(
     table: tuple[list[tuple[str, str, Any]], list[str]],
 ) -> tuple[dict[str, npt.NDArray[Any]], dict[str, str]]:
-    """Arrays and units of a table, by names fit for Python."""
+    """Arrays and units of a table, by names that are valid in Python."""
     series, told = table
     for warning in told:
         warnings.warn(warning, stacklevel=3)
@@ -424,7 +427,7 @@ def columns(
 
 
 class Display:
-    """How far a study has come: one line that is written over, where somebody watches."""
+    """Progress of a study: one line that is overwritten, on a terminal or in a notebook."""
 
     def __init__(self, option: ProgressOption) -> None:
         self._tell = option if callable(option) else None

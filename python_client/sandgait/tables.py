@@ -1,4 +1,4 @@
-"""Results as columns of numpy arrays, each with its unit; pandas and matplotlib only when they are asked for."""
+"""Results as columns of numpy arrays, each with its unit; pandas and matplotlib are imported only when needed."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Table(Mapping[str, npt.NDArray[Any]]):
         return f"<{type(self).__name__}: {rows} rows of {', '.join(self.label(name) for name in self)}>"
 
     def label(self, name: str) -> str:
-        """Name and unit, as for an axis: `Fx [N]`."""
+        """Name and unit, for an axis: `Fx [N]`."""
         unit = self.units[name]
         return name if unit in ("", "1") else f"{name} [{unit}]"
 
@@ -54,7 +54,7 @@ def optional(module: str) -> Any:
 
 
 def new_axes(axes: Any, rows: int = 1, columns: int = 1, size: tuple[float, float] = (6.4, 4.0)) -> Any:
-    """`axes` if there are some, else those of a new matplotlib figure of `size` [inch]."""
+    """`axes` if given, otherwise those of a new matplotlib figure of `size` [inch]."""
     if axes is not None:
         return axes
     return optional("matplotlib.pyplot").subplots(rows, columns, figsize=size, layout="constrained")[1]

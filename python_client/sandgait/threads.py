@@ -1,4 +1,4 @@
-"""How many threads simulate: a keyword of the first environment, or SANDGAIT_THREADS."""
+"""The number of simulating threads: a keyword of the first environment, or SANDGAIT_THREADS."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from .errors import InvalidRequest
 
 
 def checked(threads: object, name: str) -> int:
-    """A number of threads; text is taken as well."""
+    """A number of threads, also from text."""
     try:
         number = int(str(threads))
     except ValueError:
@@ -19,13 +19,13 @@ def checked(threads: object, name: str) -> int:
 
 
 def wanted() -> int:
-    """Where no environment has asked for a number; 0: one for each processor."""
+    """The default number; 0: one for each processor."""
     chosen = os.environ.get("SANDGAIT_THREADS")
     return checked(chosen, "SANDGAIT_THREADS") if chosen else 0
 
 
 def agreed(threads: int | None, has: int | None, whose: str) -> int:
-    """The number for environments that ask for `threads`, where there are `has` already (None: none yet)."""
+    """The number for environments that request `threads`, given that `has` threads run already (None: none yet)."""
     if threads is None:
         return wanted() if has is None else has
     number = checked(threads, "threads")

@@ -1,4 +1,4 @@
-"""Learning gaits without torch: what the command `sandgait train` does."""
+"""Learning gaits without torch, as the command `sandgait train`."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from .tables import Table
 
 @dataclass(frozen=True)
 class Training:
-    """What `train` has learnt, and where it lies."""
+    """The results of `train`, and their files."""
 
-    #: Folder of all results; docs/learning.md says what is in it.
+    #: Folder of all results; docs/learning.md lists its files.
     out: Path
     #: Steps of all environments together.
     steps: int
-    #: Time that the training took, earlier parts of a resumed one too [s].
+    #: Duration of the training with the earlier parts of a resumed one [s].
     seconds: float
     #: The learning curve: columns steps, seconds [s] and return, the mean of episodes that ended since the row before.
     curve: Table
@@ -63,6 +63,7 @@ def train(
     hyperparameters: FilePath | None = None,
     settings: Mapping[str, Any] | None = None,
     resume: bool = False,
+    start_from: FilePath | None = None,
     checkpoint_every: int = 1_000_000,
     threads: int = 0,
     address: str | None = None,
@@ -71,12 +72,15 @@ def train(
 ) -> Training:
     """Learns a gait by PPO; writes policy, learning curve, film and score into the folder `out` (none: runs/TASK-fast).
 
-    The training ends after `seconds`, or `timesteps` (without `seconds` only then, and the same to the bit each time).
-    `hyperparameters`: a file in the manner of rl-zoo3, none: the program's own; `settings`: values in place of its.
-    `resume`: go on from the last checkpoint in `out`. `threads`: 0 is one a processor. `address`: simulate on that
-    server. `options`: as for `gymnasium.make`.
+    The training ends after `seconds`, or `timesteps` (without `seconds` there is no limit of time, and the result
+    has the same bits each time).
+    `hyperparameters`: a file in the format of rl-zoo3, none: the program's own; `settings`: replace values of the
+    file.
+    `resume`: go on from the last checkpoint in `out`. `start_from`: begin with what another training has learnt, its
+    policy.safetensors (same task, observation and actions). `threads`: 0 is one a processor. `address`: simulate on
+    that server. `options`: as for `gymnasium.make`.
 
-    Ctrl-C, and whatever `progress` raises, end the training at once and leave a checkpoint.
+    Ctrl-C, and an exception of `progress`, end the training at once and leave a checkpoint.
     """
     asked = {
         "task": task,
@@ -88,6 +92,7 @@ def train(
         "timesteps": timesteps,
         "out": None if out is None else Path(out),
         "resume": resume,
+        "start_from": None if start_from is None else Path(start_from),
         "checkpoint_every": checkpoint_every,
         "threads": threads,
         "place": _place(address),

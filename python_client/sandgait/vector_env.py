@@ -1,4 +1,4 @@
-"""Many environments as one `gymnasium.vector.VectorEnv`: a batched step is one message there and one back."""
+"""Many environments as one `gymnasium.vector.VectorEnv`: a batched step is one message to the server and one back."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ Step = tuple[Observations, npt.NDArray[np.float64], Flags, Flags, dict[str, Any]
 class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32], npt.NDArray[Any]]):
     """`num_envs` environments of `task` in this process, or on the server at `address` (a list: spread over them).
 
-    `resume`: outlive a server that dies, by snapshots; the environments go on where they were when it is back, or at
-    the next address of the list.
+    `resume`: survive the death of a server, by snapshots; the environments go on when it is back, or at the next
+    address of the list.
 
-    `autoreset_mode`: with NEXT_STEP, as gymnasium has it, the observation where an episode ended is its last one; the
-    next step ignores that environment's action and gives the new episode's first. With SAME_STEP the observation is
-    already the next episode's first, and the old one's last row stands in `infos["final_obs"]` and its figures in
-    `infos["final_info"]`.
+    `autoreset_mode`: with NEXT_STEP, gymnasium's default, the observation at the end of an episode is its last one;
+    the next step ignores that environment's action and returns the new episode's first observation. With SAME_STEP
+    the observation is already the next episode's first; `infos["final_obs"]` has the last one and
+    `infos["final_info"]` its figures.
 
-    `clip_actions`: put actions inside their bounds; without it one that is outside is refused. `threads`: how many of
-    this process simulate; its first environment decides. `isolated`: without an address, a server process of one's own,
-    which may crash alone.
+    `clip_actions`: clip actions to their bounds; without it an action outside is refused. `threads`: number of
+    simulating threads of this process; its first environment decides. `isolated`: without an address, use a
+    separate server process, so that a crash does not affect this one.
 
     `render_mode`: "rgb_array" for pictures of `render_size` (width, height), one an environment; "human" for the first
     four in a window.
 
-    Pickling and copying an environment that was reset takes its state along (`pickling`).
+    Pickling and copying an environment that was reset include its state (`pickling`).
 
     To let the learner and the simulation overlap, split a batch over two of these and alternate `send` and `recv`.
     """
@@ -82,7 +82,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         #: The answer of the step in flight, once it has come.
         self._batch: Batch | None = None
         self._everybody = np.ones(num_envs, dtype=np.bool_)
-        #: With NEXT_STEP, who shows the first row of the next episode in the next step; with SAME_STEP nobody.
+        #: With NEXT_STEP, the environments whose next step returns the first row of an episode; with SAME_STEP none.
         self._ended = np.zeros(num_envs, dtype=np.bool_)
         self._next_step = mode is AutoresetMode.NEXT_STEP
 
@@ -94,8 +94,9 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
     ) -> tuple[Observations, dict[str, Any]]:
         """Begins new episodes and drops a step in flight.
 
-        `seed`: an int s gives environment i the seed s + i; a list gives each its own (None: its stream goes on).
-        `options`: task options that may change at a reset, and `reset_mask`, bool [num_envs]: which begin anew.
+        `seed`: an int s gives environment i the seed s + i; a list gives each its own (None: its random stream
+        continues). `options`: task options that a reset can change, and `reset_mask`, bool [num_envs]: which
+        environments to reset.
         """
         options = dict(options or {})
         mask = self._mask(options.pop("reset_mask", None))
@@ -104,7 +105,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         anew = mask & ~goes_on
         if self._in_flight:
             with contextlib.suppress(InvalidRequest, OutOfOrder):
-                self.recv()  # who is not reset may have ended an episode in it
+                self.recv()  # environments that are not reset may have ended an episode in it
         if anew.any():
             batch = self._reset([s or 0 for s in seeds], anew, options)
         if goes_on.any():
@@ -119,9 +120,9 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         return self._session.receive()
 
     def _seeds(self, seed: int | list[int | None] | None, mask: Flags) -> list[int | None]:
-        """One seed an environment, None where the stream goes on.
+        """One seed an environment, None where the random stream continues.
 
-        An environment that never had a seed gets one drawn, so that no two environments or runs are alike.
+        An environment that never had a seed gets a random one, so that no two environments or runs are alike.
         """
         seeds: list[int | None]
         if seed is None:
@@ -157,7 +158,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         self._send(actions, here=False)
 
     def _send(self, actions: npt.ArrayLike, here: bool) -> None:
-        """`here`: the caller waits for it next."""
+        """`here`: the caller will wait for it next."""
         if self._in_flight:
             raise OutOfOrder("send: a step is in flight already; call recv first")
         rows = self._actions.rows(actions)
@@ -179,8 +180,8 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         return batch
 
     def _receive(self) -> Batch:
-        """The answer of the step in flight, which is in flight until whoever calls this says otherwise: an interrupt
-        may strike at any point, and the answer can then be taken again."""
+        """The answer of the step in flight. The caller must mark the step as done, so after an interrupt at any
+        point the answer can be taken again."""
         if not self._in_flight:
             raise OutOfOrder("recv: no step is in flight; call send first")
         if self._batch is None:
@@ -197,7 +198,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         batch = self._receive()
         ended = self._ended
         if self._next_step:
-            infos = self._masked(batch.infos, ~ended)  # of those that stepped
+            infos = self._masked(batch.infos, ~ended)  # of the environments that stepped
             if batch.final_indices.size:
                 batch.observations[batch.final_indices] = batch.final_observations
             ended = batch.terminated | batch.truncated
@@ -210,8 +211,8 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
     def _infos(self, batch: Batch) -> dict[str, Any]:
         """Reward terms and figures as columns [num_envs] with gymnasium's masks, as SyncVectorEnv groups them.
 
-        A column holds the step's value for every environment. Where an episode ended its mask is False, because there
-        gymnasium has the value in `final_info`, with zeros elsewhere.
+        A column holds the step's value for every environment. Where an episode ended its mask is False, because
+        gymnasium has that value in `final_info`, whose other values are zero.
         """
         columns, ended = batch.infos, batch.final_indices
         if not ended.size:
@@ -229,7 +230,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         return dict(zip(self._info_names, (*columns, *repeat(mask, len(columns))), strict=True))
 
     def save(self, path: FilePath | None = None) -> bytes:
-        """All environments as they are, for `restore`; also written to the file `path`, whole or not at all.
+        """All environments as they are, for `restore`; also written to the file `path`, completely or not at all.
 
         What follows a restored state has the same bits, on servers of one version and instruction set.
         """
@@ -237,9 +238,9 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         return write_snapshot(self._session.save(), path)
 
     def restore(self, snapshot: bytes | FilePath, indices: npt.ArrayLike | None = None) -> Observations:
-        """Lets environment i go on as number `indices[i]` of a snapshot (bytes or a file); gives the observations.
+        """Continues environment i as number `indices[i]` of a snapshot (bytes or a file); returns the observations.
 
-        Without indices it is number i modulo the snapshot's: one saved environment is forked into all.
+        Without indices it is number i modulo the snapshot's: one saved environment is copied to all.
         """
         sources = None if indices is None else np.asarray(indices)
         if sources is not None and (sources.shape != (self.num_envs,) or sources.dtype.kind not in "iu"):
@@ -265,19 +266,21 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         return copies
 
     def rollout(self, actions: npt.ArrayLike, trajectories: bool = False) -> Rollout:
-        """Runs action sequences [steps, num_envs, action] on the server, and puts the environments back.
+        """Runs action sequences [steps, num_envs, action] on the server, and restores the environments.
 
-        One message there and one back for all the steps: for evolution strategies, random shooting and model-predictive
-        control. With `trajectories` every step's observations and rewards come too.
+        All steps take one message to the server and one back: for evolution strategies, random shooting and
+        model-predictive
+        control. With `trajectories` the result has every step's observations and rewards.
         """
         self._require_rest("rollout")
         return self._session.rollout(np.asarray(actions, dtype=np.float32), trajectories)
 
     def rollout_policy(self, onnx: bytes | FilePath, steps: int, trajectories: bool = False) -> Rollout:
-        """Runs a policy beside the environments for `steps`, from where they are, and puts them back.
+        """Runs a policy beside the environments for `steps` from their present state, and restores it.
 
-        `onnx`: a file that `sandgait.export_onnx` wrote, or its bytes. One message there and one back for all the
-        steps. With `trajectories` every step's observations, rewards and actions come too. An environment's rollout
+        `onnx`: a file that `sandgait.export_onnx` wrote, or its bytes. All steps take one message to the server and
+        one back. With `trajectories` the result has every step's observations, rewards and actions. An
+        environment's rollout
         ends with its episode, so `steps` are at most the task's `max_episode_steps`.
         """
         self._require_rest("rollout_policy")
@@ -312,14 +315,14 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         self._view.stop_recording()
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
-        """Attribute `name` of each environment, as gymnasium's SyncVectorEnv has it; task options are none."""
+        """Attribute `name` of each environment, as in gymnasium's SyncVectorEnv; task options are not attributes."""
         value = getattr(self, name, self)
         if value is self or callable(value):
             raise UnknownAttribute(f"{name}: no attribute of single environments")
         return (value,) * self.num_envs
 
     def set_attr(self, name: str, values: Any) -> None:
-        """Refused: what is set here would not reach the simulation. The message says what does."""
+        """Refused, because it would not change the simulation. The message says what does."""
         raise refusal(self.task, name, values)
 
     def _in_step(self) -> bool:
@@ -331,7 +334,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
 
 
 def _autoreset(mode: AutoresetMode | str) -> AutoresetMode:
-    """One of the two modes there are, by itself or by its value."""
+    """One of the two modes, as a member or its value."""
     for known in (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP):
         if mode in (known, known.value, known.name):
             return known

@@ -1,4 +1,4 @@
-"""What is seen of environments: pictures, a window, recordings. The server computes all of it; nothing is installed.
+"""Pictures, a window and recordings of environments. The server computes all of it; nothing else must be installed.
 
 `render_mode="rgb_array"` needs no display and no GPU. `"human"` shows the same pictures in a window of pygame's.
 """
@@ -20,7 +20,7 @@ Pictures = npt.NDArray[np.uint8]
 
 RENDER_MODES = ["rgb_array", "human"]
 
-#: Width and height of a picture unless said otherwise [px].
+#: Default width and height of a picture [px].
 SIZE = (480, 360)
 
 
@@ -45,8 +45,8 @@ class Window:
         pygame = self._pygame
         height, width, _ = picture.shape
         if self._screen is None:
-            # SDL would load OpenGL even for a plain window. Mesa's brings the system's LLVM, its symbols visible to
-            # all, and torch's own LLVM (triton, at the first optimizer) then ends Python with a segmentation fault.
+            # SDL would load OpenGL even for a plain window. Mesa loads the system LLVM with its symbols visible to all
+            # libraries; then torch's own LLVM (triton, at the first optimizer) ends Python with a segmentation fault.
             os.environ.setdefault("SDL_FRAMEBUFFER_ACCELERATION", "0")
             try:
                 pygame.display.init()
@@ -67,7 +67,7 @@ class Window:
 
 
 class View:
-    """What one environment object, of one or many environments, shows and records."""
+    """The pictures, window and recording of an environment object with one or many environments."""
 
     def __init__(self, shards: Shards, render_mode: str | None, size: tuple[int, int]) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
@@ -84,7 +84,7 @@ class View:
 
     @classmethod
     def of(cls, shards: Shards, render_mode: str | None, size: tuple[int, int]) -> View:
-        """The view of a session; where there can be none, the session is closed."""
+        """The view of a session. If it cannot be made, the session is closed."""
         try:
             return cls(shards, render_mode, size)
         except BaseException:
@@ -92,15 +92,16 @@ class View:
             raise
 
     def pictures(self, indices: list[int], ended: bool = False) -> Pictures:
-        """u8 [indices, height, width, 3]; `ended`: of an episode that has just ended, its last moment."""
+        """u8 [indices, height, width, 3]; `ended`: show the last moment of an episode that has just ended."""
         width, height = self._size
         pixels = self._shards.render(indices, width, height, ended)
         return np.frombuffer(pixels, np.uint8).reshape(len(indices), height, width, 3).copy()
 
     def moved(self, *, record_ended: bool, show_ended: bool) -> None:
-        """A reset or step was answered: records it, and shows it if a person looks.
+        """Called after a reset or step: records it, and shows it in the window.
 
-        Each says whether of an episode that has just ended it is the last moment, not the next one's first.
+        Each argument says whether to take the last moment of an episode that has just ended, or the first of the
+        next one.
         """
         if self._recorder is not None:
             self._recorder.add(*self._shards.observe(self._index, record_ended))

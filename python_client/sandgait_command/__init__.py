@@ -1,4 +1,5 @@
-"""The command `sandgait`. It loads the native module alone: importing `sandgait` would bring gymnasium and numpy."""
+"""The command `sandgait`. It loads only the native module, because importing `sandgait` would load gymnasium and
+numpy."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ from typing import Any
 
 
 def main() -> int:
-    """Runs the command line of this process and gives its exit code."""
+    """Runs the command line of this process and returns its exit code."""
     return int(_native().main(["sandgait", *sys.argv[1:]]))
 
 

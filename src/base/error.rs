@@ -3,13 +3,13 @@
 /// Every fallible call of the crate returns this. `Display` is one line fit for a terminal or a gRPC status.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Error {
-    /// A value is outside what the named field takes: the caller can mend it.
+    /// A value that the named field does not accept; the caller can correct it.
     #[error("{field}: {reason}")]
     Invalid { field: String, reason: String },
-    /// A name that nothing answers to.
+    /// A name that does not exist.
     #[error("{what} {name:?} is unknown; known: {known}")]
     Unknown { what: &'static str, name: String, known: String },
-    /// A name that something else has taken the place of.
+    /// A name that has been replaced by another.
     #[error("{what} {name:?} has been replaced by {new:?}; see CHANGELOG")]
     Replaced { what: &'static str, name: String, new: String },
     /// A call that is not allowed in the present state (for example a step before any reset).
@@ -18,13 +18,13 @@ pub enum Error {
     /// A limit of this server or machine was reached.
     #[error("{0}")]
     Exhausted(String),
-    /// Whoever asked for the work stopped it.
+    /// The caller stopped the work.
     #[error("{0}")]
     Cancelled(String),
     /// A file could not be read or written.
     #[error("{path}: {reason}")]
     File { path: String, reason: String },
-    /// A defect of this program, such as a panic: nobody's to mend but ours.
+    /// A defect of this program, such as a panic; the user cannot correct it.
     #[error("{0}; please report this as a bug")]
     Internal(String),
 }
@@ -40,7 +40,7 @@ impl Error {
         Self::Unknown { what, name: name.into(), known: known.join(", ") }
     }
 
-    /// One line, whatever of the file `reason` quotes.
+    /// One line, even if `reason` quotes several lines of a file.
     pub fn file(path: &std::path::Path, reason: impl std::fmt::Display) -> Self {
         Self::File { path: path.display().to_string(), reason: reason.to_string().replace(['\n', '\r'], " ") }
     }

@@ -1,14 +1,14 @@
-//! The machine's processors, and the same work on many items spread over them.
+//! The number of processors, and work on many items spread over them.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
-/// Processors that this process may use; 1 where the system does not say.
+/// Number of processors that this process may use; 1 where the system does not say.
 pub fn processors() -> usize {
     thread::available_parallelism().map_or(1, usize::from)
 }
 
-/// `f` of every item, in the items' order.
+/// Applies `f` to every item; the results have the items' order.
 pub fn map<T: Sync, R: Send>(items: &[T], f: impl Fn(&T) -> R + Sync) -> Vec<R> {
     let threads = processors().min(items.len());
     if threads < 2 {
@@ -25,7 +25,7 @@ pub fn map<T: Sync, R: Send>(items: &[T], f: impl Fn(&T) -> R + Sync) -> Vec<R> 
     };
     let mut all: Vec<(usize, R)> = thread::scope(|scope| {
         let handles: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
-        // A panic of the work is a defect of ours: it goes on in the caller.
+        // A panic in the work is passed on to the caller.
         handles.into_iter().flat_map(|h| h.join().unwrap_or_else(|e| std::panic::resume_unwind(e))).collect()
     });
     all.sort_by_key(|(index, _)| *index);

@@ -1,17 +1,17 @@
-//! How far long work has come, told to whoever waits for it, who may stop it.
+//! Progress reports of long work. Their receiver may stop the work.
 
 use crate::error::{Error, Result};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Hears how far work has come. Work of several threads reports from any of them.
+/// Receives progress reports, from any of the threads that work.
 pub trait Progress: Sync {
-    /// `done` of the whole, 0 to 1, and what is done next. An error, [`crate::Error::Cancelled`] by custom, stops the work,
-    /// which hands that error back.
+    /// `done` is the finished share, 0 to 1; `stage` says what is done next. An error, usually
+    /// [`crate::Error::Cancelled`], stops the work, which returns that error.
     fn report(&self, done: f64, stage: &str) -> Result<()>;
 }
 
-/// Tells nobody and never stops.
+/// Ignores all reports and never stops.
 pub struct Silent;
 
 impl Progress for Silent {
@@ -20,7 +20,7 @@ impl Progress for Silent {
     }
 }
 
-/// A stretch of longer work: its 0 to 1 are `ends` of the whole.
+/// A part of longer work: its progress from 0 to 1 is reported as a share between `ends` of the whole.
 pub struct Part<'a> {
     whole: &'a dyn Progress,
     ends: [f64; 2],
@@ -39,11 +39,11 @@ impl Progress for Part<'_> {
     }
 }
 
-/// How often [`Latch::stopped`] asks: often against the second within which work is to stop, seldom enough to cost nothing.
+/// How often [`Latch::stopped`] asks. Work is to stop within a second, and asking is to cost nothing.
 const ASKED: Duration = Duration::from_millis(200);
 
-/// For work whose results have no place for an error: deep inside it asks [`Latch::stopped`], and comes to a quick end with
-/// whatever it has; the error is handed back by the next report, and by every later one.
+/// For work whose results cannot carry an error. The work asks [`Latch::stopped`] and, if stopped, ends early with
+/// unfinished results. The next report returns the error, and so does every later one.
 pub struct Latch<'a> {
     whole: &'a dyn Progress,
     told: Mutex<Told>,
@@ -61,18 +61,18 @@ impl<'a> Latch<'a> {
         Self { whole, told: Mutex::new(Told { done: 0.0, stage: String::new(), asked: Instant::now(), error: None }) }
     }
 
-    /// Has the work been stopped? Reports the present stage again to find out.
+    /// Asks by reporting the present stage again.
     pub fn stopped(&self) -> bool {
         let mut told = self.told();
         if told.error.is_none() && told.asked.elapsed() >= ASKED {
             let (done, stage) = (told.done, told.stage.clone());
-            // What stopped it is kept.
+            // `ask` keeps the error.
             let _ = self.ask(&mut told, done, &stage);
         }
         told.error.is_some()
     }
 
-    /// What stopped the work.
+    /// The error that stopped the work.
     pub fn error(&self) -> Option<Error> {
         self.told().error.clone()
     }

@@ -1,5 +1,5 @@
-//! Quantiles of Student's t (Cornish-Fisher expansion in 1/ν, Abramowitz & Stegun 26.7.5): too small by 3 % at 2 degrees of
-//! freedom, by a quarter at 1.
+//! Quantiles of Student's t (Cornish-Fisher expansion in 1/ν, Abramowitz & Stegun 26.7.5). They are too small by 3
+//! % at 2 degrees of freedom and by a quarter at 1.
 
 /// At 97.5 %.
 pub fn two_sided_95(degrees: f64) -> f64 {
@@ -11,7 +11,7 @@ pub fn one_sided_95(degrees: f64) -> f64 {
     quantile(1.644_854, degrees)
 }
 
-/// F(1, ν) at 95 %: how far an objective may rise within an interval.
+/// F(1, ν) at 95 %: how far an objective may rise within a confidence interval.
 pub fn square_at_95(degrees: f64) -> f64 {
     two_sided_95(degrees).powi(2)
 }
@@ -29,10 +29,10 @@ fn quantile(z: f64, degrees: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Against printed tables.
+    /// Compared with printed tables.
     #[test]
     fn quantiles_are_those_of_tables() {
-        // Fewer degrees, where the expansion is worse.
+        // With fewer degrees of freedom the expansion is worse.
         for (degrees, two) in [(3.0, 3.182), (5.0, 2.571)] {
             assert!((two_sided_95(degrees) / two - 1.0).abs() < 1e-2, "{degrees}");
         }

@@ -1,4 +1,4 @@
-//! What drives environments when their speed is measured: the same steps in this process and through the service.
+//! Runs environments for measurements of speed: the same steps in this process and through the service.
 
 use sandgait_base::{Error, Result};
 use sandgait_env as env;
@@ -16,7 +16,7 @@ use crate::policy::Network;
 use crate::pool::{Batch, Pool};
 use std::time::{Duration, Instant};
 
-/// Where a measurement's actions come from.
+/// Source of a measurement's actions.
 pub enum Actions {
     /// Batches, f32 [envs, action] each, made before the clock starts and used in turn.
     Made(Vec<Vec<f32>>),
@@ -31,10 +31,10 @@ pub trait Stepper {
         1
     }
 
-    /// So many control steps; `actions` is f32 [steps, envs, action].
+    /// Makes these control steps; `actions` is f32 [steps, envs, action].
     fn step(&mut self, actions: &[f32]) -> Result<()>;
 
-    /// What `policy` does now: fills `actions`, f32 [envs, action].
+    /// Fills `actions`, f32 [envs, action], by `policy`.
     fn choose(&self, _policy: &Network, _actions: &mut [f32]) -> Result<()> {
         Err(Error::invalid("--actions", "a policy is measured in process only: leave --through out"))
     }
@@ -43,7 +43,7 @@ pub trait Stepper {
 /// The pool, called directly.
 pub struct Direct {
     pool: Pool,
-    /// Only empty while the pool has it.
+    /// None only while the pool has it.
     batch: Option<Batch>,
 }
 
@@ -106,14 +106,14 @@ pub fn measure(
         }
         Ok((calls * at_once * envs) as f64 / spent.as_secs_f64())
     };
-    repeat(length)?; // warm-up: robots leave their start, caches fill
+    repeat(length)?; // warm-up: robots leave their start positions, caches fill
     let mut rates = (0..repeats).map(|_| repeat(length)).collect::<Result<Vec<_>>>()?;
     rates.sort_by(f64::total_cmp);
     Ok(rates)
 }
 
-/// 16 batches of uniform random actions, f32 [envs, width] each, always the same: drawn once and used in turn, so that
-/// drawing is not part of what is measured.
+/// 16 batches of uniform random actions, f32 [envs, width] each, the same in every run. They are drawn once and
+/// used in turn, so that drawing is not part of the measurement.
 pub fn random_actions(envs: usize, width: usize) -> Vec<Vec<f32>> {
     let mut generator = 1u64;
     // A linear congruential generator with Knuth's constants (MMIX).

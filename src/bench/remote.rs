@@ -72,7 +72,7 @@ impl Remote {
 }
 
 impl Remote {
-    /// Makes a request and waits for the answer that `is_last`.
+    /// Makes a request and waits for the answer for which `is_last` is true.
     fn ask(&mut self, request: Option<Request>, is_last: impl Fn(&Response) -> bool) -> Result<()> {
         self.sequence += 1;
         let message = RunSessionRequest { session_id: String::new(), sequence: self.sequence, request };
@@ -104,7 +104,7 @@ const ROLLOUT: usize = 150;
 /// The same session, a rollout at a time.
 pub struct Rollouts {
     pub remote: Remote,
-    /// Ask for every step's rows.
+    /// Request every step's rows?
     pub trajectories: bool,
 }
 

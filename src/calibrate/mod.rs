@@ -1,8 +1,9 @@
 //! The scale of a user's sand from one slow vertical penetration of a horizontal plate.
 //!
-//! Force over depth is a line through the origin, F = ζ z A (Li et al. 2012, section 2: linear fit with zero intercept),
-//! so ζ is one least-squares slope. Samples of a force trace are not independent: the confidence interval comes from
-//! leaving out one stretch of depth at a time, not from the scatter of single samples.
+//! Force over depth is a line through the origin, F = ζ z A (Li et al. 2012, section 2: linear fit with zero
+//! intercept), so ζ is one least-squares slope. Samples of a force trace are not independent. So the confidence
+//! interval comes from leaving out one stretch of depth at a time (jackknife), not from the scatter of single
+//! samples.
 
 use sandgait_base::{error, student};
 use sandgait_plot as plot;
@@ -16,21 +17,21 @@ pub mod read;
 use crate::error::{Error, Result};
 use crate::sand::law::agarwal2023;
 
-/// Stretches of depth that are left out one by one. Our choice: few and long, so that they hardly know each other's
-/// noise. With it the 95 % interval covers the truth in 94 % of simulated tests with independent noise, in 92 % with noise
-/// correlated over 5 of 200 samples and in 89 % over 10 (12 stretches: 93, 89 and 83 %).
+/// Number of stretches of depth that are left out one by one. Our choice: few and long, so that their noise is
+/// nearly independent. With it the 95 % interval covers the truth in 94 % of simulated tests with independent
+/// noise, in 92 % with noise correlated over 5 of 200 samples and in 89 % over 10 (12 stretches: 93, 89 and 83 %).
 const STRETCHES: usize = 6;
 /// Student's t at 97.5 % with [`STRETCHES`] − 1 degrees of freedom.
 const T_95: f64 = 2.571;
-/// Four samples a stretch are the least that say anything: our choice.
+/// Least number of samples a stretch: our choice.
 const LEAST_SAMPLES: usize = 4 * STRETCHES;
-/// Share of the greatest depth that is left out at the top, where grains still pile up: our choice, the paper fits its
-/// steady state only.
+/// Share of the greatest depth that is left out at the top, where grains still pile up: our choice; the paper fits
+/// its steady state only.
 const TRANSIENT: f64 = 0.1;
-/// Below this share of variance explained by the line, the test was not a quasi-static penetration: our choice.
+/// Below this share of variance explained by the line the test was not a quasi-static penetration: our choice.
 const LEAST_R_SQUARED: f64 = 0.8;
 
-/// What the test says.
+/// Results of a penetration test.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Calibration {
     /// α_z(0, π/2) [N/cm³], the scale ζ of the generic set.
@@ -44,11 +45,11 @@ pub struct Calibration {
     pub r_squared: f64,
     /// Depth at which a line with free intercept starts [m]; 0 if depth was counted from the surface.
     pub surface_offset: f64,
-    /// Samples in the fit.
+    /// Number of samples in the fit.
     pub samples: usize,
-    /// Plate [m²].
+    /// Area of the plate [m²].
     pub area: f64,
-    /// What the user should know before trusting the number.
+    /// Warnings about the number.
     pub cautions: Vec<String>,
 }
 
@@ -95,7 +96,7 @@ fn refused(reason: impl Into<String>) -> Error {
     Error::invalid("penetration test", reason)
 }
 
-/// Data that no fit should be made of.
+/// Refuses data that cannot be fitted.
 fn refuse(depth: &[f64], force: &[f64], greatest: f64) -> Result<()> {
     if depth.len() < LEAST_SAMPLES {
         return Err(refused(format!("{} samples; at least {LEAST_SAMPLES} are needed", depth.len())));

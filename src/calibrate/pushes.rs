@@ -1,8 +1,8 @@
 //! How the resistance to penetration grows with depth and with size, from several pushes of discs or plates.
 //!
-//! Pressure p = F/A of each push is averaged over stretches of depth, so that each push weighs alike. Five laws are fitted to
-//! ln p by least squares; each is then asked about a push that it has not seen, and about a size that it has not seen. The rig
-//! gives way by its compliance times the force, which counts as depth: it is fitted beside.
+//! Pressure p = F/A of each push is averaged over stretches of depth, so that each push weighs alike. Five laws are
+//! fitted to ln p by least squares. Each must then predict a push, and a size, that was left out of its fit. The
+//! rig gives way by its compliance times the force, which appears as depth; the compliance is fitted too.
 
 use super::{TRANSIENT, refused};
 use crate::error::{Result, check_range};
@@ -10,19 +10,20 @@ use crate::student;
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 
-/// Stretches of depth a push is averaged over: our choice, as fine as a line needs.
+/// Number of stretches of depth that a push is averaged over: our choice, enough for a line.
 const STRETCHES: usize = 12;
-/// Least number of stretches with samples: our choice, a power of depth needs some.
+/// Least number of stretches with samples: our choice, because a power of depth needs several.
 const LEAST_STRETCHES: usize = 4;
-/// Compliances that are tried, as shares of the largest possible one (a rig that makes up all of the depth): our choice.
+/// Compliances that are tried, as shares of the largest possible one (at which the rig accounts for all of the
+/// depth): our choice.
 const COMPLIANCES: usize = 60;
-/// A law with more parameters must predict better by this share to be preferred: our choice.
+/// A law with more parameters is preferred only if it predicts better by this share: our choice.
 const WORTH: f64 = 0.05;
-/// Most pushes and samples in all: our choice of guards.
+/// Most pushes and samples in all: our choice.
 pub const MOST_PUSHES: usize = 1000;
 pub const MOST_SAMPLES: usize = 1_000_000;
 
-/// One way down.
+/// One penetration.
 #[derive(Clone, Debug)]
 pub struct Push {
     pub name: String,
@@ -30,7 +31,7 @@ pub struct Push {
     pub diameter: f64,
     /// Depth [m] and force [N].
     pub points: Vec<[f64; 2]>,
-    /// Slowest and fastest [m/s], where the log says.
+    /// Least and greatest speed [m/s], if the log has them.
     pub speeds: Option<[f64; 2]>,
 }
 
@@ -41,7 +42,7 @@ impl Push {
     }
 }
 
-/// What p is taken to depend on.
+/// The laws of p that are compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Law {
@@ -59,7 +60,7 @@ pub enum Law {
 }
 
 impl Law {
-    /// Simple ones first.
+    /// Laws with fewer parameters first.
     pub const ALL: [Self; 5] = [Self::Proportional, Self::Power, Self::Size, Self::Footing, Self::PowerAndSize];
 
     pub fn formula(self) -> &'static str {
@@ -92,16 +93,16 @@ pub struct Value {
     pub interval: [f64; 2],
 }
 
-/// How well a law does; root mean squares of ln(predicted/measured), in %.
+/// Errors of a law: root mean squares of ln(predicted/measured), in %.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Score {
     pub law: Law,
     pub formula: &'static str,
-    /// On the pushes it was fitted to.
+    /// On the pushes of the fit.
     pub fitted_percent: f64,
-    /// On a push it has not seen.
+    /// On pushes that were left out.
     pub other_push_percent: f64,
-    /// On a size it has not seen; none where there is one size only.
+    /// On sizes that were left out; None if there is only one size.
     pub other_size_percent: Option<f64>,
 }
 
@@ -117,25 +118,25 @@ pub struct OfSize {
     pub repeatability_percent: Option<f64>,
 }
 
-/// What several pushes say.
+/// Results of several pushes.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Pushes {
     pub sizes: Vec<OfSize>,
     pub laws: Vec<Score>,
-    /// The law to take.
+    /// The recommended law.
     pub law: Law,
-    /// n in |z|^n, with size left free.
+    /// n in |z|^n, fitted with a free exponent of size.
     pub depth_exponent: Value,
-    /// q in D^q; none where there is one size only.
+    /// q in D^q; None if there is only one size.
     pub size_exponent: Option<Value>,
-    /// How far the rig gives way [m/N].
+    /// Compliance of the rig [m/N].
     pub compliance: Value,
     /// Greatest depth [m] and force [N].
     pub greatest: [f64; 2],
     pub cautions: Vec<String>,
 }
 
-/// One stretch of a push: ln of depth, of size and of pressure, with the rig's part taken off the depth.
+/// One stretch of a push: ln of depth, of size and of pressure; the depth is without the rig's deflection.
 type Point = [f64; 3];
 
 /// Compares the laws. `compliance` [m/N] of the rig is fitted where it is not given.
@@ -182,7 +183,8 @@ pub fn compare(pushes: &[Push], compliance: Option<f64>) -> Result<Pushes> {
     Ok(study)
 }
 
-/// The simplest law that no other beats by more than [`WORTH`], judged on the largest step away from the data there is.
+/// The simplest law that no other beats by more than [`WORTH`], by the error on left-out sizes, or on left-out
+/// pushes if there is one size.
 fn chosen(scores: &[Score]) -> Law {
     let error = |s: &Score| s.other_size_percent.unwrap_or(s.other_push_percent);
     let least = scores.iter().map(error).fold(f64::INFINITY, f64::min);
@@ -270,7 +272,7 @@ fn fit(law: Law, points: &[Point]) -> Result<[f64; 3]> {
 /// ln(predicted/measured).
 fn off(law: Law, x: &[f64; 3], p: &Point) -> f64 {
     let predicted = match law {
-        // A footing that carries nothing or less is as wrong as can be.
+        // A footing that predicts no or negative pressure counts as infinitely wrong.
         Law::Footing => (x[0] * p[1].exp() + x[1] * p[0].exp()).max(1e-9).ln(),
         _ => x[0] + x[1] * p[0] + x[2] * p[1],
     };
@@ -288,7 +290,7 @@ fn percent(sum: f64, count: usize) -> f64 {
 fn score(law: Law, pushes: &[Push], points: &[Vec<Point>]) -> Result<Score> {
     let all: Vec<usize> = (0..pushes.len()).collect();
     let count = points.iter().map(Vec::len).sum();
-    // Each group in turn is predicted by a law that was fitted on all others.
+    // Each group in turn is predicted by a law fitted on all others.
     let left_out = |groups: &[Vec<usize>]| -> Result<f64> {
         let mut sum = 0.0;
         for group in groups {
@@ -300,7 +302,7 @@ fn score(law: Law, pushes: &[Push], points: &[Vec<Point>]) -> Result<Score> {
     let sizes = diameters(pushes);
     let of_size = |d: &f64| all.iter().copied().filter(|k| (pushes[*k].diameter - d).abs() < 1e-6).collect();
     let groups: Vec<Vec<usize>> = sizes.iter().map(of_size).collect();
-    // A law with an exponent of size needs two sizes to be fitted.
+    // A law with an exponent of size needs two sizes in its fit.
     let enough = sizes.len() > 1 + usize::from(law.knows_size());
     let gathered = gathered(points, &all);
     Ok(Score {
@@ -360,8 +362,8 @@ fn by_size(pushes: &[Push]) -> Result<Vec<OfSize>> {
     diameters(pushes).into_iter().map(of).collect()
 }
 
-/// Scatter between pushes of one size above which the sand was not prepared alike [%]: our choice; beds prepared by hand scatter
-/// by 5 to 10 %.
+/// Scatter between pushes of one size above which a warning says that the sand was not prepared alike [%]: our
+/// choice; beds prepared by hand scatter by 5 to 10 %.
 const MOST_SCATTER: f64 = 10.0;
 
 fn cautions(study: &Pushes, pushes: &[Push]) -> Vec<String> {
@@ -378,15 +380,15 @@ fn cautions(study: &Pushes, pushes: &[Push]) -> Vec<String> {
     match (&study.size_exponent, &study.sizes[..]) {
         (Some(Value { value, interval: [low, high] }), [first, .., last]) if *low > 0.0 || *high < 0.0 => {
             cautions.push(format!(
-                "pressure goes with size to the power {value:.2} [{low:.2}, {high:.2}]: ζ of {:.0} mm is {:.2} times that of {:.0} mm, \
-                 so it does not carry over to feet of another size",
+                "pressure grows as size to the power {value:.2} [{low:.2}, {high:.2}]: ζ of {:.0} mm is {:.2} times that of {:.0} mm, \
+                 so it does not apply to feet of another size",
                 1e3 * last.diameter,
                 last.zeta / first.zeta,
                 1e3 * first.diameter
             ));
         }
         (None, [only]) => cautions.push(format!(
-            "one size only ({:.0} mm): whether ζ carries over to other sizes is not known",
+            "one size only ({:.0} mm): whether ζ applies to other sizes is not known",
             1e3 * only.diameter
         )),
         _ => (),

@@ -6,7 +6,7 @@ use crate::table::{self, Asked, Column, Quantity, Row};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
-/// Beyond ±1e6 m or N a test is in the wrong unit or broken: our choice, as for force logs.
+/// Values beyond ±1e6 m or N are broken or in the wrong unit: our choice, as for force logs.
 const MOST: f64 = 1e6;
 
 const COLUMNS: [Column; 7] = [
@@ -18,20 +18,20 @@ const COLUMNS: [Column; 7] = [
     Column { name: "width", quantity: Quantity::Length, required: false },
     Column { name: "speed", quantity: Quantity::Speed, required: false },
 ];
-/// Diameters and sides of plates [m]: our choice, wide.
+/// Allowed diameters and sides of plates [m]: our choice, wide.
 const SIZES: std::ops::RangeInclusive<f64> = 1e-4..=1.0;
 
-/// What a file holds.
+/// The contents of a file.
 pub struct Tests {
-    /// All rows [m].
+    /// Depths of all rows [m].
     pub depth: Vec<f64>,
-    /// All rows [N].
+    /// Forces of all rows [N].
     pub force: Vec<f64>,
     /// Empty where the file has no column trial.
     pub pushes: Vec<Push>,
 }
 
-/// Reads a file; `units`: of depth and force, where the header does not say.
+/// Reads a file; `units`: of depth and force, if the header does not give them.
 pub fn file(path: &Path, units: BTreeMap<String, String>) -> Result<Tests> {
     let mut several = Several::default();
     let (mut depth, mut force) = (Vec::new(), Vec::new());
@@ -60,7 +60,7 @@ fn take(row: &Row, depth: &mut Vec<f64>, force: &mut Vec<f64>, several: &mut Sev
 #[derive(Default)]
 struct Several {
     pushes: Vec<Push>,
-    /// Place of each trial's push.
+    /// Index of each trial's push.
     places: HashMap<String, usize>,
     samples: usize,
 }

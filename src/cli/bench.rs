@@ -13,7 +13,8 @@ use std::time::Duration;
 
 /// Measure whole environment steps a second: action, servo, sand, dynamics, observation, reward, autoreset.
 ///
-/// The figure is the median of the repeats. Actions are made before the clock starts; a policy's own time is not counted.
+/// The figure is the median of the repeats. Actions are made before the clock starts; a policy's own time is not
+/// counted.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait bench --threads 1 --json
@@ -40,13 +41,13 @@ pub struct Bench {
     /// Threads that simulate; 0: one for each processor
     #[arg(long, default_value_t = 1, value_name = "N")]
     threads: u16,
-    /// What the robots do
+    /// Actions of the robots
     #[arg(long, value_enum, default_value_t = Chosen::Random)]
     actions: Chosen,
     /// Network for `--actions policy`
     #[arg(long, value_name = "FILE.onnx")]
     policy: Option<PathBuf>,
-    /// What the steps pass through
+    /// Path of the steps
     #[arg(long, value_enum, default_value_t = Through::Process)]
     through: Through,
     /// Repeats, at least 5
@@ -62,7 +63,7 @@ pub struct Bench {
 
 #[derive(Clone, Copy, PartialEq, clap::ValueEnum)]
 enum Through {
-    /// Nothing: the pool is called directly.
+    /// No service: the pool is called directly.
     Process,
     /// A server on a Unix socket in this process, one stream.
     GrpcUds,
@@ -78,11 +79,11 @@ enum Through {
 enum Chosen {
     /// Uniform over the action space, anew in every step
     Random,
-    /// 0: hips of the walking tasks stand still
+    /// 0: the hips of walking tasks stand still
     Zero,
     /// 0.4 of every upper bound: HexapodGait walks at 2 Hz
     Constant,
-    /// What a network chooses
+    /// The network of --policy
     Policy,
 }
 
@@ -111,7 +112,7 @@ impl Bench {
         Ok(if self.json { super::json(&all.into()) } else { lines.concat() })
     }
 
-    /// Measures one task: as JSON, and as a line for people.
+    /// Measures one task; returns JSON and a line of text.
     fn bench(&self, task: &str) -> Result<(Value, String)> {
         let options = self.task_options()?;
         let blueprint = Blueprint::new(task, options.clone())?;

@@ -9,15 +9,15 @@ use std::path::PathBuf;
 /// The plate of Li et al. 2012, section 2: 3.8 × 2.5 cm [m²].
 const PLATE: f64 = 0.038 * 0.025;
 
-/// Measure your sand: its scale from one slow vertical penetration of a horizontal plate.
+/// Measure your sand's scale with one slow vertical penetration of a horizontal plate.
 ///
-/// Reads columns depth (downward from the surface) and force (upward on the plate) of the way down, below 0.5 m/s; units
-/// stand in the header, as in "depth [mm],force [N]", or in the options, else m and N. Prints ζ, for --medium zeta=VALUE
-/// anywhere, and ξ_n of agarwal2023, with 95 % confidence intervals.
+/// Reads columns depth (downward from the surface) and force (upward on the plate) of the way down, below 0.5 m/s;
+/// units stand in the header, as in "depth [mm],force [N]", or in the options, else m and N. Prints ζ, for --medium
+/// zeta=VALUE anywhere, and ξ_n of agarwal2023, with 95 % confidence intervals.
 ///
-/// With a column trial, several pushes of discs (diameter) or plates (length, width) are compared: which law of depth and size
-/// fits, how well it predicts a push and a size that it has not seen, how pushes repeat, how far the rig gives way, and where a
-/// calibration does not carry over.
+/// With a column trial, several pushes of discs (diameter) or plates (length, width) are compared: which law of
+/// depth and size fits, how well it predicts a push and a size that were left out of its fit, how pushes repeat,
+/// how compliant the rig is, and where a calibration does not apply.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait calibrate push.csv --area 0.00095
@@ -39,7 +39,7 @@ pub struct Calibrate {
     /// Draw the test and its line to this SVG file, and as PNG beside it
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
-    /// How far the rig gives way, in metres a newton, for several pushes; default: fitted beside
+    /// Compliance of the rig, in metres a newton, for several pushes; default: fitted too
     #[arg(long, value_name = "M_PER_N", allow_negative_numbers = true)]
     compliance: Option<f64>,
     /// Machine-readable

@@ -1,4 +1,4 @@
-//! A file of options: what stands in it is put before the options of the command line, which therefore win.
+//! A file of options. Its options are inserted before those of the command line, which therefore take precedence.
 
 use clap::Command;
 use sandgait::{Error, Result};

@@ -1,4 +1,4 @@
-//! `sandgait sweep --learn`: what a study of learnt gaits found, as files and for the terminal.
+//! `sandgait sweep --learn`: the results of a study of learnt gaits, as files and as text.
 
 use sandgait::plot::{self, Figure, Mark, Panel, Style, color, png};
 use sandgait::sweep::Axis;
@@ -30,7 +30,7 @@ fn csv(study: &Study, findings: &Findings) -> String {
     text
 }
 
-/// Mean, and half the interval where there is one.
+/// Mean, and half of the interval if there is one.
 fn between(all: &[f64]) -> String {
     let Between { mean, half } = Between::of(all);
     if half.is_nan() { format!("{mean:.3}") } else { format!("{mean:.3} ± {half:.3}") }
@@ -75,8 +75,8 @@ fn measured(measure: Measure, trained: &[Trained]) -> Vec<f64> {
     trained.iter().map(|t| t.chosen_by[place]).collect()
 }
 
-/// The measure over one axis, each training as a dot, the means as a line in their intervals; of two axes a line a value of the
-/// first.
+/// The measure over one axis: each training as a dot, the means as a line with their intervals. With two axes there
+/// is a line for each value of the first.
 fn figure(study: &Study, findings: &Findings, measure: Measure) -> Figure {
     let title = format!("a gait learnt for each design, {} trainings each", study.trainings);
     let panels = match study.search {
@@ -127,7 +127,7 @@ fn dotted(color: &'static str) -> Style {
     Style { width: 0.0, ..Style::line(color) }.with_dots()
 }
 
-/// Writes everything into `out`; gives what the terminal is told.
+/// Writes all files into `out`; returns the text for the terminal.
 pub fn report(study: &Study, findings: &Findings, measure: Measure, out: &Path) -> Result<String> {
     let write = |name: &str, content: &[u8]| {
         let path = out.join(name);

@@ -61,7 +61,7 @@ impl Evaluate {
         };
         let study = Study::new(&request)?;
         super::warn_of_unfelt_option(&request.options);
-        // Found out now, not when the work is done.
+        // Checked before the work begins.
         for path in [&self.json, &self.csv].into_iter().flatten() {
             writable(path)?;
         }
@@ -77,7 +77,7 @@ impl Evaluate {
     }
 }
 
-/// Refuses a file whose folder is not there or that is a folder itself; makes nothing.
+/// Refuses a file in a missing folder, and a folder; creates nothing.
 fn writable(path: &Path) -> Result<()> {
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     if path.is_dir() || !folder.is_dir() {

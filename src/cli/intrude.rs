@@ -2,7 +2,7 @@
 
 use sandgait::sand::intruder::with_friction;
 use sandgait::sand::intrusion::{CHORD, HIP_HEIGHT, Load, OMEGA, Rotation, WIDTH};
-use sandgait::sand::{Law, Medium, Shape};
+use sandgait::sand::{Law, LegShape, Medium};
 use sandgait::{Error, Result};
 use std::path::PathBuf;
 
@@ -67,7 +67,7 @@ pub struct Intrude {
 impl Intrude {
     pub fn run(self) -> Result<String> {
         let (Some(shape), None) = (&self.shape, &self.body) else { return self.run_trials() };
-        let (name, shape) = (shape, Shape::named(shape)?);
+        let (name, shape) = (shape, LegShape::named(shape)?);
         let Self { chord, width, hip_height, omega, .. } = self;
         let sand = super::sand(&self.medium, &self.law, self.sand.as_deref())?;
         let sweep = Rotation { shape, chord, width, hip_height, omega }.loads(&sand)?;

@@ -1,5 +1,5 @@
-//! The command line. Wrong use ends with exit code 2 and one line on stderr, and nothing has been written; what the
-//! machine could not do ends with 1.
+//! The command line. Wrong usage ends with exit code 2 and one line on stderr, without writing any file; failures
+//! of the machine end with 1.
 
 mod bench;
 mod calibrate;
@@ -71,7 +71,7 @@ enum Command {
     Validate(validate::Validate),
 }
 
-/// Runs the command line `arguments`, the program's name first, and gives the exit code.
+/// Runs the command line `arguments`, the program's name first, and returns the exit code.
 pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     let arguments: Vec<OsString> = arguments.into_iter().collect();
     let outcome = match Cli::try_parse_from(&arguments) {
@@ -104,7 +104,7 @@ fn with_file(file: &Path, given: Vec<OsString>) -> Result<Cli> {
     let cli = Cli::command();
     let command = all.get(1).and_then(|name| cli.find_subcommand(name));
     all.extend(config::arguments(command.unwrap_or(&cli), file)?);
-    // The command line alone was understood before, so what is wrong now stands in the file.
+    // The command line alone was valid, so the error is in the file.
     Cli::try_parse_from(all.into_iter().chain(given)).map_err(|e| Error::file(file, one_line(&e.to_string())))
 }
 
@@ -137,7 +137,7 @@ fn exit_code(error: &Error) -> u8 {
     }
 }
 
-/// Writes to stdout. A reader that has gone (as in `| head -1`) has what it wanted.
+/// Writes to stdout. If the reader has closed it (as in `| head -1`), that is no error.
 fn print(text: &str) -> u8 {
     let mut out = std::io::stdout().lock();
     match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
@@ -156,7 +156,7 @@ fn one_line(message: &str) -> String {
     lines.collect::<Vec<_>>().join(" ").trim_start_matches("error: ").replace(" tip:", "; tip:")
 }
 
-/// The sand of a file, or a medium and a law by their names; a warning on stderr if its numbers are extrapolated.
+/// The sand of a file, or a medium and a law by their names; warns on stderr if its numbers are extrapolated.
 fn sand(medium: &str, law: &str, file: Option<&Path>) -> Result<SandDescription> {
     if let Some(file) = file {
         return SandDescription::load(file);
@@ -167,7 +167,7 @@ fn sand(medium: &str, law: &str, file: Option<&Path>) -> Result<SandDescription>
     SandDescription::named(medium, law)
 }
 
-/// The same for robots that walk, which do not feel every mechanism; a warning on stderr for each of those.
+/// The same for robots that walk; warns on stderr of each mechanism that has no effect on them.
 fn sand_to_walk_on(medium: &str, law: &str, file: Option<&Path>) -> Result<SandDescription> {
     let sand = sand(medium, law, file)?;
     warn_of_unfelt(&sand);
@@ -177,7 +177,7 @@ fn sand_to_walk_on(medium: &str, law: &str, file: Option<&Path>) -> Result<SandD
 /// The same for the `sand` among a task's options.
 fn warn_of_unfelt_option(options: &serde_json::Value) {
     let text = options.get("sand").and_then(serde_json::Value::as_str);
-    // A text that is no sand is refused by the task, in its words.
+    // If the text is not a sand, the task refuses it with its own message.
     if let Some(sand) = text.and_then(|text| SandDescription::from_toml(text).ok()) {
         warn_of_unfelt(&sand);
     }
@@ -189,7 +189,7 @@ fn warn_of_unfelt(sand: &SandDescription) {
     }
 }
 
-/// How far long work has come, on a terminal only; indicatif stays silent elsewhere.
+/// A progress bar, on a terminal only; otherwise indicatif prints nothing.
 struct Bar(ProgressBar);
 
 impl Bar {

@@ -5,7 +5,7 @@ use sandgait::{Error, Result};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
-/// Show a recording: what it holds, or as a page for browsers.
+/// Show a recording's contents, or write it as a page for browsers.
 ///
 /// Recordings are made by `sandgait walk --record FILE` and, of any environment, by `env.unwrapped.record(FILE)` in
 /// Python. docs/seeing.md has their format.
@@ -42,7 +42,7 @@ impl Replay {
     }
 }
 
-/// What a section is of, in a few numbers.
+/// A short description of a section.
 fn summary(section: &Section) -> Value {
     let first = |name: &str, k: usize| section.at(name, k).and_then(|v| v.first()).map(|v| f64::from(*v));
     let last = section.len().saturating_sub(1);

@@ -9,10 +9,10 @@ use std::path::{Path, PathBuf};
 /// Width and height of pictures [px].
 const PICTURE: [u32; 2] = [960, 720];
 
-/// Read a robot from a URDF, an MJCF or a TOML, and say what it is: masses, joints, limits, and what touches sand.
+/// Read a robot from a URDF, an MJCF or a TOML, and print masses, joints, limits, and what touches sand.
 ///
-/// What the file holds and the simulation does not take stands under "warnings". With --accelerations the motion of the
-/// robot in free flight is computed instead, as a check against other programs.
+/// Parts of the file that the simulation leaves out are listed under "warnings". With --accelerations the motion of
+/// the robot in free flight is computed instead, as a check against other programs.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait robot go1.urdf
@@ -72,7 +72,7 @@ impl Robot {
     }
 }
 
-/// The file of a robot among a task's options becomes its packed text.
+/// Replaces the file of a robot in a task's options by its packed text.
 pub fn read_option(options: &mut Value) -> Result<()> {
     let Some(robot) = options.get_mut("robot") else { return Ok(()) };
     let is_file = |name: &&str| [".urdf", ".xml", ".mjcf"].iter().any(|end| name.ends_with(end));
@@ -83,7 +83,7 @@ pub fn read_option(options: &mut Value) -> Result<()> {
     Ok(())
 }
 
-/// A robot's file as one text, its meshes cut into plates, and what was left out of it.
+/// A robot's file as one text, its meshes cut into plates, with notes on the parts that were left out.
 pub fn pack(path: &Path) -> Result<(String, Vec<String>)> {
     let import = robots::load(path)?;
     let touching = Touching::of(&import, None, None)?;
@@ -97,7 +97,7 @@ fn load(file: &Path) -> Result<Import> {
     }
 }
 
-/// What touches sand, and its plates, body by body.
+/// The shapes that touch sand, and their plates, body by body.
 struct Touching {
     shapes: Vec<Touch>,
     plates: Vec<Vec<sandgait::sand::intruder::Plate>>,
@@ -195,7 +195,7 @@ fn kind(joint: &TreeJoint) -> &'static str {
     }
 }
 
-/// Name, and sizes [m]: radius and length without caps, or sides; of a mesh the number of triangles.
+/// Name, and sizes [m]: radius and length without caps, or sides; for a mesh the number of triangles.
 fn geometry(geometry: &Geometry) -> (&'static str, Vec<f64>) {
     match geometry {
         Geometry::Sphere { radius } => ("sphere", vec![*radius]),
@@ -206,7 +206,7 @@ fn geometry(geometry: &Geometry) -> (&'static str, Vec<f64>) {
     }
 }
 
-/// `1.5`, or `-` where a file says nothing.
+/// `1.5`, or `-` if the file gives none.
 fn or_dash(value: Option<f64>) -> String {
     value.map_or_else(|| "-".into(), |v| format!("{v:.4}").trim_end_matches('0').trim_end_matches('.').to_owned())
 }

@@ -13,12 +13,13 @@ use tracing_subscriber::filter::Targets;
 use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
 
-/// Threads beside one for each processor, which is what making environments may take, that check large requests and free
-/// environments: one for a study, one so that large requests do not hold up small ones. They compute and never wait, so
-/// more would only share the processors; and each keeps memory of its own (tokio's default is 512).
+/// Threads besides one for each processor: one for a study, and one so that large requests do not delay small ones.
+/// (The threads for each processor make environments, check large requests and free environments.) They compute and
+/// never wait, so more would only share the processors; and each thread has memory of its own (tokio's default is
+/// 512 threads).
 const SPARE_THREADS: usize = 2;
 
-/// How long a request that is being prepared may hold up the end of the process.
+/// How long a request in preparation may delay the end of the process.
 const GRACE: Duration = Duration::from_millis(500);
 
 /// Serve environments over gRPC until SIGTERM or Ctrl-C.
@@ -55,10 +56,10 @@ pub struct Serve {
     peers: Peers,
     #[command(flatten)]
     pages: Pages,
-    /// What the log on stderr looks like; SANDGAIT_LOG filters it
+    /// Format of the log on stderr; SANDGAIT_LOG filters it
     #[arg(long, value_name = "FORMAT", default_value = "text")]
     log_format: LogFormat,
-    /// Keep sessions here while no server runs: saved at SIGTERM, taken up at the next start
+    /// Directory for sessions while no server runs: saved at SIGTERM, restored at the next start
     #[arg(long, value_name = "DIR")]
     state_dir: Option<PathBuf>,
     /// Also stop when stdin is closed, as it is when the process that started this one ends
@@ -66,7 +67,7 @@ pub struct Serve {
     exit_on_stdin_close: bool,
 }
 
-/// Who may use the server.
+/// Access to the server.
 #[derive(clap::Args)]
 struct Security {
     /// Encrypt: the server's certificate, PEM
@@ -84,10 +85,10 @@ struct Security {
     /// Clients must know the token in this file
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
-    /// Seal snapshots and kept sessions with the key in this file, and take no others
+    /// Seal snapshots and kept sessions with the key in this file, and refuse all others
     #[arg(long, value_name = "FILE")]
     snapshot_key: Option<PathBuf>,
-    /// Let --listen have an address that other machines reach without encryption and token
+    /// Allow --listen to have an address that other machines reach without encryption and token
     #[arg(long)]
     insecure: bool,
 }
@@ -98,13 +99,13 @@ struct Pages {
     /// Answer GET /metrics for Prometheus here
     #[arg(long, value_name = "HOST:PORT")]
     metrics: Option<Address>,
-    /// Let --metrics have an address that other machines reach
+    /// Allow --metrics to have an address that other machines reach
     #[arg(long)]
     metrics_insecure: bool,
     /// Show the sessions as they step to browsers here: http://HOST:PORT
     #[arg(long, value_name = "HOST:PORT")]
     viewer: Option<Address>,
-    /// Let --viewer have an address that other machines reach
+    /// Allow --viewer to have an address that other machines reach
     #[arg(long)]
     viewer_insecure: bool,
     /// Streams of the live page at a time
@@ -112,24 +113,24 @@ struct Pages {
     max_watchers: u32,
 }
 
-/// What the server takes from whom.
+/// Limits of connections and requests.
 #[derive(clap::Args)]
 struct Peers {
-    /// Connections at a time; fewer where there are not as many file descriptors
+    /// Connections at a time; fewer if there are not as many file descriptors
     #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(1..))]
     max_connections: u32,
-    /// Of them, those of one address (IPv6: of one /64)
+    /// Connections of one address at a time (IPv6: of one /64)
     #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..))]
     max_connections_per_peer: u32,
     /// Calls at a time on one connection; a client's further ones wait
     #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(1..))]
     max_streams: u32,
-    /// Requests of one address a second, on all its connections; 0: as many as it can
+    /// Requests of one address a second, on all its connections; 0: no limit
     #[arg(long, value_name = "N", default_value_t = 0)]
     max_requests_per_second: u32,
 }
 
-/// What the server lends out at most.
+/// Limits of sessions and memory.
 #[derive(clap::Args)]
 struct SessionLimits {
     /// Sessions at a time
@@ -216,7 +217,7 @@ impl Serve {
         }
         let line = format!("listening on {}\n", listener.address()?);
         let mut out = std::io::stdout();
-        // Whoever started this server may not care for its output.
+        // The process that started this server may have closed its output.
         let _ = out.write_all(line.as_bytes()).and_then(|()| out.flush());
         if self.exit_on_stdin_close {
             stop_with_stdin(stop.clone());
@@ -226,7 +227,7 @@ impl Serve {
 }
 
 impl Security {
-    /// Is what is asked for safe, or said to be meant?
+    /// Refuses unsafe addresses unless the user allows them.
     fn check(&self, listen: &Address) -> Result<()> {
         let missing = |name: &str| Err(Error::invalid(name, "missing; TLS needs a certificate and its key"));
         let local = |option| Err(Error::invalid(option, format!("{listen} is for its owner only and needs no TLS")));
@@ -240,7 +241,7 @@ impl Security {
         match (&self.tls_self_signed, listen) {
             (Some(_), Address::Unix(_)) => return local("--tls-self-signed"),
             (Some(_), Address::Tcp(address)) if address.ip().is_unspecified() => {
-                let reason = format!("{listen} is no address that a client calls; listen on one that is");
+                let reason = format!("{listen} is not an address that clients can connect to; listen on another");
                 return Err(Error::invalid("--tls-self-signed", reason));
             }
             _ => {}
@@ -286,7 +287,7 @@ fn plain_address(name: &str, address: &Address, open: bool) -> Result<SocketAddr
     Ok(*tcp)
 }
 
-/// A listener, and its address with the port that was found if 0 was asked for.
+/// A listener, and its address with the actual port if port 0 was given.
 fn bind_plain(name: &str, address: SocketAddr) -> Result<(TcpListener, SocketAddr)> {
     let unusable = |e: std::io::Error| Error::invalid(name, format!("{address}: {e}"));
     let listener = service::bind_tcp(address).map_err(unusable)?;

@@ -2,7 +2,7 @@
 
 use sandgait::number::Vec3;
 use sandgait::sand::law::agarwal2023;
-use sandgait::sand::{Ground, Law, Medium, Surface};
+use sandgait::sand::{Law, Medium, SandBed, Surface};
 use sandgait::table::{self, Asked, Column, Quantity};
 use sandgait::{Error, Result};
 use std::path::PathBuf;
@@ -15,10 +15,11 @@ const COLUMNS: [Column; 3] = [
 
 /// Evaluate a force law: stress per depth at given angles.
 ///
-/// Reads columns beta (tilt of the plate), gamma (direction of its velocity below the horizontal) and, for agarwal2023,
-/// psi (azimuth of its normal from the velocity's), in rad; beta counts modulo π. Prints them with the stress per depth
-/// in N/m³: alpha_x against the motion and alpha_z up, or for agarwal2023 the components alpha_r along the motion,
-/// alpha_theta across it and alpha_z up. The laws stand here bare, without the regularisation that dynamics needs.
+/// Reads columns beta (tilt of the plate), gamma (direction of its velocity below the horizontal) and, for
+/// agarwal2023, psi (azimuth of its normal from the velocity's), in rad; beta counts modulo π. Prints them with the
+/// stress per depth in N/m³: alpha_x against the motion and alpha_z up, or for agarwal2023 the components alpha_r
+/// along the motion, alpha_theta across it and alpha_z up. The laws are evaluated without the regularisation that
+/// dynamics needs.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait stress --input angles.csv
@@ -79,7 +80,7 @@ fn stress(law: Law, medium: &Medium, friction: Option<f64>, [beta, gamma, psi]: 
         };
         return components.map(|c| c * agarwal2023::calibrated(&medium.coefficients)).to_vec();
     }
-    let ground = Ground::new(law, medium, &Surface::BARE);
+    let ground = SandBed::new(law, medium, &Surface::BARE);
     let motion = ground.motion(Vec3::new(gamma.cos(), 0.0, -gamma.sin()));
     let force = ground.stress(Vec3::new(beta.sin(), 0.0, -beta.cos()), &motion);
     vec![-force.x, force.z]

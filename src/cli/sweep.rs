@@ -47,29 +47,30 @@ pub struct Sweep {
     /// A sand.toml, as a diagnosis writes it, in place of --medium and --law
     #[arg(long, value_name = "FILE", conflicts_with_all = ["medium", "law"])]
     sand: Option<PathBuf>,
-    /// What the figure shows: speed or cost-of-transport; with --learn also return
+    /// Measure in the figure: speed or cost-of-transport; with --learn also return
     #[arg(long, default_value = "speed")]
     measure: String,
     /// Search between the bounds instead of walking the grid: speed or cost-of-transport; where gaits are learnt also return
     #[arg(long, value_name = "MEASURE")]
     optimize: Option<String>,
-    /// Learn a gait for each design in place of walking at one frequency (HexapodGait, sandgait train's settings): so many
-    /// seconds each, on one thread. Each training is kept; run again, the study goes on where it was
+    /// Learn a gait for each design instead of walking at one frequency (HexapodGait, sandgait train's settings),
+    /// for this many seconds each, on one thread. Each training is kept, and a repeated command continues the study
     #[arg(long, value_name = "SECONDS")]
     learn: Option<f64>,
-    /// The same for so many steps each: the same to the bit on a machine that does other work too
+    /// The same for this many steps each: the result has the same bits on a busy machine too
     #[arg(long, value_name = "STEPS", conflicts_with = "learn")]
     learn_steps: Option<u64>,
     /// Trainings of each design
     #[arg(long, value_name = "N", default_value_t = 3)]
     trainings: usize,
-    /// Designs after the first on the last axis begin with their neighbour's gait and learn for so many seconds, or steps
+    /// Designs after the first on the last axis start from their neighbour's gait and learn for this many seconds,
+    /// or steps
     #[arg(long, value_name = "SECONDS|STEPS", conflicts_with = "optimize")]
     warm: Option<f64>,
-    /// Designs that --optimize looks at where gaits are learnt
+    /// Number of designs that --optimize tries with learnt gaits
     #[arg(long, value_name = "N", default_value_t = 24)]
     designs: usize,
-    /// Option of the task that is learnt
+    /// Option of the learnt task
     #[arg(long, value_name = "NAME=VALUE", allow_hyphen_values = true)]
     option: Vec<String>,
     /// Directory for the results
@@ -184,7 +185,7 @@ impl Sweep {
     }
 }
 
-/// Robot, sand and law, except what is varied.
+/// Robot, sand and law, except for the varied parameters.
 fn title(base: &Design, axes: &[Axis]) -> String {
     let varied = |names: &[&str]| axes.iter().any(|a| names.contains(&a.parameter.name));
     let medium = if varied(&["medium", "zeta"]) { "" } else { base.scene.medium.name.as_str() };

@@ -1,4 +1,4 @@
-//! The page of a task: its tables as Markdown, made from the data that make its rows.
+//! The page of a task: its tables as Markdown, from the same data as its rows.
 
 use sandgait::Result;
 use sandgait::env::control::Control;
@@ -33,7 +33,7 @@ pub fn page(id: &str) -> Result<String> {
     ))
 }
 
-/// The action's table, of one way of driving where there are several.
+/// The action's table, of one control mode if there are several.
 fn action(id: &str, control: Option<&str>) -> Result<String> {
     let options = control.map_or(Value::Null, |control| json!({"control": control}));
     let task = Blueprint::new(id, options)?;
@@ -45,7 +45,7 @@ fn term((column, term): (&Column, &Term)) -> Vec<String> {
     vec![code(&column.name), term.law.into(), format!("{}", term.weight)]
 }
 
-/// One row, or of a dictionary one more for each of its keys.
+/// One row; for a dictionary also one for each of its keys.
 fn option(k: &Keyword) -> Vec<Vec<String>> {
     let when = if k.at_reset { "make, reset" } else { "make" };
     let row =
@@ -68,7 +68,7 @@ fn code(text: &str) -> String {
     format!("`{text}`")
 }
 
-/// Bounds to four decimals: readers do not need more.
+/// Bounds to four decimals.
 fn range(c: &Column) -> String {
     let bound = |x: f64| match x.is_finite() {
         true => format!("{}", (x * 1e4).round() / 1e4),
@@ -77,7 +77,7 @@ fn range(c: &Column) -> String {
     format!("{} … {}", bound(c.low), bound(c.high))
 }
 
-/// A table with a head; a bar in a cell would end it.
+/// A table with a heading; a bar in a cell would end the cell.
 fn rows(head: &[&str], body: impl Iterator<Item = Vec<String>>) -> String {
     let line = |cells: Vec<String>| {
         let cells: Vec<_> = cells.iter().map(|cell| cell.replace('|', "\\|")).collect();

@@ -6,13 +6,13 @@ use sandgait::env::Column;
 use sandgait::env::registry::{Blueprint, Keyword, TASK_IDS};
 use serde_json::{Value, json};
 
-/// List the tasks: what is observed, what an action is, what is paid for, and the options with their defaults.
+/// List the tasks: observations, actions, rewards, and the options with their defaults
 #[derive(clap::Args)]
 pub struct Tasks {
     /// Machine-readable
     #[arg(long)]
     json: bool,
-    /// The page of one task, as it stands in docs/tasks
+    /// The page of one task, as in docs/tasks
     #[arg(long, value_name = "ID", conflicts_with = "json")]
     markdown: Option<String>,
 }

@@ -28,13 +28,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
   sandgait train --task HexapodLegs --seed 1 --out runs/legs
   sandgait train --option leg=C --option slope_deg=5 --set gamma=0.97 --seconds 30
   sandgait train --resume --seconds 120              (go on from the last checkpoint in the directory)
+  sandgait train --option slope_deg=10 --start-from runs/HexapodGait-fast/policy.safetensors --out runs/slope
   sandgait train --timesteps 2000000                 (the same to the bit each time: no clock ends it)
   sandgait train --address sand.lab:50051 --ca ca.pem --token-file token    (environments on a server)")]
 pub struct Train {
     /// Task's name or id
     #[arg(long, value_name = "TASK", default_value = HexapodGait::ID)]
     task: String,
-    /// File of settings in the manner of rl-zoo3, one entry a task
+    /// File of settings in the format of rl-zoo3, one entry a task
     #[arg(long, value_name = "FILE.yml")]
     hyperparameters: Option<PathBuf>,
     /// Another value of a setting
@@ -43,13 +44,13 @@ pub struct Train {
     /// Option of the task
     #[arg(long, value_name = "NAME=VALUE", allow_hyphen_values = true)]
     option: Vec<String>,
-    /// Of the policy, its exploration and the environments
+    /// Seed of the policy, its exploration and the environments
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
-    /// The training ends after this time, whatever the settings say; a resumed one counts the time before
+    /// The training ends after this time, whatever the settings; a resumed training counts its earlier time
     #[arg(long, value_name = "S")]
     seconds: Option<f64>,
-    /// The training ends after this many steps; without --seconds only then
+    /// The training ends after this many steps; without --seconds it has no limit of time
     #[arg(long, value_name = "N")]
     timesteps: Option<u64>,
     /// Directory for the results [default: runs/TASK-fast]
@@ -58,13 +59,16 @@ pub struct Train {
     /// Go on from the last checkpoint in the directory
     #[arg(long)]
     resume: bool,
+    /// Begin with another training's networks: its policy.safetensors or a checkpoint; same task, observation and actions
+    #[arg(long, value_name = "FILE.safetensors", conflicts_with = "resume")]
+    start_from: Option<PathBuf>,
     /// Steps between two checkpoints
     #[arg(long, value_name = "STEPS", default_value_t = 1_000_000)]
     checkpoint_every: u64,
     /// Threads; 0: one a processor
     #[arg(long, value_name = "N", default_value_t = 0)]
     threads: usize,
-    /// Simulate on the server at host:port or unix:/path; what is learnt is learnt here
+    /// Simulate on the server at host:port or unix:/path; learning stays in this process
     #[arg(long, value_name = "ADDRESS")]
     address: Option<String>,
     /// The server's token
@@ -75,12 +79,12 @@ pub struct Train {
     ca: Option<PathBuf>,
 }
 
-/// A training as it is asked for, here or from Python.
+/// A request for a training, from here or from Python.
 pub struct Training {
     /// Name or id.
     pub task: String,
     pub hyperparameters: Option<PathBuf>,
-    /// Settings in place of those of the file.
+    /// Settings that replace those of the file.
     pub changes: Vec<(String, Value)>,
     /// Keywords of the task, an object.
     pub options: Value,
@@ -89,6 +93,8 @@ pub struct Training {
     pub timesteps: Option<u64>,
     pub out: Option<PathBuf>,
     pub resume: bool,
+    /// What another training has learnt, to begin with.
+    pub start_from: Option<PathBuf>,
     pub checkpoint_every: u64,
     /// 0: one a processor.
     pub threads: usize,
@@ -96,7 +102,7 @@ pub struct Training {
     pub place: Option<Place>,
 }
 
-/// Most threads, and largest seed: our choice of guards.
+/// Most threads, and largest seed: our choice.
 const MOST_THREADS: usize = 1024;
 const MOST_SEED: u64 = (1 << 23) - 1;
 
@@ -127,6 +133,7 @@ impl Train {
             timesteps: self.timesteps,
             out: self.out,
             resume: self.resume,
+            start_from: self.start_from,
             checkpoint_every: self.checkpoint_every,
             threads: self.threads,
             place: place.transpose()?,
@@ -134,7 +141,7 @@ impl Train {
     }
 }
 
-/// A server as it is reached; a token travels encrypted, over a Unix socket or to this machine only.
+/// The server's address; a token is sent encrypted, over a Unix socket or to this machine only.
 fn place(address: String, token: Option<&Path>, ca: Option<&Path>) -> Result<Place> {
     let port = address.rsplit_once(':').is_some_and(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok());
     if !port && !address.starts_with("unix:") {
@@ -153,7 +160,7 @@ fn place(address: String, token: Option<&Path>, ca: Option<&Path>) -> Result<Pla
 }
 
 impl Training {
-    /// Checked, but for what only the task and the server can say.
+    /// Checks everything except what only the task and the server can check.
     pub fn request(self) -> Result<Request> {
         let task = entry::task_id(&self.task);
         let mut changes = self.changes;
@@ -174,6 +181,7 @@ impl Training {
             seed: self.seed,
             threads: if self.threads == 0 { parallel::processors() } else { self.threads },
             resume: self.resume,
+            start_from: self.start_from,
             checkpoint_every: self.checkpoint_every.max(1),
             connect: self.place.map(connected),
         })
@@ -187,7 +195,7 @@ fn connected(place: Place) -> Box<Connect> {
     })
 }
 
-/// Learns, and writes everything; gives what came of it, and as text.
+/// Trains, and writes all files; returns the results, also as text.
 pub fn learn(request: &Request, progress: &dyn Progress) -> Result<(Outcome, String)> {
     let outcome = request.run(progress)?;
     let text = report(request, &outcome);
@@ -223,13 +231,13 @@ fn report(request: &Request, outcome: &Outcome) -> String {
     text
 }
 
-/// Is set by the first Ctrl-C; the second one ends the process.
+/// The first Ctrl-C sets it; the second one ends the process.
 fn interrupted() -> Arc<AtomicBool> {
     let stop = Arc::new(AtomicBool::new(false));
     let heard = stop.clone();
     std::thread::spawn(move || {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
-        // Where signals cannot be heard, Ctrl-C ends the process at once, as ever.
+        // If signals cannot be handled, Ctrl-C ends the process at once, as usual.
         let Ok(runtime) = runtime else { return };
         runtime.block_on(async {
             while tokio::signal::ctrl_c().await.is_ok() {

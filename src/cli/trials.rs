@@ -24,20 +24,20 @@ const COLUMNS: [Column; 8] = [
 const DEPTH: usize = 6;
 const LOAD: usize = 7;
 
-/// What is added to each row.
+/// Columns that are added to each row.
 const RESULTS: [&str; 8] = ["Fx", "Fy", "Fz", "Tx", "Ty", "Tz", "depth", "status"];
 
-/// Rows that are read: our choice, ten times what is computed in a minute.
+/// Most rows: our choice, ten times what is computed in a minute.
 const MOST_ROWS: usize = 1_000_000;
 
-/// The rows of a file as they stand, and what they ask for.
+/// The rows of a file unchanged, and the motions in them.
 struct Rows {
     header: Vec<String>,
     cells: Vec<String>,
     trials: Vec<Trial>,
 }
 
-/// Computes every row; writes the table to `csv` if there is one, and says how many rows found no equilibrium.
+/// Computes every row; writes the table to `csv` if there is one, and returns how many rows found no equilibrium.
 pub fn run(
     shape: &str,
     plate_size: Option<f64>,
@@ -84,7 +84,7 @@ fn read(path: &Path) -> Result<Rows> {
         keep.push(row.cells().map(str::to_owned).collect::<Vec<_>>());
         Ok(())
     })?;
-    // The depth found stands in a column of its own; the one given is the same where there was one.
+    // The computed depth has a column of its own; if a depth was given it is the same.
     let is_depth = |name: &str| name.split(['[', '(']).next().is_some_and(|n| n.trim() == "depth");
     let kept: Vec<usize> = (0..summary.header.len()).filter(|k| !is_depth(&summary.header[*k])).collect();
     let named = |k: &usize| match &summary.header[*k] {
@@ -97,7 +97,7 @@ fn read(path: &Path) -> Result<Rows> {
     Ok(Rows { header: kept.iter().map(named).collect(), cells, trials })
 }
 
-/// A cell as CSV has it.
+/// A cell in CSV format.
 fn quoted(cell: &str) -> String {
     if cell.contains([',', '"', '\n', '\r']) { format!("\"{}\"", cell.replace('"', "\"\"")) } else { cell.into() }
 }

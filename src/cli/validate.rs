@@ -4,10 +4,10 @@ use sandgait::Result;
 use sandgait::validate::{data, others, page::Scoreboard};
 use std::path::PathBuf;
 
-/// Compare the model with measurements: what is predicted, how far off it is, and where it fails.
+/// Compare the model with measurements: predictions, their errors, and where they fail.
 ///
-/// Without --data: two wheels and three discs in dry sand, measured at Carnegie Mellon University; legs in grains simulated one by
-/// one; walks by independent codes, and robots by pinocchio and MuJoCo.
+/// Without --data: two wheels and three discs in dry sand, measured at Carnegie Mellon University; legs in grains
+/// simulated one by one; walks by independent codes, and robots by pinocchio and MuJoCo.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait validate

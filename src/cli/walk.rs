@@ -52,7 +52,7 @@ pub struct Walk {
     /// A built-in robot or a FILE.toml
     #[arg(long, default_value = Robot::DEFAULT)]
     robot: String,
-    /// Keep every hundredth of a second of the walk here, for `sandgait replay`
+    /// Record every hundredth of a second of the walk in this file, for `sandgait replay`
     #[arg(long, value_name = "FILE")]
     record: Option<std::path::PathBuf>,
     /// Machine-readable

@@ -1,23 +1,24 @@
-//! Drives a stream's connection while nobody waits for an answer.
+//! Drives a stream's connection while no caller waits for an answer.
 
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::runtime::Runtime;
 
-/// A connection that nobody has used for so long is driven: our choice, short against the server's patience with pings.
+/// After this long without a caller the connection is driven: our choice, short against the server's time limit for
+/// pings.
 const IDLE: Duration = Duration::from_secs(1);
 
-/// For so long at a time.
+/// Length of one turn of driving.
 const SLICE: Duration = Duration::from_millis(20);
 
 struct State {
     used: Instant,
-    /// Something was sent that nobody waits for yet.
+    /// A request was sent, and no caller waits for its answer yet.
     ahead: bool,
     closed: bool,
 }
 
-/// Says what a connection is used for.
+/// Tells the keeper how a connection is used.
 pub struct Keeper(Arc<(Mutex<State>, Condvar)>);
 
 impl Keeper {
@@ -39,7 +40,7 @@ impl Keeper {
         self.0.1.notify_one();
     }
 
-    /// The caller waits itself.
+    /// The caller waits, and drives the connection itself.
     pub fn waits(&self) {
         let mut state = self.lock();
         (state.ahead, state.used) = (false, Instant::now());

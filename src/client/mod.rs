@@ -1,10 +1,10 @@
-//! A client of `sandgait.v1`: what Python reaches servers with.
+//! A client of `sandgait.v1`; the Python package uses it.
 //!
-//! Everything is driven by the thread that waits: it reads and writes the socket itself, and no other thread has to be woken
-//! for an answer. While nobody waits, [`keeper`] answers the server's pings and sends what was sent ahead.
+//! The waiting thread reads and writes the socket itself, so no other thread has to be woken for an answer. While
+//! no thread waits, [`keeper`] answers the server's pings and sends queued requests.
 //!
-//! * [`place`]: where a server is, and what it takes to use it.
-//! * [`stream`]: one RunSession stream; [`call`]: calls with one answer; [`study`]: studies, which tell their progress.
+//! * [`place`]: a server's address and credentials.
+//! * [`stream`]: one RunSession stream; [`call`]: calls with one answer; [`study`]: studies with progress reports.
 //! * [`training`]: a training's environments.
 
 use sandgait_base::error;
@@ -36,7 +36,7 @@ use tonic::{Code, Status};
 pub type Environments = EnvironmentServiceClient<InterceptedService<Channel, Bearer>>;
 pub type Studies = StudyServiceClient<InterceptedService<Channel, Bearer>>;
 
-/// A runtime that works while one of its callers waits.
+/// A runtime that runs only while one of its callers waits.
 pub fn runtime() -> Result<Runtime, Status> {
     let made = Builder::new_current_thread().enable_all().build();
     made.map_err(|e| Status::unavailable(format!("the connection cannot be set up: {e}")))
@@ -61,7 +61,8 @@ pub async fn studies(place: &Place) -> Result<Studies, Status> {
     Ok(client.max_decoding_message_size(usize::MAX).max_encoding_message_size(usize::MAX))
 }
 
-/// A call that did not reach the server, or whose answer did not come back: what the server says itself has no source.
+/// The error of a call that did not reach the server, or whose answer was lost. A server's own status has no
+/// source.
 fn lost(status: Status) -> Status {
     match std::error::Error::source(&status) {
         Some(mut cause) => {
@@ -74,7 +75,7 @@ fn lost(status: Status) -> Status {
     }
 }
 
-/// A stream that was cut off in the middle of a message: the session may still be there.
+/// A stream that was cut off inside a message: the session may still exist.
 fn cut(status: Status) -> Status {
     match status.code() {
         Code::Unknown | Code::Internal => Status::unavailable(status.message().to_owned()),

@@ -1,4 +1,4 @@
-//! Where a server is, and what it takes to use it.
+//! A server's address and credentials.
 
 use hyper_util::rt::TokioIo;
 use std::future::Future;
@@ -13,13 +13,13 @@ use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity
 use tonic::{Request, Status};
 use tower_service::Service;
 
-/// Between two pings, and longest wait for their answers: a host that vanished is noticed.
+/// Interval of pings, and longest wait for their answers, so that a vanished host is noticed.
 const KEEPALIVE: Duration = Duration::from_secs(20);
 
 /// Longest wait for a connection.
 const CONNECT: Duration = Duration::from_secs(20);
 
-/// A server's address, and how to speak to it.
+/// A server's address, and how to connect to it.
 #[derive(Clone, Default)]
 pub struct Place {
     /// `host:port` or `unix:/path`.
@@ -32,7 +32,7 @@ pub struct Place {
     pub identity: Option<(Vec<u8>, Vec<u8>)>,
 }
 
-/// What every call says of its caller.
+/// The client's identification in every call.
 #[derive(Clone)]
 pub struct Bearer(Option<MetadataValue<Ascii>>);
 
@@ -46,7 +46,7 @@ impl Interceptor for Bearer {
 }
 
 impl Place {
-    /// A connection of its own; proxies of the environment are not used.
+    /// A new connection; proxies of the environment are not used.
     pub async fn connect(&self) -> Result<(Channel, Bearer), Status> {
         let token = self.token.as_ref().map(|token| format!("Bearer {token}").parse());
         let bearer = Bearer(token.transpose().map_err(|_| Status::invalid_argument("token: not visible ASCII"))?);
@@ -86,7 +86,7 @@ fn endpoint(uri: String) -> Result<Endpoint, Status> {
         .keep_alive_while_idle(true))
 }
 
-/// Why there is no connection, with the cause that says it best: the last one.
+/// Why there is no connection: the last, most specific cause.
 fn unreachable(error: &tonic::transport::Error) -> Status {
     let mut cause: &dyn std::error::Error = error;
     while let Some(source) = cause.source() {
@@ -95,7 +95,7 @@ fn unreachable(error: &tonic::transport::Error) -> Status {
     Status::unavailable(cause.to_string())
 }
 
-/// Connects to a Unix socket, whatever its path.
+/// Connects to a Unix socket at any path.
 #[derive(Clone)]
 struct Socket(PathBuf);
 

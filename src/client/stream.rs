@@ -20,12 +20,12 @@ pub struct Stream {
     answers: Mutex<Streaming<RunSessionResponse>>,
     keeper: Keeper,
     runtime: Arc<Runtime>,
-    /// Number of the last request that the session has carried out or refused.
+    /// Number of the last request that the session has answered.
     pub last_sequence: u64,
 }
 
 impl Stream {
-    /// Takes session `session_id` at `place`. `stopped` is asked now and then, and breaks it off.
+    /// Attaches to session `session_id` at `place`. `stopped` is called now and then, and can interrupt this.
     pub fn open<E>(
         place: Place,
         session_id: String,
@@ -39,7 +39,7 @@ impl Stream {
             let (sender, receiver) = mpsc::unbounded_channel();
             let request = Some(Request::Attach(Attach {}));
             let attach = RunSessionRequest { session_id, sequence: 0, request };
-            // The receiver is there until the stream below has it.
+            // The receiver exists until the stream below takes it.
             let _ = sender.send(attach);
             let mut client = environments(&place).await?;
             let mut answers = client.run_session(UnboundedReceiverStream::new(receiver)).await?.into_inner();
@@ -63,10 +63,10 @@ impl Stream {
         }))
     }
 
-    /// Sends without waiting. `here`: the caller waits for the answer next, and sends it by that.
+    /// Sends without waiting. `here`: the caller will wait for the answer next, and the request is sent then.
     pub fn send(&self, request: RunSessionRequest, here: bool) {
         if let Some(requests) = &*self.requests.lock().unwrap_or_else(PoisonError::into_inner) {
-            // Where the stream has broken, whoever waits for the answer is told.
+            // If the stream is broken, the call that waits for the answer gets the error.
             let _ = requests.send(request);
         }
         if !here {
@@ -89,7 +89,7 @@ impl Stream {
     }
 }
 
-/// Between two looks at whether somebody still waits.
+/// Interval of checks whether the caller still waits.
 pub const PATIENCE: Duration = Duration::from_millis(20);
 
 fn ended() -> Status {

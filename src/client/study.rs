@@ -1,4 +1,4 @@
-//! Studies on a server: progress, then the outcome.
+//! Studies on a server: progress, then the result.
 
 use super::place::Place;
 use super::{lost, studies};
@@ -8,9 +8,9 @@ use crate::service::studies::compute::{Outcome, Study};
 use futures_util::stream::{self, BoxStream, StreamExt as _};
 use tonic::{Status, Streaming};
 
-/// What a study tells.
+/// An event of a study.
 pub enum Event {
-    /// The share done, and what is done now.
+    /// Finished share, and the present stage.
     Progress(f64, String),
     Done(Outcome),
 }
@@ -72,7 +72,7 @@ where
     answers.map(move |answer| answer.map_err(lost).and_then(|answer| of(answer).ok_or_else(missing))).boxed()
 }
 
-/// Asks for a study; dropping its events stops it.
+/// Requests a study; dropping its events stops it.
 pub async fn study(place: &Place, study: Study) -> Result<Events, Status> {
     let mut client = studies(place).await?;
     Ok(match study {

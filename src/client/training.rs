@@ -16,7 +16,7 @@ use std::pin::pin;
 use std::time::{Duration, Instant};
 use tonic::{Code, Status};
 
-/// How long a server that is not reached is tried again, as the Python client does it.
+/// How long an unreachable server is tried again, the same as in the Python client.
 const RETRY: Duration = Duration::from_secs(2);
 
 /// Longest wait for a server to free a session that is no longer needed; after that its lease ends it.
@@ -32,7 +32,7 @@ pub struct Session {
     observation: usize,
 }
 
-/// A server's refusal, or that there is none any more.
+/// A server's refusal, or a lost connection.
 fn failed(place: &Place, status: &Status) -> Error {
     let what = if status.code() == Code::Unavailable { "it cannot be reached: " } else { "" };
     Error::invalid(format!("server {}", place.address), format!("{what}{}", status.message()))
@@ -62,8 +62,8 @@ impl Session {
         Ok(session)
     }
 
-    /// The answer to `asked`. Where the stream breaks, another one is tried for a while; requests are numbered, so nothing is
-    /// done twice.
+    /// The answer to `asked`. If the stream breaks, new streams are tried for a while. Requests are numbered, so
+    /// none is carried out twice.
     fn ask(&mut self, asked: Asked, pause: Pause) -> Result<Answer> {
         self.sequence += 1;
         let request = RunSessionRequest { session_id: String::new(), sequence: self.sequence, request: Some(asked) };
@@ -96,7 +96,7 @@ impl Session {
                     self.stream = stream;
                     self.stream.send(request.clone(), true);
                 }
-                // Tried again: the old stream still says that it is broken.
+                // It is tried again: the old stream still reports that it is broken.
                 Err(Error::Invalid { reason, .. })
                     if since.elapsed() <= RETRY && reason.starts_with("it cannot be reached") => {}
                 Err(error) => return Err(error),
@@ -112,7 +112,7 @@ impl Session {
     }
 
     fn wrong(&self) -> Error {
-        Error::invalid(format!("server {}", self.place.address), "it answered something else than was asked")
+        Error::invalid(format!("server {}", self.place.address), "its answer does not match the request")
     }
 }
 
@@ -153,7 +153,7 @@ fn open(place: &Place, id: &str, pause: Pause) -> Result<Stream> {
     Stream::open(place.clone(), id.to_owned(), pause)?.map_err(|e| failed(place, &e))
 }
 
-/// Has a session the rows of `spec`, and episodes as long?
+/// Does a session have the rows of `spec`, and equally long episodes?
 fn is_same(task: &Task, spec: &Spec) -> bool {
     let names = |columns: &[crate::service::proto::Column]| columns.iter().map(|c| c.name.clone()).collect::<Vec<_>>();
     let own = |columns: &[sandgait_env::Column]| columns.iter().map(|c| c.name.clone()).collect::<Vec<_>>();
@@ -162,7 +162,7 @@ fn is_same(task: &Task, spec: &Spec) -> bool {
         && task.max_episode_steps == spec.max_episode_steps
 }
 
-/// A batch's bytes as numbers; none where their lengths do not fit.
+/// A batch's bytes as numbers; None if their lengths are wrong.
 fn unpacked(batch: &Batch, envs: usize, observation: usize) -> Option<Rows> {
     let floats = |bytes: &[u8], count: usize| -> Option<Vec<f32>> {
         let (all, rest) = bytes.as_chunks::<4>();

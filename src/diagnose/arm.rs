@@ -1,43 +1,45 @@
-//! What a force sensor reads while one plate or leg moves along its track.
+//! The readings of a force sensor while a plate or leg moves along its track.
 //!
-//! The sand side of a mechanism is evaluated by [`SandMechanisms`]; the measuring side (depth reference, compliance, delay,
-//! filter, tilt, offsets) is here, in that order.
+//! [`SandMechanisms`] evaluates the mechanisms in the sand; this file adds those of measuring, in this order: depth
+//! reference, compliance, delay, filter, tilt, offsets.
 
 use super::experiment::Intruder;
 use super::force_log::{Pose, Track};
 use crate::error::Result;
 use crate::number::{Doubles, Kernel, Real, Vec3};
-use crate::sand::beyond::{Beyond, SandMechanisms, Site, slope_depth};
 use crate::sand::intrusion::Load;
 use crate::sand::mechanism::Mechanisms;
+use crate::sand::mechanism_laws::{SandMechanisms, SegmentState, StressModel, slope_depth};
 use crate::sand::shape::{Segment, straight};
-use crate::sand::{Ground, Shape};
+use crate::sand::{LegShape, SandBed};
 use std::ops::Range;
 
-/// Segments a plate or leg is cut into: the partly submerged one then errs by < 0.1 % of the peak force. Our choice.
+/// Number of segments of a plate or leg. The partly submerged segment then causes an error of < 0.1 % of the peak
+/// force. Our choice.
 const SEGMENTS: usize = 40;
-/// Share of its greatest speed below which an intruder rests at first: our choice, as where samples at rest are left out.
+/// A trial starts at rest if its first speed is below this share of its greatest: our choice, as for the samples at
+/// rest that are left out.
 const REST: f64 = 0.05;
-/// Steps per sample interval in which the low-pass filter sees the force; linear in between. Our choice.
+/// Steps per sample interval of the low-pass filter; the force is linear in between. Our choice.
 const FILTER_STEPS: usize = 6;
-/// Samples that an acceleration is taken from where the motion is smooth: our choice. A velocity that swings once in thirteen
-/// samples then errs by 0.2 % inside a trial and by 1 % at its ends, where two samples gave 4 % and a quarter; noise of a
-/// velocity counts a third more.
+/// Number of samples from which an acceleration is computed where the motion is smooth: our choice. For a velocity
+/// with a period of thirteen samples the error is then 0.2 % inside a trial and 1 % at its ends (with two samples 4
+/// % and a quarter); noise of the velocity has a third more effect.
 const STENCIL: usize = 5;
-/// The same where no such stretch is smooth: as many as hold a ramp of three samples.
+/// The same where no such stretch is smooth: short enough for a ramp of three samples.
 const SHORT: usize = 3;
-/// A stretch is smooth where the last of its differences is below this share of those before: our choice, above the quarter of a
-/// swing of thirteen samples and below what a kink leaves.
+/// A stretch is smooth if the last of its differences is below this share of those before: our choice, above that
+/// of a period of thirteen samples (a quarter) and below that of a kink.
 const SMOOTH: f64 = 0.5;
 
-/// How many times rougher a stretch about the sample may be than the smoothest beside it: where motion is smooth none needs to be
-/// shifted (Shu, Journal of Scientific Computing 5:127, 1990, takes 2).
+/// The stretch centred on the sample is used unless it is this many times rougher than the smoothest one beside it
+/// (Shu, Journal of Scientific Computing 5:127, 1990, takes 2).
 const SHIFT: f64 = 2.0;
 
-/// For each sample the stretch that its acceleration is taken from. Drives start and stop with a kink in the speed, and a polynomial
-/// across a kink is wrong on both sides: of the stretches that hold the sample the smoothest is taken (as in essentially
-/// non-oscillatory schemes: Harten, Engquist, Osher & Chakravarthy 1987), of those about as smooth the one about the sample, and a
-/// short one where no long one is smooth.
+/// For each sample the stretch from which its acceleration is computed. Drives start and stop with a kink in the
+/// speed, and a polynomial across a kink is wrong on both sides. So the smoothest of the stretches that contain the
+/// sample is used, as in essentially non-oscillatory schemes (Harten, Engquist, Osher & Chakravarthy 1987); among
+/// those of similar smoothness the one centred on the sample; and a short stretch where no long one is smooth.
 pub fn stencils(track: &Track) -> Vec<Range<usize>> {
     let poses = &track.poses;
     let chosen = |i: usize| {
@@ -57,13 +59,13 @@ pub fn stencils(track: &Track) -> Vec<Range<usize>> {
     (0..poses.len()).map(chosen).collect()
 }
 
-/// Size of the last difference of the velocities over a stretch, and of the greatest but the first before it.
+/// Size of the last difference of the velocities over a stretch, and of the greatest before it except the first.
 fn roughness(poses: &[Pose]) -> [f64; 2] {
     let mut differences: Vec<[f64; 3]> = poses.iter().map(|p| [p.omega, p.velocity[0], p.velocity[1]]).collect();
     let interval = (poses[poses.len() - 1].t - poses[0].t) / (poses.len() - 1).max(1) as f64;
     let mut sizes = Vec::new();
     for order in 1..poses.len() {
-        // Divided differences, times the interval: those of even samples as they are.
+        // Divided differences times the interval, which for even sampling are the ordinary ones.
         let next = |i: usize| {
             let way = (poses[i + order].t - poses[i].t) / (order as f64 * interval);
             [0, 1, 2].map(|axis| (differences[i + 1][axis] - differences[i][axis]) / way)
@@ -76,7 +78,7 @@ fn roughness(poses: &[Pose]) -> [f64; 2] {
     [last, sizes.into_iter().skip(1).fold(0.0, f64::max)]
 }
 
-/// Segments that are computed together. Where some are left over, the last is filled up with segments without area.
+/// Segments that are computed together. The last group is filled up with segments of zero area.
 #[derive(Clone, Copy)]
 struct Block {
     center: [Doubles; 2],
@@ -113,7 +115,7 @@ impl Cut {
     pub fn new(intruder: &Intruder) -> Result<Self> {
         Ok(match *intruder {
             Intruder::Leg { chord, width, xi_deg, thickness } => Cut {
-                segments: blocks(&Shape::two_piece(xi_deg)?.segments(chord, width, SEGMENTS)?),
+                segments: blocks(&LegShape::two_piece(xi_deg)?.segments(chord, width, SEGMENTS)?),
                 chord: blocks(&straight([0.0, 0.0], [0.0, -chord], width, SEGMENTS)),
                 width,
                 half_thickness: thickness.unwrap_or(0.0) / 2.0,
@@ -128,7 +130,8 @@ impl Cut {
     }
 }
 
-/// Inertial drag of another form: the extra stress is −λ ρ v0² (v_n/v0)^q n. At the speed v0 it is that of the catalogue's law.
+/// Inertial drag with another exponent: the extra stress is −λ ρ v0² (v_n/v0)^q n. At the speed v0 it equals that
+/// of the catalogue's law.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PowerDrag {
     pub exponent: f64,
@@ -139,12 +142,12 @@ pub struct PowerDrag {
 impl PowerDrag {
     /// How much more than v_n² stands there [m²/s²].
     fn beyond_square(&self, speeds: Doubles) -> Doubles {
-        let beyond = |speed: f64| self.speed.powi(2) * (speed / self.speed).powf(self.exponent) - speed * speed;
-        Doubles::from_array(std::array::from_fn(|i| beyond(speeds.lane(i))))
+        let excess = |speed: f64| self.speed.powi(2) * (speed / self.speed).powf(self.exponent) - speed * speed;
+        Doubles::from_array(std::array::from_fn(|i| excess(speeds.lane(i))))
     }
 }
 
-/// What a tilted sensor with offsets makes of loads.
+/// Converts loads to the readings of a tilted sensor with offsets.
 pub fn read<const N: usize>(m: &Mechanisms, loads: &mut [[Load; N]]) {
     let (sin, cos) = m.sensor_tilt.sin_cos();
     for load in loads.iter_mut().flatten() {
@@ -154,7 +157,7 @@ pub fn read<const N: usize>(m: &Mechanisms, loads: &mut [[Load; N]]) {
     }
 }
 
-/// Times of the steps of a filter along a track, from half a sample before it.
+/// Times of the filter's steps along a track, from half a sample before it.
 fn filter_times(poses: &[Pose]) -> Vec<f64> {
     let first = poses.get(1).map_or(0.0, |p| p.t - poses[0].t);
     let begins = [poses[0].t - 0.5 * first].into_iter().chain(poses.iter().map(|p| p.t));
@@ -165,16 +168,17 @@ fn filter_times(poses: &[Pose]) -> Vec<f64> {
     steps.chain(poses.last().map(|p| p.t)).collect()
 }
 
-/// Is the first speed next to nothing beside the greatest?
+/// Is the first speed negligible against the greatest?
 fn begins_at_rest(poses: &[Pose]) -> bool {
     let speeds = |p: &Pose| [p.omega.abs(), p.velocity[0].hypot(p.velocity[1])];
     let first = speeds(&poses[0]);
     (0..2).all(|k| first[k] <= REST * poses.iter().map(|p| speeds(p)[k]).fold(0.0, f64::max))
 }
 
-/// Loads at the poses behind a first-order filter of time constant `tau` [s], from those at its steps: τ ẏ = F − y, settled
-/// half a sample before the log, exact for a force that is linear between steps. A trial that begins at rest begins without force:
-/// what the sand does when it sets out, it does from then on.
+/// Loads at the poses behind a first-order filter of time constant `tau` [s], from the loads at its steps: τ ẏ = F
+/// − y. The filter is in steady state half a sample before the log; the solution is exact for a force that is
+/// linear between steps. In a trial that begins at rest, the filter begins with the force at the start of the
+/// motion.
 pub fn filtered<const N: usize>(poses: &[Pose], steps: &[[Load; N]], tau: f64) -> Vec<[Load; N]> {
     let times = filter_times(poses);
     let rests = begins_at_rest(poses);
@@ -188,7 +192,7 @@ pub fn filtered<const N: usize>(poses: &[Pose], steps: &[[Load; N]], tau: f64) -
             let end = 1.0 - (1.0 - decay) * tau / h;
             let start = 1.0 - decay - end;
             let next = |y: f64, a: f64, b: f64| decay * y + start * a + end * b;
-            // At rest the direction of the motion to come is not known yet: the first force is that of the step after.
+            // At rest the direction of the coming motion is not known, so the first force is that of the next step.
             let before = if rests && k == FILTER_STEPS + 1 { &steps[k] } else { &steps[k - 1] };
             for (y, (a, b)) in state.iter_mut().zip(before.iter().zip(&steps[k])) {
                 *y = Load { fx: next(y.fx, a.fx, b.fx), fz: next(y.fz, a.fz, b.fz), ty: next(y.ty, a.ty, b.ty) };
@@ -201,23 +205,23 @@ pub fn filtered<const N: usize>(poses: &[Pose], steps: &[[Load; N]], tau: f64) -
     out
 }
 
-/// One track under one set of mechanisms, in each of N grounds that differ in the stress coefficients only.
+/// One track under one set of mechanisms, in each of N beds that differ in the stress coefficients only.
 pub struct Arm<'a, const N: usize> {
     pub track: &'a Track,
     pub cut: &'a Cut,
     pub mechanisms: &'a Mechanisms,
     pub sand: SandMechanisms<Doubles>,
-    pub grounds: &'a [Ground<Doubles>; N],
-    /// [`stencils`] of the track; none are needed without added mass.
+    pub grounds: &'a [SandBed<Doubles>; N],
+    /// [`stencils`] of the track; empty without added mass.
     pub stencils: Vec<Range<usize>>,
-    /// [`crate::sand::beyond::footprint`] of the track's pass.
+    /// [`crate::sand::mechanism_laws::footprint`] of the track's pass.
     pub footprint: f64,
-    /// λ ρ [kg/m³] and the form of inertial drag, where it is another than the catalogue's.
+    /// λ ρ [kg/m³] and the exponent of inertial drag, if it differs from the catalogue's.
     pub other_drag: Option<(f64, PowerDrag)>,
 }
 
 impl<const N: usize> Arm<'_, N> {
-    /// Loads as logged, one a pose.
+    /// Loads as the log has them, one a pose.
     pub fn readings(&self) -> Vec<[Load; N]> {
         let m = self.mechanisms;
         let mut loads: Vec<[Load; N]> = if m.lowpass > 0.0 {
@@ -229,12 +233,13 @@ impl<const N: usize> Arm<'_, N> {
         loads
     }
 
-    /// The pose whose force is logged at sample `index`: `delay` earlier.
+    /// The pose whose force the log has at sample `index`: `delay` earlier.
     fn late(&self, index: usize, pose: &Pose) -> Pose {
         if self.mechanisms.delay == 0.0 { *pose } else { self.pose_at(pose.t - self.mechanisms.delay, index) }
     }
 
-    /// Pose at time `t`: cubic Hermite through the samples, constant velocity beyond them; `near` is a sample close by.
+    /// Pose at time `t`: cubic Hermite interpolation of the samples, constant velocity beyond them; `near` is the
+    /// index of a sample close to `t`.
     fn pose_at(&self, t: f64, near: usize) -> Pose {
         let poses = &self.track.poses;
         let mut right = near.min(poses.len() - 1);
@@ -266,7 +271,8 @@ impl<const N: usize> Arm<'_, N> {
         }
     }
 
-    /// Loads at the steps of a filter: [`FILTER_STEPS`] from one pose to the next, and half an interval's before the first.
+    /// Loads at the steps of a filter: [`FILTER_STEPS`] from one pose to the next, and half an interval before the
+    /// first.
     pub fn between(&self) -> Vec<[Load; N]> {
         let times = filter_times(&self.track.poses);
         let load = |(k, t): (usize, &f64)| self.load(&self.pose_at(t - self.mechanisms.delay, k / FILTER_STEPS));
@@ -292,9 +298,9 @@ impl<const N: usize> Arm<'_, N> {
         }
     }
 
-    /// Angular acceleration [rad/s²] and the centre's acceleration [m/s²] at time `t`: slopes of the polynomial through the
-    /// logged velocities of samples beside it (Lagrange), which needs no even sampling and no sample beyond an end. Before
-    /// and after the log they are those of its ends.
+    /// Angular acceleration [rad/s²] and the centre's acceleration [m/s²] at time `t`: slopes of the polynomial
+    /// through the logged velocities of samples beside it (Lagrange), which works for uneven sampling and at the
+    /// ends. Before the first and after the last sample they are constant.
     fn acceleration(&self, t: f64) -> [f64; 3] {
         let poses = &self.track.poses;
         let t = t.clamp(poses[0].t, poses[poses.len() - 1].t);
@@ -328,7 +334,7 @@ impl<const N: usize> Arm<'_, N> {
             return full;
         };
         let chi = self.mechanisms.concave_fill;
-        // Bulging forward (ξ > 0) and turning backward, or the reverse: the concave side leads.
+        // A leg that bulges forward (ξ > 0) and turns backward, or the reverse: its concave side leads.
         if chi == 0.0 || xi_deg * pose.omega >= 0.0 {
             return full;
         }
@@ -349,15 +355,15 @@ impl<const N: usize> Arm<'_, N> {
     }
 }
 
-/// Where an intruder is and how it moves: turned by (sin, cos) counter-clockwise about its origin, whose velocity and
-/// acceleration these are.
+/// Pose and motion of an intruder, rotated by (sin, cos) counter-clockwise about its origin; velocity and
+/// acceleration are those of the origin.
 #[derive(Clone, Copy)]
 struct Place {
     origin: [f64; 2],
     turn: (f64, f64),
     velocity: [f64; 2],
-    /// Angular velocity and acceleration. Of the latter only the tangential part counts: the normal turns with the leg, so the
-    /// centripetal part does not change v·n.
+    /// Angular velocity and acceleration. Only the tangential part of the acceleration changes v·n, because the
+    /// normal turns with the leg.
     spin: f64,
     change: [f64; 2],
     spin_up: f64,
@@ -390,7 +396,7 @@ impl<const N: usize> Kernel for Sum<'_, N> {
         for block in blocks {
             let r = turn(block.center);
             let at = [splat(place.origin[0]) + r[0], splat(place.origin[1]) + r[1]];
-            // Well above the surface, whatever side leads: nothing to do.
+            // Well above the surface, so no force.
             let reach = splat(-arm.cut.half_thickness);
             if !Doubles::any(reach.lt(slope_depth(slope, at[0], at[1]))) {
                 continue;
@@ -404,14 +410,14 @@ impl<const N: usize> Kernel for Sum<'_, N> {
             let (x, z) = (at[0] + n[0] * ahead, at[1] + n[1] * ahead);
             let depth = slope_depth(slope, x, z);
             let inside = zero.lt(depth);
-            let site = Site {
+            let site = SegmentState {
                 depth: depth.max(zero),
                 x: splat(arm.track.x_bed) + x,
                 footprint: splat(arm.footprint),
                 width: splat(arm.cut.width),
                 normal_acceleration: lead * (n[0] * dv[0] + n[1] * dv[1]),
                 passes: splat(f64::from(arm.track.pass.max(1) - 1)),
-                // A log says where the intruder is, not what of its motion is travel.
+                // A log has positions only; the velocity of travel is not known.
                 travel: [zero; 2],
             };
             let more = arm.other_drag.map_or(zero, |(density, law)| splat(density) * law.beyond_square(along.abs()));
@@ -438,7 +444,8 @@ mod tests {
     use super::*;
     use crate::sand::{Law, Medium, Surface};
 
-    /// A speed that swings once in about thirteen unevenly spaced samples: its change is found at, between and beyond samples.
+    /// A speed with a period of about thirteen unevenly spaced samples: its derivative is right at, between and
+    /// beyond samples.
     #[test]
     fn accelerations_are_found_up_to_the_ends_of_a_log() {
         let swing = 2.0 * std::f64::consts::PI / 13.0;
@@ -449,7 +456,7 @@ mod tests {
         let ends = [poses[0].t, poses[39].t];
         let intruder = Intruder::Plate { length: 0.04, width: 0.025, thickness: None };
         let (track, mechanisms) = (Track::leg(intruder, 0.0, poses), Mechanisms::default());
-        let ground = Ground::new(Law::Li2013, &Medium::named("poppy-loose").unwrap(), &Surface::DEFAULT);
+        let ground = SandBed::new(Law::Li2013, &Medium::named("poppy-loose").unwrap(), &Surface::DEFAULT);
         let arm = Arm {
             track: &track,
             cut: &Cut::new(&intruder).unwrap(),

@@ -1,9 +1,10 @@
-//! Gates of the diagnosis, calibrated for each data set on data simulated without any hidden cause.
+//! Thresholds ("gates") of the diagnosis, calibrated for each data set on simulated data without a hidden cause
+//! ("nulls").
 //!
-//! A simulated null has the data's own design, the plain model with coefficients drawn from their prior, and the noise
-//! learnt from the repetitions. It is judged under another noise, as likely by the repetitions: so the gates know that the
-//! noise is not known. What that does to χ² is written as degrees of freedom, one number for each cause, and the gates have the
-//! tails of F and not of χ².
+//! A null has the data's own design, the plain model with coefficients drawn from their prior, and the noise learnt
+//! from the repetitions. It is analysed with another noise that the repetitions make equally likely, because the
+//! true noise is not known. The effect on χ² is expressed as degrees of freedom, one number for each cause, so the
+//! gates have the tails of F and not of χ².
 
 use super::fit::slope;
 use super::fit::{COEFFICIENTS, Column};
@@ -21,26 +22,28 @@ use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-/// Chance of each gate to open on data with nothing hidden. Three gates make 0.6 %, below the target of 1 %.
+/// Probability that each gate opens on data with nothing hidden. Three gates make 0.6 %, below the target of 1 %.
 const FALSE_ALARM: f64 = 0.002;
-/// Normal quantile of it.
+/// Normal quantile of that probability.
 const NORMAL: f64 = 2.88;
-/// Quantile of a quarter of it for the greatest of many (Gumbel's distribution), in standard deviations above the mean: what one
-/// condition is wrong by is the least of what a verdict may rest on.
+/// Quantile of a quarter of that probability for the maximum of many (Gumbel's distribution), in standard
+/// deviations above the mean. A misfit of a single condition needs the strongest evidence.
 const GREATEST: f64 = 5.48;
-/// Simulated nulls: their mean and spread are then known to some 10 %. Our choice, for the time it takes.
+/// Number of simulated nulls: their mean and spread are then known to some 10 %. Our choice, a compromise with
+/// time.
 const NULLS: usize = 80;
 
-/// Numbers that nulls on different cores hold together: 256 MB, our choice, so that many cores do not fill the memory.
+/// Most numbers that nulls on all cores hold together: 256 MB, our choice, so that many cores do not fill the
+/// memory.
 const NUMBERS_AT_ONCE: usize = 32 << 20;
 
-/// A cause is felt by the data if its typical strength moves them by more than 0.01 σ altogether: our choice, far below
-/// anything that could be found.
+/// A cause affects the data if its typical strength moves them by more than 0.01 σ altogether: our choice, far
+/// below the smallest effect that could be found.
 pub const FELT: f64 = 1e-4;
 
-/// What a candidate does to the data: the change of the prediction per typical strength, taken at one value.
+/// The effect of a candidate on the data: the change of the prediction per typical strength, at one value.
 pub struct Screen {
-    /// Catalogue index and the value at which the column was taken.
+    /// Catalogue index, and the value at which the column was computed.
     pub candidates: Vec<(usize, f64)>,
     columns: Vec<Vec<f64>>,
     pub marginal_columns: Vec<Column>,
@@ -62,9 +65,9 @@ pub struct Gates {
     /// [`Lack::mean`] and [`Lack::worst`] above which the fit is lacking.
     pub lack_of_fit: f64,
     pub worst: f64,
-    /// How much larger χ² differences are than the degrees of freedom alone make them.
+    /// Factor on χ² differences beyond the effect of the degrees of freedom.
     pub inflation: f64,
-    /// Catalogue index and the degrees of freedom with which the noise along its effect is known.
+    /// Catalogue index, and the degrees of freedom of the estimated noise along the cause's effect.
     pub degrees: Vec<(usize, f64)>,
 }
 
@@ -73,26 +76,27 @@ impl Gates {
         lack.mean > self.lack_of_fit || lack.worst > self.worst
     }
 
-    /// Is a lack of fit hardly beyond its limit? The limit comes from few nulls and from a noise that is learnt.
+    /// Is a lack of fit only slightly above its limit? The limit comes from few nulls and from estimated noise.
     pub fn slight(&self, lack: &Lack) -> bool {
         lack.mean <= SLIGHT * self.lack_of_fit && lack.worst <= SLIGHT * self.worst
     }
 
-    /// Degrees of freedom of a set of causes: of the one known least; of none, of any. At least 2, our choice, because with fewer
-    /// intervals would say nothing.
+    /// Degrees of freedom of a set of causes: the least of its members; for no cause, the least of all. At least 2,
+    /// our choice, because below that intervals would be useless.
     pub fn degrees_of(&self, ids: &[usize]) -> f64 {
         let own = self.degrees.iter().filter(|d| ids.is_empty() || ids.contains(&d.0));
         own.map(|d| d.1).fold(MOST_DEGREES, f64::min)
     }
 }
 
-/// A lack of fit up to so many times its limit hides no name: our choice, the limit itself is known to a tenth or so.
+/// A lack of fit up to this factor above its limit does not prevent naming a cause: our choice; the limit itself is
+/// known to a tenth or so.
 const SLIGHT: f64 = 1.2;
-/// Degrees of freedom beyond which the tails are those of χ²: our choice, the difference is below 1 %.
+/// From this many degrees of freedom on the tails are those of χ²: our choice, the difference is below 1 %.
 const MOST_DEGREES: f64 = 10_000.0;
 
 impl Screen {
-    /// Columns about the state of `fit`, for the candidates not in it.
+    /// Columns at the state of `fit`, for the candidates that it does not contain.
     pub fn new(study: &Study, candidates: &[usize]) -> Self {
         let plain = study.model.predict(&Mechanisms::default(), &study.model.medium().coefficients);
         let tried = candidates.iter().flat_map(|&id| starts(study, id).into_iter().map(move |value| (id, value)));
@@ -128,7 +132,7 @@ impl Screen {
         Scores { gram, score, white: left }
     }
 
-    /// May the parameter of this column take the sign of `value`?
+    /// May this column's parameter have the sign of `value`?
     fn allowed(&self, column: usize, value: f64) -> bool {
         value >= 0.0 || CATALOG[self.candidates[column].0].coordinate_bounds()[0] < 0.0
     }
@@ -165,7 +169,7 @@ impl Screen {
         all
     }
 
-    /// What a second term gains by chance when the cause is column `truth` alone with strength `value`.
+    /// Δχ² of a second term by chance, if the cause is column `truth` alone with strength `value`.
     pub fn second_gate(&self, gram: &DMatrix<f64>, truth: usize, value: f64, gates: &Gates) -> f64 {
         let Some(root) = square_root(gram) else {
             return f64::INFINITY;
@@ -186,11 +190,11 @@ impl Screen {
     }
 }
 
-/// Starts of a ceiling: from twice its typical value down to a quarter, each √2 lower; what a motor does changes altogether
-/// where it begins to stall. Our choice.
+/// Start values of an upper limit: from twice its typical value down to a quarter, each smaller by √2. The
+/// behaviour changes where a motor begins to stall. Our choice.
 const CEILINGS: usize = 7;
 
-/// Values from which a mechanism's fit starts; more than one where its effect is far from proportional.
+/// Start values of a mechanism's fit; more than one if its effect is far from proportional.
 pub fn starts(study: &Study, id: usize) -> Vec<f64> {
     let entry = &CATALOG[id];
     match entry.id {
@@ -200,7 +204,7 @@ pub fn starts(study: &Study, id: usize) -> Vec<f64> {
     }
 }
 
-/// L with L Lᵀ = `gram`, which may be singular; rows and columns that the data do not feel are left at 0.
+/// L with L Lᵀ = `gram`, which may be singular; rows and columns without effect on the data stay 0.
 pub fn square_root(gram: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let n = gram.nrows();
     let scale: Vec<f64> = (0..n).map(|k| if gram[(k, k)] > FELT { gram[(k, k)].sqrt() } else { 0.0 }).collect();
@@ -221,7 +225,7 @@ struct Null {
     /// Largest single Δχ².
     best: f64,
     lack: Lack,
-    /// Information of each column under the noise drawn over that under the noise known.
+    /// Information of each column under the drawn noise over that under the known noise.
     information: Vec<f64>,
 }
 
@@ -239,11 +243,12 @@ pub fn gates(study: &Study, source: &Source, screen: &Screen, noise: &Noise, sco
     let of = |f: fn(&Null) -> f64| spread(&nulls.iter().map(f).collect::<Vec<_>>());
     let (mean, worst, count) = (of(|n| n.lack.mean), of(|n| n.lack.worst), of(|n| n.lack.count).0);
     Gates {
-        // The nulls may only widen the gate: they are few, and by chance their mean can fall below the known one.
+        // The nulls can only raise the gate: they are few, and by chance their mean can be below the theoretical
+        // one.
         inflation: (of(|n| n.best).0 / spread(&ideal).0.max(1e-9)).max(1.0),
         single: (of(|n| n.best).0 / spread(&ideal).0.max(1e-9)).max(1.0) * quantile(ideal, 1.0 - FALSE_ALARM),
-        // A tenth more for the skewness of a sum of squares. A mean square that noise itself makes is no misfit, though nulls,
-        // whose noise is judged as what it is, may stay below it.
+        // A tenth more for the skewness of a sum of squares. A mean square that noise itself causes is no misfit,
+        // although nulls, whose noise is known, may stay below it.
         lack_of_fit: (mean.0 + 1.1 * NORMAL * mean.1).max(1.0 + 1.1 * NORMAL * (2.0 / count.max(1.0)).sqrt()),
         worst: worst.0 + GREATEST * worst.1,
         degrees: screen.candidates.iter().map(|c| c.0).zip(degrees).collect(),
@@ -258,21 +263,21 @@ fn spread(values: &[f64]) -> (f64, f64) {
     (mean, square.sqrt())
 }
 
-/// ν of column `k`: the logarithm of an estimated variance has variance 2/ν.
+/// ν of column `k`, from the variance of the logarithm of an estimated variance, 2/ν.
 fn degrees(nulls: &[Null], k: usize) -> f64 {
     let logs: Vec<f64> = nulls.iter().map(|n| n.information[k]).filter(|i| *i > 0.0).map(f64::ln).collect();
     let sd = spread(&logs).1;
     if logs.len() < 2 { MOST_DEGREES } else { (2.0 / (sd * sd).max(1e-12)).clamp(2.0, MOST_DEGREES) }
 }
 
-/// χ² with `degrees` over them, at the normal deviate `z` (Wilson & Hilferty 1931).
+/// Quantile of χ² over its `degrees` of freedom, at the normal deviate `z` (Wilson & Hilferty 1931).
 pub fn chi_squared_over(degrees: f64, z: f64) -> f64 {
     let share = 2.0 / (9.0 * degrees);
     (1.0 - share + z * share.sqrt()).max(0.05).powi(3)
 }
 
-/// Largest single Δχ²: Gaussian scores with the Gram matrix as covariance, over a variance that is known with so many
-/// degrees of freedom.
+/// Largest single Δχ² by chance: Gaussian scores with the Gram matrix as covariance, over an estimated variance
+/// with these degrees of freedom.
 fn ideal(screen: &Screen, gram: &DMatrix<f64>, degrees: &[f64]) -> Vec<f64> {
     let Some(root) = square_root(gram) else {
         return vec![f64::INFINITY];
@@ -286,7 +291,7 @@ fn ideal(screen: &Screen, gram: &DMatrix<f64>, degrees: &[f64]) -> Vec<f64> {
     (0..20_000).map(|_| draw()).collect()
 }
 
-/// One simulated null, made with the noise `known` and judged under the noise `drawn`.
+/// One simulated null, made with the noise `known` and analysed with the noise `drawn`.
 fn null(
     source: &Source,
     screen: &Screen,
@@ -301,7 +306,8 @@ fn null(
     }
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(0x5eed ^ seed as u64);
     let mut values = screen.plain.clone();
-    // Nuisances are projected out, whatever they are; drawn from their wide priors they would only spoil the sizes.
+    // Nuisances are projected out, whatever their values. Draws from their wide priors would only distort the
+    // sizes.
     for column in &screen.marginal_columns[..COEFFICIENTS] {
         let share: f64 = StandardNormal.sample(&mut rng);
         values.iter_mut().zip(column.iter()).for_each(|(v, c)| *v += share * c);

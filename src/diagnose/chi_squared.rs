@@ -3,5 +3,5 @@
 
 /// 95 %: how far an objective may rise within an interval.
 pub const AT_95_PERCENT: f64 = 3.841;
-/// 99.9 %: what chance alone exceeds once in a thousand.
+/// 99.9 %: chance alone exceeds it once in a thousand.
 pub const AT_999_PER_MILLE: f64 = 10.828;

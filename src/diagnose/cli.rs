@@ -12,7 +12,7 @@ use std::path::PathBuf;
 pub struct Arguments {
     /// Measured data: CSV, a robot's own log also Parquet or MCAP
     pub data: PathBuf,
-    /// What the data do not say: medium, shapes, units (TOML)
+    /// What the data file does not contain: medium, shapes, units (TOML)
     #[arg(long)]
     pub experiment: PathBuf,
     /// Directory for report.json, report.html and sand.toml

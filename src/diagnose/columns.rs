@@ -1,6 +1,7 @@
-//! Columns of a log: one line each gives its place, name, quantity, and whether a log must have it.
+//! Columns of a log: one line each declares name, quantity, and whether a log must have it.
 
-/// `COLUMNS`, and a constant with its place for each. `Column` and `Quantity` stand where it is used.
+/// Defines `COLUMNS`, and a constant with the index of each column. The calling file must have `Column` and
+/// `Quantity` in scope.
 macro_rules! columns {
     ($($place:ident = $name:literal $quantity:ident $required:literal;)*) => {
         #[allow(non_camel_case_types, clippy::upper_case_acronyms)]

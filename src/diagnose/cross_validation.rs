@@ -1,7 +1,7 @@
 //! Leave-condition-out cross-validation and the gain it measures.
 //!
-//! Trials, never samples, are held out, and all repetitions of a condition together. Leaving a condition out moves the
-//! fitted values little, so each fold is one Gauss-Newton step from the full fit: exact for a linear model.
+//! Whole conditions are held out, with all their repetitions. Leaving a condition out changes the fitted values
+//! little, so each fold is one Gauss-Newton step from the full fit, which is exact for a linear model.
 
 use super::errors::Errors;
 use super::fit::{COEFFICIENTS, Fit};
@@ -23,13 +23,13 @@ impl HeldOut {
         self.errors.rmse()
     }
 
-    /// 95 % interval of the fraction by which `extended` lowers the error of `self`.
+    /// 95 % interval of the fraction by which `extended` reduces the error of `self`.
     pub fn reduction_interval(&self, extended: &HeldOut) -> [f64; 2] {
         self.errors.reduction_interval(&extended.errors)
     }
 }
 
-/// Errors of a model that nothing is fitted in: held out or not is the same.
+/// Errors of a model without fitted values, which are the same whether held out or not.
 pub fn unfitted(study: &Study, fit: &Fit) -> HeldOut {
     errors(study, fit, |_| vec![0.0; fit.slopes.len()])
 }
@@ -47,7 +47,7 @@ pub fn leave_condition_out(study: &Study, fit: &Fit) -> HeldOut {
             a -= DMatrix::from_fn(n, n, |i, j| dot(own[i], own[j]));
             b -= DVector::from_fn(n, |i, _| dot(own[i], &fit.white[span.clone()]));
         }
-        // A value that only this condition shows is not known without it: it stays where the full fit has it.
+        // If only this condition depends on a value, it keeps the value of the full fit.
         for k in 0..fit.ids.len() {
             if a[(k, k)] <= 1e-6 * information[(k, k)] {
                 a[(k, k)] = f64::INFINITY;
@@ -64,10 +64,10 @@ pub fn leave_condition_out(study: &Study, fit: &Fit) -> HeldOut {
     })
 }
 
-/// Errors when the parameters are moved by `step(condition)` before a condition is predicted.
+/// Errors if the parameters change by `step(condition)` before a condition is predicted.
 fn errors(study: &Study, fit: &Fit, step: impl Fn(usize) -> Vec<f64>) -> HeldOut {
     let observations = study.observations;
-    // Nuisances are no part of what the sand is predicted to do.
+    // The prediction of the sand does not include nuisances.
     let sand = fit.ids.len() + COEFFICIENTS;
     let (mut square, mut count, mut deviance) = (Vec::new(), Vec::new(), 0.0);
     for (condition, group) in observations.repetitions().iter().enumerate() {

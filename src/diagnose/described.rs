@@ -1,8 +1,10 @@
-//! A law found in the data, where no mechanism explains them: a coefficient times a product of powers of dimensionless groups.
+//! A law found in the data, if no mechanism explains them: a coefficient times a product of powers of dimensionless
+//! groups.
 //!
-//! Every law of the dictionary is a column beside coefficients and nuisances, for stress adds up and what a sensor reads is linear in
-//! it. The best must gain more than chance gives the best of so many laws; in each fold of the conditions, noise, whitening and law
-//! are chosen anew: the held-out error must fall, and the folds must choose nearly the same powers.
+//! Every law of the dictionary is a column beside coefficients and nuisances, because stresses add up and a
+//! sensor's reading is linear in them. The best law must gain more than the best of so many laws gains by chance.
+//! In each fold of the conditions, noise, whitening and law are chosen anew: the held-out error must fall, and the
+//! folds must choose nearly the same powers.
 
 use super::calibrate::{Gates, chi_squared_over, quantile, square_root};
 use super::cross_validation::HeldOut;
@@ -23,18 +25,20 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Powers of v_n²/(g|z|) and of |z|/w in the dictionary: our choice, up to the cube of the speed, in steps that logs can tell.
+/// Powers of v_n²/(g|z|) and of |z|/w in the dictionary: our choice, up to the cube of the speed, in steps that
+/// logs can resolve.
 const FROUDE: [f64; 6] = [0.25, 0.5, 0.75, 1.0, 1.25, 1.5];
 const DEPTH: [f64; 7] = [-0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75];
-/// Of laws that do not depend on speed, powers of |z|/w; 0 would be the medium itself.
+/// Powers of |z|/w in laws that do not depend on speed; the power 0 would be the medium itself.
 const STILL: [f64; 7] = [-1.0, -0.75, -0.5, -0.25, 0.5, 1.0, 1.5];
-/// Depth [m] at which the ranges of a law end: segments nearer to the surface carry next to nothing. Our choice.
+/// Least depth [m] in the range of a law: segments nearer to the surface carry almost no force. Our choice.
 const SHALLOW: f64 = 1e-3;
-/// Chance of naming a law where there is none.
+/// Probability of naming a law where there is none.
 const FALSE_ALARM: f64 = 0.002;
-/// Folds that must choose nearly the same powers.
+/// Number of folds that must choose nearly the same powers.
 const STABLE: f64 = 0.75;
-/// Nearly the same: one step of the dictionary in the speed's power, two in the depth's, for they trade. Our choice.
+/// Tolerance of "nearly the same": one step of the dictionary in the speed's power, two in the depth's, because the
+/// two are correlated. Our choice.
 const NEARLY: [f64; 2] = [0.25, 0.5];
 const NULLS: usize = 1500;
 
@@ -44,9 +48,9 @@ pub struct Described {
     /// 95 % interval of the coefficient.
     pub ci95: [f64; 2],
     pub delta_chi2: f64,
-    /// Held-out errors of base and law, chosen anew in each fold.
+    /// Held-out errors of the plain model and of the law, chosen anew in each fold.
     pub nested: [HeldOut; 2],
-    /// The model with the law, coefficients and nuisances adjusted.
+    /// The model with the law; coefficients and nuisances are fitted with it.
     pub fit: Fit,
 }
 
@@ -73,13 +77,13 @@ fn powers(term: &Term) -> [f64; 2] {
     ["froude", "depth_over_width"].map(|g| term.groups.get(g).copied().unwrap_or(0.0))
 }
 
-/// What each law explains of a residual, everything else adjusted beside.
+/// How much of a residual each law explains while everything else is fitted with it.
 struct Scores {
     gram: DMatrix<f64>,
     score: DVector<f64>,
 }
 
-/// Scores of whitened columns beside a whitened fit.
+/// Scores of whitened columns about a whitened fit.
 fn scores(fit_slopes: &[Column], white: &[f64], deviations: &[f64], columns: &[Column]) -> Option<Scores> {
     let n = fit_slopes.len();
     let mut information = DMatrix::from_fn(n, n, |i, j| if j <= i { dot(&fit_slopes[i], &fit_slopes[j]) } else { 0.0 });
@@ -103,7 +107,7 @@ fn scores(fit_slopes: &[Column], white: &[f64], deviations: &[f64], columns: &[C
     Some(Scores { gram, score })
 }
 
-/// The law that gains most, with its coefficient and gain, among those that sand can have.
+/// The law with the greatest gain, with its coefficient and gain, among those that are physically possible.
 fn best(study: &Study, fit: &Fit, laws: &[Term], scores: &Scores) -> Option<(usize, f64, f64)> {
     let medium = study.model.medium();
     let coefficients = study.coefficients(&fit.deviations);
@@ -119,7 +123,7 @@ fn best(study: &Study, fit: &Fit, laws: &[Term], scores: &Scores) -> Option<(usi
     all.into_iter().find(can_be)
 }
 
-/// Gain that the best law of the dictionary has by chance.
+/// Gain of the best law of the dictionary by chance.
 fn gate(scores: &Scores, gates: &Gates) -> f64 {
     let Some(root) = square_root(&scores.gram) else { return f64::INFINITY };
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(6);
@@ -133,7 +137,7 @@ fn gate(scores: &Scores, gates: &Gates) -> f64 {
     gates.inflation * quantile((0..NULLS).map(|_| draw()).collect(), 1.0 - FALSE_ALARM)
 }
 
-/// The law that the data ask for beside the plain model `base`; none where they ask for none that lasts.
+/// The law that the data support beside the plain model `base`; None if no law passes all tests.
 pub fn described(study: &Study, known: &Known, base: &Fit, gates: &Gates) -> Option<Described> {
     let laws = dictionary(study.model.reach());
     let coefficients = study.coefficients(&base.deviations);
@@ -161,7 +165,7 @@ pub fn described(study: &Study, known: &Known, base: &Fit, gates: &Gates) -> Opt
     fitted(study, base, Term { coefficient, ..laws[chosen].clone() }, gates, nested)
 }
 
-/// Coefficient, coefficients and nuisances adjusted together, twice: the columns bend a little with the nuisances.
+/// Law, coefficients and nuisances fitted together, twice, because the columns depend slightly on the nuisances.
 fn fitted(study: &Study, base: &Fit, term: Term, gates: &Gates, nested: [HeldOut; 2]) -> Option<Described> {
     let mut term = term;
     let mut fit = base.clone();
@@ -188,7 +192,7 @@ fn fitted(study: &Study, base: &Fit, term: Term, gates: &Gates, nested: [HeldOut
     Some(Described { term, ci95, delta_chi2, nested, fit })
 }
 
-/// Held-out errors with noise, whitening and law made anew in each fold, and the law that each chose.
+/// Held-out errors with noise, whitening and law learnt anew in each fold, and the law of each fold.
 fn held_out(
     study: &Study,
     known: &Known,
@@ -228,13 +232,14 @@ fn held_out(
     (nested::together(&folds, parts, o.conditions.len()), chosen)
 }
 
-/// Share of the misfit beyond noise that the law explains: of the error on conditions held out, against the plain model with its
-/// coefficients as they are or adjusted, whichever is better, and of the whitened one; the less of the two.
+/// Share of the misfit beyond noise that the law explains: of the error on held-out conditions, against the plain
+/// model with its coefficients as they are or fitted, whichever is better, and of the whitened error; the smaller
+/// of the two.
 pub fn explained(study: &Study, base: &Fit, law: &Described, [plain, floor]: [&Errors; 2]) -> f64 {
     let [before, after, least] = [&law.nested[0].errors, &law.nested[1].errors, floor].map(|e| e.rmse().powi(2));
     let before = before.min(plain.rmse().powi(2));
     let lack = |fit: &Fit| candidate(study, base, fit.clone()).lack.excess.max(0.0);
     let by_noise = 1.0 - lack(&law.fit) / lack(base).max(1e-9);
-    // Where the plain model's error hardly stands clear of the scatter, a share of their difference is any number.
+    // If the plain model's error is hardly larger than the scatter, a share of their difference has no meaning.
     if before > 1.2 * least { by_noise.min(1.0 - (after - least).max(0.0) / (before - least)) } else { by_noise }
 }

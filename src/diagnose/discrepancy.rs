@@ -1,10 +1,11 @@
-//! What no model says: a smooth, small error of the model, as a Gaussian process over what varies along the data.
+//! The part of the data that no model explains: a smooth, small error of the model, as a Gaussian process over the
+//! features of the data.
 //!
-//! In each channel of each shape the model may err by its own predicted size times a smooth function of the features (speed,
-//! depth, angle, pass, place), each taken by its rank so that a decade of speed counts as much as another. The function is a
-//! sum of random cosines (Rahimi & Recht 2007, a Gaussian kernel's features) whose weights are N(0, τ²); τ, the relative size of
-//! the error, is where the evidence of the residual is greatest. The weights are marginalised like the coefficients. (The idea:
-//! Kennedy & O'Hagan 2001.)
+//! In each channel of each shape the model's relative error may be a smooth function of the features (speed, depth,
+//! angle, pass, place). Each feature is replaced by its rank, so that each decade of speed has equal weight. The
+//! function is a sum of random cosines (Rahimi & Recht 2007, a Gaussian kernel's features) with weights N(0, τ²).
+//! τ, the size of the relative error, maximises the evidence of the residual. The weights are marginalised like the
+//! coefficients. (The idea: Kennedy & O'Hagan 2001.)
 
 use super::fit::Fit;
 use super::forward::Feature;
@@ -18,17 +19,17 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use std::f64::consts::PI;
 
-/// Cosines of each channel of each shape: our choice, some turns along each feature, and few against the data.
+/// Cosines of each channel of each shape: our choice, several periods along each feature, and few against the data.
 const WAVES: usize = 6;
-/// Relative sizes that are tried: a thousandth to three tenths, eight a decade. Our choice: a model that errs by more all over is
-/// not a model with a discrepancy.
+/// Relative sizes that are tried: a thousandth to three tenths, eight a decade. Our choice: a model with a larger
+/// relative error everywhere is wrong and not merely inaccurate.
 const SIZES: usize = 21;
-/// Evidence (twice its logarithm) beyond which there is a discrepancy: chance exceeds it once in a thousand.
+/// Evidence (twice its logarithm) above which there is a discrepancy: chance exceeds it once in a thousand.
 const SEEN: f64 = super::chi_squared::AT_999_PER_MILLE;
 
-/// Directions in which a model may err, whitened.
+/// Directions of the model's error, whitened.
 pub struct Directions {
-    /// As they are.
+    /// Not whitened.
     pub raw: Vec<Vec<f64>>,
     white: Vec<Vec<f64>>,
     products: DMatrix<f64>,
@@ -37,14 +38,14 @@ pub struct Directions {
 /// The size of the discrepancy about one fit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Discrepancy {
-    /// τ; 0 where nothing asks for one.
+    /// τ; 0 if the data need none.
     pub size: f64,
-    /// −2 ln of the evidence of the data, up to what all models have in common.
+    /// −2 ln of the evidence of the data, without constants that all models have in common.
     pub surprise: f64,
 }
 
 impl Directions {
-    /// About the prediction of `fit`.
+    /// Directions about the prediction of `fit`.
     pub fn new(study: &Study, fit: &Fit) -> Self {
         let raw = columns(study.observations, &study.model.features(), &groups(study), &fit.prediction);
         let white = parallel::map(&raw, |c| study.whitener.apply(c));
@@ -61,10 +62,10 @@ impl Directions {
         DVector::from_iterator(self.white.len(), self.white.iter().map(|w| dot(w, white)))
     }
 
-    /// The discrepancy that a fit asks for, its parameters adjusted beside.
+    /// The size of the discrepancy about a fit, with the fit's parameters adjusted.
     pub fn about(&self, fit: &Fit) -> Discrepancy {
         let joint = self.joint(fit);
-        // Of all sizes the likeliest; 0 has no evidence against it to overcome.
+        // The size with the greatest evidence; 0 has no threshold to pass.
         let none = Discrepancy { size: 0.0, surprise: joint.surprise(0.0) };
         let size = |k: usize| 1e-3 * 10f64.powf(k as f64 / 8.0);
         let tried = (0..SIZES).map(|k| Discrepancy { size: size(k), surprise: joint.surprise(size(k)) });
@@ -84,14 +85,14 @@ impl Directions {
         let score = self.along(&fit.white);
         let solved = information.clone().cholesky().map(|c| c.solve(&cross));
         let left = solved.map_or_else(|| self.products.clone(), |s| &self.products - cross.transpose() * s);
-        // The fit's own scores are zero where it ended.
+        // A fit has zero scores where it ended.
         let eigen = left.symmetric_eigen();
         let along = eigen.eigenvectors.transpose() * score;
         Joint { values: eigen.eigenvalues.iter().copied().collect(), along, objective: fit.objective }
     }
 }
 
-/// The residual in the eigenvectors of the directions, the fit's parameters projected out.
+/// The residual in the eigenvectors of the directions, with the fit's parameters projected out.
 struct Joint {
     values: Vec<f64>,
     along: DVector<f64>,
@@ -109,7 +110,7 @@ impl Joint {
     }
 }
 
-/// Place of each unit's group among the groups, and how many there are.
+/// Index of each unit's group, and the number of groups.
 fn groups(study: &Study) -> (Vec<usize>, usize) {
     let mut names: Vec<&str> = Vec::new();
     let of = |u: usize| {
@@ -123,7 +124,7 @@ fn groups(study: &Study) -> (Vec<usize>, usize) {
     (places, names.len())
 }
 
-/// Ranks of a feature's values, −1…1; none of a feature that does not vary.
+/// Ranks of a feature's values, −1…1; None for a feature that does not vary.
 fn ranks(feature: &Feature) -> Option<Vec<Vec<f64>>> {
     let mut all: Vec<f64> = feature.values.iter().flatten().copied().collect();
     all.sort_by(f64::total_cmp);
@@ -154,7 +155,7 @@ fn columns(o: &Observations, features: &[Feature], groups: &(Vec<usize>, usize),
                 for (u, unit) in o.units.iter().enumerate().filter(|(u, _)| groups.0[*u] == group) {
                     for (i, k) in unit.block(channel).enumerate() {
                         let turned: f64 = features.iter().zip(&turns).map(|(f, w): (_, &f64)| w * f[u][i]).sum();
-                        // The first is even over all of the features.
+                        // The first one is constant in all features.
                         let at = if wave == 0 { 1.0 } else { (2.0 / WAVES as f64).sqrt() * (turned + phase).cos() };
                         column[k] = sizes[k] * at;
                     }
@@ -166,8 +167,8 @@ fn columns(o: &Observations, features: &[Feature], groups: &(Vec<usize>, usize),
     columns
 }
 
-/// What an error is relative to, number by number: the size of the force that the first two channels make, that of other channels
-/// in the proportion of their root mean squares; or each channel's own.
+/// The size that an error is relative to, number by number: for the first two channels the size of their force, for
+/// other channels that size in proportion to their root mean squares; or each channel's own.
 fn sizes(o: &Observations, prediction: &[f64]) -> Vec<f64> {
     let mut sizes: Vec<f64> = prediction.iter().map(|p| p.abs()).collect();
     if o.size == Size::Channel || o.channels.len() < 2 {

@@ -1,23 +1,23 @@
-//! How large errors are, and by how much one kind is smaller than another.
+//! Sizes of errors, and the fraction by which one is smaller than another.
 
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-/// Errors over the channels that count, condition by condition.
+/// Errors over the channels that count in the error, condition by condition.
 #[derive(Clone, Debug)]
 pub struct Errors {
-    /// Sum of squares [unit of the channels, squared] and how many.
+    /// Sum of squares [unit of the channels, squared] and number of values.
     pub square: Vec<f64>,
     pub count: Vec<f64>,
 }
 
 impl Errors {
-    /// Root mean square of all.
+    /// Root mean square over all conditions.
     pub fn rmse(&self) -> f64 {
         (self.square.iter().sum::<f64>() / self.count.iter().sum::<f64>().max(1.0)).sqrt()
     }
 
-    /// 95 % interval of the fraction by which `other` is smaller: conditions drawn with replacement, 2000 times.
+    /// 95 % interval of the fraction by which `other` is smaller: bootstrap over conditions, 2000 draws.
     pub fn reduction_interval(&self, other: &Errors) -> [f64; 2] {
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(3);
         let n = self.square.len();

@@ -1,4 +1,4 @@
-//! EXPERIMENT.toml: what the data file alone does not say.
+//! EXPERIMENT.toml: facts that the data file does not contain.
 
 use super::nuisance::{Entry, Priors};
 use super::trajectory::keys::{Cut, Given, ImuTable, Keys, MotorTable, Topics};
@@ -10,10 +10,10 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Rows beyond this are refused: the fits of a log so long fill most of 1 GiB. Our choice.
+/// Most rows: the fits of a log with this many use most of 1 GiB. Our choice.
 pub const MOST_ROWS: usize = 40_000;
 
-/// What was measured.
+/// The kind of data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Kind {
@@ -27,7 +27,7 @@ pub enum Kind {
     Intruder,
 }
 
-/// An intruder as the experimenter describes it; lengths in m.
+/// An intruder as the user describes it; lengths in m.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(tag = "type", rename_all = "lowercase", deny_unknown_fields)]
 pub enum Intruder {
@@ -37,11 +37,11 @@ pub enum Intruder {
     Plate { length: f64, width: f64, thickness: Option<f64> },
 }
 
-/// A table `[body.NAME]`: what moves steadily.
+/// A table `[body.NAME]`: a body in steady motion.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BodyDescription {
-    /// As `sandgait intrude --body` takes it.
+    /// A body as in `sandgait intrude --body`.
     pub body: String,
     /// Friction coefficient μ_s of its surface.
     #[serde(default = "usual_friction")]
@@ -113,13 +113,13 @@ pub struct Experiment {
     pub kind: Kind,
     /// Medium with the experiment's bulk density.
     pub medium: Medium,
-    /// Is the medium a `[sand]` table of the experimenter's own, which rows may call by any one name?
+    /// Is the medium the user's own `[sand]` table? Then rows may use any one name for it.
     pub own_sand: bool,
     /// Relative prior standard deviation of each stress coefficient.
     pub coefficient_sd: f64,
     pub robot: Option<String>,
     pub shapes: BTreeMap<String, Intruder>,
-    /// Of bodies in steady motion.
+    /// The tables of bodies in steady motion.
     pub law: Law,
     pub bodies: BTreeMap<String, BodyDescription>,
     pub nuisances: Priors,
@@ -127,11 +127,11 @@ pub struct Experiment {
     pub units: BTreeMap<String, String>,
     /// Our column name → theirs.
     pub columns: BTreeMap<String, String>,
-    /// Of a robot's log.
+    /// The table of a robot's log.
     pub trajectory: Keys,
 }
 
-/// Relative prior sd of the coefficients where the experiment does not say: the contract's default.
+/// Relative prior sd of the coefficients if the experiment gives none: the contract's default.
 const COEFFICIENT_SD: f64 = 0.08;
 
 impl Experiment {
@@ -140,7 +140,7 @@ impl Experiment {
         Self::from_toml(&text).map_err(|e| Error::file(path, e))
     }
 
-    /// Hands each row of the data to `take`, columns and units as the experiment says.
+    /// Gives each row of the data to `take`, with the experiment's columns and units.
     pub fn read(&self, data: &Path, columns: &[Column], take: impl FnMut(&Row) -> Result<()>) -> Result<Summary> {
         let (renamed, units) = (self.columns.clone(), self.units.clone());
         table::read(data, &Asked { columns, renamed, units, most_rows: Some(MOST_ROWS) }, take)
@@ -181,7 +181,7 @@ impl Experiment {
         }
         for (name, body) in &file.body {
             body.shape().map_err(|e| Error::invalid(format!("body.{name}"), e.to_string()))?;
-            // As --mu-s of `sandgait intrude`.
+            // The range of --mu-s in `sandgait intrude`.
             check_range(&format!("body.{name}.friction"), body.friction, 0.1..=10.0)?;
         }
         Ok(Self {
@@ -241,7 +241,7 @@ fn medium(name: Option<&str>, sand: Option<SandTable>) -> Result<Medium> {
 
 fn check_shape(name: &str, shape: &Intruder) -> Result<()> {
     let field = |part: &str| format!("shape.{name}.{part}");
-    // 1 mm to 10 m as for Shape::segments: smaller or larger ones are unit slips.
+    // 1 mm to 10 m as for LegShape::segments: smaller or larger ones are unit slips.
     let (length, width, thickness) = match *shape {
         Intruder::Leg { chord, width, xi_deg, thickness } => {
             check_range(&field("xi_deg"), xi_deg, -89.9..=89.9)?;

@@ -1,9 +1,10 @@
-//! Fits mechanisms by generalised least squares, the uncertainty of the stress coefficients marginalised.
+//! Fits mechanisms by generalised least squares with the uncertainty of the stress coefficients marginalised.
 //!
-//! A coefficient c_k (1 + s d_k), s its declared relative sd and d_k ~ N(0, 1), joins the fit with the prior's penalty
-//! d_k². For a linear model the least value of |W (y − m)|² + |d|² is the χ² under the covariance
-//! V + s² J Jᵀ: the rank-9 update of the contract's section 4. Nuisances of the measuring ([`Nuisance`]) join in the same way,
-//! as columns behind those of the coefficients; they move what is measured and not the prediction of the sand.
+//! Each coefficient is c_k (1 + s d_k), with s its declared relative sd and d_k ~ N(0, 1). The d_k are fitted too,
+//! with the prior's penalty d_k². For a linear model the least value of |W (y − m)|² + |d|² is the χ² under the
+//! covariance V + s² J Jᵀ: the rank-9 update of the contract's section 4. Nuisances of the measuring ([`Nuisance`])
+//! are fitted in the same way, as columns after those of the coefficients; they change what is measured and not the
+//! prediction of the sand.
 
 use super::study::Study;
 use crate::number::{add_scaled, dot};
@@ -13,21 +14,24 @@ use nalgebra::{DMatrix, DVector};
 use std::sync::Arc;
 
 pub const COEFFICIENTS: usize = 9;
-/// A stack that fits share: nine of each fit's columns are usually those of the plain model, and they fill the memory.
+/// A stack that fits share: usually nine columns of each fit are those of the plain model, and they take most of
+/// the memory.
 pub type Column = Arc<Vec<f64>>;
-/// A step that gains less ends a fit: a hundredth of a unit of χ² is far below every threshold in use.
+/// A fit ends with a step that gains less: a hundredth of a unit of χ² is far below every threshold in use.
 const SETTLED: f64 = 0.01;
-/// The same of a rough model, whose χ² jumps by as much from one state to the next.
+/// The same for a rough model, whose χ² jumps by as much between neighbouring states.
 const SETTLED_ROUGHLY: f64 = 0.25;
 
-/// Prior standard deviations that a nuisance may be off by: our choice. Where a model is wrong by much more than noise, nuisances would
-/// go anywhere to make up for it.
+/// Bound of a nuisance in prior standard deviations: our choice. Without it a model with a large error would be
+/// compensated by absurd nuisances.
 const MOST_DEVIATION: f64 = 3.0;
-/// Gauss-Newton steps at most: our choice, most fits settle in four.
+/// Most Gauss-Newton steps: our choice; most fits converge in four.
 const ROUNDS: usize = 12;
-/// Steps after which a fit may be given up for being far behind another: the first one may be short. Our choice.
+/// From this step on a fit can be abandoned because it is far behind another; the first step may be short. Our
+/// choice.
 const HEAD_START: usize = 2;
-/// It is given up where this many more steps as good as its last would not bring it to the best: our choice, steps shrink.
+/// A fit is abandoned if its distance to the best is more than this many times the gain of its last step: our
+/// choice; gains shrink from step to step.
 const REACH: f64 = 4.0;
 
 /// A fitted model.
@@ -38,7 +42,7 @@ pub struct Fit {
     pub mechanisms: Mechanisms,
     /// Deviation of each coefficient, then of each nuisance, in units of its prior sd.
     pub deviations: Vec<f64>,
-    /// Of the sand, without nuisances.
+    /// Prediction of the sand, without nuisances.
     pub prediction: Vec<f64>,
     /// W (y − m), m the prediction with the nuisances.
     pub white: Vec<f64>,
@@ -51,12 +55,12 @@ pub struct Fit {
 }
 
 impl Study<'_> {
-    /// The plain model with nothing fitted.
+    /// The plain model without any fit.
     pub fn plain(&self) -> Fit {
         self.begin(&[(Vec::new(), Vec::new())]).swap_remove(0)
     }
 
-    /// The plain model with its coefficients adjusted as far as their prior lets them.
+    /// The plain model with its coefficients fitted within their prior.
     pub fn recalibrated(&self) -> Fit {
         self.fit(&[], &[])
     }
@@ -79,7 +83,7 @@ impl Study<'_> {
             own.sort_by(|a, b| a.objective.total_cmp(&b.objective));
             own.truncate(2);
             promising.push(own.len());
-            begun.extend(own); // behind those still to be sorted out
+            begun.extend(own); // after the starts of the remaining sets
         }
         let mut fitted = self.refine(begun, ROUNDS, false).into_iter();
         let best = |count: usize| {
@@ -89,7 +93,7 @@ impl Study<'_> {
         promising.into_iter().filter_map(best).collect()
     }
 
-    /// Fits again from where earlier fits ended, at first with their slopes.
+    /// Continues fits from their ends, at first with their slopes.
     pub fn fit_from(&self, fits: &[&Fit]) -> Vec<Fit> {
         let deviations = |f: &Fit| {
             let mut deviations = f.deviations.clone();
@@ -112,7 +116,7 @@ impl Study<'_> {
         self.refine(again, ROUNDS / 2, true)
     }
 
-    /// About how low the objectives of fits come here: one Gauss-Newton step from where each stands.
+    /// Estimates of the objectives that fits will reach: one Gauss-Newton step each.
     pub fn stepped(&self, fits: &[&Fit]) -> Vec<f64> {
         let state = |f: &&Fit| (f.ids.clone(), f.mechanisms, f.deviations.clone());
         let mut there = self.at_all(fits.iter().map(state).collect());
@@ -124,13 +128,13 @@ impl Study<'_> {
         parallel::map(&there, |fit| fit.objective - gained(fit))
     }
 
-    /// A fit as it is under this study, nothing fitted again, with the slopes that it had.
+    /// A fit under this study, without fitting anything again, with its old slopes.
     pub fn restated(&self, fit: &Fit) -> Fit {
         let there = self.at_all(vec![(fit.ids.clone(), fit.mechanisms, fit.deviations.clone())]).swap_remove(0);
         Fit { slopes: fit.slopes.clone(), white_slopes: fit.white_slopes.clone(), ..there }
     }
 
-    /// The same fit with all slopes taken where it stands.
+    /// The same fit with all slopes computed at its state.
     pub fn with_slopes(&self, fit: Fit) -> Fit {
         let mut fits = vec![fit];
         self.set_coefficient_slopes(&mut fits, &[0]);
@@ -138,15 +142,16 @@ impl Study<'_> {
         fits.swap_remove(0)
     }
 
-    /// A fit of a model like that of an earlier fit, from where that ended and with its slopes by the coefficients.
+    /// A fit of a model that is similar to that of an earlier fit, from its end and with its slopes by the
+    /// coefficients.
     pub fn fit_near(&self, earlier: &Fit) -> Fit {
         let mut begun = self.at_all(vec![(earlier.ids.clone(), earlier.mechanisms, earlier.deviations.clone())]);
         (begun[0].slopes, begun[0].white_slopes) = (earlier.slopes.clone(), earlier.white_slopes.clone());
         self.refine(begun, ROUNDS / 2, false).swap_remove(0)
     }
 
-    /// A rough model has minima beside the one that a fit fell into: the fit with each value a slope's step to either side,
-    /// to begin again from; none of a smooth model.
+    /// A rough model has several minima. Returns start states with each value changed by a slope's step in either
+    /// direction; none for a smooth model.
     pub fn beside(&self, fit: &Fit) -> Vec<Fit> {
         let values = if self.model.roughness().is_some() { fit.ids.len() } else { 0 };
         let moved = |(k, side): (usize, f64)| {
@@ -158,7 +163,7 @@ impl Study<'_> {
         (0..values).flat_map(|k| [(k, 1.0), (k, -1.0)]).map(moved).collect()
     }
 
-    /// Fits with their parameters moved by a step each, nothing fitted again; they keep the slopes they had.
+    /// Fits with their parameters changed by a step each, without fitting anything again; they keep their slopes.
     pub fn moved_by(&self, steps: &[(&Fit, Vec<f64>)]) -> Vec<Fit> {
         let state = |(fit, step): &(&Fit, Vec<f64>)| {
             let (mechanisms, deviations) = moved(fit, step, 1.0);
@@ -171,7 +176,7 @@ impl Study<'_> {
         there
     }
 
-    /// Where fits of given ids from given values begin.
+    /// Start states of fits of given ids from given values.
     pub(super) fn begin(&self, starts: &[(Vec<usize>, Vec<f64>)]) -> Vec<Fit> {
         let state = |(ids, values): &(Vec<usize>, Vec<f64>)| {
             let set = |m: Mechanisms, (&id, &value): (&usize, &f64)| m.with(id, value);
@@ -180,10 +185,10 @@ impl Study<'_> {
         self.at_all(starts.iter().map(state).collect())
     }
 
-    /// Gauss-Newton steps within bounds, shortened until they help; all fits take theirs together, so that the model
-    /// predicts many states at once. The objective is exact throughout; `exact` has the slopes by the coefficients taken
-    /// at the end's own state and not at the plain model. Fits that can no longer reach the best of them are left as they
-    /// are.
+    /// Gauss-Newton steps within bounds, shortened until they reduce the objective. All fits step together, so that
+    /// the model predicts many states at once. The objective is always exact. With `exact` the slopes by the
+    /// coefficients are computed at the end state and not at the plain model. Fits that can no longer become the
+    /// best are abandoned.
     pub(super) fn refine(&self, mut fits: Vec<Fit>, rounds: usize, exact: bool) -> Vec<Fit> {
         for fit in fits.iter_mut().filter(|f| f.slopes.is_empty()) {
             [fit.slopes, fit.white_slopes] = self.marginal_slopes.clone();
@@ -193,7 +198,8 @@ impl Study<'_> {
         let mut active: Vec<usize> = (0..fits.len()).collect();
         let mut unpolished = Vec::new();
         for round in 1..=rounds {
-            // A rough model's slopes are dear and change on the way: they are taken anew for those that are still in the race.
+            // Slopes of a rough model are expensive and change on the way: they are computed again for the fits
+            // that are not abandoned.
             if exact && (if rough { round > HEAD_START } else { round == 1 }) {
                 self.set_coefficient_slopes(&mut fits, &active);
             }
@@ -213,7 +219,7 @@ impl Study<'_> {
             active = (0..fits.len()).collect();
             self.set_coefficient_slopes(&mut fits, &active);
         }
-        // Settled fits have moved next to nothing since their slopes were taken.
+        // Converged fits have hardly moved since their slopes were computed.
         self.set_value_slopes(&mut fits, &active);
         fits
     }
@@ -246,7 +252,7 @@ impl Study<'_> {
         }
     }
 
-    /// Fits standing at given mechanisms and deviations, without slopes.
+    /// Fits at given mechanisms and deviations, without slopes.
     pub(super) fn at_all(&self, states: Vec<(Vec<usize>, Mechanisms, Vec<f64>)>) -> Vec<Fit> {
         let inputs: Vec<_> = states.iter().map(|(_, m, d)| (*m, self.coefficients(d))).collect();
         let predictions = self.model.predict_many(&inputs);
@@ -268,7 +274,7 @@ impl Study<'_> {
         })
     }
 
-    /// Puts the slopes of the active fits by the coefficients in place; those by the values are to follow.
+    /// Sets the slopes of the active fits by the coefficients; those by the values follow later.
     pub(super) fn set_coefficient_slopes(&self, fits: &mut [Fit], active: &[usize]) {
         let step = self.model.coefficient_step();
         let state = |fit: &Fit, k: usize| {
@@ -276,7 +282,7 @@ impl Study<'_> {
             deviations[k] += step;
             (fit.mechanisms, self.coefficients(&deviations))
         };
-        // A rough model simulates many states at once best; of a smooth one they would only fill the memory.
+        // A rough model is fastest with many states at once; with a smooth one they would only use memory.
         let together = if self.model.roughness().is_some() { active.len().max(1) } else { 1 };
         for part in active.chunks(together) {
             let states = part.iter().flat_map(|&k| (0..COEFFICIENTS).map(move |c| (k, c)));
@@ -293,7 +299,7 @@ impl Study<'_> {
         }
     }
 
-    /// Puts the slopes by the values of the active fits before those by the coefficients, or in the place of earlier ones.
+    /// Sets the slopes by the values of the active fits, before those by the coefficients.
     fn set_value_slopes(&self, fits: &mut [Fit], active: &[usize]) {
         let (mut steps, mut states) = (Vec::new(), Vec::new());
         for fit in active.iter().map(|&k| &fits[k]) {
@@ -318,17 +324,18 @@ impl Study<'_> {
     /// Step of the numerical slope by mechanism `id` from coordinate `at`.
     fn step_from(&self, id: usize, at: f64) -> f64 {
         let entry = &CATALOG[id];
-        // The effect of a ceiling sets in and then grows fast: a twentieth of where it is. Our choice.
+        // The effect of an upper limit sets in and then grows fast, so the step is a twentieth of its value. Our
+        // choice.
         let step = if entry.ceiling { 0.05 * at.max(entry.coordinate_typical()) } else { self.steps[id] };
         if at + step > entry.coordinate_bounds()[1] { -step } else { step }
     }
 
-    /// The Gauss-Newton step; a value that would leave its bounds is held at the bound it is on.
+    /// The Gauss-Newton step; a value that would cross a bound stays at the bound.
     fn step(&self, fit: &Fit) -> Vec<f64> {
         let (information, score) = fit.normal_equations();
         let (count, coordinates) = (fit.ids.len(), fit.coordinates());
         let mut held = vec![false; count + fit.deviations.len()];
-        // Where each parameter is, and its bounds; coefficients have none.
+        // Position of each parameter, and its bounds; coefficients have none.
         let place = |k: usize| match k.checked_sub(count) {
             None => (coordinates[k], CATALOG[fit.ids[k]].coordinate_bounds()),
             Some(d) if d < COEFFICIENTS => (0.0, [f64::MIN, f64::MAX]),
@@ -348,7 +355,7 @@ impl Study<'_> {
     }
 }
 
-/// Change of a prediction per `step`; numbers that a diverged simulation left out change nothing.
+/// Change of a prediction per `step`; numbers missing from a diverged simulation count as unchanged.
 pub fn slope(moved: &[f64], from: &[f64], step: f64) -> Vec<f64> {
     moved.iter().zip(from).map(|(a, b)| (a - b) / step).map(|s| if s.is_finite() { s } else { 0.0 }).collect()
 }
@@ -379,7 +386,7 @@ fn solve(information: &DMatrix<f64>, score: &DVector<f64>, held: &[bool]) -> Vec
         b[k] = 0.0;
     }
     for k in 0..held.len() {
-        // A mechanism that these data do not feel at all stays where it is.
+        // A mechanism without effect on these data keeps its value.
         if a[(k, k)] <= 0.0 {
             a[(k, k)] = 1.0;
             b[k] = 0.0;
@@ -414,7 +421,7 @@ impl Fit {
         self.ids.iter().map(|&id| self.mechanisms.get(id)).collect()
     }
 
-    /// Coordinates of the fitted mechanisms, in which they are fitted.
+    /// Coordinates of the fitted mechanisms: the fit's parameters.
     pub fn coordinates(&self) -> Vec<f64> {
         self.ids.iter().map(|&id| CATALOG[id].coordinate(self.mechanisms.get(id))).collect()
     }

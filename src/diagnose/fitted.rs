@@ -1,5 +1,5 @@
-//! The second stage: every cause fitted, the noise made anew about the best, second causes tried. Values are made once and
-//! never changed: each step gives a new [`Fitted`].
+//! The second stage: fits every cause, learns the noise again about the best, and tries second causes. Values are
+//! never changed: each step returns a new [`Fitted`].
 
 use super::calibrate::{FELT, Gates, Scores, Screen, gates, starts};
 use super::cross_validation::{HeldOut, leave_condition_out, unfitted};
@@ -14,23 +14,26 @@ use crate::number::dot;
 use crate::parallel;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
 
-/// A second term must earn this share of the deviance that the pair explains on held-out conditions (contract, 4).
+/// A second term must explain this share of the deviance that the pair explains on held-out conditions (contract,
+/// 4).
 const SECOND_TERM_SHARE: f64 = 0.01;
-/// Pairs fitted in full, the best of the linear screen: our choice, for the time they take.
+/// Number of pairs that are fitted, the best of the linear screen: our choice, because of time.
 const PAIRS_FITTED: usize = 14;
-/// Times that the noise is made anew for a best candidate that it has moved: our choice, two are usually enough.
+/// Most times that the noise is learnt again after the best candidate has changed: our choice, two usually suffice.
 const NOISES: usize = 3;
-/// Rivals fitted again under the final whitening: our choice; one further behind is hundreds of χ² away.
+/// Number of rivals that are fitted again under the final whitening: our choice; rivals further behind differ by
+/// hundreds of χ².
 pub const FINALISTS: usize = 8;
-/// Typical strengths within which a linear estimate is held: our choice, beyond it a line from the plain model says little.
+/// Bound of a linear estimate in typical strengths: our choice; further from the plain model the linear estimate is
+/// not reliable.
 pub const USUAL: f64 = 4.0;
 
-/// What the first stage says: the effect of every cause about the plain model, and gates.
+/// Results of the first stage: the effect of every cause at the plain model, and gates.
 pub struct Screened {
     pub screen: Screen,
     pub scores: Scores,
     pub gates: Gates,
-    /// Catalogue indices of the causes asked for.
+    /// Catalogue indices of the causes that are tested.
     pub ids: Vec<usize>,
 }
 
@@ -54,7 +57,7 @@ pub struct Candidate {
 /// Noise, whitening and nuisances about one candidate.
 pub struct Surroundings {
     pub noise: Noise,
-    /// What the noise is proportional to: the candidate's own prediction.
+    /// The candidate's prediction, which the noise is proportional to.
     pub sizes: Sizes,
     pub whitener: Whitener,
     pub nuisances: Vec<Nuisance>,
@@ -65,13 +68,13 @@ pub struct Fitted {
     /// Plain model, nothing fitted.
     pub plain: Fit,
     pub plain_held_out: HeldOut,
-    /// Plain model with coefficients and nuisances adjusted within their priors.
+    /// Plain model with coefficients and nuisances fitted within their priors.
     pub base: Candidate,
-    /// Best first: smallest χ² of the size chosen, then the others.
+    /// Best first: smallest χ² of the selected size, then the other sizes.
     pub candidates: Vec<Candidate>,
     /// How many of `candidates`, from the first, were fitted under the final whitening and can be compared.
     pub finalists: usize,
-    /// What a second cause had to gain; none where none was tried.
+    /// The gain that a second cause needed; None if none was tried.
     pub second_gate: Option<f64>,
 }
 
@@ -80,7 +83,7 @@ impl Fitted {
         self.candidates.first()
     }
 
-    /// Where the best gains less than the gate nothing was found.
+    /// No cause is found if the best gains less than the gate.
     pub fn found(&self, gates: &Gates) -> bool {
         self.best().is_some_and(|c| c.delta_chi2 > gates.single)
     }
@@ -95,8 +98,8 @@ pub fn candidate(study: &Study, base: &Fit, fit: Fit) -> Candidate {
     }
 }
 
-/// Candidates fitted beside `base`: those of `size` causes first, best first. A smooth model's fits take their slopes anew, and they
-/// fill the memory: only the first keep theirs.
+/// Candidates fitted beside `base`: those with `size` causes first, best first. Fits of a smooth model can compute
+/// their slopes again, and slopes use most of the memory, so only the first fits keep theirs.
 fn ranked(study: &Study, base: &Fit, fits: &[Fit], size: usize) -> Vec<Candidate> {
     let mut candidates = parallel::map(fits, |fit| candidate(study, base, fit.clone()));
     candidates.sort_by(|a, b| b.delta_chi2.total_cmp(&a.delta_chi2));
@@ -108,7 +111,7 @@ fn ranked(study: &Study, base: &Fit, fits: &[Fit], size: usize) -> Vec<Candidate
     candidates
 }
 
-/// Starts of a fit of `ids`: `values`, and every further start of each.
+/// Start states of a fit of `ids`: `values`, and every further start of each.
 fn further_starts(study: &Study, ids: &[usize], values: &[f64]) -> (Vec<usize>, Vec<Vec<f64>>) {
     let mut from = vec![values.to_vec()];
     for (k, &id) in ids.iter().enumerate() {
@@ -121,13 +124,13 @@ fn further_starts(study: &Study, ids: &[usize], values: &[f64]) -> (Vec<usize>, 
     (ids.to_vec(), from)
 }
 
-/// Start of a single fit: the linear estimate, held within what is usual for the mechanism.
+/// Start of a single fit: the linear estimate, bounded to usual strengths of the mechanism.
 fn linear_start(screen: &Screen, scores: &Scores, column: usize) -> f64 {
     let (id, value) = screen.candidates[column];
     let entry = &CATALOG[id];
     let felt = scores.gram[(column, column)];
     if entry.ceiling {
-        return value; // its effect is far from proportional: an estimate from afar means nothing
+        return value; // its effect is far from proportional, so a linear estimate from the plain model is meaningless
     }
     let estimate = if felt > FELT { entry.typical * scores.score[column] / felt } else { 0.0 };
     let reach = (USUAL * entry.typical).max(8.0 * value.abs());
@@ -135,16 +138,18 @@ fn linear_start(screen: &Screen, scores: &Scores, column: usize) -> f64 {
     if start == 0.0 { value * 0.1 } else { start }
 }
 
-/// A rough model's objective has minima beside the lowest, and the linear estimate may lead into one near the plain model: a
-/// second start, as far out on the same side as estimates are held. None of a smooth model, where the first one has to do.
+/// The objective of a rough model has several minima, and the linear estimate may lead into one near the plain
+/// model. So there is a second start, on the same side and as far out as estimates may be. None for a smooth model,
+/// for which the first start suffices.
 fn far_start(study: &Study, id: usize, estimate: f64) -> Option<f64> {
     let entry = &CATALOG[id];
     let far = (USUAL * entry.typical).copysign(estimate).clamp(entry.bounds[0], entry.bounds[1]);
     (study.model.roughness().is_some() && !entry.ceiling).then_some(far)
 }
 
-/// A rough model's plain fit may have ended in a minimum beside the lowest, and a cause then gains by leading past it: the plain model
-/// fitted again from where the best of `fits` ended, if that is lower than `base`.
+/// The plain fit of a rough model may have ended in a local minimum, and a cause may then gain only by leading out
+/// of it. So the plain model is fitted again from the end of the best of `fits`, and replaces `base` if its
+/// objective is lower.
 fn beneath(study: &Study, base: Fit, fits: &[Fit]) -> Fit {
     let best = fits.iter().min_by(|a, b| a.objective.total_cmp(&b.objective));
     let Some(best) = best.filter(|best| study.model.roughness().is_some() && best.objective < base.objective) else {
@@ -156,7 +161,7 @@ fn beneath(study: &Study, base: Fit, fits: &[Fit]) -> Fit {
     if again.objective < base.objective { again } else { base }
 }
 
-/// Every cause alone.
+/// Every single cause.
 pub fn singles(study: &Study, Screened { screen, scores, ids, .. }: &Screened) -> Fitted {
     let (plain, base) = (study.plain(), study.recalibrated());
     let columns: Vec<usize> = ids.iter().filter_map(|id| screen.candidates.iter().position(|c| c.0 == *id)).collect();
@@ -179,14 +184,16 @@ pub fn singles(study: &Study, Screened { screen, scores, ids, .. }: &Screened) -
     }
 }
 
-/// Noise, whitening and nuisances that belong to a fit: what a repetition has in common acts along its prediction.
+/// Noise, whitening and nuisances about a fit. The common part of a repetition's noise acts along the fit's
+/// prediction.
 pub fn surroundings(study: &Study, source: &Source, start: &Noise, fit: &Fit) -> Surroundings {
     let coefficients = study.coefficients(&fit.deviations);
     let mut shared = study.model.shared(&fit.mechanisms, &coefficients, &fit.prediction);
     shared.retain(|s| source.shared.iter().any(|own| own.name == s.name));
     let model_error = study.model.model_error(&fit.mechanisms, &coefficients, &fit.prediction);
     let own_error = study.model.own_error(&fit.mechanisms, &coefficients, &fit.prediction);
-    // The noise is learnt from what the fit leaves, nuisances included; it acts along what the sand does.
+    // The noise is learnt from the fit's residual, nuisances included, and is proportional to the prediction of the
+    // sand.
     let reading = study.reading(fit);
     let sizes = sizes_of(study.observations, &reading);
     let source = Source {
@@ -203,13 +210,13 @@ pub fn surroundings(study: &Study, source: &Source, start: &Noise, fit: &Fit) ->
     Surroundings { noise, sizes, whitener, nuisances }
 }
 
-/// Rounds in which nuisances that bend are followed: our choice, most need two.
+/// Most rounds for nuisances with a nonlinear effect: our choice, most need two.
 const BENDS: usize = 6;
-/// A bend by less than this share of a prior standard deviation is none: our choice.
+/// A change by less than this share of a prior standard deviation counts as converged: our choice.
 const STRAIGHT: f64 = 0.02;
 
-/// Nuisances about `fit` under a whitening, the fit and they adjusted to each other: where a filter is slow against the fastest
-/// trials the first estimate is far off. A step that does not help is halved.
+/// Nuisances about `fit` under a whitening, with the fit and the nuisances adjusted to each other: where a filter
+/// is slow against the fastest trials, the first estimate is inaccurate. A step that does not help is halved.
 fn bent(study: &Study, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> {
     let mut now = study.under(whitener, study.nuisances_about(fit));
     let mut at = now.fit_from(&[fit]).swap_remove(0);
@@ -223,7 +230,8 @@ fn bent(study: &Study, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> {
         if turned.fold(0.0, f64::max) < STRAIGHT {
             break;
         }
-        // What a filter does to the forces changes with its time constant, and hardly with what little else is adjusted here.
+        // The effect of a filter depends on its time constant, and hardly on the small changes of other parameters
+        // here.
         let next = study.under(whitener, now.nuisances_of(fit, &at));
         let there = next.restated(&at);
         if there.objective > least {
@@ -238,8 +246,8 @@ fn bent(study: &Study, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> {
     now.nuisances_of(fit, &at)
 }
 
-/// Fits the best and its nearest rivals again under the noise that belongs to the best, until that moves the best by less than
-/// one σ; gives the last surroundings.
+/// Fits the best and its nearest rivals again with the noise about the best, until that changes the best by less
+/// than one σ; returns the last surroundings.
 pub fn settled(study: &Study, source: &Source, noise: &Noise, fitted: Fitted) -> (Fitted, Option<Surroundings>) {
     let mut fitted = fitted;
     let mut around: Option<Surroundings> = None;
@@ -262,18 +270,19 @@ pub fn settled(study: &Study, source: &Source, noise: &Noise, fitted: Fitted) ->
     (fitted, around)
 }
 
-/// A discrepancy, its directions as they are, and the whitening that knows of it.
+/// A discrepancy, its directions without whitening, and the whitening that includes it.
 pub struct Beside {
     pub discrepancy: Discrepancy,
     pub raw: Vec<Vec<f64>>,
     pub whitener: Whitener,
 }
 
-/// Rounds in which the size of a discrepancy and the fits beside it are made anew: our choice, two are usually enough.
+/// Most rounds in which the size of a discrepancy and the fits are computed again: our choice, two usually suffice.
 const DISCREPANCIES: usize = 2;
 
-/// Where the best leaves a smooth misfit that noise does not make: everything fitted again beside a discrepancy, which takes its
-/// share of what tells explanations apart. Without one the least noisy samples would decide alone. None where nothing asks for it.
+/// If the best leaves a smooth misfit beyond noise: fits everything again with a discrepancy, which explains its
+/// share of the differences between explanations. Without it the least noisy samples alone would decide. None if
+/// the data need no discrepancy.
 pub fn beside_discrepancy(study: &Study, around: &Surroundings, fitted: Fitted) -> (Fitted, Option<Beside>) {
     let mut fitted = fitted;
     let mut found = None;
@@ -294,8 +303,8 @@ pub fn beside_discrepancy(study: &Study, around: &Surroundings, fitted: Fitted) 
     (fitted, found)
 }
 
-/// The likeliest candidates of the chosen size fitted again from where they stand, best first; the others keep their distance to
-/// the best. The whitening is a new one and may rank them anew: one step of each tells which are the likeliest.
+/// Fits the likeliest candidates of the selected size again from their ends, best first; the others keep their
+/// distance to the best. A new whitening may change the ranks; one step of each tells which are the likeliest.
 fn all_refitted(study: &Study, fitted: Fitted) -> Fitted {
     let size = fitted.best().map_or(1, |c| c.fit.ids.len());
     let (same, others): (Vec<Candidate>, Vec<Candidate>) =
@@ -313,7 +322,7 @@ fn all_refitted(study: &Study, fitted: Fitted) -> Fitted {
     Fitted { base: candidate(study, &base, base.clone()), candidates, finalists, ..fitted }
 }
 
-/// The best and its nearest rivals fitted again, from where they stand; the others keep their distance to the best.
+/// Fits the best and its nearest rivals again, from their ends; the others keep their distance to the best.
 fn refitted(study: &Study, fitted: Fitted) -> Fitted {
     let Fitted { plain, plain_held_out, candidates, second_gate, .. } = fitted;
     let size = candidates[0].fit.ids.len();
@@ -334,8 +343,8 @@ fn refitted(study: &Study, fitted: Fitted) -> Fitted {
     Fitted { plain, plain_held_out, base, candidates: front, finalists, second_gate }
 }
 
-/// A rough model's single may have ended in a minimum beside the lowest, and a pair then gains by leading past it: the single
-/// fitted again from where the pair ended, if that is lower.
+/// The single cause of a rough model may have ended in a local minimum, and a pair may then gain only by leading
+/// out of it: fits the single cause again from the pair's end, and keeps it if its objective is lower.
 fn beyond(study: &Study, single: &Candidate, pair: &Fit) -> Option<Fit> {
     let id = *single.fit.ids.first().filter(|id| study.model.roughness().is_some() && pair.ids.contains(id))?;
     let mechanisms = Mechanisms::default().with(id, pair.mechanisms.get(id));
@@ -344,7 +353,8 @@ fn beyond(study: &Study, single: &Candidate, pair: &Fit) -> Option<Fit> {
     (again.objective < single.fit.objective).then_some(again)
 }
 
-/// Second causes tried beside the best; pairs go to the front where the best of them earns its place. Does it?
+/// Tries second causes beside the best. If the best pair passes its tests, pairs move to the front. Returns whether
+/// it does.
 pub fn with_pairs(study: &Study, first: &Screened, fitted: Fitted) -> (Fitted, bool) {
     let Screened { screen, gates, .. } = first;
     let scores = screen.scores(study.whitener, &study.observations.values);
@@ -389,7 +399,7 @@ pub fn with_pairs(study: &Study, first: &Screened, fitted: Fitted) -> (Fitted, b
     }
     let (best, base) = (&fitted.candidates[0], &base);
     let earns = pairs.first().is_some_and(|pair| {
-        // What coefficients far from their prior explain is not explained: their deviations are charged as in a fit.
+        // An explanation by coefficients far from their prior is penalised: their deviations count as in a fit.
         let charged = |fit: &Fit, held_out: &HeldOut| held_out.deviance + dot(&fit.deviations, &fit.deviations);
         let none = charged(base, &fitted.base.held_out);
         let [one, two] = [best, pair].map(|c| charged(&c.fit, &c.held_out));

@@ -21,7 +21,7 @@ pub struct Pose {
     pub velocity: [f64; 2],
 }
 
-/// How a trial was driven; trials driven alike share one.
+/// The motion of a trial; trials with the same motion share one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Track {
     pub shape: String,
@@ -33,7 +33,7 @@ pub struct Track {
     pub pass: u32,
     /// Distance from the first pass [m].
     pub pass_dx: f64,
-    /// Place in the bed [m].
+    /// Position in the bed [m].
     pub x_bed: f64,
     pub poses: Vec<Pose>,
 }
@@ -46,7 +46,7 @@ pub struct ForceLog {
     pub track_of: Vec<usize>,
     /// Optional columns that are absent or blank throughout.
     pub missing: Vec<&'static str>,
-    /// What a reader of the report should know about how the log was read.
+    /// Notes for the report on how the log was read.
     pub notes: Vec<String>,
     pub sha256: String,
 }
@@ -130,7 +130,7 @@ pub fn read(path: &Path, experiment: &Experiment) -> Result<ForceLog> {
     Ok(assemble(trials, conditions.list, torque, missing, summary.sha256))
 }
 
-/// Beyond 1 MN or 1e6 of anything a log is in the wrong unit or broken, and squares would overflow: our choice.
+/// Above 1 MN, or 1e6 of anything, a value is broken or in the wrong unit, and squares would overflow: our choice.
 const MOST: f64 = 1e6;
 
 fn bounded(row: &Row, column: usize) -> Result<f64> {
@@ -151,7 +151,7 @@ fn check_medium(row: &Row, experiment: &Experiment, first: &mut Option<String>) 
     Ok(())
 }
 
-/// The track that a trial with this row has, still without poses.
+/// The track of a trial with this row, without poses yet.
 fn track_header(row: &Row, experiment: &Experiment) -> Result<Track> {
     let shape = row.needed_text(SHAPE)?;
     let Some(intruder) = experiment.shapes.get(shape) else {
@@ -186,8 +186,8 @@ fn track_header(row: &Row, experiment: &Experiment) -> Result<Track> {
 }
 
 /// β of a plate in our frame. Attack and intrusion angles are stated for motion toward +x (v ∥ (cos γ, −sin γ));
-/// where the logged velocity is the mirror image of that, so is the plate. The first way that the plate goes says which: a
-/// plate at rest moves nowhere, and noise of its velocity any way.
+/// where the logged velocity is the mirror image of that, so is the plate. The first direction in which the plate
+/// moves decides this: at rest it has no direction, and noise of its velocity has any.
 fn mirror(trial: &mut Growing) {
     let poses = &trial.track.poses;
     let outward = poses.iter().zip(&trial.gammas).take(heading(&trial.track).until + 1);
@@ -195,13 +195,13 @@ fn mirror(trial: &mut Growing) {
         let [vx, vz] = pose.velocity;
         (along + vx * gamma.map_or(0.0, f64::cos), speeds + vx.hypot(vz))
     });
-    // π/2 written with a few digits has a cosine of up to 1e-5.
+    // A π/2 with few digits has a cosine of up to 1e-5.
     if along < -1e-7 * speeds {
         trial.track.beta = -trial.track.beta;
     }
 }
 
-/// Refuses a trial whose rows disagree about what was done.
+/// Refuses a trial with contradictory rows.
 fn check_same(row: &Row, trial: &Growing, now: &Track, condition: usize) -> Result<()> {
     let was = &trial.track;
     let wrong = if trial.condition != condition {
@@ -254,7 +254,7 @@ fn assemble(
     let (mut rows, mut resting) = (0, 0);
     for trial in trials {
         let start = values.len();
-        // Repetitions are matched along one direction; one that never moves has none to give.
+        // Repetitions are matched along the direction of motion; a trial that never moves has none.
         let own = heading(&trial.track);
         let common = headings[trial.condition].get_or_insert(own);
         if !common.moves() {
@@ -285,7 +285,7 @@ fn assemble(
     }
     let said = || {
         format!(
-            "{resting} of {rows} rows are left out: there the intruder rests, and resistive force theory says nothing of that"
+            "{resting} of {rows} rows are left out: there the intruder rests, and resistive force theory does not predict the force at rest"
         )
     };
     let notes = if resting > 0 { vec![said()] } else { Vec::new() };
@@ -293,7 +293,7 @@ fn assemble(
     ForceLog { observations, tracks, track_of, missing, notes, sha256 }
 }
 
-/// A log of trials not yet made: one unit a track, zeros for forces.
+/// A log of trials that are not made yet: one unit a track, zeros for forces.
 pub fn planned(tracks: Vec<Track>, channels: usize) -> ForceLog {
     let names = (0..tracks.len()).map(|i| i.to_string()).collect();
     let trials = tracks
@@ -314,11 +314,11 @@ pub fn planned(tracks: Vec<Track>, channels: usize) -> ForceLog {
     assemble(trials, names, channels > 2, Vec::new(), String::new())
 }
 
-/// Samples of a trial not yet made.
+/// Samples of a trial that is not made yet.
 const PLANNED_SAMPLES: usize = 60;
 
-/// Trials within reach of an apparatus that made `tracks`: its intruders at the slowest, middle and fastest speed used, at
-/// two depths, on fresh and re-used ground, at both ends of the bed.
+/// Trials that the apparatus of `tracks` could make: its intruders at the slowest, middle and fastest speed used,
+/// at two depths, on fresh and re-used ground, at both ends of the bed.
 pub fn possible(tracks: &[Track]) -> Vec<(Track, String)> {
     let mut shapes: Vec<&Track> = Vec::new();
     for track in tracks {
@@ -363,7 +363,7 @@ impl Track {
         self.poses.iter().map(rate).fold(0.0, f64::max)
     }
 
-    /// The same intruder in another trial, and that trial in words; angles in degrees.
+    /// The same intruder in another trial, and a description of that trial; angles in degrees.
     fn planned(&self, rate: f64, deep: bool, pass: u32, x_bed: f64, beta: f64, gamma: f64) -> (Track, String) {
         let mut track = Track { pass, pass_dx: 0.0, x_bed, ..self.clone() };
         let at = |i: usize| (i as f64 + 0.5) / PLANNED_SAMPLES as f64;

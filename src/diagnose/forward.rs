@@ -1,7 +1,6 @@
-//! Forward models: what a data set would read if the simulation were right.
+//! Forward models: predictions of a data set.
 //!
-//! Everything statistical is written against [`ForwardModel`]; [`ForceLogModel`] predicts force logs, track by track
-//! ([`super::arm`]).
+//! All statistics use [`ForwardModel`]; [`ForceLogModel`] predicts force logs, track by track ([`super::arm`]).
 
 use super::arm::{Arm, Cut, PowerDrag, filtered, read, stencils};
 use super::experiment::{Experiment, Intruder};
@@ -16,14 +15,14 @@ use crate::error::Result;
 use crate::number::{Doubles, Real};
 use crate::parallel;
 use crate::progress::Latch;
-use crate::sand::beyond::{SandMechanisms, footprint};
 use crate::sand::intrusion::Load;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
-use crate::sand::{Coefficients, Ground, Law, Medium, SandDescription, Surface, Term};
+use crate::sand::mechanism_laws::{SandMechanisms, footprint};
+use crate::sand::{Coefficients, Law, Medium, SandBed, SandDescription, Surface, Term};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// What varies along the data and may explain a misfit.
+/// A feature: a quantity that varies along the data and may be related to a misfit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Feature {
     pub name: &'static str,
@@ -32,11 +31,11 @@ pub struct Feature {
     pub values: Vec<Vec<f64>>,
 }
 
-/// Trials not yet made.
+/// Trials that are not made yet.
 pub struct Menu<'a> {
     pub model: Box<dyn ForwardModel + 'a>,
     pub observations: Observations,
-    /// What each trial is, in words.
+    /// A description of each trial.
     pub descriptions: Vec<String>,
 }
 
@@ -48,11 +47,12 @@ pub trait ForwardModel: Sync {
     fn predict_many(&self, states: &[(Mechanisms, Coefficients)]) -> Vec<Vec<f64>> {
         parallel::map(states, |(m, c)| self.predict(m, c))
     }
-    /// Has whoever waits for the work stopped it? What is predicted from then on is not a number.
+    /// Was the work stopped? Predictions after that are NaN.
     fn stopped(&self) -> bool {
         false
     }
-    /// Change [σ of all data together] below which a numerical slope is not to be trusted; none if predictions are smooth.
+    /// Change [σ of all data together] below which a numerical slope is not reliable; None if predictions are
+    /// smooth.
     fn roughness(&self) -> Option<f64> {
         None
     }
@@ -60,55 +60,56 @@ pub trait ForwardModel: Sync {
     fn coefficient_step(&self) -> f64 {
         0.1
     }
-    /// What a repetition may have in common over all its numbers, where `mechanisms` and `coefficients` predict
-    /// `prediction`.
+    /// Directions that the numbers of a repetition may have in common, at the prediction `prediction` of
+    /// `mechanisms` and `coefficients`.
     fn shared(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Shared>;
-    /// How far the prediction there may be from the exact solution of the model's own equations: stacks, each a direction
-    /// along which every repetition of a condition errs alike, one standard deviation long. None where it is next to exact.
+    /// Numerical error of the prediction there: directions, one standard deviation long, along which all
+    /// repetitions of a condition err alike. None if it is negligible.
     fn model_error(&self, _: &Mechanisms, _: &Coefficients, _prediction: &[f64]) -> Vec<Vec<f64>> {
         Vec::new()
     }
-    /// How far each number of the model may be from what it stands for, one standard deviation, apart from all other numbers and alike
-    /// in every repetition; empty where that is not known of the model.
+    /// Error of the model at each number, one standard deviation, independent between numbers and equal in all
+    /// repetitions; empty if it is not known.
     fn own_error(&self, _: &Mechanisms, _: &Coefficients, _prediction: &[f64]) -> Vec<f64> {
         Vec::new()
     }
-    /// What measuring may have done to all data alike, about where `mechanisms` and `coefficients` predict; `values` has those
-    /// of nuisances known so far.
+    /// Effects of measuring that all data share, at the prediction of `mechanisms` and `coefficients`; `values` are
+    /// the nuisances known so far.
     fn nuisances(&self, _: &Mechanisms, _: &Coefficients, _values: &[(String, f64)]) -> Vec<Nuisance> {
         Vec::new()
     }
-    /// The same model with another power of the speed in the law of mechanism `id`; none where it cannot be had.
+    /// The same model with another exponent of the speed in the law of mechanism `id`; None if it has no such
+    /// exponent.
     fn with_exponent(&self, _id: usize, _exponent: f64) -> Option<Box<dyn ForwardModel + '_>> {
         None
     }
-    /// A prediction as the simulator gives it, without what [`Self::predict`] corrects.
+    /// A prediction of the simulator, without the corrections of [`Self::predict`].
     fn as_simulated(&self, prediction: &[f64]) -> Vec<f64> {
         prediction.to_vec()
     }
-    /// The same model with terms in its sand; none where it cannot be had.
+    /// The same model with terms in its sand; None if it does not support them.
     fn with_terms(&self, _terms: &[Term]) -> Option<Box<dyn ForwardModel + '_>> {
         None
     }
-    /// Greatest normal speed [m/s], depth [m] and least width [m] at which terms are asked.
+    /// Greatest normal speed [m/s], greatest depth [m] and least width [m] in the data, for the ranges of terms.
     fn reach(&self) -> [f64; 3] {
         [1.0; 3]
     }
-    /// Puts into a sand for the simulator what this kind of data is predicted with beside the medium.
+    /// Adds to a simulator's sand the settings that this kind of data is predicted with, besides the medium.
     fn finish(&self, _sand: &mut SandDescription) {}
     /// The medium of the plain model.
     fn medium(&self) -> &Medium;
-    /// Which mechanisms this kind of data can be asked about: index in the catalogue, or why not.
+    /// The mechanisms that this kind of data can test: index in the catalogue, or the reason why not.
     fn testable(&self) -> Vec<(usize, Option<String>)>;
-    /// What varies along the data.
+    /// The features of the data.
     fn features(&self) -> Vec<Feature>;
-    /// Trials that could be made next with the same apparatus.
+    /// Trials that the same apparatus could make next.
     fn menu(&self) -> Option<Menu<'_>>;
-    /// A name for the group a unit belongs to in reports (its shape).
+    /// A name in reports for the group of a unit (its shape).
     fn group(&self, unit: usize) -> &str;
 }
 
-/// The arm prescribes the motion: nothing rests in the sand, so no creep speed is needed.
+/// The arm prescribes the motion, so no segment rests in the sand and no creep speed is needed.
 const PRESCRIBED: Surface = Surface { rest_speed: 1e-9, ..Surface::DEFAULT };
 
 /// Predicts force logs.
@@ -117,34 +118,34 @@ pub struct ForceLogModel<'a> {
     latch: Option<&'a Latch<'a>>,
     medium: Medium,
     tracks: Vec<Track>,
-    /// Of each track, the poses that are samples: where it moves.
+    /// For each track the poses that are samples, where it moves.
     kept: Vec<Vec<usize>>,
     cuts: BTreeMap<String, Cut>,
-    /// Track, place in the stack and samples of each unit.
+    /// Track, index in the stack and samples of each unit.
     units: Vec<(usize, usize, usize)>,
     channels: usize,
     missing: Vec<&'static str>,
     priors: Priors,
-    /// Form of inertial drag, where it is another than the catalogue's.
+    /// Exponent of inertial drag, if it differs from the catalogue's.
     drag: Option<PowerDrag>,
     responses: Responses,
     measuring: Kept<Measuring>,
 }
 
-/// What nuisances are made of, about one state.
+/// Data for nuisances, at one state.
 struct Measuring {
     mechanisms: Mechanisms,
     coefficients: Coefficients,
     here: Vec<f64>,
-    /// Change of the data by each unit of delay, depth and tilt.
+    /// Change of the data per unit of delay, depth and tilt.
     late: Vec<f64>,
     deep: Vec<f64>,
     tilt: Vec<f64>,
-    /// Of each track, the loads at the steps of a filter.
+    /// Loads of each track at the steps of a filter.
     steps: Vec<Vec<[Load; 1]>>,
 }
 
-/// The last one made; a model that is cloned has none, for it may be changed then.
+/// The last result. A clone has none, because it may be changed.
 struct Kept<T>(Mutex<Option<Arc<T>>>);
 
 impl<T> Default for Kept<T> {
@@ -159,15 +160,15 @@ impl<T> Clone for Kept<T> {
     }
 }
 
-/// Changes by which nuisances are felt: our choices, a share of what they usually are.
+/// Steps of numerical derivatives by nuisances: our choices, shares of their usual sizes.
 const DEPTH_STEP: f64 = 2e-4;
 const TIME_STEP: f64 = 1e-3;
 const TILT_STEP: f64 = 1e-4;
-/// Relative.
+/// Relative step.
 const STRENGTH_STEP: f64 = 0.02;
-/// What each channel of each trial has of its own.
+/// Directions that each channel of each trial has of its own.
 const OFFSETS: [(&str, &str); 3] = [("offset_Fx", "drift_Fx"), ("offset_Fz", "drift_Fz"), ("offset_Ty", "drift_Ty")];
-/// States of the same mechanisms from which on finding the answer to the coefficients is the less work.
+/// Number of states with the same mechanisms from which computing the response to the coefficients is cheaper.
 const ANSWERS: usize = 4;
 /// Names of the channels.
 const CHANNELS: [&str; 3] = ["Fx", "Fz", "Ty"];
@@ -196,7 +197,7 @@ impl<'a> ForceLogModel<'a> {
         })
     }
 
-    /// The same, which `latch` may stop.
+    /// The same with a `latch` that may stop it.
     pub fn heeding(self, latch: &'a Latch<'a>) -> Self {
         Self { latch: Some(latch), ..self }
     }
@@ -221,7 +222,7 @@ impl<'a> ForceLogModel<'a> {
         Ok(model.arm(&track, &sand.mechanisms, &[ground]).readings().into_iter().map(|[load]| load).collect())
     }
 
-    /// A model of other tracks with the same intruders: for experiments not yet made.
+    /// A model of other tracks with the same intruders, for experiments that are not made yet.
     pub fn for_tracks(&self, tracks: Vec<Track>) -> (Self, Observations) {
         let log = super::force_log::planned(tracks, self.channels);
         let units = log.observations.units.iter().zip(&log.track_of).map(|(u, &t)| (t, u.start, u.samples)).collect();
@@ -286,15 +287,15 @@ impl<'a> ForceLogModel<'a> {
         sand
     }
 
-    fn ground(&self, coefficients: &Coefficients) -> Ground<Doubles> {
-        Ground::new(Law::Li2013, &Medium { coefficients: *coefficients, ..self.medium.clone() }, &PRESCRIBED)
+    fn ground(&self, coefficients: &Coefficients) -> SandBed<Doubles> {
+        SandBed::new(Law::Li2013, &Medium { coefficients: *coefficients, ..self.medium.clone() }, &PRESCRIBED)
     }
 
     fn arm<'b, const N: usize>(
         &'b self,
         track: &'b Track,
         m: &'b Mechanisms,
-        grounds: &'b [Ground<Doubles>; N],
+        grounds: &'b [SandBed<Doubles>; N],
     ) -> Arm<'b, N> {
         let density = m.inertial_drag * self.medium.bulk_density;
         Arm {
@@ -335,12 +336,12 @@ impl<'a> ForceLogModel<'a> {
         self.stacks(&loads)
     }
 
-    /// How the data answer to the coefficients under `m`, made once.
+    /// The response to the coefficients under `m`, computed once.
     fn response(&self, m: &Mechanisms) -> Arc<Response> {
         self.responses.of(m, || Response::new(|states| self.in_grounds(m, states)))
     }
 
-    /// What nuisances are made of; the last one is kept.
+    /// Data for nuisances; the last result is kept.
     fn measuring(&self, m: &Mechanisms, c: &Coefficients) -> Arc<Measuring> {
         let mut kept = self.measuring.0.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(known) = kept.as_ref().filter(|k| k.mechanisms == *m && k.coefficients == *c) {
@@ -378,7 +379,8 @@ impl ForwardModel for ForceLogModel<'_> {
         self.latch.is_some_and(Latch::stopped)
     }
 
-    /// Each trial has its own bed, its own zero of the surface and of each channel of the load cell, which drifts.
+    /// Each trial has its own bed strength, its own zero of the surface, and its own zero of each channel of the
+    /// load cell, which drifts.
     fn shared(&self, m: &Mechanisms, c: &Coefficients, prediction: &[f64]) -> Vec<Shared> {
         let rms = |channel: usize| self.rms(prediction, channel);
         let one = |name, unit, guess, stack| {
@@ -415,7 +417,7 @@ impl ForwardModel for ForceLogModel<'_> {
             all.push(Nuisance::linear(format!("offset_{name}"), unit, zero, own(&vec![1.0; here.len()])));
             all.push(Nuisance::linear(format!("gain_{name}"), "1", sd("gain"), own(here)));
             let id = format!("lowpass_{name}");
-            // A filter cannot look ahead.
+            // A filter's time constant cannot be negative.
             let tau = values.iter().find(|v| v.0 == id).map_or(0.0, |v| v.1.max(0.0));
             let filtered = |tau: f64| own(&measuring.filtered(self, tau));
             let (at, beyond) =
@@ -444,7 +446,7 @@ impl ForwardModel for ForceLogModel<'_> {
         }
     }
 
-    /// Where several states differ in the coefficients alone, how the data answer to these is found once.
+    /// If several states differ in the coefficients alone, the response to these is computed once.
     fn predict_many(&self, states: &[(Mechanisms, Coefficients)]) -> Vec<Vec<f64>> {
         let alike = |m: &Mechanisms| states.iter().filter(|s| s.0 == *m).count();
         parallel::map(states, |(m, c)| {
@@ -459,7 +461,7 @@ impl ForwardModel for ForceLogModel<'_> {
         if CATALOG[id].id != "inertial_drag" {
             return None;
         }
-        // At the greatest speed of the data both laws are one: so far up λ stays what it was.
+        // At the greatest speed of the data both laws are equal, so λ is comparable.
         let features = self.features();
         let speed = features.iter().filter(|f| f.name == "speed").flat_map(|f| f.values.iter().flatten());
         let speed = speed.copied().fold(1e-6, f64::max);

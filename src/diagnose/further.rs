@@ -1,4 +1,4 @@
-//! Further causes beside a fitted model: which would gain something, how much, and how large it can be at most.
+//! Further causes beside a fitted model: their gain, size, and upper limit.
 
 use super::fit::{Fit, slope};
 use super::fitted::USUAL;
@@ -7,7 +7,7 @@ use crate::number::dot;
 use crate::parallel;
 use crate::sand::mechanism::CATALOG;
 
-/// A further cause beside a fitted model, by a linear estimate.
+/// A further cause beside a fitted model, from a linear estimate.
 #[derive(Clone, Copy, Debug)]
 pub struct Further {
     /// Catalogue index.
@@ -15,13 +15,13 @@ pub struct Further {
     /// Value from which a fit begins.
     pub start: f64,
     pub gain: f64,
-    /// Estimate and its standard deviation, in the mechanism's coordinate; the sign not held within bounds.
+    /// Estimate and its standard deviation, in the mechanism's coordinate; the estimate may have the wrong sign.
     pub estimate: f64,
     pub sd: f64,
 }
 
 impl Study<'_> {
-    /// Further causes beside a fitted model, those that gain most [χ²] first.
+    /// Further causes beside a fitted model, in order of their gain [χ²], largest first.
     pub fn further(&self, first: &Fit, candidates: &[(usize, f64)]) -> Vec<Further> {
         let coefficients = self.coefficients(&first.deviations);
         let (information, _) = first.normal_equations();

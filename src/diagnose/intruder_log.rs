@@ -8,14 +8,14 @@ use crate::sand::intruder::{Given, Trial};
 use crate::table::{Column, Quantity, Row};
 use std::path::Path;
 
-/// What was done in one row.
+/// The setting of one row.
 #[derive(Clone, Debug, PartialEq)]
 pub struct State {
     /// A table `[body.NAME]` of the experiment.
     pub body: String,
     /// Under the measured load.
     pub trial: Trial,
-    /// Standard deviations in time, channel by channel; 0 where the data do not say.
+    /// Standard deviations in time, channel by channel; 0 where the data have none.
     pub unsteadiness: [f64; 3],
 }
 
@@ -23,7 +23,7 @@ pub struct State {
 pub struct IntruderLog {
     pub observations: Observations,
     pub states: Vec<State>,
-    /// Are there standard deviations in time?
+    /// Does the log have standard deviations in time?
     pub has_unsteadiness: bool,
     pub sha256: String,
 }
@@ -48,17 +48,17 @@ columns! {
     FY_SD = "Fy_sd" Force false;
 }
 
-/// What is predicted at the measured load: two forces, which count in the error, and the sinkage.
+/// The predicted channels at the measured load: two forces, which count in the error, and the sinkage.
 pub const CHANNELS: [Channel; 3] = [
     Channel { name: "Fx", unit: "N", in_rmse: true },
     Channel { name: "Fy", unit: "N", in_rmse: true },
     Channel { name: "depth", unit: "m", in_rmse: false },
 ];
 
-/// Rows beyond this are refused: each is solved some ten thousand times. Our choice, 15 times what was measured with the wheels.
+/// Most rows: each is simulated some ten thousand times. Our choice, 15 times the rows of the wheels' data.
 const MOST_ROWS: usize = 2_000;
 
-/// Beyond this a number is in the wrong unit or broken: our choice.
+/// Larger numbers are broken or in the wrong unit: our choice.
 const MOST: f64 = 1e6;
 
 /// Reads the rows; `experiment` describes bodies and units.

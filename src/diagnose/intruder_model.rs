@@ -14,15 +14,15 @@ use crate::sand::mechanism::{CATALOG, Mechanisms, Side};
 use crate::sand::{Coefficients, Law, Medium, SandDescription};
 use std::collections::BTreeMap;
 
-/// Plates along a body's longest side: our choice, forces are within 2 % of those of plates three times as fine, a quarter of
-/// what measured forces scatter by.
+/// Plates along a body's longest side: our choice; forces are within 2 % of those of plates three times as fine, a
+/// quarter of the scatter of measured forces.
 const ALONG: f64 = 16.0;
-/// Steps by which nuisances are felt: our choices. [m], [1], and relative.
+/// Steps of numerical derivatives by nuisances: our choices. [m], [1], and relative.
 const GEOMETRY_STEP: f64 = 5e-4;
 const FRICTION_STEP: f64 = 0.02;
 const STRENGTH_STEP: f64 = 0.02;
 
-/// A body as it is described, and a little larger.
+/// A body as described, and a slightly larger one.
 struct Cut {
     description: BodyDescription,
     nominal: Body,
@@ -40,12 +40,12 @@ pub struct IntruderModel<'a> {
     priors: Priors,
 }
 
-/// What the law itself may be wrong by, of the load: resistive force theory is within 10 to 15 % of measured forces (Li, Zhang &
-/// Goldman 2013; Agarwal, Goldman & Kamrin 2023), and repetitions scatter by much less. Without this a cause would be judged by
-/// the rows that repeat best, and hide behind any rest.
+/// Error of the law itself, as a share of the load: resistive force theory is within 10 to 15 % of measured forces
+/// (Li, Zhang & Goldman 2013; Agarwal, Goldman & Kamrin 2023), and repetitions scatter by much less. Without it the
+/// rows with the least scatter would dominate the choice of a cause.
 const LAW_ERROR: f64 = 0.1;
 
-/// What a body may be other than described.
+/// Deviations of a body from its description.
 #[derive(Clone, Copy, Default)]
 struct Changed {
     larger: bool,
@@ -75,7 +75,7 @@ impl<'a> IntruderModel<'a> {
         })
     }
 
-    /// The sand beside one body.
+    /// The sand in contact with one body.
     fn sand(&self, body: &BodyDescription, mechanisms: &Mechanisms, coefficients: &Coefficients) -> SandDescription {
         let friction_clip = 1.0 / body.friction.max(0.1);
         SandDescription {
@@ -106,21 +106,21 @@ impl<'a> IntruderModel<'a> {
         self.states.iter().flat_map(of).collect()
     }
 
-    /// Slope of the prediction by the sand's strength.
+    /// Derivative of the prediction by the sand's strength.
     fn strength(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<f64> {
         let scale = (1.0 + mechanisms.scale) * (1.0 + STRENGTH_STEP) - 1.0;
         let moved = self.predict(&Mechanisms { scale, ..*mechanisms }, coefficients);
         slope(&moved, prediction, STRENGTH_STEP)
     }
 
-    /// Slope of the prediction by a change.
+    /// Derivative of the prediction by a change of the body.
     fn felt(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, changed: Changed, step: f64) -> Vec<f64> {
         let plain = self.predict(mechanisms, coefficients);
         slope(&self.predict_changed(mechanisms, coefficients, changed), &plain, step)
     }
 }
 
-/// Fx, Fy and depth under the load; where nothing carries it, those of the body that is covered.
+/// Fx, Fy and depth under the load; if the sand cannot carry it, those of the fully covered body.
 fn under_load(body: &Body, sand: &SandDescription, trial: &Trial) -> [f64; 3] {
     let outcome = compute(body, sand, trial);
     let outcome = match outcome.status {
@@ -133,7 +133,7 @@ fn under_load(body: &Body, sand: &SandDescription, trial: &Trial) -> [f64; 3] {
     [outcome.force[0], outcome.force[1], outcome.depth]
 }
 
-/// Why steady states cannot tell of a mechanism.
+/// Why steady states cannot show a mechanism.
 fn lacking(id: &str) -> Option<String> {
     let off = SandDescription { mechanisms: Mechanisms::from_values([1.0; Mechanisms::COUNT]), ..plainest() };
     let said = if without_effect(&off).contains(&id) {
@@ -171,7 +171,7 @@ impl ForwardModel for IntruderModel<'_> {
         parallel::map(states, |(m, c)| self.predict(m, c))
     }
 
-    /// No two beds are equally strong; and a state whose readings waver in time is not quite steady.
+    /// Beds differ in strength; and a state whose readings fluctuate in time is not quite steady.
     fn shared(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Shared> {
         let strength = self.strength(mechanisms, coefficients, prediction);
         let mut all =
@@ -188,8 +188,8 @@ impl ForwardModel for IntruderModel<'_> {
         all
     }
 
-    /// A tenth of the load in either force, and the sinkage that a tenth of the strength makes; each condition and channel errs
-    /// independently of the others.
+    /// A tenth of the load in either force, and the change of sinkage for a tenth of the strength; each condition
+    /// and channel errs independently of the others.
     fn model_error(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Vec<f64>> {
         let strength = self.strength(mechanisms, coefficients, prediction);
         let load = |k: usize| if let Given::Load(load) = self.states[k / 3].trial.given { load } else { 0.0 };
@@ -197,7 +197,7 @@ impl ForwardModel for IntruderModel<'_> {
         (0..3).map(|c| (0..prediction.len()).map(|k| if k % 3 == c { size(k) } else { 0.0 }).collect()).collect()
     }
 
-    /// Zero of the sinkage, size of the body, friction of its surface.
+    /// Nuisances: zero of the sinkage, size of the body, friction of its surface.
     fn nuisances(&self, m: &Mechanisms, c: &Coefficients, _values: &[(String, f64)]) -> Vec<Nuisance> {
         let zero = (0..3 * self.states.len()).map(|k| if k % 3 == 2 { -1.0 } else { 0.0 }).collect();
         let larger = Changed { larger: true, ..Changed::default() };
@@ -262,7 +262,7 @@ impl IntruderModel<'_> {
     }
 }
 
-/// What a reader should know of the sand's file.
+/// Notes for the report on the sand's file.
 pub fn notes(experiment: &Experiment) -> Vec<String> {
     let said = |(name, body): (&String, &BodyDescription)| {
         format!("{name}: {}, surface friction μ_s {} (sandgait intrude --mu-s)", body.body, body.friction)

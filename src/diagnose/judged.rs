@@ -1,4 +1,5 @@
-//! The third stage: what remains beside the best, how far its rivals are, what it is worth; all that a verdict needs.
+//! The third stage: the remaining misfit beside the best candidate, the distances of its rivals and its gain; the
+//! evidence for the verdict.
 
 use super::calibrate::Gates;
 use super::cross_validation::HeldOut;
@@ -6,20 +7,20 @@ use super::discrepancy::Discrepancy;
 use super::errors::Errors;
 use super::fit::Fit;
 use super::fitted::{Candidate, Fitted, candidate};
-use super::form::{self, Asked, Form};
 use super::lack_of_fit::Lack;
 use super::nested::Nested;
 use super::profile;
+use super::speed_exponent::{self, SpeedExponent, SpeedLaw};
 use super::study::Study;
 use super::verdict::{Evidence, Rival};
 use crate::sand::mechanism::CATALOG;
 use crate::student;
 
-/// The plain model's error stands clear of the scatter where it is surely larger by this share of itself: our choice; closer, a
-/// share of their difference is any number.
+/// The plain model's error counts as clearly larger than the scatter if it is larger by this share of itself with
+/// certainty: our choice. If it is not, a share of their difference has no meaning.
 const CLEAR: f64 = 0.1;
 
-/// How sure a fit's values are.
+/// Uncertainty of a fit's values.
 pub struct Intervals {
     /// 95 % intervals of the values' coordinates.
     pub ranges: Vec<[f64; 2]>,
@@ -27,20 +28,20 @@ pub struct Intervals {
     pub correlations: Vec<Vec<f64>>,
 }
 
-/// What is known of the best candidate and its rivals.
+/// The evidence on the best candidate and its rivals.
 pub struct Judged {
     pub evidence: Evidence,
-    /// Beside the best, or beside the plain model where nothing was found.
+    /// Further causes beside the best, or beside the plain model if nothing was found.
     pub discrepancy: Discrepancy,
     /// Lack of fit of base and best under the noise alone, without a discrepancy.
     pub lacks: [Lack; 2],
     pub intervals: Option<Intervals>,
-    pub form: Option<Form>,
-    /// Base and extension, chosen anew in each fold.
+    pub form: Option<SpeedExponent>,
+    /// Errors of the plain model and of the extension, chosen anew in each fold.
     pub nested: [HeldOut; 2],
 }
 
-/// Where slopes are not to be trusted: the lowest place about the best, and how far its values can be moved.
+/// For models whose slopes are not reliable: the lowest state about the best, and the intervals of its values.
 pub fn explored(study: &Study, fitted: Fitted, gates: &Gates) -> (Fitted, Vec<[f64; 2]>) {
     let Some(best) = fitted.best().filter(|_| study.model.roughness().is_some()) else { return (fitted, Vec::new()) };
     let allowed = student::square_at_95(gates.degrees_of(&best.fit.ids)) * gates.inflation;
@@ -52,7 +53,7 @@ pub fn explored(study: &Study, fitted: Fitted, gates: &Gates) -> (Fitted, Vec<[f
     (Fitted { candidates, ..fitted }, intervals)
 }
 
-/// What was fitted under which noise, and what remains beside it.
+/// Fits and their noise, and the remaining misfit.
 pub struct Standing<'a> {
     pub fitted: &'a Fitted,
     pub gates: &'a Gates,
@@ -66,7 +67,7 @@ pub struct Standing<'a> {
     pub profiled: Vec<[f64; 2]>,
 }
 
-/// Judges what was fitted.
+/// Judges the fits.
 pub fn judged(study: &Study, standing: Standing) -> Judged {
     let Standing { fitted, gates, discrepancy, lacks, floor, nested, profiled } = standing;
     let best = fitted.best().filter(|_| fitted.found(gates));
@@ -86,8 +87,9 @@ pub fn judged(study: &Study, standing: Standing) -> Judged {
     Judged { evidence, discrepancy, lacks, intervals, form, nested: nested.sand }
 }
 
-/// Share of the misfit beyond noise that the best explains: of the error of readings on conditions held out, where the plain model's
-/// stands clear of the scatter; else of the whitened one. What a filter or a tilt did to the log is no misfit of the sand.
+/// Share of the misfit beyond noise that the best explains: of the error of readings on held-out conditions if the
+/// plain model's is clearly larger than the scatter; otherwise of the whitened error. The effect of a filter or a
+/// tilt is not counted as misfit of the sand.
 fn explained(fitted: &Fitted, lacks: &[Lack; 2], nested: &[HeldOut; 2], floor: &Errors) -> f64 {
     let plain = &fitted.plain_held_out.errors;
     let reference = if plain.rmse() < nested[0].errors.rmse() { plain } else { &nested[0].errors };
@@ -107,19 +109,19 @@ fn rivals(fitted: &Fitted, best: &Candidate, gates: &Gates) -> Vec<Rival> {
     fitted.candidates[1..fitted.finalists.max(1)].iter().map(of).collect()
 }
 
-/// Does the law of the best cause have the right form? Where the data exclude it, or where the cause alone in another form
-/// explains as much as with a second term, which then only stands in for that, none of the causes is the right one.
-fn questioned(study: &Study, fitted: &Fitted, gates: &Gates) -> Option<Form> {
+/// Does the law of the best cause have the right form? If the data exclude it, or if the cause alone in another
+/// form explains as much as with a second term, which then only replaces that form, none of the causes is named.
+fn questioned(study: &Study, fitted: &Fitted, gates: &Gates) -> Option<SpeedExponent> {
     let best = &fitted.candidates[0].fit;
-    let asked = Asked::of(study, best)?;
+    let asked = SpeedLaw::of(study, best)?;
     let alone = fitted.candidates.iter().find(|c| asked.alone(&c.fit)).filter(|_| best.ids.len() > 1);
-    // It was fitted under an earlier noise.
-    let alone = alone.and_then(|c| form::check(study, &study.fit_from(&[&c.fit])[0], asked, gates.inflation));
+    // It was fitted with an earlier noise.
+    let alone = alone.and_then(|c| speed_exponent::check(study, &study.fit_from(&[&c.fit])[0], asked, gates.inflation));
     let stands_in = alone.filter(|form| form.excluded && form.objective <= best.objective);
-    stands_in.or_else(|| form::check(study, best, asked, gates.inflation))
+    stands_in.or_else(|| speed_exponent::check(study, best, asked, gates.inflation))
 }
 
-/// 95 % intervals, widened for the noise not being known exactly.
+/// 95 % intervals, widened because the noise is only estimated.
 fn intervals(fit: &Fit, gates: &Gates, profiled: &[[f64; 2]]) -> Intervals {
     let (count, covariance) = (fit.ids.len(), fit.covariance());
     let range = |k: usize| {

@@ -1,22 +1,22 @@
-//! Is anything but noise left in a residual?
+//! Does a residual contain anything but noise?
 //!
-//! Whitened noise is white, a wrong model is smooth: the whitened residual of each trial and channel is projected on
-//! the first few cosines along the trial, repetitions of a condition are averaged (noise shrinks, misfit stays), and the
-//! squares are summed. The mean square is 1 for noise alone.
+//! Whitened noise is white, and the error of a wrong model is smooth. So the whitened residual of each trial and
+//! channel is projected on the first few cosines along the trial, repetitions of a condition are averaged (which
+//! reduces noise but not misfit), and the squares are summed. The mean square is 1 for noise alone.
 
 use super::observations::Observations;
 use std::f64::consts::PI;
 
-/// Cosines along a trial: our choice; features shorter than an eighth of a trial are left to the noise.
+/// Number of cosines along a trial: our choice; features shorter than an eighth of a trial count as noise.
 const WAVES: usize = 8;
 
-/// How far a whitened residual is from noise.
+/// Difference of a whitened residual from noise.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lack {
     /// Mean square of the smooth part: 1 for noise alone.
     pub mean: f64,
-    /// The greatest excess of the squares of one condition's one channel over their number, in standard deviations of that for
-    /// noise alone: a mean over many conditions does not show what one of them is wrong by.
+    /// The greatest excess of the squares of one condition's channel over their number, in standard deviations of
+    /// that excess for noise alone. A mean over many conditions would not show the misfit of a single one.
     pub worst: f64,
     /// Sum of the squares over their number, and that number.
     pub excess: f64,

@@ -1,7 +1,8 @@
-//! How likely the differences between repetitions are under a noise.
+//! Likelihood of the differences between repetitions under a noise model.
 //!
-//! Channels have noise of their own, so products of whitened columns are sums over channels. A search moves one number at a
-//! time: what the other channels contribute is kept, and the size of what a repetition has in common only scales products.
+//! Channels have independent noise, so products of whitened columns are sums over channels. A search changes one
+//! number at a time: the contributions of the other channels are kept, and the sizes of common directions only
+//! scale products.
 
 use super::noise::{ChannelFilter, ChannelNoise, Clock, Noise};
 use super::repeats::Repeats;
@@ -10,7 +11,8 @@ use crate::number::dot;
 use nalgebra::{DMatrix, DVector};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Noises of a channel whose products are kept: our choice, a few more than a gradient or a curvature goes through.
+/// Number of noises of a channel whose products are kept: our choice, slightly more than a gradient or a curvature
+/// needs.
 const KEPT: usize = 12;
 
 /// One condition, one channel.
@@ -20,10 +22,10 @@ struct Part {
     products: DMatrix<f64>,
 }
 
-/// Part of every condition, by the channel's noise.
+/// The terms of every condition, by the channel's noise.
 type Known = Mutex<Vec<(ChannelNoise, Arc<Vec<Part>>)>>;
 
-/// Differences of repetitions, asked for their likelihood again and again.
+/// Differences of repetitions, for repeated evaluation of their likelihood.
 pub struct Landscape<'a> {
     repeats: &'a [Repeats],
     steps: Vec<Vec<f64>>,
@@ -58,13 +60,13 @@ impl<'a> Landscape<'a> {
         total
     }
 
-    /// Of channel `c` under its own noise.
+    /// Terms of channel `c` under its own noise.
     fn parts(&self, c: usize, noise: &ChannelNoise) -> Arc<Vec<Part>> {
         let kept = || self.channels[c].lock().unwrap_or_else(PoisonError::into_inner);
         {
             let mut known = kept();
             if let Some(place) = known.iter().position(|k| k.0 == *noise) {
-                // What is asked for again goes to the end, and what stands first is forgotten first.
+                // An entry in use moves to the end, and the first one is dropped first.
                 let found = known.remove(place);
                 let parts = found.1.clone();
                 known.push(found);

@@ -1,6 +1,6 @@
 //! A small minimiser for smooth functions of few variables.
 
-/// Least value of `f` by BFGS with numerical gradients, from `x`, in at most `rounds` rounds.
+/// Minimises `f` by BFGS with numerical gradients, from `x`, in at most `rounds` rounds.
 pub fn minimise(f: impl Fn(&[f64]) -> f64, mut x: Vec<f64>, rounds: usize) -> Vec<f64> {
     let n = x.len();
     let gradient = |x: &[f64], value: f64| -> Vec<f64> {

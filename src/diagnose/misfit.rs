@@ -1,4 +1,4 @@
-//! Where the plain model errs, and what the error goes along with.
+//! The plain model's error, and the features that it is related to.
 
 use super::forward::{Feature, ForwardModel};
 use super::observations::Observations;
@@ -18,15 +18,15 @@ pub struct Misfit {
     /// Mean of (measured − predicted) along the predicted direction, and root mean square [unit of the channel].
     pub mean: f64,
     pub rms: f64,
-    /// Mean error over mean predicted size: how wrong in proportion; none where next to nothing is predicted.
+    /// Mean error over mean predicted size; None where the predicted size is negligible.
     pub relative: Option<f64>,
     pub samples: usize,
 }
 
-/// A proportion is stated where the predicted size is at least this share of the error's: our choice.
+/// A relative error is stated if the predicted size is at least this share of the error's: our choice.
 const PREDICTED: f64 = 0.2;
 
-/// Ranges a feature is cut into, each with the same number of samples.
+/// Number of ranges of a feature, each with the same number of samples.
 const RANGES: usize = 5;
 
 /// Error of `prediction` by every feature and shape.
@@ -34,7 +34,7 @@ pub fn misfit(observations: &Observations, model: &dyn ForwardModel, prediction:
     table(observations, model, prediction, |_| true)
 }
 
-/// The same over the units that `counts` keeps.
+/// The same over the units for which `counts` is true.
 fn table(
     observations: &Observations,
     model: &dyn ForwardModel,
@@ -66,7 +66,7 @@ fn table(
     table
 }
 
-/// Quantile ranges of a feature; its few values themselves where it takes few.
+/// Quantile ranges of a feature; its single values if it has only few.
 fn ranges(feature: &Feature) -> Vec<[f64; 2]> {
     let mut all: Vec<f64> = feature.values.iter().flatten().copied().collect();
     all.sort_by(f64::total_cmp);
@@ -117,18 +117,19 @@ fn add(
     }
 }
 
-/// An error is said to lie somewhere where it is this many times the least one of the same table: our choice.
+/// The report names a range if its error is this many times the smallest error of the same table: our choice.
 const UNEVEN: f64 = 1.25;
-/// It grows or falls along a feature though it dips by this share of its greatest size: our choice, a dip of noise.
+/// An error counts as increasing or decreasing along a feature despite reversals by this share of its greatest
+/// size: our choice, for noise.
 const DIP: f64 = 0.1;
 
-/// In one sentence: the shape that `prediction` gets wrong most, and where along the features that shape's error lies; none
-/// where it is much the same everywhere.
+/// One sentence: the shape with the largest error of `prediction`, and the ranges of the features where that error
+/// is large; None if it is similar everywhere.
 pub fn whereabouts(observations: &Observations, model: &dyn ForwardModel, prediction: &[f64]) -> Option<String> {
     whereabouts_of(observations, model, prediction, "the plain model's error")
 }
 
-/// The same of an error with another name.
+/// The same for an error with another name.
 pub fn whereabouts_of(
     observations: &Observations,
     model: &dyn ForwardModel,
@@ -175,7 +176,7 @@ fn sizes<'a>(table: &'a [Misfit], by: &str, observations: &Observations) -> Vec<
     rows.into_iter().map(|(row, square)| (row, square.sqrt())).collect()
 }
 
-/// How an error runs along one feature, and its greatest over its least size; none where it is even.
+/// The trend of an error along one feature, and its greatest over its least size; None if it is similar everywhere.
 fn course(rows: &[(&Misfit, f64)], unit: &str) -> Option<(f64, String)> {
     let low = rows.iter().min_by(|a, b| a.1.total_cmp(&b.1))?;
     let high = rows.iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
@@ -203,17 +204,17 @@ impl Misfit {
     }
 }
 
-/// A feature that a whitened residual goes along with; never a cause.
+/// A feature that a whitened residual is correlated with; it is never reported as a cause.
 #[derive(Clone, Debug, Serialize, PartialEq)]
 pub struct Correlate {
     pub feature: String,
     pub channel: String,
-    /// Change of the force per its own predicted size, when the feature goes from its least to its greatest value.
+    /// Change of the relative force when the feature goes from its least to its greatest value.
     pub strength: f64,
     pub delta_chi2: f64,
 }
 
-/// Terms of the sparse regression: our choice, more would not be read.
+/// Most terms of the sparse regression: our choice, for a short report.
 const TERMS: usize = 4;
 
 /// Greedy sparse regression of the whitened residual on prediction × feature and on |prediction| × feature, features scaled

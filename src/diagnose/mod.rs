@@ -1,12 +1,12 @@
 //! Diagnosis: show what the simulation gets wrong, name the cause, extend the model, measure the gain.
 //!
 //! data ([`force_log`] or [`walking_log`], [`experiment`]) → [`forward`] model ([`walking_model`] for runs) →
-//! [`noise`] from repetitions, with what they have in common ([`shared`]) → [`whiten`] → [`fit`]
-//! with [`nuisance`]s marginalised → [`select`]: [`calibrate`]d gates, then [`fitted`], then [`judged`] with [`discrepancy`],
+//! [`noise`] from repetitions, with what they have in common ([`shared`]) → [`whiten`] → [`fit`] with [`nuisance`]s
+//! marginalised → [`select`]: [`calibrate`]d gates, then [`fitted`], then [`judged`] with [`discrepancy`],
 //! [`nested`] and [`lack_of_fit`], then the pure [`verdict`] → [`view`] → [`report`].
 //!
-//! Everything from `noise` on sees only [`observations`] and a [`forward::ForwardModel`]: another kind of data needs its
-//! own reader and forward model, nothing else.
+//! Everything from `noise` on uses only [`observations`] and a [`forward::ForwardModel`]: another kind of data
+//! needs only its own reader and forward model.
 
 use sandgait_base::{error, parallel, progress, student};
 use sandgait_number as number;
@@ -30,7 +30,6 @@ pub mod experiment;
 pub mod fit;
 pub mod fitted;
 pub mod force_log;
-pub mod form;
 pub mod forward;
 pub mod further;
 pub mod intruder_log;
@@ -53,6 +52,7 @@ pub mod report;
 pub mod response;
 pub mod select;
 pub mod shared;
+pub mod speed_exponent;
 
 pub mod study;
 pub mod summary;
@@ -77,14 +77,14 @@ use report::{Curves, Diagnosis, Untestable};
 use select::{Asked, select};
 use std::path::Path;
 use study::Study;
-use view::{View, extension};
+use view::View;
 use walking_model::WalkingModel;
 use whiten::Whitener;
 
 pub use cli::run;
 
-/// Reads the data and diagnoses them. Errors name file, row and column of what cannot be read; an error of `progress`
-/// stops the work and is handed back.
+/// Reads the data and diagnoses them. Errors name file, row and column of what cannot be read; an error of
+/// `progress` stops the work and is returned.
 pub fn diagnose(data: &Path, experiment: &Experiment, progress: &dyn Progress) -> Result<Diagnosis> {
     let progress = &Latch::new(progress);
     progress.report(0.0, "reading the data")?;
@@ -115,20 +115,20 @@ pub fn diagnose(data: &Path, experiment: &Experiment, progress: &dyn Progress) -
     }
 }
 
-/// Measured numbers, and what is known of them beside.
+/// Measured numbers, and facts about them.
 pub struct Measured {
     pub observations: Observations,
     /// Relative prior standard deviation of each stress coefficient.
     pub coefficient_sd: f64,
-    /// Mechanisms of the sensor that are to be told as causes.
+    /// Mechanisms of the sensor that may be named as causes.
     pub interest: Vec<String>,
-    /// Of the data file.
+    /// Checksum of the data file.
     pub sha256: String,
-    /// What a reader of the report should know about how the numbers were prepared.
+    /// Notes for the report on how the numbers were prepared.
     pub notes: Vec<String>,
 }
 
-/// Diagnoses measured numbers with a forward model of them.
+/// Diagnoses measured numbers with a forward model for them.
 pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress: &dyn Progress) -> Result<Diagnosis> {
     let Measured { observations, coefficient_sd, interest, sha256, notes } = measured;
     progress.report(0.02, "noise from the repetitions")?;
@@ -167,7 +167,7 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
     progress.report(0.95, "report")?;
     let view = View { study: &study, source: &source, noise: &noise, selection: selection.as_ref(), floor };
     let report = view.report(untestable, sha256, notes);
-    let extension = selection.as_ref().and_then(extension);
+    let extension = selection.as_ref().and_then(select::Selection::extension);
     let mut sand = SandDescription::plain(model.medium());
     if let Some(fit) = extension.map(|c| &c.fit) {
         sand.name = format!("{}-extended", sand.name);
@@ -191,7 +191,7 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
     Ok(Diagnosis { report, sand, curves })
 }
 
-/// Causes that the data can be asked about, and the others with the reason.
+/// Causes that the data can show, and the others with the reason why not.
 fn testable(study: &Study) -> (Vec<usize>, Vec<Untestable>) {
     let (mut ids, mut untestable) = (Vec::new(), Vec::new());
     let coefficients = study.model.medium().coefficients;

@@ -1,42 +1,42 @@
-//! How an intruder moved: where it rests, which way it goes, how far it has come.
+//! The motion of an intruder: where it rests, its direction, and the distance travelled.
 //!
-//! Real drives start from rest, stop, and go on. Velocities and positions carry noise, so none of them is asked alone or
-//! at one sample only.
+//! Real drives start from rest, stop, and go on. Velocities and positions are noisy, so the decisions use both,
+//! over several samples.
 
 use super::experiment::Intruder;
 use super::force_log::{Pose, Track};
 
-/// Below this share of the trial's speed an intruder rests: our choice, above the noise of velocities at rest and far
-/// below any speed that a trial is about.
+/// Below this share of the trial's speed an intruder rests: our choice, above the noise of velocities at rest and
+/// far below any speed of interest.
 const REST: f64 = 0.05;
-/// A velocity up to this share is taken for noise where the position says that the intruder rests: our choice.
+/// A velocity up to this share counts as noise if the position shows rest: our choice.
 const NOISY_REST: f64 = 0.2;
-/// Samples to either side over which the position is looked at.
+/// Number of samples on either side over which the position is compared.
 const REACH: usize = 2;
-/// Share of the trial's extent within which a position may waver without having gone anywhere: our choice, 0.2 mm on a way
-/// of 4 cm, 1° on one of 200°.
+/// Share of the trial's extent within which fluctuations of the position do not count as motion: our choice, 0.2 mm
+/// on a distance of 4 cm, 1° on one of 200°.
 const SLACK: f64 = 0.005;
-/// Share of the trial's extent at which an intruder has surely set out: our choice. The direction errs by two times the
-/// position's noise over the extent.
+/// Share of the trial's extent after which an intruder has certainly started: our choice. The error of the
+/// direction is twice the position's noise over the extent.
 const SET_OUT: f64 = 0.5;
 
-/// Which way a trial goes first.
+/// The first direction of motion of a trial.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Heading {
-    /// Unit vector; of a leg (±1, 0), the way its angle goes. 0 if it never moves.
+    /// Unit vector; for a leg (±1, 0), the sign of its rotation. 0 if it never moves.
     along: [f64; 2],
-    /// Sample at which it has surely set out; the last one if it never does.
+    /// First sample at which it has certainly started; the last sample if it never does.
     pub until: usize,
 }
 
 impl Heading {
-    /// Does the trial go anywhere?
+    /// Does the intruder move in this trial?
     pub fn moves(&self) -> bool {
         self.along != [0.0; 2]
     }
 }
 
-/// What moves: a leg's angle, a plate's centre.
+/// The moving coordinates: a leg's angle, a plate's centre.
 fn place(track: &Track, pose: &Pose) -> [f64; 2] {
     match track.intruder {
         Intruder::Leg { .. } => [pose.theta, 0.0],
@@ -61,7 +61,7 @@ fn extent(track: &Track) -> f64 {
     track.poses.iter().map(|p| between(start, place(track, p))).fold(0.0, f64::max)
 }
 
-/// The way from the start to where the trial has surely set out.
+/// The displacement from the start until the trial has certainly started.
 pub fn heading(track: &Track) -> Heading {
     let (start, extent) = (place(track, &track.poses[0]), extent(track));
     let out = |p: &Pose| between(start, place(track, p)) >= SET_OUT * extent;
@@ -75,10 +75,12 @@ pub fn heading(track: &Track) -> Heading {
     }
 }
 
-/// Angle [rad] or path [m] travelled at each sample, counted from where the frame has its zero along `heading`: repetitions
-/// that start a little later are matched by where they are, not by when. Never decreasing: on a way back it goes on.
+/// Angle [rad] or path [m] travelled at each sample, counted from the frame's zero along `heading`. So repetitions
+/// that start at different times are matched by position and not by time. It never decreases; on a way back it
+/// keeps growing.
 ///
-/// A point is drawn along on a leash of [`SLACK`]: its path is free of the noise that a sum over samples would gather at rest.
+/// Fluctuations within [`SLACK`] do not count: a point follows the position at up to that distance, and the path is
+/// that point's. So noise at rest does not add up.
 pub fn progress(track: &Track, heading: &Heading) -> Vec<f64> {
     let start = place(track, &track.poses[0]);
     let from = start[0] * heading.along[0] + start[1] * heading.along[1];
@@ -98,8 +100,9 @@ pub fn progress(track: &Track, heading: &Heading) -> Vec<f64> {
     track.poses.iter().map(at).collect()
 }
 
-/// Samples at which the intruder moves; all of them if it never does. The force law knows the direction of a motion only,
-/// so it says nothing of an intruder at rest: what holds it there may be anything up to what it takes to move it.
+/// Samples at which the intruder moves; all samples if it never does. The force law depends on the direction of
+/// motion only, so it does not predict the force at rest, which may have any value up to the one that starts a
+/// motion.
 pub fn moving(track: &Track) -> Vec<usize> {
     let poses = &track.poses;
     let usual = usual_speed(track);
@@ -109,7 +112,7 @@ pub fn moving(track: &Track) -> Vec<usize> {
     };
     let moves = |i: &usize| {
         let logged = speed(track, &poses[*i]);
-        // At the edge of a rest it is seen on one side.
+        // At the ends of a rest only one side shows it.
         let before = seen(i.saturating_sub(REACH), *i);
         let after = seen(*i, (i + REACH).min(poses.len() - 1));
         let seen = before.min(after);
@@ -119,7 +122,7 @@ pub fn moving(track: &Track) -> Vec<usize> {
     if usual > 0.0 { all.filter(moves).collect() } else { all.collect() }
 }
 
-/// The logged speed at which half of the way is made: neither rests nor single wild samples move it much.
+/// The logged speed at the median of the path: rests and single outliers hardly affect it.
 fn usual_speed(track: &Track) -> f64 {
     let mut speeds: Vec<f64> = track.poses.iter().map(|p| speed(track, p)).collect();
     speeds.sort_by(f64::total_cmp);
@@ -136,8 +139,8 @@ fn usual_speed(track: &Track) -> f64 {
 mod tests {
     use super::*;
 
-    /// A plate that rests, goes down 3 cm at 0.1 m/s, rests, and comes up again, sampled every millisecond; positions
-    /// waver by `noise` [m].
+    /// A plate that rests, goes down 3 cm at 0.1 m/s, rests, and comes up again, sampled every millisecond; the
+    /// position's noise is `noise` [m].
     fn stroke(noise: f64) -> Track {
         let poses = (0..1000).map(|i| {
             let t = f64::from(i) * 1e-3;
@@ -161,7 +164,7 @@ mod tests {
             let track = stroke(noise);
             let along = progress(&track, &heading(&track));
             assert!(along.is_sorted());
-            // 3 cm down and, but for twice the leash of 0.15 mm, 3 cm up.
+            // 3 cm down and 3 cm up, less twice the slack of 0.15 mm.
             let (middle, end) = (along[600] - along[0], along[999] - along[0]);
             assert!((middle - 0.03).abs() < 3.0 * noise + 1e-6, "{noise}: {middle}");
             assert!((end - 0.06).abs() < 3.0 * noise + 5e-4, "{noise}: {end}");

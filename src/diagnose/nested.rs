@@ -1,8 +1,8 @@
-//! What the extension is worth on conditions that nothing has seen: in each fold the noise is learnt, the data are whitened and
-//! the causes are chosen anew, without the conditions held out.
+//! The gain of the extension on conditions that were used for nothing else: in each fold the noise is learnt, the
+//! data are whitened and the causes are chosen without the held-out conditions.
 //!
-//! Values are fitted by one Gauss-Newton step from where the full fits stand, which is exact for a linear model. A cause that the
-//! rest of the data does not show is not chosen in that fold.
+//! Values are fitted by one Gauss-Newton step from the full fits, which is exact for a linear model. A cause that
+//! the rest of the data does not show is not chosen in that fold.
 
 use super::calibrate::Gates;
 use super::cross_validation::HeldOut;
@@ -17,19 +17,20 @@ use crate::parallel;
 use nalgebra::{DMatrix, DVector};
 use std::sync::Arc;
 
-/// Folds: our choice, as many noises have to be learnt.
+/// Number of folds: our choice; each needs its own noise.
 const FOLDS: usize = 6;
-/// Candidates that each fold chooses from: the best of the full fit's size, and of single causes.
+/// Number of candidates in each fold: the best of the full fit's size, and of single causes.
 const CHOSEN_FROM: [usize; 2] = [4, 2];
-/// A cause whose information falls below this share of that of all data is not shown by the rest: our choice.
+/// If the information on a cause falls below this share of that in all data, the fold's data do not show it: our
+/// choice.
 const SHOWN: f64 = 0.02;
 
-/// Held-out errors of base and of the extension chosen in each fold.
+/// Held-out errors of the plain model and of the extension chosen in each fold.
 #[derive(Clone)]
 pub struct Nested {
-    /// Of what the sand is predicted to do.
+    /// Errors of the sand's prediction.
     pub sand: [HeldOut; 2],
-    /// Of what the sensor is predicted to read, with nuisances as the rest of the data has them.
+    /// Errors of the sensor's predicted readings, with nuisances fitted to the rest of the data.
     pub reading: [HeldOut; 2],
 }
 
@@ -44,7 +45,8 @@ pub fn nested(study: &Study, fitted: &Fitted, gates: &Gates, known: &Known) -> N
 /// Conditions held out in each fold.
 pub fn folds(conditions: usize) -> Vec<Vec<usize>> {
     let folds = FOLDS.min(conditions);
-    // Designs are in order; a step that has no divisor in common with their number scatters them.
+    // The conditions of a design are in order; a step that has no common divisor with their number scatters them
+    // over the folds.
     let stride = (conditions / 2 + 1..conditions + 2).find(|s| gcd(*s, conditions) == 1).unwrap_or(1);
     (0..folds).map(|f| (f..conditions).step_by(folds).map(|k| k * stride % conditions).collect()).collect()
 }
@@ -68,16 +70,16 @@ fn gcd(a: usize, b: usize) -> usize {
     if b == 0 { a } else { gcd(b, a % b) }
 }
 
-/// What is known before conditions are held out.
+/// Inputs that are known before conditions are held out.
 pub struct Known<'a> {
     pub source: &'a Source<'a>,
-    /// From which a search for the noise of the rest begins.
+    /// Start of the search for each fold's noise.
     pub noise: &'a Noise,
     pub beside: Option<&'a Beside>,
 }
 
 impl Known<'_> {
-    /// The whitening that the rest of the conditions teaches; numbers held out are 0 after it.
+    /// The whitening learnt from the other conditions; held-out numbers are 0 after it.
     pub fn without(&self, study: &Study, held: &[usize]) -> Whitener {
         let source = Source { left_out: held, ..*self.source };
         let noise = source.noise(Some(self.noise), &|| study.model.stopped());
@@ -88,7 +90,7 @@ impl Known<'_> {
     }
 }
 
-/// Whitened columns of one fold; fits share many.
+/// Whitened columns of one fold; fits share many of them.
 struct Whitened<'a> {
     whitener: &'a Whitener,
     known: Vec<(Column, Column)>,
@@ -105,7 +107,7 @@ impl Whitened<'_> {
     }
 }
 
-/// A candidate adjusted on a fold's rest.
+/// A candidate fitted to the rest of the data in a fold.
 struct Adjusted {
     step: Vec<f64>,
     /// Least objective on the rest.
@@ -113,7 +115,8 @@ struct Adjusted {
     shown: bool,
 }
 
-/// Held-out errors of base and choice on the conditions `held`, in their order: of the sand, and of readings.
+/// Held-out errors of the plain model and of the choice on the conditions `held`, in their order: of the sand, and
+/// of readings.
 fn fold(study: &Study, fitted: &Fitted, gates: &Gates, known: &Known, held: &[usize]) -> ([HeldOut; 2], [HeldOut; 2]) {
     let whitener = known.without(study, held);
     let mut whitened = Whitened { whitener: &whitener, known: Vec::new() };
@@ -146,7 +149,7 @@ fn fold(study: &Study, fitted: &Fitted, gates: &Gates, known: &Known, held: &[us
     (sand, both.map(|(fit, step)| errors(study, &study.reading(fit), fit, step, held)))
 }
 
-/// One Gauss-Newton step on what is not held out.
+/// One Gauss-Newton step on the data that are not held out.
 fn adjusted(study: &Study, whitened: &mut Whitened, fit: &Fit) -> Adjusted {
     let slopes: Vec<Column> = fit.slopes.iter().map(|s| whitened.of(s)).collect();
     let left: Vec<f64> = study.observations.values.iter().zip(study.reading(fit)).map(|(y, m)| y - m).collect();
@@ -158,7 +161,8 @@ fn adjusted(study: &Study, whitened: &mut Whitened, fit: &Fit) -> Adjusted {
     Adjusted { objective, step, shown }
 }
 
-/// Least squares step along whitened slopes, the last of which are those by `deviations` with their prior; and what it gains.
+/// Least squares step along whitened slopes, of which the last are those by `deviations` with their prior; and its
+/// gain.
 pub fn least_squares(slopes: &[Column], white: &[f64], deviations: &[f64]) -> (Vec<f64>, f64) {
     let n = slopes.len();
     let mut information = DMatrix::from_fn(n, n, |i, j| if j <= i { dot(&slopes[i], &slopes[j]) } else { 0.0 });

@@ -1,4 +1,4 @@
-//! The experiment that would tell rivals apart.
+//! Proposes the experiment that would distinguish rivals.
 
 use super::fit::Fit;
 use super::forward::Menu;
@@ -8,21 +8,21 @@ use super::study::Study;
 use super::whiten::Whitener;
 use serde::Serialize;
 
-/// A condition worth measuring.
+/// A proposed condition.
 #[derive(Clone, Debug, Serialize, PartialEq)]
 pub struct Proposal {
     pub condition: String,
     pub repetitions: usize,
     /// Whitened distance between the two explanations on these repetitions [σ].
     pub expected_separation: f64,
-    /// The closest pair of explanations, which this separates.
+    /// The two nearest explanations, which this condition separates.
     pub separates: [Vec<String>; 2],
 }
 
-/// Repetitions that a proposal assumes.
+/// Number of repetitions that a proposal assumes.
 const REPETITIONS: usize = 3;
 
-/// The `count` trials of the menu that best separate the two least separated explanations.
+/// The `count` trials of the menu that best separate the two nearest explanations.
 pub fn propose(menu: &Menu, noise: &Noise, study: &Study, set: &[&Fit], count: usize) -> Vec<Proposal> {
     let states: Vec<_> = set.iter().map(|f| (f.mechanisms, study.coefficients(&f.deviations))).collect();
     let predictions = menu.model.predict_many(&states);
@@ -31,7 +31,7 @@ pub fn propose(menu: &Menu, noise: &Noise, study: &Study, set: &[&Fit], count: u
     };
     let observations = Observations { values: first.clone(), ..menu.observations.clone() };
     let shared = menu.model.shared(mechanisms, coefficients, first);
-    // One unit stands for all repetitions, whose common error their number does not lessen.
+    // One unit represents all repetitions; more repetitions do not reduce their common error.
     let mut model_error = menu.model.model_error(mechanisms, coefficients, first);
     model_error.iter_mut().flatten().for_each(|e| *e *= (REPETITIONS as f64).sqrt());
     let mut own_error = menu.model.own_error(mechanisms, coefficients, first);
@@ -59,7 +59,8 @@ pub fn propose(menu: &Menu, noise: &Noise, study: &Study, set: &[&Fit], count: u
     let separations = separation(a, b);
     let mut order: Vec<usize> = (0..separations.len()).collect();
     order.sort_by(|i, j| separations[*j].total_cmp(&separations[*i]));
-    // Trials that differ only in what neither explanation feels separate equally: one of them is enough.
+    // Trials that differ only in a quantity without effect on both explanations separate them equally, so one of
+    // them is enough.
     order.dedup_by(|a, b| (separations[*a] / separations[*b] - 1.0).abs() < 1e-3);
     let names = |f: &Fit| f.ids.iter().map(|&id| crate::sand::mechanism::CATALOG[id].id.to_string()).collect();
     order

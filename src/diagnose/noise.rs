@@ -1,13 +1,16 @@
 //! The noise of the data, learnt from their own repetitions and nothing else.
 //!
-//! Three parts, after the prototype of the contract's section 4: what the whole trial has in common ([`super::shared`]: a
-//! gain of that bed, the phase of the hips), an AR(1) noise in proportion to a size S, and white sensor noise:
+//! Three parts, after the prototype of the contract's section 4: a part that the whole trial has in common
+//! ([`super::shared`]: the strength of its bed, the phase of the hips), an AR(1) noise in proportion to a size S,
+//! and white sensor noise:
 //!
-//! y_c(i) = m_c(i) + Σ_k g_k u_kc(i) + s_c(i) a(i) + b_c e(i), a(i) = φ a(i−1) + √(1−φ²) w(i), s_c(i) = grain_c S(i).
+//! y_c(i) = m_c(i) + Σ_k g_k u_kc(i) + s_c(i) a(i) + b_c e(i), a(i) = φ a(i−1) + √(1−φ²) w(i), s_c(i) = grain_c
+//! S(i).
 //!
-//! S is |F| in force logs (grains push on all channels alike) and the channel's own mean in walking runs. φ belongs to a step
-//! in a [`Clock`]: grains are met along the path, filters and amplifiers run in time; the repetitions say which fits better. The
-//! parts' sizes maximise the likelihood of the differences between repetitions, which no wrong model can bias.
+//! S is |F| in force logs (grains push on all channels alike) and the channel's own mean in walking runs. φ is the
+//! correlation over a step of a [`Clock`]: the noise of grains is correlated along the path, that of filters and
+//! amplifiers in time; the repetitions decide. The parts' sizes maximise the likelihood of the differences between
+//! repetitions, which a wrong model does not bias.
 
 use super::errors::Errors;
 use super::likelihood::Landscape;
@@ -31,17 +34,17 @@ pub struct ChannelNoise {
     pub phi: f64,
 }
 
-/// What the grain noise is correlated along.
+/// The coordinate along which the grain noise is correlated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Clock {
     /// From sample to sample.
     Sample,
-    /// Along the path; a step is a sixtieth of it (our choice: any length would do, φ goes with it).
+    /// Along the path; a step is a sixtieth of it (our choice; φ depends on it, the correlation does not).
     Path,
 }
 
 impl Clock {
-    /// Steps from each sample to the one before; the first has none.
+    /// Number of steps from each sample to the one before; none for the first.
     pub fn steps(self, progress: &[f64]) -> Vec<f64> {
         let way = progress.last().zip(progress.first()).map_or(0.0, |(last, first)| last - first);
         let step = |i: usize| match self {
@@ -61,21 +64,22 @@ pub struct Noise {
     pub shared: Vec<f64>,
 }
 
-/// Repetitions that scatter by less than this share of what they measure are copies, or simulations without noise: our choice,
-/// the rounding of a log with six digits.
+/// Repetitions that scatter by less than this share of the measured value are copies, or simulations without noise:
+/// our choice, the rounding of a log with six digits.
 const COPIES: f64 = 1e-6;
 
-/// What the proportional noise of each unit and channel is proportional to, sample by sample: the mean over repetitions,
-/// smoothed over five samples.
+/// The size that the proportional noise of each unit and channel is proportional to, sample by sample: the mean
+/// over repetitions, smoothed over five samples.
 pub type Sizes = Vec<Vec<Vec<f64>>>;
 
-/// See [`Sizes`].
+/// The same for other values than the measured ones. Near the data a model's own sizes are better. With measured
+/// sizes, samples that noise has made small would get too much weight, and every fit would be too low.
 pub fn sizes(observations: &Observations) -> Sizes {
     sizes_of(observations, &observations.values)
 }
 
-/// The same of other values than those measured. Where a model is near the data its own are the better ones: measured small where
-/// noise made them small, samples would count for more because of their noise, and every fit would come out low.
+/// The same for other values than the measured ones. Near the data a model's own sizes are better. With measured
+/// sizes, samples that noise has made small would get too much weight, and every fit would be too low.
 pub fn sizes_of(observations: &Observations, values: &[f64]) -> Sizes {
     let groups = observations.repetitions();
     let mut out = vec![Vec::new(); observations.units.len()];
@@ -119,7 +123,8 @@ pub struct ChannelFilter {
 }
 
 impl ChannelFilter {
-    /// `clock` has the steps between samples ([`Clock::steps`]), `own` the variance of each sample alone, if it is not empty.
+    /// `clock` has the steps between samples ([`Clock::steps`]), `own` the additional variance of each sample, if
+    /// any.
     pub fn new(noise: &ChannelNoise, magnitude: &[f64], clock: &[f64], own: &[f64]) -> Self {
         let (mut variance, mut log_determinant, mut product) = (1.0, 0.0, 1.0);
         let steps: Vec<_> = magnitude
@@ -132,7 +137,7 @@ impl ChannelFilter {
                 let s = noise.grain * size;
                 let total = s * s * variance + noise.sensor * noise.sensor + own.get(i).copied().unwrap_or(0.0);
                 let gain = variance * s / total;
-                // One logarithm for many factors, before their product leaves the range of a number.
+                // One logarithm for a product of many factors, before the product overflows.
                 product *= total;
                 if !(1e-150..1e150).contains(&product) {
                     log_determinant += f64::ln(product);
@@ -157,22 +162,22 @@ impl ChannelFilter {
     }
 }
 
-/// All that noise is learnt from.
+/// The data from which noise is learnt.
 pub struct Source<'a> {
     pub observations: &'a Observations,
     pub prediction: &'a [f64],
     pub sizes: &'a Sizes,
     pub shared: &'a [Shared],
-    /// What [`super::forward::ForwardModel::model_error`] says at `prediction`. Repetitions differ by none of it.
+    /// [`super::forward::ForwardModel::model_error`] at `prediction`. It is equal in all repetitions.
     pub model_error: &'a [Vec<f64>],
-    /// What [`super::forward::ForwardModel::own_error`] says there.
+    /// [`super::forward::ForwardModel::own_error`] at `prediction`.
     pub own_error: &'a [f64],
-    /// Conditions from which nothing is learnt.
+    /// Conditions that are not used.
     pub left_out: &'a [usize],
 }
 
 impl Source<'_> {
-    /// A first guess from the size of the differences; the search starts here.
+    /// A first estimate from the size of the differences; the search starts here.
     fn guess(&self, repeats: &[Repeats], clock: Clock) -> Noise {
         let channel = |c: usize| {
             let (mut square, mut size, mut count) = (0.0, 0.0, 0.0);
@@ -183,7 +188,7 @@ impl Source<'_> {
                     count += d[c].len() as f64;
                 }
             }
-            // A log without any scatter still has its last digit: 1e-9 keeps the likelihood finite.
+            // Even a log without scatter has a last digit: 1e-9 keeps the likelihood finite.
             let sd = (square / f64::max(count, 1.0)).sqrt().max(1e-9);
             let grain = 0.7 * sd / (size / f64::max(count, 1.0)).sqrt().max(1e-9);
             let phi = 0.6;
@@ -193,23 +198,23 @@ impl Source<'_> {
         Noise { clock, channels, shared: self.shared.iter().map(|s| s.guess).collect() }
     }
 
-    /// Learns the noise from the repetitions; `start` is an earlier estimate of nearly the same data. Once `stopped` it is
-    /// whatever has been found.
+    /// Learns the noise from the repetitions; `start` is an earlier estimate from similar data. After a stop it
+    /// returns the estimate reached so far.
     pub fn noise(&self, start: Option<&Noise>, stopped: &(dyn Fn() -> bool + Sync)) -> Noise {
         let repeats = self.repeats();
         if let Some(start) = start {
             return self.search(&repeats, start.clock, Some(start), stopped).0;
         }
         let of = |clock: &Clock| self.search(&repeats, *clock, None, stopped);
-        // One number a unit has no correlation along it.
+        // A unit with a single number has no correlation.
         let clocks = [Clock::Sample, Clock::Path];
         let clocks = if self.observations.units.iter().any(|u| u.samples > 1) { &clocks[..] } else { &clocks[..1] };
         let found = crate::parallel::map(clocks, of).into_iter().min_by(|a, b| a.1.total_cmp(&b.1));
         found.map_or_else(|| self.guess(&repeats, Clock::Sample), |f| f.0)
     }
 
-    /// Which of the optional shared directions the repetitions ask for: those without which `noise` would be less likely than
-    /// chance makes it (at 95 %). What is not there cannot be known, and would make the gates wide.
+    /// The optional shared directions that the repetitions support: those without which `noise` would be less
+    /// likely than by chance (at 95 %). Directions without support cannot be estimated and would widen the gates.
     pub fn asked_for(&self, noise: &Noise) -> Vec<&'static str> {
         let repeats = self.repeats();
         let landscape = Landscape::new(&repeats, noise.clock);
@@ -222,7 +227,7 @@ impl Source<'_> {
         self.shared.iter().enumerate().filter(needed).map(|(_, s)| s.name).collect()
     }
 
-    /// The likeliest noise with a given clock, and −2 log likelihood there.
+    /// The likeliest noise for a given clock, and its −2 log likelihood.
     fn search(
         &self,
         repeats: &[Repeats],
@@ -238,8 +243,8 @@ impl Source<'_> {
         (Noise::unpack(&found, self.observations.channels.len(), clock), value)
     }
 
-    /// −2 log likelihood by packed noise, with a prior of three e-folds about the guess: it matters only where the data say
-    /// nothing.
+    /// −2 log likelihood of packed noise, plus a prior of three e-folds about the guess, which matters only where
+    /// the data contain no information.
     fn deviance<'b>(
         &'b self,
         repeats: &'b [Repeats],
@@ -257,9 +262,9 @@ impl Source<'_> {
         }
     }
 
-    /// Noises as likely as `noise` by the repetitions: drawn from the normal distribution that their likelihood is about its
-    /// greatest. The repetitions' differences, from which noise is learnt, know nothing of the repetitions' mean, in which
-    /// causes are sought; so a noise may be drawn apart from data.
+    /// Noises that the repetitions make as likely as `noise`, drawn from the normal approximation of their
+    /// likelihood. Noise is learnt from the differences between repetitions, and causes from their means; the two
+    /// are independent, so a noise can be drawn without the data.
     pub fn draws(&self, noise: &Noise, count: usize, stopped: &(dyn Fn() -> bool + Sync)) -> Vec<Noise> {
         let repeats = self.repeats();
         let center = self.guess(&repeats, noise.clock).pack();
@@ -282,8 +287,8 @@ impl Source<'_> {
             (curvature[(i, j)], curvature[(j, i)]) = (value, value);
         }
         let eigen = curvature.symmetric_eigen();
-        // A deviance is −2 ln likelihood: twice the inverse is the covariance. Where it hardly bends the prior holds: its curvature
-        // is 2/9.
+        // A deviance is −2 ln likelihood, so the covariance is twice the inverse of its curvature. Where the
+        // curvature is small, that of the prior, 2/9, takes its place.
         let root: Vec<f64> = eigen.eigenvalues.iter().map(|c| (2.0 / c.max(2.0 / 9.0)).sqrt()).collect();
         let least = deviance(&at);
         let draw = |seed: &usize| {
@@ -292,7 +297,8 @@ impl Source<'_> {
             let expected = share.norm_squared();
             let moved = &eigen.eigenvectors * share.component_mul(&DVector::from_column_slice(&root));
             let place = |part: f64| at.iter().zip(moved.iter()).map(|(a, m)| a + part * m).collect::<Vec<f64>>();
-            // The likelihood is not quite normal: a draw that is far less likely than it should be goes nearer.
+            // The likelihood is not quite normal: a draw that is far less likely than expected moves toward the
+            // maximum.
             let parts =
                 (0..6).map(|k| 0.5f64.powi(k)).find(|part| deviance(&place(*part)) - least <= 1.5 * expected + 5.0);
             Noise::unpack(&place(parts.unwrap_or(0.0)), self.observations.channels.len(), noise.clock)
@@ -300,8 +306,8 @@ impl Source<'_> {
         crate::parallel::map(&(0..count).collect::<Vec<_>>(), draw)
     }
 
-    /// Scatter of repetitions over the channels that count in the error: what no model can predict. Conditions made once have
-    /// none to show.
+    /// Scatter of repetitions over the channels that count in the error: no model can predict it. Conditions
+    /// without repetitions do not contribute.
     pub fn floor(&self) -> Errors {
         let of = |group: &Vec<usize>| {
             let (mut square, mut count) = (0.0, 0.0);
@@ -318,7 +324,7 @@ impl Source<'_> {
     }
 }
 
-/// Do the repetitions scatter, so that they are a noise floor? Copies do not.
+/// Is there scatter between the repetitions, so that they give a noise floor? Copies have none.
 pub fn scatters(observations: &Observations, floor: &Errors) -> bool {
     let counted = observations.channels.iter().enumerate().filter(|c| c.1.in_rmse);
     let blocks = counted.flat_map(|(c, _)| observations.units.iter().map(move |u| u.block(c)));
@@ -340,7 +346,7 @@ impl Noise {
         Self { clock, channels: own.chunks(3).map(channel).collect(), shared: shared.iter().map(|s| s.exp()).collect() }
     }
 
-    /// Adds a draw of this noise to `values`, and of the model's error, alike for all repetitions of a condition.
+    /// Adds a draw of this noise to `values`, and of the model's error, equal for all repetitions of a condition.
     pub fn add(&self, source: &Source, values: &mut [f64], rng: &mut impl Rng) {
         for stack in source.model_error {
             let shares: Vec<f64> = source.observations.conditions.iter().map(|_| normal(rng)).collect();

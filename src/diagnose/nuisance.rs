@@ -1,8 +1,9 @@
-//! What measuring does to data in every laboratory: never a cause of what the sand does, so marginalised like the coefficients.
+//! Nuisances: effects of measuring that occur in every laboratory. They are not causes in the sand, so they are
+//! marginalised like the coefficients.
 //!
-//! A nuisance is a column: the change of the data by one prior standard deviation of it, taken about the current fit. What all
-//! trials share stands here; what each trial has of its own (offset, drift, surface, strength of its bed) is noise of low rank
-//! whose size the repetitions tell ([`super::shared`]).
+//! A nuisance is a column: the change of the data by one prior standard deviation, computed at the current fit.
+//! Nuisances that all trials share are here; those that each trial has of its own (offset, drift, surface, strength
+//! of its bed) are noise of low rank whose size is learnt from the repetitions ([`super::shared`]).
 
 use super::fit::Column;
 use crate::error::{Error, Result, check_range};
@@ -20,7 +21,8 @@ pub struct Nuisance {
     pub sd: f64,
     /// Change of the data by one standard deviation.
     pub column: Column,
-    /// What the change where the column was taken differs by from so many columns: a filter's is no straight line.
+    /// Difference between the effect and as many columns as the nuisance's value, where the column was computed:
+    /// the effect of a filter is not linear.
     pub bend: Option<Column>,
 }
 
@@ -37,15 +39,16 @@ impl Nuisance {
     }
 }
 
-/// Kinds of nuisances with unit and default prior standard deviation. Our choices, as wide as in a laboratory that was set up
-/// with care: a load cell's zero within a tenth of what it reads, its gain within 2 %, mounted within 3°; the surface within
-/// 2 mm; clocks within 2 ms and 0.1 %; filters up to some 5 ms; half the length of a body within 1 mm, the friction of its surface
-/// within 0.15.
+/// Kinds of nuisances with unit and default prior standard deviation. Our choices, typical for a careful
+/// laboratory: a load cell's zero within a tenth of what it reads, its gain within 2 %, mounted within 3°; the
+/// surface within 2 mm; clocks within 2 ms and 0.1 %; filters up to some 5 ms; half the length of a body within 1
+/// mm, the friction of its surface within 0.15.
 ///
-/// Of a robot's log: an IMU mounted within 3° whose log is 10 ms late, its zeros within 0.05 rad/s and 0.1 m/s²; torques within 2 %, their
-/// zeros and the friction of the joints within 5 % of what they read; the mass within 2 %; beds that scatter by 5 %;
-/// and rigid bodies and sand that are, part of a stride by part, within 10 % of a channel's swing what they stand for: two simulators of the
-/// same robot on the same sand differ by half of that, but alike in neighbouring parts.
+/// Of a robot's log: an IMU mounted within 3° whose log is 10 ms late, its zeros within 0.05 rad/s and 0.1 m/s²;
+/// torques within 2 %, their zeros and the friction of the joints within 5 % of what they read; the mass within 2
+/// %; beds that scatter by 5 %; and errors of the simulation of up to 10 % of a channel's range, independent
+/// between parts of a stride: two simulators of the same robot on the same sand differ by half of that, but
+/// similarly in neighbouring parts.
 const KINDS: [(&str, &str, f64); 19] = [
     ("offset", "1", 0.1),
     ("gain", "1", 0.02),
@@ -68,11 +71,11 @@ const KINDS: [(&str, &str, f64); 19] = [
     ("model_error", "1", 0.1),
 ];
 
-/// The table `[nuisances]` of an experiment: kind → prior standard deviation; 0 for what cannot be.
+/// The table `[nuisances]` of an experiment: kind → prior standard deviation; 0 excludes the nuisance.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Priors {
     sd: BTreeMap<&'static str, f64>,
-    /// Mechanisms of the sensor that are causes all the same.
+    /// Mechanisms of the sensor that may be named as causes.
     pub interest: Vec<String>,
 }
 
@@ -82,7 +85,7 @@ impl Default for Priors {
     }
 }
 
-/// As it stands in the file.
+/// The table as it is in the file.
 #[derive(Deserialize)]
 #[serde(untagged)]
 pub enum Entry {

@@ -1,4 +1,4 @@
-//! Measured numbers in one stack, apart from how they were measured: what the statistics see.
+//! Measured numbers in one stack, independent of how they were measured: the input of the statistics.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -8,7 +8,8 @@ use std::ops::Range;
 pub struct Channel {
     pub name: &'static str,
     pub unit: &'static str,
-    /// Counts in the held-out error [unit of the channel]; torque does not, it has another unit than force.
+    /// Does it count in the held-out error [unit of the channel]? Torque does not, because its unit differs from
+    /// force.
     pub in_rmse: bool,
 }
 
@@ -17,10 +18,11 @@ pub struct Channel {
 pub struct Unit {
     pub id: String,
     pub condition: usize,
-    /// Where its block of `samples × channels` numbers starts in the stack; channel by channel.
+    /// Start of its block of `samples × channels` numbers in the stack; channel by channel.
     pub start: usize,
     pub samples: usize,
-    /// Increases along the trial and means the same in every repetition (angle travelled [rad], path [m]).
+    /// Coordinate that increases along the trial and is comparable between repetitions (angle travelled [rad], path
+    /// [m]).
     pub progress: Vec<f64>,
 }
 
@@ -32,7 +34,7 @@ impl Unit {
     }
 }
 
-/// What proportional noise is proportional to.
+/// The size that proportional noise is proportional to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Size {
     /// The size of the force that the first two channels make.
@@ -41,14 +43,14 @@ pub enum Size {
     Channel,
 }
 
-/// Everything measured.
+/// All measured data.
 #[derive(Clone, Debug)]
 pub struct Observations {
     pub size: Size,
     pub values: Vec<f64>,
     pub channels: Vec<Channel>,
     pub units: Vec<Unit>,
-    /// Names of the conditions; repetitions of one condition differ by chance only.
+    /// Names of the conditions; repetitions of a condition differ by chance only.
     pub conditions: Vec<String>,
 }
 
@@ -67,13 +69,13 @@ impl Observations {
         groups
     }
 
-    /// Has any condition a repetition? Without one there is no noise floor.
+    /// Does any condition have repetitions? Without them there is no noise floor.
     pub fn has_replicates(&self) -> bool {
         self.repetitions().iter().any(|units| units.len() > 1)
     }
 }
 
-/// Numbers names in order of appearance.
+/// Assigns numbers to names in order of appearance.
 #[derive(Default)]
 pub struct Names {
     places: BTreeMap<String, usize>,
@@ -91,7 +93,7 @@ impl Names {
     }
 }
 
-/// `values` given at increasing `from`, interpolated linearly at `at`; held constant beyond the ends.
+/// Interpolates `values`, given at increasing `from`, linearly at `at`; constant beyond the ends.
 pub fn interpolate(from: &[f64], values: &[f64], at: f64) -> f64 {
     let right = from.partition_point(|&p| p < at);
     if right == 0 {

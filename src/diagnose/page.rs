@@ -1,4 +1,4 @@
-//! What a diagnosis writes: `report.json`, `sand.toml`, and `report.html`, one self-contained page made for looking.
+//! Writes the results of a diagnosis: `report.json`, `sand.toml`, and `report.html`, one self-contained page.
 
 use super::misfit::Misfit;
 use super::report::{Curves, Diagnosis, Report};
@@ -16,7 +16,7 @@ td:first-child,th:first-child{text-align:left}.verdict{font-size:1.15em;padding:
 svg{background:#fff;max-width:100%;height:auto}small{color:#666}.key{display:inline-block;width:.8em;height:.8em;margin:0 .3em 0 1em}";
 
 impl Diagnosis {
-    /// Writes report.json, report.html and sand.toml; all are made before the first is written.
+    /// Writes report.json, report.html and sand.toml. All contents are made before the first file is written.
     pub fn write(&self, out: &Path) -> Result<()> {
         let json = self.json()?;
         let html = page(self, &json);
@@ -30,7 +30,7 @@ impl Diagnosis {
     }
 }
 
-/// The page; `json` is embedded so that the page is the whole record.
+/// The page; it embeds `json`, so that it contains all results.
 fn page(diagnosis: &Diagnosis, json: &str) -> String {
     let r = &diagnosis.report;
     let mut html = format!(
@@ -107,7 +107,7 @@ fn causes(html: &mut String, r: &Report) {
     html.push_str("</table>");
 }
 
-/// What the data say of the power of the speed in the law that comes nearest.
+/// The result on the exponent of the speed in the nearest law.
 fn form(html: &mut String, r: &Report) {
     let Some(form) = &r.form else { return };
     let [low, high] = form.ci95;
@@ -115,8 +115,8 @@ fn form(html: &mut String, r: &Report) {
     let said = match (form.excluded, form.told_apart) {
         _ if lacking => "other misfit remains, so the interval is too narrow",
         (true, _) => "the data exclude the law's",
-        (false, true) => "the data bear out the law's",
-        (false, false) => "the data do not tell the law's from others",
+        (false, true) => "the data agree with the law's",
+        (false, false) => "the data do not distinguish the law's from others",
     };
     let _ = write!(
         html,
@@ -126,7 +126,7 @@ fn form(html: &mut String, r: &Report) {
     );
 }
 
-/// What the bars of a map are: the forces, not the torque, which has a size of its own.
+/// The caption of a map's bars: forces, without the torque, which has another unit.
 fn mapped(misfit: &[Misfit]) -> Vec<&str> {
     let mut channels: Vec<&str> = Vec::new();
     for m in misfit.iter().filter(|m| m.channel != "Ty") {
@@ -156,7 +156,7 @@ fn maps(html: &mut String, misfit: &[Misfit]) {
     html.push_str("</div>");
 }
 
-/// Where bars start and the longest of them, width of a map, and the height of a bar [px].
+/// Start of the bars, length of the longest, width of a map, and height of a bar [px].
 const ZERO: f64 = 222.0;
 const LONGEST: f64 = 62.0;
 const MAP: usize = 344;
@@ -169,7 +169,7 @@ fn map(html: &mut String, by: &str, misfit: &[Misfit], channels: &[&str]) {
         .filter(|m| m.by == by)
         .filter_map(|m| Some((m.relative?, channels.iter().position(|c| *c == m.channel)?, m)))
         .collect();
-    // A feature that takes one value only shows nothing.
+    // A feature with a single value has no trend.
     let several = rows.iter().any(|r| r.2.place() != rows[0].2.place());
     let Some(top) = rows.iter().map(|r| r.0.abs()).reduce(f64::max).filter(|_| several) else { return };
     let height = BAR * rows.len() + 30;
@@ -197,15 +197,16 @@ fn map(html: &mut String, by: &str, misfit: &[Misfit], channels: &[&str]) {
     let _ = write!(html, "<line x1={ZERO} x2={ZERO} y1=22 y2={} stroke='#888'/></svg>", height - 6);
 }
 
-/// Conditions drawn at most, those where the plain model errs most: our choice, a page is to be read.
+/// Most conditions in a figure, those with the largest errors of the plain model: our choice, so that the page
+/// stays readable.
 const CURVES: usize = 9;
 
-/// Samples drawn of a trial at most: our choice, more are not told apart.
+/// Most samples of a trial in a figure: our choice; more cannot be distinguished.
 const DRAWN: usize = 100;
 
 fn curves(html: &mut String, c: &Curves) {
     html.push_str("<h2>Measured and predicted</h2>");
-    // A run of a robot is one number, a trial of a force log many.
+    // A robot's run has one number a channel, a trial of a force log many.
     let figures = if c.observations.units.iter().all(|u| u.samples == 1) { by_condition(c) } else { by_progress(c) };
     figures.iter().for_each(|f| html.push_str(&f.svg()));
 }
@@ -214,7 +215,8 @@ fn measured(points: Vec<[f64; 2]>) -> Mark {
     Mark::line("measured", Style { width: 0.0, ..Style::line(color::BLACK).with_dots() }, points)
 }
 
-/// A figure for each force: load over progress, a panel for each of the conditions where the plain model errs most.
+/// A figure for each force: load over progress, one panel for each of the conditions with the largest errors of the
+/// plain model.
 fn by_progress(c: &Curves) -> Vec<Figure> {
     let o = &c.observations;
     let error = |u: usize| {
@@ -245,7 +247,7 @@ fn panel(c: &Curves, u: usize, channel: usize) -> Panel {
         v.block(channel).zip(&v.progress).map(|(k, p)| [*p, o.values[k]]).step_by(v.samples.div_ceil(DRAWN))
     });
     let dots: Vec<[f64; 2]> = dots.collect();
-    // The band may be far wider than everything else: it does not set the scale.
+    // The band may be far wider than all curves, so it does not set the scale.
     let shown = dots.iter().copied().chain(at(&|k| c.plain[k])).chain(at(&|k| model[k])).map(|p| p[1]);
     let [least, most] = shown.fold([f64::MAX, f64::MIN], |r, v| [r[0].min(v), r[1].max(v)]);
     let air = 0.08 * (most - least).max(1e-9);
@@ -265,7 +267,7 @@ fn panel(c: &Curves, u: usize, channel: usize) -> Panel {
     }
 }
 
-/// A unit behind a name; none where dimensionless.
+/// A unit after a name; empty if dimensionless.
 fn bracketed(unit: &str) -> String {
     if unit == "1" { String::new() } else { format!(" [{unit}]") }
 }
@@ -274,7 +276,7 @@ fn bracketed(unit: &str) -> String {
 fn by_condition(c: &Curves) -> Vec<Figure> {
     let o = &c.observations;
     let panel = |channel: usize| {
-        // Side by side, so that what agrees does not hide.
+        // Markers are side by side, so that equal values do not hide each other.
         let at = |values: &[f64], aside: f64| -> Vec<[f64; 2]> {
             o.units.iter().map(|u| [u.condition as f64 + 1.0 + aside, values[u.block(channel).start]]).collect()
         };
@@ -283,7 +285,7 @@ fn by_condition(c: &Curves) -> Vec<Figure> {
         };
         let mut marks = vec![measured(at(&o.values, 0.0)), dots("plain", color::BLUE, at(&c.plain, -0.25))];
         marks.extend(c.extended.as_ref().map(|e| dots("extended", color::VERMILION, at(e, 0.25))));
-        // In a figure an underscore would make a subscript.
+        // In a figure an underscore would start a subscript.
         let name = o.channels[channel].name.replace('_', " ");
         let y = Axis::new(&format!("{name}{}", bracketed(o.channels[channel].unit)));
         Panel { title: name, x: Axis::new("condition, in the order of the data"), y, marks }
@@ -292,7 +294,7 @@ fn by_condition(c: &Curves) -> Vec<Figure> {
     vec![Figure { title: "Every run and its predictions".into(), panels, columns: 2, note: String::new() }]
 }
 
-/// Of runs each is one number a channel: a table beside the figure.
+/// Runs have one number a channel: a table beside the figure.
 fn runs(html: &mut String, r: &Report) {
     html.push_str("<details><summary>The same as a table, means over repetitions</summary><table><tr><th>condition<th>channel<th>measured<th>plain<th>extended<th>unit");
     for run in &r.runs {

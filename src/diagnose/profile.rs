@@ -1,26 +1,27 @@
-//! How far a fitted value can be moved: the objective at finite steps, everything else fitted again.
+//! Profile likelihood of fitted values: the objective at finite steps of a value, with everything else fitted again
+//! (e.g. Venzon & Moolgavkar 1988).
 //!
-//! Where a gait sticks or stalls the objective is rough, and a slope at one place says nothing of it a step away: a fit stops in
-//! a minimum beside a deeper one. So the values are moved and their runs simulated; the fit goes to the lowest place, and the
-//! interval reaches from the first to the last place where the objective is within what noise allows (profile likelihood, e.g.
-//! Venzon & Moolgavkar 1988).
+//! Where a gait sticks or stalls the objective is rough, so slopes are valid only locally, and a fit may end in a
+//! local minimum. So values are changed by finite steps and their runs simulated. The fit moves to the lowest
+//! point, and the interval reaches from the first to the last point at which the objective is within the noise's
+//! tolerance.
 
 use super::fit::Fit;
 use super::study::Study;
 use crate::sand::mechanism::CATALOG;
 use nalgebra::{DMatrix, DVector};
 
-/// Places on either side at which a value is tried, in standard deviations of the slope-based interval. Our choice: close
-/// together where a smooth objective crosses, far out because a rough one may cross there again.
+/// Steps on either side, in standard deviations of the slope-based interval. Our choice: close together where a
+/// smooth objective crosses the tolerance, and some far out, because a rough one may cross it again.
 const STEPS: [f64; 11] = [0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 9.0, 13.0, 20.0];
 
-/// Rounds at most: a lower place that a scan finds is scanned about again. Our choice.
+/// Most rounds: each lower point that a scan finds is scanned again. Our choice.
 const ROUNDS: usize = 3;
-/// A place that much lower [χ²] is another minimum: our choice, a quarter of what one σ does.
+/// A point this much lower [χ²] is another minimum: our choice, a quarter of the effect of one σ.
 const LOWER: f64 = 0.25;
 
-/// The lowest place that scans of each value about `fit` find, and the first and last coordinate of each value at which the
-/// objective is within `allowed` of that.
+/// The lowest point in scans of each value about `fit`, and the first and last coordinate of each value at which
+/// the objective is within `allowed` of it.
 pub fn explore(study: &Study, fit: &Fit, allowed: f64) -> (Fit, Vec<[f64; 2]>) {
     let mut best = fit.clone();
     let mut round = 1;
@@ -39,7 +40,7 @@ pub fn explore(study: &Study, fit: &Fit, allowed: f64) -> (Fit, Vec<[f64; 2]>) {
 
 fn interval(fit: &Fit, scan: &[Fit], k: usize, allowed: f64) -> [f64; 2] {
     if scan.is_empty() {
-        return [f64::NAN; 2]; // the slopes have to do
+        return [f64::NAN; 2]; // the slope-based interval has to suffice
     }
     let place = |fit: &Fit| (fit.coordinates()[k], fit.objective);
     let mut all: Vec<(f64, f64)> = scan.iter().map(place).chain([place(fit)]).collect();
@@ -49,8 +50,8 @@ fn interval(fit: &Fit, scan: &[Fit], k: usize, allowed: f64) -> [f64; 2] {
     [low.min(place(fit).0), high.max(place(fit).0)]
 }
 
-/// First and last place of a scan (place, objective) at which the objective is at most `allowed` above `least`. Between a
-/// place inside and its neighbour outside the rise is taken to be quadratic about the least, as it is where smooth.
+/// First and last point of a scan (coordinate, objective) with an objective of at most `allowed` above `least`.
+/// Between a point inside and its neighbour outside, a quadratic rise is assumed, as for a smooth objective.
 pub fn within(scan: &[(f64, f64)], least: f64, allowed: f64) -> [f64; 2] {
     let inside: Vec<usize> = (0..scan.len()).filter(|&k| scan[k].1 <= least + allowed).collect();
     let (Some(&first), Some(&last)) = (inside.first(), inside.last()) else { return [f64::NAN; 2] };
@@ -64,8 +65,8 @@ pub fn within(scan: &[(f64, f64)], least: f64, allowed: f64) -> [f64; 2] {
     [low, high]
 }
 
-/// Fits with value `k` held at each place about that of `fit`: the others are moved as the slopes at `fit` say, then once more
-/// as the residual there says, where that helps.
+/// Fits with value `k` held at each point about that of `fit`. The other values change as the slopes at `fit`
+/// predict, and then once more as the residual there demands, if that helps.
 fn scan(study: &Study, fit: &Fit, k: usize) -> Vec<Fit> {
     let (at, bounds) = (fit.coordinates()[k], CATALOG[fit.ids[k]].coordinate_bounds());
     let sd = fit.covariance()[(k, k)].sqrt();
@@ -88,7 +89,7 @@ fn scan(study: &Study, fit: &Fit, k: usize) -> Vec<Fit> {
     moved.into_iter().zip(second).map(|(a, b)| if b.objective < a.objective { b } else { a }).collect()
 }
 
-/// A step of all parameters from that of the others and that of parameter `k`.
+/// A step of all parameters, from that of the others and that of parameter `k`.
 fn whole(others: &[usize], step: &DVector<f64>, k: usize, own: f64) -> Vec<f64> {
     let mut all = vec![0.0; others.len() + 1];
     others.iter().zip(step.iter()).for_each(|(&i, s)| all[i] = *s);
@@ -108,7 +109,7 @@ mod tests {
             (low + 2.0 * 3.84f64.sqrt()).abs() < 1e-9 && (high - 2.0 * 3.84f64.sqrt()).abs() < 1e-9,
             "{low} {high}"
         );
-        // Rough: it comes down again at 6, and the last place is inside.
+        // Rough: the objective falls again at 6, and the last point is inside.
         let rough = [(0.0, 1.0), (1.0, 9.0), (2.0, 1.0), (3.0, 50.0), (6.0, 4.0)];
         assert_eq!(within(&rough, 1.0, 3.84), [0.0, 6.0]);
     }

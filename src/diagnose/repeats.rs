@@ -1,30 +1,30 @@
-//! Repetitions of a condition laid beside each other: what differs between them only noise can have made.
+//! Matches the repetitions of a condition; only noise can cause their differences.
 
 use super::noise::Source;
 use super::observations::{Observations, Unit};
 use super::shared::Shared;
 
-/// Repetitions of one condition, matched by progress: what differs between them only noise can have made.
+/// Repetitions of one condition, matched by progress.
 pub struct Repeats {
     /// Channel by channel.
     pub sizes: Vec<Vec<f64>>,
     /// Progress of the matched samples.
     pub progress: Vec<f64>,
-    /// Directions of what a repetition has in common: which of [`Shared`], and the direction channel by channel.
+    /// Common directions of a repetition: index in [`Shared`], and the direction channel by channel.
     pub shared: Vec<(usize, Vec<Vec<f64>>)>,
     /// Orthonormal differences of the residuals, each channel by channel.
     pub differences: Vec<Vec<Vec<f64>>>,
 }
 
 impl Source<'_> {
-    /// Of every condition that has repetitions and is not left out.
+    /// The repetitions of every condition that has some and is not left out.
     pub fn repeats(&self) -> Vec<Repeats> {
         let groups = self.observations.repetitions();
         let counts = |(condition, group): &(usize, &Vec<usize>)| group.len() > 1 && !self.left_out.contains(condition);
         groups.iter().enumerate().filter(counts).map(|(_, g)| self.repeats_of(g)).collect()
     }
 
-    /// Of one condition's units.
+    /// The repetitions of one condition, from its units.
     pub fn repeats_of(&self, group: &[usize]) -> Repeats {
         let observations = self.observations;
         let matched = matched(observations, group);
@@ -70,10 +70,10 @@ impl Source<'_> {
     }
 }
 
-/// Samples of the repetitions that stand next to each other along the path, one of each repetition a row: in order, none
-/// twice, those of the repetition with the fewest samples first to choose. Samples stay as they were read, because between two
-/// of them there is less noise than in one. Rows in which every channel of every repetition reads exactly zero are left out: a
-/// simulated intruder in the air, which no sensor read, and a noise that explained its silence would be none at all.
+/// Matched samples of the repetitions along the path, one of each repetition a row: in order, none used twice; the
+/// repetition with the fewest samples chooses first. Samples are not interpolated, because an interpolated value
+/// has less noise than a sample. Rows in which every channel of every repetition is exactly zero are left out: they
+/// come from simulated intruders in the air, and would give a noise of zero.
 fn matched(observations: &Observations, group: &[usize]) -> Vec<Vec<usize>> {
     let units: Vec<&Unit> = group.iter().map(|&u| &observations.units[u]).collect();
     let Some(leader) = (0..units.len()).min_by_key(|&k| units[k].samples) else { return Vec::new() };
@@ -90,7 +90,7 @@ fn matched(observations: &Observations, group: &[usize]) -> Vec<Vec<usize>> {
             let left = right.saturating_sub(1).max(next[k]);
             let away = |j: usize| progress.get(j).map_or(f64::INFINITY, |p| (p - at).abs());
             let best = if away(left) <= away(right) { left } else { right };
-            // Half the distance of samples and the rounding of the log.
+            // Half the distance between samples, and the rounding of the log.
             (away(best) <= reach + 1e-9).then_some(best)
         };
         let row: Option<Vec<usize>> =
@@ -107,17 +107,18 @@ fn matched(observations: &Observations, group: &[usize]) -> Vec<Vec<usize>> {
     rows
 }
 
-/// The misfit that all repetitions of a condition share, in one channel: their residuals' running mean along the path. Taken from
-/// each residual where it was read, it keeps matched samples that lie a little apart from differing by it.
+/// The misfit that all repetitions of a condition share, in one channel: the running mean of their residuals along
+/// the path. It is subtracted from each residual at its own sample, so that matched samples at slightly different
+/// positions do not differ by it.
 struct Smooth {
     progress: Vec<f64>,
-    /// Sums of the residuals before each place.
+    /// Cumulative sums of the residuals.
     sums: Vec<f64>,
     half_width: f64,
 }
 
 impl Smooth {
-    /// Samples to either side, in distances of one repetition's samples: our choice.
+    /// Number of samples on either side, in distances of one repetition's samples: our choice.
     const REACH: f64 = 2.0;
 
     fn new(observations: &Observations, group: &[usize], channel: usize, residual: &dyn Fn(usize) -> f64) -> Self {
@@ -135,7 +136,7 @@ impl Smooth {
         Self { progress: all.iter().map(|a| a.0).collect(), sums, half_width: Self::REACH * way / fewest as f64 }
     }
 
-    /// Mean about a place.
+    /// Mean about a position.
     fn at(&self, place: f64) -> f64 {
         let from = self.progress.partition_point(|&p| p < place - self.half_width);
         let until = self.progress.partition_point(|&p| p <= place + self.half_width);

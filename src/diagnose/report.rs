@@ -1,8 +1,8 @@
-//! What a diagnosis hands out: `report.json` to the letter of the contract, and `sand.toml`.
+//! Contents of the report: `report.json`, as the contract defines it, and `sand.toml`.
 
-use super::form::Form;
 use super::misfit::{Correlate, Misfit};
 use super::next_experiment::Proposal;
+use super::speed_exponent::SpeedExponent;
 use super::verdict::Verdict;
 use crate::error::{Error, Result};
 use crate::sand::SandDescription;
@@ -16,7 +16,7 @@ pub struct Cause {
     pub value: f64,
     pub unit: String,
     pub ci95: [f64; 2],
-    /// Does the value sit at the end of what its law allows?
+    /// Is the value at a bound of its law?
     pub at_bound: bool,
 }
 
@@ -26,7 +26,7 @@ pub struct Tried {
     pub ids: Vec<String>,
     pub values: Vec<f64>,
     pub delta_chi2: f64,
-    /// Fraction by which it lowers the held-out error of the plain model with adjusted coefficients.
+    /// Fraction by which it reduces the held-out error of the plain model with fitted coefficients.
     pub cv_gain: Option<f64>,
     pub lack_of_fit: f64,
     /// χ² differences with 2 and ln n charged per parameter.
@@ -44,53 +44,53 @@ pub struct LackOfFit {
     pub limit: Option<f64>,
 }
 
-/// What the extension is worth on conditions held out.
+/// The gain of the extension on held-out conditions.
 #[derive(Clone, Debug, Serialize, PartialEq)]
 pub struct Gain {
-    /// The simulation as it stands [N].
+    /// Error of the simulation without changes [N].
     pub held_out_rmse_plain: Option<f64>,
-    /// The same with its coefficients adjusted within their prior, no cause added [N].
+    /// Error of the same with its coefficients fitted within their prior, without a cause [N].
     pub held_out_rmse_recalibrated: Option<f64>,
     pub held_out_rmse_extended: Option<f64>,
-    /// Standard deviation between repetitions: what no model can predict [N].
+    /// Standard deviation between repetitions, which no model can predict [N].
     pub noise_floor: Option<f64>,
     pub reduction: Option<f64>,
     pub ci95: Option<[f64; 2]>,
-    /// Share of what a perfect model would remove, plain error less scatter; none where a 95 % interval of that difference
-    /// has 0 in it. By chance it may be a little above 1.
+    /// Share of the achievable reduction: plain error less scatter. None if 0 is in the 95 % interval of that
+    /// difference. By chance it may be slightly above 1.
     pub achievable_fraction: Option<f64>,
-    /// Were cause, noise and whitening chosen anew without the conditions held out?
+    /// Were cause, noise and whitening chosen without the held-out conditions in each fold?
     pub nested: bool,
 }
 
-/// What measuring did, marginalised and no cause.
+/// Effects of measuring, marginalised and not named as causes.
 #[derive(Clone, Debug, Serialize, PartialEq)]
 pub struct NuisanceValue {
     pub id: String,
-    /// Where each channel has its own.
+    /// The channel, if each has its own.
     pub channel: Option<String>,
-    /// `log`: all data have one value. `trial`, `bed`: each has its own, about 0, and `sd` is how they scatter.
+    /// `log`: all data have one value. `trial`, `bed`: each has its own, with mean 0 and standard deviation `sd`.
     pub level: &'static str,
     pub value: f64,
     pub sd: f64,
     pub unit: &'static str,
 }
 
-/// What the model that stands leaves unexplained.
+/// The misfit that the final model leaves.
 #[derive(Clone, Debug, Serialize, PartialEq)]
 pub struct Remainder {
     /// Is it larger than noise?
     pub significant: bool,
-    /// Share of the plain model's held-out misfit beyond noise that stays.
+    /// Remaining share of the plain model's held-out misfit beyond noise.
     pub fraction: f64,
     #[serde(rename = "where")]
     pub place: String,
     pub lack_of_fit: f64,
     pub limit: f64,
-    /// The same of the one condition and channel that is worst, in standard deviations of noise.
+    /// The lack of fit of the worst condition and channel, in standard deviations of noise.
     pub worst: f64,
     pub worst_limit: f64,
-    /// Relative size of the smooth discrepancy that the data ask for beside the model.
+    /// Relative size of the smooth discrepancy beside the model.
     pub discrepancy: f64,
     /// Share of the misfit beyond noise that the best candidate explains.
     pub explained: f64,
@@ -109,11 +109,11 @@ pub struct TermFound {
     pub range: BTreeMap<String, [f64; 2]>,
 }
 
-/// How large a cause that was not found can be at most.
+/// Upper limit of a cause that was not found.
 #[derive(Clone, Debug, Serialize, PartialEq)]
 pub struct UpperLimit {
     pub id: String,
-    /// Of its size, whatever its sign.
+    /// Upper limit of its size, for either sign.
     pub value: f64,
     pub unit: String,
     pub level: f64,
@@ -131,7 +131,7 @@ pub struct NextExperiment {
     pub conditions: Vec<Proposal>,
 }
 
-/// Everything a diagnosis says.
+/// All results of a diagnosis.
 #[derive(Clone, Debug, Serialize, PartialEq)]
 pub struct Report {
     pub schema: &'static str,
@@ -150,15 +150,16 @@ pub struct Report {
     pub remainder: Option<Remainder>,
     pub terms: Vec<TermFound>,
     pub upper_limits: Vec<UpperLimit>,
-    /// With which the noise along the causes' effects is known.
+    /// Degrees of freedom of the estimated noise along the causes' effects.
     pub degrees_of_freedom: Option<f64>,
-    /// Whether the law of the best cause has the right power of the speed; none where it has none or that cannot be asked.
-    pub form: Option<Form>,
+    /// Does the law of the best cause have the right exponent of the speed? None if it has no such exponent or it
+    /// cannot be tested.
+    pub form: Option<SpeedExponent>,
     pub misfit: Vec<Misfit>,
-    /// Where the plain model errs most, in one sentence; none without significant misfit.
+    /// The ranges with the largest errors of the plain model, in one sentence; None without significant misfit.
     #[serde(rename = "where")]
     pub whereabouts: Option<String>,
-    /// Where no cause was named: what the residual goes along with. Not causes.
+    /// If no cause was named: features that the residual is correlated with. They are not causes.
     pub correlates_with: Vec<Correlate>,
     pub untestable: Vec<Untestable>,
     pub next_experiment: Option<NextExperiment>,
@@ -168,7 +169,7 @@ pub struct Report {
     pub warnings: Vec<String>,
     /// How the numbers were prepared.
     pub notes: Vec<String>,
-    /// Of walking data: means by condition and channel; empty for force logs.
+    /// For walking data: means by condition and channel; empty for force logs.
     pub runs: Vec<RunMeans>,
     pub data_sha256: String,
 }
@@ -187,7 +188,7 @@ pub struct RunMeans {
 /// Noise as learnt from the repetitions.
 #[derive(Clone, Debug, Serialize, PartialEq)]
 pub struct NoiseSummary {
-    /// What a repetition has in common over all its numbers, and its sd: `bed_strength` (relative), `depth_zero`, offsets and
+    /// Common parts of a repetition's numbers, and their sd: `bed_strength` (relative), `depth_zero`, offsets and
     /// drifts of force logs; `bed_strength` and `gait_scatter` of walking runs.
     pub shared: BTreeMap<String, f64>,
     /// Channel → [proportional sd, constant sd, correlation of the proportional part from sample to sample].
@@ -197,7 +198,7 @@ pub struct NoiseSummary {
 /// A finished diagnosis.
 pub struct Diagnosis {
     pub report: Report,
-    /// The extended model (the plain one where nothing helps), which the simulator loads.
+    /// The extended model (the plain one if nothing helps), for the simulator.
     pub sand: SandDescription,
     /// Measured, plain and extended stacks, for plots.
     pub curves: Curves,

@@ -1,4 +1,5 @@
-//! How the data answer to the stress coefficients: the force is linear in them, so one walk along the tracks tells it for all.
+//! The response of the data to the stress coefficients. The force is linear in them, so one computation along the
+//! tracks serves all coefficients.
 
 use super::fit::COEFFICIENTS;
 use crate::number::add_scaled;
@@ -6,12 +7,14 @@ use crate::sand::Coefficients;
 use crate::sand::mechanism::Mechanisms;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Coefficient [N/m³] at which a column is taken: any of their usual size.
+/// Coefficient [N/m³] at which a column is computed: of usual size.
 const UNIT: f64 = 1e5;
-/// Responses kept: our choice. Fits take slopes and predictions about few states at a time, and a response is ten stacks.
+/// Number of responses that are kept: our choice. Fits need slopes and predictions at few states at a time, and a
+/// response is ten stacks.
 const KEPT: usize = 8;
 
-/// Is the force linear in the coefficients? A cap of friction compares two parts of it, and a leg that yields goes elsewhere.
+/// Is the force linear in the coefficients? It is not with a friction limit, which compares two parts of the force,
+/// or with a leg that bends.
 pub fn is_linear(m: &Mechanisms) -> bool {
     [m.friction_clip, m.compliance, m.skid_loss, m.slip_bearing] == [0.0; 4]
 }
@@ -47,7 +50,7 @@ impl Response {
     }
 }
 
-/// Responses made last. A clone has none: what it belongs to may be changed.
+/// The last responses. A clone has none, because its model may be changed.
 #[derive(Default)]
 pub struct Responses(Mutex<Vec<(Mechanisms, Arc<Response>)>>);
 
@@ -63,14 +66,15 @@ impl Responses {
         known.iter().find(|k| k.0 == *m).map(|k| k.1.clone())
     }
 
-    /// The one for `m`, made where it is not known; others wait for it meanwhile, for they mostly want the same.
+    /// The response for `m`, computed if it is not known. Other threads wait meanwhile, because they usually need
+    /// the same one.
     pub fn of(&self, m: &Mechanisms, make: impl FnOnce() -> Response) -> Arc<Response> {
         let mut known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, response)) = known.iter().find(|k| k.0 == *m) {
             return response.clone();
         }
         let made = Arc::new(make());
-        // The plain model's comes first and is wanted again and again.
+        // The plain model's comes first, because it is needed most often.
         if known.len() == KEPT {
             known.remove(1);
         }

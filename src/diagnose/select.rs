@@ -1,4 +1,4 @@
-//! Which cause: screened, fitted, judged. Nothing that a stage has made changes after it.
+//! Selects the cause in three stages: screening, fitting, judging. No stage changes the results of an earlier one.
 
 use super::calibrate::{FELT, Screen};
 use super::described::{self, Described, described};
@@ -28,23 +28,33 @@ pub struct Selection {
     pub verdict: Verdict,
     /// The law found in the data, where no mechanism explains them.
     pub law: Option<Described>,
-    /// Places in the candidates of what the data cannot tell from the best, the best included; empty where none is named.
+    /// Indices of the candidates that the data cannot distinguish from the best, including the best; empty if none
+    /// is named.
     pub set: Vec<usize>,
 }
 
 impl Selection {
-    /// The best candidate, where a cause was found.
+    /// The best candidate, if a cause was found.
     pub fn best(&self) -> Option<&Candidate> {
         self.set.first().map(|&k| &self.fitted.candidates[k])
     }
 
-    /// What else explains a significant part, with its whitened distance [σ] to the best.
+    /// Other explanations of a significant part, with their whitened distance [σ] to the best.
     pub fn rivals(&self) -> impl Iterator<Item = (&Candidate, f64)> {
         let others = self.fitted.candidates.iter().skip(1).zip(&self.judged.evidence.rivals);
         others.filter(|(_, r)| r.explains).map(|(c, r)| (c, r.squared.sqrt()))
     }
 
-    /// Errors of the plain model, on conditions held out as everything else.
+    /// The candidate in the extended model: the cause that was found; or else, if misfit remains, the candidate that
+    /// fits best, provided that the choices without the held-out conditions predict these better with certainty. It
+    /// is then a proxy and not a cause.
+    pub fn extension(&self) -> Option<&Candidate> {
+        let helps = self.plain_errors().reduction_interval(&self.judged.nested[1].errors)[0] > 0.0;
+        let proxy = || self.fitted.best().filter(|_| self.judged.evidence.found && helps);
+        self.best().or_else(|| (self.verdict == Verdict::NoneOfThese).then(proxy).flatten())
+    }
+
+    /// Errors of the plain model on held-out conditions.
     pub fn plain_errors(&self) -> &Errors {
         &self.fitted.plain_held_out.errors
     }
@@ -56,14 +66,15 @@ pub struct Asked<'a> {
     pub noise: &'a Noise,
     /// Catalogue indices of the causes that the data can show.
     pub ids: &'a [usize],
-    /// Ids of sensor mechanisms that the user wants to be told as causes.
+    /// Ids of sensor mechanisms that may be named as causes.
     pub interest: &'a [String],
     /// Scatter of the repetitions.
     pub floor: &'a Errors,
 }
 
-/// Runs the whole selection. What the sensor does is a nuisance: it is marginalised while causes in sand and drive are sought.
-/// Only where none of these is found the sensor is asked, and then it has to explain as much as the nuisances do.
+/// Runs the whole selection. Effects of the sensor are nuisances, which are marginalised while causes in sand and
+/// drive are searched. Only if none of these is found, sensor mechanisms are tried; they must explain as much as
+/// the nuisances do.
 pub fn select(study: &Study, asked: &Asked, progress: &dyn Progress) -> Result<Selection> {
     let nuisance = |id: &usize| {
         let entry = &CATALOG[*id];
@@ -84,7 +95,8 @@ pub fn select(study: &Study, asked: &Asked, progress: &dyn Progress) -> Result<S
     if sensor.iter().map(gains).fold(0.0, f64::max) < selection.screened.gates.single {
         return Ok(selection);
     }
-    // Nuisances of each channel may explain what one mechanism of all channels does not: then it is not that mechanism.
+    // Nuisances of single channels may explain a misfit that a mechanism with one value for all channels does not;
+    // then it is not that mechanism.
     let count = study.nuisances.len() as f64;
     let allowed = count + 3.0 * (2.0 * count).sqrt();
     let gates = &selection.screened.gates;
@@ -102,13 +114,13 @@ pub fn select(study: &Study, asked: &Asked, progress: &dyn Progress) -> Result<S
     Ok(if other.best().is_some_and(explains) { other } else { selection })
 }
 
-/// One pass through the stages.
+/// Runs the stages once.
 fn attempt(study: &Study, asked: &Asked, ids: &[usize], progress: &dyn Progress, pairs: bool) -> Result<Selection> {
     let Asked { source, noise, .. } = *asked;
     progress.report(0.1, "effect of every cause")?;
     let first = screened(study, source, noise, ids);
     progress.report(0.4, "single causes")?;
-    // Nuisances bend: they are taken where the plain model wants them before causes are asked.
+    // Nuisances have nonlinear effects, so they are linearised at the plain model's fit before causes are tested.
     let base = study.recalibrated();
     let straight = study.under(study.whitener, study.nuisances_about(&base));
     let mut fitted = singles(&straight, &first);
@@ -132,7 +144,7 @@ fn attempt(study: &Study, asked: &Asked, ids: &[usize], progress: &dyn Progress,
     conclude(study, asked, first, fitted, around, progress)
 }
 
-/// Judges under the final noise.
+/// Judges with the final noise.
 fn conclude(
     study: &Study,
     asked: &Asked,
@@ -146,7 +158,7 @@ fn conclude(
         let renewed = study.under(&around.whitener, around.nuisances.clone());
         let fitted = match fitted.found(&first.gates) {
             true => fitted,
-            // Nothing was found under the first noise: the plain model is judged under its own.
+            // With the first noise nothing was found: the plain model is judged with its own noise.
             false => Fitted { base: candidate(&renewed, &renewed.recalibrated(), renewed.recalibrated()), ..fitted },
         };
         let lack = |c: &Candidate| lack_of_fit::statistic(study.observations, &c.fit.white);
@@ -164,7 +176,7 @@ fn conclude(
             true => explored(&last, fitted, &first.gates),
             false => (fitted, Vec::new()),
         };
-        // What remains is measured against the noise alone.
+        // The remaining misfit is compared with the noise alone, without the discrepancy.
         let best = fitted.best().filter(|_| fitted.found(&first.gates)).unwrap_or(&fitted.base);
         let left = renewed.restated(&best.fit);
         let lacks = [lacks[0], lack_of_fit::statistic(study.observations, &left.white)];
@@ -188,7 +200,7 @@ fn conclude(
     Ok(Selection { screened: first, fitted, judged, around, verdict: ruling, law, set })
 }
 
-/// A law in the data that explains the main part of the misfit.
+/// A law found in the data that explains the main part of the misfit.
 fn law(study: &Study, asked: &Asked, around: &Surroundings, fitted: &Fitted, first: &Screened) -> Option<Described> {
     let renewed = study.under(&around.whitener, around.nuisances.clone());
     let base = renewed.fit_from(&[&fitted.base.fit]).swap_remove(0);

@@ -1,28 +1,28 @@
-//! What one repetition has in common over all its numbers: noise of low rank.
+//! Noise that the numbers of one repetition have in common: noise of low rank.
 //!
-//! A trial's bed is a little stronger or weaker as a whole; a robot's hips start a little earlier or later, and every
-//! measurement of that run moves with them. With the directions as columns of U and their standard deviations in it, the
-//! covariance of a unit is D + U Uᵀ, D the noise of its channels.
+//! A trial's bed is a little stronger or weaker as a whole; a robot's hips start a little earlier or later, and
+//! every measurement of that run moves with them. With the directions as columns of U and their standard deviations
+//! in it, the covariance of a unit is D + U Uᵀ, D the noise of its channels.
 
 use crate::number::{add_scaled, dot};
 use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
 
-/// Directions that share one standard deviation, which the repetitions tell.
+/// Directions with a common standard deviation, which is learnt from the repetitions.
 #[derive(Clone, Debug)]
 pub struct Shared {
     pub name: &'static str,
     pub unit: &'static str,
     /// Standard deviation from which the search starts.
     pub guess: f64,
-    /// Is it left out where the repetitions do not ask for it?
+    /// Is it left out if the repetitions do not support it?
     pub optional: bool,
     /// In the order of the observations, each a direction within every unit.
     pub stacks: Vec<Vec<f64>>,
 }
 
 impl Shared {
-    /// The directions in one unit, whose numbers stand at `span` of a stack.
+    /// The directions in one unit, whose numbers are at `span` of a stack.
     pub fn vectors(&self, span: Range<usize>) -> impl Iterator<Item = &[f64]> {
         self.stacks.iter().map(move |s| &s[span.clone()])
     }
@@ -42,7 +42,7 @@ impl LowRank {
             return Self { columns, middle: Vec::new() };
         }
         let eigen = gram(&columns).symmetric_eigen();
-        // (1 − 1/√(1 + λ))/λ, without the difference of what is nearly alike
+        // (1 − 1/√(1 + λ))/λ, without cancellation
         let share = |square: f64| {
             let root = (1.0 + square.max(0.0)).sqrt();
             1.0 / (root * (root + 1.0))

@@ -1,4 +1,4 @@
-//! Data, model, noise and nuisances: all that a fit needs.
+//! Data, model, noise and nuisances: the inputs of a fit.
 
 use super::fit::{COEFFICIENTS, Column, Fit, slope};
 use super::forward::ForwardModel;
@@ -11,20 +11,21 @@ use crate::sand::Coefficients;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
 use std::sync::Arc;
 
-/// Step of numerical slopes of a smooth model, in typical strengths: our choice, laws in double precision.
+/// Step of numerical slopes of a smooth model, in typical strengths: our choice; the laws are computed in double
+/// precision.
 const SMOOTH_STEP: f64 = 0.02;
 
-/// Data, model and noise: all that a fit needs.
+/// Data, model and noise: the inputs of a fit.
 pub struct Study<'a> {
     pub observations: &'a Observations,
     pub model: &'a dyn ForwardModel,
     pub whitener: &'a Whitener,
     /// Relative prior sd of the coefficients.
     pub coefficient_sd: f64,
-    /// What the measuring may have done to all data alike.
+    /// Nuisances that all data share.
     pub nuisances: Vec<Nuisance>,
-    /// Slopes by the coefficients at the plain model and by the nuisances, as they are and whitened: good enough on the way
-    /// to a fit.
+    /// Slopes by the coefficients at the plain model, and by the nuisances, with and without whitening: accurate
+    /// enough for the steps of a fit.
     pub marginal_slopes: [Vec<Column>; 2],
     /// Step of the numerical slope by each mechanism, in its coordinate.
     pub steps: [f64; Mechanisms::COUNT],
@@ -48,8 +49,8 @@ impl<'a> Study<'a> {
         study
     }
 
-    /// Steps whose effect on the data is at least `target` σ altogether, so that a rough simulation has smooth slopes:
-    /// doubled from a tenth of the typical strength until it is, or until a quarter of what may be fitted.
+    /// Steps that change the data by at least `target` σ altogether, so that slopes of a rough simulation are
+    /// smooth: doubled from a tenth of the typical strength up to a quarter of the fitted range.
     fn find_steps(&mut self, target: f64, plain: &[f64]) {
         let mut open: Vec<usize> =
             (0..CATALOG.len()).filter(|&id| CATALOG[id].walking && !CATALOG[id].ceiling).collect();
@@ -70,7 +71,7 @@ impl<'a> Study<'a> {
         }
     }
 
-    /// Puts `nuisances` in place, and the slopes by the coefficients at the plain model before them.
+    /// Sets `nuisances`, and before them the slopes by the coefficients at the plain model.
     fn set_nuisances(&mut self, nuisances: Vec<Nuisance>) {
         self.nuisances = nuisances;
         self.marginal_slopes = [self.nuisance_columns(), Vec::new()];
@@ -82,7 +83,7 @@ impl<'a> Study<'a> {
         self.marginal_slopes = [plain.slopes, plain.white_slopes];
     }
 
-    /// Nuisances as a fit has them.
+    /// Nuisances with a fit's values.
     pub fn nuisance_values(&self, fit: &Fit) -> Vec<(String, f64)> {
         let own = self.nuisances.iter().zip(&fit.deviations[COEFFICIENTS..]);
         own.map(|(n, d)| (n.id.clone(), n.sd * d)).collect()
@@ -92,7 +93,7 @@ impl<'a> Study<'a> {
         self.nuisances.iter().map(|n| n.column.clone()).collect()
     }
 
-    /// How many slopes by coefficients and nuisances stand behind those by values.
+    /// Number of slopes by coefficients and nuisances, which follow those by values.
     pub fn marginals(&self) -> usize {
         COEFFICIENTS + self.nuisances.len()
     }
@@ -102,18 +103,19 @@ impl<'a> Study<'a> {
         self.marginal_slopes[0].clone()
     }
 
-    /// A strength of mechanism `id` that these data feel, in its coordinate: typical, or what a rough model needs.
+    /// A strength of mechanism `id` that affects these data, in its coordinate: the typical one, or a larger one
+    /// for a rough model.
     pub fn felt_strength(&self, id: usize) -> f64 {
         (0.5 * CATALOG[id].coordinate_typical()).max(self.steps[id])
     }
 
-    /// The same study of another model whose laws without mechanisms are the same.
+    /// The same study with another model whose predictions without mechanisms are the same.
     pub fn with_model<'b>(&'b self, model: &'b dyn ForwardModel) -> Study<'b> {
         let (nuisances, marginal_slopes) = (self.nuisances.clone(), self.marginal_slopes.clone());
         Study { model, nuisances, marginal_slopes, ..*self }
     }
 
-    /// The same study under another whitening and with other nuisances.
+    /// The same study with another whitening and other nuisances.
     pub fn under(&self, whitener: &'a Whitener, nuisances: Vec<Nuisance>) -> Self {
         let mut study = Study { whitener, nuisances: Vec::new(), marginal_slopes: [Vec::new(), Vec::new()], ..*self };
         study.set_nuisances(nuisances);
@@ -123,12 +125,12 @@ impl<'a> Study<'a> {
         study
     }
 
-    /// This study's nuisances as they are about `fit`.
+    /// This study's nuisances at `fit`.
     pub fn nuisances_about(&self, fit: &Fit) -> Vec<Nuisance> {
         self.nuisances_of(fit, fit)
     }
 
-    /// The same with the values of nuisances that another fit has.
+    /// The same with the nuisances' values of another fit.
     pub fn nuisances_of(&self, fit: &Fit, adjusted: &Fit) -> Vec<Nuisance> {
         if self.nuisances.is_empty() {
             return Vec::new();
@@ -139,7 +141,7 @@ impl<'a> Study<'a> {
         there
     }
 
-    /// What `fit` says the data read: the sand and the nuisances.
+    /// The readings that `fit` predicts: the sand and the nuisances.
     pub fn reading(&self, fit: &Fit) -> Vec<f64> {
         let mut reading = fit.prediction.clone();
         for (nuisance, d) in self.nuisances.iter().zip(&fit.deviations[COEFFICIENTS..]) {
@@ -151,9 +153,9 @@ impl<'a> Study<'a> {
         reading
     }
 
-    /// Coefficients at given deviations. A relative sd says nothing about a coefficient published as (nearly) 0, such
-    /// as C₋₁₁ of loose poppy seeds: none is taken to be known better than half the set's root mean square times the
-    /// relative sd. Our choice.
+    /// Coefficients at given deviations. A relative sd has no meaning for a coefficient published as (nearly) 0,
+    /// such as C₋₁₁ of loose poppy seeds: the sd of every coefficient is at least half the set's root mean square
+    /// times the relative sd. Our choice.
     pub fn coefficients(&self, deviations: &[f64]) -> Coefficients {
         let mut c = self.model.medium().coefficients.to_array();
         let floor = 0.5 * (c.iter().map(|c| c * c).sum::<f64>() / COEFFICIENTS as f64).sqrt();

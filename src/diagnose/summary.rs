@@ -2,12 +2,11 @@
 
 use super::described::Described;
 use super::fit::{COEFFICIENTS, Fit};
-use super::form::Form;
 use super::report::Cause;
 use super::select::Selection;
+use super::speed_exponent::SpeedExponent;
 use super::study::Study;
 use super::verdict::Verdict;
-use super::view::extension;
 use super::words::{after, digits};
 use crate::sand::mechanism::CATALOG;
 
@@ -16,14 +15,14 @@ pub fn names(fit: &Fit) -> Vec<String> {
     fit.ids.iter().map(|&id| CATALOG[id].id.to_string()).collect()
 }
 
-/// The verdict in one sentence, and where the plain model errs.
+/// The verdict in one sentence, and the ranges with the largest errors of the plain model.
 pub fn summary(study: &Study, selection: Option<&Selection>, causes: &[Cause], whereabouts: Option<&str>) -> String {
     let Some(selection) = selection else {
         let why = match study.observations.has_replicates() {
             true => "repetitions are copies of each other, so their scatter is no noise floor",
             false => "no condition is repeated",
         };
-        return format!("{why}: without a noise floor nothing can be said");
+        return format!("{why}: without a noise floor there is no verdict");
     };
     let said = |c: &Cause| {
         let [value, low, high] = [c.value, c.ci95[0], c.ci95[1]].map(digits);
@@ -31,7 +30,9 @@ pub fn summary(study: &Study, selection: Option<&Selection>, causes: &[Cause], w
     };
     let found = causes.iter().map(said).collect::<Vec<_>>().join(" with ");
     let verdict = match selection.verdict {
-        Verdict::NoiseFloor => "no significant misfit: the plain model is as good as the data repeat themselves".into(),
+        Verdict::NoiseFloor => {
+            "no significant misfit: the plain model's error is within the scatter of the repetitions".into()
+        }
         Verdict::Named => format!("the misfit is explained by {found}{}", nearest_rival(selection)),
         Verdict::Ambiguous => {
             let rivals: Vec<_> =
@@ -61,13 +62,14 @@ pub fn summary(study: &Study, selection: Option<&Selection>, causes: &[Cause], w
         ),
         false => verdict,
     };
-    // Where other misfit remains, the power is fitted to that.
+    // If other misfit remains, the exponent is fitted to that misfit too, so it is not stated.
     let form = selection.judged.form.as_ref().filter(|form| form.lack_of_fit <= selection.screened.gates.lack_of_fit);
-    let verdict = verdict + &form.map_or(String::new(), Form::said);
+    let verdict = verdict + &form.map_or(String::new(), SpeedExponent::said);
     whereabouts.map_or(verdict.clone(), |place| format!("{verdict}; {place}"))
 }
 
-/// What stands in for the cause that was not found: how much better, or how surely not, conditions held out are predicted.
+/// The proxy for a cause that was not found: how much better, or how uncertain, its predictions of held-out
+/// conditions are.
 fn stand_in(study: &Study, selection: &Selection) -> String {
     let Some(best) = selection.fitted.best() else { return String::new() };
     let (plain, chosen) = (selection.plain_errors(), &selection.judged.nested[1].errors);
@@ -81,12 +83,12 @@ fn stand_in(study: &Study, selection: &Selection) -> String {
         digits(now),
         100.0 * (1.0 - now / before)
     );
-    match extension(selection) {
+    match selection.extension() {
         None if now >= before => "; none of them predicts conditions held out better than the plain model".into(),
         Some(_) => format!("; as a stand-in and not as the cause, {name} lowers the error {gain}"),
         None => {
             format!(
-                "; nothing surely helps: {name}, which does best, changes the error {gain}, so the sand stays plain"
+                "; no cause helps with certainty: {name}, which does best, changes the error {gain}, so the sand stays plain"
             )
         }
     }
@@ -112,8 +114,7 @@ fn not_enough(study: &Study, selection: &Selection) -> String {
     }
 }
 
-/// A warning where the fit needs coefficients that their declared uncertainty hardly allows: beyond three of its standard
-/// deviations, our choice.
+/// A warning if the fit needs coefficients beyond three of their declared standard deviations: our choice.
 pub fn far_coefficients(fit: &Fit) -> Option<String> {
     let furthest = fit.deviations[..COEFFICIENTS].iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs()))?;
     (furthest.abs() > 3.0).then(|| {
@@ -124,7 +125,7 @@ pub fn far_coefficients(fit: &Fit) -> Option<String> {
     })
 }
 
-/// Which rival comes nearest to the one cause named, and how near.
+/// The nearest rival of the one named cause, and its distance.
 fn nearest_rival(selection: &Selection) -> String {
     let nearest = selection.rivals().min_by(|a, b| a.1.total_cmp(&b.1));
     nearest.map_or(String::new(), |(rival, away)| {

@@ -1,4 +1,4 @@
-//! From evidence to verdict: one pure function.
+//! The verdict as a pure function of the evidence.
 
 use serde::Serialize;
 
@@ -6,27 +6,28 @@ use serde::Serialize;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// The plain model is as good as the data's own repeatability.
+    /// The plain model's errors are within the data's own scatter.
     NoiseFloor,
     /// One cause, or one pair, explains the main part of the misfit, and every rival is far away.
     Named,
-    /// Causes that these data cannot tell apart.
+    /// Several causes that these data cannot distinguish.
     Ambiguous,
     /// No mechanism explains the main part of the misfit; a law found in the data does.
     Described,
-    /// Neither.
+    /// Neither a mechanism nor a law explains the main part of the misfit.
     NoneOfThese,
-    /// No repetitions, or only copies, so no noise floor.
+    /// There are no repetitions, or only copies, so no noise floor.
     InsufficientData,
 }
 
-/// Chance that a true cause is thrown out of the ambiguity set by chance, over all its rivals together.
+/// Probability that a true cause is excluded from the ambiguity set by chance, over all its rivals together.
 const REJECTION: f64 = 1e-3;
-/// Two explanations nearer to each other than this [σ] are not told apart, whatever their χ²: the contract claims no right
-/// names below, and noise learnt from a few repetitions does not have tails to be trusted so far out.
+/// Two explanations nearer to each other than this [σ] are not distinguished, whatever their χ². The contract asks
+/// for no correct names below it, and the tails of noise learnt from a few repetitions are not reliable so far out.
 const APART: f64 = 5.0;
-/// Share of the misfit beyond noise that a cause must explain to be the main one where something remains. Our choice: beside a wall, a
-/// cause of no library, the nearest pair of causes explains seven tenths on our test-bed.
+/// Share of the misfit beyond noise that a cause must explain to be named although misfit remains. Our choice:
+/// beside a wall, which is no mechanism of the catalogue, the nearest pair of causes explains seven tenths on our
+/// test-bed.
 pub const MAIN_PART: f64 = 0.8;
 
 /// An explanation beside the best.
@@ -40,16 +41,16 @@ pub struct Rival {
     pub explains: bool,
 }
 
-/// All that a verdict depends on.
+/// The evidence: all inputs of the verdict.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Evidence {
-    /// Does the best cause gain more than chance allows?
+    /// Does the best cause gain more than its gate?
     pub found: bool,
     /// Is there misfit beyond noise without any cause?
     pub misfit: bool,
     /// Is there misfit beyond noise beside the best cause?
     pub remainder: bool,
-    /// Is that misfit hardly larger than the limit?
+    /// Is that misfit only slightly larger than the limit?
     pub slight: bool,
     /// Share of the misfit beyond noise that the best explains.
     pub explained: f64,
@@ -57,12 +58,12 @@ pub struct Evidence {
     pub form_excluded: bool,
     /// Was a law found in the data?
     pub described: bool,
-    /// How much larger χ² differences are than for known noise.
+    /// Factor on χ² differences because the noise is estimated.
     pub inflation: f64,
     pub rivals: Vec<Rival>,
 }
 
-/// The verdict, and which of the rivals the data cannot tell from the best.
+/// The verdict, and the rivals that the data cannot distinguish from the best.
 pub fn verdict(e: &Evidence) -> (Verdict, Vec<usize>) {
     let otherwise = if e.described { Verdict::Described } else { Verdict::NoneOfThese };
     if !e.found {

@@ -1,4 +1,4 @@
-//! A diagnosis as a report shows it.
+//! Converts a diagnosis to a report.
 
 use super::described::Described;
 use super::errors::Errors;
@@ -18,15 +18,7 @@ use crate::sand::mechanism::CATALOG;
 use crate::sand::term::On;
 use crate::student;
 
-/// The candidate that extends the model: the cause found; failing that, where misfit remains, the candidate that fits best if
-/// what is chosen without the conditions held out surely predicts them better: as a proxy and not as a cause.
-pub fn extension(selection: &Selection) -> Option<&Candidate> {
-    let helps = selection.plain_errors().reduction_interval(&selection.judged.nested[1].errors)[0] > 0.0;
-    let proxy = || selection.fitted.best().filter(|_| selection.judged.evidence.found && helps);
-    selection.best().or_else(|| (selection.verdict == Verdict::NoneOfThese).then(proxy).flatten())
-}
-
-/// Everything a report is made from.
+/// The inputs of a report.
 pub struct View<'a> {
     pub study: &'a Study<'a>,
     pub source: &'a Source<'a>,
@@ -52,8 +44,8 @@ impl View<'_> {
         let set =
             self.selection.map_or(Vec::new(), |s| s.set.iter().map(|&k| names(&s.fitted.candidates[k].fit)).collect());
         let mut warnings: Vec<String> =
-            causes.iter().filter(|c| c.at_bound).map(|c| format!("{} sits at its bound", c.id)).collect();
-        let extension = self.selection.and_then(extension);
+            causes.iter().filter(|c| c.at_bound).map(|c| format!("{} is at its bound", c.id)).collect();
+        let extension = self.selection.and_then(Selection::extension);
         warnings.extend(extension.and_then(|c| far_coefficients(&c.fit)));
         let unfelt = extension.map(|c| c.fit.mechanisms.unfelt_by_walkers()).unwrap_or_default();
         warnings.extend(unfelt.into_iter().map(|line| format!("sand.toml: {line}")));
@@ -61,9 +53,7 @@ impl View<'_> {
         let form = self.selection.and_then(|s| s.judged.form.clone());
         let powers =
             best.iter().flat_map(|c| &c.fit.ids).filter(|&&id| form.is_none() && CATALOG[id].exponent.is_some());
-        notes.extend(
-            powers.map(|&id| format!("these data were not asked for another power of the speed in {}", CATALOG[id].id)),
-        );
+        notes.extend(powers.map(|&id| format!("no other power of the speed was tested in {}", CATALOG[id].id)));
         let channels = observations.channels.iter().zip(&self.noise.channels);
         Report {
             schema: "sandgait.diagnosis.v2",
@@ -112,7 +102,7 @@ impl View<'_> {
             let (entry, at) = (&CATALOG[id], fit.coordinates()[k]);
             let [low, high] =
                 ranges.as_ref().and_then(|r| r.get(k)).copied().unwrap_or([at, at]).map(|u| entry.value(u));
-            // A ceiling may be so high as to be none: its greatest value stands for that.
+            // The end of an upper limit's interval may be infinite; the greatest value replaces it.
             let most = if entry.ceiling && low == 0.0 { entry.bounds[1] } else { low };
             Cause {
                 id: entry.id.into(),
@@ -138,12 +128,12 @@ impl View<'_> {
         self.selection.and_then(|s| s.law.as_ref()).map(found).into_iter().collect()
     }
 
-    /// The fit that stands for the data: the extension, or the plain model adjusted.
+    /// The final fit: the extension, or the fitted plain model.
     fn standing(&self) -> Option<&Candidate> {
-        self.selection.map(|s| extension(s).unwrap_or(&s.fitted.base))
+        self.selection.map(|s| s.extension().unwrap_or(&s.fitted.base))
     }
 
-    /// Values of what measuring did to all data, and sizes of what each trial and bed had of its own.
+    /// Values of nuisances that all data share, and sizes of those that each trial and bed has of its own.
     fn nuisances(&self) -> Vec<NuisanceValue> {
         let (Some(selection), Some(standing)) = (self.selection, self.standing()) else { return Vec::new() };
         let fit = &standing.fit;
@@ -173,7 +163,7 @@ impl View<'_> {
         let (selection, standing) = (self.selection?, self.standing()?);
         let evidence = &selection.judged.evidence;
         let o = self.study.observations;
-        let extends = extension(selection).is_some();
+        let extends = selection.extension().is_some();
         let of_law = selection.law.as_ref().map(|l| lack_of_fit::statistic(o, &l.fit.white));
         let lack = of_law.as_ref().unwrap_or(&selection.judged.lacks[usize::from(extends)]);
         let significant = selection.screened.gates.lacking(lack);
@@ -199,7 +189,7 @@ impl View<'_> {
         })
     }
 
-    /// How large each cause that was not found can be at most.
+    /// Upper limits of the causes that were not found.
     fn upper_limits(&self) -> Vec<UpperLimit> {
         let (Some(selection), Some(standing)) = (self.selection, self.standing()) else { return Vec::new() };
         if standing.fit.slopes.is_empty() {
@@ -220,7 +210,7 @@ impl View<'_> {
             UpperLimit { id: entry.id.into(), value: most, unit: entry.unit.into(), level: 0.95 }
         };
         let all = study.further(&standing.fit, &asked);
-        // A limit beyond what the law allows is none.
+        // A limit beyond the law's bound is left out.
         all.iter().map(|f| (f.id, limit(f))).filter(|(id, l)| l.value < CATALOG[*id].bounds[1]).map(|l| l.1).collect()
     }
 
@@ -259,10 +249,10 @@ impl View<'_> {
         };
         let plain = selection.plain_errors();
         let [base, chosen] = selection.law.as_ref().map_or(&selection.judged.nested, |l| &l.nested);
-        let extends = extension(selection).is_some() || selection.law.is_some();
+        let extends = selection.extension().is_some() || selection.law.is_some();
         let extended = if extends { &chosen.errors } else { plain };
         let (before, after, floor) = (plain.rmse(), extended.rmse(), self.floor.rmse());
-        // Where the plain model's error can hardly be told from the scatter, a share of their difference is any number.
+        // If the plain model's error is hardly larger than the scatter, a share of their difference has no meaning.
         let told = plain.reduction_interval(&self.floor)[0] > 0.0;
         Gain {
             held_out_rmse_plain: Some(before),
@@ -292,7 +282,7 @@ impl View<'_> {
         )
     }
 
-    /// Measured and predicted means of every condition; for runs, of which each is one number a channel.
+    /// Measured and predicted means of every condition, for runs, which have one number a channel.
     fn runs(&self) -> Vec<RunMeans> {
         let o = self.study.observations;
         if o.units.iter().any(|u| u.samples > 1) {
@@ -301,7 +291,8 @@ impl View<'_> {
         let simulated = |prediction: &[f64]| self.study.model.as_simulated(prediction);
         let plain = simulated(&self.study.plain().prediction);
         let law = self.selection.and_then(|s| s.law.as_ref()).map(|l| &l.fit);
-        let extended = self.selection.and_then(extension).map(|c| &c.fit).or(law).map(|f| simulated(&f.prediction));
+        let extended =
+            self.selection.and_then(Selection::extension).map(|c| &c.fit).or(law).map(|f| simulated(&f.prediction));
         let groups = o.repetitions();
         let row = |(condition, units): (usize, &Vec<usize>), c: usize| {
             let mean = |stack: &[f64]| {

@@ -4,25 +4,25 @@ use super::columns::columns;
 use super::experiment::Experiment;
 use super::observations::{Channel, Names, Observations, Size, Unit};
 use crate::error::{Error, Result};
-use crate::sand::Shape;
+use crate::sand::LegShape;
 use crate::sim::Robot;
 use crate::table::{Column, Quantity, Row};
 use std::path::Path;
 
-/// How a run was made; runs made alike share one.
+/// The setup of a run; runs with the same setup share one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Setup {
     pub robot: String,
-    /// As [`Shape::named`] takes it.
+    /// Name of a leg shape, see [`LegShape::named`].
     pub leg: String,
     /// [Hz]
     pub frequency: f64,
     pub slope_deg: f64,
     /// [kg]
     pub payload: f64,
-    /// Where the run starts along the bed [m].
+    /// Position along the bed where the run starts [m].
     pub x_bed: f64,
-    /// Strides over which was measured.
+    /// Number of strides in the measurement.
     pub strides: f64,
 }
 
@@ -56,7 +56,7 @@ columns! {
     SPEED_ERROR = "hip_speed_error_rms" AngularSpeed false;
 }
 
-/// Measured columns in the order of the channels; `field` of [`crate::sim::walk::WalkResult`].
+/// Measured columns in the order of the channels; `field` is that of [`crate::sim::walk::WalkResult`].
 const CHANNELS: [(usize, Channel); 5] = [
     (SPEED, Channel { name: "speed", unit: "m/s", in_rmse: true }),
     (HEIGHT, Channel { name: "base_height", unit: "m", in_rmse: false }),
@@ -65,10 +65,10 @@ const CHANNELS: [(usize, Channel); 5] = [
     (SPEED_ERROR, Channel { name: "hip_speed_error_rms", unit: "rad/s", in_rmse: false }),
 ];
 
-/// Strides over which the protocol measures where the data do not say.
+/// Strides of the protocol's measurement if the data give none.
 const STRIDES: f64 = 4.0;
-/// Different setups beyond this are refused: every one is simulated some five hundred times. Our choice, ten times the
-/// sixty runs that are to take a minute.
+/// Most different setups: each is simulated some five hundred times. Our choice, ten times the sixty runs that
+/// should take a minute.
 const MOST_SETUPS: usize = 300;
 
 struct Run {
@@ -137,7 +137,7 @@ fn setup(row: &Row, experiment: &Experiment) -> Result<Setup> {
         return Err(row.error(PAYLOAD, format!("{payload} kg is negative")));
     }
     let duration = row.within(DURATION, 1e4)?.unwrap_or(STRIDES / frequency.abs());
-    // Speeds are of whole strides: a duration rounded in the log is not a fraction of one.
+    // Speeds are those of whole strides: a duration that was rounded in the log is not a fraction of a stride.
     let strides = (duration * frequency.abs()).round();
     if !(1.0..=100.0).contains(&strides) {
         return Err(row.error(DURATION, format!("{duration} s are {strides} strides; 1 to 100 can be simulated")));
@@ -153,23 +153,23 @@ fn setup(row: &Row, experiment: &Experiment) -> Result<Setup> {
     })
 }
 
-/// The leg's shape: its name, or for two-piece legs the knee angle where that is given.
+/// The leg's shape: its name, or for two-piece legs the knee angle if it is given.
 fn leg(row: &Row) -> Result<String> {
     let name = row.needed_text(LEG)?;
-    if !Shape::NAMES.contains(&name) {
-        return Err(row.error(LEG, format!("leg {name:?} is unknown; known: {}", Shape::NAMES.join(", "))));
+    if !LegShape::NAMES.contains(&name) {
+        return Err(row.error(LEG, format!("leg {name:?} is unknown; known: {}", LegShape::NAMES.join(", "))));
     }
     let Some(xi) = row.within(XI, 89.9)? else { return Ok(name.into()) };
     let wrong = match name {
         "L" => xi <= 0.0,
         "revL" => xi == 0.0,
         "flat" => xi != 0.0,
-        _ => return Ok(name.into()), // half circles have no knee
+        _ => return Ok(name.into()), // half circles have no knee angle
     };
     if wrong {
         return Err(row.error(XI, format!("{xi}° is not the knee angle of a leg {name}")));
     }
-    // The names stand for 45°; a reversed leg is reversed whether its angle is written with the sign or without.
+    // The names mean 45°. A reversed leg is reversed whether its angle has a sign or not.
     let named = name == "flat" || (xi.abs() - 45.0).abs() < 1e-9;
     Ok(if named { name.into() } else { format!("xi={}", if name == "revL" { -xi.abs() } else { xi }) })
 }
@@ -188,7 +188,7 @@ fn observations(runs: Vec<Run>, conditions: Vec<String>) -> Observations {
     Observations { size: Size::Channel, values, channels, units, conditions }
 }
 
-/// Runs not yet made: one unit a setup, zeros for measurements.
+/// Runs that are not made yet: one unit a setup, zeros for measurements.
 pub fn planned(setups: Vec<Setup>, channels: Vec<Channel>) -> WalkingLog {
     let count = channels.len();
     let unit = |i: usize| Unit { id: i.to_string(), condition: i, start: i * count, samples: 1, progress: vec![0.0] };
@@ -203,15 +203,16 @@ pub fn planned(setups: Vec<Setup>, channels: Vec<Channel>) -> WalkingLog {
     WalkingLog { observations, setups, setup_of, missing: Vec::new(), sha256: String::new() }
 }
 
-/// Runs within reach of a lab that made `setups`: its legs and their mirror images at the slowest, middle and fastest
-/// stride frequency used, level and up and down 10°, with and without a third of the robot's mass on its back.
+/// Runs that a laboratory with these `setups` could make: its legs and their mirror images at the slowest, middle
+/// and fastest stride frequency used, level and up and down 10°, with and without a third of the robot's mass on
+/// its back.
 pub fn possible(setups: &[Setup]) -> Vec<(Setup, String)> {
     let Some(first) = setups.first() else { return Vec::new() };
     let frequencies = setups.iter().map(|s| s.frequency.abs());
     let (low, high) = frequencies.fold((f64::MAX, 0.0), |(l, h), f| (f64::min(l, f), f64::max(h, f)));
     let mut legs: Vec<String> = setups.iter().map(|s| s.leg.clone()).collect();
     legs.extend(["L", "revL"].map(String::from));
-    let shape = |leg: &String| Shape::named(leg).ok();
+    let shape = |leg: &String| LegShape::named(leg).ok();
     legs.sort();
     legs.dedup_by(|a, b| shape(a) == shape(b));
     let mut out = Vec::new();

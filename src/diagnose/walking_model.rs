@@ -1,4 +1,4 @@
-//! Predicts walking runs: every run is simulated in closed loop, servo, robot and sand, by engine `lanes`.
+//! Predicts walking runs: engine `lanes` simulates every run in closed loop, with servo, robot and sand.
 
 use super::experiment::Experiment;
 use super::forward::{Feature, ForwardModel, Menu};
@@ -17,12 +17,12 @@ use crate::sweep::walk_all;
 use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
 
-/// Steps of numerical slopes change the data by this many σ altogether: small against what noise does, and far above the
+/// Steps of numerical slopes change the data by this many σ altogether: small against noise, and far above the
 /// roughness of a sticking gait (reversed leg at 1 Hz: 0.3 % when its phase shifts by 0.2 rad). Our choice.
 const ROUGHNESS: f64 = 4.0;
-/// How much finer a time step shows what the default one is wrong by: our choice.
+/// Factor between the default time step and the one that shows its error: our choice.
 const FINE: f64 = 8.0;
-/// Step of the sand's strength that makes the direction of the shared noise: our choice, about the batches' scatter.
+/// Step of the sand's strength for the direction of the shared noise: our choice, about the scatter of batches.
 const STRENGTH_STEP: f64 = 0.05;
 
 /// Initial phases [rad] that show how regular a gait is: the protocol's ±0.2 and half of it.
@@ -30,8 +30,8 @@ const PHASES: [f64; 4] = [-0.2, -0.1, 0.1, 0.2];
 
 type State = (Mechanisms, Coefficients);
 
-/// Predicts the mean of a run's repetitions by one run with all hips at their nominal phase on a bed of nominal strength. By
-/// how much the mean over other phases and strengths differs is part of [`ForwardModel::model_error`].
+/// Predicts the mean of a run's repetitions by one run with all hips at their nominal phase on a bed of nominal
+/// strength. The difference to the mean over other phases and strengths is part of [`ForwardModel::model_error`].
 pub struct WalkingModel<'a> {
     latch: &'a Latch<'a>,
     medium: Medium,
@@ -41,13 +41,13 @@ pub struct WalkingModel<'a> {
     setup_of: Vec<usize>,
     channels: Vec<Channel>,
     missing: Vec<&'static str>,
-    /// Simulations already made, by the bits of mechanisms and coefficients: setup by setup.
+    /// Results of earlier simulations, by the bits of mechanisms and coefficients: setup by setup.
     known: Mutex<HashMap<Vec<u64>, Vec<WalkResult>>>,
-    /// What each number is multiplied by: see [`Self::correct_step`].
+    /// Factor on each number: see [`Self::correct_step`].
     correction: Vec<f64>,
 }
 
-/// Predictions beside the nominal one.
+/// Predictions besides the nominal one.
 struct Others {
     /// On a stronger and a weaker bed, by [`STRENGTH_STEP`].
     beds: Vec<Vec<f64>>,
@@ -56,7 +56,7 @@ struct Others {
 }
 
 impl<'a> WalkingModel<'a> {
-    /// Refuses a setup whose plain simulation does not end in finite numbers. `latch` may stop all simulations.
+    /// Refuses a setup whose plain simulation gives non-finite numbers. `latch` may stop all simulations.
     pub fn new(log: &WalkingLog, experiment: &Experiment, latch: &'a Latch<'a>) -> Result<Self> {
         let mut robots = HashMap::new();
         for setup in &log.setups {
@@ -77,11 +77,11 @@ impl<'a> WalkingModel<'a> {
         let plain = (Mechanisms::default(), model.medium.coefficients);
         let trials = model.trials(&plain).into_iter().collect::<Result<Vec<_>>>()?;
         trials.iter().try_for_each(Trial::validate)?;
-        let walked = model.simulate(&[plain], 0.0);
+        let results = model.simulate(&[plain], 0.0);
         if let Some(error) = latch.error() {
             return Err(error);
         }
-        let lost = walked.iter().flatten().zip(&model.setups).find(|(result, _)| !result.speed.is_finite());
+        let lost = results.iter().flatten().zip(&model.setups).find(|(result, _)| !result.speed.is_finite());
         match lost {
             Some((_, s)) => {
                 Err(Error::invalid("data", format!("the simulation of {} at {} Hz diverges", s.leg, s.frequency)))
@@ -98,8 +98,9 @@ impl<'a> WalkingModel<'a> {
         &self.setups
     }
 
-    /// What the default time step is wrong by, some tenths of a percent, is no property of the sand: each channel of each setup
-    /// is multiplied by the plain simulation's ratio between an eighth of the step and the step, which leaves an eighth of that error.
+    /// Corrects the error of the default time step, some tenths of a percent, which is no property of the sand.
+    /// Each channel of each setup is multiplied by the plain simulation's ratio between an eighth of the step and
+    /// the step, which leaves an eighth of the error.
     fn correct_step(&mut self) -> Result<()> {
         let plain = (Mechanisms::default(), self.medium.coefficients);
         let (fine, coarse) = (self.stepped(EngineKind::Lanes, &plain, FINE)?, self.predict(&plain.0, &plain.1));
@@ -108,7 +109,7 @@ impl<'a> WalkingModel<'a> {
         Ok(())
     }
 
-    /// Says how predictions are corrected.
+    /// A note on how predictions are corrected.
     pub fn step_note(&self) -> Result<String> {
         let largest = self.correction.iter().map(|ratio| (ratio - 1.0).abs()).fold(0.0, f64::max);
         let (step, fine) = (1e3 * Scene::DEFAULT_DT, 1e3 * Scene::DEFAULT_DT / FINE);
@@ -137,7 +138,7 @@ impl<'a> WalkingModel<'a> {
         self.setups.iter().map(trial).collect()
     }
 
-    /// Results of every state with all hips `phase` [rad] ahead, setup by setup; not a number where a simulation is refused,
+    /// Results of every state with all hips `phase` [rad] ahead, setup by setup; NaN where a simulation is refused,
     /// diverges, or is stopped.
     fn simulate(&self, states: &[State], phase: f64) -> Vec<Vec<WalkResult>> {
         let keys: Vec<Vec<u64>> = states.iter().map(|state| key(state, phase)).collect();
@@ -146,14 +147,14 @@ impl<'a> WalkingModel<'a> {
             let known = known();
             (0..states.len()).filter(|&k| !known.contains_key(&keys[k]) && !keys[..k].contains(&keys[k])).collect()
         };
-        let results = self.walked(&new.iter().map(|&k| states[k]).collect::<Vec<_>>(), phase);
+        let results = self.simulate_phase(&new.iter().map(|&k| states[k]).collect::<Vec<_>>(), phase);
         let mut known = known();
         known.extend(new.iter().map(|&k| keys[k].clone()).zip(results));
         keys.iter().map(|key| known[key].clone()).collect()
     }
 
     /// Every state's results with all hips `phase` [rad] ahead.
-    fn walked(&self, states: &[State], phase: f64) -> Vec<Vec<WalkResult>> {
+    fn simulate_phase(&self, states: &[State], phase: f64) -> Vec<Vec<WalkResult>> {
         let ahead = |trial: Result<Trial>| trial.map(|t| Trial { phase, ..t });
         let trials: Result<Vec<Trial>> = states.iter().flat_map(|s| self.trials(s)).map(ahead).collect();
         let results = trials.and_then(|t| walk_all(EngineKind::Lanes, &t, self));
@@ -189,7 +190,7 @@ impl<'a> WalkingModel<'a> {
     }
 }
 
-/// Walks are stopped as everything else is.
+/// `latch` stops walks too.
 impl Progress for WalkingModel<'_> {
     fn report(&self, _done: f64, _stage: &str) -> Result<()> {
         if self.latch.stopped() { self.latch.error().map_or(Ok(()), Err) } else { Ok(()) }
@@ -238,9 +239,9 @@ impl ForwardModel for WalkingModel<'_> {
         1.0
     }
 
-    /// No two beds are equally strong: what a run reads changes along its slope by the sand's strength. And where a gait
-    /// sticks, slips or stalls, small differences grow: `gait_scatter` spans what other initial phases, and the curvature
-    /// in the strength, make of the run beside the nominal one. Where the gait is regular both are next to nothing.
+    /// Beds differ in strength: a run's numbers change along their slope by the sand's strength. Where a gait
+    /// sticks, slips or stalls, small differences grow: `gait_scatter` is spanned by the changes of the nominal run
+    /// with other initial phases, and by the curvature in the strength. For regular gaits both are negligible.
     fn shared(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Shared> {
         let Others { beds, phases } = self.others(&(*mechanisms, *coefficients));
         let slope = super::fit::slope(&beds[0], &beds[1], 2.0 * STRENGTH_STEP);
@@ -254,11 +255,12 @@ impl ForwardModel for WalkingModel<'_> {
         ]
     }
 
-    /// Measured without data, as four differences at the candidate itself: the other engine's answer to the same equations;
-    /// what the time step does there beyond what [`Self::correct_step`] takes out; the eighth of the
-    /// step's error that it leaves; and how far the mean over other phases and beds lies from the nominal run, which is
-    /// next to nothing where a gait is regular. Each channel of each setup errs by their root sum of squares, independently of the
-    /// others, for one difference says how large an error is and not its pattern.
+    /// Measured without data, as four differences at the candidate itself: (1) the other engine's solution of the
+    /// same equations; (2) the effect of the time step there beyond the correction of [`Self::correct_step`]; (3)
+    /// the eighth of the step's error that the correction leaves; (4) the distance of the mean over other phases
+    /// and beds from the nominal run, which is negligible for regular gaits. The error of each channel of each
+    /// setup is their root sum of squares, independent of the others, because one difference gives the size of an
+    /// error and not its pattern.
     fn model_error(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Vec<f64>> {
         let state = (*mechanisms, *coefficients);
         let (other, fine) =
@@ -269,10 +271,10 @@ impl ForwardModel for WalkingModel<'_> {
             |runs: &[Vec<f64>], k: usize| runs.iter().map(|r| r[k] - prediction[k]).sum::<f64>() / runs.len() as f64;
         let size = |k: usize| {
             let average = mean(&beds, k) + mean(&phases, k);
-            // What the correction leaves of the step's error is an eighth of it.
+            // The correction leaves an eighth of the step's error.
             let left = (fine[k] - prediction[k] / self.correction.get(k).copied().unwrap_or(1.0)) / FINE;
             let differences = [other[k] - prediction[k], fine[k] - prediction[k], left, average];
-            // A simulation that diverged says nothing of the others.
+            // A diverged simulation says nothing about the others.
             differences.into_iter().filter(|d| d.is_finite()).map(|d| d * d).sum::<f64>().sqrt()
         };
         let count = self.channels.len();

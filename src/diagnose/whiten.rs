@@ -9,7 +9,7 @@ use std::ops::Range;
 struct UnitFilter {
     span: Range<usize>,
     samples: usize,
-    /// One after the other, as the channels stand in the stack.
+    /// Whitenings of the channels, in the stack's order.
     channels: Vec<ChannelFilter>,
     shared: LowRank,
 }
@@ -18,21 +18,21 @@ struct UnitFilter {
 #[derive(Clone)]
 pub struct Whitener {
     units: Vec<UnitFilter>,
-    /// Of what all units may have in common.
+    /// Whitening of an error that all units may share.
     whole: LowRank,
-    /// Numbers that are held out: 0 after whitening.
+    /// Held-out numbers, which become 0.
     held: Vec<Range<usize>>,
 }
 
 impl Whitener {
-    /// The source's prediction gives the direction of the trial gains: on the measured mean it would invent a scale error
-    /// (the contract measured −12.6 % on data with nothing hidden).
+    /// The source's prediction gives the direction of the trial gains. With the measured mean they would cause a
+    /// scale error (the contract measured −12.6 % on data with nothing hidden).
     pub fn new(source: &Source, noise: &Noise) -> Self {
         let repetitions = source.observations.repetitions();
         let units = source.observations.units.iter().zip(source.sizes).map(|(unit, sizes)| {
             let span = source.observations.span(unit);
             let steps = noise.clock.steps(&unit.progress);
-            // An error that all n repetitions share counts n times in each, as in `share`.
+            // An error that all n repetitions share counts n times in each; see `share`.
             let repeated = repetitions[unit.condition].len() as f64;
             let own = |c: usize| -> Vec<f64> {
                 let errors = source.own_error.get(unit.block(c)).unwrap_or_default();
@@ -47,7 +47,8 @@ impl Whitener {
         Self { units: units.collect(), whole: LowRank::new(Vec::new()), held: Vec::new() }
     }
 
-    /// The same beside an error that all units share, along directions one standard deviation long that are whitened already.
+    /// The same with an additional error that all units share, along whitened directions one standard deviation
+    /// long.
     pub fn beside(&self, directions: Vec<Vec<f64>>) -> Self {
         Self { whole: LowRank::new(directions), ..self.clone() }
     }
@@ -79,9 +80,9 @@ impl UnitFilter {
         }
     }
 
-    /// What a repetition has in common. An error of the model is the same in all n repetitions of a condition, so their
-    /// mean has all of its variance e² and not a share of it; a unit is whitened with n e², which gives that mean its due.
-    /// How repetitions differ, which then counts for less, says nothing of a cause.
+    /// The common noise of a repetition. An error of the model is the same in all n repetitions of a condition, so
+    /// their mean has its full variance e² and not a share of it. Whitening each unit with n e² gives the mean this
+    /// variance. It underweights the differences between repetitions, which contain no information on causes.
     fn share(&mut self, source: &Source, noise: &Noise, root_of_repetitions: f64) {
         let mut columns = Vec::new();
         for (shared, sd) in source.shared.iter().zip(&noise.shared) {

@@ -1,6 +1,6 @@
-//! How numbers are written.
+//! Formats numbers.
 
-/// A number with three significant digits, or the digits before its decimal point if those are more.
+/// A number with three significant digits, or with all digits before its decimal point if there are more.
 pub fn digits(value: f64) -> String {
     if value == 0.0 || !value.is_finite() {
         return value.to_string();
@@ -13,14 +13,14 @@ pub fn digits(value: f64) -> String {
     }
 }
 
-/// A unit as it stands behind a number, with a space; none where dimensionless.
+/// A unit to put after a number, with a space; empty if dimensionless.
 pub fn after(unit: &str) -> String {
     if matches!(unit, "" | "1") { String::new() } else { format!(" {unit}") }
 }
 
-/// A range with its unit; one number where it is one.
+/// A range with its unit; a single number if both ends are equal.
 pub fn span(range: [f64; 2], unit: &str) -> String {
-    // The rounding of a log is not a place.
+    // Positions within the log's rounding count as equal.
     let [low, high] = range.map(|v| digits(if v.abs() < 1e-9 { 0.0 } else { v }));
     let numbers = if low == high { high } else { format!("{low} to {high}") };
     numbers + &after(unit)

@@ -1,13 +1,14 @@
 //! A gait as parameters: hips that follow a two-speed clock, after the Buehler clock of RHex (Saranli, Buehler &
 //! Koditschek, Int. J. Robotics Research 20:616, 2001, section 3.2.1).
 //!
-//! In the share `duty` of a stride a leg sweeps the angle `sweep`, centred on `offset`, at one constant speed: stance.
-//! In the rest it goes round to where it began at another: swing. Leg i is `phases[i]` of a stride ahead of the clock.
+//! In the share `duty` of a stride a leg sweeps the angle `sweep`, centred on `offset`, at one constant speed:
+//! stance. In the rest it turns on to the start of the sweep at another speed: swing. Leg i is `phases[i]` of a
+//! stride ahead of the clock.
 //!
-//! The clock has no memory of its own. Its phase is what the servos' references say: the circular mean over all legs of
-//! the phase that the leg's reference is at, less the leg's own. Every leg is then steered to where it should be one
-//! control step later. So snapshots hold it, left and right are alike, and legs that the speed limit holds up are
-//! waited for. Speeds are constant within a control step, which rounds the corners between stance and swing.
+//! The clock has no memory of its own. Its phase is computed from the servos' references: the circular mean over
+//! all legs of the reference's phase less the leg's own. Every leg then moves toward its angle one control step
+//! later. So snapshots contain the phase, left and right are alike, and the clock waits for legs that the speed
+//! limit slows. Speeds are constant within a control step, which smooths the change between stance and swing.
 
 use super::reference::toward;
 use super::spec::{CONTROL_RATE, Column};
@@ -16,24 +17,24 @@ use crate::sim::engine::Command;
 use crate::sim::robot::{Robot, Tripod};
 use std::f64::consts::{PI, TAU};
 
-/// What action -1 and 1 stand for. Our choice: their middle, action 0, is the reference experiments' gait, the
+/// Values at action −1 and 1. Our choice: action 0, the middle, is the gait of the reference experiments, the
 /// alternating tripod at one constant speed, at 2.5 Hz.
 const FREQUENCY: [f64; 2] = [0.0, 5.0]; // [Hz]; 5 Hz is the highest of Li et al. 2012
 const DUTY: [f64; 2] = [0.2, 0.8];
 const SWEEP: [f64; 2] = [PI / 6.0, 11.0 * PI / 6.0]; // [rad]
 const OFFSET: [f64; 2] = [-PI / 2.0, PI / 2.0]; // [rad]
-/// Each leg's own phase less its tripod's, in strides: all of them.
+/// Each leg's phase relative to its tripod, in strides: any value.
 const PHASE: [f64; 2] = [-0.5, 0.5];
 
-/// Numbers of an action that concern all legs.
+/// Number of action components that concern all legs.
 const SHARED: usize = 4;
 
-/// Clocks of one robot: phase of each leg in the alternating tripod, in strides.
+/// The clock of one robot: phase of each leg in the alternating tripod, in strides.
 pub struct Clock {
     tripod: Vec<f64>,
 }
 
-/// One choice of the parameters that all legs share.
+/// A choice of the parameters that all legs share.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Stride {
     /// [Hz]
@@ -86,7 +87,7 @@ impl Clock {
         Self { tripod: robot.hip.iter().map(|h| phase(h.tripod)).collect() }
     }
 
-    /// What each number of an action is.
+    /// The meaning of each action component.
     pub fn labels(&self, joints: &[String]) -> Vec<String> {
         let shared = ["stride frequency", "duty factor", "stance sweep", "stance offset"].map(String::from);
         shared.into_iter().chain(joints.iter().map(|joint| format!("phase, {joint}"))).collect()
@@ -104,7 +105,7 @@ impl Clock {
         names.map(|name| Column::new(name, "1", -1.0, 1.0)).collect()
     }
 
-    /// Moves every reference to where the clock has it one control step later.
+    /// Moves every reference toward its angle one control step later.
     pub fn command(&self, action: &[f32], state: &State, command: &mut Command) {
         let stride = Stride::of(action);
         let (_, own) = action.split_at(SHARED);
@@ -148,7 +149,7 @@ mod tests {
         }
     }
 
-    /// References move with the command of every control step: what the legs do over time.
+    /// References follow the command of every control step, as the legs do over time.
     fn run(action: &[f32], references: &[f64], steps: usize) -> Vec<Vec<f64>> {
         let clock = Clock::new(&Robot::built_in("xplorer").unwrap());
         let mut state = State::at_rest(0.0, references);
@@ -170,7 +171,7 @@ mod tests {
         }
     }
 
-    /// From anywhere the legs fall into step, and then keep to the stride frequency.
+    /// From any start the legs reach their phases, and then keep to the stride frequency.
     #[test]
     fn legs_fall_into_step() {
         let action = [-0.2, 0.3, -0.4, 0.2, 0.1, -0.3, 0.5, 0.0, 0.9, -0.6];

@@ -1,4 +1,4 @@
-//! Ways to drive one hip a leg: what an action of HexapodGait means.
+//! Control modes for robots with one hip a leg: the meaning of an action of HexapodGait.
 
 use super::clock::Clock;
 use super::options::OptionValue;
@@ -9,28 +9,28 @@ use crate::sim::{Robot, State};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
 
-/// The keyword `control`.
+/// The values of the keyword `control`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Control {
-    /// The speed of each hip's reference.
+    /// An action sets the speed of each hip's reference.
     HipSpeed,
-    /// The angle each hip's reference goes to.
+    /// An action sets the angle that each hip's reference goes to.
     HipTarget,
-    /// The torque of each hip; the servo does nothing.
+    /// An action sets the torque of each hip; the servo is off.
     Torque,
     /// A gait as parameters; see [`super::clock`].
     Clock,
 }
 
 impl Control {
-    /// As the keyword has them.
+    /// The values as text.
     pub const NAMES: [&'static str; 4] = ["hip_speed", "hip_target", "torque", "clock"];
 }
 
 impl OptionValue for Control {}
 
-/// A way of driving a certain robot.
+/// A control mode with the numbers of a certain robot.
 pub struct Driver {
     control: Control,
     /// Torque at action 1 [N·m].
@@ -44,7 +44,7 @@ impl Driver {
         Self { control, torque_limit, joints: robot.joint_names(), clock: Clock::new(robot) }
     }
 
-    /// What an action is, for the task's summary.
+    /// The action in words, for the task's summary.
     pub fn summary(&self) -> &'static str {
         match self.control {
             Control::HipSpeed => "hip speeds as fractions of 5 Hz",
@@ -54,7 +54,7 @@ impl Driver {
         }
     }
 
-    /// What each number of an action moves.
+    /// The meaning of each action component.
     pub fn labels(&self) -> Vec<String> {
         match self.control {
             Control::Clock => self.clock.labels(&self.joints),
@@ -73,7 +73,7 @@ impl Driver {
         }
     }
 
-    /// What the servos do under `action`.
+    /// The servos' command under `action`.
     pub fn command(&self, action: &[f32], state: &State, command: &mut Command) {
         let hips = action.iter().zip(&state.references).zip(&mut command.rates);
         match self.control {
@@ -82,7 +82,7 @@ impl Driver {
                 hips.for_each(|((a, reference), rate)| *rate = toward(f64::from(*a) * PI, *reference))
             }
             Control::Torque => {
-                // Without gains the reference moves nothing; it follows the hip so that it stays near.
+                // Without gains the reference has no effect; it follows the hip so that it stays near.
                 let angles = state.angles.iter().zip(&state.references).zip(&mut command.rates);
                 angles.for_each(|((angle, reference), rate)| *rate = (angle - reference) * CONTROL_RATE);
                 let torques = action.iter().zip(&mut command.torques);

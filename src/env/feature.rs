@@ -1,4 +1,4 @@
-//! Numbers of a row, each declared once: name, unit, bounds, and how it is computed.
+//! Numbers of a row, each declared once with name, unit, bounds and the function that computes it.
 //!
 //! ```ignore
 //! type Figure = fn(&Transition, usize) -> f64;
@@ -50,14 +50,14 @@ impl<F: Copy> Features<F> {
         self.group(Column::each(joints, name, unit, bound), value)
     }
 
-    /// These columns, one after the other.
+    /// One number for each of these columns.
     pub fn group(mut self, columns: impl IntoIterator<Item = Column>, value: F) -> Self {
         let group = columns.into_iter().enumerate();
         self.0.extend(group.map(|(place, column)| Feature { column, value, place }));
         self
     }
 
-    /// These features, then `others`.
+    /// These features, followed by `others`.
     pub fn and(mut self, others: Self) -> Self {
         self.0.extend(others.0);
         self

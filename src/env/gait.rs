@@ -1,5 +1,5 @@
 //! `sandgait/HexapodGait-v1`: follow commanded forward and yaw speeds on flat or sloping sand with one joint a leg,
-//! driven in one of four ways.
+//! with one of four control modes.
 
 use super::control::{Control, Driver};
 use super::feature::Features;
@@ -22,22 +22,22 @@ options! {
     }
 }
 
-/// Bound of the observed hip speed [rad/s]; what goes beyond is clipped.
+/// Bound of the observed hip speed [rad/s]; larger values are clipped.
 const HIP_SPEED: f64 = 3.0 * TOP_SPEED;
 
 const ABOUT: &str = "\
 The robot starts at rest in the alternating tripod, its joints off by up to `angle_noise`; a speed is drawn from `command`
-and a yaw speed from `turn`, and both hold for the episode. `control` says how the hips are driven, always within `torque_limit` and, but for `torque`, 5 Hz.
+and a yaw speed from `turn`, and both hold for the episode. `control` selects how the hips are driven, always within `torque_limit` and, except for `torque`, 5 Hz.
 
 With `control=\"clock\"` an action is a gait: in the share *duty factor* of a stride a leg sweeps the angle *stance sweep*
-about *stance offset* (0: tip straight down) at one speed, in the rest it goes round at another, and each leg has its phase;
+about *stance offset* (0: tip straight down) at one speed, in the rest it turns on at another, and each leg has its phase;
 after the Buehler clock of RHex (Saranli, Buehler & Koditschek, Int. J. Robotics Research 20:616, 2001). Action 0 is the
-alternating tripod at one constant speed of 2.5 Hz. The clock is read off the servos' references, so an action may change at
-every step; common shifts of all phases do nothing. It does not walk backward.
+alternating tripod at one constant speed of 2.5 Hz. The clock is computed from the servos' references, so an action may change at
+every step; a common shift of all phases has no effect. A clock cannot walk backward.
 
-Velocities are paid for in the base's own heading: v_forward (`speed` in `info`) and v_left are the displacement of its centre
-over a control step along its heading on the surface and to the left of it, the heading halfway through the step, over the
-step's duration. `x_velocity` is the displacement along x, uphill.
+Rewards use velocities in the base's own heading. v_forward (`speed` in `info`) and v_left are the displacement of its centre
+in a control step, divided by the step's duration, along its heading on the surface and to the left of it. The heading is that
+halfway through the step. `x_velocity` is the displacement along x, uphill.
 
 An episode terminates when the base lies on its back (`flipped`) or its centre is 15 mm under the surface (`buried`); it is
 truncated after `max_episode_steps`, or when its state can no longer be computed (`diverged`).
@@ -120,7 +120,7 @@ impl Task for HexapodGait {
     }
 }
 
-/// By how much the hips turned in a step, on average [rad]; the distance of a wheel's tread is 2R times that.
+/// Mean angle that the hips turned in a step [rad]; a wheel's tread would move 2R times that.
 fn hip_turn(t: &Transition) -> f64 {
     let hips = t.after.angles.iter().zip(&t.before.angles);
     hips.map(|(after, before)| wrap_angle(after - before)).sum::<f64>() / t.after.angles.len() as f64

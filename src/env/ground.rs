@@ -1,55 +1,55 @@
-//! Ground that differs from place to place and remembers being walked on: what an episode of HexapodTerrain keeps.
+//! Ground of HexapodTerrain that varies with position and keeps footprints.
 
-use crate::sand::beyond::footprint;
+use crate::sand::mechanism_laws::footprint;
 use crate::sim::{Model, State};
 use serde::{Deserialize, Serialize};
 
-/// Patches after which their sand repeats.
+/// Number of patches after which their sand repeats.
 pub const PATCHES: usize = 16;
 
-/// Footprints that are remembered; older ones count as smoothed over. Our choice: some 80 strides of six legs.
+/// Number of footprints that are kept; older ones count as smoothed over. Our choice: some 80 strides of six legs.
 const PRINTS: usize = 512;
 
-/// An episode's ground, and what the robot has done to it.
+/// An episode's ground, and the footprints on it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct UsedGround {
-    /// ζ of each patch over the medium's own.
+    /// ζ of each patch relative to the medium's.
     pub zeta: Vec<f64>,
     /// Length of a patch along x [m]; patch 0 begins at x = 0.
     pub patch_length: f64,
-    /// κ of re-used ground.
+    /// κ of ground that was stepped on.
     pub footprint: f64,
-    /// Distance from the start after which the robot is sent back [m].
+    /// Distance from the start at which the robot is told to turn back [m].
     pub turning_point: f64,
     /// Sign of x on the way out, which is that of the first command.
     pub outward: f64,
-    /// On the way back to the start?
+    /// Is the robot told to go back to the start?
     pub returning: bool,
-    /// The patch whose sand is in force.
+    /// The patch whose sand the engine uses.
     pub patch: usize,
-    /// Where each leg that is in the sand went in [m].
+    /// Where each leg that is in the sand entered it [m].
     pub standing: Vec<Option<[f64; 2]>>,
-    /// Share of fresh ground's stress that each leg finds.
+    /// Stress on each leg as a share of that on fresh ground.
     pub footing: Vec<f64>,
-    /// Where legs stood [m], oldest first.
+    /// Footprints [m], oldest first.
     pub prints: Vec<[f64; 2]>,
 }
 
-/// What a step did to the ground.
+/// Changes of the ground in a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Change {
     Nothing,
-    /// Some leg's footing.
+    /// The footing of some leg changed.
     Footing,
-    /// The patch, and with it the sand.
+    /// The patch changed, and with it the sand.
     Patch,
-    /// Something gave the base this velocity along x and y [m/s].
+    /// A push set the base's velocity along x and y [m/s].
     Push([f64; 2]),
 }
 
 impl UsedGround {
-    /// Is it what an episode of a robot with `legs` legs can have come to?
+    /// Can an episode of a robot with `legs` legs have reached this ground? Checks snapshots.
     pub fn is_sound(&self, legs: usize) -> bool {
         let number = |x: &f64| x.is_finite();
         let points = self.prints.iter().chain(self.standing.iter().flatten()).flatten();
@@ -70,8 +70,8 @@ impl UsedGround {
         (x / self.patch_length).floor().rem_euclid(PATCHES as f64) as usize
     }
 
-    /// Does a robot at `x` [m] turn round: beyond the turning point on the way out, past the start on the way back? Only
-    /// what is made good in the commanded direction counts: who slips the other way goes on as commanded.
+    /// Does a robot at `x` [m] turn round: beyond the turning point on the way out, past the start on the way back?
+    /// Only distance in the commanded direction counts; a robot that slips the other way keeps its command.
     pub fn turned(&mut self, x: f64) -> bool {
         let out = x * self.outward;
         let turned = if self.returning { out < 0.0 } else { out > self.turning_point };
@@ -79,10 +79,10 @@ impl UsedGround {
         turned
     }
 
-    /// Takes note of where the robot is now.
+    /// Updates the ground for the robot's present state.
     pub fn after_step(&mut self, model: &Model, state: &State) -> Change {
         let mut change = Change::Nothing;
-        // Prints of this step count from the next one on: the order of the legs must not matter.
+        // Footprints of this step count from the next step on, so that the order of the legs does not matter.
         let mut left = Vec::new();
         for leg in 0..self.standing.len() {
             let [x, y, z] = model.tip(state, leg);
@@ -110,7 +110,7 @@ impl UsedGround {
         change
     }
 
-    /// What a leg finds that goes in at `place` [m]: the nearest print counts.
+    /// Share of the stress for a leg that enters at `place` [m]: the nearest footprint counts.
     fn footing_at(&self, place: [f64; 2]) -> f64 {
         if self.footprint == 0.0 {
             return 1.0;
@@ -155,8 +155,8 @@ mod tests {
         Model::new(&robot, &Scene::flat(Medium::named("poppy-loose").unwrap())).unwrap()
     }
 
-    /// The middle leg's print is what the front leg left; where nobody stood the ground is fresh, and so it is for a leg
-    /// that stays where it is.
+    /// The middle leg meets the front leg's footprint. Ground without footprints is fresh, also for a leg that
+    /// stays where it is.
     #[test]
     fn prints_are_found_again() {
         let (model, mut ground) = (model(), ground(0.5));

@@ -18,13 +18,14 @@ options! {
     }
 }
 
-/// Fastest a target moves [rad/s]: a small hobby servo's 60° in 0.08 s. Our choice, because the robot is our own.
+/// Largest speed of a target [rad/s]: that of a small hobby servo, 60° in 0.08 s. Our choice, because the robot is
+/// our own.
 const TARGET_SPEED: f64 = 13.0;
 
-/// Bound of the observed joint speed [rad/s]; what goes beyond is clipped.
+/// Bound of the observed joint speed [rad/s]; larger values are clipped.
 const JOINT_SPEED: f64 = 3.0 * TARGET_SPEED;
 
-/// Observed angles may pass their range by this much [rad] under load.
+/// Observed angles may exceed their range by this much [rad] under load.
 const OVERSHOOT: f64 = 0.5;
 
 const ABOUT: &str = "\
@@ -32,9 +33,9 @@ The robot starts at rest with its joints off by up to `angle_noise`; a speed is 
 `turn`, and both hold for the episode. Each servo's reference moves to its target within the control step, at 13 rad/s or
 less. `slope_deg` tilts the sand.
 
-Velocities are paid for in the base's own heading: v_forward (`speed` in `info`) and v_left are the displacement of its centre
-over a control step along its heading on the surface and to the left of it, the heading halfway through the step, over the
-step's duration. `x_velocity` is the displacement along x, uphill.
+Rewards use velocities in the base's own heading. v_forward (`speed` in `info`) and v_left are the displacement of its centre
+in a control step, divided by the step's duration, along its heading on the surface and to the left of it. The heading is that
+halfway through the step. `x_velocity` is the displacement along x, uphill.
 
 An episode terminates when the base lies on its back (`flipped`) or its centre is 15 mm under the surface (`buried`); it is
 truncated after `max_episode_steps`, or when its state can no longer be computed (`diverged`).

@@ -1,4 +1,4 @@
-//! What every walking task shares: reward terms, how episodes end, and the base's part of the observation.
+//! The parts that all walking tasks share: reward terms, how episodes end, and the base's part of the observation.
 
 use super::feature::{Features, flag};
 use super::task::{Goal, Transition};
@@ -6,21 +6,22 @@ use crate::reward_terms;
 use crate::sim::State;
 use crate::sim::model::GRAVITY;
 
-/// Largest speed that can be commanded, either way [m/s].
+/// Largest speed that can be commanded, forward or backward [m/s].
 pub const MAX_COMMAND: f64 = 2.0;
 
-/// Largest yaw speed that can be commanded, either way [rad/s].
+/// Largest yaw speed that can be commanded, left or right [rad/s].
 pub const MAX_TURN: f64 = 3.0;
 
-/// The base's centre this far under the surface [m] counts as buried: half the reference base's height.
+/// The robot counts as buried if the base's centre is this far below the surface [m]: half the reference base's
+/// height.
 const BURIED: f64 = -0.015;
 
-/// Bounds of the observation, some three times what random hip speeds reach on a slope of 20°; what goes beyond is
+/// Bounds of the observation, some three times what random hip speeds reach on a slope of 20°; values beyond are
 /// clipped. gymnasium warns of spaces without bounds.
 const BASE_SPEED: f64 = 5.0; // [m/s]
 const BASE_TURN: f64 = 100.0; // [rad/s]
 
-/// What an observation is computed from.
+/// The arguments of an observation's functions.
 pub struct Observed<'a> {
     pub goal: &'a Goal,
     pub state: &'a State,
@@ -48,7 +49,7 @@ impl<'a> Observed<'a> {
     }
 }
 
-/// What every observation begins with.
+/// The columns that every observation begins with.
 pub fn base_features() -> Features<Observe> {
     Features::<Observe>::none()
         .xyz("gravity direction, body frame,", "1", 1.0, |o, i| o.gravity[i])
@@ -56,7 +57,7 @@ pub fn base_features() -> Features<Observe> {
         .xyz("base angular velocity, body frame,", "rad/s", BASE_TURN, |o, i| o.angular_velocity[i])
 }
 
-/// What is commanded.
+/// The columns of the command.
 pub fn command_features() -> Features<Observe> {
     Features::<Observe>::none().one("commanded speed", "m/s", -MAX_COMMAND, MAX_COMMAND, |o, _| o.goal.speed).one(
         "commanded yaw speed",
@@ -67,32 +68,32 @@ pub fn command_features() -> Features<Observe> {
     )
 }
 
-/// Where the base's x axis points along the surface: cosine and sine of its heading.
+/// Direction of the base's x axis along the surface: cosine and sine of its heading.
 pub fn heading(state: &State) -> [f64; 2] {
     let rotation = state.rotation();
     direction([rotation[0][0], rotation[1][0]]).unwrap_or([1.0, 0.0])
 }
 
-/// A vector's direction, unless it has none.
+/// A vector's direction; the zero vector stays zero.
 fn direction([x, y]: [f64; 2]) -> Option<[f64; 2]> {
     let norm = x.hypot(y);
     (norm > 1e-9).then(|| [x / norm, y / norm])
 }
 
-/// Mean velocity of the base's centre over a step, forward and to the left [m/s]: its displacement, seen in the heading
+/// Mean velocity of the base's centre over a step, forward and to the left [m/s]: its displacement, in the heading
 /// halfway between before and after. A robot that cannot observe its heading can follow this. legged_gym
 /// (`_reward_tracking_lin_vel`, base frame) and Isaac Lab (`track_lin_vel_xy_yaw_frame_exp`) pay it too.
 fn heading_velocity(t: &Transition) -> [f64; 2] {
     let [before, after] = [t.before, t.after].map(heading);
-    // After half a turn within the step there is no halfway.
+    // After half a turn within the step the halfway heading is undefined.
     let [cos, sin] = direction([before[0] + after[0], before[1] + after[1]]).unwrap_or(after);
     let [x, y] = [0, 1].map(|i| (t.after.position[i] - t.before.position[i]) / t.period);
     [cos * x + sin * y, cos * y - sin * x]
 }
 
-/// What a deviation of `x` tolerances costs: x² where it is small, 2 |x| where it is large (pseudo-Huber loss: Charbonnier
-/// et al. 1994; Barron, CVPR 2019, eq. 1 with α = 1, doubled). Our choice: a bounded cost makes everything beyond its bound
-/// free, and squares of what a tumbling robot does would swamp all other terms.
+/// Cost of a deviation of `x` tolerances: x² for small ones, 2 |x| for large ones (pseudo-Huber loss: Charbonnier
+/// et al. 1994; Barron, CVPR 2019, eq. 1 with α = 1, doubled). Our choice: with a bounded cost, deviations beyond
+/// the bound would cost nothing more, and the squares of a tumbling robot would dominate all other terms.
 fn cost(x: f64) -> f64 {
     2.0 * ((1.0 + x * x).sqrt() - 1.0)
 }
@@ -114,7 +115,7 @@ reward_terms! {
     }
 }
 
-/// What the reward and the figures of a step are computed from.
+/// The arguments of reward terms and figures.
 pub struct WalkStep<'a> {
     pub t: &'a Transition<'a>,
     /// Mean velocity in the heading frame [m/s].
@@ -146,7 +147,7 @@ impl<'a> WalkStep<'a> {
     }
 }
 
-/// Info columns behind the reward's terms.
+/// Info columns after the reward's terms.
 pub fn figures() -> Features<Figure> {
     Features::<Figure>::none()
         .free("speed", "m/s", |w, _| w.forward)

@@ -1,4 +1,4 @@
-//! One environment as those see it who only look.
+//! One environment for viewers.
 
 use super::shard::{Episode, Shard};
 use super::spec::Spec;
@@ -6,13 +6,13 @@ use super::task::Goal;
 use crate::sim::{Model, State};
 use std::sync::Arc;
 
-/// Where an environment stands after its last reset or step, and what its task said of that step.
+/// State of an environment after its last reset or step, and the step's info.
 pub struct Look<'a> {
     pub spec: &'a Spec,
     pub model: &'a Arc<Model>,
     pub state: &'a State,
     pub goal: &'a Goal,
-    /// Share of fresh ground's stress that each leg finds; empty where all is fresh.
+    /// Stress on each leg as a share of that on fresh ground; empty where all ground is fresh.
     pub footing: &'a [f64],
     /// Seed and number of the episode.
     pub episode: (u64, u64),
@@ -36,7 +36,7 @@ impl Shard {
             Some(old) => (&old.goal, old.steps, &old.action),
             None => (goal, *steps, last_action),
         };
-        // Rewards of a step that ended an episode do not belong to the next one's first moment.
+        // Rewards of a step that ended an episode do not belong to the start of the next one.
         let rewarded = old.is_some() || !just_ended;
         let (width, paid) = (spec.info.len(), f32::from(u8::from(rewarded)));
         Look {

@@ -1,17 +1,20 @@
-//! Tasks: what a learner sees, does and is paid for.
+//! Tasks: observations, actions and rewards.
 //!
-//! This layer turns simulated robots into episodes. It knows nothing of threads, sessions or messages.
+//! This crate turns simulated robots into episodes. It has no threads, sessions or messages.
 //!
 //! * [`spec`]: observation, action and info tables; they generate vectors, replies, Python spaces and docs.
-//! * [`task`]: the trait a task implements; [`registry`]: which tasks there are.
-//! * [`options`]: how a task declares its keywords, [`feature`]: the numbers of its rows, [`reward`]: its reward's terms.
-//! * [`locomotion`], [`walking`]: what walking tasks share; [`gait`]: the task HexapodGait, [`legs`]: HexapodLegs, [`rocks`]: HexapodRocks.
-//! * [`terrain`]: the task HexapodTerrain; [`ground`]: what its episodes remember; [`stroke`]: the task LegStroke.
+//! * [`task`]: the trait a task implements; [`registry`]: the list of tasks.
+//! * [`options`]: how a task declares its keywords, [`feature`]: the numbers of its rows, [`reward`]: its reward's
+//!   terms.
+//! * [`locomotion`], [`walking`]: the parts that walking tasks share; [`gait`]: the task HexapodGait, [`legs`]:
+//!   HexapodLegs, [`rocks`]: HexapodRocks.
+//! * [`terrain`]: the task HexapodTerrain; [`ground`]: its patches and footprints; [`stroke`]: the task LegStroke.
 //! * [`legged`]: the task LeggedVelocity, of any robot from a file.
-//! * [`control`]: ways of driving hips; [`clock`]: the one that is a gait as parameters; [`reference`](mod@reference): how far references go.
+//! * [`control`]: control modes of hips; [`clock`]: the mode with a gait's parameters as action;
+//!   [`reference`](mod@reference): how the servos' references move.
 //! * [`shard`]: environments that advance together on one engine; reset, step, autoreset.
-//! * [`snapshot`]: episodes as data; [`rollout`]: many steps with actions that are known beforehand.
-//! * [`look`]: one environment for those who only look.
+//! * [`snapshot`]: episodes as data; [`rollout`]: many steps in one call.
+//! * [`look`]: one environment for viewers.
 //! * [`random`]: the stream of random numbers of an episode.
 
 pub use sandgait_base::error;

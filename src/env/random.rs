@@ -1,4 +1,4 @@
-//! Random numbers of an episode: a function of the environment's seed and the episode's number, nothing else.
+//! Random numbers of an episode: a function of the environment's seed and the episode's number only.
 
 use rand::{Rng as _, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -14,7 +14,7 @@ impl Random {
         bytes[8..16].copy_from_slice(&episode.to_le_bytes());
         bytes[16] = 1; // xoshiro's state must not be all zero
         let mut generator = Xoshiro256PlusPlus::from_seed(bytes);
-        generator.long_jump(); // mixes the sparse seed: near seeds give unrelated streams
+        generator.long_jump(); // mixes the bits of the seed: neighbouring seeds give unrelated streams
         Self(generator)
     }
 

@@ -3,17 +3,17 @@
 use super::spec::CONTROL_RATE;
 use std::f64::consts::{PI, TAU};
 
-/// Fastest a servo's reference moves [rad/s]: 5 Hz, the highest stride frequency of Li et al. 2012. The limit is the
-/// same for every way of driving, so that gaits can be compared.
+/// Largest speed of a servo's reference [rad/s]: 5 Hz, the highest stride frequency of Li et al. 2012. All control
+/// modes have the same limit, so that gaits can be compared.
 pub const TOP_SPEED: f64 = 5.0 * TAU;
 
-/// Speed [rad/s] that takes a reference to `target` [rad] by the shortest way within a control step, no faster than
+/// Speed [rad/s] that takes a reference to `target` [rad] the shortest way within a control step, at most
 /// [`TOP_SPEED`].
 pub fn toward(target: f64, reference: f64) -> f64 {
     (wrap_angle(target - reference) * CONTROL_RATE).clamp(-TOP_SPEED, TOP_SPEED)
 }
 
-/// An angle [rad] less its whole turns, in [−π, π).
+/// An angle [rad] without its whole turns, in [−π, π).
 pub fn wrap_angle(angle: f64) -> f64 {
     (angle + PI).rem_euclid(TAU) - PI
 }
@@ -22,7 +22,7 @@ pub fn wrap_angle(angle: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Half a degree over the top is one degree away from half a degree before it, and speed has its limit.
+    /// From half a degree past the top to half a degree before it is one degree; and speed is limited.
     #[test]
     fn references_go_by_the_shortest_way() {
         let degree = PI / 180.0;
@@ -30,7 +30,7 @@ mod tests {
         assert!((toward(0.1 * degree, 0.3 * degree) + 0.2 * degree * CONTROL_RATE).abs() < 1e-9);
         assert_eq!(toward(2.0, 0.0), TOP_SPEED);
         assert_eq!(toward(2.0, 5.0), -TOP_SPEED);
-        // References that lag by whole turns are no further away.
+        // A reference that lags by whole turns is no further away.
         assert!((toward(0.1, -2.0 * TAU) - 0.1 * CONTROL_RATE).abs() < 1e-9);
     }
 }

@@ -1,4 +1,4 @@
-//! Which tasks there are, and how a session's environments are made from an id and options.
+//! The list of tasks, and how an id and options become a session's environments.
 
 use super::gait::HexapodGait;
 use super::legged::LeggedVelocity;
@@ -14,7 +14,7 @@ use crate::sim::engine::EngineKind;
 use serde_json::Value;
 use std::sync::Arc;
 
-/// All tasks, one row each. A task's file says everything else about it.
+/// All tasks, one row each; a task's own file has the rest.
 const KINDS: [Kind; 6] = [
     Kind::of::<HexapodGait>(),
     Kind::of::<HexapodLegs>(),
@@ -24,7 +24,7 @@ const KINDS: [Kind; 6] = [
     Kind::of::<LeggedVelocity>(),
 ];
 
-/// A task before it has options.
+/// A task without its options.
 struct Kind {
     id: &'static str,
     rows: fn() -> Vec<OptionRow>,
@@ -52,17 +52,17 @@ pub const TASK_IDS: [&str; KINDS.len()] = {
 pub struct Keyword {
     pub name: &'static str,
     pub help: &'static str,
-    /// The help, of a dictionary with that of its keys.
+    /// The help; for a dictionary with that of its keys.
     pub summary: String,
-    /// What it is in this session.
+    /// Its value in this session.
     pub value: Value,
     /// May a reset change it?
     pub at_reset: bool,
-    /// Of a dictionary: what each of its keys is.
+    /// For a dictionary: its keys.
     pub keys: Vec<OptionRow>,
 }
 
-/// Names of all options that resets of some task change.
+/// Names of all options that a reset of some task can change.
 pub fn reset_names() -> Vec<&'static str> {
     let mut names = Vec::new();
     for row in KINDS.iter().flat_map(|kind| (kind.rows)()).filter(|row| row.at_reset) {
@@ -87,7 +87,7 @@ fn check_keyword(id: &str, rows: &[OptionRow], name: &str) -> Result<()> {
     Err(Error::invalid(name, format!("{id} has no such option; {} has", others.join(", "))))
 }
 
-/// Why there is no task `id`: it is an earlier version of another, or nothing at all.
+/// The error for an unknown task `id`: an earlier version of a task, or an unknown name.
 fn no_task(id: &str) -> Error {
     let version = |id: &str| id.rsplit_once("-v").and_then(|(name, v)| Some((name.to_owned(), v.parse::<u32>().ok()?)));
     let earlier = |new: &&&str| match (version(id), version(new)) {
@@ -100,7 +100,7 @@ fn no_task(id: &str) -> Error {
     }
 }
 
-/// A task with its options: everything a session is made from.
+/// A task with its options: it determines a session.
 #[derive(Clone)]
 pub struct Blueprint {
     pub task: Arc<dyn AnyTask>,
@@ -115,7 +115,7 @@ impl Blueprint {
         (kind.make)(options)
     }
 
-    /// Task `T` with these keywords, in the registry or not.
+    /// Task `T` with these keywords; `T` need not be in the registry.
     pub fn of<T: Task>(keywords: Value) -> Result<Self> {
         let (rows, keywords) = (T::Options::rows(), options::object(keywords)?);
         keywords.keys().try_for_each(|name| check_keyword(T::ID, &rows, name))?;
@@ -146,12 +146,12 @@ impl Blueprint {
         Ok(Self { task: self.task.changed(reset)?, ..*self })
     }
 
-    /// What of the options has no effect, and why: mechanisms of a sand.toml that robots do not feel.
+    /// Options without effect, and why: mechanisms of a sand.toml that do nothing to robots.
     pub fn warnings(&self) -> Vec<String> {
         self.task.model().scene.mechanisms.unfelt_by_walkers()
     }
 
-    /// The keywords that this task takes, with the values they have here.
+    /// The keywords of this task, with their values here.
     pub fn keywords(&self) -> Vec<Keyword> {
         let keyword = |row: OptionRow| {
             let OptionRow { name, help, at_reset, keys } = row;
@@ -162,7 +162,7 @@ impl Blueprint {
         self.task.rows().into_iter().map(keyword).collect()
     }
 
-    /// Memory that one environment takes [bytes], roughly: rows twice (final observations), its episode, its robot.
+    /// Estimated memory of one environment [bytes]: rows twice (final observations), its episode, its robot.
     pub fn bytes_per_env(&self) -> usize {
         let spec = self.task.spec();
         let rows = 4 * (2 * spec.observation.len() + spec.info.len() + spec.action.len());

@@ -1,4 +1,4 @@
-//! Terms of a reward, each declared once: name, default weight, what it is, and how it is computed.
+//! Terms of a reward, each declared once with name, default weight, description and function.
 
 /// Declares the terms of a reward and the option that weights them, one line a term:
 /// `name: default weight, "what it is", function of the step;`.

@@ -33,8 +33,8 @@ options! {
 }
 
 options! {
-    /// What lies on the sand. Sizes are our choice: rocks of half to one and a half times the reference robot's leg, steps of up
-    /// to half a leg. Granite has 2,650 kg/m³.
+    /// The obstacles on the sand. Sizes are our choice: rocks of half to one and a half times the reference robot's
+    /// leg, steps of up to half a leg. Granite has 2,650 kg/m³.
     #[derive(Copy, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct RockOptions {
@@ -48,13 +48,13 @@ options! {
     }
 }
 
-/// The field reaches this far behind the start [m].
+/// Distance behind the start at which the field begins [m].
 const BEHIND: f64 = 0.3;
 
-/// Nothing lies this near to the start [m]: half the reference robot's length and a leg, and some room.
+/// No obstacle is closer to the start than this [m]: half the reference robot's length, a leg and a margin.
 const CLEAR: f64 = 0.15;
 
-/// Draws of a place for one obstacle before it is left out.
+/// Most random positions tried for one obstacle before it is left out.
 const TRIES: usize = 20;
 
 /// Corners of a rock: enough to look irregular.
@@ -65,7 +65,7 @@ pub(super) const CORNERS: usize = 12;
 const SCAN_X: [f64; 7] = [-0.05, 0.0, 0.05, 0.1, 0.13, 0.16, 0.2];
 const SCAN_Y: [f64; 5] = [-0.1, -0.05, 0.0, 0.05, 0.1];
 
-/// Bound of a scanned height [m]; what is higher is clipped.
+/// Bound of a scanned height [m]; larger values are clipped.
 const SCAN_HEIGHT: f64 = 0.1;
 
 impl RockOptions {
@@ -94,7 +94,7 @@ impl RockOptions {
         [random.uniform(-BEHIND, length - BEHIND), random.uniform(-width / 2.0, width / 2.0)]
     }
 
-    /// One obstacle over the origin, and the radius [m] that it needs around it.
+    /// One obstacle at the origin, and the radius [m] of the free space it needs.
     fn obstacle(&self, random: &mut Random) -> (Obstacle, f64) {
         let size = |random: &mut Random| random.uniform(self.size[0], self.size[1]);
         let (loose, step) = (random.uniform(0.0, 1.0) < self.dynamic_fraction, random.uniform(0.0, 1.0) < 0.5);
@@ -133,10 +133,10 @@ fn rock(radius: f64, random: &mut Random) -> ObstacleShape {
 
 const ABOUT: &str = "\
 HexapodGait on a field of obstacles that is drawn anew for every episode: rocks that are fixed in the sand, steps, and loose
-rocks that the robot pushes and the sand holds. The observation ends with a scan of heights around the base. Rigid contacts
-are rapier's; see HexapodGait-v1 for `control`, for how episodes end, and for the cost of transport.";
+rocks that the robot can push. The observation ends with a scan of heights around the base. Rigid contacts
+are computed by rapier; see HexapodGait-v1 for `control`, for how episodes end, and for the cost of transport.";
 
-/// The task; what it shares with HexapodGait is that task's own.
+/// The task; the parts it shares with HexapodGait are those of that task.
 pub struct HexapodRocks {
     gait: HexapodGait,
     spec: Spec,
@@ -147,7 +147,7 @@ fn scan_points() -> impl Iterator<Item = [f64; 2]> {
     SCAN_X.into_iter().flat_map(|x| SCAN_Y.into_iter().map(move |y| [x, y]))
 }
 
-/// Heights of obstacles over the sand [m] at the scan's points, 0 where there is only sand.
+/// Heights of obstacles above the sand [m] at the scan's points, 0 where there is only sand.
 fn scan(model: &Model, state: &State, row: &mut [f32]) {
     let [cos, sin] = locomotion::heading(state);
     let poses = obstacle_poses(model, state);
@@ -208,7 +208,7 @@ impl Task for HexapodRocks {
     fn begin(&self, setup: &Setup<RocksOptions>, random: &mut Random) -> (State, Goal) {
         let (mut state, goal) = self.gait.begin(&setup.with(&setup.options.gait), random);
         let rocks = setup.options.rocks.draw(random);
-        // What `draw` makes is within every range: a test holds it to that.
+        // Obstacles from `draw` are within every range, which a test checks.
         let model = setup.model.with_obstacles(&rocks).map_or_else(|_| setup.model.clone(), Arc::new);
         state.objects = model.objects_at_rest();
         (state, Goal { model: Some(model), ..goal })

@@ -1,34 +1,34 @@
-//! Many steps in one go: with actions that are known beforehand, for planners and evolution strategies, or with those of a
+//! Many steps in one call, with given actions (for planners and evolution strategies) or with the actions of a
 //! policy that runs beside the environments.
 //!
-//! An environment's rollout ends with its episode: what it would do after that counts nothing and is reported as zeros.
+//! An environment's rollout ends with its episode. Later steps are not counted, and their rows are zeros.
 
 use crate::error::Error;
 
-/// What a rollout gave so far; one row an environment.
+/// Results of a rollout so far; one row an environment.
 #[derive(Default)]
 pub struct Rollout {
     /// f64 [envs]: sum of rewards until the rollout or the episode ended.
     pub returns: Vec<f64>,
-    /// [envs]: steps that counted.
+    /// [envs]: number of counted steps.
     pub lengths: Vec<u32>,
-    /// [envs], 0 or 1: how the episode ended, if it did.
+    /// [envs], 0 or 1: how the episode ended, if it ended.
     pub terminated: Vec<u8>,
     /// [envs], 0 or 1
     pub truncated: Vec<u8>,
-    /// Every step since the last call, where they were asked for.
+    /// Every step since the last call, if requested.
     pub steps: Vec<Recorded>,
-    /// Why there are no actions for the next step; none are made after that.
+    /// The error for which no action exists for the next step; no more steps are made after it.
     pub failed: Option<Error>,
 }
 
-/// One step of a rollout, zeros where an environment's rollout had ended before.
+/// One step of a rollout; zeros for environments whose rollout had ended.
 pub struct Recorded {
-    /// f32 [envs, observation]: after the step; the last of its episode where that ended.
+    /// f32 [envs, observation]: after the step, or at the end of the episode.
     pub observations: Vec<f32>,
     /// f32 [envs]
     pub rewards: Vec<f32>,
-    /// f32 [envs, action]: what the step was made with.
+    /// f32 [envs, action]: the action of the step.
     pub actions: Vec<f32>,
 }
 

@@ -11,7 +11,7 @@ use crate::sim::engine::{Command, Engine};
 use crate::sim::{Model, State};
 use std::sync::Arc;
 
-/// What the beginning of an episode overwrites of the one before.
+/// Data of the last episode that the start of the next one overwrites.
 pub(super) struct Ended {
     pub goal: Goal,
     pub steps: u32,
@@ -20,15 +20,15 @@ pub(super) struct Ended {
 
 /// One environment's episode.
 pub(super) struct Episode {
-    /// With the options and the model that this environment has.
+    /// The task with this environment's options and model.
     pub task: Arc<dyn AnyTask>,
-    /// A reset may have changed the task's options since the engine was last told.
+    /// A reset may have changed the task's options since the engine got them.
     pub stale: bool,
     pub seed: u64,
     pub number: u64,
     pub steps: u32,
     pub goal: Goal,
-    /// The state before the last step; where that ended an episode, the episode's last one.
+    /// The state before the last step; if that step ended an episode, the final state of that episode.
     pub before: State,
     pub after: State,
     pub last_action: Vec<f32>,
@@ -37,7 +37,7 @@ pub(super) struct Episode {
 }
 
 impl Episode {
-    /// Fills an observation row; what lies beyond its column's bounds is clipped to them.
+    /// Fills an observation row; values beyond their column's bounds are clipped.
     fn observe(&self, row: &mut [f32]) {
         self.task.observe(&self.goal, &self.after, &self.last_action, row);
         for (value, column) in row.iter_mut().zip(&self.task.spec().observation) {
@@ -46,7 +46,7 @@ impl Episode {
     }
 }
 
-/// A run of environments of one session. Owned by one thread at a time.
+/// Consecutive environments of one session. One thread owns a shard at a time.
 pub struct Shard {
     task: Arc<dyn AnyTask>,
     pub(super) engine: Engine,
@@ -58,7 +58,7 @@ pub struct Shard {
     pub rollout: Rollout,
 }
 
-/// What the last reset or step gave, one row an environment.
+/// Rows of the last reset or step, one an environment.
 pub struct Rows {
     /// f32 [envs, observation]
     pub observations: Vec<f32>,
@@ -89,7 +89,7 @@ impl Rows {
         }
     }
 
-    /// Ready for the next call: nothing has happened yet.
+    /// Clears the rows for the next call.
     pub fn clear(&mut self) {
         self.rewards.fill(0.0);
         self.terminated.fill(0);
@@ -156,24 +156,25 @@ impl Shard {
         self.task.spec().action.len()
     }
 
-    /// Where environment `i` is now; right after an episode's end that is the next one's start.
+    /// Present state of environment `i`; right after the end of an episode, the start of the next one.
     pub fn state(&self, i: usize) -> &State {
         &self.episodes[i].after
     }
 
-    /// What environment `i`'s episode is simulated with.
+    /// The model that simulates environment `i`'s episode.
     pub fn model(&self, i: usize) -> &Model {
         let Episode { goal, task, .. } = &self.episodes[i];
         goal.model.as_ref().unwrap_or(task.model())
     }
 
-    /// Is no step of the present episodes made yet?
+    /// Are the present episodes all at their first step?
     pub fn is_fresh(&self) -> bool {
         self.episodes.iter().all(|e| e.steps == 0)
     }
 
-    /// Begins new episodes where `chosen` says so, with `task` of an environment in place of its own where there is one.
-    /// With `seeds` the environments' streams of random numbers start anew, without they go on.
+    /// Begins new episodes where `chosen` is set; where `task` has an entry, with that task in place of the
+    /// environment's own. With `seeds` the environments' streams of random numbers start anew, otherwise they
+    /// continue.
     pub fn reset<'a>(
         &mut self,
         chosen: impl Fn(usize) -> bool,
@@ -211,8 +212,9 @@ impl Shard {
         }
     }
 
-    /// [`Shard::step`] of those environments that `held` does not name. Held ones stay as they are, with zeros in every
-    /// row but the observation. They are stepped like the others and put back: lanes move together.
+    /// [`Shard::step`] for the environments that `held` does not name. Held ones keep their state, and their rows
+    /// are zeros except for the observation. They are stepped with the others and then restored, because lanes move
+    /// together.
     pub fn step_but(&mut self, actions: &[f32], held: impl Fn(usize) -> bool) {
         let kept: Vec<_> = (0..self.envs()).filter(|i| held(*i)).map(|i| (i, self.keep(i))).collect();
         self.step(actions);
@@ -273,7 +275,7 @@ impl Shard {
         }
     }
 
-    /// Starts environment `i`'s episode of the present number and fills its observation row.
+    /// Starts environment `i`'s episode with its present number, and fills its observation row.
     fn begin(&mut self, i: usize) {
         let episode = &mut self.episodes[i];
         let mut random = Random::new(episode.seed, episode.number);
@@ -304,12 +306,12 @@ impl Shard {
 }
 
 impl Shard {
-    /// Before the first [`Shard::roll`] of a rollout.
+    /// Prepares a rollout; must come before its first [`Shard::roll`].
     pub fn begin_rollout(&mut self) {
         self.rollout = Rollout::begin(self.envs());
     }
 
-    /// Goes on with a rollout by one step; `actions` is f32 [envs, action] within its bounds.
+    /// Continues a rollout by one step; `actions` is f32 [envs, action] within its bounds.
     pub fn roll(&mut self, actions: &[f32], record: bool) {
         let over: Vec<bool> = (0..self.envs()).map(|i| self.rollout.over(i)).collect();
         self.step(actions);
@@ -344,7 +346,7 @@ impl Shard {
     }
 }
 
-/// Tells the engine what changed in environment `i`'s ground.
+/// Gives the engine the changes of environment `i`'s ground.
 fn tell(engine: &mut Engine, i: usize, episode: &Episode, change: Change) {
     let (Some(ground), Some(model)) = (&episode.goal.ground, &episode.goal.model) else { return };
     if change == Change::Patch {

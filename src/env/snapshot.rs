@@ -1,7 +1,7 @@
-//! Episodes as data: everything that the rest of an episode, and all that follow it, depend on.
+//! Episodes as data: everything that the rest of an episode, and all later episodes, depend on.
 //!
-//! [`Shard::save`] and [`Shard::restore`] keep every bit: an environment that was restored goes on exactly as the one
-//! that was saved, in any lane of any batch of the same task.
+//! [`Shard::save`] and [`Shard::restore`] keep every bit: a restored environment goes on exactly as the saved one,
+//! in any lane of any batch of the same task.
 
 use super::ground::UsedGround;
 use super::legged::episode::LeggedEpisode;
@@ -15,7 +15,8 @@ use crate::sim::{Model, Robot, State};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// One environment in the middle of an episode. Its options stand elsewhere: many environments share them.
+/// One environment in the middle of an episode. Its options are stored elsewhere, because many environments share
+/// them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SavedEpisode {
@@ -24,11 +25,11 @@ pub struct SavedEpisode {
     pub steps: u32,
     /// Commanded speed [m/s] and yaw speed [rad/s].
     pub goal: [f64; 2],
-    /// What the episode is simulated with where it drew something of its own, such as rocks.
+    /// The model of an episode that drew parts of it, such as rocks.
     pub drawn: Option<Box<(Robot, Scene)>>,
-    /// Of tasks whose ground changes along the way.
+    /// For tasks whose ground varies along the way.
     pub ground: Option<UsedGround>,
-    /// Of LeggedVelocity; its model is made again from what it drew.
+    /// For LeggedVelocity; the model is built again from these values.
     #[serde(default)]
     pub legged: Option<LeggedEpisode>,
     /// [`State::row`]
@@ -37,7 +38,7 @@ pub struct SavedEpisode {
     pub last_action: Vec<f32>,
 }
 
-/// A [`SavedEpisode`] that was checked and is ready to go on.
+/// A checked [`SavedEpisode`], ready to go on.
 pub struct Resumed {
     task: Arc<dyn AnyTask>,
     seed: u64,
@@ -86,8 +87,8 @@ impl Resumed {
     }
 }
 
-/// The model of an episode that drew some of it. Masses, sand and slope are checked like any other input; whatever its size
-/// in memory depends on must be as `task` has it.
+/// The model of an episode that drew parts of it. Masses, sand and slope are checked like any other input; all
+/// dimensions that memory depends on must equal those of `task`.
 fn drawn(robot: &Robot, scene: &Scene, task: &dyn AnyTask) -> Result<Model> {
     let own = task.model();
     if !robot.is_variant_of(&own.robot) {
@@ -101,7 +102,7 @@ fn drawn(robot: &Robot, scene: &Scene, task: &dyn AnyTask) -> Result<Model> {
     if same != *scene {
         return Err(Error::invalid("scene", "not the session's"));
     }
-    // The largest that options allow, times the largest ζ of a patch.
+    // The largest value that options allow, times the largest ζ of a patch.
     for c in scene.medium.coefficients.to_array() {
         check_range("coefficients", c, -1e9..=1e9)?;
     }
@@ -115,7 +116,7 @@ fn drawn(robot: &Robot, scene: &Scene, task: &dyn AnyTask) -> Result<Model> {
 }
 
 impl Shard {
-    /// Environment `i` as it is now.
+    /// A copy of environment `i`'s present episode.
     pub fn save(&self, i: usize) -> SavedEpisode {
         let Episode { seed, number, steps, goal, after, last_action, .. } = &self.episodes[i];
         SavedEpisode {
@@ -134,7 +135,7 @@ impl Shard {
         }
     }
 
-    /// Environment `i` as it is now, for this shard's own use.
+    /// The same for this shard's own use.
     pub fn keep(&self, i: usize) -> Resumed {
         let Episode { task, seed, number, steps, goal, after, last_action, .. } = &self.episodes[i];
         let (task, goal) = (task.clone(), goal.clone());
@@ -142,12 +143,12 @@ impl Shard {
         Resumed { task, seed: *seed, number: *number, steps: *steps, goal, state, last_action }
     }
 
-    /// The task of environment `i` with the options and the model that it has now.
+    /// The task of environment `i` with its present options and model.
     pub fn task(&self, i: usize) -> &Arc<dyn AnyTask> {
         &self.episodes[i].task
     }
 
-    /// Lets environment `i` go on as `resumed`; fills its observation row.
+    /// Continues environment `i` as `resumed`, and fills its observation row.
     pub fn restore(&mut self, i: usize, resumed: &Resumed) {
         let Resumed { task, seed, number, steps, goal, state, last_action } = resumed;
         let episode = &mut self.episodes[i];
@@ -187,7 +188,7 @@ mod tests {
 
     type Change = (&'static str, fn(&mut Robot, &mut Scene));
 
-    /// What an episode cannot have drawn.
+    /// Values that no episode can have drawn.
     const CRAFTED: [Change; 20] = [
         ("many plates", |r, _| r.belly.iter_mut().for_each(|b| b.plates = [6000, 6000])),
         ("more plates than memory", |r, _| r.belly.iter_mut().for_each(|b| b.plates = [100_000, 100_000])),
@@ -218,7 +219,7 @@ mod tests {
         for (blueprint, honest) in saved() {
             resume(&blueprint, &honest).unwrap();
             if blueprint.task.model().tree.is_some() {
-                continue; // it draws no robot: see the next test
+                continue; // This task draws no robot: see the next test
             }
             let id = blueprint.task.spec().id;
             let own = || Box::new((blueprint.task.model().robot.clone(), blueprint.task.model().scene.clone()));
@@ -231,7 +232,7 @@ mod tests {
                 let before = drawn.clone();
                 change(&mut drawn.0, &mut drawn.1);
                 if *drawn == before {
-                    // LegStroke's leg has this shape; with a robot drawn it is refused all the same.
+                    // LegStroke's leg has this shape; nevertheless a snapshot with a robot is refused.
                     assert_eq!(id, "sandgait/LegStroke-v0", "{what}");
                 }
                 let error = resume(&blueprint, &crafted).err().unwrap_or_else(|| panic!("{id}: {what} is taken"));

@@ -1,8 +1,8 @@
-//! Tables that say what every number of a row means.
+//! Tables of the meaning of every number in a row.
 
 use crate::error::{Error, Result};
 
-/// Control steps a second of every task: 50, usual for legged robots of this size.
+/// Control steps a second in every task: 50, usual for legged robots of this size.
 pub const CONTROL_RATE: f64 = 50.0;
 
 /// One number of an observation, action or info row.
@@ -20,7 +20,7 @@ impl Column {
         Self { name: name.into(), unit, low, high }
     }
 
-    /// Refuses a value beyond the bounds, or none at all (NaN); `field` names it.
+    /// Refuses a value beyond the bounds, or NaN; `field` names it.
     pub fn check(&self, value: f32, field: impl FnOnce() -> String) -> Result<()> {
         if (self.low..=self.high).contains(&f64::from(value)) {
             return Ok(());
@@ -29,7 +29,7 @@ impl Column {
         Err(Error::invalid(field(), reason))
     }
 
-    /// Without bounds.
+    /// A column without bounds.
     pub fn free(name: impl Into<String>, unit: &'static str) -> Self {
         Self::new(name, unit, f64::NEG_INFINITY, f64::INFINITY)
     }
@@ -54,25 +54,25 @@ impl Column {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Term {
     pub name: &'static str,
-    /// What it is before it is weighted.
+    /// Description of the term without its weight.
     pub law: &'static str,
-    /// Its weight, where that is an option.
+    /// The weight, if it is an option.
     pub weight: f64,
 }
 
-/// Everything about a task's rows that does not change while it runs.
+/// All facts about a task's rows that do not change while it runs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Spec {
     /// For example `sandgait/HexapodGait-v1`.
     pub id: &'static str,
     pub summary: String,
-    /// For the task's page, in Markdown: what an episode is, how it ends, what its figures are good for.
+    /// For the task's page, in Markdown: what an episode is, how it ends, and what its figures are useful for.
     pub about: &'static str,
     pub observation: Vec<Column>,
     pub action: Vec<Column>,
     /// Reward terms, weighted, then other figures of the step.
     pub info: Vec<Column>,
-    /// What the leading info columns are; the reward is their sum.
+    /// Number of leading info columns that are reward terms; the reward is their sum.
     pub reward: Vec<Term>,
     pub max_episode_steps: u32,
     /// Control steps a second of simulated time.

@@ -28,11 +28,12 @@ options! {
 }
 
 options! {
-    /// Carriage, leg and constraint. Our choices: at `carriage_speed` a stroke is two lengths of the leg long, with which
-    /// constant-rate strokes do best near the middle of the range of joint speeds; `lift` is a sixth of the weight of the
-    /// reference hexapod grown to this leg (lengths × 1.9, mass × 1.9³); `lift_weight` is more than the greatest efficiency there
-    /// can be. `height` and `start` are as in Li et al. 2012, section 3: the tip points forward, 1.75 rad from straight down. Below
-    /// the slowest carriage speed thrust per work says nothing (see the task's page); the fastest is where RFT ends.
+    /// Carriage, leg and constraint. Our choices: at `carriage_speed` a stroke is two lengths of the leg long, with
+    /// which constant-rate strokes do best near the middle of the range of joint speeds; `lift` is a sixth of the
+    /// weight of the reference hexapod scaled to this leg (lengths × 1.9, mass × 1.9³); `lift_weight` is more than
+    /// the greatest possible efficiency. `height` and `start` are as in Li et al. 2012, section 3: the tip points
+    /// forward, 1.75 rad from straight down. Below the slowest carriage speed thrust per work has no meaning (see
+    /// the task's page); above the fastest RFT is not valid.
     #[derive(Copy, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct StrokeOptions {
@@ -66,48 +67,48 @@ impl StrokeOptions {
     }
 }
 
-/// Joint speed at action 1 [rad/s]: one turn in the default stroke. A straight leg's tip reaches 0.7 m/s then; resistive
-/// force theory is known to hold up to some 0.5 m/s.
+/// Joint speed at action 1 [rad/s]: one turn in the default stroke. A straight leg's tip then reaches 0.7 m/s;
+/// resistive force theory is known to be valid up to some 0.5 m/s.
 const TOP_SPEED: f64 = TAU;
 
-/// Work below this counts as this [J], so that a leg at rest has an efficiency: a hundredth of what good strokes take.
+/// Least work in the efficiency [J], so that a leg at rest has one: a hundredth of what good strokes take.
 const LEAST_WORK: f64 = 1e-3;
 
-/// Depth of the leg at the end at which the penalty for that is full [m]. Our choice.
+/// Depth of the leg at the end at which its penalty is full [m]. Our choice.
 const LEFT_DEPTH: f64 = 0.01;
 
-/// Bounds of what is observed, far beyond what good strokes reach on the default sand; what goes beyond is clipped.
+/// Bounds of the observation, far beyond good strokes on the default sand; values beyond are clipped.
 const TORQUE: f64 = 10.0; // [N·m]
 const IMPULSE: f64 = 20.0; // [N·s]
 const WORK: f64 = 20.0; // [J]
 
 const ABOUT: &str = "\
-A carriage moves one leg over the sand at a constant speed and height and measures the forces, as the paper's arm does; the
+A carriage moves one leg over the sand at a constant speed and height and measures the forces, like the arm of Li et al. 2012; the
 speeds of hip and knee are the action. One stroke is an episode. Forces are those of the sand's law on the leg's 24 segments;
 the leg has no mass, so only sand does work on it.
 
-**What is sought**: thrust per work. Thrust is the sand's mean forward force on the leg; work is what both joints
-give together, ∫Σ τ ω dt: what goes into the sand and into the carriage. The figure of merit is the *efficiency* of propulsion,
+**Goal**: thrust per work. Thrust is the sand's mean forward force on the leg; work is that of both joints
+together, ∫Σ τ ω dt, which goes into the sand and into the carriage. The figure of merit is the *efficiency* of propulsion,
 
 ```text
 efficiency = thrust impulse [N·s] × carriage speed [m/s] / work [J],
 ```
 
-the share of that work which pushes the carriage. It is thrust per work times a constant, has no unit, and cannot pass 1:
-sand only takes energy. Under a carriage that stands still thrust per work has no greatest value: the sand's forces do not
-depend on speed, so the same path at half the speed gives twice the impulse for the same work. A carriage that moves sets the
-speed that counts.
+the share of that work which pushes the carriage. It is thrust per work times a constant, has no unit, and cannot exceed 1,
+because sand only takes energy. Under a carriage at rest thrust per work would have no maximum: the sand's forces do not
+depend on speed, so the same path at half the speed gives twice the impulse for the same work. The speed of a moving carriage
+removes this freedom.
 
-**Constraint**: the mean lift over the whole stroke is at least `stroke.lift`, and the leg is out of the sand at the end. What
-is missing is paid for. The reward's terms are differences, so that the return is exactly
+**Constraint**: the mean lift over the whole stroke is at least `stroke.lift`, and the leg is out of the sand at the end. Violations
+are penalised. The reward's terms are differences, so that the return is exactly
 
 ```text
 efficiency − lift_weight · (share of the lift that is missing) − exit_weight · (depth at the end / 1 cm, at most 1)
 ```
 
-with the efficiency clipped to [−1, 1] and work counted as 1 mJ at least. The episode terminates with the stroke.
+with the efficiency clipped to [−1, 1] and a work of at least 1 mJ. The episode terminates with the stroke.
 
-**Baseline**: circular strokes: the knee locked, the hip at one speed; the best over knee angle, speed and where it starts
+**Baseline**: circular strokes: the knee locked, the hip at one speed; the best over knee angle, speed and start
 (`stroke.start`).";
 
 /// Computes one number of an observation from goal, state, last action and the stroke's length [s].
@@ -120,28 +121,29 @@ pub struct LegStroke {
     spec: Spec,
     observation: Features<Observe>,
     figures: Features<Figure>,
-    /// Of the joints [rad].
+    /// Ranges of the joints [rad].
     ranges: Vec<Option<[f64; 2]>>,
     /// Length of a stroke [s].
     duration: f64,
 }
 
-/// What a stroke has come to.
+/// Results of a stroke so far.
 struct Account {
     /// Thrust impulse × carriage speed / work, in [-1, 1].
     efficiency: f64,
-    /// Share of the lift impulse that is still missing; 0 before the stroke begins, so that its terms sum up to the end's.
+    /// Share of the lift impulse that is still missing; 0 before the stroke begins, so that the terms of the steps
+    /// sum up to the missing share at the end.
     missing: f64,
-    /// Share of the stroke that is made.
+    /// Share of the stroke that is done.
     progress: f64,
 }
 
-/// What the reward and the figures of a step are computed from.
+/// The arguments of reward terms and figures.
 struct StrokeStep<'a> {
     t: &'a Transition<'a>,
     before: Account,
     after: Account,
-    /// Depth in which the leg is left at the end [m].
+    /// Depth of the leg at the end [m].
     left: f64,
     /// Length of the whole stroke [s].
     duration: f64,
@@ -169,7 +171,7 @@ fn terms(stroke: &StrokeOptions) -> [(&'static str, &'static str, f64, Figure); 
     ]
 }
 
-/// Info columns behind them.
+/// Info columns after the reward's terms.
 fn figures() -> Features<Figure> {
     Features::<Figure>::none()
         .free("thrust", "N", |s| s.force(0))
@@ -181,7 +183,7 @@ fn figures() -> Features<Figure> {
 }
 
 impl LegStroke {
-    /// Of a stroke that has come to `state`. The carriage's way says how much of it is made.
+    /// Results of a stroke in `state`. The carriage's distance gives the share that is done.
     fn account(&self, stroke: &StrokeOptions, state: &State) -> Account {
         let progress = state.position[0] / (stroke.carriage_speed * self.duration);
         let [thrust, _, lift] = state.impulse;
@@ -201,7 +203,7 @@ impl Task for LegStroke {
     }
 
     fn model(options: &StrokeTaskOptions) -> Result<Model> {
-        // No servos: an action is a joint's speed.
+        // There are no servos: an action is a joint's speed.
         let robot = Robot::stroke_leg()?.with_leg_shape("flat")?;
         let mut scene = Scene::flat(Medium::named(&options.medium)?);
         (scene.law, scene.dt) = (options.law, options.dt);
@@ -274,7 +276,7 @@ impl Task for LegStroke {
     fn evaluate(&self, setup: &Setup<StrokeTaskOptions>, t: &Transition, info: &mut [f32]) -> bool {
         let stroke = &setup.options.stroke;
         let [before, after] = [t.before, t.after].map(|state| self.account(stroke, state));
-        // Half a step of room: the carriage's way is a sum of many small ones.
+        // Half a step of tolerance, because the carriage's distance is a sum of many small ones.
         let over = after.progress * self.duration * CONTROL_RATE > f64::from(self.spec.max_episode_steps) - 0.5;
         let left = if over { stroke.deepest(t.model, &t.after.angles) } else { 0.0 };
         let step = StrokeStep { t, before, after, left, duration: self.duration };

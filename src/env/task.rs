@@ -1,4 +1,4 @@
-//! What a task is: what its author writes ([`Task`]), and what an environment holds ([`AnyTask`]).
+//! The definition of a task by its author ([`Task`]), and the form in which environments hold it ([`AnyTask`]).
 
 use super::ground::{Change, UsedGround};
 use super::legged::episode::LeggedEpisode;
@@ -11,29 +11,29 @@ use crate::sim::{Model, State};
 use serde_json::{Map, Value};
 use std::sync::Arc;
 
-/// What an episode is about: drawn or chosen when it begins, and changed by [`Task::after_step`] alone.
+/// The goal of an episode: drawn or chosen when it begins, and changed by [`Task::after_step`] alone.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Goal {
     /// Commanded forward speed [m/s].
     pub speed: f64,
     /// Commanded yaw speed [rad/s].
     pub turn: f64,
-    /// The setup's model with what this episode drew, for tasks that draw some of it.
+    /// The setup's model with this episode's drawn values, for tasks that draw some.
     pub model: Option<Arc<Model>>,
-    /// Ground that changes along the way and remembers, for the task that has it.
+    /// Ground that varies along the way and keeps footprints, for HexapodTerrain.
     pub ground: Option<UsedGround>,
-    /// What an episode of LeggedVelocity drew and remembers.
+    /// The drawn and updated values of an episode of LeggedVelocity.
     pub legged: Option<LeggedEpisode>,
 }
 
-/// An environment's options, and the model that they make.
+/// An environment's options, and the model built from them.
 pub struct Setup<'a, O> {
     pub options: &'a O,
     pub model: &'a Arc<Model>,
 }
 
 impl<'a, O> Setup<'a, O> {
-    /// The same model with the options of a task that this one is built on.
+    /// The same model with the options of another task, on which this one is built.
     pub fn with<P>(&self, options: &'a P) -> Setup<'a, P> {
         Setup { options, model: self.model }
     }
@@ -41,7 +41,7 @@ impl<'a, O> Setup<'a, O> {
 
 /// One control step.
 pub struct Transition<'a> {
-    /// What the episode is simulated with.
+    /// The model that simulates the episode.
     pub model: &'a Model,
     pub goal: &'a Goal,
     pub before: &'a State,
@@ -51,7 +51,7 @@ pub struct Transition<'a> {
     pub previous_action: &'a [f32],
     /// Duration [s].
     pub period: f64,
-    /// The state went beyond what can be computed; `after` is the last sound one.
+    /// The state became too large to compute; `after` is the last sound one.
     pub diverged: bool,
 }
 
@@ -60,15 +60,16 @@ pub trait Task: Send + Sync + Sized + 'static {
     /// For example `sandgait/HexapodGait-v1`.
     const ID: &'static str;
 
-    /// Memory of an episode's state, options and bookkeeping [bytes], and its share of the messages in flight; measured.
+    /// Memory of an episode's state, options and bookkeeping [bytes], and its share of the messages in flight;
+    /// measured.
     const EPISODE_BYTES: usize = 2_000;
 
     type Options: Options;
 
-    /// The engine that these options choose.
+    /// The engine that these options select.
     fn engine(options: &Self::Options) -> EngineKind;
 
-    /// Checks of the options what their own lines cannot say, and builds robot, sand and slope.
+    /// Checks that involve more than one option; then builds robot, sand and slope.
     fn model(options: &Self::Options) -> Result<Model>;
 
     fn new(setup: &Setup<Self::Options>) -> Result<Self>;
@@ -78,10 +79,10 @@ pub trait Task: Send + Sync + Sized + 'static {
     /// First state and goal of an episode.
     fn begin(&self, setup: &Setup<Self::Options>, random: &mut Random) -> (State, Goal);
 
-    /// What the servos do under `action`.
+    /// The servos' command under `action`.
     fn command(&self, action: &[f32], state: &State, command: &mut Command);
 
-    /// Takes note of where a step has led, after it was evaluated; says what the engine must be told. `info` is the step's row.
+    /// Updates the goal after the step was evaluated; returns the changes for the engine. `info` is the step's row.
     fn after_step(&self, _setup: &Setup<Self::Options>, _goal: &mut Goal, _state: &State, _info: &[f32]) -> Change {
         Change::Nothing
     }
@@ -92,13 +93,13 @@ pub trait Task: Send + Sync + Sized + 'static {
     /// Fills an info row (weighted reward terms first) and says whether the episode terminated.
     fn evaluate(&self, setup: &Setup<Self::Options>, transition: &Transition, info: &mut [f32]) -> bool;
 
-    /// Obstacles that an episode's model may have.
+    /// Most obstacles in an episode's model.
     fn most_obstacles(_options: &Self::Options) -> usize {
         0
     }
 
-    /// Checks what a snapshot says an episode drew and remembers, and makes what the snapshot leaves out. The error is
-    /// what does not suit.
+    /// Checks the goal in a snapshot, and rebuilds the parts that snapshots leave out. The error names the wrong
+    /// part.
     fn resume(_setup: &Setup<Self::Options>, goal: &mut Goal) -> std::result::Result<(), String> {
         match goal {
             Goal { model: None, ground: None, legged: None, .. } => Ok(()),
@@ -107,7 +108,7 @@ pub trait Task: Send + Sync + Sized + 'static {
     }
 }
 
-/// A task with an environment's options and model: all that an environment is made from but its engine.
+/// A task with an environment's options and model: all that an environment needs besides its engine.
 pub trait AnyTask: Send + Sync {
     fn spec(&self) -> &Spec;
     fn model(&self) -> &Arc<Model>;
@@ -122,16 +123,17 @@ pub trait AnyTask: Send + Sync {
     /// The options' declarations.
     fn rows(&self) -> Vec<OptionRow>;
 
-    /// What option `name` is; null if there is none.
+    /// The value of option `name`; null if there is none.
     fn option(&self, name: &str) -> Value;
 
-    /// The same task with a reset's changes.
+    /// The same task after a reset's changes.
     fn changed(&self, reset: &ResetOptions) -> Result<Arc<dyn AnyTask>>;
 
-    /// The same task with another robot or sand than options can name. Resets with options would bring these back.
+    /// The same task with a robot or sand that options cannot name. A reset with options would undo these.
     fn with_model(&self, model: Model) -> Result<Arc<dyn AnyTask>>;
 
-    /// The same number for all copies of a setup, another for every other setup that is alive: its model is made with it.
+    /// Equal for all copies of a setup, and different for every other live setup, because each setup makes its own
+    /// model.
     fn id(&self) -> usize {
         Arc::as_ptr(self.model()).addr()
     }
@@ -141,7 +143,7 @@ pub trait AnyTask: Send + Sync {
         self.rows().iter().map(|row| (row.name.to_owned(), self.option(row.name))).collect()
     }
 
-    /// What a reset must change so that the options are `all`, as [`AnyTask::options`] has given them; none where a reset
+    /// The changes by which a reset gives the options `all`, as returned by [`AnyTask::options`]; None if a reset
     /// cannot.
     fn reset_to(&self, mut all: Map<String, Value>) -> Option<ResetOptions> {
         let rows = self.rows();
@@ -160,7 +162,7 @@ pub trait AnyTask: Send + Sync {
     }
 }
 
-/// Refuses a keyword that is not among the options of the task with this id.
+/// Refuses a keyword that is not an option of the task with this id.
 pub(super) type CheckKeyword = fn(&str, &[OptionRow], &str) -> Result<()>;
 
 /// [`AnyTask`] of one type of task.

@@ -1,5 +1,5 @@
-//! `sandgait/HexapodTerrain-v1`: HexapodGait where sand, slope, load and motors are drawn for every episode, the sand
-//! changes along the way, and the robot is sent back over ground that it has used.
+//! `sandgait/HexapodTerrain-v1`: HexapodGait with sand, slope, load and motors drawn for every episode. The sand
+//! varies along the way, and the robot is told to turn back over ground that it has used.
 
 use super::feature::Features;
 use super::gait::{GaitOptions, HexapodGait};
@@ -43,19 +43,20 @@ options! {
     }
 }
 
-/// One quantity that is drawn.
+/// One drawn quantity.
 struct Quantity {
     name: &'static str,
-    /// What an episode draws from.
+    /// The range that an episode draws from.
     range: [f64; 2],
-    /// What the range must lie in.
+    /// Bounds of the range.
     guard: [f64; 2],
-    /// The value that leaves everything as the other options say, if `difficulty` scales the range.
+    /// The value that changes nothing, if `difficulty` scales the range.
     neutral: Option<f64>,
 }
 
 impl Randomize {
-    /// `slope_deg` [°] and `payload` [kg]: what drawn ones are added to, so that their sums stay within a scene's bounds.
+    /// The options that drawn values are added to, `slope_deg` [°] and `payload` [kg]; the sums stay within a
+    /// scene's bounds.
     fn quantities(&self, slope_deg: f64, payload: f64) -> [Quantity; 7] {
         let slope = [-Scene::MAX_SLOPE_DEG, Scene::MAX_SLOPE_DEG].map(|most| most - slope_deg);
         let load = [0.0, (Scene::MAX_PAYLOAD - payload).min(10.0)];
@@ -93,8 +94,8 @@ impl Randomize {
         Ok(())
     }
 
-    /// Draws an episode's quantities, always as many numbers in the same order, for a robot with `legs` legs that is told to
-    /// go at `speed` [m/s].
+    /// Draws an episode's quantities, always as many numbers in the same order, for a robot with `legs` legs that
+    /// is commanded to walk at `speed` [m/s].
     fn draw(&self, options: &TerrainOptions, speed: f64, legs: usize, random: &mut Random) -> (Draw, UsedGround) {
         let (difficulty, own) = (options.difficulty, &options.gait.walking);
         let ranges = self.quantities(own.slope_deg, own.payload).map(|Quantity { range, neutral, .. }| {
@@ -119,7 +120,7 @@ impl Randomize {
     }
 }
 
-/// What one episode drew that its model holds.
+/// Drawn quantities of an episode that its model contains.
 struct Draw {
     slope_deg: f64,
     payload: f64,
@@ -127,24 +128,24 @@ struct Draw {
 }
 
 const ABOUT: &str = "\
-HexapodGait on ground that nobody has told the policy about. At every reset the quantities in `randomize` are drawn from the
-episode's own random numbers and stand in `info` at every step; they change what the other options say (`zeta` and
+HexapodGait on ground that the policy does not observe. At every reset the quantities in `randomize` are drawn from the
+episode's own random numbers; `info` has them at every step. They change the values of other options (`zeta` and
 `torque_limit` multiply, `slope_deg` and `payload` add).
 
-**Media change along the way.** The bed is cut into patches of one length, each with a ζ of its own; after 16 patches they
-repeat. The sand in force is that of the patch under the base's centre, for all legs, and changes between control steps:
-patches are no shorter than the robot by default, and the engine holds one sand a robot.
+**Media vary along the way.** The bed is divided into patches of equal length, each with a ζ of its own; after 16 patches they
+repeat. All legs use the sand of the patch under the base's centre, which changes only between control steps:
+patches are by default at least as long as the robot, and the engine has one sand for each robot.
 
-**Ground is remembered.** Where a leg's tip went into the sand it leaves a print when it comes out; a leg that goes in at the
-distance d from the nearest print finds, for as long as it stands, 1 − κ e^(−d/3 cm) of fresh ground's stress (mechanism
-`footprint`; `info` has the mean over legs as `footing`). The last 512 prints count, whichever leg made them. The belly leaves
-none. Beyond `turning_point` from where it started, in the direction along x of its first command, the commanded speed turns
-round, and again when the robot is back, so it walks over its own prints; slipping the other way turns nothing. A clock does not walk backward: give it a far `turning_point`.
+**Footprints.** When a leg's tip leaves the sand, there is a footprint where it entered. If a leg enters at the
+distance d from the nearest footprint, its stress is 1 − κ e^(−d/3 cm) of that on fresh ground until it leaves the sand (mechanism
+`footprint`; `info` has the mean over legs as `footing`). The last 512 footprints of all legs count. The belly leaves
+none. Beyond `turning_point` from the start, in the direction along x of the first command, the commanded speed changes its
+sign, and again when the robot is back, so it walks over its own footprints. Slipping the other way does not change the command. A clock cannot walk backward: use a far `turning_point`.
 
 **Curriculum.** `difficulty` from 0 to 1 scales the ranges of ζ, slope, payload, motors and κ from nothing to all of
 `randomize`; a reset may change both. See HexapodGait-v1 for `control`, for how episodes end, and for the cost of transport.";
 
-/// What an info row tells of the ground.
+/// The ground's part of an info row.
 struct Drawn<'a> {
     t: &'a Transition<'a>,
     difficulty: f64,
@@ -154,7 +155,7 @@ struct Drawn<'a> {
 /// Computes one of them.
 type Figure = fn(&Drawn) -> f64;
 
-/// The task; what it shares with HexapodGait is that task's own.
+/// The task; the parts it shares with HexapodGait are those of that task.
 pub struct HexapodTerrain {
     gait: HexapodGait,
     spec: Spec,
@@ -175,7 +176,7 @@ fn figures() -> Features<Figure> {
         .free("footing", "1", |d| d.ground.footing.iter().sum::<f64>() / d.ground.footing.len() as f64)
 }
 
-/// The sand of the patch in force.
+/// The sand of the present patch.
 fn sand(model: &Model, ground: &UsedGround) -> Medium {
     let own = &model.scene.medium;
     Medium { coefficients: own.coefficients.scaled(ground.zeta[ground.patch]), ..own.clone() }
@@ -183,7 +184,7 @@ fn sand(model: &Model, ground: &UsedGround) -> Medium {
 
 impl Task for HexapodTerrain {
     const ID: &'static str = "sandgait/HexapodTerrain-v1";
-    /// With a model of its own and the longest memory of footprints; counted.
+    /// With a model of its own and the most footprints; computed by counting.
     const EPISODE_BYTES: usize = 26_000;
     type Options = TerrainOptions;
 
@@ -192,7 +193,7 @@ impl Task for HexapodTerrain {
     }
 
     fn model(options: &TerrainOptions) -> Result<Model> {
-        // First the model, which says what is wrong with slope and payload themselves.
+        // The model comes first, because its error names slope or payload.
         let (model, own) = (HexapodGait::model(&options.gait)?, &options.gait.walking);
         options.randomize.validate(own.slope_deg, own.payload)?;
         Ok(model)
@@ -203,7 +204,7 @@ impl Task for HexapodTerrain {
         let mut spec = gait.spec().clone();
         spec.id = Self::ID;
         spec.about = ABOUT;
-        spec.summary = spec.summary.replace("on sand", "over sand that changes and remembers");
+        spec.summary = spec.summary.replace("on sand", "over sand that varies and keeps footprints");
         spec.info.extend(figures.columns());
         Ok(Self { gait, spec, figures })
     }
@@ -227,7 +228,7 @@ impl Task for HexapodTerrain {
         self.gait.command(action, state, command);
     }
 
-    /// Prints, patches, and the way back.
+    /// Footprints, patches, and the way back.
     fn after_step(&self, setup: &Setup<TerrainOptions>, goal: &mut Goal, state: &State, _info: &[f32]) -> Change {
         let (Some(ground), Some(model)) = (&mut goal.ground, &mut goal.model) else { return Change::Nothing };
         let change = ground.after_step(model, state);

@@ -1,4 +1,4 @@
-//! Options of every task whose robot walks on identical legs, the model that they make, and how episodes begin.
+//! Options of every task whose robot walks on identical legs, the model built from them, and how episodes begin.
 
 use super::locomotion::{MAX_COMMAND, MAX_TURN, Weights};
 use super::options::RobotName;
@@ -37,14 +37,14 @@ options! {
 }
 
 impl Walking {
-    /// Robot, sand and slope; without `servos` the robot's joints are driven by torques alone.
+    /// Robot, sand and slope; without `servos` torques alone drive the robot's joints.
     pub fn model(&self, servos: bool) -> Result<Model> {
         if self.robot.name().ends_with(".toml") {
             return Err(Error::unknown("robot", self.robot.name(), &Robot::names()));
         }
         let mut robot = Robot::load(self.robot.name())?.with_leg_shape(&self.leg)?;
         robot.servo.torque_limit = Some(self.torque_limit);
-        // What a servo's lag adds up to is not observed.
+        // The lag of a servo is not observed.
         robot.servo.anti_windup = true;
         if !servos {
             (robot.servo.kp, robot.servo.kd) = (0.0, 0.0);
@@ -56,7 +56,7 @@ impl Walking {
     }
 }
 
-/// Puts the sand of a sand.toml into `scene` if its text is not empty.
+/// Replaces the sand of `scene` by that of a sand.toml, if its text is not empty.
 pub fn set_sand(scene: &mut Scene, text: &str) -> Result<()> {
     if !text.is_empty() {
         scene.set_sand(&SandDescription::from_toml(text)?);
@@ -64,7 +64,7 @@ pub fn set_sand(scene: &mut Scene, text: &str) -> Result<()> {
     Ok(())
 }
 
-/// At rest on the surface, joints near their start, commands drawn from the options' ranges.
+/// The robot at rest on the surface with joints near their start, and commands drawn from the options' ranges.
 pub fn begin(setup: &Setup<Walking>, random: &mut Random) -> (State, Goal) {
     let Walking { angle_noise, command, turn, .. } = *setup.options;
     let mut angles = setup.model.tripod_angles();

@@ -1,10 +1,10 @@
-//! One episode's sums, and what they say. `docs/evaluate.md` has the definitions with their reasons.
+//! Sums over one episode, and figures from them. `docs/evaluate.md` has the definitions with their reasons.
 
 use crate::env::{Shard, Spec};
 use crate::error::{Error, Result};
 use crate::sim::feet::feet;
 
-/// Where the figures of a step stand in an info row.
+/// Indices of a step's figures in an info row.
 #[derive(Clone, Copy)]
 pub struct Columns {
     x_velocity: usize,
@@ -14,7 +14,7 @@ pub struct Columns {
 }
 
 impl Columns {
-    /// Refuses tasks that do not walk.
+    /// Refuses tasks without walking.
     pub fn of(spec: &Spec) -> Result<Self> {
         let place = |name: &str| {
             let at = spec.info.iter().position(|c| c.name == name);
@@ -39,25 +39,25 @@ pub struct Episode {
     pub time: f64,
     /// Along +x, uphill [m]; negative if backward.
     pub distance: f64,
-    /// Distance that the commanded speed would have made [m].
+    /// Distance at the commanded speed [m].
     pub commanded: f64,
     /// ∫ Σ|τ ω| dt over all joints [J].
     pub work: f64,
     /// Weight of robot and payload [N].
     pub weight: f64,
-    /// While a foot was in the sand: distance of the base [m], and what the feet in the sand would have carried it had
-    /// they stood still there [m].
+    /// While a foot was in the sand: distance of the base [m], and the distance that the feet would have carried it
+    /// without slip [m].
     pub carried: f64,
     pub without_slip: f64,
     /// The robot flipped or was buried.
     pub fell: bool,
-    /// The simulation could not go on; the sums are those until then.
+    /// The simulation failed; the sums end there.
     pub diverged: bool,
     pub over: bool,
 }
 
 impl Episode {
-    /// Looks at environment `i` before a step of `period` [s].
+    /// Stores the state of environment `i` before a step of `period` [s].
     pub fn look(&mut self, shard: &Shard, i: usize, period: f64) {
         let (model, state) = (shard.model(i), shard.state(i));
         self.weight = model.total_mass() * crate::sand::GRAVITY;

@@ -1,4 +1,4 @@
-//! From episodes to figures with intervals.
+//! Figures with intervals, from the sums over episodes.
 
 use super::episode::Episode;
 use rand::{Rng as _, SeedableRng as _};
@@ -8,10 +8,10 @@ use serde::Serialize;
 /// Resamples of the bootstrap: the ends of an interval are good to some 3 % of its width (Efron & Tibshirani 1993,
 /// An Introduction to the Bootstrap, §13.3 ask for 1000).
 const RESAMPLES: usize = 2000;
-/// The same resamples every time.
+/// The same seed in every run.
 const SEED: u64 = 1;
 
-/// A figure and its 95 % interval; not a number where there is none.
+/// A figure and its 95 % interval; NaN where it is undefined.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Estimate {
     pub mean: f64,
@@ -19,7 +19,7 @@ pub struct Estimate {
     pub high: f64,
 }
 
-/// What a policy does on one medium and slope.
+/// Figures of a policy on one medium and slope.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Figures {
     pub episodes: usize,
@@ -29,13 +29,13 @@ pub struct Figures {
     pub speed: Estimate,
     /// |mean speed − commanded speed| [m/s].
     pub speed_error: Estimate,
-    /// Work of all episodes over weight times distance of all; none where the distance is not forward.
+    /// Work of all episodes over weight times distance of all; undefined if the distance is not forward.
     pub cost_of_transport: Estimate,
-    /// 1 − distance / distance without slip, of all episodes; none where the feet did not push backward.
+    /// 1 − distance / distance without slip, of all episodes; undefined if the feet did not push backward.
     pub slip: Estimate,
     /// Share of the episodes that ended with the robot flipped or buried.
     pub falls: Estimate,
-    /// Episodes that the simulation could not bring to their end.
+    /// Number of episodes whose simulation failed.
     pub diverged: usize,
 }
 
@@ -54,13 +54,13 @@ impl Figures {
     }
 }
 
-/// Not a number unless the denominator is positive.
+/// NaN unless the denominator is positive.
 fn ratio([above, below]: [f64; 2]) -> f64 {
     if below > 0.0 { above / below } else { f64::NAN }
 }
 
-/// A function of sums over episodes; its interval is that of the percentile bootstrap over episodes. Where a resample has
-/// no value, neither has the interval's end that it lies beyond.
+/// A function of sums over episodes, with the percentile bootstrap's interval over episodes. If resamples beyond an
+/// end of the interval are undefined, so is that end.
 fn bootstrap(episodes: &[Episode], term: fn(&Episode) -> [f64; 2], of: fn([f64; 2]) -> f64) -> Estimate {
     let terms: Vec<[f64; 2]> = episodes.iter().map(term).collect();
     let sum = |sum: [f64; 2], t: &[f64; 2]| [sum[0] + t[0], sum[1] + t[1]];
@@ -69,7 +69,7 @@ fn bootstrap(episodes: &[Episode], term: fn(&Episode) -> [f64; 2], of: fn([f64; 
     let mut resampled =
         || of((0..terms.len()).fold([0.0; 2], |s, _| sum(s, &terms[random.random_range(0..terms.len())])));
     let mut values: Vec<f64> = (0..RESAMPLES).map(|_| resampled()).collect();
-    // What has no value is beyond all that have: the distance was too short, the cost without bound.
+    // Undefined resamples sort above all others: their distance was too short, so their cost has no bound.
     values.sort_by(|a, b| a.is_nan().cmp(&b.is_nan()).then(a.total_cmp(b)));
     let end = |share: f64| values[(share * (RESAMPLES - 1) as f64).round() as usize];
     if mean.is_nan() {
@@ -82,8 +82,8 @@ fn bootstrap(episodes: &[Episode], term: fn(&Episode) -> [f64; 2], of: fn([f64; 
 /// 97.5 % point of the normal distribution.
 const Z: f64 = 1.959_964;
 
-/// A share with the score interval of Wilson, J. Am. Stat. Assoc. 22:209 (1927): it is right at 0 and at all, where a
-/// bootstrap would have no width.
+/// A share with the score interval of Wilson, J. Am. Stat. Assoc. 22:209 (1927). It is valid for shares of 0 and 1,
+/// where a bootstrap's interval has no width.
 fn wilson(count: usize, of: usize) -> Estimate {
     let (n, z2) = (of as f64, Z * Z);
     let share = count as f64 / n;

@@ -1,4 +1,4 @@
-//! Who is evaluated: an uploaded network, or a gait that needs none.
+//! The evaluated gait: an uploaded network, or one of the gaits without a network.
 
 use crate::env::random::Random;
 use crate::env::registry::Blueprint;
@@ -11,25 +11,25 @@ use std::sync::Arc;
 /// Stride frequency at action 1 of a hip that is driven by its speed [Hz].
 const TOP_RATE: f64 = crate::env::reference::TOP_SPEED / std::f64::consts::TAU;
 
-/// What the command line calls a gait, before it has met its task.
+/// A gait as the command line names it, without its task.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Wanted {
     /// An ONNX file: its name for people, and its bytes.
     Network { name: String, bytes: Vec<u8> },
-    /// Every hip at one rate [Hz]; without one, the best is searched.
+    /// All hips at one rate [Hz]; without a rate, the best one is searched.
     Tripod(Option<f64>),
-    /// One action of a task with `control="clock"`, held.
+    /// One action of a task with `control="clock"`, held throughout.
     Clock(Vec<f64>),
     /// Action 0 throughout: hips that do not turn.
     Standing,
-    /// Uniform in the action space, anew in every step.
+    /// Uniform in the action space, drawn anew in every step.
     Random,
 }
 
 const KNOWN: [&str; 5] = ["FILE.onnx", "tripod[:HZ]", "clock:FILE.json or clock:NUMBERS", "standing", "random"];
 
 impl Wanted {
-    /// What `text` names; files are read by `read`, which may refuse to.
+    /// The gait that `text` names. `read` reads files, and may refuse.
     pub fn parse(text: &str, read: impl Fn(&str) -> Result<Vec<u8>>) -> Result<Self> {
         let (kind, rest) = text.split_once(':').map_or((text, None), |(kind, rest)| (kind, Some(rest)));
         match (kind, rest) {
@@ -57,7 +57,7 @@ impl Wanted {
         }
     }
 
-    /// The way of driving that it needs, if it needs one.
+    /// The control mode that it needs, if it needs one.
     fn control(&self) -> Option<&'static str> {
         match self {
             Self::Tripod(_) | Self::Standing => Some("hip_speed"),
@@ -66,7 +66,7 @@ impl Wanted {
         }
     }
 
-    /// `options` with what it needs.
+    /// `options` with the control mode that it needs.
     pub fn with_control(&self, mut options: Value) -> Result<Value> {
         let Some(needed) = self.control() else { return Ok(options) };
         if options.is_null() {
@@ -83,7 +83,7 @@ impl Wanted {
         }
     }
 
-    /// Ready to play `blueprint`'s task; none for the tripod whose rate is to be searched.
+    /// The gait for `blueprint`'s task; None for a tripod whose rate is still to be searched.
     pub fn gait(&self, blueprint: &Blueprint) -> Result<Option<Gait>> {
         let spec = blueprint.task.spec();
         let width = spec.action.len();
@@ -98,7 +98,7 @@ impl Wanted {
     }
 }
 
-/// A clock's action, checked.
+/// A clock's action, after checks.
 fn held(action: &[f64], spec: &Spec) -> Result<Vec<f32>> {
     let columns = &spec.action;
     if action.len() != columns.len() {
@@ -116,26 +116,26 @@ fn held(action: &[f64], spec: &Spec) -> Result<Vec<f32>> {
 #[derive(Clone)]
 pub enum Gait {
     Network(Arc<Network>),
-    /// f32 [action], in every step.
+    /// f32 [action], the same in every step.
     Held(Vec<f32>),
     Random,
 }
 
 impl Gait {
-    /// Every hip at `rate` [Hz].
+    /// All hips at `rate` [Hz].
     pub fn tripod(rate: f64, spec: &Spec) -> Self {
         Self::Held(vec![(rate / TOP_RATE) as f32; spec.action.len()])
     }
 
-    /// One for the environments of a shard with these seeds.
+    /// An instance for the environments of a shard with these seeds.
     pub fn player(&self, seeds: &[u64]) -> Player<'_> {
-        // Episodes are numbered from 0: this stream is none of theirs.
+        // Episodes are numbered from 0, so no episode uses this stream.
         let random = |seed: &u64| Random::new(*seed, u64::MAX);
         Player { gait: self, random: seeds.iter().map(random).collect() }
     }
 }
 
-/// A gait that plays.
+/// A gait that chooses actions for one shard.
 pub struct Player<'a> {
     gait: &'a Gait,
     random: Vec<Random>,

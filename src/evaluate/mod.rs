@@ -1,7 +1,8 @@
-//! How good is a gait? Returns, speeds, costs and falls over seeds that no training saw, on several media and slopes.
+//! How good is a gait? Returns, speeds, costs and falls over seeds that no training uses, on several media and
+//! slopes.
 //!
-//! [`gait`]: who is evaluated → [`run`]: episodes over lanes and cores, each an [`episode`] of sums → [`figures`]: means
-//! with intervals → [`table`]: for people, CSV and JSON. `docs/evaluate.md` defines every figure.
+//! [`gait`]: the evaluated gait → [`run`]: episodes over lanes and cores, each an [`episode`] of sums →
+//! [`figures`]: means with intervals → [`table`]: text, CSV and JSON. `docs/evaluate.md` defines every figure.
 
 use sandgait_base::{error, parallel, progress};
 use sandgait_env as env;
@@ -26,35 +27,35 @@ use gait::Gait;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-/// Training takes small seeds; evaluation starts here, as `examples/evaluate_gait.py` does.
+/// Training uses small seeds; the seeds of an evaluation start here, as in `examples/evaluate_gait.py`.
 pub const FIRST_SEED: u64 = 1_000_000;
 
-/// Seeds on which the tripod's rate is searched: none that a result is reported for. Two blocks of lanes.
+/// Seeds for the search of the tripod's rate, which no reported result uses. Two blocks of lanes.
 const SEARCH_SEEDS: std::ops::Range<u64> = 2_000_000..2_000_032;
 
 /// Rates that the search tries [Hz]: 0.25, 0.5, … 5.
 const RATES: std::ops::RangeInclusive<u32> = 1..=20;
 const RATE_STEP: f64 = 0.25;
 
-/// Most seeds: those of the search come next. Most media times slopes: our choice, an hour's work.
+/// Most seeds: the seeds of the search follow them. Most media times slopes: our choice, an hour's work.
 const MOST_SEEDS: usize = 1_000_000;
 const MOST_CONDITIONS: usize = 1_000;
 
-/// What is asked for.
+/// A request for an evaluation.
 pub struct Request {
     pub policy: Wanted,
     pub task: String,
     /// Keywords of the task (a JSON object; null for none).
     pub options: Value,
     pub seeds: usize,
-    /// Empty: the options' own.
+    /// Empty: the option's own medium.
     pub media: Vec<String>,
-    /// [°]; empty: the options' own.
+    /// [°]; empty: the option's own slope.
     pub slopes: Vec<f64>,
 }
 
 impl Request {
-    /// Seeds unless others are asked for: intervals are then some fifth of the spread between episodes.
+    /// Default number of seeds: intervals are then some fifth of the spread between episodes.
     pub const SEEDS: usize = 100;
 }
 
@@ -63,7 +64,7 @@ struct Condition {
     medium: String,
     slope_deg: f64,
     blueprint: Blueprint,
-    /// None: the best tripod is searched.
+    /// None: the tripod with the best rate is used.
     gait: Option<Gait>,
 }
 
@@ -78,7 +79,7 @@ pub struct Study {
 pub struct Row {
     pub medium: String,
     pub slope_deg: f64,
-    /// Rate of the tripod that was searched [Hz].
+    /// Rate of the tripod, if it was searched [Hz].
     pub rate: Option<f64>,
     #[serde(flatten)]
     pub figures: Figures,
@@ -113,7 +114,8 @@ impl Study {
         Ok(Self { conditions, seeds: *seeds })
     }
 
-    /// Plays all episodes, one row a medium and slope, the slope fastest. An error of `progress` stops the work.
+    /// Runs all episodes; returns one row a medium and slope, the slope fastest. An error of `progress` stops the
+    /// work.
     pub fn run(&self, progress: &dyn Progress) -> Result<Vec<Row>> {
         let searched = self.conditions.iter().any(|c| c.gait.is_none());
         let share = if searched { self.search_share() } else { 0.0 };
@@ -137,7 +139,7 @@ impl Study {
         search / (search + rest)
     }
 
-    /// Each condition's gait, and the rate of those tripods that had none: the one with the greatest mean return.
+    /// Each condition's gait, and the searched rate of tripods without one: that with the greatest mean return.
     fn search(&self, progress: &dyn Progress) -> Result<Vec<(Gait, Option<f64>)>> {
         let seeds: Vec<u64> = SEARCH_SEEDS.collect();
         let rates: Vec<f64> = RATES.map(|k| f64::from(k) * RATE_STEP).collect();
@@ -160,7 +162,7 @@ impl Study {
         Ok(chosen.flatten().collect())
     }
 
-    /// What a report says about how it was made.
+    /// The settings that a report states.
     pub fn about(request: &Request) -> Value {
         let name = match &request.policy {
             Wanted::Network { name, .. } => name.clone(),

@@ -1,4 +1,4 @@
-//! Episodes side by side: as many seeds in a shard as its engine has room for, shards over the cores.
+//! Runs episodes side by side: as many seeds in a shard as its engine has room for, shards on all cores.
 
 use super::episode::{Columns, Episode};
 use super::gait::Gait;
@@ -9,7 +9,7 @@ use crate::parallel;
 use crate::progress::Progress;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// One episode a seed of one gait.
+/// Episodes of one gait, one a seed.
 pub struct Job<'a> {
     pub blueprint: &'a Blueprint,
     pub gait: &'a Gait,
@@ -19,8 +19,8 @@ pub struct Job<'a> {
 /// Control steps between two reports of progress: some milliseconds of work, our choice.
 const HEED: usize = 50;
 
-/// The episodes of every job, in order of its seeds. What an episode does depends on its seed alone, not on its
-/// neighbours, the threads or the other jobs. An error of `progress` stops the work.
+/// The episodes of every job, in order of its seeds. An episode depends on its seed alone, not on its neighbours,
+/// the threads or the other jobs. An error of `progress` stops the work.
 pub fn play(jobs: &[Job], progress: &dyn Progress) -> Result<Vec<Vec<Episode>>> {
     let size = |job: &Job| job.blueprint.engine.shard_size();
     let blocks: Vec<(&Job, &[u64])> =
@@ -34,10 +34,10 @@ pub fn play(jobs: &[Job], progress: &dyn Progress) -> Result<Vec<Vec<Episode>>> 
         progress.report((steps as f64 / total as f64).min(1.0), &stage)
     };
     let played = parallel::map(&blocks, |(job, seeds)| {
-        // Once stopped, no further block sets out.
+        // After a stop no further block starts.
         advance(0)?;
         let (steps, episodes) = block(job, seeds, &|| advance(HEED))?;
-        // Episodes that ended early leave steps undone, and the last ones were not told yet.
+        // Reports the steps that episodes did not make because they ended early, and the last ones.
         advance(longest(job) - steps / HEED * HEED)?;
         Ok(episodes)
     });
@@ -50,7 +50,8 @@ pub fn play(jobs: &[Job], progress: &dyn Progress) -> Result<Vec<Vec<Episode>>> 
         .collect()
 }
 
-/// Plays until the last of these episodes has ended; gives the steps that took. `heed` is called every [`HEED`] of them.
+/// Runs until the last of these episodes has ended; returns the number of steps. `heed` is called every [`HEED`] of
+/// them.
 fn block(job: &Job, seeds: &[u64], heed: &dyn Fn() -> Result<()>) -> Result<(usize, Vec<Episode>)> {
     let spec = job.blueprint.task.spec();
     let (columns, period) = (Columns::of(spec)?, 1.0 / spec.control_rate);

@@ -1,9 +1,9 @@
-//! Results as a table for people, as CSV and as JSON.
+//! Results as a text table, as CSV and as JSON.
 
 use super::{Estimate, Row};
 use serde_json::{Value, json};
 
-/// Every figure: its name in files, its heading and unit for people, and its decimals.
+/// Every figure: its name in files, its heading and unit in the text table, and its decimals.
 const FIGURES: [Figure; 6] = [
     Figure { name: "return", heading: "return", digits: 1, of: |r| r.figures.total_reward },
     Figure { name: "speed", heading: "speed [m/s]", digits: 3, of: |r| r.figures.speed },
@@ -27,7 +27,7 @@ pub struct Column {
     pub values: Vec<f64>,
 }
 
-/// Everything but the media's names, as columns.
+/// All columns except the media's names.
 pub fn columns(rows: &[Row]) -> Vec<Column> {
     let column = |name: &str, unit, of: &dyn Fn(&Row) -> f64| Column {
         name: name.into(),
@@ -49,7 +49,7 @@ pub fn columns(rows: &[Row]) -> Vec<Column> {
     all
 }
 
-/// One line a row; what is not a number is empty.
+/// One line a row; NaN is an empty cell.
 pub fn csv(rows: &[Row]) -> String {
     let columns = columns(rows);
     let mut text = String::from("medium");
@@ -66,7 +66,7 @@ pub fn csv(rows: &[Row]) -> String {
     text
 }
 
-/// `about` and one object a row; what is not a number is null.
+/// `about` and one object a row; NaN is null.
 pub fn json(mut about: Value, rows: &[Row]) -> Value {
     let columns = columns(rows);
     let object = |(i, row): (usize, &Row)| {
@@ -78,7 +78,7 @@ pub fn json(mut about: Value, rows: &[Row]) -> Value {
     about
 }
 
-/// Cells of a table for people, the heading first.
+/// Cells of the text table, the heading first.
 pub fn cells(rows: &[Row]) -> Vec<Vec<String>> {
     let searched = rows.iter().any(|r| r.rate.is_some());
     let mut heading = vec!["medium".to_owned(), "slope [°]".into()];
@@ -101,7 +101,7 @@ fn cell(Estimate { mean, low, high }: Estimate, digits: usize) -> String {
     format!("{mean:.digits$} [{low:.digits$}, {high}]")
 }
 
-/// What the table cannot say by itself; one line each.
+/// Notes below the table; one line each.
 pub fn notes(rows: &[Row]) -> Vec<String> {
     let mut notes = vec!["[95 % intervals]: bootstrap over episodes; falls: Wilson".to_owned()];
     if rows.iter().any(|r| r.figures.cost_of_transport.mean.is_nan()) {

@@ -1,15 +1,16 @@
-//! Denormal numbers: so small that a processor may take a hundred times as long for them.
+//! Denormal numbers are so small that a processor may take a hundred times as long for them.
 //!
-//! The decision for the whole program: everything that advances a robot runs with denormal numbers counted as zero
-//! ([`flushed`]). In `f32` they are below 1.2e-38, far below what a force, speed or angle can mean, so nothing is lost.
-//! The setting belongs to the processor's thread; it is made where an engine begins to advance and undone where it ends.
-//! So the bits are the same on every thread, in every batch, in this process or in a server, and a caller's thread
-//! (Python's, say) keeps its own setting.
+//! All code that advances a robot counts denormal numbers as zero ([`flushed`]). In `f32` they are below 1.2e-38,
+//! far below any meaningful force, speed or angle, so nothing is lost. The setting belongs to the processor's
+//! thread. An engine sets it when it begins to advance and restores it at the end. So the bits are the same on
+//! every thread, in every batch, in this process or in a server, and the caller's thread (Python's, for example)
+//! keeps its own setting.
 
-/// Runs `work` with denormal operands and results counted as zero, and restores what was set before, also on a panic.
+/// Runs `work` with denormal operands and results counted as zero, and restores the previous setting, also on a
+/// panic.
 ///
-/// x86-64 and aarch64; elsewhere it only runs `work`.
-#[inline(never)] // no arithmetic of the caller may move in, none of `work` out
+/// Works on x86-64 and aarch64; on other processors it only runs `work`.
+#[inline(never)] // not inlined: the compiler must not move arithmetic into or out of `work`
 pub fn flushed<T>(work: impl FnOnce() -> T) -> T {
     struct Restore(control::Word);
     impl Drop for Restore {
@@ -39,14 +40,14 @@ mod control {
 
     pub fn read() -> Word {
         let mut word: Word = 0;
-        // SAFETY: stores the register into `word`.
+        // SAFETY: writes the register to `word`.
         unsafe { asm!("stmxcsr [{}]", in(reg) &raw mut word, options(nostack, preserves_flags)) };
         word
     }
 
     pub fn write(word: Word) {
-        // SAFETY: `word` was read from the register, with two bits of its own set at most. Rounding and exception masks
-        // stay as the language expects them; what changes is the value of numbers below 1.2e-38 alone.
+        // SAFETY: `word` is the register's value with at most two bits changed. Rounding and exception masks stay
+        // as the language expects them; only numbers below 1.2e-38 are affected.
         unsafe { asm!("ldmxcsr [{}]", in(reg) &raw const word, options(nostack, preserves_flags)) };
     }
 }
@@ -68,7 +69,8 @@ mod control {
     }
 
     pub fn write(word: Word) {
-        // SAFETY: as on x86-64.
+        // SAFETY: writes back the register's value with at most one bit changed. Rounding and exception masks stay
+        // as the language expects them; only numbers below 1.2e-38 are affected.
         unsafe { asm!("msr fpcr, {}", in(reg) word, options(nostack, preserves_flags)) };
     }
 }
@@ -83,8 +85,8 @@ mod control {
     pub fn write(_word: Word) {}
 }
 
-/// Has this thread computed with a denormal operand while `work` ran? The processor keeps count (MXCSR, bit 1), so even a
-/// number that no array holds is noticed. For tests of other crates.
+/// Did this thread compute with a denormal operand while `work` ran? The processor keeps a flag (MXCSR, bit 1), so
+/// it also notices numbers that no array holds. For tests of other crates.
 #[cfg(target_arch = "x86_64")]
 pub fn met_denormals(work: impl FnOnce()) -> bool {
     const DENORMAL_OPERAND: control::Word = 1 << 1;

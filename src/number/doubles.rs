@@ -1,4 +1,4 @@
-//! Eight lanes of `f64`, for work that needs the precision and has many alike: the segments of an intruder.
+//! Eight lanes of `f64`, for work that needs double precision on many similar items: the segments of an intruder.
 
 use super::{Kernel, Real};
 use std::array::from_fn;
@@ -6,7 +6,8 @@ use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
 const LANES: usize = 8;
 
-/// Plain arrays, which compilers vectorise. No operation fuses, so every instruction set gives the same bits.
+/// Plain arrays, which the compiler vectorises. No operation is fused, so every instruction set gives the same
+/// bits.
 #[derive(Clone, Copy)]
 pub struct Doubles([f64; LANES]);
 
@@ -60,7 +61,7 @@ impl SubAssign for Doubles {
 
 impl Real for Doubles {
     const LANES: usize = LANES;
-    /// All bits of a lane set or none.
+    /// In each lane all bits are set, or none.
     type Mask = [u64; LANES];
 
     #[inline(always)]
@@ -116,7 +117,7 @@ impl Real for Doubles {
     fn dispatch<K: Kernel>(kernel: K) {
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") {
-            // SAFETY: the processor has it.
+            // SAFETY: the processor has this instruction set.
             unsafe { with_avx2(kernel) }
             return;
         }

@@ -1,22 +1,22 @@
-//! Which instruction set the hot path runs on; chosen when a session is made, so one binary runs everywhere.
+//! The instruction set of the hot path. It is chosen when a session is made, so one binary runs on every processor.
 
 use super::{Kernel, Portable, Real};
 use crate::error::{Error, Result};
 
-/// A way to compute lanes of environments.
+/// An instruction set for lanes of environments.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Isa {
     /// 16 lanes of `f32`.
     Avx512,
     /// 8 lanes of `f32`, fused multiply-add.
     Avx2,
-    /// 4 lanes of `f32` in portable code; every processor.
+    /// 4 lanes of `f32` in portable code, for every processor.
     Baseline,
     /// One lane of `f64`: the reference the others are measured against.
     F64,
 }
 
-/// Work for whichever number carries the lanes of an instruction set, see [`Isa::with`].
+/// Work that is generic over the number type of an instruction set, see [`Isa::with`].
 pub trait Work {
     type Out;
     fn run<R: Real>(self) -> Self::Out;
@@ -34,7 +34,7 @@ impl Isa {
         }
     }
 
-    /// Environments that one block carries.
+    /// Number of environments in one block.
     pub fn lanes(self) -> usize {
         match self {
             Self::Avx512 => 16,
@@ -57,8 +57,9 @@ impl Isa {
         }
     }
 
-    /// Runs `work` with the number of this instruction set. There is no other way to the numbers that need one, so no
-    /// processor is given instructions that it does not have: an error names what is missing.
+    /// Runs `work` with the number type of this instruction set. There is no other access to types that need
+    /// special instructions, so a processor never runs instructions it does not have: the error names the missing
+    /// instruction set.
     pub fn with<W: Work>(self, work: W) -> Result<W::Out> {
         if !self.available() {
             return Err(Error::invalid("instruction set", format!("this machine has no {}", self.name())));
@@ -73,7 +74,7 @@ impl Isa {
         })
     }
 
-    /// Runs `kernel` compiled for this instruction set where the machine has it, else for every processor.
+    /// Runs `kernel` compiled for this instruction set if the machine has it, otherwise in portable code.
     pub fn run<K: Kernel>(self, kernel: K) {
         match self {
             #[cfg(target_arch = "x86_64")]

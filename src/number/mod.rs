@@ -1,8 +1,8 @@
-//! The one number trait the hot path is written against.
+//! The number trait of the hot path.
 //!
-//! Sand laws and the articulated-body dynamics are generic over [`Real`], so each equation stands in the
-//! source once and runs as `f64` (the reference), as `f32`, or as a vector of `f32` lanes in which lane `i`
-//! carries environment `i` (structure of arrays).
+//! Sand laws and the articulated-body dynamics are generic over [`Real`], so each equation is in the source once
+//! and runs as `f64` (the reference), as `f32`, or as a vector of `f32` lanes in which lane `i` carries environment
+//! `i` (structure of arrays).
 
 use sandgait_base::error;
 
@@ -26,7 +26,7 @@ pub use vector::{Mat3, Vec3};
 
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
-/// Work to be compiled for an instruction set, see [`Real::dispatch`]; everything it calls must be inlined.
+/// Work that is compiled for an instruction set, see [`Real::dispatch`]. All functions it calls must be inlined.
 pub trait Kernel {
     fn run(self);
 }
@@ -45,9 +45,9 @@ pub trait Real:
     + AddAssign
     + SubAssign
 {
-    /// How many environments one value carries.
+    /// Number of environments in one value.
     const LANES: usize;
-    /// The outcome of a comparison, one truth value a lane.
+    /// The result of a comparison, one truth value a lane.
     type Mask: Copy;
 
     /// The same number in every lane.
@@ -65,7 +65,7 @@ pub trait Real:
     /// Nearest integer (ties to even).
     fn round(self) -> Self;
     fn lt(self, other: Self) -> Self::Mask;
-    /// Lane by lane: `yes` where `mask` holds, else `no`.
+    /// In each lane: `yes` where `mask` holds, else `no`.
     fn select(mask: Self::Mask, yes: Self, no: Self) -> Self;
     /// Does `mask` hold in any lane?
     fn any(mask: Self::Mask) -> bool;
@@ -107,7 +107,7 @@ pub trait Real:
             .mul_add(x2, Self::splat(-1.388_731_625_493_765e-3))
             .mul_add(x2, Self::splat(4.166_664_568_298_827e-2))
             .mul_add(x2 * x2, x2.mul_add(Self::splat(-0.5), Self::one()));
-        // quarter mod 4 picks the quadrant: odd swaps sine and cosine, bit 1 flips signs.
+        // quarter mod 4 is the quadrant: odd ones swap sine and cosine, bit 1 changes the signs.
         let half = quarter * Self::splat(0.5);
         let odd = Self::splat(0.25).lt((half - half.round()).abs());
         let (s, c) = (Self::select(odd, cos, sin), Self::select(odd, sin, cos));

@@ -4,7 +4,7 @@ use super::Real;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 use wide::f32x4;
 
-/// Four lanes of `f32`: the vectors that every processor of the target's kind has (SSE2 on x86-64, NEON on AArch64).
+/// Four lanes of `f32` in the vectors that every processor of the target has (SSE2 on x86-64, NEON on AArch64).
 #[derive(Clone, Copy)]
 pub struct Portable(f32x4);
 
@@ -46,7 +46,7 @@ impl SubAssign for Portable {
 
 impl Real for Portable {
     const LANES: usize = 4;
-    /// All bits of a lane set or none.
+    /// In each lane all bits are set, or none.
     type Mask = f32x4;
 
     #[inline(always)]
@@ -81,7 +81,7 @@ impl Real for Portable {
     fn max(self, o: Self) -> Self {
         Self(self.0.fast_max(o.0))
     }
-    /// Adding and taking away 1.5·2²³ leaves the nearest integer; exact for |x| < 2²².
+    /// Adding and subtracting 1.5·2²³ rounds to the nearest integer; exact for |x| < 2²².
     #[inline(always)]
     fn round(self) -> Self {
         let magic = f32x4::splat(12_582_912.0);

@@ -37,7 +37,7 @@ fn every_number_type_computes_alike() {
     }
 }
 
-/// The check with the number of an instruction set.
+/// Runs the check with the number type of an instruction set.
 struct Compiled;
 
 impl Work for Compiled {

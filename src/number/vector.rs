@@ -46,7 +46,7 @@ impl<R: Real> Vec3<R> {
     pub fn scale_add(self, s: R, o: Self) -> Self {
         Self::new(self.x.mul_add(s, o.x), self.y.mul_add(s, o.y), self.z.mul_add(s, o.z))
     }
-    /// Lane `index` as plain numbers.
+    /// Lane `index` as `f64`.
     pub fn lane(&self, index: usize) -> [f64; 3] {
         [self.x.lane(index), self.y.lane(index), self.z.lane(index)]
     }

@@ -1,9 +1,10 @@
 //! Lanes in AVX2 and AVX-512 registers.
 //!
-//! Every `unsafe` here is one of two kinds. Intrinsics need their instruction set: values of these types are computed
-//! with only inside [`Real::dispatch`], and only where [`super::Isa::available`] has found it. The operators are safe
-//! functions all the same, because the equations are written with operators; so the types stay inside this crate, whose only
-//! use of them is `sim::lanes`, behind that check. Lane access reads the register's memory as the array of floats it is.
+//! Every `unsafe` here is one of two kinds. (1) Intrinsics need their instruction set. Values of these types are
+//! used only inside [`Real::dispatch`], and only after [`super::Isa::available`] has found the instruction set. The
+//! operators are safe functions nevertheless, because the equations are written with operators. So the types are
+//! private to this crate, and their only user is `sim::lanes`, behind that check. (2) Access to a lane reads the
+//! register's memory as an array of floats.
 
 use super::{Kernel, Real};
 use std::arch::x86_64::*;
@@ -51,7 +52,7 @@ macro_rules! lanes {
 
             #[inline(always)]
             fn splat(value: f64) -> Self {
-                // SAFETY: an array of floats has the register's size and any bits are valid.
+                // SAFETY: an array of floats has the register's size, and any bits are valid floats.
                 Self(unsafe { std::mem::transmute::<[f32; $lanes], $register>([value as f32; $lanes]) })
             }
             #[inline(always)]
@@ -107,7 +108,7 @@ macro_rules! lanes {
                 fn inside<K: Kernel>(kernel: K) {
                     kernel.run();
                 }
-                // SAFETY: blocks of this type are only made where `Isa::available` found the features.
+                // SAFETY: blocks of this type exist only where `Isa::available` found the features.
                 unsafe { inside(kernel) }
             }
         }

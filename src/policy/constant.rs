@@ -3,7 +3,7 @@
 use super::format::{DOUBLE, FLOAT, INT64, Tensor};
 use crate::error::{Error, Result};
 
-/// Numbers of at most two dimensions, row-major. Whole numbers and `f64` are rounded to `f32`.
+/// Numbers of at most two dimensions, row-major. Integers and `f64` are rounded to `f32`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Constant {
     /// None for a single number.
@@ -36,17 +36,17 @@ impl Constant {
         Ok(Self { dims, data })
     }
 
-    /// As whole numbers: a shape. They were whole if they are so small.
+    /// The numbers as integers, for a shape. `f32` holds integers this small exactly.
     pub fn whole(&self) -> Vec<i64> {
         self.data.iter().map(|x| *x as i64).collect()
     }
 
-    /// The only number, if there is but one.
+    /// The number, if there is only one.
     pub fn scalar(&self) -> Option<f32> {
         if let [x] = self.data[..] { Some(x) } else { None }
     }
 
-    /// As a row that is added to, or multiplied with, every environment's: [1], [k] or [1, k].
+    /// As a row to add to, or multiply with, every environment's row: [1], [k] or [1, k].
     pub fn row(&self) -> Option<&[f32]> {
         match self.dims[..] {
             [] | [_] | [1, _] => Some(&self.data),
@@ -55,7 +55,7 @@ impl Constant {
     }
 }
 
-/// From whichever of the two fields has the numbers; none if the bytes are no whole number of them.
+/// From whichever of the two fields has the numbers; None if the number of bytes is wrong.
 fn numbers<T: Copy, const N: usize>(
     typed: &[T],
     raw: &[u8],

@@ -1,5 +1,5 @@
-//! The parts of an ONNX file that are read or written: a subset of `onnx.proto` (ONNX IR version 10, Apache-2.0). Protobuf
-//! skips the rest, and refuses messages that nest too deeply.
+//! The parts of an ONNX file that are read or written: a subset of `onnx.proto` (ONNX IR version 10, Apache-2.0).
+//! The decoder skips the rest, and refuses messages that nest too deeply.
 
 /// `TensorProto.DataType`
 pub const FLOAT: i32 = 1;
@@ -82,7 +82,7 @@ pub struct Tensor {
     pub raw_data: Vec<u8>,
     #[prost(double, repeated, tag = "10")]
     pub double_data: Vec<f64>,
-    /// 1: in another file, which is not read.
+    /// Value 1: the data are in another file, which is not read.
     #[prost(int32, tag = "14")]
     pub data_location: i32,
 }
@@ -106,18 +106,18 @@ pub struct TensorType {
     #[prost(int32, tag = "1")]
     pub elem_type: i32,
     #[prost(message, optional, tag = "2")]
-    pub shape: Option<Shape>,
+    pub shape: Option<TensorShape>,
 }
 
 #[derive(Clone, PartialEq, prost::Message)]
-pub struct Shape {
+pub struct TensorShape {
     #[prost(message, repeated, tag = "1")]
     pub dim: Vec<Dimension>,
 }
 
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Dimension {
-    /// Absent where it has a name or nothing.
+    /// Absent if the dimension has a name or no size.
     #[prost(int64, optional, tag = "1")]
     pub value: Option<i64>,
     #[prost(string, tag = "2")]

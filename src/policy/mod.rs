@@ -1,15 +1,16 @@
 //! Policies that users upload: feed-forward networks as ONNX, computed beside the environments.
 //!
-//! Between env and pool: this layer knows a task's tables, and nothing of threads, sessions or messages.
+//! Between env and pool: this crate knows a task's tables; it has no threads, sessions or messages.
 //!
 //! * [`format`]: the parts of an ONNX file that are read or written.
 //! * [`read`]: from a file to a program of checked steps; [`constant`]: its weights.
-//! * [`operator`]: what a step computes, and how wide its result is.
-//! * [`network`]: the program at work.
+//! * [`operator`]: the operators of steps, and the widths of their results.
+//! * [`network`]: runs the program.
 //! * [`write`]: ONNX files of our own.
 //!
-//! A network is computed for [`LANES`] environments at a time, each in a lane of its own, sums in the order of the weights.
-//! So an action's bits depend on the environment's own observation alone, not on its neighbours, the batch or the threads.
+//! A network is computed for [`LANES`] environments at a time, each in a lane of its own, sums in the order of the
+//! weights. So an action's bits depend on the environment's own observation alone, not on its neighbours, the batch
+//! or the threads.
 
 use sandgait_base::error;
 use sandgait_env as env;
@@ -23,11 +24,11 @@ pub mod write;
 
 pub use network::Network;
 
-/// Environments side by side: those of one shard of engine lanes.
+/// Environments computed side by side: as many as a shard of engine `lanes` has.
 const LANES: usize = 16;
 
 /// One number of every lane.
 type Lanes = [f32; LANES];
 
-/// Largest file [bytes]: a million weights, some ten times what walking takes. Our choice.
+/// Largest file [bytes]: a million weights, some ten times what walking needs. Our choice.
 pub const MOST_BYTES: usize = 4 << 20;

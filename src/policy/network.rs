@@ -1,4 +1,4 @@
-//! A network at work.
+//! Runs a network.
 
 use super::operator::Program;
 use super::read;
@@ -25,8 +25,8 @@ impl Network {
         Ok(Self { program, observation, bounds })
     }
 
-    /// Fills `actions`, f32 [n, action], clipped to their bounds, from `observations`, f32 [n, observation]. An action that
-    /// is not a number is an error.
+    /// Fills `actions`, f32 [n, action], clipped to their bounds, from `observations`, f32 [n, observation]. NaN in
+    /// an action is an error.
     pub fn act(&self, observations: &[f32], actions: &mut [f32]) -> Result<()> {
         let mut values = vec![vec![[0.0; LANES]; self.observation]];
         values.extend(self.program.steps.iter().map(|step| vec![[0.0; LANES]; step.width]));

@@ -1,8 +1,8 @@
-//! What a step of a network computes, as the ONNX operators of the same names define it.
+//! The operators of a network's steps, as ONNX defines operators of the same names.
 
 use super::{LANES, Lanes};
 
-/// One number from one.
+/// Functions of one number.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Function {
     Abs,
@@ -37,7 +37,7 @@ impl Function {
                 }
             }
             Self::Neg => -x,
-            // max would make 0 of what is not a number.
+            // max would turn NaN into 0.
             Self::Relu => {
                 if x < 0.0 {
                     0.0
@@ -54,7 +54,7 @@ impl Function {
     }
 }
 
-/// One number from two.
+/// Functions of two numbers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Arithmetic {
     Add,
@@ -72,7 +72,7 @@ impl Arithmetic {
             Self::Sub => a - b,
             Self::Mul => a * b,
             Self::Div => a / b,
-            // What is not a number stays so, as ONNX has it.
+            // NaN stays NaN, as ONNX defines.
             Self::Min => {
                 if b < a || b.is_nan() {
                     b
@@ -91,7 +91,7 @@ impl Arithmetic {
     }
 }
 
-/// What a step reads: a value of the network, or numbers that are the same for every environment.
+/// An input of a step: a value of the network, or constants that are the same for every environment.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Operand {
     Value(usize),
@@ -110,7 +110,7 @@ pub enum Operator {
         input: usize,
         function: Function,
     },
-    /// Operands of one number serve for all.
+    /// An operand of one number applies to all numbers of the other.
     Both {
         left: Operand,
         right: Operand,
@@ -122,7 +122,7 @@ pub enum Operator {
 }
 
 impl Operator {
-    /// Fills `out`, one entry a number of the result, from the values before it.
+    /// Fills `out`, one entry a number of the result, from the earlier values.
     pub fn compute(&self, values: &[Vec<Lanes>], out: &mut [Lanes]) {
         match self {
             Self::Dense { input, weights, bias } => dense(&values[*input], weights, bias, out),
@@ -151,10 +151,10 @@ fn operand(values: &[Vec<Lanes>], operand: &Operand, k: usize) -> Lanes {
     }
 }
 
-/// Outputs that are summed side by side: each number that was read then serves for as many.
+/// Number of outputs that are summed side by side, so that each number is read once for all of them.
 const TILE: usize = 4;
 
-/// Each sum starts at its bias and goes through the inputs in order, whatever the tile.
+/// Each sum starts at its bias and adds the inputs in order, so its bits do not depend on the tile.
 fn dense(input: &[Lanes], weights: &[f32], bias: &[f32], out: &mut [Lanes]) {
     let width = bias.len();
     for first in (0..width).step_by(TILE) {
@@ -174,14 +174,14 @@ fn dense(input: &[Lanes], weights: &[f32], bias: &[f32], out: &mut [Lanes]) {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Step {
     pub operator: Operator,
-    /// Numbers of the result.
+    /// Number of components of the result.
     pub width: usize,
 }
 
-/// What the reader made of a file: value 0 is the observation, value k the result of step k − 1.
+/// The program: value 0 is the observation, value k the result of step k − 1.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Program {
     pub steps: Vec<Step>,
-    /// Which value the action is.
+    /// Index of the value that is the action.
     pub action: usize,
 }

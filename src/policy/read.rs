@@ -1,5 +1,4 @@
-//! From an ONNX file to a program of checked steps. Whatever a file says, nothing here panics, and nothing is larger than
-//! the limits below.
+//! Reads an ONNX file into a program of checked steps. No file makes this code panic or exceed the limits below.
 
 use super::MOST_BYTES;
 use super::constant::Constant;
@@ -9,12 +8,12 @@ use crate::error::{Error, Result};
 use prost::Message as _;
 use std::collections::HashMap;
 
-/// Limits of a network, our choice: far above what walking takes, and some milliseconds of work for a shard.
+/// Limits of a network, our choice: far above what walking needs, and some milliseconds of work for a shard.
 const MOST_NODES: usize = 256;
 const MOST_WIDTH: usize = 4096;
 const MOST_PRODUCTS: usize = 2 << 20;
 
-/// Operator sets whose definitions of [`OPERATORS`] are those computed here.
+/// Operator sets in which [`OPERATORS`] are defined as they are computed here.
 const OPSETS: std::ops::RangeInclusive<i64> = 7..=23;
 
 const OPERATORS: [&str; 26] = [
@@ -50,7 +49,7 @@ fn invalid(why: impl Into<String>) -> Error {
     Error::invalid("policy", why)
 }
 
-/// The program in `onnx`, whose observations and actions have the numbers in `sizes`.
+/// The program in `onnx`; `sizes` are the numbers in an observation and an action.
 pub fn program(onnx: &[u8], sizes: [usize; 2]) -> Result<Program> {
     if onnx.len() > MOST_BYTES {
         return Err(invalid(format!("{} bytes are more than {} MiB", onnx.len(), MOST_BYTES >> 20)));
@@ -67,7 +66,7 @@ pub fn program(onnx: &[u8], sizes: [usize; 2]) -> Result<Program> {
     }
 }
 
-/// What a name stands for.
+/// The meaning of a name.
 #[derive(Clone)]
 enum Named {
     Value(usize),
@@ -143,16 +142,16 @@ impl<'a> Reader<'a> {
         Ok(())
     }
 
-    /// What input `k` of a node stands for; none if the node has no such input.
+    /// The meaning of input `k` of a node; None if the node has no such input.
     fn input(&self, node: &Node, k: usize) -> Result<Option<&Named>> {
         let Some(name) = node.input.get(k).filter(|name| !name.is_empty()) else { return Ok(None) };
         self.names
             .get(name.as_str())
             .map(Some)
-            .ok_or_else(|| wrong(node, format!("reads {name:?}, which nothing before it makes")))
+            .ok_or_else(|| wrong(node, format!("reads {name:?}, which no earlier node computes")))
     }
 
-    /// Input `k` as a value that comes from the observation.
+    /// Input `k` as a value that depends on the observation.
     fn value(&self, node: &Node, k: usize) -> Result<usize> {
         match self.input(node, k)? {
             Some(Named::Value(value)) => Ok(*value),
@@ -160,7 +159,7 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Input `k` as numbers of the file, if it is there.
+    /// Input `k` as constants of the file, if it has one.
     fn constant(&self, node: &Node, k: usize) -> Result<Option<&Constant>> {
         match self.input(node, k)? {
             None => Ok(None),
@@ -178,7 +177,7 @@ impl<'a> Reader<'a> {
         Ok(Named::Value(self.widths.len() - 1))
     }
 
-    /// Nodes that do nothing to rows of numbers.
+    /// Nodes that have no effect on rows of numbers.
     fn same(&self, node: &Node) -> Result<Named> {
         let value = self.value(node, 0)?;
         let whole = |name, default| attribute(node, name).map_or(default, |a| a.i);
@@ -224,7 +223,7 @@ impl<'a> Reader<'a> {
         self.step(Operator::Concat { inputs }, width)
     }
 
-    /// Operands one after the other; `Min` and `Max` may have more than two, or one.
+    /// Combines operands one after the other; `Min` and `Max` may have more than two, or one.
     fn fold(&mut self, node: &Node, arithmetic: Arithmetic) -> Result<Named> {
         let many = matches!(arithmetic, Arithmetic::Min | Arithmetic::Max);
         if node.input.is_empty() || (!many && node.input.len() != 2) {
@@ -304,7 +303,7 @@ fn attribute<'a>(node: &'a Node, name: &str) -> Option<&'a Attribute> {
     node.attribute.iter().find(|a| a.name == name)
 }
 
-/// The function of a node that has one; its default alpha is ONNX's.
+/// The function of a unary node; the default alpha is ONNX's.
 fn function(node: &Node) -> Function {
     let alpha = |default| attribute(node, "alpha").map_or(default, |a| a.f);
     match node.op_type.as_str() {
@@ -330,7 +329,7 @@ fn constant(node: &Node) -> Result<Constant> {
     Ok(Constant { dims: Vec::new(), data: vec![number] })
 }
 
-/// Checks that the graph's input or output is rows of `numbers` f32.
+/// Checks that the graph's input or output has rows of `numbers` f32.
 fn rows(what: &str, info: &ValueInfo, numbers: usize) -> Result<()> {
     let tensor = info.kind.as_ref().and_then(|t| t.tensor.as_ref());
     let dims = tensor.and_then(|t| t.shape.as_ref()).map(|s| &s.dim);

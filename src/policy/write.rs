@@ -1,40 +1,42 @@
-//! ONNX files of policies that were learnt here; any ONNX runtime takes them, and [`super::Network`].
+//! Writes learnt policies as ONNX files, which any ONNX runtime and [`super::Network`] can read.
 
-use super::format::{Dimension, FLOAT, Graph, Model, Node, OperatorSet, Shape, Tensor, TensorType, Type, ValueInfo};
+use super::format::{
+    Dimension, FLOAT, Graph, Model, Node, OperatorSet, Tensor, TensorShape, TensorType, Type, ValueInfo,
+};
 use prost::Message as _;
 
-/// Operator set and format that the files name: of 2022, which runtimes of today know.
+/// Operator set and format version of the files: those of 2022, which present runtimes support.
 const OPSET: i64 = 18;
 const IR: i64 = 8;
 
-/// Names of what a file's readers give and take.
+/// Names of the network's input and output.
 const INPUT: &str = "observation";
 const OUTPUT: &str = "action";
 
-/// A file on its way. Values are known by their names.
+/// A file under construction. Values are referred to by name.
 pub struct Writer {
     observation: usize,
     graph: Graph,
 }
 
 impl Writer {
-    /// Whose input is rows of so many numbers.
+    /// A network whose input rows have this many numbers.
     pub fn new(observation: usize) -> Self {
         let input = vec![rows(INPUT, observation)];
         Self { observation, graph: Graph { name: "policy".into(), input, ..Graph::default() } }
     }
 
-    /// The rows that the network is given.
+    /// The input rows.
     pub fn input(&self) -> String {
         INPUT.into()
     }
 
-    /// Numbers in each of them.
+    /// Numbers in each input row.
     pub fn observation(&self) -> usize {
         self.observation
     }
 
-    /// (x − center) / scale, number by number, within ± `clip`.
+    /// (x − center) / scale for each number, clipped to ± `clip`.
     pub fn normalize(&mut self, x: &str, center: &[f32], scale: &[f32], clip: f32) -> String {
         let center = self.row(center);
         let difference = self.node("Sub", &[x, &center]);
@@ -49,13 +51,13 @@ impl Writer {
         self.node("Sub", &[x, &row])
     }
 
-    /// Within the same bounds, every number.
+    /// Clips every number to the same bounds.
     pub fn clip(&mut self, x: &str, bounds: [f32; 2]) -> String {
         let [low, high] = bounds.map(|bound| self.numbers(&[], &[bound]));
         self.node("Clip", &[x, &low, &high])
     }
 
-    /// Each number within bounds of its own.
+    /// Clips each number to its own bounds.
     pub fn clip_row(&mut self, x: &str, bounds: &[[f32; 2]]) -> String {
         let side = |k: usize| bounds.iter().map(|b| b[k]).collect::<Vec<_>>();
         let (low, high) = (self.row(&side(0)), self.row(&side(1)));
@@ -78,7 +80,7 @@ impl Writer {
         self.node("Add", &[a, b])
     }
 
-    /// The file's bytes, whose action is `x`, rows of so many numbers.
+    /// The file's bytes; `x` is the action, in rows of this many numbers.
     pub fn finish(mut self, x: &str, action: usize) -> Vec<u8> {
         let output = OUTPUT.to_owned();
         self.graph.node.push(Node {
@@ -129,6 +131,6 @@ impl Writer {
 fn rows(name: &str, width: usize) -> ValueInfo {
     let dim =
         vec![Dimension { value: None, name: "n".into() }, Dimension { value: Some(width as i64), name: String::new() }];
-    let tensor = TensorType { elem_type: FLOAT, shape: Some(Shape { dim }) };
+    let tensor = TensorType { elem_type: FLOAT, shape: Some(TensorShape { dim }) };
     ValueInfo { name: name.into(), kind: Some(Type { tensor: Some(tensor) }) }
 }

@@ -17,7 +17,7 @@ pub struct Batch {
     pub(super) begun: Vec<bool>,
 }
 
-/// A checked request; only [`Batch`] makes one, so a pool never sees a malformed one.
+/// A checked request. Only [`Batch`] can make one, so a pool gets no malformed ones.
 pub enum Operation {
     Reset { chosen: Option<Vec<bool>>, seeds: Option<Vec<u64>>, tasks: Option<Tasks> },
     Step { actions: Vec<f32>, held: Option<Vec<bool>> },
@@ -25,11 +25,11 @@ pub enum Operation {
     Roll(Roll),
 }
 
-/// What a reset makes of the tasks of those that it begins anew: the same with other options.
+/// New tasks of the environments that a reset begins anew: the same with other options.
 pub struct Tasks {
-    /// Each different one once.
+    /// Each different task once.
     all: Vec<Arc<dyn AnyTask>>,
-    /// Which of them an environment gets; none for those that are not chosen.
+    /// Index of each environment's task; None for environments that are not chosen.
     of: Vec<Option<u32>>,
 }
 
@@ -39,19 +39,19 @@ impl Tasks {
     }
 }
 
-/// Some steps of a rollout.
+/// A part of a rollout.
 #[derive(Clone)]
 pub struct Roll {
     plan: Plan,
-    /// Steps of the whole rollout.
+    /// Number of steps of the whole rollout.
     total: usize,
-    /// Steps to be made now.
+    /// The steps of this part.
     steps: std::ops::Range<usize>,
     /// Keep the rows of every step.
     record: bool,
 }
 
-/// Where a rollout's actions come from.
+/// Source of a rollout's actions.
 #[derive(Clone)]
 enum Plan {
     /// f32 [steps, envs, action] of the whole rollout.
@@ -60,31 +60,31 @@ enum Plan {
 }
 
 impl Roll {
-    /// The part of this rollout that follows the present one and has at most `count` steps; none after the last.
+    /// The next part of this rollout with at most `count` steps; None after the last step.
     pub fn next(&self, count: usize) -> Option<Self> {
         let total = self.total();
         let steps = self.steps.end..total.min(self.steps.end + count);
         (!steps.is_empty()).then(|| Self { steps, ..self.clone() })
     }
 
-    /// Steps of the whole rollout.
+    /// Number of steps of the whole rollout.
     pub fn total(&self) -> usize {
         self.total
     }
 
-    /// Are its actions unknown to whoever asked for it?
+    /// Does a network choose the actions?
     pub fn chooses(&self) -> bool {
         matches!(self.plan, Plan::Network(_))
     }
 
-    /// Steps that have been made when this part has run.
+    /// Steps done after this part.
     pub fn made(&self) -> usize {
         self.steps.end
     }
 }
 
 impl Batch {
-    /// These environments of `blueprint`, which wait for their first reset.
+    /// `envs` environments of `blueprint`, which need a first reset.
     pub(super) fn of(blueprint: &Blueprint, shards: Vec<Shard>) -> Self {
         let envs = shards.iter().map(Shard::envs).sum();
         Self { shards, task: blueprint.task.clone(), envs, begun: vec![false; envs] }
@@ -94,7 +94,7 @@ impl Batch {
         self.envs
     }
 
-    /// Has no environment been reset yet?
+    /// Does every environment still need its first reset?
     pub fn is_untouched(&self) -> bool {
         !self.begun.contains(&true)
     }
@@ -103,13 +103,13 @@ impl Batch {
         self.task.spec()
     }
 
-    /// In order of the environments; `rows` of each hold what the last operation gave.
+    /// The shards in order of the environments; `rows` of each hold the results of the last operation.
     pub fn shards(&self) -> &[Shard] {
         &self.shards
     }
 
-    /// Checks a reset: `chosen` and `seeds` have one entry an environment if given, and the options, which change those
-    /// that each chosen environment has now, suit all of these.
+    /// Checks a reset. If given, `chosen` and `seeds` must have one entry an environment. `options` change the
+    /// present options of each chosen environment, and must suit all of them.
     pub fn reset(
         &mut self,
         chosen: Option<Vec<bool>>,
@@ -130,7 +130,8 @@ impl Batch {
         Ok(Operation::Reset { chosen, seeds, tasks })
     }
 
-    /// What `options` make of the tasks of those that are `chosen`. Environments that share one go on sharing one.
+    /// The tasks of the `chosen` environments, changed by `options`. Environments with a common task still share
+    /// one afterwards.
     fn changed(&self, chosen: Option<&[bool]>, options: &ResetOptions) -> Result<Tasks> {
         let mut tasks = Tasks { all: Vec::new(), of: Vec::with_capacity(self.envs) };
         let mut known: HashMap<usize, u32> = HashMap::new();
@@ -163,13 +164,13 @@ impl Batch {
         Ok(Operation::Step { actions, held: None })
     }
 
-    /// What is said of a step's actions if there are `got` numbers, which is not their number.
+    /// The error if a step has `got` numbers, which is the wrong number.
     pub fn wrong_actions(&self, got: usize) -> Error {
         let (n, width) = (self.envs, self.spec().action.len());
         Error::invalid("actions", format!("{got} numbers, expected {} = [{n}, {width}]", n * width))
     }
 
-    /// [`Batch::step`] of some: environments that `held` names stay as they are, whatever their actions.
+    /// [`Batch::step`] for some: environments that `held` names keep their state, whatever their actions.
     pub fn step_but(&self, actions: Vec<f32>, held: Vec<bool>) -> Result<Operation> {
         if held.len() != self.envs {
             return Err(Error::invalid("held", format!("{} entries for {} environments", held.len(), self.envs)));
@@ -180,7 +181,7 @@ impl Batch {
         }
     }
 
-    /// What puts every environment back to where it is now.
+    /// The operation that restores every environment's present state.
     pub fn keep(&self) -> Result<Operation> {
         self.check_begun("rollout")?;
         let all = self.shards.iter().flat_map(|shard| (0..shard.envs()).map(|i| Arc::new(shard.keep(i))));
@@ -203,8 +204,8 @@ impl Batch {
         Ok(Roll { total: actions.len() / row, plan: Plan::Actions(Arc::new(actions)), steps: 0..0, record })
     }
 
-    /// Checks a rollout of `total` steps with the actions that the network in `onnx` chooses. Its episode ends a rollout,
-    /// so there are no more steps than an episode has.
+    /// Checks a rollout of `total` steps with the actions of the network in `onnx`. The end of an episode ends its
+    /// rollout, so a rollout has at most as many steps as an episode.
     pub fn roll_network(&self, onnx: &[u8], total: u32, record: bool) -> Result<Roll> {
         self.check_begun("rollout")?;
         let spec = self.spec();
@@ -213,7 +214,7 @@ impl Batch {
         Ok(Roll { total: total as usize, plan: Plan::Network(network), steps: 0..0, record })
     }
 
-    /// Environment `index` for those who only look; see [`Shard::look`].
+    /// Environment `index` for viewers; see [`Shard::look`].
     pub fn look(&self, index: usize, ended: bool) -> Result<Look<'_>> {
         let outside = || Error::invalid("index", format!("{index} is outside [0, {})", self.envs));
         if !*self.begun.get(index).ok_or_else(outside)? {
@@ -229,7 +230,7 @@ impl Batch {
         Err(outside())
     }
 
-    /// Has every environment begun its episode, and made no step of it yet?
+    /// Are all environments at the start of an episode, before its first step?
     pub fn is_fresh(&self) -> bool {
         self.begun.iter().all(|b| *b) && self.shards.iter().all(Shard::is_fresh)
     }
@@ -245,7 +246,7 @@ impl Batch {
         }
     }
 
-    /// Every number within its column's bounds; `name` names a row of actions.
+    /// Checks that every number is within its column's bounds; `name` names a row of actions.
     fn check_actions(&self, actions: &[f32], name: impl Fn(usize) -> String) -> Result<()> {
         let columns = &self.spec().action;
         for (row, values) in actions.chunks_exact(columns.len()).enumerate() {
@@ -258,7 +259,7 @@ impl Batch {
 }
 
 impl Operation {
-    /// What logs and metrics call it.
+    /// Its name in logs and metrics.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Reset { .. } => "reset",
@@ -268,7 +269,7 @@ impl Operation {
         }
     }
 
-    /// How many of `envs` environments a step moves; none by other operations.
+    /// How many of `envs` environments the operation steps; 0 if it is not a step.
     pub fn steps(&self, envs: usize) -> usize {
         match self {
             Self::Step { held, .. } => envs - held.iter().flatten().filter(|held| **held).count(),
@@ -276,7 +277,8 @@ impl Operation {
         }
     }
 
-    /// Parts that a worker carries out without looking at who else waits: a control step of a rollout is one.
+    /// Parts after each of which a worker checks whether other sessions wait: a control step of a rollout is one
+    /// part.
     pub(super) fn parts(&self) -> usize {
         match self {
             Self::Roll(roll) => roll.steps.len(),
@@ -284,7 +286,7 @@ impl Operation {
         }
     }
 
-    /// Carries part `part` of this out on one shard whose first environment is number `start` of the batch.
+    /// Computes part `part` on one shard whose first environment is number `start` of the batch.
     pub(super) fn run(&self, shard: &mut Shard, start: usize, part: usize) {
         let (envs, width) = (shard.envs(), shard.actions());
         match self {
@@ -312,7 +314,8 @@ impl Operation {
 }
 
 impl Roll {
-    /// Makes step `part` of the present ones on one shard whose first environment is number `start` of the batch.
+    /// Makes step `part` of this part of a rollout on one shard whose first environment is number `start` of the
+    /// batch.
     fn run(&self, shard: &mut Shard, start: usize, part: usize) {
         let step = self.steps.start + part;
         if step == 0 {

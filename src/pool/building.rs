@@ -1,4 +1,4 @@
-//! Environments on their way: very many take seconds, so they can be made some at a time.
+//! Environments under construction. Thousands of them take seconds, so they can be made some at a time.
 
 use super::batch::Batch;
 use crate::env::Shard;
@@ -6,7 +6,7 @@ use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
 use std::time::{Duration, Instant};
 
-/// A [`Batch`] of which some shards are there.
+/// A [`Batch`] of which some shards are complete.
 pub struct Building {
     blueprint: Blueprint,
     envs: usize,
@@ -14,14 +14,14 @@ pub struct Building {
 }
 
 impl Batch {
-    /// `envs` environments that wait for their first reset.
+    /// `envs` environments that need a first reset.
     pub fn new(blueprint: &Blueprint, envs: usize) -> Result<Self> {
         Building::new(blueprint, envs)?.finish()
     }
 }
 
 impl Building {
-    /// `envs` environments, none of which is there yet.
+    /// `envs` environments, none of which is made yet.
     pub fn new(blueprint: &Blueprint, envs: usize) -> Result<Self> {
         if envs == 0 {
             return Err(Error::invalid("num_envs", "0 is outside [1, 4294967295]"));
@@ -29,7 +29,7 @@ impl Building {
         Ok(Self { blueprint: blueprint.clone(), envs, shards: Vec::new() })
     }
 
-    /// Makes more of them, one shard at least, until `time` has passed.
+    /// Makes at least one more shard, and further ones until `time` has passed.
     pub fn go_on(&mut self, time: Duration) -> Result<()> {
         let begun = Instant::now();
         while self.missing() > 0 {
@@ -42,12 +42,12 @@ impl Building {
         Ok(())
     }
 
-    /// Environments that are to be made yet. All shards but the last are full.
+    /// Environments that are still to be made. All shards but the last are full.
     pub fn missing(&self) -> usize {
         self.envs.saturating_sub(self.shards.len() * self.blueprint.engine.shard_size())
     }
 
-    /// All of them: what is missing is made now.
+    /// The complete batch; makes the missing shards now.
     pub fn finish(mut self) -> Result<Batch> {
         self.go_on(Duration::MAX)?;
         Ok(Batch::of(&self.blueprint, self.shards))

@@ -7,9 +7,9 @@
 //! ```
 //!
 //! A shard is owned by one thread while it runs and results never depend on which, or on how many there are. The
-//! queue hands out one shard of each waiting batch in turn, so a session of many environments cannot starve a small
-//! one; of a rollout it hands out one control step of a shard wherever somebody else waits. This layer knows nothing of
-//! messages; it never runs on the async runtime's threads.
+//! queue gives out one shard of each waiting batch in turn, so a session of many environments cannot starve a small
+//! one. While other sessions wait, a shard of a rollout is given out for one control step at a time. This crate has
+//! no messages, and never runs on the async runtime's threads.
 
 use sandgait_base::{error, parallel};
 use sandgait_env as env;

@@ -1,4 +1,4 @@
-//! What shows that data are as a server of ours wrote them.
+//! Tags that prove that data were written by a server with the same key.
 
 use crate::error::{Error, Result};
 use hmac::{Hmac, KeyInit as _, Mac as _};
@@ -11,8 +11,8 @@ const TAG: usize = 32;
 /// Shortest key [bytes]; 128 bits cannot be guessed.
 const SHORTEST: usize = 16;
 
-/// Makes and checks tags: HMAC-SHA-256 with a key, so that nobody without it can make data that are taken; without a key
-/// SHA-256, which tells damage only.
+/// Makes and checks tags. With a key it is HMAC-SHA-256, so that nobody without the key can make valid data;
+/// without a key SHA-256, which only detects damage.
 #[derive(Clone, Default)]
 pub struct Seal(Option<Hmac<Sha256>>);
 
@@ -39,7 +39,7 @@ impl Seal {
         }
     }
 
-    /// Is `tag` that of `data`? Takes the same time for every wrong one. The error says why not.
+    /// Is `tag` the tag of `data`? The time is the same for every wrong tag. The error gives the reason.
     pub fn check(&self, tag: &[u8; TAG], data: &[u8]) -> std::result::Result<(), &'static str> {
         let checksum = || Sha256::digest(data).as_slice() == tag;
         match &self.0 {
@@ -47,7 +47,7 @@ impl Seal {
             Some(_) if checksum() => Err("it has no seal, and this server takes only what is sealed with its key"),
             Some(_) => Err("its seal is wrong: it was made with another key, or changed since"),
             None if checksum() => Ok(()),
-            None => Err("it is damaged, or sealed with a key that this server has not: its checksum is wrong"),
+            None => Err("it is damaged, or sealed with a key that this server does not have: its checksum is wrong"),
         }
     }
 }

@@ -1,12 +1,12 @@
-//! A batch as bytes: to keep, to send, to go on with elsewhere.
+//! A batch as bytes, to store, to send, or to continue elsewhere.
 //!
 //! ```text
 //!  "sandgait snapshot\n" │ length u8, version of sandgait │ tag of the rest │ CBOR
 //! ```
 //!
-//! The tag is a [`Seal`]'s. Bits are promised on one version and one instruction set only, so a snapshot of another version is
-//! refused. Options and episodes are CBOR inside the CBOR and unpacked one by one, only those that are asked for: however
-//! many a snapshot has, a batch that takes it up needs memory for its own environments.
+//! The tag is a [`Seal`]'s. Bits are promised on one version and one instruction set only, so a snapshot of another
+//! version is refused. Options and episodes are CBOR inside the CBOR. Only the requested ones are unpacked, one by
+//! one, so restoring needs memory for the batch's own environments only, whatever the snapshot's size.
 
 use super::batch::{Batch, Operation};
 use super::seal::Seal;
@@ -22,8 +22,8 @@ use std::sync::Arc;
 const MAGIC: &[u8] = b"sandgait snapshot\n";
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 
-/// Longest and shortest part [bytes]. Our choice: twice what the longest options allow, and less than any has, so that very
-/// many empty ones are no small snapshot.
+/// Longest and shortest part [bytes]. Our choice: twice the longest options, and less than any real part, so that a
+/// small snapshot cannot have very many empty parts.
 const PART: std::ops::RangeInclusive<usize> = 64..=1 << 19;
 
 /// Environments in the middle of their episodes.
@@ -33,11 +33,11 @@ pub struct Snapshot {
     pub task: String,
     /// Each different set of options once: [`AnyTask::options`].
     options: Vec<Part>,
-    /// Which options an environment has, and its episode: [`SavedEpisode`].
+    /// Index of the environment's options, and its episode: [`SavedEpisode`].
     episodes: Vec<(u32, Part)>,
 }
 
-/// CBOR that has not been looked into.
+/// CBOR that is not unpacked yet.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 struct Part(Vec<u8>);
 
@@ -116,7 +116,7 @@ impl Snapshot {
 }
 
 impl Batch {
-    /// All environments as they are now.
+    /// The present state of all environments.
     pub fn save(&self) -> Result<Snapshot> {
         self.check_begun("save")?;
         let mut tasks: Vec<&Arc<dyn AnyTask>> = Vec::new();
@@ -135,16 +135,16 @@ impl Batch {
         Ok(Snapshot { task: self.spec().id.into(), options, episodes })
     }
 
-    /// Checks that environment i can go on as environment `sources[i]` of `snapshot`; without sources as number i
-    /// modulo the snapshot's, so that a snapshot of one environment is forked.
+    /// Checks that environment i can go on as environment `sources[i]` of `snapshot`. Without `sources` it is
+    /// number i modulo the snapshot's number, so that a snapshot of one environment is copied to all.
     pub fn restore(&mut self, snapshot: &Snapshot, sources: Option<&[u32]>) -> Result<Operation> {
         let episodes = self.resumed(snapshot, sources)?;
         self.begun.fill(true);
         Ok(Operation::Restore { episodes })
     }
 
-    /// Checks that environment i of this batch can go on as environment `sources[i]` of `snapshot` (none given: i
-    /// modulo the snapshot's number).
+    /// Checks that environment i of this batch can go on as environment `sources[i]` of `snapshot` (if none are
+    /// given: i modulo the snapshot's number).
     fn resumed(&self, snapshot: &Snapshot, sources: Option<&[u32]>) -> Result<Vec<Arc<Resumed>>> {
         if snapshot.task != self.spec().id {
             return Err(broken(format!("it is of {}, not of {}", snapshot.task, self.spec().id)));
@@ -176,7 +176,7 @@ impl Batch {
         (0..self.envs()).map(&mut one).collect()
     }
 
-    /// This session's task with `options`, which may differ from the session's in what a reset may change.
+    /// This session's task with `options`. They may differ from the session's in options that a reset can change.
     fn task_with(&self, options: Map<String, Value>) -> Result<Arc<dyn AnyTask>> {
         let fixed = "it was taken with options that this session does not have and a reset cannot change";
         let changes = self.task().reset_to(options).ok_or_else(|| broken(fixed))?;

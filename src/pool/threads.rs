@@ -9,30 +9,30 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
-/// Called on a worker thread when a batch has run; never if the pool ends before.
+/// Called on a worker thread when a batch has run; not called if the pool ends before.
 type Done = Box<dyn FnOnce(Result<Batch>) + Send>;
 
 /// A shard that waits for a worker.
 struct Piece {
-    /// Number of its first environment in the batch.
+    /// Index of its first environment in the batch.
     start: usize,
     shard: Shard,
-    /// Parts of the operation that are done.
+    /// Finished parts of the operation.
     done: usize,
 }
 
-/// A batch whose shards are being handed out.
+/// A batch whose shards wait for workers.
 struct Job {
     operation: Arc<Operation>,
-    /// Shards that no worker has now; last one first.
+    /// Shards that no worker has now; the last one is taken first.
     waiting: Vec<Piece>,
     id: u64,
 }
 
-/// The same batch, as its shards come back.
+/// The same batch, filled with the shards that are done.
 struct Pending {
     id: u64,
-    /// Everything but the shards.
+    /// The batch without its shards.
     batch: Batch,
     finished: Vec<(usize, Shard)>,
     expected: usize,
@@ -60,14 +60,14 @@ pub struct Pool {
 }
 
 impl Shared {
-    /// The queue's data stay consistent even if a holder panicked: every change to it is a single push or pop.
+    /// The queue's data are consistent even after a panic, because every change is a single push or pop.
     fn lock(&self) -> MutexGuard<'_, Queue> {
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl Pool {
-    /// `threads` ≥ 1 workers; 0 takes one for each processor.
+    /// `threads` ≥ 1 workers; 0 for one each processor.
     pub fn new(threads: usize) -> Self {
         let threads = if threads == 0 { processors() } else { threads };
         let shared = Arc::new(Shared { queue: Mutex::default(), work: Condvar::new() });
@@ -84,13 +84,13 @@ impl Pool {
         self.workers.len()
     }
 
-    /// Carries `operation` out on every shard, then calls `done` with the batch. If a shard panicked the batch is
-    /// lost and `done` gets an error; other batches go on.
+    /// Runs `operation` on every shard, then calls `done` with the batch. If a shard panics, the batch is lost and
+    /// `done` gets an error; other batches go on.
     pub fn run(&self, batch: Batch, operation: Operation, done: impl FnOnce(Result<Batch>) + Send + 'static) {
         self.enqueue(batch, operation, 0, done);
     }
 
-    /// The number of the job; `helpers`: threads beside the pool's that will work on it.
+    /// Returns the number of the job. `helpers`: threads outside the pool that will work on it.
     fn enqueue(
         &self,
         mut batch: Batch,
@@ -120,7 +120,8 @@ impl Pool {
         id
     }
 
-    /// [`Pool::wait`], with the caller's thread at work in place of one of the pool's: for one shard no other is woken.
+    /// [`Pool::wait`], in which the caller's thread works in place of one of the pool's. For a single shard no
+    /// other thread is woken.
     pub fn help(&self, batch: Batch, operation: Operation) -> Result<Batch> {
         let (sender, receiver) = std::sync::mpsc::sync_channel(1);
         let id = self.enqueue(batch, operation, 1, move |batch| {
@@ -136,11 +137,11 @@ impl Pool {
         receiver.recv().unwrap_or_else(|_| Err(Error::Exhausted("the worker pool was closed".into())))
     }
 
-    /// [`Pool::run`], waiting for the result.
+    /// [`Pool::run`], which waits for the result.
     pub fn wait(&self, batch: Batch, operation: Operation) -> Result<Batch> {
         let (sender, receiver) = std::sync::mpsc::sync_channel(1);
         self.run(batch, operation, move |batch| {
-            // The receiver waits below for as long as this closure lives.
+            // The receiver below lives until this closure has sent.
             let _ = sender.send(batch);
         });
         receiver.recv().unwrap_or_else(|_| Err(Error::Exhausted("the worker pool was closed".into())))
@@ -148,7 +149,7 @@ impl Pool {
 }
 
 impl Drop for Pool {
-    /// Waits for the shards that are running. What still waits in the queue is dropped, its `done` uncalled.
+    /// Waits for the shards that are running. Shards in the queue are dropped, and their `done` is not called.
     fn drop(&mut self) {
         let mut queue = self.shared.lock();
         queue.closed = true;
@@ -157,7 +158,7 @@ impl Drop for Pool {
         drop(abandoned);
         self.shared.work.notify_all();
         for worker in self.workers.drain(..) {
-            // A worker catches panics of the work it runs; there is nothing to pass on.
+            // A worker catches panics of its work, so joining it cannot fail.
             let _ = worker.join();
         }
     }
@@ -174,7 +175,7 @@ fn take(queue: &mut Queue, place: usize) -> Option<(u64, Arc<Operation>, Piece)>
     Some((id, operation, piece))
 }
 
-/// Puts a shard with parts to do behind all other jobs.
+/// Puts a shard with parts left behind all other jobs.
 fn put_back(queue: &mut Queue, id: u64, operation: Arc<Operation>, piece: Piece) {
     match queue.jobs.iter_mut().find(|job| job.id == id) {
         Some(job) => job.waiting.insert(0, piece),
@@ -196,7 +197,7 @@ fn worker(shared: &Shared) {
     }
 }
 
-/// Works on a shard and gives it back, to its batch or to the queue.
+/// Works on a shard and returns it to its batch or to the queue.
 fn carry_out(shared: &Shared, id: u64, operation: Arc<Operation>, mut piece: Piece) -> MutexGuard<'_, Queue> {
     let outcome = catch_unwind(AssertUnwindSafe(|| work(shared, id, &operation, &mut piece)));
     if matches!(outcome, Ok(false)) {
@@ -210,8 +211,9 @@ fn carry_out(shared: &Shared, id: u64, operation: Arc<Operation>, mut piece: Pie
     give_back(shared, id, piece.start, piece.shard, outcome.is_err())
 }
 
-/// Goes on with a shard until its operation is done (true) or, after one part at least, another session waits: so that a
-/// session that steps beside a rollout keeps its share, and a rollout alone needs no turns.
+/// Works on a shard until its operation is done (returns true), or until, after at least one part, another session
+/// waits. So a session that steps beside a rollout keeps its share, and a rollout alone does not return to the
+/// queue.
 fn work(shared: &Shared, id: u64, operation: &Operation, piece: &mut Piece) -> bool {
     loop {
         operation.run(&mut piece.shard, piece.start, piece.done);
@@ -242,7 +244,8 @@ fn give_back(shared: &Shared, id: u64, start: usize, shard: Shard, panicked: boo
     pending.batch.shards.extend(pending.finished.into_iter().map(|f| f.1));
     let lost = || Error::Internal("the simulation of this session failed".into());
     let Pending { batch, panicked, done, .. } = pending;
-    // A panic in it is for whoever gave it to notice, by what it drops; this thread has other sessions' work to do.
+    // If `done` panics, its caller notices by the values that it drops; this thread goes on with other sessions'
+    // work.
     drop(catch_unwind(AssertUnwindSafe(|| done(if panicked { Err(lost()) } else { Ok(batch) }))));
     shared.lock()
 }
@@ -254,7 +257,8 @@ mod tests {
     use serde_json::Value;
     use std::sync::mpsc;
 
-    /// Whoever is told of a batch panics: the only worker goes on with other batches, and what was told is dropped.
+    /// `done` of a batch panics: the only worker goes on with other batches, and the values that `done` held are
+    /// dropped.
     #[test]
     fn a_panic_of_who_is_told_costs_no_worker() {
         let pool = Pool::new(1);

@@ -1,5 +1,5 @@
-//! What the paper does not state, and the range we vary it in. Every band in the figures and claims is the envelope over
-//! these, one changed at a time from the declared model.
+//! Values that the paper does not state, and the ranges in which we vary them. Every band in the figures and claims
+//! is the envelope over these; one value at a time differs from the declared model.
 
 use super::Table;
 use crate::error::Result;
@@ -8,7 +8,7 @@ use crate::sim::Robot;
 use crate::sim::model::Scene;
 use crate::sweep::{Design, Parameter};
 
-/// Declared knee angle of the L-leg [°]: both pieces equal, as the figure of the paper looks.
+/// Declared knee angle of the L-leg [°]: both pieces equally long, as in the paper's figure.
 pub const XI_DEG: f64 = 45.0;
 /// Knee angles tried [°].
 pub const XI_RANGE: [f64; 5] = [30.0, 37.5, 45.0, 52.5, 60.0];

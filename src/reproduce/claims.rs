@@ -1,4 +1,4 @@
-//! A sentence of the paper, what we get, and whether that is the same.
+//! A sentence of the paper, our result, and whether they agree.
 
 use serde::Serialize;
 
@@ -7,7 +7,7 @@ use serde::Serialize;
 pub enum Verdict {
     Reproduced,
     NotReproduced,
-    /// The paper's number stands in a figure only, or describes its experiment: there is nothing to compare with.
+    /// The paper gives the number in a figure only, or describes its experiment: there is nothing to compare.
     NoData,
 }
 
@@ -51,8 +51,8 @@ impl Claim {
         }
     }
 
-    /// "Over-predicted by so many per cent": `ratio` is model over reference at the declared assumptions, `band` its
-    /// range over all of them, `seed` the ratio that the paper's words mean.
+    /// "Over-predicted by so many per cent": `ratio` is model over reference at the declared assumptions, `band`
+    /// its range over all of them, `seed` the paper's ratio.
     pub fn ratio(id: &str, claim: &str, seed_value: &str, seed: f64, ratio: f64, band: [f64; 2], note: &str) -> Self {
         let holds = (ratio / seed - 1.0).abs() <= TOLERANCE;
         let ours =
@@ -67,12 +67,12 @@ impl Claim {
     }
 }
 
-/// A ratio as the change that papers write: 1.5 is +50 %.
+/// A ratio as a change in per cent: 1.5 is +50 %.
 pub fn percent(ratio: f64) -> String {
     format!("{:+.0} %", 100.0 * (ratio - 1.0)).replace('-', "−")
 }
 
-/// A number with a typographic minus.
+/// A number with a typographic minus sign.
 pub fn signed(value: f64) -> String {
     format!("{value:.0}").replace('-', "−")
 }

@@ -1,4 +1,4 @@
-//! The numbers of the paper's text that belong to no figure: cost of computing, fitted parameters.
+//! Numbers of the paper's text without a figure: cost of computing, fitted parameters.
 
 use super::assumptions::{XI_DEG, robot};
 use super::{Claim, Part, Table};
@@ -8,8 +8,8 @@ use crate::sim::engine::EngineKind;
 use crate::sim::walk::walk;
 use std::time::Instant;
 
-/// Upper bounds for the cost of one simulated second [s]. The row in `claims.json` names the next one above what this
-/// machine took just now, so that the file is the same in every run; the report has the number itself.
+/// Upper bounds of the cost of one simulated second [s]. The row in `claims.json` names the next bound above the
+/// measured time, so that the file is the same in every run; the report has the measured time.
 const COSTS: [f64; 4] = [0.1, 1.0, 10.0, 100.0];
 
 pub fn part() -> Part {

@@ -1,5 +1,5 @@
-//! Stand-in for figure 3's measured curves: legs rotated through grains simulated one by one. A simulated experiment of
-//! ours, never the paper's own; no RFT code made it.
+//! Data that replace figure 3's measured curves: legs rotated through grains that were simulated one by one. This
+//! is our simulated experiment, not the paper's; it uses no RFT code.
 
 use super::Table;
 use super::claims::{extremes, signed};
@@ -7,7 +7,7 @@ use super::legs::{CHORD, COMPONENTS, Component, SEGMENTS, StandIn, WIDTH};
 use crate::error::Result;
 use crate::plot::{Axis, Figure, Mark, Panel, Style, color};
 use crate::sand::intrusion::{Load, rotating_leg};
-use crate::sand::{Ground, Law, Medium, Shape, Surface};
+use crate::sand::{Law, LegShape, Medium, SandBed, Surface};
 use crate::table::{self, Asked, Column, Quantity};
 
 const DATA: &[u8] = include_bytes!("legs.csv");
@@ -15,10 +15,10 @@ const DATA: &[u8] = include_bytes!("legs.csv");
 const ZETA: f64 = 0.46;
 /// Height of the hip above the bed [m].
 const HIP: f64 = 0.02;
-/// Leg angles are looked at in stretches this wide [°].
+/// Width of the bins of leg angle [°].
 const STRETCH: f64 = 15.0;
 
-/// Mean of the beds for one leg and speed.
+/// Mean of the beds for one leg and one speed.
 struct Run {
     shape: String,
     /// [rad/s]
@@ -43,7 +43,7 @@ fn runs() -> Result<Vec<Run>> {
             runs.push(Run { shape: shape.to_owned(), omega, samples: Vec::new() });
             runs.len() - 1
         });
-        // The beds are sampled at the same angles: the second one meets the first one's rows.
+        // The beds are sampled at the same angles, so the second bed's rows are added to the first one's.
         match runs[k].samples.iter_mut().find(|s| (s.0 - theta).abs() < 1e-9) {
             Some((_, mean, half)) => {
                 *half = Load { fx: (mean.fx - load.fx).abs() / 2.0, fz: (mean.fz - load.fz).abs() / 2.0, ty: 0.0 };
@@ -56,13 +56,13 @@ fn runs() -> Result<Vec<Run>> {
     Ok(runs)
 }
 
-/// How far a law is from one run's component.
+/// Errors of a law for one run and component.
 struct Fit {
     /// Root mean square error over the greatest measured force.
     rms: f64,
     /// Ratio of the greatest forces, law over measured.
     peaks: f64,
-    /// Middle of the stretch of θ [°] where the mean error is largest, and that error over the greatest force.
+    /// Centre of the bin of θ [°] with the largest mean error, and that error over the greatest force.
     worst: (f64, f64),
 }
 
@@ -84,8 +84,8 @@ fn fit(run: &Run, predicted: &[f64], of: Component) -> Fit {
 }
 
 fn predict(run: &Run, law: Law, of: Component) -> Result<Vec<f64>> {
-    let ground = Ground::new(law, &Medium::generic(ZETA)?, &Surface::default());
-    let segments = Shape::named(&run.shape)?.segments(CHORD, WIDTH, SEGMENTS)?;
+    let ground = SandBed::new(law, &Medium::generic(ZETA)?, &Surface::default());
+    let segments = LegShape::named(&run.shape)?.segments(CHORD, WIDTH, SEGMENTS)?;
     Ok(run.samples.iter().map(|s| of(&rotating_leg(&ground, &segments, s.0, run.omega, HIP))).collect())
 }
 
@@ -144,7 +144,7 @@ pub fn part() -> Result<StandIn> {
     Ok(StandIn { figure: figure(&runs)?, table, summary: summary(&errors), lift_ratios })
 }
 
-/// Of li2013's rms errors: leg, speed, component, and where it is worst.
+/// The range of li2013's rms errors, with leg, speed, component and the worst angle.
 fn summary(errors: &[(f64, &str, f64, &str, f64, f64)]) -> String {
     let of = |leg: &str| {
         let each = errors.iter().filter(|e| e.1 == leg);

@@ -7,7 +7,7 @@ use crate::error::Result;
 use crate::number::Vec3;
 use crate::plot::{Axis, Figure, Mark, Panel, Style, color};
 use crate::sand::intrusion::{Load, rotating_leg};
-use crate::sand::{Ground, Law, Medium, Segment, Shape, Surface};
+use crate::sand::{Law, LegShape, Medium, SandBed, Segment, Surface};
 
 /// The leg of the paper's section 3: hip-tip distance, width [m] and speed [rad/s].
 pub const CHORD: f64 = 0.076;
@@ -23,12 +23,12 @@ fn angles() -> impl Iterator<Item = f64> {
 
 /// θ [°] and load over a stroke.
 fn stroke(law: Law, xi_deg: f64, hip: f64) -> Result<Vec<(f64, Load)>> {
-    let ground = Ground::new(law, &Medium::named("poppy-loose")?, &Surface::default());
-    let segments = Shape::two_piece(xi_deg)?.segments(CHORD, WIDTH, SEGMENTS)?;
+    let ground = SandBed::new(law, &Medium::named("poppy-loose")?, &Surface::default());
+    let segments = LegShape::two_piece(xi_deg)?.segments(CHORD, WIDTH, SEGMENTS)?;
     Ok(angles().map(|t| (t, rotating_leg(&ground, &segments, t.to_radians(), OMEGA, hip))).collect())
 }
 
-/// One number of a load.
+/// One component of a load.
 pub type Component = fn(&Load) -> f64;
 
 /// Lift, and drag against the tip's motion [N].
@@ -41,11 +41,11 @@ fn peak(stroke: &[(f64, Load)], of: Component) -> f64 {
 /// ξ, name, colour.
 const LEGS: [(f64, &str, &str); 2] = [(-XI_DEG, "reversed L-leg", color::VERMILION), (XI_DEG, "L-leg", color::BLUE)];
 
-/// What the experiment says that was simulated grain by grain.
+/// Results of the simulated experiment with grains.
 pub struct StandIn {
     pub figure: Figure,
     pub table: Table,
-    /// One sentence about where RFT stands.
+    /// A sentence on the accuracy of RFT.
     pub summary: String,
     /// Greatest lift of the 1D models over that of the grains at the lower speed: L-leg, reversed L-leg.
     pub lift_ratios: [f64; 2],
@@ -270,7 +270,7 @@ fn one_dimensional([grains_l, grains_reversed]: [f64; 2]) -> Result<Vec<Claim>> 
 const INERTIA: f64 = 1.1;
 
 /// Inertial and quasi-static force [N] on the leg at θ [rad].
-fn with_inertia(segments: &[Segment], ground: &Ground<f64>, density: f64, theta: f64, omega: f64) -> ([f64; 2], Load) {
+fn with_inertia(segments: &[Segment], ground: &SandBed<f64>, density: f64, theta: f64, omega: f64) -> ([f64; 2], Load) {
     let load = rotating_leg(ground, segments, theta, omega, HIP);
     let (sin, cos) = theta.sin_cos();
     let turn = |p: [f64; 2]| [p[0] * cos - p[1] * sin, p[0] * sin + p[1] * cos];
@@ -291,10 +291,10 @@ fn with_inertia(segments: &[Segment], ground: &Ground<f64>, density: f64, theta:
 pub fn inertia_claim() -> Claim {
     let share = || -> Result<f64> {
         let medium = Medium::named("poppy-loose")?;
-        let ground = Ground::new(Law::Li2013, &medium, &Surface::default());
+        let ground = SandBed::new(Law::Li2013, &medium, &Surface::default());
         let mut shares = Vec::new();
         for (xi, _, _) in LEGS {
-            let segments = Shape::two_piece(xi)?.segments(CHORD, WIDTH, SEGMENTS)?;
+            let segments = LegShape::two_piece(xi)?.segments(CHORD, WIDTH, SEGMENTS)?;
             let at = |t: f64| with_inertia(&segments, &ground, medium.bulk_density, t.to_radians(), 0.5 / CHORD);
             let total = |(i, l): &([f64; 2], Load)| (l.fx + i[0]).hypot(l.fz + i[1]);
             let greatest = angles().map(at).max_by(|a, b| total(a).total_cmp(&total(b)));

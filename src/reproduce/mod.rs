@@ -1,7 +1,8 @@
-//! The paper, side by side: Li, Zhang & Goldman 2012, "A resistive force model for legged locomotion on granular media",
-//! its figures 2 to 5 and every quantitative sentence of its sections 2 to 6.
+//! Compares with a paper: Li, Zhang & Goldman 2012, "A resistive force model for legged locomotion on granular
+//! media", its figures 2 to 5 and every quantitative sentence of its sections 2 to 6.
 //!
-//! Each part computes its figures and its [`Claim`]s from the models as they are; nothing here is fitted to the paper.
+//! Each part computes its figures and its [`Claim`]s from the models as they are; nothing here is fitted to the
+//! paper.
 //!
 //! * [`stresses`]: figure 2. * [`legs`]: figure 3. * [`grains`]: its stand-in data, a simulated experiment.
 //! * [`speeds`]: figure 4. * [`shapes`]: figure 5. * [`assumptions`]: what the paper does not state.
@@ -31,7 +32,7 @@ use crate::error::{Error, Result};
 use crate::plot::{Figure, png};
 use std::path::Path;
 
-/// One figure of the paper with all that belongs to it.
+/// Our version of one figure of the paper, with its claims.
 pub struct Part {
     pub heading: &'static str,
     /// File stem and figure.
@@ -56,7 +57,7 @@ impl Table {
 /// Figures of the paper that are reproduced.
 pub const FIGURES: [u8; 4] = [2, 3, 4, 5];
 
-/// Computes the parts for the given figures; the conclusions' claims come with all four.
+/// Computes the parts for the given figures; with all four, also the claims of the conclusions.
 pub fn compute(figures: &[u8]) -> Result<Vec<Part>> {
     let mut parts = Vec::new();
     for figure in figures {
@@ -74,7 +75,7 @@ pub fn compute(figures: &[u8]) -> Result<Vec<Part>> {
     Ok(parts)
 }
 
-/// Laws against legs that were rotated through grains simulated one by one.
+/// Laws compared with legs rotated through grains that were simulated one by one.
 pub fn grains() -> Result<Table> {
     Ok(grains::part()?.table)
 }

@@ -39,7 +39,7 @@ pub fn page(parts: &[Part]) -> String {
     html + "</html>\n"
 }
 
-/// Escaped, with one letter after an underscore set low: `v_x`, `α_z`.
+/// HTML-escaped, with the letter after an underscore as a subscript: `v_x`, `α_z`.
 fn prose(text: &str) -> String {
     let escaped = escape(text);
     let mut parts = escaped.split('_');

@@ -19,7 +19,7 @@ pub fn frequencies() -> Vec<f64> {
 /// Speed [m/s] below which RFT is valid (the paper's section 2).
 const VALID: f64 = 0.5;
 
-/// Walks of one leg under one law: for each frequency the declared robot, then the variants.
+/// Walks of one leg under one law: for each frequency the declared robot, then its variants.
 struct Curve {
     rows: Vec<Vec<WalkResult>>,
 }
@@ -80,7 +80,7 @@ pub fn part() -> Result<Part> {
 }
 
 fn figure(rft_l: &Curve, rft_r: &Curve, one_l: &Curve, one_r: &Curve) -> Figure {
-    // Both panels alike, to be compared.
+    // Both panels have the same scales, for comparison.
     let curves = [rft_l, rft_r, one_l, one_r];
     let highest = 1.05 * curves.iter().flat_map(|c| c.band()).map(|b| b[2]).fold(0.0, f64::max);
     let axis =

@@ -5,7 +5,7 @@ use super::claims::{Claim, extremes, signed};
 use crate::error::Result;
 use crate::number::Vec3;
 use crate::plot::{Axis, Figure, Mark, Panel, Style, color};
-use crate::sand::{Ground, Law, Medium, Surface};
+use crate::sand::{Law, Medium, SandBed, Surface};
 use std::f64::consts::PI;
 
 /// Attack angles of the paper's panels (a, c) [rad] and intrusion angles of its panels (b, d).
@@ -14,21 +14,21 @@ const GAMMAS: [f64; 13] =
     [PI / 2.0, 1.25, 0.98, PI / 4.0, 0.59, 0.32, 0.0, -0.32, -0.59, -PI / 4.0, -0.98, -1.25, -PI / 2.0];
 
 /// [α_x, α_z] in N/cm³.
-fn alpha(ground: &Ground<f64>, beta: f64, gamma: f64) -> [f64; 2] {
+fn alpha(ground: &SandBed<f64>, beta: f64, gamma: f64) -> [f64; 2] {
     let motion = ground.motion(Vec3::new(gamma.cos(), 0.0, -gamma.sin()));
     let f = ground.stress(Vec3::new(beta.sin(), 0.0, -beta.cos()), &motion);
     [-f.x * 1e-6, f.z * 1e-6]
 }
 
 pub fn part() -> Result<Part> {
-    let ground = Ground::new(Law::Li2013, &Medium::named("poppy-loose")?, &Surface::BARE);
+    let ground = SandBed::new(Law::Li2013, &Medium::named("poppy-loose")?, &Surface::BARE);
     let mut claims = set_up();
     claims.extend([stronger_downward(&ground, 1), stronger_downward(&ground, 0)]);
     claims.extend([asymmetry(&ground), symmetric_exceptions(&ground)]);
     Ok(Part { heading: "Figure 2: stresses", figures: vec![("figure2", figure(&ground))], tables: Vec::new(), claims })
 }
 
-fn figure(ground: &Ground<f64>) -> Figure {
+fn figure(ground: &SandBed<f64>) -> Figure {
     let names = ["horizontal stress α_x [N/cm³]", "vertical stress α_z [N/cm³]"];
     let degrees = |a: f64| format!("{:.0}°", a.to_degrees()).replace('-', "−");
     let grid = |from: f64, to: f64| (0..=90).map(move |i| from + (to - from) * f64::from(i) / 90.0);
@@ -64,7 +64,7 @@ fn figure(ground: &Ground<f64>) -> Figure {
     }
 }
 
-/// Sentences about the experiment: nothing to predict.
+/// Sentences about the experiment, which models cannot predict.
 fn set_up() -> Vec<Claim> {
     let input = "describes the experiment: an input, nothing to predict";
     vec![
@@ -95,7 +95,7 @@ fn set_up() -> Vec<Claim> {
 
 /// "For all β, both α_z and α_x had larger magnitudes for positive γ than for negative γ." Read word by word, at the same
 /// β; and as a plate that meets the grains at the same incidence going down and going up: (β, γ) against (−β, −γ).
-fn stronger_downward(ground: &Ground<f64>, which: usize) -> Claim {
+fn stronger_downward(ground: &SandBed<f64>, which: usize) -> Claim {
     let (mut all, mut mirrored, mut fewer, mut worst) = (0, 0, Vec::new(), (0.0, 0.0, 0.0));
     for beta in (-90..90).step_by(5).map(f64::from) {
         for gamma in (5..=90).step_by(5).map(f64::from) {
@@ -126,14 +126,14 @@ fn stronger_downward(ground: &Ground<f64>, which: usize) -> Claim {
     Claim::new(id, &claim, "all β and γ", format!("{share:.1} % of a grid of 5°"), fewer.is_empty(), why)
 }
 
-fn difference(ground: &Ground<f64>, gamma: f64) -> f64 {
+fn difference(ground: &SandBed<f64>, gamma: f64) -> f64 {
     let sides = |b: f64, which: usize| alpha(ground, b, gamma)[which].abs() - alpha(ground, -b, gamma)[which].abs();
     let angles = (5..90).step_by(5).map(|b| f64::from(b).to_radians());
     angles.flat_map(|b| [sides(b, 0).abs(), sides(b, 1).abs()]).fold(0.0, f64::max)
 }
 
 /// "For all γ but γ = 0 and π/2, the magnitudes … were asymmetric about β = 0."
-fn asymmetry(ground: &Ground<f64>) -> Claim {
+fn asymmetry(ground: &SandBed<f64>) -> Claim {
     let gammas = (-85..90).step_by(5).filter(|g| *g != 0).map(|g| f64::from(g).to_radians());
     let least = gammas.map(|g| difference(ground, g)).fold(f64::INFINITY, f64::min);
     let ours = format!("largest difference over β at least {least:.3} N/cm³ at every γ");
@@ -141,7 +141,7 @@ fn asymmetry(ground: &Ground<f64>) -> Claim {
     Claim::new("2.asymmetric", claim, "asymmetric", ours, least > 1e-3, "grid of 5° in β and γ")
 }
 
-fn symmetric_exceptions(ground: &Ground<f64>) -> Claim {
+fn symmetric_exceptions(ground: &SandBed<f64>) -> Claim {
     let (at_zero, at_right) = (difference(ground, 0.0), difference(ground, PI / 2.0));
     let ours = format!("differences up to {at_zero:.3} N/cm³ at γ = 0 and {at_right:.3} N/cm³ at γ = π/2");
     let why = "the nine-term fit is symmetric at γ = π/2, but its D10 and B terms leave γ = 0 asymmetric; whether the measured points are symmetric there stands in figure 2 only";

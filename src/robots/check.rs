@@ -1,16 +1,17 @@
-//! What no engine can move: bodies without mass, joints that turn nothing.
+//! Refuses robots that no engine can simulate: bodies without mass, joints that move no inertia.
 
 use super::draft::Merged;
 use crate::error::{Error, Result};
 use crate::sim::tree::{JointKind, TreeBody};
 use nalgebra::{Isometry3, Matrix3, Matrix6, UnitQuaternion, Vector3, Vector6};
 
-/// Share of what a joint carries below which it moves nothing of its own: our choice, far above rounding and far below robots.
+/// Smallest inertia at a joint, as a share of the inertia that it carries: our choice, far above rounding and far
+/// below robots.
 const LEAST_SHARE: f64 = 1e-9;
-/// A pose that has no symmetry [rad or m]: our choice.
+/// A pose without symmetry [rad or m]: our choice.
 const POSE: [f64; 5] = [0.31, -0.47, 0.73, -0.19, 0.57];
 
-/// Refuses what cannot be simulated.
+/// Refuses robots that cannot be simulated.
 pub fn check(merged: &Merged, say: &mut impl FnMut(String)) -> Result<()> {
     let bodies = &merged.tree.bodies;
     for (i, body) in bodies.iter().enumerate() {
@@ -54,7 +55,7 @@ fn spatial(body: &TreeBody) -> Matrix6<f64> {
     inertia
 }
 
-/// Turns motions of the parent's frame into those of one that stands in it as `at` says.
+/// Transforms motions of the parent's frame to those of the frame `at` in it.
 fn motion(at: &Isometry3<f64>) -> Matrix6<f64> {
     let turn = at.rotation.inverse().to_rotation_matrix().into_inner();
     let mut x = Matrix6::zeros();
@@ -64,7 +65,8 @@ fn motion(at: &Isometry3<f64>) -> Matrix6<f64> {
     x
 }
 
-/// Articulated inertias (Featherstone 2008, section 7.2) must resist every joint, and the base in every direction.
+/// The articulated inertia (Featherstone 2008, section 7.2) must be positive at every joint, and at the base in
+/// every direction.
 fn inertias(bodies: &[TreeBody]) -> Result<()> {
     let mut articulated: Vec<Matrix6<f64>> = bodies.iter().map(spatial).collect();
     let mut carried = articulated.clone();

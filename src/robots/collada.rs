@@ -1,5 +1,5 @@
-//! Triangles of COLLADA 1.4 (DAE), placed as its scene places them, in metres. The axis that is up is not turned: RViz does
-//! not either, and robots' files rely on it.
+//! Triangles of COLLADA 1.4 (DAE), posed by the file's scene, in metres. The file's up axis is ignored, as in RViz;
+//! robots' files rely on it.
 
 use super::files::Source;
 use crate::error::{Error, Result};
@@ -12,7 +12,7 @@ pub const MOST_TRIANGLES: usize = 500_000;
 
 type Triangle = [Vector3<f64>; 3];
 
-/// Most XML nodes, and most places that a scene gives to geometries: our choice of guards.
+/// Most XML nodes, and most instances of geometries in a scene: our choice.
 const MOST_NODES: u32 = 1_000_000;
 const MOST_PLACES: usize = 10_000;
 /// Deepest nesting of a scene's nodes: our choice.
@@ -47,7 +47,7 @@ pub fn read(source: &Source) -> Result<Vec<Triangle>> {
     Ok(reader.triangles)
 }
 
-/// Names without their name space: files have the one of 1.4 or of 1.5, or none.
+/// Names without their name space: files have that of 1.4 or of 1.5, or none.
 trait Tagged {
     fn has_tag_name_any(&self, name: &str) -> bool;
 }
@@ -87,7 +87,7 @@ impl<'a> Reader<'a> {
         list.try_into().map_err(|_| self.wrong(format!("<{name}> has {count} numbers in place of {N}")))
     }
 
-    /// A scene or a node of it, and all below.
+    /// A scene, or one of its nodes with all nodes below.
     fn node(&mut self, node: Node<'a, 'a>, above: &Matrix4<f64>, depth: usize) -> Result<()> {
         self.places += 1;
         if depth > DEEPEST || self.places > MOST_PLACES {
@@ -181,7 +181,7 @@ impl<'a> Reader<'a> {
         Ok(())
     }
 
-    /// The positions behind `<vertices>` or a source.
+    /// The positions that `<vertices>` or a source refers to.
     fn points(&self, url: &str, at: &Matrix4<f64>) -> Result<Vec<Vector3<f64>>> {
         let mut node = self.named(url)?;
         if node.has_tag_name_any("vertices") {

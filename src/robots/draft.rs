@@ -1,4 +1,4 @@
-//! Links and joints as files have them, fixed ones too, and the tree of moving bodies that they make.
+//! Links and joints as files have them, fixed joints too, and the tree of moving bodies made from them.
 
 use super::mesh::MeshFile;
 use crate::error::{Error, Result};
@@ -8,12 +8,13 @@ use nalgebra::{Isometry3, Matrix3, Translation3, Vector3};
 /// Most links of a file, and most joints that move: our choice, ten times a humanoid with hands.
 pub const MOST_LINKS: usize = 2000;
 const MOST_JOINTS: usize = 200;
-/// Largest mass [kg] and distance [m]: our choice of guards against slips of units.
+/// Largest mass [kg] and distance [m]: our choice, which catches wrong units.
 const MOST_MASS: f64 = 1e5;
 const FARTHEST: f64 = 100.0;
-/// Eigenvalues of an inertia below this share of the largest count as negative: rounding of files with six digits.
+/// An eigenvalue of an inertia counts as negative below minus this share of the largest one: the rounding of files
+/// with six digits.
 const ROUNDING: f64 = 1e-6;
-/// And below this [kg·m²]: a milligram a millimetre wide.
+/// And below minus this value [kg·m²]: the inertia of a milligram a millimetre wide.
 const NOTHING: f64 = 1e-12;
 
 /// Mass, centre and inertia about it, along the axes of the link.
@@ -29,14 +30,14 @@ impl Inertial {
         Self { mass: 0.0, center: Vector3::zeros(), inertia: Matrix3::zeros() }
     }
 
-    /// As seen from the frame in which this one stands as `at` says.
+    /// The same in the frame that contains this one at `at`.
     pub fn moved(&self, at: &Isometry3<f64>) -> Self {
         let turn = at.rotation.to_rotation_matrix();
         let center = at.transform_point(&self.center.into()).coords;
         Self { mass: self.mass, center, inertia: turn.matrix() * self.inertia * turn.matrix().transpose() }
     }
 
-    /// Both as one body.
+    /// Both combined into one body.
     pub fn with(&self, other: &Self) -> Self {
         let mass = self.mass + other.mass;
         if mass == 0.0 {
@@ -56,7 +57,7 @@ impl Inertial {
         Self { mass, center, inertia: steiner(self) + steiner(other) }
     }
 
-    /// Why no body has this mass and inertia; a doubtful one is a warning.
+    /// Says why no body has this mass and inertia; doubtful values give a warning.
     pub fn check(&self) -> std::result::Result<Option<String>, String> {
         let numbers = self.inertia.iter().chain(self.center.iter()).chain([&self.mass]);
         if numbers.clone().any(|x| !x.is_finite()) {
@@ -82,7 +83,7 @@ impl Inertial {
     }
 }
 
-/// What is seen of a link.
+/// A visual shape of a link.
 #[derive(Clone, Debug)]
 pub enum Look {
     Shape(Geometry),
@@ -103,7 +104,7 @@ pub struct Link {
     pub parent: usize,
     pub origin: Isometry3<f64>,
     pub joint: Option<TreeJoint>,
-    /// May it move without mass of its own?
+    /// May it move without a mass of its own?
     pub massless: bool,
     pub inertial: Inertial,
     pub shapes: Vec<TreeShape>,
@@ -111,7 +112,7 @@ pub struct Link {
 }
 
 impl Link {
-    /// Without mass and shapes; no parent: the root.
+    /// A link without mass and shapes; without a parent it is the root.
     pub fn new(name: String, parent: Option<usize>, origin: Isometry3<f64>, joint: Option<TreeJoint>) -> Self {
         let parent = parent.unwrap_or(0);
         let inertial = Inertial::none();
@@ -119,17 +120,17 @@ impl Link {
     }
 }
 
-/// Moving bodies, and what is seen of each.
+/// Moving bodies, and the visual shapes of each.
 pub struct Merged {
     pub tree: Tree,
     pub visuals: Vec<Vec<Visual>>,
-    /// For each body the links that are part of it, its own first.
+    /// For each body the links merged into it, its own first.
     pub links: Vec<Vec<String>>,
     /// May the body move without mass?
     pub massless: Vec<bool>,
 }
 
-/// Merges fixed links into those that carry them. Each link stands behind its parent, the root first.
+/// Merges fixed links into the links that carry them. Each link comes after its parent, the root first.
 pub fn merged(name: &str, links: Vec<Link>) -> Result<Merged> {
     let mut children = vec![Vec::new(); links.len()];
     for (i, link) in links.iter().enumerate().skip(1) {
@@ -141,7 +142,7 @@ pub fn merged(name: &str, links: Vec<Link>) -> Result<Merged> {
         links: Vec::new(),
         massless: Vec::new(),
     };
-    // Depth first, in the file's order: link, the body that carries it, and its frame in that body's.
+    // Depth first, in the file's order: link, the body that carries it, and the link's frame in the body's.
     let mut left = vec![(0, 0, Isometry3::identity())];
     while let Some((i, carrier, within)) = left.pop() {
         let link = &links[i];
@@ -181,7 +182,7 @@ impl Merged {
         let to = &mut self.tree.bodies[body];
         let own = Inertial { mass: to.mass, center: to.center, inertia: to.inertia };
         let sum = own.with(&link.inertial.moved(frame));
-        // Rounding must not make it lopsided.
+        // Makes the inertia exactly symmetric after rounding.
         let inertia = (sum.inertia + sum.inertia.transpose()) * 0.5;
         (to.mass, to.center, to.inertia) = (sum.mass, sum.center, inertia);
         let shapes = link.shapes.iter().cloned();
@@ -194,7 +195,7 @@ impl Merged {
     }
 }
 
-/// A shift without a turn.
+/// A translation without a rotation.
 pub fn shift(by: Vector3<f64>) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::from(by), nalgebra::UnitQuaternion::identity())
 }

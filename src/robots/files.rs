@@ -1,4 +1,4 @@
-//! The files of a robot: its own, and those that it names, which must lie in its package.
+//! The files of a robot: the description, and the files that it names, which must lie in its package.
 
 use crate::error::{Error, Result};
 use std::io::Read as _;
@@ -8,9 +8,9 @@ use std::path::{Component, Path, PathBuf};
 pub const MOST_TEXT: u64 = 8 << 20;
 /// Largest mesh file [bytes]: our choice; the largest we have seen has 28 MiB.
 pub const MOST_MESH: u64 = 64 << 20;
-/// How many folders above the file a package may begin: our choice, `package/robots/name/urdf` has three.
+/// How many folders above the description a package may begin: our choice; `package/robots/name/urdf` has three.
 const HIGHEST: usize = 4;
-/// Folders that hold descriptions by custom (ROS, MuJoCo Menagerie): meshes lie beside them.
+/// Usual names of folders with descriptions (ROS, MuJoCo Menagerie); meshes lie in folders beside them.
 const CUSTOM: [&str; 6] = ["urdf", "robots", "robot", "mjcf", "xml", "models"];
 
 /// A file as it was read.
@@ -20,7 +20,7 @@ pub struct Source {
 }
 
 impl Source {
-    /// Reads a file, refusing more than `most` bytes, and what is no plain file.
+    /// Reads a regular file of at most `most` bytes.
     pub fn read(path: &Path, most: u64) -> Result<Self> {
         let failed = |e| Error::file(path, e);
         let about = std::fs::metadata(path).map_err(failed)?;
@@ -45,17 +45,18 @@ impl Source {
     }
 }
 
-/// Where a robot's files may lie.
+/// The folders in which a robot's files may lie.
 pub struct Files {
     /// Folder of the description.
     folder: PathBuf,
-    /// Its package: nothing outside is opened.
+    /// Its package: no file outside is opened.
     root: PathBuf,
 }
 
 impl Files {
-    /// Of a description. Its package begins at the nearest folder above that has a `package.xml`, else at the folder above
-    /// if its own has one of the customary names, else at its own.
+    /// The folders of a description. Its package begins at the nearest folder above that has a `package.xml`;
+    /// without one, at the parent folder if the description's folder has one of the usual names; otherwise at the
+    /// description's folder.
     pub fn around(description: &Path) -> Result<Self> {
         let failed = |e| Error::file(description, e);
         let whole = description.canonicalize().map_err(failed)?;
@@ -70,12 +71,12 @@ impl Files {
         Ok(Self { folder, root })
     }
 
-    /// A file that a description names, relative to the folder `within` its own; `package://NAME/…` is looked for in the folder
-    /// NAME that the description lies in.
+    /// A file that a description names, relative to the folder `within` its own. `package://NAME/…` is searched in
+    /// the folder NAME that contains the description.
     pub fn find(&self, within: &str, name: &str) -> Result<PathBuf> {
         let (start, rest, root) = match name.strip_prefix("package://").or_else(|| name.strip_prefix("model://")) {
             Some(rest) => {
-                // Some files have a third stroke.
+                // Some files have three slashes.
                 let rest = rest.trim_start_matches('/');
                 let (package, rest) = rest.split_once('/').unwrap_or((rest, ""));
                 let root = self.package(package).ok_or_else(|| {
@@ -96,12 +97,12 @@ impl Files {
         let whole = plain_path(&start.join(wanted));
         let outside = || Error::file(wanted, format!("lies outside of the robot's package {}", root.display()));
         let whole = whole.filter(|w| w.starts_with(&root)).ok_or_else(outside)?;
-        // Links, too, must stay inside.
+        // Symbolic links must stay inside too.
         let real = whole.canonicalize().map_err(|e| Error::file(&whole, e))?;
         if real.starts_with(&root) { Ok(real) } else { Err(outside()) }
     }
 
-    /// The folder of a package: one that the description lies in, or one beside it in the package's root.
+    /// The folder of a package: it contains the description, or lies beside it in the package's root.
     fn package(&self, name: &str) -> Option<PathBuf> {
         let own = self.folder.ancestors().take(HIGHEST).find(|f| f.file_name().is_some_and(|n| n == name));
         let declared = || {
@@ -112,7 +113,7 @@ impl Files {
     }
 }
 
-/// Without `.` and `..`, by the letters alone; none if it climbs above the top.
+/// The path without `.` and `..`, computed from its text alone; None if it leads above the top.
 fn plain_path(path: &Path) -> Option<PathBuf> {
     let mut plain = PathBuf::new();
     for part in path.components() {

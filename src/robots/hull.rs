@@ -5,8 +5,8 @@ use std::collections::HashMap;
 
 type V = Vector3<f64>;
 
-/// A point this near to a face, in lengths of the whole, lies on it. Our choice: a hundredth of single precision's rounding, and
-/// more where rounding would tear the surface.
+/// A point this near to a face, relative to the size of the whole, lies on it. Our choice: a hundredth of single
+/// precision's rounding, and more where rounding would leave gaps in the surface.
 const ON_FACE: [f64; 3] = [1e-9, 1e-7, 1e-5];
 
 struct Face {
@@ -82,13 +82,13 @@ impl Hull<'_> {
         Some(faces)
     }
 
-    /// Makes faces that share an edge neighbours; those of the rest stay.
+    /// Links faces that share an edge as neighbours; the other faces keep theirs.
     fn join(&mut self, faces: &[usize]) -> Option<()> {
         let mut edges = HashMap::new();
         for &f in faces {
             for k in 0..3 {
                 let edge = [self.faces[f].corners[k], self.faces[f].corners[(k + 1) % 3]];
-                // An edge that two faces run along in the same direction: rounding has torn the surface.
+                // Two faces use this edge in the same direction: rounding has made a gap in the surface.
                 if edges.insert(edge, (f, k)).is_some() {
                     return None;
                 }
@@ -102,7 +102,7 @@ impl Hull<'_> {
         faces.iter().all(|f| self.faces[*f].beside.iter().all(|b| *b != usize::MAX)).then_some(())
     }
 
-    /// Gives each point to the first face that it lies outside of.
+    /// Assigns each point to the first face that it lies outside of.
     fn assign(&mut self, points: &[usize], faces: &[usize]) {
         for &p in points {
             if let Some(&f) = faces.iter().find(|f| self.height(**f, p) > self.least) {
@@ -111,7 +111,7 @@ impl Hull<'_> {
         }
     }
 
-    /// Takes in the point farthest outside of a face; the new faces.
+    /// Adds the point farthest outside of a face to the hull; returns the new faces.
     fn grow(&mut self, face: usize) -> Option<Vec<usize>> {
         let outside = &self.faces[face].outside;
         let apex = *outside.iter().max_by(|a, b| self.height(face, **a).total_cmp(&self.height(face, **b)))?;
@@ -155,7 +155,7 @@ mod tests {
         hull.iter().map(|[a, b, c]| a.dot(&b.cross(c))).sum::<f64>() / 6.0
     }
 
-    /// A box from a dense lattice of points, a ball from random ones; every point is inside.
+    /// Hulls of a box's dense lattice of points and of random points on a ball contain every point.
     #[test]
     fn hulls_of_a_box_and_a_ball() {
         let lattice: Vec<V> =
@@ -171,7 +171,7 @@ mod tests {
         let points: Vec<V> = (0..20_000).map(spiral).collect();
         let ball = hull(&points).unwrap();
         assert!((volume(&ball) / (4.0 / 3.0 * std::f64::consts::PI) - 1.0).abs() < 1e-3);
-        // Euler: all points are corners.
+        // Euler's formula: all points are corners.
         assert_eq!(ball.len(), 2 * points.len() - 4);
         for [a, b, c] in ball.iter().step_by(97) {
             let n = (b - a).cross(&(c - a)).normalize();

@@ -1,4 +1,4 @@
-//! Meshes that robots name: STL, OBJ and DAE, scaled, each file once.
+//! Meshes that robots name: STL, OBJ and DAE, scaled; each file is read once.
 
 use super::collada::{self, MOST_TRIANGLES};
 use super::files::{MOST_MESH, Source};
@@ -12,7 +12,7 @@ use std::sync::Arc;
 
 /// Most triangles of all meshes of a robot: our choice, 144 MB.
 const MOST_TOGETHER: usize = 2_000_000;
-/// Corners nearer than this share of the mesh are one: our choice, ten times single precision's rounding.
+/// Corners closer than this share of the mesh's size are merged: our choice, ten times single precision's rounding.
 const SAME: f64 = 1e-6;
 
 pub type Triangle = [Vector3<f64>; 3];
@@ -26,7 +26,7 @@ pub struct MeshFile {
     pub scale: Vector3<f64>,
 }
 
-/// Every file that was read, as it stands there.
+/// Every file that was read, with its own triangles.
 #[derive(Default)]
 pub struct Meshes {
     read: HashMap<PathBuf, Arc<Vec<Triangle>>>,
@@ -78,7 +78,7 @@ impl Meshes {
     }
 }
 
-/// A mirrored mesh is turned inside out again.
+/// Scaling by a mirror image turns a mesh inside out; this reverses the triangles.
 pub fn scaled(triangles: &[Triangle], scale: &Vector3<f64>) -> Vec<Triangle> {
     let mirrored = scale.product() < 0.0;
     let one = |t: &Triangle| {
@@ -88,12 +88,12 @@ pub fn scaled(triangles: &[Triangle], scale: &Vector3<f64>) -> Vec<Triangle> {
     triangles.iter().map(one).collect()
 }
 
-/// A surface that sand can push on, and what was done to get it.
+/// A surface that sand can push on, and how it was made.
 pub enum Closed {
     Itself,
-    /// Open, or without volume: the hull stands for it.
+    /// The convex hull, because the mesh is open or has no volume.
     Hull(Vec<Triangle>),
-    /// Flat.
+    /// The mesh is flat.
     Nothing,
 }
 
@@ -105,7 +105,7 @@ pub fn closed(triangles: &[Triangle]) -> Closed {
     hull::hull(&points).map_or(Closed::Nothing, Closed::Hull)
 }
 
-/// Does every edge have a triangle on either side, wound the same way?
+/// Does every edge have one triangle on each side, with the same winding?
 fn is_closed(triangles: &[Triangle]) -> bool {
     let extent = triangles.iter().flatten().map(|p| p.amax()).fold(0.0, f64::max);
     let cell = (SAME * extent).max(f64::MIN_POSITIVE);
@@ -113,7 +113,7 @@ fn is_closed(triangles: &[Triangle]) -> bool {
     let mut edges: HashMap<[[i64; 3]; 2], i32> = HashMap::new();
     for [a, b, c] in triangles.iter().map(|t| [key(&t[0]), key(&t[1]), key(&t[2])]) {
         for [from, to] in [[a, b], [b, c], [c, a]] {
-            // A triangle that is thinner than a cell has an edge without length.
+            // A triangle thinner than a cell has an edge of length 0.
             match from.cmp(&to) {
                 std::cmp::Ordering::Less => *edges.entry([from, to]).or_default() += 1,
                 std::cmp::Ordering::Greater => *edges.entry([to, from]).or_default() -= 1,
@@ -124,7 +124,7 @@ fn is_closed(triangles: &[Triangle]) -> bool {
     edges.values().all(|n| *n == 0)
 }
 
-/// By the divergence theorem [m³]; negative where the surface is inside out.
+/// Volume by the divergence theorem [m³]; negative where the surface is inside out.
 pub fn volume(triangles: &[Triangle]) -> f64 {
     triangles.iter().map(|[a, b, c]| a.dot(&b.cross(c))).sum::<f64>() / 6.0
 }
@@ -135,8 +135,8 @@ pub fn solid(triangles: &[Triangle]) -> Moments {
     moments(volume, first, second)
 }
 
-/// The same as MuJoCo's `legacy` has it: tetrahedra between the faces and the mean of their centres, all counted as positive,
-/// give the centre; those between the faces and that centre the rest.
+/// The same by MuJoCo's rule `legacy`: tetrahedra between the faces and the mean of their centres, all counted as
+/// positive, give the centre of mass; those between the faces and that centre give volume and inertia.
 pub fn legacy(triangles: &[Triangle]) -> Moments {
     let middle = middle_of_faces(triangles);
     let (volume, first, _) = tetrahedra(triangles, middle, true);
@@ -145,8 +145,8 @@ pub fn legacy(triangles: &[Triangle]) -> Moments {
     (volume, center, Matrix3::identity() * second.trace() - second)
 }
 
-/// Volume, first and second moments about `tip` of the tetrahedra between it and the faces; `unsigned`: those that are inside
-/// out count as positive.
+/// Volume, first and second moments about `tip` of the tetrahedra between it and the faces; with `unsigned`,
+/// inverted ones count as positive.
 fn tetrahedra(triangles: &[Triangle], tip: Vector3<f64>, unsigned: bool) -> Moments {
     let (mut volume, mut first, mut second) = (0.0, Vector3::zeros(), Matrix3::zeros());
     for t in triangles {

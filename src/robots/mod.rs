@@ -5,8 +5,9 @@
 //!                              └─▶ files (inside of the package only) ─▶ mesh (STL, OBJ, DAE)
 //! ```
 //!
-//! Both formats are read by `roxmltree`, which draws figures already: so bytes, nodes and depth are bounded before anything is
-//! made of them, every element that is left out is named, and no path outside of the package is opened.
+//! `roxmltree` reads both formats; the program needs it for figures anyway. Bytes, nodes and depth are bounded
+//! before anything is built from them, every element that is left out is named, and no path outside of the package
+//! is opened.
 
 use sandgait_base::error;
 use sandgait_sand as sand;
@@ -53,13 +54,13 @@ impl Format {
     }
 }
 
-/// A robot as its file has it.
+/// A robot read from a file.
 pub struct Import {
     pub tree: Tree,
     pub format: Format,
-    /// What was left out, and what looks wrong.
+    /// Notes on parts that were left out, and warnings.
     pub warnings: Vec<String>,
-    /// For each body the links of the file that are part of it, its own first.
+    /// For each body the links of the file merged into it, its own first.
     pub links: Vec<Vec<String>>,
     visuals: Vec<Vec<draft::Visual>>,
 }
@@ -98,7 +99,7 @@ pub fn load(path: &Path) -> Result<Import> {
 }
 
 impl Import {
-    /// One of our own robots.
+    /// One of the built-in robots.
     fn of_toml(path: &Path) -> Result<Self> {
         let source = Source::read(path, MOST_TEXT)?;
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
@@ -118,7 +119,8 @@ impl Import {
         Ok(Self { tree, format: Format::Toml, warnings: Vec::new(), links, visuals })
     }
 
-    /// What is seen of each body: what the file says is seen, else what collides. Visual meshes are read now.
+    /// The visual shapes of each body: the file's visuals, or else its collision shapes. Visual meshes are read
+    /// now.
     pub fn seen(&self) -> Result<Vec<Vec<TreeShape>>> {
         let mut meshes = Meshes::default();
         let any = self.visuals.iter().any(|v| !v.is_empty());

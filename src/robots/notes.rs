@@ -1,9 +1,9 @@
-//! What a description holds and this project does not take: said, never dropped in silence.
+//! Notes on the parts of a description that this project does not use. Each part that is left out gives a note.
 
 use super::xml::Element;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Most lines of a kind before the rest is counted: our choice, a screen.
+/// Most lines of a kind; further ones are only counted. Our choice: they fit on a screen.
 const MOST_LINES: usize = 20;
 
 /// Collected while a file is read.
@@ -28,7 +28,7 @@ impl Notes {
         *self.elements.entry(element.tag.chars().take(60).collect()).or_default() += 1;
     }
 
-    /// Attributes of `element` that are none of `known`.
+    /// Attributes of `element` that are not in `known`.
     pub fn others(&mut self, element: &Element, known: &[&str]) {
         for (name, _) in element.attributes.iter().filter(|(n, _)| !known.contains(&n.as_str())) {
             let of = self.attributes.entry(element.tag.chars().take(60).collect()).or_default();
@@ -36,12 +36,12 @@ impl Notes {
         }
     }
 
-    /// Children of `element` that are none of `known`.
+    /// Children of `element` that are not in `known`.
     pub fn other_children(&mut self, element: &Element, known: &[&str]) {
         element.children.iter().filter(|c| !known.contains(&c.tag.as_str())).for_each(|c| self.left_out(c));
     }
 
-    /// Everything, the weighty first.
+    /// All notes, the important ones first.
     pub fn into_lines(self) -> Vec<String> {
         let mut lines = self.lines;
         if lines.len() > MOST_LINES {

@@ -1,4 +1,4 @@
-//! Collision shapes that are not there as they stand: meshes that are open, ellipsoids.
+//! Collision shapes that need conversion: open meshes and ellipsoids.
 
 use super::mesh::{Closed, MeshFile, Meshes, Triangle, closed};
 use super::notes::Notes;
@@ -11,7 +11,7 @@ use std::sync::Arc;
 /// Bands of an ellipsoid between its poles: our choice, its volume is within 0.5 %.
 const BANDS: usize = 32;
 
-/// A mesh that sand can push on: itself if its surface is closed, else its convex hull, which is said.
+/// A mesh that sand can push on: itself if its surface is closed, otherwise its convex hull, with a note.
 pub fn collision_mesh(meshes: &mut Meshes, file: &MeshFile, notes: &mut Notes) -> Result<Geometry> {
     let triangles = meshes.scaled(file)?;
     let name = file.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -25,7 +25,7 @@ pub fn collision_mesh(meshes: &mut Meshes, file: &MeshFile, notes: &mut Notes) -
     }))
 }
 
-/// The same for triangles that are at hand.
+/// The same for given triangles.
 pub fn closed_mesh(name: &str, triangles: Vec<Triangle>, notes: &mut Notes) -> Option<Geometry> {
     let kept = match closed(&triangles) {
         Closed::Itself => triangles,
@@ -42,7 +42,7 @@ pub fn closed_mesh(name: &str, triangles: Vec<Triangle>, notes: &mut Notes) -> O
 pub fn ellipsoid(half: Vector3<f64>) -> Geometry {
     let point = |band: usize, sector: usize| {
         let (up, around) = (PI * band as f64 / BANDS as f64, TAU * sector as f64 / (2 * BANDS) as f64);
-        // The same corner from either side, to the last bit.
+        // The corner has the same bits on both sides.
         let around = if sector == 2 * BANDS { 0.0 } else { around };
         let (sin, cos) = up.sin_cos();
         let ring = if band == 0 || band == BANDS { 0.0 } else { sin };

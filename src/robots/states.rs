@@ -1,4 +1,5 @@
-//! Moments of free flight from a JSON file, and the accelerations there: a check of the dynamics against other programs.
+//! States of a robot from a JSON file, and the accelerations in free flight there: checks the dynamics against
+//! other programs.
 
 use super::files::Source;
 use crate::error::{Error, Result};
@@ -20,7 +21,7 @@ struct Row {
     tau: Vec<f64>,
 }
 
-/// Rows alone, or with the names of the joints that their numbers belong to; more is ignored.
+/// Rows alone, or with the names of the joints that the numbers belong to; other keys are ignored.
 #[derive(Deserialize)]
 #[serde(untagged)]
 enum JointRows {
@@ -45,7 +46,7 @@ pub fn compute(tree: &Tree, path: &Path) -> Result<Vec<Accelerations>> {
         JointRows::Named { joints, rows } => (joints, rows),
         JointRows::Bare(rows) => (None, rows),
     };
-    // For each joint of the tree its place in the rows.
+    // For each joint of the tree its index in the rows.
     let places = match joints {
         None => (0..own.len()).collect(),
         Some(names) => matched(&own, &names).map_err(|reason| Error::file(path, reason))?,

@@ -1,4 +1,4 @@
-//! Which shapes touch sand: those that are named, or feet, lower links and belly.
+//! Which shapes touch sand: the named ones, or feet, lower links and belly.
 
 use super::Import;
 use crate::error::{Error, Result};
@@ -11,8 +11,9 @@ const MOST_NAMES: usize = 40;
 pub type Touch = (usize, usize);
 
 impl Import {
-    /// The shapes with these names, in the order of bodies; none: feet and lower links (the last bodies of branches that reach
-    /// below the base), and the base itself. A name is that of a body, of a link of the file, or of a shape.
+    /// The shapes with these names, in the order of bodies. Without names: feet and lower links (the last bodies of
+    /// branches that reach below the base), and the base itself. A name is that of a body, of a link of the file,
+    /// or of a shape.
     pub fn touching(&self, names: Option<&[String]>) -> Result<Vec<Touch>> {
         let Some(names) = names else { return Ok(by_reach(&self.tree)) };
         let mut found = Vec::new();
@@ -76,7 +77,7 @@ fn by_reach(tree: &Tree) -> Vec<Touch> {
     touching.iter().flat_map(|b| (0..tree.bodies[*b].shapes.len()).map(move |s| (*b, s))).collect()
 }
 
-/// The lowest point that a body can reach under the base, its branch hanging straight down [m].
+/// The lowest point below the base that a body reaches when its branch hangs straight down [m].
 fn deepest(tree: &Tree, body: usize) -> f64 {
     let shapes = tree.bodies[body].shapes.iter();
     let mut length = shapes.map(|s| s.origin.translation.vector.norm() + s.geometry.radius()).fold(0.0, f64::max);

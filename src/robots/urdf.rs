@@ -20,14 +20,14 @@ struct Reader<'a> {
     notes: &'a mut Notes,
 }
 
-/// A link and what carries it, by their indices in the file.
+/// A link and its parent joint, by their indices in the file.
 struct Joint<'a> {
     element: &'a Element,
     parent: usize,
     child: usize,
 }
 
-/// The links of a file, each behind its parent.
+/// The links of a file, each after its parent.
 pub fn links(root: &Element, files: &Files, meshes: &mut Meshes, notes: &mut Notes) -> Result<Vec<Link>> {
     notes.other_children(root, &["link", "joint", "material"]);
     let elements: Vec<&Element> = root.all("link").collect();
@@ -93,7 +93,7 @@ fn ordered<'a, 'b>(
         [one] => one,
         [a, b, ..] => {
             let names = [a, b].map(|i| elements[i].get("name").unwrap_or_default());
-            return Err(root.error(format!("{:?} and {:?} are both nobody's child: two robots", names[0], names[1])));
+            return Err(root.error(format!("neither {:?} nor {:?} has a parent: two robots", names[0], names[1])));
         }
     };
     let (mut order, mut left) = (Vec::new(), vec![(base, None)]);
@@ -168,7 +168,7 @@ impl Reader<'_> {
         Ok(own.moved(&origin(inertial)?))
     }
 
-    /// The geometry of a visual or a collision; a mesh by its file, which must be there.
+    /// The geometry of a visual or a collision; a mesh file must exist.
     fn look(&mut self, element: &Element) -> Result<Look> {
         let geometry = element.first("geometry").ok_or_else(|| element.error("has no <geometry>"))?;
         let [shape] = &geometry.children[..] else {
@@ -181,7 +181,7 @@ impl Reader<'_> {
         Ok(Look::Shape(match shape.tag.as_str() {
             "sphere" => Geometry::Sphere { radius: length("radius")? },
             "cylinder" => Geometry::Cylinder { radius: length("radius")?, half_length: length("length")? / 2.0 },
-            // Not in the standard; drake and Isaac read it: `length` is without the caps.
+            // Not in the standard, but drake and Isaac read it: `length` is without the caps.
             "capsule" => Geometry::Capsule { radius: length("radius")?, half_length: length("length")? / 2.0 },
             "box" => {
                 let size = shape.numbers::<3>("size")?.ok_or_else(|| shape.error("size is missing"))?;

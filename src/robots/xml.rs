@@ -1,4 +1,4 @@
-//! XML as elements with attributes: bounded in size, number and depth, and every complaint names its line.
+//! XML as elements with attributes. Size, number and depth are bounded, and every error names its line.
 
 use super::files::Source;
 use crate::error::{Error, Result};
@@ -9,10 +9,10 @@ use std::sync::Arc;
 const MOST_NODES: u32 = 200_000;
 /// Deepest nesting: our choice, a leg of twenty links is less than half of it.
 const DEEPEST: usize = 100;
-/// How much of a text that is no number a message shows.
+/// How many characters of a malformed number a message shows.
 const QUOTED: usize = 40;
 
-/// An element without its text, which robots do not use.
+/// An element; its text is dropped, because robots do not use it.
 #[derive(Clone, Debug)]
 pub struct Element {
     pub tag: String,
@@ -22,7 +22,8 @@ pub struct Element {
     line: u32,
 }
 
-/// The root element of a file. Entities and other document types are refused: no robot needs them, and they grow.
+/// The root element of a file. Entities and other document types are refused: no robot needs them, and entities can
+/// expand without bound.
 pub fn parse(source: &Source) -> Result<Element> {
     let text = source.text()?;
     let options = roxmltree::ParsingOptions { allow_dtd: false, nodes_limit: MOST_NODES, ..Default::default() };
@@ -38,7 +39,8 @@ pub fn parse(source: &Source) -> Result<Element> {
 fn element(node: &roxmltree::Node, file: &Arc<Path>, lines: &Lines, depth: usize) -> Result<Element> {
     let line = lines.at(node.range().start);
     let name = |namespace: Option<&str>, name: &str| match namespace {
-        // Elements of other name spaces (xacro, sensor) keep theirs, so that they are not taken for ours.
+        // Elements of other name spaces (xacro, sensor) keep the name space, so that they are not mistaken for
+        // ours.
         Some(space) => format!("{space}:{name}"),
         None => name.to_owned(),
     };
@@ -52,7 +54,7 @@ fn element(node: &roxmltree::Node, file: &Arc<Path>, lines: &Lines, depth: usize
     Ok(Element { tag, attributes, children, file: file.clone(), line })
 }
 
-/// Where lines begin.
+/// Offsets at which lines begin.
 struct Lines(Vec<usize>);
 
 impl Lines {
@@ -92,7 +94,7 @@ impl Element {
         self.children.iter().find(|c| c.tag == tag)
     }
 
-    /// An error that says where: `robot.urdf: line 12, <joint name="knee">: …`.
+    /// An error with its place: `robot.urdf: line 12, <joint name="knee">: …`.
     pub fn error(&self, reason: impl std::fmt::Display) -> Error {
         let name = self.get("name").map(|n| format!(" name={:?}", shortened(n, QUOTED))).unwrap_or_default();
         let tag = shortened(&self.tag, QUOTED);
@@ -108,7 +110,7 @@ impl Element {
         self.get(attribute).ok_or_else(|| self.error(format!("{attribute} is missing")))
     }
 
-    /// All numbers of an attribute, finite ones.
+    /// All numbers of an attribute; each must be finite.
     pub fn list(&self, attribute: &str) -> Result<Option<Vec<f64>>> {
         let Some(text) = self.get(attribute) else { return Ok(None) };
         let number = |word: &str| {
@@ -139,7 +141,7 @@ impl Element {
         }
     }
 
-    /// A length above 0 [m]; the upper end guards against slips of units, our choice.
+    /// A length above 0 [m]; the upper bound catches wrong units, our choice.
     pub fn length(&self, attribute: &str, value: f64) -> Result<f64> {
         match value {
             v if v > 0.0 && v <= 100.0 => Ok(v),

@@ -1,11 +1,11 @@
 //! Force on one segment, and the derivatives an implicit integrator needs.
 //!
 //! Resistive force theory depends on the direction of the velocity only: it is dry friction, undefined at rest and
-//! stiff. Two named parameters make it usable in dynamics; both are in [`Surface`].
+//! stiff. The parameters in [`Surface`] make it usable in dynamics.
 
-use super::beyond::{Beyond, Plain, SandMechanisms, Site};
 use super::law::{Law, Motion, Normals, PenetrationDrag, PlanarTable, SpatialTable, StressLaw};
 use super::mechanism::Mechanisms;
+use super::mechanism_laws::{Plain, SandMechanisms, SegmentState, StressModel};
 use super::media::Medium;
 use crate::number::{Real, Vec3};
 use serde::{Deserialize, Serialize};
@@ -28,12 +28,12 @@ pub struct Surface {
 }
 
 impl Surface {
-    /// No regularisation: for looking at a law itself, not for dynamics.
+    /// No regularisation: for the law itself, not for dynamics.
     pub const BARE: Self = Self { rest_speed: 1e-30, leading_edge_gate: 1e-20, sign_gate: 1e-20, friction: None };
-    /// For solid bodies whose many plates face all ways: a sharper leading edge. Our choice 0.02: forces within 1 % of a sharp
-    /// edge's, and walks at 1 ms within 1 % of those at 0.125 ms.
+    /// For solid bodies with many plates that face all ways: a sharper leading edge. Our choice 0.02: forces are
+    /// within 1 % of a sharp edge's, and walks at 1 ms within 1 % of those at 0.125 ms.
     pub const SOLID: Self = Self { leading_edge_gate: 0.02, ..Self::DEFAULT };
-    /// The regularisation that dynamics needs; each number's reason stands at its field.
+    /// The regularisation for dynamics; each field gives the reason for its number.
     pub const DEFAULT: Self = Self { rest_speed: 1e-5, leading_edge_gate: 0.2, sign_gate: 0.02, friction: None };
 }
 
@@ -43,61 +43,62 @@ impl Default for Surface {
     }
 }
 
-/// The numbers of the chosen law. Hot loops match once and then run with the law as a type.
+/// The coefficients of the chosen law. Hot loops match on it once and then take the law as a type parameter.
 #[derive(Clone, Copy)]
-pub enum Form<R> {
+pub enum LawCoefficients<R> {
     Li2013(PlanarTable<R>),
     PenetrationDrag1d(PenetrationDrag<R>),
     Agarwal2023(SpatialTable<R>),
 }
 
-/// The law chosen anew at every call: for code that is not the hottest.
-impl<R: Real> StressLaw<R> for Form<R> {
+/// Matches on the law at every call, for code that is not the hottest.
+impl<R: Real> StressLaw<R> for LawCoefficients<R> {
     fn set_lane(&mut self, lane: usize, medium: &Medium) {
         match self {
-            Form::Li2013(law) => law.set_lane(lane, medium),
-            Form::PenetrationDrag1d(law) => law.set_lane(lane, medium),
-            Form::Agarwal2023(law) => law.set_lane(lane, medium),
+            LawCoefficients::Li2013(law) => law.set_lane(lane, medium),
+            LawCoefficients::PenetrationDrag1d(law) => law.set_lane(lane, medium),
+            LawCoefficients::Agarwal2023(law) => law.set_lane(lane, medium),
         }
     }
 
     #[inline(always)]
     fn stress(&self, n: Vec3<R>, motion: &Motion<R>) -> Vec3<R> {
         match self {
-            Form::Li2013(law) => law.stress(n, motion),
-            Form::PenetrationDrag1d(law) => law.stress(n, motion),
-            Form::Agarwal2023(law) => law.stress(n, motion),
+            LawCoefficients::Li2013(law) => law.stress(n, motion),
+            LawCoefficients::PenetrationDrag1d(law) => law.stress(n, motion),
+            LawCoefficients::Agarwal2023(law) => law.stress(n, motion),
         }
     }
 
     #[inline(always)]
     fn mean_stress(&self, normals: &Normals<R>, motion: &Motion<R>) -> Vec3<R> {
         match self {
-            Form::Li2013(law) => law.mean_stress(normals, motion),
-            Form::PenetrationDrag1d(law) => law.mean_stress(normals, motion),
-            Form::Agarwal2023(law) => law.mean_stress(normals, motion),
+            LawCoefficients::Li2013(law) => law.mean_stress(normals, motion),
+            LawCoefficients::PenetrationDrag1d(law) => law.mean_stress(normals, motion),
+            LawCoefficients::Agarwal2023(law) => law.mean_stress(normals, motion),
         }
     }
 }
 
 /// Sand under one environment (or one per lane), ready for evaluation.
 #[derive(Clone, Copy)]
-pub struct Ground<R> {
-    pub form: Form<R>,
-    /// What goes beyond the law; none while no lane has any.
-    pub beyond: Option<SandMechanisms<R>>,
+pub struct SandBed<R> {
+    pub law: LawCoefficients<R>,
+    /// The mechanisms that act in the sand; none while no lane has any.
+    pub mechanisms: Option<SandMechanisms<R>>,
     rest_speed_squared: R,
     inverse_gate: R,
 }
 
-/// What the sand does to a segment at its present velocity v, and how that changes with v:
-/// f(v + Δv) ≈ force − drag Δv − edge (n·Δv) n.
+/// The force of the sand on a segment at its present velocity v, and its change with v: f(v + Δv) ≈ force − drag Δv
+/// − edge (n·Δv) n.
 #[derive(Clone, Copy)]
 pub struct Contact<R> {
     /// [N]
     pub force: Vec3<R>,
-    /// Resisting part of the force over the speed, −f·v/v² [N·s/m], never negative. It is the secant, so that at rest,
-    /// where the regularised force is linear in v, it is the true slope: v² + v0² below would leave it far too small.
+    /// Resisting part of the force over the speed, −f·v/v² [N·s/m], never negative. It is the secant. At rest the
+    /// regularised force is linear in v, and the secant is the slope; for this, v² below must not contain v0²,
+    /// which would make it far too small.
     pub drag: R,
     /// Slope of the leading-edge gate along the normal [N·s/m], never negative; 0 for two-sided segments.
     pub edge: R,
@@ -106,25 +107,25 @@ pub struct Contact<R> {
 impl<R: Real> SandMechanisms<R> {
     /// Stress [Pa] on a submerged thin segment with unit normal `n` and velocity `v`, both in the surface's frame.
     #[inline(always)]
-    pub fn stress(&self, ground: &Ground<R>, n: Vec3<R>, v: Vec3<R>, site: &Site<R>) -> Vec3<R> {
+    pub fn stress(&self, ground: &SandBed<R>, n: Vec3<R>, v: Vec3<R>, site: &SegmentState<R>) -> Vec3<R> {
         self.force(ground.stress(n, &ground.motion(v)), n, v, site, R::one())
     }
 }
 
-impl<R: Real> Ground<R> {
+impl<R: Real> SandBed<R> {
     pub fn new(law: Law, medium: &Medium, surface: &Surface) -> Self {
-        let form = match law {
-            Law::Li2013 => Form::Li2013(PlanarTable::splat(&medium.coefficients)),
+        let law = match law {
+            Law::Li2013 => LawCoefficients::Li2013(PlanarTable::splat(&medium.coefficients)),
             Law::PenetrationDrag1d => {
-                Form::PenetrationDrag1d(PenetrationDrag::splat(&medium.coefficients, surface.sign_gate))
+                LawCoefficients::PenetrationDrag1d(PenetrationDrag::splat(&medium.coefficients, surface.sign_gate))
             }
             Law::Agarwal2023 => {
-                Form::Agarwal2023(SpatialTable::splat(medium, surface.friction, surface.leading_edge_gate))
+                LawCoefficients::Agarwal2023(SpatialTable::splat(medium, surface.friction, surface.leading_edge_gate))
             }
         };
         Self {
-            form,
-            beyond: None,
+            law,
+            mechanisms: None,
             rest_speed_squared: R::splat(surface.rest_speed * surface.rest_speed),
             inverse_gate: R::splat(1.0 / surface.leading_edge_gate),
         }
@@ -132,39 +133,39 @@ impl<R: Real> Ground<R> {
 
     /// The same sand with `mechanisms` switched on.
     pub fn with(mut self, mechanisms: &Mechanisms, medium: &Medium) -> Self {
-        self.beyond = (!mechanisms.sand_is_plain() || !medium.terms.is_empty()).then(|| {
-            let mut beyond = SandMechanisms::new(mechanisms, medium.bulk_density);
+        self.mechanisms = (!mechanisms.sand_is_plain() || !medium.terms.is_empty()).then(|| {
+            let mut acting = SandMechanisms::new(mechanisms, medium.bulk_density);
             (0..R::LANES).for_each(|lane| {
-                beyond.set_penetration(lane, medium.coefficients.penetration());
-                beyond.set_terms(lane, &medium.terms, medium.bulk_density);
+                acting.set_penetration(lane, medium.coefficients.penetration());
+                acting.set_terms(lane, &medium.terms, medium.bulk_density);
             });
-            beyond
+            acting
         });
         self
     }
 
-    /// Gives lane `lane` its own medium and mechanisms.
+    /// Sets the medium and mechanisms of lane `lane`.
     pub fn set_lane(&mut self, lane: usize, medium: &Medium, mechanisms: &Mechanisms) {
-        self.form.set_lane(lane, medium);
-        if self.beyond.is_some() || !mechanisms.sand_is_plain() || !medium.terms.is_empty() {
+        self.law.set_lane(lane, medium);
+        if self.mechanisms.is_some() || !mechanisms.sand_is_plain() || !medium.terms.is_empty() {
             let plain = || SandMechanisms::new(&Mechanisms::PLAIN, 0.0);
-            let beyond = self.beyond.get_or_insert_with(plain);
-            beyond.set_lane(lane, mechanisms, medium.bulk_density);
-            beyond.set_penetration(lane, medium.coefficients.penetration());
-            beyond.set_terms(lane, &medium.terms, medium.bulk_density);
+            let acting = self.mechanisms.get_or_insert_with(plain);
+            acting.set_lane(lane, mechanisms, medium.bulk_density);
+            acting.set_penetration(lane, medium.coefficients.penetration());
+            acting.set_terms(lane, &medium.terms, medium.bulk_density);
         }
     }
 
-    /// Stress per depth [N/m³] at full speed along `v`; the bare law.
+    /// Stress per depth [N/m³] of the law alone, at full speed along `v`.
     #[inline(always)]
     pub fn stress(&self, n: Vec3<R>, motion: &Motion<R>) -> Vec3<R> {
-        self.form.stress(n, motion)
+        self.law.stress(n, motion)
     }
 
-    /// What the law's stress per depth is multiplied by at a depth [m]: the depth, unless `depth_power` changes it.
+    /// The factor on the law's stress per depth at a depth [m]: the depth, unless `depth_power` changes it.
     #[inline(always)]
     pub fn grown(&self, depth: R) -> R {
-        self.beyond.as_ref().map_or(depth, |beyond| beyond.depth(depth))
+        self.mechanisms.as_ref().map_or(depth, |mechanisms| mechanisms.depth(depth))
     }
 
     /// 1/√(v² + v0²) [s/m].
@@ -185,53 +186,53 @@ impl<R: Real> Ground<R> {
 
     /// A thin plate in the sand, both sides together: `area` [m²], unit normal `n`, velocity `v` [m/s].
     #[inline(always)]
-    pub fn thin_plate(&self, site: &Site<R>, area: R, n: Vec3<R>, v: Vec3<R>) -> Contact<R> {
-        match (&self.form, &self.beyond) {
-            (Form::Li2013(law), None) => self.thin_plate_by(law, &Plain, site, area, n, v),
-            (form, None) => self.thin_plate_by(form, &Plain, site, area, n, v),
-            (form, Some(beyond)) => self.thin_plate_by(form, beyond, site, area, n, v),
+    pub fn thin_plate(&self, site: &SegmentState<R>, area: R, n: Vec3<R>, v: Vec3<R>) -> Contact<R> {
+        match (&self.law, &self.mechanisms) {
+            (LawCoefficients::Li2013(law), None) => self.thin_plate_by(law, &Plain, site, area, n, v),
+            (law, None) => self.thin_plate_by(law, &Plain, site, area, n, v),
+            (law, Some(mechanisms)) => self.thin_plate_by(law, mechanisms, site, area, n, v),
         }
     }
 
-    /// A thin plate with law and mechanisms already chosen, for loops that choose once.
+    /// The same for loops that have matched on law and mechanisms.
     #[inline(always)]
     pub fn thin_plate_by(
         &self,
         law: &impl StressLaw<R>,
-        beyond: &impl Beyond<R>,
-        site: &Site<R>,
+        stress_model: &impl StressModel<R>,
+        site: &SegmentState<R>,
         area: R,
         n: Vec3<R>,
         v: Vec3<R>,
     ) -> Contact<R> {
         let motion = self.motion(v);
-        let force = beyond.force(law.stress(n, &motion), n, v, site, area);
+        let force = stress_model.force(law.stress(n, &motion), n, v, site, area);
         Contact { force, drag: secant(force, &motion), edge: R::zero() }
     }
 
     /// A face of a solid body with outward normal `n`: the sand is on one side only and can push, not pull.
     #[inline(always)]
-    pub fn one_sided(&self, site: &Site<R>, area: R, n: Vec3<R>, v: Vec3<R>) -> Contact<R> {
-        match (&self.form, &self.beyond) {
-            (Form::Li2013(law), None) => self.one_sided_by(law, &Plain, site, area, n, v),
-            (form, None) => self.one_sided_by(form, &Plain, site, area, n, v),
-            (form, Some(beyond)) => self.one_sided_by(form, beyond, site, area, n, v),
+    pub fn one_sided(&self, site: &SegmentState<R>, area: R, n: Vec3<R>, v: Vec3<R>) -> Contact<R> {
+        match (&self.law, &self.mechanisms) {
+            (LawCoefficients::Li2013(law), None) => self.one_sided_by(law, &Plain, site, area, n, v),
+            (law, None) => self.one_sided_by(law, &Plain, site, area, n, v),
+            (law, Some(mechanisms)) => self.one_sided_by(law, mechanisms, site, area, n, v),
         }
     }
 
-    /// One face with law and mechanisms already chosen, for loops that choose once.
+    /// The same for loops that have matched on law and mechanisms.
     #[inline(always)]
     pub fn one_sided_by(
         &self,
         law: &impl StressLaw<R>,
-        beyond: &impl Beyond<R>,
-        site: &Site<R>,
+        stress_model: &impl StressModel<R>,
+        site: &SegmentState<R>,
         area: R,
         n: Vec3<R>,
         v: Vec3<R>,
     ) -> Contact<R> {
         let motion = self.motion(v);
-        let full = beyond.force(law.stress(n, &motion), n, v, site, area);
+        let full = stress_model.force(law.stress(n, &motion), n, v, site, area);
         let leading = n.dot(v) * motion.inverse_speed * self.inverse_gate;
         let gate = leading.clamp(R::zero(), R::one());
         let force = full * gate;
@@ -240,15 +241,15 @@ impl<R: Real> Ground<R> {
         Contact { force, drag: secant(force, &motion), edge: inside }
     }
 
-    /// What leads of a curved face: `area` [m²] of it, whose mean depth weighted by depth is `loaded` [m], and whose force grows
-    /// by its `growth`-fold with n·v̂.
+    /// The leading part of a curved face: `area` [m²], whose mean depth weighted by depth is `loaded` [m], and
+    /// whose force grows with n·v̂ by the factor `growth`.
     #[inline(always)]
-    #[allow(clippy::too_many_arguments)] // all of them are in registers
+    #[allow(clippy::too_many_arguments)] // all arguments stay in registers
     pub fn leading_part_by(
         &self,
         law: &impl StressLaw<R>,
-        beyond: &impl Beyond<R>,
-        site: &Site<R>,
+        stress_model: &impl StressModel<R>,
+        site: &SegmentState<R>,
         area: R,
         loaded: R,
         normals: &Normals<R>,
@@ -256,14 +257,14 @@ impl<R: Real> Ground<R> {
         growth: R,
     ) -> Contact<R> {
         let (motion, n) = (self.motion(v), normals.unit);
-        let per_depth = law.mean_stress(normals, &motion) * beyond.by_depths(site.depth, loaded);
-        let force = beyond.force(per_depth, n, v, site, area);
+        let per_depth = law.mean_stress(normals, &motion) * stress_model.by_depths(site.depth, loaded);
+        let force = stress_model.force(per_depth, n, v, site, area);
         let edge = (-force.dot(n)).max(R::zero()) * motion.inverse_speed * growth;
         Contact { force, drag: secant(force, &motion), edge }
     }
 }
 
-/// −f·v/v², or 0 where the force does not resist or nothing moves.
+/// −f·v/v², or 0 where the force does not resist or the segment is at rest.
 #[inline(always)]
 fn secant<R: Real>(force: Vec3<R>, motion: &Motion<R>) -> R {
     (-force.dot(motion.v)).max(R::zero()) * motion.inverse_square

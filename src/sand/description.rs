@@ -1,4 +1,4 @@
-//! `sand.toml`: a medium and its mechanisms as a file, written by the diagnosis and loaded by the simulator.
+//! `sand.toml`: a medium and its mechanisms as a file. The diagnosis writes it and the simulator loads it.
 
 use super::law::Law;
 use super::mechanism::Mechanisms;
@@ -8,7 +8,7 @@ use crate::error::{Error, Result, check_range};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// Everything a simulation needs to know about the sand.
+/// The description of a sand that a simulation needs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SandDescription {
@@ -21,13 +21,13 @@ pub struct SandDescription {
     pub coefficients: Coefficients,
     #[serde(default)]
     pub mechanisms: Mechanisms,
-    /// Laws found in data, added to the stress.
+    /// Terms added to the stress.
     #[serde(default, rename = "term", skip_serializing_if = "Vec::is_empty")]
     pub terms: Vec<Term>,
 }
 
 impl SandDescription {
-    /// A medium and a law by their names, no mechanisms.
+    /// A medium and a law by their names, without mechanisms.
     pub fn named(medium: &str, law: &str) -> Result<Self> {
         Ok(Self { law: Law::named(law)?, ..Self::plain(&Medium::named(medium)?) })
     }
@@ -56,9 +56,9 @@ impl SandDescription {
 
     pub fn from_toml(text: &str) -> Result<Self> {
         let sand: Self = toml::from_str(text).map_err(|e| Error::invalid("sand", e.message().to_string()))?;
-        // Twenty times the densest mineral bed: our choice of a guard against unit slips.
+        // Twenty times the densest mineral bed: our choice, which catches wrong units.
         check_range("bulk_density", sand.bulk_density, 1.0..=20_000.0)?;
-        // 100 N/cm³ and beyond: as in Medium::generic.
+        // 100 N/cm³, the bound of Medium::generic.
         for c in sand.coefficients.to_array() {
             check_range("coefficients", c, -1e8..=1e8)?;
         }
@@ -72,7 +72,7 @@ impl SandDescription {
         Self::from_toml(&text).map_err(|e| Error::file(path, e))
     }
 
-    /// The file's text; comments on top say which of its mechanisms do nothing to a robot that walks.
+    /// The file's text; comments at its top name the mechanisms that have no effect on a walking robot.
     pub fn to_toml(&self) -> Result<String> {
         let text = toml::to_string(self).map_err(|e| Error::invalid("sand", e.to_string()))?;
         let comments = self.mechanisms.unfelt_by_walkers().into_iter().map(|line| format!("# {line}\n"));

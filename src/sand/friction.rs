@@ -1,4 +1,5 @@
-//! The one number ξ_n a medium of Agarwal, Goldman & Kamrin, PNAS 120:e2214017120 (2023), from what a medium is known by.
+//! The one number ξ_n of a medium (Agarwal, Goldman & Kamrin, PNAS 120:e2214017120 (2023)), from its friction and
+//! density.
 
 /// α_z(0, π/2, 0)/ξ_n: what the table gives for a horizontal plate pushed straight down.
 pub const PENETRATION: f64 = 0.87574;

@@ -1,9 +1,9 @@
 //! A leg rotated about a fixed hip: the experiment of Li et al. 2012, section 3.
 
-use super::beyond::Site;
-use super::contact::{Ground, Surface};
+use super::contact::{SandBed, Surface};
 use super::description::SandDescription;
-use super::shape::{Segment, Shape, straight};
+use super::mechanism_laws::SegmentState;
+use super::shape::{LegShape, Segment, straight};
 use crate::error::{Result, check_range};
 use crate::number::Vec3;
 
@@ -20,7 +20,7 @@ pub struct Load {
 
 /// The load on a leg at angle `theta` [rad] (0: tip straight down; positive: tip forward) that turns with `omega`
 /// [rad/s] about a hip `hip_height` [m] above the surface.
-pub fn rotating_leg(ground: &Ground<f64>, segments: &[Segment], theta: f64, omega: f64, hip_height: f64) -> Load {
+pub fn rotating_leg(ground: &SandBed<f64>, segments: &[Segment], theta: f64, omega: f64, hip_height: f64) -> Load {
     let (sin, cos) = theta.sin_cos();
     let turn = |p: [f64; 2]| [p[0] * cos - p[1] * sin, p[0] * sin + p[1] * cos];
     let mut load = Load::default();
@@ -31,7 +31,7 @@ pub fn rotating_leg(ground: &Ground<f64>, segments: &[Segment], theta: f64, omeg
             continue;
         }
         let v = Vec3::new(-omega * z, 0.0, omega * x);
-        let f = ground.thin_plate(&Site::fresh(depth, x), s.area, Vec3::new(n[0], 0.0, n[1]), v).force;
+        let f = ground.thin_plate(&SegmentState::fresh(depth, x), s.area, Vec3::new(n[0], 0.0, n[1]), v).force;
         load.fx += f.x;
         load.fz += f.z;
         load.ty += x * f.z - z * f.x;
@@ -42,13 +42,13 @@ pub fn rotating_leg(ground: &Ground<f64>, segments: &[Segment], theta: f64, omeg
 /// Segments along the leg: fine enough that forces no longer change in the fourth digit.
 const SEGMENTS: usize = 400;
 
-/// θ from −1.75 to 1.75 rad in steps of 0.01, as in the paper's figure 3.
+/// θ from −1.75 to 1.75 rad in steps of 0.01, as in figure 3 of the paper.
 const HALF_SWEEP: i32 = 175;
 
-/// A leg that turns once through the sand under a fixed hip.
+/// A leg that turns once through the sand about a fixed hip.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rotation {
-    pub shape: Shape,
+    pub shape: LegShape,
     /// Distance from hip to tip [m].
     pub chord: f64,
     /// [m]
@@ -59,36 +59,37 @@ pub struct Rotation {
     pub omega: f64,
 }
 
-/// The experiment of Li et al. 2012, section 3: 2R [m] …
+/// Li et al. 2012, section 3: hip-tip distance 2R [m].
 pub const CHORD: f64 = 0.076;
-/// … width [m] …
+/// Li et al. 2012, section 3: width [m].
 pub const WIDTH: f64 = 0.025;
-/// … hip above the sand [m] …
+/// Li et al. 2012, section 3: height of the hip above the sand [m].
 pub const HIP_HEIGHT: f64 = 0.02;
-/// … and angular speed [rad/s].
+/// Li et al. 2012, section 3: angular speed [rad/s].
 pub const OMEGA: f64 = 0.2;
 
 impl Rotation {
-    /// In the paper's experiment.
-    pub fn of(shape: Shape) -> Self {
+    /// A leg in the paper's experiment.
+    pub fn of(shape: LegShape) -> Self {
         Self { shape, chord: CHORD, width: WIDTH, hip_height: HIP_HEIGHT, omega: OMEGA }
     }
 
-    /// Angle [rad] and load in `sand`, from θ = −1.75 to 1.75. Mechanisms of sensors and logs do nothing here.
+    /// Angle [rad] and load in `sand`, from θ = −1.75 to 1.75. Mechanisms of sensors and logs are not applied.
     pub fn loads(&self, sand: &SandDescription) -> Result<Vec<(f64, Load)>> {
         let segments = self.shape.segments(self.chord, self.width, SEGMENTS)?;
-        // Guards against slips of units: our choice.
+        // Bounds that catch wrong units: our choice.
         check_range("hip-height", self.hip_height, -1.0..=1.0)?;
         check_range("omega", self.omega, -100.0..=100.0)?;
         let (medium, mechanisms) = (sand.medium(), &sand.mechanisms);
-        let ground = Ground::new(sand.law, &medium, &Surface::default()).with(mechanisms, &medium);
+        let ground = SandBed::new(sand.law, &medium, &Surface::default()).with(mechanisms, &medium);
         let chord = straight([0.0, 0.0], [0.0, -self.chord], self.width, SEGMENTS);
-        // Bulging forward and turning backward, or the reverse: the concave side leads and fills.
+        // Does the concave side lead? A leg that bulges forward and turns backward fills with sand, and so does the
+        // reverse.
         let concave_leads = self.shape.bulge() * self.omega < 0.0;
         let fill = if concave_leads { mechanisms.concave_fill } else { 0.0 };
         let (sin, cos) = mechanisms.slope.sin_cos();
         let load = |theta: f64| {
-            // In the surface's frame the leg leans the other way; forces are turned back.
+            // In the surface's frame the leg is inclined by the slope; the forces are rotated back.
             let at =
                 |s: &[Segment]| rotating_leg(&ground, s, theta - mechanisms.slope, self.omega, self.hip_height * cos);
             let own = at(&segments);

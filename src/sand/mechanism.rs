@@ -1,6 +1,6 @@
 //! Mechanisms that plain resistive force theory leaves out: the one list that simulator, diagnosis, report and
 //! documents read. A new mechanism is one new entry of [`CATALOG`]'s table and, if it acts in the sand, one line in
-//! [`super::beyond::SandMechanisms::stress`].
+//! [`super::mechanism_laws::SandMechanisms::stress`].
 //!
 //! Every parameter is 0 when its mechanism is off. The equations of the sand side are in
 //! [`super::beyond`]; those of the measuring side (sensors, log, drive) are in `diagnose::forward`.
@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Side {
-    /// In the sand: the simulator can switch it on.
+    /// In the sand: a simulation of a robot can switch it on.
     Sand,
     /// In the force sensor, the depth reference or the log.
     Sensor,
@@ -27,39 +27,40 @@ pub struct Mechanism {
     pub symbol: &'static str,
     /// SI; "1" where dimensionless.
     pub unit: &'static str,
-    /// Least and greatest value a fit may take: physical where physics says so, otherwise our choice of a wide guard.
+    /// Least and greatest value of a fit: physical bounds where they exist, otherwise our choice, wide.
     pub bounds: [f64; 2],
-    /// A strength one would call typical: steps of numerical derivatives and prior scales are multiples of it.
+    /// A typical strength. Steps of numerical derivatives and scales of priors are multiples of it.
     pub typical: f64,
     pub side: Side,
     /// Can force logs show it?
     pub intrusion: bool,
     /// Can walking runs show it?
     pub walking: bool,
-    /// Optional columns of the intrusion log without which it cannot be tested.
+    /// Optional columns of a force log that a test of this mechanism needs.
     pub columns: &'static [&'static str],
     pub law: &'static str,
     pub source: &'static str,
-    /// Is the value a ceiling: off at 0, and the lower the stronger?
+    /// Is the value an upper limit? Then 0 is off, and a lower value acts more strongly.
     pub ceiling: bool,
-    /// Power of the speed in its law, where a diagnosis can ask the data for another.
+    /// Power of the speed in its law, if a diagnosis can fit another power to the data.
     pub exponent: Option<f64>,
-    /// Why a walking robot does not feel it, though it is no matter of the sensor.
+    /// Why a walking robot does not feel it, for mechanisms that do not act in the sensor.
     pub unfelt: Option<&'static str>,
 }
 
 impl Mechanism {
-    /// The coordinate in which fits move: 0 is off and more is stronger. The value itself; of a ceiling the inverse.
+    /// The coordinate of fits, in which 0 is off and more is stronger: the value itself, or the inverse of an upper
+    /// limit.
     pub fn coordinate(&self, value: f64) -> f64 {
         if self.ceiling && value > 0.0 { 1.0 / value } else { value }
     }
 
-    /// The value at a coordinate; a ceiling above its greatest value is none.
+    /// The value at a coordinate; an upper limit above its greatest value is off.
     pub fn value(&self, coordinate: f64) -> f64 {
         if self.ceiling && coordinate * self.bounds[1] < 1.0 { 0.0 } else { self.coordinate(coordinate) }
     }
 
-    /// Least and greatest coordinate. A ceiling is followed down to a fiftieth of its typical value: our choice.
+    /// Least and greatest coordinate. Fits may lower an upper limit to a fiftieth of its typical value: our choice.
     pub fn coordinate_bounds(&self) -> [f64; 2] {
         if self.ceiling { [0.0, 50.0 / self.typical] } else { self.bounds }
     }
@@ -123,7 +124,7 @@ macro_rules! mechanisms {
         }
 
         impl Mechanisms {
-            /// None switched on.
+            /// All switched off.
             pub const PLAIN: Self = Self { $($id: 0.0),* };
             pub const COUNT: usize = [$(stringify!($id)),*].len();
 
@@ -193,7 +194,7 @@ mechanisms! {
 }
 
 impl Mechanisms {
-    /// Place in [`CATALOG`] of a mechanism's id.
+    /// Index in [`CATALOG`] of a mechanism's id.
     pub fn index(id: &str) -> Result<usize> {
         let known = CATALOG.map(|m| m.id);
         CATALOG.iter().position(|m| m.id == id).ok_or_else(|| Error::unknown("mechanism", id, &known))
@@ -203,7 +204,7 @@ impl Mechanisms {
         self.values()[index]
     }
 
-    /// The same with one value changed.
+    /// A copy with one value changed.
     pub fn with(&self, index: usize, value: f64) -> Self {
         let mut values = self.values();
         values[index] = value;
@@ -218,15 +219,15 @@ impl Mechanisms {
         Ok(self)
     }
 
-    /// One line for each mechanism that is switched on and does nothing to a robot that walks. Those of a force log's sensor
-    /// are none of a robot's, so they are no news.
+    /// One line for each mechanism that is switched on and has no effect on a walking robot. Mechanisms of a force
+    /// log's sensor are left out, because a robot has no such sensor.
     pub fn unfelt_by_walkers(&self) -> Vec<String> {
         let on = CATALOG.iter().zip(self.values()).filter(|(_, value)| *value != 0.0);
         on.filter_map(|(m, _)| m.unfelt.map(|why| format!("{} has no effect on a walking robot: {why}", m.id)))
             .collect()
     }
 
-    /// Is nothing switched on in the sand?
+    /// Are all mechanisms of the sand switched off?
     pub fn sand_is_plain(&self) -> bool {
         CATALOG.iter().zip(self.values()).all(|(m, value)| m.side != Side::Sand || value == 0.0)
     }

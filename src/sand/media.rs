@@ -17,7 +17,7 @@ pub struct Medium {
     pub bulk_density: f64,
     /// Where the numbers come from.
     pub source: String,
-    /// Laws found in data, added to the stress.
+    /// Terms added to the stress.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub terms: Vec<Term>,
 }
@@ -33,8 +33,8 @@ const MEASURED: [(&str, Coefficients, f64, &str); 2] = [
     ),
 ];
 
-/// Media known by their ζ [N/cm³] alone, on the generic set: name, ζ, bulk density [kg/m³], source. The densities
-/// are our choice, handbook values for the material, because the sources give none; plain RFT does not use them.
+/// Media of which only ζ [N/cm³] is known, on the generic set: name, ζ, bulk density [kg/m³], source. The sources
+/// give no densities; these are handbook values for the material, our choice. Plain RFT does not use them.
 const SCALED: [(&str, f64, f64, &str); 4] = [
     ("glass-beads", 0.33, 1500.0, "Treers et al. 2021"),
     ("plastic-pellets", 0.111, 560.0, "Treers et al. 2021"),
@@ -43,10 +43,10 @@ const SCALED: [(&str, f64, f64, &str); 4] = [
 ];
 
 impl Medium {
-    /// Unless another is given: the sand of Li et al. 2012.
+    /// The default: the sand of Li et al. 2012.
     pub const DEFAULT: &'static str = "poppy-loose";
 
-    /// Names that [`Medium::named`] answers to.
+    /// Names that [`Medium::named`] accepts.
     pub fn names() -> Vec<&'static str> {
         MEASURED.iter().map(|m| m.0).chain(SCALED.iter().map(|m| m.0)).collect()
     }
@@ -74,7 +74,7 @@ impl Medium {
 
     /// The generic set times `zeta` [N/cm³].
     pub fn generic(zeta: f64) -> Result<Self> {
-        // 100 N/cm³ is far stiffer than any published sand (3.05): our choice of a guard against unit slips.
+        // 100 N/cm³ is far stiffer than any published sand (3.05): our choice, which catches wrong units.
         check_range("zeta", zeta, 1e-3..=100.0)?;
         Ok(Self {
             name: format!("zeta={zeta}"),
@@ -85,9 +85,10 @@ impl Medium {
         })
     }
 
-    /// The generic set at the scale that gives `agarwal2023` its ξ_n of friction μ and critical density ρ_c [kg/m³].
+    /// The generic set, scaled so that `agarwal2023` gets its ξ_n for friction μ and critical density ρ_c [kg/m³].
     fn from_friction(mu: f64, density: f64) -> Result<Self> {
-        // Wider than any granular medium; between these and the fitted range `caution` warns. Our choice.
+        // Wider than any granular medium. Between these bounds and the fitted range `caution` gives a warning. Our
+        // choice.
         check_range("mu", mu, 0.05..=2.0)?;
         check_range("rho", density, 10.0..=20_000.0)?;
         let zeta = friction::from_friction(mu, density) * friction::PENETRATION / PER_CM3;
@@ -96,7 +97,7 @@ impl Medium {
         Ok(Self { name: format!("mu={mu},rho={density}"), bulk_density: density, source, ..Self::generic(zeta)? })
     }
 
-    /// One line of warning if `name` asks for more than its source has measured.
+    /// One line of warning if `name` lies outside the range that its source has measured.
     pub fn caution(name: &str) -> Option<String> {
         let (mu, _) = parse_friction(name).ok()?;
         let fitted = friction::FITTED_FRICTION;

@@ -1,14 +1,14 @@
 //! Granular resistive forces: what sand does to a small flat piece of surface that moves through it.
 //!
-//! Pure functions over [`crate::number::Real`]; this layer knows nothing of robots, engines, time or randomness.
-//! Frame: x along the surface (uphill on a slope), z along the surface's outward normal, sand at z < 0.
+//! Pure functions over [`crate::number::Real`]; this crate has no robots, engines, time or randomness. Frame: x
+//! along the surface (uphill on a slope), z along the surface's outward normal, sand at z < 0.
 //!
 //! * [`media`]: what the sand is: its stress coefficients and where they were measured.
 //! * [`law`]: stress per depth from a segment's orientation and direction of motion; three published laws.
-//! * [`contact`]: force on a segment, with what an implicit integrator needs to keep it at rest.
-//! * [`mechanism`]: what plain theory leaves out: every mechanism, its law and its bounds.
-//! * [`beyond`]: the equations of those that act in the sand.
-//! * [`term`]: laws found in data, as data.
+//! * [`contact`]: force on a segment, with the derivatives that an implicit integrator needs to keep it at rest.
+//! * [`mechanism`]: the list of mechanisms that plain theory leaves out, with sources and bounds.
+//! * [`mechanism_laws`]: the equations of the mechanisms that act in the sand.
+//! * [`term`]: additional stress terms from `sand.toml`.
 //! * [`shape`]: intruders (plates and legs) cut into segments.
 //! * [`description`]: medium and mechanisms as a file, `sand.toml`.
 //! * [`intruder`]: any rigid body in steady motion, from plates on its surface.
@@ -17,7 +17,6 @@
 use sandgait_base::{error, parallel};
 use sandgait_number as number;
 
-pub mod beyond;
 mod coefficients;
 pub mod contact;
 pub mod description;
@@ -26,18 +25,19 @@ pub mod intruder;
 pub mod intrusion;
 pub mod law;
 pub mod mechanism;
+pub mod mechanism_laws;
 pub mod media;
 pub mod shape;
 pub mod term;
 
-pub use beyond::{Beyond, Plain, SandMechanisms, Site};
 pub use coefficients::Coefficients;
-pub use contact::{Contact, Form, Ground, Surface};
+pub use contact::{Contact, LawCoefficients, SandBed, Surface};
 pub use description::SandDescription;
 pub use law::Law;
 pub use mechanism::{Mechanism, Mechanisms};
+pub use mechanism_laws::{Plain, SandMechanisms, SegmentState, StressModel};
 pub use media::Medium;
-pub use shape::{Segment, Shape};
+pub use shape::{LegShape, Segment};
 pub use term::Term;
 
 /// Standard gravity [m/s²].

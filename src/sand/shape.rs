@@ -12,7 +12,7 @@ use std::f64::consts::PI;
 pub struct Segment {
     /// Centre (x, z) [m] in the intruder's frame.
     pub center: [f64; 2],
-    /// Unit normal (x, z); its sign does not matter for a thin plate.
+    /// Unit normal (x, z); for a thin plate the sign does not matter.
     pub normal: [f64; 2],
     /// [m²]
     pub area: f64,
@@ -20,7 +20,7 @@ pub struct Segment {
 
 /// The side view of an intruder's mid-surface.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub enum Shape {
+pub enum LegShape {
     /// Two straight pieces; the knee lies on the circle that has hip-tip as its diameter, so they meet at a right
     /// angle. `xi` [rad] is the signed angle at the hip between hip→tip and the first piece: 0 is a flat leg,
     /// positive bulges forward (L-leg: π/4), negative backward (reversed L-leg). After Li et al. 2012, fig. 5a.
@@ -29,17 +29,17 @@ pub enum Shape {
     HalfCircle { reversed: bool },
 }
 
-impl Shape {
+impl LegShape {
     pub const NAMES: [&'static str; 5] = ["L", "revL", "C", "revC", "flat"];
 
     /// `L`, `revL`, `C`, `revC`, `flat`, or `xi=DEGREES` with |ξ| < 90°.
     pub fn named(name: &str) -> Result<Self> {
         Ok(match name {
-            "L" => Shape::TwoPiece { xi: PI / 4.0 },
-            "revL" => Shape::TwoPiece { xi: -PI / 4.0 },
-            "flat" => Shape::TwoPiece { xi: 0.0 },
-            "C" => Shape::HalfCircle { reversed: false },
-            "revC" => Shape::HalfCircle { reversed: true },
+            "L" => LegShape::TwoPiece { xi: PI / 4.0 },
+            "revL" => LegShape::TwoPiece { xi: -PI / 4.0 },
+            "flat" => LegShape::TwoPiece { xi: 0.0 },
+            "C" => LegShape::HalfCircle { reversed: false },
+            "revC" => LegShape::HalfCircle { reversed: true },
             other => {
                 let Some(degrees) = other.strip_prefix("xi=") else {
                     return Err(Error::unknown("leg shape", name, &[&Self::NAMES[..], &["xi=DEGREES"]].concat()));
@@ -50,20 +50,20 @@ impl Shape {
         })
     }
 
-    /// A two-piece leg by its knee angle [°]; ±90° has no length left and is refused.
+    /// A two-piece leg by its knee angle [°]. At ±90° the leg would have no length; that is refused.
     pub fn two_piece(xi_deg: f64) -> Result<Self> {
         if !(xi_deg.is_finite() && xi_deg.abs() < 90.0) {
             return Err(Error::invalid("xi_deg", format!("{xi_deg} is not between -90 and 90 (exclusive)")));
         }
-        Ok(Shape::TwoPiece { xi: xi_deg.to_radians() })
+        Ok(LegShape::TwoPiece { xi: xi_deg.to_radians() })
     }
 
-    /// 1 if it bulges forward, −1 backward, 0 if it is straight.
+    /// Direction in which it bulges: 1 forward, −1 backward, 0 for a straight leg.
     pub fn bulge(&self) -> f64 {
         match *self {
-            Shape::TwoPiece { xi: 0.0 } => 0.0,
-            Shape::TwoPiece { xi } => xi.signum(),
-            Shape::HalfCircle { reversed } => {
+            LegShape::TwoPiece { xi: 0.0 } => 0.0,
+            LegShape::TwoPiece { xi } => xi.signum(),
+            LegShape::HalfCircle { reversed } => {
                 if reversed {
                     -1.0
                 } else {
@@ -73,7 +73,7 @@ impl Shape {
         }
     }
 
-    /// Corners of the mid-surface from hip to tip, as unit vectors times the hip-tip distance 1.
+    /// Corners of the mid-surface from hip to tip, for a hip-tip distance of 1.
     fn two_piece_corners(xi: f64) -> [[f64; 2]; 3] {
         let (sin, cos) = xi.sin_cos();
         [[0.0, 0.0], [cos * sin, -cos * cos], [0.0, -1.0]]
@@ -81,14 +81,14 @@ impl Shape {
 
     /// Cuts the strip into exactly `count` ≥ 2 segments (`chord` = hip-tip distance 2R [m], `width` [m]).
     pub fn segments(&self, chord: f64, width: f64, count: usize) -> Result<Vec<Segment>> {
-        // Robots smaller than 1 mm or larger than 10 m are unit slips: our choice of guard.
+        // A robot smaller than 1 mm or larger than 10 m has wrong units: our choice.
         check_range("chord", chord, 1e-3..=10.0)?;
         check_range("width", width, 1e-4..=10.0)?;
         if !(2..=100_000).contains(&count) {
             return Err(Error::invalid("segments", format!("{count} is outside [2, 100000]")));
         }
         Ok(match *self {
-            Shape::TwoPiece { xi } => {
+            LegShape::TwoPiece { xi } => {
                 let [hip, knee, tip] = Self::two_piece_corners(xi).map(|p| p.map(|c| c * chord));
                 let (upper, lower) = (distance(hip, knee), distance(knee, tip));
                 if lower < 1e-9 * chord {
@@ -100,7 +100,7 @@ impl Shape {
                 segments.extend(straight(knee, tip, width, count - first));
                 segments
             }
-            Shape::HalfCircle { reversed } => {
+            LegShape::HalfCircle { reversed } => {
                 let side = if reversed { -1.0 } else { 1.0 };
                 let radius = chord / 2.0;
                 let area = PI * radius / count as f64 * width;

@@ -1,4 +1,4 @@
-//! Where a server listens: TCP or a Unix socket.
+//! The address that a server listens on: TCP or a Unix socket.
 
 use crate::error::{Error, Result};
 use std::fmt::{self, Display, Formatter};
@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use tokio::net::{TcpListener, TcpSocket, UnixListener, UnixSocket};
 
-/// Connections the kernel keeps until they are accepted.
+/// Connections that the kernel keeps until they are accepted.
 const BACKLOG: u32 = 1024;
 
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -76,7 +76,7 @@ impl Listener {
         }
     }
 
-    /// The address clients use, with the port that was found if 0 was asked for.
+    /// The address for clients, with the actual port if port 0 was given.
     pub fn address(&self) -> Result<Address> {
         match self {
             Self::Tcp(listener) => match listener.local_addr() {
@@ -88,7 +88,7 @@ impl Listener {
     }
 }
 
-/// The file of a Unix socket that this process made.
+/// The socket file that this process made.
 pub struct SocketFile {
     path: PathBuf,
     inode: u64,
@@ -96,19 +96,19 @@ pub struct SocketFile {
 
 impl Drop for SocketFile {
     fn drop(&mut self) {
-        // Another server may have put its own socket here.
+        // Another server may have replaced the file by its own socket.
         if fs::symlink_metadata(&self.path).is_ok_and(|m| m.ino() == self.inode) {
-            // Nothing useful can be done if it cannot be removed; the next server finds it stale.
+            // If it cannot be removed, the next server finds it stale.
             let _ = fs::remove_file(&self.path);
         }
     }
 }
 
-/// A listener with room for as many connections that nobody has accepted as a Unix socket's; the usual 128 are not many
-/// where a hundred a second come. Needs a tokio runtime.
+/// A listener with a queue of unaccepted connections as long as a Unix socket's; the usual 128 are few if a hundred
+/// arrive a second. Needs a tokio runtime.
 pub fn bind_tcp(address: SocketAddr) -> std::io::Result<TcpListener> {
     let socket = if address.is_ipv4() { TcpSocket::new_v4() } else { TcpSocket::new_v6() }?;
-    // A port whose last connections are still closing can be had again.
+    // A port can be used again while its last connections are still closing.
     socket.set_reuseaddr(true)?;
     socket.bind(address)?;
     socket.listen(BACKLOG)
@@ -124,7 +124,7 @@ fn bind_unix(path: &Path) -> std::io::Result<(UnixListener, SocketFile)> {
     Ok((socket.listen(BACKLOG)?, file))
 }
 
-/// Removes the socket of a server that is gone; anything else at this path stays and is an error.
+/// Removes the socket of a server that no longer runs; any other file at this path is kept and gives an error.
 fn remove_stale(path: &Path) -> std::io::Result<()> {
     use std::io::{Error, ErrorKind};
     match fs::symlink_metadata(path) {

@@ -1,4 +1,4 @@
-//! From messages to checked operations. Everything a client sends passes through here before it means anything.
+//! From messages to checked operations. Every request passes through here first.
 
 use super::proto::{self, run_session_request::Request};
 use super::values;
@@ -6,7 +6,7 @@ use crate::env::ResetOptions;
 use crate::error::{Error, Result};
 use crate::pool::{Batch, Operation, Seal, Snapshot};
 
-/// The operation `request` asks of `batch`; on an error the batch is as it was.
+/// The operation that `request` asks of `batch`; after an error the batch is unchanged.
 pub fn operation(batch: &mut Batch, request: Option<Request>, seal: &Seal) -> Result<Operation> {
     let envs = batch.envs();
     match request {
@@ -29,7 +29,7 @@ pub fn operation(batch: &mut Batch, request: Option<Request>, seal: &Seal) -> Re
             let snapshot = Snapshot::from_bytes(&restore.snapshot, seal)?;
             batch.restore(&snapshot, sources.as_deref())
         }
-        // The others are no operations: they were answered before.
+        // The other requests are not operations and were answered before.
         Some(_) | None => {
             let known = "neither reset, step, attach, save, restore, rollout, policy_rollout, render nor observe";
             Err(Error::invalid("request", known))
@@ -37,7 +37,8 @@ pub fn operation(batch: &mut Batch, request: Option<Request>, seal: &Seal) -> Re
     }
 }
 
-/// Bytes that are checked on the thread that received them: 16 KiB of actions (more than 600 hexapods) take microseconds.
+/// Size of messages that are checked on the thread that received them: 16 KiB of actions (more than 600 hexapods)
+/// take microseconds.
 const LIGHT: usize = 16 << 10;
 
 /// Is this request cheap enough to check on the thread that received it? Models are built from reset options.
@@ -59,14 +60,14 @@ pub fn floats(field: &str, bytes: &[u8]) -> Result<Vec<f32>> {
     Ok(numbers.iter().map(|b| f32::from_le_bytes(*b)).collect())
 }
 
-/// Largest step or reset without options of a session [bytes], its envelope included.
+/// Largest step or reset without options of a session [bytes], with its envelope.
 pub fn largest_step(batch: &Batch) -> usize {
     let step = 4 * batch.spec().action.len() + 1;
     let reset = 8 + 1;
     batch.envs() * step.max(reset) + 256
 }
 
-/// A step's actions; a wrong length is refused before they are unpacked.
+/// A step's actions; a wrong length is refused before unpacking.
 fn step_actions(batch: &Batch, bytes: &[u8]) -> Result<Vec<f32>> {
     let width = batch.spec().action.len();
     match bytes.len() == 4 * batch.envs() * width || !bytes.len().is_multiple_of(4) {

@@ -10,7 +10,7 @@ use crate::env::{Column, Spec};
 use crate::pool::Batch;
 use bytes::Bytes;
 
-/// What the last operation gave, copied once from the shards into little-endian columns.
+/// Rows of the last operation, copied once from the shards into little-endian columns.
 pub fn batch(batch: &Batch) -> proto::Batch {
     let floats = |column: fn(&Rows) -> &[f32]| floats(batch.shards().iter().map(move |s| column(&s.rows)));
     let flags = |column: fn(&Rows) -> &[u8]| -> Bytes {
@@ -27,7 +27,8 @@ pub fn batch(batch: &Batch) -> proto::Batch {
     }
 }
 
-/// The steps of a rollout since the last part; `made` have been made in all. `actions`: they are news to the client.
+/// The steps of a rollout since its last part; `made` is the number of all steps so far. `actions`: include them,
+/// because a network chose them.
 pub fn rollout(batch: &Batch, made: usize, is_last: bool, actions: bool) -> proto::RolloutPart {
     let shards = batch.shards();
     let steps = shards.first().map_or(0, |s| s.rollout.steps.len());
@@ -61,7 +62,7 @@ fn floats<'a>(parts: impl Iterator<Item = &'a [f32]> + Clone) -> Bytes {
     let mut bytes = vec![0; 4 * length];
     let mut free = bytes.as_chunks_mut().0;
     for part in parts {
-        // Slice by slice the compiler makes a copy of this; over one flat iterator it is ten times slower.
+        // Copied slice by slice this compiles to a plain copy; one flat iterator would be ten times slower.
         let (now, later) = free.split_at_mut(part.len());
         now.iter_mut().zip(part).for_each(|(out, value)| *out = value.to_le_bytes());
         free = later;
@@ -69,7 +70,7 @@ fn floats<'a>(parts: impl Iterator<Item = &'a [f32]> + Clone) -> Bytes {
     bytes.into()
 }
 
-/// Shards count from their own first environment, messages from the batch's.
+/// Indices in shards start at the shard's first environment, those in messages at the batch's.
 fn final_indices(batch: &Batch) -> Bytes {
     let mut bytes = Vec::new();
     let mut start = 0;
@@ -112,7 +113,7 @@ fn option(keyword: Keyword) -> proto::Option {
     }
 }
 
-/// A session for lists and logs.
+/// A session in lists and logs.
 pub fn summary(summary: &Summary) -> proto::SessionSummary {
     proto::SessionSummary {
         name: summary.name.clone(),

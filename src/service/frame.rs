@@ -1,4 +1,4 @@
-//! A request as it arrived: bytes that nobody has unpacked yet.
+//! A request as it arrived: bytes that are not unpacked yet.
 
 use super::intake::{Door, Share};
 use super::wire::{self, MessageLayout};
@@ -11,10 +11,10 @@ use tonic::codec::{BufferSettings, Codec, DecodeBuf, Decoder};
 use tonic::{Request, Status};
 use tonic_prost::{ProstCodec, ProstEncoder};
 
-/// The bytes of a message `T`. Empty for a large one: that lies in the call's [`Door`].
+/// The bytes of a message `T`. Empty for a large one, which is in the call's [`Door`].
 pub struct Frame<T>(Bytes, PhantomData<fn() -> T>);
 
-/// Requests of at most this size [bytes] are unpacked on the thread that received them: some 0.3 ms at worst.
+/// Largest request [bytes] that is unpacked on the thread that received it: some 0.3 ms at worst.
 const LIGHT: usize = 16 << 10;
 
 impl<T: Message + Default + 'static> Frame<T> {
@@ -33,7 +33,7 @@ impl<T: Message + Default + 'static> Frame<T> {
         request.into_inner().receive(&door, layout).await
     }
 
-    /// [`Self::open`]; what may take long is unpacked off the async runtime's threads.
+    /// [`Self::open`]; long unpacking runs off the async runtime's threads.
     pub async fn receive(self, door: &Door, layout: MessageLayout) -> std::result::Result<(T, Option<Share>), Status> {
         let (bytes, share) = door.take(self.0);
         let message = if bytes.len() <= LIGHT {

@@ -1,4 +1,4 @@
-//! Whatever arrives: 100,000 messages that are wrong in some way are refused or carried out, and nothing panics.
+//! 100,000 malformed messages are refused or carried out, and none causes a panic.
 
 #[path = "../../tests/grpc/mutate.rs"]
 mod mutate;
@@ -58,8 +58,8 @@ fn requests(batch: &Batch) -> Vec<Vec<u8>> {
     all.into_iter().map(|request| message(request).encode_to_vec()).collect()
 }
 
-/// A snapshot that is changed inside, as someone does who knows the format: its checksum is right. Bytes are changed, or
-/// values of what they mean.
+/// A snapshot that was changed by somebody who knows the format: its checksum is right. Either bytes are changed,
+/// or values in the CBOR.
 fn with_checksum(snapshot: &[u8], random: &mut Xoshiro256PlusPlus) -> Option<Vec<u8>> {
     let start = b"sandgait snapshot\n".len();
     let digest = start + 1 + usize::from(*snapshot.get(start)?);
@@ -117,7 +117,7 @@ fn wrong_leaf(random: &mut Xoshiro256PlusPlus, leaf: &Cbor) -> Cbor {
         3 => Cbor::Array(Vec::new()),
         4 => Cbor::Integer(counts[random.random_range(0..counts.len())].into()),
         5 => Cbor::Float(numbers[random.random_range(0..numbers.len())]),
-        // Mostly still in range.
+        // Most values are still in range.
         _ => match leaf {
             Cbor::Float(x) => Cbor::Float(x * random.random_range(0.5..2.0)),
             Cbor::Integer(_) => Cbor::Integer(random.random_range(0..100).into()),
@@ -126,7 +126,7 @@ fn wrong_leaf(random: &mut Xoshiro256PlusPlus, leaf: &Cbor) -> Cbor {
     }
 }
 
-/// A request that is wrong inside: its message can be read.
+/// A request with wrong contents: the message can be decoded.
 fn spoiled(random: &mut Xoshiro256PlusPlus, mut request: Request) -> Request {
     let mut spoil = |field: &mut bytes::Bytes| *field = mutate::mutated(random, field, &[]).into();
     match &mut request {
@@ -147,7 +147,7 @@ fn spoiled(random: &mut Xoshiro256PlusPlus, mut request: Request) -> Request {
     request
 }
 
-/// What a stream does with a message.
+/// Does with a message what a stream does.
 fn operation(batch: &mut Batch, request: Option<Request>) -> Option<Operation> {
     match request {
         Some(Request::Rollout(rollout)) => {
@@ -193,11 +193,11 @@ fn wrong_requests_are_refused_or_carried_out() {
         }
     }
     println!("of {asked} requests {read} could be read and {carried_out} were carried out");
-    // Neither only noise nor only what was right before.
+    // Neither only noise nor only valid messages.
     assert!(read > asked / 2 && carried_out > asked / 20 && carried_out < asked / 2, "{read} {carried_out}");
 }
 
-/// What an option seldom is.
+/// A value that an option seldom has.
 fn wrong_value(random: &mut Xoshiro256PlusPlus) -> prost_types::Value {
     let number = |x| prost_types::Value { kind: Some(prost_types::value::Kind::NumberValue(x)) };
     let numbers = [f64::NAN, f64::INFINITY, -f64::INFINITY, f64::MAX, -1.0, -0.0, 1e-320, 0.5, 1.0, 1e9, 4e18];

@@ -1,4 +1,4 @@
-//! What every call passes on its way in and out: the token is asked for, the peer's rate is kept, failures are counted.
+//! The layer around all calls: checks the token, limits the peer's rate, and counts failures.
 
 use super::connections::Link;
 use super::metrics::Metrics;
@@ -14,7 +14,8 @@ use http_body_util::BodyExt as _;
 use std::sync::Arc;
 use tonic::{Code, Status};
 
-/// Calls of this service need no token: who asks whether a server is well seldom has one, and learns nothing else.
+/// Calls of this service need no token: a client that checks a server's health seldom has one, and the answer
+/// contains nothing else.
 const OPEN: &str = "/grpc.health.v1.Health/";
 
 #[derive(Clone)]
@@ -30,7 +31,7 @@ pub async fn pass(State(gate): State<Gate>, call: Request, next: Next) -> Respon
     let open = call.uri().path().starts_with(OPEN);
     let admitted = open || gate.token.as_ref().is_none_or(|t| t.admits(given));
     let link = call.extensions().get::<Link>().cloned();
-    // The connection has a call until the answer's body is dropped.
+    // The connection has a call until the body of the answer is dropped.
     let begun = link.as_ref().map(Link::begin);
     let answer = if admitted {
         if let Some(link) = link.filter(|_| !open) {
@@ -42,7 +43,7 @@ pub async fn pass(State(gate): State<Gate>, call: Request, next: Next) -> Respon
         gate.refusals.log(Refusal::Token, &peer, call.uri().path());
         Status::unauthenticated("this server asks for its bearer token").into_http()
     };
-    // A call that fails at once says so in its headers, another in its trailers.
+    // A call that fails at once has its code in the headers, others have it in the trailers.
     count(&gate.metrics, answer.headers());
     answer.map(|body| {
         let counted = body.map_frame(move |frame| {

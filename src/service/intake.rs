@@ -1,11 +1,11 @@
-//! How much memory requests may take, before they are read.
+//! Limits the memory of requests before they are read.
 //!
 //! ```text
 //!  call ──▶ length of the next message ──▶ too large: refused ──▶ large: waits for its share ──▶ read ──▶ Frame
 //! ```
 //!
-//! Small messages pass; of large ones all calls together hold what [`Intake::room`] allows. While one waits, HTTP/2's flow
-//! control stops its sender. The share goes with the request ([`Share`]) until that is done with its memory.
+//! Small messages pass. Large messages of all calls together may take [`Intake::room`]. While one waits, HTTP/2's
+//! flow control stops its sender. A request holds its [`Share`] until it has released its memory.
 
 use super::sessions::Limits;
 use super::wire::{LARGEST_DIAGNOSIS, LARGEST_POLICY, LARGEST_TRIALS, LONGEST_OPTIONS};
@@ -32,10 +32,10 @@ const UNIT: usize = 1 << 10;
 /// How long a request waits for its share. Our choice: longer than the largest step, shorter than clients' patience.
 const WAIT: Duration = Duration::from_secs(30);
 
-/// How long a large message may take to arrive: our choice of this time and what 1 MiB/s takes.
+/// Time limit for a large message to arrive: this time, our choice, plus that of 1 MiB/s.
 const ARRIVAL: Duration = Duration::from_secs(10);
 
-/// A message and what is unpacked of it: actions are copied once.
+/// Factor on a message's size for the message and its unpacked parts: actions are copied once.
 const COPIES: usize = 2;
 
 /// Bytes before a message: a flag and its length.
@@ -48,7 +48,7 @@ pub struct Intake {
     shares: Arc<Semaphore>,
     /// [bytes]
     room: usize,
-    /// Of one message [bytes].
+    /// Largest message [bytes].
     largest: usize,
 }
 
@@ -56,12 +56,12 @@ pub struct Intake {
 pub struct Share(#[expect(dead_code, reason = "held for its end")] OwnedSemaphorePermit);
 
 impl Limits {
-    /// What requests may take of the memory: a quarter, but no more than the largest one needs.
+    /// Memory for requests: a quarter of all, but no more than the largest request needs.
     pub fn of_requests(&self) -> usize {
         (self.memory / 4).min(COPIES * self.request)
     }
 
-    /// What is left to environments.
+    /// Memory for environments.
     pub fn of_environments(&self) -> usize {
         self.memory - self.of_requests()
     }
@@ -69,14 +69,15 @@ impl Limits {
 
 impl Intake {
     pub fn new(limits: &Limits) -> Arc<Self> {
-        // Below some size nothing could be asked for: our choice, twice the longest options.
+        // Below some size no request would be possible: our choice, twice the longest options.
         let room = limits.of_requests().max(COPIES * 2 * LONGEST_OPTIONS);
         let shares = Arc::new(Semaphore::new(room / UNIT));
         Arc::new(Self { shares, room, largest: limits.request.min(room / COPIES) })
     }
 
-    /// What a client may send ahead on a stream [bytes], and twice that on a connection. Our choice: a step of the largest
-    /// usual batch without waiting for credit, or as little as 32 connections can hold within the memory for requests.
+    /// How much a client may send ahead on a stream [bytes]; twice that on a connection. Our choice: a step of the
+    /// largest usual batch without waiting for credit, limited so that 32 connections stay within the memory for
+    /// requests.
     pub fn window(&self) -> u32 {
         (self.room / 64).clamp(64 << 10, 4 << 20) as u32
     }
@@ -96,7 +97,7 @@ impl Intake {
         limit.min(self.largest)
     }
 
-    /// Memory for what a request makes, once there is some.
+    /// Waits for memory for a request's results.
     pub async fn share(&self, bytes: usize) -> Result<Share> {
         if bytes > self.room {
             let [needed, room] = [bytes, self.room].map(|b| b.div_ceil(1 << 20));
@@ -110,7 +111,7 @@ impl Intake {
     }
 }
 
-/// Where a call's large messages wait to be taken, and how large its small ones may be.
+/// Holds a call's large messages until they are taken, and the limit of its small ones.
 #[derive(Clone, Default)]
 pub struct Door(Arc<Inner>);
 
@@ -126,7 +127,7 @@ impl Door {
         request.extensions().get::<Self>().cloned().unwrap_or_default()
     }
 
-    /// From now on messages of `bytes` need no share: their memory is counted otherwise.
+    /// From now on messages of `bytes` need no share, because the session's memory includes them.
     pub fn let_pass(&self, bytes: usize) {
         self.0.free.store(bytes, Ordering::Relaxed);
     }
@@ -135,7 +136,7 @@ impl Door {
         self.0.free.load(Ordering::Relaxed).max(SMALL)
     }
 
-    /// The message that arrived as `bytes`: itself, or the large one that it stands for.
+    /// The message that arrived as `bytes`: either itself, or the large message that an empty one stands for.
     pub fn take(&self, bytes: Bytes) -> (Bytes, Option<Share>) {
         let mut large = self.0.large.lock().unwrap_or_else(PoisonError::into_inner);
         match large.take_if(|_| bytes.is_empty()) {
@@ -169,9 +170,9 @@ pub async fn pass(State(intake): State<Arc<Intake>>, mut call: Request, next: Ne
 /// The messages of a call.
 struct Messages {
     body: BodyDataStream,
-    /// What has arrived and is not handed on yet.
+    /// Bytes that have arrived and were not passed on yet.
     arrived: Bytes,
-    /// Bytes that the small message under way lacks yet.
+    /// Missing bytes of the incomplete small message.
     missing: usize,
     door: Door,
     intake: Arc<Intake>,
@@ -179,7 +180,7 @@ struct Messages {
 }
 
 impl Messages {
-    /// The next bytes for tonic: small messages as they are, for a large one an empty message.
+    /// The next bytes for tonic: small messages unchanged, and an empty message in place of a large one.
     async fn next(mut self) -> std::result::Result<Option<(Bytes, Self)>, BoxError> {
         loop {
             let small = self.small();
@@ -196,7 +197,7 @@ impl Messages {
                 Some(bytes) if self.arrived.is_empty() => self.arrived = bytes,
                 Some(bytes) => self.arrived = [&self.arrived[..], &bytes].concat().into(),
                 None if self.arrived.is_empty() => return Ok(None),
-                // Half a header, which tonic refuses.
+                // An incomplete header, which tonic refuses.
                 None => return Ok(Some((std::mem::take(&mut self.arrived), self))),
             }
         }
@@ -217,7 +218,7 @@ impl Messages {
         end
     }
 
-    /// Reads the large message at hand and puts it behind the door.
+    /// Reads the present large message and puts it into the [`Door`].
     async fn large(&mut self, length: usize) -> std::result::Result<(), Status> {
         if length > self.limit {
             let limit = self.limit;
@@ -245,7 +246,7 @@ impl Messages {
     }
 }
 
-/// Length of the message that begins here, once its header is there.
+/// Length of the message that begins here, if its header is complete.
 fn length(bytes: &[u8]) -> Option<usize> {
     let header = bytes.first_chunk::<HEADER>()?;
     Some(u32::from_be_bytes([header[1], header[2], header[3], header[4]]) as usize)

@@ -1,4 +1,4 @@
-//! What a server counts, as a page that Prometheus reads.
+//! A server's counters, as a page for Prometheus.
 
 use super::pages;
 use super::refusals::Refusals;
@@ -68,8 +68,8 @@ impl Default for Metrics {
 }
 
 impl Metrics {
-    /// `operation` begins on a batch of `envs` environments; what this returns is called with the batch when it has just
-    /// given its rows. Not for parts of rollouts.
+    /// Starts measuring `operation` on a batch of `envs` environments; the returned function is called with the
+    /// batch when its rows are complete. Not for parts of rollouts.
     pub fn begin(self: &Arc<Self>, operation: &Operation, envs: usize) -> impl FnOnce(&Batch) + Send + use<> {
         let (name, steps) = (operation.name(), operation.steps(envs));
         let (all, begun) = (self.clone(), Instant::now());
@@ -80,7 +80,7 @@ impl Metrics {
         }
     }
 
-    /// Flags are set by steps only.
+    /// Only steps set the flags.
     fn ended_episodes(&self, batch: &Batch) {
         let spec = batch.spec();
         let diverged = spec.info.iter().position(|c| c.name == "diverged");
@@ -119,7 +119,7 @@ impl Metrics {
     }
 }
 
-/// What is lent out now.
+/// The present numbers of sessions and environments.
 #[derive(Clone, Copy, Default)]
 pub struct Usage {
     pub sessions: usize,
@@ -128,7 +128,7 @@ pub struct Usage {
     pub memory: usize,
 }
 
-/// Answers `GET /metrics` until `stop` is cancelled; `usage` says what sessions take now.
+/// Answers `GET /metrics` until `stop` is cancelled; `usage` returns the present use by sessions.
 pub async fn serve(
     listener: TcpListener,
     metrics: Arc<Metrics>,

@@ -1,19 +1,22 @@
 //! The gRPC service `sandgait.v1`: messages in, messages out.
 //!
-//! The only layer that knows protobuf and the network. It never computes on the async runtime's threads.
+//! The only crate of the server with protobuf and the network. It never computes on the async runtime's threads.
 //!
 //! * [`address`]: where to listen; [`server`]: serving until told to stop.
-//! * [`connections`]: who is connected, and who must make room; [`refusals`]: the sampled log of who was refused.
-//! * [`security`]: TLS and the token; [`gate`]: what every call passes; [`rate`]: how many requests a peer may make.
-//! * [`metrics`]: what is counted; [`pages`]: HTTP/1 for metrics and the live page.
-//! * [`sessions`]: who holds which environments, and the limits; [`state`]: sessions that outlive their server.
-//! * [`stream`]: one RunSession stream, request by request; [`rollout`]: the request of many steps.
-//! * [`view`]: requests that only look; [`viewer`]: the page that follows sessions.
+//! * [`connections`]: incoming connections and their limits; [`refusals`]: the sampled log of refusals.
+//! * [`security`]: TLS and the token; [`gate`]: the layer around all calls; [`rate`]: the limit of a peer's
+//!   requests.
+//! * [`metrics`]: counters; [`pages`]: HTTP/1 for metrics and the live page.
+//! * [`sessions`]: the environments of clients, and the limits; [`state`]: sessions that outlive their server.
+//! * [`stream`]: one RunSession stream, request by request; [`work`]: the work of one request; [`rollout`]: the request of many
+//!   steps.
+//! * [`view`]: requests for pictures and moments; [`viewer`]: the page that follows sessions.
 //! * [`studies`]: the offline tools, one at a time.
 //! * [`dm_env_rpc`]: the same environments for DeepMind's protocol.
-//! * [`intake`]: how much memory requests may take; [`frame`], [`wire`]: requests that are sized before they are unpacked.
+//! * [`intake`]: the memory of requests; [`frame`], [`wire`]: requests whose size is checked before they are
+//!   unpacked.
 //! * [`decode`], [`encode`], [`values`]: messages from and to the crate's types.
-//! * [`status`]: the one map from errors to gRPC codes.
+//! * [`status`]: the map from errors to gRPC codes.
 
 use sandgait_base::{error, parallel, progress};
 use sandgait_diagnose as diagnose;
@@ -54,13 +57,14 @@ mod values;
 mod view;
 mod viewer;
 mod wire;
+mod work;
 
-/// Generated from `proto/sandgait/v1/` by `make proto`; `tests/generated.rs` holds it current.
+/// Generated from `proto/sandgait/v1/` by `make proto`; `tests/generated.rs` checks that it is current.
 pub mod proto {
     include!("generated/sandgait.v1.rs");
     include!("generated/server/sandgait.v1.rs");
 
-    /// What the protos say, as reflection tells it.
+    /// The descriptors of the protos, for reflection.
     pub const DESCRIPTORS: &[u8] = include_bytes!("generated/descriptors.bin");
 }
 
@@ -101,7 +105,7 @@ pub struct Service {
     intake: Arc<Intake>,
 }
 
-/// Runs `work` on a thread that may compute.
+/// Runs `work` on a blocking thread.
 async fn off_runtime<T: Send + 'static>(
     work: impl FnOnce() -> crate::error::Result<T> + Send + 'static,
 ) -> Result<T, Status> {

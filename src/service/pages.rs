@@ -11,13 +11,14 @@ use std::time::Duration;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
-/// How long a request may take to come: our choice, as for the first bytes of any connection.
+/// Time limit for a request to arrive: our choice, as for the first bytes of any connection.
 const REQUEST: Duration = Duration::from_secs(10);
 
-/// Connections to the page of metrics at a time: our choice, some programs that ask at once.
+/// Most connections to the page of metrics: our choice, for some programs that ask at the same time.
 pub const METRICS: usize = 32;
 
-/// Connections to the live page beside those of watchers: our choice, some browsers with all they ask for at once.
+/// Most connections to the live page besides those of watchers: our choice, for the requests of some browsers at
+/// the same time.
 pub const BESIDE_WATCHERS: usize = 128;
 
 /// Answers what `listener` gets with `app` on at most `all` connections until `stop` is cancelled.
@@ -30,16 +31,16 @@ pub async fn serve(listener: TcpListener, app: Router, all: usize, refusals: Arc
     }
 }
 
-/// Answers one request: a connection that waits for another would only take room.
+/// Answers one request. A connection that waits for another request would only take room.
 async fn answer(connection: Connection, app: Router, stop: CancellationToken) {
-    // From its first bytes on it has a call: what bounds it in time is `REQUEST`, and what watchers may take.
+    // From its first bytes on it has a call. `REQUEST` limits its time, and for watchers the time without reading.
     let _call = connection.link().begin();
     let mut builder = http1::Builder::new();
     builder.timer(TokioTimer::new()).header_read_timeout(REQUEST).keep_alive(false);
     let app = TowerToHyperService::new(app);
     let serving = builder.serve_connection(TokioIo::new(connection), app);
     let mut serving = std::pin::pin!(serving);
-    // What goes wrong on a connection is its peer's business.
+    // Errors on a connection concern its peer only.
     tokio::select! {
         _ = serving.as_mut() => return,
         () = stop.cancelled() => serving.as_mut().graceful_shutdown(),

@@ -1,4 +1,4 @@
-//! `--max-requests-per-second`: the requests of a peer, however many connections and streams it has.
+//! `--max-requests-per-second`: limits the requests of a peer over all its connections and streams.
 
 use super::connections::table::Peer;
 use std::collections::HashMap;
@@ -7,13 +7,13 @@ use std::time::Duration;
 use tokio::sync;
 use tokio::time::{Instant, sleep_until};
 
-/// Peers that are remembered; the ones beyond share a place. Our choice: some 500 KiB.
+/// Number of peers that are remembered; further ones are counted together. Our choice: some 500 KiB.
 const MOST: usize = 4096;
 
 /// Requests may come this much early, because timers are no finer than a millisecond.
 const EARLY: Duration = Duration::from_millis(5);
 
-/// When a peer's next request may be read. Waiters have it in turn; one that leaves takes nothing with it.
+/// When a peer's next request may be read. Waiting requests take turns; one that leaves costs the others nothing.
 type Next = Arc<sync::Mutex<Instant>>;
 
 /// The limit of one server.
@@ -41,7 +41,7 @@ impl Rate {
     fn next_of(&self, peer: Peer) -> Next {
         let mut peers = self.peers.lock().unwrap_or_else(PoisonError::into_inner);
         if peers.len() >= MOST && !peers.contains_key(&peer) {
-            // Who may send at once is as good as unknown.
+            // A peer that may send at once need not be remembered.
             let now = Instant::now();
             peers.retain(|_, next| next.try_lock().map_or(true, |time| *time > now));
         }
@@ -59,7 +59,7 @@ mod tests {
         Peer::of(Ipv4Addr::from_bits(n).into())
     }
 
-    /// Time that `count` requests of one peer take.
+    /// Measures the time of `count` requests of one peer.
     async fn time(rate: &Rate, peer: Peer, count: u32) -> Duration {
         let begun = Instant::now();
         for _ in 0..count {
@@ -93,12 +93,12 @@ mod tests {
     async fn the_table_of_peers_is_bounded() {
         let rate = Rate { period: Duration::from_secs(3600), peers: Mutex::default() };
         for n in 0..MOST as u32 {
-            // Each has had its turn, and would have to wait for the next.
+            // Each has used its turn, and would have to wait for the next.
             rate.turn(peer(n)).await;
         }
         assert!(Arc::ptr_eq(&rate.next_of(peer(u32::MAX)), &rate.next_of(Peer::Others)), "all places are taken");
         assert!(rate.peers.lock().unwrap().len() <= MOST + 1);
-        // Those who may send at once make room.
+        // Peers that may send at once are removed to make room.
         let quick = Rate::new(u32::MAX);
         for n in 0..3 * MOST as u32 {
             quick.turn(peer(n)).await;

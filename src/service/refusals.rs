@@ -1,4 +1,4 @@
-//! The log of what a server refuses, sampled: whoever is refused a thousand times a second fills no disk.
+//! The log of refusals, sampled, so that a thousand refusals a second do not fill a disk.
 
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 /// Time between two lines of one kind: our choice, 86,400 lines a day at most.
 const PAUSE: Duration = Duration::from_secs(1);
 
-/// Each kind of refusal has its own lines.
+/// Kinds of refusals; each is sampled separately.
 #[derive(Clone, Copy, Debug)]
 pub enum Refusal {
     /// A call without the server's token.
@@ -15,9 +15,9 @@ pub enum Refusal {
     Handshake,
     /// A connection that did not begin to speak its protocol.
     Silent,
-    /// A connection beyond the limits, or one that had to make room.
+    /// A connection beyond the limits, or one that was closed to make room.
     Connection,
-    /// The system gave no connection: no file descriptors are left.
+    /// The system could not accept a connection: no file descriptors are left.
     Accept,
     /// A watcher beyond the limit.
     Watcher,
@@ -31,7 +31,7 @@ impl Refusal {
         match self {
             Self::Token => "a call without this server's token was refused",
             Self::Handshake => "a TLS handshake failed",
-            Self::Silent => "a connection was closed that did not begin to speak",
+            Self::Silent => "a connection was closed that sent no first bytes",
             Self::Connection => "a connection was closed: the limit is reached",
             Self::Accept => "cannot accept a connection",
             Self::Watcher => "a watcher was refused: the limit is reached",
@@ -58,7 +58,8 @@ impl Refusals {
         }
     }
 
-    /// Logs how many refusals got no line, so that the last of a burst are not lost. To be called now and then.
+    /// Logs how many refusals had no line, so that the last ones of a burst are not lost. Must be called from time
+    /// to time.
     pub fn log_suppressed(&self) {
         for kind in KINDS {
             if let Some(suppressed) = self.due(kind, Instant::now(), false) {
@@ -67,7 +68,7 @@ impl Refusals {
         }
     }
 
-    /// May a line be written now, and for how many refusals before? `more`: because of another refusal.
+    /// If a line may be written now: the number of refusals since the last one. `more`: there is another refusal.
     fn due(&self, kind: Refusal, now: Instant, more: bool) -> Option<u64> {
         let mut lines = self.0[kind as usize].lock().unwrap_or_else(PoisonError::into_inner);
         let early = lines.last.is_some_and(|last| now < last + PAUSE);

@@ -1,10 +1,10 @@
-//! A rollout request: some steps at a time, so that a client that leaves is noticed; then everything is put back to where
-//! it was.
+//! A rollout request: some steps at a time, so that it ends when the client leaves; then all environments are
+//! restored.
 
 use super::proto;
 use super::proto::RunSessionResponse;
 use super::proto::run_session_response::Response;
-use super::stream::Work;
+use super::work::Work;
 use super::{decode, encode};
 use crate::error::Result;
 use crate::pool::{Batch, Operation, Pool, Roll};
@@ -62,7 +62,8 @@ async fn run(work: Work, roll: Roll, back: Operation, trajectories: bool, pool: 
             } else if answers.is_closed() || stop.is_cancelled() {
                 break;
             } else if trajectories {
-                // A client that does not read slows this down; one that has gone ends it, and so does the server's end.
+                // A client that does not read slows this down. A client that has left ends it, and so does the
+                // server's end.
                 let sent = stop.run_until_cancelled(answers.send(part(rows))).await;
                 if !matches!(sent, Some(Ok(()))) {
                     break;
@@ -78,7 +79,7 @@ async fn run(work: Work, roll: Roll, back: Operation, trajectories: bool, pool: 
         }
         Ok((batch, answer, None)) => {
             let work = reply.with(rest, batch);
-            // The stream has room for the last answer once it has read those before.
+            // The stream has room for the last answer after it has read the earlier ones.
             let room = stop.run_until_cancelled(answers.reserve()).await.is_some_and(|room| room.is_ok());
             let Some(mut last) = answer.filter(|_| room) else { return work.give_back() };
             if !trajectories {
@@ -90,11 +91,11 @@ async fn run(work: Work, roll: Roll, back: Operation, trajectories: bool, pool: 
     }
 }
 
-/// [`Pool::run`], awaited.
+/// [`Pool::run`] as a future.
 async fn pooled(pool: &Pool, batch: Batch, operation: Operation) -> Result<Batch> {
     let (sender, receiver) = oneshot::channel();
     pool.run(batch, operation, |batch| {
-        // Whoever waits below is there until it has this.
+        // The receiver below waits until it has the batch.
         let _ = sender.send(batch);
     });
     let closed = |_| Err(crate::error::Error::Exhausted("the worker pool was closed".into()));

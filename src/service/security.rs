@@ -1,4 +1,4 @@
-//! Who may talk to this server: encryption, client certificates, the token.
+//! Access to this server: encryption, client certificates, the token.
 
 use crate::error::{Error, Result};
 use sha2::{Digest as _, Sha256};
@@ -19,12 +19,12 @@ use tokio_rustls::rustls::server::WebPkiClientVerifier;
 use tokio_rustls::rustls::{RootCertStore, ServerConfig};
 use tokio_rustls::server::TlsStream;
 
-/// What a client must say to use this server. Only its digest is kept.
+/// The secret that clients must send. Only its digest is kept.
 #[derive(Clone)]
 pub struct Token([u8; 32]);
 
 impl Token {
-    /// The token in a file: its text without the blanks around it.
+    /// The token in a file: its text without surrounding blanks.
     ///
     /// # Errors
     /// The file cannot be read, is empty, or has characters that do not fit into a header.
@@ -44,7 +44,7 @@ impl Token {
         Self(Sha256::digest(token).into())
     }
 
-    /// Is this the value of an `authorization` header that holds this token? Takes the same time for every wrong one of
+    /// Is this the value of an `authorization` header with this token? The time is the same for every wrong one of
     /// its length.
     pub fn admits(&self, authorization: &[u8]) -> bool {
         let Some((scheme, given)) = authorization.split_at_checked(SCHEME.len()) else { return false };
@@ -54,7 +54,7 @@ impl Token {
 
 const SCHEME: &[u8] = b"Bearer ";
 
-/// TLS as a server: its certificate, its key, and whose certificates clients must have.
+/// TLS for a server: its certificate, its key, and the authorities of clients' certificates.
 #[derive(Clone)]
 pub struct Tls(TlsAcceptor);
 
@@ -68,8 +68,8 @@ impl Tls {
         Self::with(chain, secret, client_ca)?.map_err(unusable)
     }
 
-    /// A certificate for `host` that is made here, signs itself and lasts as long as its key: until this process ends.
-    /// The text is its PEM, which clients must trust.
+    /// A self-signed certificate for `host` with a new key. It is valid until this process ends. The text is its
+    /// PEM, which clients must trust.
     pub fn self_signed(host: IpAddr) -> Result<(Self, String)> {
         let failed = |e: &dyn Display| Error::Exhausted(format!("a certificate cannot be made: {e}"));
         let made = rcgen::generate_simple_self_signed(vec![host.to_string()]).map_err(|e| failed(&e))?;
@@ -78,7 +78,7 @@ impl Tls {
         Ok((tls, made.cert.pem()))
     }
 
-    /// The inner error: the key is not the certificate's.
+    /// The inner error: the key does not belong to the certificate.
     fn with(
         chain: Vec<CertificateDer<'static>>,
         secret: PrivateKeyDer<'static>,
@@ -110,14 +110,14 @@ impl Tls {
     }
 }
 
-/// A file or directory of secrets that others can read is used, but not in silence.
+/// A file or directory of secrets that others can read is used, with a warning.
 pub fn warn_if_shared(path: &Path) {
     if fs::metadata(path).is_ok_and(|m| m.permissions().mode() & 0o077 != 0) {
         tracing::warn!(path = %path.display(), "others than its owner can use this, which holds secrets");
     }
 }
 
-/// At least one certificate.
+/// Needs at least one certificate.
 fn certificates(path: &Path) -> Result<Vec<CertificateDer<'static>>> {
     let read = CertificateDer::pem_file_iter(path).and_then(Iterator::collect::<std::result::Result<Vec<_>, _>>);
     let found = read.map_err(|e| Error::file(path, e))?;

@@ -1,4 +1,4 @@
-//! A listener, the services and an end: one server.
+//! A server: its listener, its services and how it stops.
 //!
 //! ```text
 //!  stop ──▶ health NOT_SERVING ──▶ operations in flight end, streams and connections close ──▶ sessions are saved
@@ -39,35 +39,35 @@ use tonic::service::{Routes, RoutesBuilder};
 use tonic_health::ServingStatus;
 use tonic_health::server::{HealthReporter, HealthService};
 
-/// How long connections may take to end once the server stops; a step in flight takes milliseconds.
+/// Time limit for connections to end after the server stops; a step takes milliseconds.
 const GRACE: Duration = Duration::from_secs(3);
 
-/// When sessions must have been saved after the server was told to stop.
+/// Time limit for saving sessions after the server was stopped.
 const SAVED: Duration = Duration::from_secs(4);
 
 /// Largest HTTP/2 frame we accept.
 const FRAME: u32 = 1 << 20;
 
-/// How many connections there may be, and how many calls on one.
+/// Limits of connections, and of calls on one.
 #[derive(Clone, Copy, Debug)]
 pub struct Connected {
-    /// At a time.
+    /// Most connections at the same time.
     pub all: u32,
-    /// Of one peer.
+    /// Most connections of one peer.
     pub peer: u32,
-    /// Calls at a time on one connection.
+    /// Most calls at the same time on one connection.
     pub streams: u32,
 }
 
 impl Default for Connected {
-    /// Our choice: a connection and a call for each of the sessions that a server lends out by default; a quarter of the
-    /// connections for one peer, so that it takes several to fill a server.
+    /// Our choice: one connection and one call for each session of the default limit; a quarter of the connections
+    /// for one peer, so that a single peer cannot fill a server.
     fn default() -> Self {
         Self { all: 1024, peer: 256, streams: 1024 }
     }
 }
 
-/// What a server is made of, apart from where it listens.
+/// The settings of a server, apart from its address.
 #[derive(Default)]
 pub struct Setup {
     /// Threads that simulate; 0: one for each processor.
@@ -76,25 +76,25 @@ pub struct Setup {
     pub connected: Connected,
     /// Encryption; for TCP only.
     pub tls: Option<Tls>,
-    /// What every call must say, but those that ask for the server's health.
+    /// The secret of all calls except those for the server's health.
     pub token: Option<Token>,
-    /// Of snapshots and kept sessions.
+    /// The key of snapshots and kept sessions.
     pub seal: Seal,
     /// Where `GET /metrics` is answered.
     pub metrics: Option<TcpListener>,
-    /// Where browsers see the sessions.
+    /// Address of the live page.
     pub viewer: Option<TcpListener>,
-    /// Where sessions are kept while no server runs.
+    /// Directory of sessions while no server runs.
     pub state: Option<StateDir>,
     /// Also serve dm_env_rpc.
     pub dm_env_rpc: bool,
 }
 
-/// Serves until `stop` is cancelled, then lets every stream finish the operation it has in flight.
+/// Serves until `stop` is cancelled, then lets every stream finish its present operation.
 pub async fn serve(listener: Listener, setup: Setup, stop: CancellationToken) -> Result<()> {
     let Setup { threads, limits, connected, tls, token, seal, metrics, viewer, state, dm_env_rpc } = setup;
     let rate = limits.rate.map(|n| Arc::new(Rate::new(n)));
-    // Descriptors for the pages.
+    // File descriptors for the pages.
     let watched = limits.watchers + pages::BESIDE_WATCHERS;
     let others = [(metrics.is_some(), pages::METRICS), (viewer.is_some(), watched)];
     let others = others.iter().filter(|(given, _)| *given).map(|(_, connections)| connections).sum();
@@ -140,7 +140,7 @@ pub async fn serve(listener: Listener, setup: Setup, stop: CancellationToken) ->
     let connections = door.open(socket, stop.clone());
     drive(routes.into(), connections, connected.streams, keepalive, window, stop).await?;
     let saved = saved.await;
-    // Not before: a pool that ends drops the batches whose clients have gone.
+    // Must be last: a pool that ends drops the batches whose clients have left.
     drop(pool);
     saved.map_err(|e| Error::Exhausted(format!("the sessions could not be saved: {e}")))
 }
@@ -165,7 +165,7 @@ impl Services {
     }
 }
 
-/// Everything a client can call.
+/// Builds all services.
 fn add_services(
     services: &mut Services,
     sessions: &Arc<Sessions>,
@@ -173,7 +173,7 @@ fn add_services(
     intake: &Arc<Intake>,
     health: &HealthReporter,
 ) -> Result<()> {
-    // The intake has let no message pass that is too large.
+    // The intake has refused messages that are too large.
     let largest = sessions.limits().request;
     let environments = Service { sessions: sessions.clone(), pool, intake: intake.clone() };
     let reflection = || {
@@ -199,13 +199,13 @@ fn add_services(
     Ok(())
 }
 
-/// What is done when the server stops, beside closing its connections.
+/// The work at the server's end, besides closing its connections.
 async fn end(sessions: Arc<Sessions>, mut health: HealthReporter, names: Vec<&'static str>, state: Option<StateDir>) {
     sessions.stop().cancelled().await;
     let deadline = Instant::now() + SAVED;
     for name in names {
         health.set_service_status(name, ServingStatus::NotServing).await;
-        // Ends the streams of those who watch, after they were told.
+        // Ends the streams of watchers after their last events.
         health.clear_service_status(name).await;
     }
     let Some(state) = state else { return };

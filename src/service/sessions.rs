@@ -1,4 +1,4 @@
-//! Who holds which environments.
+//! Sessions and their environments.
 //!
 //! ```text
 //!  create ──▶ idle ◀──stream ends──┬──attach──▶ attached
@@ -6,10 +6,10 @@
 //!              └── close, or a lease's time without a stream ──▶ freed
 //! ```
 //!
-//! Environments are made in turns of some milliseconds, one turn a processor: whoever asks for very many holds up neither
-//! those who ask for few nor those who step, and who leaves meanwhile ends the work.
+//! Environments are made in turns of some milliseconds, one turn a processor. So a client that asks for very many
+//! delays neither clients that ask for few nor those that step, and if it leaves, the work ends.
 //!
-//! The environments lie here whenever no operation runs on them, so a stream that breaks off loses nothing.
+//! The environments are stored here whenever no operation runs on them, so a broken stream loses nothing.
 
 use super::metrics::{Metrics, Usage};
 use super::names::name;
@@ -29,27 +29,27 @@ use tokio::sync::{Notify, Semaphore};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
-/// What one server lends out.
+/// The limits of one server.
 #[derive(Clone, Debug)]
 pub struct Limits {
     pub sessions: usize,
-    /// Environments in one session.
+    /// Most environments in one session.
     pub environments: usize,
-    /// Memory of all environments, estimated, and of requests together [bytes]; see [`super::intake`].
+    /// Memory of all environments (estimated) and of requests together [bytes]; see [`super::intake`].
     pub memory: usize,
     /// A session without a stream is freed after this time.
     pub lease: Duration,
     /// Largest request [bytes].
     pub request: usize,
-    /// Requests a second that a peer may make; none: as many as it can.
+    /// Requests a second of one peer; None: no limit.
     pub rate: Option<u32>,
-    /// Those who watch on the live page.
+    /// Most watchers of the live page.
     pub watchers: usize,
 }
 
 impl Default for Limits {
-    /// Our choice: room for any training, and half of a 16 GiB machine; requests as large as the steps of the largest
-    /// session, and rollouts of some minutes.
+    /// Our choice: room for any training, and half of a 16 GiB machine; requests as large as the steps of the
+    /// largest session, and rollouts of some minutes.
     fn default() -> Self {
         Self {
             sessions: 1024,
@@ -79,7 +79,7 @@ impl Drop for Reservation {
     }
 }
 
-/// The environments of a session, with the share of the limits they take for as long as they exist.
+/// The environments of a session, with their share of the limits.
 pub struct Environments {
     pub batch: Batch,
     pub done: Done,
@@ -104,16 +104,16 @@ impl Bookkeeping {
     }
 }
 
-/// How far a session has come.
+/// The state of a session's requests.
 #[derive(Clone, Default)]
 pub struct Done {
-    /// Number of the last request that was carried out or refused.
+    /// Number of the last request that was answered.
     pub sequence: u64,
-    /// Its answer; none for requests that changed nothing and can be carried out again.
+    /// Its answer; None for requests that changed nothing and can be repeated.
     pub answer: Option<RunSessionResponse>,
 }
 
-/// Frees environments, if any, off the async runtime's threads: it takes a while when they are many.
+/// Frees environments, if any, off the async runtime's threads, because many of them take a while.
 fn release<T: Send + 'static>(environments: Option<T>) {
     match tokio::runtime::Handle::try_current() {
         Ok(runtime) if environments.is_some() => drop(runtime.spawn_blocking(|| drop(environments))),
@@ -121,7 +121,7 @@ fn release<T: Send + 'static>(environments: Option<T>) {
     }
 }
 
-/// A session that is being made; None once it is.
+/// A session under construction; None afterwards.
 struct Making(Option<(Building, Reservation)>);
 
 impl Drop for Making {
@@ -131,7 +131,7 @@ impl Drop for Making {
 }
 
 impl Making {
-    /// Goes on for one turn.
+    /// Makes environments for one turn.
     fn go_on(mut self) -> Result<Self> {
         self.0.as_mut().map_or(Ok(()), |(building, _)| building.go_on(TURN))?;
         Ok(self)
@@ -141,14 +141,14 @@ impl Making {
         self.0.as_ref().map_or(0, |(building, _)| building.missing())
     }
 
-    /// All environments.
+    /// The number of environments when complete.
     fn finish(mut self) -> Result<Environments> {
         let (building, reservation) = self.0.take().ok_or_else(not_made)?;
         Ok(Environments { batch: building.finish()?, done: Done::default(), reservation })
     }
 }
 
-/// Something panicked.
+/// A panic.
 fn not_made() -> Error {
     Error::Internal("the session could not be made".into())
 }
@@ -159,15 +159,16 @@ struct Entry {
     envs: usize,
     /// None while an operation runs on them.
     environments: Option<Environments>,
-    /// Told when they are back.
+    /// Notified when they are back.
     back: Arc<Notify>,
     sequence: u64,
-    /// Number of the stream that has the session, or of the last that had it.
+    /// Number of the stream that has the session, or of the last one that had it.
     stream: u64,
     attached: bool,
-    /// Since when it has had no stream; from the monotonic clock, which nobody can set.
+    /// When it lost its last stream, by the monotonic clock, which nobody can set.
     idle_since: Instant,
-    /// Cancelled when the session is closed or the server stops, and for a stream when another takes the session.
+    /// Cancelled when the session is closed, when the server stops, or, for a stream, when another stream takes the
+    /// session.
     end: CancellationToken,
     stream_end: CancellationToken,
 }
@@ -180,15 +181,15 @@ pub struct Session {
     pub environments: Option<Environments>,
 }
 
-/// A stream's hold on a session.
+/// A stream's attachment to a session.
 pub struct Hold {
     pub id: String,
     stream: u64,
-    /// When this is cancelled the stream shall end.
+    /// When this is cancelled, the stream must end.
     pub end: CancellationToken,
 }
 
-/// What a session looks like from outside.
+/// The public facts about a session.
 pub struct Summary {
     pub name: String,
     pub blueprint: Blueprint,
@@ -198,11 +199,11 @@ pub struct Summary {
     pub idle: Duration,
 }
 
-/// How long a session is made before others have their turn: our choice, short to whoever waits, long against the way from
-/// thread to thread (some 50 µs).
+/// Length of a turn of making environments: our choice, short for waiting clients, long against the time between
+/// threads (some 50 µs).
 const TURN: Duration = Duration::from_millis(10);
 
-/// How often a server that stops looks whether its operations have ended.
+/// How often a stopping server checks whether its operations have ended.
 const LOOK: Duration = Duration::from_millis(2);
 
 /// All sessions of a server.
@@ -210,22 +211,22 @@ pub struct Sessions {
     limits: Limits,
     usage: Arc<Mutex<Usage>>,
     entries: Mutex<HashMap<String, Entry>>,
-    /// Turns to make environments, one for each processor.
+    /// Turns for making environments, one for each processor.
     turns: Arc<Semaphore>,
     stop: CancellationToken,
-    /// Of snapshots.
+    /// Tags of snapshots.
     pub seal: Seal,
     pub metrics: Arc<Metrics>,
     pub watchers: Arc<Watchers>,
 }
 
-/// Every change under these locks is one step, so the data are sound even if a holder panicked.
+/// Every change under these locks is one step, so the data are consistent even after a panic.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Sessions {
-    /// Cancelling `stop` ends every stream after the operation it has in flight.
+    /// Cancelling `stop` ends every stream after its present operation.
     pub fn new(limits: Limits, seal: Seal, stop: CancellationToken) -> Arc<Self> {
         let watchers = Watchers::new(limits.watchers);
         Arc::new(Self {
@@ -253,8 +254,8 @@ impl Sessions {
         *lock(&self.usage)
     }
 
-    /// A new session of `envs` environments, which waits for its stream. Nothing of it is left if nobody waits for it any
-    /// more.
+    /// A new session of `envs` environments, which waits for its stream. If the caller stops waiting, nothing of it
+    /// is left.
     pub async fn create(self: &Arc<Self>, task: String, envs: usize, options: Value) -> Result<(String, Blueprint)> {
         let (sessions, id) = (self.clone(), task.clone());
         let begin = move || {
@@ -265,16 +266,17 @@ impl Sessions {
         while making.missing() > 0 {
             making = self.turn(|| making.go_on()).await?;
         }
-        // 128 random bits: nobody else can guess it, and it is not logged.
+        // 128 random bits: nobody can guess the id, and it is not logged.
         let id = format!("{:032x}", rand::random::<u128>());
         tracing::info!(session = name(&id), task, envs, "a session was created");
         self.add(id.clone(), blueprint.clone(), making.finish()?)?;
         Ok((id, blueprint))
     }
 
-    /// Computes on a thread that may, in turn.
+    /// Runs on a blocking thread, in turns.
     async fn turn<T: Send + 'static>(&self, part: impl FnOnce() -> Result<T> + Send + 'static) -> Result<T> {
-        // Nobody closes these turns, so there always is one in the end. It goes with the work, which goes on if nobody waits.
+        // The semaphore is never closed, so `acquire` cannot fail. The permit goes with the work, which continues
+        // even if no caller waits.
         let turn = self.turns.clone().acquire_owned().await;
         let work = move || {
             let _turn = turn;
@@ -283,7 +285,8 @@ impl Sessions {
         tokio::task::spawn_blocking(work).await.unwrap_or_else(|_| Err(not_made()))
     }
 
-    /// Environments that count as used until they are dropped, made at once: not for the async runtime's threads.
+    /// Environments that count as used until they are dropped, all made at once: not for the async runtime's
+    /// threads.
     pub fn build(&self, blueprint: &Blueprint, envs: usize) -> Result<Environments> {
         self.begin(blueprint, envs)?.finish()
     }
@@ -303,7 +306,7 @@ impl Sessions {
         Ok(Making(Some((Building::new(blueprint, envs)?, reservation))))
     }
 
-    /// Lets clients reach a session.
+    /// Makes a session available to clients.
     pub fn add(&self, id: String, blueprint: Blueprint, environments: Environments) -> Result<()> {
         let end = self.stop.child_token();
         let entry = Entry {
@@ -324,7 +327,7 @@ impl Sessions {
         }
         let same = name(&id);
         if entries.keys().any(|other| name(other) == same) {
-            // Once in four thousand million: the names of logs, lists and files are those of one session each.
+            // The probability is one in four thousand million. Names in logs, lists and files must be unique.
             return Err(Error::Exhausted("the session's name is taken; try again".into()));
         }
         entries.insert(id, entry);
@@ -349,12 +352,12 @@ impl Sessions {
         Ok(Reservation { usage: self.usage.clone(), environments, memory })
     }
 
-    /// Gives the session to a new stream, taking it from the one that has it.
+    /// Attaches a new stream to the session, in place of its present one.
     pub fn attach(&self, id: &str) -> Result<Hold> {
         self.hold(id, true)
     }
 
-    /// Gives the session to a new stream if none has it.
+    /// Attaches a new stream to the session if it has none.
     pub fn attach_free(&self, id: &str) -> Result<Hold> {
         self.hold(id, false)
     }
@@ -372,23 +375,23 @@ impl Sessions {
         Ok(Hold { id: id.into(), stream: entry.stream, end: entry.stream_end.clone() })
     }
 
-    /// Is the session still there, though not for this stream?
+    /// Does the session still exist, though not for this stream?
     pub fn was_taken(&self, hold: &Hold) -> bool {
         lock(&self.entries).get(&hold.id).is_some_and(|e| e.stream != hold.stream)
     }
 
-    /// The stream has ended: the lease begins, unless another stream has the session.
+    /// Detaches a stream: the lease begins, unless another stream has the session.
     pub fn detach(&self, hold: &Hold) {
         if let Some(entry) = lock(&self.entries).get_mut(&hold.id).filter(|e| e.stream == hold.stream) {
             (entry.attached, entry.idle_since) = (false, Instant::now());
         }
     }
 
-    /// The session's environments, once no operation runs on them; to be given back by [`Self::give_back`]. None if
-    /// the session or the server has ended or another stream has it.
+    /// The session's environments, when no operation runs on them; [`Self::give_back`] returns them. None if the
+    /// session or the server has ended or another stream has it.
     pub async fn take(&self, hold: &Hold) -> Option<Environments> {
         loop {
-            // Counts from here on, so a return between the look and the wait is not missed.
+            // Registers before the check, so that a return between the check and the wait is not missed.
             let back = {
                 let mut entries = lock(&self.entries);
                 let running = |e: &&mut Entry| e.stream == hold.stream && !self.stop.is_cancelled();
@@ -405,7 +408,7 @@ impl Sessions {
         }
     }
 
-    /// Puts environments back after an operation; frees them if the session was closed meanwhile.
+    /// Returns environments after an operation; frees them if the session was closed meanwhile.
     pub fn give_back(&self, id: &str, environments: Environments) {
         let mut entries = lock(&self.entries);
         let Some(entry) = entries.get_mut(id) else {
@@ -414,11 +417,12 @@ impl Sessions {
         };
         entry.sequence = environments.done.sequence;
         entry.environments = Some(environments);
-        // All who wait: one of them may have lost the session to another meanwhile, and would take the news with it.
+        // All waiting streams are notified, because one of them may have lost the session meanwhile and would
+        // ignore the notification.
         entry.back.notify_waiters();
     }
 
-    /// Ends a session, whether or not a stream has it.
+    /// Ends a session, with or without a stream.
     pub fn close(&self, id: &str) -> Result<()> {
         let entry = lock(&self.entries).remove(id).ok_or_else(|| unknown(id))?;
         tracing::info!(session = name(id), "a session was closed");
@@ -428,7 +432,7 @@ impl Sessions {
         Ok(())
     }
 
-    /// All sessions, taken out once no operation runs on them or `deadline` has passed. The server has stopped: no
+    /// Removes all sessions, each when no operation runs on it, until `deadline`. The server has stopped, so no
     /// operation begins any more.
     pub async fn drain(&self, deadline: Instant) -> Vec<Session> {
         while Instant::now() < deadline && lock(&self.entries).values().any(|e| e.environments.is_none()) {
@@ -442,7 +446,7 @@ impl Sessions {
         lock(&self.entries).get(id).map(|e| e.summary(id)).ok_or_else(|| unknown(id))
     }
 
-    /// The session that logs and lists call so.
+    /// The session with this name in logs and lists.
     pub fn named(&self, session: &str) -> Option<Summary> {
         lock(&self.entries).iter().find(|(id, _)| name(id) == session).map(|(id, entry)| entry.summary(id))
     }
@@ -482,7 +486,7 @@ impl Entry {
     }
 }
 
-/// Ids of other sessions are nobody's business, so none are listed.
+/// The error does not list other ids, because they are secret.
 fn unknown(id: &str) -> Error {
     Error::unknown(SESSION, id, &["sessions that have not ended"])
 }

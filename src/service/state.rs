@@ -1,13 +1,14 @@
-//! Sessions that outlive their server: one file each, written when it stops and taken up by the next one.
+//! Sessions that outlive their server: one file each, which a stopping server writes and the next one restores.
 //!
 //! ```text
 //!  "sandgait session\n" │ tag of the rest, as in snapshots │ Saved
 //! ```
 //!
-//! A file holds everything a client needs that finds its server restarted: the session's id, the number of its last
-//! request with the answer to it, and the environments as a snapshot. It is the right to use the session, so only its owner
-//! can read it; it is written whole or not at all, and removed once it is taken up. One that was cut off or changed since
-//! is refused by its tag: a message that ends between two fields can be read, and would be another session.
+//! A file contains everything that a client of a restarted server needs: the session's id, the number of its last
+//! request with the answer, and the environments as a snapshot. The id is the right to use the session, so only the
+//! file's owner can read it. A file is written completely or not at all, and removed after it was restored. The tag
+//! detects files that were cut off or changed; without it a message that ends between two fields could be read as
+//! another session.
 
 use super::names::name;
 use super::proto::RunSessionResponse;
@@ -25,17 +26,17 @@ use std::time::Instant;
 
 const MAGIC: &[u8] = b"sandgait session\n";
 const ENDING: &str = "session";
-/// What a file is called while it is written.
+/// Name of a file while it is written.
 const UNFINISHED: &str = ".unfinished-";
 
-/// The rest of a file. Snapshots bear their version themselves.
+/// The rest of a file. Snapshots contain their own version.
 #[derive(Clone, PartialEq, Message)]
 struct Saved {
     #[prost(string, tag = "1")]
     id: String,
     #[prost(string, tag = "2")]
     task: String,
-    /// The keywords that the task takes, as CBOR: keeps every float.
+    /// The task's keywords as CBOR, which keeps every float.
     #[prost(bytes = "vec", tag = "3")]
     options: Vec<u8>,
     #[prost(uint64, tag = "4")]
@@ -54,20 +55,20 @@ struct Saved {
 pub struct StateDir(PathBuf);
 
 impl StateDir {
-    /// Makes the directory, which only its owner can enter, if it is not there.
+    /// Makes the directory if it does not exist; only its owner can enter it.
     pub fn new(path: &Path) -> Result<Self> {
         let made = fs::DirBuilder::new().recursive(true).mode(0o700).create(path);
         made.map_err(|e| Error::file(path, e))?;
         Ok(Self(path.into()))
     }
 
-    /// Takes up every session whose file is here. What cannot be taken up is logged, and its file stays.
+    /// Restores every session with a file here. A file that cannot be restored is logged and stays.
     pub fn take_up(&self, sessions: &Sessions, pool: &Pool) -> Result<()> {
         for entry in fs::read_dir(&self.0).map_err(|e| Error::file(&self.0, e))? {
             let path = entry.map_err(|e| Error::file(&self.0, e))?.path();
             let unfinished = path.file_name().is_some_and(|n| n.to_string_lossy().starts_with(UNFINISHED));
             if unfinished {
-                // A server was killed while it wrote; if it cannot be removed it does no harm.
+                // A server was killed while it wrote this file; if it cannot be removed it does no harm.
                 let _ = fs::remove_file(&path);
             }
             if unfinished || path.extension().is_none_or(|e| e != ENDING) {
@@ -75,9 +76,9 @@ impl StateDir {
             }
             let file = path.display();
             match load(&path, &sessions.seal).and_then(|saved| adopt(saved, sessions, pool)) {
-                Ok(session) => tracing::info!(session, "a session was taken up"),
+                Ok(session) => tracing::info!(session, "a session was restored"),
                 Err(error) => {
-                    tracing::error!(%file, %error, "a session could not be taken up; its file stays");
+                    tracing::error!(%file, %error, "a session could not be restored; its file stays");
                     continue;
                 }
             }
@@ -88,7 +89,7 @@ impl StateDir {
         Ok(())
     }
 
-    /// Writes every session until `deadline`; what cannot be written is logged.
+    /// Writes every session until `deadline`; failures are logged.
     pub fn save(&self, sessions: Vec<Session>, seal: &Seal, deadline: Instant) {
         for session in sessions {
             let name = name(&session.id);
@@ -104,11 +105,11 @@ impl StateDir {
         }
     }
 
-    /// The file is complete or not there: it is written beside its place and then renamed.
+    /// The file is written under another name and then renamed, so it is either complete or not there.
     fn write(&self, name: &str, saved: &Saved, seal: &Seal) -> Result<()> {
         let path = self.0.join(format!("{name}.{ENDING}"));
         let unusable = |e: std::io::Error| Error::file(&path, e);
-        // Temporary files are for their owner only (0600).
+        // Temporary files can be read by their owner only (0600).
         let mut file = tempfile::Builder::new().prefix(UNFINISHED).tempfile_in(&self.0).map_err(unusable)?;
         let body = saved.encode_to_vec();
         [MAGIC, &seal.tag(&body), &body].into_iter().try_for_each(|part| file.write_all(part)).map_err(unusable)?;
@@ -143,7 +144,7 @@ fn load(path: &Path, seal: &Seal) -> Result<Saved> {
     Saved::decode(body).map_err(|e| Error::file(path, e))
 }
 
-/// Gives the session's name.
+/// Returns the session's name.
 fn adopt(saved: Saved, sessions: &Sessions, pool: &Pool) -> Result<String> {
     let Saved { id, task, options, envs, sequence, answer, snapshot } = saved;
     let options: Value = ciborium::from_reader(&options[..]).map_err(|e| Error::invalid("options", e.to_string()))?;

@@ -1,10 +1,10 @@
-//! The one map from the crate's errors to gRPC codes.
+//! The map from the program's errors to gRPC codes.
 
 use super::proto;
 use crate::error::Error;
 use tonic::{Code, Status};
 
-/// What [`Error::Unknown`] calls a session that is not, or no longer, there.
+/// The word in [`Error::Unknown`] for a session that does not exist, or no longer.
 pub const SESSION: &str = "session";
 
 fn code(error: &Error) -> Code {
@@ -22,17 +22,17 @@ fn code(error: &Error) -> Code {
     }
 }
 
-/// Ends a call.
+/// The status of a failed call.
 pub fn status(error: &Error) -> Status {
     Status::new(code(error), error.to_string())
 }
 
-/// Refuses one request of a stream that goes on.
+/// The refusal of one request in a stream that goes on.
 pub fn failure(error: &Error) -> proto::Failure {
     proto::Failure { code: code(error).into(), message: error.to_string() }
 }
 
-/// What tonic says about a message it could not read, in the codes that tell a caller whose mistake it was.
+/// tonic's errors about messages that it could not read, with codes that name the side at fault.
 pub fn unreadable(status: Status) -> Status {
     let message = format!("message cannot be read: {}", status.message());
     match status.code() {

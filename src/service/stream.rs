@@ -5,32 +5,33 @@
 //!     └── refused: Failure, nothing has changed, the stream goes on
 //! ```
 //!
-//! A client may send ahead; the next message is read when the last one is answered, so a fast sender is slowed down
-//! by flow control. Nothing here computes: a light request is checked on the async thread, a heavy one on a blocking
+//! A client may send ahead; the next message is read after the last one was answered, so flow control slows a fast
+//! sender. This file does not compute: a light request is checked on the async thread, a heavy one on a blocking
 //! thread, and the pool's threads step and encode.
 
 use super::connections::Link;
 use super::frame::Frame;
 use super::intake::{Door, Intake, Share};
-use super::loan::{Loan, broken};
+use super::loan::Loan;
 use super::proto::run_session_request::Request;
 use super::proto::run_session_response::Response;
 use super::proto::{Attached, RunSessionRequest, RunSessionResponse, Snapshot};
-use super::sessions::{Bookkeeping, Done, Environments, Hold, Sessions};
-use super::{decode, encode, rollout, status, view, wire};
+use super::sessions::{Done, Hold, Sessions};
+use super::work::{Reply, Work};
+use super::{decode, rollout, status, view, wire};
 use crate::error::Error;
-use crate::pool::{Batch, Operation, Pool};
+use crate::pool::Pool;
 use futures_util::{Stream, stream};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use tokio::sync::mpsc;
 use tonic::{Status, Streaming};
 
-/// What belongs to a call from its start.
+/// Data of a call from its start.
 pub struct Call {
     pub door: Door,
     pub intake: Arc<Intake>,
-    /// None in tests: nobody's connection.
+    /// None in tests without a connection.
     pub link: Option<Link>,
 }
 
@@ -55,19 +56,20 @@ pub fn run(
 struct Run {
     requests: Streaming<Frame<RunSessionRequest>>,
     call: Call,
-    /// No message was read yet: it counts as one with the call.
+    /// No message was read yet: the first one is counted with the call.
     first: bool,
     sessions: Arc<Sessions>,
     pool: Arc<Pool>,
     /// None until the first message has named the session.
     attached: Option<Guard>,
-    /// Where the present request's answers come from.
+    /// Receives the present request's answers.
     answers: Option<mpsc::Receiver<RunSessionResponse>>,
-    /// Memory of the present request and its answer: until the next request, for then the answer has been sent.
+    /// Memory of the present request and its answer. It is released at the next request, when the answer has been
+    /// sent.
     share: Option<Arc<Share>>,
 }
 
-/// Lets the session go when the stream ends.
+/// Detaches from the session when the stream ends.
 struct Guard {
     hold: Hold,
     sessions: Arc<Sessions>,
@@ -79,47 +81,8 @@ impl Drop for Guard {
     }
 }
 
-/// What a request was given for its work.
-pub struct Work {
-    pub environments: Environments,
-    pub reply: Reply,
-}
-
-/// What is owed for the environments of a [`Work`]: they are given back and the request is answered by [`Work::finish`], or,
-/// where a panic prevents that, the request is answered with INTERNAL and the session ends.
-pub struct Reply {
-    pub sequence: u64,
-    pub loan: Loan,
-    pub answers: mpsc::Sender<RunSessionResponse>,
-    /// Memory that the request takes.
-    pub share: Option<Arc<Share>>,
-}
-
-impl Drop for Reply {
-    fn drop(&mut self) {
-        if self.loan.is_lost() {
-            self.lose(&broken());
-        }
-    }
-}
-
-impl Reply {
-    /// The environments will not come back: answers and ends the session.
-    pub fn lose(&mut self, error: &Error) {
-        let response = Some(Response::Failure(status::failure(error)));
-        // A stream that does not read loses its session without this answer.
-        let _ = self.answers.try_send(RunSessionResponse { sequence: self.sequence, response });
-        self.loan.lose(error);
-    }
-
-    /// These environments go on.
-    pub fn with(self, rest: Bookkeeping, batch: Batch) -> Work {
-        Work { environments: rest.with(batch), reply: self }
-    }
-}
-
 impl Run {
-    /// The next answer; none when the client has no more requests.
+    /// The next answer; None when the client has no more requests.
     async fn answer(&mut self) -> Result<Option<RunSessionResponse>, Status> {
         loop {
             if let Some(answers) = &mut self.answers {
@@ -170,7 +133,7 @@ impl Run {
         }
     }
 
-    /// Starts work on a request. Some: it is answered at once.
+    /// Starts work on a request. Some: the immediate answer.
     async fn begin(&mut self, request: RunSessionRequest) -> Result<Option<RunSessionResponse>, Status> {
         let hold = match &self.attached {
             Some(attached) => &attached.hold,
@@ -189,7 +152,7 @@ impl Run {
             let reason = format!("{:?} is not this stream's; leave it empty or open a stream", request.session_id);
             return at_once(Response::Failure(status::failure(&Error::invalid("session_id", reason))));
         }
-        // Waited for before the environments are taken: this may be broken off.
+        // Waits before the environments are taken, because this wait may be interrupted.
         let pictures = match &request.request {
             Some(Request::Render(render)) => Some(self.call.intake.share(view::size(render)).await),
             _ => None,
@@ -223,7 +186,7 @@ impl Run {
     }
 }
 
-/// The answer to a request that is not the next one: the last one's again, or a refusal.
+/// The answer to a request out of sequence: the last answer again, or a refusal.
 fn repeated(done: &Done, sequence: u64) -> Option<RunSessionResponse> {
     match sequence {
         0 => None,
@@ -240,7 +203,7 @@ fn repeated(done: &Done, sequence: u64) -> Option<RunSessionResponse> {
 
 fn start(work: Work, request: RunSessionRequest, pool: Arc<Pool>) {
     let light = decode::is_light(&request);
-    // A panic drops the work, which then ends its session, and shall not end this thread's other work.
+    // A panic drops the work, which then ends its session; this thread's other work must go on.
     let begin = move || drop(catch_unwind(AssertUnwindSafe(|| carry_out(work, request.request, &pool))));
     if light {
         begin();
@@ -273,132 +236,5 @@ fn carry_out(mut work: Work, request: Option<Request>, pool: &Arc<Pool>) {
     match operation {
         Ok(operation) => work.run(operation, pool),
         Err(error) => work.refuse(&error),
-    }
-}
-
-impl Work {
-    /// Carries `operation` out and answers with the batch that it gives.
-    fn run(self, operation: Operation, pool: &Pool) {
-        let Self { environments, mut reply } = self;
-        let (batch, rest) = environments.into_parts();
-        let ran = reply.loan.sessions.metrics.begin(&operation, batch.envs());
-        pool.run(batch, operation, move |batch| match batch {
-            Ok(batch) => {
-                let response = Response::Batch(encode::batch(&batch));
-                ran(&batch);
-                reply.loan.sessions.watchers.saw(&reply.loan.id, &batch);
-                reply.with(rest, batch).finish(response, true);
-            }
-            Err(error) => reply.lose(&error),
-        });
-    }
-
-    /// Answers a request that changes nothing.
-    fn tell(self, answer: crate::error::Result<Response>) {
-        match answer {
-            Ok(response) => self.finish(response, false),
-            Err(error) => self.refuse(&error),
-        }
-    }
-
-    /// Refuses the request; the environments are as they were.
-    pub fn refuse(self, error: &Error) {
-        self.finish(Response::Failure(status::failure(error)), true);
-    }
-
-    /// Puts the environments back and answers. A request that changed nothing need not keep its answer: it can be
-    /// carried out again.
-    pub fn finish(mut self, response: Response, keep: bool) {
-        let sequence = self.reply.sequence;
-        let answer = RunSessionResponse { sequence, response: Some(response) };
-        if sequence > 0 {
-            self.environments.done = Done { sequence, answer: keep.then(|| answer.clone()) };
-        }
-        let answers = self.reply.answers.clone();
-        self.give_back();
-        // The stream may be gone; whoever takes the session next asks for the answer again. The channel has room: this
-        // is the last of a request's answers, and the stream reads them all before it reads the next request.
-        let _ = answers.try_send(answer);
-    }
-
-    /// Puts the environments back without an answer: nobody waits for it.
-    pub fn give_back(mut self) {
-        self.reply.loan.give_back(self.environments);
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::env::registry::Blueprint;
-    use crate::pool::Seal;
-    use crate::sessions::Limits;
-    use serde_json::Value;
-    use tokio_util::sync::CancellationToken;
-    use tonic::Code;
-
-    /// A session's environments on their way, and where its answers arrive.
-    fn lent(sessions: &Arc<Sessions>) -> (Work, mpsc::Receiver<RunSessionResponse>) {
-        let blueprint = Blueprint::new("sandgait/HexapodGait-v1", Value::Null).unwrap();
-        let environments = sessions.build(&blueprint, 2).unwrap();
-        let (answers, receiver) = mpsc::channel(2);
-        sessions.add("one".into(), blueprint.clone(), sessions.build(&blueprint, 1).unwrap()).unwrap();
-        let loan = Loan::new(sessions.clone(), "one".into());
-        (Work { environments, reply: Reply { sequence: 7, loan, answers, share: None } }, receiver)
-    }
-
-    fn sessions() -> Arc<Sessions> {
-        Sessions::new(Limits::default(), Seal::default(), CancellationToken::new())
-    }
-
-    fn check(sessions: &Sessions, mut answers: mpsc::Receiver<RunSessionResponse>) {
-        let RunSessionResponse { sequence, response } = answers.blocking_recv().unwrap();
-        let Some(Response::Failure(failure)) = response else { panic!("{response:?}") };
-        assert_eq!((sequence, failure.code), (7, i32::from(Code::Internal)));
-        assert!(failure.message.ends_with("please report this as a bug"), "{}", failure.message);
-        assert!(answers.blocking_recv().is_none());
-        assert!(sessions.list().is_empty(), "the session has ended");
-    }
-
-    /// In the pool: the worker that runs the last shard encodes the answer.
-    #[test]
-    fn a_panic_while_an_answer_is_made_is_answered() {
-        let (sessions, pool) = (sessions(), Pool::new(1));
-        for _ in 0..2 {
-            let (mut work, answers) = lent(&sessions);
-            let operation = work.environments.batch.reset(None, None, Default::default()).unwrap();
-            let Work { environments, reply } = work;
-            let (batch, rest) = environments.into_parts();
-            pool.run(batch, operation, move |batch| {
-                let _work = reply.with(rest, batch.unwrap());
-                panic!("on purpose");
-            });
-            check(&sessions, answers);
-        }
-        assert_eq!(sessions.usage().sessions, 0);
-    }
-
-    /// In a task of the runtime, as a rollout is.
-    #[test]
-    fn a_panic_between_the_parts_of_a_rollout_is_answered() {
-        let sessions = sessions();
-        let (work, answers) = lent(&sessions);
-        let runtime = tokio::runtime::Runtime::new().unwrap();
-        let task = runtime.spawn(async move {
-            let _work = work;
-            tokio::task::yield_now().await;
-            panic!("on purpose");
-        });
-        assert!(runtime.block_on(task).unwrap_err().is_panic());
-        check(&sessions, answers);
-    }
-
-    #[test]
-    fn a_session_whose_environments_are_back_goes_on() {
-        let sessions = sessions();
-        let (work, mut answers) = lent(&sessions);
-        work.refuse(&Error::invalid("x", "y"));
-        assert!(matches!(answers.blocking_recv().unwrap().response, Some(Response::Failure(_))));
-        assert_eq!(sessions.list().len(), 1);
     }
 }

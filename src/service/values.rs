@@ -4,10 +4,10 @@ use crate::error::{Error, Result};
 use prost_types::value::Kind;
 use serde_json::{Map, Number, Value};
 
-/// Integers up to here are exact in the f64 that protobuf carries numbers in.
+/// Integers up to this one are exact in protobuf's f64.
 const EXACT: f64 = 9_007_199_254_740_992.0;
 
-/// Keywords of a request; `None` and an empty struct both mean that none are given.
+/// Keywords of a request; `None` and an empty struct both mean no keywords.
 pub fn to_json(options: Option<prost_types::Struct>) -> Result<Value> {
     options.map_or_else(|| Ok(Value::Object(Map::new())), |s| object("options", s))
 }
@@ -35,7 +35,7 @@ fn json(path: &str, value: prost_types::Value) -> Result<Value> {
     })
 }
 
-/// Whole numbers become integers, so that options which are counts accept them.
+/// Integral numbers become integers, so that options of integer type accept them.
 pub fn number(path: &str, x: f64) -> Result<Number> {
     if x.fract() == 0.0 && x.abs() <= EXACT {
         return Ok((x as i64).into());

@@ -1,11 +1,11 @@
-//! Requests that only look, as messages.
+//! Requests for pictures and moments, as messages.
 
 use super::proto::{Observation, Observe, Pictures, Render};
 use crate::error::Result;
 use crate::pool::Batch;
 use crate::session::view;
 
-/// Memory of the answer to `request` [bytes]: its pixels, and once more the message that they go in.
+/// Memory of the answer to `request` [bytes]: its pixels, and a second copy in the message.
 pub fn size(request: &Render) -> usize {
     let pixels = view::pixels(request.indices.len(), [request.width, request.height]);
     2 * 3 * pixels.min(view::MOST_PIXELS) as usize

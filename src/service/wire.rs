@@ -1,11 +1,12 @@
-//! How much a message would unpack to, counted on its bytes.
+//! Counts the unpacked size of a message on its bytes.
 //!
-//! Two bytes can be an empty list, which takes 32 when it is unpacked: a message's size alone bounds neither memory nor
-//! time. So the fields of a message are counted first, down to the values of its options.
+//! Two bytes can be an empty list, which takes 32 bytes when it is unpacked, so a message's size alone bounds
+//! neither memory nor time. So all fields of a message are counted before unpacking, down to the values of its
+//! options.
 
 use crate::error::{Error, Result};
 
-/// The fields of a message that are looked into or have a longest length.
+/// The fields of a message that are inspected or have a maximum length.
 pub type MessageLayout = &'static [Field];
 
 pub struct Field {
@@ -13,23 +14,24 @@ pub struct Field {
     name: &'static str,
     /// [bytes]
     longest: usize,
-    /// May it stand there more than once?
+    /// May the field occur more than once?
     repeated: bool,
-    /// The layout of what is in it, if it is a message.
+    /// The layout of its contents, if it is a message.
     inside: Option<MessageLayout>,
 }
 
-/// A message whose fields are counted, and no more.
+/// A message whose fields are only counted.
 pub const PLAIN: MessageLayout = &[];
 
-/// Longest options of a session or a reset [bytes]: our choice. The text of a `sand.toml`, by far the longest option, has
-/// some 2 KiB.
+/// Longest options of a session or a reset [bytes]: our choice. The text of a `sand.toml`, by far the longest
+/// option, has some 2 KiB.
 pub const LONGEST_OPTIONS: usize = 256 << 10;
 
-/// Fields of one message: our choice, twice the seeds of the largest usual session, where they come one by one.
+/// Most fields of one message: our choice, twice the seeds of the largest usual session if each is a field of its
+/// own.
 const MOST_FIELDS: usize = 1 << 17;
 
-/// Messages inside one: some 1,000 values of options. All options of a task are some 50.
+/// Most messages inside one: some 1,000 values of options. All options of a task have some 50.
 const MOST_MESSAGES: usize = 4_096;
 
 /// Lists in lists and the like; a value is three or four of these.
@@ -52,7 +54,7 @@ const fn options(number: u64) -> Field {
     once(number, "options", LONGEST_OPTIONS, Some(&STRUCT))
 }
 
-/// An id has 32 characters; a longer one cannot be anybody's.
+/// An id has 32 characters; a longer one cannot be valid.
 const fn session_id() -> Field {
     once(1, "session_id", 256, None)
 }
@@ -71,7 +73,7 @@ pub static RUN_SESSION: [Field; 10] = [
     once(6, "save", usize::MAX, Some(PLAIN)),
     once(7, "restore", usize::MAX, Some(PLAIN)),
     once(8, "rollout", usize::MAX, Some(PLAIN)),
-    // Numbers of environments: one byte each can be four.
+    // Numbers of environments: one byte of a message can become four.
     once(20, "render", 256 << 10, Some(PLAIN)),
     once(21, "observe", usize::MAX, Some(PLAIN)),
     once(30, "policy_rollout", usize::MAX, Some(PLAIN)),
@@ -82,13 +84,14 @@ pub const LARGEST_MESH: usize = 4 << 20;
 
 static FILE: [Field; 1] = [once(2, "mesh", LARGEST_MESH, None)];
 
-/// Largest request of a diagnosis [bytes]: 40,000 rows of a force log, the most that are diagnosed, have about 8 MB.
+/// Largest request of a diagnosis [bytes]: 40,000 rows of a force log, the most that a diagnosis takes, have about
+/// 8 MB.
 pub const LARGEST_DIAGNOSIS: usize = 64 << 20;
 
 /// Largest network that is evaluated [bytes].
 pub const LARGEST_POLICY: usize = crate::policy::MOST_BYTES;
 
-/// Motions of a body in one request: our choice, some ten minutes.
+/// Most motions of a body in one request: our choice, some ten minutes.
 pub const MOST_TRIALS: usize = 1_000_000;
 
 /// Largest request of trials [bytes]: all columns, a mesh, a sand.
@@ -119,7 +122,7 @@ pub fn check(bytes: &[u8], layout: MessageLayout) -> Result<()> {
     Count::default().message(bytes, layout, 0)
 }
 
-/// What has been found so far.
+/// The counts so far.
 #[derive(Default)]
 struct Count {
     fields: usize,
@@ -159,7 +162,7 @@ fn unreadable() -> Error {
     Error::invalid("message", "cannot be read: it is no protobuf or is cut off")
 }
 
-/// Takes one field off `bytes`: its number, and its value if that has a length. None: this is no field.
+/// Takes one field off `bytes`: its number, and its value if that has a length. None if this is no valid field.
 fn field<'a>(bytes: &mut &'a [u8]) -> Option<(u64, Option<&'a [u8]>)> {
     let key = varint(bytes)?;
     let mut skip = |length: usize| bytes.split_off(..length);
@@ -242,7 +245,7 @@ mod tests {
         let step = Request::Step(Step { actions: vec![0; 1 << 20].into(), held: vec![0; 1 << 20].into() });
         let whole = RunSessionRequest { request: Some(step), ..Default::default() }.encode_to_vec();
         check(&whole, &RUN_SESSION).unwrap();
-        // Field 9, a varint, over and over.
+        // Field 9, a varint, repeated.
         assert!(refusal(&[0x48, 0].repeat(MOST_FIELDS + 1), &RUN_SESSION).starts_with("message: more than"));
         for broken in [&whole[..whole.len() - 1], &[0xff; 20], &[0x0b], &[0x08]] {
             assert!(refusal(broken, &RUN_SESSION).starts_with("message: cannot be read"));

@@ -1,4 +1,4 @@
-//! A session of this process: its environments are here, or away while somebody works on them.
+//! A session of this process. Its environments are stored here, except while a thread works on them.
 //!
 //! ```text
 //!  take ──▶ Loan ──┬── run ──▶ pool ──▶ back, with an answer
@@ -6,7 +6,7 @@
 //!                  └── dropped ──▶ back as it was; in a panic: lost
 //! ```
 //!
-//! Whoever waits for an answer can leave, and take it later: it is kept until something else is asked.
+//! A caller can stop waiting for an answer and take it later; it is kept until the next request.
 
 use super::roll::{self, Rolled};
 use super::{MOST_ENVIRONMENTS, MOST_MEMORY};
@@ -17,23 +17,23 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// As many shards are soon done: our choice, within the 100 ms in which Ctrl-C is to be heard. A step takes one of rapier's
-/// some 1 ms, one of lanes 0.1 ms.
+/// Up to this many shards the caller's thread helps: our choice, well within the 100 ms in which Ctrl-C must act. A
+/// step of a shard takes some 1 ms with rapier, 0.1 ms with lanes.
 const SOON: usize = 64;
 
-/// Environments are made for so long at a time; then whoever waits for them may have left.
+/// Environments are made for this long at a time; in between the caller may stop waiting.
 const BUILDING: Duration = Duration::from_millis(10);
 
-/// What was asked last came to this.
+/// The answer to the last request.
 pub enum Answer {
-    /// A reset, step or restore: the rows lie in the shards.
+    /// A reset, step or restore; its rows are in the shards.
     Rows,
     Rolled(Rolled),
-    /// The request changed nothing.
+    /// The request was refused and changed nothing.
     Refused(Error),
 }
 
-/// One a session: its size does not matter.
+/// Each session has one, so its size does not matter.
 #[allow(clippy::large_enum_variant)]
 enum Place {
     Here(Batch),
@@ -50,19 +50,19 @@ struct Slot {
 struct Shared {
     slot: Mutex<Slot>,
     back: Condvar,
-    /// Nobody waits for a rollout any more.
+    /// The caller has stopped waiting for a rollout.
     stop: AtomicBool,
 }
 
-/// The environments of one session. Threads may share it: one has them at a time.
+/// The environments of one session. Threads may share it; one thread has them at a time.
 #[derive(Clone)]
 pub struct Environments {
     shared: Arc<Shared>,
 }
 
-/// The environments, lent to whoever works on them.
+/// The environments, on loan to a thread that works on them.
 pub struct Loan {
-    /// None once they were passed on.
+    /// None after they were passed on.
     batch: Option<Batch>,
     shared: Arc<Shared>,
 }
@@ -72,7 +72,7 @@ fn closed() -> Error {
 }
 
 impl Shared {
-    /// Sound even if a holder panicked: what is changed together is changed without a call between.
+    /// Consistent even after a panic: fields that change together change without a call in between.
     fn lock(&self) -> MutexGuard<'_, Slot> {
         self.slot.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -87,12 +87,12 @@ impl Shared {
         };
         drop(slot);
         self.back.notify_all();
-        drop(unwanted); // many environments take a while
+        drop(unwanted); // freeing many environments takes a while
     }
 }
 
 impl Environments {
-    /// `envs` environments of `blueprint`, which wait for their first reset; `stopped` ends the work.
+    /// `envs` environments of `blueprint`, which need a first reset; `stopped` ends the work.
     pub fn new(blueprint: &Blueprint, envs: usize, stopped: impl Fn() -> bool) -> Result<Self> {
         if !(1..=MOST_ENVIRONMENTS).contains(&envs) {
             let range = format!("{envs} is outside [1, {MOST_ENVIRONMENTS}]");
@@ -109,7 +109,7 @@ impl Environments {
         let mut building = Building::new(blueprint, envs)?;
         while building.missing() > 0 {
             if stopped() {
-                return Err(Error::Cancelled("nobody waits for the environments any more".into()));
+                return Err(Error::Cancelled("the caller does not wait for the environments any more".into()));
             }
             building.go_on(BUILDING)?;
         }
@@ -117,7 +117,7 @@ impl Environments {
         Ok(Self { shared: Arc::new(Shared { slot, back: Condvar::new(), stop: AtomicBool::new(false) }) })
     }
 
-    /// The environments, if they are back within `time`; None: they are still away.
+    /// The environments, if they are available within `time`; None: a thread still works on them.
     pub fn take(&self, time: Duration) -> Option<Result<Loan>> {
         let away = |slot: &mut Slot| matches!(slot.place, Place::Away);
         let mut slot = self.shared.lock();
@@ -136,18 +136,18 @@ impl Environments {
         }
     }
 
-    /// Is there an answer to come, or one that may be taken (again)?
+    /// Is an answer pending, or still kept from the last request?
     pub fn owes(&self) -> bool {
         let slot = self.shared.lock();
         slot.answer.is_some() || matches!(slot.place, Place::Away)
     }
 
-    /// A rollout that is being made ends soon, and is refused.
+    /// A rollout in progress ends soon, with a refusal.
     pub fn stop(&self) {
         self.shared.stop.store(true, Ordering::Relaxed);
     }
 
-    /// Frees the environments, or has them freed by whoever works on them.
+    /// Frees the environments, now or when the thread that has them returns them.
     pub fn close(&self) {
         self.stop();
         let mut slot = self.shared.lock();
@@ -160,17 +160,17 @@ impl Environments {
 
 impl Loan {
     /// # Panics
-    /// Never: what passes the environments on consumes the loan.
+    /// Never: functions that pass the environments on consume the loan.
     pub fn batch(&mut self) -> &mut Batch {
         self.batch.as_mut().expect("a loan has its environments until it ends")
     }
 
-    /// What was asked last came to.
+    /// The answer to the last request.
     pub fn answer(&self) -> Option<Answer> {
         self.shared.lock().answer.take()
     }
 
-    /// Ends the loan, with this answer to be taken.
+    /// Ends the loan with this answer.
     pub fn end(mut self, answer: Option<Answer>) {
         if let Some(batch) = self.batch.take() {
             self.shared.put(Place::Here(batch), answer);
@@ -183,19 +183,19 @@ impl Loan {
         self.shared.put(Place::Lost(error), None);
     }
 
-    /// Carries out what `check` makes of the environments; a refusal is the answer.
+    /// Runs the operation that `check` returns; if it refuses, the refusal is the answer.
     pub fn run(mut self, pool: &Pool, check: impl FnOnce(&mut Batch) -> Result<Operation>) {
         match check(self.batch()) {
             Err(error) => self.end(Some(Answer::Refused(error))),
             Ok(operation) => {
                 let Some(batch) = self.batch.take() else { return };
-                // Dropped uncalled if the pool ends before: then nobody is left who would wait.
+                // The pool drops this without calling it when it ends; then no caller is left.
                 pool.run(batch, operation, move |batch| self.back(batch));
             }
         }
     }
 
-    /// [`Loan::run`] with this thread at work too, where that is soon done: it need not wake as many others, nor be woken.
+    /// [`Loan::run`] that also uses this thread, for short work: fewer threads need to wake up.
     pub fn run_here(mut self, pool: &Pool, check: impl FnOnce(&mut Batch) -> Result<Operation>) {
         if self.batch().shards().len() > SOON {
             return self.run(pool, check);
@@ -220,7 +220,7 @@ impl Loan {
         }
     }
 
-    /// Makes a rollout and puts the environments back; takes as long as that takes.
+    /// Makes a whole rollout, and restores the environments.
     pub fn roll(mut self, pool: &Pool, record: bool, check: impl FnOnce(&Batch) -> Result<Roll>) {
         self.shared.stop.store(false, Ordering::Relaxed);
         let batch = self.batch();

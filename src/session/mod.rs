@@ -1,4 +1,4 @@
-//! What a session does with its environments, whoever asks: a client over the network, or the process that they live in.
+//! The operations of a session on its environments, for clients over the network and for the same process.
 //!
 //! * [`view`]: pictures, and moments as recordings hold them.
 //! * [`roll`]: rollouts, some steps at a time.

@@ -1,4 +1,4 @@
-//! Rollouts, some steps at a time: between them whoever waits can leave, and other sessions have their turns.
+//! Rollouts, a few steps at a time. In between the caller can stop waiting, and other sessions have their turns.
 
 use super::MOST_MEMORY;
 use crate::env::rollout::{Recorded, Rollout};
@@ -6,21 +6,22 @@ use crate::error::{Error, Result};
 use crate::pool::{Batch, Operation, Pool, Roll};
 use std::time::{Duration, Instant};
 
-/// Time between two looks at whether somebody still waits, and the work of one part of trajectories: our choice, long
-/// against what a part costs beside its bytes, short to whoever waits for an end. Other sessions need not wait for it: the
-/// pool gives them their turns in between.
+/// Time between two checks whether the caller still waits, and time of one part of trajectories. Our choice: long
+/// against the fixed cost of a part, short for a caller that waits for an end. Other sessions do not wait for it,
+/// because the pool interleaves them.
 const TURN: Duration = Duration::from_millis(30);
 
-/// A turn has at most this many times the steps of the one before: the first one, of one step, may have been lucky.
+/// A part has at most this many times the steps of the one before, because the first part's single step may have
+/// been unusually fast.
 const GROWTH: usize = 4;
 
-/// Steps of the next turn, if the last one's `steps` took `time`.
+/// Steps of the next part, if `steps` took `time` in the last one.
 pub fn pace(steps: usize, time: Duration) -> usize {
     let fitting = steps as f64 * TURN.as_secs_f64() / time.as_secs_f64().max(1e-6);
     (fitting as usize).clamp(1, GROWTH * steps)
 }
 
-/// What a rollout gave; one row an environment.
+/// Results of a rollout; one row an environment.
 #[derive(Default)]
 pub struct Rolled {
     pub returns: Vec<f64>,
@@ -29,16 +30,16 @@ pub struct Rolled {
     pub truncated: Vec<u8>,
     /// f32 [steps, envs, observation], empty unless recorded.
     pub observations: Vec<f32>,
-    /// f32 [steps, envs], likewise.
+    /// f32 [steps, envs], empty unless recorded.
     pub rewards: Vec<f32>,
-    /// f32 [steps, envs, action], likewise: what a network chose.
+    /// f32 [steps, envs, action], empty unless recorded: the network's choices.
     pub actions: Vec<f32>,
 }
 
-/// Makes all steps of `roll` and puts the environments back by `back`. `stopped` ends it between two turns.
+/// Makes all steps of `roll` and restores the environments with `back`. `stopped` ends it between two parts.
 ///
 /// # Errors
-/// The outer one: the environments are lost. The inner one: they are as they were.
+/// Outer error: the environments are lost. Inner error: they have their former state.
 pub fn run(
     pool: &Pool,
     mut batch: Batch,
@@ -78,7 +79,7 @@ fn check_size(batch: &Batch, roll: &Roll, record: bool) -> Result<()> {
 }
 
 impl Rolled {
-    /// The steps that were just made, where they were recorded.
+    /// The steps of the last part, if they were recorded.
     fn add(&mut self, batch: &Batch, chosen: bool) {
         let shards = batch.shards();
         let steps = shards.first().map_or(0, |s| s.rollout.steps.len());
@@ -94,7 +95,7 @@ impl Rolled {
         }
     }
 
-    /// What is known at the end.
+    /// The results after the last step.
     fn end(&mut self, batch: &Batch) {
         let rollouts = || batch.shards().iter().map(|s| &s.rollout);
         let flags = |of: fn(&Rollout) -> &[u8]| rollouts().flat_map(of).copied().collect();

@@ -1,4 +1,4 @@
-//! Those who only look: pictures, and moments as recordings hold them.
+//! Operations for viewers: pictures, and moments in the form of recordings.
 
 use crate::env::{Look, Spec};
 use crate::error::{Error, Result};
@@ -6,10 +6,10 @@ use crate::pool::Batch;
 use crate::sim::Model;
 use sandgait_view::{self as view, About, Moment};
 
-/// Most pixels of one request, all its pictures together: our choice of guard, 100 MB.
+/// Most pixels of one request, all its pictures together: our choice, 100 MB.
 pub const MOST_PIXELS: u64 = 1 << 25;
 
-/// Of `count` pictures of `size`, width and height.
+/// Checks the size of `count` pictures of `size`, width and height.
 pub fn pixels(count: usize, size: [u32; 2]) -> u64 {
     (count as u64).saturating_mul(u64::from(size[0]) * u64::from(size[1]))
 }
@@ -30,7 +30,7 @@ pub fn render(batch: &Batch, indices: &[u32], size: [u32; 2], ended: bool) -> Re
     Ok(all)
 }
 
-/// What is written into a picture.
+/// The caption of a picture.
 fn captions(look: &Look) -> Vec<String> {
     let figure = |name: &str| look.spec.info.iter().position(|c| c.name == name).map(|k| look.info[k]);
     let speed = figure("speed").unwrap_or(0.0);
@@ -41,14 +41,14 @@ fn captions(look: &Look) -> Vec<String> {
     vec![first.replace('-', "−")]
 }
 
-/// One environment's moment: the header of its recording's section, and its numbers, f32 little-endian.
+/// One environment's moment: the header of its section in a recording, and its numbers, f32 little-endian.
 pub fn observe(batch: &Batch, index: usize, ended: bool) -> Result<(String, Vec<u8>)> {
     let look = batch.look(index, ended)?;
     let row = row(&look).iter().flat_map(|x| x.to_le_bytes()).collect();
     Ok((header(look.spec, look.model, look.episode), row))
 }
 
-/// The header of the recording's section that moments of this episode belong to.
+/// The header of the section that moments of this episode belong to.
 pub fn header(spec: &Spec, model: &Model, episode: (u64, u64)) -> String {
     let about = About {
         task: spec.id,

@@ -1,7 +1,7 @@
-//! Legs under driven carriages: the base goes where it is pulled, joints turn as they are told, and the sand's forces are
-//! measured. No masses, no servos: nothing has to be solved for.
+//! Legs under driven carriages: the base moves at a prescribed velocity, joints turn at prescribed rates, and the
+//! sand's forces are measured. There are no masses and no servos, so nothing is solved for.
 //!
-//! Work is what the joints give in all, ∫ Σ τ ω dt: what goes into the sand and into pulling the carriage.
+//! Work is the work of the joints, ∫ Σ τ ω dt. It goes into the sand and into pulling the carriage.
 //!
 //! Bodies and sand are those of engine [`super::rapier`], in `f64`. A time step is the midpoint rule.
 
@@ -9,18 +9,18 @@ use super::command::Command;
 use super::frame::Frame;
 use super::rapier::{Place, fold_turns, load_link};
 use super::{Model, State};
-use crate::sand::Ground;
+use crate::sand::SandBed;
 
-/// Carriages that share nothing but the call that advances them.
+/// Carriages; independent of each other.
 pub struct CarriageEngine {
     carriages: Vec<Carriage>,
 }
 
 struct Carriage {
     model: Model,
-    ground: Ground<f64>,
+    ground: SandBed<f64>,
     state: State,
-    /// Of each joint [rad/s].
+    /// Speed of each joint [rad/s].
     rates: Vec<f64>,
 }
 
@@ -42,7 +42,7 @@ impl CarriageEngine {
         self.carriages[index].model.scale_areas(model, shares);
     }
 
-    /// See [`super::engine::Engine::set_state`]. The velocity is the carriage's for good.
+    /// See [`super::engine::Engine::set_state`]. The carriage keeps the state's velocity.
     pub fn set_state(&mut self, index: usize, state: &State) {
         self.carriages[index].state.clone_from(state);
         self.carriages[index].state.forget_changes();
@@ -53,7 +53,7 @@ impl CarriageEngine {
         out.clone_from(&self.carriages[index].state);
     }
 
-    /// See [`super::engine::Engine::command`]: joints turn at the rates given; torques have no meaning here.
+    /// See [`super::engine::Engine::command`]. Joints turn at the given rates; torques are ignored.
     pub fn command(&mut self, index: usize, command: &Command) {
         self.carriages[index].rates.clone_from(&command.rates);
     }
@@ -78,7 +78,7 @@ impl Carriage {
         }
     }
 
-    /// Half the way → sand → the other half.
+    /// Half a step of motion → sand → the other half.
     fn step(&mut self) {
         let dt = self.model.scene.dt;
         self.state.rates.clone_from(&self.rates);
@@ -94,7 +94,7 @@ impl Carriage {
         angles.iter_mut().zip(rates).for_each(|(a, rate)| *a += *rate * time);
     }
 
-    /// Adds to impulse and work what the sand does in `dt`, and notes the torques that hold against it.
+    /// Adds the sand's impulse and work during `dt`, and stores the torques that balance the sand.
     fn feel(&mut self, dt: f64) {
         let state = &mut self.state;
         let base = Frame::base(state);
@@ -109,7 +109,7 @@ impl Carriage {
                 frame = frame.child(body, state.angles[joint], state.rates[joint]);
                 hinges.push((joint, frame.origin, frame.rotation * body.axis));
                 let at = Place { frame: &frame, base: &state.position, travel: state.travel() };
-                // Without time nothing is added for an implicit step: the wrench is the sand's alone.
+                // With a time step of 0 the wrench has no implicit part.
                 let sand = load_link(&self.ground, body, state.rates[joint], &at, 0.0).wrench;
                 for (joint, origin, axis) in &hinges {
                     state.torques[*joint] -= axis.dot(&sand.moment_about(*origin));

@@ -1,13 +1,13 @@
-//! What an engine is told for a control step.
+//! The command that an engine gets for a control step.
 
-/// What each joint's servo is told; held until it is told otherwise.
+/// The commands of all servos; they hold until the next command.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Command {
     /// Speed at which the reference angle moves, ω_ref [rad/s], a joint.
     pub rates: Vec<f64>,
     /// Torque added to the servo's [N·m], a joint.
     pub torques: Vec<f64>,
-    /// Where the reference angle is put at once [rad], a joint; empty: it goes on from where it is. Engine `tree` alone.
+    /// Reference angles [rad], set at once; empty: the references move on from where they are. Engine `tree` alone.
     pub targets: Vec<f64>,
 }
 

@@ -1,4 +1,5 @@
-//! The seam between a model and the code that integrates it. Nothing above this file knows which engine runs.
+//! The interface between a model and the engines that integrate it. No code above this file depends on which engine
+//! runs.
 
 use super::carriage::CarriageEngine;
 use super::lanes::LanesEngine;
@@ -17,16 +18,17 @@ pub use super::command::Command;
 pub enum EngineKind {
     /// Our own articulated-body dynamics over SIMD lanes; see [`super::lanes`].
     Lanes,
-    /// rapier3d multibodies, one world a robot: the oracle of the other, and the one for rigid obstacles; see [`super::rapier`].
+    /// rapier3d multibodies, one world a robot. The reference that `lanes` is tested against, and the engine for
+    /// rigid obstacles; see [`super::rapier`].
     Rapier,
     /// Any tree of bodies from a file, over the same lanes; see [`super::tree`].
     Tree,
-    /// Legs on driven carriages, for the task that is about one; see [`super::carriage`].
+    /// Legs on driven carriages, for LegStroke; see [`super::carriage`].
     Carriage,
 }
 
 impl EngineKind {
-    /// Those that simulate robots with identical legs, to choose between.
+    /// The engines for robots with identical legs; users choose between them.
     pub const ALL: [Self; 2] = [Self::Lanes, Self::Rapier];
 
     pub fn name(self) -> &'static str {
@@ -38,7 +40,7 @@ impl EngineKind {
         }
     }
 
-    /// Time step [s] that it needs for walks within 1 to 2 % of the converged ones: see `docs/convergence.md`.
+    /// Default time step [s]: walks are within 1 to 2 % of the converged ones; see `docs/convergence.md`.
     pub fn default_dt(self) -> f64 {
         match self {
             Self::Lanes | Self::Tree | Self::Carriage => Scene::DEFAULT_DT,
@@ -46,7 +48,7 @@ impl EngineKind {
         }
     }
 
-    /// How many environments a thread takes at a time.
+    /// Number of environments that a thread takes at a time.
     pub fn shard_size(self) -> usize {
         match self {
             Self::Lanes | Self::Tree | Self::Carriage => 16,
@@ -54,13 +56,13 @@ impl EngineKind {
         }
     }
 
-    /// Memory of one robot [bytes]: resident memory of a session of thousands of environments, less what an episode
-    /// takes.
+    /// Memory of one robot [bytes]: resident memory a robot in a session of thousands of environments, without what
+    /// an episode stores.
     pub fn robot_bytes(self) -> usize {
         match self {
             Self::Lanes => 10_000,
             Self::Tree => 20_000,     // counted: 13 bodies, a sixteenth of a block's plates
-            Self::Rapier => 170_000,  // 18 joints; 86,000 with 6
+            Self::Rapier => 170_000,  // measured with 18 joints; 86,000 with 6
             Self::Carriage => 12_000, // counted: two links of 12 plates, twice, and the robot's description
         }
     }
@@ -90,7 +92,8 @@ impl Engine {
         })
     }
 
-    /// Gives robot `index` another model with the same joints (and number of plates). Takes effect with the next `set_state`.
+    /// Gives robot `index` another model with equally many joints and plates. Takes effect with the next
+    /// `set_state`.
     pub fn set_model(&mut self, index: usize, model: &Model) {
         match self {
             Self::Lanes(e) => e.set_model(index, model),
@@ -100,13 +103,13 @@ impl Engine {
         }
     }
 
-    /// Lets each leg of robot `index`, which has `model`, find only a share of the sand's stress, `shares` [legs]; until
-    /// the model or the shares are set anew. Takes effect at once.
+    /// Scales the sand's stress on each leg of robot `index`, which has `model`, by `shares` [legs], until the
+    /// model or the shares are set again. Takes effect at once.
     pub fn set_footing(&mut self, index: usize, model: &Model, shares: &[f64]) {
         match self {
             Self::Lanes(e) => e.set_footing(index, model, shares),
             Self::Rapier(e) => e.set_footing(index, model, shares),
-            Self::Tree(_) => (), // its tasks have no used ground
+            Self::Tree(_) => (), // the tasks of these engines have no used ground
             Self::Carriage(e) => e.set_footing(index, model, shares),
         }
     }

@@ -1,4 +1,4 @@
-//! Where the feet are: the tips of the legs and how fast they move, from a model and a state.
+//! Positions and velocities of the feet, the tips of the legs, from a model and a state.
 
 use super::{Model, State};
 use nalgebra::{Unit, UnitQuaternion, Vector3};
@@ -19,7 +19,7 @@ pub fn feet<'a>(model: &'a Model, state: &'a State) -> impl Iterator<Item = Foot
     let spin = Vector3::from(state.angular_velocity);
     let mut joint = 0;
     model.legs.iter().map(move |chain| {
-        // Base frame: where each joint is, and the rotation it adds [rad/s].
+        // Base frame: position of each joint, and the angular velocity it adds [rad/s].
         let (mut point, mut frame) = (Vector3::zeros(), UnitQuaternion::identity());
         let mut hinges = Vec::with_capacity(chain.len());
         for body in chain {

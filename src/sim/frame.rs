@@ -1,4 +1,4 @@
-//! Where each body is and how it moves, from the state alone.
+//! Position and motion of each body, from the state alone.
 
 use super::State;
 use super::model::Body;
@@ -13,13 +13,13 @@ pub struct Frame {
     pub rotation: M,
     /// [m]
     pub origin: V,
-    /// Of the origin [m/s].
+    /// Velocity of the origin [m/s].
     velocity: V,
     /// [rad/s]
     pub angular_velocity: V,
-    /// Of the origin, with every generalized acceleration zero [m/s²].
+    /// Acceleration of the origin if every generalized acceleration is zero [m/s²].
     acceleration: V,
-    /// With every generalized acceleration zero [rad/s²].
+    /// Angular acceleration if every generalized acceleration is zero [rad/s²].
     angular_acceleration: V,
 }
 
@@ -56,7 +56,7 @@ impl Frame {
         self.velocity + self.angular_velocity.cross(&arm)
     }
 
-    /// Acceleration [m/s²] that the velocities alone give the point `arm` away from the origin, world axes.
+    /// Acceleration [m/s²] of the point `arm` away from the origin that is due to velocities alone, world axes.
     pub fn acceleration_at(&self, arm: V) -> V {
         let turning = self.angular_velocity.cross(&self.angular_velocity.cross(&arm));
         self.acceleration + self.angular_acceleration.cross(&arm) + turning

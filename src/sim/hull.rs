@@ -1,4 +1,4 @@
-//! Convex hulls of points, which parry computes in `f32`.
+//! Convex hulls of points, computed by parry in `f32`.
 
 use rapier3d::glamx::Vec3;
 use rapier3d::parry::transformation::try_convex_hull;

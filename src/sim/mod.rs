@@ -1,16 +1,16 @@
 //! A legged robot on sand: immutable [`Model`], small [`State`], and engines that advance it.
 //!
-//! This layer knows nothing of rewards, randomness, threads or messages.
+//! This crate has no rewards, randomness, threads or messages.
 //!
-//! * [`robot`]: what a user writes in a TOML file.
+//! * [`robot`]: a robot as a user's TOML file describes it.
 //! * [`model`]: the same as numbers: bodies, joints, servos, segments, sand, gravity, time step.
-//! * [`obstacle`]: rigid things in the sand; [`solid`]: their geometry.
+//! * [`obstacle`]: rigid obstacles in the sand; [`solid`]: their geometry.
 //! * [`overlap`]: how far a robot stands inside obstacles, for tests.
 //! * [`state`]: positions and velocities of one robot.
-//! * [`feet`]: where the tips of the legs are and how fast they move.
+//! * [`feet`]: positions and velocities of the legs' tips.
 //! * [`frame`]: positions, velocities and velocity-product accelerations of the bodies.
-//! * [`engine`]: the seam; everything above sees only this.
-//! * `spatial`: the algebra of both engines of ours.
+//! * [`engine`]: the one interface to all engines.
+//! * `spatial`: spatial algebra for `lanes` and `tree`.
 //! * [`lanes`]: the fast engine, articulated bodies over SIMD lanes of robots.
 //! * [`rapier`]: rapier3d multibodies, one world a robot.
 //! * [`carriage`]: a leg on a driven carriage, whose forces are measured.

@@ -1,4 +1,4 @@
-//! Robot, sand and options as numbers an engine can use. Immutable; randomization makes a new one.
+//! Robot, sand and options as numbers for an engine. Immutable; randomization makes a new model.
 
 use super::obstacle::{self, Obstacle};
 use super::robot::{Link, Robot, Servo, Tripod};
@@ -8,7 +8,7 @@ use super::tree::relief::Relief;
 use super::tree::{HardGround, TreeModel};
 use crate::error::{Error, Result, check_range};
 use crate::number::Real;
-use crate::sand::{Ground, Law, Mechanisms, Medium, SandDescription, Segment, Shape, Surface};
+use crate::sand::{Law, LegShape, Mechanisms, Medium, SandBed, SandDescription, Segment, Surface};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -18,7 +18,7 @@ pub use crate::sand::GRAVITY;
 type V = nalgebra::Vector3<f64>;
 type M = nalgebra::Matrix3<f64>;
 
-/// What the robot walks on, and how time advances.
+/// The ground that the robot walks on, and the time step.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Scene {
@@ -26,7 +26,7 @@ pub struct Scene {
     pub law: Law,
     #[serde(default)]
     pub surface: Surface,
-    /// What the sand does beyond its law. Those of sensors and logs do nothing here.
+    /// Mechanisms of the sand. Those of sensors and logs have no effect here.
     #[serde(default)]
     pub mechanisms: Mechanisms,
     /// The surface rises toward +x [°]; gravity tilts in the surface's frame.
@@ -35,23 +35,23 @@ pub struct Scene {
     pub dt: f64,
     /// Extra mass at the base's centre [kg].
     pub payload: f64,
-    /// Rigid things in the sand; only engine `rapier` takes any.
+    /// Rigid obstacles in the sand; only engine `rapier` supports them.
     #[serde(default)]
     pub obstacles: Vec<Obstacle>,
-    /// Hard ground in the sand or in place of it; only engine `tree` takes any.
+    /// Hard ground in the sand or in place of it; only engine `tree` supports it.
     #[serde(default)]
     pub hard: Vec<HardGround>,
-    /// Heights of the surface; none: it is flat. Only engine `tree` takes any. Whoever reads a scene adds it.
+    /// Heights of the surface; None: flat. Only engine `tree` supports it. The caller that reads a scene adds it.
     #[serde(skip)]
     pub relief: Option<Arc<Relief>>,
 }
 
 impl Scene {
-    /// Time step of engine lanes, 1 ms: the largest at which its reference walks are within 1 % of the converged ones
-    /// (`docs/convergence.md`). Other engines have their own: [`super::engine::EngineKind::default_dt`].
+    /// Time step of engine `lanes`, 1 ms: the largest at which its reference walks are within 1 % of the converged
+    /// ones (`docs/convergence.md`). Other engines have their own: [`super::engine::EngineKind::default_dt`].
     pub const DEFAULT_DT: f64 = 1e-3;
 
-    /// Steepest slope, either way [°]: natural slopes of dry sand end near 35°, its angle of repose.
+    /// Steepest slope, uphill or downhill [°]: natural slopes of dry sand end near 35°, its angle of repose.
     pub const MAX_SLOPE_DEG: f64 = 35.0;
 
     /// Largest payload [kg].
@@ -72,7 +72,7 @@ impl Scene {
         }
     }
 
-    /// A flat one of this sand.
+    /// A flat scene of this sand.
     pub fn on(sand: &SandDescription) -> Self {
         let mut scene = Self::flat(sand.medium());
         scene.set_sand(sand);
@@ -84,9 +84,9 @@ impl Scene {
         (self.medium, self.law, self.mechanisms) = (sand.medium(), sand.law, sand.mechanisms);
     }
 
-    /// Its sand, ready for evaluation.
-    pub fn ground<R: Real>(&self) -> Ground<R> {
-        Ground::new(self.law, &self.medium, &self.surface).with(&self.mechanisms, &self.medium)
+    /// The sand, ready for evaluation.
+    pub fn ground<R: Real>(&self) -> SandBed<R> {
+        SandBed::new(self.law, &self.medium, &self.surface).with(&self.mechanisms, &self.medium)
     }
 
     fn validate(&self) -> Result<()> {
@@ -106,7 +106,8 @@ impl Scene {
     }
 }
 
-/// A flat, straight part of a link's strip, in the frame of the body that carries it: what rigid obstacles touch.
+/// A flat, straight part of a link's strip, in the frame of the body that carries it. Rigid obstacles collide with
+/// it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Piece {
     /// [m]
@@ -137,14 +138,15 @@ pub struct Body {
     pub plates: Vec<Plate>,
     /// The straight strip from joint to tip in place of `plates`, for `concave_fill`.
     pub chord: Vec<Plate>,
-    /// Which side the strip bulges to: 1 if it leads when the joint turns positively, −1 the other, 0 if straight.
+    /// The side that the strip bulges to: 1 if it leads when the joint turns positively, −1 if the other side does,
+    /// 0 if straight.
     pub bulge: f64,
     pub pieces: Vec<Piece>,
     /// From the joint to the next one or the tip [m].
     pub reach: V,
 }
 
-/// Servo at every joint, limits resolved: no limit is `f64::MAX` of the engine's precision.
+/// The servo at every joint. A missing limit is `f64::MAX` of the engine's precision.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motor {
     /// [N·m/rad]
@@ -155,17 +157,17 @@ pub struct Motor {
     pub torque_limit: f64,
     /// [rad/s]
     pub speed_limit: f64,
-    /// Largest distance of the reference from the joint's angle [rad]. With `anti_windup` it is torque_limit/kp: there the
-    /// position gain alone asks for all of the torque, so that a larger lag could not push harder, it would only go on to
-    /// push after the command has changed (integrator windup; clamping is the usual remedy: Åström & Murray, Feedback
-    /// Systems, 2008, section 10.4).
+    /// Largest distance of the reference from the joint's angle [rad]. With `anti_windup` it is torque_limit/kp,
+    /// where the position gain alone demands the full torque. A larger lag would not push harder; it would only
+    /// keep pushing after the command has changed (integrator windup; clamping is the usual remedy: Åström &
+    /// Murray, Feedback Systems, 2008, section 10.4).
     pub lag_limit: f64,
 }
 
 impl Motor {
     fn new(servo: &Servo, mechanisms: &Mechanisms) -> Self {
         let own = servo.torque_limit.unwrap_or(NO_LIMIT);
-        // The hidden limit of a weak motor, if that is lower.
+        // The torque limit of a weak motor, if that is lower.
         let weak = mechanisms.motor_torque_limit;
         let torque_limit = if weak > 0.0 { own.min(weak) } else { own };
         let lag_limit = if servo.anti_windup && servo.kp > 0.0 { torque_limit / servo.kp } else { NO_LIMIT };
@@ -179,7 +181,7 @@ impl Motor {
     }
 }
 
-/// Everything an engine needs, and nothing that changes while it runs.
+/// All data that an engine needs and does not change.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Model {
     pub robot: Robot,
@@ -190,18 +192,18 @@ pub struct Model {
     pub base_inertia: V,
     /// One-sided plates under the base.
     pub belly: Vec<Plate>,
-    /// A chain of bodies a hip, from the hip outward; all chains have the same length.
+    /// One chain of bodies a hip, from the hip outward; all chains have the same length.
     pub legs: Vec<Vec<Body>>,
     pub motor: Motor,
-    /// In the surface's frame [m/s²].
+    /// Gravity in the surface's frame [m/s²].
     pub gravity: V,
     /// Geometry of the scene's obstacles.
     pub solids: Vec<Solid>,
-    /// A robot that is a tree of bodies; then it has no legs of the kind above, and of `robot` only the name counts.
+    /// A robot that is a tree of bodies. Such a model has no legs in `legs`, and of `robot` only the name is used.
     pub tree: Option<Arc<TreeModel>>,
 }
 
-/// Stands for "no limit": far above anything a servo can do, and finite in `f32`.
+/// Stands for "no limit": far above any servo, and finite in `f32`.
 const NO_LIMIT: f64 = 1e9;
 
 impl Model {
@@ -230,7 +232,7 @@ impl Model {
         })
     }
 
-    /// A robot that is a tree of bodies; a payload lies at its base's centre of mass.
+    /// A model of a tree robot; a payload lies at its base's centre of mass.
     pub fn of_tree(tree: TreeModel, scene: &Scene) -> Result<Self> {
         scene.validate()?;
         if !scene.obstacles.is_empty() {
@@ -262,7 +264,7 @@ impl Model {
         })
     }
 
-    /// Is there any sand to touch?
+    /// Does the scene have sand?
     pub fn has_sand(&self) -> bool {
         !self.scene.hard.iter().any(HardGround::is_everything)
     }
@@ -272,7 +274,7 @@ impl Model {
         self.scene.relief.as_ref().map_or(0.0, |relief| relief.at(x, y).0)
     }
 
-    /// Of the whole robot, in the order of [`State::angles`].
+    /// Joint angles of the whole robot, in the order of [`State::angles`].
     pub fn joint_names(&self) -> Vec<String> {
         match &self.tree {
             Some(tree) => tree.tree.joints().map(|j| j.name.clone()).collect(),
@@ -287,7 +289,7 @@ impl Model {
         Ok(Self { scene, solids, ..self.clone() })
     }
 
-    /// The obstacles that move, at rest where the scene puts them.
+    /// The obstacles that move, at rest at their initial poses.
     pub fn objects_at_rest(&self) -> Vec<ObjectState> {
         let loose = self.scene.obstacles.iter().filter(|o| o.moves());
         let at_rest = |o: &Obstacle| ObjectState {
@@ -299,7 +301,7 @@ impl Model {
         loose.map(at_rest).collect()
     }
 
-    /// Joints of the whole robot.
+    /// Number of joints of the whole robot.
     pub fn joints(&self) -> usize {
         self.tree.as_ref().map_or_else(|| self.legs.iter().map(Vec::len).sum(), |tree| tree.joints())
     }
@@ -312,8 +314,8 @@ impl Model {
         self.base_mass + self.legs.iter().flatten().map(|b| b.mass).sum::<f64>()
     }
 
-    /// Joint angles [rad] at the start of the alternating tripod: freely turning hips of A straight down, of B straight
-    /// up; all other joints 0.
+    /// Joint angles [rad] at the start of the alternating tripod: freely turning hips of tripod A point straight
+    /// down, of B straight up; all other joints are at 0.
     pub fn tripod_angles(&self) -> Vec<f64> {
         let links = &self.robot.leg.link;
         let turns = |j: usize| j == 0 && links[j].range.is_none();
@@ -326,7 +328,7 @@ impl Model {
         Self { scene: Scene { medium, ..self.scene.clone() }, ..self.clone() }
     }
 
-    /// Another slope [°] and payload [kg]; what lies beyond a scene's bounds is clipped to them.
+    /// Another slope [°] and payload [kg]; values beyond a scene's bounds are clipped.
     pub fn set_load(&mut self, slope_deg: f64, payload: f64) {
         self.scene.slope_deg = slope_deg.clamp(-Scene::MAX_SLOPE_DEG, Scene::MAX_SLOPE_DEG);
         self.scene.payload = payload.clamp(0.0, Scene::MAX_PAYLOAD);
@@ -334,14 +336,13 @@ impl Model {
         self.gravity = gravity(&self.scene);
     }
 
-    /// Motors that have `share`, at most 1, of the torque limit that the servos have.
+    /// Motors with `share`, at most 1, of the servos' torque limit.
     pub fn weaken_motors(&mut self, share: f64) {
         self.robot.servo.torque_limit = self.robot.servo.torque_limit.map(|limit| limit * share);
         self.motor = Motor::new(&self.robot.servo, &self.scene.mechanisms);
     }
 
-    /// Gives each leg's plates `shares` [legs] of the areas that they have in `full`, the same robot: stress on them is
-    /// that share of the sand's.
+    /// Scales each leg's plate areas of `full`, the same robot, by `shares` [legs]; the sand's stress scales alike.
     pub fn scale_areas(&mut self, full: &Self, shares: &[f64]) {
         for ((chain, full), share) in self.legs.iter_mut().zip(&full.legs).zip(shares) {
             for (body, full) in chain.iter_mut().zip(full) {
@@ -351,7 +352,7 @@ impl Model {
         }
     }
 
-    /// Where leg number `leg` ends [m], in the world.
+    /// Position of the tip of leg number `leg` [m], in the world.
     pub fn tip(&self, state: &State, leg: usize) -> [f64; 3] {
         let rows = state.rotation();
         let mut turn = nalgebra::Rotation3::from_matrix_unchecked(M::from_fn(|i, j| rows[i][j]));
@@ -381,7 +382,7 @@ impl Model {
     }
 }
 
-/// In the surface's frame [m/s²].
+/// Gravity in the surface's frame [m/s²].
 fn gravity(scene: &Scene) -> V {
     let slope = scene.slope_deg.to_radians() + scene.mechanisms.slope;
     V::new(-slope.sin(), 0.0, -slope.cos()) * GRAVITY
@@ -431,8 +432,8 @@ fn body(link: &Link, joint: V, turn: nalgebra::Rotation3<f64>) -> Result<Body> {
     let forward = width_axis.cross(&down); // where the tip goes when the joint turns positively about the width axis
     let place = |p: [f64; 2]| turn * (forward * p[0] - down * p[1]);
     let (shape, width, count) = match &link.sand {
-        Some(strip) => (Shape::named(&strip.shape)?, strip.width, strip.segments),
-        None => (Shape::TwoPiece { xi: 0.0 }, 0.01, 12),
+        Some(strip) => (LegShape::named(&strip.shape)?, strip.width, strip.segments),
+        None => (LegShape::TwoPiece { xi: 0.0 }, 0.01, 12),
     };
     let segments = shape.segments(reach.norm(), width, count)?;
     let total: f64 = segments.iter().map(|s| s.area).sum();
@@ -465,16 +466,15 @@ fn body(link: &Link, joint: V, turn: nalgebra::Rotation3<f64>) -> Result<Body> {
         armature: link.armature,
         range: link.range,
         plates: touching(&segments),
-        chord: touching(&Shape::TwoPiece { xi: 0.0 }.segments(reach.norm(), width, count)?),
+        chord: touching(&LegShape::TwoPiece { xi: 0.0 }.segments(reach.norm(), width, count)?),
         bulge: shape.bulge(),
         pieces: pieces(&segments, width, place, turn * width_axis),
         reach: exact(turn * reach),
     })
 }
 
-/// `v` with its rounding errors replaced by the zeros that they stand for: cos 90° is 6e-17 in `f64`, and what such a number
-/// leaves in a product of two is denormal in `f32`. 1e-12 of the norm is far above rounding and far below any length that a
-/// drawing knows.
+/// `v` with rounding errors replaced by exact zeros. cos 90° is 6e-17 in `f64`, and a product of two such numbers
+/// is denormal in `f32`. 1e-12 of the norm is far above rounding and far below any length in a drawing.
 pub(super) fn exact<const R: usize, const C: usize>(v: nalgebra::SMatrix<f64, R, C>) -> nalgebra::SMatrix<f64, R, C> {
     let least = 1e-12 * v.norm();
     v.map(|x| if x.abs() < least { 0.0 } else { x })

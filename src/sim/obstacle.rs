@@ -1,22 +1,23 @@
-//! Rigid things on and in the sand: steps, walls, hard patches, rocks. Data only; [`super::solid`] knows their geometry.
+//! Rigid obstacles on and in the sand: steps, walls, hard patches, rocks. Data only; [`super::solid`] computes
+//! their geometry.
 //!
-//! Sand and obstacles do not know of each other: a wall does not stop the sand's flow around a leg beside it. No sand
-//! acts on a robot inside or on top of an obstacle, because nothing gets in there.
+//! Sand and obstacles do not influence each other: a wall does not stop the sand's flow around a leg beside it. No
+//! sand acts on the part of a robot inside or on top of an obstacle.
 
 use super::solid::Solid;
 use crate::error::{Error, Result, check_range};
 use serde::{Deserialize, Serialize};
 
-/// Most obstacles of one scene: our choice of guard, because the cost of a step grows with them.
+/// Most obstacles of one scene: our choice, because each makes a step slower.
 pub const MOST: usize = 256;
 
-/// Most corners of a hull: our choice of guard.
+/// Most corners of a hull: our choice.
 const MOST_CORNERS: usize = 64;
 
-/// How far a step, wall or patch reaches under the surface [m]: further than a leg of the built-in robots does.
+/// Depth of steps, walls and patches under the surface [m]: more than a leg of the built-in robots reaches.
 const FOUNDATION: f64 = 0.05;
 
-/// The leg friction that Li, Zhang & Goldman 2012 state; for want of one on rock, ours there too.
+/// The leg friction of Li, Zhang & Goldman 2012. They give none for rock; using the same is our choice.
 pub const FRICTION: f64 = 0.36;
 
 /// One rigid obstacle.
@@ -29,10 +30,10 @@ pub struct Obstacle {
     /// Unit quaternion w, x, y, z at the start: own frame to world.
     #[serde(default = "upright")]
     pub orientation: [f64; 4],
-    /// Uniform density [kg/m³] of an obstacle that moves; none: it is fixed.
+    /// Uniform density [kg/m³] of an obstacle that moves; None: it is fixed.
     #[serde(default)]
     pub density: Option<f64>,
-    /// Coulomb coefficient against the robot; between two obstacles the larger of both counts.
+    /// Coulomb coefficient against the robot; between two obstacles the larger one applies.
     #[serde(default = "friction")]
     pub friction: f64,
 }
@@ -63,13 +64,13 @@ fn friction() -> f64 {
 }
 
 impl Obstacle {
-    /// Fixed, upright, with the default friction.
+    /// A fixed, upright obstacle with the default friction.
     pub fn fixed(shape: ObstacleShape, position: [f64; 3]) -> Self {
         Self { shape, position, orientation: upright(), density: None, friction: FRICTION }
     }
 
     /// A step or wall: a fixed block around (x, y) [m] with its top `height` [m] above the surface, turned by `yaw`
-    /// [rad], with a foundation in the sand. Height 0 is a hard patch flush with the sand.
+    /// [rad], with a foundation in the sand. With height 0 it is a hard patch flush with the sand.
     pub fn block([x, y]: [f64; 2], [length, width]: [f64; 2], height: f64, yaw: f64) -> Self {
         let size = [length, width, height + FOUNDATION];
         Self::fixed(ObstacleShape::Box { size }, [x, y, height - size[2] / 2.0]).turned(yaw)
@@ -90,7 +91,7 @@ impl Obstacle {
         self.density.is_some()
     }
 
-    /// Checks every number and builds the geometry. The ranges guard against slips of units: our choice.
+    /// Checks every number and builds the geometry. The ranges catch wrong units: our choice.
     pub fn solid(&self) -> Result<Solid> {
         for p in self.position {
             check_range("obstacle.position", p, -1e3..=1e3)?;

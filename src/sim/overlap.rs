@@ -1,21 +1,22 @@
-//! How far a robot stands inside rigid obstacles: what tests and studies measure, by geometry that no engine uses.
+//! How deep a robot lies inside rigid obstacles. Tests and studies measure it with geometry code that no engine
+//! uses.
 
 use super::solid::{Pose, Solid};
 use super::{Model, State};
 
 type V = nalgebra::Vector3<f64>;
 
-/// Points along and across a leg's piece, and along each edge of the base.
+/// Number of points along and across a leg's piece, and along each edge of the base.
 const GRID: usize = 5;
 
 /// Deepest overlap [m] of the model's obstacles with the middle surfaces of the legs and with the base; 0 if none.
-/// Legs and base are looked at on a grid of points, obstacles also at their corners.
+/// Legs and base are sampled on a grid of points, obstacles also at their corners.
 pub fn overlap(model: &Model, state: &State) -> f64 {
     overlaps(model, state).fold(0.0, |deepest, (_, depth)| depth.max(deepest))
 }
 
-/// The deepest overlap as a share of its obstacle's own depth, surface to centre: 0 outside all, 1 where something
-/// stands in a centre. Whatever goes through an obstacle's middle comes close to 1 on its way.
+/// The deepest overlap as a share of its obstacle's own depth from surface to centre: 0 outside all, 1 at a centre.
+/// A body that passes through an obstacle's middle reaches nearly 1.
 pub fn overlap_share(model: &Model, state: &State) -> f64 {
     overlaps(model, state).fold(0.0, |deepest, (solid, depth)| (depth / solid.depth_of_centre()).max(deepest))
 }
@@ -37,7 +38,7 @@ fn overlaps<'a>(model: &'a Model, state: &State) -> impl Iterator<Item = (&'a So
     })
 }
 
-/// Where each of the scene's obstacles is.
+/// Poses of the scene's obstacles.
 pub fn obstacle_poses(model: &Model, state: &State) -> Vec<Pose> {
     let mut loose = state.objects.iter();
     let pose = |o: &super::Obstacle| match o.moves().then(|| loose.next()).flatten() {

@@ -1,7 +1,7 @@
-//! A robot as its user describes it: a TOML file with every length, mass and gain. Unknown keys are refused.
+//! A robot as its user describes it in a TOML file. Unknown keys are refused.
 
 use crate::error::{Error, Result, check_range};
-use crate::sand::Shape;
+use crate::sand::LegShape;
 use serde::{Deserialize, Serialize};
 
 /// The whole robot; SI units, origin at the base's centre, x forward, y left, z up.
@@ -35,11 +35,11 @@ pub struct Belly {
     pub size: [f64; 2],
     /// Distance under the base's centre [m].
     pub below: f64,
-    /// How many plates along x and along y.
+    /// Number of plates along x and along y.
     pub plates: [usize; 2],
 }
 
-/// All legs of a robot are alike; each hip places one.
+/// All legs of a robot are alike; each entry of `hips` mounts one.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Leg {
@@ -61,10 +61,10 @@ pub struct Link {
     pub mass: f64,
     /// Rotor inertia seen at the joint [kg·m²].
     pub armature: f64,
-    /// Lowest and highest angle [rad] that a position command may ask for; none: the joint turns freely.
+    /// Lowest and highest angle [rad] that a position command may ask for; None: the joint turns freely.
     #[serde(default)]
     pub range: Option<[f64; 2]>,
-    /// The strip that pushes on sand; none: the link does not touch it.
+    /// The strip that pushes on sand; None: the link does not touch sand.
     #[serde(default)]
     pub sand: Option<Strip>,
 }
@@ -97,12 +97,12 @@ pub struct Servo {
     /// Largest speed that can be commanded [rad/s]; no limit if not given.
     #[serde(default)]
     pub speed_limit: Option<f64>,
-    /// Does the reference stop where the motor gives up? See [`super::model::Motor::lag_limit`].
+    /// Is the reference held back where the motor is at its limit? See [`super::model::Motor::lag_limit`].
     #[serde(default)]
     pub anti_windup: bool,
 }
 
-/// Where a leg is mounted.
+/// The mounting of a leg.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Hip {
@@ -129,12 +129,12 @@ impl Robot {
     /// The reference robot.
     pub const DEFAULT: &'static str = "xplorer";
 
-    /// The leg under the carriage of LegStroke: nothing that walks.
+    /// The leg under the carriage of LegStroke; it cannot walk.
     pub fn stroke_leg() -> Result<Self> {
         Self::from_toml(include_str!("robots/stroke-leg.toml"))
     }
 
-    /// What is left of this description for a robot that is a tree of bodies: its name.
+    /// The description of a tree robot, of which only the name is used.
     pub(super) fn bare(name: &str, mass: f64) -> Self {
         let servo = Servo { kp: 0.0, kd: 0.0, torque_limit: None, speed_limit: None, anti_windup: false };
         let base = Base { mass, size: [0.0; 3] };
@@ -169,9 +169,9 @@ impl Robot {
         Ok(robot)
     }
 
-    /// Replaces the shape of every strip (see [`Shape::named`]).
+    /// Replaces the shape of every strip (see [`LegShape::named`]).
     pub fn with_leg_shape(mut self, shape: &str) -> Result<Self> {
-        Shape::named(shape)?;
+        LegShape::named(shape)?;
         for strip in self.leg.link.iter_mut().filter_map(|l| l.sand.as_mut()) {
             strip.shape = shape.into();
         }
@@ -187,7 +187,7 @@ impl Robot {
         self.hip.iter().flat_map(|h| self.leg.link.iter().map(move |l| name(h, l))).collect()
     }
 
-    /// Is this `own`, but for masses and the servo?
+    /// Is this the robot `own`, apart from masses and the servo?
     pub fn is_variant_of(&self, own: &Self) -> bool {
         let mut same = own.clone();
         (same.base.mass, same.servo) = (self.base.mass, self.servo);
@@ -197,7 +197,7 @@ impl Robot {
         same == *self
     }
 
-    /// The ranges guard against slips of units: our choice, far outside what RFT was measured for.
+    /// The ranges catch wrong units: our choice, far outside the range where RFT was measured.
     pub fn validate(&self) -> Result<()> {
         check_range("base.mass", self.base.mass, 1e-4..=1e3)?;
         for s in self.base.size {
@@ -250,6 +250,6 @@ impl Link {
         check_range("leg.link.sand.width_axis (length)", norm(width_axis), 0.99..=1.01)?;
         let along: f64 = width_axis.iter().zip(self.reach).map(|(w, r)| w * r).sum();
         check_range("leg.link.sand.width_axis (along reach)", along / norm(self.reach), -1e-3..=1e-3)?;
-        Shape::named(&strip.shape)?.segments(norm(self.reach), strip.width, strip.segments).map(drop)
+        LegShape::named(&strip.shape)?.segments(norm(self.reach), strip.width, strip.segments).map(drop)
     }
 }

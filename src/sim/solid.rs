@@ -1,4 +1,4 @@
-//! Geometry of convex bodies: mass, surface facets for the sand, what is inside and what is on top.
+//! Geometry of convex bodies: mass, surface facets for the sand, depth inside and height on top.
 
 use crate::error::{Error, Result, check_range};
 use std::f64::consts::{PI, TAU};
@@ -11,16 +11,16 @@ type M = nalgebra::Matrix3<f64>;
 pub struct Plate {
     /// [m]
     pub center: V,
-    /// Unit normal; outward for the belly, either way for thin strips.
+    /// Unit normal; outward for the belly, in either direction for thin strips.
     pub normal: V,
     /// [m²]
     pub area: f64,
-    /// Across the plane of motion [m].
+    /// Width across the plane of motion [m].
     pub width: f64,
 }
 
-/// Rings and sectors of a sphere's facets; a box's side has [`GRID`]² of them, a hull's triangle 4. Our choice: facets
-/// are then a fraction of the sizes a rock sinks by.
+/// Rings and sectors of a sphere's facets; a box's side has [`GRID`]² facets, a hull's triangle 4. Our choice:
+/// facets are then smaller than the depths that a rock sinks by.
 const RINGS: usize = 8;
 const SECTORS: usize = 12;
 const GRID: usize = 4;
@@ -66,7 +66,7 @@ enum SolidKind {
     Sides(Vec<(V, f64)>),
 }
 
-/// Where a body is.
+/// Pose of a body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
     /// Own axes to world axes.
@@ -140,7 +140,8 @@ impl Solid {
         let middle = points.iter().map(|p| V::from(*p)).sum::<V>() / points.len() as f64;
         let span =
             M::from_fn(|i, j| points.iter().map(|p| (V::from(*p) - middle)[i] * (V::from(*p) - middle)[j]).sum());
-        // rapier's hull is made in f32 and needs all three dimensions: thinner than a thousandth is refused.
+        // parry makes the hull in `f32` and needs all three dimensions: a hull thinner than a thousandth of its
+        // size is refused.
         let spread = span.symmetric_eigenvalues();
         if spread.min() <= 1e-6 * spread.max() {
             return Err(flat());
@@ -148,7 +149,7 @@ impl Solid {
         let (corners, triangles) = super::hull::hull(points).ok_or_else(flat)?;
         let faces = triangles.clone();
         let triangles = triangles.iter().map(|t| t.map(|i| corners[i]));
-        // Tetrahedra from the points' mean, which is inside: ∫dV, ∫p dV, ∫p pᵀ dV.
+        // Sums over tetrahedra from the points' mean, which is inside: ∫dV, ∫p dV, ∫p pᵀ dV.
         let (mut volume, mut first, mut second) = (0.0, V::zeros(), M::zeros());
         for [a, b, c] in triangles.clone() {
             let [a, b, c] = [a - middle, b - middle, c - middle];
@@ -231,7 +232,7 @@ impl Solid {
         }
     }
 
-    /// Radius of the smallest sphere about the centre of mass that holds the body [m].
+    /// Radius of the smallest sphere about the centre of mass that contains the body [m].
     pub fn reach(&self) -> f64 {
         match self.kind {
             SolidKind::Sphere { radius } => radius,
@@ -256,7 +257,7 @@ mod tests {
         assert!((a - b).abs() < 1e-5 * b.abs().max(1e-3), "{a} is not {b}");
     }
 
-    /// A box as a hull of its corners, moved aside, is the box.
+    /// A box given as a hull of its corners, shifted, equals the box.
     #[test]
     fn a_hull_of_a_boxs_corners_is_the_box() {
         let cuboid = Solid::cuboid([0.2, 0.3, 0.5]);

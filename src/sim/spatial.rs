@@ -1,5 +1,6 @@
-//! Spatial algebra about one common point: wrenches and inertias of bodies in a shared, world-aligned frame, so that
-//! those of child and parent simply add. After R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapters 2 and 7.
+//! Spatial algebra about one common point: wrenches and inertias of bodies in a shared, world-aligned frame, so
+//! that those of child and parent add. After R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapters 2 and
+//! 7.
 
 use crate::number::{Mat3, Real, Vec3};
 
@@ -32,7 +33,7 @@ impl<R: Real> Wrench<R> {
     pub fn scale_add(&self, s: R, o: &Self) -> Self {
         Self { moment: self.moment.scale_add(s, o.moment), force: self.force.scale_add(s, o.force) }
     }
-    /// Power of this wrench along a twist.
+    /// Power of this wrench on a twist.
     #[inline(always)]
     pub fn dot(&self, t: &Twist<R>) -> R {
         self.moment.dot(t.angular) + self.force.dot(t.linear)
@@ -54,12 +55,12 @@ impl<R: Real> Twist<R> {
     pub fn scaled(&self, s: R) -> Self {
         Self { angular: self.angular * s, linear: self.linear * s }
     }
-    /// Of the body-fixed point at `r` from the common point.
+    /// Velocity of the body-fixed point at `r` from the common point.
     #[inline(always)]
     pub fn at(&self, r: Vec3<R>) -> Vec3<R> {
         self.linear + self.angular.cross(r)
     }
-    /// Rate of change of a twist `other` that is carried along with this velocity.
+    /// Rate of change of a twist `other` that is fixed to a body with this velocity.
     #[inline(always)]
     pub fn carries(&self, other: &Self) -> Self {
         Self {
@@ -103,7 +104,7 @@ impl<R: Real> Symmetric<R> {
         *d = Vec3::new(a.x.mul_add(x, d.x), a.y.mul_add(y, d.y), a.z.mul_add(z, d.z));
         *o = Vec3::new(a.x.mul_add(y, o.x), a.x.mul_add(z, o.y), a.y.mul_add(z, o.z));
     }
-    /// Adds `a bᵀ`, of which the sum of all that is added must be symmetric.
+    /// Adds `a bᵀ`. The sum of all added products must be symmetric.
     #[inline(always)]
     pub fn add_product(&mut self, a: Vec3<R>, b: Vec3<R>) {
         let (d, o) = (&mut self.diagonal, &mut self.off);
@@ -128,7 +129,7 @@ impl<R: Real> Symmetric<R> {
     }
 }
 
-/// Point masses gathered by their moments: those of a link, and what sand's implicit drag adds.
+/// Point masses as the sums of their moments: those of a link, and those that represent sand's implicit drag.
 #[derive(Clone, Copy)]
 pub struct PointMasses<R> {
     pub mass: R,

@@ -1,4 +1,4 @@
-//! Where one robot is and how it moves.
+//! Position and motion of one robot.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,9 +10,9 @@ pub struct State {
     pub position: [f64; 3],
     /// Unit quaternion w, x, y, z: base frame to world.
     pub orientation: [f64; 4],
-    /// Of the base centre, in the world frame [m/s].
+    /// Velocity of the base centre, in the world frame [m/s].
     pub velocity: [f64; 3],
-    /// Of the base, in the world frame [rad/s].
+    /// Angular velocity of the base, in the world frame [rad/s].
     pub angular_velocity: [f64; 3],
     /// Joint angles [rad].
     pub angles: Vec<f64>,
@@ -22,13 +22,13 @@ pub struct State {
     pub references: Vec<f64>,
     /// Torque each joint applied in the last time step [N·m].
     pub torques: Vec<f64>,
-    /// What the last time step added to `velocity` [m/s] and to `angular_velocity` [rad/s]; zero at the start. Engine
-    /// `lanes` expects the next step to add the same: see [`super::lanes`].
+    /// Change of `velocity` [m/s] and `angular_velocity` [rad/s] in the last time step; zero at the start. Engine
+    /// `lanes` expects the next step to change them alike: see [`super::lanes`].
     pub velocity_change: [f64; 3],
     pub angular_velocity_change: [f64; 3],
-    /// What the last time step added to `rates` [rad/s].
+    /// Change of `rates` in the last time step [rad/s].
     pub rate_changes: Vec<f64>,
-    /// ∫ Σ|τ ω| dt since the state was set [J]; of engine `carriage`, whose drives waste nothing, ∫ Σ τ ω dt.
+    /// ∫ Σ|τ ω| dt since the state was set [J]; for engine `carriage`, whose drives recover energy, ∫ Σ τ ω dt.
     pub work: f64,
     /// ∫ sand's force on the legs dt since the state was set [N·s]; only engine `carriage` measures it.
     pub impulse: [f64; 3],
@@ -37,14 +37,14 @@ pub struct State {
     pub objects: Vec<ObjectState>,
 }
 
-/// Where a loose obstacle is and how it moves; world frame.
+/// Pose and velocity of a loose obstacle; world frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ObjectState {
     /// Centre of mass [m].
     pub position: [f64; 3],
     /// Unit quaternion w, x, y, z: own frame to world.
     pub orientation: [f64; 4],
-    /// Of the centre of mass [m/s].
+    /// Velocity of the centre of mass [m/s].
     pub velocity: [f64; 3],
     /// [rad/s]
     pub angular_velocity: [f64; 3],
@@ -89,7 +89,7 @@ impl State {
         }
     }
 
-    /// All of it as one row, for [`Self::from_row`].
+    /// All numbers as one row, for [`Self::from_row`].
     pub fn row(&self) -> Vec<f64> {
         let mut row = Vec::with_capacity(23 + 5 * self.angles.len() + 13 * self.objects.len());
         row.extend(self.position.iter().chain(&self.orientation).chain(&self.velocity).chain(&self.angular_velocity));
@@ -102,8 +102,7 @@ impl State {
         row
     }
 
-    /// The state of a robot with `joints` joints from its [`Self::row`]; none if the row has another length than such
-    /// robots' have.
+    /// The state of a robot with `joints` joints from its [`Self::row`]; None if the row's length is wrong.
     pub fn from_row(joints: usize, row: &[f64]) -> Option<Self> {
         let (base, rest) = row.split_at_checked(23)?;
         let (joint, objects) = rest.split_at_checked(5 * joints)?;
@@ -130,8 +129,8 @@ impl State {
         })
     }
 
-    /// Are all numbers finite and small enough that the next step can be computed? 1e4 m or rad/s is far beyond any
-    /// walking robot: our choice.
+    /// Are all numbers finite and small enough to compute the next step? 1e4 m or rad/s is far beyond any walking
+    /// robot: our choice.
     pub fn is_sound(&self) -> bool {
         let ok = |v: &[f64]| v.iter().all(|x| x.abs() < 1e4);
         ok(&self.position)
@@ -146,17 +145,18 @@ impl State {
             && self.objects.iter().flat_map(ObjectState::numbers).all(|x| x.abs() < 1e4)
     }
 
-    /// Forgets what the last time step added: for engines that make no use of it.
+    /// Clears the changes of the last time step, for engines that do not use them.
     pub fn forget_changes(&mut self) {
         (self.velocity_change, self.angular_velocity_change) = ([0.0; 3], [0.0; 3]);
         self.rate_changes.fill(0.0);
     }
 
-    /// [`Self::is_sound`] of a state that comes from outside: forces and sums too, and every orientation of unit length.
+    /// [`Self::is_sound`] for a state from outside: also checks forces and sums, and the unit length of every
+    /// orientation.
     pub fn is_possible(&self) -> bool {
         let numbers = || self.references.iter().chain(&self.torques).chain(&self.impulse).chain([&self.work]);
         let unit = |q: &[f64; 4]| (q.iter().map(|c| c * c).sum::<f64>().sqrt() - 1.0).abs() < 1e-2;
-        // A servo's reference runs on while its joint is held: our choice of a bound, far beyond any episode.
+        // A servo's reference runs on while its joint is held; the bound is our choice, far beyond any episode.
         self.is_sound()
             && numbers().all(|x| x.abs() < 1e9)
             && unit(&self.orientation)
@@ -168,7 +168,7 @@ impl State {
         [self.velocity[0], self.velocity[1]]
     }
 
-    /// Base frame to world, row by row.
+    /// Rotation from base frame to world, row by row.
     pub fn rotation(&self) -> [[f64; 3]; 3] {
         let [w, x, y, z] = self.orientation;
         [

@@ -17,13 +17,13 @@ pub struct Trial {
     pub frequency: f64,
     /// Added to every hip's starting angle [rad].
     pub phase: f64,
-    /// Where along the bed the run starts [m]: felt on sand that changes along the way.
+    /// Position along the bed where the run starts [m], for sand that varies along the way.
     pub x_bed: f64,
-    /// Strides over which is measured.
+    /// Number of strides in the measurement.
     pub strides: f64,
 }
 
-/// What was measured, over the window that the protocol names; not a number throughout if the simulation diverged.
+/// Results over the protocol's measurement window; all NaN if the simulation diverged.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct WalkResult {
     /// Net horizontal displacement per time, negative if toward −x [m/s].
@@ -32,11 +32,11 @@ pub struct WalkResult {
     pub base_height: f64,
     /// Root mean square of the base's pitch about its mean [rad].
     pub pitch_rms: f64,
-    /// Over all joints [N·m].
+    /// Root mean square torque over all joints [N·m].
     pub hip_torque_rms: f64,
-    /// Commanded minus actual speed, over all joints [rad/s].
+    /// Root mean square of commanded minus actual speed, over all joints [rad/s].
     pub hip_speed_error_rms: f64,
-    /// ∫ Σ|τ ω| dt over weight times distance; not a number where the robot only stands.
+    /// ∫ Σ|τ ω| dt over weight times distance; NaN for a robot that stands.
     pub cost_of_transport: f64,
     /// Height that the base lost from the window's start to its end [m].
     pub sink: f64,
@@ -45,7 +45,7 @@ pub struct WalkResult {
 }
 
 impl WalkResult {
-    /// Of a walk that could not be simulated.
+    /// The result of a walk that could not be simulated.
     pub fn lost() -> Self {
         let nan = f64::NAN;
         Self {
@@ -68,10 +68,10 @@ const STRIDES_MEASURED: f64 = 4.0;
 /// A robot set down on the surface comes to rest within 0.2 s; our choice leaves room for soft sand.
 const SETTLE: f64 = 1.0;
 const STAND: f64 = 10.0;
-/// Commands and samples come this often [s]: fine against a stride, coarse against a time step.
+/// Interval of commands and samples [s]: short against a stride, long against a time step.
 const TICK: f64 = 1e-3;
 
-/// What the protocol tells the hips at `time` [s] after its start: how far to have turned [rad], and how fast to turn [rad/s].
+/// The hips' command at `time` [s] after the protocol's start: angle turned so far [rad] and speed [rad/s].
 pub fn hip_angle(frequency: f64, time: f64) -> [f64; 2] {
     let ramped = (time - HOLD).clamp(0.0, RAMP);
     let turning = (time - HOLD - RAMP).max(0.0);
@@ -103,15 +103,15 @@ impl Trial {
         TAU * self.frequency * ((time - HOLD) / RAMP).clamp(0.0, 1.0)
     }
 
-    /// Refuses what the protocol cannot run.
+    /// Refuses runs that the protocol cannot simulate.
     pub fn validate(&self) -> Result<()> {
-        // Slower than one stride in 50 s or faster than 20 Hz is far from any walk: our choice of guard.
+        // Slower than one stride in 50 s or faster than 20 Hz is far from any walk: our choice.
         check_range("frequency", self.frequency, -20.0..=20.0)?;
         if self.frequency != 0.0 && self.frequency.abs() < 0.02 {
             return Err(Error::invalid("frequency", format!("{} is neither 0 nor at least 0.02 Hz", self.frequency)));
         }
         check_range("phase", self.phase, -TAU..=TAU)?;
-        // A bed of 2 km and a walk of 1000 strides are slips of units: our choice of guards.
+        // A bed of 2 km or a walk of 1000 strides has wrong units: our choice.
         check_range("x_bed", self.x_bed, -1e3..=1e3)?;
         check_range("strides", self.strides, 0.1..=1e3)?;
         if self.frequency != 0.0 && self.model.legs.iter().any(|l| l.len() != 1) {
@@ -138,15 +138,15 @@ pub fn walk(kind: EngineKind, trial: &Trial) -> Result<WalkResult> {
     results.first().copied().ok_or_else(|| Error::invalid("trials", "none"))
 }
 
-/// Hears of a walk's states as it goes.
+/// Receives a walk's states while it runs.
 pub struct Watch<'a> {
-    /// Calls a second of simulated time: at most 1000, the protocol's own pace.
+    /// Calls a second of simulated time: at most 1000, the number of the protocol's samples.
     pub rate: f64,
     /// Takes the time [s] and the state.
     pub see: &'a mut dyn FnMut(f64, &State),
 }
 
-/// [`walk`], with every state seen on the way, the first one included.
+/// [`walk`], which also gives every state to `watch`, the first one included.
 pub fn walk_watched(kind: EngineKind, trial: &Trial, watch: &mut Watch) -> Result<WalkResult> {
     check_range("rate", watch.rate, 1.0..=1.0 / TICK)?;
     let results = run(kind, std::slice::from_ref(trial), &|_| Ok(()), Some(watch))?;
@@ -156,13 +156,13 @@ pub fn walk_watched(kind: EngineKind, trial: &Trial, watch: &mut Watch) -> Resul
 /// Simulated time [s] between two calls of `advanced`: some milliseconds of work, our choice.
 const HEED: f64 = 1.0;
 
-/// Runs `trials` side by side in one engine; all robots must have the same number of joints and plates. `advanced` hears
-/// how many more seconds have been simulated; an error of it stops the walks and is handed back.
+/// Runs `trials` side by side in one engine; all robots must have the same number of joints and plates. `advanced`
+/// receives the additional simulated seconds; its error stops the walks and is returned.
 pub fn walk_many(kind: EngineKind, trials: &[Trial], advanced: &dyn Fn(f64) -> Result<()>) -> Result<Vec<WalkResult>> {
     run(kind, trials, advanced, None)
 }
 
-/// [`walk_many`]; `watch` hears of the first trial.
+/// [`walk_many`]; `watch` receives the states of the first trial.
 fn run(
     kind: EngineKind,
     trials: &[Trial],
@@ -196,7 +196,7 @@ fn run(
             (watch.see)(time, &seen);
         }
         for (i, meter) in meters.iter_mut().enumerate() {
-            // The speed in the middle of the tick: the ramp's integral is exact.
+            // The speed in the middle of the interval, which makes the integral of the ramp exact.
             command.rates.fill(meter.trial.hip_speed(time + 0.5 * tick));
             engine.command(i, &command);
         }
@@ -244,7 +244,7 @@ impl<'a> Meter<'a> {
     /// Takes the state of robot `index` at `time`, one `tick` [s] after the last.
     fn sample(&mut self, engine: &Engine, index: usize, time: f64, tick: f64) {
         let window = self.trial.window();
-        // From the tick before the window on: its start lies between two samples.
+        // Starts one sample before the window, because the window's start lies between two samples.
         if time + tick < window[0] || self.ends[1].is_some() {
             return;
         }
@@ -256,7 +256,7 @@ impl<'a> Meter<'a> {
         let now = &self.now;
         for (end, at) in self.ends.iter_mut().zip(window) {
             if end.is_none() && time >= at {
-                // The window's ends lie within a tick: go back with the present velocity.
+                // The window's ends lie between samples: extrapolate back with the present velocity.
                 let back = time - at;
                 let place = [0, 1, 2].map(|i| now.position[i] - back * now.velocity[i]);
                 *end = Some((place, now.work - (now.work - before) * back / tick));

@@ -1,4 +1,4 @@
-//! Every design of a grid walks.
+//! Simulates a walk for every design of a grid.
 
 use super::table::values;
 use super::{Axis, Design, walk_all};
@@ -10,7 +10,7 @@ use crate::sim::walk::{Trial, WalkResult};
 /// More walks than this are refused: our choice, about an hour of one core.
 pub const MOST_WALKS: usize = 500_000;
 
-/// Walks whose models are in memory at a time: our choice, some 100 MiB.
+/// Walks whose models are in memory at the same time: our choice, some 100 MiB.
 const PORTION: usize = 4096;
 
 /// One walk a grid point, the last axis fastest. An error of `progress` stops them.
@@ -26,13 +26,14 @@ pub fn grid(base: &Design, axes: &[Axis], progress: &dyn Progress) -> Result<Vec
     Ok(results)
 }
 
-/// Refuses a grid that is too large, and each value that the base design cannot take; gives the number of its points.
+/// Refuses a grid that is too large, and each value that the base design cannot have; returns the number of its
+/// points.
 pub fn check_grid(base: &Design, axes: &[Axis]) -> Result<usize> {
     let count: usize = axes.iter().map(|a| a.values.len()).product();
     check_range("number of walks", count as f64, 1.0..=MOST_WALKS as f64)?;
     let mut stride = 1;
     for axis in axes.iter().rev() {
-        // The others at their first values: all pairs would take as long as a walk each.
+        // Tests each value with the other axes at their first values; all pairs would take as long as a walk each.
         (0..axis.values.len()).try_for_each(|k| trial(base, axes, k * stride).map(drop))?;
         stride *= axis.values.len();
     }

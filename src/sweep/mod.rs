@@ -1,7 +1,7 @@
 //! Design studies: how a robot's walk changes with its design and its sand.
 //!
-//! [`parameter`]: what can be varied → [`grid`]: every design, its walks [`run`] over lanes and cores → [`table`]: CSV and
-//! figure, or [`optimize`]: a search for the best design. After Li et al. 2012, section 5.
+//! [`parameter`]: a number that can vary → [`grid`]: every design; [`run`]: its walks on lanes and cores →
+//! [`table`]: CSV and figure, or [`optimize`]: a search for the best design. After Li et al. 2012, section 5.
 
 use sandgait_base::{error, parallel, progress};
 use sandgait_plot as plot;
@@ -49,7 +49,7 @@ impl Design {
     }
 }
 
-/// What a study looks at.
+/// The result of a walk that a study reports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Measure {
     Speed,
@@ -80,12 +80,12 @@ impl Measure {
         }
     }
 
-    /// The best of these walks; none if there are none.
+    /// The best of these walks; None if there are none.
     pub fn best(self, results: &[WalkResult]) -> Option<usize> {
         (0..results.len()).min_by(|a, b| self.cost(&results[*a]).total_cmp(&self.cost(&results[*b])))
     }
 
-    /// Smaller is better; a walk that failed, or went backward, is worst.
+    /// Smaller is better. A walk that failed or went backward is the worst.
     pub fn cost(self, result: &WalkResult) -> f64 {
         let value = match self {
             Self::Speed => -result.speed,

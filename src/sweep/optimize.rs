@@ -1,5 +1,5 @@
-//! A search for the best design within bounds: particle swarm, because the speed of a walk has kinks and local optima,
-//! gradients are not known, and a whole swarm walks at once in the lanes.
+//! A search for the best design within bounds. It is a particle swarm, because the speed of a walk has kinks and
+//! local optima, gradients are not known, and the walks of a swarm run side by side in the lanes.
 
 use super::{Axis, Design, Measure, walk_all};
 use crate::error::{Error, Result};
@@ -13,14 +13,14 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use std::borrow::Borrow;
 use std::cell::Cell;
 
-/// Robots in the swarm: two full blocks of lanes, one a core of a small machine.
+/// Robots in the swarm: two full blocks of lanes, one for each core of a small machine.
 const SWARM: usize = 32;
 /// Moves of the swarm: our choice; two parameters are found to about 1 % of their range.
 const MOVES: u64 = 25;
-/// The same search every time.
+/// The same seed in every search.
 const SEED: u64 = 1;
 
-/// Walks that a search makes.
+/// Number of walks in a search.
 pub const WALKS: usize = SWARM * (MOVES as usize + 1);
 
 /// The best design found.
@@ -35,7 +35,7 @@ struct Problem<'a> {
     axes: &'a [Axis],
     measure: Measure,
     progress: &'a dyn Progress,
-    /// Robots that were simulated.
+    /// Number of simulated robots.
     simulated: Cell<usize>,
 }
 
@@ -82,7 +82,8 @@ impl CostFunction for Problem<'_> {
     }
 }
 
-/// Least and greatest value of each axis. Wrong bounds are the user's to mend: designs at both ends are simulated.
+/// Least and greatest value of each axis. Designs at both bounds are simulated once, so that wrong bounds give an
+/// error.
 pub fn bounds(base: &Design, axes: &[Axis]) -> Result<[Vec<f64>; 2]> {
     let (mut low, mut high) = (Vec::new(), Vec::new());
     for axis in axes {

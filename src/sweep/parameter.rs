@@ -1,4 +1,4 @@
-//! What a design study can vary.
+//! The parameters that a design study can vary.
 
 use super::Design;
 use crate::error::{Error, Result, check_range};
@@ -32,7 +32,7 @@ impl Parameter {
             unit: "°",
             set: |d, v| {
                 let shape = format!("xi={}", number(v)?);
-                crate::sand::Shape::named(&shape)?;
+                crate::sand::LegShape::named(&shape)?;
                 strips(d, |s| s.shape.clone_from(&shape));
                 Ok(())
             },
@@ -203,7 +203,7 @@ pub struct Axis {
     pub values: Vec<String>,
 }
 
-/// More values than this on one axis are refused: our choice of guard against slips.
+/// Most values on one axis: our choice, which catches typing errors.
 const MOST_VALUES: usize = 10_000;
 
 impl Axis {
@@ -237,7 +237,7 @@ impl Axis {
         Self::new(name, values)
     }
 
-    /// The values as numbers, if they all are.
+    /// The values as numbers, if all of them are numbers.
     pub fn numbers(&self) -> Option<Vec<f64>> {
         self.values.iter().map(|v| v.parse().ok()).collect()
     }

@@ -1,4 +1,4 @@
-//! Many walks, packed: robots that walk equally long share the lanes of one block, and blocks share the cores.
+//! Runs many walks: robots that walk equally long share the lanes of one block, and blocks share the cores.
 
 use crate::error::Result;
 use crate::parallel;
@@ -7,11 +7,11 @@ use crate::sim::engine::EngineKind;
 use crate::sim::walk::{Trial, WalkResult, walk_many};
 use std::sync::{Mutex, PoisonError};
 
-/// Walks every trial, in the order given. An error of `progress` stops all of them within a second of
-/// simulated time.
+/// Walks every trial, in the order given. An error of `progress` stops all of them within a second of simulated
+/// time.
 ///
-/// A block has one law, regularisation and time step, and as many plates in every lane; within that, trials are packed by
-/// duration, because a block runs until its slowest robot has finished its strides.
+/// A block has one law, regularisation and time step, and equally many plates in every lane. Among such trials,
+/// those of similar duration share a block, because a block runs until its slowest robot has finished its strides.
 pub fn walk_all(engine: EngineKind, trials: &[Trial], progress: &dyn Progress) -> Result<Vec<WalkResult>> {
     let mut order: Vec<usize> = (0..trials.len()).collect();
     order.sort_by(|a, b| {
@@ -28,11 +28,11 @@ pub fn walk_all(engine: EngineKind, trials: &[Trial], progress: &dyn Progress) -
             _ => blocks.push(vec![index]),
         }
     }
-    // Slow walks come last in each kind; started first, they do not leave a core waiting at the end.
+    // Slow walks are last in each kind; started first, they do not keep a single core busy at the end.
     blocks.reverse();
     let clock = Clock::of(trials, &blocks, progress);
     let outcomes = parallel::map(&blocks, |block| {
-        // Once stopped, no further block sets out.
+        // After a stop no further block starts.
         clock.advance(0.0)?;
         let packed: Vec<Trial> = block.iter().map(|i| trials[*i].clone()).collect();
         walk_many(engine, &packed, &|seconds| clock.advance(seconds))
@@ -46,7 +46,7 @@ pub fn walk_all(engine: EngineKind, trials: &[Trial], progress: &dyn Progress) -
     Ok(results.into_iter().flatten().collect())
 }
 
-/// Simulated time of all blocks together: the measure of how far the walks have come.
+/// Simulated time of all blocks together, the measure of progress.
 struct Clock<'a> {
     /// [s]
     total: f64,
@@ -72,7 +72,7 @@ impl<'a> Clock<'a> {
     }
 }
 
-/// What all robots of a block must have in common.
+/// Properties that all robots of a block have in common.
 fn kind(trial: &Trial) -> (&'static str, [u64; 5], usize, usize, bool) {
     let (model, scene) = (&trial.model, &trial.model.scene);
     let surface = &scene.surface;

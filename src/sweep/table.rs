@@ -62,7 +62,7 @@ fn heat_map(axes: &[Axis], x: Vec<f64>, y: Vec<f64>, at: &[f64], measure: Measur
 }
 
 fn lines(families: Option<&Axis>, along: &Axis, at: &[f64], measure: Measure) -> Panel {
-    // Names have no place on a number axis: they stand at 1, 2, 3 …
+    // Names are drawn at 1, 2, 3 … of the axis.
     let x = along.numbers().unwrap_or_else(|| (1..=along.values.len()).map(|i| i as f64).collect());
     let label = match along.numbers() {
         Some(_) => along.parameter.label(),

@@ -1,4 +1,4 @@
-//! Where the asked columns stand in a header, and their units.
+//! Finds the requested columns and their units in a header.
 
 use super::quantity::Quantity;
 use super::shown;
@@ -6,42 +6,42 @@ use crate::error::{Error, Result};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// A column that a reader asks for.
+/// A column that a reader requests.
 #[derive(Clone, Copy, Debug)]
 pub struct Column<'a> {
     pub name: &'a str,
     pub quantity: Quantity,
-    /// Must the header have it? (Its cells may still be blank where the quantity does not apply.)
+    /// Must the header have it? (Single cells may still be blank where the quantity does not apply.)
     pub required: bool,
 }
 
 impl<'a> Column<'a> {
-    /// One that the header must have.
+    /// A required column.
     pub const fn needed(name: &'a str, quantity: Quantity) -> Self {
         Self { name, quantity, required: true }
     }
 }
 
-/// What a reader asks of a table.
+/// What a reader requests of a table.
 #[derive(Clone, Debug)]
 pub struct Asked<'a> {
     pub columns: &'a [Column<'a>],
-    /// Our column name → theirs, where it is another.
+    /// Our column name → the file's name for it, where it differs.
     pub renamed: BTreeMap<String, String>,
-    /// Column, by our name or theirs → unit. A header may name it as well: `depth [mm]` or `depth (mm)`.
+    /// Column, by our name or the file's → unit. The header may give the unit too: `depth [mm]` or `depth (mm)`.
     pub units: BTreeMap<String, String>,
     /// Longer tables are refused.
     pub most_rows: Option<usize>,
 }
 
-/// Column of the file, and the factor of its numbers to SI.
+/// Column of the file, and the factor from its numbers to SI.
 pub(super) struct Place {
     pub index: usize,
     pub factor: f64,
 }
 
 impl<'a> Asked<'a> {
-    /// Columns under our own names, of any number of rows, whose units only the header says.
+    /// Columns under our own names, in a file of any length, with units from the header alone.
     pub fn new(columns: &'a [Column<'a>]) -> Self {
         Self { columns, renamed: BTreeMap::new(), units: BTreeMap::new(), most_rows: None }
     }
@@ -54,7 +54,7 @@ impl<'a> Asked<'a> {
         Ok(there)
     }
 
-    /// Place of each column in `header`; `None` for an optional one that is not there.
+    /// Index of each column in `header`; `None` for an absent optional one.
     pub(super) fn places(&self, path: &Path, header: &[String]) -> Result<Vec<Option<Place>>> {
         if header.iter().all(String::is_empty) {
             return Err(Error::file(path, "row 1: empty, where the columns' names should stand"));
@@ -85,7 +85,8 @@ impl<'a> Asked<'a> {
         let theirs = self.theirs(column);
         let wrong = |reason: String| Error::file(path, format!("row 1, column {theirs}: {reason}"));
         let exact = header.iter().any(|h| h == theirs);
-        // Beside the name itself, the same one with a unit is a second column; with other words in brackets it is not.
+        // The same name with a unit is a duplicate column; the name with other words in brackets is a different
+        // column.
         let doubles = |(name, unit): (&str, Option<&str>)| {
             name == theirs && unit.is_some_and(|unit| column.quantity.factor(unit).is_some())
         };
@@ -104,7 +105,7 @@ impl<'a> Asked<'a> {
         let given = self.units.get(column.name).or_else(|| self.units.get(theirs));
         let given = given.map(|unit| factor(column, unit).map_err(wrong)).transpose()?;
         let own = match split(cell).1 {
-            // Brackets of a name that was asked for with them may be part of it.
+            // If the requested name has brackets, they may be part of the name.
             Some(unit) if exact => column.quantity.factor(unit),
             Some(unit) if column.quantity != Quantity::Text => Some(factor(column, unit).map_err(wrong)?),
             _ => None,
@@ -118,7 +119,7 @@ impl<'a> Asked<'a> {
     }
 }
 
-/// Factor to SI of a unit of this column, or what is wrong with it.
+/// Factor from this column's unit to SI, or the error.
 fn factor(column: &Column, unit: &str) -> std::result::Result<f64, String> {
     let known: Vec<_> = column.quantity.units().iter().map(|u| u.0).collect();
     column.quantity.factor(unit).ok_or_else(|| match known.is_empty() {

@@ -1,5 +1,5 @@
-//! Tables that users bring: CSV with named columns and units, read row by row; every bad cell is named by file, row and
-//! column. Row 1 is the header, and rows are lines of the file.
+//! Tables that users bring: CSV with named columns and units, read row by row. The error of a bad cell names file,
+//! row and column. Row 1 is the header; rows are numbered by lines of the file.
 
 use sandgait_base::error;
 
@@ -16,13 +16,13 @@ use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::Path;
 
-/// Files beyond this many bytes are refused unread, streams when they get there: over 6 kB a row of the longest log that is
-/// diagnosed. Our choice; also the most that a row without an end takes in memory.
+/// Larger files are refused before they are read, and streams once they exceed it. It allows over 6 kB a row for
+/// the longest log that can be diagnosed. Our choice; it also bounds the memory that a row without an end takes.
 const MOST_BYTES: u64 = 256 << 20;
-/// Characters of a bad cell or header that an error shows: our choice, a line is to be read.
+/// Characters of a bad cell or header that an error shows: our choice, so that the line stays readable.
 const SHOWN: usize = 300;
 
-/// One row, its cells in the order of the asked columns.
+/// One row; its cells have the order of the requested columns.
 pub struct Row<'a> {
     file: &'a Path,
     columns: &'a [Column<'a>],
@@ -33,13 +33,13 @@ pub struct Row<'a> {
 }
 
 impl Row<'_> {
-    /// The cell's text, `None` where blank or the column is absent.
+    /// The cell's text; `None` if it is blank or the column is absent.
     pub fn text(&self, column: usize) -> Option<&str> {
         let place = self.places[column].as_ref()?;
         self.record.get(place.index).map(str::trim).filter(|cell| !cell.is_empty())
     }
 
-    /// The cell in SI units, `None` where blank or absent.
+    /// The cell in SI units; `None` if it is blank or the column is absent.
     pub fn number(&self, column: usize) -> Result<Option<f64>> {
         let (Some(cell), Some(place)) = (self.text(column), &self.places[column]) else { return Ok(None) };
         match cell.parse::<f64>().map(|value| value * place.factor) {
@@ -49,7 +49,8 @@ impl Row<'_> {
         }
     }
 
-    /// The cell in SI units, refused beyond ±`most`: there it is in the wrong unit or broken, and its square may overflow.
+    /// The cell in SI units, refused beyond ±`most`. Such a number is broken or in the wrong unit, and its square
+    /// may overflow.
     pub fn within(&self, column: usize, most: f64) -> Result<Option<f64>> {
         match self.number(column)? {
             Some(value) if value.abs() > most => Err(self.error(column, format!("{value} is beyond ±{most}"))),
@@ -57,12 +58,12 @@ impl Row<'_> {
         }
     }
 
-    /// The cell in SI units; blank is an error.
+    /// The cell in SI units; an error if it is blank.
     pub fn needed(&self, column: usize) -> Result<f64> {
         self.number(column)?.ok_or_else(|| self.blank(column))
     }
 
-    /// The cell's text; blank is an error.
+    /// The cell's text; an error if it is blank.
     pub fn needed_text(&self, column: usize) -> Result<&str> {
         self.text(column).ok_or_else(|| self.blank(column))
     }
@@ -72,7 +73,7 @@ impl Row<'_> {
         self.error(column, "is blank")
     }
 
-    /// Every cell of the file's row as it stands, asked for or not.
+    /// The text of every cell of the file's row, requested or not.
     pub fn cells(&self) -> impl Iterator<Item = &str> {
         self.record.iter().map(str::trim)
     }
@@ -83,15 +84,15 @@ impl Row<'_> {
     }
 }
 
-/// What is known of a table once it is read.
+/// What is known of a table after it was read.
 pub struct Summary {
-    /// As in the file, every column of it.
+    /// All columns of the file, in its order.
     pub header: Vec<String>,
     /// Hexadecimal SHA-256 of the file.
     pub sha256: String,
 }
 
-/// Hands each row of the file to `take`, in the file's order.
+/// Gives each row of the file to `take`, in the file's order.
 pub fn read(path: &Path, asked: &Asked, take: impl FnMut(&Row) -> Result<()>) -> Result<Summary> {
     let file = File::open(path).map_err(|e| Error::file(path, e))?;
     let bytes = file.metadata().map_err(|e| Error::file(path, e))?.len();
@@ -101,7 +102,7 @@ pub fn read(path: &Path, asked: &Asked, take: impl FnMut(&Row) -> Result<()>) ->
     parse(path, BufReader::with_capacity(1 << 20, file), asked, take)
 }
 
-/// The same from any source; `path` names it in errors.
+/// The same from any source; `path` is the name in errors.
 pub fn parse(
     path: &Path,
     source: impl Read,
@@ -170,7 +171,7 @@ fn hexadecimal(hash: Sha256) -> String {
     hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Reads through to a hash of everything read; ends in an error where that is too much.
+/// Reads, hashes what is read, and fails when it is too much.
 struct Hashed<R> {
     inner: R,
     hash: Sha256,
@@ -190,7 +191,7 @@ fn too_long() -> String {
     format!("more than the {} MiB this reads: keep every n-th sample", MOST_BYTES >> 20)
 }
 
-/// The beginning of a text that may be very long.
+/// The beginning of a text, which may be very long.
 fn shown(text: &str) -> String {
     match text.char_indices().nth(SHOWN) {
         Some((end, _)) => format!("{} …", &text[..end]),

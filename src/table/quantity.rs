@@ -1,4 +1,4 @@
-//! Kinds of quantity that stand in a column, and their units.
+//! Kinds of quantity in a column, and their units.
 
 /// Kind of quantity in a column: decides which units it takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -8,7 +8,7 @@ pub enum Quantity {
     Length,
     Time,
     Angle,
-    /// Angles that the column's name says to be in degrees.
+    /// Angles in columns whose name says degrees.
     Degrees,
     AngularSpeed,
     Speed,
@@ -21,7 +21,7 @@ pub enum Quantity {
 }
 
 impl Quantity {
-    /// Units and their factor to the first, which is SI but for degrees.
+    /// Units and their factor to the first one, which is the SI unit except for degrees.
     pub fn units(self) -> &'static [(&'static str, f64)] {
         const DEGREE: f64 = std::f64::consts::PI / 180.0;
         match self {
@@ -63,7 +63,7 @@ impl Quantity {
         }
     }
 
-    /// Factor to SI of a unit, if it is one of this quantity.
+    /// Factor from a unit to SI, if it is a unit of this quantity.
     pub fn factor(self, unit: &str) -> Option<f64> {
         self.units().iter().find(|u| u.0 == unit).map(|u| u.1)
     }

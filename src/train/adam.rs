@@ -1,9 +1,10 @@
-//! One step along a gradient: clipped to a greatest length, then Adam (Kingma & Ba 2015, arXiv:1412.6980) as PyTorch has it.
+//! One optimizer step: clips the gradient's norm, then applies Adam (Kingma & Ba 2015, arXiv:1412.6980) as PyTorch
+//! does.
 
 use crate::number::{Isa, Kernel};
 
 const BETAS: [f32; 2] = [0.9, 0.999];
-/// stable-baselines3's for PPO.
+/// The value of stable-baselines3's PPO.
 const EPSILON: f32 = 1e-5;
 
 /// Running means of the gradient and of its square, number by number.
@@ -19,8 +20,8 @@ impl Adam {
         Self { first: vec![0.0; parameters], second: vec![0.0; parameters], steps: 0 }
     }
 
-    /// Moves `parameters` against `gradient`, of which only the direction counts where it is longer than `most`. Gives its
-    /// length; where that is not finite nothing has moved.
+    /// Moves `parameters` against `gradient`, whose norm is clipped to `most`. Returns the norm before clipping; if
+    /// it is not finite, nothing has moved.
     pub fn step(&mut self, parameters: &mut [f32], gradient: &[f32], rate: f64, most: f64, isa: Isa) -> f64 {
         let norm = gradient.iter().map(|g| f64::from(g * g)).sum::<f64>().sqrt();
         if !norm.is_finite() {

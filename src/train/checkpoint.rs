@@ -1,4 +1,4 @@
-//! What has been learnt as a file, to go on from, here or with stable-baselines3 (`sandgait.export.to_sb3`).
+//! Checkpoints: files from which a training can go on, here or with stable-baselines3 (`sandgait.export.to_sb3`).
 
 use super::adam::Adam;
 use super::kept::{Episodes, Kept};
@@ -11,7 +11,7 @@ use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// What the files' `format` says; a reader refuses any other.
+/// The files' `format`; a reader refuses any other.
 const FORMAT: &str = "sandgait policy 1";
 const ENDING: &str = "safetensors";
 
@@ -22,21 +22,21 @@ fn layers(plan: &Plan) -> impl Iterator<Item = (String, &Layer)> {
     actor.chain(shape.critic.iter().enumerate().map(named("critic")))
 }
 
-/// The options that episodes were played with; others would have been other episodes.
+/// The task options of the training. With other options the episodes would be different ones.
 fn options(plan: &Plan) -> String {
     json!(plan.blueprint.task.options()).to_string()
 }
 
-/// What stands in a checkpoint.
+/// The contents of a checkpoint.
 pub struct Saved {
     pub learnt: Learnt,
     /// [`super::curve::Curve::open`]
     pub open: [f64; 2],
-    /// Why new episodes begin, where they do.
+    /// Why new episodes begin, if they do.
     pub anew: Option<String>,
 }
 
-/// Everything that `learnt` holds, and `open` episodes of the curve. Weights are f32 [inputs, outputs].
+/// Saves all of `learnt`, and the curve's `open` episodes. Weights are f32 [inputs, outputs].
 pub fn save(path: &Path, plan: &Plan, learnt: &Learnt, open: [f64; 2]) -> Result<()> {
     let mut file = Tensors::default();
     let about = [
@@ -88,7 +88,8 @@ pub fn save(path: &Path, plan: &Plan, learnt: &Learnt, open: [f64; 2]) -> Result
     file.save(path)
 }
 
-/// What [`save`] wrote for a plan with the same task, networks and normalization; `away`: environments are on a server.
+/// Reads a file of [`save`] for a plan with the same task, networks and normalization; `away`: environments are on
+/// a server.
 pub fn load(path: &Path, plan: &Plan, away: bool) -> Result<Saved> {
     let file = Tensors::load(path)?;
     read(&file, plan, away).map_err(|e| match e {
@@ -97,7 +98,7 @@ pub fn load(path: &Path, plan: &Plan, away: bool) -> Result<Saved> {
     })
 }
 
-/// The environments, or why those of `file` are of no use here.
+/// The environments, or the reason why those of `file` cannot be used.
 fn environments(file: &Tensors, plan: &Plan, away: bool) -> Result<std::result::Result<Kept, String>> {
     let envs = plan.settings.n_envs;
     let count = |name: &str| file.f64(name, envs);

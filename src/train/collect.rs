@@ -1,4 +1,4 @@
-//! Rollouts: some environments play some steps with the present policy, and what they met is kept.
+//! Rollouts: environments play some steps with the present policy, and the transitions are stored.
 
 use super::learn::Rollout;
 use super::loss::Spread;
@@ -15,17 +15,18 @@ use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use std::ops::DerefMut;
 
-/// Parts that the environments are cut into, however many threads there are; fewer where environments move in lanes.
+/// Number of pieces that the environments are divided into, for any number of threads; fewer for engines with
+/// lanes.
 const PIECES: usize = 8;
 
-/// Where a piece's environments are.
+/// Where a piece's environments are computed.
 enum Place {
     Here(Box<Shard>),
-    /// On a server; what their last step gave.
+    /// On a server; the rows of their last step.
     Away(Rows),
 }
 
-/// What the last reset or step gave, wherever that was.
+/// The rows of the last reset or step, from either place.
 struct Met<'a> {
     observations: &'a [f32],
     rewards: &'a [f32],
@@ -56,10 +57,10 @@ impl Place {
     }
 }
 
-/// Some of the environments, and what they met in this rollout; rows of a step lie together.
+/// Some of the environments, and their transitions in this rollout; rows of a step are contiguous.
 pub struct Piece {
     place: Place,
-    /// Environments.
+    /// Number of environments.
     pub envs: usize,
     random: Xoshiro256PlusPlus,
     pass: Pass,
@@ -73,14 +74,14 @@ pub struct Piece {
     ended: Vec<bool>,
     /// Discounted sum of rewards of each environment, for their normalization.
     pub discounted: Vec<f64>,
-    /// Of the last step's observations and discounted sums.
+    /// Statistics of the last step's observations and discounted sums.
     pub seen: [Moments; 2],
     /// Sum of rewards of each environment's episode so far, and of those that ended in this rollout.
     pub running: Vec<f64>,
     pub finished: Vec<f64>,
 }
 
-/// What all pieces share while they play.
+/// Data that all pieces share while they play.
 #[derive(Clone, Copy)]
 pub struct Play<'a> {
     pub settings: &'a Settings,
@@ -125,7 +126,7 @@ impl Piece {
         }
     }
 
-    /// Begins the first episodes, of environments in this process.
+    /// Begins the first episodes of environments in this process.
     pub fn reset(&mut self, seeds: &[u64]) {
         if let Place::Here(shard) = &mut self.place {
             shard.reset(|_| true, Some(seeds), |_| None);
@@ -133,13 +134,13 @@ impl Piece {
         }
     }
 
-    /// The same of environments on a server, which gave `rows`.
+    /// Begins the first episodes of environments on a server, which has returned `rows`.
     pub fn take(&mut self, rows: Rows) {
         self.seen[0].set(&rows.observations);
         self.place = Place::Away(rows);
     }
 
-    /// The episodes as they are; none of environments on a server.
+    /// The present episodes; None for environments on a server.
     pub fn episodes(&self) -> Vec<SavedEpisode> {
         match &self.place {
             Place::Here(shard) => (0..self.envs).map(|i| shard.save(i)).collect(),
@@ -147,7 +148,7 @@ impl Piece {
         }
     }
 
-    /// Goes on with these episodes, one an environment.
+    /// Continues these episodes, one an environment.
     pub fn resume(&mut self, episodes: &[Resumed]) {
         if let Place::Here(shard) = &mut self.place {
             shard.rows.clear();
@@ -155,13 +156,13 @@ impl Piece {
         }
     }
 
-    /// Ready for a rollout: its noise is a function of `seed`.
+    /// Prepares a rollout; its noise is a function of `seed`.
     pub fn begin(&mut self, seed: u64) {
         self.random = Xoshiro256PlusPlus::seed_from_u64(seed);
         self.finished.clear();
     }
 
-    /// Step `step` of the rollout; of environments on a server only its actions.
+    /// Makes step `step` of the rollout; for environments on a server it only computes the actions.
     pub fn act(&mut self, play: &Play, step: usize) {
         if step > 0 {
             self.pay(play, step - 1);
@@ -181,7 +182,7 @@ impl Piece {
                 let noise: f32 = self.random.sample(StandardNormal);
                 *action = mean[k] + deviations[k].exp() * noise;
                 let [low, high] = self.bounds[k];
-                // Not clamp: what is not a number must not reach the simulation.
+                // Not `clamp`, because NaN must not reach the simulation.
                 clipped[k] = action.max(low).min(high);
             }
         }
@@ -197,13 +198,13 @@ impl Piece {
         }
     }
 
-    /// What step `step` has led to on the server.
+    /// Stores the server's results of step `step`.
     pub fn answered(&mut self, play: &Play, step: usize, rows: Rows) {
         self.place = Place::Away(rows);
         self.note(play, step);
     }
 
-    /// Takes note of what step `step` has led to.
+    /// Stores the results of step `step`.
     fn note(&mut self, play: &Play, step: usize) {
         let met = self.place.met();
         for (i, row) in (step * self.envs..(step + 1) * self.envs).enumerate() {
@@ -226,7 +227,8 @@ impl Piece {
         }
     }
 
-    /// Normalizes the rewards of step `step`, the last one. Where time was up, what would have come is added as its value.
+    /// Normalizes the rewards of step `step`, the last one. Where an episode was truncated, adds the value of its
+    /// last observation.
     fn pay(&mut self, play: &Play, step: usize) {
         let first = step * self.envs;
         if let Some(scales) = play.scales {
@@ -247,7 +249,8 @@ impl Piece {
         }
     }
 
-    /// After the last step: advantages by generalized advantage estimation (Schulman et al. 2016, arXiv:1506.02438).
+    /// After the last step: computes advantages by generalized advantage estimation (Schulman et al. 2016,
+    /// arXiv:1506.02438).
     pub fn finish(&mut self, play: &Play) {
         let (envs, steps) = (self.envs, play.settings.n_steps);
         self.pay(play, steps - 1);
@@ -270,7 +273,7 @@ impl Piece {
     }
 }
 
-/// Observations as the networks take them.
+/// Observations in the form that the networks take.
 fn observe(play: &Play, rows: &[f32], out: &mut [f32]) {
     match play.scales {
         Some(scales) => scales.observations(rows, out),
@@ -278,7 +281,7 @@ fn observe(play: &Play, rows: &[f32], out: &mut [f32]) {
     }
 }
 
-/// Hands each piece its environments' rows.
+/// Gives each piece its environments' rows.
 pub fn deal<P: DerefMut<Target = Piece>>(
     pieces: impl Iterator<Item = P>,
     rows: &Rows,

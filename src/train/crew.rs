@@ -1,16 +1,19 @@
-//! Threads that carry out the phases of a training: each phase is a number of items, and whoever is free takes the next.
+//! Threads that compute the phases of a training. Each phase is a number of items, and each free thread takes the
+//! next one.
 //!
-//! Nobody waits for a thread that got no item: where other programs use the processors, the threads that do run take all.
-//! What an item computes must not depend on who computes it; then nothing depends on the threads.
+//! No phase waits for a thread that has no item: if other programs use some processors, the running threads take
+//! all items. The result of an item must not depend on the thread that computes it; then the number of threads has
+//! no effect.
 
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
-/// How often a thread looks for work before it sleeps: some 20 µs, as long as what one thread does alone between phases.
+/// How often a thread looks for work before it sleeps: some 20 µs, the time that the leader works alone between
+/// phases.
 const LOOKS: usize = 2_000;
 
-/// Carries out an item of a phase.
+/// Computes an item of a phase.
 type Work<'a, P> = &'a (dyn Fn(P, usize) + Sync);
 
 struct Order<P> {
@@ -21,7 +24,7 @@ struct Order<P> {
     over: bool,
 }
 
-/// The crew's leader, who gives the phases and works on them too.
+/// The crew's leader: its thread starts the phases and works on them too.
 pub struct Crew<'a, P> {
     order: Mutex<Order<P>>,
     changed: Condvar,
@@ -32,7 +35,7 @@ pub struct Crew<'a, P> {
     work: Work<'a, P>,
 }
 
-/// Calls `lead`, which gives phases to `threads` threads, its own among them.
+/// Calls `lead`, which starts phases on `threads` threads, its own included.
 pub fn with<P: Copy + Send, R>(threads: usize, work: Work<'_, P>, lead: impl FnOnce(&Crew<'_, P>) -> R) -> R {
     let crew = Crew {
         order: Mutex::new(Order { number: 0, phase: None, items: 0, over: false }),
@@ -55,7 +58,7 @@ pub fn with<P: Copy + Send, R>(threads: usize, work: Work<'_, P>, lead: impl FnO
 }
 
 impl<P: Copy + Send> Crew<'_, P> {
-    /// Carries out `items` items of `phase`; returns when all are done.
+    /// Runs `items` items of `phase`; returns when all are done.
     pub fn run(&self, phase: P, items: usize) {
         let number = {
             let mut order = self.order();
@@ -86,7 +89,7 @@ impl<P: Copy + Send> Crew<'_, P> {
         }
     }
 
-    /// The next item of phase `number` that nobody has taken; none if the phase is over.
+    /// The next free item of phase `number`; None if the phase is over.
     fn claim(&self, number: u32, items: usize) -> Option<usize> {
         let mut seen = self.next.load(Ordering::Acquire);
         loop {
@@ -101,7 +104,7 @@ impl<P: Copy + Send> Crew<'_, P> {
         }
     }
 
-    /// Works on phases until the leader has no more.
+    /// Works on phases until the leader ends.
     fn serve(&self) {
         let mut last = 0;
         loop {
@@ -136,7 +139,7 @@ impl<P: Copy + Send> Crew<'_, P> {
 mod tests {
     use super::*;
 
-    /// Every item of every phase is carried out once, however many threads there are.
+    /// Every item of every phase is computed once, for any number of threads.
     #[test]
     fn each_item_once() {
         for threads in [1, 2, 5] {
@@ -155,7 +158,7 @@ mod tests {
         }
     }
 
-    /// A panic of the work ends the training; nobody waits for ever.
+    /// A panic in the work ends the training, and no thread waits for ever.
     #[test]
     fn a_panic_is_passed_on() {
         let work = |_: (), item: usize| assert!(item != 3, "on purpose");

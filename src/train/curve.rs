@@ -1,4 +1,4 @@
-//! The learning curve: a point whenever enough episodes have ended, as file and figure.
+//! The learning curve: a point whenever enough episodes have ended, as a file and a figure.
 
 use super::plan::Report;
 use crate::error::{Error, Result};
@@ -15,19 +15,20 @@ pub struct Point {
     pub mean_return: f64,
 }
 
-/// A curve that grows, in memory and in its file.
+/// A growing curve, in memory and in its file.
 pub struct Curve {
     pub points: Vec<Point>,
     file: File,
     path: PathBuf,
-    /// Sum of returns and number of the episodes that no point has yet.
+    /// Sum of returns and number of the episodes after the last point.
     pub open: [f64; 2],
-    /// Episodes of a point.
+    /// Number of episodes in a point.
     enough: f64,
 }
 
 impl Curve {
-    /// A curve in `path`; where a training goes on, with the points of before up to `until` steps and what was open then.
+    /// A curve in `path`. When a training goes on, it has the earlier points up to `until` steps and the episodes
+    /// that were open then.
     pub fn new(path: &Path, until: Option<u64>, open: [f64; 2], envs: usize) -> Result<Self> {
         let broken = |e: &dyn std::fmt::Display| Error::file(path, e);
         let points = match until {
@@ -35,7 +36,7 @@ impl Curve {
             None => Vec::new(),
         };
         let file = File::create(path).map_err(|e| broken(&e))?;
-        // Python's curves have a point an eighth of the environments too.
+        // Python's curves also have a point for an eighth of the environments.
         let mut curve = Self { points, file, path: path.into(), open, enough: envs.div_ceil(8) as f64 };
         curve.write("steps,seconds,return\n")?;
         for point in curve.points.clone() {
@@ -44,7 +45,7 @@ impl Curve {
         Ok(curve)
     }
 
-    /// Takes account of an update.
+    /// Adds the episodes of an update.
     pub fn note(&mut self, report: &Report) -> Result<()> {
         if report.episodes > 0 {
             self.open[0] += report.mean_return * report.episodes as f64;
@@ -63,7 +64,7 @@ impl Curve {
         self.file.write_all(text.as_bytes()).map_err(|e| Error::file(&self.path, e))
     }
 
-    /// The curve, and a line where the policy without noise came to, as SVG and PNG.
+    /// Draws the curve, and a line at the return of the policy without noise, as SVG and PNG.
     pub fn draw(&self, path: &Path, title: &str, reached: Option<f64>) -> Result<()> {
         let points = self.points.iter().map(|p| [p.steps as f64 / 1e6, p.mean_return]).collect();
         let mut marks = vec![Mark::line("while it explores", Style::line(color::BLUE), points)];

@@ -1,5 +1,5 @@
-//! Design studies in which every design gets a gait of its own: designs of a grid or of a search, several trainings of each, and
-//! the best of them compared on seeds that neither the trainings nor the choice has seen.
+//! Design studies in which a gait is learnt for every design: designs of a grid or of a search, several trainings
+//! of each, and a comparison of the best on seeds that neither the trainings nor the choice has used.
 
 use super::export::onnx;
 pub use super::measure::{Between, Measure};
@@ -26,55 +26,56 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Seeds by which designs are ranked: no result is reported for them. Two blocks of lanes.
+/// Seeds for ranking designs; no reported result uses them. Two blocks of lanes.
 const CHOICE_SEEDS: std::ops::Range<u64> = 3_000_000..3_000_032;
-/// Seeds of the comparison, as evaluations have them.
+/// Seeds of the comparison, the same as in evaluations.
 const SEEDS: usize = 100;
-/// Designs that are compared at the end, the best by the choice: our choice.
+/// Number of designs in the final comparison, the best of the ranking: our choice.
 const COMPARED: usize = 3;
-/// Most trainings of a study: our choice of guard, some days.
+/// Most trainings of a study: our choice, some days.
 const MOST_TRAININGS: usize = 10_000;
-/// Designs of a search that are looked at together, and spread evenly at its beginning with so many more a parameter: our choice.
+/// Number of designs that a search trains at the same time, and number of evenly spread designs at its beginning
+/// for each parameter: our choice.
 const TOGETHER: usize = 4;
-/// The same search every time.
+/// The same seed in every search.
 const SEARCH_SEED: u64 = 1;
 
-/// What is asked for.
+/// A request for a study.
 pub struct Study {
     pub base: Design,
     pub axes: Vec<Axis>,
-    /// Options of the task that the design does not have, such as `command`.
+    /// Task options besides those of the design, such as `command`.
     pub options: Map<String, Value>,
-    /// With the steps or the time of each training, on one thread.
+    /// Settings, with the steps or the time of each training on one thread.
     pub settings: Settings,
-    /// Trainings of each design.
+    /// Number of trainings of each design.
     pub trainings: usize,
-    /// If given, designs after the first on the last axis begin with what their neighbour has learnt, and learn for so long: [s],
-    /// or steps where steps end a training.
+    /// If given, designs after the first on the last axis start from their neighbour's policy, and learn for this
+    /// long: [s], or steps if steps end a training.
     pub warm: Option<f64>,
-    /// Designs of a search between the axes' least and greatest values; none: the grid.
+    /// Number of designs in a search between the axes' least and greatest values; None: the whole grid.
     pub search: Option<usize>,
-    /// Folder where each training is kept, and taken from if it was made before.
+    /// Folder of the trainings; a finished training in it is not repeated.
     pub out: PathBuf,
 }
 
-/// A gait that was learnt.
+/// A learnt gait.
 pub struct Trained {
     pub onnx: Vec<u8>,
     pub steps: u64,
-    /// Each measure over the seeds of the choice.
+    /// Each measure over the ranking's seeds.
     pub chosen_by: [f64; 3],
 }
 
 /// A design in the comparison.
 pub struct Compared {
-    /// Number of the design.
+    /// Index of the design.
     pub design: usize,
     /// Each measure over the unseen seeds, one a training.
     pub values: [Vec<f64>; 3],
 }
 
-/// What a study found.
+/// Results of a study.
 pub struct Findings {
     /// Values on the axes, in the order of the grid, the last axis fastest, or of the search.
     pub designs: Vec<Vec<String>>,
@@ -85,7 +86,7 @@ pub struct Findings {
 }
 
 impl Study {
-    /// Refuses what no training could begin with; gives the designs of the grid, or none for a search.
+    /// Refuses studies whose trainings could not start; returns the designs of the grid, or none for a search.
     pub fn check(&self) -> Result<Vec<Vec<String>>> {
         let points: usize = self.axes.iter().map(|a| a.values.len()).product();
         let designs = self.search.unwrap_or(points);
@@ -129,14 +130,14 @@ impl Study {
             options.insert("torque_limit".into(), json!(limit));
         }
         let blueprint = Blueprint::new(HexapodGait::ID, Value::Object(options))?;
-        // As the task has its servos.
+        // With servos if the task has them.
         changed.robot.servo.torque_limit = blueprint.task.option("torque_limit").as_f64();
         changed.robot.servo.anti_windup = true;
         let blueprint = blueprint.with_model(Model::new(&changed.robot, &changed.scene)?)?;
         Plan::new(blueprint, self.settings.clone(), training as u64, 1)
     }
 
-    /// Learns, chooses and compares. An error of `progress` stops the work; what has been learnt by then is kept.
+    /// Trains, ranks and compares. An error of `progress` stops the work; finished trainings are kept.
     pub fn run(&self, measure: Measure, progress: &dyn Progress) -> Result<Findings> {
         let grid = self.check()?;
         let (designs, trained, costs) = match self.search {
@@ -162,8 +163,9 @@ impl Study {
         Ok(Findings { designs, trained, best })
     }
 
-    /// A search for the best design: evenly spread ones first, then some at a time where the best is expected. Gives what is
-    /// expected of each design in the end: less of its luck than its own trainings have.
+    /// A search for the best design: evenly spread designs first, then some at a time where the expected
+    /// improvement is greatest. Returns the expected value of each design at the end, which depends less on chance
+    /// than its own trainings.
     fn search(
         &self,
         count: usize,
@@ -171,7 +173,7 @@ impl Study {
         progress: &dyn Progress,
     ) -> Result<(Designs, Trainings, Vec<f64>)> {
         let [low, high] = self.bounds()?;
-        // To a thousandth of the range, so that tables can be read.
+        // Rounded to a thousandth of the range, so that tables stay readable.
         let at = |place: &[f64]| -> Vec<f64> {
             let within = |((x, low), high): ((&f64, &f64), &f64)| low + (x * 1000.0).round() / 1000.0 * (high - low);
             place.iter().zip(&low).zip(&high).map(within).collect()
@@ -196,8 +198,8 @@ impl Study {
         Ok((designs, trained, expected.into_iter().map(|value| -value).collect()))
     }
 
-    /// All trainings of `designs`, which are counted from `first`: chains of neighbours where these are warm-started, else each
-    /// for itself; one thread a training.
+    /// All trainings of `designs`, whose numbers start at `first`: chains of neighbours if they are warm-started,
+    /// otherwise independent; one thread a training.
     fn train(&self, designs: &[Vec<String>], first: usize, told: &Told) -> Result<Trainings> {
         let length = match (self.warm, self.search) {
             (Some(_), None) => self.axes.last().map_or(1, |axis| axis.values.len()),
@@ -228,7 +230,7 @@ impl Study {
         Ok(trained)
     }
 
-    /// What a training that begins with a neighbour's gait takes.
+    /// Inputs of a training that starts from a neighbour's gait.
     fn shorten(&self, settings: &mut Settings) {
         match (self.warm, settings.seconds) {
             (Some(warm), Some(_)) => settings.seconds = Some(warm),
@@ -241,16 +243,16 @@ impl Study {
 type Designs = Vec<Vec<String>>;
 type Trainings = Vec<Vec<Trained>>;
 
-/// How far all trainings have come.
+/// Progress of all trainings.
 struct Told<'a> {
     progress: &'a dyn Progress,
     total: f64,
-    /// Trainings that are done [1e-6].
+    /// Finished trainings [1e-6].
     millionths: AtomicU64,
 }
 
 impl<'a> Told<'a> {
-    /// `done` of `total` trainings are.
+    /// `done` of `total` trainings are finished.
     fn new(progress: &'a dyn Progress, done: f64, total: f64) -> Self {
         Self { progress, total, millionths: AtomicU64::new((1e6 * done) as u64) }
     }
@@ -261,19 +263,19 @@ impl<'a> Told<'a> {
     }
 }
 
-/// Values as the axes take them.
+/// Values in the axes' form.
 fn named(values: &[f64]) -> Vec<String> {
-    // Six digits: a sum of steps shall not read 0.30000000000000004.
+    // Rounded to six digits, so that a sum of steps is not printed as 0.30000000000000004.
     values.iter().map(|v| format!("{v:.6e}").parse().map_or_else(|_| v.to_string(), |v: f64| v.to_string())).collect()
 }
 
-/// Over the trainings of a design.
+/// Mean over the trainings of a design.
 fn mean(measure: Measure, trained: &[Trained]) -> f64 {
     let place = Measure::ALL.iter().position(|m| *m == measure).unwrap_or(0);
     trained.iter().map(|t| t.chosen_by[place]).sum::<f64>() / trained.len() as f64
 }
 
-/// Variance of a design's mean, from the scatter of trainings within all designs; 0 where there is one training each.
+/// Variance of a design's mean, from the scatter of trainings within all designs; 0 if each has one training.
 fn noise(measure: Measure, trained: &[Vec<Trained>]) -> f64 {
     let (mut squares, mut freedom) = (0.0, 0.0);
     for all in trained {
@@ -289,7 +291,7 @@ fn noise(measure: Measure, trained: &[Vec<Trained>]) -> f64 {
     if freedom > 0.0 { squares / freedom / each } else { 0.0 }
 }
 
-/// Designs that came to nothing get the least value of the others.
+/// Designs whose trainings failed get the least value of the others.
 fn finite(looks: &[Look]) -> Vec<Look> {
     let least = looks.iter().map(|l| l.value).filter(|v| v.is_finite()).fold(f64::INFINITY, f64::min);
     let least = if least.is_finite() { least } else { 0.0 };
@@ -297,17 +299,13 @@ fn finite(looks: &[Look]) -> Vec<Look> {
     looks.iter().map(|look| Look { at: look.at.clone(), value: value(look) }).collect()
 }
 
-/// One training, from what a neighbour has learnt if there is one; taken from its files where it was made before.
+/// One training, from a neighbour's policy if there is one; read from its files if it was finished before.
 fn one(plan: &Plan, record: &Record, before: Option<&Learnt>, told: &Told) -> Result<(Trained, Learnt)> {
     if let Some((learnt, chosen_by)) = record.read(plan) {
         told.advance(1.0)?;
         return Ok((Trained { onnx: onnx(plan, &learnt), steps: learnt.steps, chosen_by }, learnt));
     }
-    let mut learnt = plan.begin();
-    if let Some(before) = before {
-        learnt.parameters.clone_from(&before.parameters);
-        learnt.normal.clone_from(&before.normal);
-    }
+    let learnt = before.map_or_else(|| plan.begin(), |before| plan.begin_from(before));
     let mut so_far = 0.0;
     let learnt = plan.run(learnt, None, &mut |_: &Learnt, report: &Report| {
         let more = report.done - so_far;

@@ -1,4 +1,4 @@
-//! Entries of hyperparameter files, one a task.
+//! Entries of hyperparameter files, one for each task.
 
 use super::settings::Settings;
 use super::yaml;
@@ -7,17 +7,17 @@ use crate::error::{Error, Result};
 use serde_json::{Map, Value, json};
 use std::path::Path;
 
-/// The settings that `sandgait train` has without a file.
+/// The settings of `sandgait train` without a file.
 const OWN: &str = include_str!("ppo_fast.yml");
 
-/// The id of task `name`, which may stand without `sandgait/` and version.
+/// The id of task `name`; `sandgait/` and the version may be left out.
 pub fn task_id(name: &str) -> String {
     let short =
         |id: &&&str| id.strip_prefix("sandgait/").and_then(|id| id.rsplit_once("-v")).map(|(n, _)| n) == Some(name);
     TASK_IDS.iter().find(short).map_or_else(|| name.to_owned(), |id| (*id).to_owned())
 }
 
-/// When a training ends, as changes of settings: a number of steps alone leaves no limit of time.
+/// When a training ends, as changes of settings: if only a number of steps is given, time has no limit.
 pub fn ends(timesteps: Option<u64>, seconds: Option<f64>) -> Vec<(String, Value)> {
     let steps = timesteps.map(|steps| ("n_timesteps", json!(steps)));
     let time = match (timesteps, seconds) {
@@ -29,7 +29,7 @@ pub fn ends(timesteps: Option<u64>, seconds: Option<f64>) -> Vec<(String, Value)
     steps.into_iter().chain(time).map(|(name, value)| (name.to_owned(), value)).collect()
 }
 
-/// What stands for `task` in `file`, or in the program's own; with `changes` in its place.
+/// The entry of `task` in `file`, or in the program's own file, with `changes`.
 pub fn settings(file: Option<&Path>, task: &str, changes: Vec<(String, Value)>) -> Result<Settings> {
     let mut entry = entry(file, task)?;
     for (name, value) in changes {
@@ -62,7 +62,7 @@ fn entry(file: Option<&Path>, task: &str) -> Result<Map<String, Value>> {
     }
 }
 
-/// NAME=YAML as its parts.
+/// Splits NAME=YAML.
 pub fn pair(option: &str, text: &str) -> Result<(String, Value)> {
     let (name, value) =
         text.split_once('=').ok_or_else(|| Error::invalid(option, format!("{text:?} is not NAME=VALUE")))?;
@@ -84,7 +84,7 @@ mod tests {
         for task in ["HexapodGait", "HexapodLegs", "HexapodTerrain", "HexapodRocks"] {
             let read = settings(Some(&python), &task_id(task), Vec::new()).unwrap();
             assert_eq!((read.gamma, read.learning_rate.falls, read.mirror), (0.95, true, true));
-            // What settings.json says gives the same settings again.
+            // settings.json gives the same settings again.
             assert_eq!(Settings::from_entry(read.json().as_object().unwrap()).unwrap(), read);
         }
     }

@@ -33,7 +33,7 @@ struct Scalar {
     simple_value: Option<f32>,
 }
 
-/// A file under way.
+/// An open file.
 pub struct Events {
     file: File,
     path: PathBuf,
@@ -45,7 +45,7 @@ fn now() -> f64 {
 }
 
 impl Events {
-    /// A new file in `folder`, which is made; TensorBoard joins the files of a folder.
+    /// A new file in `folder`, which is created if necessary; TensorBoard joins the files of a folder.
     pub fn new(folder: &Path) -> Result<Self> {
         std::fs::create_dir_all(folder).map_err(|e| Error::file(folder, e))?;
         let path = folder.join(format!("events.out.tfevents.{:.0}.sandgait.{}", now() * 1e3, std::process::id()));
@@ -55,7 +55,7 @@ impl Events {
         Ok(events)
     }
 
-    /// Numbers by their tags; what is not a number is left out.
+    /// Numbers by their tags; NaN is left out.
     pub fn scalars(&mut self, step: u64, scalars: &[(&str, f64)]) -> Result<()> {
         let known = scalars.iter().filter(|(_, value)| value.is_finite());
         let value =
@@ -75,7 +75,7 @@ fn record(content: &[u8]) -> Vec<u8> {
     [&length[..], &sum(&length), content, &sum(content)].concat()
 }
 
-/// As TFRecord masks it, so that checksums of checksums are none of zeros.
+/// TFRecord masks checksums, so that checksums of data that contain checksums are not trivial.
 fn masked(crc: u32) -> u32 {
     crc.rotate_right(15).wrapping_add(0xa282_ead8)
 }

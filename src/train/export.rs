@@ -1,18 +1,18 @@
-//! What has been learnt as a network that needs nothing else: normalization and mirror are part of it.
+//! The learnt policy as one network that includes normalization and mirror.
 
 use super::network::Layer;
 use super::normal::{CLIP, EPSILON};
 use super::plan::{Learnt, Plan};
 use crate::policy::write::Writer;
 
-/// The policy without its noise as the bytes of an ONNX file, from the environments' observations to actions.
+/// The policy without noise as the bytes of an ONNX file, from the environments' observations to actions.
 pub fn onnx(plan: &Plan, learnt: &Learnt) -> Vec<u8> {
     let spec = plan.blueprint.task.spec();
     let shape = &plan.networks.shape;
     let mut file = Writer::new(shape.observation);
     let mut x = file.input();
     if let Some(normal) = &learnt.normal {
-        // The mean in two parts of f32: where a number hardly varies, one would not be enough.
+        // The mean as a sum of two f32: for a number that hardly varies, one f32 is not precise enough.
         let mean = &normal.observations.mean;
         let center: Vec<f32> = mean.iter().map(|m| *m as f32).collect();
         let rest: Vec<f32> = mean.iter().zip(&center).map(|(m, c)| (m - f64::from(*c)) as f32).collect();
@@ -25,7 +25,8 @@ pub fn onnx(plan: &Plan, learnt: &Learnt) -> Vec<u8> {
     let layers: Vec<[Vec<f32>; 2]> = shape.actor.iter().map(|layer| numbers(layer, parameters)).collect();
     let action = match &plan.networks.mirror {
         None => through(&mut file, &x, &layers),
-        // The mirrors are signs and places, so the outer layers' weights take them in without rounding.
+        // The mirrors only permute columns and change signs, so they can be included in the outer layers' weights
+        // without rounding.
         Some([observation, action]) => {
             let last = layers.len() - 1;
             let (mut own, mut image) = (layers.clone(), layers.clone());
@@ -77,7 +78,7 @@ mod tests {
     use crate::policy::Network;
     use serde_json::{Value, json};
 
-    /// The file's actions are those of the networks that learn, with and without mirror and normalization.
+    /// The file's actions equal those of the learnt networks, with and without mirror and normalization.
     #[test]
     fn the_file_acts_as_the_networks_do() {
         for (mirror, normalize, sizes) in [

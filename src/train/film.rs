@@ -1,4 +1,4 @@
-//! An episode of a policy to look at: a recording for `sandgait replay`, and a picture of some of its moments.
+//! A recording of an episode of a policy, for `sandgait replay`, and a picture of some of its moments.
 
 use crate::env::registry::Blueprint;
 use crate::env::{Look, Shard};
@@ -8,11 +8,11 @@ use crate::policy::Network;
 use crate::view::{self, About, Moment, Writer};
 use std::path::Path;
 
-/// Moments of the picture, and width and height of each [px].
+/// Number of moments in the picture, and width and height of each [px].
 const MOMENTS: usize = 4;
 const SIZE: [u32; 2] = [480, 270];
 
-/// Plays the episode of `seed` until its end; writes `recording` and, as PNG, `picture`.
+/// Plays the episode of `seed` to its end; writes `recording` and, as PNG, `picture`.
 pub fn film(blueprint: &Blueprint, network: &Network, seed: u64, recording: &Path, picture: &Path) -> Result<()> {
     let broken = |e: std::io::Error| Error::file(recording, e);
     let mut shard = Shard::new(blueprint, 1)?;

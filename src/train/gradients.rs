@@ -1,9 +1,10 @@
-//! The gradient of the loss against differences of the loss, which is written down once more here, plainly and in `f64`.
+//! Compares the gradient of the loss with differences of the loss, which is written here a second time, plainly and
+//! in `f64`.
 
 use super::learn::{CHUNK, Chunk, Minibatches, Rollout};
 use super::loss::Weights;
 use super::mirror::Mirror;
-use super::network::{Layer, Networks, Shape};
+use super::network::{Layer, NetworkSizes, Networks};
 use crate::number::Isa;
 use rand::SeedableRng as _;
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -28,7 +29,7 @@ fn reflect(mirror: &Mirror, x: &[f64]) -> Vec<f64> {
 }
 
 fn outputs(networks: &Networks, p: &[f64], x: &[f64]) -> (Vec<f64>, f64) {
-    let Shape { actor, critic, .. } = &networks.shape;
+    let NetworkSizes { actor, critic, .. } = &networks.shape;
     let (own, value) = (through(actor, p, x.to_vec()), through(critic, p, x.to_vec())[0]);
     let Some([seen, done]) = &networks.mirror else { return (own, value) };
     let image = reflect(seen, x);
@@ -70,7 +71,7 @@ fn networks(mirrored: bool) -> Networks {
         Mirror { order: vec![1, 0, 2, 3], signs: vec![1.0, 1.0, -1.0, 1.0] },
         Mirror { order: vec![1, 0, 2], signs: vec![-1.0, -1.0, 1.0] },
     ];
-    let shape = Shape::new(OBSERVATION, ACTION, &[vec![7, 5], vec![6]]);
+    let shape = NetworkSizes::new(OBSERVATION, ACTION, &[vec![7, 5], vec![6]]);
     Networks { shape, mirror: mirrored.then_some(mirror), isa: Isa::choose().unwrap() }
 }
 
@@ -89,7 +90,7 @@ fn rollout(rows: usize) -> Rollout {
     rollout
 }
 
-/// Gradient of the mean over all rows, by way of minibatches and chunks.
+/// Gradient of the mean over all rows, computed by minibatches and chunks.
 fn gradient(networks: &Networks, p: &[f32], rollout: &Rollout, weights: &Weights) -> Vec<f32> {
     let rows = rollout.returns.len();
     let mut minibatches = Minibatches::default();
@@ -123,7 +124,7 @@ fn the_gradient_is_the_slope_of_the_loss() {
             let exact: Vec<f64> = p.iter().map(|p| f64::from(*p)).collect();
             let largest = got.iter().fold(0.0_f32, |m, g| m.max(g.abs()));
             for k in 0..p.len() {
-                // So small a step that hardly any sample crosses the edge of the clipping within it.
+                // The step is so small that hardly any sample crosses the limit of the clipping.
                 let moved = |by: f64| {
                     let mut p = exact.clone();
                     p[k] += by;

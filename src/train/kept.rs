@@ -1,4 +1,4 @@
-//! Environments in the middle of their episodes: what a training needs of them to go on with the same bits.
+//! Saved environments in the middle of their episodes, from which a training goes on with the same bits.
 
 use super::collect::Piece;
 use super::remote::{Away, Pause};
@@ -7,7 +7,7 @@ use crate::env::snapshot::{Resumed, SavedEpisode};
 use crate::error::{Error, Result};
 use std::sync::{Mutex, PoisonError};
 
-/// All environments of a training, as they are between two updates.
+/// All environments of a training, saved between two updates.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Kept {
     pub episodes: Episodes,
@@ -26,7 +26,7 @@ pub enum Episodes {
 }
 
 impl Episodes {
-    /// As bytes of a file: CBOR, or the server's snapshot as it is.
+    /// As bytes of a file: CBOR, or the server's snapshot unchanged.
     pub fn bytes(&self) -> Result<Vec<u8>> {
         match self {
             Self::Here(episodes) => {
@@ -49,7 +49,7 @@ impl Episodes {
 }
 
 impl Kept {
-    /// The environments in `pieces`, or of `remote`, as they are now.
+    /// Saves the environments in `pieces`, or of `remote`.
     pub fn of(pieces: &[Mutex<Piece>], remote: Away<'_>, pause: Pause) -> Result<Self> {
         let mut kept = Self { episodes: Episodes::Here(Vec::new()), discounted: Vec::new(), returns: Vec::new() };
         let mut here = Vec::new();
@@ -66,7 +66,7 @@ impl Kept {
         Ok(kept)
     }
 
-    /// Lets the environments in `pieces` go on from here.
+    /// Restores the environments in `pieces`.
     pub fn restore(&self, pieces: &mut [Piece], blueprint: &Blueprint, remote: Away<'_>, pause: Pause) -> Result<()> {
         let envs: usize = pieces.iter().map(|p| p.envs).sum();
         let resumed = match (&self.episodes, remote) {

@@ -1,15 +1,15 @@
-//! From a rollout to a gradient: minibatches in random order, each cut into chunks that threads take.
+//! From a rollout to a gradient: minibatches in random order, each divided into chunks for threads.
 
 use super::loss::{Samples, Slopes, Spread, Sums, Weights, slopes};
 use super::network::{Networks, Pass};
 use rand::seq::SliceRandom as _;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-/// Samples that a thread takes at a time, whatever the number of threads: enough for fast products, few enough for their
-/// numbers to stay in a processor's own cache.
+/// Samples that a thread takes at a time, for any number of threads: enough for fast matrix products, and few
+/// enough to stay in a processor's own cache.
 pub const CHUNK: usize = 128;
 
-/// What was met, one row a step of an environment.
+/// The transitions, one row a step of an environment.
 #[derive(Clone, Debug, Default)]
 pub struct Rollout {
     pub observations: Vec<f32>,
@@ -49,7 +49,7 @@ impl Rollout {
         [observations, actions, log_probabilities, values, rewards, advantages, returns]
     }
 
-    /// Share of the returns' variance that the values had foreseen.
+    /// Share of the returns' variance that the values explain.
     pub fn explained_variance(&self) -> f64 {
         let n = self.returns.len() as f64;
         let variance = |x: &mut dyn Iterator<Item = f64>| {
@@ -63,12 +63,12 @@ impl Rollout {
     }
 }
 
-/// The samples of a minibatch, and by what their advantages are normalized.
+/// The samples of a minibatch, and the normalization of their advantages.
 #[derive(Clone, Debug, Default)]
 pub struct Minibatches {
     /// Rows of the rollout in this epoch's order.
     order: Vec<u32>,
-    /// Of the present minibatch.
+    /// Normalization in the present minibatch.
     first: usize,
     count: usize,
     mean: f32,
@@ -77,13 +77,14 @@ pub struct Minibatches {
 
 impl Minibatches {
     pub fn shuffle(&mut self, rows: usize, random: &mut Xoshiro256PlusPlus) {
-        // From the same order each time, so that the result is a function of the random numbers.
+        // Starts from the same order each time, so that the result is a function of the random numbers.
         self.order.clear();
         self.order.extend(0..rows as u32);
         self.order.shuffle(random);
     }
 
-    /// Takes the minibatch that begins at `first`. Advantages are normalized by their mean and standard deviation.
+    /// Selects the minibatch that begins at `first`. Advantages are normalized by their mean and standard
+    /// deviation.
     pub fn take(&mut self, rollout: &Rollout, first: usize, size: usize, normalize: bool) -> usize {
         (self.first, self.count) = (first, size.min(self.order.len() - first));
         (self.mean, self.scale) = (0.0, 1.0);
@@ -98,13 +99,13 @@ impl Minibatches {
         self.count
     }
 
-    /// Chunks of the present minibatch.
+    /// Number of chunks in the present minibatch.
     pub fn chunks(&self) -> usize {
         self.count.div_ceil(CHUNK)
     }
 }
 
-/// Room for a chunk, and what it came to.
+/// Work space and results of a chunk.
 pub struct Chunk {
     pass: Pass,
     spread: Spread,
@@ -131,7 +132,7 @@ impl Chunk {
         }
     }
 
-    /// The gradient of the loss of chunk `index` of the present minibatch, and its sums; but for the entropy.
+    /// The gradient of the loss of chunk `index` of the present minibatch, and its sums, without the entropy.
     pub fn learn(
         &mut self,
         networks: &Networks,

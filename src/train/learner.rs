@@ -6,8 +6,8 @@
 //!    └────────────────────────────────────────────────────────────────────────────────┘
 //! ```
 //!
-//! All random numbers are functions of seed and number of the update, and all sums have an order of their own: a training is
-//! the same to the bit on any number of threads of one instruction set, if steps and not seconds end it.
+//! All random numbers are functions of seed and number of the update, and all sums have a fixed order. So a
+//! training that ends after steps, not seconds, has the same bits on any number of threads of one instruction set.
 
 use super::crew;
 use super::plan::{Heed, Learnt, Plan};
@@ -17,7 +17,7 @@ use crate::error::Result;
 use crate::number::flushed;
 
 impl Plan {
-    /// Goes on from `learnt` until steps or time are up, with the environments in this process or of `remote`.
+    /// Continues from `learnt` until steps or time end it, with the environments in this process or of `remote`.
     pub fn run(&self, learnt: Learnt, mut remote: Away<'_>, heed: &mut dyn Heed) -> Result<Learnt> {
         let shared = Shared::new(self, &learnt, remote.as_deref_mut(), heed)?;
         let work = |phase: Phase, item: usize| flushed(|| shared.work(phase, item));
@@ -41,7 +41,7 @@ mod tests {
     use crate::plan::{Learnt, Report};
     use serde_json::json;
 
-    /// Any number of threads learns the same, to the bit; another seed does not.
+    /// Any number of threads learns the same bits; another seed does not.
     #[test]
     fn threads_change_nothing() {
         let entry = json!({
@@ -64,7 +64,7 @@ mod tests {
         assert_ne!(one.parameters, learn(1, 6).parameters);
     }
 
-    /// Ends a training in its pause number `left`, and keeps what was there after the last update.
+    /// Stops a training at its pause number `left`, and keeps the state after the last update.
     struct Break {
         left: usize,
         last: Learnt,
@@ -82,7 +82,7 @@ mod tests {
         }
     }
 
-    /// Wherever a training is broken off, it goes on from its last update as if nothing had been.
+    /// Wherever a training is interrupted, it goes on from its last update with the same bits.
     #[test]
     fn what_is_broken_off_goes_on_with_the_same_bits() {
         let entry = json!({
@@ -92,7 +92,7 @@ mod tests {
         let plan = plan(&entry, 2);
         let timeless = |learnt: Learnt| Learnt { seconds: 0.0, ..learnt };
         let whole = timeless(plan.run(plan.begin(), None, &mut |_: &Learnt, _: &Report| Ok(())).unwrap());
-        // Nine pauses or ten an update: in a rollout, in the middle of learning, at an update's end.
+        // Nine or ten pauses an update: in a rollout, during learning, at an update's end.
         for left in [11, 16, 25, 38] {
             let mut heed = Break { left, last: plan.begin() };
             assert!(plan.run(plan.begin(), None, &mut heed).is_err());
@@ -102,7 +102,7 @@ mod tests {
         }
     }
 
-    /// A rate far too large: the parameters of before are kept, and the message says what to do.
+    /// A learning rate that is far too large: the earlier parameters are kept, and the message suggests a remedy.
     #[test]
     fn what_is_not_finite_ends_the_training() {
         let entry = json!({

@@ -1,21 +1,21 @@
-//! PPO's loss (Schulman et al. 2017, arXiv:1707.06347) of some samples, and its slopes; term by term as stable-baselines3 2.9
-//! has it.
+//! PPO's loss (Schulman et al. 2017, arXiv:1707.06347) of some samples, and its derivatives, term by term as in
+//! stable-baselines3 2.9.
 
 use std::ops::AddAssign;
 
 /// ln √(2π)
 const LN_SQRT_TAU: f32 = 0.918_938_5;
 
-/// What the loss is made of beside the samples.
+/// Parameters of the loss.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Weights {
-    /// How far a probability may move, as a ratio to the old one.
+    /// Clip range of the probability ratio to the old policy.
     pub clip: f32,
-    /// How far a value may move; none: as far as it likes.
+    /// Clip range of the value; None: not clipped.
     pub clip_value: Option<f32>,
-    /// Of the squared error of the value; the policy's part has weight 1.
+    /// Weight of the value's squared error; the policy's part has weight 1.
     pub value: f32,
-    /// Samples of the whole minibatch, of which these may be a part.
+    /// Number of samples in the whole minibatch, of which these may be a part.
     pub samples: usize,
 }
 
@@ -27,9 +27,9 @@ pub struct Samples<'a> {
     pub log_probabilities: &'a [f32],
     /// Normalized.
     pub advantages: &'a [f32],
-    /// What the value should have been.
+    /// Target of the value.
     pub returns: &'a [f32],
-    /// What it was.
+    /// Value when the action was chosen.
     pub values: &'a [f32],
 }
 
@@ -54,7 +54,7 @@ impl AddAssign for Sums {
     }
 }
 
-/// Standard deviations of a normal distribution, as they are needed.
+/// A normal distribution's standard deviations, in the forms that are needed.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Spread {
     /// f32 [action]: 1/σ
@@ -82,7 +82,7 @@ pub fn entropy(log_std: &[f32]) -> f32 {
     log_std.iter().map(|s| 0.5 + LN_SQRT_TAU + s).sum()
 }
 
-/// Where the slopes of the loss go.
+/// Outputs for the derivatives of the loss.
 pub struct Slopes<'a> {
     /// f32 [n, action]
     pub means: &'a mut [f32],
@@ -92,8 +92,8 @@ pub struct Slopes<'a> {
     pub log_std: &'a mut [f32],
 }
 
-/// Slopes of the mean loss by the networks' outputs `means` and `values`, and by the logarithms of σ; the entropy's are left out,
-/// because they do not depend on the samples.
+/// Derivatives of the mean loss by the networks' outputs `means` and `values`, and by the logarithms of σ; the
+/// entropy's are left out, because they do not depend on the samples.
 pub fn slopes(
     weights: &Weights,
     samples: &Samples,

@@ -1,8 +1,8 @@
-//! The arithmetic of networks: products of matrices, and what is done number by number.
+//! The arithmetic of networks: products of matrices, and element-wise functions.
 //!
-//! Numbers are added in an order that depends on sizes alone, so results have the same bits on every thread. The products
-//! are those of crate `matrixmultiply`, which is in the program anyway. Measured 2026-11-22 on an AMD EPYC (Zen 5), one thread,
-//! 128 to 256 rows by 64 × 64: 70 to 130 GFLOP/s, crate `gemm` 48 to 71.
+//! Numbers are added in an order that depends on sizes alone, so results have the same bits on every thread. The
+//! products are those of crate `matrixmultiply`, which nalgebra needs anyway. Measured 2026-11-22 on an AMD EPYC
+//! (Zen 5), one thread, 128 to 256 rows by 64 × 64: 70 to 130 GFLOP/s, crate `gemm` 48 to 71.
 
 use crate::number::Kernel;
 
@@ -74,7 +74,7 @@ pub fn tanh(x: f32) -> f32 {
     x * p / q
 }
 
-/// Adds `bias` to every row, and takes the hyperbolic tangent of the sums if `curved`.
+/// Adds `bias` to every row, and applies the hyperbolic tangent if `curved`.
 pub struct Bend<'a> {
     pub rows: &'a mut [f32],
     pub bias: &'a [f32],
@@ -94,7 +94,7 @@ impl Kernel for Bend<'_> {
     }
 }
 
-/// Slopes before a tangent from those after it: `slopes` · (1 − y²).
+/// Derivatives before a tangent from those after it: `slopes` · (1 − y²).
 pub struct Unbend<'a> {
     pub slopes: &'a mut [f32],
     pub outputs: &'a [f32],
@@ -136,7 +136,7 @@ mod tests {
         assert!(tanh(f32::NAN).is_nan());
     }
 
-    /// All four ways to lay out the factors, against sums in `f64`.
+    /// All four combinations of transposed factors, compared with sums in `f64`.
     #[test]
     fn products_are_products() {
         let (m, k, n) = (7, 33, 5);

@@ -1,9 +1,9 @@
-//! What designs are compared by, and how sure it is.
+//! Measures by which designs are compared, and their intervals.
 
 use crate::error::{Error, Result};
 use crate::evaluate::episode::Episode;
 
-/// What is compared.
+/// A measure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Measure {
     Return,
@@ -35,7 +35,7 @@ impl Measure {
         }
     }
 
-    /// Over all episodes of a policy.
+    /// Its value over all episodes of a policy.
     pub fn of(self, episodes: &[Episode]) -> f64 {
         let sum = |term: fn(&Episode) -> f64| episodes.iter().map(term).sum::<f64>();
         match self {
@@ -48,7 +48,7 @@ impl Measure {
         }
     }
 
-    /// Smaller is better; what is not a number is worst.
+    /// Smaller is better; NaN is worst.
     pub fn cost(self, value: f64) -> f64 {
         let cost = if self == Self::CostOfTransport { value } else { -value };
         if cost.is_nan() { f64::INFINITY } else { cost }
@@ -72,8 +72,8 @@ impl Between {
     }
 }
 
-/// 97.5 % point of Student's t distribution (Fisher & Yates, Statistical Tables, table III); beyond the table that of its last row,
-/// which is a little too wide.
+/// 97.5 % point of Student's t distribution (Fisher & Yates, Statistical Tables, table III); beyond the table the
+/// value of its last row, which makes the interval slightly too wide.
 fn student(freedom: usize) -> f64 {
     const POINTS: [f64; 10] = [12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228];
     POINTS[freedom.clamp(1, POINTS.len()) - 1]

@@ -1,9 +1,9 @@
-//! What a robot sees and does, as it looks in the mirror. See "Left and right" in `docs/learning.md`.
+//! Observations and actions of a robot mirrored left to right. See "Left and right" in `docs/learning.md`.
 
 use crate::env::{Column, Spec};
 use crate::error::{Error, Result};
 
-/// Which column holds the mirrored value of each, and its sign.
+/// For each column the column with its mirrored value, and the sign.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mirror {
     pub order: Vec<usize>,
@@ -11,7 +11,7 @@ pub struct Mirror {
 }
 
 impl Mirror {
-    /// Of rows of observations, and of actions.
+    /// The mirrors of observation rows and of action rows.
     pub fn both(spec: &Spec) -> Result<[Self; 2]> {
         Ok([Self::of(&spec.observation)?, Self::of(&spec.action)?])
     }
@@ -28,7 +28,7 @@ impl Mirror {
         Ok(Self { order, signs })
     }
 
-    /// Fills `image`, rows of as many numbers, with the mirror images of `rows`.
+    /// Fills `image` with the mirror images of `rows`.
     pub fn reflect(&self, rows: &[f32], image: &mut [f32]) {
         let width = self.order.len();
         for (row, image) in rows.chunks_exact(width).zip(image.chunks_exact_mut(width)) {
@@ -39,7 +39,8 @@ impl Mirror {
     }
 }
 
-/// The column that a column's value moves to: left and right change places, and a place to the left its sign.
+/// The column that a column's value moves to, and the sign: left and right change places, and positions to the left
+/// change sign.
 fn image(name: &str) -> String {
     const PLACE: &str = " cm to the left";
     if let Some(before) = name.strip_suffix(PLACE)
@@ -51,7 +52,7 @@ fn image(name: &str) -> String {
     name.replace("right", "\0").replace("left", "right").replace('\0', "left")
 }
 
-/// In the mirror y points the other way, so vectors change sign along y and turns about x and z; a coxa turns about z.
+/// The mirror reverses y: vectors change sign along y, rotations about x and z; a coxa rotates about z.
 fn turned(name: &str) -> bool {
     let along = |what: &str, axes: &[char]| name.split_once(what).is_some_and(|(_, axis)| axis.starts_with(axes));
     along("gravity direction, body frame, ", &['y'])
@@ -67,7 +68,7 @@ mod tests {
     use crate::env::registry::{Blueprint, TASK_IDS};
     use serde_json::Value;
 
-    /// Twice in the mirror nothing has changed; what lies on the right goes to the left, and y turns round.
+    /// The mirror twice is the identity; values of the right side move to the left, and y changes sign.
     #[test]
     fn the_mirror_of_the_mirror() {
         for id in TASK_IDS.iter().filter(|id| id.contains("Hexapod")) {

@@ -1,7 +1,8 @@
-//! Actor and critic: layers with hyperbolic tangents and a linear one behind, separate for both, in one row of parameters.
+//! Actor and critic: layers with hyperbolic tangents and a linear one behind, with separate layers but one array of
+//! parameters.
 //!
-//! The actor gives the mean of a normal distribution; its standard deviations are parameters of their own. With a mirror
-//! both networks are averaged with their mirror images: (f(s) + M f(M s)) / 2 and (v(s) + v(M s)) / 2.
+//! The actor gives the mean of a normal distribution; its standard deviations are parameters of their own. With a
+//! mirror both networks are averaged with their mirror images: (f(s) + M f(M s)) / 2 and (v(s) + v(M s)) / 2.
 
 use super::matrix::{Bend, Matrix, SumRows, Unbend, multiply};
 use super::mirror::Mirror;
@@ -10,7 +11,7 @@ use rand::Rng;
 use rand_distr::StandardNormal;
 use std::ops::Range;
 
-/// Where a layer's numbers stand among the parameters: weights f32 [inputs, outputs], then its bias.
+/// Indices of a layer's numbers in the parameters: weights f32 [inputs, outputs], then its bias.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layer {
     pub inputs: usize,
@@ -21,19 +22,19 @@ pub struct Layer {
 
 /// Sizes of both networks.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Shape {
+pub struct NetworkSizes {
     pub observation: usize,
     pub action: usize,
     pub actor: Vec<Layer>,
     pub critic: Vec<Layer>,
     /// Logarithms of the standard deviations of an action's numbers.
     pub log_std: Range<usize>,
-    /// How many numbers there are in all.
+    /// Number of parameters.
     pub parameters: usize,
 }
 
-impl Shape {
-    /// `hidden`: sizes of the layers between, of the actor and of the critic.
+impl NetworkSizes {
+    /// `hidden`: sizes of the hidden layers, of the actor and of the critic.
     pub fn new(observation: usize, action: usize, hidden: &[Vec<usize>; 2]) -> Self {
         let mut parameters = 0;
         let mut take = |count: usize| {
@@ -53,8 +54,8 @@ impl Shape {
         Self { observation, action, actor, critic, log_std, parameters }
     }
 
-    /// Parameters as stable-baselines3 begins PPO's: orthogonal weights (Saxe et al. 2014), √2 large before a tangent, 0.01
-    /// for the action, 1 for the value; biases 0.
+    /// Initial parameters of stable-baselines3's PPO: orthogonal weights (Saxe et al. 2014), with a gain of √2
+    /// before a tangent, 0.01 for the action, 1 for the value; biases 0.
     pub fn begin(&self, log_std: f32, random: &mut impl Rng) -> Vec<f32> {
         let mut parameters = vec![0.0; self.parameters];
         for (stack, last) in [(&self.actor, 0.01), (&self.critic, 1.0)] {
@@ -68,14 +69,15 @@ impl Shape {
     }
 }
 
-/// Fills `weights` so that the shorter of rows and columns are orthogonal to each other, and `gain` long.
+/// Fills `weights` so that its rows, or its columns if there are fewer, are orthogonal to each other and have
+/// length `gain`.
 fn orthogonal(layer: &Layer, gain: f64, random: &mut impl Rng, weights: &mut [f32]) {
     let (inputs, outputs) = (layer.inputs, layer.outputs);
     let (count, length) = (inputs.min(outputs), inputs.max(outputs));
     let mut vectors: Vec<Vec<f64>> = Vec::with_capacity(count);
     while vectors.len() < count {
         let mut v: Vec<f64> = (0..length).map(|_| random.sample(StandardNormal)).collect();
-        // Twice: what rounding left the first time.
+        // Twice, to remove the rounding of the first time.
         for u in vectors.iter().chain(&vectors) {
             let along: f64 = u.iter().zip(&v).map(|(a, b)| a * b).sum();
             v.iter_mut().zip(u).for_each(|(v, u)| *v -= along * u);
@@ -93,7 +95,7 @@ fn orthogonal(layer: &Layer, gain: f64, random: &mut impl Rng, weights: &mut [f3
     }
 }
 
-/// Room for the outputs of a network's layers and their slopes.
+/// Work space for the outputs of a network's layers and their derivatives.
 #[derive(Clone, Debug, Default)]
 struct Stack {
     outputs: Vec<Vec<f32>>,
@@ -106,7 +108,7 @@ impl Stack {
         Self { slopes: room.clone(), outputs: room }
     }
 
-    /// `rows` rows of `inputs` through the layers.
+    /// Computes the layers for `rows` rows of `inputs`.
     fn forward(&mut self, layers: &[Layer], parameters: &[f32], inputs: &[f32], rows: usize, isa: Isa) {
         for (k, layer) in layers.iter().enumerate() {
             let (before, rest) = self.outputs.split_at_mut(k);
@@ -119,7 +121,7 @@ impl Stack {
         }
     }
 
-    /// Adds to `gradient` what the slopes of the last layer's outputs say.
+    /// Adds to `gradient` the contribution of the derivatives by the last layer's outputs.
     fn backward(
         &mut self,
         layers: &[Layer],
@@ -150,13 +152,13 @@ impl Stack {
 /// Both networks, without their parameters.
 #[derive(Clone, Debug)]
 pub struct Networks {
-    pub shape: Shape,
-    /// Of observations and of actions.
+    pub shape: NetworkSizes,
+    /// The mirrors of observations and of actions.
     pub mirror: Option<[Mirror; 2]>,
     pub isa: Isa,
 }
 
-/// Room for a number of rows on their way through both networks.
+/// Work space for a number of rows in both networks.
 pub struct Pass {
     /// f32 [2 · rows, observation]; the second half is for mirror images.
     observations: Vec<f32>,
@@ -183,7 +185,7 @@ impl Networks {
         }
     }
 
-    /// Rows that go through the networks for each that is asked for.
+    /// Number of rows in the networks for each requested row.
     fn images(&self) -> usize {
         if self.mirror.is_some() { 2 } else { 1 }
     }
@@ -220,7 +222,7 @@ impl Networks {
         }
     }
 
-    /// Adds to `gradient` what the slopes of the last [`Networks::forward`]'s means and values say.
+    /// Adds to `gradient` the contribution of the derivatives by the last [`Networks::forward`]'s means and values.
     pub fn backward(&self, parameters: &[f32], pass: &mut Pass, means: &[f32], values: &[f32], gradient: &mut [f32]) {
         let (rows, all) = (pass.rows, pass.rows * self.images());
         let observations = &pass.observations[..all * self.shape.observation];

@@ -1,10 +1,10 @@
-//! Running means and variances, and what is normalized by them, as stable-baselines3's `VecNormalize` does it.
+//! Running means and variances, and normalization by them, as in stable-baselines3's `VecNormalize`.
 
-/// `VecNormalize`'s: what is added to a variance, and how far a normalized number may go.
+/// `VecNormalize`'s values: what is added to a variance, and the clip range of normalized numbers.
 pub const EPSILON: f64 = 1e-8;
 pub const CLIP: f32 = 10.0;
 
-/// Mean and variance of what has been seen, number by number.
+/// Mean and variance of all rows so far, number by number.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Running {
     pub mean: Vec<f64>,
@@ -13,12 +13,12 @@ pub struct Running {
 }
 
 impl Running {
-    /// Nothing seen yet; a count of 1e-4 as there, so that the first rows decide.
+    /// No rows so far; a count of 1e-4 as in `VecNormalize`, so that the first rows dominate.
     pub fn new(width: usize) -> Self {
         Self { mean: vec![0.0; width], variance: vec![1.0; width], count: 1e-4 }
     }
 
-    /// Takes account of rows with these moments (Chan, Golub & LeVeque 1983).
+    /// Adds rows with these moments (Chan, Golub & LeVeque 1983).
     pub fn update(&mut self, rows: &Moments) {
         if rows.count == 0.0 {
             return;
@@ -47,7 +47,7 @@ impl Moments {
         Self { count: 0.0, mean: vec![0.0; width], squares: vec![0.0; width] }
     }
 
-    /// Those of `rows`, in place of what was here.
+    /// Computes the moments of `rows`.
     pub fn set<T: Copy + Into<f64>>(&mut self, rows: &[T]) {
         let width = self.mean.len();
         self.count = (rows.len() / width) as f64;
@@ -65,7 +65,7 @@ impl Moments {
         }
     }
 
-    /// Those of these rows and of others together.
+    /// Moments of these rows and of others together.
     pub fn join(&mut self, other: &Self) {
         let total = self.count + other.count;
         for k in 0..self.mean.len() {
@@ -77,11 +77,11 @@ impl Moments {
     }
 }
 
-/// What rows and rewards are normalized by; without it both stay as they are.
+/// Statistics for normalizing rows and rewards; None leaves both unchanged.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Normal {
     pub observations: Running,
-    /// Of the discounted sums of rewards.
+    /// Statistics of the discounted sums of rewards.
     pub returns: Running,
 }
 
@@ -99,7 +99,7 @@ impl Normal {
     }
 }
 
-/// What [`Normal`] comes to at a time.
+/// The factors of [`Normal`] at one time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scales {
     /// Mean and 1/σ of each number of an observation.
@@ -130,7 +130,7 @@ impl Scales {
 mod tests {
     use super::*;
 
-    /// In pieces or at once: mean and variance are those of all rows.
+    /// Mean and variance are the same for rows in pieces and at once.
     #[test]
     fn pieces_add_up() {
         let rows: Vec<f32> = (0..600).map(|k| (k as f32 * 0.37).sin() + (k % 3) as f32).collect();

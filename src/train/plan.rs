@@ -1,9 +1,9 @@
-//! What is to be learnt, what has been learnt, and who hears of it.
+//! The plan of a training, its state, and the interface of its observers.
 
 use super::adam::Adam;
 use super::kept::Kept;
 use super::mirror::Mirror;
-use super::network::{Networks, Shape};
+use super::network::{NetworkSizes, Networks};
 use super::normal::Normal;
 use super::settings::Settings;
 use crate::env::registry::Blueprint;
@@ -13,28 +13,28 @@ use rand::SeedableRng as _;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use std::sync::Arc;
 
-/// What has been learnt, and everything that going on takes.
+/// The state of a training: everything that is needed to continue it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Learnt {
     pub parameters: Vec<f32>,
     pub adam: Adam,
     pub normal: Option<Normal>,
-    /// Steps of environments.
+    /// Number of environment steps.
     pub steps: u64,
-    /// Rollouts, each with its updates.
+    /// Number of rollouts, each with its updates.
     pub updates: u64,
     /// Time that it took [s].
     pub seconds: f64,
-    /// Without them new episodes begin.
+    /// Saved environments; without them new episodes begin.
     pub environments: Option<Arc<Kept>>,
 }
 
-/// Hears of a training, which ends with an error of it.
+/// Observes a training. An error of an observer ends it.
 pub trait Heed {
-    /// After each update: what has been learnt, and how.
+    /// Called after each update.
     fn update(&mut self, learnt: &Learnt, report: &Report) -> Result<()>;
 
-    /// Within an update, every few milliseconds.
+    /// Called within an update, every few milliseconds.
     fn pause(&mut self) -> Result<()> {
         Ok(())
     }
@@ -46,7 +46,7 @@ impl<F: FnMut(&Learnt, &Report) -> Result<()>> Heed for F {
     }
 }
 
-/// What is to be learnt, and how.
+/// What is to be learnt, and with which settings.
 pub struct Plan {
     pub blueprint: Blueprint,
     pub settings: Settings,
@@ -55,14 +55,14 @@ pub struct Plan {
     pub threads: usize,
 }
 
-/// What an update came to.
+/// Results of an update.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Report {
     pub steps: u64,
     pub seconds: f64,
     /// Share of the training that is done, 0 to 1.
     pub done: f64,
-    /// Mean sum of rewards of the episodes that ended in the rollout; not a number if none did.
+    /// Mean return of the episodes that ended in the rollout; NaN if none did.
     pub mean_return: f64,
     pub episodes: usize,
     pub learning_rate: f64,
@@ -81,13 +81,13 @@ pub struct Report {
 impl Plan {
     pub fn new(blueprint: Blueprint, settings: Settings, seed: u64, threads: usize) -> Result<Self> {
         let spec = blueprint.task.spec();
-        let shape = Shape::new(spec.observation.len(), spec.action.len(), &settings.net_arch);
+        let shape = NetworkSizes::new(spec.observation.len(), spec.action.len(), &settings.net_arch);
         let mirror = settings.mirror.then(|| Mirror::both(spec)).transpose()?;
         let networks = Networks { shape, mirror, isa: Isa::choose()? };
         Ok(Self { blueprint, settings, networks, seed, threads: threads.max(1) })
     }
 
-    /// Nothing learnt yet.
+    /// The initial state.
     pub fn begin(&self) -> Learnt {
         let shape = &self.networks.shape;
         let parameters = shape.begin(self.settings.log_std_init as f32, &mut self.random(0, u64::MAX));
@@ -102,13 +102,19 @@ impl Plan {
         }
     }
 
+    /// The networks and the normalization of `other`, and nothing else of it.
+    pub fn begin_from(&self, other: &Learnt) -> Learnt {
+        Learnt { parameters: other.parameters.clone(), normal: other.normal.clone(), ..self.begin() }
+    }
+
     /// Random numbers for purpose `what` in update `update`.
     pub(crate) fn random(&self, update: u64, what: u64) -> Xoshiro256PlusPlus {
         Xoshiro256PlusPlus::seed_from_u64(self.noise(update, what))
     }
 
     pub(crate) fn noise(&self, update: u64, what: u64) -> u64 {
-        // Odd factors, and the generator mixes its seed: no two purposes of a training meet in practice.
+        // The factors are odd, and the generator mixes its seed, so two purposes of a training practically never
+        // have the same stream.
         self.seed.wrapping_mul(0x9e37_79b9_7f4a_7c15)
             ^ update.wrapping_mul(0xd1b5_4a32_d192_ed03)
             ^ what.wrapping_mul(0x8cb9_2ba7_2f3d_8dd7)

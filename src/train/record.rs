@@ -1,4 +1,4 @@
-//! Trainings of a design study as files: a study that was stopped goes on where it was.
+//! Files of a design study's trainings. With them a stopped study goes on.
 
 use super::checkpoint;
 use super::plan::{Learnt, Plan};
@@ -6,16 +6,16 @@ use crate::error::{Error, Result};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
-/// Files of one training, `designD-K.…`: the policy, what it takes to go on from it, and what it came to.
+/// Files of one training, `designD-K.…`: the policy, its checkpoint, and its results.
 pub struct Record {
-    /// Without an ending.
+    /// Path without an ending.
     path: PathBuf,
     /// Everything that the training's result depends on.
     key: String,
 }
 
 impl Record {
-    /// Training `training` of design number `design`; `before`: the designs that it was warm-started from.
+    /// Training `training` of design number `design`; `before`: the designs of its warm start.
     pub fn new(out: &Path, design: usize, training: usize, plan: &Plan, before: &[Vec<String>]) -> Self {
         let model = plan.blueprint.task.model();
         let key = json!({
@@ -36,7 +36,7 @@ impl Record {
         self.path.with_extension(ending)
     }
 
-    /// What the training came to, if it was made before: what it learnt, and its measures.
+    /// The results of the training, if it was finished before: its state, and its measures.
     pub fn read(&self, plan: &Plan) -> Option<(Learnt, [f64; 3])> {
         let about: Value = serde_json::from_slice(&std::fs::read(self.file("json")).ok()?).ok()?;
         if about["key"].as_str() != Some(&self.key) {
@@ -47,7 +47,7 @@ impl Record {
         Some((checkpoint::load(&self.file("safetensors"), plan, false).ok()?.learnt, measures))
     }
 
-    /// Keeps what the training came to. The last file says that the others are whole.
+    /// Saves the results of the training. The last file marks the others as complete.
     pub fn write(&self, plan: &Plan, learnt: &Learnt, onnx: &[u8], measures: &[f64; 3]) -> Result<()> {
         let keep = |ending: &str, content: &[u8]| {
             let path = self.file(ending);

@@ -1,27 +1,27 @@
-//! Environments on a server: the training sees rows, as of environments in this process.
+//! Environments on a server: the training gets rows, as from environments in this process.
 
 use crate::error::Result;
 use std::ops::Range;
 
-/// Is called while an answer is waited for; an error of it ends the wait.
+/// Called while waiting for an answer; its error ends the wait.
 pub type Pause<'a> = &'a mut dyn FnMut() -> Result<()>;
 
 /// All environments of a training, on a server. Each call waits for its answer.
 pub trait Remote: Send {
     /// Begins an episode in each environment; one seed an environment.
     fn reset(&mut self, seeds: &[u64], pause: Pause) -> Result<Rows>;
-    /// f32 [envs, action]; where an episode ends, the next one begins at once.
+    /// Makes a step; `actions` is f32 [envs, action]. Where an episode ends, the next one begins at once.
     fn step(&mut self, actions: &[f32], pause: Pause) -> Result<Rows>;
-    /// All environments as they are now.
+    /// Saves all environments.
     fn save(&mut self, pause: Pause) -> Result<Vec<u8>>;
-    /// Lets the environments go on as saved ones.
+    /// Restores saved environments.
     fn restore(&mut self, snapshot: &[u8], pause: Pause) -> Result<Rows>;
 }
 
-/// Environments on a server, if they are there.
+/// Environments on a server, if the training uses one.
 pub type Away<'a> = Option<&'a mut (dyn Remote + 'static)>;
 
-/// What the last reset or step gave, one row an environment.
+/// Rows of the last reset or step, one an environment.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Rows {
     /// f32 [envs, observation]
@@ -39,7 +39,7 @@ pub struct Rows {
 }
 
 impl Rows {
-    /// Those of the environments in `part`, counted from its start.
+    /// The rows of the environments in `part`, counted from its start.
     pub fn part(&self, part: Range<usize>) -> Self {
         let wide = self.observations.len() / self.rewards.len().max(1);
         let ended: Vec<usize> = (0..self.ended.len()).filter(|k| part.contains(&(self.ended[*k] as usize))).collect();

@@ -1,4 +1,4 @@
-//! A training with everything that stays of it: `settings.json`, `curve.csv`, checkpoints, TensorBoard's events and, at the end,
+//! A training with all its files: `settings.json`, `curve.csv`, checkpoints, TensorBoard's events and, at the end,
 //! the policy, its score over unseen seeds, the learning curve and a film.
 
 use super::curve::{Curve, Point};
@@ -16,54 +16,64 @@ use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Share of the progress that the training is; the rest is for the evaluation.
+/// The training's share of the progress; the rest is for the evaluation.
 const TRAINING: f64 = 0.97;
 
-/// Between two looks at whether somebody has stopped the training: our choice, well below the 100 ms that a person notices.
+/// Interval of checks whether the training was stopped: our choice, well below the 100 ms that a person notices.
 const PATIENCE: Duration = Duration::from_millis(20);
 
-/// Makes environments on a server: of a blueprint, its options and a number.
+/// Makes environments on a server, from a blueprint, its options and a number.
 pub type Connect = dyn Fn(&Blueprint, &Value, usize, Pause) -> Result<Box<dyn Remote>> + Send + Sync;
 
-/// What is asked for.
+/// A request for a training.
 pub struct Request {
     pub task: String,
-    /// Keywords of the task; those of the settings' `env_kwargs` count where there are none here.
+    /// Keywords of the task; without them the settings' `env_kwargs` apply.
     pub options: Value,
     pub settings: Settings,
     pub seed: u64,
     pub threads: usize,
     /// Folder for the results.
     pub out: PathBuf,
-    /// Go on from the last checkpoint there.
+    /// Continue from the last checkpoint there?
     pub resume: bool,
+    /// Begin with the networks and the normalization of another training's checkpoint; not with `resume`.
+    pub start_from: Option<PathBuf>,
     /// Steps between two checkpoints.
     pub checkpoint_every: u64,
-    /// Environments on a server in place of this process's.
+    /// Environments on a server, instead of this process.
     pub connect: Option<Box<Connect>>,
 }
 
-/// What came of it.
+/// Results of a training.
 pub struct Outcome {
     pub learnt: Learnt,
     pub last: Option<Report>,
     /// The learning curve.
     pub curve: Vec<Point>,
-    /// Why a training that goes on began new episodes, where it did.
+    /// Why a continued training began new episodes, if it did.
     pub anew: Option<String>,
-    /// The policy without noise over 100 unseen seeds; none for tasks that are not about walking.
+    /// The policy without noise over 100 unseen seeds; None for tasks without walking.
     pub score: Option<Row>,
 }
 
 impl Request {
-    /// Learns, and writes everything into the folder. Where the training stops before its end a checkpoint is left.
+    /// Trains, and writes all files into the folder. A training that is stopped leaves a checkpoint.
     pub fn run(&self, progress: &dyn Progress) -> Result<Outcome> {
         let options = self.options()?;
         let blueprint = Blueprint::new(&self.task, options.clone())?;
         let plan = Plan::new(blueprint, self.settings.clone(), self.seed, self.threads)?;
-        let saved = match self.resume {
-            true => checkpoint::load(&checkpoint::last(&self.out)?, &plan, self.connect.is_some())?,
-            false => checkpoint::Saved { learnt: plan.begin(), open: [0.0; 2], anew: None },
+        let away = self.connect.is_some();
+        let saved = match (self.resume, &self.start_from) {
+            (true, Some(_)) => {
+                return Err(Error::invalid("start_from", "resume goes on from the training's own checkpoint"));
+            }
+            (true, None) => checkpoint::load(&checkpoint::last(&self.out)?, &plan, away)?,
+            (false, Some(other)) => {
+                let learnt = plan.begin_from(&checkpoint::load(other, &plan, away)?.learnt);
+                checkpoint::Saved { learnt, open: [0.0; 2], anew: None }
+            }
+            (false, None) => checkpoint::Saved { learnt: plan.begin(), open: [0.0; 2], anew: None },
         };
         let checkpoint::Saved { learnt, open, anew } = saved;
         let mut remote = match &self.connect {
@@ -126,7 +136,7 @@ impl Request {
         Ok(Value::Object(options))
     }
 
-    /// Writes the policy, plays it over unseen seeds and films it.
+    /// Writes the policy, evaluates it over unseen seeds and records a film.
     fn keep(&self, plan: &Plan, learnt: &Learnt, options: Value, progress: &dyn Progress) -> Result<Option<Row>> {
         let onnx = export::onnx(plan, learnt);
         self.write("policy.onnx", &onnx)?;
@@ -157,7 +167,7 @@ impl Request {
     }
 }
 
-/// What is written while a training goes on.
+/// Writes files during a training.
 struct Diary<'a> {
     plan: &'a Plan,
     request: &'a Request,
@@ -170,7 +180,7 @@ struct Diary<'a> {
     seconds: f64,
     newest: Learnt,
     progress: &'a dyn Progress,
-    /// What progress was told last, and when it was asked last.
+    /// The last progress report, and the time of the last check.
     told: (f64, String),
     asked: Instant,
 }
@@ -229,7 +239,7 @@ impl Diary<'_> {
         Ok(path)
     }
 
-    /// Leaves a checkpoint of what was sound, and says so.
+    /// Leaves a checkpoint of the last sound state, and reports it.
     fn abandon(mut self, error: Error) -> Error {
         let steps = self.newest.steps;
         let kept =

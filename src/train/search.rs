@@ -1,30 +1,32 @@
-//! Where to look for the best design next, where each look costs minutes: Gaussian process regression and expected improvement
-//! (Jones, Schonlau & Welch 1998, J. Global Optimization 13:455; Rasmussen & Williams 2006, chapter 2).
+//! Chooses the next designs of a search in which each evaluation takes minutes: Gaussian process regression and
+//! expected improvement (Jones, Schonlau & Welch 1998, J. Global Optimization 13:455; Rasmussen & Williams 2006,
+//! chapter 2).
 
 use rand::Rng as _;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-/// Lengths over which values may change, in shares of the range; the likeliest one is taken. Our choice.
+/// Length scales of the covariance, as shares of the range; the likeliest one is taken. Our choice.
 const LENGTHS: [f64; 5] = [0.08, 0.15, 0.3, 0.6, 1.2];
-/// Places that are weighed for each look: our choice, dense against the shortest length in two dimensions.
+/// Number of candidate points for each choice: our choice, dense against the shortest length scale in two
+/// dimensions.
 const CANDIDATES: usize = 1000;
-/// Bases of Halton's sequence; more parameters are not searched.
+/// Bases of Halton's sequence, one for each parameter.
 const BASES: [u64; 6] = [2, 3, 5, 7, 11, 13];
 
 /// Most parameters of a search.
 pub const MOST_PARAMETERS: usize = BASES.len();
 
-/// A place in the unit cube, and what was found there; more is better.
+/// A point in the unit cube, and its value; more is better.
 #[derive(Clone, Debug)]
 pub struct Look {
     pub at: Vec<f64>,
     pub value: f64,
 }
 
-/// Number `index` of Halton's sequence: places that fill the unit cube evenly.
+/// Point `index` of Halton's sequence, whose points fill the unit cube evenly.
 pub fn spread(index: u64, parameters: usize) -> Vec<f64> {
     let digit = |base: u64| {
-        // From 1: number 0 is a corner.
+        // From 1, because number 0 is a corner.
         let (mut rest, mut share, mut sum) = (index + 1, 1.0, 0.0);
         while rest > 0 {
             share /= base as f64;
@@ -36,8 +38,8 @@ pub fn spread(index: u64, parameters: usize) -> Vec<f64> {
     BASES.iter().take(parameters).map(|base| digit(*base)).collect()
 }
 
-/// The `count` next places to look at, after `looks`, whose values have the variance `noise`. Places that are looked at together
-/// are spread by believing at each what is expected there.
+/// The `count` next points, after `looks`, whose values have the variance `noise`. Points of one choice are spread
+/// by taking the expected value at each as if it had been measured.
 pub fn next(looks: &[Look], noise: f64, count: usize, random: &mut Xoshiro256PlusPlus) -> Vec<Vec<f64>> {
     let mut looks = looks.to_vec();
     let mut places = Vec::with_capacity(count);
@@ -56,7 +58,7 @@ pub fn next(looks: &[Look], noise: f64, count: usize, random: &mut Xoshiro256Plu
     places
 }
 
-/// What is expected at each of `looks`, given all of them: their values without most of the noise.
+/// Expected value at each of `looks`, given all of them: their values with less noise.
 pub fn smoothed(looks: &[Look], noise: f64) -> Vec<f64> {
     let process = Process::fitted(looks, noise);
     looks.iter().map(|look| process.expected(&look.at)[0]).collect()
@@ -68,7 +70,7 @@ struct Process<'a> {
     mean: f64,
     variance: f64,
     length: f64,
-    /// Cholesky's factor of the looks' covariance, and what it makes of their values.
+    /// Cholesky's factor of the covariance of `looks`, and the solution for their values.
     factor: Vec<Vec<f64>>,
     weights: Vec<f64>,
 }
@@ -78,7 +80,8 @@ impl<'a> Process<'a> {
         let n = looks.len() as f64;
         let mean = looks.iter().map(|l| l.value).sum::<f64>() / n;
         let scatter = looks.iter().map(|l| (l.value - mean) * (l.value - mean)).sum::<f64>() / n;
-        // Where noise explains all scatter something must be left, or nothing could be expected anywhere.
+        // If noise explains all scatter, a small variance must remain, or the same value would be expected
+        // everywhere.
         let variance = (scatter - noise).max(0.1 * scatter).max(1e-12);
         let noise = noise.max(1e-6 * variance);
         let all = LENGTHS.map(|length| {
@@ -96,7 +99,7 @@ impl<'a> Process<'a> {
         best.map_or_else(|| unreachable!("there are lengths"), |(_, process)| process)
     }
 
-    /// Mean and standard deviation at a place.
+    /// Mean and standard deviation at a point.
     fn expected(&self, at: &[f64]) -> [f64; 2] {
         let near: Vec<f64> = self.looks.iter().map(|look| self.variance * matern(&look.at, at, self.length)).collect();
         let mean = self.mean + near.iter().zip(&self.weights).map(|(k, w)| k * w).sum::<f64>();
@@ -104,7 +107,7 @@ impl<'a> Process<'a> {
         [mean, (self.variance - known).max(0.0).sqrt()]
     }
 
-    /// By how much a look there is expected to exceed `best`.
+    /// Expected improvement on `best` there.
     fn improvement(&self, at: &[f64], best: f64) -> f64 {
         let [mean, deviation] = self.expected(at);
         if deviation <= 0.0 {
@@ -170,8 +173,9 @@ mod tests {
     use super::*;
     use rand::SeedableRng as _;
 
-    /// Two dimensions, a hill in any place, noise: 24 looks miss less than half of the height that the best of as many evenly
-    /// spread places misses, though that one is chosen without noise. Of two hills the lower one may be found: see docs/learning.md.
+    /// Two dimensions, a hill at any place, noise: the search's loss with 24 evaluations is less than half of the
+    /// loss with as many evenly spread points, although the best of those is chosen without noise. With two hills
+    /// the lower one may be found: see docs/learning.md.
     #[test]
     fn the_top_of_a_hill_is_found() {
         let (mut missed, mut even) = (0.0, 0.0);
@@ -179,7 +183,7 @@ mod tests {
             let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
             let top = [0; 2].map(|_| 0.1 + 0.8 * random.random::<f64>());
             let truth = |at: &[f64]| (-((at[0] - top[0]).powi(2) + (at[1] - top[1]).powi(2)) / 0.05).exp();
-            // Uniform, of standard deviation 0.03.
+            // Uniform noise with a standard deviation of 0.03.
             let mut look = |at: Vec<f64>| {
                 let noise = 0.03 * 12.0_f64.sqrt() * (random.random::<f64>() - 0.5);
                 Look { value: truth(&at) + noise, at }
@@ -198,7 +202,7 @@ mod tests {
         assert!(missed < 0.5 * even, "{missed} {even}");
     }
 
-    /// Against published values: Φ(1) and Φ(−1.96).
+    /// Published values: Φ(1) and Φ(−1.96).
     #[test]
     fn the_normal_distribution() {
         assert!((below(1.0) - 0.841_344_746).abs() < 1e-7 && (below(-1.96) - 0.024_997_895).abs() < 1e-7);

@@ -1,9 +1,10 @@
-//! Hyperparameters: names and meaning of stable-baselines3's PPO, and of `examples/train.py` where they are the script's.
+//! Hyperparameters: names and meaning as in stable-baselines3's PPO, and as in `examples/train.py` for those of the
+//! script.
 
 use crate::error::{Error, Result, check_range};
 use serde_json::{Map, Value, json};
 
-/// A number that stays, or falls to zero over the training (`lin_X`).
+/// A number that is constant, or falls to zero over the training (`lin_X`).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Schedule {
     pub first: f64,
@@ -15,7 +16,7 @@ impl Schedule {
         Self { first, falls: false }
     }
 
-    /// Where `done` of the training is done, 0 to 1.
+    /// The value at the share `done` of the training, 0 to 1.
     pub fn at(self, done: f64) -> f64 {
         if self.falls { self.first * (1.0 - done) } else { self.first }
     }
@@ -28,10 +29,10 @@ impl Schedule {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
     pub n_envs: usize,
-    /// Training ends after so many steps of an environment, or after so many seconds, whichever comes first.
+    /// The training ends after this many environment steps, or after this many seconds, whichever comes first.
     pub n_timesteps: u64,
     pub seconds: Option<f64>,
-    /// Normalize observations and rewards by what has been seen.
+    /// Normalize observations and rewards by running statistics.
     pub normalize: bool,
     /// The policy treats left and right alike.
     pub mirror: bool,
@@ -56,7 +57,7 @@ pub struct Settings {
     pub env_kwargs: Map<String, Value>,
 }
 
-/// Names in files; `policy` is there for stable-baselines3 and is always MlpPolicy.
+/// Names in files; `policy` exists for stable-baselines3 and is always MlpPolicy.
 const NAMES: [&str; 21] = [
     "n_envs",
     "n_timesteps",
@@ -81,14 +82,14 @@ const NAMES: [&str; 21] = [
     "env_kwargs",
 ];
 
-/// Limits, our choice: far above what helps, far below what fills a machine's memory.
+/// Limits, our choice: far above useful values, far below what fills a machine's memory.
 const MOST_ENVS: f64 = 65_536.0;
 const MOST_SAMPLES: usize = 1 << 22;
 const MOST_LAYERS: usize = 8;
 const MOST_WIDTH: f64 = 1024.0;
 
 impl Default for Settings {
-    /// stable-baselines3's, with its defaults for one environment.
+    /// stable-baselines3's defaults for one environment.
     fn default() -> Self {
         Self {
             n_envs: 1,
@@ -117,7 +118,7 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// What an entry of a file says, the rest as stable-baselines3 has it; checked.
+    /// The settings of a file's entry with stable-baselines3's defaults, checked.
     pub fn from_entry(entry: &Map<String, Value>) -> Result<Self> {
         let mut settings = Self::default();
         for (name, value) in entry {
@@ -135,7 +136,7 @@ impl Settings {
             "normalize" => self.normalize = flag(name, value)?,
             "mirror" => self.mirror = flag(name, value)?,
             "policy" if value == "MlpPolicy" => (),
-            "policy" => return Err(Error::invalid(name, format!("{value} is not MlpPolicy, which is all there is"))),
+            "policy" => return Err(Error::invalid(name, format!("{value} is not MlpPolicy, the only policy"))),
             "learning_rate" => self.learning_rate = schedule(name, value)?,
             "n_steps" => self.n_steps = whole(name, value, 1.0, MOST_SAMPLES as f64)? as usize,
             "batch_size" => self.batch_size = whole(name, value, 2.0, MOST_SAMPLES as f64)? as usize,
@@ -175,7 +176,7 @@ impl Settings {
         Ok(())
     }
 
-    /// What no value alone can say.
+    /// Checks that involve more than one value.
     fn check(&self) -> Result<()> {
         let samples = self.n_envs.saturating_mul(self.n_steps);
         if !(2..=MOST_SAMPLES).contains(&samples) {
@@ -190,7 +191,7 @@ impl Settings {
         Ok(())
     }
 
-    /// As an entry of a file.
+    /// The settings as an entry of a file.
     pub fn json(&self) -> Value {
         json!({
             "n_envs": self.n_envs,
@@ -221,7 +222,7 @@ impl Settings {
     }
 }
 
-/// A number; YAML's readers give texts for some, as 1_000 and 1e-3.
+/// A number; YAML readers return texts for some, such as 1_000 and 1e-3.
 fn float(value: &Value) -> Option<f64> {
     match value {
         Value::Number(number) => number.as_f64(),

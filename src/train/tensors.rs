@@ -8,10 +8,10 @@ use crate::error::{Error, Result};
 use serde_json::{Map, Value, json};
 use std::path::Path;
 
-/// Largest file that is read [bytes]: our choice of guard. A usual one has 1 MiB, nearly all of it environments.
+/// Largest file that is read [bytes]: our choice. A usual one has 1 MiB, nearly all of it environments.
 const MOST: u64 = 1 << 30;
 
-/// An array; all numbers are kept as they are.
+/// An array; its numbers are stored unchanged.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Numbers {
     F32(Vec<f32>),
@@ -94,7 +94,7 @@ impl Tensors {
             header.insert(name.clone(), entry);
         }
         let mut header = Value::Object(header).to_string().into_bytes();
-        // Blanks, so that the numbers begin where processors like them to.
+        // Blanks that align the numbers.
         header.resize(header.len().next_multiple_of(8), b' ');
         [&(header.len() as u64).to_le_bytes()[..], &header, &bytes].concat()
     }
@@ -127,7 +127,7 @@ impl Tensors {
         Self::decode(&bytes).map_err(|e| Error::file(path, e))
     }
 
-    /// Writes beside and renames: who reads finds the old file or the new one, whole.
+    /// Writes a temporary file and renames it, so that readers find either the old file or the new one, complete.
     pub fn save(&self, path: &Path) -> Result<()> {
         let beside = path.with_extension("partial");
         std::fs::write(&beside, self.encode()).map_err(|e| Error::file(&beside, e))?;
@@ -176,7 +176,7 @@ mod tests {
         assert_eq!(read.f32("x", 2).unwrap(), [1.5, f32::MIN_POSITIVE]);
         assert_eq!((read.f64("y", 1).unwrap(), read.text("task").unwrap()), (vec![0.1], "a"));
         assert!(read.f32("y", 1).is_err() && read.f32("x", 3).is_err() && !read.has("w"));
-        // Whatever is cut off or changed: an error, or numbers that are there.
+        // A file that was cut off or changed gives an error or valid numbers.
         for end in 0..bytes.len() {
             assert!(Tensors::decode(&bytes[..end]).is_err());
         }

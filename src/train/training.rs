@@ -1,4 +1,4 @@
-//! A training under way: a rollout and what is learnt from it, again and again.
+//! The loop of a training: rollout, update, rollout, …
 
 use super::collect::{Piece, Play, deal};
 use super::crew::Crew;
@@ -12,10 +12,10 @@ use crate::error::{Error, Result};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use std::time::Instant;
 
-/// Where seeds of trainings begin: none that an evaluation takes.
+/// Start of the trainings' seeds; evaluations use none of them.
 const FIRST_SEED: u64 = 1 << 40;
 
-/// What threads work on. Phases take turns, so nobody waits for these locks.
+/// Work of the threads. Phases follow each other, so no thread waits for these locks.
 pub struct Shared<'a> {
     plan: &'a Plan,
     parameters: RwLock<Vec<f32>>,
@@ -30,7 +30,7 @@ pub struct Shared<'a> {
 pub enum Phase {
     /// A step of the rollout; one item a piece.
     Act { step: usize },
-    /// Its end; one item a piece.
+    /// The end of the rollout; one item a piece.
     Finish,
     /// The gradient of a minibatch; one item a chunk.
     Learn { weights: Weights },
@@ -49,7 +49,7 @@ fn write<T>(lock: &RwLock<T>) -> RwLockWriteGuard<'_, T> {
 }
 
 impl<'a> Shared<'a> {
-    /// With the environments that `learnt` holds, or at the beginning of new episodes.
+    /// With the environments in `learnt`, or at the beginning of new episodes.
     pub fn new(plan: &'a Plan, learnt: &Learnt, mut remote: Away<'_>, heed: &mut dyn Heed) -> Result<Self> {
         let Plan { blueprint, settings, networks, .. } = plan;
         let mut pieces = Piece::all(blueprint, settings, networks, remote.is_some())?;
@@ -57,7 +57,7 @@ impl<'a> Shared<'a> {
         match &learnt.environments {
             Some(kept) => kept.restore(&mut pieces, blueprint, remote.as_deref_mut(), &mut pause)?,
             None => {
-                // Whoever goes on without environments meets other episodes than before.
+                // A training that continues without its environments gets other episodes than before.
                 let begun = learnt.updates.wrapping_mul(settings.n_envs as u64) & u64::from(u32::MAX);
                 let first = FIRST_SEED.wrapping_add(plan.seed << 32).wrapping_add(begun);
                 let seeds: Vec<u64> = (first..).take(settings.n_envs).collect();
@@ -109,16 +109,16 @@ impl<'a> Shared<'a> {
     }
 }
 
-/// A training under way, as its leader sees it.
+/// The state of a training in its leader's thread.
 pub struct Training<'a, 'r> {
     plan: &'a Plan,
     shared: &'a Shared<'a>,
     pub learnt: Learnt,
     remote: Away<'r>,
     began: Instant,
-    /// Time of earlier parts [s].
+    /// Duration of earlier parts [s].
     before: f64,
-    /// Time that rollouts took [s].
+    /// Duration of the rollouts [s].
     rollouts: f64,
 }
 
@@ -136,7 +136,7 @@ impl<'a, 'r> Training<'a, 'r> {
         steps.max(time).min(1.0)
     }
 
-    /// A rollout and what is learnt from it. After an error `learnt` is of no use any more.
+    /// A rollout and its update. After an error `learnt` cannot be used any more.
     pub fn update(&mut self, crew: &Crew<'_, Phase>, heed: &mut dyn Heed) -> Result<Report> {
         let done = self.done();
         let start = Instant::now();
@@ -170,7 +170,7 @@ impl<'a, 'r> Training<'a, 'r> {
         })
     }
 
-    /// Fills the rollout; gives the returns of the episodes that ended, and how well they had been foreseen.
+    /// Fills the rollout; returns the returns of the episodes that ended, and the explained variance of the values.
     fn roll(&mut self, crew: &Crew<'_, Phase>, heed: &mut dyn Heed) -> Result<(Vec<f64>, f64)> {
         let (settings, pieces) = (&self.plan.settings, &self.shared.pieces);
         for (k, piece) in pieces.iter().enumerate() {
@@ -199,7 +199,7 @@ impl<'a, 'r> Training<'a, 'r> {
         Ok((finished, rollout.explained_variance()))
     }
 
-    /// Step `step` of environments on a server, with the actions that the pieces have chosen.
+    /// Step `step` of environments on a server, with the actions chosen by the pieces.
     fn step_away(&mut self, step: usize, heed: &mut dyn Heed) -> Result<()> {
         let Some(remote) = &mut self.remote else { return Ok(()) };
         let pieces = &self.shared.pieces;
@@ -212,7 +212,7 @@ impl<'a, 'r> Training<'a, 'r> {
         Ok(())
     }
 
-    /// Takes account of what all pieces have just seen, of rewards too if there are some.
+    /// Updates the statistics with the last observations of all pieces, and with their rewards if there are any.
     fn normalize(&mut self, rewarded: bool) {
         let Some(normal) = &mut self.learnt.normal else { return };
         let join = |what: usize| {
@@ -236,7 +236,7 @@ impl<'a, 'r> Training<'a, 'r> {
         *write(&self.shared.scales) = Some(normal.scales());
     }
 
-    /// Keeps the statistics symmetric; else normalized rows would not be mirror images of each other.
+    /// Keeps the statistics symmetric; otherwise normalized rows would not be mirror images of each other.
     fn reflect_statistics(&mut self) {
         let Some(normal) = &mut self.learnt.normal else { return };
         if let Some([mirror, _]) = &self.plan.networks.mirror {
@@ -250,7 +250,7 @@ impl<'a, 'r> Training<'a, 'r> {
         *write(&self.shared.scales) = Some(normal.scales());
     }
 
-    /// All epochs; gives the sums over all minibatches.
+    /// Runs all epochs; returns the sums over all minibatches.
     fn learn(&mut self, crew: &Crew<'_, Phase>, heed: &mut dyn Heed, done: f64, rate: f64) -> Result<Sums> {
         let (plan, shared) = (self.plan, self.shared);
         let settings = &plan.settings;
@@ -278,7 +278,7 @@ impl<'a, 'r> Training<'a, 'r> {
                 if settings.target_kl.is_some_and(|target| sums.kl / sums.samples > 1.5 * target) {
                     return Ok(all);
                 }
-                // The entropy's slope by each logarithm of a deviation is 1.
+                // The derivative of the entropy by each logarithm of a deviation is 1.
                 gradient[plan.networks.shape.log_std.clone()].iter_mut().for_each(|g| *g -= settings.ent_coef as f32);
                 let mut parameters = write(&shared.parameters);
                 let norm =
@@ -322,7 +322,7 @@ mod tests {
     use crate::crew;
     use serde_json::json;
 
-    /// The numbers that tests/python/test_from_rust.py gives SB3's PPO, which made `sb3_update.json` of them.
+    /// The inputs that tests/python/test_from_rust.py gives to SB3's PPO, whose results are `sb3_update.json`.
     #[test]
     fn an_update_is_sb3_s() {
         let rows = 64;
@@ -359,7 +359,7 @@ mod tests {
         let moved = got.iter().zip(&before).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         assert!(moved > 2e-3, "three steps of Adam move by the rate each");
         for (k, (got, wanted)) in got.iter().zip(&wanted).enumerate() {
-            // Where a slope is nearly zero, Adam makes much of its rounding: a hundredth of a step.
+            // Where a derivative is nearly zero, Adam amplifies its rounding: a hundredth of a step.
             assert!((f64::from(*got) - wanted).abs() < 1e-5, "parameter {k}: {got} {wanted}");
         }
     }

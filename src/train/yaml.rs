@@ -1,16 +1,17 @@
-//! YAML as far as files of hyperparameters need it: tables, lists, texts, anchors and merge keys (`<<`), as JSON values.
+//! Reads the part of YAML that files of hyperparameters use: tables, lists, texts, anchors and merge keys (`<<`),
+//! as JSON values.
 
 use crate::error::{Error, Result};
 use saphyr_parser::{Event, Parser, ScalarStyle};
 use serde_json::{Map, Value};
 use std::collections::HashMap;
 
-/// Longest text [bytes], deepest nesting and most values, those of anchors counted wherever they are used: our choice of guards.
+/// Longest text [bytes], deepest nesting and most values, with those of anchors counted at every use: our choice.
 const MOST_BYTES: usize = 1 << 20;
 const MOST_DEPTH: usize = 32;
 const MOST_VALUES: usize = 100_000;
 
-/// A value under way.
+/// An incomplete value.
 enum Open {
     List(Vec<Value>),
     /// With the key whose value comes next.
@@ -25,7 +26,7 @@ struct Reader {
     whole: Option<Value>,
 }
 
-/// The value that `text` holds; null for none.
+/// The value of `text`; null if it is empty.
 pub fn read(text: &str) -> Result<Value> {
     if text.len() > MOST_BYTES {
         return Err(Error::invalid("YAML", format!("{} bytes are more than {MOST_BYTES}", text.len())));
@@ -73,7 +74,7 @@ impl Reader {
         Ok(())
     }
 
-    /// Puts a complete value of `size` values where it belongs.
+    /// Adds a complete value of `size` values to its parent.
     fn place(&mut self, value: Value, anchor: usize, size: usize) -> Outcome {
         self.values += size;
         if self.values > MOST_VALUES {
@@ -88,7 +89,7 @@ impl Reader {
             Some(Open::Table(table, key)) => match key.take() {
                 None => *key = Some(name(&value).ok_or("a name is no text")?),
                 Some(name) if name == "<<" => merge(table, value)?,
-                // What stands in the table itself comes before what is merged, wherever that stands.
+                // The table's own entries take precedence over merged ones, in any order.
                 Some(name) => drop(table.insert(name, value)),
             },
         }
@@ -96,7 +97,7 @@ impl Reader {
     }
 }
 
-/// Adds a table's entries, or those of a list of tables, but for names that are there.
+/// Adds a table's entries, or those of a list of tables, except for existing names.
 fn merge(table: &mut Map<String, Value>, value: Value) -> Outcome {
     match value {
         Value::Object(other) => other.into_iter().for_each(|(name, value)| {
@@ -124,7 +125,7 @@ fn count(value: &Value) -> usize {
     }
 }
 
-/// What a word without quotes means; numbers may have `_` between digits, as in YAML 1.1.
+/// The value of a word without quotes; numbers may have `_` between digits, as in YAML 1.1.
 fn scalar(text: &str, style: ScalarStyle) -> Value {
     if style != ScalarStyle::Plain {
         return text.into();
@@ -136,7 +137,7 @@ fn scalar(text: &str, style: ScalarStyle) -> Value {
         _ => (),
     }
     let digits = text.replace('_', "");
-    // Words as "inf" and "nan" are no numbers here.
+    // Words such as "inf" and "nan" are not numbers here.
     if !text.starts_with(|c: char| c.is_ascii_digit() || "+-.".contains(c)) {
         return text.into();
     }

@@ -1,4 +1,4 @@
-//! Measured steady motions in a folder: `validation.toml` says what they are, CSV files have the rows.
+//! Measured steady motions in a folder: `validation.toml` describes them, CSV files have the rows.
 
 use crate::calibrate::pushes::Push;
 use crate::calibrate::read;
@@ -9,7 +9,7 @@ use crate::table::{self, Asked, Column, Quantity};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
-/// The two wheels and their sands, compiled in.
+/// The two wheels and their sands, included in the program.
 const OWN: [(&str, &str); 6] = [
     ("validation.toml", include_str!("../../tests/data/real_wheel/validation.toml")),
     ("wheel_smooth.csv", include_str!("../../tests/data/real_wheel/wheel_smooth.csv")),
@@ -21,7 +21,7 @@ const OWN: [(&str, &str); 6] = [
 
 const OWN_DISCS: &str = include_str!("../../tests/data/real_wheel/discs.csv");
 
-/// The discs that were pushed into the wheels' sand, compiled in.
+/// The discs that were pushed into the wheels' sand, included in the program.
 pub fn own_discs() -> Result<Vec<Push>> {
     Ok(read::text(Path::new("discs.csv"), OWN_DISCS)?.pushes)
 }
@@ -47,11 +47,11 @@ struct IntruderDescription {
     name: String,
     body: String,
     rows: PathBuf,
-    /// Calibrated without these rows.
+    /// Sand calibrated without these rows.
     sand: PathBuf,
-    /// Fitted on these rows, if there is one.
+    /// Sand fitted on these rows, if there is one.
     fitted: Option<PathBuf>,
-    /// Does it carry sand between its teeth?
+    /// Does the wheel carry sand between its grousers?
     #[serde(default)]
     carries_sand: bool,
 }
@@ -60,7 +60,7 @@ struct IntruderDescription {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Row {
     pub trial: Trial,
-    /// Of the lowest point [m].
+    /// Depth of the lowest point [m].
     pub depth: f64,
     /// [N]
     pub force: [f64; 3],
@@ -70,7 +70,7 @@ pub struct Row {
 }
 
 impl Row {
-    /// Rows of one condition have the same: slip angle and slip as they were set.
+    /// Rows of one condition have the same slip angle and slip.
     pub fn condition(&self) -> (i64, i64) {
         ((self.slip_angle).round() as i64, (self.slip * 10.0).round() as i64)
     }
@@ -106,7 +106,7 @@ pub fn own() -> Result<DataSet> {
     gather(Path::new(""), text)
 }
 
-/// A folder of a user's.
+/// A folder of the user.
 pub fn folder(folder: &Path) -> Result<DataSet> {
     gather(folder, |file| {
         let path = folder.join(file);

@@ -1,4 +1,4 @@
-//! The few numbers that wheels of one sand share, fitted on measured steady motions.
+//! Fits the few numbers that wheels in one sand share to measured steady motions.
 
 use super::data::{Row, Wheel};
 use crate::error::Result;
@@ -7,26 +7,27 @@ use crate::sand::intruder::{Given, Trial, compute};
 use crate::sand::{Law, Mechanisms, Medium, SandDescription};
 use nalgebra::{DMatrix, DVector};
 
-/// What a residual of 1 stands for: 8 % of the load in Fx and Fy, 15 % in Fz, 3.5 mm of sinkage. Our choice: what a good
-/// model should reach.
+/// Errors that make a residual of 1: 8 % of the load in Fx and Fy, 15 % in Fz, 3.5 mm of sinkage. Our choice: the
+/// accuracy of a good model.
 const TOLERANCES: [f64; 4] = [0.08, 0.15, 0.08, 0.0035];
-/// Step in depth [m] of the slope that turns a lack of force into sinkage.
+/// Step in depth [m] for the stiffness that converts a missing force into sinkage.
 const STEP: f64 = 5e-4;
-/// Least stiffness [N/m] of that slope, so that a wheel that finds no hold counts as a few centimetres.
+/// Least stiffness [N/m] in that conversion, so that a wheel without support counts as a few centimetres.
 const SOFTEST: f64 = 200.0;
-/// Largest residual: our choice, rows that find no hold must not outweigh all others.
+/// Largest residual: our choice, so that rows without support do not outweigh all others.
 const LARGEST: f64 = 8.0;
-/// Friction of sand on sand, for wheels that carry sand between their teeth: tan 35°, within the 30° to 40° of dry sands (angle
-/// of repose 29°). Not fitted: rows at slip ≤ 0 hardly tell 0.55 from 0.9.
+/// Friction of sand on sand, for wheels that carry sand between their teeth: tan 35°, within the 30° to 40° of dry
+/// sands (angle of repose 29°). Not fitted: rows at slip ≤ 0 hardly distinguish 0.55 from 0.9.
 const SAND_ON_SAND: f64 = 0.70;
-/// μ_s of a smooth wheel, and how far it may be from that: nothing is stated, so wide, around plates from polished to rough.
+/// μ_s of a smooth wheel and its standard deviation. The data give none, so it is wide, around plates from polished
+/// to rough.
 const SMOOTH: [f64; 2] = [0.45, 0.30];
 
 /// Vesic's value of `slip_bearing`, not fitted.
 pub const BEARING: f64 = 1.0;
 
-/// What is fitted: ζ [N/cm³], `depth_power`, `skid_loss` and `graze_loss`, shared by all wheels, and one μ_s of those that
-/// carry no sand.
+/// The fitted numbers: ζ [N/cm³], `depth_power`, `skid_loss` and `graze_loss`, shared by all wheels, and one μ_s of
+/// the wheels that carry no sand.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parameters {
     pub zeta: f64,
@@ -36,10 +37,10 @@ pub struct Parameters {
     pub friction: f64,
 }
 
-/// Least and greatest, in the order of the fields: wide guards, our choice.
+/// Least and greatest values, in the order of the fields: wide, our choice.
 const LOW: [f64; 5] = [0.1, -0.6, 0.0, 0.0, 0.15];
 const HIGH: [f64; 5] = [4.0, 1.0, 6.0, 1.0, 0.95];
-/// Where a fit starts: ordinary values.
+/// Start of a fit: ordinary values.
 const START: [f64; 5] = [0.85, -0.2, 0.6, 0.5, SMOOTH[0]];
 
 impl Parameters {
@@ -48,7 +49,7 @@ impl Parameters {
         Self { zeta, depth_power, skid_loss, graze_loss, friction }
     }
 
-    /// Rounded to what the data can tell, so that a file has the same text on every machine.
+    /// Rounded to the accuracy of the data, so that a file has the same text on every machine.
     pub fn rounded(&self) -> Self {
         let Self { zeta, depth_power, skid_loss, graze_loss, friction } = *self;
         let [zeta, depth_power, skid_loss, graze_loss, friction] =
@@ -119,8 +120,8 @@ pub fn fit(wheels: &[Wheel], rows: &[Vec<Row>]) -> Result<Parameters> {
     Ok(Parameters::from_vector(&x))
 }
 
-/// Fx, Fy, Fz at the measured sinkage, the sinkage under the measured load and Fx, Fy there (to first order), and how far the
-/// friction is from what one would expect.
+/// Residuals: Fx, Fy, Fz at the measured sinkage, the sinkage under the measured load and Fx, Fy there (to first
+/// order), and the deviation of the friction from its expected value.
 fn residuals(wheels: &[Wheel], rows: &[Vec<Row>], x: &DVector<f64>) -> Result<DVector<f64>> {
     let parameters = Parameters::from_vector(x);
     let mut all = Vec::new();

@@ -1,4 +1,4 @@
-//! The scoreboard: what the model says about measurements that no code of this kind made.
+//! The scoreboard: predictions of the model compared with independent measurements.
 
 pub mod data;
 pub mod fit;

@@ -1,4 +1,4 @@
-//! What else the model is held against: discs of several sizes, grains simulated one by one, walks and robots by independent codes.
+//! Other comparisons: discs of several sizes, grains simulated one by one, walks and robots by independent codes.
 
 use super::{data, robots};
 use crate::calibrate::pushes::{self, Law as PushLaw};
@@ -21,12 +21,12 @@ const FREQUENCIES: [f64; 4] = [1.0, 2.0, 3.0, 5.0];
 const WALKS: [(&str, [f64; 4]); 2] =
     [("L", [0.1201, 0.2870, 0.4161, 0.7139]), ("revL", [0.0715, 0.1308, 0.2401, 0.4387])];
 
-/// Markdown.
+/// The comparisons as Markdown.
 pub fn text() -> Result<String> {
     Ok(format!("{}\n{}\n{}\n{}", discs()?, grains()?, walks()?, robots::text()?))
 }
 
-/// ζ of one disc against the other discs.
+/// ζ of one disc, compared with the other discs.
 fn discs() -> Result<String> {
     let study = pushes::compare(&data::own_discs()?, None)?;
     let mut text = String::from(
@@ -49,7 +49,7 @@ fn discs() -> Result<String> {
     Ok(text)
 }
 
-/// Legs rotated through grains: what `sandgait reproduce` says of its stand-in.
+/// Legs rotated through grains, from `sandgait reproduce`.
 fn grains() -> Result<String> {
     let table = reproduce::grains()?;
     let mut text = format!("## Grains simulated one by one\n\n{}\n\n| {} |\n", table.caption, table.head.join(" | "));
@@ -61,7 +61,7 @@ fn grains() -> Result<String> {
     Ok(text)
 }
 
-/// Walking speeds beside those of independent codes.
+/// Walking speeds compared with those of independent codes.
 fn walks() -> Result<String> {
     let trial = |leg: &str, frequency: f64| -> Result<Trial> {
         let scene = Scene::flat(Medium::named("poppy-loose")?);

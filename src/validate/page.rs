@@ -8,28 +8,28 @@ use crate::plot::{Axis, Figure, Mark, Panel, Style, color, png};
 use std::fmt::Write as _;
 use std::path::Path;
 
-/// What is drawn of a pair: measured and predicted, where there are both.
+/// The series of a figure: measured and predicted values, if both exist.
 type Measure = fn(&Pair) -> Option<[f64; 2]>;
 
-/// What stands above the scoreboard.
+/// The text above the scoreboard.
 const INTRODUCTION: &str = "\
-Written by `sandgait validate --out DIR`; the numbers are computed, the words are not. *Not fitted* means that no number was
-fitted on the rows, though their maker had seen them; *left out* that a fit saw other slip angles, or other slips, of the same wheels; *fitted* is no prediction at all.
+Written by `sandgait validate --out DIR`. The numbers are computed; the text is fixed. *Not fitted* means that no number was
+fitted on the rows, although the model's authors knew them; *left out* that the fit used other slip angles, or other slips, of the same wheels; *fitted* is no prediction at all.
 
-What limits it: 3D-RFT loads each plate as if it were alone. A locked wheel sinks 20 mm deeper than predicted, because the sand
+Limits: 3D-RFT loads each plate as if it were alone. A locked wheel sinks 20 mm deeper than predicted, because the sand
 under it is carried away (`skid_loss`); a spinning one sinks less, because a smooth surface carries more than the law
 gives to a plate that moves along itself (`slip_bearing`); a side face that travels nearly along itself bears less than the law
-says (`graze_loss`). With these the oblique locked wheel stays worst. `depth_power` below 0 is no property of the sand: discs in it grow stiffer with
-depth and with size, so a file fitted on these wheels does not carry over to other sizes or loads. The grouser wheel is a
+says (`graze_loss`). With these mechanisms the oblique locked wheel still has the largest errors. A `depth_power` below 0 is not a property of the sand: the resistance of discs in it grows faster than
+depth and size, so a file fitted on these wheels does not apply to other sizes or loads. The grouser wheel is a
 cylinder of its tip radius with the friction of sand on sand; its rows at positive slip are not in the program, and
-neither the sinkage there nor the pull of its teeth has been compared with anything here.
+neither the sinkage there nor the pull of its grousers has been compared with measurements.
 
-Data of your own: a folder with a `validation.toml` as in `tests/data/real_wheel` (title, source, licence, and an
+For your own data make a folder with a `validation.toml` as in `tests/data/real_wheel` (title, source, licence, and an
 `[[intruder]]` table for each body: name, body, rows, sand, and fitted where there is one) and rows with the columns vx, vy, wy,
 depth, Fx, Fy, Fz, slip_angle_deg and slip; then `sandgait validate --data FOLDER --out DIR`.
 ";
 
-/// One comparison: what was fitted on what, and the rows it was asked about.
+/// One comparison: the rows of the fit, and the predicted rows.
 struct Comparison {
     title: String,
     pairs: Vec<Pair>,
@@ -42,7 +42,7 @@ pub struct Scoreboard {
 }
 
 impl Scoreboard {
-    /// Predicts every row, and fits anew with one slip angle left out at a time.
+    /// Predicts every row, and fits again with one slip angle left out at a time.
     pub fn new(data: DataSet) -> Result<Self> {
         let mut comparisons = Vec::new();
         let each = |of: &dyn Fn(&Wheel) -> Option<crate::sand::SandDescription>| -> Vec<Pair> {
@@ -75,7 +75,7 @@ impl Scoreboard {
         Ok(Self { data, comparisons })
     }
 
-    /// Markdown.
+    /// The scoreboard as Markdown.
     pub fn text(&self) -> String {
         let d = &self.data;
         let mut text = format!("## {}\n\nData: {}. Licence: {}.\n\n", d.title, d.source, d.licence);
@@ -125,7 +125,7 @@ impl Scoreboard {
         text
     }
 
-    /// The sentence that a reader should see first: the largest error of the first comparison, where it is, and how large.
+    /// The first sentence of the page: the largest error of the first comparison, and where it is.
     pub fn worst(&self) -> String {
         let c = &self.comparisons[0];
         let regimes = REGIMES.iter().map(|(name, belongs)| (name, select(c, |p| belongs(&p.row))));
@@ -215,9 +215,9 @@ fn capital(text: &str) -> String {
     letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 
-/// Positive slips predicted from a fit on all others.
+/// Positive slips are predicted from a fit on all others.
 fn positive(wheels: &[Wheel]) -> Result<Vec<Pair>> {
-    // A wheel that rolls is measured with slips of up to 3 %.
+    // A wheel that rolls freely is measured with slips of up to 3 %.
     let split = |wheel: &Wheel, above: bool| -> Vec<Row> {
         wheel.rows.iter().filter(|r| (r.slip > 0.03) == above).copied().collect()
     };

@@ -1,4 +1,5 @@
-//! Robots in free flight and on hard ground beside pinocchio and MuJoCo. No sand is in this: it says that the bodies are right.
+//! Robots in free flight and on hard ground, compared with pinocchio and MuJoCo. There is no sand here: the
+//! comparisons check the rigid bodies.
 
 use crate::error::{Error, Result};
 use crate::number::Isa;
@@ -13,7 +14,8 @@ use serde::Deserialize;
 use std::fmt::Write as _;
 use std::path::Path;
 
-/// A robot's file, what another program says of it, and that program. tests/data/robots/README.md says how they were made.
+/// A robot's file, another program's results for it, and that program. tests/data/robots/README.md describes how
+/// they were made.
 const FLIGHTS: [(&str, &str, &str, &str); 5] = [
     (
         "solo12.urdf",
@@ -87,7 +89,7 @@ pub fn text() -> Result<String> {
         let _ = writeln!(text, "| {name} | {program} | {count} | {:.0e} |", 100.0 * worst);
     }
     let floor: Floor = read(FLOOR)?;
-    text += "\nA quadruped on a hard floor, three seconds from its drop, beside MuJoCo 4.0 (feet give way by other laws there):\n\n\
+    text += "\nA quadruped on a hard floor, three seconds from its drop, beside MuJoCo 4.0 (whose contact law for feet differs):\n\n\
              | motion | moments | trunk off by at most [mm] |\n|---|---|---|\n";
     for (name, trots, rows) in [("stands", false, &floor.stand), ("trots", true, &floor.trot)] {
         let _ = writeln!(text, "| {name} | {} | {:.1} |", rows.len(), 1e3 * moved(&floor, trots, rows)?);
@@ -95,7 +97,7 @@ pub fn text() -> Result<String> {
     Ok(text)
 }
 
-/// How many states, and the largest relative difference.
+/// Number of states, and the largest relative difference.
 fn flight(folder: &Path, name: &str, robot: &str, reference: &str) -> Result<(usize, f64)> {
     let save = |name: &str, text: &str| {
         let path = folder.join(name);
@@ -146,9 +148,9 @@ fn trot(rest: &[f64], t: f64) -> Vec<f64> {
     rest.iter().enumerate().map(target).collect()
 }
 
-/// How far the trunk is from the reference at most [m].
+/// Largest distance of the trunk from the reference [m].
 fn moved(floor: &Floor, trots: bool, rows: &[Vec<f64>]) -> Result<f64> {
-    /// Targets change every so often [s], as in the reference.
+    /// Interval at which targets change [s], as in the reference.
     const CONTROL: f64 = 0.02;
     let model = quadruped(floor)?;
     let Some(tree) = model.tree.as_ref() else { return Err(Error::Internal("the quadruped is no tree".into())) };

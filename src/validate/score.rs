@@ -1,4 +1,4 @@
-//! How far predictions are from measurements, beside how far measurements are from each other.
+//! Errors of predictions, and the scatter of measurements for comparison.
 
 use super::data::{Row, Wheel};
 use crate::parallel;
@@ -7,19 +7,20 @@ use crate::sand::intruder::{Given, Status, Trial, compute};
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-/// Resamples of conditions behind an interval: our choice, its ends move by less than a tenth of its width.
+/// Number of bootstrap resamples of conditions for an interval: our choice, its ends change by less than a tenth of
+/// its width.
 const RESAMPLES: usize = 400;
 
-/// What a sand says about one row.
+/// A sand's predictions for one row.
 #[derive(Clone, Copy, Debug)]
 pub struct Prediction {
-    /// At the measured sinkage [N].
+    /// Forces at the measured sinkage [N].
     pub force: [f64; 3],
-    /// Under the measured load: sinkage [m] and forces [N]; none without equilibrium.
+    /// Under the measured load: sinkage [m] and forces [N]; None without equilibrium.
     pub carried: Option<(f64, [f64; 3])>,
 }
 
-/// A measured row beside what is predicted for it.
+/// A measured row and its prediction.
 #[derive(Clone, Copy, Debug)]
 pub struct Pair {
     pub wheel: usize,
@@ -97,7 +98,7 @@ fn conditions(pairs: &[Pair]) -> Vec<Vec<Pair>> {
     groups
 }
 
-/// The scatter of repetitions about their condition's mean: Fx, Fy, Fz in % of the mean load, sinkage in mm.
+/// Scatter of repetitions about their condition's mean: Fx, Fy, Fz in % of the mean load, sinkage in mm.
 pub fn scatter(pairs: &[Pair]) -> [f64; 4] {
     let load = pairs.iter().map(|p| p.row.force[2]).sum::<f64>() / pairs.len() as f64;
     let groups = conditions(pairs);
@@ -114,7 +115,7 @@ pub fn scatter(pairs: &[Pair]) -> [f64; 4] {
     [force(0), force(1), force(2), 1e3 * of(&|row: &Row| row.depth)]
 }
 
-/// Where a model may fail: a name and the rows that belong to it.
+/// Regimes in which a model may fail: a name and its rows.
 pub type Regime = (&'static str, fn(&Row) -> bool);
 
 pub const REGIMES: [Regime; 7] = [

@@ -1,19 +1,21 @@
-//! From where a robot is seen: beside and a little before it, level with gravity, at a distance that fits its size.
+//! The camera: beside the robot and a little in front, level with gravity, at a distance that fits the robot's
+//! size.
 
 use crate::sim::frame::V;
 use crate::sim::{Model, State};
 
-/// Width and height that a picture may have [px]: our choice of guard.
+/// Allowed width and height of a picture [px]: our choice.
 pub const SIZES: std::ops::RangeInclusive<u32> = 16..=4096;
 
-/// Towards the robot's front from its right side, and above the horizon [rad]: our choice, so that no leg hides another.
+/// Direction to the camera: from the robot's right side toward its front, and above the horizon [rad]. Our choice,
+/// so that no leg hides another.
 const AZIMUTH: f64 = 0.55;
 const ELEVATION: f64 = 0.32;
 
-/// Height of the picture as an angle [rad]: our choice, a normal lens.
+/// Vertical field of view [rad]: our choice, that of a normal lens.
 const FIELD_OF_VIEW: f64 = 0.72;
 
-/// Distance in robot radii: our choice, the robot takes half of the picture's width.
+/// Distance in robot radii: our choice; the robot fills half of the picture's width.
 const DISTANCE: f64 = 3.9;
 
 /// Nothing nearer than this is drawn [m].
@@ -34,7 +36,7 @@ pub struct Camera {
 /// A point of the picture [px], y downward, and its distance along the line of sight [m].
 pub type Seen = ([f32; 2], f64);
 
-/// Half of the robot's length with its legs stretched [m].
+/// Half of the robot's length with its legs extended [m].
 pub fn radius(model: &Model) -> f64 {
     if let Some(tree) = &model.tree {
         return tree.standing_height(&tree.stance.angles).max(1e-3);
@@ -46,7 +48,7 @@ pub fn radius(model: &Model) -> f64 {
 }
 
 impl Camera {
-    /// Looks at the robot over the surface; follows its place, not its tumbling.
+    /// Looks at the robot above the surface. Follows its position, not its rotation.
     pub fn following(model: &Model, state: &State, [width, height]: [u32; 2]) -> Self {
         let radius = radius(model);
         let up = -model.gravity.normalize();
@@ -58,12 +60,12 @@ impl Camera {
         Self::towards(target, away, up, radius, [width, height])
     }
 
-    /// From `away` of the target, at the distance that fits a robot of this half length.
+    /// From the direction `away` of the target, at the distance that fits a robot of this half length.
     fn towards(target: V, away: V, up: V, radius: f64, [width, height]: [u32; 2]) -> Self {
         let forward = -away;
         let right = forward.cross(&up).normalize();
         let focal = f64::from(height) / (2.0 * (FIELD_OF_VIEW / 2.0).tan());
-        // A narrow picture is looked at from further away.
+        // For a narrow picture the camera is further away.
         let narrow = (4.0 / 3.0 * f64::from(height) / f64::from(width)).max(1.0);
         Self {
             eye: target + away * (DISTANCE * radius * narrow),
@@ -83,7 +85,7 @@ impl Camera {
         Self::towards(target, away, V::z(), radius, [width, height])
     }
 
-    /// What it looks at.
+    /// The point that it looks at.
     pub fn target(&self) -> V {
         self.target
     }
@@ -93,7 +95,7 @@ impl Camera {
         (p - self.eye).dot(&self.forward)
     }
 
-    /// Where a point appears; none if it is behind the camera.
+    /// Position of a point in the picture; None if it is behind the camera.
     pub fn see(&self, p: V) -> Option<Seen> {
         let depth = self.depth(p);
         (depth > NEAR).then(|| (self.place(p), depth))
@@ -106,13 +108,13 @@ impl Camera {
         [x as f32, y as f32]
     }
 
-    /// A polygon as it appears, without what is behind the camera; none if nothing is left.
+    /// A polygon in the picture, without the part behind the camera; None if nothing is left.
     pub fn polygon(&self, corners: &[V]) -> Option<Vec<[f32; 2]>> {
         let inside = clip(corners, |p| self.depth(p) - 1.01 * NEAR);
         (inside.len() > 1).then(|| inside.iter().map(|p| self.place(*p)).collect())
     }
 
-    /// Does a face with outward normal `n` at `p` look at the camera?
+    /// Does a face with outward normal `n` at `p` face the camera?
     pub fn faces(&self, p: V, n: V) -> bool {
         (self.eye - p).dot(&n) > 0.0
     }
@@ -152,7 +154,8 @@ mod tests {
         Camera::following(&model, &State::at_rest(0.03, &model.tripod_angles()), [480, 360])
     }
 
-    /// Right way up: forward is to the right, left is behind, up is up; uphill rises to the right on a slope.
+    /// The picture's directions are right: forward is to the right, left is behind, up is up; a slope rises to the
+    /// right.
     #[test]
     fn the_picture_is_the_right_way_up() {
         let level = camera(0.0);

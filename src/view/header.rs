@@ -1,4 +1,4 @@
-//! What stands in a recording beside the numbers of each moment: the robot's geometry and the meaning of every column.
+//! The header of a recording: the robot's geometry and the meaning of every column.
 
 use super::pose::segments;
 use super::recording::{FORMAT, VERSION};
@@ -8,10 +8,10 @@ use crate::sim::solid::Solid;
 use crate::sim::{Model, Obstacle};
 use serde_json::{Value, json};
 
-/// What a section is of, apart from the model: words of the task for those who look.
+/// What a section shows, apart from the model, in the task's terms.
 #[derive(Clone, Debug, Default)]
 pub struct About<'a> {
-    /// The task's id, or what made the recording.
+    /// The task's id, or the name of the program that made the recording.
     pub task: &'a str,
     /// Rows a second of simulated time.
     pub rate: f64,
@@ -19,7 +19,7 @@ pub struct About<'a> {
     pub episode: Option<(u64, u64)>,
     /// Name and unit of each of the task's figures.
     pub info: Vec<(&'a str, &'a str)>,
-    /// How many of them, from the first, are terms of the reward.
+    /// How many of these figures, from the first one, are reward terms.
     pub reward_terms: usize,
     /// Numbers of an action.
     pub actions: usize,

@@ -1,17 +1,17 @@
-//! What is seen of a robot on sand: recordings, pictures, and the page that shows them.
+//! Recordings and pictures of a robot on sand, and the page that shows them.
 //!
 //! ```text
 //!  Model + State ──▶ pose (bodies, sand's force on every segment) ──┬──▶ picture: RGB, drawn by the processor
 //!                                                                   └──▶ recording: a file, or a live stream ──▶ page
 //! ```
 //!
-//! * [`pose`]: the one place that computes what is seen.
-//! * [`recording`]: the format; [`header`]: what stands in it beside the numbers of each moment.
-//! * [`picture`]: one moment as an image; [`camera`]: from where; [`text`]: letters on it.
-//! * [`tree`]: a robot of any kind as an image.
+//! * [`pose`]: poses of the bodies and forces of the sand, for all outputs.
+//! * [`recording`]: the format; [`header`]: its description of robot and columns.
+//! * [`picture`]: one moment as an image; [`camera`]: its point of view; [`text`]: letters on it.
+//! * [`tree`]: any robot from a file as an image.
 //! * [`page`]: a recording as a page for browsers, and the page that follows a server.
 //!
-//! Knows models and states only: no tasks, sessions or messages.
+//! This crate uses models and states only; it has no tasks, sessions or messages.
 
 use sandgait_base::error;
 use sandgait_number as number;

@@ -1,4 +1,4 @@
-//! The page: a recording that plays by itself in any browser, or what a server streams. Nothing is fetched from elsewhere.
+//! The page: shows a recording in any browser, or a server's stream. It loads nothing from other hosts.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -6,7 +6,7 @@ use base64::engine::general_purpose::STANDARD;
 const PAGE: &str = include_str!("page/page.html");
 const STYLE: &str = include_str!("page/style.css");
 
-/// In this order: each uses those before it. three.js is bundled by `make page-three`.
+/// In this order, because each script uses the ones before it. three.js is bundled by `make page-three`.
 const SCRIPTS: [&str; 5] = [
     include_str!("page/three.js"),
     include_str!("page/recording.js"),
@@ -15,13 +15,13 @@ const SCRIPTS: [&str; 5] = [
     include_str!("page/main.js"),
 ];
 
-/// A page that shows the recording `file`, the bytes of a file that [`super::read`] took.
+/// A page that shows the recording `file`, the bytes of a file that [`super::read`] has accepted.
 pub fn replay(file: &[u8], title: &str) -> String {
     let data = STANDARD.encode(file);
     filled(title, &format!("<script type=\"text/plain\" id=\"recording\">{data}</script>"))
 }
 
-/// The page that a server shows of itself: it asks for `sessions` and `watch` beside it.
+/// The page of a server. It requests `sessions` and `watch` relative to its own address.
 pub fn live(title: &str) -> String {
     filled(title, "")
 }
@@ -30,7 +30,7 @@ fn filled(title: &str, data: &str) -> String {
     let scripts = SCRIPTS.map(|s| format!("<script>\n{s}\n</script>\n")).concat();
     let title = crate::plot::escape(title);
     let page = PAGE.replace("{{title}}", &title).replace("{{style}}", STYLE);
-    // The scripts last: what they hold is none of our marks.
+    // The scripts are inserted last, so that marks inside them are not replaced.
     page.replace("{{data}}", data).replace("{{scripts}}", &scripts)
 }
 
@@ -38,7 +38,7 @@ fn filled(title: &str, data: &str) -> String {
 mod tests {
     use super::*;
 
-    /// Everything is inside: no page may name a host, and no script may end before its end.
+    /// The page contains everything: no script names a host, and no script contains its own end tag.
     #[test]
     fn the_page_is_whole() {
         let page = replay(b"file", "a <title>");
@@ -48,7 +48,7 @@ mod tests {
         assert_eq!(live("x").matches("<script").count(), SCRIPTS.len());
         for scheme in ["http://", "https://", "ws://", "wss://", "url(", "@import", "import("] {
             for (at, _) in page.match_indices(scheme) {
-                // A name of XML, which is no address.
+                // The name of an XML name space, which is not fetched.
                 assert!(page[at..].starts_with("http://www.w3.org/1999/xhtml"), "{}", &page[at..at + 60]);
             }
         }

@@ -1,4 +1,4 @@
-//! One moment as an image, drawn by the processor alone: far things first, near things over them.
+//! One moment as an image, drawn without a GPU: far faces first, near ones over them.
 
 use super::camera::{Camera, SIZES, clip, radius};
 use super::pose::Pose;
@@ -29,25 +29,25 @@ const INK: [u8; 3] = [40, 44, 50];
 /// Where light comes from: over the camera's right shoulder, so that the robot's front is bright.
 const LIGHT: [f64; 3] = [0.35, -0.45, 0.82];
 
-/// Lines on the sand [m]: fine ones, and coarse ones with their x written beside.
+/// Spacing of the lines on the sand [m]: fine ones, and coarse ones with their x beside them.
 const FINE: f64 = 0.05;
 const COARSE: f64 = 0.25;
 
-/// Legs are drawn this thick [m]: our choice; the physics takes them as thin strips.
+/// Drawn thickness of legs [m]: our choice; the physics takes them as thin strips.
 const THICKNESS: f64 = 0.002;
 
-/// Length of an arrow for the robot's weight, in robot radii: our choice.
+/// Length of an arrow of the robot's weight, in robot radii: our choice.
 const ARROW_LENGTH: f64 = 0.9;
 
-/// A convex flat piece of something solid.
+/// A convex flat face of a solid.
 struct Face {
     corners: Vec<V>,
     normal: V,
     color: Rgb,
 }
 
-/// An image of `size` [px], RGB rows from the top; `captions` are written into its upper left corner. `footing` is as
-/// [`Pose::of`] takes it.
+/// An image of `size` [px], RGB rows from the top; `captions` are written into its upper left corner. `footing`:
+/// see [`Pose::of`].
 ///
 /// # Errors
 /// Names the side that is out of [`SIZES`].
@@ -112,7 +112,7 @@ fn robot_faces(model: &Model, pose: &Pose) -> Vec<Face> {
     faces
 }
 
-/// A robot from a file by its shapes; where it has meshes, which stay behind when it travels, by the plates they were cut into.
+/// A robot from a file by its shapes. Meshes are not part of a packed robot, so the plates cut from them are drawn.
 fn tree_faces(robot: &TreeModel, state: &State) -> Vec<Face> {
     let mut faces = Vec::new();
     for (b, frame) in stance::frames(&robot.tree, state).iter().enumerate() {
@@ -182,7 +182,7 @@ fn closed(points: &[[f32; 2]]) -> Option<Path> {
 struct Canvas {
     map: Pixmap,
     camera: Camera,
-    /// Middle of what is seen of the sand [m], and how far it is seen.
+    /// Centre of the visible sand [m], and its radius.
     middle: V,
     radius: f64,
 }
@@ -198,7 +198,7 @@ impl Canvas {
         })
     }
 
-    /// From top to bottom through two colours.
+    /// A vertical gradient of two colours.
     fn gradient(&self, [top, bottom]: [Rgb; 2]) -> Paint<'static> {
         let stops = vec![GradientStop::new(0.0, color(top, 1.0)), GradientStop::new(1.0, color(bottom, 1.0))];
         let ends = [Point::from_xy(0.0, 0.0), Point::from_xy(0.0, self.map.height() as f32)];
@@ -222,14 +222,15 @@ impl Canvas {
         let far = 200.0 * self.radius;
         let surface =
             [[-far, -far], [far, -far], [far, far], [-far, far]].map(|[x, y]| self.middle + V::new(x, y, 0.0));
-        // Cut to the picture's surroundings: coordinates of millions of pixels are beyond the rasteriser.
+        // Clipped to the neighbourhood of the picture, because the rasteriser cannot handle coordinates of millions
+        // of pixels.
         let near = clip(&surface, |p| self.camera.depth(p) - 0.5 * self.radius);
         let seen = self.camera.polygon(&near).and_then(|points| closed(&points));
         let paint = self.gradient(SAND);
         self.fill(seen, &paint);
     }
 
-    /// Lines at round x and y, and where to write the x of the coarse ones.
+    /// Lines at round x and y, and the positions of the labels of the coarse ones.
     fn lines(&mut self, model: &Model, state: &State) -> Vec<([i64; 2], String)> {
         let reach = (12.0 * self.radius).max(4.0 * FINE);
         let mut labels = Vec::new();
@@ -265,7 +266,7 @@ impl Canvas {
         labels
     }
 
-    /// What lies between the light and the sand, all of it once.
+    /// Shadows: all faces projected along the light, drawn once.
     fn shadow(&mut self, faces: &[Face]) {
         let light = V::from(LIGHT);
         let mut path = PathBuilder::new();
@@ -273,7 +274,7 @@ impl Canvas {
             let above = clip(&face.corners, |p| p.z);
             let cast: Vec<V> = above.iter().map(|p| p - light * (p.z / light.z)).collect();
             if let Some(points) = self.camera.polygon(&cast).filter(|p| p.len() > 2) {
-                // All the same way round, so that shadows that overlap do not cancel.
+                // All with the same winding, so that overlapping shadows do not cancel.
                 let area = |p: &[[f32; 2]]| -> f32 {
                     p.iter().zip(p.iter().cycle().skip(1)).map(|(a, b)| a[0] * b[1] - a[1] * b[0]).sum()
                 };
@@ -285,7 +286,7 @@ impl Canvas {
         self.fill(path.finish(), &ink([90.0, 70.0, 40.0], 0.28));
     }
 
-    /// What is under the surface shows faintly through the sand; the rest is solid.
+    /// Parts under the surface are faintly visible through the sand; the rest is solid.
     fn faces(&mut self, faces: Vec<Face>) {
         let middle = |f: &Face| f.corners.iter().sum::<V>() / f.corners.len() as f64;
         let mut seen: Vec<_> = faces.into_iter().filter(|f| self.camera.faces(middle(f), f.normal)).collect();
@@ -302,7 +303,7 @@ impl Canvas {
                 let shaded = face.color.map(|c| c * bright + 30.0 * (bright - 0.62));
                 self.fill(path.clone(), &ink(shaded, alpha));
                 if let Some(path) = path.filter(|_| alpha == 1.0) {
-                    // Closes the seams between neighbouring faces and marks the edges.
+                    // Strokes that close the seams between neighbouring faces and mark the edges.
                     let stroke = Stroke { width: 0.6, ..Default::default() };
                     let edge = ink(face.color.map(|c| c * bright * 0.7), 0.9);
                     self.map.stroke_path(&path, &edge, &stroke, Transform::identity(), None);
@@ -311,7 +312,7 @@ impl Canvas {
         }
     }
 
-    /// The sand's force on each leg, from where it acts.
+    /// Arrows of the sand's force on each leg, from the point where it acts.
     fn arrows(&mut self, model: &Model, pose: &Pose) {
         let per_newton = ARROW_LENGTH * self.radius / (model.total_mass() * model.gravity.norm());
         let thick = self.map.height() as f32 / 180.0;

@@ -1,21 +1,21 @@
-//! Where everything of a robot is at a moment, and what the sand does to it there.
+//! Poses of a robot's parts at one moment, and the sand's forces on them.
 
 use crate::number::Vec3;
-use crate::sand::{Contact, Ground, Site};
+use crate::sand::{Contact, SandBed, SegmentState};
 use crate::sim::frame::{Frame, M, V};
 use crate::sim::model::{Body, Plate};
 use crate::sim::{Model, State};
 
-/// A leg stands if the sand holds it with more than this part of the robot's weight: our choice, far above what a leg in
-/// the air has (nothing) and far below what one of three legs carries (a third).
+/// A leg stands if the sand holds it with more than this share of the robot's weight: our choice, far above the
+/// force on a leg in the air (none) and far below that on one of three legs (a third).
 const STANCE: f64 = 0.02;
 
 /// A small flat piece that sand may push on, as a [`Model`] has it.
 #[derive(Clone, Copy, Debug)]
 pub struct Segment<'a> {
-    /// Which body carries it, counted as [`Pose::bodies`].
+    /// Index of the body that carries it, as in [`Pose::bodies`].
     pub body: usize,
-    /// Which leg that belongs to; none: the base.
+    /// Index of that body's leg; None: the base.
     pub leg: Option<usize>,
     pub plate: &'a Plate,
 }
@@ -23,9 +23,9 @@ pub struct Segment<'a> {
 /// The sand on a segment.
 #[derive(Clone, Copy, Debug)]
 pub struct Load {
-    /// Of the segment's centre in the world [m].
+    /// Position of the segment's centre in the world [m].
     pub position: V,
-    /// Of the sand on the segment, in the world's axes [N]; zero outside the sand.
+    /// Force of the sand on the segment, in the world's axes [N]; zero outside the sand.
     pub force: V,
 }
 
@@ -43,8 +43,8 @@ pub struct Pose {
     travel: [f64; 2],
 }
 
-/// All segments of a robot: the belly's, then each link's, and after those of its strip the ones of its chord if the
-/// sand's mechanisms fill concave sides.
+/// All segments of a robot: the belly's, then each link's. If the sand's mechanisms fill concave sides, a link's
+/// strip is followed by the segments of its chord.
 pub fn segments(model: &Model) -> Vec<Segment<'_>> {
     let belly = model.belly.iter().map(|plate| Segment { body: 0, leg: None, plate });
     let fills = model.scene.mechanisms.concave_fill > 0.0;
@@ -57,11 +57,10 @@ pub fn segments(model: &Model) -> Vec<Segment<'_>> {
 }
 
 impl Pose {
-    /// Forces are those of the sand at this moment's velocities, by the functions the engines use, in `f64`. `footing` is
-    /// the share of the stress that each leg finds, as [`crate::sim::engine::Engine::set_footing`] takes it; none given: all
-    /// of it.
+    /// The forces are those of the sand at this moment's velocities, computed in `f64` by the engines' functions.
+    /// `footing` is each leg's share of the stress, see [`crate::sim::engine::Engine::set_footing`]; None: 1.
     pub fn of(model: &Model, state: &State, footing: &[f64]) -> Self {
-        let ground: Ground<f64> = model.scene.ground();
+        let ground: SandBed<f64> = model.scene.ground();
         let base = Frame::base(state);
         let at = V::from(state.position);
         let mut pose = Self {
@@ -91,34 +90,35 @@ impl Pose {
         pose
     }
 
-    /// Sand on a link: on its strip, or in part on the straight chord where its concave side leads and fills. `found` is
-    /// the share of its stress.
+    /// Sand on a link: on its strip, or in part on the straight chord where its concave side leads and fills.
+    /// `found` is the leg's share of the stress.
     fn press_link(
         &mut self,
         model: &Model,
-        ground: &Ground<f64>,
+        ground: &SandBed<f64>,
         body: &Body,
         [rate, found]: [f64; 2],
         frame: &Frame,
         at: V,
     ) {
         let concave_leads = body.bulge * rate < 0.0;
-        let fill = ground.beyond.as_ref().filter(|_| concave_leads).map_or(0.0, |beyond| beyond.fill);
-        let plate =
-            |share: f64| move |site: &Site<f64>, area: f64, n, v| ground.thin_plate(site, area * share * found, n, v);
+        let fill = ground.mechanisms.as_ref().filter(|_| concave_leads).map_or(0.0, |mechanisms| mechanisms.fill);
+        let plate = |share: f64| {
+            move |site: &SegmentState<f64>, area: f64, n, v| ground.thin_plate(site, area * share * found, n, v)
+        };
         self.press(&body.plates, frame, at, plate(1.0 - fill));
         if model.scene.mechanisms.concave_fill > 0.0 {
             self.press(&body.chord, frame, at, plate(fill));
         }
     }
 
-    /// `contact` takes site, area [m²], unit normal and velocity [m/s].
+    /// `contact` takes the segment's state, area [m²], unit normal and velocity [m/s].
     fn press(
         &mut self,
         plates: &[Plate],
         frame: &Frame,
         at: V,
-        contact: impl Fn(&Site<f64>, f64, Vec3<f64>, Vec3<f64>) -> Contact<f64>,
+        contact: impl Fn(&SegmentState<f64>, f64, Vec3<f64>, Vec3<f64>) -> Contact<f64>,
     ) {
         let vector = |v: V| Vec3::new(v.x, v.y, v.z);
         self.loads.extend(plates.iter().map(|plate| {
@@ -126,7 +126,7 @@ impl Pose {
             let position = at + frame.origin + arm;
             let mut force = V::zeros();
             if position.z < 0.0 {
-                let site = Site::fresh(-position.z, position.x).travelling(self.travel);
+                let site = SegmentState::fresh(-position.z, position.x).travelling(self.travel);
                 let (normal, velocity) = (frame.rotation * plate.normal, frame.velocity_at(arm));
                 let pushed = contact(&site, plate.area, vector(normal), vector(velocity)).force;
                 force = V::new(pushed.x, pushed.y, pushed.z);
@@ -159,7 +159,7 @@ mod tests {
         Model::new(&Robot::load(robot).unwrap(), &Scene::flat(Medium::named("poppy-loose").unwrap())).unwrap()
     }
 
-    /// What carries a robot over some strides is the sand: the mean of all forces is its weight.
+    /// Over some strides the sand carries the robot: the mean of all forces is its weight.
     #[test]
     fn the_forces_carry_the_robot() {
         let model = model("xplorer");
@@ -171,7 +171,7 @@ mod tests {
         engine.command(0, &command);
         engine.advance(2000);
         let (mut sum, mut stances) = (V::zeros(), 0);
-        // Four strides of 0.5 s, a look every millisecond.
+        // Four strides of 0.5 s, sampled every millisecond.
         for _ in 0..2000 {
             engine.advance(2);
             engine.state(0, &mut state);

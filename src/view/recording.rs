@@ -1,4 +1,4 @@
-//! Recordings: what a robot did, moment by moment, as a file or as a stream.
+//! Recordings: the motion of a robot, moment by moment, as a file or as a stream.
 //!
 //! ```text
 //!  file   = gzip(stream)
@@ -7,7 +7,7 @@
 //!    "ROWS"  moments: rows of f32, all columns one after the other
 //! ```
 //!
-//! All numbers are little-endian. A section is an episode, or what is left of it; each may have another robot or other
+//! All numbers are little-endian. A section is an episode, or the rest of one; each may have another robot or other
 //! rocks. Of the header only `format`, `version` and `columns` are needed to read the numbers.
 
 use super::pose::Pose;
@@ -19,26 +19,26 @@ use flate2::write::GzEncoder;
 use serde_json::Value;
 use std::io::{self, Read as _, Write};
 
-/// What the header's `format` and `version` say; a reader refuses any other.
+/// The header's `format` and `version`; a reader refuses any other.
 pub const FORMAT: &str = "sandgait recording";
 pub const VERSION: u32 = 1;
 
 const HEAD: &[u8; 4] = b"HEAD";
 const ROWS: &[u8; 4] = b"ROWS";
 
-/// Largest block that is read [bytes]: our choice of guard, a thousand times a usual header.
+/// Largest block that is read [bytes]: our choice, a thousand times a usual header.
 const MOST: usize = 64 << 20;
 
-/// Most that a file may grow to when it is unpacked [bytes]: our choice of guard, some hours of one robot.
+/// Largest unpacked size of a file [bytes]: our choice, some hours of one robot.
 const MOST_UNPACKED: u64 = 1 << 30;
 
-/// One moment of a robot, and what the task says of the step that led to it.
+/// One moment of a robot, and the task's info of the step that led to it.
 #[derive(Clone, Copy, Debug)]
 pub struct Moment<'a> {
     /// Since the episode began [s].
     pub time: f64,
     pub state: &'a State,
-    /// As [`Pose::of`] takes it.
+    /// See [`Pose::of`].
     pub footing: &'a [f64],
     pub action: &'a [f32],
     pub reward: f32,
@@ -97,7 +97,7 @@ impl<W: Write> Writer<W> {
         Ok(writer)
     }
 
-    /// What follows is another section.
+    /// Begins another section with this header.
     pub fn section(&mut self, header: &str) -> io::Result<()> {
         self.out.write_all(&head_block(header))
     }
@@ -148,7 +148,7 @@ impl Section {
         Ok(())
     }
 
-    /// How many moments it has.
+    /// Number of moments.
     pub fn len(&self) -> usize {
         self.rows.len() / self.width
     }
@@ -157,7 +157,7 @@ impl Section {
         self.rows.is_empty()
     }
 
-    /// The numbers of column `name` at moment `index`; none if there is no such column or moment.
+    /// The numbers of column `name` at moment `index`; None if there is no such column or moment.
     pub fn at(&self, name: &str, index: usize) -> Option<&[f32]> {
         let mut start = index.checked_mul(self.width)?;
         for column in self.header["columns"].as_array()? {

@@ -1,4 +1,4 @@
-//! A robot of any kind as an image: every triangle of what is seen, nearest first by a depth buffer.
+//! An image of any robot: every visible triangle, with a depth buffer.
 
 use super::camera::{Camera, SIZES};
 use super::text;
@@ -20,14 +20,16 @@ pub(super) const LINKS: [Rgb; 4] =
 const PLATES: Rgb = [214.0, 84.0, 40.0];
 const INK: [u8; 3] = [40, 44, 50];
 const LIGHT: [f64; 3] = [0.35, -0.45, 0.82];
-/// Sides of what is round: our choice.
+/// Number of sides of round shapes: our choice.
 const SIDES: usize = 32;
-/// Samples of a pixel along an edge, against jagged edges: our choice.
+/// Samples of a pixel along each edge, for smooth edges: our choice.
 const SAMPLES: usize = 2;
-/// How far plates are drawn before their surface, in robot radii, so that they are seen.
+/// Distance at which plates are drawn outside their surface, in robot radii, so that the surface does not hide
+/// them.
 const BEFORE: f64 = 2e-3;
 
-/// A PNG of `size` [px]: `tree` in its standing pose on its lowest point; `seen` and `plates` by bodies, in their frames.
+/// A PNG of `size` [px]: `tree` in its standing pose on its lowest point; `seen` (visual shapes) and `plates` are
+/// lists by body, in the bodies' frames.
 ///
 /// # Errors
 /// Names the side that is out of [`SIZES`].
@@ -71,7 +73,7 @@ pub fn draw(
     canvas.png(size, captions)
 }
 
-/// How many joints are between a body and the base.
+/// Number of joints between a body and the base.
 pub(super) fn depth(tree: &Tree, body: usize) -> usize {
     let (mut at, mut depth) = (body, 0);
     while tree.bodies[at].parent > 0 {
@@ -81,7 +83,7 @@ pub(super) fn depth(tree: &Tree, body: usize) -> usize {
     depth
 }
 
-/// Where bodies stand with the base level and joints at rest, or at 0 where the file gives no pose, within their range.
+/// Poses of the bodies with the base level and joints in the file's pose, or at 0, within their range.
 fn frames(tree: &Tree) -> Vec<Isometry3<f64>> {
     let mut frames: Vec<Isometry3<f64>> = Vec::with_capacity(tree.bodies.len());
     for body in &tree.bodies {
@@ -105,14 +107,14 @@ pub(super) fn quad(plate: &Plate, frame: &Isometry3<f64>, before: f64) -> [[V; 3
     let vector = |v: crate::number::Vec3<f64>| frame.rotation * V::from(v.lane(0));
     let center = frame * nalgebra::Point3::from(V::from(plate.center.lane(0)));
     let middle = center.coords + vector(plate.normal) * before;
-    // A little apart, so that each is seen.
+    // Drawn slightly smaller, so that each plate is visible.
     let [u, v] = plate.half.map(|h| vector(h) * 0.85);
     let [a, b, c, d] = [middle - u - v, middle + u - v, middle + u + v, middle - u + v];
     let out = (b - a).cross(&(c - a)).dot(&vector(plate.normal)) > 0.0;
     if out { [[a, b, c], [a, c, d]] } else { [[a, c, b], [a, d, c]] }
 }
 
-/// Of a round profile along z: (distance from the axis, height), from below.
+/// Triangles of a round shape from its profile along z: (distance from the axis, height), from below.
 fn turned(profile: &[[f64; 2]]) -> Vec<[V; 3]> {
     let at = |[r, z]: [f64; 2], k: usize| {
         let (sin, cos) = (TAU * (k % SIDES) as f64 / SIDES as f64).sin_cos();
@@ -163,7 +165,7 @@ pub(super) fn triangles(geometry: &Geometry) -> Vec<[V; 3]> {
     }
 }
 
-/// Samples with the distance of what is seen there.
+/// Colours of the samples, with the distance of the visible face.
 struct Canvas {
     size: [usize; 2],
     camera: Camera,
@@ -205,13 +207,13 @@ impl Canvas {
     fn triangle(&mut self, corners: &[V; 3], color: Rgb) {
         let [a, b, c] = corners;
         let Some(normal) = (b - a).cross(&(c - a)).try_normalize(0.0) else { return };
-        // Meshes that are seen may be inside out: what faces away is lit like what faces here.
+        // Visual meshes may be inside out, so faces on both sides are lit alike.
         let toward = if self.camera.faces((a + b + c) / 3.0, normal) { normal } else { -normal };
         let bright = 0.62 + 0.38 * toward.dot(&Vector3::from(LIGHT).normalize()).max(-0.6);
         self.flat(corners, color.map(|x| x * bright + 24.0 * (bright - 0.62)));
     }
 
-    /// Fills a triangle with one colour where it is nearer than what is there.
+    /// Fills a triangle with one colour where it is nearer than the present face.
     fn flat(&mut self, corners: &[V; 3], color: Rgb) {
         let Some(seen) = corners.iter().map(|p| self.camera.see(*p)).collect::<Option<Vec<_>>>() else { return };
         let [(a, da), (b, db), (c, dc)] = [seen[0], seen[1], seen[2]];
@@ -233,7 +235,7 @@ impl Canvas {
                 if u < 0.0 || v < 0.0 || w < 0.0 {
                     continue;
                 }
-                // 1/distance is linear on the picture.
+                // 1/distance is linear in the picture's coordinates.
                 let depth = 1.0 / (u / da as f32 + v / db as f32 + w / dc as f32);
                 let at = y * self.size[0] + x;
                 if depth < self.depths[at] {

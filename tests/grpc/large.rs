@@ -158,7 +158,7 @@ async fn only_snapshots_sealed_with_the_servers_key_are_taken() {
                 Response::Failure(failure) => {
                     assert_ne!(k, source, "{}", failure.message);
                     let why = match (k, source) {
-                        (0, _) => "snapshot: it is damaged, or sealed with a key that this server has not",
+                        (0, _) => "snapshot: it is damaged, or sealed with a key that this server does not have",
                         (_, 0) => "snapshot: it has no seal",
                         _ => "snapshot: its seal is wrong",
                     };

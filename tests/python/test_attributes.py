@@ -18,7 +18,7 @@ REFUSED = [
     ("slope_deg", 8, r"slope_deg: .*reset\(options=\{'slope_deg': 8\}\)"),
     ("engine", "rapier", r"engine: fixed when the environment is made.*gymnasium\.make.*engine='rapier'"),
     ("clip_actions", True, r"clip_actions: fixed when the environment is made"),
-    ("stage", 2, r"stage: the simulation has nothing of this name; reset\(options=\.\.\.\) takes .*slope_deg"),
+    ("stage", 2, r"stage: the simulation has no option of this name; reset\(options=\.\.\.\) takes .*slope_deg"),
 ]
 
 

@@ -9,9 +9,11 @@ import shutil
 import subprocess
 import sys
 import time
+import zipfile
 from pathlib import Path
 
 import pytest
+import torch
 
 ROOT = Path(__file__).parents[2]
 
@@ -41,6 +43,27 @@ def test_training_writes_what_it_promises_and_goes_on(tmp_path: Path) -> None:
     assert after.startswith(before)
     assert len(after) > len(before)
     assert output.startswith("\n6,144 steps")
+    other = [
+        "--envs",
+        "16",
+        "--options",
+        options,
+        "--out",
+        str(tmp_path / "other"),
+        "--start-from",
+        str(tmp_path / "run"),
+    ]
+    output = run("examples/train.py", *other, "--steps", "2048", "--set", "learning_rate=1e-12")
+    assert output.startswith("\n2,048 steps")
+    first, second = (load_policy(tmp_path / name / "policy.zip") for name in ("run", "other"))
+    assert all(torch.allclose(first[name], second[name], atol=1e-6) for name in first)
+
+
+def load_policy(path: Path) -> dict[str, torch.Tensor]:
+    """Weights of a policy of stable-baselines3."""
+    with zipfile.ZipFile(path) as parts, parts.open("policy.pth") as file:
+        weights: dict[str, torch.Tensor] = torch.load(file, weights_only=True)
+    return weights
 
 
 def test_sac_trains_and_goes_on_with_its_buffer(tmp_path: Path) -> None:
@@ -58,6 +81,7 @@ def test_sac_trains_and_goes_on_with_its_buffer(tmp_path: Path) -> None:
         (["--set", "learning_rate=fast"], "learning_rate: 'fast' is neither a number nor lin_NUMBER"),
         (["--set", "gama=0.9"], "gama"),
         (["--resume"], "--resume: no checkpoint in"),
+        (["--start-from", "nowhere"], "--start-from: no policy.zip in nowhere"),
     ],
 )
 def test_wrong_settings_are_one_line(arguments: list[str], says: str, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import onnx
 import pytest
 
 import sandgait
@@ -64,6 +65,27 @@ def test_whatever_is_raised_ends_it_and_it_goes_on_with_the_same_bits(tmp_path: 
     assert int(kept.stem) >= 4 * 128
     training = sandgait.train(ID, out=tmp_path / "parts", timesteps=2048, resume=True, **SMALL)
     assert training.policy.read_bytes() == (tmp_path / "whole" / "policy.onnx").read_bytes()
+
+
+def test_a_training_starts_from_what_another_has_learnt(tmp_path: Path) -> None:
+    small = {**SMALL, "settings": {**SMALL["settings"], "learning_rate": 1e-12}}
+    first = sandgait.train(ID, out=tmp_path / "first", timesteps=256, **SMALL)
+    start = first.out / "policy.safetensors"
+    second = sandgait.train(ID, out=tmp_path / "second", timesteps=256, start_from=start, **small)
+    assert second.steps == 256
+    before, after = (
+        [np.asarray(onnx.numpy_helper.to_array(w)) for w in onnx.load(t.policy).graph.initializer]
+        for t in (first, second)
+    )
+    assert len(before) == len(after)
+    weights = [(a, b) for a, b in zip(before, after, strict=True) if a.ndim == 2]
+    assert weights
+    assert all(np.allclose(a, b, atol=1e-6) for a, b in weights)
+    with pytest.raises(sandgait.SandgaitError, match="start_from"):
+        sandgait.train(ID, out=tmp_path / "second", timesteps=512, start_from=start, resume=True, **small)
+    with pytest.raises((sandgait.SandgaitError, OSError), match=r"nowhere\.safetensors"):
+        sandgait.train(ID, out=tmp_path / "third", timesteps=256, start_from="nowhere.safetensors", **small)
+    assert not (tmp_path / "third").exists()
 
 
 #: An update takes long: Ctrl-C has to be heard within it. Prints the times of an update and from signal to exception.

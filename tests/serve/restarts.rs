@@ -116,7 +116,7 @@ async fn what_cannot_be_taken_up_stays_and_is_logged() {
     for damaged in [&b"no session"[..], &whole[..20], &changed, cut, tail, half] {
         fs::write(file, damaged).unwrap();
         let (_, log) = place.start().end();
-        assert!(log.contains("could not be taken up; its file stays") && log.contains(text(file)), "{log}");
+        assert!(log.contains("could not be restored; its file stays") && log.contains(text(file)), "{log}");
         assert_eq!(fs::read(file).unwrap(), damaged);
     }
     assert_eq!(place.files().len(), 1, "what a killed server left is removed");

@@ -221,7 +221,7 @@ fn servers_that_would_be_open_by_mistake_are_refused() {
         (&["--tls-cert", cert, "--tls-key", other], &[other, "not the key of"]),
         (&[&["--listen", "unix:/nowhere/sock"][..], &tls].concat(), &["needs no TLS"]),
         (&[&["--listen", "unix:/nowhere/sock"][..], &own].concat(), &["--tls-self-signed", "needs no TLS"]),
-        (&[&everywhere[..], &own, &["--token-file", token]].concat(), &["--tls-self-signed", "no address"]),
+        (&[&everywhere[..], &own, &["--token-file", token]].concat(), &["--tls-self-signed", "not an address"]),
         (&[&own[..], &tls].concat(), &["--tls-self-signed", "cannot be used with"]),
         (&["--tls-self-signed", "/nowhere/certificate"], &["/nowhere/certificate"]),
     ];

@@ -1,4 +1,4 @@
-//! numpy's arrays: actions are read where they lie, rows are written once, into arrays that own their memory.
+//! numpy's arrays: actions are read in place, rows are written once, into arrays that own their memory.
 
 use crate::errors::raise;
 use pyo3::buffer::{PyBuffer, PyUntypedBuffer};
@@ -13,7 +13,7 @@ use sandgait::session::roll::Rolled;
 /// Arrays larger than this [bytes] are filled without Python's lock: our choice, some 20 µs of copying.
 const LARGE: usize = 256 << 10;
 
-/// A type of numbers that arrays have.
+/// A number type of arrays.
 #[derive(Clone, Copy)]
 pub enum Kind {
     F32,
@@ -22,7 +22,7 @@ pub enum Kind {
     Intp,
 }
 
-/// What numpy is asked for again and again.
+/// Python objects of numpy that are needed often.
 struct Numpy {
     empty: Py<PyAny>,
     kinds: [Py<PyAny>; 4],
@@ -39,7 +39,7 @@ fn numpy(py: Python<'_>) -> PyResult<&Numpy> {
     })
 }
 
-/// A new array and where its numbers lie: contiguous, and nobody else's as long as Python has not got it.
+/// A new array and the address of its numbers: contiguous, and not shared until Python gets the array.
 struct New<'py> {
     array: Bound<'py, PyAny>,
     address: usize,
@@ -65,8 +65,8 @@ impl<'py> New<'py> {
     unsafe fn numbers<T>(&self) -> &'py mut [T] {
         match self.bytes {
             0 => &mut [],
-            // SAFETY: numpy has made room for so many bytes, which the array owns and this struct keeps alive; whatever
-            // bits are there are numbers.
+            // SAFETY: numpy has allocated this many bytes, which the array owns and this struct keeps alive; all
+            // bit patterns are valid numbers.
             bytes => unsafe { std::slice::from_raw_parts_mut(self.address as *mut T, bytes / size_of::<T>()) },
         }
     }
@@ -83,8 +83,8 @@ fn fill<T: Copy>(into: &mut [T], parts: impl Iterator<Item = impl AsRef<[T]>>) {
     }
 }
 
-/// What the last reset, step or restore gave: observations, rewards, terminated, truncated, infos [info, envs], indices of
-/// those whose episode ended, their last observations.
+/// Rows of the last reset, step or restore: observations, rewards, terminated, truncated, infos [info, envs],
+/// indices of the environments whose episode ended, their last observations.
 pub fn batch<'py>(py: Python<'py>, batch: &mut Batch) -> PyResult<Bound<'py, PyTuple>> {
     let (envs, wide, info) = (batch.envs(), batch.spec().observation.len(), batch.spec().info.len());
     let ended: usize = batch.shards().iter().map(|s| s.rows.ended.len()).sum();
@@ -113,7 +113,7 @@ pub fn batch<'py>(py: Python<'py>, batch: &mut Batch) -> PyResult<Bound<'py, PyT
     PyTuple::new(py, all.map(|new| new.array))
 }
 
-/// Where a batch's columns go.
+/// Destinations of a batch's columns.
 struct Out<'a> {
     floats: [&'a mut [f32]; 3],
     flags: [&'a mut [u8]; 2],
@@ -136,7 +136,7 @@ impl Out<'_> {
         for (i, row) in all.enumerate() {
             row.iter().enumerate().for_each(|(k, value)| self.infos[k * envs + i] = *value);
         }
-        // Shards count from their own first environment, batches from theirs.
+        // Indices in shards start at the shard's first environment, those in batches at the batch's.
         let starts = batch.shards().iter().scan(0, |next, shard| Some(std::mem::replace(next, *next + shard.envs())));
         let ended = rows().zip(starts).flat_map(|(r, start)| r.ended.iter().map(move |i| start + *i as usize));
         self.indices.iter_mut().zip(ended).for_each(|(out, i)| *out = i as isize);
@@ -146,7 +146,7 @@ impl Out<'_> {
 /// An array with these numbers.
 fn array<'py, T: Copy>(py: Python<'py>, kind: Kind, shape: &[usize], numbers: &[T]) -> PyResult<Bound<'py, PyAny>> {
     let new = New::of(py, kind, shape)?;
-    // SAFETY: every caller gives numbers of the kind that it names; the array is new and sliced once.
+    // SAFETY: every caller passes numbers of the kind that it names; the array is new and sliced once.
     unsafe { new.numbers() }.copy_from_slice(numbers);
     Ok(new.array)
 }

@@ -1,4 +1,4 @@
-//! The one map from the crate's errors to Python's exceptions.
+//! The map from the program's errors to Python's exceptions.
 
 use pyo3::exceptions::PyException;
 use pyo3::prelude::*;
@@ -11,10 +11,10 @@ pyo3::create_exception!(
     "A call to a server failed: its gRPC code, and why."
 );
 
-/// The class of `sandgait.errors` that says what the caller can do.
+/// The class of `sandgait.errors`, chosen by what the caller can do.
 fn class(error: &Error) -> &'static str {
     match error {
-        // A training's, see `sandgait::client::training`.
+        // A training's errors, see `sandgait::client::training`.
         Error::Invalid { field, .. } if field.starts_with("server ") => "ServerLost",
         Error::Invalid { .. } | Error::Unknown { .. } | Error::Replaced { .. } => "InvalidRequest",
         Error::OutOfOrder(_) => "OutOfOrder",

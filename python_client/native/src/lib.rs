@@ -4,12 +4,12 @@
 //! * [`remote`]: environments on servers.
 //! * [`studies`]: the offline tools.
 //! * [`train`]: learning gaits.
-//! * [`wait`]: work that Python waits for without holding its lock, until it is done or interrupted.
+//! * [`wait`]: work that Python waits for without holding its lock.
 //! * [`arrays`], [`values`], [`tables`]: numpy's arrays, keywords and tables from and to the crate's types.
-//! * [`errors`]: the one map from errors to Python's exceptions.
+//! * [`errors`]: the map from errors to Python's exceptions.
 //!
-//! No lock of ours is held while Python's is waited for, and none is taken in a forked child that another thread may have
-//! held in the parent.
+//! This module never waits for Python's lock while it holds its own. In a forked child it takes no lock that
+//! another thread may have held in the parent.
 
 mod arrays;
 mod errors;
@@ -25,20 +25,21 @@ mod wait;
 use pyo3::prelude::*;
 use std::ffi::OsString;
 
-/// As for the command: what sessions of many sizes leave behind is given back. Python's own memory is not touched.
+/// mimalloc, as in the command, so that the memory of sessions of many sizes is released. Python's own memory is
+/// not affected.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-/// Runs the command line, the program's name first, and gives the exit code.
+/// Runs the command line, the program's name first, and returns the exit code.
 #[pyfunction]
 fn main(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
-    // SAFETY: the default action is no code of ours. Ctrl-C ends the command as it ends any other program; Python's
-    // handler would wait for the command to come back.
+    // SAFETY: the default action runs no code of ours. Ctrl-C ends the command like any other program; Python's
+    // handler would run only after the command.
     unsafe { libc::signal(libc::SIGINT, libc::SIG_DFL) };
     py.detach(|| sandgait::cli::main(arguments))
 }
 
-/// A robot's URDF or MJCF as one text, and what was left out of it.
+/// A robot's URDF or MJCF as one text, with notes on the parts that were left out.
 #[pyfunction]
 fn pack_robot(py: Python<'_>, path: std::path::PathBuf) -> PyResult<(String, Vec<String>)> {
     py.detach(|| sandgait::cli::pack_robot(&path)).map_err(|error| errors::raise(&error))

@@ -25,13 +25,13 @@ pub struct Local {
     process: u32,
     #[pyo3(get)]
     task: Py<PyAny>,
-    /// What of the options has no effect, and why.
+    /// Options without effect, and why.
     #[pyo3(get)]
     warnings: Vec<String>,
 }
 
 impl Local {
-    /// The environments, waited for if they are away.
+    /// The environments; waits while they are in use.
     fn lend(&self, py: Python<'_>) -> PyResult<Loan> {
         if std::process::id() != self.process {
             let reason = "this environment belongs to the process that made it; make it anew after a fork";
@@ -50,13 +50,13 @@ impl Local {
         }
     }
 
-    /// Starts work that may take a while; its answer is received later.
+    /// Starts work that may take long; its answer is received later.
     fn start(&self, py: Python<'_>, work: impl FnOnce(Loan, &Pool) + Send + 'static) -> PyResult<()> {
         let (loan, pool) = (self.lend(py)?, self.pool.clone());
         wait::spawn(move || work(loan, &pool))
     }
 
-    /// What `work` says of the environments, which stay as they are.
+    /// The result of `work` on the environments, which it does not change.
     fn ask<T: Send + 'static>(
         &self,
         py: Python<'_>,
@@ -92,7 +92,7 @@ impl Local {
         Ok(Self { environments, pool, process: std::process::id(), task, warnings: blueprint.warnings() })
     }
 
-    /// `seeds` and `mask` have one entry an environment; without seeds streams go on.
+    /// `seeds` and `mask` have one entry an environment; without seeds the random streams continue.
     #[pyo3(signature = (seeds, mask, options))]
     fn send_reset(
         &self,
@@ -108,12 +108,12 @@ impl Local {
             return Ok(());
         }
         let changes = keywords(options)?;
-        // Models are built from options: that takes a while.
+        // Building models from options takes long.
         self.start(py, |loan, pool| loan.run(pool, |b| b.reset(mask, seeds, ResetOptions::new(changes)?)))
     }
 
-    /// `actions` is float32 [num_envs, action]; `held` says which environments stay as they are. `here`: the caller only
-    /// waits for this step, so its thread may make it.
+    /// `actions` is float32 [num_envs, action]; environments in `held` keep their state. `here`: the caller only
+    /// waits for this step, so its thread may compute it.
     #[pyo3(signature = (actions, held, here))]
     fn send_step(&self, py: Python<'_>, actions: &Bound<'_, PyAny>, held: Option<&[u8]>, here: bool) -> PyResult<()> {
         let actions = arrays::floats(actions)?;
@@ -152,7 +152,7 @@ impl Local {
         })
     }
 
-    /// Answer to the reset, step or restore that was sent last; it may be received again until something else is sent.
+    /// Answer to the last reset, step or restore. It can be received again until the next request.
     fn receive<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
         let mut loan = self.lend(py)?;
         match loan.answer() {
@@ -165,12 +165,12 @@ impl Local {
         }
     }
 
-    /// Answer to the rollout that was sent last.
+    /// Answer to the last rollout.
     fn receive_rollout<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
         let mut loan = match self.lend(py) {
             Ok(loan) => loan,
             Err(error) => {
-                self.environments.stop(); // nobody waits for it any more
+                self.environments.stop(); // no caller waits for it any more
                 return Err(error);
             }
         };
@@ -180,7 +180,7 @@ impl Local {
         }
     }
 
-    /// Is there an answer that nobody has received, or that may be received again?
+    /// Is an answer pending, or still kept from the last request?
     #[getter]
     fn owes(&self) -> bool {
         self.environments.owes()
@@ -220,7 +220,7 @@ impl Local {
     }
 }
 
-/// Why there is no answer of the kind that was asked for.
+/// The error if there is no answer of the requested kind.
 fn refused(loan: Loan, answer: Option<Answer>) -> PyErr {
     match answer {
         Some(Answer::Refused(error)) => {
@@ -230,7 +230,7 @@ fn refused(loan: Loan, answer: Option<Answer>) -> PyErr {
         }
         other => {
             loan.end(other);
-            invalid("receive", "nothing of this kind was sent")
+            invalid("receive", "no request of this kind was sent")
         }
     }
 }

@@ -4,17 +4,18 @@ use pyo3::prelude::*;
 use sandgait::pool::Pool;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// A pool with the process that it belongs to and the number of threads that was asked for; 0: one a processor.
+/// A pool with the process that it belongs to and its requested number of threads; 0: one a processor.
 struct Owned {
     process: u32,
     threads: usize,
     pool: Arc<Pool>,
 }
 
-/// Locked for moments by threads that hold Python's lock, as those do that fork: in a child it is free.
+/// Threads that hold Python's lock take this one for moments only. A fork also holds Python's lock, so in a child
+/// this one is free.
 static POOL: Mutex<Option<Owned>> = Mutex::new(None);
 
-/// This process's pool, with so many threads if it is made now.
+/// This process's pool; `threads` matters only if it is made now.
 pub fn pool(_py: Python<'_>, threads: usize) -> Arc<Pool> {
     let mut pool = POOL.lock().unwrap_or_else(PoisonError::into_inner);
     let process = std::process::id();
@@ -23,14 +24,14 @@ pub fn pool(_py: Python<'_>, threads: usize) -> Arc<Pool> {
         _ => {
             let new = Owned { process, threads, pool: Arc::new(Pool::new(threads)) };
             let ours = new.pool.clone();
-            // The parent's threads are not here; whoever dropped its pool would wait for them.
+            // The parent's threads do not exist here, and dropping its pool would wait for them.
             std::mem::forget(pool.replace(new));
             ours
         }
     }
 }
 
-/// Number of threads that this process's pool was made with; None: there is no pool yet.
+/// Number of threads of this process's pool; None: there is no pool yet.
 #[pyfunction]
 pub fn threads(_py: Python<'_>) -> Option<usize> {
     let pool = POOL.lock().unwrap_or_else(PoisonError::into_inner);

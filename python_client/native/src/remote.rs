@@ -29,7 +29,7 @@ fn raise(status: &Status) -> PyErr {
     StatusError::new_err((i32::from(status.code()), status.message().to_owned()))
 }
 
-/// Waits for a call; Ctrl-C breaks it off.
+/// Waits for a call; Ctrl-C interrupts it.
 fn drive<T: Send>(py: Python<'_>, work: impl Future<Output = Result<T, Status>> + Send) -> PyResult<T> {
     let runtime = client::runtime().map_err(|e| raise(&e))?;
     let mut work = pin!(work);
@@ -72,7 +72,7 @@ pub fn close_session(py: Python<'_>, address: Address, session_id: String, timeo
     drive(py, call::close_session(&place, session_id, Duration::from_secs_f64(timeout)))
 }
 
-/// A study on a server; whatever interrupts the wait stops it there.
+/// A study on a server; an exception during the wait stops it there.
 pub fn study(py: Python<'_>, address: Address, study: Study, told: Option<&Bound<'_, PyAny>>) -> PyResult<Outcome> {
     let runtime = client::runtime().map_err(|e| raise(&e))?;
     let place = place(address);
@@ -115,7 +115,7 @@ impl Request {
     }
 }
 
-/// float32 as messages have it.
+/// float32 in the form of messages.
 fn packed(array: &Bound<'_, PyAny>) -> PyResult<Vec<u8>> {
     Ok(arrays::floats(array)?.iter().flat_map(|x| x.to_le_bytes()).collect())
 }
@@ -185,7 +185,7 @@ pub struct Response(RunSessionResponse);
 
 impl Response {
     fn wrong(&self) -> PyErr {
-        raise(&Status::internal("the server answered something else than was asked"))
+        raise(&Status::internal("the server's answer does not match the request"))
     }
 
     fn part(&self) -> Option<&proto::RolloutPart> {
@@ -269,7 +269,7 @@ pub fn rollout<'py>(
     arrays::parts(py, &parts, envs, row)
 }
 
-/// A stream to one session. In a forked child it is left alone: its connection is the parent's.
+/// A stream to one session. In a forked child it is not used, because its connection is the parent's.
 #[pyclass(frozen, module = "sandgait._native")]
 pub struct Stream {
     stream: ManuallyDrop<client::Stream>,
@@ -296,13 +296,13 @@ impl Stream {
         Ok(Self { stream, process: std::process::id() })
     }
 
-    /// Number of the last request that the session has carried out or refused.
+    /// Number of the last request that the session has answered.
     #[getter]
     fn last_sequence(&self) -> u64 {
         self.stream.last_sequence
     }
 
-    /// Sends without waiting. `here`: the caller waits for the answer next.
+    /// Sends without waiting. `here`: the caller will wait for the answer next.
     #[pyo3(signature = (request, here = false))]
     fn send(&self, request: &Request, here: bool) {
         let (session_id, sequence) = (String::new(), request.sequence);
@@ -310,7 +310,7 @@ impl Stream {
         self.stream.send(RunSessionRequest { session_id, sequence, request }, here);
     }
 
-    /// The next answer. An interrupt loses nothing: the next call takes it.
+    /// The next answer. After an interrupt the next call returns it.
     fn receive(&self, py: Python<'_>) -> PyResult<Response> {
         loop {
             match py.detach(|| self.stream.receive(PATIENCE)) {

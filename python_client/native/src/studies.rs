@@ -1,4 +1,5 @@
-//! Studies: requests as dicts, named as the messages are; the same messages go to the same code as a client's.
+//! Studies: requests as dicts with the names of the messages' fields. They run the same code as a client's
+//! messages.
 
 use crate::errors::invalid;
 use crate::remote::{self, Address};
@@ -173,8 +174,8 @@ fn requested(name: &str, given: &Bound<'_, PyAny>) -> PyResult<Study> {
     })
 }
 
-/// Study `name` at `place`, or in this process. Gives a table, or of a diagnosis its three files and the table of curves.
-/// `told` is called with the share done and what is done now; what it raises stops the study.
+/// Study `name` at `place`, or in this process. Returns a table, or for a diagnosis its three files and the table
+/// of curves. `told` is called with the finished share and the stage; its exception stops the study.
 #[pyfunction]
 #[pyo3(signature = (place, name, request, told))]
 pub fn study<'py>(

@@ -1,4 +1,4 @@
-//! Tables of tasks and studies, as tuples that Python makes its own types from.
+//! Tables of tasks and studies, as tuples that Python converts to its own types.
 
 use crate::arrays::{doubles, names};
 use crate::errors::raise;
@@ -9,7 +9,7 @@ use sandgait::env::registry::{Blueprint, TASK_IDS};
 use sandgait::service::proto;
 use serde_json::Value;
 
-/// Version of the package and all tasks, as their default options make them.
+/// Version of the package, and all tasks with their default options.
 #[pyfunction]
 pub fn describe(py: Python<'_>) -> PyResult<(&'static str, Vec<Bound<'_, PyAny>>)> {
     let task = |id: &&str| {

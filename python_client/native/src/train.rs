@@ -21,16 +21,18 @@ pub struct Asked<'py> {
     timesteps: Option<u64>,
     out: Option<PathBuf>,
     resume: bool,
+    start_from: Option<PathBuf>,
     checkpoint_every: u64,
     threads: usize,
     place: Option<Address>,
 }
 
-/// Folder, steps, seconds, the learning curve as (steps, seconds, return), the score as JSON, and all of it as text.
+/// Folder, steps, seconds, the learning curve as (steps, seconds, return), the score as JSON, and all results as
+/// text.
 type Learnt = (PathBuf, u64, f64, Vec<(u64, f64, f64)>, String, String);
 
-/// Learns a gait. `told` is called with the share done and what is done now. Ctrl-C and what `told` raises end the training,
-/// which leaves a checkpoint first.
+/// Trains a gait. `told` is called with the finished share and the stage. Ctrl-C and an exception of `told` end the
+/// training, which leaves a checkpoint first.
 #[pyfunction]
 #[pyo3(signature = (asked, told))]
 pub fn train(py: Python<'_>, asked: Asked<'_>, told: Option<&Bound<'_, PyAny>>) -> PyResult<Learnt> {
@@ -48,6 +50,7 @@ pub fn train(py: Python<'_>, asked: Asked<'_>, told: Option<&Bound<'_, PyAny>>) 
         timesteps: asked.timesteps,
         out: asked.out,
         resume: asked.resume,
+        start_from: asked.start_from,
         checkpoint_every: asked.checkpoint_every,
         threads: asked.threads,
         place: asked.place.map(remote::place),

@@ -1,4 +1,4 @@
-//! Keywords: Python's values as JSON, as the wire carries them too.
+//! Keywords: Python's values as JSON, the same as in messages.
 
 use crate::errors::{invalid, raise};
 use pyo3::prelude::*;
@@ -9,7 +9,7 @@ use serde_json::{Map, Value};
 /// Deepest nesting, as protobuf has it.
 const DEEPEST: usize = 100;
 
-/// Keywords; numpy's numbers and arrays, tuples, lists and dicts are taken.
+/// Converts keywords; numpy's numbers and arrays, tuples, lists and dicts are allowed.
 pub fn keywords(given: &Bound<'_, PyMapping>) -> PyResult<Value> {
     let mut all = Map::new();
     for pair in given.items()?.iter() {
@@ -25,7 +25,7 @@ pub fn keywords(given: &Bound<'_, PyMapping>) -> PyResult<Value> {
     Ok(Value::Object(all))
 }
 
-/// None: it is nothing that could be sent.
+/// None: the value cannot be sent.
 fn plain(path: &str, value: &Bound<'_, PyAny>, depth: usize) -> PyResult<Option<Value>> {
     if depth > DEEPEST {
         return Err(invalid(path, "nested too deeply"));
@@ -66,7 +66,7 @@ fn plain(path: &str, value: &Bound<'_, PyAny>, depth: usize) -> PyResult<Option<
     }
 }
 
-/// A value of a message, as Python has it; whole numbers are ints.
+/// A value of a message as a Python object; integral numbers are ints.
 pub fn python<'py>(py: Python<'py>, value: &prost_types::Value) -> PyResult<Bound<'py, PyAny>> {
     use prost_types::value::Kind;
     Ok(match &value.kind {

@@ -1,4 +1,4 @@
-//! Work that Python waits for. Its lock is free meanwhile, and Ctrl-C is heard.
+//! Work that Python waits for. Python's lock is free meanwhile, and Ctrl-C works.
 
 use crate::errors::raise;
 use pyo3::prelude::*;
@@ -9,16 +9,16 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-/// Between two looks at whether Python was interrupted: our choice, well below the 100 ms that a person notices.
+/// Interval of checks whether Python was interrupted: our choice, well below the 100 ms that a person notices.
 pub const PATIENCE: Duration = Duration::from_millis(20);
 
-/// What a thread tells Python while it works.
+/// Messages from a working thread to Python.
 enum Event<T> {
     Progress(f64, String),
     Done(Result<T>),
 }
 
-/// Says whether anybody waits for the work any more.
+/// Tells the work whether a caller still waits for it.
 #[derive(Clone, Default)]
 pub struct Stop(Arc<AtomicBool>);
 
@@ -39,13 +39,13 @@ impl<T: Send> Progress for ProgressSender<T> {
         if self.stop.is_set() {
             return Err(Error::Cancelled("stopped".into()));
         }
-        // Whoever has gone has set `stop`.
+        // A caller that has left has set `stop`.
         let _ = self.events.send(Event::Progress(done, stage.to_owned()));
         Ok(())
     }
 }
 
-/// Result of `work` on a thread of its own. Ctrl-C is raised at once; the work is told to stop and comes to its end alone.
+/// Result of `work` on a thread of its own. Ctrl-C is raised at once; the work is told to stop and ends by itself.
 pub fn background<T: Send + 'static>(
     py: Python<'_>,
     work: impl FnOnce(&Stop) -> Result<T> + Send + 'static,
@@ -58,7 +58,7 @@ pub fn background<T: Send + 'static>(
     wait(py, &Mutex::new(events), &stop, None)
 }
 
-/// The same for work that tells its progress: to `told`, with the share done and what is done now.
+/// The same for work with progress reports, which go to `told` with the finished share and the stage.
 pub fn study<T: Send + 'static>(
     py: Python<'_>,
     told: Option<&Bound<'_, PyAny>>,
@@ -68,8 +68,8 @@ pub fn study<T: Send + 'static>(
     wait(py, &events, &stop, told)
 }
 
-/// The same for work that must come to its own end, as it leaves something behind: an interrupt is raised after that, with what the
-/// work says of its end as a note. A second Ctrl-C does not wait.
+/// The same for work that must finish by itself because it leaves files: an interrupt is raised after that, with
+/// the work's own report as a note. A second Ctrl-C does not wait.
 pub fn to_the_end<T: Send + 'static>(
     py: Python<'_>,
     told: Option<&Bound<'_, PyAny>>,
@@ -86,7 +86,7 @@ pub fn to_the_end<T: Send + 'static>(
     outcome
 }
 
-/// Starts work that tells its progress.
+/// Starts work with progress reports.
 fn begun<T: Send + 'static>(
     work: impl FnOnce(&dyn Progress) -> Result<T> + Send + 'static,
 ) -> PyResult<(Stop, Events<T>)> {
@@ -98,10 +98,10 @@ fn begun<T: Send + 'static>(
     Ok((stop, Mutex::new(events)))
 }
 
-/// What work tells; locked by whoever waits.
+/// Messages from the work; the waiting thread holds the lock.
 type Events<T> = Mutex<Receiver<Event<T>>>;
 
-/// Starts a thread that nobody waits for.
+/// Starts a thread without waiting for it.
 pub fn spawn(work: impl FnOnce() + Send + 'static) -> PyResult<()> {
     let started = std::thread::Builder::new().name("sandgait".into()).spawn(work);
     started.map(drop).map_err(|e| raise(&Error::Exhausted(format!("no thread can be started: {e}"))))
@@ -114,7 +114,7 @@ fn wait<T: Send>(py: Python<'_>, events: &Events<T>, stop: &Stop, told: Option<&
         let interrupted = match py.detach(next) {
             Ok(Event::Done(done)) => return done.map_err(|e| raise(&e)),
             Ok(Event::Progress(done, stage)) => {
-                // Reports of several threads come out of order; what is told only grows.
+                // Several threads report, so the order varies; only larger values are passed on.
                 let now = (f64::clamp(done, last.0, 1.0), stage);
                 let news = now != last;
                 last = now;
@@ -124,7 +124,7 @@ fn wait<T: Send>(py: Python<'_>, events: &Events<T>, stop: &Stop, told: Option<&
                 }
             }
             Err(RecvTimeoutError::Timeout) => Ok(()),
-            // A panic; the thread has said why on stderr.
+            // A panic; the thread has printed the reason on stderr.
             Err(RecvTimeoutError::Disconnected) => {
                 return Err(raise(&Error::Internal("the work failed".into())));
             }

@@ -1,4 +1,4 @@
-//! What an episode of LeggedVelocity draws from.
+//! The ranges that an episode of LeggedVelocity draws from.
 
 use crate::options;
 use serde::{Deserialize, Serialize};
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 /// Largest command [m/s, rad/s].
 pub const MOST_COMMAND: f64 = 5.0;
 
-/// Everything that an episode draws from.
+/// All ranges of an episode.
 #[derive(Clone, Copy)]
 pub struct Draws {
     pub commands: Commands,
@@ -16,7 +16,7 @@ pub struct Draws {
 }
 
 options! {
-    /// As legged_gym's.
+    /// Those of legged_gym.
     #[derive(Copy, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct Commands {

@@ -1,4 +1,4 @@
-//! What an episode of LeggedVelocity draws when it begins, and what it remembers.
+//! The values that an episode of LeggedVelocity draws when it begins, and those that it updates.
 
 use super::draws::{Draws, MOST_COMMAND};
 use crate::error::Result;
@@ -8,7 +8,8 @@ use crate::spec::CONTROL_RATE;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// Commands and pushes that an episode draws at most; then they come again. Our choice, 17 minutes of the default's.
+/// Most commands and pushes that an episode draws; after that they repeat. Our choice, 17 minutes with the
+/// default's intervals.
 const MOST: usize = 100;
 /// Commanded speeds below this are zero [m/s] (legged_gym, `_resample_commands`).
 const SMALL: f64 = 0.2;
@@ -27,16 +28,16 @@ pub struct LeggedEpisode {
     pub commands: Vec<[f64; 3]>,
     /// Velocities that pushes give the base along x and y [m/s].
     pub pushes: Vec<[f64; 2]>,
-    /// The command in force.
+    /// The present command.
     pub now: [f64; 3],
-    /// Control steps made.
+    /// Control steps since the start.
     pub step: u32,
-    /// Since when each foot is in the air [s].
+    /// Time since each foot left the ground [s].
     pub air: Vec<f64>,
 }
 
 impl LeggedEpisode {
-    /// Always as many numbers in the same order.
+    /// Always draws as many numbers in the same order.
     pub fn draw(from: Draws, model: &Model, random: &mut Random) -> Self {
         let Draws { commands, rand, steps } = from;
         let mut one = |[low, high]: [f64; 2]| random.uniform(low, high);
@@ -60,12 +61,12 @@ impl LeggedEpisode {
         Self { friction, sand, added_mass, motor_strength, commands: all, pushes, now, step: 0, air: vec![0.0; feet] }
     }
 
-    /// Can an episode that draws `from` these have come to this? `model`: the session's.
+    /// Can an episode with these ranges `from` have reached these values? `model`: the session's.
     pub fn is_sound(&self, from: Draws, model: &Model) -> bool {
         let feet = model.tree.as_ref().map_or(0, |tree| tree.stance.feet.len());
         let most = |x: &f64| x.abs() <= MOST_COMMAND;
         let rand = from.rand;
-        // A reset may have changed the ranges since: the guards of options.
+        // A reset may have changed the ranges since, so these are the options' bounds.
         (0.0..=10.0).contains(&self.friction)
             && (0.05..=20.0).contains(&self.sand)
             && (-0.3..=1.0).contains(&(self.added_mass / model.total_mass()))
@@ -79,7 +80,7 @@ impl LeggedEpisode {
             && self.air.iter().all(|t| (0.0..1e6).contains(t))
     }
 
-    /// The session's model with what was drawn.
+    /// The session's model with the drawn values.
     pub fn model(&self, own: &Model) -> Result<Model> {
         let mut model = own.clone();
         let Some(tree) = &model.tree else { return Ok(model) };
@@ -96,14 +97,15 @@ impl LeggedEpisode {
         Ok(model)
     }
 
-    /// The command for the present step.
+    /// The command of the present step.
     fn command(&self, from: Draws) -> [f64; 3] {
         let steps = (from.commands.resampling_time * CONTROL_RATE).max(1.0);
         let k = (f64::from(self.step) / steps) as usize;
         self.commands.get(k % self.commands.len().max(1)).copied().unwrap_or_default()
     }
 
-    /// Takes note of a step after which `feet` touch the ground (1) or do not (0); gives the push that comes now.
+    /// Updates the episode after a step in which `feet` touch the ground (1) or do not (0); returns the push that
+    /// is due.
     pub fn after_step(&mut self, from: Draws, feet: &[f32]) -> Option<[f64; 2]> {
         self.step += 1;
         for (air, touches) in self.air.iter_mut().zip(feet) {

@@ -1,11 +1,11 @@
-//! `sandgait/LeggedVelocity-v0`: any legged robot follows commanded velocities forward, sideways and about the vertical, on
-//! sand and on hard ground.
+//! `sandgait/LeggedVelocity-v0`: any legged robot follows commanded velocities forward, sideways and about the
+//! vertical, on sand and on hard ground.
 //!
 //! Observations, actions, rewards and their names follow legged_gym (Rudin, Hoeller, Reist & Hutter, CoRL 2022;
 //! `legged_robot.py`) and the velocity tasks of Isaac Lab (Mittal et al. 2023; `velocity_env_cfg.py`).
 //!
-//! * [`options`]: what it takes; [`draws`]: what of it an episode draws from; [`episode`]: what an episode drew and remembers;
-//!   [`reward`]: the terms.
+//! * [`options`]: its options; [`draws`]: the ranges that an episode draws from; [`episode`]: the values that an
+//!   episode has drawn and updates; [`reward`]: the terms.
 
 mod draws;
 pub mod episode;
@@ -30,20 +30,20 @@ use episode::LeggedEpisode;
 use reward::{Contacts, LeggedStep};
 use std::sync::Arc;
 
-/// Bounds of the observation; what goes beyond is clipped. Some three times what a falling robot reaches.
+/// Bounds of the observation; values beyond are clipped. Some three times what a falling robot reaches.
 const SPEED: f64 = 10.0; // [m/s]
 const TURN: f64 = 30.0; // [rad/s]
 const JOINT_SPEED: f64 = 100.0; // [rad/s]
 const JOINT_OFFSET: f64 = std::f64::consts::TAU; // [rad]
 
-/// Gravity's direction along the base's z axis above which it has fallen: cos 60°. Our choice.
+/// The robot has fallen if gravity's direction along the base's z axis is above this: cos 60°. Our choice.
 const FALLEN: f64 = -0.5;
 
 const ABOUT: &str = "\
 The robot starts in its default pose, joints off by up to `angle_noise`, just over the ground. An action is an offset of each
 joint's target from its default position, times `action_scale`; a servo at each joint (the file's gains, or kp = torque limit / 1 rad and kd =
 kp / 40 s⁻¹) follows it. Commands are drawn from `commands` at the start and every `resampling_time`; those below 0.2 m/s are
-zero. `domain_rand` says what else is drawn for an episode, and how often the base is pushed.
+zero. `domain_rand` has the other quantities that an episode draws, and how often the base is pushed.
 
 Names and laws of reward terms, their weights, and the order of the observation are those of legged_gym (Rudin et al. 2022) and
 of Isaac Lab's velocity tasks; as there, each term counts its weight a second. A foot is in contact when it is in the ground, and a
@@ -53,12 +53,12 @@ a negative sum of rewards is not cut at zero, and actions end at ±1 (hence an `
 An episode terminates when the base has tilted by more than 60° (`bad_orientation`) or, on `rigid` ground, touches it
 (`base_contact`); it is truncated after `max_episode_steps`, or when its state can no longer be computed (`diverged`).
 
-On ground with heights (`relief`, or ground `dunes`) an episode begins anywhere; `measure_heights` adds legged_gym's
-`measured_heights`, the base's height over 17 × 11 points less 0.5 m, within ± 1 m. A slope's sand is pushed along its own surface.
+On ground with heights (`relief`, or ground `dunes`) an episode begins at a random position; `measure_heights` adds legged_gym's
+`measured_heights`, the base's height over 17 × 11 points less 0.5 m, within ± 1 m. On a slope, depth and forces refer to the sand's own surface.
 
-Speeds beyond about 0.5 m/s of what is in the sand are outside of what resistive force theory was measured for.";
+Resistive force theory was measured for segments up to about 0.5 m/s in the sand; faster ones are extrapolated.";
 
-/// What an observation is computed from.
+/// The arguments of an observation's functions.
 struct Observed<'a> {
     goal: &'a Goal,
     state: &'a State,
@@ -69,12 +69,12 @@ struct Observed<'a> {
     gravity: [f64; 3],
     velocity: [f64; 3],
     angular_velocity: [f64; 3],
-    /// Where the base's x axis points: sine and cosine.
+    /// Direction of the base's x axis: sine and cosine of the heading.
     heading: (f64, f64),
 }
 
 impl Observed<'_> {
-    /// Height of the base's origin over measured point `i` less 0.5 m, as legged_gym has it.
+    /// Height of the base's origin above measured point `i`, less 0.5 m, as in legged_gym.
     fn measured_height(&self, i: usize) -> f64 {
         let Some(model) = &self.goal.model else { return 0.0 };
         let ([x, y, z], [a, b], (sin, cos)) = (self.state.position, measured(i), self.heading);
@@ -94,7 +94,7 @@ pub struct LeggedVelocity {
     rewards: Rewards,
     observation: Features<Observe>,
     figures: Features<Figure>,
-    /// Where in an info row the feet's contacts stand.
+    /// Index of the feet's contacts in an info row.
     contacts: usize,
     /// Default position of each joint [rad].
     angles: Vec<f64>,
@@ -125,7 +125,7 @@ fn contact(foot: &String) -> Column {
     Column::new(format!("contact, {foot}"), "1", 0.0, 1.0)
 }
 
-/// Info columns behind the reward's.
+/// Info columns after those of the reward.
 fn figures(feet: &[String]) -> Features<Figure> {
     Features::<Figure>::none()
         .free("speed", "m/s", |s, _| s.velocity[0])
@@ -207,9 +207,10 @@ impl Task for LeggedVelocity {
         let noise = setup.options.angle_noise;
         let angles: Vec<f64> = self.angles.iter().map(|a| a + random.uniform(-noise, noise)).collect();
         let legged = LeggedEpisode::draw(setup.options.draws(), setup.model, random);
-        // What was drawn lies in ranges that were checked: the session's own model is there for what cannot be.
+        // The drawn values lie in checked ranges, so this cannot fail; if it did, the session's own model would be
+        // used.
         let model = legged.model(setup.model).map_or_else(|_| setup.model.clone(), Arc::new);
-        // Anywhere on ground that is not flat.
+        // A random start position on ground that is not flat.
         let size = model.scene.relief.as_ref().map(|r| r.size());
         let at = size.map_or([0.0; 2], |size| size.map(|length| random.uniform(0.0, length)));
         let mut state = State::at_rest(height(&model, &angles, at), &angles);
@@ -257,7 +258,7 @@ impl Task for LeggedVelocity {
         step.terminated()
     }
 
-    /// The model is made again from what was drawn.
+    /// The model is built again from the drawn values.
     fn resume(setup: &Setup<LeggedOptions>, goal: &mut Goal) -> std::result::Result<(), String> {
         let Goal { model: None, ground: None, legged: Some(legged), .. } = goal else {
             return Err("its robot".into());
@@ -270,17 +271,17 @@ impl Task for LeggedVelocity {
     }
 }
 
-/// Height of the base's origin over `at` at which the lowest point touches the ground [m].
+/// Height of the base's origin above `at` at which the lowest point touches the ground [m].
 fn height(model: &Model, angles: &[f64], at: [f64; 2]) -> f64 {
     let Some(tree) = &model.tree else { return 0.0 };
     tree.height_over(angles, |x, y| model.surface_height(at[0] + x, at[1] + y))
 }
 
-/// Points around the robot whose heights it observes, along and across: those of legged_gym (`measured_points_x`,
-/// `measured_points_y`), 0.1 m from each other.
+/// Points around the robot whose heights are observed, along and across: those of legged_gym (`measured_points_x`,
+/// `measured_points_y`), 0.1 m apart.
 const MEASURED: [usize; 2] = [17, 11];
 
-/// Point `i` of them [m].
+/// Position of point `i` [m].
 fn measured(i: usize) -> [f64; 2] {
     let [ahead, aside] = [i / MEASURED[1], i % MEASURED[1]];
     [0.1 * (ahead as f64 - 8.0), 0.1 * (aside as f64 - 5.0)]

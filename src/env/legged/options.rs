@@ -17,10 +17,10 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 
 options! {
-    /// Options of LeggedVelocity. `dt`: our choice, twice that of the hexapods, whose feet turn faster. A trot of the test
-    /// quadruped went up to 5 % off one at 0.125 ms in sand and 10 % on hard ground; at 1 ms 8 % on hard ground. Episodes of 20 s
-    /// are legged_gym's. Its actions have no bounds and an `action_scale` of 0.25; here they end at ± 1, which at that scale moves
-    /// Go1's feet too little to walk.
+    /// Options of LeggedVelocity. `dt`: our choice, twice that of the hexapods, whose feet turn faster. A trot of
+    /// the test quadruped differed from one at 0.125 ms by up to 5 % in sand and 10 % on hard ground; at 1 ms by 8
+    /// % on hard ground. Episodes take 20 s as in legged_gym. Its actions have no bounds and an `action_scale` of
+    /// 0.25; here they end at ± 1, which at that scale moves Go1's feet too little to walk.
     pub struct LeggedOptions {
         robot: RobotName = RobotName::TREE.into(), "built-in robot sandcat, or a packed file (Python: its path)";
         law: Law = Law::Li2013, "resistive force law: li2013, penetration-drag-1d or agarwal2023";
@@ -41,8 +41,8 @@ options! {
 }
 
 options! {
-    /// Random dunes by a seed, or heights of your own. Three lengths of a robot from crest to crest, and steep enough to be felt:
-    /// our choice.
+    /// Random dunes by a seed, or heights that the user gives. Defaults: three lengths of a robot from crest to
+    /// crest, and a slope that affects the gait; our choice.
     #[derive(Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct ReliefOptions {
@@ -89,14 +89,14 @@ impl LeggedOptions {
     }
 }
 
-/// Kinds of ground that are no medium: hard, slabs of hard ground in sand, sand that is not flat.
+/// Kinds of ground besides media: hard, slabs of hard ground in sand, sand that is not flat.
 const GROUNDS: [&str; 3] = ["rigid", "mixed", DUNES];
 /// Loose sand that is not flat.
 const DUNES: &str = "dunes";
-/// Size of the slabs of `mixed`, and distance after which the next comes [m]: our choice, a robot's length or two.
+/// Size of the slabs of `mixed`, and distance from one to the next [m]: our choice, one or two lengths of a robot.
 const SLABS: [f64; 2] = [0.8, 1.6];
 
-/// Hard ground of a kind, and the medium of the sand.
+/// Hard ground of the given kind, and the medium of the sand.
 fn ground(name: &str) -> Result<(Vec<HardGround>, Medium)> {
     let sand = || Medium::named(Medium::DEFAULT);
     let [size, every] = SLABS.map(|length| [length; 2]);

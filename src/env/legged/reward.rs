@@ -10,19 +10,19 @@ use crate::task::Transition;
 
 /// σ of the tracking terms [m²/s², rad²/s²].
 const TRACKING: f64 = 0.25;
-/// Time in the air that a step is paid for beyond [s].
+/// Air time from which on a step is rewarded [s].
 const AIR: f64 = 0.5;
-/// Commanded speed below which a robot should stand [m/s].
+/// Commanded speed below which the robot should stand [m/s].
 const STANDING: f64 = 0.1;
-/// Share of a joint's range at its end that it should keep out of (A1: soft limits of 0.9).
+/// Share of a joint's range at its ends that it should avoid (A1: soft limits of 0.9).
 const OUTER: f64 = 0.05;
 
-/// Which bodies are in the ground.
+/// The bodies that touch the ground.
 pub struct Contacts {
-    /// In the order of the stance's feet.
+    /// Contact of each foot, in the order of the stance's feet.
     pub feet: Vec<bool>,
     pub base: bool,
-    /// Bodies that are neither.
+    /// Other bodies.
     pub others: usize,
 }
 
@@ -40,14 +40,14 @@ impl Contacts {
     }
 }
 
-/// What the reward and the figures of a step are computed from.
+/// The arguments of reward terms and figures.
 pub struct LeggedStep<'a> {
     pub t: &'a Transition<'a>,
     pub legged: &'a LeggedEpisode,
     pub contacts: Contacts,
     /// Default position of each joint [rad].
     pub default: &'a [f64],
-    /// Gravity's direction, velocity and angular velocity in the base's frame after the step.
+    /// Gravity's direction, and velocity and angular velocity in the base's frame, after the step.
     pub gravity: [f64; 3],
     pub velocity: [f64; 3],
     pub angular_velocity: [f64; 3],
@@ -67,8 +67,8 @@ impl LeggedStep<'_> {
 }
 
 reward_terms! {
-    /// Weights of the reward's terms, with legged_gym's names, signs and values; each counts for a second. All but the last two
-    /// velocities are in the base's frame.
+    /// Weights of the reward's terms, with legged_gym's names, signs and values; each is a rate per second. All but
+    /// the last two velocities are in the base's frame.
     pub struct Rewards of LeggedStep<'_>, weights in [-1e4, 1e4] {
         tracking_lin_vel: 1.0, "exp(−((v_x − commanded)² + (v_y − commanded)²) / 0.25 m²/s²)", |s| {
             (-(square(s.velocity[0] - s.legged.now[0]) + square(s.velocity[1] - s.legged.now[1])) / TRACKING).exp()
@@ -112,7 +112,7 @@ fn off_default(s: &LeggedStep) -> f64 {
     s.t.after.angles.iter().zip(s.default).map(|(q, default)| (q - default).abs()).sum()
 }
 
-/// Way of all joints into the outer parts of their ranges [rad].
+/// How far all joints are in the outer parts of their ranges [rad].
 fn beyond_limits(model: &Model, state: &State) -> f64 {
     let Some(tree) = &model.tree else { return 0.0 };
     let way = |(joint, q): (&crate::sim::tree::TreeJoint, &f64)| {

@@ -66,7 +66,7 @@ macro_rules! options {
             }
         }
 
-        /// As a dictionary among other options.
+        /// The struct as a dictionary among other options.
         impl $crate::options::OptionValue for $Name {
             fn check(&self, name: &str) -> $crate::error::Result<()> {
                 $crate::options::Options::check_all(self, &format!("{name}."))

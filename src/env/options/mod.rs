@@ -1,4 +1,4 @@
-//! Options of a task: what `gymnasium.make` takes, and what `reset(options=…)` changes.
+//! Options of a task: the keywords of `gymnasium.make`, some of which `reset(options=…)` can change.
 //!
 //! A task declares its options with [`options!`](crate::options!), one line each:
 //!
@@ -12,8 +12,9 @@
 //! }
 //! ```
 //!
-//! `..name` takes over the options of another struct, `[low, high]` are bounds (none where the type has its own), and `reset`
-//! marks what a reset may change. Keywords, their help, their checks and the task's page follow from these lines.
+//! `..name` includes the options of another struct, `[low, high]` are bounds (none where the type has its own), and
+//! `reset` marks what a reset may change. Keywords, their help, their checks and the task's page follow from these
+//! lines.
 
 mod declare;
 mod robot;
@@ -32,31 +33,32 @@ pub struct OptionRow {
     pub help: &'static str,
     /// May a reset change it?
     pub at_reset: bool,
-    /// Of a dictionary: what it consists of.
+    /// For a dictionary: its keys.
     pub keys: Vec<OptionRow>,
 }
 
 /// A struct of options; [`options!`](crate::options!) implements it.
 pub trait Options: Clone + Default + PartialEq + std::fmt::Debug + Send + Sync + 'static {
-    /// In the order of the declaration, those taken over first.
+    /// In the order of the declaration, included ones first.
     fn rows() -> Vec<OptionRow>;
 
     fn get(&self, name: &str) -> Option<Value>;
 
-    /// Sets option `name`, of a dictionary only the keys that `value` has. False: there is no such option.
+    /// Sets option `name`; of a dictionary, only the keys in `value`. Returns false if there is no such option.
     fn set(&mut self, name: &str, value: &Value) -> Result<bool>;
 
     /// Refuses values out of bounds; `prefix` stands before each name in errors.
     fn check_all(&self, prefix: &str) -> Result<()>;
 }
 
-/// What a reset changes of an environment's options; it holds until a reset changes it again. Dictionaries change key by key.
+/// The changes of an environment's options by a reset; they hold until another reset. Dictionaries change key by
+/// key.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ResetOptions(Map<String, Value>);
 
 impl ResetOptions {
-    /// Keywords from a JSON object; null, and a keyword that is null, change nothing. Names and values are checked by
-    /// the task that gets them.
+    /// Keywords from a JSON object. null, and a keyword that is null, change nothing. The task that gets them
+    /// checks names and values.
     pub fn new(keywords: Value) -> Result<Self> {
         let mut keywords = object(keywords)?;
         keywords.retain(|_, value| !value.is_null());
@@ -68,7 +70,7 @@ impl ResetOptions {
     }
 }
 
-/// Keywords as a JSON object; null: none are given.
+/// Keywords as a JSON object; null if there are none.
 pub fn object(keywords: Value) -> Result<Map<String, Value>> {
     match keywords {
         Value::Object(keywords) => Ok(keywords),

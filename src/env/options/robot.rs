@@ -1,11 +1,12 @@
-//! The robot that an option names, or holds.
+//! The option `robot`: a name, or a whole robot as text.
 
 use crate::error::{Error, Result};
 use crate::sim::tree::{TreeModel, packed};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::sync::{Arc, OnceLock};
 
-/// A built-in robot's name, or the text of a packed one ([`packed::pack`]): shared by all environments, read once.
+/// A built-in robot's name, or the text of a packed one ([`packed::pack`]). It is read once, and all environments
+/// share it.
 #[derive(Clone)]
 pub struct RobotName(Arc<Held>);
 
@@ -21,7 +22,7 @@ impl RobotName {
     /// The default robot of LeggedVelocity.
     pub const TREE: &'static str = TREES[0].0;
 
-    /// The name or text as it was given.
+    /// The name or text that the user gave.
     pub fn name(&self) -> &str {
         &self.0.text
     }

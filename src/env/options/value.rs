@@ -1,4 +1,4 @@
-//! What the value of an option can be.
+//! The types that an option can have.
 
 use super::OptionRow;
 use super::robot::RobotName;
@@ -10,14 +10,14 @@ use serde::de::DeserializeOwned;
 use serde_json::Value;
 use std::ops::RangeInclusive;
 
-/// A value whose type says what it may be.
+/// The value of an option; its type determines the checks.
 pub trait OptionValue {
-    /// Refuses what deserialisation cannot.
+    /// Refuses values that deserialisation accepts but the option does not.
     fn check(&self, _name: &str) -> Result<()> {
         Ok(())
     }
 
-    /// Of a dictionary: what it consists of.
+    /// For a dictionary: its keys.
     fn keys() -> Vec<OptionRow> {
         Vec::new()
     }
@@ -76,7 +76,7 @@ impl Bounded for usize {
     }
 }
 
-/// A range [low, high] that something is drawn from.
+/// A range [low, high] of a random draw.
 impl Bounded for [f64; 2] {
     fn within(&self, name: &str, bounds: RangeInclusive<f64>) -> Result<()> {
         let [low, high] = *self;
@@ -85,7 +85,7 @@ impl Bounded for [f64; 2] {
     }
 }
 
-/// `old` as `given` says; of a dictionary, only the keys that `given` has change.
+/// `old` changed by `given`; of a dictionary, only the keys in `given` change.
 pub fn changed<T: Serialize + DeserializeOwned>(name: &str, old: &T, given: &Value) -> Result<T> {
     let refused = |e: serde_json::Error| match given {
         Value::Null => Error::invalid(name, "null is no value for it"),

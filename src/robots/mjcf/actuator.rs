@@ -1,4 +1,4 @@
-//! `<actuator>` and `<keyframe>`: what the joints' motors can do, and how the robot stands.
+//! `<actuator>` and `<keyframe>`: limits and gains of the joints' motors, and the standing pose.
 
 use super::compiler::limited;
 use super::defaults::{ACTUATORS, Defaults, KIND};
@@ -66,7 +66,7 @@ fn drive(element: &Element, autolimits: bool, joint: &mut TreeJoint, notes: &mut
     let kind = element.tag.as_str();
     let general = kind == "general";
     let gain = if kind == "motor" { 1.0 } else { first("gainprm", 0)?.unwrap_or(1.0) };
-    // A servo holds a position or a speed; anything else takes its control as a force.
+    // A servo controls a position or a speed; other actuators use their control as a force.
     let (kp, kd) = match (kind, element.get("biastype")) {
         ("position", _) => (element.not_negative("kp")?.unwrap_or(gain), element.not_negative("kv")?.unwrap_or(0.0)),
         ("velocity", _) => (0.0, element.not_negative("kv")?.unwrap_or(gain)),
@@ -95,7 +95,7 @@ fn drive(element: &Element, autolimits: bool, joint: &mut TreeJoint, notes: &mut
     Ok(())
 }
 
-/// The tighter of the joint's limit and `factor` times a range.
+/// The smaller of the joint's limit and `factor` times a range.
 fn limit(joint: &mut TreeJoint, range: Option<[f64; 2]>, factor: f64, notes: &mut Notes) {
     let Some([low, high]) = range.map(|r| r.map(|x| x * factor.abs())) else { return };
     let most = high.min(-low);
@@ -109,7 +109,7 @@ fn limit(joint: &mut TreeJoint, range: Option<[f64; 2]>, factor: f64, notes: &mu
     }
 }
 
-/// The pose of the keyframe `home`, else of the first.
+/// The pose of the keyframe `home`, or else of the first.
 pub fn rest(root: &Element, tree: &mut Tree, notes: &mut Notes) -> Result<()> {
     let mut keys = root.all("keyframe").flat_map(|section| section.all("key")).filter(|k| k.get("qpos").is_some());
     let Some(first) = keys.next() else { return Ok(()) };

@@ -10,7 +10,7 @@ use crate::sim::tree::{JointKind, TreeJoint, TreeShape};
 use crate::xml::Element;
 use nalgebra::{Isometry3, Matrix3, Unit, UnitQuaternion, Vector3};
 
-/// What is seen, sensed or switched, without an effect on motion.
+/// Elements for pictures, sensors and visibility, which have no effect on motion.
 const PASSIVE: [&str; 3] = ["site", "camera", "light"];
 const BODY_KNOWN: [&str; 10] =
     ["name", "childclass", "pos", "quat", "axisangle", "euler", "xyaxes", "zaxis", "user", "sleep"];
@@ -49,7 +49,8 @@ pub fn is_free(body: &Element) -> bool {
 }
 
 impl Builder<'_> {
-    /// A body and all that it carries: `at` is where its parent's frame, or a `<frame>`, stands in the link `parent`.
+    /// A body and all that it carries; `at` is the pose of its parent's frame, or of a `<frame>`, in the link
+    /// `parent`.
     pub fn body(&mut self, element: &Element, parent: Option<usize>, at: &Isometry3<f64>, class: &str) -> Result<()> {
         if self.links.len() > MOST_LINKS {
             return Err(element.error(format!("more than {MOST_LINKS} bodies")));
@@ -88,7 +89,7 @@ impl Builder<'_> {
                 }
             }
         }
-        // What the body holds stands in a frame of its own, fixed to the last joint's.
+        // Children of the body use a frame of its own, fixed to the last joint's.
         let own = self.push(Link::new(name, carrier, at, None));
         self.content(element, own, class)
     }
@@ -129,7 +130,7 @@ impl Builder<'_> {
         Ok(())
     }
 
-    /// Geoms and bodies of a body, in frames too.
+    /// Geoms and bodies of a body, also those inside frames.
     fn inside(
         &mut self,
         element: &Element,
@@ -160,7 +161,7 @@ impl Builder<'_> {
         Ok(())
     }
 
-    /// `compiler`'s rules for masses that are too small and inertias that no body has.
+    /// `compiler`'s rules for masses that are too small and inertias that are physically impossible.
     fn bounded(&self, own: Inertial) -> Inertial {
         let c = self.compiler;
         let mut new = Inertial { mass: own.mass.max(c.least_mass), ..own };
@@ -244,7 +245,7 @@ impl Builder<'_> {
         Ok((joint, start))
     }
 
-    /// The first of several coefficients: a law that is not linear is left out, which is said.
+    /// The first of several coefficients. The coefficients of a nonlinear law are left out, with a note.
     fn first(&mut self, element: &Element, attribute: &str) -> Result<f64> {
         let list = element.list(attribute)?.unwrap_or_default();
         if list.iter().skip(1).any(|x| *x != 0.0) {

@@ -1,4 +1,4 @@
-//! `<compiler>`: units and rules for all of the file; and orientations, which depend on them.
+//! `<compiler>`: units and rules for the whole file, and orientations, which depend on them.
 
 use crate::error::Result;
 use crate::notes::Notes;
@@ -21,12 +21,12 @@ pub struct Compiler {
     pub meshdir: String,
     pub strippath: bool,
     pub from_geoms: FromGeoms,
-    /// Groups of geoms that count for inertia.
+    /// Groups of geoms that contribute to inertia.
     pub groups: [f64; 2],
     pub least_mass: f64,
     pub least_inertia: f64,
     pub balance: bool,
-    /// Mass of the whole; none: as it is.
+    /// Mass of the whole robot; None: unchanged.
     pub total_mass: Option<f64>,
 }
 
@@ -51,7 +51,7 @@ const KNOWN: [&str; 17] = [
 ];
 
 impl Compiler {
-    /// From all `<compiler>` sections, the later one counting.
+    /// From all `<compiler>` sections; later ones take precedence.
     pub fn read(root: &Element, notes: &mut Notes) -> Result<Self> {
         let mut c = Self {
             angle: 1f64.to_radians(),
@@ -97,7 +97,7 @@ impl Compiler {
         };
         self.autolimits = flag(section, "autolimits")?.unwrap_or(self.autolimits);
         if let Some(other) = section.get("coordinate").filter(|c| *c != "local") {
-            return Err(section.wrong("coordinate", format!("{other:?} is not read: MuJoCo took it out in 2.3.4")));
+            return Err(section.wrong("coordinate", format!("{other:?} is not read: MuJoCo removed it in 2.3.4")));
         }
         if let Some(sequence) = section.get("eulerseq") {
             if sequence.chars().count() != 3 || !sequence.chars().all(|c| "xyzXYZ".contains(c)) {
@@ -133,7 +133,7 @@ impl Compiler {
                 };
                 (c.is_ascii_lowercase(), UnitQuaternion::from_axis_angle(&about, a * self.angle))
             });
-            // Small letters turn about axes that turn along, capitals about fixed ones.
+            // Lower-case letters rotate about axes of the rotating frame, capitals about fixed ones.
             return Ok(turns.fold(UnitQuaternion::identity(), |q, (along, t)| if along { q * t } else { t * q }));
         }
         if let Some([a, b, c, d, e, f]) = element.numbers("xyaxes")? {
@@ -150,7 +150,7 @@ impl Compiler {
     }
 }
 
-/// The least turn that brings z to `direction`; if that is −z, about x.
+/// The smallest rotation that takes z to `direction`; for −z, about x.
 pub fn from_z(direction: Unit<Vector3<f64>>) -> UnitQuaternion<f64> {
     let across = Vector3::z().cross(&direction);
     let sin = across.norm();
@@ -167,7 +167,7 @@ pub fn flag(element: &Element, name: &str) -> Result<Option<bool>> {
     }
 }
 
-/// Is a range in force? `limited` says so; `auto`: where the range is given.
+/// Is a range active? `limited` decides; with `auto` it is active if given.
 pub fn limited(element: &Element, name: &str, given: bool, autolimits: bool) -> Result<bool> {
     match element.get(name) {
         None | Some("auto") => Ok(given && autolimits),

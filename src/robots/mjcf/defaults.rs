@@ -1,10 +1,10 @@
-//! Default classes: what an element has that does not say so itself.
+//! Default classes: values of attributes that an element does not set itself.
 
 use crate::error::Result;
 use crate::xml::Element;
 use std::collections::HashMap;
 
-/// Elements that share one set of defaults: all are actuators, and the latest says which kind.
+/// Elements that share one set of defaults: all are actuators, and the latest one gives the kind.
 pub const ACTUATORS: [&str; 11] = [
     "general",
     "motor",
@@ -18,7 +18,7 @@ pub const ACTUATORS: [&str; 11] = [
     "dcmotor",
     "plugin",
 ];
-/// Attribute under which an actuator's kind is kept among its defaults.
+/// Name under which the defaults store an actuator's kind.
 pub const KIND: &str = "(kind)";
 /// An orientation replaces whatever other orientation the class has.
 const ORIENTATIONS: [&str; 5] = ["quat", "axisangle", "euler", "xyaxes", "zaxis"];
@@ -70,7 +70,8 @@ impl Defaults {
         Ok(())
     }
 
-    /// `element` with what its class adds: the one that it names, else `inherited`, else the outermost.
+    /// `element` with the defaults of its class: the class that it names, or else `inherited`, or else the
+    /// outermost one.
     pub fn applied(&self, element: &Element, inherited: &str) -> Result<Element> {
         let class = match element.get("class").or(Some(inherited).filter(|c| !c.is_empty())) {
             None => &self.outermost,
@@ -95,7 +96,7 @@ impl Defaults {
     }
 }
 
-/// A class takes what its section says.
+/// Adds a section's values to a class.
 fn take(class: &mut Class, section: &Element) {
     for element in section.children.iter().filter(|c| c.tag != "default") {
         let to = class.entry(key(&element.tag).to_owned()).or_default();
@@ -114,7 +115,7 @@ fn take(class: &mut Class, section: &Element) {
     }
 }
 
-/// The numbers of `own`, then those that `class` has more.
+/// The numbers of `own`, followed by the further ones of `class`.
 fn joined(own: &str, class: &str) -> String {
     let more = class.split_whitespace().skip(own.split_whitespace().count());
     own.split_whitespace().chain(more).collect::<Vec<_>>().join(" ")

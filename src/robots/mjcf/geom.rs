@@ -15,24 +15,24 @@ use std::collections::HashMap;
 use std::f64::consts::PI;
 use std::sync::Arc;
 
-/// Of water [kg/m³], MuJoCo's default.
+/// Density of water [kg/m³], MuJoCo's default.
 const DENSITY: f64 = 1000.0;
 const FRICTION: f64 = 1.0;
 
-/// How a mesh fills space.
+/// How the mass of a mesh is computed.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Filling {
     /// By its convex hull.
     Convex,
     /// By its surface, which must be closed.
     Exact,
-    /// As [`mesh::legacy`] has it: MuJoCo's default.
+    /// By [`mesh::legacy`], MuJoCo's default.
     Legacy,
     /// A thin shell of 1 m × density.
     Shell,
 }
 
-/// A `<mesh>` as its file and its attributes say.
+/// A `<mesh>` by its file and its attributes.
 pub struct Mesh {
     triangles: Arc<Vec<Triangle>>,
     filling: Filling,
@@ -105,7 +105,7 @@ impl Reader<'_> {
     }
 }
 
-/// Vertices and faces that stand in the file; without faces, the hull. MuJoCo keeps vertices in single precision.
+/// Vertices and faces inside the XML; without faces, the hull. MuJoCo keeps vertices in single precision.
 fn inline(element: &Element, vertices: &[f64]) -> Result<Vec<Triangle>> {
     if !vertices.len().is_multiple_of(3) {
         return Err(element.wrong("vertex", "is no list of points"));
@@ -124,7 +124,7 @@ fn inline(element: &Element, vertices: &[f64]) -> Result<Vec<Triangle>> {
     faces.chunks_exact(3).map(face).collect()
 }
 
-/// A geom: where it is, what it is, what it weighs.
+/// A geom: pose, shape and mass.
 pub struct Geom {
     pub name: String,
     pub origin: Isometry3<f64>,
@@ -231,7 +231,7 @@ fn found<'a>(element: &Element, assets: &'a Assets) -> Result<&'a Mesh> {
     assets.get(name).ok_or_else(|| element.error(format!("there is no mesh {name:?}")))
 }
 
-/// With the mass or density that the geom says; without either that counts, nothing.
+/// With the geom's mass or density; without either, nothing.
 fn weighed(element: &Element, compiler: &Compiler, volume: f64, own: &Inertial) -> Result<Inertial> {
     let group = element.number("group")?.unwrap_or(0.0);
     if group < compiler.groups[0] || group > compiler.groups[1] {
@@ -268,7 +268,7 @@ fn solid(shape: &Geometry) -> (f64, Inertial) {
         }
         Geometry::Capsule { radius: r, half_length: h } => {
             let (tube, caps) = (2.0 * PI * r * r * h, 4.0 / 3.0 * PI * r * r * r);
-            // Half a ball's centre is 3/8 r above its base.
+            // The centroid of half a ball is 3/8 r above its base.
             let across =
                 tube * (3.0 * r * r + 4.0 * h * h) / 12.0 + caps * (2.0 / 5.0 * r * r + h * h + 3.0 / 4.0 * r * h);
             let along = tube * r * r / 2.0 + caps * 2.0 / 5.0 * r * r;

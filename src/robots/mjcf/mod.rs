@@ -19,13 +19,13 @@ use nalgebra::Isometry3;
 use std::collections::HashSet;
 use std::path::PathBuf;
 
-/// Sections that change how the robot moves: without them it is another robot.
+/// Sections that change how the robot moves: leaving one out would change the robot.
 const REFUSED: [&str; 3] = ["equality", "deformable", "extension"];
 /// Sections that are read.
 const READ: [&str; 7] = ["compiler", "default", "asset", "worldbody", "actuator", "keyframe", "include"];
 /// Most files of a model: our choice.
 const MOST_FILES: usize = 50;
-/// Most elements of a model with all that it includes: our choice, as for one file.
+/// Most elements of a model with all its includes: our choice, as for one file.
 const MOST_ELEMENTS: usize = 200_000;
 
 /// The robot of a file.
@@ -45,7 +45,7 @@ pub fn robot(
             return Err(section.error(format!("<{}> is not simulated", section.children[0].tag)));
         }
         if tag == "tendon" {
-            notes.say("tendons are left out, and what they do");
+            notes.say("tendons are left out with their effects");
         }
         if !READ.contains(&tag) {
             notes.left_out(section);
@@ -116,7 +116,7 @@ fn base<'a>(root: &'a Element, notes: &mut Notes) -> Result<Base<'a>> {
     Ok(bodies.swap_remove(chosen))
 }
 
-/// Bodies of the world, in frames too.
+/// Bodies of the world, also those inside frames.
 fn top<'a>(world: &'a Element, class: &str, bodies: &mut Vec<Base<'a>>, notes: &mut Notes) -> Result<()> {
     let class = world.get("childclass").unwrap_or(class);
     for child in &world.children {
@@ -137,7 +137,7 @@ struct Including<'a> {
 }
 
 impl Including<'_> {
-    /// With the content of included files in place of `<include>`.
+    /// With the content of included files in place of each `<include>`.
     fn expanded(&mut self, mut element: Element) -> Result<Element> {
         let mut children = Vec::with_capacity(element.children.len());
         for child in std::mem::take(&mut element.children) {
@@ -150,9 +150,9 @@ impl Including<'_> {
                 continue;
             }
             let path = self.files.find("", child.required("file")?).map_err(|e| child.error(e))?;
-            // MuJoCo, too, includes a file once.
+            // MuJoCo also includes each file only once.
             if !self.seen.insert(path.clone()) {
-                return Err(child.error("the file is included already: it would go in circles"));
+                return Err(child.error("the file is included already: a circular include"));
             }
             if self.seen.len() > MOST_FILES {
                 return Err(child.error(format!("more than {MOST_FILES} files")));

@@ -5,13 +5,13 @@ use crate::error::{Error, Result, check_range};
 use crate::number::Vec3;
 use std::path::{Path, PathBuf};
 
-/// Lengths of bodies [m]: our choice of a guard against slips of units.
+/// Allowed lengths of bodies [m]: our choice, which catches wrong units.
 const LENGTHS: std::ops::RangeInclusive<f64> = 1e-4..=10.0;
-/// Plates along the longest side of a body, unless another size is asked for. Our choice: forces are within 1 % of those of
-/// plates ten times finer.
+/// Number of plates along a body's longest side, unless the user gives a size. Our choice: forces are within 1 % of
+/// those of plates ten times finer.
 const ALONG: f64 = 50.0;
 
-/// What a body is, before it is cut.
+/// A body before it is cut into plates.
 #[derive(Clone, Debug, PartialEq)]
 pub enum BodyShape {
     /// Axis along y [m].
@@ -63,7 +63,7 @@ impl BodyShape {
     }
 }
 
-/// `name=value,…` in any order, each once.
+/// `name=value,…` in any order; each name once.
 fn sizes_of(text: &str, sizes: &str, names: &[&str]) -> Result<Vec<f64>> {
     let wrong = |reason: String| Error::invalid("body", format!("{text:?}: {reason}"));
     let mut values = vec![None; names.len()];
@@ -81,7 +81,7 @@ fn sizes_of(text: &str, sizes: &str, names: &[&str]) -> Result<Vec<f64>> {
     values.iter().copied().collect::<Option<Vec<_>>>().ok_or_else(|| wrong(format!("{} missing", missing().join(", "))))
 }
 
-/// Sorted by the height of their lower edge.
+/// Sorts plates by the height of their lower edge.
 fn rising(mut plates: Vec<Plate>) -> Vec<Plate> {
     plates.sort_by(|a, b| (a.center.z - a.rise()).total_cmp(&(b.center.z - b.rise())));
     plates
@@ -90,33 +90,34 @@ fn rising(mut plates: Vec<Plate>) -> Vec<Plate> {
 /// A body cut into plates.
 #[derive(Clone, Debug)]
 pub struct Body {
-    /// Lowest first.
+    /// Plates of a body at rest or turning about y, lowest first.
     pub plates: Vec<Plate>,
-    /// Those of a body that turns about any axis, if they are others.
+    /// Plates of a body that turns about another axis, where they differ.
     turning: Vec<Plate>,
     /// Points that no plate of the body lies outside of; the lowest one is the body's lowest point.
     corners: Corners,
     /// Size of the plates [m].
     pub plate_size: f64,
-    /// Turns of a period that forces are the mean over.
+    /// Number of positions in one period over which the force is averaged.
     turns: usize,
 }
 
-/// Turns for a plate along the longest side: our choice. A period in 96 turns has forces within 1 % of those in 400, with the
-/// plates half as long and twice as many turns within 0.3 %.
+/// Positions for a plate along the longest side: our choice. A period in 96 positions has forces within 1 % of
+/// those in 400; with plates half as long and twice as many positions, within 0.3 %.
 const TURNS: f64 = 1.92;
-/// Fewest and most turns, and the most plates in all turns together: our choice, 300 MB while a load is looked for.
+/// Fewest and most positions, and the most plates in all positions together: our choice, 300 MB while a load is
+/// searched.
 const FEWEST_TURNS: usize = 48;
 const MOST_TURNS: usize = 384;
 const MOST_TURNED: usize = 2_500_000;
 
-/// Turns of a body `along` plates long, in `plates` plates.
+/// Number of positions in a period, for a body of `plates` plates, `along` of them along its longest side.
 fn turns(along: f64, plates: usize) -> usize {
     let most = (MOST_TURNED / plates.max(1)).clamp(FEWEST_TURNS, MOST_TURNS);
     ((TURNS * along).round() as usize).clamp(FEWEST_TURNS, most)
 }
 
-/// What the lowest point is taken from.
+/// The points that the lowest point is found from.
 #[derive(Clone, Debug)]
 enum Corners {
     Sphere(f64),
@@ -126,7 +127,7 @@ enum Corners {
 }
 
 impl Body {
-    /// Cut into plates of about `size` [m]; none: a fiftieth of its longest side.
+    /// Cuts a body into plates of about `size` [m]; None: a fiftieth of its longest side.
     pub fn cut(shape: &BodyShape, size: Option<f64>) -> Result<Self> {
         Self::cut_within(shape, size, mesh::MOST_PLATES)
     }
@@ -156,7 +157,7 @@ impl Body {
             BodyShape::Mesh(_) => Vec::new(),
         };
         let turning = match *shape {
-            // The ends of its rim dip into the sand one after the other.
+            // The two ends of the rim dip into the sand at different times.
             BodyShape::Cylinder { radius, width } => cut::cylinder_across(radius, width, size, size, cut::FINE),
             _ => Vec::new(),
         };
@@ -164,7 +165,7 @@ impl Body {
         Ok(Self { plates: rising(plates), turning, corners, plate_size: size, turns })
     }
 
-    /// A mesh whose file has these `bytes`: STL or OBJ, by the ending of `path`.
+    /// A mesh from the `bytes` of its file: STL or OBJ, by the ending of `path`.
     pub fn of_mesh(path: &Path, bytes: &[u8], size: Option<f64>, most: usize) -> Result<Self> {
         Self::of_triangles(path, mesh::read_bytes(path, bytes, most)?, size, most)
     }
@@ -180,7 +181,7 @@ impl Body {
         Ok(Self { plates, turning: Vec::new(), corners: Corners::Points(points), plate_size: size, turns })
     }
 
-    /// The same body `factor` times as large, in as many plates.
+    /// The same body scaled by `factor`, in as many plates.
     pub fn scaled(&self, factor: f64) -> Self {
         let plate = |p: &Plate| Plate {
             center: p.center * factor,
@@ -208,7 +209,7 @@ impl Body {
         if self.turning.is_empty() { &self.plates } else { &self.turning }
     }
 
-    /// How many turns of a period forces are the mean over.
+    /// Number of positions in one period over which the force is averaged.
     pub fn turns(&self) -> usize {
         self.turns
     }
@@ -223,7 +224,7 @@ impl Body {
         area(&self.plates)
     }
 
-    /// Does a turn about `axis` (unit) leave the body as it is?
+    /// Does any rotation about `axis` (unit) leave the body unchanged?
     pub fn is_round_about(&self, axis: Vec3<f64>) -> bool {
         match self.corners {
             Corners::Sphere(_) => true,
@@ -232,7 +233,7 @@ impl Body {
         }
     }
 
-    /// Least and greatest height [m] of the body's points over the origin.
+    /// Least and greatest height [m] of the body's points above the origin.
     pub fn heights(&self) -> [f64; 2] {
         match &self.corners {
             Corners::Sphere(radius) | Corners::Cylinder(radius, _) => [-radius, *radius],
@@ -242,13 +243,14 @@ impl Body {
         }
     }
 
-    /// The same over a whole turn about `axis` (unit): of a point, a circle's.
+    /// The same over a whole turn about `axis` (unit), in which each point moves on a circle.
     pub fn heights_in_turn(&self, axis: Vec3<f64>) -> [f64; 2] {
         let level = (1.0 - axis.z * axis.z).max(0.0).sqrt();
         match &self.corners {
             Corners::Sphere(radius) => [-radius, *radius],
             Corners::Cylinder(radius, half) => {
-                // The cylinder's axis comes to every height between these, up to a sign, which mirrors the cylinder.
+                // During a turn the cylinder's axis takes every height between these, up to a sign, which mirrors
+                // the cylinder.
                 let (middle, swing) = ((axis.y * axis.z).abs(), (1.0 - axis.y * axis.y).max(0.0).sqrt() * level);
                 let (least, most) = ((middle - swing).max(0.0), middle + swing);
                 let steepest = half / radius.hypot(*half);
@@ -265,7 +267,7 @@ impl Body {
     }
 }
 
-/// The size asked for or the default, refused where it makes too many plates.
+/// The requested or default plate size; refused where it makes too many plates.
 fn size_within(asked: Option<f64>, longest: f64, surface: f64, most: usize) -> Result<f64> {
     let size = asked.unwrap_or(longest / ALONG);
     let least = (surface / most as f64).sqrt() * 1.01;

@@ -4,10 +4,10 @@ use super::Plate;
 use crate::number::Vec3;
 use std::f64::consts::{PI, TAU};
 
-/// Fewest plates around what is round, for forces within 1 % at any size: our choice.
+/// Fewest plates around a round body, for forces within 1 % at any size: our choice.
 pub const FINE: usize = 16;
 
-/// At least `least` pieces of at most `size`.
+/// Number of pieces of at most `size`, at least `least`.
 fn pieces(length: f64, size: f64, least: usize) -> usize {
     ((length / size - 1e-9).ceil() as usize).max(least)
 }
@@ -18,7 +18,7 @@ pub fn cylinder(radius: f64, width: f64, size: f64, least: usize) -> Vec<Plate> 
     cylinder_across(radius, width, size, 4.0 * size, least)
 }
 
-/// The same with plates on the rim that are `wide`.
+/// The same with plates that are `wide` on the rim.
 pub fn cylinder_across(radius: f64, width: f64, size: f64, wide: f64, least: usize) -> Vec<Plate> {
     let (around, across) = (pieces(TAU * radius, size / 2.0, least), pieces(width, wide, least / 8));
     let mut plates = Vec::new();
@@ -43,7 +43,7 @@ pub fn cylinder_across(radius: f64, width: f64, size: f64, wide: f64, least: usi
     let rings = pieces(radius, size, least / 4);
     for side in [-1.0, 1.0] {
         for ring in 0..rings {
-            // Rings of equal area: thin at the rim, which is the part in the sand.
+            // Rings of equal area, thin near the rim, because that part is in the sand.
             let [inner, outer] = [ring, ring + 1].map(|r| radius * (r as f64 / rings as f64).sqrt());
             let sectors = pieces(TAU * outer, size, 3 * least / 4);
             // Distance of a sector's centroid from the axis.
@@ -71,7 +71,7 @@ pub fn cylinder_across(radius: f64, width: f64, size: f64, wide: f64, least: usi
 pub fn capsule(radius: f64, length: f64, size: f64, least: usize) -> Vec<Plate> {
     let mut plates = Vec::new();
     let size = size / 1.5;
-    // As many bands on either half.
+    // Equally many bands on both halves.
     for plate in ball(radius, size, 2 * pieces(PI * radius / 2.0, size, least / 4), least / 2) {
         // The ball's axis, z, becomes y.
         let turned = |v: Vec3<f64>| Vec3::new(v.x, v.z, -v.y);
@@ -114,7 +114,8 @@ fn ball(radius: f64, size: f64, bands: usize, least: usize) -> Vec<Plate> {
     let mut plates = Vec::new();
     for band in 0..bands {
         let [low, high] = [band, band + 1].map(|b| -(PI * b as f64 / bands as f64).cos());
-        // The band's mean height and the distance from the axis there: with them plates enclose the sphere's volume.
+        // The band's mean height and its distance from the axis there. With these the plates enclose the sphere's
+        // volume.
         let z = (low + high) / 2.0;
         let across = (1.0 - z * z).sqrt();
         let sectors = pieces(TAU * radius * across, size, least);

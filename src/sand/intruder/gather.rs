@@ -1,14 +1,14 @@
-//! Meshes of many small triangles as fewer plates of a chosen size.
+//! Gathers a mesh of many small triangles into fewer plates of a chosen size.
 
 use super::{Plate, Triangle, mesh};
 use crate::number::Vec3;
 use std::collections::BTreeMap;
 
-/// Directions that plates are told apart by, along an edge of a cube around them: 6 × 6². Our choice: a plate's triangles are
-/// within 15° of each other.
+/// Number of directions that plates are sorted by: cells on the six faces of a cube, 6 × 6². Our choice: the
+/// normals in a plate differ by at most 15°.
 const DIRECTIONS: f64 = 6.0;
 
-/// What a plate is made of.
+/// Sums over the triangles of a plate.
 #[derive(Default, Clone, Copy)]
 struct Sum {
     area: f64,
@@ -18,15 +18,15 @@ struct Sum {
     volume: f64,
 }
 
-/// Outward plates of about `size` from a closed surface, with its area and volume: triangles that are longer are halved,
-/// those of one cell that look alike are one plate. None if that makes too many.
+/// Outward plates of about `size` from a closed surface, with its area and volume. Longer triangles are halved.
+/// Triangles of one cell with similar normals become one plate. None if there would be too many.
 pub fn gathered(triangles: &[Triangle], size: f64) -> Option<Vec<Plate>> {
     let corners = triangles.iter().flatten();
     let [low, high] = corners.fold([[f64::MAX; 3], [f64::MIN; 3]], |[low, high], p| {
         let at = p.lane(0);
         [std::array::from_fn(|k| low[k].min(at[k])), std::array::from_fn(|k| high[k].max(at[k]))]
     });
-    // Whole cells from end to end.
+    // A whole number of cells along each side.
     let cells: [f64; 3] = std::array::from_fn(|k| ((high[k] - low[k]) / size).ceil().max(1.0));
     let middle = Vec3::splat(std::array::from_fn(|k| (low[k] + high[k]) / 2.0));
     let mut sums: BTreeMap<([u32; 3], [u8; 3]), Sum> = BTreeMap::new();
@@ -47,11 +47,11 @@ pub fn gathered(triangles: &[Triangle], size: f64) -> Option<Vec<Plate>> {
     Some(sums.values().filter_map(|sum| sum.plate(middle)).collect())
 }
 
-/// The face of a cube that a normal passes through, and where on it.
+/// The face of a cube that a normal passes through, and the position on it.
 fn direction(n: [f64; 3]) -> [u8; 3] {
     let axis = (0..3).fold(0, |a, k| if n[k].abs() > n[a].abs() { k } else { a });
     let on = |k: usize| {
-        // Equal angles: tan of 45° is the edge.
+        // Equal angles; the edge of the face is at tan 45° = 1.
         let along = (n[(axis + k) % 3] / n[axis].abs()).atan() / std::f64::consts::FRAC_PI_4;
         ((along + 1.0) / 2.0 * DIRECTIONS).clamp(0.0, DIRECTIONS - 1.0) as u8
     };
@@ -67,14 +67,14 @@ impl Sum {
         }
         let normal = directed * (1.0 / length);
         let center = Vec3::<f64>::splat(self.place) * (1.0 / self.area);
-        // Along the normal to where the plate encloses the same volume as its triangles.
+        // Moves the plate along its normal until it encloses the same volume as its triangles.
         let out = self.volume / self.area - (center - middle).dot(normal);
         let half = 0.5 * self.area.sqrt();
         let n = normal.lane(0);
         let beside = if n[2].abs() < 0.9 { Vec3::new(0.0, 0.0, 1.0) } else { Vec3::new(1.0, 0.0, 0.0) };
         let across = normal.cross(beside);
         let across = across * (half / across.norm_squared().sqrt());
-        // Normals that turn evenly by ±a along both sides of a square have a mean shorter than 1 by a²/3.
+        // Normals that turn evenly by ±a along both sides of a square have a mean that is shorter than 1 by a²/3.
         let turn = (3.0 * (1.0 - length / self.area).max(0.0)).sqrt();
         let (half, bend) = ([across, normal.cross(across)], [turn / half; 2]);
         Some(Plate { center: normal.scale_add(out, center), normal, area: self.area, half, bend })

@@ -12,14 +12,14 @@ pub type Triangle = [Vec3<f64>; 3];
 /// Most plates of a body: our choice, 2 × 10⁶ take 240 MB.
 pub(super) const MOST_PLATES: usize = 2_000_000;
 
-/// Most triangles of a mesh: our choice; 10⁶ are finer than a scan needs to be.
+/// Most triangles of a mesh: our choice; no scan needs more than 10⁶.
 const MOST_TRIANGLES: usize = 1_000_000;
-/// Largest file that is read [bytes]: 10⁶ triangles as text, our choice of a guard.
+/// Largest file that is read [bytes]: 10⁶ triangles as text; our choice.
 const MOST_BYTES: u64 = 300 << 20;
 /// |Σ n A|/Σ A above which a surface is not closed: our choice, far above the rounding of STL's single precision.
 const OPEN: f64 = 1e-3;
 
-/// The triangles of a file; those without area are left out.
+/// The triangles of a file, without those of zero area.
 pub fn read(path: &Path) -> Result<Vec<Triangle>> {
     let file = File::open(path).map_err(|e| Error::file(path, e))?;
     let bytes = file.metadata().map_err(|e| Error::file(path, e))?.len();
@@ -32,7 +32,7 @@ pub fn read(path: &Path) -> Result<Vec<Triangle>> {
     some(path, read_from(path, BufReader::new(file), MOST_TRIANGLES)?)
 }
 
-/// The same of a file's `bytes`, with at most `most` triangles.
+/// The same from a file's `bytes`, with at most `most` triangles.
 pub fn read_bytes(path: &Path, bytes: &[u8], most: usize) -> Result<Vec<Triangle>> {
     some(path, read_mesh(path, bytes, most)?)
 }
@@ -41,7 +41,7 @@ fn some(path: &Path, triangles: Vec<Triangle>) -> Result<Vec<Triangle>> {
     if triangles.is_empty() { Err(Error::file(path, "no triangles")) } else { Ok(triangles) }
 }
 
-/// The triangles in `bytes`, STL or OBJ by the ending of `path`, at most `most`.
+/// Reads the triangles in `bytes`, STL or OBJ by the ending of `path`, at most `most`.
 pub fn read_mesh(path: &Path, bytes: &[u8], most: usize) -> Result<Vec<Triangle>> {
     read_from(path, std::io::Cursor::new(bytes), most)
 }
@@ -75,7 +75,7 @@ fn read_stl(path: &Path, mut reader: impl BufRead + Seek, most: usize) -> Result
 fn read_obj(path: &Path, mut reader: impl BufRead, most: usize) -> Result<Vec<Triangle>> {
     let options =
         tobj::LoadOptions { triangulate: true, ignore_lines: true, ignore_points: true, ..Default::default() };
-    // Colours are of no use here, so no other file is opened.
+    // Colours are not needed, so no material file is opened.
     let no_materials = |_: &Path| Ok(Default::default());
     let (models, _) = tobj::load_obj_buf(&mut reader, &options, no_materials).map_err(|e| Error::file(path, e))?;
     let mut triangles = Vec::new();
@@ -100,7 +100,7 @@ fn point(p: [f32; 3]) -> Vec3<f64> {
     Vec3::new(x, y, z)
 }
 
-/// Twice the area along the normal.
+/// Normal vector with a length of twice the area.
 fn cross([a, b, c]: &Triangle) -> Vec3<f64> {
     (*b - *a).cross(*c - *a)
 }
@@ -132,13 +132,13 @@ pub fn plates(path: &Path, triangles: &[Triangle], size: f64, most: usize) -> Re
         return Err(Error::file(path, "the surface is not closed"));
     }
     if volume(&plates) < 0.0 {
-        // Every triangle is wound the other way round.
+        // Every triangle with its winding reversed.
         plates.iter_mut().for_each(|p| p.normal = -p.normal);
     }
     Ok(plates)
 }
 
-/// A plate for each triangle, halved until no side is longer than `size`; none if that makes too many.
+/// Plates from triangles, halved until no side is longer than `size`; None if there would be too many.
 pub fn halved(triangles: &[Triangle], size: f64) -> Option<Vec<Plate>> {
     halved_within(triangles, size, MOST_PLATES)
 }

@@ -44,7 +44,7 @@ impl Plate {
     }
 }
 
-/// The volume [m³] that plates enclose, by the divergence theorem.
+/// The volume [m³] that the plates enclose, by the divergence theorem.
 pub fn volume(plates: &[Plate]) -> f64 {
     plates.iter().map(|p| p.center.dot(p.normal) * p.area).sum::<f64>() / 3.0
 }

@@ -4,25 +4,27 @@ use super::{Body, Plate};
 use crate::error::{Error, Result, check_range};
 use crate::number::Vec3;
 use crate::parallel;
-use crate::{Ground, SandDescription, Site, Surface};
+use crate::{SandBed, SandDescription, SegmentState, Surface};
 
-/// Depths between none and covered at which a load is first looked for: our choice, 4 mm for a wheel of 125 mm.
+/// Number of depths, from no part covered to all covered, at which the search for a load begins: our choice, 4 mm
+/// apart for a wheel of 125 mm.
 const STEPS: usize = 32;
-/// Depth to which a load is solved [m]: our choice, far below what can be measured.
+/// Accuracy [m] of the depth that carries a load: our choice, far below what can be measured.
 const EXACT: f64 = 1e-8;
-/// Two depths [m] that tell what grows with depth from what does not.
+/// Two depths [m] that separate the force that grows with depth from the constant one.
 const PROBES: [f64; 2] = [0.02, 0.04];
 
-/// What is known of a trial besides its motion.
+/// The given quantity of a trial besides its motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Given {
-    /// Of the lowest point below the undisturbed surface [m]; of a body that is not round, the lowest of its turn.
+    /// Depth of the lowest point below the undisturbed surface [m]; for a body that is not round, of the lowest
+    /// point of its turn.
     Depth(f64),
-    /// Upward force to be carried [N].
+    /// Upward force that the sand must carry [N].
     Load(f64),
 }
 
-/// One steady motion of the body's origin.
+/// A steady motion of the body's origin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trial {
     /// [m/s]
@@ -33,7 +35,7 @@ pub struct Trial {
 }
 
 impl Trial {
-    /// Refuses what no experiment has: our choice of guards against slips of units.
+    /// Refuses numbers that no experiment has: our choice, which catches wrong units.
     pub fn validated(self) -> Result<Self> {
         for (name, value) in ["vx", "vy", "vz"].iter().zip(self.velocity) {
             check_range(name, value, -100.0..=100.0)?;
@@ -52,7 +54,7 @@ impl Trial {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Status {
     Ok,
-    /// No depth down to the body's own height carries the load.
+    /// No depth up to the body's own height carries the load.
     NoEquilibrium,
 }
 
@@ -65,19 +67,19 @@ impl Status {
     }
 }
 
-/// What the sand does to the body; not a number where there is no equilibrium.
+/// The sand's force and torque on the body; NaN where there is no equilibrium.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Outcome {
-    /// On the body [N].
+    /// Force on the body [N].
     pub force: [f64; 3],
-    /// About the body's origin [N·m].
+    /// Torque about the body's origin [N·m].
     pub torque: [f64; 3],
     /// [m]
     pub depth: f64,
     pub status: Status,
 }
 
-/// Mechanisms that a body in steady motion does not have, as far as `sand` switches them on.
+/// Mechanisms of `sand` that do nothing to a body in steady motion.
 pub fn without_effect(sand: &SandDescription) -> Vec<&'static str> {
     let m = &sand.mechanisms;
     let all = [
@@ -89,15 +91,15 @@ pub fn without_effect(sand: &SandDescription) -> Vec<&'static str> {
     all.into_iter().filter(|(_, value)| *value != 0.0).map(|(id, _)| id).collect()
 }
 
-/// The same sand beside a surface with friction coefficient `mu`.
+/// The same sand with friction coefficient `mu` on the body's surface.
 pub fn with_friction(sand: &SandDescription, mu: f64) -> Result<SandDescription> {
     let mut sand = sand.clone();
-    // 10 is rougher than any surface; below 0.1 the catalogue's 1/μ ends.
+    // A coefficient of 10 is rougher than any surface; below 0.1 1/μ would exceed the catalogue's bound.
     sand.mechanisms.friction_clip = 1.0 / check_range("mu-s", mu, 0.1..=10.0)?;
     Ok(sand)
 }
 
-/// Every trial, on all processors.
+/// Computes every trial, on all processors.
 pub fn compute_all(body: &Body, sand: &SandDescription, trials: &[Trial]) -> Result<Vec<Outcome>> {
     check_all(sand, trials)?;
     Ok(parallel::map(trials, |trial| compute(body, sand, trial)))
@@ -114,9 +116,9 @@ pub fn check_all(sand: &SandDescription, trials: &[Trial]) -> Result<()> {
     Ok(())
 }
 
-/// What one plate feels: force = growing · D(depth) + constant, D the depth or its power.
+/// The force on one plate: growing · D(depth) + constant, where D is the depth or its power.
 struct Piece {
-    /// Height of the centre over the body's origin [m], and half the plate's vertical extent.
+    /// Height of the centre above the body's origin [m], and half the plate's vertical extent.
     height: f64,
     rise: f64,
     arm: Vec3<f64>,
@@ -124,27 +126,28 @@ struct Piece {
     constant: Vec3<f64>,
 }
 
-/// Shares of a body's height for which pieces are made: a load that a part of it carries needs no others.
+/// Shares of a body's height for which pieces are made. If the part below the first share carries the load, no more
+/// pieces are needed.
 const PARTS: [f64; 2] = [0.4, 1.0];
 
-/// A body in motion: its leading plates below some height, lowest first, over all turns.
+/// A body in motion: its leading plates below some height, lowest first, in all positions of its turn.
 struct Motion<'a> {
-    ground: &'a Ground<f64>,
+    ground: &'a SandBed<f64>,
     pieces: Vec<Piece>,
     share: f64,
 }
 
-/// One turn or several over a period, and how low and high the body comes [m].
+/// The positions of the turn (one or several), and the least and greatest height of the body [m].
 struct Turns {
     axis: Vec3<f64>,
     count: usize,
     heights: [f64; 2],
 }
 
-/// One trial.
+/// Computes one trial.
 pub fn compute(body: &Body, sand: &SandDescription, trial: &Trial) -> Outcome {
     let medium = sand.medium();
-    let ground = Ground::new(sand.law, &medium, &Surface::BARE).with(&sand.mechanisms, &medium);
+    let ground = SandBed::new(sand.law, &medium, &Surface::BARE).with(&sand.mechanisms, &medium);
     let plain = sand.mechanisms.inertial_drag == 0.0 && sand.mechanisms.cohesion == 0.0;
     let turns = Turns::of(body, trial);
     let height = turns.heights[1] - turns.heights[0];
@@ -186,11 +189,11 @@ impl Turns {
 }
 
 impl<'a> Motion<'a> {
-    /// Of the plates that begin below `surface` [m] over the origin.
-    fn new(body: &Body, ground: &'a Ground<f64>, trial: &Trial, turns: &Turns, surface: f64, plain: bool) -> Self {
+    /// Makes pieces of the plates that begin below `surface` [m] above the origin.
+    fn new(body: &Body, ground: &'a SandBed<f64>, trial: &Trial, turns: &Turns, surface: f64, plain: bool) -> Self {
         let mut pieces = Vec::new();
         if turns.count == 1 {
-            // They lie in this order already.
+            // The plates are sorted already.
             let below = body.plates.iter().take_while(|p| p.center.z - p.rise() < surface);
             pieces.extend(below.filter_map(|p| Piece::of(ground, p, trial, plain)));
             return Self { ground, pieces, share: 1.0 };
@@ -210,7 +213,7 @@ impl<'a> Motion<'a> {
         Self { ground, pieces, share: 1.0 / turns.count as f64 }
     }
 
-    /// Force and torque with the sand's surface at `surface` [m] over the origin.
+    /// Force and torque when the sand's surface is at `surface` [m] above the origin.
     fn load(&self, surface: f64) -> [Vec3<f64>; 2] {
         let mut sum = [Vec3::zero(), Vec3::zero()];
         for piece in self.pieces.iter().take_while(|p| p.height - p.rise < surface) {
@@ -239,15 +242,17 @@ impl<'a> Motion<'a> {
 }
 
 impl Piece {
-    /// None where no part of the plate leads; where the leading edge crosses it, in proportion.
-    fn of(ground: &Ground<f64>, plate: &Plate, trial: &Trial, plain: bool) -> Option<Self> {
+    /// The leading share of a plate: None where no part leads; where the leading edge crosses the plate, in
+    /// proportion.
+    fn of(ground: &SandBed<f64>, plate: &Plate, trial: &Trial, plain: bool) -> Option<Self> {
         let (velocity, spin) = (Vec3::<f64>::splat(trial.velocity), Vec3::<f64>::splat(trial.spin));
         let v = velocity + spin.cross(plate.center);
         let speed = v.norm_squared().sqrt();
         if speed == 0.0 {
             return None;
         }
-        // Rounding must not decide about a plate that moves along itself, nor on which side a vertical one is looked at.
+        // Limits that keep rounding from deciding whether a plate that moves along itself leads, and which side of
+        // a vertical plate does.
         let least = 1e-12 * speed;
         let n = plate.normal;
         let normal = if n.z.abs() < 1e-12 { Vec3::new(n.x, n.y, 0.0) } else { n };
@@ -257,12 +262,12 @@ impl Piece {
         if leading == 0.0 {
             return None;
         }
-        // The part that leads does so by half of what the edge does, where the centre does not; a plate that moves along itself
-        // is pushed too, not pulled.
+        // Where the centre does not lead, the leading part moves with half of the edge's n·v. A plate that moves
+        // along itself is pushed too, not pulled.
         let toward = if leading < 1.0 { (along + uneven) / 2.0 } else { along.max(least) };
         let v = normal.scale_add(toward - along, v);
         let at = |depth| {
-            let site = Site::fresh(depth, plate.center.x).travelling([velocity.x, velocity.y]);
+            let site = SegmentState::fresh(depth, plate.center.x).travelling([velocity.x, velocity.y]);
             ground.thin_plate(&site, plate.area * leading, normal, v).force
         };
         let less = ground.grown(PROBES[0]);

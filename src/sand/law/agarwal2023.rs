@@ -1,18 +1,19 @@
 //! Three-dimensional resistive force theory: Agarwal, Goldman & Kamrin, PNAS 120:e2214017120 (2023).
 //!
-//! One polynomial for all media times one number ξ_n a medium. In the local frame r̂ (horizontal part of the velocity),
-//! θ̂, ẑ a segment has tilt β, its velocity the angle γ below the horizontal, its normal the azimuth ψ from r̂:
+//! One polynomial for all media times one number ξ_n a medium. In the local frame r̂ (horizontal part of the
+//! velocity), θ̂, ẑ a segment has tilt β, its velocity the angle γ below the horizontal, its normal the azimuth ψ
+//! from r̂:
 //!
-//! x1 = sin γ, x2 = cos β, x3 = cos ψ cos γ sin β + sin γ cos β, f_i = Σ_k c_ik T_k(x1, x2, x3),
-//! α_r = f1 sin β cos ψ + f2 cos γ, α_θ = f1 sin β sin ψ, α_z = −f1 cos β − f2 sin γ − f3.
+//! x1 = sin γ, x2 = cos β, x3 = cos ψ cos γ sin β + sin γ cos β, f_i = Σ_k c_ik T_k(x1, x2, x3), α_r = f1 sin β cos
+//! ψ + f2 cos γ, α_θ = f1 sin β sin ψ, α_z = −f1 cos β − f2 sin γ − f3.
 //!
-//! With N = (sin β cos ψ, sin β sin ψ, −cos β), the segment's normal on its lower side (β is defined modulo π), and the
-//! direction of motion u = (cos γ, 0, −sin γ) this is x1 = −u_z, x2 = −N_z, x3 = N·u and α = f1 N + f2 u − f3 ẑ: no frame
-//! and no trigonometry is left.
+//! With N = (sin β cos ψ, sin β sin ψ, −cos β), the segment's normal on its lower side (β is defined modulo π), and
+//! the direction of motion u = (cos γ, 0, −sin γ) this is x1 = −u_z, x2 = −N_z, x3 = N·u and α = f1 N + f2 u − f3
+//! ẑ. This form needs no local frame and no trigonometry.
 //!
 //! Two properties of the published fit that users should know, both tested in `tests/laws_of_sand.rs`:
-//! * a plate drawn upward can gain energy: in 0.08 % of all pairs of directions, at most 0.006 ξ_n of stress per depth
-//!   along the motion, and more than 0.001 ξ_n only where it is nearly horizontal (β < 12°);
+//! * a plate drawn upward can gain energy: in 0.08 % of all pairs of directions, at most 0.006 ξ_n of stress per
+//!   depth   along the motion, and more than 0.001 ξ_n only where it is nearly horizontal (β < 12°);
 //! * across a vertical plate, where β jumps from π/2 to −π/2, α jumps by up to 0.05 ξ_n.
 
 use super::{Motion, Normals, StressLaw};
@@ -106,7 +107,7 @@ fn laplacian<R: Real>(x1: R, x2: R, x3: R, n: Vec3<R>, u: Vec3<R>) -> Vec3<R> {
     let (x11, x22, x33, x12, x13, x23) = (x1 * x1, x2 * x2, x3 * x3, x1 * x2, x1 * x3, x2 * x3);
     let (one, s) = (R::one(), |x: f64| R::splat(x));
     let two = s(2.0);
-    // Parts of degree 1, 2 and 3; that of degree 0 counts for f1 alone, which N multiplies.
+    // Parts of degree 1, 2 and 3. The part of degree 0 counts only in f1, because N multiplies f1.
     let zeroth = sum([(0, one), (1, x1), (4, x11), (10, x11 * x1)])[0];
     let first = sum([(2, x2), (3, x3), (7, x12), (9, x13), (14, x2 * x11), (17, x3 * x11)]);
     let second = sum([(5, x22), (6, x33), (8, x23), (13, x1 * x22), (18, x1 * x33), (19, x12 * x3)]);
@@ -155,8 +156,8 @@ fn laplacian<R: Real>(x1: R, x2: R, x3: R, n: Vec3<R>, u: Vec3<R>) -> Vec3<R> {
     all
 }
 
-/// The published components (α_r, α_θ, α_z)/ξ_n at angles [rad], before anything is done about the surface.
-/// β counts modulo π into [−π/2, π/2]; a π/2 that was rounded up when it was written stays itself.
+/// The published components (α_r, α_θ, α_z)/ξ_n at angles [rad], without the surface's friction. β counts modulo π
+/// in [−π/2, π/2]; a π/2 that was rounded up in writing stays π/2.
 pub fn components(beta: f64, gamma: f64, psi: f64) -> [f64; 3] {
     use std::f64::consts::{FRAC_PI_2, PI};
     let turns = if beta.abs() <= FRAC_PI_2 + 1e-6 { 0.0 } else { (beta / PI).round() };
@@ -171,8 +172,8 @@ pub fn components(beta: f64, gamma: f64, psi: f64) -> [f64; 3] {
 #[inline(always)]
 fn on_surface<R: Real>(alpha: Vec3<R>, n: Vec3<R>, leading: R, friction: Option<R>) -> Vec3<R> {
     let normal = alpha.dot(n);
-    // Where the fit pulls the plate along (normal·leading > 0; 5 % of all directions) the pull becomes a push. At
-    // leading = ±1 that is exactly −|normal| on the leading side; in between, the turn is gradual.
+    // Where the fit pulls the plate along (normal·leading > 0; 5 % of all directions), the pull becomes a push. At
+    // leading = ±1 it is exactly −|normal| on the leading side; in between it changes gradually.
     let turned = (normal * leading).max(R::zero()) * R::splat(2.0);
     let pushed = n.scale_add(R::select(normal.lt(R::zero()), turned, -turned), alpha);
     let Some(friction) = friction else { return pushed };
@@ -182,7 +183,7 @@ fn on_surface<R: Real>(alpha: Vec3<R>, n: Vec3<R>, leading: R, friction: Option<
     tangential.scale_add((friction * normal.abs() / size).min(R::one()), n * normal)
 }
 
-/// The published components with the surface law, at angles [rad]; `friction` is μ_s.
+/// The published components with the surface's friction, at angles [rad]; `friction` is μ_s.
 pub fn components_on_surface(beta: f64, gamma: f64, psi: f64, friction: f64) -> [f64; 3] {
     let ([r, t, z], n) =
         (components(beta, gamma, psi), Vec3::new(beta.sin() * psi.cos(), beta.sin() * psi.sin(), -beta.cos()));
@@ -191,17 +192,17 @@ pub fn components_on_surface(beta: f64, gamma: f64, psi: f64, friction: f64) -> 
     [alpha.x, alpha.y, alpha.z]
 }
 
-/// ξ_n [N/m³] of a medium whose penetration stress is known: the one number is measured, not derived.
+/// ξ_n [N/m³] of a medium whose penetration stress is known, from the measured stress.
 pub fn calibrated(c: &Coefficients) -> f64 {
     c.penetration() / PENETRATION
 }
 
-/// ξ_n and the surface's friction.
+/// The numbers of the law: ξ_n and the surface's friction.
 #[derive(Clone, Copy)]
 pub struct SpatialTable<R> {
     /// [N/m³]
     scale: R,
-    /// μ_s of the segment's surface; none: tangential stress as fitted.
+    /// μ_s of the segment's surface; None: the tangential stress as fitted.
     friction: Option<R>,
     inverse_gate: R,
 }

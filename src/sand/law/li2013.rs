@@ -7,7 +7,7 @@ use super::{Motion, Normals, StressLaw};
 use crate::media::{Coefficients, Medium};
 use crate::number::{Real, Vec3};
 
-/// Terms of `li2013` gathered by the products that the trigonometry-free form needs; [N/m³].
+/// Coefficients of `li2013`, gathered by the products in the form without trigonometry; [N/m³].
 #[derive(Clone, Copy)]
 pub struct PlanarTable<R> {
     a00: R,
@@ -74,7 +74,8 @@ impl<R: Real> StressLaw<R> for PlanarTable<R> {
         self.planar(cos_2b, sin_2b_over_h, sin_2b_cos_g, [ex, ey], m)
     }
 
-    /// Exact, because the stress is of second degree in the normal; e is the one of the mean normal where the motion is vertical.
+    /// Exact, because the stress is of second degree in the normal. Where the motion is vertical, e is taken from
+    /// the mean normal.
     #[inline(always)]
     fn mean_stress(&self, normals: &Normals<R>, m: &Motion<R>) -> Vec3<R> {
         let (n, s, p) = (normals.unit, normals.squares, normals.products);
@@ -91,7 +92,7 @@ impl<R: Real> StressLaw<R> for PlanarTable<R> {
 }
 
 impl<R: Real> PlanarTable<R> {
-    /// The law, of cos 2β, sin 2β / |v_h| and sin 2β cos γ.
+    /// The law, as a function of cos 2β, sin 2β / |v_h| and sin 2β cos γ.
     #[inline(always)]
     fn planar(&self, cos_2b: R, sin_2b_over_h: R, sin_2b_cos_g: R, [ex, ey]: [R; 2], m: &Motion<R>) -> Vec3<R> {
         let sin_g = -(m.v.z * m.inverse_speed);
@@ -105,10 +106,11 @@ impl<R: Real> PlanarTable<R> {
     }
 }
 
-/// Along e, about as long as the horizontal velocity; `along` is its product with the normal.
+/// A vector along e, about as long as the horizontal velocity; `along` is its product with the normal.
 #[inline(always)]
 fn heading<R: Real>(n: Vec3<R>, along: R, m: &Motion<R>) -> [R; 2] {
-    // 1e-6 of the vertical speed along the normal decides e only where the motion is vertical to that accuracy.
+    // Adds 1e-6 of the vertical speed along the normal. It decides e only where the horizontal speed is below 1e-6
+    // of the vertical one.
     let nudge = R::splat(1e-6) * m.v.z.abs();
     let nudge = R::select(along.lt(R::zero()), -nudge, nudge);
     [n.x.mul_add(nudge, m.v.x), n.y.mul_add(nudge, m.v.y)]

@@ -4,8 +4,8 @@
 //! * [`penetration_drag`]: its baseline, one-dimensional penetration and drag.
 //! * [`agarwal2023`]: three-dimensional RFT: one universal polynomial, one number a medium.
 //!
-//! A law is one type that implements [`StressLaw`]. Hot loops take it as a type parameter and are chosen between once
-//! a loop by [`super::contact::Form`], so a new law costs the others nothing.
+//! A law is a type that implements [`StressLaw`]. Hot loops take it as a type parameter and match on
+//! [`super::contact::LawCoefficients`] once a loop, so a new law does not slow the others.
 
 pub mod agarwal2023;
 pub mod li2013;
@@ -64,28 +64,29 @@ pub struct Motion<R> {
     pub inverse_square: R,
 }
 
-/// A law's numbers, one medium a lane.
+/// The numbers of a law, one medium a lane.
 pub trait StressLaw<R: Real>: Copy {
-    /// Gives lane `lane` its own medium.
+    /// Sets the medium of lane `lane`.
     fn set_lane(&mut self, lane: usize, medium: &Medium);
 
-    /// Stress per depth [N/m³] on a thin segment with unit normal `n`, both sides together; the same for −`n`.
+    /// Stress per depth [N/m³] on a thin segment with unit normal `n`, both sides together. `n` and −`n` give the
+    /// same.
     fn stress(&self, n: Vec3<R>, motion: &Motion<R>) -> Vec3<R>;
 
-    /// Mean of [`StressLaw::stress`] over `normals`; here to second order in how far they are from their mean, as if in all
-    /// directions alike.
+    /// Mean of [`StressLaw::stress`] over `normals`. This default is exact to second order in the deviation from
+    /// the mean normal, and takes the deviations to be alike in all directions.
     #[inline(always)]
     fn mean_stress(&self, normals: &Normals<R>, motion: &Motion<R>) -> Vec3<R> {
         self.stress(normals.unit, motion)
     }
 }
 
-/// Normals of a curved face.
+/// The normals of a curved face.
 #[derive(Clone, Copy)]
 pub struct Normals<R> {
-    /// Along their mean.
+    /// Unit vector along their mean.
     pub unit: Vec3<R>,
-    /// How much shorter than 1 their mean is.
+    /// 1 − length of their mean.
     pub spread: R,
     /// Means of their products: xx, yy, zz and yz, xz, xy.
     pub squares: Vec3<R>,
@@ -93,7 +94,7 @@ pub struct Normals<R> {
 }
 
 impl<R: Real> Normals<R> {
-    /// `mean` is their mean, which is not 0.
+    /// From their mean `mean`, which must not be 0.
     #[inline(always)]
     pub fn new(mean: Vec3<R>, squares: Vec3<R>, products: Vec3<R>) -> Self {
         let squared = mean.norm_squared();
@@ -102,7 +103,7 @@ impl<R: Real> Normals<R> {
         Self { unit: mean * inverse, spread, squares, products }
     }
 
-    /// The same in other axes, whose columns `axes` has.
+    /// The same in other axes: the columns of `axes`.
     #[inline(always)]
     pub fn turned(mean: Vec3<R>, squares: Vec3<R>, products: Vec3<R>, axes: &Mat3<R>) -> Self {
         let (s, p) = (squares, products);

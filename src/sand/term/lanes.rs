@@ -1,10 +1,11 @@
-//! Terms in the hot loop: the same for one number and for lanes.
+//! Terms in the hot loop, for one number or for lanes.
 
 use super::{Group, MOST_GROUPS, MOST_TERMS, On, Term};
 use crate::GRAVITY;
 use crate::number::{Real, Vec3};
 
-/// Speed [m/s] below which a term falls to zero, so that it has no edge at rest: our choice, a tenth of what cohesion has.
+/// Speed [m/s] below which a term falls to zero, so that it is smooth at rest: our choice, a tenth of cohesion's
+/// speed.
 const REST_SPEED: f64 = 1e-4;
 /// One group of a term in the hot loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -15,7 +16,7 @@ struct Factor {
     power: f64,
 }
 
-/// One term, the same in all lanes but for its coefficient.
+/// One term. All lanes share it except for its coefficient.
 #[derive(Clone, Copy)]
 struct Slot<R> {
     on: On,
@@ -32,7 +33,7 @@ pub struct LaneTerms<R> {
     count: usize,
 }
 
-/// What a term is asked at.
+/// The arguments of a term.
 pub struct Piece<R> {
     pub depth: R,
     pub width: R,
@@ -51,8 +52,8 @@ impl<R: Real> LaneTerms<R> {
         Self { slots: [slot; MOST_TERMS], count: 0 }
     }
 
-    /// Gives one lane its own terms. Lanes share slots: terms that differ in more than their coefficient take one each, in a fixed
-    /// order, and a lane whose terms find no slot left gets a strength that is not a number, which ends its episode.
+    /// Sets one lane's terms. Lanes share slots. Terms that differ in more than their coefficient take a slot each,
+    /// in a fixed order. If no slot is left for a lane's terms, its strength becomes NaN, which ends its episode.
     pub fn set_lane(&mut self, lane: usize, terms: &[Term], bulk_density: f64) {
         (0..self.count).for_each(|k| self.slots[k].strength.set_lane(lane, 0.0));
         for term in terms {
@@ -105,7 +106,7 @@ impl<R: Real> LaneTerms<R> {
         (normal * speed / speed.mul_add(speed, rest).sqrt(), tangential)
     }
 
-    /// Direction against the tangential velocity, shorter near rest.
+    /// Unit direction against the tangential velocity; its length falls to 0 near rest.
     #[inline(always)]
     pub fn against_slip(n: Vec3<R>, v: Vec3<R>) -> Vec3<R> {
         let along = v - n * n.dot(v);

@@ -1,8 +1,8 @@
-//! Laws found in data, as data: stress terms of `sand.toml` (`[[term]]`), checked when they are read.
+//! Additional stress terms of `sand.toml` (`[[term]]`), checked when they are read.
 //!
-//! A term adds the stress `coefficient · ρ g |z| · Π group^power` on a submerged piece, against the normal of its leading face or
-//! against its tangential velocity. Each group is clamped to its range, so a law is never followed beyond the data it was found
-//! in. Both engines and the force logs evaluate it through [`LaneTerms`].
+//! A term adds the stress `coefficient · ρ g |z| · Π group^power` on a submerged piece, against the normal of its
+//! leading face or against its tangential velocity. Each group is clamped to its range, so a term is never
+//! extrapolated beyond the data it was found in. Both engines and the force logs evaluate it through [`LaneTerms`].
 
 mod lanes;
 
@@ -14,14 +14,14 @@ use std::collections::BTreeMap;
 
 pub use lanes::{LaneTerms, Piece};
 
-/// Terms of one sand, and different terms of all environments that are computed together: our choice.
+/// Most terms of one sand, and most different terms among environments that are computed together: our choice.
 pub const MOST_TERMS: usize = 4;
-/// Groups of one term.
+/// Most groups of one term.
 const MOST_GROUPS: usize = 4;
-/// Orientations and directions of motion at which energy is checked, over a right angle to either side.
+/// Number of orientations and of directions at which energy is checked, over 90° to either side.
 const ANGLES: i32 = 18;
 
-/// What a term acts against.
+/// The direction that a term acts against.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum On {
@@ -31,16 +31,17 @@ pub enum On {
 
 /// A dimensionless number of a moving piece.
 ///
-/// Grain size, curvature and walls stand here by our choice, without a published power of them: each measures one of the things that
-/// resistive force theory leaves out when it takes sand for a continuum (d/w), a face for flat pieces that do not know of each other
-/// (κ w) and the bed for a half-space (distance of a wall over w). Whoever finds such a law can write it down.
+/// Grain size, curvature and distance of a wall are in this list by our choice; no published power is known for
+/// them. Each measures one effect that resistive force theory neglects: sand is made of grains (d/w), neighbouring
+/// pieces of a curved face influence each other (κ w), and a bed has walls (distance over w). A user who finds such
+/// a law can write it as a term.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Group {
     /// v_n²/(g |z|)
     Froude,
     /// |z|/w, w the width across the plane of motion
     DepthOverWidth,
-    /// Grain diameter over w; 0 where nobody gives it.
+    /// Grain diameter over w; 0 where it is not given.
     GrainOverWidth,
     /// Curvature times w; 0 of flat pieces, as all pieces of the engines are.
     Curvature,
@@ -48,7 +49,7 @@ pub enum Group {
     Acceleration,
     /// Earlier passes here; 0 in the engines.
     Passes,
-    /// Distance of a wall over w; far away where nobody gives it.
+    /// Distance of a wall over w; far away where it is not given.
     Wall,
     SinGamma,
     CosGamma,
@@ -76,7 +77,7 @@ impl Group {
         Self::ALL.iter().find(|g| g.0 == name).map(|g| g.1).ok_or_else(|| Error::unknown("group", name, &known))
     }
 
-    /// As it is written in words and in TeX.
+    /// The group in words and in TeX.
     pub fn symbols(self) -> (&'static str, &'static str) {
         match self {
             Group::Froude => ("v_n²/(g|z|)", r"\frac{v_n^2}{g|z|}"),
@@ -108,15 +109,15 @@ pub struct Term {
     /// Group → power.
     #[serde(default)]
     pub groups: BTreeMap<String, f64>,
-    /// Group → least and greatest value; beyond them the group is held.
+    /// Group → least and greatest value; values outside are clamped.
     #[serde(default)]
     pub range: BTreeMap<String, [f64; 2]>,
 }
 
-/// Share of the penetration stress that no experiment tells from none: our choice.
+/// A share of the penetration stress too small for any experiment to detect: our choice.
 const UNTOLD: f64 = 1e-3;
 
-/// What the law itself does to a piece that moves, per depth [N/m³].
+/// Bounds of the law's own stress on a moving piece, per depth [N/m³].
 struct Resisting {
     /// Push on the leading face.
     normal: f64,
@@ -169,8 +170,9 @@ impl Term {
         factors.iter().zip(groups).fold(self.coefficient, |product, ((_, power, _), at)| product * at.powf(*power))
     }
 
-    /// The law with the term must resist everywhere: at every orientation and direction, and wherever in its range the rest is. The
-    /// published coefficients themselves pull a little at some steep orientations; a term may not pull more than they do.
+    /// The law with the term must resist the motion at every orientation and direction, for all values of the other
+    /// groups within their ranges. The published coefficients themselves pull a little at some steep orientations;
+    /// a term may not pull more than they do.
     fn check_energy(
         &self,
         factors: &[(Group, f64, [f64; 2])],
@@ -220,7 +222,7 @@ impl Term {
         bounds[0]
     }
 
-    /// In words.
+    /// The term in words.
     pub fn formula(&self) -> String {
         let power = |(name, power): (&String, &f64)| {
             let symbol = Group::named(name).map_or("", |g| g.symbols().0);
@@ -276,7 +278,7 @@ fn check_factor(group: Group, power: f64, low: f64, high: f64) -> Result<()> {
     Ok(())
 }
 
-/// Corner of the ranges at which the product is greatest.
+/// The corner of the ranges at which the product is greatest.
 fn extreme(factors: &[(Group, f64, [f64; 2])]) -> Vec<f64> {
     factors.iter().map(|(_, power, [low, high])| if *power < 0.0 { *low } else { high.abs().max(low.abs()) }).collect()
 }
@@ -331,7 +333,7 @@ mod tests {
         let sideways =
             "on = \"normal\"\ncoefficient = 1.0\ngroups = { sin_beta = 1.0 }\nrange = { sin_beta = [-1.0, 1.0] }";
         assert!(refused(sideways).contains("mirror"), "{}", refused(sideways));
-        // Less stress where the piece pushes down hard is no pull.
+        // Reducing the stress where the piece pushes down hard does not make a pull.
         let lowered = "on = \"normal\"\ncoefficient = -0.02\ngroups = { sin_gamma = 2.0, cos_beta = 2.0 }\n\
                        range = { sin_gamma = [0.0, 1.0], cos_beta = [0.0, 1.0] }";
         assert_eq!(refused(lowered), "");

@@ -1,4 +1,4 @@
-//! How connections come in: accepted, encrypted, and handed on once they have begun to speak.
+//! Incoming connections: accepted, encrypted, and passed on after their first bytes.
 //!
 //! ```text
 //!  accept ──▶ a place in the table ──▶ TLS handshake ──▶ first bytes ──▶ HTTP
@@ -6,9 +6,9 @@
 //!                  └── no room: who has had no stream for longest is closed; if all have, the new one is
 //! ```
 //!
-//! Accepting waits for nobody, so peers that are silent hold nobody up.
+//! Accepting does not wait for any peer, so silent peers do not delay others.
 //!
-//! * [`table`]: who is connected; [`wire`]: a connection's bytes.
+//! * [`table`]: the present connections; [`wire`]: a connection's bytes.
 
 pub mod table;
 mod wire;
@@ -33,33 +33,34 @@ use tokio_util::sync::CancellationToken;
 use tonic::transport::server::TcpIncoming;
 use wire::Wire;
 
-/// How long a TLS handshake may take: our choice, ten times what a slow line needs.
+/// Time limit of a TLS handshake: our choice, ten times what a slow line needs.
 const HANDSHAKE: Duration = Duration::from_secs(5);
 
-/// How long a peer may be silent before it begins to speak: our choice; clients do so at once.
+/// Time limit for a peer's first bytes: our choice; clients send them at once.
 const SILENCE: Duration = Duration::from_secs(10);
 
-/// A TCP peer that is silent for this long is asked for a sign of life, and dropped if it gives none as long.
+/// A TCP peer that is silent for this long gets a keepalive probe, and is dropped if it does not answer for as long
+/// again.
 pub const KEEPALIVE: Duration = Duration::from_secs(60);
 
 /// Time to wait before accepting again when it failed (no file descriptors left).
 const PAUSE: Duration = Duration::from_millis(50);
 
-/// How often idle connections are looked for.
+/// How often idle connections are searched.
 const LOOK: Duration = Duration::from_secs(1);
 
-/// Connections that wait for HTTP to take them.
+/// Accepted connections that wait for HTTP.
 const WAITING: usize = 64;
 
-/// File descriptors that are not for connections of clients: files of sessions, listeners, the runtime. Our choice.
+/// File descriptors for other purposes: files of sessions, listeners, the runtime. Our choice.
 const RESERVE: usize = 64;
 
 impl Caps {
-    /// `all` connections, `peer` of one peer: as many of them as this process has descriptors for when `others` are
-    /// needed elsewhere. A quarter may be opening, our choice: they take no room from those that are open.
+    /// Limits: `all` connections, `peer` for one peer, at most as many as this process has descriptors besides
+    /// `others`. At most a quarter may be without first bytes, our choice, so that they do not displace the rest.
     pub fn new(all: usize, peer: usize, others: usize) -> Self {
         let Rlimit { mut current, maximum } = getrlimit(Resource::Nofile);
-        // The lower limit is for programs that use `select`; this one does not.
+        // The soft limit exists for programs that use `select`; this one does not.
         if setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum }).is_ok() {
             current = maximum;
         }
@@ -77,7 +78,7 @@ impl Caps {
     }
 }
 
-/// Where connections come from.
+/// Source of connections.
 pub enum Socket {
     Tcp(TcpIncoming),
     Unix(UnixListener),
@@ -103,7 +104,7 @@ impl Socket {
     }
 }
 
-/// What is done with what a socket gives.
+/// Converts what a socket accepts.
 #[derive(Clone)]
 pub struct Door {
     pub table: Arc<Table>,
@@ -115,7 +116,7 @@ pub struct Door {
 }
 
 impl Door {
-    /// The connections of `socket` that have begun to speak, until `stop` is cancelled.
+    /// The connections of `socket` after their first bytes, until `stop` is cancelled.
     pub fn open(self, socket: Socket, stop: CancellationToken) -> mpsc::Receiver<Connection> {
         let (sender, receiver) = mpsc::channel(WAITING);
         tokio::spawn(async move { stop.run_until_cancelled(self.accept(socket, sender, &stop)).await });
@@ -143,7 +144,7 @@ impl Door {
         }
     }
 
-    /// Goes on with a connection, in a task of its own.
+    /// Continues with a connection in a task of its own.
     fn begin(
         &self,
         wire: Wire,
@@ -166,14 +167,14 @@ impl Door {
                 () = stop.cancelled() => return,
             };
             match opened {
-                // The server has ended if nobody takes it.
+                // It fails only if the server has ended.
                 Ok(connection) => drop(sender.send(connection).await),
                 Err((kind, reason)) => door.refusals.log(kind, &name, &reason),
             }
         });
     }
 
-    /// Waits until the connection is encrypted, if it shall be, and the peer has begun to speak.
+    /// Waits until the connection is encrypted, if required, and the peer has sent its first bytes.
     async fn greet(&self, wire: Wire, place: Place, link: Link) -> Result<Connection, (Refusal, String)> {
         let wire = match (wire, &self.tls) {
             (Wire::Tcp(stream), Some(tls)) => Self::encrypt(tls, stream).await.map_err(|e| (Refusal::Handshake, e))?,

@@ -1,4 +1,4 @@
-//! Who is connected, and who must make room.
+//! The present connections, and which one is closed to make room.
 
 use std::collections::HashMap;
 use std::net::IpAddr;
@@ -6,21 +6,22 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tokio_util::sync::CancellationToken;
 
-/// How long a connection may have no stream: our choice, as long as a session's lease by default.
+/// How long a connection may be without a stream: our choice, as long as a session's default lease.
 const IDLE: Duration = Duration::from_secs(300);
 
-/// How long a connection may take to begin to speak before it makes room for others that have not either: our choice. Many
+/// How long a connection may take for its first bytes before it can be closed to make room: our choice. Many
 /// clients that connect at once on a busy machine need some hundred ms.
 const PATIENCE: Duration = Duration::from_secs(1);
 
-/// Where a connection comes from, as far as limits go.
+/// The origin of a connection, for the limits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Peer {
-    /// An IPv4 address, or the first 64 bits of an IPv6 address: who has one address there has them all.
+    /// An IPv4 address, or the first 64 bits of an IPv6 address, because a host with one IPv6 address usually has
+    /// all of that network.
     Host(IpAddr),
     /// The other end of a Unix socket.
     Local,
-    /// Peers that there was no room to tell apart.
+    /// All further peers, counted together, when the table has no room for more.
     Others,
 }
 
@@ -33,13 +34,13 @@ impl Peer {
     }
 }
 
-/// Connections at a time.
+/// Most connections at the same time.
 #[derive(Clone, Copy, Debug)]
 pub struct Caps {
     pub all: usize,
-    /// Of one peer; the owner of a Unix socket has all.
+    /// Most connections of one peer; the owner of a Unix socket may have all.
     pub peer: usize,
-    /// Of them, those that have not begun to speak their protocol; more for a second.
+    /// Most connections without first bytes; a burst may exceed it for a second.
     pub opening: usize,
 }
 
@@ -58,9 +59,9 @@ struct Entries {
 struct Entry {
     peer: Peer,
     opening: bool,
-    /// Calls that have not ended.
+    /// Number of calls that have not ended.
     streams: usize,
-    /// When it was accepted, began to speak, or had its last stream.
+    /// When it was accepted, sent its first bytes, or had its last stream.
     since: Instant,
     end: CancellationToken,
 }
@@ -77,7 +78,7 @@ impl Entries {
         self.all.values().filter(|e| which(e)).count()
     }
 
-    /// Closes the one that has waited longest of those, all without streams, which `which` names.
+    /// Closes the connection without streams that has waited longest, among those that `which` selects.
     fn close_oldest(&mut self, which: impl Fn(&Entry) -> bool) -> bool {
         let idle = self.all.iter().filter(|(_, e)| e.is_idle() && which(e));
         let Some(id) = idle.min_by_key(|(id, e)| (e.since, **id)).map(|(id, _)| *id) else { return false };
@@ -91,7 +92,7 @@ impl Entries {
         }
     }
 
-    /// The peer that has most of those which `which` names.
+    /// The peer with most of the connections that `which` selects.
     fn greediest(&self, which: impl Fn(&Entry) -> bool) -> Option<Peer> {
         let mut counts = HashMap::new();
         self.all.values().filter(|e| which(e)).for_each(|e| *counts.entry(e.peer).or_insert(0) += 1);
@@ -104,14 +105,14 @@ impl Table {
         Arc::new(Self { caps, entries: Mutex::default() })
     }
 
-    /// Every change under this lock is one step, so the data are sound even if a holder panicked.
+    /// Every change under this lock is one step, so the data are consistent even after a panic.
     fn lock(&self) -> MutexGuard<'_, Entries> {
         self.entries.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A place for a connection that was just accepted; none if those of the peer, or all, have streams. Where there is
-    /// no room the connection is closed that has been without a stream for longest: of this peer if it has too many,
-    /// otherwise of the peer with most of them.
+    /// A place for a connection that was just accepted; None if all connections of the peer, or all at all, have
+    /// streams. If there is no room, the connection without a stream for the longest time is closed: of this peer
+    /// if it has too many, otherwise of the peer with most of them.
     pub fn admit(self: &Arc<Self>, peer: Peer) -> Option<Place> {
         self.admit_at(peer, Instant::now())
     }
@@ -139,7 +140,7 @@ impl Table {
         Some(Place { table: self.clone(), id, end })
     }
 
-    /// Closes connections that have had no stream for long.
+    /// Closes connections that have been without a stream for too long.
     pub fn close_idle(&self) {
         let mut entries = self.lock();
         let late = |e: &Entry| e.is_idle() && !e.opening && e.since.elapsed() > IDLE;
@@ -169,12 +170,12 @@ impl Drop for Place {
 }
 
 impl Place {
-    /// The connection has begun to speak its protocol.
+    /// Marks that the connection has sent its first bytes.
     pub fn opened(&self) {
         self.table.change(self.id, |e| (e.opening, e.since) = (false, Instant::now()));
     }
 
-    /// What counts the calls of this connection.
+    /// The counter of this connection's calls.
     pub fn calls(&self) -> Calls {
         Calls { table: self.table.clone(), id: self.id }
     }
@@ -188,7 +189,7 @@ pub struct Calls {
 }
 
 impl Calls {
-    /// A call begins; it ends when what is returned is dropped.
+    /// Counts a call until the returned value is dropped.
     pub fn begin(&self) -> Call {
         self.table.change(self.id, |e| e.streams += 1);
         Call(self.clone())
@@ -248,7 +249,7 @@ mod tests {
         assert!(table.admit(peer(4)).is_none(), "all have streams");
         drop((busy, other, rest));
         assert!(table.admit(peer(4)).is_some());
-        // Dropped at once: its place is free again.
+        // Dropped at once, so its place is free again.
         drop(places);
         assert_eq!(table.lock().all.len(), 0);
     }

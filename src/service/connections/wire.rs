@@ -1,4 +1,4 @@
-//! An accepted connection that has begun to speak, as HTTP reads and writes it.
+//! An accepted connection after its first bytes, as HTTP reads and writes it.
 
 use super::Peer;
 use super::table::{Call, Calls, Place};
@@ -16,7 +16,7 @@ use tokio_rustls::server::TlsStream;
 use tokio_util::sync::WaitForCancellationFutureOwned;
 use tonic::transport::server::Connected;
 
-/// What the bytes travel on.
+/// The transport of the bytes.
 pub enum Wire {
     Tcp(TcpStream),
     Tls(Box<TlsStream<TcpStream>>),
@@ -66,18 +66,18 @@ impl AsyncWrite for Wire {
     }
 }
 
-/// How HTTP/2 begins (RFC 9113, section 3.4).
+/// The start of HTTP/2 (RFC 9113, section 3.4).
 const PREFACE: &[u8; 24] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
 
-/// SETTINGS, empty, and GOAWAY with PROTOCOL_ERROR (RFC 9113, sections 6.5 and 6.8). A TLS client reads "wrong version number"
-/// in it, which tells its user more than a reset.
+/// SETTINGS, empty, and GOAWAY with PROTOCOL_ERROR (RFC 9113, sections 6.5 and 6.8). A TLS client reports this as
+/// "wrong version number", which is clearer than a reset.
 const REFUSAL: &[u8] = b"\0\0\0\x04\0\0\0\0\0\0\0\x08\x07\0\0\0\0\0\0\0\0\0\0\0\0\x01";
 
-/// What a peer must send before its connection is one.
+/// The first bytes that a peer must send.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Greeting {
     Http2,
-    /// The first bytes of anything.
+    /// Any first bytes, for HTTP/1.
     Any,
 }
 
@@ -91,7 +91,7 @@ struct First {
 }
 
 impl First {
-    /// Reads until the peer has greeted.
+    /// Reads until the first bytes are complete.
     async fn read(wire: &mut Wire, greeting: Greeting) -> io::Result<Self> {
         let mut first = Self::default();
         loop {
@@ -111,8 +111,8 @@ impl First {
     }
 }
 
-/// Answers a peer of another protocol, and reads what it still sends: closed at once, the connection would be reset, and the
-/// answer lost with it. The caller limits the time.
+/// Answers a peer with another protocol, and reads its remaining bytes: if the connection were closed at once it
+/// would be reset, and the answer lost. The caller limits the time.
 async fn refuse(wire: &mut Wire) -> io::Result<()> {
     wire.write_all(REFUSAL).await?;
     wire.shutdown().await?;
@@ -125,7 +125,7 @@ async fn refuse(wire: &mut Wire) -> io::Result<()> {
 pub struct Connection {
     wire: Wire,
     first: First,
-    /// How long the peer may take nothing of what it is sent.
+    /// How long the peer may accept no bytes.
     patience: Option<Duration>,
     stalled: Option<Pin<Box<Sleep>>>,
     end: Pin<Box<WaitForCancellationFutureOwned>>,
@@ -147,7 +147,7 @@ impl Connection {
         &self.link
     }
 
-    /// Is the peer too slow, now that a write gave `written`?
+    /// Is the peer too slow, given that a write returned `written`?
     fn check<T>(&mut self, cx: &mut Context<'_>, written: Poll<io::Result<T>>) -> Poll<io::Result<T>> {
         let Some(patience) = self.patience.filter(|_| written.is_pending()) else {
             self.stalled = None;
@@ -159,13 +159,13 @@ impl Connection {
     }
 }
 
-/// How long a browser may take nothing of what it watches: our choice; its tab may be asleep for some seconds.
+/// How long a browser that watches may accept no bytes: our choice; its tab may be inactive for some seconds.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 impl AsyncRead for Connection {
     fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, into: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         if self.end.as_mut().poll(cx).is_ready() {
-            // As if the peer had closed it.
+            // The same as a close by the peer.
             return Poll::Ready(Ok(()));
         }
         let First { bytes, length, read } = &mut self.first;
@@ -216,7 +216,7 @@ impl Connected for Connection {
     }
 }
 
-/// What a call knows of the connection that it came on.
+/// The connection that a call came on.
 #[derive(Clone)]
 pub struct Link {
     pub(super) peer: Peer,
@@ -232,7 +232,7 @@ impl Link {
         self.address.map_or_else(|| "a Unix socket".into(), |a| a.to_string())
     }
 
-    /// A call begins; it ends when what is returned is dropped.
+    /// Counts a call until the returned value is dropped.
     pub fn begin(&self) -> Call {
         self.calls.begin()
     }

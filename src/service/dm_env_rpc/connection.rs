@@ -39,22 +39,22 @@ struct Connection {
     requests: Streaming<Frame<EnvironmentRequest>>,
     door: Door,
     link: Option<Link>,
-    /// No message was read yet: it counts as one with the call.
+    /// No message was read yet: the first one is counted with the call.
     first: bool,
     worlds: Arc<Worlds>,
     /// None: no world is joined.
     agent: Option<Agent>,
 }
 
-/// This connection in the world it has joined.
+/// The world that this connection has joined.
 struct Agent {
     place: Place,
-    /// What the episode showed last; none while it is not running.
+    /// The last result of the episode; None while it is not running.
     last: Option<View>,
 }
 
 impl Connection {
-    /// The next answer; none when the client has no more requests.
+    /// The next answer; None when the client has no more requests.
     async fn answer(&mut self) -> std::result::Result<Option<EnvironmentResponse>, Status> {
         let stop = self.worlds.sessions.stop().clone();
         let first = std::mem::take(&mut self.first);
@@ -131,7 +131,7 @@ impl Connection {
         match &mut self.agent {
             Some(agent) if agent.place.name() == reset.world_name => agent.reset(reset.settings).await,
             _ => {
-                // The connection it waits for may never step again.
+                // This connection may never make another step, so the ResetWorld must not wait for it.
                 let stop = self.worlds.sessions.stop();
                 let done = self.worlds.reset(&reset.world_name, settings::changes(reset.settings)?);
                 let stopped = || Err(Error::Cancelled("the server is shutting down".into()));
@@ -155,7 +155,7 @@ impl Agent {
         if let Some(Interrupt { changes, done }) = self.place.interrupt() {
             let reset = self.place.reset(changes).await;
             let changed = reset.is_ok();
-            // Whoever asked for it may be gone.
+            // The connection that asked for it may have ended.
             let _ = done.send(reset.map(drop));
             if let (true, Some(last)) = (changed, &self.last) {
                 return Ok(last.interrupted());
@@ -167,8 +167,8 @@ impl Agent {
         self.place.step(tensors::action(self.place.task.spec(), actions)?).await
     }
 
-    /// Begins another episode, which the next step shows. An episode that has not been shown yet stays if nothing
-    /// is to change.
+    /// Begins another episode, which the next step shows. If the present episode has not been shown yet, and there
+    /// are no changes, it is used.
     async fn reset(&mut self, settings: Settings) -> Result<()> {
         let changes = settings::changes(settings)?;
         if self.last.is_some() || changes != Changes::default() {

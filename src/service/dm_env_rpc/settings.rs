@@ -1,7 +1,7 @@
-//! Settings of worlds and resets: tensors by name, from and to what `gymnasium.make` would take.
+//! Settings of worlds and resets: tensors by name, converted from and to keywords of `gymnasium.make`.
 //!
-//! A scalar is a number, text or truth value, a tensor of one dimension a list. Clients flatten nested settings with
-//! dots: `weights.tracking` is the field `tracking` of the option `weights`.
+//! A scalar is a number, text or truth value, a tensor of one dimension a list. Clients flatten nested settings
+//! with dots: `weights.tracking` is the field `tracking` of the option `weights`.
 
 use super::proto::Tensor;
 use super::proto::tensor::Payload;
@@ -12,27 +12,27 @@ use crate::values;
 use serde_json::{Map, Value};
 use std::collections::HashMap;
 
-/// Settings as a message carries them.
+/// Settings as in a message.
 pub type Settings = HashMap<String, Tensor>;
 
-/// Longest list a setting can be; the longest option has two entries.
+/// Longest list in a setting; the longest option has two entries.
 const LONGEST: usize = 64;
 
-/// What a world is made from.
+/// The arguments of a new world.
 #[derive(Debug)]
 pub struct Plan {
     pub task: String,
     /// Keywords of the task.
     pub options: Value,
-    /// None: the world draws one.
+    /// None: a random seed.
     pub seed: Option<u64>,
 }
 
-/// What a reset changes.
+/// The changes of a reset.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Changes {
     pub options: ResetOptions,
-    /// None: the stream of random numbers goes on.
+    /// None: the stream of random numbers continues.
     pub seed: Option<u64>,
 }
 
@@ -77,7 +77,7 @@ fn seed(keywords: &mut Map<String, Value>) -> Result<Option<u64>> {
 
 fn keywords(settings: Settings) -> Result<Map<String, Value>> {
     let mut settings: Vec<_> = settings.into_iter().collect();
-    settings.sort_by(|a, b| a.0.cmp(&b.0)); // which mistake is named must not depend on a hash
+    settings.sort_by(|a, b| a.0.cmp(&b.0)); // sorted, so that the error does not depend on a hash
     let mut keywords = Map::new();
     for (name, tensor) in settings {
         let value = value(&format!("settings.{name}"), tensor)?;

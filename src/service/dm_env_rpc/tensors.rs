@@ -7,8 +7,8 @@
 //! | observation | 2 | reward | f32 [] |
 //! | observation | 3 | discount | f32 [], 0 where the episode terminated, else 1 |
 //!
-//! `reward` and `discount` are the names DeepMind's adaptor looks for. A tensor a column would make each step a message
-//! of some forty named scalars, and every agent puts them together again.
+//! `reward` and `discount` are the names DeepMind's adaptor looks for. With one tensor for each column, a step
+//! would be some forty named scalars, which every agent would have to join again.
 
 use super::proto::tensor::{FloatArray, Payload};
 use super::proto::tensor_spec::{Value, value};
@@ -23,7 +23,7 @@ const OBSERVATION: u64 = 1;
 const REWARD: u64 = 2;
 const DISCOUNT: u64 = 3;
 
-/// What a world's only environment shows.
+/// The results of a world's only environment.
 #[derive(Clone, Debug)]
 pub struct View {
     observation: Vec<f32>,
@@ -38,7 +38,7 @@ impl View {
         Self { observation, reward: 0.0, state: EnvironmentStateType::Running }
     }
 
-    /// What the last step gave; if it ended the episode, that one's last observation.
+    /// The rows of the last step; if it ended the episode, the last observation of that episode.
     pub fn after_step(batch: &Batch) -> Self {
         let first = Self::first(batch);
         let Some(shard) = batch.shards().first() else { return first };
@@ -53,12 +53,12 @@ impl View {
         Self { observation, reward: rows.rewards[0], state }
     }
 
-    /// The same once more, as the last of an episode that something else ends.
+    /// The same results as the end of an episode that is ended from outside.
     pub fn interrupted(&self) -> Self {
         Self { observation: self.observation.clone(), reward: 0.0, state: EnvironmentStateType::Interrupted }
     }
 
-    /// The tensors that were asked for.
+    /// The requested tensors.
     pub fn tensors(&self, requested: &[u64]) -> HashMap<u64, Tensor> {
         let terminated = self.state == EnvironmentStateType::Terminated;
         let tensor = |uid: &u64| match *uid {
@@ -78,10 +78,10 @@ fn scalar(x: f32) -> Tensor {
     tensor(vec![x], vec![])
 }
 
-/// Most uids of one step: our choice, several times what there are.
+/// Most uids in one step: our choice, several times the number of observations.
 const MOST_REQUESTED: usize = 16;
 
-/// Refuses uids of observations that there are not.
+/// Refuses uids of observations that do not exist.
 pub fn check_requested(requested: &[u64]) -> Result<()> {
     if requested.len() > MOST_REQUESTED {
         let reason = format!("{} uids are more than {MOST_REQUESTED}", requested.len());
@@ -96,7 +96,7 @@ pub fn check_requested(requested: &[u64]) -> Result<()> {
     }
 }
 
-/// The only action row, each number within its column's bounds. One number is taken for all columns.
+/// The only action row, each number within its column's bounds. A single number applies to all columns.
 pub fn action(spec: &Spec, mut tensors: HashMap<u64, Tensor>) -> Result<Vec<f32>> {
     let found = tensors.remove(&ACTION);
     if let Some(uid) = tensors.keys().min() {

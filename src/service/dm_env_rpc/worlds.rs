@@ -1,4 +1,4 @@
-//! Worlds: sessions of one environment, and who has joined them.
+//! Worlds: sessions of one environment, and the connections that have joined them.
 
 use super::proto::ActionObservationSpecs;
 use super::settings::{Changes, Plan};
@@ -14,7 +14,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::oneshot;
 
-/// A ResetWorld that waits for the connection which has joined the world.
+/// A ResetWorld that waits for the connection that has joined the world.
 pub struct Interrupt {
     pub changes: Changes,
     pub done: oneshot::Sender<Result<()>>,
@@ -24,7 +24,7 @@ pub struct Interrupt {
 pub struct Worlds {
     pub sessions: Arc<Sessions>,
     pool: Arc<Pool>,
-    /// Worlds that connections have joined, by name.
+    /// Joined worlds, by name.
     joined: Mutex<HashMap<String, Option<Interrupt>>>,
 }
 
@@ -39,22 +39,22 @@ impl Drop for Place {
     fn drop(&mut self) {
         let mut joined = self.worlds.lock();
         self.worlds.sessions.detach(&self.hold);
-        // With it goes the sender of a ResetWorld that waits, which then finds the world free.
+        // This drops the sender of a waiting ResetWorld, which then finds the world free.
         joined.remove(&self.hold.id);
     }
 }
 
-/// How ResetWorld gets at a world.
+/// How ResetWorld reaches a world.
 enum Entry {
-    /// Nobody had joined it.
+    /// No connection had joined it.
     Free(Place),
     /// The connection that has joined it answers here at its next step.
     Waiting(oneshot::Receiver<Result<()>>),
 }
 
-/// What a world is asked to do.
+/// A request to a world.
 enum WorldRequest {
-    /// Show the first observation of an episode that has not been played yet.
+    /// Show the first observation of the present episode, which has no steps yet.
     Begin,
     /// Begin another episode.
     Reset(Box<Changes>),
@@ -62,7 +62,7 @@ enum WorldRequest {
 }
 
 impl WorldRequest {
-    /// None: nothing moves.
+    /// None: hold the environment.
     fn operation(self, batch: &mut Batch) -> Result<Option<Operation>> {
         match self {
             Self::Begin if batch.is_fresh() => Ok(None),
@@ -75,18 +75,18 @@ impl WorldRequest {
         }
     }
 
-    /// May it be prepared on the async runtime's threads? Changed options make a new model.
+    /// Can it be prepared on the async runtime's threads? Changed options make a new model.
     fn is_light(&self) -> bool {
         !matches!(self, Self::Reset(changes) if changes.options != Default::default())
     }
 
-    /// How to read what the operation gives.
+    /// How to read the operation's results.
     fn view(&self) -> fn(&Batch) -> View {
         if matches!(self, Self::Step(_)) { View::after_step } else { View::first }
     }
 }
 
-/// Worlds' words for a session's errors.
+/// A session's errors in the terms of worlds.
 fn of_world(error: Error, name: &str) -> Error {
     match error {
         Error::Unknown { what: SESSION, .. } => Error::unknown(SESSION, name, &["worlds that have not been destroyed"]),
@@ -100,22 +100,22 @@ impl Worlds {
         Arc::new(Self { sessions, pool, joined: Mutex::default() })
     }
 
-    /// Every change under this lock is one step, so the data are sound even if a holder panicked.
+    /// Every change under this lock is one step, so the data are consistent even after a panic.
     fn lock(&self) -> MutexGuard<'_, HashMap<String, Option<Interrupt>>> {
         self.joined.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Makes a world, at the start of its first episode, and gives its name.
+    /// Makes a world at the start of its first episode, and returns its name.
     pub async fn create(self: &Arc<Self>, plan: Plan) -> Result<String> {
         let Plan { task, options, seed } = plan;
         let (name, _) = self.sessions.create(task, 1, options).await?;
-        // Two worlds without a seed shall differ.
+        // Two worlds without a seed must differ.
         let seed = Some(seed.unwrap_or_else(rand::random));
         self.join(&name)?.reset(Changes { seed, ..Default::default() }).await?;
         Ok(name)
     }
 
-    /// Takes a place in a world that nobody has joined.
+    /// Joins a world that no connection has joined.
     pub fn join(self: &Arc<Self>, name: &str) -> Result<Place> {
         let mut joined = self.lock();
         self.enter(&mut joined, name)
@@ -132,14 +132,15 @@ impl Worlds {
         Ok(Place { hold, worlds: self.clone(), task: summary.blueprint.task })
     }
 
-    /// Begins another episode in a world. If a connection has joined it, this waits until that one has been told.
+    /// Begins another episode in a world. If a connection has joined it, waits until that connection has been
+    /// notified.
     pub async fn reset(self: &Arc<Self>, name: &str, changes: Changes) -> Result<()> {
         loop {
             let told = match self.enter_or_interrupt(name, &changes)? {
                 Entry::Free(place) => return place.reset(changes).await.map(drop),
                 Entry::Waiting(told) => told,
             };
-            // Without an answer the other connection has left: the world is free now.
+            // If there is no answer, the other connection has left, and the world is free.
             if let Ok(result) = told.await {
                 return result;
             }
@@ -159,7 +160,7 @@ impl Worlds {
         }
     }
 
-    /// Ends a world that nobody has joined.
+    /// Ends a world that no connection has joined.
     pub fn destroy(&self, name: &str) -> Result<()> {
         let joined = self.lock();
         if joined.contains_key(name) {
@@ -180,12 +181,12 @@ impl Place {
         tensors::specs(self.task.spec())
     }
 
-    /// The ResetWorld of another connection that waits for this one, if any.
+    /// A ResetWorld of another connection that waits for this one, if any.
     pub fn interrupt(&self) -> Option<Interrupt> {
         self.worlds.lock().get_mut(self.name()).and_then(Option::take)
     }
 
-    /// The first observation of an episode that has not been played yet.
+    /// The first observation of the present episode, which has no steps yet.
     pub async fn begin(&self) -> Result<View> {
         self.run(WorldRequest::Begin).await
     }
@@ -200,18 +201,18 @@ impl Place {
         self.run(WorldRequest::Step(action)).await
     }
 
-    /// Carries `request` out on the pool. What was begun is finished, and the environment put back, even if nobody waits
-    /// for the answer any more.
+    /// Runs `request` on the pool. An operation is always finished and its environment returned, even if no caller
+    /// waits for the answer any more.
     async fn run(&self, request: WorldRequest) -> Result<View> {
         let gone = || Error::Cancelled(format!("world_name: {:?} was closed or taken by another stream", self.name()));
         let mut environments = self.worlds.sessions.take(&self.hold).await.ok_or_else(gone)?;
         let (sender, answer) = oneshot::channel();
         let pool = self.worlds.pool.clone();
-        // Dropped before the environments are back, as a panic does, it ends the session.
+        // If it is dropped before the environments are back, which happens in a panic, it ends the session.
         let mut loan = Loan::new(self.worlds.sessions.clone(), self.hold.id.clone());
         let (light, view) = (request.is_light(), request.view());
         let begin = move || {
-            // Whoever waited for an answer may be gone: hence the results of `send` mean nothing.
+            // The receiver may be gone, so the results of `send` are ignored.
             let operation = match request.operation(&mut environments.batch) {
                 Ok(Some(operation)) => operation,
                 unmoved => {
@@ -243,7 +244,7 @@ impl Place {
         } else {
             tokio::task::spawn_blocking(begin);
         }
-        // Without an answer the server has ended, or something panicked.
+        // Without an answer the server has ended, or the work has panicked.
         let stop = self.worlds.sessions.stop();
         answer.await.unwrap_or_else(|_| Err(if stop.is_cancelled() { gone() } else { broken() }))
     }

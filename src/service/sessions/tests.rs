@@ -1,4 +1,4 @@
-//! Streams that take a session from each other.
+//! Several streams that use the same session.
 
 use super::*;
 use crate::env::registry::TASK_IDS;
@@ -6,8 +6,9 @@ use std::future::poll_fn;
 use std::pin::pin;
 use std::task::Poll;
 
-/// The second stream is told first that the environments are back, but has lost the session by then: the third, which
-/// waits too, must get them. The second takes the news in one of two ways at random, hence the rounds.
+/// The second stream gets the first notification that the environments are back, but has lost the session by then.
+/// The third, which waits too, must get them. The second handles the notification in one of two ways at random,
+/// hence the rounds.
 #[tokio::test]
 async fn environments_come_back_to_the_third_stream_though_a_second_waited() {
     let sessions = Sessions::new(Limits::default(), crate::pool::Seal::default(), CancellationToken::new());

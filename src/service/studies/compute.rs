@@ -1,5 +1,5 @@
-//! What each study computes, whoever asks: a client of the server, or this process. A request is checked first; what is
-//! given back does the work.
+//! The computations of all studies, for clients of the server and for this process. A request is checked first; the
+//! returned function does the work.
 
 use super::{decode, encode};
 use crate::error::{Error, Result};
@@ -15,10 +15,10 @@ use crate::sand::intruder;
 use crate::sweep::{grid, optimize, walk_all};
 use std::path::Path;
 
-/// Work that tells how far it has come.
+/// Work that reports its progress.
 pub type Work<T> = Box<dyn FnOnce(&dyn Progress) -> Result<T> + Send>;
 
-/// A study that somebody asks for.
+/// A requested study.
 pub enum Study {
     Intrude(IntrudeRequest),
     Trials(TrialsRequest),
@@ -28,14 +28,14 @@ pub enum Study {
     Diagnose(DiagnoseRequest),
 }
 
-/// What a study gives.
+/// The results of a study.
 pub enum Outcome {
     Table(proto::Table),
     Diagnosis(proto::Diagnosis),
 }
 
 impl Study {
-    /// The whole of it, on this thread and those that it starts.
+    /// Runs all of it, on this thread and those that it starts.
     pub fn compute(self, progress: &dyn Progress) -> Result<Outcome> {
         use proto::{diagnose_response, evaluate_response, sweep_response, trials_response, walk_response};
         let outcome = match self {
@@ -71,7 +71,7 @@ pub fn intrude(request: IntrudeRequest) -> Result<IntrudeResponse> {
     Ok(IntrudeResponse { table: Some(table) })
 }
 
-/// Motions between two reports: our choice, about a second of a wheel's.
+/// Number of motions between two reports: our choice, about a second for a wheel.
 const TOGETHER: usize = 2_000;
 
 pub fn trials(request: TrialsRequest) -> Result<Work<TrialsResponse>> {
@@ -120,7 +120,7 @@ pub fn evaluate(request: EvaluateRequest) -> Result<Work<EvaluateResponse>> {
 pub fn diagnose(request: DiagnoseRequest) -> Result<Work<DiagnoseResponse>> {
     let (data, experiment) = decode::diagnose(request)?;
     Ok(Box::new(move |progress| {
-        // The diagnosis reads and writes files: it gets a directory that only this user can enter.
+        // The diagnosis reads and writes files, so it gets a directory that only this user can enter.
         let directory = tempfile::tempdir().map_err(|e| unusable(&e))?;
         let (path, out) = (directory.path().join("data"), directory.path().join("out"));
         std::fs::write(&path, &data.content).map_err(|e| unusable(&e))?;

@@ -1,4 +1,4 @@
-//! From requests to studies that are ready to run. Whatever a client sends is checked here, before it waits in line, except
+//! From requests to studies that are ready to run. Requests are checked here, before they wait in line, except for
 //! the rows of measured data.
 
 use crate::diagnose::experiment::Experiment;
@@ -12,7 +12,7 @@ use crate::proto::{
 };
 use crate::sand::intruder::{Body, BodyShape, Given, Trial as Motion, check_all, with_friction};
 use crate::sand::intrusion::Rotation;
-use crate::sand::{Law, Medium, SandDescription, Shape};
+use crate::sand::{Law, LegShape, Medium, SandDescription};
 use crate::sim::engine::EngineKind;
 use crate::sim::model::Scene;
 use crate::sim::walk::Trial;
@@ -23,7 +23,7 @@ use crate::wire::MOST_TRIALS;
 use crate::{proto, values};
 use std::path::Path;
 
-/// Sand, and what its user should know about it.
+/// Sand, with warnings for its user.
 pub struct Sand {
     pub description: SandDescription,
     pub warnings: Vec<String>,
@@ -49,12 +49,12 @@ pub struct Sweep {
     pub warnings: Vec<String>,
 }
 
-/// A file's text. What a client sends is named as the client names it, and wrong files are the client's to mend.
+/// A file's text. Errors use the client's name for it, because the client can correct the file.
 fn text(file: &File) -> Result<&str> {
     std::str::from_utf8(&file.content).map_err(|_| Error::invalid(&file.name, "not UTF-8 text"))
 }
 
-/// An error about the file at `path` as one about what the client calls `name`.
+/// Changes an error about the file at `path` into one about the client's `name`.
 pub fn renamed(error: Error, path: &Path, name: &str) -> Error {
     match error {
         Error::File { path: at, reason } if Path::new(&at) == path => Error::invalid(name, reason),
@@ -87,7 +87,7 @@ fn robot(message: Option<proto::Robot>) -> Result<Robot> {
 }
 
 pub fn intrude(request: IntrudeRequest) -> Result<(Rotation, Sand)> {
-    let mut rotation = Rotation::of(Shape::named(&request.shape)?);
+    let mut rotation = Rotation::of(LegShape::named(&request.shape)?);
     rotation.chord = request.chord.unwrap_or(rotation.chord);
     rotation.width = request.width.unwrap_or(rotation.width);
     rotation.hip_height = request.hip_height.unwrap_or(rotation.hip_height);
@@ -95,7 +95,8 @@ pub fn intrude(request: IntrudeRequest) -> Result<(Rotation, Sand)> {
     Ok((rotation, sand(request.sand)?))
 }
 
-/// Plates of a body that a client sends: our choice, 8 MB, or 300 MB in the turns of a period. A default wheel has some 3,000.
+/// Most plates of a client's body: our choice, 8 MB, or 300 MB in the turns of a period. A default wheel has some
+/// 3,000.
 const MOST_PLATES: usize = 50_000;
 
 pub fn trials(request: TrialsRequest) -> Result<Trials> {
@@ -184,7 +185,7 @@ pub fn walk(request: WalkRequest) -> Result<Walks> {
     Ok(Walks { engine, trials: request.frequency.iter().map(trial).collect::<Result<_>>()?, warnings })
 }
 
-/// Frequencies of one request: our choice, each has a model in memory.
+/// Most frequencies of one request: our choice, each has a model in memory.
 const MOST_FREQUENCIES: usize = 4096;
 
 pub fn sweep(request: SweepRequest) -> Result<Sweep> {
@@ -211,7 +212,7 @@ pub fn sweep(request: SweepRequest) -> Result<Sweep> {
     Ok(Sweep { base, axes, optimize, warnings })
 }
 
-/// Parameters of one search: there are no more.
+/// Most parameters of one search: all that exist.
 const MOST_VARIED: usize = crate::sweep::Parameter::ALL.len();
 
 fn axis(variation: Variation) -> Result<Axis> {

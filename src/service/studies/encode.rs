@@ -51,7 +51,7 @@ pub fn frequencies(trials: &[Trial]) -> Series {
     numbers("frequency", "Hz", trials.iter().map(|t| t.frequency))
 }
 
-/// Transport has no cost where a robot stands: not a number.
+/// The cost of transport of a robot that stands is undefined: NaN.
 pub fn walks(results: &[WalkResult]) -> Vec<Series> {
     type Of = fn(&WalkResult) -> f64;
     let columns: [(&str, &str, Of); 8] = [

@@ -1,4 +1,4 @@
-//! One study at a time on all cores; the others wait in line.
+//! One study at a time on all cores; others wait in a queue.
 //!
 //! ```text
 //!  enter ──▶ in line ──▶ computed on a blocking thread ──▶ result
@@ -16,13 +16,13 @@ use tokio_stream::wrappers::ReceiverStream;
 use tokio_util::sync::CancellationToken;
 use tonic::Status;
 
-/// Studies in line, the one being computed included: our choice, their requests stay within 1 GiB.
+/// Most studies in line, including the running one: our choice, their requests stay within 1 GiB.
 const PLACES: usize = 16;
 
-/// Events that wait for a slow client; more are left out, never the result.
+/// Most events that wait for a slow client; further ones are left out, but never the result.
 const EVENTS: usize = 8;
 
-/// Progress smaller than this is not told: our choice, some 200 events a study.
+/// Smallest progress that is reported: our choice, some 200 events a study.
 const STEP: f64 = 0.005;
 
 /// A message of a study's stream.
@@ -30,17 +30,17 @@ pub trait Answer: Send + 'static {
     fn progress(event: Event) -> Self;
 }
 
-/// The line of one server.
+/// The queue of one server.
 pub struct Line {
     slot: Arc<Semaphore>,
     taken: Arc<AtomicUsize>,
     stop: CancellationToken,
 }
 
-/// A place in the line; given back when dropped.
+/// A place in the queue; returned when dropped.
 struct Place {
     taken: Arc<AtomicUsize>,
-    /// Studies before this one when it came.
+    /// Number of studies before this one when it entered.
     ahead: usize,
 }
 
@@ -66,7 +66,7 @@ impl Line {
         Self { slot: Arc::new(Semaphore::new(1)), taken: Arc::default(), stop }
     }
 
-    /// Computes `work` when its turn comes. The stream has its progress and ends with its answer or a status; dropping
+    /// Computes `work` in its turn. The stream reports its progress and ends with its result or a status; dropping
     /// the stream stops the work at its next report. `share` is held until the work has ended.
     pub fn enter<A: Answer>(
         &self,
@@ -84,7 +84,7 @@ impl Line {
                         n => format!("waiting for {n} other studies of this server"),
                     };
                     let event = Event { fraction: 0.0, stage, ahead: place.ahead as u32 };
-                    // Whoever has gone is noticed below.
+                    // A client that has left is noticed below.
                     let _ = events.send(Ok(A::progress(event))).await;
                 }
                 slot.acquire_owned().await.ok()
@@ -99,7 +99,7 @@ impl Line {
                 Some(permit) => {
                     let progress =
                         ProgressSender { events: events.clone(), stop: stop.clone(), last: Mutex::default() };
-                    // The place and the slot are held until the work has really ended.
+                    // The place and the slot are held until the work has actually ended.
                     let held = (permit, place, share);
                     let done = tokio::task::spawn_blocking(move || {
                         let _held = held;
@@ -111,18 +111,18 @@ impl Line {
             };
             let stopped = answer.is_err() && stop.is_cancelled();
             let answer = if stopped { Err(Status::unavailable("the server stops")) } else { answer };
-            // A caller that has gone misses nothing.
+            // If the caller has left, the result is not needed.
             let _ = events.send(answer).await;
         });
         Ok(ReceiverStream::new(receiver))
     }
 }
 
-/// Tells the client how far its study has come, and the study that its client has gone.
+/// Reports a study's progress to its client, and stops the study when its client has left.
 struct ProgressSender<A> {
     events: mpsc::Sender<std::result::Result<A, Status>>,
     stop: CancellationToken,
-    /// What was told last. Reports of several threads come out of order; what is told only grows.
+    /// The last report. Several threads report, so the order varies; only larger values are sent.
     last: Mutex<Option<(f64, String)>>,
 }
 

@@ -1,8 +1,8 @@
 //! `sandgait.v1.StudyService`: the offline tools, as the command line has them.
 //!
-//! * [`compute`]: the studies themselves, also for those who ask in this process.
+//! * [`compute`]: the studies themselves, also for callers in this process.
 //! * [`decode`]: requests to studies that are ready to run; [`encode`]: their results as tables.
-//! * [`line`]: one study at a time, the others in line, each told how far it has come.
+//! * [`line`]: one study at a time, the others in a queue, with progress reports.
 
 pub mod compute;
 mod decode;

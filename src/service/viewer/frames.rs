@@ -1,4 +1,4 @@
-//! What watchers are sent: moments of one environment, encoded once for all who watch it.
+//! Frames for watchers: moments of one environment, encoded once for all its watchers.
 //!
 //! ```text
 //!  thread that stepped ──Moment──▶ latest ──▶ task that encodes ──Frame──▶ watchers
@@ -13,10 +13,10 @@ use sandgait_view::recording::{head_block, rows_block};
 use std::sync::Arc;
 use tokio::sync::{broadcast, watch};
 
-/// Frames that wait for a browser that reads slowly: one second of them.
+/// Most frames that wait for a slow browser: those of one second.
 const WAITING: usize = 64;
 
-/// A copy of what is seen of an environment.
+/// A copy of an environment's visible state.
 pub struct Moment {
     model: Arc<Model>,
     state: State,
@@ -42,7 +42,7 @@ impl Moment {
         sandgait_view::row(model, &moment)
     }
 
-    /// Do both belong to one section of a recording?
+    /// Do both belong to the same section of a recording?
     fn continues(&self, other: &Self) -> bool {
         self.episode == other.episode && Arc::ptr_eq(&self.model, &other.model)
     }
@@ -55,17 +55,17 @@ pub struct Frame {
     pub rows: Bytes,
 }
 
-/// Where moments go in.
+/// Sender of moments.
 pub type Latest = watch::Sender<Option<Arc<Moment>>>;
 
-/// Where frames come out.
+/// Source of frames.
 pub type Frames = broadcast::Sender<Frame>;
 
-/// Encodes moments of `task` until the place where they go in is dropped. Needs a tokio runtime.
+/// Encodes moments of `task` until their sender is dropped. Needs a tokio runtime.
 pub fn encode(task: Arc<dyn AnyTask>) -> (Latest, Frames) {
     let (latest, mut moments) = watch::channel(None::<Arc<Moment>>);
     let frames = broadcast::Sender::new(WAITING);
-    // Not held here, so that who waits for a frame learns that there will be no more.
+    // The task does not hold it, so that receivers notice when no more frames will come.
     let weak = frames.downgrade();
     tokio::spawn(async move {
         let mut section: Option<(Arc<Moment>, Bytes)> = None;
@@ -79,7 +79,7 @@ pub fn encode(task: Arc<dyn AnyTask>) -> (Latest, Frames) {
                 }
             };
             let Some(frames) = weak.upgrade() else { return };
-            // Whoever watched may just have left.
+            // The last watcher may just have left.
             let _ = frames.send(Frame { head, rows: rows_block(&moment.row()).into() });
         }
     });

@@ -6,9 +6,10 @@
 //!  GET /watch/NAME/INDEX     a recording without end, in the format of recordings: one environment of a session
 //! ```
 //!
-//! Sessions go by the names of logs and lists, never by their ids. Who only looks changes nothing.
+//! Sessions have their names of logs and lists here, never their ids. Watching changes nothing.
 //!
-//! * [`watchers`]: who watches what; [`frames`]: what they are sent. Whoever steps only leaves a copy of the state.
+//! * [`watchers`]: the watchers of each environment; [`frames`]: their data. The thread that steps only copies the
+//!   state.
 
 mod frames;
 pub mod watchers;
@@ -31,7 +32,7 @@ use std::sync::Arc;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
-/// The page may use what stands in it and ask this server; nothing else.
+/// The content policy: the page may use its own scripts and ask this server, nothing else.
 const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; \
                       connect-src 'self'; frame-ancestors 'none'";
 
@@ -57,7 +58,8 @@ pub async fn serve(listener: TcpListener, sessions: Arc<Sessions>, refusals: Arc
     pages::serve(listener, app, all, refusals, stop).await;
 }
 
-/// A page from elsewhere whose name was made to point at this machine must not read what it serves.
+/// DNS rebinding: a page of another site, whose name was made to resolve to this machine, must not read this
+/// server's data.
 async fn same_machine(request: Request, next: Next) -> Response {
     let host = request.headers().get(HOST).and_then(|h| h.to_str().ok()).unwrap_or_default();
     let name = host.rsplit_once(':').filter(|(_, port)| port.parse::<u16>().is_ok()).map_or(host, |(name, _)| name);
@@ -65,7 +67,7 @@ async fn same_machine(request: Request, next: Next) -> Response {
     if plain == "localhost" || plain.parse::<IpAddr>().is_ok() {
         return next.run(request).await;
     }
-    (StatusCode::FORBIDDEN, "this page is asked for by an address or as localhost").into_response()
+    (StatusCode::FORBIDDEN, "request this page by an IP address or as localhost").into_response()
 }
 
 async fn show() -> impl IntoResponse {
@@ -93,7 +95,7 @@ async fn watch(State(shown): State<Shown>, Path((name, index)): Path<(String, us
         let reason = format!("{most} watch this server already, which is its limit; try again later\n");
         return (StatusCode::SERVICE_UNAVAILABLE, reason).into_response();
     };
-    // It may have ended between the look and here; who watches is told of ends from now on.
+    // The session may have ended between the check and here; from now on watchers are notified of its end.
     if sessions.named(&name).is_none() {
         return unknown();
     }

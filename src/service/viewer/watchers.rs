@@ -1,4 +1,4 @@
-//! Who watches which environment.
+//! The watchers of each environment.
 
 use super::frames::{Frame, Frames, Latest, Moment, encode};
 use crate::env::AnyTask;
@@ -12,16 +12,16 @@ use std::time::{Duration, Instant};
 use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::RecvError;
 
-/// Frames of an environment are at least this far apart: our choice, 60 a second, as screens show them.
+/// Least interval between frames of an environment: our choice, 60 a second, the rate of screens.
 const PAUSE: Duration = Duration::from_micros(16_600);
 
-/// The more there are who watch, the rarer their frames: our choice, 2,000 a second in all, some percent of a processor.
+/// With more watchers frames are less frequent: our choice, 2,000 a second in all, some percent of a processor.
 const EACH: Duration = Duration::from_micros(500);
 
-/// Everyone who watches this server.
+/// All watchers of this server.
 pub struct Watchers {
     most: usize,
-    /// How many: read at every step, so that a server which nobody watches does no more than this.
+    /// Number of watchers. Every step reads it; without watchers a step does nothing else here.
     count: AtomicUsize,
     sessions: Mutex<HashMap<String, Vec<Watched>>>,
 }
@@ -36,18 +36,18 @@ struct Watched {
     frames: Frames,
 }
 
-/// One who watches, until this is dropped.
+/// A watcher, until this is dropped.
 pub struct Watcher {
     watchers: Arc<Watchers>,
     session: String,
     index: usize,
     frames: Receiver<Frame>,
-    /// Header that was sent last.
+    /// The last header that was sent.
     head: Bytes,
 }
 
 impl Watchers {
-    /// `most` at a time.
+    /// At most `most` watchers.
     pub fn new(most: usize) -> Arc<Self> {
         Arc::new(Self { most, count: AtomicUsize::new(0), sessions: Mutex::default() })
     }
@@ -56,12 +56,12 @@ impl Watchers {
         self.most
     }
 
-    /// Sound even if a holder panicked: what is changed together is changed without a call between.
+    /// Consistent even after a panic: fields that change together change without a call in between.
     fn lock(&self) -> MutexGuard<'_, HashMap<String, Vec<Watched>>> {
         self.sessions.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Follows environment `index` of the session that is called `session`; none if there are too many who watch. Needs a
+    /// Follows environment `index` of the session named `session`; None if there are too many watchers. Needs a
     /// tokio runtime.
     pub fn watch(self: &Arc<Self>, session: &str, index: usize, task: &Arc<dyn AnyTask>) -> Option<Watcher> {
         let mut sessions = self.lock();
@@ -82,7 +82,8 @@ impl Watchers {
         Some(Watcher { watchers: self.clone(), session: session.into(), index, frames, head: Bytes::new() })
     }
 
-    /// The session `id` has just been reset or stepped. Costs a counter's read, or the copy of a state where a frame is due.
+    /// Must be called after each reset or step of session `id`. Costs reading a counter, or copying a state when a
+    /// frame is due.
     pub fn saw(&self, id: &str, batch: &Batch) {
         let count = self.count.load(Ordering::Relaxed);
         if count == 0 {
@@ -92,7 +93,7 @@ impl Watchers {
         let (session, now) = (name(id), Instant::now());
         let mut sessions = self.lock();
         for watched in sessions.get_mut(&session).into_iter().flatten().filter(|w| w.next <= now) {
-            // An environment that was not reset yet has nothing to show.
+            // An environment before its first reset has no state to show.
             if let Ok(look) = batch.look(watched.index, true) {
                 watched.latest.send_replace(Some(Arc::new(Moment::of(look))));
                 watched.next = now + pause;
@@ -100,7 +101,7 @@ impl Watchers {
         }
     }
 
-    /// The session `id` has ended, and with it the streams of those who watch it.
+    /// Session `id` has ended; ends the streams of its watchers.
     pub fn ended(&self, id: &str) {
         if self.count.load(Ordering::Relaxed) > 0 {
             let gone = self.lock().remove(&name(id));
@@ -122,7 +123,7 @@ impl Watchers {
 }
 
 impl Watcher {
-    /// The next blocks: a row, after a header if that has changed. None when the session has ended. Whoever asks too seldom
+    /// The next blocks: a row, after a header if that has changed. None when the session has ended. A slow reader
     /// misses some.
     pub async fn next(&mut self) -> Option<Bytes> {
         let frame = loop {

@@ -1,33 +1,34 @@
 //! One time step of a robot on sand: servos → sand → rigid bodies.
 //!
-//! An articulated-body algorithm (Featherstone 2008, chapter 7) for a free base with legs, in a world-aligned frame at
-//! the base's centre of mass. Sand is linearly implicit: its force after the step is f − C (v⁺ − v) with the present
-//! velocity v, which is the same as point masses dt C at the segments. They enter the inertia only: velocity-product
-//! terms are gathered first (accelerations all zero), so the added masses bring none of their own.
+//! An articulated-body algorithm (Featherstone 2008, chapter 7) for a free base with legs, in a world-aligned frame
+//! at the base's centre of mass. Sand is linearly implicit: its force after the step is f − C (v⁺ − v) with the
+//! present velocity v, which is the same as point masses dt C at the segments. They enter the inertia only:
+//! velocity-product terms are gathered first (accelerations all zero), so the added masses cause none.
 //!
-//! Where a motion is smooth, a step adds to the velocities what the last one added, Δv. There the sand's force is taken in the
-//! middle of the step, at v + ½ w Δv, and its drag acts on what differs from that expectation, f − C (v⁺ − v − w Δv). The
-//! trust w = (v² / (v² + 4 Δv²))² falls to zero where things stick, and with it the step is the plain one. Our own scheme; the
-//! factor 4 is our choice, because of 2, 4 and 6 it gave the least error over 16 walks (0.47 % at 1 ms; `docs/convergence.md`).
+//! Where a motion is smooth, a step changes the velocities by about the same Δv as the last step. There the sand's
+//! force is evaluated in the middle of the step, at v + ½ w Δv, and its drag acts on the difference from the
+//! expected change, f − C (v⁺ − v − w Δv). The weight w = (v² / (v² + 4 Δv²))² falls to zero where a segment
+//! sticks; at w = 0 the step is the plain implicit one. Our own scheme; the factor 4 is our choice, because of 2, 4
+//! and 6 it gave the least error over 16 walks (0.47 % at 1 ms; `docs/convergence.md`).
 
 use super::model::{LaneBody, LaneModel, LanePlate};
 use super::plane::{Field, Moments, PlaneForces};
 use crate::number::{Mat3, Real, Vec3};
 use crate::sand::law::StressLaw;
-use crate::sand::{Beyond, Form, Ground, Plain, Site};
+use crate::sand::{LawCoefficients, Plain, SandBed, SegmentState, StressModel};
 use crate::spatial::{Inertia, PointMasses, Symmetric, Twist, Wrench};
 
 /// State of the robots in one block, one lane each; see [`crate::State`].
 #[derive(Clone)]
 pub struct LaneState<R> {
     pub position: Vec3<R>,
-    /// Where position.x counts from, as far as sand that changes along the way needs to know [m].
+    /// Origin of position.x [m], for sand that varies along the way.
     pub travelled: R,
     /// Quaternion w and (x, y, z).
     pub orientation: (R, Vec3<R>),
     pub velocity: Vec3<R>,
     pub angular_velocity: Vec3<R>,
-    /// What the last step added to both velocities.
+    /// Change of both velocities in the last step.
     pub change: Twist<R>,
     pub work: R,
     pub joints: Vec<LaneJoint<R>>,
@@ -40,7 +41,7 @@ pub struct LaneJoint<R> {
     pub rate: R,
     pub reference: R,
     pub torque: R,
-    /// What the last step added to `rate` [rad/s].
+    /// Change of `rate` in the last step [rad/s].
     pub change: R,
     /// Speed of the reference [rad/s].
     pub command_rate: R,
@@ -48,7 +49,7 @@ pub struct LaneJoint<R> {
     pub command_torque: R,
 }
 
-/// What the inward pass leaves for the outward one, a joint.
+/// Results of the inward pass for one joint, which the outward pass needs.
 #[derive(Clone, Copy)]
 struct Hinge<R> {
     axis: Twist<R>,
@@ -69,9 +70,9 @@ impl<R: Real> Hinge<R> {
     }
 }
 
-/// Room that a step works in; nothing in it outlives the step.
+/// Work space of a step; its contents are not kept.
 pub struct Scratch<R, const J: usize> {
-    /// One a joint.
+    /// One entry a joint.
     hinges: Vec<Hinge<R>>,
     /// Masses of each link of the present leg, with the sand's, and the wrench that its motion needs.
     links: [(PointMasses<R>, Wrench<R>); J],
@@ -84,19 +85,19 @@ impl<R: Real, const J: usize> Scratch<R, J> {
     }
 }
 
-/// Where a body is and how it moves; lengths from the base's centre of mass.
+/// Position and motion of a body; lengths from the base's centre of mass.
 #[derive(Clone, Copy)]
 struct Frame<R> {
     rotation: Mat3<R>,
     origin: Vec3<R>,
     velocity: Twist<R>,
-    /// Acceleration that the velocities alone cause.
+    /// Acceleration that is due to velocities alone.
     bias: Twist<R>,
-    /// What the last step's accelerations added to the velocity.
+    /// Change of the velocity by the last step's accelerations.
     change: Twist<R>,
 }
 
-/// Where the robot's base is and how it travels.
+/// Position and horizontal velocity of the robot's base.
 struct Travel<R> {
     /// [m]
     position: Vec3<R>,
@@ -169,19 +170,21 @@ fn belly<R: Real, const J: usize>(
     inertia: &mut Inertia<R>,
     bias: &mut Wrench<R>,
 ) {
-    match (&model.ground.form, &model.ground.beyond) {
-        (Form::Li2013(law), None) => belly_by(law, &Plain, model, base, travel, inertia, bias),
-        (form, None) => belly_by(form, &Plain, model, base, travel, inertia, bias),
-        (Form::Li2013(law), Some(beyond)) => belly_by(law, beyond, model, base, travel, inertia, bias),
-        (form, Some(beyond)) => belly_by(form, beyond, model, base, travel, inertia, bias),
+    match (&model.ground.law, &model.ground.mechanisms) {
+        (LawCoefficients::Li2013(law), None) => belly_by(law, &Plain, model, base, travel, inertia, bias),
+        (law, None) => belly_by(law, &Plain, model, base, travel, inertia, bias),
+        (LawCoefficients::Li2013(law), Some(mechanisms)) => {
+            belly_by(law, mechanisms, model, base, travel, inertia, bias)
+        }
+        (law, Some(mechanisms)) => belly_by(law, mechanisms, model, base, travel, inertia, bias),
     }
 }
 
-/// One-sided plates with a leading-edge gate, all facing down in one plane of the base.
+/// One-sided plates with a leading-edge gate, which all face down in one plane of the base.
 #[inline(always)]
 fn belly_by<R: Real, const J: usize>(
     law: &impl StressLaw<R>,
-    beyond: &impl Beyond<R>,
+    stress_model: &impl StressModel<R>,
     model: &LaneModel<R, J>,
     base: &Frame<R>,
     travel: &Travel<R>,
@@ -203,12 +206,12 @@ fn belly_by<R: Real, const J: usize>(
     for plate in &model.belly {
         let Some(depth) = submerged(&places, plate.center, travel.position.z) else { continue };
         wet = true;
-        let site = Site {
+        let site = SegmentState {
             width: plate.width,
-            ..Site::fresh(depth, travel.position.x + places.value(plate.center).x).travelling(travel.velocity)
+            ..SegmentState::fresh(depth, travel.position.x + places.value(plate.center).x).travelling(travel.velocity)
         };
         let velocity = velocities.value(plate.center);
-        let contact = model.ground.one_sided_by(law, beyond, &site, plate.area, normal, velocity);
+        let contact = model.ground.one_sided_by(law, stress_model, &site, plate.area, normal, velocity);
         forces.add(contact.force, plate.center);
         drag.add(contact.drag, plate.center);
         edge.add(contact.edge, plate.center);
@@ -223,7 +226,8 @@ fn belly_by<R: Real, const J: usize>(
     }
 }
 
-/// How far a body's next change of velocity at `place` can be expected to be its last one: 1 wholly, 0 not at all.
+/// Weight w at `place`: 1 where the body's next change of velocity is expected to equal the last one, 0 where it is
+/// not.
 #[inline(always)]
 fn trust<R: Real>(frame: &Frame<R>, place: Vec3<R>) -> R {
     let (speed, change) = (frame.velocity.at(place).norm_squared(), frame.change.at(place).norm_squared());
@@ -231,7 +235,7 @@ fn trust<R: Real>(frame: &Frame<R>, place: Vec3<R>) -> R {
     share * share
 }
 
-/// Depth of a place in a plane, if any lane has it under the surface.
+/// Depth of a place in a plane, if it is below the surface in any lane.
 #[inline(always)]
 fn submerged<R: Real>(places: &Field<R>, p: [R; 2], height: R) -> Option<R> {
     let [e0, e1] = &places.by;
@@ -239,7 +243,8 @@ fn submerged<R: Real>(places: &Field<R>, p: [R; 2], height: R) -> Option<R> {
     R::any(R::zero().lt(depth)).then(|| depth.max(R::zero()))
 }
 
-/// A link's masses with those that the sand adds, and the wrench its motion needs with all joints unaccelerated.
+/// A link's masses with those that the sand adds, and the wrench that its motion needs while all joint
+/// accelerations are zero.
 #[inline(always)]
 fn link<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
@@ -261,11 +266,11 @@ fn link<R: Real, const J: usize>(
     (drag.scaled(model.dt).plus(&body.masses).of(&places), bias)
 }
 
-/// Sand on a link: on its strip, or in part on the straight chord where its concave side leads and fills. Its forces,
-/// and its drags as masses.
+/// Sand on a link: on its strip, or in part on the straight chord where its concave side leads and fills. Adds the
+/// forces, and the drags as masses.
 #[inline(always)]
 fn link_sand<R: Real>(
-    ground: &Ground<R>,
+    ground: &SandBed<R>,
     body: &LaneBody<R>,
     rate: R,
     places: &Field<R>,
@@ -273,37 +278,39 @@ fn link_sand<R: Real>(
     travel: &Travel<R>,
 ) -> (PlaneForces<R>, Moments<R>) {
     let mut total = (PlaneForces::zero(), Moments::zero());
-    let Some(beyond) = &ground.beyond else {
+    let Some(mechanisms) = &ground.mechanisms else {
         let plates = &body.plates;
-        match &ground.form {
-            Form::Li2013(law) => {
+        match &ground.law {
+            LawCoefficients::Li2013(law) => {
                 strip(law, &Plain, ground, plates, places, velocities, travel, R::one(), &mut total);
             }
-            form => strip(form, &Plain, ground, plates, places, velocities, travel, R::one(), &mut total),
+            law => strip(law, &Plain, ground, plates, places, velocities, travel, R::one(), &mut total),
         }
         return total;
     };
     let concave_leads = (body.bulge * rate).lt(R::zero());
-    let fill = R::select(concave_leads, beyond.fill, R::zero());
+    let fill = R::select(concave_leads, mechanisms.fill, R::zero());
     for (plates, share) in [(&body.plates, R::one() - fill), (&body.chord, fill)] {
         if !R::any(R::zero().lt(share)) {
             continue;
         }
-        match &ground.form {
-            Form::Li2013(law) => strip(law, beyond, ground, plates, places, velocities, travel, share, &mut total),
-            form => strip(form, beyond, ground, plates, places, velocities, travel, share, &mut total),
+        match &ground.law {
+            LawCoefficients::Li2013(law) => {
+                strip(law, mechanisms, ground, plates, places, velocities, travel, share, &mut total)
+            }
+            law => strip(law, mechanisms, ground, plates, places, velocities, travel, share, &mut total),
         }
     }
     total
 }
 
-/// Adds `share` of the sand on two-sided plates: the hottest loop of the program.
+/// Adds `share` of the sand's force on two-sided plates: the hottest loop of the program.
 #[inline(always)]
-#[allow(clippy::too_many_arguments)] // all of them are in registers
+#[allow(clippy::too_many_arguments)] // all arguments stay in registers
 fn strip<R: Real>(
     law: &impl StressLaw<R>,
-    beyond: &impl Beyond<R>,
-    ground: &Ground<R>,
+    stress_model: &impl StressModel<R>,
+    ground: &SandBed<R>,
     plates: &[LanePlate<R>],
     places: &Field<R>,
     velocities: &Field<R>,
@@ -314,17 +321,17 @@ fn strip<R: Real>(
     for plate in plates {
         let Some(depth) = submerged(places, plate.center, travel.position.z) else { continue };
         let (normal, velocity) = (places.change(plate.normal), velocities.value(plate.center));
-        let site = Site {
+        let site = SegmentState {
             width: plate.width,
-            ..Site::fresh(depth, travel.position.x + places.value(plate.center).x).travelling(travel.velocity)
+            ..SegmentState::fresh(depth, travel.position.x + places.value(plate.center).x).travelling(travel.velocity)
         };
-        let contact = ground.thin_plate_by(law, beyond, &site, plate.area * share, normal, velocity);
+        let contact = ground.thin_plate_by(law, stress_model, &site, plate.area * share, normal, velocity);
         total.0.add(contact.force, plate.center);
         total.1.add(contact.drag, plate.center);
     }
 }
 
-/// Inward pass over one leg: the inertia and bias it shows to the base.
+/// Inward pass over one leg: adds the leg's articulated inertia and bias to the base's.
 #[inline(always)]
 fn fold_leg<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
@@ -384,8 +391,8 @@ fn turned<R: Real>(u: Vec3<R>, axis: Vec3<R>, sin: R, cos: R) -> Vec3<R> {
     axis.cross(u).scale_add(sin, u.scale_add(cos, along))
 }
 
-/// The servo, implicit in angle and speed: τ = τ0 − (dt kd + dt² kp) q̈. Where that would pass the torque limit (judged
-/// with the parent held still) the torque is the limit and does not yield.
+/// The servo, implicit in angle and speed: τ = τ0 − (dt kd + dt² kp) q̈. Where that would exceed the torque limit
+/// (computed with the parent held still), the torque is the limit and independent of q̈.
 #[inline(always)]
 fn drive<R: Real, const J: usize>(
     model: &LaneModel<R, J>,

@@ -25,7 +25,7 @@ pub struct LanesEngine {
     lanes: usize,
 }
 
-/// Makes blocks for the number of an instruction set.
+/// Makes blocks for the number type of an instruction set.
 struct Blocks<'a> {
     model: &'a Model,
     count: usize,
@@ -94,7 +94,7 @@ impl LanesEngine {
     }
 }
 
-/// One block of robots, whatever number it is computed in.
+/// One block of robots, in any number type.
 trait Block: Send {
     fn set_model(&mut self, lane: usize, model: &Model);
     fn set_footing(&mut self, lane: usize, model: &Model, shares: &[f64]);
@@ -108,10 +108,11 @@ struct Lanes<R: Real, const J: usize> {
     model: LaneModel<R, J>,
     state: LaneState<R>,
     scratch: Scratch<R, J>,
-    /// Place of each lane's x and y zero [m]: distances stay small, so `f32` keeps its accuracy however far one walks.
+    /// Origin of each lane's x and y [m]. Distances from it stay small, so `f32` keeps its accuracy however far a
+    /// robot walks.
     origins: Vec<[f64; 2]>,
-    /// Work of each lane up to the last control step [J]; the state has what came after, so that small amounts are not lost
-    /// in a large sum.
+    /// Work of each lane up to the last control step [J]. The state holds the work since then, so that small
+    /// amounts are not lost in a large sum.
     works: Vec<f64>,
 }
 
@@ -153,7 +154,8 @@ impl<R: Real, const J: usize> Lanes<R, J> {
         Box::new(block)
     }
 
-    /// Moves each lane's x and y into its origin, its work into the sum, and whole turns out of angles together with their references.
+    /// Moves each lane's x and y into its origin and its work into the sum, and takes whole turns out of angles and
+    /// their references.
     #[inline(always)]
     fn fold(&mut self) {
         for lane in 0..R::LANES {
@@ -253,8 +255,8 @@ impl<R: Real, const J: usize> Block for Lanes<R, J> {
     }
 }
 
-/// Denormal numbers, counted by the processor itself while the engine runs without [`crate::number::flushed`]: so that the
-/// next constant that ought to be zero is noticed on every x86-64 processor, also where it costs no time.
+/// Counts denormal numbers in the processor while the engine runs without [`crate::number::flushed`]. So a new
+/// constant that ought to be zero is found on every x86-64 processor, also on those where it costs no time.
 #[cfg(all(test, target_arch = "x86_64"))]
 mod tests {
     use super::*;
@@ -279,8 +281,8 @@ mod tests {
         Model::new(&robot, &scene).unwrap()
     }
 
-    /// Share of 20 ms control steps in which `robots` of one block meet a denormal operand within `time` [s], with hips
-    /// that turn at `rate(time, joint)` [rad/s].
+    /// Share of 20 ms control steps within `time` [s] in which `robots` of one block meet a denormal operand, with
+    /// hips that turn at `rate(time, joint)` [rad/s].
     fn share(model: &Model, start: &State, time: f64, rate: impl Fn(f64, usize) -> f64) -> f64 {
         let mut engine = LanesEngine::with_isa(Isa::choose().unwrap(), model, 1).unwrap();
         engine.set_state(0, start);
@@ -294,8 +296,8 @@ mod tests {
         met as f64 / steps as f64
     }
 
-    /// A constant that is denormal, or makes denormal products, is met in every step. What moves through zero meets one now
-    /// and then: at most 6 % of control steps were seen.
+    /// A constant that is denormal, or makes denormal products, appears in every step. Values that pass through
+    /// zero are denormal now and then: at most 6 % of control steps were seen.
     #[test]
     fn robots_that_move_meet_hardly_any() {
         for (robot, leg) in FORMS {
@@ -315,7 +317,7 @@ mod tests {
         }
     }
 
-    /// Robots at rest, on their legs or on their back: what decays ends at zero.
+    /// Robots at rest, on their legs or on their back: decaying values end at zero.
     #[test]
     fn what_decays_ends_at_zero() {
         for (robot, leg) in FORMS {

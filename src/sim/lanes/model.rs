@@ -5,7 +5,7 @@ use crate::Model;
 use crate::error::{Error, Result};
 use crate::model::{Body, Plate, exact};
 use crate::number::{Real, Vec3};
-use crate::sand::Ground;
+use crate::sand::SandBed;
 
 type V = nalgebra::Vector3<f64>;
 type M = nalgebra::Matrix3<f64>;
@@ -55,19 +55,21 @@ pub struct LaneModel<R, const J: usize> {
     pub speed_limit: R,
     pub lag_limit: R,
     pub gravity: Vec3<R>,
-    pub ground: Ground<R>,
+    pub ground: SandBed<R>,
     /// The same in all lanes [s].
     pub dt: R,
 }
 
-/// How far a plate may be out of its plane [m], and its normal: rounding, far below what a force notices.
+/// Largest distance of a plate from its plane [m], and deviation of its normal: rounding errors, far below any
+/// effect on a force.
 const FLAT: f64 = 1e-9;
 
-/// The plane of a body: e₁ along its reach, e₀ across it toward the normals, or anywhere if the body is a line.
+/// The plane of a body: e₁ along its reach, e₀ across it toward the normals, or in any direction if the body is a
+/// line.
 fn plane(body: &Body) -> [V; 2] {
     let along = body.reach.normalize();
     let across = |v: V| v - along * along.dot(&v);
-    let axes = [V::x(), V::y()]; // one of them is not along the reach
+    let axes = [V::x(), V::y()]; // one of the two is not along the reach
     let normals = body.plates.iter().map(|p| p.normal);
     let widest = |v: &mut dyn Iterator<Item = V>| v.map(across).max_by(|a, b| a.norm().total_cmp(&b.norm()));
     let e0 = widest(&mut normals.clone()).or_else(|| widest(&mut axes.into_iter()));
@@ -94,19 +96,20 @@ fn moments(body: &Body, [e0, e1]: [V; 2]) -> Moments<f64> {
     }
 }
 
-/// `x`, or zero where it is a rounding error beside `scale`: in `f32` it could become denormal. See [`crate::number::flushed`].
+/// `x`, or zero where it is a rounding error relative to `scale`: in `f32` it could become denormal. See
+/// [`crate::number::flushed`].
 fn nonzero(x: f64, scale: f64) -> f64 {
     if x.abs() < 1e-9 * scale { 0.0 } else { x }
 }
 
-/// This engine takes links in a plane through their joint and level bellies: the only ones that [`Model::new`] makes.
+/// This engine needs links in a plane through their joint, and level bellies. [`Model::new`] makes no others.
 pub fn check_planes(model: &Model) -> Result<()> {
     for body in model.legs.iter().flatten() {
         let [e0, e1] = plane(body);
         let normal = e0.cross(&e1);
         let flat = |v: V| v.dot(&normal).abs() < FLAT;
         let second = second_moment(body);
-        // A width axis up to 1e-3 off the right angle leaves 1e-9 of this.
+        // A width axis up to 1e-3 off the right angle gives a deviation of 1e-9.
         let thin = (second * normal).norm() <= 1e-6 * second.trace();
         let plates = || body.plates.iter().chain(&body.chord);
         if !(thin && flat(body.center) && plates().all(|p| flat(p.center) && flat(p.normal))) {
@@ -128,7 +131,7 @@ fn belly_corner(model: &Model) -> [f64; 2] {
     model.robot.belly.as_ref().map_or([0.0; 2], |belly| belly.size.map(|s| s / 2.0))
 }
 
-/// Axes of the base: its belly's plane.
+/// Axes of the base: the plane of its belly.
 fn level() -> [V; 2] {
     [V::x(), V::y()]
 }
@@ -201,7 +204,7 @@ impl<R: Real, const J: usize> LaneModel<R, J> {
         }
     }
 
-    /// Gives one lane another model with as many legs, joints and plates, and the same time step and law.
+    /// Gives one lane another model with equally many legs, joints and plates, and the same time step and law.
     pub fn set_lane(&mut self, lane: usize, model: &Model) {
         self.base_mass.set_lane(lane, model.base_mass);
         self.base_inertia.set_lane(lane, model.base_inertia.into());
@@ -220,7 +223,7 @@ impl<R: Real, const J: usize> LaneModel<R, J> {
         self.ground.set_lane(lane, &model.scene.medium, &model.scene.mechanisms);
     }
 
-    /// Gives each leg of one lane, which has `model`, a share of its plates' areas: the forces on them are in proportion.
+    /// Scales the plates' areas of each leg of one lane, which has `model`; forces are proportional to area.
     pub fn set_footing(&mut self, lane: usize, model: &Model, shares: &[f64]) {
         for ((chain, bodies), share) in self.legs.iter_mut().zip(&model.legs).zip(shares) {
             for (out, body) in chain.iter_mut().zip(bodies) {
@@ -244,7 +247,7 @@ mod tests {
         Model::new(&robot, &Scene::flat(Medium::named("poppy-loose").unwrap())).unwrap()
     }
 
-    /// Coordinates in the plane give back every plate, and the inertia about the joint.
+    /// The coordinates in the plane give back every plate and the inertia about the joint.
     #[test]
     fn planes_hold_all_of_a_link() {
         for (robot, shape) in [("xplorer", "L"), ("xplorer", "revC"), ("xplorer", "flat"), ("xplorer18", "xi=30")] {

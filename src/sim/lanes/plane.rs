@@ -1,9 +1,8 @@
 //! Bodies that lie in a plane: forces and masses summed in the plane's two coordinates.
 //!
-//! A link is a curve in the plane of its side view, and a belly is flat. A piece is at o + p₀ e₀ + p₁ e₁ then, so its
-//! place, velocity and depth take two products a component, and what all pieces together do to the body follows from
-//! the sums Σf, Σp₀f, Σp₁f and from the moments of their masses up to the second order: turned into a wrench and an
-//! inertia once a body, not once a piece.
+//! A link is a curve in the plane of its side view, and a belly is flat. So a piece is at o + p₀ e₀ + p₁ e₁, and
+//! its position, velocity and depth take two products a component. The sums Σf, Σp₀f, Σp₁f and the moments of the
+//! pieces' masses up to second order give the wrench and inertia of all pieces, once a body and not once a piece.
 
 use crate::number::{Real, Vec3};
 use crate::spatial::{PointMasses, Symmetric, Twist, Wrench};
@@ -21,7 +20,7 @@ impl<R: Real> Field<R> {
         self.by[0].scale_add(p[0], self.by[1].scale_add(p[1], self.at))
     }
 
-    /// How much it changes along `p`.
+    /// Change along `p`.
     #[inline(always)]
     pub fn change(&self, p: [R; 2]) -> Vec3<R> {
         self.by[0].scale_add(p[0], self.by[1] * p[1])
@@ -97,7 +96,7 @@ impl<R: Real> Moments<R> {
         Self { mass: self.mass + o.mass, first: [a0 + b0, a1 + b1], second: [a00 + b00, a01 + b01, a11 + b11] }
     }
 
-    /// Forces that give the masses `accelerations`.
+    /// The forces that give the masses these `accelerations`.
     #[inline(always)]
     pub fn forces(&self, accelerations: &Field<R>) -> PlaneForces<R> {
         let ([m0, m1], [m00, m01, m11]) = (self.first, self.second);
@@ -155,7 +154,7 @@ impl<R: Real> PlaneForces<R> {
         Self { force: self.force - o.force, first: [a0 - b0, a1 - b1] }
     }
 
-    /// Their wrench about the point that `places` count from.
+    /// Their wrench about the origin of `places`.
     #[inline(always)]
     pub fn wrench(&self, places: &Field<R>) -> Wrench<R> {
         let [e0, e1] = places.by;
@@ -179,8 +178,8 @@ mod tests {
         close(a.off, b.off);
     }
 
-    /// Pieces of a plane summed in its coordinates are the same pieces summed one by one in space: wrench, inertia,
-    /// the inertia of a slope along the normal, and the wrench of a motion.
+    /// Sums over the pieces in the plane's coordinates equal sums piece by piece in space: wrench, inertia, the
+    /// inertia of a slope along the normal, and the wrench of a motion.
     #[test]
     fn the_planar_form_is_the_general_form() {
         let mut k = 0.0_f64;

@@ -1,7 +1,7 @@
-//! What touches obstacles: the robot and the obstacles as rapier's colliders, and how contacts are solved.
+//! The robot and the obstacles as rapier's colliders, and how contacts are solved.
 //!
-//! Colliders carry no mass: masses are ours (`inertia`, `rocks`). Each body has one collider in its own frame, so that
-//! rapier adds nothing to its mass properties.
+//! Colliders carry no mass: we compute masses (`inertia`, `rocks`). Each body has one collider in its own frame, so
+//! that rapier adds nothing to its mass properties.
 
 use super::units::{PER_METRE, quat, scaled};
 use crate::Model;
@@ -15,25 +15,26 @@ use rapier3d::prelude::*;
 /// Thickness of a leg's strip over its width: 2 mm on the reference robot. Our choice, because the paper does not say.
 const THICKNESS: f64 = 0.2;
 
-/// Sweeps of the projected Gauss-Seidel method over contacts and motors together, where a world has obstacles: 16 cost
-/// no more that could be measured than 8, because the dynamics around them cost far more.
+/// Sweeps of the projected Gauss-Seidel method over contacts and motors together, in worlds with obstacles: 16 cost
+/// no measurable time more than 8, because the dynamics around them cost far more.
 const SWEEPS: usize = 16;
 
-/// Contacts are springs of this frequency [Hz] and damping ratio between the touching bodies' masses. Our choice: a
-/// third of an overlap closes in a step of 0.5 ms; what is left of them, `examples/rocks_study.rs` measures.
+/// Contacts are springs with this frequency [Hz] and damping ratio between the touching bodies' masses. Our choice:
+/// a third of an overlap closes in a step of 0.5 ms; `examples/rocks_study.rs` measures the remaining overlaps.
 const SOFTNESS: SpringCoefficients<f32> = SpringCoefficients { natural_frequency: 1000.0, damping_ratio: 3.0 };
 
-/// Nothing here moves faster [m/s]: what may meet within a step at this speed has its contact found before it.
+/// Upper bound of speeds [m/s]. Contacts between bodies that may meet within a step at this speed are found before
+/// the step.
 const TOP_SPEED: f32 = 10.0;
 
-/// Fastest at which a penetration is pushed out [m/s]; our choice, below the legs' own speed.
+/// Largest speed at which a penetration is pushed out [m/s]: our choice, below the legs' own speed.
 const PUSH_OUT: f32 = 1.0;
 
 const ROBOT: Group = Group::GROUP_1;
 const FIXED: Group = Group::GROUP_2;
 const LOOSE: Group = Group::GROUP_3;
 
-/// Shapes of a model, made once and shared by every world that is made from it.
+/// Shapes of a model, made once and shared by all worlds of that model.
 pub struct Shapes {
     base: SharedShape,
     links: Vec<SharedShape>,
@@ -76,7 +77,8 @@ fn collider(shape: &SharedShape, own: Group, others: Group, friction: f64) -> Co
         .friction_combine_rule(CoefficientCombineRule::Max)
 }
 
-/// The base's box, cut off at the belly if that is higher than the box's bottom: rock and sand meet the same surface.
+/// The base's box, cut off at the belly if that is higher than the box's bottom, so that rock and sand touch the
+/// same surface.
 fn base(model: &Model) -> SharedShape {
     let [length, width, height] = model.robot.base.size;
     let bottom = model.robot.belly.as_ref().map_or(-height / 2.0, |b| -b.below.min(height / 2.0));
@@ -107,7 +109,7 @@ fn obstacle(obstacle: &Obstacle, solid: &Solid) -> SharedShape {
         ObstacleShape::Box { size } => cuboid(V::from(*size)),
         ObstacleShape::Hull { .. } => {
             let corners: Vec<_> = solid.corners.iter().map(|c| scaled(*c)).collect();
-            // The corners are those of a hull already; a box around them stands in should f32 see it differently.
+            // The points are a hull's corners; the bounding box replaces the hull if `f32` rounding makes it fail.
             let reach = (solid.reach() * PER_METRE) as f32;
             SharedShape::convex_hull(&corners).unwrap_or_else(|| SharedShape::cuboid(reach, reach, reach))
         }
@@ -117,15 +119,16 @@ fn obstacle(obstacle: &Obstacle, solid: &Solid) -> SharedShape {
 /// How a world with obstacles solves its contacts.
 pub fn tune(parameters: &mut IntegrationParameters) {
     parameters.num_internal_pgs_iterations = SWEEPS;
-    // What follows as "normalized" is in metres.
+    // The "normalized" lengths below are in metres.
     parameters.length_unit = PER_METRE as f32;
-    // The velocities that push a penetration out must be in what we integrate: positions are ours.
+    // We integrate the positions, so the velocities that push a penetration out must be in the velocities that we
+    // read.
     parameters.num_internal_stabilization_iterations = 0;
     parameters.contact_softness = SOFTNESS;
     parameters.static_contact_softness = SOFTNESS;
     parameters.normalized_max_corrective_velocity = PUSH_OUT;
     parameters.normalized_prediction_distance = (TOP_SPEED * parameters.dt).max(2e-3);
-    // Contact points would be kept over 5 cm, a third of the robot.
+    // The default would keep contact points over 5 cm, a third of the robot.
     parameters.contact_recycling = false;
     parameters.friction_model = FrictionModel::Coulomb;
 }

@@ -33,7 +33,7 @@ impl Masses {
         self.second += place * place.transpose() * mass;
     }
 
-    /// Both together.
+    /// The sum of both.
     pub fn with(mut self, other: &Self) -> Self {
         self.mass += other.mass;
         self.first += other.first;
@@ -57,7 +57,7 @@ impl Masses {
         M::identity() * second.trace() - second
     }
 
-    /// As rapier holds them.
+    /// As rapier's mass properties.
     pub fn properties(&self) -> MassProperties {
         mass_properties(self.mass, self.center(), &self.inertia())
     }
@@ -69,10 +69,11 @@ impl Masses {
     }
 }
 
-/// Smallest principal inertia that is kept, as a share of the largest: rapier inverts the inertia in `f32`, and
-/// point masses in a line have none about it.
+/// Smallest principal inertia as a share of the largest: rapier inverts the inertia in `f32`, and point masses in a
+/// line have no inertia about it.
 const RELATIVE_FLOOR: f64 = 1e-4;
-/// The same in kg·m²: rapier multiplies three inverse inertias, whose product must stay finite in `f32`.
+/// Smallest principal inertia in kg·m²: rapier multiplies three inverse inertias, whose product must stay finite in
+/// `f32`.
 const ABSOLUTE_FLOOR: f64 = 1e-12;
 
 /// Mass properties, in rapier's units, from an inertia matrix [kg·m²] about `center` [m]; no mass gives rapier's "no mass

@@ -1,16 +1,16 @@
 //! Engine on rapier3d's reduced-coordinate multibodies: one world a robot, RFT forces at each segment's own point.
 //!
-//! * [`world`]: the model as a multibody; what rapier is told and what it answers.
+//! * [`world`]: the model as a multibody; rapier's inputs and outputs.
 //! * [`sand`]: force on a body, and the added masses that make it implicit.
 //! * [`inertia`]: mass properties that survive rapier's `f32`; [`units`]: rapier's unit of length is not a metre.
 //! * [`contact`]: colliders of robot and obstacles; [`rocks`]: obstacles that move.
 //!
-//! The state is ours, in `f64`; rapier solves for the velocities after each step in `f32`. What must hold for rapier's
-//! multibody to give the right motion stands beside each line that sees to it.
+//! We keep the state in `f64`; rapier solves in `f32` for the velocities after each step. Comments state each
+//! condition that rapier's multibody needs for the right motion, beside the line that establishes it.
 //!
-//! rapier's contacts remember: impulses to start from, points, the order of pairs. A world with obstacles is therefore
-//! made anew at the start of every `advance`, so a state that is read and set again goes on with the same bits. How a
-//! time is divided into calls of `advance` does matter to the bits there.
+//! rapier's contacts keep data between steps: impulses to start from, points, the order of pairs. A world with
+//! obstacles is therefore built anew at the start of every `advance`, so that a state that is read and set again
+//! gives the same bits. In such worlds the bits depend on how a time is divided into calls of `advance`.
 
 mod contact;
 mod inertia;
@@ -22,7 +22,7 @@ mod world;
 use super::command::Command;
 use super::frame::{Frame, V};
 use super::{Model, State};
-use crate::sand::Ground;
+use crate::sand::SandBed;
 pub(super) use sand::{Place, load_link};
 
 use contact::Shapes;
@@ -33,7 +33,7 @@ use sand::Wrench;
 use std::f64::consts::TAU;
 use world::World;
 
-/// Robots that share nothing but the call that advances them.
+/// Robots; independent of each other.
 pub struct RapierEngine {
     robots: Vec<Robot>,
 }
@@ -80,16 +80,16 @@ impl RapierEngine {
 
 struct Robot {
     model: Model,
-    /// Takes over at the next `set_state`.
+    /// Model that replaces the present one at the next `set_state`.
     next_model: Option<Model>,
-    ground: Ground<f64>,
+    ground: SandBed<f64>,
     /// Mass properties of the links with no sand on them.
     dry: Vec<MassProperties>,
     world: World,
     /// None without obstacles.
     shapes: Option<Shapes>,
     rocks: Vec<Rock>,
-    /// Objects that stay where they are until the world is made anew.
+    /// Objects that stay fixed until the world is built anew.
     resting: Vec<bool>,
     state: State,
     command: Command,
@@ -117,7 +117,7 @@ impl Robot {
     }
 
     fn set_state(&mut self, state: &State) {
-        // rapier disables bodies that turned non-finite: only a new world is sure to be whole again.
+        // rapier disables bodies with non-finite coordinates; only a new world is certain to work again.
         if let Some(model) = self.next_model.take() {
             let command = std::mem::replace(&mut self.command, Command::still(0));
             *self = Self::new(&model);
@@ -133,7 +133,7 @@ impl Robot {
         }
         self.state.forget_changes();
         self.state.rate_changes.resize(self.model.joints(), 0.0);
-        // Objects that the state does not name stand where the scene puts them.
+        // Objects that the state does not name get the scene's poses.
         let objects = &mut self.state.objects;
         objects.truncate(self.rocks.len());
         objects.extend(self.model.objects_at_rest().into_iter().skip(objects.len()));
@@ -147,7 +147,7 @@ impl Robot {
         self.command.rates.iter_mut().for_each(|r| *r = r.clamp(-limit, limit));
     }
 
-    /// Makes a world with obstacles anew for `steps` time steps: what they do depends on the state alone.
+    /// Builds a world with obstacles anew for `steps` time steps, so that its motion depends on the state alone.
     fn renew(&mut self, steps: usize) {
         if let Some(shapes) = self.shapes.as_ref().filter(|_| self.state.is_sound()) {
             let time = steps as f64 * self.model.scene.dt;
@@ -157,7 +157,7 @@ impl Robot {
         }
     }
 
-    /// Servos → sand → rigid bodies → new positions. A robot whose state is not sound stays as it is.
+    /// Servos → sand → rigid bodies → new positions. A robot whose state is not sound does not move.
     fn step(&mut self) {
         if !self.state.is_sound() {
             return;
@@ -248,7 +248,7 @@ impl Robot {
     }
 }
 
-/// Takes whole turns out of angles together with their references, so that neither grows while a hip turns.
+/// Takes whole turns out of angles and their references, so that both stay small while a hip turns.
 pub(super) fn fold_turns(state: &mut State) {
     for (angle, reference) in state.angles.iter_mut().zip(&mut state.references) {
         let turns = (*angle / TAU).round() * TAU;

@@ -1,18 +1,19 @@
 //! Obstacles that move: weight and sand in `f64`, contacts by rapier.
 //!
-//! A rock's whole surface is one-sided facets of resistive force theory, as a belly's. This is our choice: it has no
-//! more parameters than the sand itself. What it leaves out: grains that pile up before a pushed rock.
+//! A rock's whole surface is made of one-sided facets of resistive force theory, like a belly. This is our choice:
+//! it needs no parameters besides those of the sand. It neglects grains that pile up before a pushed rock.
 //!
-//! Weight and sand are solved first, linearly implicit as for the robot but with the full 6 × 6 matrix; rapier then
-//! starts from those velocities and adds what contacts change. For it the rock is as heavy as with the sand's added
-//! point masses, the gate's taken in all directions: what touches a rock feels the sand behind it, a little too much.
+//! Weight and sand are solved first, linearly implicit as for the robot but with the full 6 × 6 matrix. rapier then
+//! starts from those velocities and adds the effect of contacts. For rapier the rock's mass includes the sand's
+//! added point masses, with the gate's mass taken in all directions. So a body that touches a rock feels the sand
+//! behind it, a little too strongly.
 
 use super::inertia::Masses;
 use super::sand::lanes;
 use super::world::World;
 use crate::frame::{M, V};
 use crate::model::Body;
-use crate::sand::{Ground, Site};
+use crate::sand::{SandBed, SegmentState};
 use crate::solid::{Pose, Solid};
 use crate::state::ObjectState;
 use crate::{Model, Obstacle, State};
@@ -21,7 +22,7 @@ use rapier3d::prelude::MassProperties;
 
 /// A loose obstacle of the model.
 pub struct Rock {
-    /// Its number among the scene's obstacles.
+    /// Its index among the scene's obstacles.
     pub index: usize,
     /// [kg]
     mass: f64,
@@ -29,16 +30,16 @@ pub struct Rock {
     inertia: M,
 }
 
-/// Slower than this [m/s] a rock rests: ten times what the sand creeps at under a constant load.
+/// A rock slower than this [m/s] rests: ten times the sand's creep under a constant load.
 const REST: f64 = 1e-4;
 
-/// Nothing that may meet a resting rock moves faster than this [m/s]: our choice, twice the fastest walk.
+/// No body that may meet a resting rock is faster than this [m/s]: our choice, twice the fastest walk.
 const APPROACH: f64 = 2.0;
 
-/// Which objects stay where they are for the next `time` [s]: those that neither move nor fall, and that neither the
-/// robot nor a moving one can reach. A rock that a robot pushes against a resting one within that time meets a fixed
-/// one; at the next look it moves, and the other wakes.
-pub fn resting(model: &Model, rocks: &[Rock], ground: &Ground<f64>, state: &State, time: f64) -> Vec<bool> {
+/// Which objects stay fixed for the next `time` [s]: those that neither move nor fall, and that neither the robot
+/// nor a moving object can reach. If a robot pushes a rock against a resting one within that time, the resting one
+/// acts as fixed; at the next call it moves.
+pub fn resting(model: &Model, rocks: &[Rock], ground: &SandBed<f64>, state: &State, time: f64) -> Vec<bool> {
     let slow = |(rock, object): (&Rock, &ObjectState)| {
         let (solid, mut after) = (&model.solids[rock.index], *object);
         rock.fall(solid, ground, model.gravity, model.scene.dt, &mut after);
@@ -57,14 +58,14 @@ pub fn resting(model: &Model, rocks: &[Rock], ground: &Ground<f64>, state: &Stat
     (0..rocks.len()).map(|i| slow[i] && !woken(i)).collect()
 }
 
-/// Radius around the base's centre that the robot stays within [m].
+/// Radius of a ball around the base's centre that holds the robot [m].
 fn reach(model: &Model) -> f64 {
     let leg = |chain: &Vec<Body>| chain.iter().map(|b| b.joint.norm() + b.reach.norm()).sum::<f64>();
     let base = V::from(model.robot.base.size).norm() / 2.0;
     model.legs.iter().map(leg).fold(base, f64::max)
 }
 
-/// A rock as rapier is told of it.
+/// A rock's data for rapier.
 pub struct Wet {
     pub pose: Pose,
     pub properties: MassProperties,
@@ -83,7 +84,7 @@ impl Rock {
     }
 
     /// Gives `object` the velocities after a step of `dt` [s] under weight and sand alone.
-    pub fn fall(&self, solid: &Solid, ground: &Ground<f64>, gravity: V, dt: f64, object: &mut ObjectState) -> Wet {
+    pub fn fall(&self, solid: &Solid, ground: &SandBed<f64>, gravity: V, dt: f64, object: &mut ObjectState) -> Wet {
         let pose = Pose::new(object.position, object.orientation);
         let (velocity, omega) = (V::from(object.velocity), V::from(object.angular_velocity));
         let inertia = pose.rotation * self.inertia * pose.rotation.transpose();
@@ -101,7 +102,7 @@ impl Rock {
                 continue;
             }
             let normal = pose.rotation * facet.normal;
-            let site = Site::fresh(depth, pose.position.x + arm.x);
+            let site = SegmentState::fresh(depth, pose.position.x + arm.x);
             let contact = ground.one_sided(&site, facet.area, lanes(normal), lanes(velocity + omega.cross(&arm)));
             let push = V::new(contact.force.x, contact.force.y, contact.force.z);
             force += push;
@@ -123,7 +124,7 @@ impl Rock {
         let mut pull = Vector6::zeros();
         pull.fixed_rows_mut::<3>(0).copy_from(&(force * dt));
         pull.fixed_rows_mut::<3>(3).copy_from(&(moment * dt));
-        // The matrix is the sum of a positive definite one and of semidefinite ones.
+        // The matrix is a positive definite one plus semidefinite ones.
         let gained = matrix.cholesky().map_or(Vector6::repeat(f64::NAN), |c| c.solve(&pull));
         object.velocity = (velocity + gained.fixed_rows::<3>(0)).into();
         object.angular_velocity = (omega + gained.fixed_rows::<3>(3)).into();
@@ -133,7 +134,7 @@ impl Rock {
 }
 
 impl Wet {
-    /// Velocity of the wet rock's centre of mass and angular velocity, in rapier's precision: what it holds of a body.
+    /// Velocity of the wet rock's centre of mass and angular velocity, rounded to rapier's precision.
     fn held(&self, object: &ObjectState) -> [V; 2] {
         let omega = V::from(object.angular_velocity);
         [V::from(object.velocity) + omega.cross(&self.arm), omega].map(|v| v.map(|c| f64::from(c as f32)))
@@ -145,7 +146,7 @@ impl Wet {
         world.place_rock(rock, &self.pose, self.properties, velocity, omega);
     }
 
-    /// Adds to `object`'s velocities what contacts changed in `world`.
+    /// Adds the changes of velocity by contacts in `world` to `object`.
     pub fn leave(&self, world: &World, rock: usize, object: &mut ObjectState) {
         let held = self.held(object);
         let [velocity, omega] = world.rock_velocity(rock);

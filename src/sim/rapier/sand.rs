@@ -1,15 +1,15 @@
-//! What the sand does to one body: a wrench, and the point masses that make it implicit.
+//! The sand's effect on one body: a wrench, and the point masses that make it implicit.
 //!
-//! After a step the sand's force is f − C (v⁺ − v) with the present velocity v and C = drag·1 + edge·n nᵀ. A point mass
-//! dt·C at the segment does the same: it resists acceleration, carries no weight, and because rapier's multibody keeps
-//! velocities and not momentum it may change from step to step. A mass also brings velocity-product forces of its own
-//! (centrifugal, Coriolis, gyroscopic); each wrench here holds what cancels them.
+//! After a step the sand's force is f − C (v⁺ − v) with the present velocity v and C = drag·1 + edge·n nᵀ. A point
+//! mass dt·C at the segment has the same effect: it resists acceleration and has no weight. rapier's multibody
+//! keeps velocities and not momentum, so the mass may change from step to step. A mass also causes velocity-product
+//! forces (centrifugal, Coriolis, gyroscopic); each wrench here contains their negative.
 
 use super::inertia::Masses;
 use crate::frame::{Frame, V};
 use crate::model::{Body, Plate};
 use crate::number::Vec3;
-use crate::sand::{Contact, Ground, Site};
+use crate::sand::{Contact, SandBed, SegmentState};
 
 /// Force [N] and moment [N·m] about the base's centre, world axes.
 #[derive(Clone, Copy, Debug)]
@@ -45,16 +45,16 @@ pub struct Load {
     pub edge: Masses,
 }
 
-/// Where a body is: its frame about the base's centre, and that centre [m].
+/// Pose of a body: its frame about the base's centre, and that centre [m].
 pub struct Place<'a> {
     pub frame: &'a Frame,
     pub base: &'a [f64; 3],
-    /// How the base travels along x and y [m/s].
+    /// Velocity of the base along x and y [m/s].
     pub travel: [f64; 2],
 }
 
 /// Sand under a base.
-pub fn load_belly(ground: &Ground<f64>, plates: &[Plate], at: &Place, dt: f64) -> Load {
+pub fn load_belly(ground: &SandBed<f64>, plates: &[Plate], at: &Place, dt: f64) -> Load {
     let mut load = Load::none();
     load.add(plates, at, dt, |site, area, normal, velocity| ground.one_sided(site, area, normal, velocity));
     load
@@ -62,9 +62,9 @@ pub fn load_belly(ground: &Ground<f64>, plates: &[Plate], at: &Place, dt: f64) -
 
 /// Sand on a link that turns at `rate` [rad/s]: on its strip, or in part on the straight chord where its concave side
 /// leads and fills.
-pub fn load_link(ground: &Ground<f64>, body: &Body, rate: f64, at: &Place, dt: f64) -> Load {
+pub fn load_link(ground: &SandBed<f64>, body: &Body, rate: f64, at: &Place, dt: f64) -> Load {
     let concave_leads = body.bulge * rate < 0.0;
-    let fill = ground.beyond.as_ref().filter(|_| concave_leads).map_or(0.0, |beyond| beyond.fill);
+    let fill = ground.mechanisms.as_ref().filter(|_| concave_leads).map_or(0.0, |mechanisms| mechanisms.fill);
     let mut load = Load::none();
     for (plates, share) in [(&body.plates, 1.0 - fill), (&body.chord, fill)] {
         if share > 0.0 {
@@ -79,13 +79,13 @@ impl Load {
         Self { wrench: Wrench::none(), drag: Masses::none(), edge: Masses::none() }
     }
 
-    /// `contact` takes site, area [m²], unit normal and velocity [m/s].
+    /// `contact` takes the segment's state, area [m²], unit normal and velocity [m/s].
     fn add(
         &mut self,
         plates: &[Plate],
         at: &Place,
         dt: f64,
-        contact: impl Fn(&Site<f64>, f64, Vec3<f64>, Vec3<f64>) -> Contact<f64>,
+        contact: impl Fn(&SegmentState<f64>, f64, Vec3<f64>, Vec3<f64>) -> Contact<f64>,
     ) {
         let Place { frame, base, travel } = at;
         for plate in plates {
@@ -95,8 +95,10 @@ impl Load {
                 continue;
             }
             let (normal, velocity) = (frame.rotation * plate.normal, frame.velocity_at(arm));
-            let site =
-                Site { width: plate.width, ..Site::fresh(depth, base[0] + frame.origin.x + arm.x).travelling(*travel) };
+            let site = SegmentState {
+                width: plate.width,
+                ..SegmentState::fresh(depth, base[0] + frame.origin.x + arm.x).travelling(*travel)
+            };
             let contact = contact(&site, plate.area, lanes(normal), lanes(velocity));
             let mass = contact.drag * dt;
             let force = V::new(contact.force.x, contact.force.y, contact.force.z);

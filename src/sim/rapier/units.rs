@@ -1,21 +1,21 @@
-//! Between our metres in `f64` and rapier's units in `f32`.
+//! Converts between our metres in `f64` and rapier's units in `f32`.
 //!
-//! parry's search for contacts has tolerances that are absolute: a triangle whose cross product is shorter than 1.1e-3
-//! square units is none to it. In metres that is every triangle of a leg and a rock of centimetres, and what it answers
-//! then is now and then a deep overlap where there is a gap. So rapier's unit of length is smaller than a metre. Masses,
-//! times and angles stay what they are; so a force grows as a length does, a moment and an inertia as its square.
+//! parry's search for contacts has absolute tolerances: it ignores a triangle whose cross product is shorter than
+//! 1.1e-3 square units. In metres all triangles of a leg or of a rock of centimetres are that small, and parry
+//! sometimes reports a deep overlap where there is a gap. So rapier's unit of length is smaller than a metre.
+//! Masses, times and angles keep their units; so forces scale as lengths, moments and inertias as their squares.
 
 use crate::frame::V;
 use rapier3d::glamx::{Quat, Vec3};
 
-/// rapier's units of length in a metre: our choice. A leg's strip of the reference robot is 1.3 units wide then, a rock
-/// 1 to 4; a power of two, so that no `f32` is rounded anew.
+/// rapier's units of length in a metre: our choice. A leg's strip of the reference robot is then 1.3 units wide, a
+/// rock 1 to 4. A power of two, so that no `f32` is rounded again.
 pub const PER_METRE: f64 = 128.0;
 
 /// Moments and inertias in rapier's units per N·m and kg·m².
 pub const PER_SQUARE_METRE: f64 = PER_METRE * PER_METRE;
 
-/// Numbers as they are: angular velocities, say.
+/// Numbers without a length, such as angular velocities.
 pub fn vec3(v: V) -> Vec3 {
     Vec3::new(v.x as f32, v.y as f32, v.z as f32)
 }
@@ -30,12 +30,12 @@ pub fn scaled_twice(v: V) -> Vec3 {
     vec3(v * PER_SQUARE_METRE)
 }
 
-/// rapier's numbers as they are.
+/// rapier's numbers without a length.
 pub fn plain(v: Vec3) -> V {
     V::new(v.x.into(), v.y.into(), v.z.into())
 }
 
-/// A length [m] or velocity [m/s] of rapier's.
+/// A length [m] or velocity [m/s] from rapier.
 pub fn metres(v: Vec3) -> V {
     plain(v) / PER_METRE
 }

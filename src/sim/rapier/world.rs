@@ -11,11 +11,12 @@ use crate::{State, engine::Command};
 use rapier3d::glamx::{Pose3, Quat, Vec3};
 use rapier3d::prelude::*;
 
-/// Sweeps of the projected Gauss-Seidel method over the motors of one step. Joints couple through the base; each sweep
-/// shrinks what is left by the ratio of that coupling to the servo's own yielding, a few percent on the reference robot.
+/// Sweeps of the projected Gauss-Seidel method over the motors of one step. Joints couple through the base; each
+/// sweep shrinks the remaining error by the ratio of that coupling to the servo's own yielding, a few percent on
+/// the reference robot.
 const MOTOR_SWEEPS: usize = 4;
 
-/// Smallest kd + dt kp [N·m·s/rad] that a motor is given: one without gains still passes feed-forward torque on.
+/// Smallest kd + dt kp [N·m·s/rad] of a motor. With it a servo without gains still applies its feed-forward torque.
 const LEAST_YIELDING: f64 = 1e-9;
 
 /// A rigid body of rapier that is part of the robot.
@@ -24,13 +25,13 @@ pub struct Part(RigidBodyHandle);
 
 /// rapier's objects. They hold no state of ours: coordinates, velocities, masses and forces are written every step.
 ///
-/// The base stands at rapier's origin always, so that `f32` keeps its accuracy however far the robot walks. In a world
-/// with obstacles it stood there when the world was made.
+/// Without obstacles the base is always at rapier's origin, so that `f32` keeps its accuracy however far the robot
+/// walks. In a world with obstacles it was there when the world was built.
 pub struct World {
     physics: PhysicsWorld,
     base: Part,
-    /// Massless bodies fixed to the base, for the sand's added masses: its own centre of mass must stay at its origin,
-    /// because rapier takes a root's velocity for that of its centre of mass.
+    /// Massless bodies fixed to the base, for the sand's added masses. The base's own centre of mass must stay at
+    /// its origin, because rapier takes a root's velocity for that of its centre of mass.
     pub drag: Part,
     /// As `drag`, with mass along the vertical only.
     pub edge: Part,
@@ -40,7 +41,7 @@ pub struct World {
     rocks: Vec<Part>,
     /// The base's and the links' colliders; none without obstacles.
     colliders: Vec<ColliderHandle>,
-    /// rapier's origin in the world [m], where there are obstacles.
+    /// Position of rapier's origin in the world [m], in worlds with obstacles.
     origin: V,
 }
 
@@ -50,7 +51,7 @@ const HINGE: usize = JointAxis::AngX as usize;
 const BASE_DOFS: usize = 6;
 
 impl World {
-    /// Without obstacles, which [`Self::furnish`] adds.
+    /// A world without obstacles; [`Self::furnish`] adds them.
     pub fn new(model: &Model) -> Self {
         let mut physics = PhysicsWorld { gravity: Vec3::ZERO, ..PhysicsWorld::default() };
         let parameters = &mut physics.integration_parameters;
@@ -104,7 +105,7 @@ impl World {
             if obstacle.moves() {
                 let (object, rests) = (&state.objects[self.rocks.len()], resting[self.rocks.len()]);
                 let body = if rests { RigidBodyBuilder::fixed() } else { RigidBodyBuilder::dynamic() };
-                // Gyroscopic moments are ours, with the weight and the sand.
+                // We compute gyroscopic moments, with the weight and the sand.
                 let body = body.can_sleep(false).gyroscopic_forces_enabled(false);
                 let pose = relative(&Pose::new(object.position, object.orientation), origin);
                 self.rocks.push(Part(physics.insert(body.pose(pose), collider).0));
@@ -115,7 +116,7 @@ impl World {
         }
     }
 
-    /// Puts a rock where `pose` says, with mass properties, and velocities of its centre of mass.
+    /// Sets a rock's `pose`, mass properties, and velocities of its centre of mass.
     pub fn place_rock(&mut self, rock: usize, pose: &Pose, masses: MassProperties, velocity: V, omega: V) {
         let body = &mut self.physics.bodies[self.rocks[rock].0];
         body.set_position(relative(pose, self.origin), false);
@@ -135,7 +136,7 @@ impl World {
         self.physics.multibody_joints.get_multibody_mut(link.multibody)
     }
 
-    /// Puts the robot where `state` says.
+    /// Sets the robot's pose and velocities from `state`.
     pub fn place(&mut self, state: &State) {
         let [w, x, y, z] = state.orientation.map(|c| c as f32);
         let furnished = !self.colliders.is_empty();
@@ -158,13 +159,13 @@ impl World {
         }
     }
 
-    /// Puts the robot's colliders where the joint angles say: rapier itself moves them at the end of a step only.
+    /// Sets the poses of the robot's colliders from the joint angles: rapier moves them only at the end of a step.
     fn place_colliders(&mut self) {
         let physics = &mut self.physics;
         let Some(link) = physics.multibody_joints.rigid_body_link(self.base.0).copied() else { return };
         let Some(multibody) = physics.multibody_joints.get_multibody_mut(link.multibody) else { return };
         multibody.forward_kinematics(&physics.bodies, true);
-        // In a new world's first step rapier puts colliders where their bodies are.
+        // In a new world's first step rapier moves colliders to their bodies.
         multibody.update_rigid_bodies(&mut physics.bodies, false);
         for link in multibody.links() {
             for collider in physics.bodies[link.rigid_body_handle()].colliders() {
@@ -173,8 +174,9 @@ impl World {
         }
     }
 
-    /// Tells every motor its target. The servo kp(θ_ref⁺ − θ⁺) + kd(ω_ref − ω⁺) + τ, with θ⁺ = θ + dt ω⁺, is a damper
-    /// of strength kd + dt kp that pulls toward one speed; so the gains enter implicitly and the limit clips the result.
+    /// Sets every motor's target. The servo kp(θ_ref⁺ − θ⁺) + kd(ω_ref − ω⁺) + τ, with θ⁺ = θ + dt ω⁺, is a damper
+    /// of strength kd + dt kp that pulls toward one speed; so the gains enter implicitly and the limit clips the
+    /// result.
     pub fn drive(&mut self, model: &Model, state: &State, command: &Command) {
         let yielding = yielding(&model.motor, model.scene.dt);
         let Some(multibody) = self.multibody() else { return };
@@ -186,12 +188,13 @@ impl World {
         }
     }
 
-    /// Loads the base with `wrench`.
+    /// Applies `wrench` to the base.
     pub fn push_base(&mut self, wrench: &Wrench) {
         self.push(self.base, V::zeros(), wrench);
     }
 
-    /// Gives `part` mass properties about `center` (`arm` from the base's centre in the world) and loads it.
+    /// Gives `part` mass properties about `center` (`arm` from the base's centre in the world) and applies its
+    /// wrench.
     pub fn load(&mut self, part: Part, masses: MassProperties, arm: V, wrench: &Wrench) {
         self.physics.bodies[part.0].set_additional_mass_properties(masses, false);
         self.push(part, arm, wrench);
@@ -231,7 +234,7 @@ fn relative(pose: &Pose, origin: V) -> Pose3 {
     Pose3::from_parts(scaled(pose.position - origin), quat(&turn))
 }
 
-/// By how much a servo's torque falls per speed gained in a step [N·m·s/rad].
+/// How much a servo's torque falls with the speed gained in a step [N·m·s/rad].
 fn yielding(motor: &Motor, dt: f64) -> f64 {
     (motor.kd + dt * motor.kp).max(LEAST_YIELDING)
 }

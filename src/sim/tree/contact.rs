@@ -1,4 +1,4 @@
-//! Points of shapes that can stand on hard ground.
+//! Points of collision shapes that can touch hard ground.
 
 use super::{Geometry, Tree};
 use nalgebra::{Isometry3, Vector3};
@@ -18,7 +18,8 @@ pub struct ContactPoint {
     pub friction: f64,
 }
 
-/// Fixed points on each rim of a cylinder, beside the one that is lowest: so that it stands. Our choice.
+/// Number of fixed points on each rim of a cylinder, besides the lowest point, so that the cylinder can stand. Our
+/// choice.
 const RIM: usize = 4;
 
 /// One list a body.
@@ -56,7 +57,7 @@ fn points(geometry: &Geometry, at: &Isometry3<f64>, friction: f64) -> Vec<Contac
             all
         }
         Geometry::Mesh(triangles) => {
-            // The outermost points toward the corners, edges and faces of a cube.
+            // The outermost points in the directions of the corners, edges and faces of a cube.
             let mut chosen: Vec<V> = Vec::new();
             for i in 0..27 {
                 let toward = V::new((i % 3) as f64, (i / 3 % 3) as f64, (i / 9) as f64) - V::repeat(1.0);

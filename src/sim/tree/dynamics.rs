@@ -1,9 +1,9 @@
 //! Accelerations of a tree of bodies behind a floating base, over any number: one robot or lanes of them.
 //!
-//! An articulated-body algorithm (Featherstone 2008, chapter 7) in one world-aligned frame at the base link's origin, so that
-//! inertias and wrenches of child and parent simply add. The generalized acceleration of the base is the classical one of its
-//! origin. A step is [`place`] (where everything is), [`load`] (what each body's own motion needs), whatever touches the
-//! bodies, [`fold`] toward the base, and [`unfold`] outward.
+//! An articulated-body algorithm (Featherstone 2008, chapter 7) in one world-aligned frame at the base link's
+//! origin, so that inertias and wrenches of child and parent add. The generalized acceleration of the base is the
+//! classical one of its origin. A step is [`place`] (poses and velocities of all bodies), [`load`] (the wrench that
+//! each body's own motion needs), the forces of sand and ground, [`fold`] toward the base, and [`unfold`] outward.
 
 use super::{JointKind, Tree};
 use crate::number::{Mat3, Real, Vec3};
@@ -14,7 +14,7 @@ use crate::spatial::{Inertia, Symmetric, Twist, Wrench};
 pub struct LaneBody<R> {
     pub parent: usize,
     pub kind: JointKind,
-    /// The frame in the parent's where the joint is at 0.
+    /// The body's frame in the parent's where the joint is at 0.
     pub turn: Mat3<R>,
     pub offset: Vec3<R>,
     pub axis: Vec3<R>,
@@ -24,14 +24,14 @@ pub struct LaneBody<R> {
     pub armature: R,
 }
 
-/// How a robot moves, one lane each.
+/// Position and motion of a robot, one lane each.
 #[derive(Clone)]
 pub struct Motion<R> {
-    /// Of the base: quaternion w and (x, y, z).
+    /// Orientation of the base: quaternion w and (x, y, z).
     pub orientation: (R, Vec3<R>),
-    /// Of the base, linear part at its origin.
+    /// Velocity of the base, linear part at its origin.
     pub velocity: Twist<R>,
-    /// What the last step added to it.
+    /// Change of the base's velocity in the last step.
     pub change: Twist<R>,
     pub joints: Vec<JointMotion<R>>,
 }
@@ -40,32 +40,32 @@ pub struct Motion<R> {
 pub struct JointMotion<R> {
     pub position: R,
     pub rate: R,
-    /// What the last step added to `rate`.
+    /// Change of `rate` in the last step.
     pub change: R,
 }
 
-/// Where a body is and how it moves; lengths from the base's origin, world axes.
+/// Position and motion of a body; lengths from the base's origin, world axes.
 #[derive(Clone, Copy)]
 pub struct Frame<R> {
     pub rotation: Mat3<R>,
     pub origin: Vec3<R>,
     pub velocity: Twist<R>,
-    /// Acceleration that the velocities alone cause.
+    /// Acceleration that is due to velocities alone.
     pub bias: Twist<R>,
-    /// What the last step's accelerations added to the velocity.
+    /// Change of the velocity by the last step's accelerations.
     pub change: Twist<R>,
-    /// Of the joint that carries the body.
+    /// Axis of the joint that carries the body.
     pub axis: Twist<R>,
 }
 
-/// What a body needs to be moved: `inertia` times its acceleration, plus `bias`.
+/// The wrench that moves a body: `inertia` times its acceleration, plus `bias`.
 #[derive(Clone, Copy)]
 pub struct Load<R> {
     pub inertia: Inertia<R>,
     pub bias: Wrench<R>,
 }
 
-/// What the inward pass leaves for the outward one, a joint.
+/// Results of the inward pass for one joint, which the outward pass needs.
 #[derive(Clone, Copy)]
 pub struct Hinge<R> {
     /// Articulated inertia times the axis.
@@ -84,10 +84,10 @@ pub struct Push<R> {
     pub yielding: R,
 }
 
-/// What drives and holds the joints.
+/// The torques that drive and hold the joints.
 pub trait Drive<R> {
-    /// The push on joint `joint`, which sees `own` inertia and needs the torque `load` to stay unaccelerated, both with the
-    /// parent held still.
+    /// The push on joint `joint`, if `own` is the inertia behind it and `load` the torque at which it does not
+    /// accelerate, both with the parent held still.
     fn push(&self, joint: usize, own: R, load: R) -> Push<R>;
 }
 
@@ -137,7 +137,8 @@ impl<R: Real> LaneBody<R> {
     }
 }
 
-/// `x`, or zero where it is rounding of lengths and directions: what it leaves in products could be denormal in `f32`.
+/// `x`, or zero where it is a rounding error of lengths and directions: in `f32` its products could become
+/// denormal.
 fn exact(x: f64) -> f64 {
     if x.abs() < 1e-14 { 0.0 } else { x }
 }
@@ -149,7 +150,7 @@ impl<R: Real> Frame<R> {
         Self { rotation, origin, velocity: still, bias: still, change: still, axis: still }
     }
 
-    /// Where the point `p` of the body is.
+    /// Position of the body's point `p`.
     #[inline(always)]
     pub fn point(&self, p: Vec3<R>) -> Vec3<R> {
         self.origin + self.rotation.apply(p)
@@ -158,7 +159,7 @@ impl<R: Real> Frame<R> {
     #[inline(always)]
     fn base(motion: &Motion<R>) -> Self {
         let (velocity, change) = (motion.velocity, motion.change);
-        // With the origin's classical acceleration zero, the spatial one is −ω × v.
+        // If the origin's classical acceleration is zero, the spatial one is −ω × v.
         let bias = Twist { angular: Vec3::zero(), linear: velocity.linear.cross(velocity.angular) };
         let (rotation, origin) = (turned_by(motion.orientation), Vec3::zero());
         Self { rotation, origin, velocity, bias, change, axis: Frame::at_rest().axis }
@@ -209,7 +210,7 @@ fn turned<R: Real>(u: Vec3<R>, axis: Vec3<R>, sin: R, cos: R) -> Vec3<R> {
     axis.cross(u).scale_add(sin, u.scale_add(cos, along))
 }
 
-/// Where all bodies are and how they move.
+/// Positions and velocities of all bodies.
 #[inline(always)]
 pub fn place<R: Real>(bodies: &[LaneBody<R>], motion: &Motion<R>, frames: &mut [Frame<R>]) {
     frames[0] = Frame::base(motion);
@@ -218,7 +219,7 @@ pub fn place<R: Real>(bodies: &[LaneBody<R>], motion: &Motion<R>, frames: &mut [
     }
 }
 
-/// What each body's own motion needs under `gravity`.
+/// The wrench that each body's own motion needs under `gravity`.
 #[inline(always)]
 pub fn load<R: Real>(bodies: &[LaneBody<R>], frames: &[Frame<R>], gravity: Vec3<R>, loads: &mut [Load<R>]) {
     for ((body, frame), load) in bodies.iter().zip(frames).zip(loads) {
@@ -231,7 +232,8 @@ pub fn load<R: Real>(bodies: &[LaneBody<R>], frames: &[Frame<R>], gravity: Vec3<
     }
 }
 
-/// Inward pass: adds each body's load, as its joint lets it through, to its parent's. Then solves for the base.
+/// Inward pass: adds to each parent's load the part of the child's load that the joint transmits. Then solves for
+/// the base.
 #[inline(always)]
 pub fn fold<R: Real>(
     bodies: &[LaneBody<R>],
@@ -259,7 +261,7 @@ pub fn fold<R: Real>(
     base.inertia.solve(&base.bias.scale_add(-R::one(), &Wrench::zero()))
 }
 
-/// Outward pass: accelerations of the joints, and of all bodies beyond what their velocities alone cause.
+/// Outward pass: accelerations of the joints, and those of all bodies beyond the ones due to velocities alone.
 #[inline(always)]
 pub fn unfold<R: Real>(
     bodies: &[LaneBody<R>],

@@ -1,4 +1,4 @@
-//! The engine of tree robots: blocks of environments over the lanes of an instruction set, as in [`crate::lanes`].
+//! The engine for tree robots: blocks of environments in lanes of an instruction set, as in [`crate::lanes`].
 
 use super::dynamics::{JointMotion, LaneBody, Motion};
 use super::floor::{BodyContacts, Floor};
@@ -20,7 +20,7 @@ pub struct TreeEngine {
     lanes: usize,
 }
 
-/// Makes blocks for the number of an instruction set.
+/// Makes blocks for the number type of an instruction set.
 struct Blocks<'a> {
     model: &'a Model,
     tree: &'a Arc<TreeModel>,
@@ -78,7 +78,7 @@ impl TreeEngine {
     }
 }
 
-/// One block of robots, whatever number it is computed in.
+/// One block of robots, in any number type.
 trait Block: Send {
     fn set_model(&mut self, lane: usize, model: &Model);
     fn set_state(&mut self, lane: usize, state: &State);
@@ -93,7 +93,8 @@ struct Lanes<R: Real> {
     scratch: Scratch<R>,
     /// Joints that turn freely: whole turns are taken out of their angles.
     endless: Vec<bool>,
-    /// Place of each lane's x and y zero [m]: distances stay small, so `f32` keeps its accuracy however far one walks.
+    /// Origin of each lane's x and y [m]. Distances from it stay small, so `f32` keeps its accuracy however far a
+    /// robot walks.
     origins: Vec<[f64; 2]>,
     /// Work of each lane up to the last control step [J].
     works: Vec<f64>,
@@ -135,8 +136,8 @@ impl<R: Real> Lanes<R> {
         Box::new(Self { tree: lanes, state, scratch, endless, origins, works })
     }
 
-    /// Moves each lane's x and y into its origin, its work into the sum, and whole turns out of angles together with their
-    /// references.
+    /// Moves each lane's x and y into its origin and its work into the sum, and takes whole turns out of angles and
+    /// their references.
     #[inline(always)]
     fn fold(&mut self) {
         for lane in 0..R::LANES {

@@ -1,4 +1,4 @@
-//! A tree in free flight: its accelerations; and what sand does to it in a given motion; in `f64`.
+//! For checks, in `f64`: accelerations of a tree in free flight, and the sand's forces on it in a given motion.
 
 use super::dynamics::{Drive, Frame, Hinge, JointMotion, LaneBody, Load, Motion, Push, fold, load, place, unfold};
 use super::relief::LaneRelief;
@@ -7,10 +7,10 @@ use crate::Model;
 use crate::number::{Real, Vec3};
 use crate::spatial::Twist;
 
-/// Gravity of [`accelerations`] [m/s²]: what the reference programs take.
+/// Gravity in [`accelerations`] [m/s²], as in the reference programs.
 pub const GRAVITY: f64 = 9.81;
 
-/// Given torques, with nothing that resists.
+/// Applies given torques; joints have no resistance.
 struct Given<'a, R>(&'a [R]);
 
 impl<R: Real> Drive<R> for Given<'_, R> {
@@ -20,18 +20,18 @@ impl<R: Real> Drive<R> for Given<'_, R> {
     }
 }
 
-/// What a tree does in free flight.
+/// Accelerations of a tree in free flight.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Accelerations {
     /// Classical acceleration of the base link's origin [m/s²], world axes.
     pub a: [f64; 3],
     /// Angular acceleration of the base [rad/s²], world axes.
     pub alpha: [f64; 3],
-    /// Of the joints, in the order of [`Tree::joints`] [rad/s² or m/s²].
+    /// Accelerations of the joints, in the order of [`Tree::joints`] [rad/s² or m/s²].
     pub qdd: Vec<f64>,
 }
 
-/// How a tree moves at some moment.
+/// Position and motion of a tree at one moment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pose {
     /// Unit quaternion w, x, y, z of the base.

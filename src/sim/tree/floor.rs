@@ -1,20 +1,21 @@
 //! Contact with hard ground: Coulomb friction, and a compliance that is linearly implicit.
 //!
-//! A point that is δ deep is pushed out by λ = k (δ − ½ dt v_n⁺) − c v_n⁺, with its speed v_n⁺ along the normal after the step:
-//! stable for every k, and of the choices that are it wastes the least. Along the ground it is held by −C v_t⁺ with
-//! C = μ λ/max(|v_t|, v₀). A step is solved twice: first with λ = k δ and v_t before the step; then with what that gave. Points
-//! that pull (λ < 0) are left out then, and those that got faster under more than μ λ slide with just that.
+//! A point at depth δ is pushed out by λ = k (δ − ½ dt v_n⁺) − c v_n⁺, with its speed v_n⁺ along the normal after
+//! the step. This is stable for every k, and of the stable choices it dissipates the least. Along the ground −C
+//! v_t⁺ holds it, with C = μ λ/max(|v_t|, v₀). Each step is solved twice. The first solution uses λ = k δ and v_t
+//! before the step, the second one λ and v_t of the first solution. In the second solution points that would pull
+//! (λ < 0) are left out, and points that got faster although more than μ λ held them slide with a friction of μ λ.
 
 use super::contact::ContactPoint;
 use super::dynamics::{Frame, Load};
 use super::hard::HardGround;
 use super::model::TreeModel;
-use super::terrain::Local;
+use super::terrain::Surface;
 use crate::number::{Real, Vec3};
 use crate::spatial::{Twist, Wrench};
 
-/// How much farther than its reach a body is looked at where the ground is not flat: our choice, more than twice the angle of
-/// repose from one end of it to the other.
+/// Factor on the reach within which points are examined where the ground is not flat: our choice, more than twice
+/// the angle of repose from one end of the reach to the other.
 const BENT: f64 = 2.5;
 
 /// One piece of [`HardGround`], one lane each.
@@ -40,17 +41,17 @@ pub struct Floor<R> {
     creep: R,
 }
 
-/// A body's points, the same in all lanes.
+/// The points of a body, the same in all lanes.
 #[derive(Clone)]
 pub struct BodyContacts {
     pub body: usize,
     points: Vec<ContactPoint>,
-    /// A ball around all of them, in the body's frame [m].
+    /// A ball that contains all of them, in the body's frame [m].
     center: [f64; 3],
     reach: f64,
 }
 
-/// A point that touches in some lane.
+/// A point that touches the ground in some lane.
 #[derive(Clone, Copy)]
 pub struct Touch<R> {
     body: usize,
@@ -63,9 +64,9 @@ pub struct Touch<R> {
     friction: R,
     /// C [N·s/m]
     hold: R,
-    /// Does it touch: 1 or 0.
+    /// 1 if it touches, else 0.
     here: R,
-    /// Friction of a point that slides on, which does not yield [N].
+    /// Friction of a sliding point, which does not depend on the solution [N].
     slide: Vec3<R>,
 }
 
@@ -90,7 +91,8 @@ impl<R: Real> Floor<R> {
         floor
     }
 
-    /// Gives one lane other ground; where it has fewer pieces than other lanes the rest lies out of reach.
+    /// Gives one lane other ground. Where it has fewer pieces than other lanes, the remaining pieces are put out of
+    /// reach.
     pub fn set_lane(&mut self, lane: usize, model: &TreeModel, hard: &[HardGround]) {
         self.pieces.resize(self.pieces.len().max(hard.len()), Piece::nowhere());
         for (k, piece) in self.pieces.iter_mut().enumerate() {
@@ -101,7 +103,7 @@ impl<R: Real> Floor<R> {
         self.creep.set_lane(lane, model.compliance.creep);
     }
 
-    /// Finds the points that touch; `local` is the surface under a body, `place` where the base's origin is.
+    /// Finds the points that touch. `local` is the surface under a body, `place` the position of the base's origin.
     #[inline(always)]
     pub fn find(
         &self,
@@ -119,8 +121,8 @@ impl<R: Real> Floor<R> {
             let frame = &frames[contacts.body];
             let center = frame.point(Vec3::splat(contacts.center));
             let under = local.under(*place + center);
-            // Nothing stands out of the ground by more than the least depth of its pieces.
-            // Where the surface bends it may rise by more than its slope here says.
+            // Hard ground is nowhere higher than the least depth of its pieces. Where the surface bends, it may
+            // rise by more than its slope here says.
             let reach = if local.is_flat() { 1.0 } else { BENT } * contacts.reach;
             let depth = under.depth(*place + center) + R::splat(reach);
             let near = |p: &Piece<R>| R::any(p.depth.lt(depth));
@@ -164,7 +166,8 @@ impl<R: Real> Floor<R> {
                 continue;
             }
             let normal = under.tilted(tilt);
-            // Along a tilted normal a depth counts less; a ball touches elsewhere there, which is left out.
+            // Along a tilted normal the distance is shorter than the depth. A ball then touches beside its lowest
+            // point, which is neglected.
             let depth = depth * normal.dot(under.normal);
             let spring = (depth * self.stiffness).max(R::zero());
             let friction = piece.grip * R::splat(point.friction);
@@ -176,13 +179,13 @@ impl<R: Real> Floor<R> {
         }
     }
 
-    /// C where friction can give `most` at the velocity `along` the ground.
+    /// C of a point whose friction is at most `most`, at the velocity `along` the ground.
     #[inline(always)]
     fn hold(&self, most: R, along: Vec3<R>) -> R {
         most / along.norm_squared().sqrt().max(self.creep)
     }
 
-    /// Adds all that touch to the bodies' loads.
+    /// Adds the forces of all touching points to the bodies' loads.
     #[inline(always)]
     pub fn press(&self, touches: &[Touch<R>], loads: &mut [Load<R>], dt: R) {
         for touch in touches {
@@ -204,15 +207,15 @@ impl<R: Real> Floor<R> {
         load.bias.add(&Wrench { moment: -t.at.cross(force), force: -force });
     }
 
-    /// What a point's push loses with its speed [N·s/m].
+    /// How much a point's push falls with its speed [N·s/m].
     #[inline(always)]
     fn yielding(&self, dt: R) -> R {
         self.stiffness.mul_add(dt * R::splat(0.5), self.damping)
     }
 
-    /// Decides what is left out, what is held and what slides, from the bodies' `accelerations` in the first solution.
+    /// Decides which points are left out, held or sliding, from the bodies' `accelerations` in the first solution.
     #[inline(always)]
-    pub fn judge(&self, touches: &mut [Touch<R>], accelerations: &[Twist<R>], dt: R) {
+    pub fn classify(&self, touches: &mut [Touch<R>], accelerations: &[Twist<R>], dt: R) {
         let (zero, one) = (R::zero(), R::one());
         for t in touches {
             let after = accelerations[t.body].at(t.at).scale_add(dt, t.velocity);
@@ -230,16 +233,7 @@ impl<R: Real> Floor<R> {
     }
 }
 
-/// Where the ground's surface is.
-pub trait Surface<R> {
-    /// Is it level everywhere?
-    fn is_flat(&self) -> bool;
-
-    /// Under or over a point of the world.
-    fn under(&self, point: Vec3<R>) -> Local<R>;
-}
-
-/// Two directions across a normal that points up.
+/// Two directions perpendicular to a normal that points up.
 #[inline(always)]
 fn across<R: Real>(n: Vec3<R>) -> (Vec3<R>, Vec3<R>) {
     let length = R::one() / (n.x * n.x + n.z * n.z).sqrt();
@@ -271,7 +265,7 @@ impl<R: Real> Piece<R> {
         self.grip.set_lane(lane, hard.grip);
     }
 
-    /// Depth of its top under a point of the world, and how that grows along x and y.
+    /// Depth of the piece's top below a point of the world, and its derivatives along x and y.
     #[inline(always)]
     fn top(&self, p: Vec3<R>) -> (R, [R; 2]) {
         let (edge, zero) = (R::splat(HardGround::EDGE), R::zero());

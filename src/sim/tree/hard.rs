@@ -1,10 +1,10 @@
-//! Hard ground: all of it, a road, slabs that repeat, flush with the sand, above it or buried.
+//! Hard ground: everywhere, a road, or slabs that repeat; flush with the sand, above it or buried.
 
 use crate::error::{Result, check_range};
 use serde::{Deserialize, Serialize};
 
-/// A rectangle of hard ground along the surface. Beyond its edges it falls away at a slope of 2 (63°): our choice, so that
-/// nothing that walks into an edge is thrown upward.
+/// A rectangle of hard ground along the surface. Beyond its edges it falls at a slope of 2 (63°): our choice, so
+/// that a foot that meets an edge is not thrown upward.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct HardGround {
@@ -12,28 +12,28 @@ pub struct HardGround {
     pub center: [f64; 2],
     /// Length along x and width along y [m].
     pub size: [f64; 2],
-    /// Distance after which it comes again, along x and y [m]; 0: never.
+    /// Distance after which the rectangle repeats, along x and y [m]; 0: never.
     pub every: [f64; 2],
-    /// Of its top below the surface [m]; negative where it stands out of the sand.
+    /// Depth of its top below the surface [m]; negative where it stands out of the sand.
     pub depth: f64,
-    /// Friction is that of the shape that touches it times this.
+    /// Factor on the friction of the shape that touches it.
     pub grip: f64,
 }
 
 impl HardGround {
-    /// Length and width [m] from which on it has no end, as far as a robot can walk: our choice.
+    /// A rectangle at least this long or wide [m] is endless for a walking robot: our choice.
     pub const ENDLESS: f64 = 1e5;
-    /// Most pieces in a scene: our choice, each costs time.
+    /// Most pieces in a scene: our choice, because each makes a step slower.
     pub const MOST: usize = 8;
     /// Steepness of its edges.
     pub const EDGE: f64 = 2.0;
 
-    /// All of the ground, in place of sand.
+    /// Hard ground everywhere, in place of sand.
     pub fn everywhere() -> Self {
         Self::default()
     }
 
-    /// Is there nothing else to stand on?
+    /// Is hard ground everywhere?
     pub fn is_everything(&self) -> bool {
         self.size.iter().all(|s| *s >= Self::ENDLESS) && self.depth <= 0.0
     }

@@ -1,15 +1,19 @@
-//! Any legged robot: a tree of rigid bodies behind a floating base. Files of many kinds are read into it, engines run it.
+//! Any legged robot: a tree of rigid bodies behind a floating base. Crate `robots` reads URDF, MJCF and TOML into
+//! it; engine `tree` simulates it.
 //!
-//! Frames: each body has one, at its joint; where its joint's position is 0 that frame stands in the parent's as `origin` says.
-//! The base's frame is the one its file gives it (URDF: the root link's, MJCF: the free body's).
+//! Each body has a frame at its joint. `origin` is that frame in the parent's where the joint's position is 0. The
+//! base's frame is the one its file gives it (URDF: the root link's, MJCF: the free body's).
 //!
-//! * [`model`]: the same ready for an engine: motors, plates, points of contact; [`hard`]: hard ground as a user says it.
+//! * [`model`]: the same ready for an engine: motors, plates, points of contact; [`hard`]: hard ground as a user
+//!   describes it.
 //! * [`engine`]: lanes of such robots; [`step`]: one time step.
 //! * [`dynamics`]: accelerations of a tree, over any number; [`flight`]: those in free flight, for checks.
 //! * [`servo`]: motors, bearings and stops; [`sand`]: sand on plates; [`floor`]: hard ground under points.
-//! * [`contact`]: the points; [`terrain`]: the ground's surface near a point, [`relief`]: one that is not flat.
+//! * [`contact`]: the points; [`terrain`]: the ground's surface near a point, [`relief`]: a surface that is not
+//!   flat.
 //! * [`stance`]: the standing pose and the feet; [`packed`]: a robot as one text.
-//! * [`plates`]: collision shapes as the plates that push on sand, [`patches`]: those that look alike; [`robot`]: our own robots as trees.
+//! * [`plates`]: collision shapes as the plates that push on sand, [`patches`]: plates with nearly the same normal,
+//!   gathered; [`robot`]: our own robots as trees.
 
 pub mod contact;
 pub mod dynamics;
@@ -38,7 +42,7 @@ pub use robot::of_robot;
 use nalgebra::{Isometry3, Matrix3, Unit, Vector3};
 use std::sync::Arc;
 
-/// A robot. Bodies stand in depth-first order: each behind its parent, a branch in one piece.
+/// A robot. Bodies are in depth-first order: each after its parent, and each branch without a gap.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tree {
     pub name: String,
@@ -62,7 +66,7 @@ pub struct TreeBody {
     pub center: Vector3<f64>,
     /// About the centre of mass, along the body's axes [kg·m²].
     pub inertia: Matrix3<f64>,
-    /// What may touch ground or sand.
+    /// Shapes that may touch ground or sand.
     pub shapes: Vec<TreeShape>,
 }
 
@@ -71,25 +75,25 @@ pub struct TreeBody {
 pub struct TreeJoint {
     pub name: String,
     pub kind: JointKind,
-    /// In the body's frame (the same in the parent's `origin` frame).
+    /// Axis in the body's frame (the same in the parent's `origin` frame).
     pub axis: Unit<Vector3<f64>>,
-    /// Lowest and highest position [rad or m]; none: it turns freely.
+    /// Lowest and highest position [rad or m]; None: it turns freely.
     pub range: Option<[f64; 2]>,
-    /// Viscous [N·m·s/rad or N·s/m].
+    /// Viscous damping [N·m·s/rad or N·s/m].
     pub damping: f64,
     /// Dry friction [N·m or N].
     pub friction: f64,
-    /// Inertia of the rotor behind its gear, felt at the joint [kg·m² or kg].
+    /// Inertia of the rotor, multiplied by the gear, at the joint [kg·m² or kg].
     pub armature: f64,
-    /// Largest torque of the motor [N·m or N]; none: no limit is known.
+    /// Largest torque of the motor [N·m or N]; None: no known limit.
     pub torque_limit: Option<f64>,
-    /// Largest speed of the motor [rad/s or m/s]; none: no limit is known.
+    /// Largest speed of the motor [rad/s or m/s]; None: no known limit.
     pub speed_limit: Option<f64>,
-    /// Position gain of the servo [N·m/rad], where the file has one.
+    /// Position gain of the servo [N·m/rad], if the file has one.
     pub kp: Option<f64>,
-    /// Speed gain of the servo [N·m·s/rad], where the file has one.
+    /// Speed gain of the servo [N·m·s/rad], if the file has one.
     pub kd: Option<f64>,
-    /// Position in the standing pose [rad or m], where the file has one (MJCF: the first keyframe).
+    /// Position in the standing pose [rad or m], if the file has one (MJCF: the first keyframe).
     pub rest: Option<f64>,
 }
 
@@ -106,7 +110,7 @@ pub struct TreeShape {
     /// The shape's frame in the body's [m].
     pub origin: Isometry3<f64>,
     pub geometry: Geometry,
-    /// Coulomb friction with hard ground.
+    /// Coulomb friction against hard ground.
     pub friction: f64,
 }
 

@@ -1,4 +1,4 @@
-//! A tree robot as an engine needs it: its tree, motors, and what touches the ground.
+//! A tree robot ready for an engine: tree, motors, plates and points of contact.
 
 use super::Tree;
 use super::contact::{ContactPoint, contact_points};
@@ -22,46 +22,47 @@ pub struct TreeMotor {
     pub speed_limit: Option<f64>,
 }
 
-/// How hard ground gives way under a robot, at each point that touches.
+/// Compliance and friction of hard ground at each point that touches.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Compliance {
     /// [N/m]
     pub stiffness: f64,
     /// [N·s/m]
     pub damping: f64,
-    /// Speed with which a point slides that is held with all its friction [m/s].
+    /// Speed with which a point creeps while friction holds it [m/s].
     pub creep: f64,
 }
 
-/// Static data are shared: a robot with other masses or motors is cheap.
+/// A tree robot. Static data are shared, so a copy with other masses or motors is cheap.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TreeModel {
     pub tree: Tree,
     /// One a joint.
     pub motors: Vec<TreeMotor>,
-    /// What touches sand, in the frame of each body.
+    /// Plates that touch sand, in the frame of each body.
     pub plates: Arc<Vec<Vec<Plate>>>,
-    /// The same plates as engines take them; none before [`TreeModel::for_law`].
+    /// The same plates in the engines' form; None before [`TreeModel::for_law`].
     pub patches: Arc<Vec<BodyPatches>>,
-    /// What touches hard ground, in the frame of each body.
+    /// Points that touch hard ground, in the frame of each body.
     pub contacts: Arc<Vec<Vec<ContactPoint>>>,
     pub compliance: Compliance,
-    /// How it stands.
+    /// The standing pose.
     pub stance: Arc<Stance>,
 }
 
-/// Position at which a motor without a known gain gives all of its torque [rad]: our choice, because it gives Unitree's Go1,
-/// whose limit is 23.7 N·m, about the 20 N·m/rad that legged_gym takes for its sister A1.
+/// Position error at which a motor without a known gain gives its full torque [rad]: our choice. It gives Unitree's
+/// Go1, whose limit is 23.7 N·m, about the 20 N·m/rad that legged_gym takes for its sister A1.
 const FULL_TORQUE_AT: f64 = 1.0;
-/// kd/kp of a servo without a known one [s]: 0.5/20, as legged_gym takes for A1 (Rudin et al. 2022).
+/// kd/kp of a servo without known gains [s]: 0.5/20, as legged_gym takes for A1 (Rudin et al. 2022).
 const SETTLING: f64 = 0.025;
-/// Lever [m] over which the robot's weight gives the gain where not even a torque limit is known: our choice, a shank's length.
+/// If no torque limit is known either, the robot's weight times this lever [m] takes its place: our choice, the
+/// length of a shank.
 const LEVER: f64 = 0.2;
 
 impl Compliance {
-    /// The whole weight on one point sinks it by 1 mm, damping is half of what a quarter of the mass needs to stop without
-    /// swinging back, and what is held creeps with up to 1e-5 m/s, as on sand. Our choices: a foot at rest sinks by less than
-    /// 0.3 mm, which no gait notices.
+    /// The whole weight on one point sinks it by 1 mm. Damping is half of the critical damping of a quarter of the
+    /// mass. A held point creeps with up to 1e-5 m/s, as on sand. Our choices: a foot at rest sinks by less than
+    /// 0.3 mm, which changes no gait noticeably.
     pub fn of_mass(mass: f64) -> Self {
         let weight = mass * GRAVITY;
         let stiffness = weight / 1e-3;
@@ -85,19 +86,19 @@ impl TreeModel {
         Ok(Self { tree, motors, plates: Arc::new(plates), patches, contacts, compliance, stance })
     }
 
-    /// Made ready for `law`.
+    /// The model made ready for `law`.
     pub fn for_law(mut self, law: Law) -> Self {
         self.patches = Arc::new(BodyPatches::all(&self.plates, law));
         self
     }
 
-    /// With `payload` [kg] at the base's centre of mass.
+    /// A copy with `payload` [kg] at the base's centre of mass.
     pub fn with_payload(mut self, payload: f64) -> Self {
         self.tree.bodies[0].mass += payload;
         self
     }
 
-    /// With motors that give no more than `limit` [N·m], if that is not 0.
+    /// A copy whose motors give at most `limit` [N·m], if that is not 0.
     pub fn with_weak_motors(mut self, limit: f64) -> Self {
         for motor in self.motors.iter_mut().filter(|_| limit > 0.0) {
             motor.torque_limit = Some(motor.torque_limit.map_or(limit, |own| own.min(limit)));
@@ -124,7 +125,7 @@ impl TreeModel {
     }
 }
 
-/// What readers of files promise, checked once more because engines index by it.
+/// Checks once more the properties that readers of files guarantee, because engines rely on them for indexing.
 fn check(tree: &Tree) -> Result<()> {
     for (i, body) in tree.bodies.iter().enumerate() {
         if (i > 0 && body.parent >= i) || (i > 0) != body.joint.is_some() {

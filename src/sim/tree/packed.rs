@@ -1,5 +1,5 @@
-//! A tree robot as one text: what travels to a server. JSON, compressed as `tree:` and base64 of a zlib stream. Meshes are left
-//! behind; their plates and points of contact go.
+//! A tree robot as one text, which a client sends to a server: JSON, compressed as `tree:` and base64 of a zlib
+//! stream. It contains the plates and points of contact of meshes, not the meshes.
 
 use super::contact::{ContactPoint, contact_points};
 use super::model::TreeModel;
@@ -12,13 +12,13 @@ use nalgebra::{Isometry3, Matrix3, Quaternion, Unit, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use std::io::{Read, Write};
 
-/// Longest JSON [bytes]: our choice, more than [`MOST_PIECES`] take.
+/// Longest JSON [bytes]: our choice, more than a robot with [`MOST_PIECES`] needs.
 const MOST_BYTES: usize = 6 << 20;
-/// Longest packed text [bytes]: leaves room for other options within what a session's may have.
+/// Longest packed text [bytes]: it leaves room for other options within a session's limit.
 const MOST_PACKED: usize = 224 << 10;
-/// What packed texts begin with.
+/// The prefix of packed texts.
 const MARK: &str = "tree:";
-/// Most bodies, and most plates and points of a robot: our choice of guards, far beyond what walks in real time.
+/// Most bodies, and most plates and points of a robot: our choice, far beyond what can be simulated in real time.
 const MOST_BODIES: usize = 256;
 const MOST_PIECES: usize = 20_000;
 
@@ -41,7 +41,7 @@ struct Body {
     center: [f64; 3],
     /// xx, yy, zz, xy, xz, yz.
     inertia: [f64; 6],
-    shapes: Vec<Shape>,
+    shapes: Vec<PackedShape>,
     /// Centre, radius, friction, axis (zero: a ball).
     contacts: Vec<[f64; 8]>,
     /// Centre, normal, area, two half sides, two bends.
@@ -65,10 +65,10 @@ struct Joint {
     rest: Option<f64>,
 }
 
-/// A shape that is no mesh: for pictures.
+/// A shape that is not a mesh, for pictures.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Shape {
+struct PackedShape {
     name: String,
     origin: [f64; 7],
     kind: Kind,
@@ -86,7 +86,7 @@ enum Kind {
     Box,
 }
 
-/// `tree` with the plates of each body.
+/// Packs `tree` with the plates of each body.
 pub fn pack(tree: &Tree, plates: &[Vec<Plate>]) -> Result<String> {
     let contacts = contact_points(tree);
     let body = |(i, b): (usize, &TreeBody)| Body {
@@ -105,7 +105,7 @@ pub fn pack(tree: &Tree, plates: &[Vec<Plate>]) -> Result<String> {
     serde_json::to_string(&packed).map_err(|e| Error::invalid("robot", e.to_string()))
 }
 
-/// A text of [`pack`], compressed.
+/// The text of [`pack`], compressed.
 pub fn compressed(text: &str) -> Result<String> {
     let mut stream = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::best());
     let bytes = stream.write_all(text.as_bytes()).and_then(|()| stream.finish());
@@ -119,23 +119,23 @@ pub fn compressed(text: &str) -> Result<String> {
     }
 }
 
-/// Is this text a packed robot, whole or broken?
+/// Does this text claim to be a packed robot? It may still be broken.
 pub fn is_packed(text: &str) -> bool {
     text.starts_with(MARK)
 }
 
-/// The robot of a text of [`compressed`].
+/// Reads a text of [`compressed`].
 pub fn unpack_compressed(text: &str) -> Result<TreeModel> {
     let broken = |e: &dyn std::fmt::Display| Error::invalid("robot", format!("not a packed robot: {e}"));
     let bytes = BASE64_STANDARD.decode(text.trim_start_matches(MARK).trim()).map_err(|e| broken(&e))?;
     let mut json = String::new();
-    // One byte more than may be, so that what is too long is noticed and nothing is unpacked without bound.
+    // Reads one byte more than allowed, so that a longer text is noticed, and never unpacks without bound.
     let most = MOST_BYTES as u64 + 1;
     flate2::read::ZlibDecoder::new(&bytes[..]).take(most).read_to_string(&mut json).map_err(|e| broken(&e))?;
     unpack(&json)
 }
 
-/// The robot that a text of [`pack`] holds; whatever stands in it is checked.
+/// Reads a text of [`pack`] and checks every number.
 pub fn unpack(text: &str) -> Result<TreeModel> {
     if text.len() > MOST_BYTES {
         return Err(Error::invalid("robot", format!("{} bytes are more than {MOST_BYTES}", text.len())));
@@ -162,7 +162,7 @@ impl Body {
         let pieces = self.contacts.iter().flatten().chain(self.plates.iter().flatten()).copied();
         let shapes = self.shapes.iter().flat_map(|s| s.origin.into_iter().chain(s.size).chain([s.friction]));
         let own = self.origin.into_iter().chain(self.center).chain(self.inertia);
-        // Far beyond any robot; joint limits may be large where a file means none.
+        // The bound is far beyond any robot. Joint limits may be large, because some files use them for no limit.
         for x in own.chain(joint).chain(pieces).chain(shapes) {
             check_range(&format!("a number of {}", self.name), x, -1e12..=1e12)?;
         }
@@ -245,7 +245,7 @@ fn joint_of(j: Joint) -> TreeJoint {
     }
 }
 
-fn shape(s: &TreeShape) -> Option<Shape> {
+fn shape(s: &TreeShape) -> Option<PackedShape> {
     let (kind, size) = match s.geometry {
         Geometry::Sphere { radius } => (Kind::Sphere, [radius, 0.0, 0.0]),
         Geometry::Capsule { radius, half_length } => (Kind::Capsule, [radius, half_length, 0.0]),
@@ -253,10 +253,10 @@ fn shape(s: &TreeShape) -> Option<Shape> {
         Geometry::Box { half } => (Kind::Box, half.into()),
         Geometry::Mesh(_) => return None,
     };
-    Some(Shape { name: s.name.clone(), origin: place(&s.origin), kind, size, friction: s.friction })
+    Some(PackedShape { name: s.name.clone(), origin: place(&s.origin), kind, size, friction: s.friction })
 }
 
-fn shape_of(s: Shape) -> TreeShape {
+fn shape_of(s: PackedShape) -> TreeShape {
     let [radius, half_length, _] = s.size;
     let geometry = match s.kind {
         Kind::Sphere => Geometry::Sphere { radius },
@@ -277,7 +277,7 @@ fn contact_of(&[x, y, z, radius, friction, i, j, k]: &[f64; 8]) -> ContactPoint 
     ContactPoint { center: Vector3::new(x, y, z), radius, axis, friction }
 }
 
-/// Six digits, which is less than lanes have and more than a shape is known to.
+/// Rounds to six digits: fewer than the lanes' precision, and more than any shape is known to.
 fn plate(p: &Plate) -> [f64; 15] {
     let [c, n, a, b] = [p.center, p.normal, p.half[0], p.half[1]].map(|v| v.lane(0));
     let all = [c[0], c[1], c[2], n[0], n[1], n[2], p.area, a[0], a[1], a[2], b[0], b[1], b[2], p.bend[0], p.bend[1]];

@@ -1,9 +1,9 @@
-//! Plates gathered into patches: the law of the sand, which is dear, is asked once a patch, while what leads and what is in the
-//! sand is found plate by plate.
+//! Gathers plates into patches. The law of the sand is expensive and is evaluated once a patch; which plates lead
+//! and lie in the sand is found plate by plate.
 //!
-//! A patch is a part of a body's surface whose plates look nearly the same way and lie near each other. Its force is the law's
-//! for what leads in the sand, weighted by depth: for the mean normal, and for how the normals differ from it
-//! ([`crate::sand::law::StressLaw::mean_stress`]).
+//! A patch is a part of a body's surface whose plates have nearly the same normal and lie near each other. Its
+//! force is the law's force on the leading part in the sand, weighted by depth: for the mean normal, and for the
+//! deviations of normals from it ([`crate::sand::law::StressLaw::mean_stress`]).
 
 use crate::sand::intruder::Plate;
 use crate::sand::{Law, Surface};
@@ -11,50 +11,54 @@ use nalgebra::Vector3;
 
 type V = Vector3<f64>;
 
-/// Largest distance of a plate from its patch's middle, of normals (unit vectors) and of places over the body's size times
-/// [`BY_PLACE`]. Our choice: forces on round feet are within 2 % of those of fine plates (`tests/robots.rs`). `li2013` has the
-/// exact mean over normals, so that its patches are large; mechanisms know the mean normal only. `agarwal2023` is of fourth degree
-/// in the normal and breaks where a plate is vertical.
+/// Largest distance of a plate from its patch's centre. The distance combines normals (unit vectors) and positions,
+/// divided by the body's size and multiplied by [`BY_PLACE`]. Our choice: forces on round feet are within 2 % of
+/// those of fine plates (`tests/robots.rs`). `li2013` has the exact mean over normals, so its patches are large;
+/// mechanisms use the mean normal only. `agarwal2023` is of fourth degree in the normal and discontinuous where a
+/// plate is vertical.
 const APART: [f64; 2] = [0.7, 0.21];
-/// How much places count beside normals: our choice.
+/// Weight of positions relative to normals: our choice.
 const BY_PLACE: f64 = 0.6;
-/// How much more normals count where they turn one way only, which the mean of `agarwal2023` knows nothing of: our choice.
+/// Weight of normals that vary in one direction only, which the mean of `agarwal2023` does not take into account:
+/// our choice.
 const ONE_WAY: [f64; 2] = [1.0, 1.6];
-/// Most patches of a body: our choice of a guard.
+/// Most patches of a body: our choice.
 const MOST: usize = 512;
-/// Rounds in which patches are moved to the middle of their plates (Lloyd 1982): our choice, little changes after these.
+/// Iterations that move patches to the centres of their plates (Lloyd 1982): our choice, later ones change little.
 const ROUNDS: usize = 8;
-/// Share of a plate's turn over which it begins to lead: our choice, between a square's half side and its half diagonal.
+/// Share of a plate's size over which it begins to lead: our choice, between a square's half side and its half
+/// diagonal.
 const EDGE: f64 = 0.8;
 
-/// A plate as lanes need it, in its body's frame.
+/// A plate in the form that lanes need, in its body's frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Facet {
     pub center: [f32; 3],
     /// Unit, outward.
     pub normal: [f32; 3],
-    /// Means over the plate, which may be bent, of its normal's products: xx, yy; yz, xz, xy.
+    /// Means of the products of the normal's components over the plate, which may be bent: xx, yy; yz, xz, xy.
     pub squares: [f32; 2],
     pub products: [f32; 3],
-    /// center × normal: the normal part of the velocity at a spin.
+    /// center × normal: the normal velocity per angular velocity.
     pub moment: [f32; 3],
     /// [m²]
     pub area: f32,
-    /// Where its two points lie over and under the centre when it is upright [m]: Gauss's rule for a square.
+    /// Distance of its two sample points above and below the centre when it is upright [m]: Gauss's rule for a
+    /// square.
     pub rise: f32,
-    /// The share that leads is `begun` + `growth` n·v̂, from 0 to 1.
+    /// The leading share is `begun` + `growth` n·v̂, clamped to 0 to 1.
     pub begun: f32,
     pub growth: f32,
 }
 
-/// Plates that look nearly the same way.
+/// Plates with nearly the same normal.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Patch {
     pub facets: Vec<Facet>,
     pub ball: Ball,
 }
 
-/// A ball around plates [m].
+/// A ball that contains plates [m].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ball {
     pub center: [f64; 3],
@@ -66,9 +70,9 @@ pub struct Ball {
 pub struct BodyPatches {
     pub body: usize,
     pub patches: Vec<Patch>,
-    /// Around all of them.
+    /// A ball that contains all of them.
     pub ball: Ball,
-    /// Corners of a box around them, where the trust in an expected change is judged.
+    /// Corners of a box that contains them, where the weight of the expected change is evaluated.
     pub corners: [[f64; 3]; 8],
 }
 
@@ -84,7 +88,7 @@ fn length(p: &Plate, k: usize) -> f64 {
     V::from(p.half[k].lane(0)).norm()
 }
 
-/// Ends of plates' centres along x, y and z.
+/// Least and greatest x, y and z of the plates' centres.
 fn ends(plates: &[Plate]) -> [[f64; 2]; 3] {
     [0, 1, 2].map(|k| {
         let along = plates.iter().map(|p| center(p)[k]);
@@ -128,7 +132,7 @@ impl Facet {
         let single = |v: V| [v.x as f32, v.y as f32, v.z as f32];
         let rise = ((square(sides[0]) + square(sides[1])) / 6.0).sqrt();
         let turn = ((square(p.bend[0] * sides[0]) + square(p.bend[1] * sides[1])) / 2.0).sqrt();
-        // A flat plate leads from when it moves outward, with the same bluntness as all solid bodies.
+        // A flat plate leads when it moves outward, with the gate of all solid bodies.
         let gate = Surface::SOLID.leading_edge_gate;
         let wide = EDGE * turn > gate / 2.0;
         let (begun, growth) = if wide { (0.5, 0.5 / (EDGE * turn)) } else { (0.0, 1.0 / gate) };
@@ -152,14 +156,15 @@ impl Facet {
     }
 }
 
-/// Normal, and place over the size of all.
+/// The normal, and the position divided by the body's size.
 type Look = [f64; 6];
 
 fn apart(a: &Look, b: &Look) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum()
 }
 
-/// Indices of the plates of each patch: as many patches as it takes for all plates to be near the middle of one.
+/// Indices of the plates of each patch. There are as many patches as it takes to have every plate near a patch's
+/// centre.
 fn alike(plates: &[Plate], ball: &Ball, law: Law) -> Vec<Vec<usize>> {
     let kind = usize::from(law == Law::Agarwal2023);
     let (most, turned) = (APART[kind], ONE_WAY[kind]);
@@ -171,7 +176,7 @@ fn alike(plates: &[Plate], ball: &Ball, law: Law) -> Vec<Vec<usize>> {
         [n.x, n.y, n.z, at.x, at.y, at.z]
     };
     let looks: Vec<Look> = plates.iter().map(look).collect();
-    // The next middle is the plate that is farthest from those there are (Gonzalez 1985).
+    // The next centre is the plate farthest from the present centres (Gonzalez 1985).
     let mut middles = vec![looks[0]];
     let mut distance: Vec<f64> = looks.iter().map(|l| apart(l, &looks[0])).collect();
     while middles.len() < MOST.min(looks.len()) {

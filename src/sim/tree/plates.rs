@@ -7,20 +7,20 @@ use crate::sand::intruder::{Plate, cut, gathered};
 use nalgebra::{Point3, Vector3};
 use std::f64::consts::{PI, TAU};
 
-/// Plates of a box, of a ball or a short cylinder, and of a mesh, unless their size is given. Our choice: at random poses and
-/// velocities forces are within 2 % of those of fine plates (`tests/robots.rs`).
+/// Number of plates of a box, of a ball or a short cylinder, and of a mesh, unless the user gives a size. Our
+/// choice: at random poses and velocities forces are within 2 % of those of fine plates (`tests/robots.rs`).
 const COUNTS: [f64; 3] = [200.0, 300.0, 500.0];
-/// Size of plates over the radius of what is long and round, at most: our choice, as above.
+/// Largest size of plates on long round shapes, as a share of the radius: our choice, as above.
 const ROUND: [f64; 2] = [0.6, 0.5];
-/// How much longer than wide a plate may be where it is flat along its length: our choice.
+/// Largest ratio of length to width of a plate that is flat along its length: our choice.
 const LONG: f64 = 3.0;
-/// Fewest plates around what is round: our choice, half of what bodies of `sandgait intrude` have.
+/// Fewest plates around a round shape: our choice, half of those in `sandgait intrude`.
 const COARSE: usize = 8;
-/// Most plates of a shape: our choice, a hundred times what walks in real time.
+/// Most plates of a shape: our choice, a hundred times what can be simulated in real time.
 const MOST_PLATES: f64 = 20_000.0;
-/// How much larger than those of other bodies the plates of the base are: our choice.
+/// Factor on the plates' size for the base: our choice.
 const BASE: f64 = 2.0;
-/// Sizes that may be asked for [m].
+/// Allowed sizes of plates [m].
 const SIZES: std::ops::RangeInclusive<f64> = 1e-4..=1.0;
 
 impl Geometry {
@@ -52,7 +52,7 @@ impl Geometry {
         }
     }
 
-    /// Of plates unless it is given [m]; round shapes are cut finer than they are asked for.
+    /// Default size of plates [m]; round shapes are cut finer.
     fn default_size(&self) -> f64 {
         let of = |count: f64| (self.area() / count).sqrt();
         match self {
@@ -86,7 +86,7 @@ impl Geometry {
         }
     }
 
-    /// Outward plates about the shape's origin; along y what the shape has along z.
+    /// Outward plates about the shape's origin, with the shape's z along y.
     fn cut(&self, size: f64) -> Option<Vec<Plate>> {
         Some(match self {
             Self::Sphere { radius } => cut::sphere(*radius, size, COARSE),
@@ -101,7 +101,7 @@ impl Geometry {
         })
     }
 
-    /// Does it hold a point given in its own frame? Of a mesh `plates` tell.
+    /// Does the shape contain a point given in its own frame? For a mesh `plates` decide.
     fn holds(&self, p: Vector3<f64>, plates: &[Plate]) -> bool {
         match self {
             Self::Sphere { radius } => p.norm() < *radius,
@@ -112,7 +112,7 @@ impl Geometry {
             Self::Cylinder { radius, half_length } => p.z.abs() < *half_length && p.x.hypot(p.y) < *radius,
             Self::Box { half } => (0..3).all(|k| p[k].abs() < half[k]),
             Self::Mesh(_) => {
-                // The solid angle that the surface takes up, seen from the point: all of it from inside.
+                // The solid angle of the surface seen from the point: 4π from inside.
                 let p = Vec3::new(p.x, p.y, p.z);
                 let seen = plates.iter().map(|plate| {
                     let to = plate.center - p;
@@ -126,7 +126,7 @@ impl Geometry {
 }
 
 impl TreeShape {
-    /// Height of the lowest point over its body's origin [m], the body being level.
+    /// Height of the lowest point above its body's origin [m] while the body is level.
     pub fn lowest(&self) -> f64 {
         let up = self.origin.rotation.inverse() * Vector3::z();
         let below = match &self.geometry {
@@ -140,12 +140,12 @@ impl TreeShape {
     }
 }
 
-/// Plates of one shape in the shape's frame, of about `size` [m]; none: as large as forces within 2 % allow.
+/// Plates of one shape in the shape's frame, of about `size` [m]; None: the size at which forces are within 2 %.
 pub fn of_shape(shape: &TreeShape, size: Option<f64>) -> Result<Vec<Plate>> {
     one_shape(shape, size, 1.0)
 }
 
-/// `larger`: than usual, where their size is not given.
+/// `larger`: with larger plates, unless a size is given.
 fn one_shape(shape: &TreeShape, given: Option<f64>, larger: f64) -> Result<Vec<Plate>> {
     let size = match given {
         Some(size) => check_range("plate-size", size, SIZES)?.min(shape.geometry.longest()),
@@ -160,18 +160,18 @@ fn one_shape(shape: &TreeShape, given: Option<f64>, larger: f64) -> Result<Vec<P
         return Err(too_many());
     }
     let plates = shape.geometry.cut(size).ok_or_else(too_many)?;
-    // What lies along y in a cut lies along z in a shape.
+    // The cut has along y what a shape has along z.
     let turned = |v: Vec3<f64>| match shape.geometry {
         Geometry::Capsule { .. } | Geometry::Cylinder { .. } => Vec3::new(v.x, -v.z, v.y),
         _ => v,
     };
     let one = |p: Plate| Plate { center: turned(p.center), normal: turned(p.normal), half: p.half.map(turned), ..p };
     let plates = plates.into_iter().map(one);
-    // Whoever gives a size has the plates of `sandgait intrude`.
+    // If the user gives a size, the plates are those of `sandgait intrude`.
     Ok(if given.is_some() { plates.collect() } else { plates.flat_map(|p| squared(&p)).collect() })
 }
 
-/// A plate that is much longer than wide, and flat along its length, as several.
+/// Splits a plate that is much longer than wide and flat along its length.
 fn squared(plate: &Plate) -> Vec<Plate> {
     let [a, b] = plate.half.map(|h| h.norm_squared().sqrt());
     let (k, ratio) = if a > b { (0, a / b) } else { (1, b / a) };
@@ -185,8 +185,8 @@ fn squared(plate: &Plate) -> Vec<Plate> {
     (0..count as usize).map(|i| Plate { center: at(i), half, area: plate.area / count, ..*plate }).collect()
 }
 
-/// Plates of the shapes that touch, by index of body and shape, body by body. Those of the base, which seldom does, are larger
-/// unless their size is given.
+/// Plates of the shapes that touch sand, by index of body and shape, body by body. The base seldom touches sand, so
+/// its plates are larger unless a size is given.
 pub fn of_touching(tree: &Tree, touching: &[(usize, usize)], size: Option<f64>) -> Result<Vec<Vec<Plate>>> {
     let of_body = |b: usize| {
         let own: Vec<_> = touching.iter().filter(|t| t.0 == b).map(|t| &tree.bodies[b].shapes[t.1]).collect();
@@ -195,12 +195,12 @@ pub fn of_touching(tree: &Tree, touching: &[(usize, usize)], size: Option<f64>) 
     (0..tree.bodies.len()).map(of_body).collect()
 }
 
-/// Plates of shapes that are fixed to one body, in the body's frame, without those that lie inside of another one.
+/// Plates of shapes that are fixed to one body, in the body's frame, without plates inside another shape.
 pub fn of_shapes(shapes: &[&TreeShape], size: Option<f64>) -> Result<Vec<Plate>> {
     together(shapes, size, 1.0)
 }
 
-/// `larger`: than usual, where their size is not given.
+/// `larger`: with larger plates, unless a size is given.
 fn together(shapes: &[&TreeShape], size: Option<f64>, larger: f64) -> Result<Vec<Plate>> {
     let cut: Vec<Vec<Plate>> = shapes.iter().map(|s| one_shape(s, size, larger)).collect::<Result<_>>()?;
     let mut all = Vec::new();

@@ -1,18 +1,18 @@
 //! Ground that is not flat: a field of heights, smooth between its nodes.
 
-use super::floor::Surface;
-use super::terrain::{Flat, Local};
+use super::terrain::{Flat, Local, Surface};
 use crate::error::{Error, Result, check_range};
 use crate::number::{Real, Vec3};
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
-/// Steepest slope that dry, loose sand rests at [°]: what [`crate::model::Scene`] takes at most; no medium has one of its own.
+/// Steepest slope at which dry, loose sand rests [°], the limit of [`crate::model::Scene`]; media have no limits of
+/// their own.
 pub const REPOSE_DEG: f64 = 35.0;
-/// Nodes along a side, and height of a node [m]: our choice of guards.
+/// Most nodes along a side, and largest height of a node [m]: our choice.
 const NODES: std::ops::RangeInclusive<f64> = 4.0..=512.0;
 const HEIGHTS: std::ops::RangeInclusive<f64> = -100.0..=100.0;
-/// Waves that dunes are the sum of: our choice, no direction stands out.
+/// Number of waves that are summed to dunes: our choice; no direction dominates.
 const WAVES: usize = 24;
 /// Nodes along a side of dunes, and nodes a wave length: our choice.
 const SIDE: usize = 128;
@@ -28,7 +28,7 @@ pub struct Relief {
     columns: usize,
     /// Row by row [m].
     heights: Vec<f32>,
-    /// Does it come again beyond its end? Else it goes on as high as there.
+    /// Does it repeat beyond its edges? Otherwise it continues at the height of the edge.
     repeats: bool,
 }
 
@@ -48,8 +48,8 @@ impl Relief {
         Ok(Self { spacing, rows: rows.len(), columns, heights, repeats: false })
     }
 
-    /// Random dunes: waves of about `wavelength` [m] in all directions, the steepest place at `slope_deg`; they come again
-    /// after eight wave lengths.
+    /// Random dunes: waves of about `wavelength` [m] in all directions, `slope_deg` at the steepest point. They
+    /// repeat after eight wave lengths.
     pub fn dunes(seed: u64, wavelength: f64, slope_deg: f64) -> Result<Self> {
         check_range("relief.wavelength", wavelength, 0.1..=100.0)?;
         check_range("relief.slope_deg", slope_deg, 0.0..=REPOSE_DEG)?;
@@ -58,7 +58,7 @@ impl Relief {
         let waves: Vec<[f64; 3]> = (0..WAVES)
             .map(|_| {
                 let (angle, length) = (TAU * draw.next(), 0.5 + draw.next());
-                // Whole waves from end to end.
+                // Each wave fits a whole number of times.
                 let [x, y] = [angle.cos(), angle.sin()].map(|part| (whole * length * part).round());
                 [x, y, TAU * draw.next()]
             })
@@ -80,7 +80,8 @@ impl Relief {
         [self.columns, self.rows].map(|n| n as f64 * self.spacing)
     }
 
-    /// Tangent of the steepest slope, and where it is [m]: at nodes and half way between them, where it is largest.
+    /// Tangent of the steepest slope, and its position [m], from nodes and the points half way between them, where
+    /// it is largest.
     pub fn steepest(&self) -> (f64, [f64; 2]) {
         let half = self.spacing / 2.0;
         let places = (0..4 * self.rows * self.columns)
@@ -92,7 +93,7 @@ impl Relief {
         })
     }
 
-    /// Refuses what loose sand does not rest at.
+    /// Refuses slopes at which loose sand does not rest.
     pub fn check_repose(&self) -> Result<()> {
         let (slope, [x, y]) = self.steepest();
         let degrees = slope.atan().to_degrees();
@@ -105,11 +106,11 @@ impl Relief {
         Err(Error::invalid("relief", reason))
     }
 
-    /// Height [m], and how it grows along x and y.
+    /// Height [m], and its derivatives along x and y.
     #[inline]
     pub fn at(&self, x: f64, y: f64) -> (f64, [f64; 2]) {
         let along = |x: f64, count: usize| {
-            // As far as nodes can be counted.
+            // The clamp keeps node indices within the range of integers.
             let u = (x / self.spacing).clamp(-1e15, 1e15);
             let node = u.round();
             let t = u - node;
@@ -156,7 +157,7 @@ impl Draw {
 /// A relief in each lane.
 pub struct LaneRelief(pub Vec<Arc<Relief>>);
 
-/// None: level ground. One type for both, so that the step is compiled once.
+/// None: level ground. One type holds both cases, so that the step is compiled once.
 impl<R: Real> Surface<R> for Option<LaneRelief> {
     #[inline(always)]
     fn is_flat(&self) -> bool {
@@ -200,7 +201,7 @@ mod tests {
             assert!((height - (0.2 * x - 0.1 * y)).abs() < 1e-7);
             assert!((gx - 0.2).abs() < 1e-6 && (gy + 0.1).abs() < 1e-6);
         }
-        // Beyond its end it goes on as high as there.
+        // Beyond its edges it continues at the height of the edge.
         assert!(plane.at(1e9, 1.0).1[0].abs() < 1e-9 && plane.at(f64::MAX, -f64::MAX).0.is_finite());
     }
 

@@ -7,12 +7,12 @@ use crate::robot::Robot;
 use crate::sand::Medium;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, Unit, UnitQuaternion, Vector3};
 
-/// Thickness of strips [m]: our choice, that of pictures; the physics takes them as thin.
+/// Thickness of strips [m]: our choice, for pictures; the physics treats them as thin.
 const THICKNESS: f64 = 0.002;
 /// Friction of shapes whose file gives none: MuJoCo's default.
 const FRICTION: f64 = 1.0;
 
-/// `robot`, its strips as flat boxes.
+/// `robot` as a tree, with its strips as flat boxes.
 pub fn of_robot(name: &str, robot: &Robot) -> Result<Tree> {
     let model = Model::new(robot, &Scene::flat(Medium::named(Medium::DEFAULT)?))?;
     let shape =

@@ -1,29 +1,29 @@
-//! Sand on plates that face any way, fixed to the bodies of a tree.
+//! Sand on plates that face any direction, fixed to the bodies of a tree.
 //!
-//! One-sided plates with the leading-edge rule, and the scheme in time of [`crate::lanes`]: the force is linearly implicit,
-//! f⁺ = f − C (v⁺ − v), and expects what the last step added where a motion is smooth. The law is asked once a patch
-//! ([`super::patches`]), for what of its plates leads in the sand.
+//! Plates are one-sided with the leading-edge rule. The scheme in time is that of [`crate::lanes`]: the force is
+//! linearly implicit, f⁺ = f − C (v⁺ − v), and where a motion is smooth, the velocities are expected to change as
+//! in the last step. The law is evaluated once a patch ([`super::patches`]), for those of its plates that lead in
+//! the sand.
 
 use super::dynamics::{Frame, Load};
-use super::floor::Surface;
 use super::patches::{BodyPatches, Facet, Patch};
-use super::terrain::Local;
+use super::terrain::{Local, Surface};
 use crate::number::{Mat3, Real, Vec3};
 use crate::sand::law::{Normals, StressLaw};
-use crate::sand::{Beyond, Form, Ground, Plain, Site};
+use crate::sand::{LawCoefficients, Plain, SandBed, SegmentState, StressModel};
 use crate::spatial::{Inertia, PointMasses, Twist, Wrench};
 
-/// What sand does to a body: forces about the base's origin, and its drag as masses.
+/// The sand's effect on a body: forces about the base's origin, and its drag as masses.
 struct Total<R> {
     wrench: Wrench<R>,
     drag: PointMasses<R>,
     edge: Inertia<R>,
 }
 
-/// Adds the sand on all bodies to their loads; `place` is where the base's origin is.
+/// Adds the sand's forces on all bodies to their loads; `place` is the position of the base's origin.
 #[inline(always)]
 pub fn press<R: Real>(
-    ground: &Ground<R>,
+    ground: &SandBed<R>,
     bodies: &[BodyPatches],
     frames: &[Frame<R>],
     place: &Vec3<R>,
@@ -31,7 +31,7 @@ pub fn press<R: Real>(
     loads: &mut [Load<R>],
     dt: R,
 ) {
-    // How the base, which is the first frame, travels.
+    // Velocity of the base, which is the first frame.
     let base = frames[0].velocity.at(frames[0].origin);
     let travel = [base.x, base.y];
     for plates in bodies {
@@ -60,7 +60,8 @@ pub fn press<R: Real>(
     }
 }
 
-/// The surface under a body: where it is not flat its tangent plane under the body's lowest corner, which is in the sand first.
+/// The surface under a body. Where it is not flat: its tangent plane under the body's lowest corner, which enters
+/// the sand first.
 #[inline(always)]
 fn under_body<R: Real>(plates: &BodyPatches, frame: &Frame<R>, place: &Vec3<R>, surface: &impl Surface<R>) -> Local<R> {
     if surface.is_flat() {
@@ -77,7 +78,8 @@ fn under_body<R: Real>(plates: &BodyPatches, frame: &Frame<R>, place: &Vec3<R>, 
     surface.under(*place + low)
 }
 
-/// How far a body's next change of velocity at `place` can be expected to be its last one; see [`crate::lanes`].
+/// Weight w at `place`: 1 where the body's next change of velocity is expected to equal the last one, 0 where it is
+/// not; see [`crate::lanes`].
 #[inline(always)]
 fn trust<R: Real>(frame: &Frame<R>, place: Vec3<R>) -> R {
     let (speed, change) = (frame.velocity.at(place).norm_squared(), frame.change.at(place).norm_squared());
@@ -86,9 +88,9 @@ fn trust<R: Real>(frame: &Frame<R>, place: Vec3<R>) -> R {
 }
 
 #[inline(always)]
-#[allow(clippy::too_many_arguments)] // all of them are in registers
+#[allow(clippy::too_many_arguments)] // all arguments stay in registers
 fn on_body<R: Real>(
-    ground: &Ground<R>,
+    ground: &SandBed<R>,
     plates: &BodyPatches,
     frame: &Frame<R>,
     velocity: &Twist<R>,
@@ -97,23 +99,25 @@ fn on_body<R: Real>(
     under: &Local<R>,
     dt: R,
 ) -> Option<Total<R>> {
-    match (&ground.form, &ground.beyond) {
-        (Form::Li2013(law), None) => by(law, &Plain, ground, plates, frame, velocity, place, travel, under, dt),
-        (form, None) => by(form, &Plain, ground, plates, frame, velocity, place, travel, under, dt),
-        (form, Some(beyond)) => by(form, beyond, ground, plates, frame, velocity, place, travel, under, dt),
+    match (&ground.law, &ground.mechanisms) {
+        (LawCoefficients::Li2013(law), None) => {
+            by(law, &Plain, ground, plates, frame, velocity, place, travel, under, dt)
+        }
+        (law, None) => by(law, &Plain, ground, plates, frame, velocity, place, travel, under, dt),
+        (law, Some(mechanisms)) => by(law, mechanisms, ground, plates, frame, velocity, place, travel, under, dt),
     }
 }
 
-/// A body's velocity in its own frame, and where the surface is seen from there.
+/// A body's velocity, and the surface, in the body's frame.
 struct Own<R> {
     linear: Vec3<R>,
     angular: Vec3<R>,
     up: Vec3<R>,
-    /// Height of the body's origin over the surface [m].
+    /// Height of the body's origin above the surface [m].
     height: R,
 }
 
-/// What of a patch leads in the sand; sums over its plates.
+/// The leading part of a patch in the sand, as sums over its plates.
 struct Leading<R> {
     /// [m²]
     area: R,
@@ -124,11 +128,11 @@ struct Leading<R> {
     squares: Vec3<R>,
     products: Vec3<R>,
     place: Vec3<R>,
-    /// How fast `load` grows with n·v̂ [m³].
+    /// Derivative of `load` by n·v̂ [m³].
     growth: R,
 }
 
-/// The hottest loop of robots on sand.
+/// The hottest loop in simulations of robots on sand.
 #[inline(always)]
 fn leading<R: Real>(patch: &Patch, own: &Own<R>, inverse_speed: R) -> Leading<R> {
     let (zero, one) = (R::zero(), R::one());
@@ -151,7 +155,7 @@ fn leading<R: Real>(patch: &Patch, own: &Own<R>, inverse_speed: R) -> Leading<R>
         let share = along.mul_add(lane(*growth), lane(*begun));
         let leads = share.clamp(zero, one);
         let depth = -(own.up.dot(center) + own.height);
-        // √(1 − x²) within 0.05.
+        // √(1 − x²) with an error below 0.05.
         let x = normal.dot(own.up);
         let flat = x * x;
         let rise = lane::<R>(*rise) * (one - flat) * flat.mul_add(R::splat(0.6), one);
@@ -171,17 +175,17 @@ fn leading<R: Real>(patch: &Patch, own: &Own<R>, inverse_speed: R) -> Leading<R>
         let whole = lane::<R>(*growth) * lane::<R>(*area) * depth.max(zero);
         sum.growth += R::select(zero.lt(share), R::select(share.lt(one), whole, zero), zero);
     }
-    // Normals are unit vectors, also those of bent plates.
+    // Normals are unit vectors, also for bent plates.
     sum.squares.z = sum.load - sum.squares.x - sum.squares.y;
     sum
 }
 
 #[inline(always)]
-#[allow(clippy::too_many_arguments)] // all of them are in registers
+#[allow(clippy::too_many_arguments)] // all arguments stay in registers
 fn by<R: Real>(
     law: &impl StressLaw<R>,
-    beyond: &impl Beyond<R>,
-    ground: &Ground<R>,
+    stress_model: &impl StressModel<R>,
+    ground: &SandBed<R>,
     plates: &BodyPatches,
     frame: &Frame<R>,
     velocity: &Twist<R>,
@@ -216,13 +220,16 @@ fn by<R: Real>(
         let at = frame.point(part.place * inverse);
         let normals = Normals::turned(part.normal * inverse, part.squares * inverse, part.products * inverse, &turn);
         let v = velocity.at(at);
-        let site = Site::fresh(part.load / part.area.max(tiny), place.x + at.x).travelling(travel);
+        let site = SegmentState::fresh(part.load / part.area.max(tiny), place.x + at.x).travelling(travel);
         let (growth, loaded) = (part.growth * inverse, part.deep * inverse);
         let (contact, normal) = match &axes {
-            None => (ground.leading_part_by(law, beyond, &site, part.area, loaded, &normals, v, growth), normals.unit),
+            None => {
+                (ground.leading_part_by(law, stress_model, &site, part.area, loaded, &normals, v, growth), normals.unit)
+            }
             Some(axes) => {
                 let v = axes.apply_transposed(v);
-                let mut contact = ground.leading_part_by(law, beyond, &site, part.area, loaded, &normals, v, growth);
+                let mut contact =
+                    ground.leading_part_by(law, stress_model, &site, part.area, loaded, &normals, v, growth);
                 contact.force = axes.apply(contact.force);
                 (contact, axes.apply(normals.unit))
             }
@@ -261,7 +268,7 @@ impl<R: Real> Total<R> {
 }
 
 impl<R: Real> Local<R> {
-    /// Columns x, y, z of the surface's axes, z its normal; none where it is level in all lanes.
+    /// Columns x, y, z of the surface's axes, z its normal; None where it is level in all lanes.
     #[inline(always)]
     fn axes(&self) -> Option<Mat3<R>> {
         let n = self.normal;

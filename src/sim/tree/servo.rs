@@ -1,8 +1,9 @@
 //! Torques at the joints: motors, bearings and stops, all linearly implicit in the joint's rate.
 //!
-//! Each is τ(q̈) = torque − yielding q̈. A motor is limited by its torque and a stop only pushes: which of them are at their limits
-//! is judged with the parent held still, as in [`crate::lanes`]; those give their limit and no longer yield. Dry friction
-//! is F q̇⁺/max(|q̇|, v₀), with the rate after the step above and that before it below.
+//! Each is τ(q̈) = torque − yielding q̈. A motor's torque is limited, and a stop only pushes. Which of them are at
+//! their limits is computed with the parent held still, as in [`crate::lanes`]; the torque of those is the limit
+//! and independent of q̈. Dry friction is F q̇⁺/max(|q̇|, v₀), with the rate after the step above and that before
+//! it below.
 
 use super::dynamics::{Drive, JointMotion, Push};
 use super::model::TreeModel;
@@ -10,17 +11,18 @@ use crate::number::Real;
 
 /// Largest number that stands for "no limit".
 const NO_LIMIT: f64 = 1e9;
-/// Rate v₀ [rad/s] with which a joint creeps that is held by all of its dry friction: our choice.
+/// Rate v₀ [rad/s] with which a joint creeps while dry friction holds it: our choice.
 const CREEP: f64 = 1e-3;
-/// How much faster than free motion stops take speed away: our choice.
+/// A stop resists acceleration this many times as much as the joint's inertia does: our choice.
 const STIFF: f64 = 1e3;
-/// Time steps in which a stop pushes a joint back to its range: our choice.
+/// Number of time steps in which a stop pushes a joint back into its range: our choice.
 const RETURN: f64 = 8.0;
-/// Torque that a motor at rest could give over its limit: where the line from there to no torque at its speed limit begins (the
-/// saturation effort of Isaac Lab's `DCMotor`; 2 is our choice: half of the speed limit is reached with full torque).
+/// Stall torque of a motor over its torque limit. A line falls from there to zero torque at the speed limit (the
+/// saturation effort of Isaac Lab's `DCMotor`; 2 is our choice: the full torque is available up to half of the
+/// speed limit).
 const STALL: f64 = 2.0;
 
-/// What drives and holds a joint, one lane each.
+/// The torques that drive and hold a joint, one lane each.
 #[derive(Clone, Copy)]
 pub struct LaneMotor<R> {
     kp: R,
@@ -32,11 +34,11 @@ pub struct LaneMotor<R> {
     range: [R; 2],
 }
 
-/// Servo of a joint in one step.
+/// The servo of a joint in one step.
 #[derive(Clone, Copy)]
 pub struct LaneServo<R> {
     pub reference: R,
-    /// Torque that the motor gave in the last step.
+    /// Torque of the motor in the last step.
     pub torque: R,
     /// Speed of the reference.
     pub command_rate: R,
@@ -81,13 +83,13 @@ impl<R: Real> LaneMotor<R> {
         }
     }
 
-    /// Speed of the reference that a command asks for, within the motor's.
+    /// Speed of the reference for a command, within the motor's speed limit.
     #[inline(always)]
     pub fn reference_rate(&self, servo: &LaneServo<R>) -> R {
         servo.command_rate.clamp(-self.speed_limit, self.speed_limit)
     }
 
-    /// The motor's own part of the push, and the limits of its torque at the joint's rate.
+    /// The motor's part of the push, and the limits of its torque at the joint's rate.
     #[inline(always)]
     fn servo(&self, servo: &LaneServo<R>, joint: &JointMotion<R>, dt: R) -> (Push<R>, [R; 2]) {
         let slip = self.reference_rate(servo) - joint.rate;
@@ -98,14 +100,14 @@ impl<R: Real> LaneMotor<R> {
         (Push { torque, yielding }, [-self.most(-part), self.most(part)])
     }
 
-    /// Largest torque in the direction in which the joint turns with `part` of its speed limit.
+    /// Largest torque in the direction in which the joint turns, at `part` of its speed limit.
     #[inline(always)]
     fn most(&self, part: R) -> R {
         self.torque_limit * ((R::one() - part) * R::splat(STALL)).clamp(R::zero(), R::one())
     }
 }
 
-/// Everything that drives the joints in one step.
+/// Computes all torques at the joints in one step.
 pub struct Joints<'a, R> {
     pub motors: &'a [LaneMotor<R>],
     pub servos: &'a [LaneServo<R>],
@@ -133,13 +135,13 @@ impl<R: Real> Push<R> {
         self.torque - self.yielding * acceleration
     }
 
-    /// The acceleration under it.
+    /// The acceleration under this push.
     #[inline(always)]
     fn moves(&self, own: R, load: R) -> R {
         (self.torque - load) / (own + self.yielding)
     }
 
-    /// Itself, or where it passes a limit under `acceleration` the limit.
+    /// The push itself, or its limit if the torque exceeds that at `acceleration`.
     #[inline(always)]
     fn within(&self, low: R, high: R, acceleration: R) -> Self {
         let torque = self.at(acceleration);
@@ -161,7 +163,7 @@ impl<R: Real> Drive<R> for Joints<'_, R> {
         let stiff = own * R::splat(STIFF);
         let next = joint.rate.mul_add(dt, joint.position);
         let [least, most] = motor.range;
-        // How far the joint has gone, or will go at its present rate, beyond its range.
+        // How far the joint is, or at its present rate will be, beyond its range.
         let beyond =
             (next - most).max(joint.position - most).max(zero) + (next - least).min(joint.position - least).min(zero);
         let past = (joint.position - most).max(zero) + (joint.position - least).min(zero);

@@ -1,4 +1,4 @@
-//! How a tree robot stands: its feet, its joints, and where its points of contact are.
+//! The standing pose of a tree robot: its feet, its joints, and the positions of its points of contact.
 
 use super::contact::ContactPoint;
 use super::{JointKind, Tree};
@@ -7,21 +7,22 @@ use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 type V = Vector3<f64>;
 
-/// Part of its longest reach that a leg has where the file names no pose: our choice, that of Go1's usual stance
-/// (0.27 m of 0.43 m would be 0.64; 0.7 leaves knees less load).
+/// Share of its longest reach to which a leg is extended if the file gives no pose: our choice, close to Go1's
+/// usual stance (0.27 m of 0.43 m would be 0.64; 0.7 loads the knees less).
 const REACH: f64 = 0.7;
-/// Positions of a joint beyond this are not looked at [rad or m].
+/// Largest position of a joint that is tried [rad or m].
 const FARTHEST: f64 = 2.8;
-/// Positions of each of the last two joints that a search begins from, and rounds of descent: our choice, ends within 1e-6 m.
+/// Start positions of each of the last two joints in a search, and rounds of descent: our choice, which converges
+/// to 1e-6 m.
 const GRID: usize = 12;
 const ROUNDS: usize = 60;
 
 /// A robot's standing pose.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stance {
-    /// Positions of the joints: the file's, or found.
+    /// Positions of the joints: from the file, or searched.
     pub angles: Vec<f64>,
-    /// Bodies that stand on the ground, each the last of its branch with points of contact.
+    /// Feet: bodies that stand on the ground, each the last of its branch with points of contact.
     pub feet: Vec<usize>,
 }
 
@@ -49,9 +50,9 @@ fn chain(tree: &Tree, base: Isometry3<f64>, angles: &[f64]) -> Vec<Isometry3<f64
     all
 }
 
-/// The lowest of a body's points [m], for a body at `frame`; infinite without any.
+/// The lowest of a body's points [m], for a body at `frame`; infinite if it has none.
 pub fn lowest(frame: &Isometry3<f64>, points: &[ContactPoint]) -> V {
-    // Up, seen from the body: heights are all that most points need.
+    // The upward direction in the body's frame; most points need only heights.
     let up = frame.rotation.inverse_transform_vector(&V::z());
     let height = |p: &ContactPoint| {
         let drop = p.axis.map_or(1.0, |axis| (1.0 - axis.dot(&up).powi(2)).max(0.0).sqrt());
@@ -60,7 +61,7 @@ pub fn lowest(frame: &Isometry3<f64>, points: &[ContactPoint]) -> V {
     let heights = points.iter().map(height).enumerate();
     let low = heights.fold((0, f64::INFINITY), |low, one| if one.1 < low.1 { one } else { low });
     let Some(p) = points.get(low.0) else { return V::new(0.0, 0.0, f64::INFINITY) };
-    // Toward the lowest point of a ball or of a rim.
+    // Direction to the lowest point of a ball or of a rim.
     let rim = p.axis.map_or(up, |axis| (up - axis * axis.dot(&up)).try_normalize(1e-9).unwrap_or_default());
     frame.transform_point(&(p.center - rim * p.radius).into()).coords
 }
@@ -84,14 +85,14 @@ impl Stance {
         let frames = chain(tree, Isometry3::identity(), &angles);
         let all = frames.iter().zip(contacts).map(|(f, p)| lowest(f, p).z);
         let low = all.fold(f64::INFINITY, f64::min);
-        // Arms and tails end above the ground: in the upper seven tenths of the robot's height.
+        // Branches that end in the upper seven tenths of the robot's height are arms and tails.
         feet.retain(|foot| lowest(&frames[*foot], &contacts[*foot]).z < low + 0.3 * low.abs());
         Self { angles, feet }
     }
 }
 
-/// A pose with each foot under where its leg begins, at [`REACH`] of how far it could hang. Joints that the file gives a
-/// position keep it.
+/// A pose with each foot below the start of its leg, at [`REACH`] of the leg's full extension. Joints with a
+/// position in the file keep it.
 fn found(tree: &Tree, contacts: &[Vec<ContactPoint>], feet: &[usize]) -> Vec<f64> {
     let joints: Vec<_> = tree.joints().collect();
     let range = |i: usize| joints[i].range.unwrap_or([-FARTHEST, FARTHEST]).map(|end| end.clamp(-FARTHEST, FARTHEST));
@@ -102,7 +103,7 @@ fn found(tree: &Tree, contacts: &[Vec<ContactPoint>], feet: &[usize]) -> Vec<f64
         while tree.bodies[branch[0]].parent > 0 {
             branch.insert(0, tree.bodies[branch[0]].parent);
         }
-        // What bends are the last two joints; where the first of them is the leg begins.
+        // The last two joints bend the leg; the leg begins at the first of them.
         let first = branch.len().saturating_sub(2);
         let below = branch[first + 1..].iter().map(|i| tree.bodies[*i].origin.translation.vector.norm());
         let last = contacts[foot].iter().map(|p| p.center.norm()).fold(0.0, f64::max);
@@ -111,7 +112,7 @@ fn found(tree: &Tree, contacts: &[Vec<ContactPoint>], feet: &[usize]) -> Vec<f64
             let frames = chain(tree, Isometry3::identity(), angles);
             let (tip, hip) = (lowest(&frames[foot], &contacts[foot]), frames[root].translation.vector);
             let off = tip - hip + V::z() * (REACH * length);
-            // Of two ways to bend the one with the knee behind, and of several turns the least.
+            // Of two solutions the one with the knee behind is taken, and of several turns the smallest.
             let knee = frames[foot].translation.vector.x - hip.x + 0.3 * length;
             let turned: f64 = branch.iter().map(|i| angles[i - 1] * angles[i - 1]).sum();
             off.norm_squared() + 1e-3 * knee * knee + 1e-6 * length * length * turned

@@ -1,4 +1,4 @@
-//! One time step of a tree robot: where everything is → sand → hard ground → joints → accelerations → move.
+//! One time step of a tree robot: positions → sand → hard ground → joints → accelerations → motion.
 
 use super::dynamics::{self, Frame, Hinge, LaneBody, Load, Motion};
 use super::floor::{BodyContacts, Floor, Touch};
@@ -7,19 +7,19 @@ use super::relief::LaneRelief;
 use super::sand;
 use super::servo::{Joints, LaneMotor, LaneServo};
 use crate::number::{Real, Vec3};
-use crate::sand::Ground;
+use crate::sand::SandBed;
 use crate::spatial::Twist;
 use std::sync::Arc;
 
-/// Everything that stays while a robot moves, one lane each.
+/// All data that do not change while a robot moves, one lane each.
 pub struct LaneTree<R> {
     pub bodies: Vec<LaneBody<R>>,
     pub motors: Vec<LaneMotor<R>>,
     pub patches: Arc<Vec<BodyPatches>>,
     pub contacts: Vec<BodyContacts>,
-    pub ground: Ground<R>,
+    pub ground: SandBed<R>,
     pub floor: Floor<R>,
-    /// None: it is flat.
+    /// None: the surface is flat.
     pub relief: Option<LaneRelief>,
     pub gravity: Vec3<R>,
     /// The same in all lanes [s].
@@ -29,20 +29,20 @@ pub struct LaneTree<R> {
 /// See [`crate::State`].
 #[derive(Clone)]
 pub struct LaneState<R> {
-    /// Of the base link's origin.
+    /// Position of the base link's origin.
     pub position: Vec3<R>,
-    /// Where x and y count from, for ground that differs from place to place [m].
+    /// Origin of x and y, for ground that varies with position [m].
     pub travelled: [R; 2],
     pub motion: Motion<R>,
     pub servos: Vec<LaneServo<R>>,
     pub work: R,
 }
 
-/// Room that a step works in; nothing in it outlives the step.
+/// Work space of a step; its contents are not kept.
 pub struct Scratch<R> {
     frames: Vec<Frame<R>>,
     loads: Vec<Load<R>>,
-    /// Loads before hard ground.
+    /// Loads without those of hard ground.
     bare: Vec<Load<R>>,
     hinges: Vec<Hinge<R>>,
     accelerations: Vec<Twist<R>>,
@@ -81,7 +81,7 @@ pub fn step<R: Real>(model: &LaneTree<R>, state: &mut LaneState<R>, scratch: &mu
         scratch.bare.copy_from_slice(&scratch.loads);
         model.floor.press(&scratch.touches, &mut scratch.loads, dt);
         solve(model, state, scratch);
-        model.floor.judge(&mut scratch.touches, &scratch.accelerations, dt);
+        model.floor.classify(&mut scratch.touches, &scratch.accelerations, dt);
         scratch.loads.copy_from_slice(&scratch.bare);
         model.floor.press(&scratch.touches, &mut scratch.loads, dt);
         solve(model, state, scratch);

@@ -1,7 +1,15 @@
 //! The ground's surface near a point: a plane.
 
-use super::floor::Surface;
 use crate::number::{Real, Vec3};
+
+/// The ground's surface.
+pub trait Surface<R> {
+    /// Is it level everywhere?
+    fn is_flat(&self) -> bool;
+
+    /// The surface below or above a point of the world.
+    fn under(&self, point: Vec3<R>) -> Local<R>;
+}
 
 /// The tangent plane of the surface.
 #[derive(Clone, Copy)]
@@ -13,13 +21,13 @@ pub struct Local<R> {
 }
 
 impl<R: Real> Local<R> {
-    /// Of a point of the world below it [m].
+    /// Depth of a point of the world below the plane [m].
     #[inline(always)]
     pub fn depth(&self, p: Vec3<R>) -> R {
         self.normal.dot(self.point - p)
     }
 
-    /// The normal of a plane whose depth below this one grows by `tilt` along x and y.
+    /// The normal of a plane whose depth below this one has the derivatives `tilt` along x and y.
     #[inline(always)]
     pub fn tilted(&self, tilt: [R; 2]) -> Vec3<R> {
         let n = self.normal + Vec3::new(tilt[0], tilt[1], R::zero());

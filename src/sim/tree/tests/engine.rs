@@ -25,7 +25,7 @@ fn state_of(pose: &Pose, height: f64) -> State {
     state
 }
 
-/// Motors off and nothing that rubs.
+/// A model without motors and friction.
 fn loosened(model: &Model) -> Model {
     let mut tree = (**model.tree.as_ref().unwrap()).clone();
     tree.motors.iter_mut().for_each(|m| (m.kp, m.kd) = (0.0, 0.0));
@@ -65,7 +65,7 @@ fn conserved(model: &Model, state: &State) -> (V, V, f64) {
     (p, l, e)
 }
 
-/// Where a robot is after `time` with nothing but gravity.
+/// Position of a robot after `time` under gravity alone.
 fn flown(tree: &Tree, pose: &Pose, dt: f64, time: f64) -> [(V, V, f64); 2] {
     let model = loosened(&model_of(tree.clone(), dt));
     let mut engine = TreeEngine::with_isa(Isa::F64, &model, 1).unwrap();
@@ -77,8 +77,8 @@ fn flown(tree: &Tree, pose: &Pose, dt: f64, time: f64) -> [(V, V, f64); 2] {
     [before, conserved(&model, &state)]
 }
 
-/// In free flight momentum changes by gravity alone, angular momentum about the centre of mass and energy do not; what the time
-/// step adds falls with it.
+/// In free flight momentum changes by gravity alone, and angular momentum about the centre of mass and energy are
+/// constant. The error falls with the time step.
 #[test]
 fn free_flight_conserves() {
     let mut draw = Draw::new(3);
@@ -127,7 +127,7 @@ fn on_hard(tree: Tree, slope_deg: f64, dt: f64) -> Model {
     Model::of_tree(TreeModel::new(tree, plates).unwrap(), &scene).unwrap()
 }
 
-/// The state after `time`, and the engine to go on.
+/// The state after `time`, and the engine.
 fn run(isa: Isa, model: &Model, start: &State, time: f64) -> State {
     let mut engine = TreeEngine::with_isa(isa, model, 1).unwrap();
     engine.set_state(0, start);
@@ -155,7 +155,7 @@ fn a_block_on_a_slope_sticks_or_slides() {
             let angle = slope.to_radians();
             let expected = -crate::sand::GRAVITY * (angle.sin() - friction * angle.cos());
             if expected >= 0.0 {
-                // It creeps with 1e-5 m/s times the share of its weight that pulls.
+                // It creeps with 1e-5 m/s times the share of its weight along the slope.
                 assert!(dx.abs() < 1e-5, "{isa:?} {slope}: {dx}");
             } else {
                 assert!((dv / expected - 1.0).abs() < 2e-3, "{isa:?} {slope}: {dv}, {expected}");
@@ -164,7 +164,7 @@ fn a_block_on_a_slope_sticks_or_slides() {
     }
 }
 
-/// Rest without drift: a block thrown onto level ground ends at rest, where the ground carries its weight.
+/// No drift at rest: a block thrown onto level ground comes to rest, and the ground carries its weight.
 #[test]
 fn what_rests_stays() {
     for isa in ISAS {
@@ -182,8 +182,8 @@ fn what_rests_stays() {
     }
 }
 
-/// A ball with no damping comes back to its height, and with damping ratio ζ to the height of a linear spring and damper that
-/// only push (Schwager & Pöschel 2007).
+/// A ball without damping returns to its height. With damping ratio ζ it returns to the height of a linear spring
+/// and damper that can only push (Schwager & Pöschel 2007).
 #[test]
 fn a_ball_bounces() {
     let ball = |zeta: f64, dt: f64| {
@@ -197,7 +197,7 @@ fn a_ball_bounces() {
         let mut engine = TreeEngine::with_isa(Isa::F64, &model, 1).unwrap();
         let mut state = State::at_rest(0.05 + 0.1, &[]);
         engine.set_state(0, &state);
-        // The fastest after the bounce.
+        // The largest speed after the bounce.
         let mut fastest = 0.0_f64;
         for _ in 0..(0.3 / dt) as usize {
             engine.advance(1);
@@ -208,7 +208,7 @@ fn a_ball_bounces() {
     };
     for zeta in [0.0_f64, 0.1, 0.5] {
         let root = (1.0 - zeta * zeta).sqrt();
-        // The force ends before the spring is straight again.
+        // The force vanishes before the spring is fully extended.
         let time = std::f64::consts::PI - (2.0 * zeta * root / (1.0 - 2.0 * zeta * zeta)).atan();
         let expected = (-zeta / root * time).exp();
         let [coarse, fine] = [1e-4, 1e-5].map(|dt| ball(zeta, dt));
@@ -274,11 +274,11 @@ fn standing(tree: &Tree) -> State {
 fn a_quadruped_stands_on_its_feet() {
     for isa in ISAS {
         let model = on_hard(quadruped(), 0.0, 1e-3);
-        // Joints creep against their dry friction until their servos carry the rest: e-folding time F/(kp v₀) = 1.7 s.
+        // Dry friction lets joints creep until their servos carry the load: e-folding time F/(kp v₀) = 1.7 s.
         let rest = run(isa, &model, &standing(&quadruped()), 15.0);
         let later = run(isa, &model, &rest, 10.0);
         let moved: f64 = (0..3).map(|k| (later.position[k] - rest.position[k]).powi(2)).sum::<f64>().sqrt();
-        // Rounding of positions and angles moves feet in single precision.
+        // In single precision rounding of positions and angles moves the feet.
         assert!(moved < if isa == Isa::F64 { 2e-5 } else { 2e-4 }, "{isa:?}: {moved}");
         assert!(later.position[2] > 0.2 && later.rotation()[2][2] > 0.99, "{isa:?}: {later:?}");
         // Depth of the feet times the stiffness is the weight.
@@ -301,7 +301,7 @@ fn plates(tree: &Tree) -> Vec<Vec<Plate>> {
     tree.bodies.iter().map(|b| if is_calf(b) { foot.clone() } else { Vec::new() }).collect()
 }
 
-/// On loose sand with slabs of hard ground in it, `depth` under the surface.
+/// Loose sand with slabs of hard ground at `depth` under the surface.
 fn on_sand(slabs: Option<f64>) -> Model {
     let tree = quadruped();
     let plates = plates(&tree);
@@ -328,7 +328,7 @@ fn trotted(isa: Isa, model: &Model, count: usize, k: usize) -> State {
         start.position = [0.1 * i as f64, -0.05 * i as f64, 0.33];
         start
     };
-    // Alone, it is robot `k` all the same.
+    // Computed alone it has the commands of robot `k` too.
     let named = |i: usize| if count == 1 { k } else { i };
     (0..count).for_each(|i| engine.set_state(i, &starts(named(i))));
     for step in 0..50 {
@@ -378,7 +378,7 @@ fn states_go_on_with_the_same_bits() {
     }
 }
 
-/// Robots in one precision walk like those in the other, over a time that chaos leaves.
+/// Robots walk alike in both precisions, for a time before chaos separates them.
 #[test]
 fn precisions_agree() {
     let model = on_sand(None);
@@ -390,8 +390,8 @@ fn precisions_agree() {
     assert!(double.rotation()[2][2] > 0.98 && double.position[2] > 0.05, "{double:?}");
 }
 
-/// On a plane of heights under upright gravity a robot does what it does on level ground under gravity that is tilted as much:
-/// in sand, and on hard ground.
+/// A robot on an inclined plane of heights under vertical gravity moves as on level ground under inclined gravity,
+/// in sand and on hard ground.
 #[test]
 fn a_plane_of_heights_is_a_slope() {
     let angle = 10f64.to_radians();
@@ -414,7 +414,7 @@ fn a_plane_of_heights_is_a_slope() {
         start.orientation = [turn.w, turn.i, turn.j, turn.k];
         let tilted = run(Isa::F64, &model(0.0, Some(plane.clone())), &start, 0.6);
         let back = turn.inverse() * (V::from(tilted.position) - origin);
-        // Places of single precision, of nodes whose heights are no more exact.
+        // Positions in single precision; the heights of the nodes have the same precision.
         assert!((back - V::from(flat.position)).norm() < 2e-5, "{hard}: {back} {flat:?}");
         let moved = (V::from(flat.position) - V::new(0.0, 0.0, 0.35)).norm();
         assert!(moved > 0.01, "{hard}: {flat:?}");
@@ -450,10 +450,11 @@ fn servos_and_stops() {
     for i in 0..12 {
         let [low, high] = tree.joints().nth(i).unwrap().range.unwrap();
         let expected = 0.5_f64.clamp(low, high);
-        // Dry friction of 0.1 N·m leaves up to 0.1/60 rad; a stop gives way by what it needs.
+        // Dry friction of 0.1 N·m leaves an error of up to 0.1/60 rad; a stop gives way in proportion to its load.
         assert!((state.angles[i] - expected).abs() < 4e-3, "{i}: {} {expected}", state.angles[i]);
     }
-    // Dry friction holds against what is less, but for creep: 0.05 N·m without a servo. It gives way to 0.3.
+    // Dry friction holds a smaller torque, apart from creep: 0.05 N·m without a servo. A torque of 0.3 N·m
+    // overcomes it.
     let mut loose = (**model.tree.as_ref().unwrap()).clone();
     loose.motors.iter_mut().for_each(|m| (m.kp, m.kd) = (0.0, 0.0));
     let mut free = Model::of_tree(loose, &model.scene).unwrap();

@@ -39,7 +39,7 @@ impl Draw {
 pub fn random_tree(draw: &mut Draw, count: usize) -> Tree {
     let mut bodies: Vec<TreeBody> = Vec::new();
     for i in 0..count {
-        // Depth first: a parent is the body before or one of its ancestors.
+        // Depth first: the parent is the last body or one of its ancestors.
         let mut parent = i.saturating_sub(1);
         while i > 1 && parent > 0 && draw.number() > 0.2 {
             parent = bodies[parent].parent;
@@ -112,7 +112,7 @@ impl Moving {
     }
 }
 
-/// The motion of every body from the joints', by the rules for moving frames.
+/// The motion of every body from that of the joints, by the rules for moving frames.
 fn motions(tree: &Tree, pose: &Pose, found: &Accelerations) -> Vec<Moving> {
     let [w, x, y, z] = pose.quat;
     let quat = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z));
@@ -170,8 +170,8 @@ fn needed(tree: &Tree, motions: &[Moving], root: usize, about: V) -> (V, V) {
     (force, moment)
 }
 
-/// Newton's and Euler's equations, body by body, hold for the accelerations found: none on the whole, the given torque at
-/// each joint. Written without spatial algebra.
+/// Newton's and Euler's equations hold, body by body, for the computed accelerations: no net force on the whole,
+/// the given torque at each joint. Written without spatial algebra.
 #[test]
 fn every_branch_is_in_balance() {
     let mut draw = Draw::new(1);

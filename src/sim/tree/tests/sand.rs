@@ -1,9 +1,9 @@
-//! Sand on plates in lanes against the program's other code for bodies in sand, `sand::intruder`.
+//! Sand on plates in lanes, compared with `sand::intruder`, the program's other code for bodies in sand.
 
 use super::*;
 use crate::number::{Portable, Real, Vec3};
 use crate::sand::intruder::{Body, BodyShape, Given, Plate, Trial, compute};
-use crate::sand::{Ground, Law, Mechanisms, Medium, SandDescription, Surface};
+use crate::sand::{Law, Mechanisms, Medium, SandBed, SandDescription, Surface};
 use crate::spatial::Twist;
 use crate::tree::dynamics::{Frame, Load};
 use crate::tree::patches::BodyPatches;
@@ -19,7 +19,7 @@ fn nalgebra_of(v: Vec3<f64>) -> V {
     V::from(v.lane(0))
 }
 
-/// A box turned by `turn`, as the other code takes it: a file of triangles.
+/// A box turned by `turn`, as a mesh for `sand::intruder`.
 fn turned_box(half: V, turn: &Rotation3<f64>, folder: &std::path::Path) -> Body {
     let path = folder.join("box.obj");
     let mut file = std::fs::File::create(&path).unwrap();
@@ -43,7 +43,7 @@ fn by_lanes<R: Real>(
     v: V,
     gate: f64,
 ) -> (V, V) {
-    // In the body's frame: the other code's plates are those of the turned body.
+    // In the body's frame; `sand::intruder` has the plates of the turned body.
     let back = |p: &Plate| Plate {
         center: vec3(turn.inverse() * nalgebra_of(p.center)),
         normal: vec3(turn.inverse() * nalgebra_of(p.normal)),
@@ -53,7 +53,7 @@ fn by_lanes<R: Real>(
     let plates: Vec<Plate> = plates.iter().map(back).collect();
     let surface = Surface { rest_speed: 1e-9, leading_edge_gate: gate, ..Surface::DEFAULT };
     let medium = sand.medium();
-    let ground = Ground::<R>::new(sand.law, &medium, &surface).with(&sand.mechanisms, &medium);
+    let ground = SandBed::<R>::new(sand.law, &medium, &surface).with(&sand.mechanisms, &medium);
     let mut frame = Frame::<R>::at_rest();
     let column = |k: usize| Vec3::splat(turn.matrix().column(k).into_owned().into());
     (frame.rotation.x, frame.rotation.y, frame.rotation.z) = (column(0), column(1), column(2));
@@ -65,7 +65,7 @@ fn by_lanes<R: Real>(
     (-V::from(bias.force.lane(0)), -V::from(bias.moment.lane(0)))
 }
 
-/// The other code's.
+/// Force and moment from `sand::intruder`.
 fn by_intruder(body: &Body, sand: &SandDescription, depth: f64, v: V) -> (V, V) {
     let lowest = -body.heights()[0];
     let trial = Trial { velocity: v.into(), spin: [0.0; 3], given: Given::Depth(depth + lowest) };
@@ -81,16 +81,17 @@ fn sands() -> [SandDescription; 3] {
     [loose.clone(), spatial, SandDescription { mechanisms, ..loose }]
 }
 
-/// A velocity at which no face of a turned box moves almost along itself, where engines let it begin to lead bit by bit and the
-/// other code all at once.
+/// A velocity at which no face of a turned box moves almost along itself. There engines begin to load the face
+/// gradually, and `sand::intruder` at once.
 fn clear_of(turn: &Rotation3<f64>, draw: impl FnMut() -> V) -> V {
     let along =
         |v: &V| (0..3).any(|k| turn.matrix().column(k).dot(&v.normalize()).abs() < Surface::SOLID.leading_edge_gate);
     std::iter::repeat_with(draw).find(|v| !along(v)).unwrap()
 }
 
-/// Same plates, random poses and velocities, both laws, with mechanisms: the same force and moment where plates are flat and
-/// the leading edge is sharp; where they are a ball's, the other code divides plates at the edge.
+/// Same plates, random poses and velocities, both laws, with mechanisms. Force and moment are equal where plates
+/// are flat and the leading edge is sharp. On a ball they differ, because `sand::intruder` divides plates at the
+/// leading edge.
 #[test]
 fn the_force_is_that_of_a_body_in_steady_motion() {
     let folder = tempfile::tempdir().unwrap();
@@ -101,7 +102,7 @@ fn the_force_is_that_of_a_body_in_steady_motion() {
         for _ in 0..6 {
             let turn = Rotation3::from_scaled_axis(draw.vector() * 3.0);
             let body = turned_box(V::new(0.03, 0.02, 0.01), &turn, folder.path());
-            // At least half of it in the sand: where it hardly touches, few plates carry all of the force.
+            // At least half of the body is in the sand: in slight contact few plates carry the whole force.
             let (depth, v) = (0.01 * (1.0 + draw.number()), clear_of(&turn, || draw.vector() * 0.3));
             let expected = by_intruder(&body, &sand, depth, v);
             let found = by_lanes::<f64>(&body.plates, &sand, &turn, depth, v, 1e-20);
@@ -113,7 +114,8 @@ fn the_force_is_that_of_a_body_in_steady_motion() {
         for _ in 0..6 {
             let (depth, v) = (0.01 * (1.0 + draw.number()), draw.vector() * 0.3);
             let found = by_lanes::<f64>(&ball.plates, &sand, &Rotation3::identity(), depth, v, 1e-20);
-            // The law is asked for a patch's mean normal, not for each plate: as far off as default plates may be at most.
+            // The law is evaluated for a patch's mean normal, not for each plate. The error is within that of the
+            // default plates.
             assert_near(found, by_intruder(&ball, &sand, depth, v), 2e-2);
         }
     }

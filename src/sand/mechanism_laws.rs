@@ -1,7 +1,7 @@
-//! The laws of the mechanisms that act in the sand, for one number or for lanes that each have their own strengths.
+//! The stress laws of the mechanisms that act in the sand, for one number or for lanes with a strength each.
 //!
-//! A strength of 0 leaves every bit as plain theory gives it, so lanes without a mechanism do not notice neighbours
-//! that have it.
+//! A strength of 0 leaves every bit as plain theory gives it. So a lane without a mechanism has the same bits
+//! beside lanes that have it.
 
 use super::mechanism::Mechanisms;
 use super::term::{LaneTerms, Piece, Term};
@@ -17,38 +17,38 @@ const PACKING_LENGTH: f64 = 0.1;
 const RATE_REFERENCE: f64 = 0.01;
 /// Normal speed [m/s] over which cohesion builds up.
 const COHESION_SPEED: f64 = 1e-3;
-/// Least factor that `rate_log` and that `packing_grad` leave on the stress. Both laws are lines fitted over a small range;
-/// followed further down they reach zero and then a sand that pushes what moves. Sand keeps its stress: loosely packed poppy
-/// seeds have .254/.464 = 0.55 of the stress of closely packed ones (`sand::media`). Our choice 0.2, well below that, so that
-/// only extrapolation meets it: `rate_log` of −0.1 beyond 30 m/s, of −0.25 beyond 0.24 m/s; `packing_grad` of ±0.1 at 80 cm
-/// from the reference, of ±0.3 at 27 cm.
+/// Least factor on the stress that `rate_log` and `packing_grad` may give. Both laws are straight lines fitted over
+/// a small range; extrapolated far enough they become negative, and sand would push what moves. Loosely packed
+/// poppy seeds have .254/.464 = 0.55 of the stress of closely packed ones (`sand::media`). Our choice 0.2 is well
+/// below that, so that only extrapolation meets it: `rate_log` of −0.1 beyond 30 m/s, of −0.25 beyond 0.24 m/s;
+/// `packing_grad` of ±0.1 at 80 cm from the reference, of ±0.3 at 27 cm.
 pub const LEAST_FACTOR: f64 = 0.2;
 
-/// Speed [m/s] at which a body begins to count as travelling: our choice, a thirtieth of the slowest wheel that was compared,
-/// and above what a standing robot's base moves.
+/// Speed [m/s] above which a body counts as travelling: our choice, a thirtieth of the slowest wheel that was
+/// compared, and faster than the base of a standing robot moves.
 const TRAVEL_SPEED: f64 = 3e-4;
 
-/// Where a segment is, beyond its normal and velocity.
+/// What the mechanisms need of a segment besides its normal and velocity.
 #[derive(Clone, Copy)]
-pub struct Site<R> {
-    /// Below the surface, ≥ 0 [m].
+pub struct SegmentState<R> {
+    /// Depth below the surface, ≥ 0 [m].
     pub depth: R,
-    /// Place in the bed [m]: x_bed + x in force logs, travelled distance in walking.
+    /// Position in the bed [m]: x_bed + x in force logs, travelled distance in walking.
     pub x: R,
-    /// [`footprint`] of the pass; 1 on fresh ground.
+    /// Factor of [`footprint`] for this pass; 1 on fresh ground.
     pub footprint: R,
     /// Width w of the segment across the plane of motion [m].
     pub width: R,
     /// dv_n/dt of the leading face [m/s²].
     pub normal_acceleration: R,
-    /// Earlier passes over this place.
+    /// Number of earlier passes over this place.
     pub passes: R,
-    /// Horizontal velocity (x, y) of the body that the segment belongs to [m/s]: of a wheel's axle, a robot's base. Zero
-    /// where nothing travels; then `skid_loss`, `slip_bearing` and `graze_loss` do nothing.
+    /// Horizontal velocity (x, y) [m/s] of the body that the segment belongs to: of a wheel's axle or a robot's
+    /// base. Zero if the body does not travel; then `skid_loss`, `slip_bearing` and `graze_loss` do nothing.
     pub travel: [R; 2],
 }
 
-impl<R: Real> Site<R> {
+impl<R: Real> SegmentState<R> {
     /// On fresh ground, in steady motion.
     #[inline(always)]
     pub fn fresh(depth: R, x: R) -> Self {
@@ -63,15 +63,15 @@ impl<R: Real> Site<R> {
     }
 }
 
-/// What turns a law's stress per depth into the stress on a segment. Hot loops take it as a type, so that plain theory
-/// pays nothing for what it leaves out.
-pub trait Beyond<R: Real> {
+/// Computes the stress on a segment from a law's stress per depth. Hot loops take it as a type parameter, so that
+/// plain theory does not pay for mechanisms.
+pub trait StressModel<R: Real> {
     /// Force [N] on a segment of `area` [m²] with unit normal `n` and velocity `v`, from the law's stress per depth
-    /// [N/m³]. Where nothing goes beyond the law it has the bits of [`Plain`]: depth times area comes first.
-    fn force(&self, per_depth: Vec3<R>, n: Vec3<R>, v: Vec3<R>, site: &Site<R>, area: R) -> Vec3<R>;
+    /// [N/m³]. Without a mechanism it has the bits of [`Plain`]: depth times area is computed first.
+    fn force(&self, per_depth: Vec3<R>, n: Vec3<R>, v: Vec3<R>, site: &SegmentState<R>, area: R) -> Vec3<R>;
 
-    /// What the law's force on a large piece is multiplied by because parts of it lie at different depths, of which `mean` is
-    /// the mean over its area and `loaded` the mean weighted by depth.
+    /// Factor on the law's force for a large piece whose parts lie at different depths: `mean` is their mean depth
+    /// over the area, `loaded` the mean weighted by depth.
     #[inline(always)]
     fn by_depths(&self, _mean: R, _loaded: R) -> R {
         R::one()
@@ -82,9 +82,9 @@ pub trait Beyond<R: Real> {
 #[derive(Clone, Copy)]
 pub struct Plain;
 
-impl<R: Real> Beyond<R> for Plain {
+impl<R: Real> StressModel<R> for Plain {
     #[inline(always)]
-    fn force(&self, per_depth: Vec3<R>, _n: Vec3<R>, _v: Vec3<R>, site: &Site<R>, area: R) -> Vec3<R> {
+    fn force(&self, per_depth: Vec3<R>, _n: Vec3<R>, _v: Vec3<R>, site: &SegmentState<R>, area: R) -> Vec3<R> {
         per_depth * (site.depth * area)
     }
 }
@@ -100,7 +100,7 @@ pub fn slope_depth<R: Real>((sin, cos): (f64, f64), x: R, z: R) -> R {
     x * R::splat(sin) - z * R::splat(cos)
 }
 
-/// Which laws any lane needs.
+/// The laws that at least one lane needs.
 #[derive(Clone, Copy, Default)]
 struct Active {
     depth_power: bool,
@@ -131,13 +131,13 @@ pub struct SandMechanisms<R> {
     inverse_friction: R,
     skid_loss: R,
     graze_loss: R,
-    /// What the cut of the surface's friction leaves of `slip_bearing`, before the medium's ζ.
+    /// `slip_bearing` after the cut by the surface's friction, before the medium's ζ.
     bearing: R,
     /// ζ [N/m³]
     penetration: R,
     /// χ: share of the straight chord in the force on a leg whose concave side leads.
     pub fill: R,
-    /// Laws found in data.
+    /// The terms of `sand.toml`.
     terms: LaneTerms<R>,
 }
 
@@ -166,7 +166,7 @@ impl<R: Real> SandMechanisms<R> {
         new
     }
 
-    /// Gives one lane its own mechanisms.
+    /// Sets one lane's mechanisms.
     pub fn set_lane(&mut self, lane: usize, m: &Mechanisms, bulk_density: f64) {
         self.active.depth_power |= m.depth_power != 0.0;
         self.active.packing_grad |= m.packing_grad != 0.0;
@@ -191,12 +191,12 @@ impl<R: Real> SandMechanisms<R> {
         self.fill.set_lane(lane, m.concave_fill);
     }
 
-    /// The medium's terms in one lane.
+    /// Sets the medium's terms in one lane.
     pub fn set_terms(&mut self, lane: usize, terms: &[Term], bulk_density: f64) {
         self.terms.set_lane(lane, terms, bulk_density);
     }
 
-    /// The medium's ζ [N/m³] in one lane; `slip_bearing` is a share of it.
+    /// Sets the medium's ζ [N/m³] in one lane; `slip_bearing` is a share of it.
     pub fn set_penetration(&mut self, lane: usize, penetration: f64) {
         self.penetration.set_lane(lane, penetration);
     }
@@ -210,8 +210,8 @@ impl<R: Real> SandMechanisms<R> {
         n.scale_add(R::select(along.lt(R::zero()), push, -push), per_depth)
     }
 
-    /// `force` with its vertical part over 1 + κ s₋². Where the horizontal part feeds the motion nothing is taken from
-    /// the vertical part that brakes it: so the sand adds no energy.
+    /// `force` with its vertical part over 1 + κ s₋². Where the horizontal part drives the motion, the vertical
+    /// part brakes it and is not reduced; so the sand adds no energy.
     #[inline(always)]
     fn skidding(&self, force: Vec3<R>, v: Vec3<R>, slip: R) -> Vec3<R> {
         let skid = slip.min(R::zero());
@@ -220,8 +220,9 @@ impl<R: Real> SandMechanisms<R> {
         Vec3::new(force.x, force.y, force.z * R::select(feeds, R::one(), left))
     }
 
-    /// What a steep face keeps that travels along itself: 1 − κ_g |n_h|⁸ (1 − |n_h·V̂|/|n_h|), n_h the horizontal part of its
-    /// normal, V̂ the direction of travel. Never negative, so the sand adds no energy.
+    /// Share of its force that a steep face keeps when it travels along itself: 1 − κ_g |n_h|⁸ (1 −
+    /// |n_h·V̂|/|n_h|), n_h the horizontal part of its normal, V̂ the direction of travel. Never negative, so the
+    /// sand adds no energy.
     #[inline(always)]
     fn grazing(&self, n: Vec3<R>, [x, y]: [R; 2]) -> R {
         let steep = n.x * n.x + n.y * n.y;
@@ -239,7 +240,7 @@ impl<R: Real> SandMechanisms<R> {
         if !self.active.depth_power {
             return depth;
         }
-        // Powers have no lane arithmetic here: slow, and only reached while this mechanism is on.
+        // Powers have no lane arithmetic here. They are slow, but computed only while this mechanism is on.
         let mut powered = depth;
         for lane in 0..R::LANES {
             let (d, excess) = (depth.lane(lane), self.depth_excess.lane(lane));
@@ -250,9 +251,9 @@ impl<R: Real> SandMechanisms<R> {
         powered
     }
 
-    /// Product of all that multiplies the depth-proportional stress.
+    /// Product of all factors on the depth-proportional stress.
     #[inline(always)]
-    fn factor(&self, v: Vec3<R>, site: &Site<R>) -> R {
+    fn factor(&self, v: Vec3<R>, site: &SegmentState<R>) -> R {
         let mut factor = site.footprint * self.scale;
         if self.active.packing_grad {
             factor = factor * self.packing.mul_add(site.x, R::one()).max(R::splat(LEAST_FACTOR));
@@ -265,9 +266,9 @@ impl<R: Real> SandMechanisms<R> {
     }
 }
 
-impl<R: Real> Beyond<R> for SandMechanisms<R> {
-    /// A power of depth p is asked for at the depth that carries: for a piece from the surface down this is 1.4 % off at p = 0.2,
-    /// and 4 % at the mean depth.
+impl<R: Real> StressModel<R> for SandMechanisms<R> {
+    /// A power of depth p is computed at the depth weighted by depth. For a piece that reaches the surface this is
+    /// 1.4 % off at p = 0.2; the mean depth would be 4 % off.
     #[inline(always)]
     fn by_depths(&self, mean: R, loaded: R) -> R {
         if !self.active.depth_power {
@@ -281,7 +282,7 @@ impl<R: Real> Beyond<R> for SandMechanisms<R> {
     /// The depth-proportional stress carries scale, packing, footprint, rate and the friction cap; inertia, added mass
     /// and cohesion push against the leading face in addition.
     #[inline(always)]
-    fn force(&self, per_depth: Vec3<R>, n: Vec3<R>, v: Vec3<R>, site: &Site<R>, area: R) -> Vec3<R> {
+    fn force(&self, per_depth: Vec3<R>, n: Vec3<R>, v: Vec3<R>, site: &SegmentState<R>, area: R) -> Vec3<R> {
         let along = n.dot(v);
         let slips = self.active.skid_loss || self.active.slip_bearing;
         let slip = if slips { slip(v, site.travel) } else { R::zero() };
@@ -318,16 +319,17 @@ impl<R: Real> Beyond<R> for SandMechanisms<R> {
             pressure += normal;
             force += LaneTerms::against_slip(n, v) * (tangential * area);
         }
-        // A dry lane beside a wet one comes here with depth 0: nothing pushes on a segment in the air.
+        // A dry lane beside a wet one is computed with depth 0: nothing pushes on a segment in the air.
         let push = R::select(R::zero().lt(site.depth), pressure * area, R::zero());
         let toward_front = R::select(along.lt(R::zero()), push, -push);
         n.scale_add(toward_front, force)
     }
 }
 
-/// Slip of a segment with velocity `v` on a body that travels with V: −v·V̂/max(|V|, |v − V|), −1 where it is dragged
-/// along (a locked wheel), 0 where it stands on the sand (a rolling wheel's bottom), toward 1 where it runs backward (a
-/// spinning wheel). The usual slip of terramechanics, for each segment; it fades to 0 where the body hardly travels.
+/// Slip of a segment with velocity `v` on a body that travels with V: −v·V̂/max(|V|, |v − V|). It is −1 where the
+/// segment is dragged along (a locked wheel), 0 where it stands on the sand (a rolling wheel's bottom), toward 1
+/// where it runs backward (a spinning wheel). This is the usual slip of terramechanics, for each segment; it fades
+/// to 0 where the body hardly travels.
 #[inline(always)]
 fn slip<R: Real>(v: Vec3<R>, [x, y]: [R; 2]) -> R {
     let squared = x * x + y * y;
@@ -336,15 +338,15 @@ fn slip<R: Real>(v: Vec3<R>, [x, y]: [R; 2]) -> R {
     -(v.x * x + v.y * y) / ((squared * greater).sqrt() + R::splat(TRAVEL_SPEED * TRAVEL_SPEED))
 }
 
-/// Share of the bearing that an inclined load leaves, (1 − μ)^1.5: Vesic (1973) for a square footing whose load is inclined
-/// by the surface's friction μ; nothing where no cap is given (fully rough).
+/// Share of the bearing that remains under an inclined load, (1 − μ)^1.5: Vesic (1973) for a square footing whose
+/// load is inclined by the surface's friction μ; 0 where no friction is given (fully rough).
 fn inclination(inverse_friction: f64) -> f64 {
     if inverse_friction > 0.0 { (1.0 - 1.0 / inverse_friction).max(0.0).powf(1.5) } else { 0.0 }
 }
 
-/// `force` with its part along the face cut to 1/`inverse_mu` times the part along the normal; 0 cuts nothing. Where the
-/// law's normal part goes with the motion (plates drawn out at a shallow angle) the part along the face is what keeps the
-/// whole dissipative: there it stays as large as that takes.
+/// `force` with its part along the face limited to 1/`inverse_mu` times the part along the normal; 0 limits
+/// nothing. Where the law's normal part acts along the motion (plates drawn out at a shallow angle), the part along
+/// the face stays as large as it must be for the whole force to brake the motion.
 #[inline(always)]
 fn capped<R: Real>(force: Vec3<R>, n: Vec3<R>, v: Vec3<R>, inverse_mu: R) -> Vec3<R> {
     let normal = force.dot(n);
@@ -378,7 +380,6 @@ fn log_one_plus<R: Real>(x: R) -> R {
 fn tanh<R: Real>(x: R) -> R {
     let y = x.min(R::splat(9.5)) * R::splat(0.125);
     let y2 = y * y;
-    // y (10395 + 1260 y² + 21 y⁴) / (10395 + 4725 y² + 210 y⁴ + y⁶)
     let above = R::splat(21.0).mul_add(y2, R::splat(1260.0)).mul_add(y2, R::splat(10395.0));
     let below = (y2 + R::splat(210.0)).mul_add(y2, R::splat(4725.0)).mul_add(y2, R::splat(10395.0));
     let mut t = y * above / below;
@@ -391,15 +392,15 @@ fn tanh<R: Real>(x: R) -> R {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Ground;
+    use crate::SandBed;
     use crate::{Law, Medium, Surface};
 
-    fn ground() -> Ground<f64> {
-        Ground::new(Law::Li2013, &Medium::named("poppy-loose").unwrap(), &Surface::default())
+    fn ground() -> SandBed<f64> {
+        SandBed::new(Law::Li2013, &Medium::named("poppy-loose").unwrap(), &Surface::default())
     }
 
     fn stress(m: Mechanisms, v: [f64; 3]) -> Vec3<f64> {
-        let site = Site {
+        let site = SegmentState {
             depth: 0.03,
             x: 0.05,
             footprint: 1.0,
@@ -434,7 +435,7 @@ mod tests {
 
     #[test]
     fn friction_cap_leaves_the_normal_part() {
-        // Along the face: almost all of the stress is tangential.
+        // Along the face almost all of the stress is tangential.
         let (v, n) = ([0.04, 0.0, 0.03], Vec3::new(0.6, 0.0, -0.8));
         let (plain, cut) =
             (stress(Mechanisms::default(), v), stress(Mechanisms { friction_clip: 10.0, ..Default::default() }, v));
@@ -455,7 +456,7 @@ mod tests {
         }
     }
 
-    /// What one lane has must not change a bit of another.
+    /// One lane's mechanisms must not change a bit of another lane.
     #[test]
     fn neutral_lanes_are_plain() {
         use crate::number::Portable;
@@ -469,23 +470,23 @@ mod tests {
             friction_clip: 3.0,
             ..Default::default()
         };
-        let mut beyond = SandMechanisms::<Portable>::new(&Mechanisms::default(), 600.0);
-        beyond.set_lane(0, &every, 600.0);
+        let mut mechanisms = SandMechanisms::<Portable>::new(&Mechanisms::default(), 600.0);
+        mechanisms.set_lane(0, &every, 600.0);
         let medium = Medium::named("poppy-loose").unwrap();
-        let ground = Ground::<Portable>::new(Law::Li2013, &medium, &Surface::default());
+        let ground = SandBed::<Portable>::new(Law::Li2013, &medium, &Surface::default());
         let (n, v) = (Vec3::splat([0.6, 0.0, -0.8]), Vec3::splat([0.1, 0.02, -0.3]));
-        let site = Site::fresh(Portable::splat(0.013), Portable::splat(0.2));
+        let site = SegmentState::fresh(Portable::splat(0.013), Portable::splat(0.2));
         let plain = Plain.force(ground.stress(n, &ground.motion(v)), n, v, &site, Portable::splat(1.0));
-        let stress = beyond.stress(&ground, n, v, &site);
+        let stress = mechanisms.stress(&ground, n, v, &site);
         assert_ne!(stress.lane(0), plain.lane(0));
         assert_eq!(stress.lane(1), plain.lane(1));
     }
 
-    /// A lane in the air beside one in the sand: inertia and cohesion do not vanish with depth by themselves.
+    /// A lane in the air beside one in the sand: inertia and cohesion do not vanish at depth 0 without a check.
     #[test]
     fn nothing_pushes_in_the_air() {
         let every = Mechanisms { inertial_drag: 1.0, cohesion: 100.0, added_mass: 1.0, ..Default::default() };
-        let site = Site {
+        let site = SegmentState {
             depth: 0.0,
             x: 0.0,
             footprint: 1.0,

@@ -1,7 +1,8 @@
-//! Is the law that was named of the right form? The exponent of its speed is set free and everything fitted again.
+//! Does the named law have the right form? The exponent of its speed is freed and everything is fitted again.
 //!
-//! A wrong exponent is a small misfit that lack of fit alone may not see: over a narrow range of speeds λ v² and λ' v^1.5
-//! look alike. So the objective is scanned over exponents; what it excludes is excluded, and what it does not is said.
+//! A wrong exponent is a small misfit that lack of fit alone may not show: over a narrow range of speeds λ v² and
+//! λ' v^1.5 are similar. So the objective is scanned over exponents. The report states which exponents are
+//! excluded, and whether the law's own is.
 
 use super::chi_squared;
 use super::fit::Fit;
@@ -12,30 +13,30 @@ use crate::parallel;
 use crate::sand::mechanism::CATALOG;
 use serde::Serialize;
 
-/// Exponents that are tried: our choice, from none as in Coulomb friction to the fourth.
+/// Exponents that are tried: our choice, from 0, as in Coulomb friction, to 4.
 const EXPONENTS: [f64; 9] = [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0];
-/// Where it is tried again: about the best, in steps after which a smooth objective is at the end of the interval.
+/// Further exponents about the best one, at distances that bracket the interval's ends for a smooth objective.
 const FINER: [f64; 7] = [-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5];
-/// An exponent nearer than this to the law's is the law's: over a decade of speed the stress then differs by a quarter at
-/// most, which other small errors of a model make as well. Our choice.
+/// An exponent nearer than this to the law's counts as the law's: over a decade of speed the stress then differs by
+/// a quarter at most, as much as other small errors of a model. Our choice.
 const SAME: f64 = 0.1;
-/// Exponents further from the law's than this are other laws; where the interval holds one, the data do not tell. Our choice:
-/// half a power, as between the drag of grains that is cited with 2 and laws measured with 1.5.
+/// Exponents further than this from the law's are other laws; if the interval contains one, the data do not decide.
+/// Our choice: half a power, as between the drag of grains that is cited with 2 and laws measured with 1.5.
 const OTHER: f64 = 0.5;
-/// Objective by which a law may be behind another exponent by chance: that of one in a thousand, as causes are thrown out of
-/// the set.
+/// How far the law's objective may be above that of another exponent by chance, once in a thousand; the same
+/// probability as for causes in the ambiguity set.
 const EXCLUDED: f64 = chi_squared::AT_999_PER_MILLE;
 const INTERVAL: f64 = chi_squared::AT_95_PERCENT;
 
-/// What the data say of the exponent of the speed in a law.
+/// Results on the exponent of the speed in a law.
 #[derive(Clone, Debug, Serialize, PartialEq)]
-pub struct Form {
+pub struct SpeedExponent {
     pub id: String,
     /// The law's own exponent.
     pub law: f64,
     /// The exponent that fits best.
     pub found: f64,
-    /// 95 %; its ends are those of what was tried where it reaches so far.
+    /// 95 % interval; limited to the exponents that were tried.
     pub ci95: [f64; 2],
     /// Do the data exclude the law's exponent?
     pub excluded: bool,
@@ -48,10 +49,10 @@ pub struct Form {
     pub objective: f64,
 }
 
-impl Form {
-    /// A clause for the report's sentence; empty where the law is borne out.
+impl SpeedExponent {
+    /// A clause for the report's sentence; empty if the data agree with the law.
     pub fn said(&self) -> String {
-        let Form { id, law, found, ci95: [low, high], .. } = self;
+        let SpeedExponent { id, law, found, ci95: [low, high], .. } = self;
         if self.excluded {
             format!(
                 "; the data ask for the power {found:.2} of the speed (95 % interval {low:.2} to {high:.2}) where {id} has {law}"
@@ -69,17 +70,17 @@ impl Form {
     }
 }
 
-/// A law whose exponent can be asked for.
+/// A law whose exponent can be tested.
 #[derive(Clone, Copy)]
-pub struct Asked {
-    /// Place in the catalogue.
+pub struct SpeedLaw {
+    /// Index in the catalogue.
     id: usize,
     /// The law's own exponent.
     law: f64,
 }
 
-impl Asked {
-    /// The first cause of `fit` that the study's model has with other exponents.
+impl SpeedLaw {
+    /// The first cause of `fit` that the study's model can predict with other exponents.
     pub fn of(study: &Study, fit: &Fit) -> Option<Self> {
         let laws = fit.ids.iter().filter_map(|&id| Some(Self { id, law: CATALOG[id].exponent? }));
         laws.into_iter().find(|asked| study.model.with_exponent(asked.id, asked.law).is_some())
@@ -91,8 +92,8 @@ impl Asked {
     }
 }
 
-/// Scans the exponent of the law asked for about `fit`; `inflation` is that of χ² differences.
-pub fn check(study: &Study, fit: &Fit, Asked { id, law }: Asked, inflation: f64) -> Option<Form> {
+/// Scans the exponent of the given law about `fit`; `inflation` is the factor on χ² differences.
+pub fn check(study: &Study, fit: &Fit, SpeedLaw { id, law }: SpeedLaw, inflation: f64) -> Option<SpeedExponent> {
     let fitted = |exponent: f64| {
         let model = study.model.with_exponent(id, exponent)?;
         Some(study.with_model(&*model).fit_near(fit))
@@ -117,7 +118,7 @@ pub fn check(study: &Study, fit: &Fit, Asked { id, law }: Asked, inflation: f64)
     let near = scan.iter().filter(|s| (s.0 - law).abs() <= SAME + 1e-9).map(|s| s.1).fold(f64::MAX, f64::min);
     let ci95 = within(&scan, objective, INTERVAL * inflation);
     let excluded = near - objective > EXCLUDED * inflation;
-    Some(Form {
+    Some(SpeedExponent {
         id: CATALOG[id].id.into(),
         law,
         found,
@@ -129,7 +130,7 @@ pub fn check(study: &Study, fit: &Fit, Asked { id, law }: Asked, inflation: f64)
     })
 }
 
-/// Where a parabola through the least of the scan and its neighbours is least, and its second derivative halved.
+/// Minimum of the parabola through the least value of the scan and its neighbours, and half its second derivative.
 fn minimum(scan: &[(f64, f64)]) -> (f64, f64) {
     let best = (0..scan.len()).min_by(|a, b| scan[*a].1.total_cmp(&scan[*b].1)).unwrap_or(0);
     let k = best.clamp(1, scan.len() - 2);

@@ -1,0 +1,123 @@
+"""A robot's file through every door: in this process, on a server of its own, and over the network. Equal bits."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+import sandgait
+from conftest import RemoteServer
+
+ROOT = Path(__file__).parents[2]
+TASK = "sandgait/LeggedVelocity-v0"
+
+#: A body on two wheels' worth of joints; its hull is a mesh beside the file.
+MESHED = """<robot name="meshed">
+  <link name="base">
+    <inertial><mass value="2"/><inertia ixx="0.02" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><geometry><box size="0.2 0.1 0.05"/></geometry></collision>
+  </link>
+  <link name="leg">
+    <inertial><origin xyz="0 0 -0.05"/><mass value="0.2"/>
+      <inertia ixx="0.0003" iyy="0.0003" izz="0.0003" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><origin xyz="0 0 -0.1"/><geometry><mesh filename="{mesh}"/></geometry></collision>
+  </link>
+  <joint name="hip" type="revolute">
+    <parent link="base"/><child link="leg"/><origin xyz="0.05 0 0"/><axis xyz="0 1 0"/>
+    <limit lower="-1" upper="1" effort="5" velocity="20"/>
+  </joint>
+</robot>"""
+
+#: A pyramid of 3 cm, faces outward.
+PYRAMID = """v 0 0 -0.03
+v 0.02 0 0
+v -0.01 0.0173 0
+v -0.01 -0.0173 0
+f 2 3 4
+f 1 3 2
+f 1 4 3
+f 1 2 4
+"""
+
+
+@pytest.fixture
+def meshed(tmp_path: Path) -> Path:
+    (tmp_path / "foot.obj").write_text(PYRAMID)
+    path = tmp_path / "meshed.urdf"
+    path.write_text(MESHED.format(mesh="foot.obj"))
+    return path
+
+
+def walk(robot: Path, **keywords: Any) -> list[Any]:
+    """What 30 steps of three robots say; they begin in the ground, where forces are."""
+    env = sandgait.SandgaitVectorEnv(TASK, 3, robot=robot, max_episode_steps=20, **keywords)
+    said: list[Any] = [env.single_action_space.shape]
+    said.append(env.reset(seed=5)[0])
+    width = env.single_action_space.shape[0]
+    for t in range(30):
+        action = np.sin(0.3 * t + np.arange(3 * width).reshape(3, width)).astype(np.float32)
+        observation, reward, terminated, truncated, info = env.step(action)
+        said += [observation, reward, terminated, truncated, info["feet_in_contact"]]
+    env.close()
+    return said
+
+
+@pytest.mark.parametrize("name", ["sandcat.urdf", "sandcat.xml", "meshed"])
+@pytest.mark.filterwarnings("ignore:.*left out")
+def test_a_file_travels_through_every_door(name: str, meshed: Path, remote: RemoteServer) -> None:
+    robot = meshed if name == "meshed" else ROOT / "robots" / name
+    here = walk(robot)
+    assert np.isfinite(here[1]).all()
+    assert max(float(np.max(touches)) for touches in here[6::5]) >= 1, "no foot ever touched the ground"
+    for door in ({"isolated": True}, {"address": remote.address}):
+        for ours, theirs in zip(here, walk(robot, **door), strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+
+
+def test_gymnasium_takes_a_file_by_its_path(meshed: Path) -> None:
+    for robot in (str(meshed), meshed):
+        env = gymnasium.make(TASK, robot=robot)
+        assert env.action_space.shape == (1,)
+        env.reset(seed=0)
+        assert np.isfinite(env.step(np.zeros(1, np.float32))[0]).all()
+        env.close()
+
+
+@pytest.mark.parametrize(
+    ("mesh", "said"),
+    [
+        ("absent.obj", "absent.obj"),
+        ("../outside.obj", "outside.obj"),
+        ("/etc/passwd", "passwd"),
+    ],
+)
+def test_a_mesh_that_cannot_be_read_is_one_clear_line(mesh: str, said: str, meshed: Path, remote: RemoteServer) -> None:
+    shutil.copy(meshed.parent / "foot.obj", meshed.parent.parent / "outside.obj")
+    meshed.write_text(MESHED.format(mesh=mesh))
+    for door in ({}, {"address": remote.address}):
+        with pytest.raises(sandgait.SandgaitError, match=said) as error:
+            sandgait.SandgaitVectorEnv(TASK, 2, robot=meshed, **door)
+        assert "\n" not in str(error.value)
+
+
+def test_wrong_files_are_one_clear_line(tmp_path: Path, remote: RemoteServer) -> None:
+    for name, text in [
+        ("cut.urdf", "<robot name='a'><link name='b'>"),
+        ("bomb.xml", "<!DOCTYPE a [<!ENTITY b 'bb'><!ENTITY c '&b;&b;'>]><mujoco>&c;</mujoco>"),
+        ("empty.xml", ""),
+    ]:
+        path = tmp_path / name
+        path.write_text(text)
+        for door in ({}, {"address": remote.address}):
+            with pytest.raises(sandgait.SandgaitError) as error:
+                sandgait.SandgaitVectorEnv(TASK, 2, robot=path, **door)
+            assert "\n" not in str(error.value)
+            assert name in str(error.value)
+    for door in ({}, {"address": remote.address}):
+        with pytest.raises((sandgait.SandgaitError, OSError), match=r"nowhere\.urdf"):
+            sandgait.SandgaitVectorEnv(TASK, 2, robot=tmp_path / "nowhere.urdf", **door)
