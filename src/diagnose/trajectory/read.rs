@@ -44,9 +44,10 @@ pub fn read(data: &Path, experiment: &Experiment) -> Result<Log> {
     Ok(log)
 }
 
+/// At most 64 bytes: the marks of MCAP, Parquet and SQLite (the bags of ROS 2, whose mark ends with a zero) are shorter.
 fn first_bytes(path: &Path) -> Result<Vec<u8>> {
     let file = File::open(path).map_err(|e| Error::file(path, e))?;
     let mut first = Vec::new();
-    file.take(8).read_to_end(&mut first).map_err(|e| Error::file(path, e))?;
+    file.take(64).read_to_end(&mut first).map_err(|e| Error::file(path, e))?;
     Ok(first)
 }
