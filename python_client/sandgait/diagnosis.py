@@ -147,5 +147,5 @@ def diagnose(
 
 def _content(data: Any) -> tuple[str, bytes]:
     if hasattr(data, "to_csv"):
-        return "data", data.to_content(index=False).encode()
+        return "data", data.to_csv(index=False).encode()
     return file(data, "data")
