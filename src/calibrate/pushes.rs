@@ -450,7 +450,11 @@ mod tests {
         }
         let study = compare(&pushes(|z, d| 4e4 * d + 6e5 * z, 0.0), Some(0.0)).unwrap();
         assert_eq!(study.law, Law::Footing, "{:?}", study.laws);
-        assert!(study.cautions.iter().any(|c| c.contains("does not apply to feet of another size")), "{:?}", study.cautions);
+        assert!(
+            study.cautions.iter().any(|c| c.contains("does not apply to feet of another size")),
+            "{:?}",
+            study.cautions
+        );
     }
 
     #[test]
