@@ -5,6 +5,8 @@
     python examples/train.py --algorithm sac --set gamma=0.97 --set batch_size=256
     python examples/train.py --resume                          # go on from the last checkpoint in --out
     python examples/train.py --options '{"slope_deg": 10}' --start-from runs/HexapodGait-ppo --out runs/slope
+    python examples/train.py --task LeggedVelocity --options '{"robot": "go1.xml", "ground": "poppy-close"}' \
+        --curriculum examples/hyperparameters/hard_ground_to_sand.yml --out runs/go1-sand
     tensorboard --logdir runs
 
 Settings are in examples/hyperparameters/, one file an algorithm and one entry a task. The output directory gets
@@ -16,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +30,7 @@ from training import (
     ALGORITHMS,
     BadSettings,
     Row,
+    curriculum,
     hyperparameters,
     last_checkpoint,
     other_training,
@@ -75,6 +79,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument(
         "--start-from", type=Path, metavar="DIR", help="begin with the policy of another training's folder"
     )
+    parser.add_argument("--curriculum", type=Path, metavar="FILE", help="stages with further options of the task")
     parser.add_argument(
         "--checkpoint-every", type=int, default=1_000_000, metavar="STEPS", help="steps between two (%(default)s)"
     )
@@ -92,6 +97,7 @@ def parse() -> argparse.Namespace:
         arguments.settings = hyperparameters(arguments.algorithm, arguments.id, arguments.set + given)
         arguments.options = {**arguments.settings.get("env_kwargs", {}), **arguments.options}
         arguments.checkpoint = last_checkpoint(arguments.out) if arguments.resume else None
+        arguments.stages = curriculum(arguments.curriculum) if arguments.curriculum else None
         if arguments.start_from is not None:
             if arguments.resume:
                 raise BadSettings("--start-from: --resume goes on from the training's own checkpoint")
@@ -107,6 +113,8 @@ def main() -> None:
     out.mkdir(parents=True, exist_ok=True)
     about = {name: getattr(arguments, name) for name in ("task", "algorithm", "seed", "options", "address")}
     made_by = {**provenance(), **about, "hyperparameters": settings}
+    if arguments.stages is not None:
+        made_by["curriculum"] = [asdict(stage) for stage in arguments.stages]
     write_settings(out, made_by)
     torch.set_num_threads(1)  # networks this small are slower on several threads
     training = prepare(
@@ -119,6 +127,7 @@ def main() -> None:
         arguments.options,
         arguments.checkpoint,
         arguments.start_from,
+        arguments.stages,
     )
     if arguments.video_every:
         films = Video(arguments.video_every, out / "videos", arguments.id, arguments.address, arguments.options)

@@ -10,6 +10,7 @@ import shlex
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList, CheckpointCallback
 from stable_baselines3.common.utils import FloatSchedule
-from stable_baselines3.common.vec_env import VecEnvWrapper, VecNormalize
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 from symmetry import Mirror, MirroredPolicy, MirroredStatistics, mirror
 from tqdm import tqdm
@@ -128,35 +129,77 @@ def read_curve(path: Path, until: float = np.inf) -> list[Row]:
     return [row for row in rows if row.steps <= until]
 
 
+@dataclass
+class Stage:
+    """A part of a training: it ends at this share of the steps or of the time, and has further options of the task."""
+
+    until: float
+    options: dict[str, Any]
+
+
+def curriculum(path: Path) -> list[Stage]:
+    """The stages in a file: a list of `{share: …, env_kwargs: {…}}` whose shares sum to 1."""
+    try:
+        rows = yaml.safe_load(path.read_text())
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise BadSettings(f"--curriculum {path}: {' '.join(str(error).split())}") from error
+    if not isinstance(rows, list) or not rows:
+        raise BadSettings(f"--curriculum {path}: expected a list of stages")
+    stages: list[Stage] = []
+    for number, row in enumerate(rows, 1):
+        keys = set(row) if isinstance(row, dict) else set()
+        if not {"share"} <= keys <= {"share", "env_kwargs"} or not isinstance(row.get("env_kwargs", {}), dict):
+            raise BadSettings(f"--curriculum {path}: stage {number}: expected `share` and, if you like, `env_kwargs`")
+        if not isinstance(row["share"], int | float) or not 0 < row["share"] <= 1:
+            raise BadSettings(f"--curriculum {path}: stage {number}: share must be above 0 and at most 1")
+        stages.append(Stage((stages[-1].until if stages else 0.0) + row["share"], row.get("env_kwargs", {})))
+    if abs(stages[-1].until - 1) > 1e-6:
+        raise BadSettings(f"--curriculum {path}: the shares sum to {stages[-1].until:.6g}, not to 1")
+    stages[-1].until = 1.0
+    return stages
+
+
+def done(row: Row, settings: dict[str, Any]) -> float:
+    """Share of a training's steps or seconds, whichever is larger, that are done at a point of its curve, 0 to 1."""
+    return min(1.0, max(row.seconds / float(settings["seconds"]), row.steps / int(settings["n_timesteps"])))
+
+
+def stage_at(stages: list[Stage], share: float) -> int:
+    """Index of the stage in which a training is that has done `share` of its steps or time."""
+    return next((index for index, stage in enumerate(stages) if share < stage.until), len(stages) - 1)
+
+
 class Progress(BaseCallback):
-    """Progress bar, learning curve, learning rate, and the end when time is up."""
+    """Progress bar, learning curve, learning rate, and the end when time or the stage's share is up."""
 
     def __init__(self, timed: Timed, settings: dict[str, Any], path: Path, curve: list[Row]) -> None:
         super().__init__()
         self.timed, self.path, self.curve = timed, path, curve
-        self.total_steps, self.total_seconds = int(settings["n_timesteps"]), float(settings["seconds"])
+        #: Share of the training at which the present stage ends.
+        self.until = 1.0
+        self.settings, self.total_steps = settings, int(settings["n_timesteps"])
         self.rate, self.falls = learning_rate(settings["learning_rate"])
         #: Since the first training began, without the time between two.
-        self.seconds = self.before = curve[-1].seconds if curve else 0.0
+        self.seconds = self.first = curve[-1].seconds if curve else 0.0
         #: Time of this training that the environments' steps took [s].
         self.simulation_share = 0.0
         self.returns: list[float] = []
 
     def _on_training_start(self) -> None:
-        self.start = time.monotonic()
+        self.start = time.monotonic() - self.seconds
         self.file = self.path.open("w", newline="", buffering=1)
         self.writer = csv.writer(self.file)
         self.writer.writerow(("steps", "seconds", "return"))
         self.writer.writerows((r.steps, r.seconds, r.mean_return) for r in self.curve)
         form = "{desc}{percentage:3.0f} %|{bar}| {elapsed} < {remaining}"
         pause = 0.5 if sys.stderr.isatty() else 20.0  # a log file should have few lines
-        self.bar = tqdm(total=1.0, desc="training", bar_format=form, mininterval=pause)
+        self.bar = tqdm(total=1.0, initial=self.share, desc="training", bar_format=form, mininterval=pause)
         self._set_rate()
 
     @property
     def share(self) -> float:
         """Finished share of the training, 0 to 1."""
-        return min(1.0, max(self.seconds / self.total_seconds, self.num_timesteps / self.total_steps))
+        return done(Row(self.num_timesteps, self.seconds, 0.0), self.settings)
 
     def _set_rate(self) -> None:
         rate = self.rate * (1.0 - self.share) if self.falls else self.rate
@@ -164,10 +207,9 @@ class Progress(BaseCallback):
 
     def _on_step(self) -> bool:
         self.returns += [info["episode"]["r"] for info in self.locals["infos"] if "episode" in info]
-        now = time.monotonic() - self.start
-        self.seconds = self.before + now
-        self.simulation_share = self.timed.seconds / now
-        return self.seconds < self.total_seconds
+        self.seconds = time.monotonic() - self.start
+        self.simulation_share = self.timed.seconds / (self.seconds - self.first)
+        return self.share < self.until
 
     def _on_rollout_end(self) -> None:
         self._set_rate()
@@ -208,15 +250,28 @@ class Training:
     progress: Progress
     #: Callbacks besides progress and checkpoints.
     callbacks: list[BaseCallback]
+    #: Those still to do; without a curriculum there is one.
+    stages: list[Stage]
+    #: Makes the environments of a stage.
+    make: Callable[[Stage], VecEnv]
 
     def run(self, checkpoint_every: int, out: Path) -> None:
         """Learns until steps or time are up; with regular checkpoints of policy, normalization and replay buffer."""
         every = max(1, checkpoint_every // self.normalized.num_envs)
         where = str(out / "checkpoints")
         checkpoints = Checkpoints(every, where, "model", save_replay_buffer=True, save_vecnormalize=True)
-        left = max(0, self.progress.total_steps - self.model.num_timesteps)
         callbacks = CallbackList([self.progress, checkpoints, *self.callbacks])
-        self.model.learn(left, callback=callbacks, reset_num_timesteps=False, log_interval=10, tb_log_name="log")
+        for index, stage in enumerate(self.stages):
+            if index > 0:
+                self.progress.timed.venv.close()
+                self.progress.timed.venv = self.make(stage)
+                self.normalized.seed((self.model.seed or 0) + self.model.num_timesteps)
+                self.model._last_obs = None  # learn() resets the environments where it has no last observation
+            self.progress.until = stage.until
+            left = max(0, self.progress.total_steps - self.model.num_timesteps)
+            self.model.learn(left, callback=callbacks, reset_num_timesteps=False, log_interval=10, tb_log_name="log")
+            if stage.until < 1:
+                sandgait.export_onnx(self.model, out / f"stage_until_{stage.until:.2f}.onnx", self.normalized)
         self.normalized.training = False
 
 
@@ -270,11 +325,18 @@ def prepare(
     options: dict[str, Any],
     checkpoint: Path | None,
     start_from: Path | None = None,
+    stages: list[Stage] | None = None,
 ) -> Training:
     """A new training, or the one in `out` continued from a checkpoint; `start_from` gives a new one its policy."""
-    timed = Timed(sandgait.make_sb3(task, int(settings["n_envs"]), address, **options))
+    curve = [] if checkpoint is None else read_curve(out / "curve.csv", until=steps_of(checkpoint))
+    stages = stages or [Stage(1.0, {})]
+    stages = stages[stage_at(stages, done(curve[-1], settings) if curve else 0.0) :]
+
+    def make(stage: Stage) -> VecEnv:
+        return sandgait.make_sb3(task, int(settings["n_envs"]), address, **{**options, **stage.options})
+
+    timed = Timed(make(stages[0]))
     kind = ALGORITHMS[algorithm]
-    curve: list[Row] = []
     if checkpoint is None:
         flag = bool(settings["normalize"])
         normalized = VecNormalize(timed, norm_obs=flag, norm_reward=flag, gamma=settings["gamma"])
@@ -291,8 +353,7 @@ def prepare(
         if isinstance(model, SAC):
             model.load_replay_buffer(checkpoint.with_name(f"model_replay_buffer_{steps}_steps.pkl"))
         normalized.seed(seed + steps)  # its episodes differ from those of the first part
-        curve = read_curve(out / "curve.csv", until=steps)
     progress = Progress(timed, settings, out / "curve.csv", curve)
     symmetric = settings.get("mirror") and settings["normalize"]
     callbacks: list[BaseCallback] = [MirroredStatistics(mirrors_of(normalized)[0])] if symmetric else []
-    return Training(model, normalized, progress, callbacks)
+    return Training(model, normalized, progress, callbacks, stages, make)
