@@ -241,7 +241,7 @@ fn medium(name: Option<&str>, sand: Option<SandTable>) -> Result<Medium> {
 
 fn check_shape(name: &str, shape: &Intruder) -> Result<()> {
     let field = |part: &str| format!("shape.{name}.{part}");
-    // 1 mm to 10 m as for LegShape::segments: smaller or larger ones are unit slips.
+    // 1 mm to 10 m as for LegShape::segments: smaller or larger ones have a wrong unit.
     let (length, width, thickness) = match *shape {
         Intruder::Leg { chord, width, xi_deg, thickness } => {
             check_range(&field("xi_deg"), xi_deg, -89.9..=89.9)?;

@@ -7,8 +7,8 @@
 //!    "ROWS"  moments: rows of f32, all columns one after the other
 //! ```
 //!
-//! All numbers are little-endian. A section is an episode, or the rest of one; each may have another robot or other
-//! rocks. Of the header only `format`, `version` and `columns` are needed to read the numbers.
+//! All numbers are little-endian. A section is an episode, or the rest of an episode; sections may differ in robot and
+//! rocks. To read the numbers, a reader needs only `format`, `version` and `columns` of the header.
 
 use super::pose::Pose;
 use crate::error::{Error, Result};
@@ -179,7 +179,7 @@ fn broken(why: impl std::fmt::Display) -> Error {
 /// The sections of a file.
 ///
 /// # Errors
-/// It is no recording, of another version, damaged, cut off, or larger than 1 GiB.
+/// If the file is not a recording, has another version, is damaged or cut off, or is larger than 1 GiB.
 pub fn read(file: &[u8]) -> Result<Vec<Section>> {
     let mut stream = Vec::new();
     let unpacked = MultiGzDecoder::new(file).take(MOST_UNPACKED).read_to_end(&mut stream);
