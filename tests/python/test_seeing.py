@@ -193,7 +193,7 @@ env.close()
 
 
 def test_a_process_with_a_window_can_train() -> None:
-    """Mesa's OpenGL and torch's triton each contain an LLVM. If both are loaded, the process ends with a segmentation fault.
+    """Mesa's OpenGL and torch's triton each contain an LLVM. If both are loaded, the process crashes.
 
     This driver opens a window without a display, and loads OpenGL if Mesa is installed.
     """
