@@ -28,7 +28,7 @@ const LEAST_SAMPLES: usize = 4 * STRETCHES;
 /// Share of the greatest depth that is left out at the top, where grains still pile up: our choice; the paper fits
 /// its steady state only.
 const TRANSIENT: f64 = 0.1;
-/// Below this share of variance explained by the line the test was not a quasi-static penetration: our choice.
+/// If the line explains less than this share of the variance, the test was not a quasi-static penetration: our choice.
 const LEAST_R_SQUARED: f64 = 0.8;
 
 /// Results of a penetration test.

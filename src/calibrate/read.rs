@@ -27,11 +27,11 @@ pub struct Tests {
     pub depth: Vec<f64>,
     /// Forces of all rows [N].
     pub force: Vec<f64>,
-    /// Empty where the file has no column trial.
+    /// Empty if the file has no column `trial`.
     pub pushes: Vec<Push>,
 }
 
-/// Reads a file; `units`: of depth and force, if the header does not give them.
+/// Reads a file. `units` are those of depth and force if the header does not give them.
 pub fn file(path: &Path, units: BTreeMap<String, String>) -> Result<Tests> {
     let mut several = Several::default();
     let (mut depth, mut force) = (Vec::new(), Vec::new());

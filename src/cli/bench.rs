@@ -136,7 +136,7 @@ impl Bench {
         Ok(self.report(task, engine, &rates))
     }
 
-    /// Actions for `at_once` control steps a call.
+    /// Actions for calls of `at_once` control steps.
     fn actions(&self, spec: &Spec, at_once: usize) -> Result<Actions> {
         let rows = at_once * self.envs;
         let held = |share: f64| {

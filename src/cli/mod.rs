@@ -167,7 +167,7 @@ fn sand(medium: &str, law: &str, file: Option<&Path>) -> Result<SandDescription>
     SandDescription::named(medium, law)
 }
 
-/// The same for robots that walk; warns on stderr of each mechanism that has no effect on them.
+/// The same for walking robots; warns on stderr of each mechanism that has no effect on them.
 fn sand_to_walk_on(medium: &str, law: &str, file: Option<&Path>) -> Result<SandDescription> {
     let sand = sand(medium, law, file)?;
     warn_of_unfelt(&sand);

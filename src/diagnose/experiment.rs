@@ -48,7 +48,8 @@ pub struct BodyDescription {
     pub friction: f64,
 }
 
-/// Between polished steel and rough plates in dry sand (Potyondy 1961: 0.54 to 0.76 of the sand's friction angle).
+/// A friction coefficient between those of polished steel and of rough plates in dry sand (Potyondy 1961: 0.54 to 0.76
+/// of the sand's friction angle).
 fn usual_friction() -> f64 {
     0.45
 }
@@ -123,7 +124,7 @@ pub struct Experiment {
     pub law: Law,
     pub bodies: BTreeMap<String, BodyDescription>,
     pub nuisances: Priors,
-    /// Column → unit, where not SI.
+    /// Column → unit, for columns that are not in SI.
     pub units: BTreeMap<String, String>,
     /// Our column name → theirs.
     pub columns: BTreeMap<String, String>,
@@ -131,7 +132,7 @@ pub struct Experiment {
     pub trajectory: Keys,
 }
 
-/// Relative prior sd of the coefficients if the experiment gives none: the contract's default.
+/// Relative prior sd of the coefficients if the experiment gives none.
 const COEFFICIENT_SD: f64 = 0.08;
 
 impl Experiment {
@@ -140,7 +141,7 @@ impl Experiment {
         Self::from_toml(&text).map_err(|e| Error::file(path, e))
     }
 
-    /// Gives each row of the data to `take`, with the experiment's columns and units.
+    /// Calls `take` with each row of the data, with the experiment's columns and units.
     pub fn read(&self, data: &Path, columns: &[Column], take: impl FnMut(&Row) -> Result<()>) -> Result<Summary> {
         let (renamed, units) = (self.columns.clone(), self.units.clone());
         table::read(data, &Asked { columns, renamed, units, most_rows: Some(MOST_ROWS) }, take)

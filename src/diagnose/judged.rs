@@ -16,8 +16,8 @@ use super::verdict::{Evidence, Rival};
 use crate::sand::mechanism::CATALOG;
 use crate::student;
 
-/// The plain model's error counts as clearly larger than the scatter if it is larger by this share of itself with
-/// certainty: our choice. If it is not, a share of their difference has no meaning.
+/// The plain model's error counts as clearly larger than the scatter if its 95 % interval exceeds the scatter by this
+/// share of the error: our choice. If it is not, a share of their difference has no meaning.
 const CLEAR: f64 = 0.1;
 
 /// Uncertainty of a fit's values.
@@ -109,13 +109,14 @@ fn rivals(fitted: &Fitted, best: &Candidate, gates: &Gates) -> Vec<Rival> {
     fitted.candidates[1..fitted.finalists.max(1)].iter().map(of).collect()
 }
 
-/// Does the law of the best cause have the right form? If the data exclude it, or if the cause alone in another
-/// form explains as much as with a second term, which then only replaces that form, none of the causes is named.
+/// Tests whether the law of the best cause has the right form. No cause is named if the data exclude the form, or if
+/// the cause alone in another form explains as much as together with a second cause, which then only replaces that
+/// form.
 fn questioned(study: &Study, fitted: &Fitted, gates: &Gates) -> Option<SpeedExponent> {
     let best = &fitted.candidates[0].fit;
     let asked = SpeedLaw::of(study, best)?;
     let alone = fitted.candidates.iter().find(|c| asked.alone(&c.fit)).filter(|_| best.ids.len() > 1);
-    // It was fitted with an earlier noise.
+    // The single cause was fitted with an earlier noise.
     let alone = alone.and_then(|c| speed_exponent::check(study, &study.fit_from(&[&c.fit])[0], asked, gates.inflation));
     let stands_in = alone.filter(|form| form.excluded && form.objective <= best.objective);
     stands_in.or_else(|| speed_exponent::check(study, best, asked, gates.inflation))

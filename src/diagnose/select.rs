@@ -26,7 +26,7 @@ pub struct Selection {
     /// Noise, whitening and nuisances under which it was judged.
     pub around: Surroundings,
     pub verdict: Verdict,
-    /// The law found in the data, where no mechanism explains them.
+    /// The law found in the data, if no mechanism explains them.
     pub law: Option<Described>,
     /// Indices of the candidates that the data cannot distinguish from the best, including the best; empty if none
     /// is named.
@@ -60,7 +60,7 @@ impl Selection {
     }
 }
 
-/// Where a diagnosis is asked.
+/// The inputs of a selection.
 pub struct Asked<'a> {
     pub source: &'a Source<'a>,
     pub noise: &'a Noise,
@@ -95,8 +95,8 @@ pub fn select(study: &Study, asked: &Asked, progress: &dyn Progress) -> Result<S
     if sensor.iter().map(gains).fold(0.0, f64::max) < selection.screened.gates.single {
         return Ok(selection);
     }
-    // Nuisances of single channels may explain a misfit that a mechanism with one value for all channels does not;
-    // then it is not that mechanism.
+    // If nuisances of single channels explain a misfit that a mechanism with one value for all channels does not
+    // explain, this mechanism is not the cause.
     let count = study.nuisances.len() as f64;
     let allowed = count + 3.0 * (2.0 * count).sqrt();
     let gates = &selection.screened.gates;
@@ -158,7 +158,7 @@ fn conclude(
         let renewed = study.under(&around.whitener, around.nuisances.clone());
         let fitted = match fitted.found(&first.gates) {
             true => fitted,
-            // With the first noise nothing was found: the plain model is judged with its own noise.
+            // Nothing was found with the first noise, so the plain model is judged with its own noise.
             false => Fitted { base: candidate(&renewed, &renewed.recalibrated(), renewed.recalibrated()), ..fitted },
         };
         let lack = |c: &Candidate| lack_of_fit::statistic(study.observations, &c.fit.white);

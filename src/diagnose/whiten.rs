@@ -25,14 +25,14 @@ pub struct Whitener {
 }
 
 impl Whitener {
-    /// The source's prediction gives the direction of the trial gains. With the measured mean they would cause a
-    /// scale error (the contract measured −12.6 % on data with nothing hidden).
+    /// The source's prediction gives the direction of the trial gains. With the measured mean as direction, the scale
+    /// would have an error (−12.6 % on data without a hidden cause).
     pub fn new(source: &Source, noise: &Noise) -> Self {
         let repetitions = source.observations.repetitions();
         let units = source.observations.units.iter().zip(source.sizes).map(|(unit, sizes)| {
             let span = source.observations.span(unit);
             let steps = noise.clock.steps(&unit.progress);
-            // An error that all n repetitions share counts n times in each; see `share`.
+            // The variance of an error that all n repetitions share is multiplied by n; see `share`.
             let repeated = repetitions[unit.condition].len() as f64;
             let own = |c: usize| -> Vec<f64> {
                 let errors = source.own_error.get(unit.block(c)).unwrap_or_default();

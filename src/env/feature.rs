@@ -9,7 +9,8 @@
 
 use super::spec::Column;
 
-/// A list of numbers that a function of type `F` computes; the function's last argument is the number's place in its group.
+/// A list of numbers, each with a function of type `F` that computes it. The last argument of the function is the
+/// number's index in its group.
 pub struct Features<F>(Vec<Feature<F>>);
 
 struct Feature<F> {

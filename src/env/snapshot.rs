@@ -27,7 +27,7 @@ pub struct SavedEpisode {
     pub goal: [f64; 2],
     /// The model of an episode that drew parts of it, such as rocks.
     pub drawn: Option<Box<(Robot, Scene)>>,
-    /// For tasks whose ground varies along the way.
+    /// The ground of tasks with patches or footprints.
     pub ground: Option<UsedGround>,
     /// For LeggedVelocity; the model is built again from these values.
     #[serde(default)]
@@ -71,7 +71,7 @@ impl Resumed {
         if last.len() != actions || !last.iter().all(|a| (-1.0..=1.0).contains(a)) {
             return Err(unfit("its last action"));
         }
-        // Both are counted up from 0.
+        // Both are counts from 0, so larger numbers are impossible.
         if saved.steps > task.spec().max_episode_steps || saved.number > u64::MAX / 2 {
             return Err(unfit("its counters"));
         }
@@ -232,7 +232,8 @@ mod tests {
                 let before = drawn.clone();
                 change(&mut drawn.0, &mut drawn.1);
                 if *drawn == before {
-                    // LegStroke's leg has this shape; nevertheless a snapshot with a robot is refused.
+                    // LegStroke has a leg of this shape, but its snapshots contain no robot, so one with a robot is
+                    // refused.
                     assert_eq!(id, "sandgait/LegStroke-v0", "{what}");
                 }
                 let error = resume(&blueprint, &crafted).err().unwrap_or_else(|| panic!("{id}: {what} is taken"));

@@ -1,5 +1,4 @@
-//! How good is a gait? Returns, speeds, costs and falls over seeds that no training uses, on several media and
-//! slopes.
+//! Evaluates gaits: returns, speeds, costs and falls over seeds that no training uses, on several media and slopes.
 //!
 //! [`gait`]: the evaluated gait → [`run`]: episodes over lanes and cores, each an [`episode`] of sums →
 //! [`figures`]: means with intervals → [`table`]: text, CSV and JSON. `docs/evaluate.md` defines every figure.
@@ -37,7 +36,8 @@ const SEARCH_SEEDS: std::ops::Range<u64> = 2_000_000..2_000_032;
 const RATES: std::ops::RangeInclusive<u32> = 1..=20;
 const RATE_STEP: f64 = 0.25;
 
-/// Most seeds: the seeds of the search follow them. Most media times slopes: our choice, an hour's work.
+/// Most seeds, because the seeds of the search follow them; and most combinations of media and slopes: our choice, an
+/// hour's work.
 const MOST_SEEDS: usize = 1_000_000;
 const MOST_CONDITIONS: usize = 1_000;
 
@@ -48,14 +48,14 @@ pub struct Request {
     /// Keywords of the task (a JSON object; null for none).
     pub options: Value,
     pub seeds: usize,
-    /// Empty: the option's own medium.
+    /// Media; if empty, that of the options.
     pub media: Vec<String>,
-    /// [°]; empty: the option's own slope.
+    /// Slopes [°]; if empty, that of the options.
     pub slopes: Vec<f64>,
 }
 
 impl Request {
-    /// Default number of seeds: intervals are then some fifth of the spread between episodes.
+    /// Default number of seeds: intervals are then about a fifth as wide as the spread between episodes.
     pub const SEEDS: usize = 100;
 }
 

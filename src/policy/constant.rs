@@ -55,7 +55,7 @@ impl Constant {
     }
 }
 
-/// From whichever of the two fields has the numbers; None if the number of bytes is wrong.
+/// The numbers, which are in one of the two fields; None if the number of bytes is wrong.
 fn numbers<T: Copy, const N: usize>(
     typed: &[T],
     raw: &[u8],

@@ -8,12 +8,13 @@ use crate::error::{Error, Result};
 use prost::Message as _;
 use std::collections::HashMap;
 
-/// Limits of a network, our choice: far above what walking needs, and some milliseconds of work for a shard.
+/// Limits of a network: our choice, far above the needs of walking; the largest network takes some milliseconds for a
+/// shard.
 const MOST_NODES: usize = 256;
 const MOST_WIDTH: usize = 4096;
 const MOST_PRODUCTS: usize = 2 << 20;
 
-/// Operator sets in which [`OPERATORS`] are defined as they are computed here.
+/// Versions of ONNX's operator set in which [`OPERATORS`] have the meaning that they have here.
 const OPSETS: std::ops::RangeInclusive<i64> = 7..=23;
 
 const OPERATORS: [&str; 26] = [
@@ -49,7 +50,7 @@ fn invalid(why: impl Into<String>) -> Error {
     Error::invalid("policy", why)
 }
 
-/// The program in `onnx`; `sizes` are the numbers in an observation and an action.
+/// Reads the program from `onnx`; `sizes` are the lengths of an observation and an action.
 pub fn program(onnx: &[u8], sizes: [usize; 2]) -> Result<Program> {
     if onnx.len() > MOST_BYTES {
         return Err(invalid(format!("{} bytes are more than {} MiB", onnx.len(), MOST_BYTES >> 20)));

@@ -5,9 +5,8 @@
 //!                              └─▶ files (inside of the package only) ─▶ mesh (STL, OBJ, DAE)
 //! ```
 //!
-//! `roxmltree` reads both formats; the program needs it for figures anyway. Bytes, nodes and depth are bounded
-//! before anything is built from them, every element that is left out is named, and no path outside of the package
-//! is opened.
+//! `roxmltree` reads both formats; the program needs it for figures anyway. Bytes, nodes and depth are checked before
+//! anything is built from them, every element that is left out is named, and no file outside of the package is opened.
 
 use sandgait_base::error;
 use sandgait_sand as sand;
@@ -119,8 +118,8 @@ impl Import {
         Ok(Self { tree, format: Format::Toml, warnings: Vec::new(), links, visuals })
     }
 
-    /// The visual shapes of each body: the file's visuals, or else its collision shapes. Visual meshes are read
-    /// now.
+    /// The visual shapes of each body: the file's visuals, or else its collision shapes. Meshes of visuals are read
+    /// here.
     pub fn seen(&self) -> Result<Vec<Vec<TreeShape>>> {
         let mut meshes = Meshes::default();
         let any = self.visuals.iter().any(|v| !v.is_empty());

@@ -181,7 +181,7 @@ impl Reader<'_> {
         Ok(Look::Shape(match shape.tag.as_str() {
             "sphere" => Geometry::Sphere { radius: length("radius")? },
             "cylinder" => Geometry::Cylinder { radius: length("radius")?, half_length: length("length")? / 2.0 },
-            // Not in the standard, but drake and Isaac read it: `length` is without the caps.
+            // Capsules are not in the standard, but drake and Isaac read them: `length` is without the caps.
             "capsule" => Geometry::Capsule { radius: length("radius")?, half_length: length("length")? / 2.0 },
             "box" => {
                 let size = shape.numbers::<3>("size")?.ok_or_else(|| shape.error("size is missing"))?;

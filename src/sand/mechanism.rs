@@ -1,5 +1,5 @@
 //! Mechanisms that plain resistive force theory leaves out: the one list that simulator, diagnosis, report and
-//! documents read. A new mechanism is one new entry of [`CATALOG`]'s table and, if it acts in the sand, one line in
+//! documentation use. A new mechanism is one new entry of [`CATALOG`]'s table and, if it acts in the sand, one line in
 //! [`super::mechanism_laws::SandMechanisms::stress`].
 //!
 //! Every parameter is 0 when its mechanism is off. The equations of the sand side are in
@@ -25,7 +25,7 @@ pub enum Side {
 pub struct Mechanism {
     pub id: &'static str,
     pub symbol: &'static str,
-    /// SI; "1" where dimensionless.
+    /// SI unit; "1" if dimensionless.
     pub unit: &'static str,
     /// Least and greatest value of a fit: physical bounds where they exist, otherwise our choice, wide.
     pub bounds: [f64; 2],
@@ -44,7 +44,7 @@ pub struct Mechanism {
     pub ceiling: bool,
     /// Power of the speed in its law, if a diagnosis can fit another power to the data.
     pub exponent: Option<f64>,
-    /// Why a walking robot does not feel it, for mechanisms that do not act in the sensor.
+    /// The reason why the mechanism has no effect on a walking robot; None if it has one, or acts in the sensor.
     pub unfelt: Option<&'static str>,
 }
 
@@ -55,7 +55,8 @@ impl Mechanism {
         if self.ceiling && value > 0.0 { 1.0 / value } else { value }
     }
 
-    /// The value at a coordinate; an upper limit above its greatest value is off.
+    /// The value at a coordinate. If the value is an upper limit, a limit above its largest value means that the
+    /// mechanism is off.
     pub fn value(&self, coordinate: f64) -> f64 {
         if self.ceiling && coordinate * self.bounds[1] < 1.0 { 0.0 } else { self.coordinate(coordinate) }
     }

@@ -11,8 +11,8 @@ use std::time::{Duration, Instant};
 /// because the pool interleaves them.
 const TURN: Duration = Duration::from_millis(30);
 
-/// A part has at most this many times the steps of the one before, because the first part's single step may have
-/// been unusually fast.
+/// Largest ratio of the steps in a part to those in the part before, because the first part's single step may have been
+/// unusually fast.
 const GROWTH: usize = 4;
 
 /// Steps of the next part, if `steps` took `time` in the last one.

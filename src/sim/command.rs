@@ -7,7 +7,8 @@ pub struct Command {
     pub rates: Vec<f64>,
     /// Torque added to the servo's [N·m], a joint.
     pub torques: Vec<f64>,
-    /// Reference angles [rad], set at once; empty: the references move on from where they are. Engine `tree` alone.
+    /// Reference angles [rad], set at once. If empty, the references move on from their present angles. Only engine
+    /// `tree` uses this.
     pub targets: Vec<f64>,
 }
 

@@ -20,7 +20,7 @@ fn number(text: &str) -> Result<f64> {
     }
 }
 
-/// Changes every strip that touches sand.
+/// Calls `change` with every strip that touches sand.
 fn strips(design: &mut Design, change: impl Fn(&mut crate::sim::robot::Strip)) {
     design.robot.leg.link.iter_mut().filter_map(|l| l.sand.as_mut()).for_each(change);
 }

@@ -22,7 +22,7 @@ impl<'a> Column<'a> {
     }
 }
 
-/// What a reader requests of a table.
+/// The columns that a reader requests from a table.
 #[derive(Clone, Debug)]
 pub struct Asked<'a> {
     pub columns: &'a [Column<'a>],
@@ -54,7 +54,7 @@ impl<'a> Asked<'a> {
         Ok(there)
     }
 
-    /// Index of each column in `header`; `None` for an absent optional one.
+    /// Index of each column in `header`; None for an optional column that is absent.
     pub(super) fn places(&self, path: &Path, header: &[String]) -> Result<Vec<Option<Place>>> {
         if header.iter().all(String::is_empty) {
             return Err(Error::file(path, "row 1: empty, where the columns' names should stand"));
@@ -85,8 +85,7 @@ impl<'a> Asked<'a> {
         let theirs = self.theirs(column);
         let wrong = |reason: String| Error::file(path, format!("row 1, column {theirs}: {reason}"));
         let exact = header.iter().any(|h| h == theirs);
-        // The same name with a unit is a duplicate column; the name with other words in brackets is a different
-        // column.
+        // A header with the same name and a unit is a duplicate. With other words in brackets it is another column.
         let doubles = |(name, unit): (&str, Option<&str>)| {
             name == theirs && unit.is_some_and(|unit| column.quantity.factor(unit).is_some())
         };

@@ -1,5 +1,5 @@
-//! Design studies in which a gait is learnt for every design: designs of a grid or of a search, several trainings
-//! of each, and a comparison of the best on seeds that neither the trainings nor the choice has used.
+//! Design studies in which a gait is learnt for every design: designs of a grid or of a search, several trainings of
+//! each, and a comparison of the best designs on seeds that were used neither in training nor in the choice.
 
 use super::export::onnx;
 pub use super::measure::{Between, Measure};
@@ -130,7 +130,7 @@ impl Study {
             options.insert("torque_limit".into(), json!(limit));
         }
         let blueprint = Blueprint::new(HexapodGait::ID, Value::Object(options))?;
-        // With servos if the task has them.
+        // The servos are those of the task, if it has any.
         changed.robot.servo.torque_limit = blueprint.task.option("torque_limit").as_f64();
         changed.robot.servo.anti_windup = true;
         let blueprint = blueprint.with_model(Model::new(&changed.robot, &changed.scene)?)?;
@@ -163,9 +163,9 @@ impl Study {
         Ok(Findings { designs, trained, best })
     }
 
-    /// A search for the best design: evenly spread designs first, then some at a time where the expected
-    /// improvement is greatest. Returns the expected value of each design at the end, which depends less on chance
-    /// than its own trainings.
+    /// A search for the best design: evenly spread designs first, then some at a time where the expected improvement is
+    /// greatest. Returns the expected value of each design at the end of the search; this depends less on chance than
+    /// the results of the design's own trainings.
     fn search(
         &self,
         count: usize,
@@ -230,7 +230,7 @@ impl Study {
         Ok(trained)
     }
 
-    /// Inputs of a training that starts from a neighbour's gait.
+    /// Shortens the settings for a training that starts from a neighbour's policy.
     fn shorten(&self, settings: &mut Settings) {
         match (self.warm, settings.seconds) {
             (Some(warm), Some(_)) => settings.seconds = Some(warm),
@@ -275,7 +275,8 @@ fn mean(measure: Measure, trained: &[Trained]) -> f64 {
     trained.iter().map(|t| t.chosen_by[place]).sum::<f64>() / trained.len() as f64
 }
 
-/// Variance of a design's mean, from the scatter of trainings within all designs; 0 if each has one training.
+/// Variance of a design's mean, from the scatter of trainings of the same design, pooled over all designs; 0 if each
+/// has one training.
 fn noise(measure: Measure, trained: &[Vec<Trained>]) -> f64 {
     let (mut squares, mut freedom) = (0.0, 0.0);
     for all in trained {

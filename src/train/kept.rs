@@ -19,7 +19,7 @@ pub struct Kept {
 
 #[derive(Clone, Debug, PartialEq)]
 pub enum Episodes {
-    /// Of environments in this process.
+    /// Episodes of environments in this process.
     Here(Vec<SavedEpisode>),
     /// A server's snapshot.
     Away(Vec<u8>),

@@ -1,4 +1,4 @@
-//! Other comparisons: discs of several sizes, grains simulated one by one, walks and robots by independent codes.
+//! Other comparisons: discs of several sizes, a simulation of single grains, and walks and robots by independent codes.
 
 use super::{data, robots};
 use crate::calibrate::pushes::{self, Law as PushLaw};

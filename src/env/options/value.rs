@@ -85,7 +85,7 @@ impl Bounded for [f64; 2] {
     }
 }
 
-/// `old` changed by `given`; of a dictionary, only the keys in `given` change.
+/// The value after `given` was set; in a dictionary, only the keys in `given` change.
 pub fn changed<T: Serialize + DeserializeOwned>(name: &str, old: &T, given: &Value) -> Result<T> {
     let refused = |e: serde_json::Error| match given {
         Value::Null => Error::invalid(name, "null is no value for it"),

@@ -92,9 +92,9 @@ fn rising(mut plates: Vec<Plate>) -> Vec<Plate> {
 pub struct Body {
     /// Plates of a body at rest or turning about y, lowest first.
     pub plates: Vec<Plate>,
-    /// Plates of a body that turns about another axis, where they differ.
+    /// Plates of a body that turns about another axis, if they differ; otherwise empty.
     turning: Vec<Plate>,
-    /// Points that no plate of the body lies outside of; the lowest one is the body's lowest point.
+    /// Points whose convex hull contains all plates; the lowest one is the body's lowest point.
     corners: Corners,
     /// Size of the plates [m].
     pub plate_size: f64,
@@ -117,7 +117,7 @@ fn turns(along: f64, plates: usize) -> usize {
     ((TURNS * along).round() as usize).clamp(FEWEST_TURNS, most)
 }
 
-/// The points that the lowest point is found from.
+/// The points among which the lowest point is searched.
 #[derive(Clone, Debug)]
 enum Corners {
     Sphere(f64),
@@ -157,7 +157,7 @@ impl Body {
             BodyShape::Mesh(_) => Vec::new(),
         };
         let turning = match *shape {
-            // The two ends of the rim dip into the sand at different times.
+            // The two ends of the rim enter the sand at different times.
             BodyShape::Cylinder { radius, width } => cut::cylinder_across(radius, width, size, size, cut::FINE),
             _ => Vec::new(),
         };
@@ -267,7 +267,7 @@ impl Body {
     }
 }
 
-/// The requested or default plate size; refused where it makes too many plates.
+/// The requested or default plate size; an error if it makes too many plates.
 fn size_within(asked: Option<f64>, longest: f64, surface: f64, most: usize) -> Result<f64> {
     let size = asked.unwrap_or(longest / ALONG);
     let least = (surface / most as f64).sqrt() * 1.01;

@@ -4,8 +4,8 @@
 //! * [`penetration_drag`]: its baseline, one-dimensional penetration and drag.
 //! * [`agarwal2023`]: three-dimensional RFT: one universal polynomial, one number a medium.
 //!
-//! A law is a type that implements [`StressLaw`]. Hot loops take it as a type parameter and match on
-//! [`super::contact::LawCoefficients`] once a loop, so a new law does not slow the others.
+//! A law is a type that implements [`StressLaw`]. Hot loops have it as a type parameter and match on
+//! [`super::contact::LawCoefficients`] once, before the loop. So a new law does not make the others slower.
 
 pub mod agarwal2023;
 pub mod li2013;
@@ -73,8 +73,8 @@ pub trait StressLaw<R: Real>: Copy {
     /// same.
     fn stress(&self, n: Vec3<R>, motion: &Motion<R>) -> Vec3<R>;
 
-    /// Mean of [`StressLaw::stress`] over `normals`. This default is exact to second order in the deviation from
-    /// the mean normal, and takes the deviations to be alike in all directions.
+    /// Mean of [`StressLaw::stress`] over `normals`. This default is exact to second order in the deviation from the
+    /// mean normal, if the deviations are equal in all directions.
     #[inline(always)]
     fn mean_stress(&self, normals: &Normals<R>, motion: &Motion<R>) -> Vec3<R> {
         self.stress(normals.unit, motion)

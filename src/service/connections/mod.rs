@@ -46,7 +46,7 @@ pub const KEEPALIVE: Duration = Duration::from_secs(60);
 /// Time to wait before accepting again when it failed (no file descriptors left).
 const PAUSE: Duration = Duration::from_millis(50);
 
-/// How often idle connections are searched.
+/// Interval at which idle connections are searched.
 const LOOK: Duration = Duration::from_secs(1);
 
 /// Accepted connections that wait for HTTP.
@@ -144,7 +144,7 @@ impl Door {
         }
     }
 
-    /// Continues with a connection in a task of its own.
+    /// Continues with a connection in a new task.
     fn begin(
         &self,
         wire: Wire,
@@ -167,7 +167,7 @@ impl Door {
                 () = stop.cancelled() => return,
             };
             match opened {
-                // It fails only if the server has ended.
+                // Sending fails only if the server has ended.
                 Ok(connection) => drop(sender.send(connection).await),
                 Err((kind, reason)) => door.refusals.log(kind, &name, &reason),
             }

@@ -75,18 +75,19 @@ impl WorldRequest {
         }
     }
 
-    /// Can it be prepared on the async runtime's threads? Changed options make a new model.
+    /// Can the request be prepared on the async runtime's threads? With changed options it makes a model, which takes
+    /// too long.
     fn is_light(&self) -> bool {
         !matches!(self, Self::Reset(changes) if changes.options != Default::default())
     }
 
-    /// How to read the operation's results.
+    /// The function that reads the operation's results.
     fn view(&self) -> fn(&Batch) -> View {
         if matches!(self, Self::Step(_)) { View::after_step } else { View::first }
     }
 }
 
-/// A session's errors in the terms of worlds.
+/// Converts an error about a session to one about a world.
 fn of_world(error: Error, name: &str) -> Error {
     match error {
         Error::Unknown { what: SESSION, .. } => Error::unknown(SESSION, name, &["worlds that have not been destroyed"]),

@@ -1,4 +1,4 @@
-//! From requests to studies that are ready to run. Requests are checked here, before they wait in line, except for
+//! From requests to studies that are ready to run. Requests are checked here, before they wait in the queue, except for
 //! the rows of measured data.
 
 use crate::diagnose::experiment::Experiment;

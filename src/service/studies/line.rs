@@ -84,7 +84,7 @@ impl Line {
                         n => format!("waiting for {n} other studies of this server"),
                     };
                     let event = Event { fraction: 0.0, stage, ahead: place.ahead as u32 };
-                    // A client that has left is noticed below.
+                    // The code below notices a client that has disconnected.
                     let _ = events.send(Ok(A::progress(event))).await;
                 }
                 slot.acquire_owned().await.ok()

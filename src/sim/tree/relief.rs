@@ -12,7 +12,7 @@ pub const REPOSE_DEG: f64 = 35.0;
 /// Most nodes along a side, and largest height of a node [m]: our choice.
 const NODES: std::ops::RangeInclusive<f64> = 4.0..=512.0;
 const HEIGHTS: std::ops::RangeInclusive<f64> = -100.0..=100.0;
-/// Number of waves that are summed to dunes: our choice; no direction dominates.
+/// Number of waves whose sum makes dunes: our choice, enough that no direction dominates.
 const WAVES: usize = 24;
 /// Nodes along a side of dunes, and nodes a wave length: our choice.
 const SIDE: usize = 128;
@@ -58,7 +58,7 @@ impl Relief {
         let waves: Vec<[f64; 3]> = (0..WAVES)
             .map(|_| {
                 let (angle, length) = (TAU * draw.next(), 0.5 + draw.next());
-                // Each wave fits a whole number of times.
+                // Each wave has a whole number of periods, so the dunes repeat.
                 let [x, y] = [angle.cos(), angle.sin()].map(|part| (whole * length * part).round());
                 [x, y, TAU * draw.next()]
             })
@@ -75,7 +75,7 @@ impl Relief {
         Ok(dunes)
     }
 
-    /// Length and width [m].
+    /// Length and width of the field [m].
     pub fn size(&self) -> [f64; 2] {
         [self.columns, self.rows].map(|n| n as f64 * self.spacing)
     }
