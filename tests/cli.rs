@@ -269,7 +269,7 @@ fn a_recorded_walk_is_replayed() {
     text(&["replay", file, "--html", page]);
     let html = std::fs::read_to_string(page).unwrap();
     assert!(html.starts_with("<!doctype html>") && html.contains("walk.rec") && html.contains("id=\"recording\""));
-    refused(&["replay", page], &["walk.html", "none of sandgait's"]);
+    refused(&["replay", page], &["walk.html", "not one of sandgait's"]);
     refused(&["replay", page, "--html", none], &["walk.html"]);
     refused(&["replay", "/nowhere.rec"], &["/nowhere.rec"]);
     let cut = std::fs::read(file).unwrap();

@@ -84,7 +84,7 @@ fn impossible_rows_are_refused() {
     };
     let first = &rows[0];
     refused(format!("{header}\n{}\n", first.replace(",smooth,", ",tank,")), "tank");
-    refused(format!("{header}\n{first}\n{first}\n"), "stands there twice");
+    refused(format!("{header}\n{first}\n{first}\n"), "is in the file twice");
     refused(format!("{header}\n{}\n", first.replace("20.324", "-1")), "load");
     refused(format!("{header}\n{}\n", first.replace("2.066", "-1")), "negative");
     refused(format!("{}\n{first}\n", header.replace("depth,", "sinkage,")), "depth");

@@ -253,7 +253,7 @@ fn wrong_gaits_are_refused() {
     let refused = |text: &str| Wanted::parse(text, read).unwrap_err().to_string();
     assert!(refused("crawl").contains("policy \"crawl\" is unknown; known: FILE.onnx, tripod"));
     assert_eq!(refused("tripod:7"), "tripod: 7 is outside [-5, 5]");
-    assert_eq!(refused("tripod:fast"), "tripod: \"fast\" is no number of Hz");
+    assert_eq!(refused("tripod:fast"), "tripod: \"fast\" is not a number of Hz");
     assert_eq!(refused("clock:1,x"), "clock: \"x\" is no number");
     assert!(refused("no-such.onnx").contains("no-such.onnx"));
     let refused = |request: &Request| Study::new(request).map(drop).unwrap_err().to_string();

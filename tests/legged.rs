@@ -178,7 +178,7 @@ fn bad_reliefs_are_refused() {
         (json!({"relief": {"slope_deg": 40}}), "slope_deg"),
         (json!({"relief": {"heights": [[0.0]]}}), "relief.heights"),
         (json!({"relief": {"height": 1}}), "height"),
-        (json!({"ground": "dunes", "slope_deg": 5}), "own slopes"),
+        (json!({"ground": "dunes", "slope_deg": 5}), "defines the slopes"),
     ] {
         let error = Blueprint::new(ID, options.clone()).map(drop).unwrap_err().to_string();
         assert!(error.contains(said) && !error.contains('\n'), "{options}: {error}");

@@ -64,7 +64,7 @@ fn broken_urdf() -> Vec<Broken> {
             robot(&format!("{a}{b}{c}{}{}{}", joint("j", "a", "b"), joint("k", "a", "c"), joint("l", "b", "c"))),
             &["closed chain", "l"],
         ),
-        entry("two roots", robot(&format!("{a}{b}")), &["two robots"]),
+        entry("two roots", robot(&format!("{a}{b}")), &["the file has two robots"]),
         entry("a link twice", robot(&format!("{a}{a}")), &["second link"]),
         entry(
             "a joint twice",
@@ -173,11 +173,11 @@ fn broken_mjcf() -> Vec<Broken> {
         entry("including nothing", changed("<default>", "<include file=\"absent.xml\"/><default>"), &["absent.xml"]),
         entry("no free body", world("<body><geom size=\"1\"/></body><body><geom size=\"1\"/></body>"), &["free joint"]),
         entry(
-            "two robots",
+            "the file has two robots",
             world(
                 "<body name=\"a\"><freejoint/><geom size=\"1\"/></body><body name=\"b\"><freejoint/><geom size=\"1\"/></body>",
             ),
-            &["two robots"],
+            &["the file has two robots"],
         ),
         entry("no world", "<mujoco/>".into(), &["free joint"]),
         entry(

@@ -103,7 +103,7 @@ fn bad_cells_are_named() {
         ("force\n1\n", "m", "row 1, column depth: missing; the header has force"),
         ("depth [furlong]\n1\n", "m", "furlong"),
         ("depth\n1\n", "furlong", "row 1, column depth: unit \"furlong\" is unknown; known: m, cm"),
-        ("depth [mm]\n1\n", "cm", "row 1, column depth: its unit is another in the header"),
+        ("depth [mm]\n1\n", "cm", "row 1, column depth: the header gives another unit"),
         ("depth\n", "m", "no rows"),
         ("depth,depth\n1,2\n", "m", "twice"),
         ("depth [m],depth [mm]\n1,2\n", "m", "twice"),

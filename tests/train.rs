@@ -376,7 +376,7 @@ fn wrong_studies_are_one_line_and_write_nothing() {
             &["--learn", "5", "--optimize", "return", "--vary", "leg=L,C"],
             "vary: leg needs two numbers to search between",
         ),
-        (&["--learn", "5", "--vary", "frequency=1:2:2"], "frequency: each design learns its own with --learn"),
+        (&["--learn", "5", "--vary", "frequency=1:2:2"], "frequency: with --learn each design learns its own"),
         (&["--warm", "5"], "they are for studies with --learn or --learn-steps"),
     ] {
         let done = sweep(&[&vary[..], arguments].concat());

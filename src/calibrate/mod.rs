@@ -110,11 +110,13 @@ fn refuse(depth: &[f64], force: &[f64], greatest: f64) -> Result<()> {
     let pushing = force.iter().zip(depth).filter(|(f, z)| **z > TRANSIENT * greatest && **f > 0.0).count();
     let deep = depth.iter().filter(|z| **z > TRANSIENT * greatest).count();
     if 10 * pushing < 9 * deep {
-        return Err(refused("force is not positive while the plate goes down: count it upward on the plate"));
+        return Err(refused(
+            "force is not positive while the plate goes down: it must be positive upward on the plate",
+        ));
     }
     let falling = depth.windows(2).filter(|w| w[1] < w[0] - 1e-4 * greatest).count();
     if 10 * falling > depth.len() {
-        return Err(refused("depth goes back up: give the way down only"));
+        return Err(refused("depth decreases again: leave out the rows of the way up"));
     }
     Ok(())
 }

@@ -167,7 +167,7 @@ impl Experiment {
             run: file.run,
         };
         if let Some(key) = given.first().filter(|_| file.kind != Kind::Trajectory) {
-            return Err(Error::invalid(key, "only kind = \"trajectory\" takes it"));
+            return Err(Error::invalid(key, "only kind = \"trajectory\" has this key"));
         }
         let own_sand = file.sand.is_some();
         let mut medium = medium(file.medium.as_deref(), file.sand)?;
@@ -225,7 +225,10 @@ fn medium(name: Option<&str>, sand: Option<SandTable>) -> Result<Medium> {
             }
         },
         _ => {
-            return Err(Error::invalid("sand", "coefficients = \"generic\" needs zeta; any other set excludes it"));
+            return Err(Error::invalid(
+                "sand",
+                "zeta belongs to coefficients = \"generic\": give both, or another set without zeta",
+            ));
         }
     };
     for c in medium.coefficients.to_array() {

@@ -75,7 +75,7 @@ pub fn read(path: &Path, experiment: &Experiment) -> Result<IntruderLog> {
     let summary = experiment.read(path, COLUMNS, |row| {
         let id = row.needed_text(TRIAL)?;
         if ids.place(id) != states.len() {
-            return Err(row.error(TRIAL, format!("{id} stands there twice")));
+            return Err(row.error(TRIAL, format!("{id} is in the file twice")));
         }
         if states.len() == MOST_ROWS {
             return Err(row.error(TRIAL, format!("more than {MOST_ROWS} rows: split the data")));

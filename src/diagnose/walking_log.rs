@@ -89,7 +89,7 @@ pub fn read(path: &Path, experiment: &Experiment) -> Result<WalkingLog> {
         }
         let id = row.needed_text(RUN)?;
         if ids.place(id) != runs.len() {
-            return Err(row.error(RUN, format!("{id} stands there twice")));
+            return Err(row.error(RUN, format!("{id} is in the file twice")));
         }
         row.needed_text(REP)?;
         let condition = conditions.place(row.needed_text(CONDITION)?);

@@ -92,7 +92,7 @@ impl Resumed {
 fn drawn(robot: &Robot, scene: &Scene, task: &dyn AnyTask) -> Result<Model> {
     let own = task.model();
     if !robot.is_variant_of(&own.robot) {
-        return Err(Error::invalid("robot", "not the session's"));
+        return Err(Error::invalid("robot", "it is not the robot of the session"));
     }
     robot.validate()?;
     let mut same = own.scene.clone();
@@ -100,7 +100,7 @@ fn drawn(robot: &Robot, scene: &Scene, task: &dyn AnyTask) -> Result<Model> {
     (same.slope_deg, same.payload, same.mechanisms) = (scene.slope_deg, scene.payload, scene.mechanisms);
     same.obstacles.clone_from(&scene.obstacles);
     if same != *scene {
-        return Err(Error::invalid("scene", "not the session's"));
+        return Err(Error::invalid("scene", "it is not the scene of the session"));
     }
     // The largest value that options allow, times the largest ζ of a patch.
     for c in scene.medium.coefficients.to_array() {

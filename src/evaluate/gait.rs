@@ -38,7 +38,7 @@ impl Wanted {
             ("tripod", None) => Ok(Self::Tripod(None)),
             ("tripod", Some(rate)) => {
                 let rate =
-                    rate.parse().map_err(|_| Error::invalid("tripod", format!("{rate:?} is no number of Hz")))?;
+                    rate.parse().map_err(|_| Error::invalid("tripod", format!("{rate:?} is not a number of Hz")))?;
                 check_range("tripod", rate, -TOP_RATE..=TOP_RATE).map(|rate| Self::Tripod(Some(rate)))
             }
             ("clock", Some(file)) if file.ends_with(".json") => {

@@ -93,7 +93,7 @@ impl Study {
         let base = Blueprint::new(task, options)?;
         let text = |name: &str| base.task.option(name).as_str().unwrap_or_default().to_owned();
         if !media.is_empty() && !text("sand").is_empty() {
-            return Err(Error::invalid("media", "the option sand excludes them"));
+            return Err(Error::invalid("media", "the option sand is given already; leave out one of the two"));
         }
         let media = if media.is_empty() { vec![text("medium")] } else { media.clone() };
         let slopes = if slopes.is_empty() {

@@ -15,7 +15,7 @@ impl Constant {
     pub fn read(name: &str, tensor: &Tensor) -> Result<Self> {
         let wrong = |why: String| Error::invalid("policy", format!("the numbers of {name:?} {why}"));
         if tensor.data_location != 0 {
-            return Err(wrong("stand in another file; export everything into one".into()));
+            return Err(wrong("are in another file; export everything into one file".into()));
         }
         if tensor.dims.len() > 2 {
             return Err(wrong(format!("have {} dimensions; 2 are the most", tensor.dims.len())));

@@ -156,7 +156,7 @@ impl<'a> Reader<'a> {
     fn value(&self, node: &Node, k: usize) -> Result<usize> {
         match self.input(node, k)? {
             Some(Named::Value(value)) => Ok(*value),
-            _ => Err(wrong(node, format!("takes what comes from the observation as input {k}"))),
+            _ => Err(wrong(node, format!("needs a value that depends on the observation as input {k}"))),
         }
     }
 
@@ -165,7 +165,9 @@ impl<'a> Reader<'a> {
         match self.input(node, k)? {
             None => Ok(None),
             Some(Named::Constant(constant)) => Ok(Some(constant)),
-            Some(Named::Value(_)) => Err(wrong(node, format!("takes numbers of the file as input {k}"))),
+            Some(Named::Value(_)) => {
+                Err(wrong(node, format!("needs constants as input {k}, not a value that depends on the observation")))
+            }
         }
     }
 
@@ -193,7 +195,7 @@ impl<'a> Reader<'a> {
             },
             _ => true,
         };
-        if fits { Ok(Named::Value(value)) } else { Err(wrong(node, "makes something else than rows of f32")) }
+        if fits { Ok(Named::Value(value)) } else { Err(wrong(node, "does not give rows of f32")) }
     }
 
     /// Bounds are inputs since operator set 11, attributes before.
@@ -217,7 +219,7 @@ impl<'a> Reader<'a> {
 
     fn concat(&mut self, node: &Node) -> Result<Named> {
         if !attribute(node, "axis").is_some_and(|a| [1, -1].contains(&a.i)) {
-            return Err(wrong(node, "joins something else than rows"));
+            return Err(wrong(node, "joins values that are not rows"));
         }
         let inputs = (0..node.input.len()).map(|k| self.value(node, k)).collect::<Result<Vec<_>>>()?;
         let width = inputs.iter().map(|i| self.widths[*i]).sum();
@@ -234,7 +236,7 @@ impl<'a> Reader<'a> {
         for k in 1..node.input.len() {
             let (right, width) = self.operand(node, k)?;
             if matches!((&left, &right), (Operand::Row(_), Operand::Row(_))) {
-                return Err(wrong(node, "joins numbers of the file only; export with constant folding"));
+                return Err(wrong(node, "has only constants as inputs; export with constant folding"));
             }
             if wide != width && wide != 1 && width != 1 {
                 return Err(wrong(node, format!("joins {wide} numbers and {width}")));
@@ -245,7 +247,7 @@ impl<'a> Reader<'a> {
         }
         match left {
             Operand::Value(value) => Ok(Named::Value(value)),
-            Operand::Row(_) => Err(wrong(node, "joins numbers of the file only; export with constant folding")),
+            Operand::Row(_) => Err(wrong(node, "has only constants as inputs; export with constant folding")),
         }
     }
 
@@ -271,7 +273,10 @@ impl<'a> Reader<'a> {
         let [rows, columns] = matrix.dims[..] else { return Err(wrong(node, "has weights that are no matrix")) };
         let [inputs, outputs] = if flag("transB") { [columns, rows] } else { [rows, columns] };
         if flag("transA") || inputs != self.widths[input] {
-            return Err(wrong(node, format!("takes {inputs} numbers a row and is given {}", self.widths[input])));
+            return Err(wrong(
+                node,
+                format!("needs rows of {inputs} numbers, but its input has {}", self.widths[input]),
+            ));
         }
         let products = self.products + inputs * outputs;
         if products > MOST_PRODUCTS {
@@ -285,7 +290,7 @@ impl<'a> Reader<'a> {
         let row = match added.map(Constant::row) {
             None => &[0.0],
             Some(Some(row)) if row.len() == 1 || row.len() == outputs => row,
-            _ => return Err(wrong(node, format!("adds something else than {outputs} numbers a row"))),
+            _ => return Err(wrong(node, format!("adds a bias that is not a row of {outputs} numbers"))),
         };
         let beta = factor("beta");
         let bias = (0..outputs).map(|j| beta * row[if row.len() == 1 { 0 } else { j }]).collect();

@@ -66,7 +66,7 @@ pub fn compute(figures: &[u8]) -> Result<Vec<Part>> {
             3 => legs::part(grains::part()?)?,
             4 => speeds::part()?,
             5 => shapes::part()?,
-            other => return Err(Error::invalid("--figure", format!("{other} is none of 2, 3, 4, 5"))),
+            other => return Err(Error::invalid("--figure", format!("{other} is not one of 2, 3, 4, 5"))),
         });
     }
     if figures.len() == FIGURES.len() {

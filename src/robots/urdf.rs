@@ -93,7 +93,9 @@ fn ordered<'a, 'b>(
         [one] => one,
         [a, b, ..] => {
             let names = [a, b].map(|i| elements[i].get("name").unwrap_or_default());
-            return Err(root.error(format!("neither {:?} nor {:?} has a parent: two robots", names[0], names[1])));
+            return Err(
+                root.error(format!("neither {:?} nor {:?} has a parent: the file has two robots", names[0], names[1]))
+            );
         }
     };
     let (mut order, mut left) = (Vec::new(), vec![(base, None)]);

@@ -149,7 +149,7 @@ impl Door {
     fn put(&self, bytes: Bytes, share: Share) -> std::result::Result<(), Status> {
         let mut large = self.0.large.lock().unwrap_or_else(PoisonError::into_inner);
         if large.is_some() {
-            return Err(Status::invalid_argument("message: this call takes one"));
+            return Err(Status::invalid_argument("message: this call takes only one message"));
         }
         *large = Some((bytes, share));
         Ok(())

@@ -149,7 +149,7 @@ impl Count {
             let Some(inside) = inside else { continue };
             self.messages += 1;
             if self.messages > MOST_MESSAGES || depth >= DEEPEST {
-                return Err(Error::invalid(*name, "too many values, or too deep in one another"));
+                return Err(Error::invalid(*name, "too many values, or nested too deeply"));
             }
             self.message(value, inside, depth + 1)?;
         }

@@ -213,7 +213,7 @@ impl Model {
         if !scene.hard.is_empty() {
             return Err(Error::invalid(
                 "hard",
-                format!("{:?} takes none; robots from URDF or MJCF files do", robot.name),
+                format!("{:?} takes no hard ground; robots from URDF or MJCF files do", robot.name),
             ));
         }
         let size = V::from(robot.base.size).map(|s| s * s);
@@ -237,7 +237,7 @@ impl Model {
     pub fn of_tree(tree: TreeModel, scene: &Scene) -> Result<Self> {
         scene.validate()?;
         if !scene.obstacles.is_empty() {
-            return Err(Error::invalid("obstacles", "engine tree has none; hard ground it has"));
+            return Err(Error::invalid("obstacles", "engine tree does not support obstacles; use hard ground instead"));
         }
         if scene.hard.len() > HardGround::MOST {
             let reason = format!("{} pieces are more than {}", scene.hard.len(), HardGround::MOST);

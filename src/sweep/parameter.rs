@@ -97,7 +97,7 @@ impl Parameter {
             unit: "m",
             set: |d, v| {
                 let below = check_range("belly", number(v)?, 0.0..=10.0)?;
-                let belly = d.robot.belly.as_mut().ok_or_else(|| Error::invalid("belly", "this robot has none"))?;
+                let belly = d.robot.belly.as_mut().ok_or_else(|| Error::invalid("belly", "this robot has no belly"))?;
                 belly.below = below;
                 Ok(())
             },

@@ -93,7 +93,10 @@ impl Study {
         check_range("number of trainings", (designs * self.trainings) as f64, 1.0..=MOST_TRAININGS as f64)?;
         let gaits = ["frequency", "phase"];
         if let Some(axis) = self.axes.iter().find(|a| gaits.contains(&a.parameter.name)) {
-            return Err(Error::invalid(axis.parameter.name, "each design learns its own with --learn"));
+            return Err(Error::invalid(
+                axis.parameter.name,
+                "with --learn each design learns its own; it cannot be varied",
+            ));
         }
         if self.search.is_some() {
             check_range("number of parameters", self.axes.len() as f64, 1.0..=search::MOST_PARAMETERS as f64)?;

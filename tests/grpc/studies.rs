@@ -151,7 +151,7 @@ async fn wrong_sand_legs_and_robots_are_refused_as_on_the_command_line() {
     refused(client.walk(request).await, "robot \"/etc/passwd.toml\" is unknown; known: xplorer, xplorer18");
     let both = Some(Sand { file: file("sand.toml", ""), ..sand("poppy-loose", "li2013").unwrap() });
     let request = WalkRequest { sand: both, ..walk(&[2.0]) };
-    refused(client.walk(request).await, "sand: a file excludes medium and law");
+    refused(client.walk(request).await, "sand: give either a sand file, or medium and law");
 }
 
 #[tokio::test]
@@ -436,9 +436,9 @@ async fn impossible_trials_are_refused() {
         (TrialsRequest { body: None, ..one() }, "body: none given"),
         (TrialsRequest { body: Some(trials_request::Body::Shape("/etc/passwd.stl".into())), ..one() }, "send the mesh"),
         (TrialsRequest { velocity: vec![0; 23].into(), ..one() }, "velocity: 23 bytes"),
-        (TrialsRequest { velocity: vec![0; 32].into(), ..one() }, "not three a row"),
+        (TrialsRequest { velocity: vec![0; 32].into(), ..one() }, "not a multiple of three"),
         (TrialsRequest { velocity: vec![].into(), ..one() }, "number of rows: 0"),
-        (TrialsRequest { spin: Some(vec![0; 8].into()), ..one() }, "spin: 1 numbers where 1 rows have 3"),
+        (TrialsRequest { spin: Some(vec![0; 8].into()), ..one() }, "spin: 1 numbers; 1 rows have 3"),
         (TrialsRequest { depth: Some(doubles(&[0.01]).into()), ..one() }, "trial 1: both depth and load"),
         (TrialsRequest { load: None, ..one() }, "trial 1: neither depth nor load"),
         (TrialsRequest { load: Some(doubles(&[f64::INFINITY]).into()), ..one() }, "trial 1: load"),

@@ -261,7 +261,7 @@ def test_files_other_than_recordings_are_refused(tmp_path: Path) -> None:
     with pytest.raises(sandgait.InvalidRequest, match="No such file"):
         sandgait.read_recording(path)
     path.write_bytes(b"nothing")
-    with pytest.raises(sandgait.InvalidRequest, match="none of sandgait's recordings"):
+    with pytest.raises(sandgait.InvalidRequest, match="not one of sandgait's recordings"):
         sandgait.read_recording(path)
     env = sandgait.SandgaitEnv(ID)
     env.record(path)
@@ -310,5 +310,5 @@ def test_a_recording_is_unpacked_within_a_bound(tmp_path: Path) -> None:
     tracemalloc.stop()
     for wrong in (b"[]", b"{", b'{"format": "sandgait recording", "version": 1}', b"[" * 100_000):
         path.write_bytes(gzip.compress(block(b"HEAD", wrong)))
-        with pytest.raises(sandgait.InvalidRequest, match="none of sandgait's recordings"):
+        with pytest.raises(sandgait.InvalidRequest, match="not one of sandgait's recordings"):
             sandgait.read_recording(path)

@@ -235,7 +235,7 @@ def test_wrong_snapshots(tmp_path: Path) -> None:
     env.reset(seed=0)
     snapshot = env.save()
     for wrong, words in [
-        (b"", "none of sandgait's"),
+        (b"", "not one of sandgait's"),
         (snapshot[:25], "cut off"),
         (snapshot[:-1], "cut off"),
         (snapshot + b"x", "something after"),

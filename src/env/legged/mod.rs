@@ -264,7 +264,7 @@ impl Task for LeggedVelocity {
             return Err("its robot".into());
         };
         if !legged.is_sound(setup.options.draws(), setup.model) {
-            return Err("what it drew".into());
+            return Err("its drawn values".into());
         }
         goal.model = Some(Arc::new(legged.model(setup.model).map_err(|e| e.to_string())?));
         Ok(())

@@ -82,7 +82,7 @@ impl LeggedOptions {
         let dunes = (self.ground == DUNES).then(ReliefOptions::default);
         if let Some(relief) = self.relief.as_ref().or(dunes.as_ref()) {
             if self.slope_deg != 0.0 {
-                return Err(Error::invalid("slope_deg", "a relief has its own slopes"));
+                return Err(Error::invalid("slope_deg", "a relief defines the slopes; leave out slope_deg"));
             }
             scene.relief = Some(Arc::new(relief.relief()?));
         }

@@ -163,7 +163,7 @@ impl Door {
         tokio::spawn(async move {
             let opened = tokio::select! {
                 opened = door.greet(wire, place, link) => opened,
-                () = end.cancelled() => Err((Refusal::Connection, "later ones needed its place".into())),
+                () = end.cancelled() => Err((Refusal::Connection, "closed to make room for a later connection".into())),
                 () = stop.cancelled() => return,
             };
             match opened {

@@ -49,7 +49,7 @@ impl Place {
         let next = |n: usize| (n < PLACES).then_some(n + 1);
         match taken.fetch_update(Ordering::Relaxed, Ordering::Relaxed, next) {
             Ok(ahead) => Ok(Self { taken: taken.clone(), ahead }),
-            Err(_) => Err(Error::Exhausted(format!("all {PLACES} places in this server's line of studies are taken"))),
+            Err(_) => Err(Error::Exhausted(format!("all {PLACES} places in this server's queue of studies are taken"))),
         }
     }
 }
