@@ -71,7 +71,7 @@ enum Through {
     GrpcTcp,
     /// A server on a Unix socket in this process, rollouts of 150 steps, returns only.
     Rollouts,
-    /// The same with every step's rows.
+    /// As `Rollouts`, but the server also sends the rows of every step.
     Trajectories,
 }
 

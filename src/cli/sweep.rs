@@ -58,7 +58,7 @@ pub struct Sweep {
     /// for this many seconds each, on one thread. Each training is kept, and a repeated command continues the study
     #[arg(long, value_name = "SECONDS")]
     learn: Option<f64>,
-    /// The same for this many steps each. The result then has the same bits on a busy machine
+    /// As --learn, but for this many steps each: the result then has the same bits on a busy machine
     #[arg(long, value_name = "STEPS", conflicts_with = "learn")]
     learn_steps: Option<u64>,
     /// Trainings of each design

@@ -38,7 +38,7 @@ pub struct Train {
     /// File of settings in the format of rl-zoo3, one entry a task
     #[arg(long, value_name = "FILE.yml")]
     hyperparameters: Option<PathBuf>,
-    /// Another value of a setting
+    /// Replace the value of a setting
     #[arg(long, value_name = "NAME=VALUE", allow_hyphen_values = true)]
     set: Vec<String>,
     /// Option of the task

@@ -120,7 +120,7 @@ pub struct Experiment {
     pub coefficient_sd: f64,
     pub robot: Option<String>,
     pub shapes: BTreeMap<String, Intruder>,
-    /// The tables of bodies in steady motion.
+    /// Force law that gives the stress tables of bodies in steady motion.
     pub law: Law,
     pub bodies: BTreeMap<String, BodyDescription>,
     pub nuisances: Priors,

@@ -97,8 +97,8 @@ pub fn candidate(study: &Study, base: &Fit, fit: Fit) -> Candidate {
     }
 }
 
-/// Candidates fitted beside `base`: those with `size` causes first, best first. Fits of a smooth model can compute
-/// their slopes again, and slopes use most of the memory, so only the first fits keep theirs.
+/// Sorts candidates: first those with `size` causes, and among these the best first. Only the first fits of a smooth
+/// model keep their slopes, because slopes use most of the memory and can be computed again.
 fn ranked(study: &Study, base: &Fit, fits: &[Fit], size: usize) -> Vec<Candidate> {
     let mut candidates = parallel::map(fits, |fit| candidate(study, base, fit.clone()));
     candidates.sort_by(|a, b| b.delta_chi2.total_cmp(&a.delta_chi2));

@@ -328,7 +328,7 @@ impl Track {
         self.poses.iter().map(rate).fold(0.0, f64::max)
     }
 
-    /// The same intruder in another trial, and a description of that trial; angles in degrees.
+    /// This track's intruder in another trial, and a description of that trial; angles in degrees.
     fn planned(&self, rate: f64, deep: bool, pass: u32, x_bed: f64, beta: f64, gamma: f64) -> (Track, String) {
         let mut track = Track { pass, pass_dx: 0.0, x_bed, ..self.clone() };
         let at = |i: usize| (i as f64 + 0.5) / PLANNED_SAMPLES as f64;

@@ -44,7 +44,7 @@ pub struct Menu<'a> {
 pub trait ForwardModel: Sync {
     /// Same order as `Observations::values`.
     fn predict(&self, mechanisms: &Mechanisms, coefficients: &Coefficients) -> Vec<f64>;
-    /// The same for several states at once.
+    /// Predicts for several states at once.
     fn predict_many(&self, states: &[(Mechanisms, Coefficients)]) -> Vec<Vec<f64>> {
         parallel::map(states, |(m, c)| self.predict(m, c))
     }
@@ -161,7 +161,7 @@ impl<T> Clone for Kept<T> {
     }
 }
 
-/// Steps of numerical derivatives by nuisances: our choices, shares of their usual sizes.
+/// Steps of numerical derivatives by nuisances: our choices, small parts of the nuisances' usual sizes.
 const DEPTH_STEP: f64 = 2e-4;
 const TIME_STEP: f64 = 1e-3;
 const TILT_STEP: f64 = 1e-4;
@@ -198,7 +198,7 @@ impl<'a> ForceLogModel<'a> {
         })
     }
 
-    /// The same with a `latch` that may stop it.
+    /// This model with a `latch` that may stop its computations.
     pub fn heeding(self, latch: &'a Latch<'a>) -> Self {
         Self { latch: Some(latch), ..self }
     }
@@ -342,7 +342,7 @@ impl<'a> ForceLogModel<'a> {
         self.responses.of(m, || Response::new(|states| self.in_grounds(m, states)))
     }
 
-    /// Data for nuisances; the last result is kept.
+    /// What nuisances change in the data of this state. The last result is kept.
     fn measuring(&self, m: &Mechanisms, c: &Coefficients) -> Arc<Measuring> {
         let mut kept = self.measuring.0.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(known) = kept.as_ref().filter(|k| k.mechanisms == *m && k.coefficients == *c) {
@@ -462,7 +462,7 @@ impl ForwardModel for ForceLogModel<'_> {
         if CATALOG[id].id != "inertial_drag" {
             return None;
         }
-        // At the greatest speed of the data both laws are equal, so λ is comparable.
+        // At the greatest speed of the data the drag with this exponent equals the catalog's, so λ is comparable.
         let features = self.features();
         let speed = features.iter().filter(|f| f.name == "speed").flat_map(|f| f.values.iter().flatten());
         let speed = speed.copied().fold(1e-6, f64::max);

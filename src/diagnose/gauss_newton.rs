@@ -118,8 +118,8 @@ impl Study<'_> {
         fits.swap_remove(0)
     }
 
-    /// A fit of a model that is similar to that of an earlier fit, from its end and with its slopes by the
-    /// coefficients.
+    /// Fits a model that is similar to the model of an earlier fit. The fit starts at the end of the earlier one and
+    /// uses its slopes by the coefficients.
     pub fn fit_near(&self, earlier: &Fit) -> Fit {
         let mut begun = self.at_all(vec![(earlier.ids.clone(), earlier.mechanisms, earlier.deviations.clone())]);
         (begun[0].slopes, begun[0].white_slopes) = (earlier.slopes.clone(), earlier.white_slopes.clone());

@@ -18,7 +18,7 @@ pub struct Lack {
     /// For each channel of each condition, the sum of squares minus their number, in its standard deviations for noise
     /// alone; the greatest of these. A mean over many conditions would not show the misfit of a single one.
     pub worst: f64,
-    /// Sum of the squares over their number, and that number.
+    /// Sum of the squares minus their number, and that number.
     pub excess: f64,
     pub count: f64,
 }

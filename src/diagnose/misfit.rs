@@ -129,7 +129,7 @@ pub fn whereabouts(observations: &Observations, model: &dyn ForwardModel, predic
     whereabouts_of(observations, model, prediction, "the plain model's error")
 }
 
-/// The same for an error with another name.
+/// As [`whereabouts`], for an error with another name.
 pub fn whereabouts_of(
     observations: &Observations,
     model: &dyn ForwardModel,

@@ -66,14 +66,13 @@ const COPIES: f64 = 1e-6;
 /// The size S for each sample of each unit and channel: the mean over repetitions, smoothed over five samples.
 pub type Sizes = Vec<Vec<Vec<f64>>>;
 
-/// The same for other values than the measured ones. Near the data a model's own sizes are better. With measured
-/// sizes, samples that noise has made small would get too much weight, and every fit would be too low.
+/// The sizes of the measured values.
 pub fn sizes(observations: &Observations) -> Sizes {
     sizes_of(observations, &observations.values)
 }
 
-/// The same for other values than the measured ones. Near the data a model's own sizes are better. With measured
-/// sizes, samples that noise has made small would get too much weight, and every fit would be too low.
+/// The sizes of `values`, for instance those of a model's prediction. Near the data a model's own sizes are better:
+/// with measured sizes, samples that noise has made small would get too much weight, and every fit would be too low.
 pub fn sizes_of(observations: &Observations, values: &[f64]) -> Sizes {
     let groups = observations.repetitions();
     let mut out = vec![Vec::new(); observations.units.len()];

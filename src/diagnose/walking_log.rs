@@ -168,7 +168,7 @@ fn leg(row: &Row) -> Result<String> {
     if wrong {
         return Err(row.error(XI, format!("{xi}° is not the knee angle of a leg {name}")));
     }
-    // The names mean 45°. A reversed leg is reversed whether its angle has a sign or not.
+    // The leg names stand for an angle of 45°. The angle of a reversed leg may be given with or without its sign.
     let named = name == "flat" || (xi.abs() - 45.0).abs() < 1e-9;
     Ok(if named { name.into() } else { format!("xi={}", if name == "revL" { -xi.abs() } else { xi }) })
 }

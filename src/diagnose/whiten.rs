@@ -47,13 +47,13 @@ impl Whitener {
         Self { units: units.collect(), whole: LowRank::new(Vec::new()), held: Vec::new() }
     }
 
-    /// The same with an additional error that all units share, along whitened directions one standard deviation
+    /// This whitening with an additional error that all units share, along whitened directions one standard deviation
     /// long.
     pub fn beside(&self, directions: Vec<Vec<f64>>) -> Self {
         Self { whole: LowRank::new(directions), ..self.clone() }
     }
 
-    /// The same with some conditions held out.
+    /// This whitening with some conditions held out.
     pub fn without(self, observations: &Observations, conditions: &[usize]) -> Self {
         let units = observations.units.iter().filter(|u| conditions.contains(&u.condition));
         Self { held: units.map(|u| observations.span(u)).collect(), ..self }

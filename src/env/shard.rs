@@ -99,7 +99,7 @@ impl Rows {
         self.final_observations.clear();
     }
 
-    /// The same for environment `i` alone.
+    /// Clears the buffers of environment `i` alone.
     fn clear_env(&mut self, i: usize) {
         let envs = self.rewards.len();
         let (wide, info) = (self.observations.len() / envs, self.infos.len() / envs);

@@ -135,7 +135,7 @@ impl Shard {
         }
     }
 
-    /// The same for this shard's own use.
+    /// The state of environment `i` as this shard keeps it for itself.
     pub fn keep(&self, i: usize) -> Resumed {
         let Episode { task, seed, number, steps, goal, after, last_action, .. } = &self.episodes[i];
         let (task, goal) = (task.clone(), goal.clone());

@@ -309,7 +309,7 @@ fn attribute<'a>(node: &'a Node, name: &str) -> Option<&'a Attribute> {
     node.attribute.iter().find(|a| a.name == name)
 }
 
-/// The function of a unary node; the default alpha is ONNX's.
+/// The function of a node with one input. If the node has no alpha, the default of ONNX applies.
 fn function(node: &Node) -> Function {
     let alpha = |default| attribute(node, "alpha").map_or(default, |a| a.f);
     match node.op_type.as_str() {

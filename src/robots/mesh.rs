@@ -173,7 +173,7 @@ fn middle_of_faces(triangles: &[Triangle]) -> Vector3<f64> {
     if all > 0.0 { sum / all } else { sum }
 }
 
-/// The same for a thin shell: area in place of volume.
+/// Moments of a thin shell: area in place of volume.
 pub fn shell(triangles: &[Triangle]) -> Moments {
     let (mut area, mut center, mut second) = (0.0, Vector3::zeros(), Matrix3::zeros());
     for [a, b, c] in triangles {

@@ -195,7 +195,7 @@ impl<R: Real> SandBed<R> {
         }
     }
 
-    /// The same for loops that have matched on law and mechanisms.
+    /// As [`Self::thin_plate`], for loops that have already matched on law and mechanisms.
     #[inline(always)]
     pub fn thin_plate_by(
         &self,
@@ -221,7 +221,7 @@ impl<R: Real> SandBed<R> {
         }
     }
 
-    /// The same for loops that have matched on law and mechanisms.
+    /// As [`Self::one_sided`], for loops that have already matched on law and mechanisms.
     #[inline(always)]
     pub fn one_sided_by(
         &self,

@@ -21,7 +21,7 @@ use sha2::{Digest as _, Sha256};
 
 const ENVS: usize = 3;
 
-/// A policy of the first task.
+/// A policy for the first of [`TASK_IDS`].
 const PPO: &[u8] = include_bytes!("../../tests/data/policy_ppo.onnx");
 
 fn options(json: &Value) -> Option<prost_types::Struct> {

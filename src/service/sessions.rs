@@ -87,7 +87,7 @@ pub struct Environments {
     reservation: Reservation,
 }
 
-/// The same without the batch, which the pool has during an operation.
+/// What is left of [`Environments`] during an operation, while the pool has the batch.
 pub struct Bookkeeping {
     done: Done,
     reservation: Reservation,

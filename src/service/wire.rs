@@ -1,4 +1,4 @@
-//! Counts the unpacked size of a message on its bytes.
+//! Computes the unpacked size of a message from its bytes, before unpacking.
 //!
 //! Two bytes can be an empty list, which takes 32 bytes when it is unpacked, so the size of a message limits neither
 //! memory nor time. Therefore all fields of a message are counted before unpacking, down to the values of its options.

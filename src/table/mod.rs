@@ -135,8 +135,8 @@ pub fn parse(
     Ok(Summary { header, sha256: hexadecimal(source.hash) })
 }
 
-/// The same for rows that another reader makes; the first one counts as line 2. `next` fills a row and returns false if
-/// there are no more.
+/// Reads rows that another reader makes; the first one counts as line 2. `next` fills a row and returns false if there
+/// are no more.
 pub fn rows(
     path: &Path,
     header: &[String],

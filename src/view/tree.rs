@@ -27,8 +27,8 @@ const SAMPLES: usize = 2;
 /// Distance between the drawn plates and their surface, in robot radii, so that the surface does not hide them.
 const BEFORE: f64 = 2e-3;
 
-/// A PNG of `size` [px]: `tree` in its standing pose on its lowest point; `seen` (visual shapes) and `plates` are
-/// lists by body, in the bodies' frames.
+/// A PNG of `size` [px]: `tree` in its standing pose, with its lowest point on the ground; `seen` (visual shapes) and
+/// `plates` are lists by body, in the bodies' frames.
 ///
 /// # Errors
 /// Names the side that is out of [`SIZES`].

@@ -105,8 +105,8 @@ pub struct Body {
 /// Positions for a plate along the longest side: our choice. A period in 96 positions has forces within 1 % of
 /// those in 400; with plates half as long and twice as many positions, within 0.3 %.
 const TURNS: f64 = 1.92;
-/// Fewest and most positions, and the most plates in all positions together: our choice, 300 MB while a load is
-/// searched.
+/// Fewest and most positions, and the most plates in all positions together: our choice. With the most plates, the
+/// search for a load takes 300 MB.
 const FEWEST_TURNS: usize = 48;
 const MOST_TURNS: usize = 384;
 const MOST_TURNED: usize = 2_500_000;
@@ -132,7 +132,7 @@ impl Body {
         Self::cut_within(shape, size, mesh::MOST_PLATES)
     }
 
-    /// The same in at most `most` plates.
+    /// As [`Self::cut`], with at most `most` plates.
     pub fn cut_within(shape: &BodyShape, size: Option<f64>, most: usize) -> Result<Self> {
         let (corners, longest, surface) = match *shape {
             BodyShape::Cylinder { radius, width } => {

@@ -101,7 +101,7 @@ impl Worlds {
         Arc::new(Self { sessions, pool, joined: Mutex::default() })
     }
 
-    /// Every change under this lock is one step, so the data are consistent even after a panic.
+    /// Each change under this lock is a single operation on the map, so the map is consistent even after a panic.
     fn lock(&self) -> MutexGuard<'_, HashMap<String, Option<Interrupt>>> {
         self.joined.lock().unwrap_or_else(PoisonError::into_inner)
     }

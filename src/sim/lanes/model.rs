@@ -26,8 +26,8 @@ pub struct LaneBody<R> {
     pub joint: Vec3<R>,
     pub axis: Vec3<R>,
     pub armature: R,
-    /// Unit vectors e₀ and e₁ of the plane through the joint that holds the body's mass, and its plates with their
-    /// normals.
+    /// Unit vectors e₀ and e₁ of a plane through the joint. The body's mass and its plates, with their normals, lie in
+    /// this plane.
     pub plane: [Vec3<R>; 2],
     /// Distance from the joint to the next one, or to the tip, along e₁ [m].
     pub length: R,
@@ -56,7 +56,7 @@ pub struct LaneModel<R, const J: usize> {
     pub lag_limit: R,
     pub gravity: Vec3<R>,
     pub ground: SandBed<R>,
-    /// The same in all lanes [s].
+    /// Time step, equal in all lanes [s].
     pub dt: R,
 }
 

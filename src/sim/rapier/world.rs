@@ -105,7 +105,8 @@ impl World {
             if obstacle.moves() {
                 let (object, rests) = (&state.objects[self.rocks.len()], resting[self.rocks.len()]);
                 let body = if rests { RigidBodyBuilder::fixed() } else { RigidBodyBuilder::dynamic() };
-                // We compute gyroscopic moments, with the weight and the sand.
+                // rapier's gyroscopic forces are off, because we compute gyroscopic moments together with weight and
+                // sand.
                 let body = body.can_sleep(false).gyroscopic_forces_enabled(false);
                 let pose = relative(&Pose::new(object.position, object.orientation), origin);
                 self.rocks.push(Part(physics.insert(body.pose(pose), collider).0));

@@ -77,7 +77,7 @@ impl TreeModel {
         Self::with_contacts(tree, plates, contacts)
     }
 
-    /// The same with points of contact that are known already.
+    /// As [`Self::new`], with points of contact that are known already.
     pub fn with_contacts(tree: Tree, plates: Vec<Vec<Plate>>, contacts: Vec<Vec<ContactPoint>>) -> Result<Self> {
         check(&tree)?;
         let (motors, compliance) = (motors(&tree), Compliance::of_mass(tree.mass()));

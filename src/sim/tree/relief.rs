@@ -201,7 +201,7 @@ mod tests {
             assert!((height - (0.2 * x - 0.1 * y)).abs() < 1e-7);
             assert!((gx - 0.2).abs() < 1e-6 && (gy + 0.1).abs() < 1e-6);
         }
-        // Beyond its edges it continues at the height of the edge.
+        // Beyond its edges the surface continues at the height of the edge.
         assert!(plane.at(1e9, 1.0).1[0].abs() < 1e-9 && plane.at(f64::MAX, -f64::MAX).0.is_finite());
     }
 

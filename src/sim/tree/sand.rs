@@ -248,7 +248,7 @@ fn by<R: Real>(
     wet.then_some(total)
 }
 
-/// The same in all lanes.
+/// `x` in all lanes.
 #[inline(always)]
 fn lane<R: Real>(x: f32) -> R {
     R::splat(f64::from(x))

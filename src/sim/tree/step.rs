@@ -22,7 +22,7 @@ pub struct LaneTree<R> {
     /// None: the surface is flat.
     pub relief: Option<LaneRelief>,
     pub gravity: Vec3<R>,
-    /// The same in all lanes [s].
+    /// Time step, equal in all lanes [s].
     pub dt: R,
 }
 
