@@ -40,7 +40,7 @@ pub fn file(path: &Path, units: BTreeMap<String, String>) -> Result<Tests> {
     several.tests(path, depth, force)
 }
 
-/// The same from text; `path` names it in errors.
+/// Reads tests from `text`; `path` names them in errors.
 pub fn text(path: &Path, text: &str) -> Result<Tests> {
     let mut several = Several::default();
     let (mut depth, mut force) = (Vec::new(), Vec::new());

@@ -26,7 +26,7 @@ const FILTER_STEPS: usize = 6;
 /// period of thirteen samples the error is then 0.2 % inside a trial and 1 % at its ends (with two samples 4 % and a
 /// quarter); noise of the velocity has a third more effect.
 const STENCIL: usize = 5;
-/// The same if no such stretch is smooth; short enough for a ramp of three samples.
+/// The number of samples if no stretch of [`STENCIL`] is smooth; short enough for a ramp of three samples.
 const SHORT: usize = 3;
 /// A stretch is smooth if the last of its differences is below this share of those before: our choice, above that
 /// of a period of thirteen samples (a quarter) and below that of a kink.

@@ -27,7 +27,7 @@ pub struct Fit {
     pub objective: f64,
     /// ∂m/∂(coordinate of each id, deviation of each coefficient and nuisance), not whitened.
     pub slopes: Vec<Column>,
-    /// The same, whitened.
+    /// The slopes, whitened.
     pub white_slopes: Vec<Column>,
 }
 

@@ -15,7 +15,7 @@ use std::sync::Arc;
 
 /// A fit ends with a step that gains less: a hundredth of a unit of χ² is far below every threshold in use.
 const SETTLED: f64 = 0.01;
-/// The same for a rough model, whose χ² differs by this much between neighbouring states.
+/// The least gain of a step for a rough model, whose χ² differs by this much between neighbouring states.
 const SETTLED_ROUGHLY: f64 = 0.25;
 
 /// Bound of a nuisance in prior standard deviations: our choice. Without it a model with a large error would be

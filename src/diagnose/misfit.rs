@@ -34,7 +34,7 @@ pub fn misfit(observations: &Observations, model: &dyn ForwardModel, prediction:
     table(observations, model, prediction, |_| true)
 }
 
-/// The same over the units for which `counts` is true.
+/// As [`misfit`], over the units for which `counts` is true.
 fn table(
     observations: &Observations,
     model: &dyn ForwardModel,

@@ -90,7 +90,7 @@ pub struct Remainder {
     /// The lack of fit of the worst condition and channel, in standard deviations of noise.
     pub worst: f64,
     pub worst_limit: f64,
-    /// Relative size of the smooth discrepancy beside the model.
+    /// Size of the model's smooth discrepancy, relative to the loads; 0 if the data need none.
     pub discrepancy: f64,
     /// Share of the misfit beyond noise that the best candidate explains.
     pub explained: f64,

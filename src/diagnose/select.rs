@@ -45,9 +45,9 @@ impl Selection {
         others.filter(|(_, r)| r.explains).map(|(c, r)| (c, r.squared.sqrt()))
     }
 
-    /// The candidate in the extended model: the cause that was found; or else, if misfit remains, the candidate that
-    /// fits best, provided that the choices without the held-out conditions predict these better with certainty. It
-    /// is then a proxy and not a cause.
+    /// The candidate in the extended model. If a cause was found, this is the cause. Otherwise, if misfit remains, this
+    /// is the candidate that fits best: a proxy and not a cause. A proxy is only used if candidates chosen without the
+    /// held-out conditions predict these conditions better than the plain model, with 95 % certainty.
     pub fn extension(&self) -> Option<&Candidate> {
         let helps = self.plain_errors().reduction_interval(&self.judged.nested[1].errors)[0] > 0.0;
         let proxy = || self.fitted.best().filter(|_| self.judged.evidence.found && helps);

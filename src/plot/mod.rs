@@ -106,7 +106,7 @@ pub enum Mark {
         at: f64,
         text: String,
     },
-    /// The same at one value of x.
+    /// A straight line across the panel at one value of x, with a text beside it.
     Vertical {
         at: f64,
         text: String,

@@ -106,7 +106,7 @@ impl Import {
         Self::of_robot(&name, &robot)
     }
 
-    /// The same by its name, as `--robot` takes it.
+    /// A built-in robot by its name, as `--robot` takes it.
     pub fn built_in(name: &str) -> Result<Self> {
         Self::of_robot(name, &crate::sim::Robot::built_in(name)?)
     }

@@ -82,7 +82,7 @@ impl Obstacle {
         Self { orientation: [cos, 0.0, 0.0, sin], ..self }
     }
 
-    /// The same as a body that moves, of `density` [kg/m³].
+    /// This obstacle as a body that can move, of `density` [kg/m³].
     pub fn loose(self, density: f64) -> Self {
         Self { density: Some(density), ..self }
     }

@@ -199,7 +199,7 @@ impl<'a, 'r> Training<'a, 'r> {
         Ok((finished, rollout.explained_variance()))
     }
 
-    /// Step `step` of environments on a server, with the actions chosen by the pieces.
+    /// Sends the pieces' actions to the environments on a server, and gives the results to the pieces: step `step`.
     fn step_away(&mut self, step: usize, heed: &mut dyn Heed) -> Result<()> {
         let Some(remote) = &mut self.remote else { return Ok(()) };
         let pieces = &self.shared.pieces;

@@ -35,7 +35,7 @@ const MOST_UNPACKED: u64 = 1 << 30;
 /// One moment of a robot, and the task's info of the step that led to it.
 #[derive(Clone, Copy, Debug)]
 pub struct Moment<'a> {
-    /// Since the episode began [s].
+    /// Time since the episode began [s].
     pub time: f64,
     pub state: &'a State,
     /// See [`Pose::of`].

@@ -24,7 +24,7 @@ const FRICTION: f64 = 1.0;
 enum Filling {
     /// From the convex hull.
     Convex,
-    /// From the surface, which must be closed.
+    /// From the volume inside the surface, which must be closed.
     Exact,
     /// By the rule of [`mesh::legacy`], MuJoCo's default.
     Legacy,

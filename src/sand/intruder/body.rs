@@ -243,7 +243,7 @@ impl Body {
         }
     }
 
-    /// The same over a whole turn about `axis` (unit), in which each point moves on a circle.
+    /// As [`Self::heights`], over a whole turn about `axis` (unit), in which each point moves on a circle.
     pub fn heights_in_turn(&self, axis: Vec3<f64>) -> [f64; 2] {
         let level = (1.0 - axis.z * axis.z).max(0.0).sqrt();
         match &self.corners {

@@ -3,7 +3,8 @@
 //! ```text
 //!  accept ──▶ a place in the table ──▶ TLS handshake ──▶ first bytes ──▶ HTTP
 //!                  │                    └── each connection in a task of its own, within a time ──┘
-//!                  └── no room: who has had no stream for longest is closed; if all have, the new one is
+//!                  └── no room: the connection without a stream for the longest time is closed; if all have
+//!                      streams, the new connection is closed
 //! ```
 //!
 //! Accepting does not wait for any peer, so silent peers do not delay others.

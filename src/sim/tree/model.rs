@@ -111,7 +111,7 @@ impl TreeModel {
         self.height_over(angles, |_, _| 0.0)
     }
 
-    /// The same over ground with the heights `ground`; the base's origin is at x = y = 0.
+    /// As [`Self::standing_height`], over ground with the heights `ground`; the base's origin is at x = y = 0.
     pub fn height_over(&self, angles: &[f64], ground: impl Fn(f64, f64) -> f64) -> f64 {
         let frames = frames(&self.tree, &crate::State::at_rest(0.0, angles));
         let over = |low: nalgebra::Vector3<f64>| low.z - ground(low.x, low.y);
