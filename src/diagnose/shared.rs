@@ -74,7 +74,8 @@ pub fn gram(columns: &[Vec<f64>]) -> DMatrix<f64> {
     gram
 }
 
-/// ln |1 + S G S|, S diagonal with standard deviations and G the products of directions, and its inverse's quadratic forms.
+/// Computes ln |M| and quadratic forms of M⁻¹ for M = 1 + S G S. S is diagonal with standard deviations; G has the
+/// products of the directions.
 pub struct Likelihood {
     inverse: DMatrix<f64>,
     pub log_determinant: f64,

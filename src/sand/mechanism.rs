@@ -172,7 +172,7 @@ mechanisms! {
     skid_loss: "κ_s", "1", [0.0, 10.0], 0.7, Sand, intrusion false, walking false, [],
         "vertical part of the stress × 1/(1 + κ_s s²) where a segment is dragged along with its body (slip s = −v·V̂/max(|V|, |v − V|) < 0)", "sand carried away from under a skidding wheel; cause after Agarwal, Karsai, Goldman & Kamrin 2021 (surface lowered by shear flow); form ours, for wheels measured at Carnegie Mellon";
     graze_loss: "κ_g", "1", [0.0, 1.0], 0.6, Sand, intrusion false, walking false, [],
-        "stress × (1 − κ_g |n_h|⁸ (1 − |n_h·V̂|/|n_h|)), n_h the horizontal part of the normal, V̂ the direction in which the body travels", "a steep face that travels along itself displaces little sand, and that sand its neighbour has moved already; form ours, for wheels measured at Carnegie Mellon";
+        "stress × (1 − κ_g |n_h|⁸ (1 − |n_h·V̂|/|n_h|)), n_h the horizontal part of the normal, V̂ the direction in which the body travels", "a steep face that travels along itself displaces little sand, and the face before it has already moved that sand; form ours, for wheels measured at Carnegie Mellon";
     slip_bearing: "c_b", "1", [0.0, 3.0], 0.9, Sand, intrusion false, walking false, [],
         "extra stress per depth −c_b (1 − μ)^1.5 ζ s (−m_z) m on the leading side m where a segment runs backward under its body (s > 0); μ from friction_clip", "Vesic 1973: bearing capacity under an inclined load, square footing; Li, Zhang & Goldman 2013 measured 0.375 ζ for a plate drawn along itself";
     bias_x: "b_x", "N", [-1e3, 1e3], 0.05, Sensor, intrusion true, walking false, [],

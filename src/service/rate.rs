@@ -17,7 +17,7 @@ const EARLY: Duration = Duration::from_millis(5);
 /// delay the others.
 type Next = Arc<sync::Mutex<Instant>>;
 
-/// The limit of one server.
+/// Limits the requests of each peer of one server.
 pub struct Rate {
     period: Duration,
     peers: Mutex<HashMap<Peer, Next>>,

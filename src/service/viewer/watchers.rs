@@ -37,7 +37,7 @@ struct Watched {
     frames: Frames,
 }
 
-/// A watcher, until this is dropped.
+/// The registration of a watcher, which ends when this is dropped.
 pub struct Watcher {
     watchers: Arc<Watchers>,
     session: String,

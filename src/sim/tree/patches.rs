@@ -105,7 +105,7 @@ impl Ball {
 }
 
 impl BodyPatches {
-    /// One for each body that has plates.
+    /// The patches of each body that has plates.
     pub fn all(plates: &[Vec<Plate>], law: Law) -> Vec<Self> {
         plates.iter().enumerate().filter(|(_, p)| !p.is_empty()).map(|(body, p)| Self::of(body, p, law)).collect()
     }
