@@ -139,7 +139,8 @@ impl Study {
         search / (search + rest)
     }
 
-    /// Each condition's gait, and the searched rate of tripods without one: that with the greatest mean return.
+    /// The gait of each condition. For a condition without a gait this is the tripod with the greatest mean return
+    /// among several rates, and its rate.
     fn search(&self, progress: &dyn Progress) -> Result<Vec<(Gait, Option<f64>)>> {
         let seeds: Vec<u64> = SEARCH_SEEDS.collect();
         let rates: Vec<f64> = RATES.map(|k| f64::from(k) * RATE_STEP).collect();

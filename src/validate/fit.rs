@@ -12,7 +12,8 @@ use nalgebra::{DMatrix, DVector};
 const TOLERANCES: [f64; 4] = [0.08, 0.15, 0.08, 0.0035];
 /// Step in depth [m] for the stiffness that converts a missing force into sinkage.
 const STEP: f64 = 5e-4;
-/// Least stiffness [N/m] in that conversion, so that a wheel without support counts as a few centimetres.
+/// Least stiffness [N/m] when a missing force is converted into sinkage, so that a wheel without support counts as a few
+/// centimetres.
 const SOFTEST: f64 = 200.0;
 /// Largest residual: our choice, so that rows without support do not outweigh all others.
 const LARGEST: f64 = 8.0;

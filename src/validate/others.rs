@@ -44,7 +44,7 @@ fn discs() -> Result<String> {
     let missed = study.laws.iter().filter(|s| s.law == PushLaw::Proportional).find_map(|s| s.other_size_percent);
     if let Some(missed) = missed {
         let _ =
-            writeln!(text, "A foot of another size than the disc of the calibration is wrong by some {missed:.0} %.");
+            writeln!(text, "Plain theory, calibrated with one disc, errs by {missed:.0} % for a foot of another size.");
     }
     Ok(text)
 }

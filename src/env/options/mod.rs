@@ -39,7 +39,7 @@ pub struct OptionRow {
 
 /// A struct of options; [`options!`](crate::options!) implements it.
 pub trait Options: Clone + Default + PartialEq + std::fmt::Debug + Send + Sync + 'static {
-    /// In the order of the declaration, included ones first.
+    /// All options in the order of the declaration, those of included structs first.
     fn rows() -> Vec<OptionRow>;
 
     fn get(&self, name: &str) -> Option<Value>;

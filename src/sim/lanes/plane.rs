@@ -155,7 +155,7 @@ impl<R: Real> PlaneForces<R> {
         Self { force: self.force - o.force, first: [a0 - b0, a1 - b1] }
     }
 
-    /// Their wrench about the origin of `places`.
+    /// The forces' wrench about the origin of `places`.
     #[inline(always)]
     pub fn wrench(&self, places: &Field<R>) -> Wrench<R> {
         let [e0, e1] = places.by;
