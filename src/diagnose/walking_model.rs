@@ -240,8 +240,8 @@ impl ForwardModel for WalkingModel<'_> {
         1.0
     }
 
-    /// Beds differ in strength: a run's numbers change along their slope by the sand's strength. If a gait sticks,
-    /// slips or stalls, small differences grow. The directions of `gait_scatter` are the changes of the nominal run
+    /// Beds differ in strength. The numbers of a run change with their bed's strength as their derivative by the strength
+    /// states. If a gait sticks, slips or stalls, small differences grow. The directions of `gait_scatter` are the changes of the nominal run
     /// with other initial phases, and the curvature in the strength. For regular gaits both are negligible.
     fn shared(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Shared> {
         let Others { beds, phases } = self.others(&(*mechanisms, *coefficients));

@@ -98,7 +98,7 @@ pub fn load(path: &Path) -> Result<Import> {
 }
 
 impl Import {
-    /// One of the built-in robots.
+    /// A robot from a TOML file in our own format.
     fn of_toml(path: &Path) -> Result<Self> {
         let source = Source::read(path, MOST_TEXT)?;
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();

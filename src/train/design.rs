@@ -122,7 +122,7 @@ impl Study {
         Ok([low, high])
     }
 
-    /// The training number `training` of the design with these values.
+    /// The plan of training number `training` of the design with these values.
     fn plan(&self, values: &[String], training: usize) -> Result<Plan> {
         let mut changed = self.base.clone();
         for (axis, value) in self.axes.iter().zip(values) {

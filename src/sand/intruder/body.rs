@@ -224,7 +224,7 @@ impl Body {
         area(&self.plates)
     }
 
-    /// Does any rotation about `axis` (unit) leave the body unchanged?
+    /// Does every rotation about `axis` (unit) leave the body unchanged?
     pub fn is_round_about(&self, axis: Vec3<f64>) -> bool {
         match self.corners {
             Corners::Sphere(_) => true,
