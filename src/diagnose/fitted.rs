@@ -56,7 +56,7 @@ pub struct Candidate {
 /// Noise, whitening and nuisances about one candidate.
 pub struct Surroundings {
     pub noise: Noise,
-    /// The candidate's prediction, which the noise is proportional to.
+    /// Sizes of the candidate's prediction, to which a part of the noise is proportional.
     pub sizes: Sizes,
     pub whitener: Whitener,
     pub nuisances: Vec<Nuisance>,

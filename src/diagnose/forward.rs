@@ -133,7 +133,7 @@ pub struct ForceLogModel<'a> {
     measuring: Kept<Measuring>,
 }
 
-/// Data for nuisances, at one state.
+/// What nuisances change in the data of one state.
 struct Measuring {
     mechanisms: Mechanisms,
     coefficients: Coefficients,

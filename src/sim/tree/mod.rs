@@ -4,7 +4,7 @@
 //! Each body has a frame at its joint. `origin` is that frame in the parent's when the joint's position is 0. The
 //! base's frame is that of the file (URDF: the root link's, MJCF: the free body's).
 //!
-//! * [`model`]: the same ready for an engine: motors, plates, points of contact; [`hard`]: hard ground as a user
+//! * [`model`]: a tree as an engine needs it: motors, plates, points of contact; [`hard`]: hard ground as a user
 //!   describes it.
 //! * [`engine`]: lanes of such robots; [`step`]: one time step.
 //! * [`dynamics`]: accelerations of a tree, over any number; [`flight`]: those in free flight, for checks.

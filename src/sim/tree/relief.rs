@@ -80,8 +80,8 @@ impl Relief {
         [self.columns, self.rows].map(|n| n as f64 * self.spacing)
     }
 
-    /// Tangent of the steepest slope, and its position [m], from nodes and the points half way between them, where
-    /// it is largest.
+    /// Tangent of the steepest slope, and its position [m]. Only nodes and the points half way between them are
+    /// evaluated, because the slope is largest at one of these.
     pub fn steepest(&self) -> (f64, [f64; 2]) {
         let half = self.spacing / 2.0;
         let places = (0..4 * self.rows * self.columns)
