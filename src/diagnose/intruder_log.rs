@@ -13,7 +13,7 @@ use std::path::Path;
 pub struct State {
     /// A table `[body.NAME]` of the experiment.
     pub body: String,
-    /// Under the measured load.
+    /// The motion under the measured load.
     pub trial: Trial,
     /// Standard deviations in time, channel by channel; 0 where the data have none.
     pub unsteadiness: [f64; 3],

@@ -30,7 +30,7 @@ impl Inertial {
         Self { mass: 0.0, center: Vector3::zeros(), inertia: Matrix3::zeros() }
     }
 
-    /// The same in the frame that contains this one at `at`.
+    /// These mass properties in a frame in which their own frame lies at `at`.
     pub fn moved(&self, at: &Isometry3<f64>) -> Self {
         let turn = at.rotation.to_rotation_matrix();
         let center = at.transform_point(&self.center.into()).coords;

@@ -245,7 +245,7 @@ impl Place {
         } else {
             tokio::task::spawn_blocking(begin);
         }
-        // Without an answer the server has ended, or the work has panicked.
+        // If there is no answer, the server has ended or the work has panicked.
         let stop = self.worlds.sessions.stop();
         answer.await.unwrap_or_else(|_| Err(if stop.is_cancelled() { gone() } else { broken() }))
     }

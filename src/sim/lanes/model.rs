@@ -1,4 +1,4 @@
-//! A model's numbers with one lane an environment.
+//! The numbers of models, one environment in each lane.
 
 use super::plane::Moments;
 use crate::Model;
