@@ -35,7 +35,7 @@ pub struct Train {
     /// Task's name or id
     #[arg(long, value_name = "TASK", default_value = HexapodGait::ID)]
     task: String,
-    /// File of settings in the format of rl-zoo3, one entry a task
+    /// File of settings in the format of rl-zoo3, one entry for each task
     #[arg(long, value_name = "FILE.yml")]
     hyperparameters: Option<PathBuf>,
     /// Replace the value of a setting

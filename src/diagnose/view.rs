@@ -284,7 +284,7 @@ impl View<'_> {
         )
     }
 
-    /// Measured and predicted means of every condition, for runs, which have one number a channel.
+    /// Measured and predicted means of every condition, for runs, which have one number for each channel.
     fn runs(&self) -> Vec<RunMeans> {
         let o = self.study.observations;
         if o.units.iter().any(|u| u.samples > 1) {

@@ -41,12 +41,12 @@ impl<F: Copy> Features<F> {
         self.one(name, "1", 0.0, 1.0, value)
     }
 
-    /// One number an axis.
+    /// One number for each axis.
     pub fn xyz(self, name: &str, unit: &'static str, bound: f64, value: F) -> Self {
         self.group(Column::xyz(name, unit, bound), value)
     }
 
-    /// One number a joint.
+    /// One number for each joint.
     pub fn each(self, joints: &[String], name: &str, unit: &'static str, bound: f64, value: F) -> Self {
         self.group(Column::each(joints, name, unit, bound), value)
     }

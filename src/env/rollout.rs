@@ -5,7 +5,7 @@
 
 use crate::error::Error;
 
-/// Results of a rollout so far; one row an environment.
+/// Results of a rollout so far; one row for each environment.
 #[derive(Default)]
 pub struct Rollout {
     /// f64 [envs]: sum of rewards until the rollout or the episode ended.

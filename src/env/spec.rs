@@ -39,12 +39,12 @@ impl Column {
         terms.iter().map(|term| Self::free(format!("reward_{}", term.name), "1")).collect()
     }
 
-    /// One column an axis.
+    /// One column for each axis.
     pub fn xyz(name: &str, unit: &'static str, bound: f64) -> Vec<Self> {
         ["x", "y", "z"].iter().map(|axis| Self::new(format!("{name} {axis}"), unit, -bound, bound)).collect()
     }
 
-    /// One column a joint.
+    /// One column for each joint.
     pub fn each(joints: &[String], name: &str, unit: &'static str, bound: f64) -> Vec<Self> {
         joints.iter().map(|joint| Self::new(format!("{name}, {joint}"), unit, -bound, bound)).collect()
     }

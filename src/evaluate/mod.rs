@@ -114,8 +114,8 @@ impl Study {
         Ok(Self { conditions, seeds: *seeds })
     }
 
-    /// Runs all episodes; returns one row a medium and slope, the slope fastest. An error of `progress` stops the
-    /// work.
+    /// Runs all episodes; returns one row for each medium and slope, the slope fastest. An error of `progress` stops
+    /// the work.
     pub fn run(&self, progress: &dyn Progress) -> Result<Vec<Row>> {
         let searched = self.conditions.iter().any(|c| c.gait.is_none());
         let share = if searched { self.search_share() } else { 0.0 };

@@ -122,7 +122,7 @@ pub enum Operator {
 }
 
 impl Operator {
-    /// Fills `out`, one entry a number of the result, from the earlier values.
+    /// Fills `out`, one entry for each number of the result, from the earlier values.
     pub fn compute(&self, values: &[Vec<Lanes>], out: &mut [Lanes]) {
         match self {
             Self::Dense { input, weights, bias } => dense(&values[*input], weights, bias, out),

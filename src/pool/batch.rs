@@ -108,7 +108,7 @@ impl Batch {
         &self.shards
     }
 
-    /// Checks a reset. If given, `chosen` and `seeds` must have one entry an environment. `options` change the
+    /// Checks a reset. If given, `chosen` and `seeds` must have one entry for each environment. `options` change the
     /// present options of each chosen environment, and must suit all of them.
     pub fn reset(
         &mut self,

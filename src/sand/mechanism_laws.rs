@@ -114,7 +114,7 @@ struct Active {
     slip_bearing: bool,
 }
 
-/// The sand side of [`Mechanisms`], ready for evaluation, one lane an environment.
+/// The sand side of [`Mechanisms`], ready for evaluation, one lane for each environment.
 #[derive(Clone, Copy)]
 pub struct SandMechanisms<R> {
     active: Active,

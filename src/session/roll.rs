@@ -21,7 +21,7 @@ pub fn pace(steps: usize, time: Duration) -> usize {
     (fitting as usize).clamp(1, GROWTH * steps)
 }
 
-/// Results of a rollout; one row an environment.
+/// Results of a rollout; one row for each environment.
 #[derive(Default)]
 pub struct Rolled {
     pub returns: Vec<f64>,

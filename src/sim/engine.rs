@@ -18,7 +18,7 @@ pub use super::command::Command;
 pub enum EngineKind {
     /// Our own articulated-body dynamics over SIMD lanes; see [`super::lanes`].
     Lanes,
-    /// rapier3d multibodies, one world a robot. The reference that `lanes` is tested against, and the engine for
+    /// rapier3d multibodies, one world for each robot. The reference that `lanes` is tested against, and the engine for
     /// rigid obstacles; see [`super::rapier`].
     Rapier,
     /// Any tree of bodies from a file, over the same lanes; see [`super::tree`].

@@ -79,7 +79,7 @@ pub struct Compared {
 pub struct Findings {
     /// Values on the axes, in the order of the grid, the last axis fastest, or of the search.
     pub designs: Vec<Vec<String>>,
-    /// One row a design, one entry a training.
+    /// One row for each design, one entry for each training.
     pub trained: Vec<Vec<Trained>>,
     /// The best ones by the measure, best first.
     pub best: Vec<Compared>,
@@ -202,7 +202,7 @@ impl Study {
     }
 
     /// All trainings of `designs`, whose numbers start at `first`: chains of neighbours if they are warm-started,
-    /// otherwise independent; one thread a training.
+    /// otherwise independent; one thread for each training.
     fn train(&self, designs: &[Vec<String>], first: usize, told: &Told) -> Result<Trainings> {
         let length = match (self.warm, self.search) {
             (Some(_), None) => self.axes.last().map_or(1, |axis| axis.values.len()),

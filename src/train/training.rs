@@ -28,9 +28,9 @@ pub struct Shared<'a> {
 
 #[derive(Clone, Copy)]
 pub enum Phase {
-    /// A step of the rollout; one item a piece.
+    /// A step of the rollout; one item for each piece.
     Act { step: usize },
-    /// The end of the rollout; one item a piece.
+    /// The end of the rollout; one item for each piece.
     Finish,
     /// The gradient of a minibatch; one item a chunk.
     Learn { weights: Weights },

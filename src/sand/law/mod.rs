@@ -2,7 +2,7 @@
 //!
 //! * [`li2013`]: the resistive force theory of Li, Zhang & Goldman: nine coefficients a medium.
 //! * [`penetration_drag`]: its baseline, one-dimensional penetration and drag.
-//! * [`agarwal2023`]: three-dimensional RFT: one universal polynomial, one number a medium.
+//! * [`agarwal2023`]: three-dimensional RFT: one universal polynomial, one number for each medium.
 //!
 //! A law is a type that implements [`StressLaw`]. Hot loops have it as a type parameter and match on
 //! [`super::contact::LawCoefficients`] once, before the loop. So a new law does not make the others slower.

@@ -26,7 +26,7 @@ struct Slot<R> {
     strength: R,
 }
 
-/// Terms ready for evaluation, one lane an environment.
+/// Terms ready for evaluation, one lane for each environment.
 #[derive(Clone, Copy)]
 pub struct LaneTerms<R> {
     slots: [Slot<R>; MOST_TERMS],

@@ -72,7 +72,7 @@ impl<R: Real> Hinge<R> {
 
 /// Work space of a step; its contents are not kept.
 pub struct Scratch<R, const J: usize> {
-    /// One entry a joint.
+    /// One entry for each joint.
     hinges: Vec<Hinge<R>>,
     /// For each link of the present leg, its masses with those of the sand, and the wrench that its motion needs.
     links: [(PointMasses<R>, Wrench<R>); J],

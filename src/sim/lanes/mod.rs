@@ -2,7 +2,7 @@
 //!
 //! * [`dynamics`]: one time step; generic over the number, so it exists once for `f64`, and for 8 and 16 lanes of `f32`.
 //! * [`plane`]: sand forces on the plates of one plane, summed in its two coordinates.
-//! * [`model`]: the model's numbers, one lane an environment.
+//! * [`model`]: the model's numbers, one lane for each environment.
 //!
 //! Lanes never read each other: an environment's bits do not depend on its lane, its neighbours or the batch.
 

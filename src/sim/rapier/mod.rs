@@ -1,4 +1,5 @@
-//! Engine on rapier3d's reduced-coordinate multibodies: one world a robot, RFT forces at each segment's own point.
+//! Engine on rapier3d's reduced-coordinate multibodies: one world for each robot, RFT forces at each segment's own
+//! point.
 //!
 //! * [`world`]: the model as a multibody; rapier's inputs and outputs.
 //! * [`sand`]: force on a body, and the added masses that make it implicit.

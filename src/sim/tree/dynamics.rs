@@ -9,7 +9,7 @@ use super::{JointKind, Tree};
 use crate::number::{Mat3, Real, Vec3};
 use crate::spatial::{Inertia, Symmetric, Twist, Wrench};
 
-/// A [`super::TreeBody`], one lane an environment.
+/// A [`super::TreeBody`], one lane for each environment.
 #[derive(Clone)]
 pub struct LaneBody<R> {
     pub parent: usize,

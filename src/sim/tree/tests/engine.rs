@@ -217,7 +217,7 @@ fn a_ball_bounces() {
     }
 }
 
-/// A quadruped with feet that are balls: hip and knee a leg.
+/// A quadruped whose feet are balls; each leg has a hip and a knee.
 pub fn quadruped() -> Tree {
     let body = |name: String, parent, at: V, joint, mass: f64, half: V, center: V, shape| {
         let square = half.map(|h| h * h * mass / 3.0);
