@@ -299,8 +299,8 @@ impl<const N: usize> Arm<'_, N> {
     }
 
     /// Angular acceleration [rad/s²] and the centre's acceleration [m/s²] at time `t`: slopes of the polynomial
-    /// through the logged velocities of samples beside it (Lagrange), which works for uneven sampling and at the
-    /// ends. Before the first and after the last sample they are constant.
+    /// through the logged velocities of the samples around `t` (Lagrange), which works for uneven sampling and at the
+    /// ends. Before the first and after the last sample the accelerations are constant.
     fn acceleration(&self, t: f64) -> [f64; 3] {
         let poses = &self.track.poses;
         let t = t.clamp(poses[0].t, poses[poses.len() - 1].t);

@@ -87,9 +87,9 @@ pub fn judged(study: &Study, standing: Standing) -> Judged {
     Judged { evidence, discrepancy, lacks, intervals, form, nested: nested.sand }
 }
 
-/// Share of the misfit beyond noise that the best explains: of the error of readings on held-out conditions if the
-/// plain model's is clearly larger than the scatter; otherwise of the whitened error. The effect of a filter or a
-/// tilt is not counted as misfit of the sand.
+/// Share of the misfit beyond noise that the best candidate explains. If the plain model's error of readings on
+/// held-out conditions is clearly larger than the scatter, this is the share of that error, and otherwise the share of
+/// the whitened error. The effect of a filter or a tilt is not counted as misfit of the sand.
 fn explained(fitted: &Fitted, lacks: &[Lack; 2], nested: &[HeldOut; 2], floor: &Errors) -> f64 {
     let plain = &fitted.plain_held_out.errors;
     let reference = if plain.rmse() < nested[0].errors.rmse() { plain } else { &nested[0].errors };

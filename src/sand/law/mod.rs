@@ -1,6 +1,6 @@
 //! Resistive force laws: stress per depth on a small flat segment, free of trigonometry.
 //!
-//! * [`li2013`]: the resistive force theory of Li, Zhang & Goldman: nine coefficients a medium.
+//! * [`li2013`]: the resistive force theory of Li, Zhang & Goldman: nine coefficients for each medium.
 //! * [`penetration_drag`]: its baseline, one-dimensional penetration and drag.
 //! * [`agarwal2023`]: three-dimensional RFT: one universal polynomial, one number for each medium.
 //!
