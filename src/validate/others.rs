@@ -71,10 +71,10 @@ fn walks() -> Result<String> {
     let trials = each.clone().map(|(leg, f, _)| trial(leg, f)).collect::<Result<Vec<_>>>()?;
     let speeds = parallel::map(&trials, |trial| walk::walk(EngineKind::Lanes, trial).map(|r| r.speed));
     let mut text = String::from(
-        "## Walks by independent codes\n\nForward speed of `xplorer` on loose poppy seeds: the same equations in two codes that \
-         share nothing with this one, converged with explicit steps of 10⁻⁵ s (MuJoCo 4.0.0 and rapier's multibodies agree with \
-         them within 1 % where the leading edge is hard). This compares the integration, not the sand: no walk of a real robot \
-         was compared.\n\n| leg | stride frequency [Hz] | reference [m/s] | sandgait [m/s] | off by % |\n|---|---|---|---|---|\n",
+        "## Walks by independent codes\n\nForward speed of `xplorer` on loose poppy seeds. The reference is from two other codes, \
+         which share nothing with this one and solve the same equations with explicit steps of 10⁻⁵ s, at which they have \
+         converged. MuJoCo 4.0.0 and rapier's multibodies agree with them within 1 % where the leading edge is hard. This \
+         compares the integration, not the sand: no walk of a real robot was compared.\n\n| leg | stride frequency [Hz] | reference [m/s] | sandgait [m/s] | off by % |\n|---|---|---|---|---|\n",
     );
     for ((leg, frequency, reference), speed) in each.zip(speeds) {
         let speed = speed?;

@@ -28,7 +28,7 @@ pub struct Relief {
     columns: usize,
     /// Row by row [m].
     heights: Vec<f32>,
-    /// Does it repeat beyond its edges? Otherwise it continues at the height of the edge.
+    /// Does the field repeat beyond its edges? Otherwise the surface continues there at the height of the edge.
     repeats: bool,
 }
 
