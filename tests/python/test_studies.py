@@ -295,7 +295,10 @@ def test_another_server(remote: RemoteServer) -> None:
         (lambda: sandgait.intrude("L", medium="moon"), "moon"),
         (lambda: sandgait.intrude("L", sand="/no/such/sand.toml"), "sand: .*/no/such/sand.toml"),
         (lambda: sandgait.intrude("L", sand=LOG), r"force_log.csv: sand"),
-        (lambda: sandgait.intrude("L", medium="poppy-loose", sand=EXPERIMENT), "sand: give either a sand file, or medium and law"),
+        (
+            lambda: sandgait.intrude("L", medium="poppy-loose", sand=EXPERIMENT),
+            "sand: give either a sand file, or medium and law",
+        ),
         (lambda: sandgait.intrude("L", body="sphere:radius=0.1", rows={"depth": 0}), "give shape, or body with rows"),
         (lambda: sandgait.intrude(body="sphere:radius=0.1"), "give shape, or body with rows"),  # type: ignore[call-overload]
         (lambda: sandgait.intrude(body="ball:radius=1", rows={"depth": 0.1}), 'body "ball:radius=1" is unknown'),
