@@ -30,7 +30,7 @@ fn sandcat(file: &str) -> String {
     let import = robots::load(&path).unwrap();
     let touching = import.touching(None).unwrap();
     let plates = of_touching(&import.tree, &touching, Some(0.02)).unwrap();
-    packed::pack(&import.tree, &plates).unwrap()
+    packed::pack(&import.tree, &plates, import.looks().unwrap().as_ref()).unwrap()
 }
 
 /// `src/env/options/sandcat.json` is what `sandgait robot robots/sandcat.urdf --pack --json --plate-size 0.02` prints.
@@ -132,6 +132,92 @@ fn broken_robots_and_options_are_refused_in_one_line() {
     assert!(with(&|r| r["bodies"][2]["joint"]["range"] = json!([1, 0])).contains("range"));
     assert!(with(&|r| r["bodies"] = json!([])).contains("number of bodies"));
     assert!(with(&|r| r["bodies"][0]["plates"][0][6] = json!(1e300)).contains("trunk"));
+    // Shapes for pictures are a client's numbers too.
+    let faces = |n: usize| json!({"corners": [[0, 0, 0], [1, 0, 0], [0, 1, 0]], "faces": vec![[0, 1, 2]; n]});
+    let look = |body: usize, form: Value| json!({"body": body, "at": [0, 0, 0, 1, 0, 0, 0], "form": form});
+    let looks = |meshes: Value, shapes: Value| with(&|r| r["looks"] = json!({"meshes": meshes, "shapes": shapes}));
+    assert!(looks(json!([{"corners": [[0, 0, 0]], "faces": [[0, 0, 1]]}]), json!([])).contains("corner 1"));
+    assert!(looks(json!([{"corners": [[0, 0, 1e9]], "faces": []}]), json!([])).contains("corner in looks"));
+    assert!(looks(json!([]), json!([look(0, json!({"mesh": 0}))])).contains("mesh 0"));
+    assert!(looks(json!([]), json!([look(13, json!({"sphere": {"radius": 1}}))])).contains("body 13"));
+    assert!(looks(json!([]), json!([look(0, json!({"sphere": {"radius": -1}}))])).contains("size"));
+    assert!(looks(json!([]), json!([look(0, json!({"ball": {"radius": 1}}))])).contains("ball"));
+    assert!(looks(json!([faces(30_000)]), json!(vec![look(0, json!({"mesh": 0})); 40])).contains("triangles"));
+    assert!(looks(json!([]), json!(vec![look(0, json!({"sphere": {"radius": 1}})); 2001])).contains("triangles"));
+    let shape =
+        json!({"name": "", "origin": [0, 0, 0, 1, 0, 0, 0], "kind": "sphere", "size": [1, 0, 0], "friction": 1});
+    assert!(with(&|r| r["bodies"][0]["shapes"] = json!(vec![shape.clone(); 2001])).contains("triangles"));
+}
+
+/// A mesh of 32,000 triangles travels as a few thousand, and the robot moves as without it.
+#[test]
+fn large_meshes_become_small_for_pictures() {
+    let folder = tempfile::tempdir().unwrap();
+    let copy = folder.path().join("cat.urdf");
+    let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/sandcat.urdf")).unwrap();
+    let sphere = r#"<sphere radius="0.022"/></geometry></visual>"#;
+    assert!(text.contains(sphere));
+    std::fs::write(&copy, text.replacen(sphere, r#"<mesh filename="ball.obj"/></geometry></visual>"#, 1)).unwrap();
+    let (n, mut ball) = (160_usize, String::new());
+    for k in 0..n * n {
+        let (up, around) =
+            (std::f64::consts::PI * (k / n) as f64 / (n - 1) as f64, std::f64::consts::TAU * (k % n) as f64 / n as f64);
+        ball += &format!(
+            "v {} {} {}\n",
+            0.022 * up.sin() * around.cos(),
+            0.022 * up.sin() * around.sin(),
+            0.022 * up.cos()
+        );
+    }
+    for (j, i) in (0..n * n - n).map(|k| (k / n, k % n)) {
+        let [a, b] = [j * n + i + 1, j * n + (i + 1) % n + 1];
+        ball += &format!("f {a} {} {b}\nf {} {} {b}\n", a + n, a + n, b + n);
+    }
+    std::fs::write(folder.path().join("ball.obj"), ball).unwrap();
+    let import = robots::load(&copy).unwrap();
+    let looks = import.looks().unwrap().unwrap();
+    let [mesh] = &looks.meshes[..] else { panic!("{}", looks.meshes.len()) };
+    assert!((1000..=4000).contains(&mesh.faces.len()), "{}", mesh.faces.len());
+    assert!(mesh.corners.iter().all(|c| (c.iter().map(|x| x * x).sum::<f64>().sqrt() / 0.022 - 1.0).abs() < 0.03));
+    let plates = of_touching(&import.tree, &import.touching(None).unwrap(), Some(0.02)).unwrap();
+    let text = |looks| packed::compressed(&packed::pack(&import.tree, &plates, looks).unwrap()).unwrap();
+    let run = |robot: String| {
+        let mut shard = shard(json!({"robot": robot}), 1);
+        let actions = vec![0.5; shard.actions()];
+        (0..20).for_each(|_| shard.step(&actions));
+        shard.state(0).clone()
+    };
+    let (with, without) = (text(Some(&looks)), text(None));
+    assert!(with.len() < without.len() + 60_000, "{} {}", with.len(), without.len());
+    assert_eq!(run(with), run(without));
+}
+
+/// Each session has its own time step. Steps outside of the bounds, and those that do not divide the control step, are refused.
+/// On hard ground and in sand the motion comes closer to that of the finest step, the smaller the step is.
+#[test]
+fn a_robot_has_its_own_time_step() {
+    for (dt, said) in [(6e-3, "outside"), (0.0, "outside"), (-1e-3, "outside"), (1e-7, "outside"), (3e-3, "divide")] {
+        let error = Blueprint::new(ID, json!({"dt": dt})).err().unwrap().to_string();
+        assert!(error.starts_with("dt: ") && error.contains(said) && !error.contains('\n'), "{error}");
+    }
+    for ground in ["rigid", "poppy-loose"] {
+        let heights = |dt: f64| -> Vec<f64> {
+            let options = json!({"ground": ground, "dt": dt, "domain_rand": null, "angle_noise": 0.0});
+            assert_eq!(blueprint(options.clone()).task.model().scene.dt, dt);
+            let mut shard = shard(options, 1);
+            let bob = |k: u32| (0.2 * (std::f64::consts::TAU * 2.0 * f64::from(k) / 50.0).sin()) as f32;
+            let mut height = |k| {
+                shard.step(&vec![bob(k); shard.actions()]);
+                assert!(shard.rows.ended.is_empty(), "{ground} {dt}");
+                shard.state(0).position[2]
+            };
+            (0..100).map(&mut height).collect()
+        };
+        let finest = heights(2.5e-4);
+        let off = |dt: f64| heights(dt).iter().zip(&finest).map(|(a, b)| (a - b).abs()).sum::<f64>() / 100.0;
+        let [coarse, usual, fine] = [5e-3, 2e-3, 1e-3].map(off);
+        assert!(coarse > usual && usual > fine && fine < 1e-3, "{ground}: {coarse} {usual} {fine}");
+    }
 }
 
 /// The hexapod tasks refuse the engine `tree`.

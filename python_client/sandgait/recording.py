@@ -25,6 +25,9 @@ Floats = npt.NDArray[np.float32]
 
 _FORMAT, _VERSION = "sandgait recording", 1
 _BLOCK = struct.Struct("<4sI")
+#: Parts of a header that are long, and that a file has once while they stay the same.
+_SAME = ("shapes", "relief")
+_AS_BEFORE = "as before"
 _FOREIGN = "this is not one of sandgait's recordings"
 
 #: Largest unpacked size of a recording [bytes]: our choice, four hours of a hexapod with 300 numbers a moment at 50 Hz.
@@ -90,11 +93,15 @@ class Recording:
 
 def read_recording(path: FilePath, max_bytes: int = MAX_BYTES) -> Recording:
     """The recording in the file `path`, as numpy arrays; refused if it unpacks to more than `max_bytes`."""
-    sections = []
+    sections: list[Section] = []
     try:
         with gzip.open(path) as stream:
-            for header, rows in _blocks(cast("IO[bytes]", stream), path, max_bytes):
-                sections.append(_section(header, rows, path))
+            for head, rows in _blocks(cast("IO[bytes]", stream), path, max_bytes):
+                section = _section(head, rows, path)
+                for part in _SAME:
+                    if section.header.get(part) == _AS_BEFORE:
+                        section.header[part] = sections[-1].header.get(part) if sections else None
+                sections.append(section)
     except (EOFError, _CutOff):
         raise InvalidRequest(f"{path}: the recording is cut off") from None
     except (OSError, zlib.error) as error:
@@ -160,13 +167,21 @@ class Recorder:
         except OSError as error:
             raise SandgaitError(f"{path}: the recording cannot be written: {error.strerror}") from error
         self._header = ""
+        self._same: dict[str, Any] = {}
 
     def add(self, header: str, row: bytes) -> None:
         """One moment; a header other than the last one begins a section."""
         if header != self._header:
             self._header = header
-            self._write(b"HEAD", header.encode())
+            self._write(b"HEAD", self._shortened(header).encode())
         self._write(b"ROWS", row)
+
+    def _shortened(self, header: str) -> str:
+        """The header without what equals the last section's."""
+        whole = json.loads(header)
+        before, self._same = self._same, {part: whole[part] for part in _SAME if part in whole}
+        same = [part for part, value in self._same.items() if before.get(part) == value]
+        return json.dumps({**whole, **dict.fromkeys(same, _AS_BEFORE)}, ensure_ascii=False) if same else header
 
     def _write(self, kind: bytes, content: bytes) -> None:
         try:

@@ -1,6 +1,7 @@
 //! `sandgait robot`
 
 use sandgait::robots::{self, Import, Touch, states};
+use sandgait::sim::tree::looks::Looks;
 use sandgait::sim::tree::{Geometry, TreeBody, TreeJoint, TreeShape, packed, plates};
 use sandgait::{Error, Result, sim, view};
 use serde_json::{Value, json};
@@ -55,8 +56,14 @@ impl Robot {
         }
         let touching = Touching::of(&import, self.touches.as_deref(), self.plate_size)?;
         if self.pack {
-            let text = packed::pack(&import.tree, &touching.plates)?;
-            return if self.json { Ok(text) } else { packed::compressed(&text) };
+            let (text, note) = if self.json {
+                let (looks, note) = looks(&import);
+                (packed::pack(&import.tree, &touching.plates, looks.as_ref())?, note)
+            } else {
+                compressed(&import, &touching)?
+            };
+            note.iter().for_each(|line| eprintln!("sandgait: warning: {line}"));
+            return Ok(text);
         }
         if let Some(path) = &self.picture {
             let seen = import.seen()?;
@@ -87,7 +94,28 @@ pub fn read_option(options: &mut Value) -> Result<()> {
 pub fn pack(path: &Path) -> Result<(String, Vec<String>)> {
     let import = robots::load(path)?;
     let touching = Touching::of(&import, None, None)?;
-    Ok((packed::compressed(&packed::pack(&import.tree, &touching.plates)?)?, import.warnings))
+    let (text, note) = compressed(&import, &touching)?;
+    Ok((text, import.warnings.into_iter().chain(note).collect()))
+}
+
+/// The packed text, without shapes for pictures if these do not fit. The note says what pictures lack.
+fn compressed(import: &Import, touching: &Touching) -> Result<(String, Option<String>)> {
+    let (looks, note) = looks(import);
+    let text = |looks| packed::compressed(&packed::pack(&import.tree, &touching.plates, looks)?);
+    match (&looks, text(looks.as_ref())) {
+        (Some(_), Err(_)) => {
+            Ok((text(None)?, Some("its plates leave no room for its meshes; pictures show it without them".into())))
+        }
+        (_, text) => Ok((text?, note)),
+    }
+}
+
+/// Shapes for pictures. A visual mesh that cannot be read is no error: the robot moves without it.
+fn looks(import: &Import) -> (Option<Looks>, Option<String>) {
+    match import.looks() {
+        Ok(looks) => (looks, None),
+        Err(e) => (None, Some(format!("{e}; pictures show the robot without its visual meshes"))),
+    }
 }
 
 fn load(file: &Path) -> Result<Import> {

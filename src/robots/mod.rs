@@ -13,6 +13,7 @@ use sandgait_sand as sand;
 use sandgait_sim as sim;
 
 mod check;
+mod coarse;
 mod collada;
 mod draft;
 mod files;
@@ -27,6 +28,7 @@ mod urdf;
 mod xml;
 
 use crate::error::{Error, Result};
+use crate::sim::tree::looks::{Looks, MOST_TRIANGLES};
 use crate::sim::tree::{Geometry, Tree, TreeShape};
 use files::{Files, MOST_TEXT, Source};
 use mesh::Meshes;
@@ -140,5 +142,14 @@ impl Import {
             all.push(shapes);
         }
         Ok(all)
+    }
+
+    /// Shapes for pictures and recordings, meshes with fewer triangles; None where they are the primitives that a
+    /// packed robot has anyway.
+    pub fn looks(&self) -> Result<Option<Looks>> {
+        let small = coarse::coarse(&self.seen()?, MOST_TRIANGLES);
+        let seen = Looks::of(small.iter().map(|shapes| &shapes[..]), true);
+        let packed = Looks::of(self.tree.bodies.iter().map(|b| &b.shapes[..]), false);
+        Ok((seen != packed).then_some(seen))
     }
 }

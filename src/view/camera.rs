@@ -12,6 +12,9 @@ pub const SIZES: std::ops::RangeInclusive<u32> = 16..=4096;
 const AZIMUTH: f64 = 0.55;
 const ELEVATION: f64 = 0.32;
 
+/// Number of elevations that are tried until no dune hides the robot, each higher by [`ELEVATION`].
+const HIGHER: u32 = 4;
+
 /// Vertical field of view [rad]: our choice, that of a normal lens.
 const FIELD_OF_VIEW: f64 = 0.72;
 
@@ -54,10 +57,19 @@ impl Camera {
         let up = -model.gravity.normalize();
         let ahead = (V::x() - up * up.x).normalize();
         let left = up.cross(&ahead);
-        let target = V::new(state.position[0], state.position[1], 0.25 * radius);
+        let [x, y, _] = state.position;
+        let target = V::new(x, y, 0.25 * radius + model.surface_height(x, y));
         let (sin, cos) = AZIMUTH.sin_cos();
-        let away = (ahead * sin - left * cos) * ELEVATION.cos() + up * ELEVATION.sin();
-        Self::towards(target, away, up, radius, [width, height])
+        let at = |elevation: f64| {
+            let away = (ahead * sin - left * cos) * elevation.cos() + up * elevation.sin();
+            Self::towards(target, away, up, radius, [width, height])
+        };
+        // Dunes must not hide the robot.
+        let clear = |camera: &Self| {
+            let along = (1..=8).map(|k| target + (camera.eye - target) * (f64::from(k) / 8.0));
+            along.into_iter().all(|p| p.z > model.surface_height(p.x, p.y) + 0.1 * radius)
+        };
+        (0..HIGHER).map(|k| at(ELEVATION * f64::from(1 + k))).find(clear).unwrap_or_else(|| at(ELEVATION))
     }
 
     /// Looks at `target` from the direction `away`, at a distance that fits a robot of this half length.
@@ -106,6 +118,15 @@ impl Camera {
         let scale = self.focal / ray.dot(&self.forward);
         let [x, y] = [self.middle[0] + ray.dot(&self.right) * scale, self.middle[1] - ray.dot(&self.up) * scale];
         [x as f32, y as f32]
+    }
+
+    /// Distance along the line of sight at which a point of the picture [px] shows the level surface z = 0; infinite
+    /// above the horizon.
+    pub fn level(&self, [x, y]: [f64; 2]) -> f64 {
+        let [u, v] = [(x - self.middle[0]) / self.focal, (self.middle[1] - y) / self.focal];
+        let sight = self.forward + self.right * u + self.up * v;
+        let distance = -self.eye.z / sight.z;
+        if distance > 0.0 { distance } else { f64::INFINITY }
     }
 
     /// A polygon in the picture, without the part behind the camera; None if nothing is left.

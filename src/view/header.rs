@@ -1,10 +1,12 @@
 //! The header of a recording: the robot's geometry and the meaning of every column.
 
+use super::camera::radius;
 use super::pose::segments;
 use super::recording::{FORMAT, VERSION};
 use crate::sim::frame::V;
 use crate::sim::model::{Body, Piece};
 use crate::sim::solid::Solid;
+use crate::sim::tree::{JointKind, TreeBody, TreeModel};
 use crate::sim::{Model, Obstacle};
 use serde_json::{Value, json};
 
@@ -47,12 +49,23 @@ pub fn header(model: &Model, about: &About) -> String {
         "legs": hips,
         "joints": model.joint_names(),
         "base": robot.base.size,
+        "radius": (radius(model) * 1e9).round() / 1e9,
         "bodies": bodies(model),
         "segments": segment_list(model),
         "obstacles": model.scene.obstacles.iter().zip(&model.solids).map(obstacle).collect::<Vec<_>>(),
         "columns": columns(model, about),
     });
-    head.to_string()
+    let mut text = head.to_string();
+    // Long parts that stay the same are kept as text. The header ends with them.
+    let parts = [
+        ("shapes", model.tree.as_ref().map(|t| t.looks.json())),
+        ("relief", model.scene.relief.as_ref().map(|r| r.json())),
+    ];
+    for (name, json) in parts.into_iter().filter_map(|(name, json)| Some((name, json?))) {
+        text.pop();
+        text.push_str(&format!(",\"{name}\":{json}}}"));
+    }
+    text
 }
 
 /// Rounded to 1e-9: far below any length of a robot, and half as long in the file.
@@ -60,7 +73,28 @@ fn list(v: V) -> [f64; 3] {
     [v.x, v.y, v.z].map(|c| (c * 1e9).round() / 1e9)
 }
 
+/// The bodies of a robot from a file; its shapes are listed apart.
+fn tree_bodies(robot: &TreeModel) -> Vec<Value> {
+    let one = |(i, body): (usize, &TreeBody)| {
+        let q = body.origin.rotation;
+        json!({
+            "name": body.name,
+            "parent": (i > 0).then_some(body.parent),
+            "leg": null,
+            "joint": list(body.origin.translation.vector),
+            "turn": [q.w, q.i, q.j, q.k],
+            "axis": body.joint.as_ref().map(|j| list(j.axis.into_inner())),
+            "slides": body.joint.as_ref().is_some_and(|j| j.kind == JointKind::Slide),
+            "pieces": [],
+        })
+    };
+    robot.tree.bodies.iter().enumerate().map(one).collect()
+}
+
 fn bodies(model: &Model) -> Vec<Value> {
+    if let Some(robot) = &model.tree {
+        return tree_bodies(robot);
+    }
     let mut all = Vec::with_capacity(1 + model.joints());
     all.push(json!({"parent": null, "leg": null, "pieces": []}));
     for (leg, chain) in model.legs.iter().enumerate() {

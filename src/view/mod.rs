@@ -8,7 +8,8 @@
 //! * [`pose`]: poses of the bodies and forces of the sand, for all outputs.
 //! * [`recording`]: the format; [`header`]: its description of robot and columns.
 //! * [`picture`]: one moment as an image; [`camera`]: its point of view; [`text`]: letters on it.
-//! * [`tree`]: any robot from a file as an image.
+//! * [`tree`]: any robot from a file as an image; [`solid`]: the same in the picture of a moment, with its ground;
+//!   [`raster`]: triangles for both.
 //! * [`page`]: a recording as a page for browsers, and the page that follows a server.
 //!
 //! This crate uses models and states only; it has no tasks, sessions or messages.
@@ -24,7 +25,9 @@ mod header;
 pub mod page;
 pub mod picture;
 pub mod pose;
+mod raster;
 pub mod recording;
+mod solid;
 mod text;
 pub mod tree;
 

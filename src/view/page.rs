@@ -7,9 +7,10 @@ const PAGE: &str = include_str!("page/page.html");
 const STYLE: &str = include_str!("page/style.css");
 
 /// In this order, because each script uses the ones before it. three.js is bundled by `make page-three`.
-const SCRIPTS: [&str; 5] = [
+const SCRIPTS: [&str; 6] = [
     include_str!("page/three.js"),
     include_str!("page/recording.js"),
+    include_str!("page/sand.js"),
     include_str!("page/world.js"),
     include_str!("page/charts.js"),
     include_str!("page/main.js"),

@@ -2,19 +2,18 @@
 
 use super::camera::{Camera, SIZES, clip, radius};
 use super::pose::Pose;
-use super::{text, tree};
+use super::raster::{LIGHT, Rgb, SAMPLES};
+use super::{solid, text};
 use crate::error::{Error, Result};
 use crate::sim::frame::{M, V};
 use crate::sim::overlap::obstacle_poses;
 use crate::sim::robot::Tripod;
-use crate::sim::tree::{TreeModel, stance};
+use crate::sim::tree::TreeModel;
 use crate::sim::{Model, State};
 use resvg::tiny_skia::{
     Color, FillRule, GradientStop, LineCap, LinearGradient, Paint, Path, PathBuilder, Pixmap, Point, Rect, Shader,
     SpreadMode, Stroke, Transform,
 };
-
-type Rgb = [f64; 3];
 
 const SKY: [Rgb; 2] = [[226.0, 234.0, 241.0], [247.0, 246.0, 242.0]];
 const SAND: [Rgb; 2] = [[236.0, 224.0, 198.0], [216.0, 194.0, 152.0]];
@@ -26,9 +25,6 @@ const ROCK: Rgb = [150.0, 142.0, 134.0];
 const ARROW: Rgb = [200.0, 30.0, 60.0];
 const INK: [u8; 3] = [40, 44, 50];
 
-/// Direction to the light: from behind the camera and to its right, so that the robot's front is bright.
-const LIGHT: [f64; 3] = [0.35, -0.45, 0.82];
-
 /// Spacing of the lines on the sand [m]: fine ones, and coarse ones with their x beside them.
 const FINE: f64 = 0.05;
 const COARSE: f64 = 0.25;
@@ -38,6 +34,9 @@ const THICKNESS: f64 = 0.002;
 
 /// Length of an arrow of the robot's weight, in robot radii: our choice.
 const ARROW_LENGTH: f64 = 0.9;
+
+/// Texts, and where they begin [px].
+type Labels = Vec<([i64; 2], String)>;
 
 /// A convex flat face of a solid.
 struct Face {
@@ -61,15 +60,10 @@ pub fn draw(model: &Model, state: &State, footing: &[f64], size: [u32; 2], capti
     let pose = Pose::of(model, state, footing);
     let mut canvas = Canvas::new(model, state, size)?;
     canvas.sand();
-    let labels = canvas.lines(model, state);
-    let mut faces = match &model.tree {
-        Some(robot) => tree_faces(robot, state),
-        None => robot_faces(model, &pose),
+    let labels = match &model.tree {
+        Some(robot) => canvas.tree(model, robot, state),
+        None => canvas.legs(model, state, &pose),
     };
-    faces.extend(obstacle_faces(model, state));
-    canvas.shadow(&faces);
-    canvas.faces(faces);
-    canvas.arrows(model, &pose);
     let mut pixels = canvas.pixels();
     let width = size[0] as usize;
     for (at, label) in labels {
@@ -107,29 +101,6 @@ fn robot_faces(model: &Model, pose: &Pose) -> Vec<Face> {
             let axes = M::from_columns(&[piece.along, piece.across, piece.along.cross(&piece.across)]);
             let half = V::new(piece.size[0], piece.size[1], THICKNESS) / 2.0;
             faces.extend(cuboid(origin + turn * piece.center, turn * axes, half, |_, _| color));
-        }
-    }
-    faces
-}
-
-/// The faces of a robot from a file. A packed robot does not contain its meshes, so the plates cut from them are drawn instead.
-fn tree_faces(robot: &TreeModel, state: &State) -> Vec<Face> {
-    let mut faces = Vec::new();
-    for (b, frame) in stance::frames(&robot.tree, state).iter().enumerate() {
-        let color = if b == 0 { BASE } else { tree::LINKS[tree::depth(&robot.tree, b) % tree::LINKS.len()] };
-        let shapes = &robot.tree.bodies[b].shapes;
-        let solid = shapes.iter().flat_map(|shape| {
-            let at = frame * shape.origin;
-            tree::triangles(&shape.geometry)
-                .into_iter()
-                .map(move |t| t.map(|p| (at * nalgebra::Point3::from(p)).coords))
-        });
-        let plates = robot.plates[b].iter().filter(|_| shapes.is_empty()).flat_map(|p| tree::quad(p, frame, 0.0));
-        for corners in solid.chain(plates) {
-            let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0]));
-            if let Some(normal) = normal.try_normalize(0.0) {
-                faces.push(Face { corners: corners.to_vec(), normal, color });
-            }
         }
     }
     faces
@@ -190,12 +161,43 @@ struct Canvas {
 impl Canvas {
     fn new(model: &Model, state: &State, [width, height]: [u32; 2]) -> Result<Self> {
         let memory = || Error::Exhausted("a picture of this size does not fit into memory".into());
+        let [x, y, _] = state.position;
         Ok(Self {
             map: Pixmap::new(width, height).ok_or_else(memory)?,
             camera: Camera::following(model, state, [width, height]),
-            middle: V::new(state.position[0], state.position[1], 0.0),
+            middle: V::new(x, y, model.surface_height(x, y)),
             radius: radius(model),
         })
+    }
+
+    /// A robot from a file on its ground; gives the labels of the lines.
+    fn tree(&mut self, model: &Model, robot: &TreeModel, state: &State) -> Labels {
+        let (painted, ground) = (solid::robot(robot, state), solid::ground(model, state));
+        let mut labels = Vec::new();
+        // Lines and shadows are those of level ground.
+        if ground.is_none() {
+            labels = self.lines(model, state);
+            let face = |(corners, color): &solid::Painted| {
+                let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0])).try_normalize(0.0)?;
+                Some(Face { corners: corners.to_vec(), normal, color: *color })
+            };
+            self.shadow(&painted.iter().filter_map(face).collect::<Vec<_>>());
+        }
+        let size = [self.map.width(), self.map.height()].map(|side| side * SAMPLES as u32);
+        let fine = Camera::following(model, state, size);
+        solid::paint(&mut self.map, &fine, &painted, ground.as_deref());
+        labels
+    }
+
+    /// A robot on identical legs, and rocks; gives the labels of the lines.
+    fn legs(&mut self, model: &Model, state: &State, pose: &Pose) -> Labels {
+        let labels = self.lines(model, state);
+        let mut faces = robot_faces(model, pose);
+        faces.extend(obstacle_faces(model, state));
+        self.shadow(&faces);
+        self.faces(faces);
+        self.arrows(model, pose);
+        labels
     }
 
     /// A vertical gradient of two colours.
@@ -231,7 +233,7 @@ impl Canvas {
     }
 
     /// Lines at round x and y, and the positions of the labels of the coarse ones.
-    fn lines(&mut self, model: &Model, state: &State) -> Vec<([i64; 2], String)> {
+    fn lines(&mut self, model: &Model, state: &State) -> Labels {
         let reach = (12.0 * self.radius).max(4.0 * FINE);
         let mut labels = Vec::new();
         for (spacing, alpha) in [(FINE, 0.35), (COARSE, 0.8)] {

@@ -1,30 +1,27 @@
 //! An image of any robot: every visible triangle, with a depth buffer.
 
 use super::camera::{Camera, SIZES};
+use super::raster::{Facet, LIGHT, Layer, Rgb, SAMPLES};
 use super::text;
 use crate::error::{Error, Result};
 use crate::sand::intruder::Plate;
 use crate::sim::frame::V;
 use crate::sim::tree::{Geometry, JointKind, Tree, TreeShape};
-use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, UnitQuaternion};
 use resvg::tiny_skia::{Pixmap, PremultipliedColorU8};
 use std::f64::consts::TAU;
 
-type Rgb = [f64; 3];
-
 const SKY: [Rgb; 2] = [[226.0, 234.0, 241.0], [247.0, 246.0, 242.0]];
 const SAND: Rgb = [226.0, 209.0, 175.0];
-const BASE: Rgb = [120.0, 128.0, 140.0];
+pub(super) const BASE: Rgb = [120.0, 128.0, 140.0];
 pub(super) const LINKS: [Rgb; 4] =
     [[70.0, 130.0, 180.0], [112.0, 164.0, 112.0], [176.0, 136.0, 84.0], [150.0, 116.0, 160.0]];
 const PLATES: Rgb = [214.0, 84.0, 40.0];
 const INK: [u8; 3] = [40, 44, 50];
-const LIGHT: [f64; 3] = [0.35, -0.45, 0.82];
 /// Number of sides of round shapes: our choice.
 const SIDES: usize = 32;
-/// Samples of a pixel along each edge, for smooth edges: our choice.
-const SAMPLES: usize = 2;
-/// Distance between the drawn plates and their surface, in robot radii, so that the surface does not hide them.
+/// Distance at which plates are drawn outside their surface, in robot radii, so that the surface does not hide
+/// them.
 const BEFORE: f64 = 2e-3;
 
 /// A PNG of `size` [px]: `tree` in its standing pose, with its lowest point on the ground; `seen` (visual shapes) and
@@ -102,7 +99,7 @@ fn frames(tree: &Tree) -> Vec<Isometry3<f64>> {
     frames
 }
 
-pub(super) fn quad(plate: &Plate, frame: &Isometry3<f64>, before: f64) -> [[V; 3]; 2] {
+fn quad(plate: &Plate, frame: &Isometry3<f64>, before: f64) -> [[V; 3]; 2] {
     let vector = |v: crate::number::Vec3<f64>| frame.rotation * V::from(v.lane(0));
     let center = frame * nalgebra::Point3::from(V::from(plate.center.lane(0)));
     let middle = center.coords + vector(plate.normal) * before;
@@ -164,12 +161,11 @@ pub(super) fn triangles(geometry: &Geometry) -> Vec<[V; 3]> {
     }
 }
 
-/// Colours of the samples, with the distance of the visible face.
 struct Canvas {
+    /// [samples]
     size: [usize; 2],
     camera: Camera,
-    colors: Vec<[f32; 3]>,
-    depths: Vec<f32>,
+    layer: Layer,
     ground: f64,
 }
 
@@ -180,8 +176,9 @@ impl Canvas {
             let t = row as f64 / height as f64;
             std::array::from_fn(|k| (SKY[0][k] * (1.0 - t) + SKY[1][k] * t) as f32)
         };
-        let colors = (0..height).flat_map(|row| std::iter::repeat_n(sky(row), width)).collect();
-        Self { size: [width, height], camera, colors, depths: vec![f32::INFINITY; width * height], ground }
+        let mut layer = Layer::new(width, 0, height);
+        layer.colors = (0..height).flat_map(|row| std::iter::repeat_n(sky(row), width)).collect();
+        Self { size: [width, height], camera, layer, ground }
     }
 
     /// A disc of sand under the robot, with the shadow of its faces.
@@ -204,44 +201,11 @@ impl Canvas {
     }
 
     fn triangle(&mut self, corners: &[V; 3], color: Rgb) {
-        let [a, b, c] = corners;
-        let Some(normal) = (b - a).cross(&(c - a)).try_normalize(0.0) else { return };
-        // Visual meshes may be inside out, so both sides of a face have the same brightness.
-        let toward = if self.camera.faces((a + b + c) / 3.0, normal) { normal } else { -normal };
-        let bright = 0.62 + 0.38 * toward.dot(&Vector3::from(LIGHT).normalize()).max(-0.6);
-        self.flat(corners, color.map(|x| x * bright + 24.0 * (bright - 0.62)));
+        Facet::lit(&self.camera, corners, color).iter().for_each(|facet| self.layer.fill(facet));
     }
 
-    /// Fills a triangle with one colour where it is nearer than the present face.
     fn flat(&mut self, corners: &[V; 3], color: Rgb) {
-        let Some(seen) = corners.iter().map(|p| self.camera.see(*p)).collect::<Option<Vec<_>>>() else { return };
-        let [(a, da), (b, db), (c, dc)] = [seen[0], seen[1], seen[2]];
-        let cross =
-            |p: [f32; 2], q: [f32; 2], r: [f32; 2]| (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]);
-        let area = cross(a, b, c);
-        if area == 0.0 || !area.is_finite() {
-            return;
-        }
-        let range = |k: usize, most: usize| {
-            let (low, high) = (a[k].min(b[k]).min(c[k]), a[k].max(b[k]).max(c[k]));
-            (low.floor().max(0.0) as usize)..(high.ceil().clamp(0.0, most as f32) as usize)
-        };
-        let color = color.map(|x| x as f32);
-        for y in range(1, self.size[1]) {
-            for x in range(0, self.size[0]) {
-                let p = [x as f32 + 0.5, y as f32 + 0.5];
-                let [u, v, w] = [cross(b, c, p) / area, cross(c, a, p) / area, cross(a, b, p) / area];
-                if u < 0.0 || v < 0.0 || w < 0.0 {
-                    continue;
-                }
-                // 1/distance is linear in the picture's coordinates.
-                let depth = 1.0 / (u / da as f32 + v / db as f32 + w / dc as f32);
-                let at = y * self.size[0] + x;
-                if depth < self.depths[at] {
-                    (self.depths[at], self.colors[at]) = (depth, color);
-                }
-            }
-        }
+        Facet::flat(&self.camera, corners, color).iter().for_each(|facet| self.layer.fill(facet));
     }
 
     fn png(&self, [width, height]: [u32; 2], captions: &[String]) -> Result<Vec<u8>> {
@@ -250,7 +214,7 @@ impl Canvas {
             for x in 0..width as usize {
                 for k in 0..3 {
                     let samples = (0..SAMPLES * SAMPLES).map(|s| {
-                        self.colors[(y * SAMPLES + s / SAMPLES) * self.size[0] + x * SAMPLES + s % SAMPLES][k]
+                        self.layer.colors[(y * SAMPLES + s / SAMPLES) * self.size[0] + x * SAMPLES + s % SAMPLES][k]
                     });
                     let mean = samples.sum::<f32>() / (SAMPLES * SAMPLES) as f32;
                     pixels.push(mean.round().clamp(0.0, 255.0) as u8);

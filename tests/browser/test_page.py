@@ -106,6 +106,64 @@ def test_a_recording_plays(page: Page, tmp_path: Path, name: str, options: dict[
     assert all(url.startswith(("file:", "data:", "blob:")) for url in page.requests), page.requests
 
 
+#: Number of solids of each body, and its position and quaternion.
+PARTS = """player.world.figures.bodies.map((b) => b.children.flatMap((c) => c.children.length ? c.children : [c])
+    .filter((c) => c.isMesh && c.geometry.attributes.position.count > 2).length)"""
+HUNG = "player.world.figures.bodies.map((b) => [...b.position.toArray(), ...b.quaternion.toArray()])"
+
+
+def turned(q: np.ndarray, by: np.ndarray) -> np.ndarray:
+    """Product of two quaternions w, x, y, z."""
+    (w, u), (s, v) = (q[0], q[1:]), (by[0], by[1:])
+    return np.array([w * s - u @ v, *(w * v + s * u + np.cross(u, v))])
+
+
+def hung(section: sandgait.Section, k: int) -> np.ndarray:
+    """Position and quaternion x, y, z, w of each body of a robot from a file, from the numbers alone."""
+    poses = [(section["position"][k].astype(float), section["orientation"][k].astype(float))]
+    for body, angle in zip(section.header["bodies"][1:], section["angles"][k].astype(float), strict=True):
+        at, q = poses[body["parent"]]
+        place = turned(turned(q, np.array([0.0, *body["joint"]])), q * [1, -1, -1, -1])[1:]
+        hinge = np.array([np.cos(angle / 2), *(np.sin(angle / 2) * np.array(body["axis"]))])
+        poses.append((at + place, turned(turned(q, np.array(body["turn"])), hinge)))
+    return np.array([[*at, *q[1:], q[0]] for at, q in poses])
+
+
+@pytest.mark.parametrize("ground", ["poppy-loose", "dunes"])
+def test_a_robot_from_a_file_is_drawn_by_its_shapes(page: Page, tmp_path: Path, ground: str) -> None:
+    robot = Path(__file__).parents[2] / "robots" / "sandcat.urdf"
+    env = sandgait.SandgaitEnv("sandgait/LeggedVelocity-v0", robot=robot, ground=ground, domain_rand=None)
+    env.record(tmp_path / "cat.rec")
+    for seed in range(2):
+        env.reset(seed=seed)
+        for t in range(50):
+            env.step(0.4 * np.sin(0.4 * t + np.arange(12)).astype(np.float32))
+    env.close()
+    section = sandgait.read_recording(tmp_path / "cat.rec").sections[1]
+    html = tmp_path / f"{ground}.html"
+    subprocess.run([*server.command(), "replay", tmp_path / "cat.rec", "--html", html], check=True)
+    page.open(f"file://{html}")
+    page.until("player.world?.pose !== undefined && player.world.pose !== null")
+    page.ask("player.play(false)")
+    start = page.ask("player.recording.moments.find((m) => m.section === player.recording.sections[1]).at")
+    for k in (0, 30):
+        page.ask(f"player.time = {start + k / 50 + 1e-4}")
+        page.until(f"Math.abs(player.world.pose.bodies[0].position.x - {section['position'][k, 0]}) < 1e-3")
+        page.until("player.world.section === player.recording.sections[1]")
+        drawn, told = np.array(page.ask(HUNG)), hung(section, k)
+        told[:, 3:] *= np.sign((told[:, 3:] * drawn[:, 3:]).sum(axis=1, keepdims=True))
+        assert drawn == pytest.approx(told, abs=2e-3)
+    shapes = section.header["shapes"]["shapes"]
+    each = [sum(len(s["form"]) + 2 * ("capsule" in s["form"]) for s in shapes if s["body"] == b) for b in range(13)]
+    assert page.ask(PARTS) == each
+    for chart in ("gait", "speed", "torque", "reward"):
+        assert colours(page, chart) > 10, chart
+    x, y, z = section["position"][30]
+    assert page.ask(f"height_at(player.world.section.header.relief, {x}, {y})" if ground == "dunes" else "0") < z
+    page.picture(shots(tmp_path) / f"cat_{ground}.png")
+    assert not page.troubles
+
+
 def test_slow_motion_and_pause(page: Page, tmp_path: Path) -> None:
     recorded(tmp_path / "walk.rec", 400)
     html = tmp_path / "walk.html"

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tracemalloc
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -240,6 +241,92 @@ def test_a_recording_has_the_numbers_of_the_steps(tmp_path: Path) -> None:
         recording["nothing"]
 
 
+LEGGED = "sandgait/LeggedVelocity-v0"
+SANDCAT = Path(__file__).parents[2] / "robots" / "sandcat.urdf"
+
+#: A box, and a leg that is seen as a mesh alone: a pyramid of 20 cm.
+MESHED = """<robot name="meshed">
+  <link name="base">
+    <inertial><mass value="2"/><inertia ixx="0.02" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>
+    <visual><geometry><box size="0.2 0.1 0.05"/></geometry></visual>
+    <collision><geometry><box size="0.2 0.1 0.05"/></geometry></collision>
+  </link>
+  <link name="leg">
+    <inertial><origin xyz="0 0 -0.05"/><mass value="0.2"/>
+      <inertia ixx="0.0003" iyy="0.0003" izz="0.0003" ixy="0" ixz="0" iyz="0"/></inertial>
+    <visual><origin xyz="0 0 -0.05"/><geometry><mesh filename="{mesh}"/></geometry></visual>
+    <collision><origin xyz="0 0 -0.1"/><geometry><sphere radius="0.02"/></geometry></collision>
+  </link>
+  <joint name="hip" type="revolute">
+    <parent link="base"/><child link="leg"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="5" velocity="20"/>
+  </joint>
+</robot>"""
+PYRAMID = "v 0 0 0.2\nv 0.1 0 0\nv -0.05 0.087 0\nv -0.05 -0.087 0\nf 2 4 3\nf 1 2 3\nf 1 4 2\nf 1 3 4\n"
+
+
+def robot_pixels(picture: np.ndarray) -> int:
+    """Pixels that are bluish and not the sky's: sand is yellow."""
+    red, green, blue = (picture[..., k].astype(int) for k in range(3))
+    return int(((blue - red > 5) & (green < 190)).sum())
+
+
+def pictured(**options: Any) -> np.ndarray:
+    env = sandgait.SandgaitEnv(LEGGED, render_mode="rgb_array", domain_rand=None, angle_noise=0.0, **options)
+    env.reset(seed=1)
+    picture = env.render()
+    env.close()
+    assert isinstance(picture, np.ndarray)
+    return picture
+
+
+def test_a_recording_of_a_robot_from_a_file_has_its_shapes_once(tmp_path: Path) -> None:
+    path = tmp_path / "cat.rec"
+    env = sandgait.SandgaitEnv(LEGGED, robot=SANDCAT, ground="dunes")
+    env.record(path)
+    for seed in range(3):
+        env.reset(seed=seed)
+        env.step(np.zeros(12, np.float32))
+    env.close()
+    headers = [s.header for s in sandgait.read_recording(path).sections]
+    assert [h["seed"] for h in headers] == [0, 1, 2]
+    forms = {name for s in headers[0]["shapes"]["shapes"] for name in s["form"]}
+    assert forms == {"box", "cylinder", "sphere"}
+    assert len(headers[0]["bodies"]) == 13
+    assert len(headers[0]["relief"]["heights"]) == 128
+    assert all(h["shapes"] == headers[0]["shapes"] and h["relief"] == headers[0]["relief"] for h in headers)
+    assert gzip.decompress(path.read_bytes()).count(b'"heights"') == 1
+
+
+@pytest.mark.filterwarnings("ignore:.*left out")
+def test_meshes_are_seen(tmp_path: Path) -> None:
+    """In pictures and recordings; a robot whose visual mesh is broken is shown without it, with a warning."""
+    (tmp_path / "leg.obj").write_text(PYRAMID)
+    robot = tmp_path / "meshed.urdf"
+    robot.write_text(MESHED.format(mesh="leg.obj"))
+    env = sandgait.SandgaitEnv(LEGGED, robot=robot)
+    env.record(tmp_path / "meshed.rec")
+    env.reset(seed=1)
+    env.close()
+    shapes = sandgait.read_recording(tmp_path / "meshed.rec").header["shapes"]
+    (leg,) = (s for s in shapes["shapes"] if s["body"] == 1)
+    mesh = shapes["meshes"][leg["form"]["mesh"]]
+    assert sorted(mesh["corners"]) == [[-0.05, -0.087, 0], [-0.05, 0.087, 0], [0, 0, 0.2], [0.1, 0, 0]]
+    assert len(mesh["faces"]) == 4
+    with_mesh = robot_pixels(pictured(robot=robot, ground="rigid"))
+    (tmp_path / "leg.obj").write_text("v 0 0 0\n")
+    with pytest.warns(UserWarning, match=r"leg\.obj.*without its visual meshes"):
+        without = robot_pixels(pictured(robot=robot, ground="rigid"))
+    assert without > 5000
+    assert with_mesh > 1.2 * without
+
+
+def test_a_robot_on_high_ground_is_seen_as_on_level_ground() -> None:
+    level = robot_pixels(pictured(robot=SANDCAT, ground="rigid"))
+    high = pictured(robot=SANDCAT, ground="rigid", relief={"heights": [[3.0] * 4] * 4, "spacing": 1.0})
+    assert level > 2000
+    assert robot_pixels(high) == pytest.approx(level, rel=0.05)
+
+
 def test_a_vector_environment_records_one_of_its_own(tmp_path: Path) -> None:
     path = tmp_path / "rocks.rec"
     env = sandgait.SandgaitVectorEnv("sandgait/HexapodRocks-v1", 2, max_episode_steps=10)
@@ -283,7 +370,7 @@ def test_the_page_of_a_recording(tmp_path: Path) -> None:
     env.close()
     subprocess.run([*server.command(), "replay", str(path), "--html", str(page)], check=True, capture_output=True)
     html = page.read_text()
-    assert html.count("<script") == html.count("</script>") == 6
+    assert html.count("<script") == html.count("</script>") == 7
     assert "https://" not in html
     assert html.count("http://") == html.count("http://www.w3.org/1999/xhtml")
 

@@ -10,8 +10,8 @@
 //! * [`dynamics`]: accelerations of a tree, over any number; [`flight`]: those in free flight, for checks.
 //! * [`servo`]: motors, bearings and stops; [`sand`]: sand on plates; [`floor`]: hard ground under points.
 //! * [`contact`]: the points; [`terrain`]: the ground's surface near a point, [`relief`]: a surface that is not
-//!   flat.
-//! * [`stance`]: the standing pose and the feet; [`packed`]: a robot as one text.
+//!   flat, [`heights`]: those of a file as one text.
+//! * [`stance`]: the standing pose and the feet; [`looks`]: shapes for pictures; [`packed`]: a robot as one text.
 //! * [`plates`]: collision shapes as the plates that push on sand, [`patches`]: plates with nearly the same normal,
 //!   gathered; [`robot`]: our own robots as trees.
 
@@ -21,6 +21,8 @@ pub mod engine;
 pub mod flight;
 pub mod floor;
 pub mod hard;
+pub mod heights;
+pub mod looks;
 pub mod model;
 pub mod packed;
 pub mod patches;

@@ -2,6 +2,7 @@
 
 use super::Tree;
 use super::contact::{ContactPoint, contact_points};
+use super::looks::Looks;
 use super::patches::BodyPatches;
 use super::stance::{Stance, frames, lowest};
 use crate::error::{Error, Result, check_range};
@@ -48,6 +49,8 @@ pub struct TreeModel {
     pub compliance: Compliance,
     /// The standing pose.
     pub stance: Arc<Stance>,
+    /// Shapes for pictures.
+    pub looks: Arc<Looks>,
 }
 
 /// Position error at which a motor without a known gain gives its full torque [rad]: our choice. It gives Unitree's
@@ -82,8 +85,15 @@ impl TreeModel {
         check(&tree)?;
         let (motors, compliance) = (motors(&tree), Compliance::of_mass(tree.mass()));
         let stance = Arc::new(Stance::of(&tree, &contacts));
-        let (patches, contacts) = (Arc::default(), Arc::new(contacts));
-        Ok(Self { tree, motors, plates: Arc::new(plates), patches, contacts, compliance, stance })
+        let looks = Looks::of(tree.bodies.iter().map(|b| &b.shapes[..]), false).or_plates(&plates);
+        let (patches, contacts, looks) = (Arc::default(), Arc::new(contacts), Arc::new(looks));
+        Ok(Self { tree, motors, plates: Arc::new(plates), patches, contacts, compliance, stance, looks })
+    }
+
+    /// The model with other shapes for pictures. Without this it shows its primitives, and plates where a body has
+    /// none.
+    pub fn with_looks(self, looks: Looks) -> Self {
+        Self { looks: Arc::new(looks.finished()), ..self }
     }
 
     /// The model with its plates gathered for `law`.

@@ -1,7 +1,8 @@
 //! A tree robot as one text, which a client sends to a server: JSON, compressed as `tree:` and base64 of a zlib
-//! stream. It contains the plates and points of contact of meshes, not the meshes.
+//! stream. It contains the plates and points of contact of meshes; of the meshes only small ones for pictures.
 
 use super::contact::{ContactPoint, contact_points};
+use super::looks::Looks;
 use super::model::TreeModel;
 use super::{Geometry, JointKind, Tree, TreeBody, TreeJoint, TreeShape};
 use crate::error::{Error, Result, check_range};
@@ -27,6 +28,9 @@ const MOST_PIECES: usize = 20_000;
 struct Packed {
     name: String,
     bodies: Vec<Body>,
+    /// Shapes for pictures; None: the primitives among the bodies' shapes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    looks: Option<Looks>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -86,8 +90,8 @@ enum Kind {
     Box,
 }
 
-/// Packs `tree` with the plates of each body.
-pub fn pack(tree: &Tree, plates: &[Vec<Plate>]) -> Result<String> {
+/// Packs `tree` with the plates of each body, and with shapes for pictures where its primitives do not suffice.
+pub fn pack(tree: &Tree, plates: &[Vec<Plate>], looks: Option<&Looks>) -> Result<String> {
     let contacts = contact_points(tree);
     let body = |(i, b): (usize, &TreeBody)| Body {
         name: b.name.clone(),
@@ -101,7 +105,8 @@ pub fn pack(tree: &Tree, plates: &[Vec<Plate>]) -> Result<String> {
         contacts: contacts[i].iter().map(contact).collect(),
         plates: plates[i].iter().map(plate).collect(),
     };
-    let packed = Packed { name: tree.name.clone(), bodies: tree.bodies.iter().enumerate().map(body).collect() };
+    let bodies = tree.bodies.iter().enumerate().map(body).collect();
+    let packed = Packed { name: tree.name.clone(), bodies, looks: looks.cloned() };
     serde_json::to_string(&packed).map_err(|e| Error::invalid("robot", e.to_string()))
 }
 
@@ -140,16 +145,22 @@ pub fn unpack(text: &str) -> Result<TreeModel> {
     if text.len() > MOST_BYTES {
         return Err(Error::invalid("robot", format!("{} bytes are more than {MOST_BYTES}", text.len())));
     }
-    let Packed { name, bodies } =
+    let Packed { name, bodies, looks } =
         serde_json::from_str(text).map_err(|e| Error::invalid("robot", format!("not a packed robot: {e}")))?;
     check_range("number of bodies", bodies.len() as f64, 1.0..=MOST_BODIES as f64)?;
     let pieces: usize = bodies.iter().map(|b| b.contacts.len() + b.plates.len()).sum();
     check_range("number of plates and points", pieces as f64, 0.0..=MOST_PIECES as f64)?;
     bodies.iter().try_for_each(Body::check)?;
+    let count = bodies.len();
+    looks.iter().try_for_each(|looks| looks.check(count))?;
     let contacts = bodies.iter().map(|b| b.contacts.iter().map(contact_of).collect()).collect();
     let plates = bodies.iter().map(|b| b.plates.iter().map(plate_of).collect()).collect();
     let tree = Tree { name, bodies: bodies.into_iter().map(Body::unpacked).collect() };
-    TreeModel::with_contacts(tree, plates, contacts)
+    let model = TreeModel::with_contacts(tree, plates, contacts)?;
+    match looks {
+        Some(looks) => Ok(model.with_looks(looks)),
+        None => model.looks.check(count).map(|()| model),
+    }
 }
 
 impl Body {

@@ -17,6 +17,8 @@ const WAVES: usize = 24;
 /// Nodes along a side of dunes, and nodes a wave length: our choice.
 const SIDE: usize = 128;
 const A_WAVE: f64 = 16.0;
+/// Most nodes along a side on pages: our choice, 100 kB.
+const DRAWN: usize = 128;
 
 /// Heights on a square grid; the surface is the quadratic B-spline over them, so its normal changes without a jump.
 #[derive(Clone, Debug, PartialEq)]
@@ -30,6 +32,8 @@ pub struct Relief {
     heights: Vec<f32>,
     /// Does the field repeat beyond its edges? Otherwise the surface continues there at the height of the edge.
     repeats: bool,
+    /// The same for pages, with at most [`DRAWN`] nodes along a side.
+    json: String,
 }
 
 impl Relief {
@@ -45,7 +49,8 @@ impl Relief {
         }
         rows.iter().flatten().try_for_each(|h| check_range("relief.heights", *h, HEIGHTS).map(drop))?;
         let heights = rows.iter().flatten().map(|h| *h as f32).collect();
-        Ok(Self { spacing, rows: rows.len(), columns, heights, repeats: false })
+        let relief = Self { spacing, rows: rows.len(), columns, heights, repeats: false, json: String::new() };
+        Ok(relief.finished())
     }
 
     /// Random dunes: waves of about `wavelength` [m] in all directions, `slope_deg` at the steepest point. They
@@ -69,10 +74,27 @@ impl Relief {
             waves.iter().map(|[a, b, phase]| (TAU * (a * x + b * y) + phase).sin() / a.hypot(*b)).sum::<f64>() as f32
         };
         let heights = (0..SIDE * SIDE).map(height).collect();
-        let mut dunes = Self { spacing: wavelength / A_WAVE, rows: SIDE, columns: SIDE, heights, repeats: true };
+        let (spacing, json) = (wavelength / A_WAVE, String::new());
+        let mut dunes = Self { spacing, rows: SIDE, columns: SIDE, heights, repeats: true, json };
         let scale = slope_deg.to_radians().tan() / dunes.steepest().0.max(1e-9);
         dunes.heights.iter_mut().for_each(|h| *h = (f64::from(*h) * scale) as f32);
-        Ok(dunes)
+        Ok(dunes.finished())
+    }
+
+    /// Fills in the JSON, of every node or of every second, third, … one; heights are rounded to 0.1 mm.
+    fn finished(mut self) -> Self {
+        let by = self.rows.max(self.columns).div_ceil(DRAWN);
+        let [rows, columns] = [self.rows, self.columns].map(|n| n.div_ceil(by));
+        let height = |j: usize, i: usize| (f64::from(self.heights[j * by * self.columns + i * by]) * 1e4).round() / 1e4;
+        let heights: Vec<Vec<f64>> = (0..rows).map(|j| (0..columns).map(|i| height(j, i)).collect()).collect();
+        let (spacing, repeats) = (self.spacing * by as f64, self.repeats);
+        self.json = serde_json::json!({"spacing": spacing, "repeats": repeats, "heights": heights}).to_string();
+        self
+    }
+
+    /// `spacing` [m], `repeats`, and `heights` [m]: rows along y of numbers along x.
+    pub fn json(&self) -> &str {
+        &self.json
     }
 
     /// Length and width of the field [m].

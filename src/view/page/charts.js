@@ -7,6 +7,9 @@ const LEG_COLORS = { A: "#226eb2", B: "#609e60" };
 /** Seconds that a chart shows. */
 const SPAN = 4;
 
+/** How the columns of feet in contact begin. */
+const CONTACT = "contact, ";
+
 const FONT = "13px system-ui, 'DejaVu Sans', sans-serif";
 
 /** A canvas in its own pixels; gives the context and the size in page pixels. */
@@ -144,15 +147,24 @@ function keys(context, lines, left, y, right) {
   }
 }
 
-/** One bar a leg, dark while the sand holds it. */
+/** Legs with the column that tells which are held: for a robot from a file, its feet in contact. */
+function held(section) {
+  if (section.header.legs.length) {
+    return section.header.legs.map(({ name, tripod }, k) => ({ name, color: LEG_COLORS[tripod], column: "stance", k }));
+  }
+  const feet = [...section.places.keys()].filter((name) => name.startsWith(CONTACT));
+  return feet.map((column, i) => ({ name: column.slice(CONTACT.length), color: COLORS[i % 6], column, k: 0 }));
+}
+
+/** One bar a leg, dark while the ground holds it. */
 function gait(canvas, recording, now, section) {
   const area = sharp(canvas);
   const span = window_of(recording, now);
   const left = 92;
   const frame = axes(area, span, [0, 1], left);
   const { context } = area;
-  const legs = section.header.legs;
-  const high = (frame.bottom - frame.top) / legs.length;
+  const legs = held(section);
+  const high = (frame.bottom - frame.top) / Math.max(legs.length, 1);
   context.textAlign = "right";
   context.textBaseline = "middle";
   legs.forEach((leg, k) => {
@@ -165,13 +177,38 @@ function gait(canvas, recording, now, section) {
   moments.forEach((m, n) => {
     const until = n + 1 < moments.length ? moments[n + 1].at : now;
     const [from, to] = [frame.x(m.at), frame.x(until)].map((x) => Math.round(Math.max(left, x)));
-    const stance = m.section.get(m.row, "stance");
-    m.section.header.legs.forEach((leg, k) => {
-      if (stance[k] < 0.5 || k >= legs.length) return;
-      context.fillStyle = LEG_COLORS[leg.tripod];
+    legs.forEach((leg, k) => {
+      if (!(m.section.get(m.row, leg.column)[leg.k] >= 0.5)) return;
+      context.fillStyle = leg.color;
       context.fillRect(from, frame.top + k * high + 2, to - from, high - 4);
     });
   });
+}
+
+/** The column of the commanded forward speed. */
+function commanded(section) {
+  return section.places.has("commanded_speed") ? "commanded_speed" : "command_lin_vel_x";
+}
+
+/** For each joint: the number of its leg, and a label on the first joint of each. */
+function joint_groups({ header }) {
+  const { joints, legs, bodies } = header;
+  if (!legs.length) {
+    // Of a robot from a file a leg is a branch of the tree; body k + 1 hangs on joint k. Old recordings have no bodies.
+    const branch = (k) => (bodies[k]?.parent ? branch(bodies[k].parent) : k);
+    const roots = [...new Set(joints.map((_, k) => branch(k + 1)))];
+    return joints.map((name, k) => {
+      const label = roots.includes(k + 1) ? name.split(/[-_ ]/)[0] : "";
+      return { label, group: roots.indexOf(branch(k + 1)), width: 1 };
+    });
+  }
+  const each = joints.length / legs.length;
+  const initials = (name) => name.split(/[-_ ]/).map((w) => w[0].toUpperCase()).join("");
+  return joints.map((_, k) => ({
+    label: k % each === 0 ? initials(legs[k / each].name) : "",
+    group: Math.floor(k / each),
+    width: each === 1 ? 1.6 : 1,
+  }));
 }
 
 /** All charts at time `now`. */
@@ -182,16 +219,14 @@ function chart_all(recording, now, section) {
   const speeds = [{ label: "of the base", color: COLORS[0], value: (m) => m.section.get(m.row, "velocity")[0] }];
   if (section.places.has("speed")) {
     speeds.push({ label: "over each step", color: COLORS[2], value: info("speed") });
-    speeds.push({ label: "commanded", color: COLORS[1], dash: [5, 4], value: info("commanded_speed") });
+    speeds.push({ label: "commanded", color: COLORS[1], dash: [5, 4], value: info(commanded(section)) });
   }
   curves($("speed"), recording, now, speeds, [0, 0.1]);
-  const joints = section.header.joints;
-  const each = joints.length / section.header.legs.length;
-  const initials = (name) => name.split(/[-_ ]/).map((w) => w[0].toUpperCase()).join("");
-  const torques = joints.map((_, k) => ({
-    label: k % each === 0 ? initials(section.header.legs[k / each].name) : "",
-    color: COLORS[Math.floor(k / each) % 6],
-    width: each === 1 ? 1.6 : 1,
+  const groups = joint_groups(section);
+  const torques = groups.map(({ label, group, width }, k) => ({
+    label,
+    color: COLORS[group % 6],
+    width,
     value: (m) => { const t = m.section.get(m.row, "torques"); return k < t.length ? t[k] : NaN; },
   }));
   curves($("torque"), recording, now, torques, [-0.005, 0.005]);

@@ -50,7 +50,7 @@ function text(value, digits) {
 function readout(section, row) {
   const one = (name) => section.get(row, name)[0];
   const lines = [`time    ${text(one("time"), 2)} s`, `speed   ${text(one("velocity"), 3)} m/s`];
-  if (section.places.has("commanded_speed")) lines.push(`command ${text(one("commanded_speed"), 3)} m/s`);
+  if (section.places.has(commanded(section))) lines.push(`command ${text(one(commanded(section)), 3)} m/s`);
   lines.push(`x       ${text(one("position"), 3)} m`);
   if (section.header.slope_deg) lines.push(`slope   ${text(section.header.slope_deg, 1)}°`);
   if (section.header.episode !== null) lines.push(`episode ${String(section.header.episode).padStart(7)}`);
@@ -85,7 +85,7 @@ function show() {
   readout(a.section, a.row);
   chart_all(recording, time, a.section);
   const newton = 0.01 / world.arrows.scale;
-  const arrows = world.layers.arrows ? `arrows: 10 mm stand for ${newton.toPrecision(2)} N, ` : "";
+  const arrows = world.layers.arrows && a.section.header.segments.length ? `arrows: 10 mm stand for ${newton.toPrecision(2)} N, ` : "";
   $("scale").textContent = `${arrows}lines: 0.1 m apart`;
   const scrub = $("scrub");
   [scrub.min, scrub.max] = [recording.start, recording.end];
@@ -134,6 +134,10 @@ function controls() {
 function describe(section) {
   const { task, robot, medium, law } = section.header;
   $("status").textContent = [task, robot, medium, law].join(" · ");
+  // Robots from files have feet, and neither arrows nor footprints.
+  const { legs, segments } = section.header;
+  $("gait-title").textContent = legs.length ? "Legs held by the sand" : "Feet in contact with the ground";
+  for (const name of ["arrows", "prints"]) $(name).parentElement.hidden = !segments.length;
 }
 
 function main() {

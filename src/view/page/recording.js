@@ -1,6 +1,9 @@
 "use strict";
 // Reads the stream of src/view/recording.rs: blocks of a kind, a length and a content.
 
+/** Parts of a header that a file has once while they stay the same. */
+const SAME = ["shapes", "relief"];
+
 /** Sections with their moments; grows as blocks come in. */
 class Recording {
   constructor() {
@@ -29,7 +32,10 @@ class Recording {
 
   take(kind, content) {
     if (kind === "HEAD") {
-      this.sections.push(new Section(JSON.parse(new TextDecoder().decode(content))));
+      const header = JSON.parse(new TextDecoder().decode(content));
+      const before = this.sections[this.sections.length - 1];
+      for (const part of SAME.filter((name) => header[name] === "as before")) header[part] = before?.header[part];
+      this.sections.push(new Section(header));
     } else if (kind === "ROWS" && this.sections.length) {
       const section = this.sections[this.sections.length - 1];
       const numbers = new Float32Array(content.buffer, 0, content.length / 4);
@@ -118,21 +124,23 @@ class Section {
       const turn = 2 * Math.PI;
       return x + (y - x - turn * Math.round((y - x) / turn)) * share;
     };
-    const turn = (row, name, at) => {
-      const [w, x, y, z] = this.get(row, name).subarray(at, at + 4);
-      return new THREE.Quaternion(x, y, z, w);
-    };
+    const turn = (row, name, at) => quaternion(this.get(row, name).subarray(at, at + 4));
     const bodies = [{
       position: new THREE.Vector3(mix("position", 0), mix("position", 1), mix("position", 2)),
       turn: turn(a, "orientation", 0).slerp(turn(b, "orientation", 0), share),
     }];
     this.header.bodies.slice(1).forEach((body, joint) => {
       const parent = bodies[body.parent];
-      const hinge = new THREE.Quaternion().setFromAxisAngle(new THREE.Vector3(...body.axis), angle(joint));
-      bodies.push({
-        position: new THREE.Vector3(...body.joint).applyQuaternion(parent.turn).add(parent.position),
-        turn: parent.turn.clone().multiply(hinge),
-      });
+      const position = new THREE.Vector3(...body.joint).applyQuaternion(parent.turn).add(parent.position);
+      const turned = parent.turn.clone();
+      if (body.turn) turned.multiply(quaternion(body.turn));
+      const axis = new THREE.Vector3(...body.axis);
+      if (body.slides) {
+        position.addScaledVector(axis.applyQuaternion(turned), mix("angles", joint));
+      } else {
+        turned.multiply(new THREE.Quaternion().setFromAxisAngle(axis, angle(joint)));
+      }
+      bodies.push({ position, turn: turned });
     });
     const moving = this.header.obstacles.filter((o) => o.moves).length;
     const objects = Array.from({ length: moving }, (_, i) => ({
@@ -148,6 +156,8 @@ class Section {
       new THREE.Vector3(...s.center).applyQuaternion(bodies[s.body].turn).add(bodies[s.body].position));
   }
 }
+
+function quaternion([w, x, y, z]) { return new THREE.Quaternion(x, y, z, w); }
 
 /** The bytes of a page's own recording, unpacked. */
 async function embedded(text) {

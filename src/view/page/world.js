@@ -1,200 +1,12 @@
 "use strict";
-// The scene: sand with footprints, robot, rocks, forces. x is forward, z is up from the surface; all of it is tilted so
+// The scene: robot, rocks, forces, and the sand of sand.js. x is forward, z is up from the surface; all of it is tilted so
 // that gravity points down.
 
-/** Side of a cell of the sand's height field [m], and how many there are along x and y. */
-const CELL = 0.004;
-const CELLS = [220, 130];
-
-/** Deepest print that is drawn [m], and looks between two moments: a drawing, because the sand's surface is not computed. */
-const DEEPEST = 0.012;
-const LOOKS = 3;
-
-/** Most cells with prints that are kept. */
-const MOST_PRINTS = 200000;
-
 const LEG_TINTS = { A: 0x226eb2, B: 0x609e60 };
+const LINK_TINTS = [0x4682b4, 0x70a470, 0xb08854, 0x9674a0];
 
-/** Where legs and belly were under the surface, by cell: when first, and how deep at most. */
-class Prints {
-  constructor() {
-    this.cells = new Map();
-    this.changed = 0;
-  }
-
-  static key(x, y) { return (x + 1048576) * 4194304 + (y + 1048576); }
-
-  mark(x, y, depth, time) {
-    const key = Prints.key(Math.round(x / CELL), Math.round(y / CELL));
-    const cell = this.cells.get(key);
-    if (!cell) {
-      this.cells.set(key, [time, Math.min(depth, DEEPEST)]);
-      if (this.cells.size > MOST_PRINTS) this.cells.delete(this.cells.keys().next().value);
-    } else if (depth > cell[1]) {
-      cell[1] = Math.min(depth, DEEPEST);
-    }
-    this.changed += 1;
-  }
-
-  /** Marks what happened from moment `a` to moment `b` of a section, unless moments between them are missing. */
-  add(section, a, b) {
-    if (b.at - a.at > 2.5 / section.header.rate) return;
-    for (let look = 0; look < LOOKS; look += 1) {
-      const { bodies } = section.pose(a.row, b.row, look / LOOKS);
-      const time = a.at + (b.at - a.at) * (look / LOOKS);
-      const places = section.segments(bodies);
-      section.header.segments.forEach((segment, k) => {
-        const p = places[k];
-        if (p.z >= 0) return;
-        const piece = section.header.bodies[segment.body].pieces[0];
-        if (!piece) return this.mark(p.x, p.y, -p.z, time);
-        const across = new THREE.Vector3(...piece.across).applyQuaternion(bodies[segment.body].turn);
-        for (const part of [-0.4, 0, 0.4]) {
-          const q = p.clone().addScaledVector(across, part * piece.size[1]);
-          this.mark(q.x, q.y, -q.z, time);
-        }
-      });
-    }
-  }
-}
-
-/** Grains, and a line every tenth of a metre, as a texture that repeats. */
-function grains() {
-  const canvas = document.createElement("canvas");
-  canvas.width = canvas.height = 256;
-  const context = canvas.getContext("2d");
-  const image = context.createImageData(256, 256);
-  let seed = 1;
-  for (let k = 0; k < 65536; k += 1) {
-    seed = (seed * 1103515245 + 12345) % 2147483648;
-    const light = 232 + (seed / 2147483648) * 23;
-    image.data.set([light, light, light, 255], 4 * k);
-  }
-  context.putImageData(image, 0, 0);
-  context.fillStyle = "rgba(110, 85, 45, 0.45)";
-  context.fillRect(0, 0, 256, 2);
-  context.fillRect(0, 0, 2, 256);
-  const texture = new THREE.CanvasTexture(canvas);
-  texture.wrapS = texture.wrapT = THREE.RepeatWrapping;
-  texture.anisotropy = 4;
-  return texture;
-}
-
-/** The surface: a height field around the robot, and a flat frame around that. */
-class Sand {
-  constructor(group) {
-    const [nx, ny] = CELLS;
-    const count = (nx + 1) * (ny + 1);
-    this.heights = new Float32Array(count);
-    this.geometry = new THREE.BufferGeometry();
-    const attribute = (n) => new THREE.BufferAttribute(new Float32Array(count * n), n);
-    for (const [name, n] of [["position", 3], ["normal", 3], ["color", 3], ["uv", 2]]) {
-      this.geometry.setAttribute(name, attribute(n));
-    }
-    const index = [];
-    for (let j = 0; j < ny; j += 1) {
-      for (let i = 0; i < nx; i += 1) {
-        const a = j * (nx + 1) + i;
-        index.push(a, a + 1, a + nx + 2, a, a + nx + 2, a + nx + 1);
-      }
-    }
-    this.geometry.setIndex(index);
-    this.material = new THREE.MeshLambertMaterial({ vertexColors: true, map: grains() });
-    this.mesh = new THREE.Mesh(this.geometry, this.material);
-    this.mesh.receiveShadow = true;
-    this.mesh.frustumCulled = false;
-    group.add(this.mesh);
-    this.frame = new THREE.Mesh(new THREE.BufferGeometry(), this.material);
-    this.frame.frustumCulled = false;
-    group.add(this.frame);
-    this.shown = "";
-  }
-
-  /** Moves the field under (x, y) and shows the prints made until `time`. */
-  show(prints, x, y, time) {
-    const [nx, ny] = CELLS;
-    const [i0, j0] = [Math.round(x / CELL / 10) * 10 - nx / 2, Math.round(y / CELL / 10) * 10 - ny / 2];
-    const state = `${i0} ${j0} ${prints ? prints.changed : "none"} ${prints ? Math.floor(time * 25) : ""}`;
-    if (state === this.shown) return;
-    this.shown = state;
-    this.heights.fill(0);
-    if (prints) {
-      for (let j = 1, k = nx + 1; j < ny; j += 1, k = j * (nx + 1)) {
-        for (let i = 1; i < nx; i += 1) {
-          const cell = prints.cells.get(Prints.key(i0 + i, j0 + j));
-          if (cell && cell[0] <= time) this.heights[k + i] = -cell[1];
-        }
-      }
-      this.smooth();
-    }
-    this.fill(i0, j0);
-    this.surround(i0, j0);
-  }
-
-  /** Sand does not stand upright: each cell takes some of its neighbours' height. */
-  smooth() {
-    const [nx, ny] = CELLS;
-    const [h, old] = [this.heights, this.heights.slice()];
-    const row = nx + 1;
-    for (let j = 1; j < ny; j += 1) {
-      for (let i = 1; i < nx; i += 1) {
-        const k = j * row + i;
-        const sides = old[k - 1] + old[k + 1] + old[k - row] + old[k + row];
-        const corners = old[k - row - 1] + old[k - row + 1] + old[k + row - 1] + old[k + row + 1];
-        h[k] = 0.25 * old[k] + 0.125 * sides + 0.0625 * corners;
-      }
-    }
-  }
-
-  fill(i0, j0) {
-    const [nx, ny] = CELLS;
-    const row = nx + 1;
-    const { position, normal, color, uv } = this.geometry.attributes;
-    const h = this.heights;
-    for (let j = 0; j <= ny; j += 1) {
-      for (let i = 0; i <= nx; i += 1) {
-        const k = j * row + i;
-        const [x, y] = [(i0 + i) * CELL, (j0 + j) * CELL];
-        position.setXYZ(k, x, y, h[k]);
-        const dx = i > 0 && i < nx ? (h[k + 1] - h[k - 1]) / (2 * CELL) : 0;
-        const dy = j > 0 && j < ny ? (h[k + row] - h[k - row]) / (2 * CELL) : 0;
-        const length = Math.hypot(dx, dy, 1);
-        normal.setXYZ(k, -dx / length, -dy / length, 1 / length);
-        const dark = 1 + 22 * h[k];
-        color.setXYZ(k, 0.83 * dark, 0.72 * dark, 0.52 * dark);
-        uv.setXY(k, x * 10, y * 10);
-      }
-    }
-    for (const attribute of [position, normal, color, uv]) attribute.needsUpdate = true;
-  }
-
-  surround(i0, j0) {
-    const [nx, ny] = CELLS;
-    const [x0, x1, y0, y1] = [i0 * CELL, (i0 + nx) * CELL, j0 * CELL, (j0 + ny) * CELL];
-    const far = 6;
-    const corners = [[x0, y0], [x1, y0], [x1, y1], [x0, y1]];
-    const outer = [[x0 - far, y0 - far], [x1 + far, y0 - far], [x1 + far, y1 + far], [x0 - far, y1 + far]];
-    const points = [...corners, ...outer];
-    const geometry = new THREE.BufferGeometry();
-    const set = (name, n, values) =>
-      geometry.setAttribute(name, new THREE.BufferAttribute(new Float32Array(values.flat()), n));
-    set("position", 3, points.map(([x, y]) => [x, y, 0]));
-    set("normal", 3, points.map(() => [0, 0, 1]));
-    set("color", 3, points.map(() => [0.83, 0.72, 0.52]));
-    set("uv", 2, points.map(([x, y]) => [x * 10, y * 10]));
-    const sides = [0, 1, 2, 3].map((k) => [k + 4, ((k + 1) % 4) + 4, (k + 1) % 4, k + 4, (k + 1) % 4, k]);
-    geometry.setIndex(sides.flat());
-    this.frame.geometry.dispose();
-    this.frame.geometry = geometry;
-  }
-
-  set glass(on) {
-    this.material.transparent = on;
-    this.material.opacity = on ? 0.45 : 1;
-    this.material.depthWrite = !on;
-    this.material.needsUpdate = true;
-  }
-}
+/** `radius` of the robot for which distances and lights of the scene are made [m]; others scale them. */
+const USUAL = 0.1;
 
 /** Robot and rocks of one section, as meshes. */
 class Figures {
@@ -210,7 +22,8 @@ class Figures {
       this.group.add(part);
       return part;
     });
-    this.trunk(header, paint);
+    if (header.shapes) this.shapes(header, paint);
+    else this.trunk(header, paint);
     this.objects = [];
     for (const obstacle of header.obstacles) {
       const mesh = new THREE.Mesh(shape(obstacle), paint(0x968e86));
@@ -230,6 +43,22 @@ class Figures {
     mesh.quaternion.setFromRotationMatrix(basis);
     mesh.position.set(...piece.center);
     return mesh;
+  }
+
+  /** The shapes of a robot from a file, coloured by the number of joints between body and base. */
+  shapes({ bodies, shapes }, paint) {
+    const depth = (k) => (bodies[k].parent ? 1 + depth(bodies[k].parent) : 0);
+    const meshes = shapes.meshes.map(mesh_of);
+    for (const { body, at, form } of shapes.shapes) {
+      const material = paint(body ? LINK_TINTS[depth(body) % LINK_TINTS.length] : 0x7c8696);
+      const part = new THREE.Group();
+      // Meshes may be inside out.
+      if (form.mesh !== undefined) Object.assign(material, { flatShading: true, side: THREE.DoubleSide });
+      for (const geometry of solids(form, meshes)) part.add(new THREE.Mesh(geometry, material));
+      part.position.set(at[0], at[1], at[2]);
+      part.quaternion.copy(quaternion(at.slice(3)));
+      this.bodies[body].add(part);
+    }
   }
 
   /** The base, its front, and what holds the hips. */
@@ -258,6 +87,26 @@ class Figures {
   }
 }
 
+function mesh_of({ corners, faces }) {
+  const geometry = new THREE.BufferGeometry();
+  geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(corners.flat()), 3));
+  geometry.setIndex(faces.flat());
+  return geometry;
+}
+
+/** Geometries of a shape; cylinders and capsules lie along z. */
+function solids(form, meshes) {
+  const upright = (g, by) => { g.rotateX(Math.PI / 2); g.translate(0, 0, by); return g; };
+  const tube = ({ radius, half_length: h }) => upright(new THREE.CylinderGeometry(radius, radius, 2 * h, 32), 0);
+  const ball = (radius, by) => upright(new THREE.SphereGeometry(radius, 32, 16), by);
+  if (form.sphere) return [ball(form.sphere.radius, 0)];
+  if (form.box) return [new THREE.BoxGeometry(...form.box.half.map((h) => 2 * h))];
+  if (form.cylinder) return [tube(form.cylinder)];
+  if (form.mesh !== undefined) return [meshes[form.mesh]];
+  const { radius, half_length } = form.capsule;
+  return [tube(form.capsule), ball(radius, half_length), ball(radius, -half_length)];
+}
+
 function shape(obstacle) {
   if (obstacle.radius !== null) return new THREE.SphereGeometry(obstacle.radius, 24, 16);
   const geometry = new THREE.BufferGeometry();
@@ -270,7 +119,9 @@ function shape(obstacle) {
 /** An arrow a segment: where the sand pushes, how hard and which way. */
 class Arrows {
   constructor(section, group) {
-    const count = Math.max(section.header.segments.length, 1);
+    const { length } = section.header.segments;
+    const count = Math.max(length, 1);
+    this.any = length > 0;
     const material = new THREE.MeshBasicMaterial({ color: 0xc81e3c });
     const shaft = new THREE.CylinderGeometry(0.0009, 0.0009, 1, 6);
     shaft.translate(0, 0.5, 0);
@@ -304,7 +155,7 @@ class Arrows {
     this.shafts.instanceMatrix.needsUpdate = this.heads.instanceMatrix.needsUpdate = true;
   }
 
-  set visible(on) { this.shafts.visible = this.heads.visible = on; }
+  set visible(on) { this.shafts.visible = this.heads.visible = on && this.any; }
 }
 
 /** Everything on the stage. */
@@ -321,8 +172,6 @@ class World {
     this.sun = new THREE.DirectionalLight(0xfff4e0, 2.2);
     this.sun.castShadow = true;
     this.sun.shadow.mapSize.set(1024, 1024);
-    const reach = { left: -0.3, right: 0.3, top: 0.3, bottom: -0.3, near: 0.1, far: 3 };
-    Object.assign(this.sun.shadow.camera, reach);
     this.sun.shadow.bias = -0.0005;
     this.scene.add(this.sun, this.sun.target);
     this.camera = new THREE.PerspectiveCamera(35, 1, 0.01, 20);
@@ -332,8 +181,23 @@ class World {
     this.controls.maxDistance = 3;
     this.sand = new Sand(this.tilted);
     this.camera.position.set(0.16, -0.5, 0.3);
+    this.zoom(1);
     this.section = null;
     this.layers = { arrows: true, prints: true, glass: false, follow: true };
+  }
+
+  /** Distances for a robot `scale` times as large as the usual one. */
+  zoom(scale) {
+    const near = this.controls.target;
+    this.camera.position.sub(near).multiplyScalar(scale / (this.scale || 1)).add(near);
+    this.scale = scale;
+    const [side, far] = [0.3 * scale, 3 * scale];
+    Object.assign(this.sun.shadow.camera, { left: -side, right: side, top: side, bottom: -side, near: 0.1 * scale, far });
+    this.sun.shadow.camera.updateProjectionMatrix();
+    Object.assign(this.scene.fog, { near: 1.5 * scale, far: 4.5 * scale });
+    this.camera.far = 20 * scale;
+    this.camera.updateProjectionMatrix();
+    this.controls.maxDistance = 3 * scale;
   }
 
   /** Another robot, or another episode. */
@@ -342,6 +206,9 @@ class World {
     this.figures = new Figures(section, this.tilted);
     this.arrows = new Arrows(section, this.tilted);
     this.section = section;
+    const { shapes, radius, relief } = section.header;
+    this.zoom(shapes ? radius / USUAL : 1);
+    this.sand.enter(this.scale, relief);
     const down = new THREE.Vector3(...section.header.gravity).normalize();
     this.tilted.quaternion.setFromUnitVectors(down.negate(), new THREE.Vector3(0, 0, 1));
   }
@@ -358,7 +225,7 @@ class World {
     const at = pose.bodies[0].position;
     this.sand.show(this.layers.prints ? prints : null, at.x, at.y, time);
     this.tilted.updateMatrixWorld();
-    const place = this.tilted.localToWorld(new THREE.Vector3(at.x, at.y, 0.02));
+    const place = this.tilted.localToWorld(new THREE.Vector3(at.x, at.y, this.middle(at)));
     if (!this.target || this.layers.follow) {
       const moved = place.clone().sub(this.controls.target);
       this.camera.position.add(moved);
@@ -366,8 +233,14 @@ class World {
       this.target = place;
     }
     this.sun.target.position.copy(place);
-    this.sun.position.copy(place).add(new THREE.Vector3(0.45, -0.7, 1.2));
+    this.sun.position.copy(place).add(new THREE.Vector3(0.45, -0.7, 1.2).multiplyScalar(this.scale));
     this.pose = pose;
+  }
+
+  /** The height that the camera looks at [m]. */
+  middle({ x, y }) {
+    const { shapes, radius, relief } = this.section.header;
+    return (relief ? height_at(relief, x, y) : 0) + (shapes ? 0.5 * radius : 0.02);
   }
 
   draw() {

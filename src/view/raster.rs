@@ -1,0 +1,86 @@
+//! Triangles of one colour, with a depth buffer.
+
+use super::camera::Camera;
+use crate::sim::frame::V;
+
+pub type Rgb = [f64; 3];
+
+/// Direction to the light: over the camera's right shoulder, so that the robot's front is bright.
+pub const LIGHT: [f64; 3] = [0.35, -0.45, 0.82];
+
+/// Samples of a pixel along each edge, for smooth edges: our choice.
+pub const SAMPLES: usize = 2;
+
+/// A triangle as a camera sees it.
+pub struct Facet {
+    corners: [[f32; 2]; 3],
+    distances: [f32; 3],
+    color: [f32; 3],
+}
+
+impl Facet {
+    /// None if a corner is behind the camera.
+    pub fn flat(camera: &Camera, corners: &[V; 3], color: Rgb) -> Option<Self> {
+        let seen = corners.map(|p| camera.see(p));
+        let [Some((a, da)), Some((b, db)), Some((c, dc))] = seen else { return None };
+        Some(Self { corners: [a, b, c], distances: [da, db, dc].map(|d| d as f32), color: color.map(|x| x as f32) })
+    }
+
+    /// The same, lit on the side that faces the camera: meshes may be inside out.
+    pub fn lit(camera: &Camera, corners: &[V; 3], color: Rgb) -> Option<Self> {
+        let [a, b, c] = corners;
+        let normal = (b - a).cross(&(c - a)).try_normalize(0.0)?;
+        let toward = if camera.faces((a + b + c) / 3.0, normal) { normal } else { -normal };
+        let bright = 0.62 + 0.38 * toward.dot(&V::from(LIGHT).normalize()).max(-0.6);
+        Self::flat(camera, corners, color.map(|x| x * bright + 24.0 * (bright - 0.62)))
+    }
+}
+
+/// Some rows of an image: the colour of each sample, and the distance of the visible face.
+pub struct Layer {
+    width: usize,
+    /// Number of the first row in the image.
+    top: usize,
+    pub colors: Vec<[f32; 3]>,
+    /// [m]; infinite where there is no face.
+    pub distances: Vec<f32>,
+}
+
+impl Layer {
+    pub fn new(width: usize, top: usize, rows: usize) -> Self {
+        let count = width * rows;
+        Self { width, top, colors: vec![[0.0; 3]; count], distances: vec![f32::INFINITY; count] }
+    }
+
+    /// Fills a triangle where it is nearer than the present face.
+    pub fn fill(&mut self, facet: &Facet) {
+        let ([a, b, c], [da, db, dc]) = (facet.corners, facet.distances);
+        let cross =
+            |p: [f32; 2], q: [f32; 2], r: [f32; 2]| (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]);
+        let area = cross(a, b, c);
+        if area == 0.0 || !area.is_finite() {
+            return;
+        }
+        let range = |k: usize, first: usize, end: usize| {
+            let (low, high) = (a[k].min(b[k]).min(c[k]), a[k].max(b[k]).max(c[k]));
+            let [first, end] = [first as f32, end as f32];
+            (low.floor().clamp(first, end) as usize)..(high.ceil().clamp(first, end) as usize)
+        };
+        let bottom = self.top + self.colors.len() / self.width;
+        for y in range(1, self.top, bottom) {
+            for x in range(0, 0, self.width) {
+                let p = [x as f32 + 0.5, y as f32 + 0.5];
+                let [u, v, w] = [cross(b, c, p) / area, cross(c, a, p) / area, cross(a, b, p) / area];
+                if u < 0.0 || v < 0.0 || w < 0.0 {
+                    continue;
+                }
+                // 1/distance is linear in the picture's coordinates.
+                let distance = 1.0 / (u / da + v / db + w / dc);
+                let at = (y - self.top) * self.width + x;
+                if distance < self.distances[at] {
+                    (self.distances[at], self.colors[at]) = (distance, facet.color);
+                }
+            }
+        }
+    }
+}

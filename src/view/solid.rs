@@ -1,0 +1,117 @@
+//! Robots from files, and ground that is not flat, in the picture of a moment.
+
+use super::camera::{Camera, radius};
+use super::raster::{Facet, Layer, Rgb, SAMPLES};
+use super::tree;
+use crate::sim::frame::V;
+use crate::sim::tree::looks::{Form, Looks};
+use crate::sim::tree::{Geometry, TreeModel, stance};
+use crate::sim::{Model, State};
+use resvg::tiny_skia::{Pixmap, PremultipliedColorU8};
+
+/// Two colours of the ground, in squares.
+const GROUND: [Rgb; 2] = [[230.0, 213.0, 178.0], [222.0, 203.0, 166.0]];
+/// Side of these squares, and of the cells that the ground is drawn by [m]; larger ones for larger robots.
+const SQUARE: f64 = 0.25;
+const CELL: f64 = 0.05;
+/// Most cells from the robot to the edge of the drawn ground: our choice.
+const REACH: f64 = 64.0;
+/// Share of a part under the surface that is visible through the sand.
+const BURIED: f32 = 0.22;
+/// Rows of pixels that are drawn at a time, so that large pictures need little memory: our choice.
+const BAND: usize = 32;
+
+/// A triangle in the world, and its colour.
+pub type Painted = ([V; 3], Rgb);
+
+/// The robot's shapes.
+pub fn robot(robot: &TreeModel, state: &State) -> Vec<Painted> {
+    let frames = stance::frames(&robot.tree, state);
+    let mut all = Vec::new();
+    for look in &robot.looks.shapes {
+        let color = match look.body {
+            0 => tree::BASE,
+            body => tree::LINKS[tree::depth(&robot.tree, body) % tree::LINKS.len()],
+        };
+        let at = frames[look.body] * look.origin();
+        let placed = |t: [V; 3]| (t.map(|p| (at * nalgebra::Point3::from(p)).coords), color);
+        all.extend(triangles(&robot.looks, look.form).into_iter().map(placed));
+    }
+    all
+}
+
+fn triangles(looks: &Looks, form: Form) -> Vec<[V; 3]> {
+    let primitive = match form {
+        Form::Sphere { radius } => Geometry::Sphere { radius },
+        Form::Capsule { radius, half_length } => Geometry::Capsule { radius, half_length },
+        Form::Cylinder { radius, half_length } => Geometry::Cylinder { radius, half_length },
+        Form::Box { half } => Geometry::Box { half: half.into() },
+        Form::Mesh(i) => {
+            let mesh = &looks.meshes[i];
+            return mesh.faces.iter().map(|face| face.map(|k| V::from(mesh.corners[k as usize]))).collect();
+        }
+    };
+    tree::triangles(&primitive)
+}
+
+/// Ground with heights around the robot; None: it is flat.
+pub fn ground(model: &Model, state: &State) -> Option<Vec<Painted>> {
+    model.scene.relief.as_ref()?;
+    let reach = 12.0 * radius(model);
+    let cell = CELL * (reach / (REACH * CELL)).ceil().max(1.0);
+    let [x, y, _] = state.position;
+    let [i0, j0] = [x, y].map(|at| ((at - reach) / cell).floor());
+    let count = (2.0 * reach / cell).ceil() as usize + 1;
+    let node = |i: usize, j: usize| {
+        let [x, y] = [(i0 + i as f64) * cell, (j0 + j as f64) * cell];
+        V::new(x, y, model.surface_height(x, y))
+    };
+    let nodes: Vec<V> = (0..count * count).map(|k| node(k % count, k / count)).collect();
+    let mut all = Vec::with_capacity(2 * count * count);
+    for k in (0..count * (count - 1)).filter(|k| k % count + 1 < count) {
+        let [a, b, c, d] = [k, k + 1, k + count + 1, k + count].map(|k| nodes[k]);
+        let middle = (a + c) / (2.0 * SQUARE);
+        let color = GROUND[(middle.x.floor() + middle.y.floor()).rem_euclid(2.0) as usize];
+        all.extend([([a, b, c], color), ([a, c, d], color)]);
+    }
+    Some(all)
+}
+
+/// Paints both into `map`. `camera`: that of a picture with [`SAMPLES`] times as many pixels along each side. Parts
+/// of the robot under the surface shine through.
+pub fn paint(map: &mut Pixmap, camera: &Camera, robot: &[Painted], ground: Option<&[Painted]>) {
+    let lit = |all: &[Painted]| -> Vec<Facet> { all.iter().filter_map(|(t, c)| Facet::lit(camera, t, *c)).collect() };
+    let (robot, ground) = (lit(robot), ground.map(lit));
+    let [width, height] = [map.width(), map.height()].map(|side| side as usize);
+    for top in (0..height).step_by(BAND) {
+        let rows = BAND.min(height - top);
+        let layer = |facets: &[Facet]| {
+            let mut layer = Layer::new(width * SAMPLES, top * SAMPLES, rows * SAMPLES);
+            facets.iter().for_each(|facet| layer.fill(facet));
+            layer
+        };
+        let (robot, ground) = (layer(&robot), ground.as_deref().map(layer));
+        let pixels = map.pixels_mut()[top * width..][..rows * width].iter_mut();
+        for (k, pixel) in pixels.enumerate() {
+            let old = [pixel.red(), pixel.green(), pixel.blue()].map(f32::from);
+            let mut sum = [0.0_f32; 3];
+            for s in 0..SAMPLES * SAMPLES {
+                let [x, y] = [k % width * SAMPLES + s % SAMPLES, k / width * SAMPLES + s / SAMPLES];
+                let at = y * width * SAMPLES + x;
+                let (below, surface) = match &ground {
+                    Some(ground) if ground.distances[at].is_finite() => (ground.colors[at], ground.distances[at]),
+                    Some(_) => (old, f32::INFINITY),
+                    None => (old, camera.level([x as f64 + 0.5, (top * SAMPLES + y) as f64 + 0.5]) as f32),
+                };
+                let share = match robot.distances[at] {
+                    f32::INFINITY => 0.0,
+                    distance if distance > surface => BURIED,
+                    _ => 1.0,
+                };
+                (0..3).for_each(|c| sum[c] += robot.colors[at][c] * share + below[c] * (1.0 - share));
+            }
+            let [r, g, b] = sum.map(|x| (x / (SAMPLES * SAMPLES) as f32).round().clamp(0.0, 255.0) as u8);
+            *pixel = PremultipliedColorU8::from_rgba(r, g, b, 255).unwrap_or(*pixel);
+        }
+    }
+}
