@@ -4,8 +4,7 @@ usage: python benches/peers.py [--binary BINARY] [--robot robots/sandcat.xml] [-
 
 Measured in turn, each on one pinned core and then on all of this machine's cores, so that drift of the machine's
 speed affects all alike: `sandgait bench` (whole environment steps, sand included), EnvPool Ant-v5, gymnasium's
-Ant-v5 in
-a SyncVectorEnv, and MuJoCo's bare `mj_step` of the same hexapod, without any sand, at the same 0.5 ms time step.
+Ant-v5 in a SyncVectorEnv, and MuJoCo's bare `mj_step` of the same hexapod, without any sand, at the same 1 ms time step.
 A robot from a file (MJCF) on a hard floor, random actions: LeggedVelocity at its own time step, `mj_step` at 2 ms; a
 step of both is 20 ms.
 Needs: pip install "gymnasium[mujoco]" envpool (a target of the Makefile makes an environment with them).
@@ -28,7 +27,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 XPLORER = ROOT / "src/sim/robots/xplorer.toml"
-SUBSTEPS = 40  # 0.5 ms steps in a 50 Hz control step
+SUBSTEPS = 20  # 1 ms steps in a 50 Hz control step
 FLOOR_STEP, FLOOR_SUBSTEPS = 0.002, 10
 
 
@@ -49,7 +48,7 @@ def hexapod_mjcf(robot: dict) -> str:
         gains = f'kp="{robot["servo"]["kp"]}" kv="{robot["servo"]["kd"]}"'
         servos.append(f'<position joint="{name}" {gains}/>')
     return (
-        '<mujoco><option timestep="0.0005" integrator="implicitfast"/><worldbody><body pos="0 0 1"><freejoint/>'
+        '<mujoco><option timestep="0.001" integrator="implicitfast"/><worldbody><body pos="0 0 1"><freejoint/>'
         f'<geom type="box" size="{size}" mass="{base["mass"]}" {untouchable}/>{"".join(legs)}'
         f"</body></worldbody><actuator>{''.join(servos)}</actuator></mujoco>"
     )

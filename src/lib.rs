@@ -1,7 +1,7 @@
 //! sandgait: batched reinforcement-learning environments of legged robots on sand.
 //!
-//! Data flow one way: [`service`] → [`session`] → [`pool`] → [`policy`] → [`env`] → [`sim`] → [`sand`]; no crate
-//! uses one before it in this list.
+//! Dependencies go one way: [`service`] → [`session`] → [`pool`] → [`policy`] → [`env`] → [`sim`] → [`sand`]. No crate
+//! uses one that is before it in this list.
 pub mod cli;
 pub mod validate;
 

@@ -1,4 +1,4 @@
-//! The command line's contract: names, keys, columns, exit codes; wrong use is one line on stderr and writes nothing.
+//! The command line: names, keys, columns and exit codes. Wrong use gives one line on stderr and writes no file.
 
 use std::io::{BufRead as _, BufReader};
 use std::process::{Child, Command, Output, Stdio};
@@ -30,7 +30,7 @@ fn refused(arguments: &[&str], words: &[&str]) {
 }
 
 #[test]
-fn walk_reports_speed_or_stillness() {
+fn walk_reports_the_speed() {
     let walk = json(&["walk", "--leg", "L", "--frequency", "2", "--json"]);
     for key in ["speed", "base_height", "real_time_factor"] {
         assert!(walk[key].as_f64().is_some_and(|x| x > 0.0), "{key}: {walk}");
@@ -166,7 +166,7 @@ fn help_has_examples() {
     assert!(text(&["--version"]).contains(env!("CARGO_PKG_VERSION")));
 }
 
-/// A server that has said where it listens.
+/// A server that has printed its address.
 struct Served(Child);
 
 impl Drop for Served {
@@ -204,7 +204,7 @@ impl Served {
 }
 
 #[test]
-fn serve_says_where_and_ends_with_a_signal() {
+fn serve_prints_its_address_and_ends_with_a_signal() {
     let (server, line) = Served::start(&["--listen", "127.0.0.1:0"]);
     let address = line.trim_end().strip_prefix("listening on ").unwrap().to_owned();
     std::net::TcpStream::connect(&address).unwrap();
@@ -261,7 +261,7 @@ fn a_recorded_walk_is_replayed() {
     assert_eq!(recorded, speed(&plain), "who looks changes nothing");
     let summary = &json(&["replay", file, "--json"])[0];
     assert_eq!((&summary["robot"], &summary["medium"]), (&"xplorer".into(), &"poppy-loose".into()));
-    // 0.5 s of start and six strides of 0.5 s, a hundred moments a second; the mean includes the start.
+    // 0.5 s of hold and ramp and six strides of 0.5 s, at a hundred moments a second; the mean includes hold and ramp.
     assert!((350..=352).contains(&summary["moments"].as_u64().unwrap()), "{summary}");
     let mean = summary["mean_speed"].as_f64().unwrap();
     assert!(mean > 0.7 * recorded && mean < recorded, "{mean} {recorded}");
@@ -269,7 +269,7 @@ fn a_recorded_walk_is_replayed() {
     text(&["replay", file, "--html", page]);
     let html = std::fs::read_to_string(page).unwrap();
     assert!(html.starts_with("<!doctype html>") && html.contains("walk.rec") && html.contains("id=\"recording\""));
-    refused(&["replay", page], &["walk.html", "none of sandgait's"]);
+    refused(&["replay", page], &["walk.html", "not one of sandgait's"]);
     refused(&["replay", page, "--html", none], &["walk.html"]);
     refused(&["replay", "/nowhere.rec"], &["/nowhere.rec"]);
     let cut = std::fs::read(file).unwrap();

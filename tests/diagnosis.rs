@@ -1,4 +1,4 @@
-//! The diagnosis from outside: hidden effects must be found, bad data must be refused, nothing may panic.
+//! The diagnosis of force logs: it finds hidden causes, refuses bad data, and never panics.
 
 mod testbed;
 
@@ -40,9 +40,10 @@ fn hidden(causes: &[(&'static str, f64)]) -> Report {
     diagnosis(&testbed::log(11, &Hidden { causes: causes.to_vec() }, 0.05).noisy).report
 }
 
-/// Every law against the test-bed's own form of it: within 1 % of the largest force, what 40 and 53 segments differ by.
+/// Every law agrees with the test bed's independent implementation to 1 % of the largest force, the difference between 40 and 53
+/// segments.
 #[test]
-fn forward_model_agrees_with_the_laboratory() {
+fn forward_model_agrees_with_the_test_bed() {
     let directory = tempfile::tempdir().unwrap();
     let medium = experiment().medium;
     for entry in CATALOG.iter().filter(|m| m.intrusion) {
@@ -71,7 +72,7 @@ fn forward_model_agrees_with_the_laboratory() {
     }
 }
 
-/// Far enough from every rival (> 12 σ on this design) that the name must be right and the value within its interval's reach.
+/// On this design every rival is more than 12 σ away, so the diagnosis must name the right cause, and its value must be right.
 #[test]
 fn hidden_causes_are_named() {
     for (id, value) in
@@ -96,7 +97,7 @@ fn a_pair_is_named() {
 }
 
 #[test]
-fn nothing_hidden_is_the_noise_floor() {
+fn without_a_hidden_cause_the_verdict_is_noise_floor() {
     let r = hidden(&[]);
     assert_eq!(r.verdict, Verdict::NoiseFloor, "{}", r.summary);
     assert!(r.causes.is_empty() && r.ambiguity_set.is_empty());
@@ -109,10 +110,10 @@ fn a_cause_outside_the_library_is_none_of_these() {
     assert!(r.causes.is_empty() && !r.correlates_with.is_empty());
 }
 
-/// A drag of another power of the speed is not called by the law's name where the data exclude the law's power, and where they
-/// do not tell powers apart the report says so.
+/// The hidden drag has another power of the speed than the law. If the data exclude the law's power, the law is not named. If the
+/// data do not distinguish the powers, the report says so.
 #[test]
-fn the_form_of_a_law_is_questioned() {
+fn the_exponent_of_the_speed_is_tested() {
     let form = |design, loud, id, value| {
         let log = testbed::noisy_log(design, loud, 11, &Hidden { causes: vec![(id, value)] }, 0.05);
         let r = diagnosis(&log.noisy).report;
@@ -122,7 +123,7 @@ fn the_form_of_a_law_is_questioned() {
     assert!(found.excluded && (found.found - 1.5).abs() < 0.15, "{found:?}");
     assert_eq!(r.verdict, Verdict::Described, "{}", r.summary);
     assert!(r.summary.contains("where inertial_drag has 2"), "{}", r.summary);
-    // The same stress at any depth, as the speed's power 1.5: (v²/(g|z|))^0.75 (|z|/w)^−0.25 |z|.
+    // This term is proportional to v^1.5 and does not depend on the depth: (v²/(g|z|))^0.75 (|z|/w)^−0.25 |z|.
     let term = &r.terms[0];
     assert_eq!((term.groups["froude"], term.groups["depth_over_width"]), (0.75, -0.25), "{}", r.summary);
     let (found, r) = form(Design::Crossed, 0.5, "inertial_drag", 1.5);
@@ -133,8 +134,8 @@ fn the_form_of_a_law_is_questioned() {
     assert!(r.summary.contains("these data allow every power"), "{}", r.summary);
 }
 
-/// Rests change nothing: neither a start from rest, as every real drive makes, nor stops, whatever the velocities and forces
-/// logged there.
+/// The verdict does not depend on samples at rest: at the start, as with every real drive, at the end, or at stops in between. The
+/// velocities and forces logged during a rest do not matter.
 #[test]
 fn rests_change_no_verdict() {
     let rests = [
@@ -158,7 +159,7 @@ fn rests_change_no_verdict() {
     }
 }
 
-/// What a load cell does in every laboratory hides no cause and makes none: it is told as nuisances.
+/// The usual errors of a load cell are reported as nuisances. They neither hide a cause nor are they named as one.
 #[test]
 fn a_dirty_load_cell_changes_no_verdict() {
     let of = |causes: Vec<(&'static str, f64)>| {
@@ -183,7 +184,7 @@ fn a_dirty_load_cell_changes_no_verdict() {
     assert_eq!(r.schema, "sandgait.diagnosis.v2");
 }
 
-/// The first row's velocity may be exactly zero without there being a rest.
+/// The velocity of the first row is exactly zero, but the trial does not begin with a rest.
 #[test]
 fn a_first_velocity_of_zero_changes_no_verdict() {
     let log = testbed::log(11, &Hidden { causes: vec![("inertial_drag", 1.0)] }, 0.05).noisy;
@@ -207,7 +208,7 @@ fn a_first_velocity_of_zero_changes_no_verdict() {
     assert!((r.causes[0].value - 1.0).abs() < 0.1, "{}", r.summary);
 }
 
-/// A plate that starts from rest toward −x is the mirror image of one toward +x, whatever its velocity at rest is noisy by.
+/// A plate that starts from rest toward −x gives the mirror image of one toward +x, whatever the noise of its velocity at rest.
 #[test]
 fn plates_that_start_from_rest_are_mirrored() {
     let directory = tempfile::tempdir().unwrap();
@@ -228,23 +229,23 @@ fn plates_that_start_from_rest_are_mirrored() {
 }
 
 #[test]
-fn without_repetitions_nothing_is_said() {
+fn without_repetitions_the_verdict_is_insufficient_data() {
     let log = testbed::log(11, &Hidden::default(), 0.05).noisy;
     let once: Vec<&str> = log.lines().filter(|l| l.starts_with("trial") || l.split(',').nth(2) == Some("0")).collect();
     let r = diagnosis(&once.join("\n")).report;
     assert_eq!(r.verdict, Verdict::InsufficientData);
 }
 
-/// The log without noise: its repetitions are equal to the last digit.
+/// In a log without noise, all repetitions are equal to the last digit.
 #[test]
-fn copies_are_no_repetitions() {
+fn copied_trials_are_not_repetitions() {
     let r = diagnosis(&testbed::log(11, &Hidden { causes: vec![("inertial_drag", 1.0)] }, 0.05).clean).report;
     assert_eq!(r.verdict, Verdict::InsufficientData, "{}", r.summary);
     assert!(r.summary.contains("copies"), "{}", r.summary);
 }
 
 #[test]
-fn missing_columns_are_named_with_what_they_keep_from_being_tested() {
+fn missing_columns_are_reported_with_their_untestable_causes() {
     let log = testbed::log(11, &Hidden::default(), 0.05).noisy;
     let drop = [9, 10, 11]; // pass, pass_dx, x_bed
     let keep = |l: &str| {
@@ -256,14 +257,14 @@ fn missing_columns_are_named_with_what_they_keep_from_being_tested() {
     }
 }
 
-/// Progress grows, and whoever listens can stop the work at every report.
+/// Progress only grows, and the caller can stop the work at each report.
 #[test]
-fn progress_is_told_and_can_stop_the_work() {
+fn work_reports_progress_and_can_be_stopped() {
     struct Until(usize, Mutex<Vec<f64>>);
     impl Progress for Until {
         fn report(&self, done: f64, stage: &str) -> sandgait::Result<()> {
             let mut told = self.1.lock().unwrap();
-            // Long stages ask again whether to go on; how often depends on the machine.
+            // A long stage reports the same progress several times; how often depends on the machine.
             if told.last() != Some(&done) {
                 told.push(done);
             }
@@ -282,7 +283,7 @@ fn progress_is_told_and_can_stop_the_work() {
     }
 }
 
-/// sand.toml loads back, and predicting the data's conditions with it gives the report's prediction.
+/// A simulation of the data's conditions with the written sand.toml gives the report's predictions.
 #[test]
 fn the_extended_sand_predicts_what_the_report_shows() {
     let directory = tempfile::tempdir().unwrap();
@@ -345,7 +346,8 @@ fn bad_data_are_refused_with_file_row_and_column() {
     );
 }
 
-/// A gigabyte is refused unread, and a log of too many samples while it is read: both in one line that says what to do.
+/// A file of a gigabyte is refused before it is read, and a log with too many samples while it is read. Both give one line that says
+/// what to do.
 #[test]
 fn logs_beyond_the_limits_are_refused() {
     let directory = tempfile::tempdir().unwrap();
@@ -384,7 +386,7 @@ fn units_and_column_names_are_converted() {
     assert!((plain[45] - 1000.0 * scaled[45]).abs() < 1e-9);
 }
 
-/// `base` with one to three of its places damaged.
+/// `base` with random changes at one to three positions.
 fn damaged(base: &[u8], rng: &mut Xoshiro256PlusPlus) -> Vec<u8> {
     const WORDS: [&str; 18] = [
         "", "nan", "inf", "-1e308", "1e-320", "0", "-0.0", "\"", ",", "\n", "plate", "leg", "2", "é", "\u{0}", "1e400",
@@ -412,7 +414,7 @@ fn damaged(base: &[u8], rng: &mut Xoshiro256PlusPlus) -> Vec<u8> {
     bytes
 }
 
-/// Ten thousand damaged walking logs and as many experiments: read, or refused in one line, without a panic.
+/// Ten thousand damaged walking logs and as many damaged experiment files are read, or refused in one line, without a panic.
 #[test]
 fn damaged_runs_and_experiments_never_panic() {
     const WALKS: &str = "run,condition,rep,robot,leg,xi_deg,stride_frequency,slope_deg,payload,x_bed,duration,speed,pitch_rms\n\
@@ -444,11 +446,11 @@ fn damaged_runs_and_experiments_never_panic() {
     assert!(accepted.iter().chain(&refused).all(|n| *n > 100), "{accepted:?} accepted, {refused:?} refused");
 }
 
-/// Ten thousand damaged files: read without a panic, and those that can still be read are diagnosed without one.
+/// Ten thousand damaged files are read without a panic, and those that can still be read are diagnosed without one.
 #[test]
 fn damaged_files_never_panic() {
     let log = testbed::log(3, &Hidden::default(), 0.05).noisy;
-    // Two conditions, two repetitions, few samples: damage reaches every part of a small file.
+    // Two conditions, two repetitions, few samples: in a small file, random damage reaches every part.
     let small: Vec<&str> = log
         .lines()
         .enumerate()

@@ -1,4 +1,4 @@
-//! `kind = "intruder"`: what two wheels measured in sand say about the plain theory, by themselves.
+//! Diagnosis with `kind = "intruder"`, on the published measurements of two wheels in sand.
 
 use sandgait::diagnose::diagnose;
 use sandgait::diagnose::experiment::Experiment;
@@ -32,7 +32,7 @@ fn diagnosed(keep: impl Fn(&str) -> bool) -> Diagnosis {
     diagnose(&path, &experiment(), &Silent).unwrap()
 }
 
-/// Root mean squares of Fx and Fy under the measured load [N].
+/// Root mean square errors of Fx and Fy under the measured load [N].
 fn errors(sand: &SandDescription, rows: &[String]) -> [f64; 2] {
     let body = Body::cut(&BodyShape::named(WHEEL).unwrap(), None).unwrap();
     let mut squares = [0.0; 2];
@@ -48,13 +48,14 @@ fn errors(sand: &SandDescription, rows: &[String]) -> [f64; 2] {
     squares.map(f64::sqrt)
 }
 
-/// Vertical resistance lost with skid comes first; at a slip angle that it did not see the error in Fx and Fy halves.
+/// The diagnosis finds a loss of vertical resistance in skid. The found sand halves the error in Fx and Fy at a slip angle that was
+/// left out of the fit.
 #[test]
-fn wheels_lose_vertical_resistance_in_skid_and_other_angles_gain_by_it() {
+fn skid_loss_is_found_and_halves_the_held_out_error() {
     let diagnosis = diagnosed(|row| !row.contains("_30deg"));
     let report = &diagnosis.report;
     println!("{}\n{:?}\n{:?}\n{:?}", report.summary, report.causes, report.gain, report.lack_of_fit);
-    // Beside it these data do not tell what else there is, so a set of pairs may stand there: skid is in every one.
+    // These data do not determine the second cause, so the verdict may be a set of pairs; skid is in each of them.
     assert!(matches!(report.verdict, Verdict::Named | Verdict::Ambiguous), "{}", report.summary);
     assert_eq!(report.causes[0].id, "skid_loss", "{:?}", report.causes);
     assert!(report.ambiguity_set.iter().all(|ids| ids.iter().any(|id| id == "skid_loss")), "{}", report.summary);
@@ -71,7 +72,7 @@ fn wheels_lose_vertical_resistance_in_skid_and_other_angles_gain_by_it() {
 }
 
 #[test]
-fn rows_that_cannot_be_are_refused() {
+fn impossible_rows_are_refused() {
     let (header, rows) = rows();
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("rows.csv");
@@ -83,7 +84,7 @@ fn rows_that_cannot_be_are_refused() {
     };
     let first = &rows[0];
     refused(format!("{header}\n{}\n", first.replace(",smooth,", ",tank,")), "tank");
-    refused(format!("{header}\n{first}\n{first}\n"), "stands there twice");
+    refused(format!("{header}\n{first}\n{first}\n"), "is in the file twice");
     refused(format!("{header}\n{}\n", first.replace("20.324", "-1")), "load");
     refused(format!("{header}\n{}\n", first.replace("2.066", "-1")), "negative");
     refused(format!("{}\n{first}\n", header.replace("depth,", "sinkage,")), "depth");

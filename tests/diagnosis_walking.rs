@@ -1,4 +1,4 @@
-//! The diagnosis of walking runs from outside, on runs of another engine.
+//! The diagnosis of walking runs that another engine has simulated.
 
 #[path = "testbed/walking.rs"]
 mod hall;
@@ -37,7 +37,7 @@ fn diagnosis(directory: &Path, conditions: &[hall::Condition], hidden: Mechanism
     diagnose(&file(directory, &hall::runs(5, conditions, hidden, 0.05)), &experiment, &Silent).unwrap()
 }
 
-/// A hidden slope is named, its value is right, and sand.toml walks as the report says.
+/// A hidden slope is named with the right value, and a simulation with sand.toml walks as the report predicts.
 #[test]
 fn a_hidden_slope_is_named_and_its_sand_walks_as_reported() {
     let directory = tempfile::tempdir().unwrap();
@@ -78,10 +78,10 @@ fn a_hidden_slope_is_named_and_its_sand_walks_as_reported() {
     assert_eq!(compared, log.setups.len());
 }
 
-/// Whoever stops a diagnosis amid its simulations need not wait for them.
+/// A diagnosis that is stopped during its simulations ends without finishing them.
 #[test]
-fn a_diagnosis_stops_amid_its_simulations() {
-    /// Says stop when it hears the same twice, which only work inside a stage says.
+fn a_diagnosis_stops_during_its_simulations() {
+    /// Stops the work when the same progress is reported twice, which happens only inside a stage.
     struct Stops(Mutex<(f64, Option<Instant>)>);
     impl Progress for Stops {
         fn report(&self, done: f64, _: &str) -> sandgait::Result<()> {
@@ -99,19 +99,19 @@ fn a_diagnosis_stops_amid_its_simulations() {
     let stops = Stops(Mutex::default());
     let outcome = diagnose(&file(directory.path(), &text), &experiment, &stops);
     assert!(matches!(outcome.err(), Some(Error::Cancelled(_))));
-    // Within a second; ten on a machine that has other things to do.
+    // Usually within a second; ten seconds on a loaded machine.
     let stopped = stops.0.lock().unwrap().1.unwrap();
     assert!(stopped.elapsed() < Duration::from_secs(10), "{:?}", stopped.elapsed());
 }
 
 #[test]
-fn nothing_hidden_is_the_noise_floor() {
+fn without_a_hidden_cause_the_verdict_is_noise_floor() {
     let directory = tempfile::tempdir().unwrap();
     let r = diagnosis(directory.path(), &hall::drawn(5), Mechanisms::PLAIN).report;
     assert_eq!(r.verdict, Verdict::NoiseFloor, "{}", r.summary);
 }
 
-/// A motor so weak that it stalls changes a gait altogether; it is still found, and nothing else is needed.
+/// A motor that stalls changes the whole gait; the diagnosis still finds it as the only cause.
 #[test]
 fn a_motor_that_stalls_is_named() {
     let directory = tempfile::tempdir().unwrap();
@@ -125,11 +125,11 @@ fn a_motor_that_stalls_is_named() {
     );
     let cause = &r.causes[0];
     assert!((cause.value / 0.0125 - 1.0).abs() < 0.05, "{}", r.summary);
-    // A stalling gait is rough: slopes gave intervals that held nothing.
+    // The motion of a stalling gait is irregular; intervals from derivatives alone did not contain the true value.
     assert!((cause.ci95[0]..=cause.ci95[1]).contains(&0.0125), "{}", r.summary);
 }
 
-/// One clear line with row and column for every wrong use.
+/// Each wrong input gives one clear line with row and column.
 #[test]
 fn bad_runs_are_refused() {
     let directory = tempfile::tempdir().unwrap();

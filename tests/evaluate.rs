@@ -1,4 +1,4 @@
-//! Figures of gaits: each by its definition, and intervals that are right.
+//! Figures of gaits: each agrees with its definition, and the intervals have the right coverage.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use rand::{Rng as _, SeedableRng as _};
@@ -38,9 +38,9 @@ fn figures(policy: &str, options: Value) -> Figures {
     rows(&request(policy, options))[0].figures
 }
 
-/// What the feet's velocities say is how their positions change: a robot that is thrown and turns its legs.
+/// The velocities of the feet are the derivatives of their positions, for a flying robot that turns its legs.
 #[test]
-fn feet_move_as_their_velocities_say() {
+fn velocities_of_feet_are_derivatives_of_their_positions() {
     let dt = 1e-6;
     for (name, shape) in [("xplorer", "L"), ("xplorer18", "flat")] {
         let robot = Robot::load(name).unwrap().with_leg_shape(shape).unwrap();
@@ -73,7 +73,7 @@ fn feet_move_as_their_velocities_say() {
     }
 }
 
-/// The lowest foot of a robot that is set down touches the surface.
+/// The lowest feet of a robot at its standing height touch the surface.
 #[test]
 fn feet_of_a_standing_robot_touch_the_surface() {
     let robot = Robot::load("xplorer").unwrap();
@@ -84,7 +84,7 @@ fn feet_of_a_standing_robot_touch_the_surface() {
     assert!(heights.iter().all(|z| *z > -1e-12) && heights.iter().filter(|z| **z < 1e-12).count() == 3, "{heights:?}");
 }
 
-/// Ten seconds at one rate from rest, against the speed protocol's four strides: the same energy and distance.
+/// Ten seconds at a constant rate from rest have the same speed and cost of transport as the four strides of the speed protocol.
 #[test]
 fn a_tripods_speed_and_cost_are_those_of_a_walk() {
     let got = figures("tripod:2", json!({"angle_noise": 0.0, "leg": "C"}));
@@ -96,7 +96,7 @@ fn a_tripods_speed_and_cost_are_those_of_a_walk() {
     assert!((got.speed.mean / walked.speed - 1.0).abs() < 0.05, "{} {}", got.speed.mean, walked.speed);
     let cost = got.cost_of_transport.mean;
     assert!((cost / walked.cost_of_transport - 1.0).abs() < 0.07, "{cost} {}", walked.cost_of_transport);
-    // Without noise all episodes are one but for the command.
+    // Without noise the episodes differ only in their command.
     assert!(got.speed.high - got.speed.low < 1e-3 && got.return_differs());
     assert!(got.slip.mean > 0.0 && got.slip.mean < 1.0, "{:?}", got.slip);
     assert_eq!((got.falls.mean, got.diverged), (0.0, 0));
@@ -113,19 +113,19 @@ impl ReturnDiffers for Figures {
 }
 
 #[test]
-fn gaits_without_skill_are_no_better_than_they_are() {
+fn standing_and_random_actions_score_below_a_tripod() {
     let (standing, random) = (figures("standing", Value::Null), figures("random", Value::Null));
     let tripod = figures("tripod:2", Value::Null);
     assert!(standing.speed.mean.abs() < 0.005 && random.speed.mean.abs() < 0.1, "{standing:?} {random:?}");
     assert!(
         tripod.speed.mean > 0.15 && tripod.total_reward.low > standing.total_reward.high.max(random.total_reward.high)
     );
-    // Backward is no forward distance: no cost of transport, and feet that push forward have no slip.
+    // A robot that walks backward covers no forward distance, so cost of transport and slip are not defined.
     let back = figures("tripod:-2", Value::Null);
     assert!(back.speed.high < -0.1 && back.cost_of_transport.mean.is_nan() && back.slip.mean.is_nan(), "{back:?}");
 }
 
-/// Gravity's part of the work is paid by who goes up, and slopes are harder.
+/// There is one row for each medium and slope. Walking up a slope costs more.
 #[test]
 fn slopes_and_media_each_have_a_row() {
     let mut all = request("tripod:2", json!({"leg": "C"}));
@@ -137,12 +137,12 @@ fn slopes_and_media_each_have_a_row() {
         let [flat, steep] = [pair[0].figures, pair[1].figures];
         assert!(steep.speed.high < flat.speed.low && steep.cost_of_transport.low > flat.cost_of_transport.high);
     }
-    // Each is what it is alone.
+    // Each row equals an evaluation of this medium and slope alone.
     let alone = figures("tripod:2", json!({"leg": "C", "medium": "poppy-close", "slope_deg": 5.0}));
     assert_eq!(alone, rows[3].figures);
 }
 
-/// The searched rate is the best of those tried, on other seeds than those reported.
+/// The gait `tripod` takes the best rate of a search, which uses other seeds than the report.
 #[test]
 fn the_best_tripod_is_searched() {
     let found = &rows(&request("tripod", json!({"command": [0.25, 0.25]})))[0];
@@ -154,9 +154,9 @@ fn the_best_tripod_is_searched() {
     }
 }
 
-/// Action 0 of the clock is the tripod at 2.5 Hz, by another way of driving the same motors.
+/// Action 0 of the clock control is the tripod at 2.5 Hz, computed by other code than the gait `tripod`.
 #[test]
-fn a_clock_at_0_is_a_tripod() {
+fn action_0_of_the_clock_is_a_tripod() {
     let options = json!({"angle_noise": 0.0});
     let (clock, tripod) =
         (figures("clock:0,0,0,0,0,0,0,0,0,0", options.clone()), figures("tripod:2.5", options.clone()));
@@ -173,7 +173,7 @@ fn a_clock_at_0_is_a_tripod() {
     assert_eq!(other, "control: this gait needs \"hip_speed\", not \"torque\"");
 }
 
-/// Every task that walks, with whatever its episodes draw.
+/// Every walking task, with all quantities that its episodes draw at random.
 #[test]
 fn walking_tasks_can_be_evaluated() {
     for task in ["sandgait/HexapodLegs-v1", "sandgait/HexapodRocks-v1", "sandgait/HexapodTerrain-v1"] {
@@ -203,7 +203,7 @@ impl Progress for Told {
 }
 
 #[test]
-fn an_evaluation_tells_progress_and_can_be_stopped() {
+fn an_evaluation_reports_progress_and_can_be_stopped() {
     let told = Told(Mutex::default());
     let stopped = Study::new(&request("tripod", Value::Null)).unwrap().run(&told);
     assert_eq!(stopped.unwrap_err().to_string(), "enough");
@@ -223,9 +223,9 @@ fn the_interval_of_falls_is_the_published_one() {
     }
 }
 
-/// Of many samples drawn from a known distribution, some 95 % have its mean in their interval.
+/// For many samples from a known distribution, some 95 % of the intervals contain its mean.
 #[test]
-fn the_bootstraps_interval_covers() {
+fn bootstrap_intervals_have_their_coverage() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(5);
     let covered = (0..200).filter(|_| {
         let x = |_| random.random_range(0.0..1.0_f64).powi(2);
@@ -239,7 +239,7 @@ fn the_bootstraps_interval_covers() {
 }
 
 #[test]
-fn a_cost_without_distance_is_no_number() {
+fn a_cost_of_transport_without_distance_is_nan() {
     let still = Episode { work: 1.0, weight: 1.5, time: 1.0, ..Episode::default() };
     let walks = Episode { distance: 1.0, ..still };
     assert!(Figures::of(&[still; 4]).cost_of_transport.mean.is_nan());
@@ -253,7 +253,7 @@ fn wrong_gaits_are_refused() {
     let refused = |text: &str| Wanted::parse(text, read).unwrap_err().to_string();
     assert!(refused("crawl").contains("policy \"crawl\" is unknown; known: FILE.onnx, tripod"));
     assert_eq!(refused("tripod:7"), "tripod: 7 is outside [-5, 5]");
-    assert_eq!(refused("tripod:fast"), "tripod: \"fast\" is no number of Hz");
+    assert_eq!(refused("tripod:fast"), "tripod: \"fast\" is not a number of Hz");
     assert_eq!(refused("clock:1,x"), "clock: \"x\" is no number");
     assert!(refused("no-such.onnx").contains("no-such.onnx"));
     let refused = |request: &Request| Study::new(request).map(drop).unwrap_err().to_string();

@@ -1,5 +1,5 @@
-//! Falling never pays: of many plans, and of a search among those that end in a fall, none is better than standing still from
-//! some moment on, be it the first.
+//! Falling is never rewarded. A search looks for action plans that end in a fall with a high return. For each of them, the same plan
+//! followed by standing still from some step on has a higher return.
 
 use rand::{Rng as _, SeedableRng as _};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -9,14 +9,14 @@ use serde_json::json;
 
 const TASK: &str = "sandgait/HexapodGait-v1";
 const STEPS: usize = 500;
-/// Plans of a generation, generations, and falls of a generation that the next one varies.
+/// Plans in a generation, number of generations, and number of falls that the next generation varies.
 const PLANS: usize = 64;
 const GENERATIONS: usize = 1;
 const BEST: usize = 8;
-/// Control steps for which a plan keeps an action.
+/// Control steps during which a plan holds an action.
 const HOLD: usize = 10;
 
-/// Actions that are repeated, and the step from which the robot stands instead.
+/// A sequence of actions that is repeated, and the step from which the robot stands still instead.
 #[derive(Clone)]
 struct Plan {
     actions: Vec<[f32; 6]>,
@@ -29,7 +29,7 @@ impl Plan {
     }
 }
 
-/// Return of each plan until its episode ends, all from one start, and the step in which it fell.
+/// Return of each plan until its episode ends, and the step in which it fell. All plans start from the same state.
 fn play(blueprint: &Blueprint, seed: u64, plans: &[Plan]) -> Vec<(f64, Option<usize>)> {
     let mut shard = Shard::new(blueprint, plans.len()).unwrap();
     shard.reset(|_| true, Some(&vec![seed; plans.len()]), |_| None);
@@ -51,7 +51,7 @@ fn play(blueprint: &Blueprint, seed: u64, plans: &[Plan]) -> Vec<(f64, Option<us
     outcomes
 }
 
-/// The falls of highest return that were found: return, step, plan.
+/// The falls with the highest returns that the search finds: return, step, plan.
 fn falls(blueprint: &Blueprint, seed: u64) -> Vec<(f64, usize, Plan)> {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
     let mut plan = |k: usize| {
@@ -104,7 +104,7 @@ fn falling_never_pays() {
     assert!(found > 50, "only {found} falls were found");
 }
 
-/// Before anything can be learnt: who falls in the first two seconds has less than who stands.
+/// A robot that falls in the first two seconds has a lower return than one that stands.
 #[test]
 fn early_falls_are_far_below_standing() {
     for slope in [-35.0, 35.0] {

@@ -1,15 +1,15 @@
-//! The code made from `proto/` is what its makers make now. It is committed: so a build needs neither them nor protoc.
-//! `make proto` writes it anew.
+//! The committed code in `generated` folders is what the generators make from `proto/` now. It is committed so that a build needs
+//! neither the generators nor protoc. `make proto` writes it again.
 
 use prost::Message as _;
 use std::path::{Path, PathBuf};
 
-/// Files, made in pure Rust, in the folder `out`.
+/// Generates all files into the folder `out`, without protoc.
 fn make(out: &Path) {
     let ours = ["proto/sandgait/v1/sandgait.proto", "proto/sandgait/v1/studies.proto"];
     let files = protox::compile(ours.iter().chain(&["proto/dm_env_rpc/v1/dm_env_rpc.proto"]), ["proto"]).unwrap();
     std::fs::create_dir_all(out).unwrap();
-    // What the server tells those who ask it by reflection.
+    // The descriptors that the server's reflection service sends.
     std::fs::write(out.join("descriptors.bin"), files.encode_to_vec()).unwrap();
     server(files.clone(), &out.join("server"));
     // Messages and clients.
@@ -17,7 +17,7 @@ fn make(out: &Path) {
     builder.compile_fds(files).unwrap();
 }
 
-/// The servers' traits. A request reaches them as a `Frame`: its bytes, which are sized before they are unpacked.
+/// The traits of the services. Requests have the type `Frame`: undecoded bytes, so that their size can be checked before decoding.
 fn server(files: prost_types::FileDescriptorSet, out: &Path) {
     let packages = [("sandgait.v1", "crate::proto"), ("dm_env_rpc.v1", "crate::dm_env_rpc::proto")];
     let messages = packages.iter().map(|(package, module)| (format!(".{package}"), (*module).to_owned()));

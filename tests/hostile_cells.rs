@@ -1,4 +1,5 @@
-//! Extreme cells in every column of every table that is diagnosed or calibrated: a result, or one clear line; never a panic.
+//! Puts extreme cells into every column of every table for diagnosis and calibration. Each gives a result or one clear line, and
+//! never a panic.
 
 #[path = "testbed/walking.rs"]
 #[allow(dead_code)] // only its tables are used here
@@ -14,7 +15,7 @@ use std::path::Path;
 use std::process::Command;
 use testbed::{Hidden, normal};
 
-/// What one cell or a whole column is replaced by.
+/// Contents that replace one cell or a whole column.
 fn cells() -> Vec<String> {
     let short = ["1e200", "-1e200", "1e308", "1e-320", "-0.0", "999999", "-999999", "1e17", "nan", "inf", "-inf", ""];
     let long = ["x".repeat(100_000), "9".repeat(400), format!("1e-{}", "9".repeat(300))];
@@ -33,7 +34,7 @@ fn replaced(table: &str, column: usize, rows: impl Fn(usize) -> bool, by: &str) 
     table.lines().enumerate().map(line).collect::<Vec<_>>().join("\n")
 }
 
-/// `table` with one column standing there twice, the second time with a unit if `unit` says so.
+/// `table` with one column twice; the second one has a unit if `unit` is true.
 fn doubled(table: &str, column: usize, unit: &str) -> String {
     let line = |(i, line): (usize, &str)| {
         let cell = line.split(',').nth(column).unwrap();
@@ -42,7 +43,7 @@ fn doubled(table: &str, column: usize, unit: &str) -> String {
     table.lines().enumerate().map(line).collect::<Vec<_>>().join("\n")
 }
 
-/// Every damage to every column, with words that name it.
+/// Each kind of damage to each column, with a description.
 fn damages(table: &str) -> Vec<(String, String)> {
     let columns: Vec<&str> = table.lines().next().unwrap().split(',').collect();
     let rows = table.lines().count() - 1;
@@ -117,7 +118,7 @@ fn walking_runs() {
         }
     }
     assert!(taken.len() > 30 && refused > 100, "{} taken, {refused} refused", taken.len());
-    // Simulations take their time: the wildest numbers that are taken, one column each.
+    // Simulations are slow, so only the most extreme numbers that are accepted are simulated, in one column each.
     let wild = |what: &str| what.ends_with("999999 once") && !what.starts_with("run");
     for (what, text) in taken.iter().filter(|t| wild(&t.0) && (t.0.starts_with("speed") || t.0.starts_with("hip_t"))) {
         std::fs::write(&path, text).unwrap();
@@ -128,7 +129,7 @@ fn walking_runs() {
     }
 }
 
-/// Exit code 0 and a result, or 2 and one line.
+/// Checks that the command ends with exit code 0 and a result, or with 2 and one line. Returns which.
 fn calibrated(what: &str, path: &Path) -> bool {
     let output = Command::new(env!("CARGO_BIN_EXE_sandgait")).arg("calibrate").arg(path).output().unwrap();
     let line = String::from_utf8_lossy(&output.stderr).into_owned();

@@ -1,4 +1,4 @@
-//! Bodies of any shape in steady motion: geometry, convergence, equilibrium, and what wheels measured in sand say.
+//! Bodies of any shape in steady motion: geometry, convergence, equilibrium, and comparison with wheels measured in sand.
 
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -43,7 +43,7 @@ fn plates_have_the_bodys_area_and_volume() {
     }
 }
 
-/// Default plates are within 2 % of plates a sixth as long, four times as many within 0.5 %.
+/// Forces with the default plates are within 2 % of those with plates a sixth as long; with four times as many plates, within 0.5 %.
 #[test]
 fn default_plates_are_fine_enough() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(3);
@@ -54,10 +54,10 @@ fn default_plates_are_fine_enough() {
         for _ in 0..20 {
             let mut v = [0, 1, 2].map(|_| random.random_range(-0.03..0.03));
             if name.starts_with("sphere") {
-                // A rising sphere is pushed on a sliver only, by a hundredth of the force on a sinking one.
+                // On a rising sphere only a narrow strip is loaded; its force is a hundredth of that on a sinking sphere.
                 v[2] = -f64::abs(v[2]);
             }
-            // A box that turns is averaged over its turn: that is another test.
+            // The force on a turning box is a mean over its turn, which another test checks.
             let spin = if name.starts_with("box") { 0.0 } else { random.random_range(-1.0..1.0) };
             let t = trial(v, [0.0, spin, 0.0], Given::Depth(random.random_range(0.005..0.04)));
             let [a, b, c] = [&coarse, &fine, &finest].map(|b| compute(b, &sand(), &t));
@@ -84,7 +84,8 @@ fn the_depth_found_carries_the_load() {
     assert_eq!((above.force, above.torque), ([0.0; 3], [0.0; 3]));
 }
 
-/// A body that is not round has the mean over its turn, so a turn by any angle changes nothing but the sign of what it mirrors.
+/// The force on a turning box is the mean over a turn; it has no lateral part and differs from the force on the same box without
+/// spin. A mirrored motion of a sphere has the mirrored force.
 #[test]
 fn a_box_that_turns_has_the_mean_over_its_turn() {
     let b = body("box:length=0.05,width=0.05,height=0.05", None);
@@ -98,7 +99,7 @@ fn a_box_that_turns_has_the_mean_over_its_turn() {
     assert!((ball.force[0] + mirrored.force[0]).abs() < 1e-3 * ball.force[0].abs(), "{ball:?} {mirrored:?}");
 }
 
-/// The twelve triangles of a box, some wound inward where asked for.
+/// The twelve triangles of a box; with `inward`, some have the wrong winding.
 fn triangles(inward: bool) -> Vec<[[f64; 3]; 3]> {
     let half = [0.05, 0.03, 0.02];
     let mut all = Vec::new();
@@ -120,7 +121,7 @@ fn triangles(inward: bool) -> Vec<[[f64; 3]; 3]> {
 }
 
 #[test]
-fn meshes_are_bodies_too() {
+fn meshes_work_as_bodies() {
     let directory = tempfile::tempdir().unwrap();
     let line = |word: &str, p: &[f64; 3]| format!("{word} {} {} {}\n", p[0], p[1], p[2]);
     let exact = body("box:length=0.1,width=0.06,height=0.04", None);
@@ -196,7 +197,8 @@ const INDEPENDENT: [Independent; 12] = [
     ([0.0137, -0.0013, 0.0133], 0.432, 0.0403, [-3.403, 2.812, 5.950]),
 ];
 
-/// With any strength of the mechanisms of travel a segment gets no more energy than plain theory gives it, or none.
+/// With the mechanisms that depend on the body's travel, at any strength, the sand gives a segment no energy beyond what the plain
+/// theory gives.
 #[test]
 fn slip_adds_no_energy() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(5);
@@ -229,9 +231,9 @@ fn slip_adds_no_energy() {
     assert!(stronger > 20_000, "the mechanisms did nothing: {stronger}");
 }
 
-/// What the files of the measured wheels are worth on the rows that are public. The bounds are those the files were made for.
+/// Errors of the fitted sand files on the public rows of the measured wheels. The bounds are those that the files were made for.
 #[test]
-fn measured_wheels_are_met() {
+fn measured_wheels_are_predicted_within_bounds() {
     let set = data::own().unwrap();
     let pairs = |fitted: bool| -> Vec<score::Pair> {
         let wheels = set.wheels.iter().enumerate();
@@ -249,9 +251,9 @@ fn measured_wheels_are_met() {
     within(&mid, [8.0, 9.0, 25.0, 3.8, 14.0, 20.5]);
 }
 
-/// The two fitted files are what the fit gives on the rows beside them.
+/// The committed sand files equal a new fit to the rows in the same folder.
 #[test]
-fn the_files_are_what_the_fit_gives() {
+fn the_sand_files_equal_a_new_fit() {
     let set = data::own().unwrap();
     let rows: Vec<_> = set.wheels.iter().map(|w| w.rows.clone()).collect();
     let parameters = fit::fit(&set.wheels, &rows).unwrap();
@@ -262,7 +264,7 @@ fn the_files_are_what_the_fit_gives() {
             let m = &s.mechanisms;
             [s.coefficients.penetration() / 1e6, m.depth_power, m.skid_loss, m.graze_loss, m.friction_clip]
         };
-        // Files have three digits; other processors may round the last one otherwise.
+        // The files have three digits, and the last may differ on another processor.
         assert!(values(&fitted).iter().zip(values(file)).all(|(a, b)| (a - b).abs() < 5e-3), "{}", wheel.name);
     }
 }

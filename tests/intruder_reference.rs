@@ -1,5 +1,5 @@
-//! Cylinders and boxes against a second implementation, written from the published equations alone: many small cells on each
-//! surface, forces at their middles, angles β, γ and ψ by trigonometry. It shares no line with the program's.
+//! Compares cylinders and boxes with a second implementation that was written from the published equations alone. It sums over many
+//! small cells on each surface and computes the angles β, γ and ψ by trigonometry. It shares no code with the program.
 
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -49,7 +49,7 @@ fn alpha(n: V, v: V, mu: f64) -> V {
     }
     let level = u[0].hypot(u[1]);
     let r = if level > 1e-12 { [u[0] / level, u[1] / level] } else { [1.0, 0.0] };
-    // β counts modulo π: the normal on the lower side.
+    // The law depends on β modulo π only, so the downward normal is taken.
     let down = if n[2] > 1e-12 { n.map(|x| -x) } else { n };
     let beta = (-down[2]).clamp(-1.0, 1.0).acos();
     let psi = (r[0] * down[1] - r[1] * down[0]).atan2(r[0] * down[0] + r[1] * down[1]);
@@ -136,18 +136,18 @@ const XI: f64 = 1e6;
 
 fn sand(mu: f64) -> SandDescription {
     let mechanisms = Mechanisms { friction_clip: 1.0 / mu, ..Mechanisms::PLAIN };
-    // ξ_n is what the medium's penetration stress makes of 0.87574.
+    // ξ_n is the medium's penetration stress divided by 0.87574.
     let plain = SandDescription::plain(&Medium::generic(0.87574e-6 * XI).unwrap());
     SandDescription { law: Law::Agarwal2023, mechanisms, ..plain }
 }
 
-/// Difference of force over force, and of torque over force times half the body's length.
+/// The relative difference of the forces, and that of the torques relative to force times half the body's length.
 fn off(found: [V; 2], expected: [V; 2], arm: f64) -> f64 {
     let [force, torque] = [0, 1].map(|k| norm(sum(found[k], expected[k], -1.0)));
     (force / norm(expected[0])).max(torque / (norm(expected[0]) * arm))
 }
 
-/// Bodies with their cells, how low their lowest point is, and half their length.
+/// Bodies with their cells, the depth of their lowest point below the origin, and half their length.
 fn bodies(cells: usize) -> Vec<(String, Vec<Cell>, f64, f64)> {
     let mut all = Vec::new();
     for (radius, width) in [(0.0625, 0.06), (0.03, 0.1), (0.1, 0.03)] {
@@ -161,7 +161,7 @@ fn bodies(cells: usize) -> Vec<(String, Vec<Cell>, f64, f64)> {
     all
 }
 
-/// 300 rows: wheels at any spin, boxes that do not turn; any velocity, some without a part of it; any friction.
+/// 300 random motions: wheels with any spin and boxes without spin, with any velocity (some components are 0) and any friction.
 #[test]
 fn three_hundred_rows_agree_with_a_second_implementation() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(17);
@@ -184,7 +184,7 @@ fn three_hundred_rows_agree_with_a_second_implementation() {
             let expected = load(&cells, &Motion { v, w: [0.0, spin, 0.0], surface: depth - low, mu });
             let expected = expected.map(|f| f.map(|x| XI * x));
             if norm(expected[0]) < 0.01 {
-                // Drawn straight out there is next to nothing to be right about.
+                // A body that is drawn straight up has nearly no force, so its relative error says nothing.
                 continue;
             }
             for (body, errors) in [&coarse, &fine].into_iter().zip(&mut errors) {
@@ -193,7 +193,7 @@ fn three_hundred_rows_agree_with_a_second_implementation() {
                 assert!(errors[errors.len() - 1] < 0.02, "{name} {trial:?} {mu}: {found:?} {expected:?}");
             }
             if expected[0][2] > 0.5 * norm(expected[0]) {
-                // The depth that carries a load is where the second implementation finds that load.
+                // At the depth found for a load, the second implementation must give this load.
                 let loaded = Trial { given: Given::Load(expected[0][2]), ..trial };
                 let found = compute(&fine, &sand(mu), &loaded);
                 let there = load(&cells, &Motion { v, w: [0.0, spin, 0.0], surface: found.depth - low, mu });
@@ -204,14 +204,14 @@ fn three_hundred_rows_agree_with_a_second_implementation() {
     }
     let worst = |errors: &[f64]| errors.iter().copied().fold(0.0, f64::max);
     assert!(errors[0].len() > 280, "{}", errors[0].len());
-    // Four times as many plates; a few rows are slivers of force on a body that is drawn out.
+    // Four times as many plates. In a few rows the body is drawn out and only a narrow strip is loaded.
     let mut sorted = errors[1].clone();
     sorted.sort_by(f64::total_cmp);
     println!("worst {} and {}, 98 % {}", worst(&errors[0]), worst(&errors[1]), sorted[sorted.len() * 98 / 100]);
     assert!(sorted[sorted.len() * 98 / 100] < 3e-3 && worst(&errors[1]) < 8e-3, "{} {sorted:?}", worst(&errors[1]));
 }
 
-/// Spins about any axis: means over a period, at the depth of the lowest point of the whole turn.
+/// Bodies that spin about any axis: the means over a period agree. The depth is that of the lowest point of the whole turn.
 #[test]
 fn turning_bodies_agree_with_a_second_implementation() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(4);

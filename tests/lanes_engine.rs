@@ -1,4 +1,4 @@
-//! Laws of the `lanes` engine, and its precisions and instruction sets against each other.
+//! Physical laws in the `lanes` engine, and comparisons of its precisions and instruction sets.
 
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -31,7 +31,7 @@ fn read(engine: &LanesEngine, index: usize, like: &State) -> State {
     state
 }
 
-/// A robot in the middle of moving: every number random but plausible.
+/// A state of motion in which every number is random but plausible.
 fn random_state(model: &Model, height: f64, random: &mut impl Rng) -> State {
     let mut draw = |scale: f64| random.random_range(-scale..scale);
     let angles: Vec<f64> = (0..model.joints()).map(|_| draw(1.0)).collect();
@@ -84,8 +84,8 @@ fn mechanics(model: &Model, s: &State) -> ([f64; 6], f64) {
     ([p.x, p.y, p.z, l.x, l.y, l.z], energy)
 }
 
-/// Free flight, motors off, no gravity: momentum and energy are what the bodies say and stay. The armature is zero
-/// here, because a rotor's own spin is in the joint's inertia and not in any body's.
+/// In free flight without motors and gravity, momentum and energy are constant. They are computed here from the bodies, so the
+/// armature is zero: it would be inertia that belongs to a joint and to no body.
 #[test]
 fn free_flight_keeps_momentum_and_energy() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(2);
@@ -112,7 +112,7 @@ fn free_flight_keeps_momentum_and_energy() {
     }
 }
 
-/// A falling robot's centre of mass follows Galileo, slopes included, whatever its legs do.
+/// The centre of mass of a falling robot has the acceleration of gravity, on slopes too, whatever its legs do.
 #[test]
 fn free_fall_follows_gravity() {
     for name in ROBOTS {
@@ -159,7 +159,7 @@ fn instruction_sets_agree() {
 
 /// An environment's bits depend neither on its lane nor on its neighbours.
 #[test]
-fn lanes_never_touch_each_other() {
+fn lanes_do_not_affect_each_other() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(4);
     for name in ROBOTS {
         let model = model(name, |_| ());
@@ -176,10 +176,10 @@ fn lanes_never_touch_each_other() {
     }
 }
 
-/// Nor on neighbours that walk in another rhythm on sand that does more than its law says: what acts at any depth must
+/// The same with mechanisms of the sand switched on and neighbours at other stride frequencies: mechanisms that act at any depth must
 /// still not act in the air.
 #[test]
-fn lanes_never_touch_each_other_on_any_sand() {
+fn lanes_do_not_affect_each_other_on_any_sand() {
     use sandgait::sim::engine::EngineKind;
     use sandgait::sim::walk::{Trial, walk, walk_many};
     let trial = |leg: &str, frequency: f64, mechanisms: Mechanisms| {
@@ -196,9 +196,9 @@ fn lanes_never_touch_each_other_on_any_sand() {
     }
 }
 
-/// A robot whose state is not a number leaves its neighbours' bits alone, and walks again after a new state.
+/// A robot whose state is not finite does not change its neighbours' bits, and walks again after a new state is set.
 #[test]
-fn a_diverged_lane_is_alone() {
+fn a_diverged_lane_does_not_affect_the_others() {
     let model = model("xplorer", |_| ());
     let start = State::at_rest(0.03, &model.tripod_angles());
     let mut broken = start.clone();
@@ -216,9 +216,9 @@ fn a_diverged_lane_is_alone() {
     }
 }
 
-/// State read and set again goes on with the same bits.
+/// After its state is read and set again, the simulation goes on with the same bits.
 #[test]
-fn state_is_everything() {
+fn a_state_set_again_gives_the_same_bits() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(5);
     for name in ROBOTS {
         let model = model(name, |_| ());
@@ -239,8 +239,8 @@ fn state_is_everything() {
     }
 }
 
-/// Where a robot is changes no bit of how it moves, in any instruction set, single precision and far away included: lanes
-/// count from where their robot was. Only the position itself is rounded, as a double of its size is.
+/// A robot's motion does not depend on its place, to the bit, with any instruction set and precision, because a lane computes with
+/// positions relative to its robot's last place. Only the position itself is rounded, as a double of its size is.
 #[test]
 fn translation_changes_no_bit() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(6);
@@ -254,7 +254,7 @@ fn translation_changes_no_bit() {
         for isa in isas() {
             let mut engine = engine(isa, &model, &shifted);
             (0..places.len()).for_each(|i| engine.command(i, &command));
-            // Control steps, between which lanes begin to count anew.
+            // Control steps; between them each lane takes its robot's new place as origin.
             (0..20).for_each(|_| engine.advance(20));
             let here = read(&engine, 0, &start);
             assert!(here.position[0].hypot(here.position[1]) > 1e-3, "{name} stands still");
@@ -262,7 +262,7 @@ fn translation_changes_no_bit() {
                 let mut there = read(&engine, i, &start);
                 for (k, shift) in place.iter().enumerate().take(2) {
                     let off = there.position[k] - shift - here.position[k];
-                    // 20 roundings of half a unit in the last place.
+                    // 20 rounding errors of half a unit in the last place.
                     assert!(off.abs() <= 20.0 * f64::EPSILON * shift.abs().max(1.0), "{name} {}: {off}", isa.name());
                     there.position[k] = here.position[k];
                 }
@@ -272,7 +272,7 @@ fn translation_changes_no_bit() {
     }
 }
 
-/// Left and right are mirror images, to rounding.
+/// A mirrored state has a mirrored motion, to rounding.
 #[test]
 fn mirror_symmetry() {
     let model = model("xplorer", |_| ());
@@ -294,9 +294,10 @@ fn mirror_symmetry() {
     assert!((a.position[2] - b.position[2]).abs() < 1e-9);
 }
 
-/// Work of 10⁶ control steps is some kJ, in which an f32 would lose what a time step adds; all else knows nothing of it.
+/// The work of 10⁶ control steps is some kJ. The work of one time step would be lost in an f32 of that size. The accumulated work
+/// does not affect the motion.
 #[test]
-fn work_does_not_stall() {
+fn accumulated_work_keeps_its_precision() {
     for name in ROBOTS {
         let model = model(name, |_| ());
         let angles = model.tripod_angles();

@@ -1,4 +1,4 @@
-//! Laws that hold whatever mechanisms are switched on, inside their bounds: sand takes energy and gives none.
+//! Physical laws with any mechanisms within their bounds: the sand dissipates energy and never adds any.
 
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -35,7 +35,7 @@ fn extremes(motor: bool, combinations: usize) -> Vec<(String, Mechanisms)> {
     all
 }
 
-/// The friction cap divides by a power that is kept from zero by this [W]: it may leave as much.
+/// The friction cap divides by a power plus this small number [W], so it may leave a power of this size.
 const GUARD: f64 = 1e-30;
 
 fn unit(random: &mut impl Rng) -> Vec3<f64> {
@@ -49,7 +49,7 @@ fn unit(random: &mut impl Rng) -> Vec3<f64> {
     }
 }
 
-/// A segment somewhere in the bed that moves in any direction, at up to 20 m/s.
+/// A random segment in the bed that moves in any direction, at up to 20 m/s.
 struct Segment {
     n: Vec3<f64>,
     v: Vec3<f64>,
@@ -88,7 +88,7 @@ impl Segment {
         Vec3::new(R::splat(v.x), R::splat(v.y), R::splat(v.z))
     }
 
-    /// Most that the mechanisms can multiply the law's own stress by: what 3D-RFT adds may grow by that.
+    /// Largest factor of the mechanisms on the law's own stress. The energy that 3D-RFT adds may grow by this factor.
     fn most(&self, m: &Mechanisms) -> f64 {
         let power = (self.depth / 0.02).powf(m.depth_power);
         let rate = 1.0 + m.rate_log * (self.v.norm_squared().sqrt() / 0.01).ln_1p();
@@ -98,8 +98,8 @@ impl Segment {
     }
 }
 
-/// Force times velocity is at most what the published law itself gives (0 but for 3D-RFT, see `laws_of_sand`) times the
-/// mechanisms' factors. Accelerations are nil here: what added mass takes it gives back, see below.
+/// The power from the sand is at most that of the published law (0, except for 3D-RFT, see `laws_of_sand`) times the mechanisms'
+/// factors. The accelerations are 0 here, because added mass stores energy; another test below checks it.
 #[test]
 fn sand_with_mechanisms_never_adds_energy() {
     let medium = Medium::named("poppy-loose").unwrap();
@@ -120,7 +120,7 @@ fn sand_with_mechanisms_never_adds_energy() {
                     (ground.one_sided(&site, area, s.n, s.v), plain.one_sided(&fresh, area, s.n, s.v)),
                 ] {
                     let (force, power) = (contact.force.norm_squared().sqrt(), contact.force.dot(s.v));
-                    // Before the friction cap there may be more force, and with it more rounding.
+                    // The force before the friction cap may be larger, and then its rounding error is larger too.
                     let uncut = bare.force.norm_squared().sqrt() * s.most(&m);
                     let allowed = given(bare.force) + (1e-12 * force + 1e-15 * uncut) * speed + GUARD;
                     let said = || format!("{} {what}: n {:?} v {:?}: {power} W", law.name(), s.n, s.v);
@@ -138,8 +138,7 @@ fn sand_with_mechanisms_never_adds_energy() {
     }
 }
 
-/// A leg that turns through the sand is braked by it at every angle, at any speed. (`rate_log` of −0.25 once did work on a leg
-/// at 10 rad/s.)
+/// The sand brakes a turning leg at every angle and speed. (In an earlier version `rate_log` = −0.25 drove a leg at 10 rad/s.)
 #[test]
 fn sand_brakes_a_turning_leg() {
     let poppy = SandDescription::named("poppy-loose", "li2013").unwrap();
@@ -156,9 +155,9 @@ fn sand_brakes_a_turning_leg() {
     }
 }
 
-/// Added mass stores energy and gives it back: over a stroke at one depth whose speed begins and ends alike it does no work.
+/// Added mass stores energy and returns it: its work is zero over a stroke at constant depth with equal speeds at both ends.
 #[test]
-fn added_mass_gives_back_what_it_took() {
+fn added_mass_conserves_energy() {
     let medium = Medium::named("poppy-loose").unwrap();
     let plain = SandBed::<f64>::new(Law::Li2013, &medium, &Surface::DEFAULT);
     let m = Mechanisms { added_mass: 30.0, ..Mechanisms::PLAIN };
@@ -195,8 +194,8 @@ fn walks(cases: &[(String, Mechanisms)], legs: &[&str], frequencies: &[f64]) -> 
     said.into_iter().zip(walk_all(EngineKind::Lanes, &trials, &Silent).unwrap()).collect()
 }
 
-/// Robots walk on every sand that the bounds allow, alone or combined: nothing diverges, nothing is thrown into the air. (Ten
-/// times harder sand at 5 Hz uphill lets them tumble; the mean height stays below a body's length.)
+/// Robots walk on every sand that the bounds allow, with one mechanism or several: no simulation diverges, and no robot is thrown
+/// into the air. (On ten times harder sand, uphill at 5 Hz, they tumble; the mean height stays below a body's length.)
 #[test]
 fn robots_walk_on_every_sand_within_bounds() {
     let own = |m: &Mechanisms| Mechanisms { motor_torque_limit: 0.0, ..*m };
@@ -207,10 +206,10 @@ fn robots_walk_on_every_sand_within_bounds() {
     }
 }
 
-/// Sand that gets weaker along the way lets a robot sink to where the floor of its stress bears it, and it walks on there.
-/// (`packing_grad` of −0.3 once buried every robot at 0.29 m.)
+/// In sand that gets weaker along the path, a robot sinks until the smallest stress that the mechanism allows carries it, and goes
+/// on walking. (In an earlier version `packing_grad` = −0.3 buried every robot at 0.29 m.)
 #[test]
-fn weakening_sand_buries_nobody() {
+fn robots_walk_on_in_weakening_sand() {
     let cases =
         [-0.1, -0.3, -0.9].map(|g| (format!("packing_grad {g}"), Mechanisms { packing_grad: g, ..Mechanisms::PLAIN }));
     for (what, w) in walks(&cases, &["L", "revL", "C", "revC"], &[1.0, 2.0, 3.0, 5.0]) {

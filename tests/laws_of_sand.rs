@@ -1,11 +1,11 @@
-//! Laws that hold for every segment, direction and medium.
+//! Physical laws of the sand's stress, for every segment, direction and medium.
 
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sandgait::number::Vec3;
 use sandgait::sand::{Law, LawCoefficients, Medium, SandBed, SegmentState, Surface};
 
-/// 1 cm deep.
+/// A segment at a depth of 1 cm.
 fn here() -> SegmentState<f64> {
     SegmentState::fresh(0.01, 0.0)
 }
@@ -30,7 +30,7 @@ impl MapEach for Vec3<f64> {
     }
 }
 
-/// Every medium and law, 20,000 random segments each.
+/// Calls `check` with 20,000 random segments for every medium and law.
 fn everywhere(check: impl Fn(&SandBed<f64>, Vec3<f64>, Vec3<f64>, &str)) {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(1);
     for name in Medium::names() {
@@ -45,8 +45,8 @@ fn everywhere(check: impl Fn(&SandBed<f64>, Vec3<f64>, Vec3<f64>, &str)) {
     }
 }
 
-/// The published 3D-RFT polynomial gives energy to nearly horizontal plates drawn up at a shallow angle: up to 0.006 of
-/// the penetration stress (see `sand::law::agarwal2023`). It stays as published; this is the bound we know of.
+/// The published 3D-RFT polynomial adds energy to nearly horizontal plates that are drawn up at a shallow angle: up to 0.006 of
+/// the penetration stress (see `sand::law::agarwal2023`). We keep it as published; this test checks the bound.
 #[test]
 fn sand_never_adds_energy() {
     everywhere(|ground, n, v, what| {
@@ -62,7 +62,7 @@ fn sand_never_adds_energy() {
 }
 
 #[test]
-fn thin_plates_do_not_know_their_sides() {
+fn the_sides_of_a_thin_plate_are_equivalent() {
     everywhere(|ground, n, v, what| {
         let (a, b) = (ground.thin_plate(&here(), 1e-4, n, v).force, ground.thin_plate(&here(), 1e-4, -n, v).force);
         assert!((a - b).norm_squared().sqrt() < 1e-12, "{what}: {a:?} {b:?}");
@@ -80,7 +80,7 @@ fn mirror_images_feel_mirrored_forces() {
 }
 
 #[test]
-fn horizontal_directions_are_all_alike() {
+fn horizontal_directions_are_equivalent() {
     let (sin, cos) = 0.7f64.sin_cos();
     let turn = |v: Vec3<f64>| Vec3::new(cos * v.x - sin * v.y, sin * v.x + cos * v.y, v.z);
     everywhere(|ground, n, v, what| {
@@ -90,7 +90,7 @@ fn horizontal_directions_are_all_alike() {
     });
 }
 
-/// Away from rest the regularised force is the bare law's, and the same at any speed.
+/// Away from rest, the regularisation changes nothing: the force is that of the law and does not depend on the speed.
 #[test]
 fn force_does_not_depend_on_speed() {
     everywhere(|ground, n, v, what| {
@@ -111,7 +111,7 @@ fn one_sided_surfaces_only_push_ahead() {
     });
 }
 
-/// How rare the energy that 3D-RFT adds is, and that nothing else does: a change of the table or the frame would show.
+/// 3D-RFT adds energy for a small share of motions only. An error in the table or in the local frame would change this share.
 #[test]
 fn three_dimensional_rft_adds_energy_almost_nowhere() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(2);
@@ -119,7 +119,7 @@ fn three_dimensional_rft_adds_energy_almost_nowhere() {
     let adds = (0..100_000).filter(|_| {
         let (n, v) = (unit(&mut random), unit(&mut random));
         let power = ground.stress(n, &ground.motion(v)).dot(v);
-        // 2.9e5 N/m³ is ξ_n. What is more than a thousandth of it happens to nearly horizontal plates on the way up.
+        // 2.9e5 N/m³ is ξ_n. More than a thousandth of it is added only to nearly horizontal plates that move up.
         assert!(power <= 290.0 || (n.z.abs() > 0.98 && v.z > 0.0), "n {n:?} v {v:?}: {power}");
         power > 0.0
     });

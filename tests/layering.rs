@@ -1,15 +1,15 @@
-//! Data flow one way. The folders of `src/` are crates, so Cargo refuses every circle and the compiler every name of a crate
-//! that a Cargo.toml does not list; these tests hold what the lists may say. See ARCHITECTURE.md.
+//! Dependencies go one way. Each folder of `src/` is a crate. Cargo refuses circular dependencies, and the compiler refuses a crate
+//! that Cargo.toml does not list. These tests check which dependencies each Cargo.toml may list. See ARCHITECTURE.md.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// Only these may depend on what stands first: threads that wait, networks and messages, the other engine's library.
+/// External crates for networking, messages, the engine `rapier` and the command line, each with the crates that may depend on it.
 const OUTSIDE: [(&str, &[&str]); 7] = [
     ("tokio", &["service", "client", "bench", "root"]),
     ("tonic", &["service", "client", "bench"]),
     ("axum", &["service"]),
-    // ONNX files are protobuf too, and TensorBoard's.
+    // ONNX files and TensorBoard's event files are protobuf, too.
     ("prost", &["service", "policy", "train"]),
     ("prost-types", &["service", "client", "bench"]),
     ("rapier3d", &["sim"]),
@@ -35,7 +35,7 @@ fn crates() -> Vec<(String, Vec<String>)> {
 }
 
 #[test]
-fn crates_know_only_those_above_them_in_the_list() {
+fn crates_depend_only_on_those_above_them_in_the_list() {
     let all = crates();
     assert!(all.len() > 20, "{}", all.len());
     for (place, (name, dependencies)) in all.iter().enumerate() {
@@ -49,7 +49,7 @@ fn crates_know_only_those_above_them_in_the_list() {
 }
 
 #[test]
-fn networks_and_engines_stay_where_they_belong() {
+fn external_crates_are_used_only_where_listed() {
     for (name, dependencies) in crates() {
         for (outside, may) in OUTSIDE {
             let has = dependencies.iter().any(|d| d == outside);
@@ -71,26 +71,10 @@ fn every_folder_of_sources_is_a_crate() {
     }
 }
 
-/// Circles of files that are left, each as its files; this list must only shrink.
-const CIRCLES: [&[&str]; 2] = [
-    &["diagnose/likelihood", "diagnose/noise", "diagnose/repeats"],
-    &[
-        "diagnose/arm",
-        "diagnose/experiment",
-        "diagnose/fit",
-        "diagnose/force_log",
-        "diagnose/forward",
-        "diagnose/motion",
-        "diagnose/nuisance",
-        "diagnose/response",
-        "diagnose/study",
-    ],
-];
-
 type File = Vec<String>;
 
-/// Every file of `src/NAME` but tests and generated ones, as its path in the crate, with the files that it names by
-/// `crate::` or `super::` outside of its tests. A file and its folder's `mod.rs` may name each other.
+/// Every file of `src/NAME`, by its path in the crate, with the files that it names by `crate::` or `super::`. Tests and generated
+/// files are left out. A file and the `mod.rs` of its folder may name each other.
 fn files(name: &str) -> BTreeMap<File, BTreeSet<File>> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src").join(name);
     let mut texts: BTreeMap<File, String> = BTreeMap::new();
@@ -112,14 +96,14 @@ fn files(name: &str) -> BTreeMap<File, BTreeSet<File>> {
     texts.into_iter().map(|(file, text)| (file.clone(), named(&file, &text, &known))).collect()
 }
 
-/// The files among `known` that `text`, the text of `file`, names.
+/// The files among `known` that `file`, whose content is `text`, names.
 fn named(file: &File, text: &str, known: &BTreeSet<File>) -> BTreeSet<File> {
     let code = text.split("#[cfg(test)]\nmod").next().unwrap_or_default();
     let lines = code.lines().map(|line| line.split("//").next().unwrap_or_default());
     let mut all = BTreeSet::new();
     for line in lines {
         for (at, start) in line.match_indices("crate::").chain(line.match_indices("super::")) {
-            // The second of `super::super::`, and `my_crate::`, are no starts.
+            // The second `super::` of `super::super::`, and `crate::` in `my_crate::`, do not begin a path.
             if line[..at].ends_with(|c: char| c.is_alphanumeric() || c == '_' || c == ':') {
                 continue;
             }
@@ -149,7 +133,7 @@ fn named(file: &File, text: &str, known: &BTreeSet<File>) -> BTreeSet<File> {
     all
 }
 
-/// All files that `from` names, or that those name.
+/// All files that `from` uses, directly or through other files.
 fn reached<'a>(from: &'a File, files: &'a BTreeMap<File, BTreeSet<File>>) -> BTreeSet<&'a File> {
     let (mut all, mut next) = (BTreeSet::new(), vec![from]);
     while let Some(file) = next.pop() {
@@ -178,10 +162,5 @@ fn no_files_use_each_other_in_a_circle() {
             }
         }
     }
-    let known: BTreeSet<Vec<String>> =
-        CIRCLES.iter().map(|circle| circle.iter().map(|file| (*file).to_owned()).collect()).collect();
-    let new: Vec<_> = found.difference(&known).collect();
-    assert!(new.is_empty(), "new circles of files: {new:#?}");
-    let gone: Vec<_> = known.difference(&found).collect();
-    assert!(gone.is_empty(), "circles that are gone, to be struck off the list: {gone:#?}");
+    assert!(found.is_empty(), "circles of files: {found:#?}");
 }

@@ -1,4 +1,4 @@
-//! LeggedVelocity: robots stand, rewards are legged_gym's, what is drawn acts, and files become robots.
+//! The task LeggedVelocity: robots stand, rewards equal those of legged_gym, random draws have effects, and robots come from files.
 
 use sandgait::env::registry::Blueprint;
 use sandgait::env::shard::Shard;
@@ -24,7 +24,7 @@ fn column(blueprint: &Blueprint, name: &str) -> usize {
     blueprint.task.spec().info.iter().position(|c| c.name == name).unwrap()
 }
 
-/// Our own robot as the file has it, packed.
+/// Our own robot from its file, packed.
 fn sandcat(file: &str) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots").join(file);
     let import = robots::load(&path).unwrap();
@@ -35,13 +35,13 @@ fn sandcat(file: &str) -> String {
 
 /// `src/env/options/sandcat.json` is what `sandgait robot robots/sandcat.urdf --pack --json --plate-size 0.02` prints.
 #[test]
-fn the_built_in_robot_is_its_file() {
+fn the_built_in_robot_equals_its_file() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/env/options/sandcat.json");
     assert_eq!(std::fs::read_to_string(path).unwrap().trim(), sandcat("sandcat.urdf"));
 }
 
-/// Without a push and with actions of zero a robot stands for 10 s on every ground, and the same robot from its URDF, whose
-/// pose is found, and from its MJCF, whose pose is given.
+/// Without pushes and with zero actions, a robot stands for 10 s on every ground. So does the same robot from its URDF, for which a
+/// standing pose is computed, and from its MJCF, which states one.
 #[test]
 fn robots_stand() {
     for file in ["sandcat.urdf", "sandcat.xml"] {
@@ -61,7 +61,7 @@ fn robots_stand() {
     }
 }
 
-/// A robot at rest that is told to stand still has both tracking terms in full, for each the weight times 0.02 s.
+/// A robot at rest with a command of zero gets the full tracking terms: for each its weight times 0.02 s.
 #[test]
 fn rewards_are_those_of_legged_gym() {
     let still = json!({"lin_vel_x": [0, 0], "lin_vel_y": [0, 0], "ang_vel_yaw": [0, 0]});
@@ -78,9 +78,9 @@ fn rewards_are_those_of_legged_gym() {
     assert!((shard.rows.rewards[0] - shard.rows.infos[..13].iter().sum::<f32>()).abs() < 1e-6);
 }
 
-/// Pushes, commands drawn anew, and what an episode draws.
+/// Pushes, new commands, and the quantities drawn for each episode have an effect.
 #[test]
-fn what_is_drawn_acts() {
+fn random_draws_have_effects() {
     let rand = json!({"push_interval": 1.0, "max_push_vel_xy": 1.0, "added_mass_range": [0.1, 0.2]});
     let commands = json!({"resampling_time": 1.0});
     let options = json!({"ground": "rigid", "domain_rand": rand, "commands": commands});
@@ -134,14 +134,14 @@ fn broken_robots_and_options_are_refused_in_one_line() {
     assert!(with(&|r| r["bodies"][0]["plates"][0][6] = json!(1e300)).contains("trunk"));
 }
 
-/// Options of other tasks' engines.
+/// The hexapod tasks refuse the engine `tree`.
 #[test]
-fn a_tree_is_no_engine_for_hexapods() {
+fn hexapod_tasks_refuse_the_engine_tree() {
     let error = Blueprint::new("sandgait/HexapodGait-v1", json!({"engine": "tree"})).err().unwrap().to_string();
     assert!(error.contains("engine"), "{error}");
 }
 
-/// On dunes episodes begin at different places, robots stand on the slope there, and observed heights are those of the ground.
+/// On dunes, episodes begin at different places, robots stand on the local slope, and observed heights are those of the ground.
 #[test]
 fn robots_stand_on_dunes() {
     let options = json!({"ground": "dunes", "measure_heights": true, "domain_rand": null});
@@ -169,7 +169,7 @@ fn robots_stand_on_dunes() {
     }
 }
 
-/// Each mistake is one line that names what is wrong.
+/// Each wrong terrain gives one line that names the error.
 #[test]
 fn bad_reliefs_are_refused() {
     let steps: Vec<Vec<f64>> = (0..6).map(|k| vec![f64::from(k / 3); 6]).collect();
@@ -178,7 +178,7 @@ fn bad_reliefs_are_refused() {
         (json!({"relief": {"slope_deg": 40}}), "slope_deg"),
         (json!({"relief": {"heights": [[0.0]]}}), "relief.heights"),
         (json!({"relief": {"height": 1}}), "height"),
-        (json!({"ground": "dunes", "slope_deg": 5}), "own slopes"),
+        (json!({"ground": "dunes", "slope_deg": 5}), "defines the slopes"),
     ] {
         let error = Blueprint::new(ID, options.clone()).map(drop).unwrap_err().to_string();
         assert!(error.contains(said) && !error.contains('\n'), "{options}: {error}");

@@ -1,7 +1,7 @@
-//! Uploaded networks: stable-baselines3's numbers, the same bits wherever an environment stands, and files that are wrong.
+//! Policies as ONNX files: actions equal those of stable-baselines3, do not depend on the batch, and wrong files are refused.
 //!
 //! `tests/data/policy_*.onnx` are untrained networks of PPO and SAC with VecNormalize, written by `sandgait.export_onnx`;
-//! `policy_actions.json` has observations and what `predict(deterministic=True)` makes of them (stable-baselines3 2.9.2).
+//! `policy_actions.json` has observations and the actions of `predict(deterministic=True)` for them (stable-baselines3 2.9.2).
 
 #[path = "grpc/mutate.rs"]
 mod mutate;
@@ -57,7 +57,7 @@ fn actions_are_those_of_stable_baselines3() {
     }
 }
 
-/// Alone, among others, and in whatever lane: an action depends on its own observation only.
+/// An action depends only on its own observation, not on other rows or on the lane.
 #[test]
 fn an_actions_bits_do_not_depend_on_the_batch() {
     let observations = rows(&reference()["observations"]);
@@ -73,7 +73,7 @@ fn an_actions_bits_do_not_depend_on_the_batch() {
 }
 
 #[test]
-fn what_is_not_a_number_is_named() {
+fn non_finite_values_are_named() {
     let network = network(PPO).unwrap();
     let mut observations = vec![0.1; 20 * OBSERVATION];
     observations[18 * OBSERVATION + 3] = f32::NAN;
@@ -82,7 +82,7 @@ fn what_is_not_a_number_is_named() {
 }
 
 #[test]
-fn wrong_files_are_refused_in_a_line() {
+fn wrong_files_are_refused_in_one_line() {
     let refused = |onnx: &[u8], words: &[&str]| {
         let error = network(onnx).unwrap_err();
         assert!(error.starts_with("policy: ") && !error.contains('\n'), "{error}");
@@ -106,9 +106,9 @@ fn wrong_files_are_refused_in_a_line() {
     assert_eq!(error, "policy: its input \"observation\" has 41 numbers a row, this task has 83");
 }
 
-/// Files that are spoiled anywhere are refused or run; nothing panics, and nothing takes long.
+/// Randomly damaged files are refused or run, without a panic and in bounded time.
 #[test]
-fn spoiled_files_are_refused_or_run() {
+fn damaged_files_are_refused_or_run() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(30);
     let spec = blueprint();
     let spec = spec.task.spec();
@@ -116,7 +116,7 @@ fn spoiled_files_are_refused_or_run() {
     let (mut read, mut ran, mut slowest) = (0, 0, 0.0_f64);
     for k in 0..20_000 {
         let (one, other) = if k % 2 == 0 { (PPO, SAC) } else { (SAC, PPO) };
-        // What is near the beginning is structure, the rest is mostly weights.
+        // The structure of the network is near the beginning; the rest is mostly weights.
         let spoiled = if k % 4 < 2 {
             mutate::mutated(&mut random, one, other)
         } else {

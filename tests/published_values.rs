@@ -1,4 +1,4 @@
-//! Oracles of the sand layer: published stresses and independently computed leg forces.
+//! Reference values for the sand: published stresses, and leg forces from independent programs.
 
 use sandgait::number::Vec3;
 use sandgait::sand::intrusion::{Load, rotating_leg};

@@ -1,4 +1,4 @@
-//! Engine `rapier`: laws first, then the converged reference walks.
+//! The engine `rapier`: physical laws first, then converged reference walks.
 
 use sandgait::sand::{Mechanisms, Medium};
 use sandgait::sim::engine::{Command, Engine, EngineKind};
@@ -104,7 +104,7 @@ fn advance(engine: &mut RapierEngine, steps: usize, state: &State) -> State {
 #[test]
 fn free_flight_keeps_energy_and_momentum() {
     for (robot, leg) in [("xplorer", "L"), ("xplorer18", "flat")] {
-        // Relative change over 0.5 s without weight, moments about the start.
+        // Relative change over 0.5 s without gravity; moments about the starting point.
         let drift = |dt: f64| {
             let mut model = model_of(robot, leg, &Scene { dt, ..scene() }, passive);
             model.gravity *= 0.0;
@@ -116,7 +116,7 @@ fn free_flight_keeps_energy_and_momentum() {
             [(b.0 - a.0).abs() / a.0, (b.1 - a.1).norm() / a.1.norm(), (b.2 - a.2).norm() / a.2.norm()]
         };
         let (coarse, fine) = (drift(5e-4), drift(1e-4));
-        // First order in the step, as semi-implicit Euler is.
+        // The error is of first order in the time step, as expected of semi-implicit Euler.
         for ((coarse, fine), limit) in coarse.into_iter().zip(fine).zip([3e-3, 5e-4, 3e-2]) {
             assert!(coarse < limit && fine < limit / 4.0, "{robot}: {coarse:e} {fine:e}");
         }
@@ -133,8 +133,8 @@ fn a_falling_robot_gains_the_momentum_of_its_weight() {
     assert!((gained - impulse).norm() < 1e-4 * impulse.norm(), "{gained} {impulse}");
 }
 
-/// The servo on a leg whose base cannot move: one step of kp(θ_ref⁺ − θ⁺) + kd(ω_ref − ω⁺) against the leg's inertia
-/// about its hinge, solved by hand, with the torque clipped.
+/// The servo of a leg on a fixed base: one step agrees with the equation kp(θ_ref⁺ − θ⁺) + kd(ω_ref − ω⁺) = torque, solved by hand
+/// for the leg's inertia about its hinge, with the torque limit.
 #[test]
 fn servo_is_implicit_armature_counts_and_the_limit_holds() {
     for limit in [None, Some(2e-3)] {
@@ -193,7 +193,7 @@ fn sand_adds_no_energy() {
     }
 }
 
-/// Left and right changed over: a robot with mirrored angles and velocities follows the mirrored path.
+/// A robot with mirrored angles and velocities follows the mirrored path.
 #[test]
 fn mirror_symmetry() {
     let model = model_of("xplorer", "L", &scene(), |_| ());
@@ -212,7 +212,7 @@ fn mirror_symmetry() {
 }
 
 #[test]
-fn places_do_not_matter() {
+fn translation_changes_nothing() {
     let model = model_of("xplorer", "L", &scene(), |_| ());
     let here = State::at_rest(0.03, &model.tripod_angles());
     let mut there = here.clone();
@@ -287,7 +287,7 @@ fn a_robot_that_diverges_stays_alone_and_can_be_set_again() {
 }
 
 #[test]
-fn a_model_takes_over_with_the_next_state() {
+fn a_new_model_is_used_from_the_next_state_on() {
     let light = model_of("xplorer", "L", &scene(), |_| ());
     let heavy = model_of("xplorer", "L", &Scene { payload: 0.1, ..scene() }, |_| ());
     let start = State::at_rest(0.03, &light.tripod_angles());
@@ -303,7 +303,7 @@ fn a_model_takes_over_with_the_next_state() {
     assert!(loaded.position[2] < run(&light, &start, &command, 0.2).position[2] - 1e-4);
 }
 
-/// Turning for a long time costs no accuracy: 1,000 turns ahead, the same state gives the same steps.
+/// Many turns cost no accuracy: a state whose angles are 1,000 turns larger gives the same steps.
 #[test]
 fn angles_keep_their_precision() {
     let model = model_of("xplorer", "L", &scene(), |_| ());
@@ -318,10 +318,10 @@ fn angles_keep_their_precision() {
     assert!(b.angles.iter().all(|angle| angle.abs() < 7.0), "{:?}", b.angles);
 }
 
-/// Converged speeds [m/s]: explicit steps of 1e-5 s, two independent implementations, at 1, 2, 3 and 5 Hz.
+/// Converged speeds [m/s] at 1, 2, 3 and 5 Hz, from two independent implementations with explicit steps of 1e-5 s.
 #[test]
 fn walks_at_the_reference_speeds() {
-    // Reversed L at 1 Hz sticks and slips on its belly: the last bits of a run move its speed by 0.3 %.
+    // With reversed L legs at 1 Hz, the belly sticks and slips: a change of the last bits changes the speed by 0.3 %.
     for (leg, limit, reference) in
         [("L", 0.02, [0.1201, 0.2870, 0.4161, 0.7139]), ("revL", 0.023, [0.0715, 0.1308, 0.2401, 0.4387])]
     {
@@ -345,10 +345,10 @@ fn stands_still() {
     }
 }
 
-/// The two engines share the sand and nothing else. Two seconds of walking, or of standing with 18 joints, with a time step at
-/// which both have converged.
+/// The two engines share the code of the sand and nothing else. Each simulates two seconds of walking, or of standing with 18
+/// joints, with a time step at which both have converged.
 #[test]
-fn agrees_with_the_other_engine() {
+fn agrees_with_the_engine_lanes() {
     let plain = Mechanisms::PLAIN;
     let filled = Mechanisms { concave_fill: 0.8, inertial_drag: 2.0, ..plain };
     let skids = Mechanisms { skid_loss: 0.8, graze_loss: 0.7, slip_bearing: 1.0, friction_clip: 1.8, ..plain };
@@ -375,13 +375,13 @@ fn agrees_with_the_other_engine() {
         let far = V::from(b.position).norm();
         let apart = (V::from(a.position) - V::from(b.position)).norm();
         assert!(apart < 0.01 * far, "{robot} {leg}: {:?} {:?}", a.position, b.position);
-        // 10 µJ: a robot that only settles does 130 µJ of work, one that walks 0.4 J.
+        // 10 µJ is small: a robot that settles does 130 µJ of work, one that walks 0.4 J.
         assert!((a.work - b.work).abs() < 0.02 * b.work + 1e-5, "{robot} {leg}: work {} {}", a.work, b.work);
     }
 }
 
 #[test]
-fn walks_side_by_side_as_alone_and_refuses_what_it_cannot_walk() {
+fn parallel_walks_equal_single_walks_and_wrong_ones_are_refused() {
     let model = |leg: &str| model_of("xplorer", leg, &scene(), |_| ());
     let trials = [Trial::new(model("L"), 5.0), Trial::new(model("revL"), 3.0), Trial::new(model("L"), -5.0)];
     let together = walk(&trials);

@@ -1,11 +1,11 @@
-//! The paper's figures and claims, from the library: complete, stable, and the facts that must come out.
+//! The reproduction of the paper's figures and claims: it is complete, and its results do not change by accident.
 
 use resvg::tiny_skia;
 use sandgait::plot::png;
 use sandgait::reproduce::{self, FIGURES, Verdict};
 
 #[test]
-fn claims_are_complete_honest_and_stable() {
+fn claims_are_complete_and_reproducible() {
     let [first, second] = [(); 2].map(|()| reproduce::compute(&FIGURES).unwrap());
     let json = |parts: &[reproduce::Part]| {
         serde_json::to_string(&parts.iter().flat_map(|p| &p.claims).collect::<Vec<_>>()).unwrap()
@@ -20,20 +20,20 @@ fn claims_are_complete_honest_and_stable() {
     for c in &claims {
         assert!(![&c.claim, &c.seed_value, &c.ours, &c.why].iter().any(|t| t.is_empty() || t.contains("NaN")), "{c:?}");
     }
-    // What follows from the physics, whatever the paper measured.
+    // Claims that follow from the equations alone.
     for id in ["3.1d_disagrees", "4.l_faster", "5.positive_faster_1hz", "5.positive_faster_4hz", "4.cost"] {
         assert_eq!(verdict(id), Verdict::Reproduced, "{id}");
     }
-    // What no reading of the stated equations gives: a change here means that something was bent.
+    // Claims that the stated equations do not give in any reading. If one of these turns true, something was tuned.
     assert_eq!(verdict("3.1d_drag_reversed"), Verdict::NotReproduced);
-    // The paper's measured curves are public nowhere.
+    // Claims that need the paper's measured curves, which are not public.
     for id in ["3.rft_agreement", "4.speed_within_15", "4.speed_within_30", "5.within_10_50", "5.within_30_50"] {
         assert_eq!(verdict(id), Verdict::NoData, "{id}");
     }
 }
 
 #[test]
-fn files_are_all_there() {
+fn all_files_are_written() {
     let folder = tempfile::tempdir().unwrap();
     reproduce::write(&reproduce::compute(&[2]).unwrap(), folder.path()).unwrap();
     let read = |name: &str| std::fs::read(folder.path().join(name)).unwrap();
@@ -44,7 +44,7 @@ fn files_are_all_there() {
     assert!(reproduce::compute(&[6]).is_err());
 }
 
-/// The font is compiled in: letters are drawn where they stand, each as it is, and nothing else is.
+/// Figures show their letters at the right place, and no two letters have the same picture. (The font is compiled in.)
 #[test]
 fn figures_have_letters() {
     let page = |text: &str| {
@@ -53,7 +53,7 @@ fn figures_have_letters() {
         );
         tiny_skia::Pixmap::decode_png(&png::encode(&svg).unwrap()).unwrap()
     };
-    // Pixels with ink: columns and rows of each, at two pixels a unit.
+    // Columns and rows of the dark pixels, at two pixels a unit.
     let ink = |text: &str| -> Vec<(u32, u32)> {
         let map = page(text);
         assert_eq!((map.width(), map.height()), (240, 60));
@@ -62,11 +62,11 @@ fn figures_have_letters() {
     };
     assert_eq!(ink(""), []);
     let letters: Vec<_> = "αβγξζ".chars().map(|c| ink(&c.to_string())).collect();
-    // A letter that the font lacks is drawn as a box, and a box is like every other.
+    // All letters that the font lacks would have the same picture, a box.
     let missing = ink("\u{10ffff}");
     for (k, letter) in letters.iter().enumerate() {
         assert!(letter.len() > 20, "letter {k}: {} pixels", letter.len());
-        // Baseline at y = 20, letters 12 high with tails of 4; they begin at x = 10.
+        // The baseline is at y = 20; letters are 12 high and reach 4 below it; the text begins at x = 10.
         assert!(letter.iter().all(|(x, y)| (20..50).contains(x) && (14..50).contains(y)), "letter {k} lies elsewhere");
         assert!(*letter != missing && letters[..k].iter().all(|other| other != letter), "letter {k} is like another");
     }

@@ -1,4 +1,4 @@
-//! What resets change holds from then on, environment by environment, dictionaries key by key.
+//! Options given to a reset stay in force, for each environment separately, and in dictionaries for each key separately.
 
 use sandgait::env::ResetOptions;
 use sandgait::env::registry::Blueprint;
@@ -23,7 +23,7 @@ impl Session {
         self.batch.as_ref().unwrap()
     }
 
-    /// Resets those that `mask` names, or all; environment i gets seed i.
+    /// Resets the environments in `mask`, or all; environment i gets seed i.
     fn reset(&mut self, mask: Option<&[bool]>, options: Value) -> Result<(), String> {
         let mut batch = self.batch.take().unwrap();
         let changes = ResetOptions::new(options).unwrap();
@@ -36,7 +36,7 @@ impl Session {
         outcome
     }
 
-    /// Observations and rewards of some steps.
+    /// Observations and rewards of the next steps.
     fn walk(&mut self, steps: usize) -> Vec<f32> {
         let mut rows = Vec::new();
         for _ in 0..steps {
@@ -63,9 +63,9 @@ impl Session {
     }
 }
 
-/// One reset after the other gives the bits of a session that was made with both; ends of episodes change nothing.
+/// Two resets, each with an option, give the same bits as a session that was made with both options, also after ends of episodes.
 #[test]
-fn resets_add_up() {
+fn options_of_several_resets_are_all_in_force() {
     let short = json!({"max_episode_steps": 15});
     let mut one_by_one = Session::new(GAIT, short, 3);
     one_by_one.reset(None, json!({})).unwrap();
@@ -77,7 +77,7 @@ fn resets_add_up() {
 }
 
 #[test]
-fn a_mask_changes_the_chosen_alone() {
+fn a_mask_changes_only_its_environments() {
     let envs = 40; // more than one shard
     let mut session = Session::new(GAIT, json!({}), envs);
     let chosen = |ids: &[usize]| (0..envs).map(|i| ids.contains(&i)).collect::<Vec<_>>();
@@ -114,7 +114,7 @@ fn dictionaries_change_key_by_key() {
     assert_eq!([&told["lift"], &told["exit_weight"]], [1.0, 2.0]);
 }
 
-/// Ranges that suit one environment's slope but not another's are refused for both.
+/// A range that is valid for one environment's slope but not for another's is refused for both.
 #[test]
 fn a_refused_reset_changes_nothing() {
     let mut session = Session::new(TERRAIN, json!({}), 2);
@@ -133,7 +133,7 @@ fn a_refused_reset_changes_nothing() {
     }
 }
 
-/// A snapshot has every environment's own options, and resets after it build on these.
+/// A snapshot contains each environment's options, and later resets change these.
 #[test]
 fn snapshots_keep_what_resets_changed() {
     let mut session = Session::new(TERRAIN, json!({}), 2);

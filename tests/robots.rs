@@ -1,4 +1,4 @@
-//! Robots from files: their dynamics against other programs, their shapes against what they stand for.
+//! Robots from files: the dynamics agree with other programs, and the plates agree with the exact shapes.
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, Unit, UnitQuaternion, Vector3};
 use rand::{Rng as _, SeedableRng as _};
@@ -32,7 +32,7 @@ fn json(arguments: &[&str]) -> Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// Robot file, and the accelerations that pinocchio or MuJoCo gives it.
+/// A robot's file, and accelerations that pinocchio or MuJoCo computes for it.
 const REFERENCES: [(&str, &str); 5] = [
     ("tests/data/robots/solo12.urdf", "tests/data/robots/solo12.json"),
     ("tests/data/robots/odd.urdf", "tests/data/robots/odd_urdf.json"),
@@ -41,7 +41,7 @@ const REFERENCES: [(&str, &str); 5] = [
     ("robots/sandcat.xml", "tests/data/robots/sandcat_mjcf.json"),
 ];
 
-/// Frames, inertias and the dynamics in one: no number of the file can be read wrongly without being seen here.
+/// Frames, inertias and dynamics are tested together: a number of the file that is read wrongly changes the accelerations.
 #[test]
 fn accelerations_are_those_of_pinocchio_and_mujoco() {
     for (file, reference) in REFERENCES {
@@ -77,7 +77,7 @@ fn rows_may_be_bare_and_joints_in_any_order() {
         std::fs::write(&path, states.to_string()).unwrap();
         json(&["robot", robot, "--accelerations", path.to_str().unwrap()])
     };
-    // This file's joints stand in the robot's own order.
+    // The joints of this file are in the robot's order.
     assert_eq!(states["joints"], own);
     assert_eq!(computed(&states["rows"]), named);
     let turned = |list: &mut Value| list.as_array_mut().unwrap().reverse();
@@ -90,9 +90,9 @@ fn rows_may_be_bare_and_joints_in_any_order() {
     assert_eq!(back, named);
 }
 
-/// The URDF gives its inertias as numbers, the MJCF leaves them to its shapes.
+/// The URDF has the inertias as numbers; for the MJCF they are computed from its shapes.
 #[test]
-fn one_robot_in_both_languages_is_one_robot() {
+fn urdf_and_mjcf_of_a_robot_agree() {
     let [a, b] = ["robots/sandcat.urdf", "robots/sandcat.xml"].map(load);
     assert!(a.warnings.is_empty() && b.warnings.is_empty(), "{:?} {:?}", a.warnings, b.warnings);
     assert_eq!(a.tree.bodies.len(), 13);
@@ -170,7 +170,7 @@ fn shapes() -> Vec<(&'static str, Geometry)> {
     ]
 }
 
-/// Area and volume are kept, whatever the size of the plates.
+/// The plates keep the shape's area and volume, whatever their size.
 #[test]
 fn plates_keep_area_and_volume() {
     let place =
@@ -189,13 +189,13 @@ fn plates_keep_area_and_volume() {
     }
 }
 
-/// What lies inside of another shape of the same body touches no sand.
+/// Plates inside another shape of the same body do not touch the sand.
 #[test]
 fn hidden_plates_are_left_out() {
     let ball = |x: f64| shape(Geometry::Sphere { radius: 0.02 }, Isometry3::translation(x, 0.0, 0.0));
     let all = |shapes: &[TreeShape]| area(&plates::of_shapes(&shapes.iter().collect::<Vec<_>>(), Some(0.002)).unwrap());
     let one = all(&[ball(0.0)]);
-    // Two balls whose centres are a radius apart show three quarters each.
+    // Of two overlapping spheres whose centres are a radius apart, three quarters of each surface are outside.
     assert!((all(&[ball(0.0), ball(0.02)]) / (1.5 * one) - 1.0).abs() < 0.02);
     let inner = shape(Geometry::Mesh(Arc::new(ellipsoid(V::repeat(0.01), 20))), Isometry3::identity());
     assert!((all(&[ball(0.0), inner.clone()]) / one - 1.0).abs() < 1e-12);
@@ -203,7 +203,7 @@ fn hidden_plates_are_left_out() {
     assert!((all(&[ball(0.0), outer.clone()]) / outer.geometry.area() - 1.0).abs() < 0.01);
 }
 
-/// A body of one shape in sand, for the engine of trees.
+/// A model of one body with one shape in sand, for the engine `tree`.
 fn alone(geometry: &Geometry, law: &str) -> Model {
     let body = TreeBody {
         name: "foot".into(),
@@ -235,16 +235,17 @@ fn write_stl(path: &Path, faces: &[[V; 3]], turn: &Rotation3<f64>) {
     std::fs::write(path, bytes).unwrap();
 }
 
-/// Feet of any shape at random poses, depths, velocities and spins: the engine's force and moment with the default plates
-/// against the law summed over 20,000 points of the surface, hard edges and all. Not the seed that defaults were chosen on.
+/// Feet of any shape at random poses, depths, velocities and spins: the engine's force and moment with the default plates agree with
+/// the law summed over 20,000 points of the surface. The seed is not the one on which the defaults were chosen.
 #[test]
-fn default_plates_feel_what_fine_ones_feel() {
+fn default_plates_give_the_forces_of_fine_plates() {
     let mut chance = Xoshiro256PlusPlus::seed_from_u64(7_011);
     let (mut lines, mut wrong) = (Vec::new(), false);
     for law in ["li2013", "agarwal2023"] {
         let sand = SandDescription::named("poppy-loose", law).unwrap();
         for (name, geometry) in shapes() {
-            // What is flat begins to lead all at once: bluntly, as engines have it. What is round has a sharp edge.
+            // A flat face becomes a leading face as a whole, so its smoothed leading edge is compared, as in the engine. Round shapes are
+            // compared with a sharp edge.
             let flat = !matches!(name, "sphere" | "capsule" | "mesh of a boot");
             let surface = if flat { Surface::SOLID } else { Surface::BARE };
             let ground: SandBed<f64> = SandBed::new(sand.law, &sand.medium(), &surface);
@@ -287,7 +288,7 @@ fn default_plates_feel_what_fine_ones_feel() {
                 let [f, m] = sand_loads(&model, [0.0, 0.0, height], &pose)[0].map(V::from);
                 errors.push(((f - force).norm(), force.norm(), (m - moment).norm() / size));
             }
-            // Where next to nothing of the body leads in the sand, a share of the force says nothing.
+            // If hardly any part of the body leads in the sand, a relative error of the force says nothing.
             let largest = errors.iter().map(|e| e.1).fold(0.0, f64::max);
             let large = || errors.iter().filter(|e| e.1 > 0.1 * largest);
             let worst = large().map(|e| e.0 / e.1).fold(0.0, f64::max);
@@ -298,7 +299,7 @@ fn default_plates_feel_what_fine_ones_feel() {
             lines.push(format!(
                 "{law} {name}: {count:?} plates, patches, points; {worst:.4}, rms {mean:.4}, moment {turns:.4}"
             ));
-            // Long and thin: few plates of it are in the sand where it is hardly in.
+            // Of a long and thin body that is hardly in the sand, only few plates are in the sand.
             let thin = matches!(name, "capsule" | "cylinder");
             wrong |= worst >= if thin { 0.05 } else { 0.02 } || mean >= if thin { 0.02 } else { 0.011 };
         }
@@ -306,7 +307,7 @@ fn default_plates_feel_what_fine_ones_feel() {
     assert!(!wrong, "{lines:#?}");
 }
 
-/// One cube as STL, OBJ and DAE, mirrored and scaled: the same shape, and outward.
+/// A cube as STL, OBJ and DAE, mirrored and scaled, gives the same shape with outward normals.
 #[test]
 fn meshes_of_all_kinds_are_the_same() {
     let folder = tempfile::tempdir().unwrap();
@@ -318,7 +319,7 @@ fn meshes_of_all_kinds_are_the_same() {
     let mut obj = list(&|p| format!("v {} {} {}\n", p.x, p.y, p.z));
     obj.extend((0..faces.len()).map(|k| format!("f {} {} {}\n", 3 * k + 1, 3 * k + 2, 3 * k + 3)));
     std::fs::write(at("cube.obj"), obj).unwrap();
-    // In centimetres, moved by a node.
+    // This file is in centimetres, and a node moves the mesh.
     let numbers = list(&|p| format!("{} {} {} ", 100.0 * p.x - 5.0, 100.0 * p.y, 100.0 * p.z));
     let corners: String = (0..points.len()).map(|k| format!("{k} 0 ")).collect();
     let dae = format!(
@@ -349,7 +350,7 @@ fn meshes_of_all_kinds_are_the_same() {
         let low = if scale == "1 1 1" { -0.3 } else { -0.15 };
         assert!((shape.lowest() - low).abs() < 1e-6, "{file} {scale}: {}", shape.lowest());
     }
-    // Without its last face the surface is open: the hull stands for it, and that is said.
+    // Without its last face the surface is open: the convex hull is used instead, and a note says this.
     write_stl(&at("cube.stl"), &faces[..11], &Rotation3::identity());
     let text = std::fs::read_to_string(at("r.urdf")).unwrap().replace("-1 2 0.5", "1 1 1");
     std::fs::write(at("r.urdf"), text).unwrap();
@@ -358,9 +359,9 @@ fn meshes_of_all_kinds_are_the_same() {
     assert!(read.warnings.iter().any(|w| w.contains("convex hull")), "{:?}", read.warnings);
 }
 
-/// Every unsupported element is named, none is dropped in silence.
+/// Every unsupported element is named; none is ignored silently.
 #[test]
-fn what_is_left_out_is_said() {
+fn unsupported_elements_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("r.xml");
     let text = std::fs::read_to_string(here("robots/sandcat.xml")).unwrap();
@@ -384,7 +385,7 @@ fn a_picture_shows_the_robot() {
     assert_eq!(about["touches_sand"]["shapes"].as_array().unwrap().len(), 9);
     let map = resvg::tiny_skia::Pixmap::load_png(&png).unwrap();
     assert_eq!((map.width(), map.height()), (960, 720));
-    // Plates are red, sand is not; both are seen, and neither fills the picture.
+    // Plates are red and sand is not; both are visible, and neither fills the picture.
     let red = |p: &&resvg::tiny_skia::PremultipliedColorU8| u32::from(p.red()) > 2 * u32::from(p.green()).max(60);
     let count = map.pixels().iter().filter(red).count();
     assert!((2_000..200_000).contains(&count), "{count}");

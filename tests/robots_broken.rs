@@ -1,4 +1,4 @@
-//! Files of robots that are broken or hostile: one line, exit code 2, nothing written, an end.
+//! Broken or hostile robot files: each gives one line and exit code 2 in bounded time, and nothing is written.
 
 use rand::{Rng as _, SeedableRng as _};
 use sandgait::robots;
@@ -9,7 +9,7 @@ fn text(name: &str) -> String {
     std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(name)).unwrap()
 }
 
-/// A file of each kind, and what one line must say. `urdf` and `mjcf` are our quadruped.
+/// A broken file, and words that the error must contain. `urdf` and `mjcf` are files of our quadruped.
 struct Broken {
     what: &'static str,
     file: &'static str,
@@ -64,7 +64,7 @@ fn broken_urdf() -> Vec<Broken> {
             robot(&format!("{a}{b}{c}{}{}{}", joint("j", "a", "b"), joint("k", "a", "c"), joint("l", "b", "c"))),
             &["closed chain", "l"],
         ),
-        entry("two roots", robot(&format!("{a}{b}")), &["two robots"]),
+        entry("two roots", robot(&format!("{a}{b}")), &["the file has two robots"]),
         entry("a link twice", robot(&format!("{a}{a}")), &["second link"]),
         entry(
             "a joint twice",
@@ -173,11 +173,11 @@ fn broken_mjcf() -> Vec<Broken> {
         entry("including nothing", changed("<default>", "<include file=\"absent.xml\"/><default>"), &["absent.xml"]),
         entry("no free body", world("<body><geom size=\"1\"/></body><body><geom size=\"1\"/></body>"), &["free joint"]),
         entry(
-            "two robots",
+            "the file has two robots",
             world(
                 "<body name=\"a\"><freejoint/><geom size=\"1\"/></body><body name=\"b\"><freejoint/><geom size=\"1\"/></body>",
             ),
-            &["two robots"],
+            &["the file has two robots"],
         ),
         entry("no world", "<mujoco/>".into(), &["free joint"]),
         entry(
@@ -221,7 +221,7 @@ fn broken_mjcf() -> Vec<Broken> {
     ]
 }
 
-/// Meshes that the files above name.
+/// Writes the meshes that the files above name.
 fn meshes(folder: &Path) {
     let write = |name: &str, bytes: &[u8]| std::fs::write(folder.join(name), bytes).unwrap();
     let mut chance = rand_xoshiro::Xoshiro256PlusPlus::seed_from_u64(1);
@@ -311,7 +311,8 @@ fn wrong_uses_are_refused_in_one_line() {
     }
 }
 
-/// Files with bytes changed, cut out, doubled and swapped: read or refused, never a panic, and what is read can be moved.
+/// Files with bytes changed, cut out, doubled and swapped are read or refused, without a panic, and those that are read can be
+/// simulated.
 #[test]
 fn mutants_are_read_or_refused() {
     let folder = tempfile::tempdir().unwrap();
@@ -334,7 +335,7 @@ fn mutants_are_read_or_refused() {
                     1 => drop(bytes.drain(at..end)),
                     2 => drop(bytes.splice(end..end, whole[at.min(whole.len() - 1)..end.min(whole.len())].to_vec())),
                     3..7 => {
-                        // Another value of an attribute.
+                        // Replaces the value of an attribute.
                         let quotes: Vec<usize> = (0..bytes.len()).filter(|k| bytes[*k] == b'"').collect();
                         let pair = 2 * chance.random_range(0..quotes.len() / 2);
                         let (from, to) = (quotes[pair] + 1, quotes[pair + 1]);

@@ -1,4 +1,4 @@
-//! Rigid obstacles on engine `rapier`: laws first, then what a robot does among them.
+//! Rigid obstacles in the engine `rapier`: physical laws first, then robots among rocks.
 
 use sandgait::env::ResetOptions;
 use sandgait::env::options::Options;
@@ -15,11 +15,11 @@ use sandgait::sim::{Model, Robot, State};
 
 type V = nalgebra::Vector3<f64>;
 
-/// Rock: granite is some 2,650 kg/m³.
+/// Density of rock [kg/m³]: that of granite is about 2,650.
 const DENSITY: f64 = 2650.0;
 
-/// Deepest overlap [m] allowed in random episodes: of 1,000 the deepest was 0.04 mm, where contacts were found wrongly
-/// it was 4 mm.
+/// Deepest overlap [m] allowed in random episodes. In 1,000 episodes the deepest was 0.04 mm; with wrongly detected contacts it
+/// was 4 mm.
 const DEEPEST: f64 = 2e-4;
 
 /// The reference robot with servos of 0.05 N·m, as the tasks have them.
@@ -40,7 +40,7 @@ fn hips(frequency: f64) -> Command {
     Command { rates: vec![std::f64::consts::TAU * frequency; 6], torques: vec![0.0; 6], targets: vec![] }
 }
 
-/// Runs in control steps of 20 ms and shows `look` every state.
+/// Simulates in control steps of 20 ms and calls `look` with every state.
 fn run(model: &Model, state: &State, command: &Command, time: f64, mut look: impl FnMut(&State)) -> State {
     let mut engine = Engine::new(EngineKind::Rapier, model, 1).unwrap();
     engine.set_state(0, state);
@@ -60,7 +60,7 @@ fn rock(size: f64) -> ObstacleShape {
     ObstacleShape::Hull { points: at.map(|p| p.map(|c| c * size / 2.0)).to_vec() }
 }
 
-/// Momentum [kg·m/s] and angular momentum [kg·m²/s] of robot and rocks, and kinetic energy [J]; legs as points.
+/// Momentum [kg·m/s], angular momentum [kg·m²/s] and kinetic energy [J] of robot and rocks.
 fn mechanics(model: &Model, state: &State) -> (V, V, f64) {
     let [w, x, y, z] = state.orientation;
     let rotation = nalgebra::UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z));
@@ -95,7 +95,7 @@ fn mechanics(model: &Model, state: &State) -> (V, V, f64) {
     sum
 }
 
-/// A robot that hits a free rock, no weight, no sand: action and reaction.
+/// A robot hits a free rock, without gravity and sand.
 #[test]
 fn a_collision_keeps_momentum_and_makes_no_energy() {
     for shape in [ObstacleShape::Sphere { radius: 0.02 }, ObstacleShape::Box { size: [0.03, 0.04, 0.05] }, rock(0.05)] {
@@ -119,13 +119,13 @@ fn a_collision_keeps_momentum_and_makes_no_energy() {
         assert!(speed > 0.1, "the rock stayed where it was: {speed}");
         assert!((after.0 - before.0).norm() < 1e-4 * before.0.norm(), "{} {}", before.0, after.0);
         assert!((after.1 - before.1).norm() < 1e-4 * before.0.norm() * 0.1, "{} {}", before.1, after.1);
-        // 1e-4 J of 0.075: the servos hold the legs and are springs.
+        // 1e-4 of 0.075 J is allowed, because the servos that hold the legs act as springs.
         assert!(after.2 < before.2 + 1e-4, "{} J -> {} J", before.2, after.2);
         assert!(most < 1e-4, "{most}");
     }
 }
 
-/// A new world's first step has its contacts too: legs that fly at a ball, one time step a call.
+/// The first time step of a new world has contacts already: legs fly at a ball, with one time step in each call.
 #[test]
 fn contacts_hold_from_the_first_step_of_a_world() {
     let ball = Obstacle::fixed(ObstacleShape::Sphere { radius: 0.02 }, [0.12, 0.04, 99.97]).loose(DENSITY);
@@ -145,7 +145,7 @@ fn contacts_hold_from_the_first_step_of_a_world() {
     assert!(most < 1e-4 && state.objects[0].velocity[0] > 0.3, "{most} {:?}", state.objects[0]);
 }
 
-/// Set down on the sand, a rock sinks until the sand carries it, and stays.
+/// A rock that is set down on the sand sinks until the sand carries it, and then rests.
 #[test]
 fn a_loose_rock_rests() {
     let size = 0.04;
@@ -164,15 +164,16 @@ fn a_loose_rock_rests() {
         );
         assert!(moved.norm() < 1e-4, "{shape:?} moved {moved}");
         if let ObstacleShape::Box { .. } = shape {
-            // Let go on the surface it stops where ½ 0.254 N/cm³ × area × depth² is the weight's work m g × depth, twice
-            // as deep as where the force alone is m g. On top of that: 1e-5 m/s of creep, and the step.
+            // Released at the surface, it stops at the depth at which the sand's work, ½ 0.254 N/cm³ × area × depth², equals the
+            // work of its weight, m g × depth. This is twice the depth at which the forces are equal. The tolerance is for 1e-5 m/s
+            // of creep and for the time step.
             let depth = 2.0 * DENSITY * size * 9.80665 / 0.254e6;
             assert!((size / 2.0 - end.objects[0].position[2] - depth).abs() < 0.04 * depth, "{depth} {end:?}");
         }
     }
 }
 
-/// A rock thrown onto the sand: it never gains energy.
+/// A rock that is thrown onto the sand never gains energy.
 #[test]
 fn sand_adds_no_energy_to_a_rock() {
     let obstacle = Obstacle::fixed(rock(0.05), [0.5, 0.0, 0.06]).loose(DENSITY);
@@ -194,7 +195,7 @@ fn sand_adds_no_energy_to_a_rock() {
     assert!(V::from(end.objects[0].velocity).norm() < 1e-3, "{end:?}");
 }
 
-/// Driven against a wall with 2 Hz the robot stays before it; without the wall it would be far behind it.
+/// A robot that walks at 2 Hz against a wall stays before it; without the wall it would walk far past it.
 #[test]
 fn a_wall_stops_the_robot() {
     let wall = Obstacle::block([0.3, 0.0], [0.02, 2.0], 0.2, 0.0);
@@ -208,7 +209,7 @@ fn a_wall_stops_the_robot() {
     assert!(most < 1e-4, "{most}");
 }
 
-/// On a hard patch the robot stands on its leg tips and does not sink; on sand it does.
+/// On a hard patch the robot stands on its leg tips without sinking; on sand it sinks.
 #[test]
 fn a_hard_patch_carries_the_robot() {
     let hard = model(&[Obstacle::block([0.0, 0.0], [0.4, 0.4], 0.0, 0.0)]);
@@ -235,9 +236,9 @@ fn a_walking_robot_pushes_a_loose_rock() {
     assert!(most < 1e-4, "{most}");
 }
 
-/// An obstacle out of reach changes how the world is solved, not how the robot walks.
+/// An obstacle out of reach hardly changes the robot's walk, although the engine then uses another solver.
 #[test]
-fn a_far_obstacle_changes_nothing_that_matters() {
+fn a_far_obstacle_hardly_changes_the_walk() {
     let (alone, beside) = (model(&[]), model(&[Obstacle::block([0.0, 5.0], [0.1, 0.1], 0.1, 0.0)]));
     let [a, b] = [&alone, &beside].map(|m| run(m, &start(m), &hips(2.0), 3.0, |_| ()).position[0]);
     println!("{a} {b}");
@@ -260,7 +261,7 @@ fn a_state_with_rocks_resumes_with_the_same_bits() {
 }
 
 #[test]
-fn what_is_refused() {
+fn wrong_obstacles_are_refused() {
     let step = Obstacle::block([0.2, 0.0], [0.1, 0.1], 0.01, 0.0);
     let error = Engine::new(EngineKind::Lanes, &model(std::slice::from_ref(&step)), 1).err().unwrap().to_string();
     assert!(error.contains("lanes has no rigid obstacles"), "{error}");
@@ -280,7 +281,7 @@ fn what_is_refused() {
 
 /// The short form of `examples/rocks_study.rs`, which has 1,000 episodes: random actions, changed every 0.2 s.
 #[test]
-fn a_robot_with_random_actions_passes_through_nothing() {
+fn a_robot_with_random_actions_does_not_pass_through_rocks() {
     let options = serde_json::json!({"rocks": {"count": 40}});
     let blueprint = Blueprint::new("sandgait/HexapodRocks-v1", options).unwrap();
     let (mut deepest, mut touched): (f64, usize) = (0.0, 0);
@@ -312,7 +313,7 @@ fn a_robot_with_random_actions_passes_through_nothing() {
 }
 
 #[test]
-fn drawn_rocks_suit_the_scene_and_the_seed() {
+fn random_rocks_depend_on_scene_and_seed() {
     let options = RockOptions::default();
     options.check_all("").unwrap();
     let widest = RockOptions { count: 64, size: [5e-3, 0.5], step_height: [0.0, 0.5], field: [100.0; 2], ..options };
@@ -384,7 +385,7 @@ fn the_task_scans_heights_and_refuses_what_has_no_rocks() {
 
     let rocks = blueprint("sandgait/HexapodRocks-v1", serde_json::Value::Null).unwrap();
     let (state, mut goal) = rocks.task.begin(&mut Random::new(0, 0));
-    // One step 10 to 12 cm ahead of a robot that looks along +y.
+    // A step 10 to 12 cm ahead of a robot that heads along +y.
     let step = Obstacle::block([0.0, 0.13], [0.5, 0.02], 0.015, 0.0);
     goal.model = Some(rocks.task.model().with_obstacles(&[step]).unwrap().into());
     let half = std::f64::consts::FRAC_1_SQRT_2;

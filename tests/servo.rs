@@ -1,4 +1,4 @@
-//! Servos whose torque saturates: where the reference stops, and what happens when the command changes.
+//! Servos at their torque limit: how far the target runs ahead, and what happens when the command changes.
 
 use sandgait::sand::Medium;
 use sandgait::sim::engine::{Command, Engine, EngineKind};
@@ -15,7 +15,7 @@ fn model(torque_limit: f64, anti_windup: bool) -> Model {
     Model::new(&robot, &Scene::flat(Medium::named("poppy-loose").unwrap())).unwrap()
 }
 
-/// A robot set down in the tripod, driven at each rate [rad/s] for as long [s]; its states at the end of each stretch.
+/// Drives a robot, set down in the tripod stance, at each rate [rad/s] for a time [s]. Returns the state at the end of each stretch.
 fn drive(kind: EngineKind, model: &Model, stretches: &[(f64, f64)]) -> Vec<State> {
     let angles = model.tripod_angles();
     let mut state = State::at_rest(model.standing_height(&angles), &angles);
@@ -24,7 +24,7 @@ fn drive(kind: EngineKind, model: &Model, stretches: &[(f64, f64)]) -> Vec<State
     let mut ends = Vec::new();
     for (rate, time) in stretches {
         engine.command(0, &Command { rates: vec![*rate; 6], torques: vec![0.0; 6], targets: vec![] });
-        // Read often enough to unwrap the angles below.
+        // States are read often enough to unwrap the angles below.
         engine.advance((time / model.scene.dt).round() as usize);
         engine.state(0, &mut state);
         ends.push(state.clone());
@@ -32,7 +32,7 @@ fn drive(kind: EngineKind, model: &Model, stretches: &[(f64, f64)]) -> Vec<State
     ends
 }
 
-/// The greatest angle that any hip still turns [rad] in the 0.5 s after a command of full speed has ended.
+/// The largest angle [rad] by which a hip turns in the 0.5 s after a full-speed command has ended.
 fn overrun(kind: EngineKind, model: &Model) -> f64 {
     let mut stretches = vec![(FAST, 2.0)];
     stretches.extend([(0.0, 0.01); 50]);
@@ -43,8 +43,8 @@ fn overrun(kind: EngineKind, model: &Model) -> f64 {
     (0..6).map(|hip| turned(hip).abs()).fold(0.0, f64::max)
 }
 
-/// A motor of 8 mN·m cannot follow 5 Hz in sand. Without the limit the reference is turns ahead, and hips go on by more
-/// than half a radian after the command has ended; with it they stop within what their own momentum takes.
+/// A motor of 8 mN·m cannot follow 5 Hz in sand. Without the lag limit its target gets turns ahead, and the hips turn on by more
+/// than half a radian after the command has ended. With the limit, only their momentum carries them on.
 #[test]
 fn hips_stop_when_the_command_ends() {
     for kind in EngineKind::ALL {
@@ -54,7 +54,7 @@ fn hips_stop_when_the_command_ends() {
     }
 }
 
-/// After 2 s of full speed forward the torque turns round with the command, within 20 ms.
+/// After 2 s of full speed forward, the torque reverses within 20 ms of the command.
 #[test]
 fn torque_follows_the_sign_of_the_command() {
     for kind in EngineKind::ALL {
@@ -65,9 +65,9 @@ fn torque_follows_the_sign_of_the_command() {
     }
 }
 
-/// Motors that never saturate do not notice the limit: a standing robot has the same bits.
+/// The lag limit does not change a bit of a standing robot, whose motors are below their torque limit.
 #[test]
-fn strong_motors_do_not_notice() {
+fn the_lag_limit_does_not_affect_unsaturated_motors() {
     for kind in EngineKind::ALL {
         let [with, without] = [true, false].map(|a| drive(kind, &model(1.0, a), &[(0.0, 0.5)]));
         assert_eq!(with, without, "{}", kind.name());

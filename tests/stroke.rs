@@ -1,4 +1,4 @@
-//! LegStroke: forces are the sand's, the reward is what its page says, and the claims that its page rests on hold.
+//! The task LegStroke: its forces are those of the sand, its reward is as documented, and the claims on its page hold.
 
 use sandgait::env::Shard;
 use sandgait::env::registry::Blueprint;
@@ -21,7 +21,8 @@ fn leg(dt: f64) -> Model {
     Model::new(&robot, &Scene { dt, ..Scene::flat(medium()) }).unwrap()
 }
 
-/// The state after joint speeds that change every 20 ms, `scale` times as fast; from `start` at `speed` [m/s].
+/// The state after a motion with joint speeds that change every 20 ms, times `scale`, from the angles `start`, with the carriage at
+/// `speed` [m/s].
 fn driven(model: &Model, start: [f64; 2], speed: f64, rates: &dyn Fn(usize) -> [f64; 2], steps: usize) -> State {
     let mut engine = CarriageEngine::new(model, 1);
     let mut state = State::at_rest(0.02, &start);
@@ -35,13 +36,13 @@ fn driven(model: &Model, start: [f64; 2], speed: f64, rates: &dyn Fn(usize) -> [
     state
 }
 
-/// Joint speeds that enter the sand, push and leave it.
+/// Joint speeds of a stroke: the leg enters the sand, pushes, and leaves it.
 fn paddle(k: usize) -> [f64; 2] {
     let phase = k as f64 / 50.0 * TAU;
     [4.0 + phase.sin(), 3.0 * (phase + 0.4).cos()]
 }
 
-/// With the knee at 90° it is the L-leg of the paper's experiment, whose forces other code computes.
+/// With the knee at 90° the leg is the L leg of the paper's experiment; its forces agree with those of other code.
 #[test]
 fn forces_are_those_of_a_rotating_leg() {
     let surface = Surface::default();
@@ -49,7 +50,8 @@ fn forces_are_those_of_a_rotating_leg() {
     for (knee, xi) in [(FRAC_PI_2, PI / 4.0), (-FRAC_PI_2, -PI / 4.0)] {
         let mut largest: f64 = 0.0;
         for theta in [-1.0_f64, -0.7, -0.3, 0.1, 0.6] {
-            // The paper's angle is that of the line from hip to tip, tip forward; ours is the upper link's, tip backward.
+            // The paper's angle is that of the line from hip to tip, positive for a tip forward. Ours is that of the upper link, positive
+            // for a tip backward.
             let hip = -theta - knee / 2.0;
             let (omega, dt) = (0.2, 1e-5);
             let model = leg(dt);
@@ -65,7 +67,7 @@ fn forces_are_those_of_a_rotating_leg() {
             for (ours, theirs) in [(force[0], load.fx), (force[2], load.fz)] {
                 assert!((ours - theirs).abs() < 2e-3 * (1.0 + theirs.abs()), "knee {knee} θ {theta}: {ours} {theirs}");
             }
-            // Torque about +y on the motor's side: it holds against z·Fx − x·Fz.
+            // The motor's torque about +y balances the sand's, z·Fx − x·Fz.
             assert!((state.torques[0] - load.ty).abs() < 1e-4, "{} {}", state.torques[0], load.ty);
             largest = largest.max(load.fz.abs());
         }
@@ -73,9 +75,9 @@ fn forces_are_those_of_a_rotating_leg() {
     }
 }
 
-/// What is pushed backward as the carriage goes backward is what is pushed forward as it goes forward.
+/// A mirrored stroke with a carriage that moves backward has the mirrored force.
 #[test]
-fn forward_and_backward_are_alike() {
+fn forward_and_backward_strokes_are_mirror_images() {
     let model = leg(4e-3);
     let there = driven(&model, [-1.75, 0.3], 0.2, &paddle, 50);
     let back = driven(&model, [1.75, -0.3], -0.2, &|k| paddle(k).map(|r| -r), 50);
@@ -85,9 +87,9 @@ fn forward_and_backward_are_alike() {
     assert!((there.work - back.work).abs() < 1e-9);
 }
 
-/// Sand takes energy and gives none: whatever the leg does, its push on the carriage is paid for in work.
+/// The sand never adds energy: the leg's work on the carriage is at most the motors' work.
 #[test]
-fn no_stroke_gives_more_than_it_takes() {
+fn no_stroke_adds_energy() {
     let model = leg(4e-3);
     for seed in 0..200 {
         let rates =
@@ -97,7 +99,7 @@ fn no_stroke_gives_more_than_it_takes() {
     }
 }
 
-/// Why the carriage moves: under one that stands, the same path at half the speed has twice the impulse for the same work.
+/// On a carriage at rest, the same path at half the speed has twice the impulse for the same work. This is why the carriage moves.
 #[test]
 fn a_standing_carriage_has_no_best_stroke() {
     let model = leg(1e-3);
@@ -108,7 +110,7 @@ fn a_standing_carriage_has_no_best_stroke() {
     assert!((slow.work / fast.work - 1.0).abs() < 0.01, "{} {}", slow.work, fast.work);
 }
 
-/// The default time step against an eighth of it, and both halves of the efficiency.
+/// An eighth of the default time step gives the same efficiency.
 #[test]
 fn the_time_step_is_fine_enough() {
     let [coarse, fine] = [4e-3, 5e-4].map(|dt| driven(&leg(dt), [-1.75, 0.3], 0.2, &paddle, 50));
@@ -116,7 +118,7 @@ fn the_time_step_is_fine_enough() {
     assert!((a / b - 1.0).abs() < 0.01, "{a} {b}");
 }
 
-/// Rows of a whole stroke under `options`: rewards, info rows, and where it terminated.
+/// A whole stroke with `options`: rewards, info rows, and the step in which it terminated.
 fn stroke(options: Value, action: &dyn Fn(usize) -> [f32; 2]) -> (Vec<f32>, Vec<Vec<f32>>, usize) {
     let blueprint = Blueprint::new(ID, options).unwrap();
     let mut shard = Shard::new(&blueprint, 1).unwrap();
@@ -143,7 +145,7 @@ fn paddled(k: usize) -> [f32; 2] {
     paddle(k).map(|r| (r / TAU) as f32)
 }
 
-/// The return is the efficiency less the penalties, each as the page defines it.
+/// The return is the efficiency minus the penalties, each as the task's page defines it.
 #[test]
 fn the_return_is_the_efficiency_less_the_penalties() {
     let [efficiency, mean_lift, thrust, work] = ["efficiency", "mean_lift", "thrust", "work"].map(column);
@@ -164,7 +166,7 @@ fn the_return_is_the_efficiency_less_the_penalties() {
 }
 
 #[test]
-fn a_leg_that_stays_in_the_sand_pays_for_it() {
+fn a_leg_that_stays_in_the_sand_is_penalised() {
     let exit = column("reward_exit");
     let down = |k: usize| if k < 12 { [1.0, 0.0] } else { [0.0, 0.0] };
     let (_, infos, _) = stroke(Value::Null, &down);
@@ -175,7 +177,7 @@ fn a_leg_that_stays_in_the_sand_pays_for_it() {
 }
 
 #[test]
-fn wrong_options_are_refused_in_a_line() {
+fn wrong_options_are_refused_in_one_line() {
     let refused = |options: Value| Blueprint::new(ID, options).err().unwrap().to_string();
     for (options, said) in [
         (json!({"stroke": {"start": [0.0, 0.0]}}), "stroke.start: [0.0, 0.0] begins 87.5 mm in the sand"),

@@ -22,7 +22,7 @@ fn design() -> Design {
     Design { robot: Robot::load("xplorer").unwrap(), scene, frequency: 2.0, phase: 0.0 }
 }
 
-/// Plates pushed slowly through grains simulated one by one; their makers give ζ = 0.46 from three such runs.
+/// The data are of plates pushed slowly through a simulation of single grains; its authors state ζ = 0.46 from three such runs.
 #[test]
 fn a_penetration_test_gives_the_scale() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/penetration.csv");
@@ -40,10 +40,10 @@ fn a_penetration_test_gives_the_scale() {
     assert!((c.xi_n / c.zeta - 1.0 / 0.87574).abs() < 1e-12);
 }
 
-/// The interval covers the truth nearly as often as it says, in noise that is correlated along the path (see
-/// `calibrate::STRETCHES` for what nearly means).
+/// The interval contains the true value nearly as often as its confidence level, for noise that is correlated along the path.
+/// `calibrate::STRETCHES` says how nearly.
 #[test]
-fn the_confidence_interval_covers() {
+fn the_confidence_interval_has_its_coverage() {
     use rand::{Rng, SeedableRng};
     let mut random = rand_xoshiro::Xoshiro256PlusPlus::seed_from_u64(1);
     let depth: Vec<f64> = (1..=200).map(|i| f64::from(i) * 2.5e-4).collect();
@@ -103,7 +103,7 @@ fn bad_cells_are_named() {
         ("force\n1\n", "m", "row 1, column depth: missing; the header has force"),
         ("depth [furlong]\n1\n", "m", "furlong"),
         ("depth\n1\n", "furlong", "row 1, column depth: unit \"furlong\" is unknown; known: m, cm"),
-        ("depth [mm]\n1\n", "cm", "row 1, column depth: its unit is another in the header"),
+        ("depth [mm]\n1\n", "cm", "row 1, column depth: the header gives another unit"),
         ("depth\n", "m", "no rows"),
         ("depth,depth\n1,2\n", "m", "twice"),
         ("depth [m],depth [mm]\n1,2\n", "m", "twice"),
@@ -114,9 +114,9 @@ fn bad_cells_are_named() {
     }
 }
 
-/// Packing into lanes and cores does not change a walk by a bit.
+/// A walk has the same bits alone and together with others in lanes and on several cores.
 #[test]
-fn packed_walks_are_the_walks_alone() {
+fn parallel_walks_equal_single_walks() {
     let mut trials = Vec::new();
     for (k, law) in ["li2013", "penetration-drag-1d", "agarwal2023", "li2013"].into_iter().enumerate() {
         for xi in [-40.0, 10.0, 40.0] {
@@ -133,7 +133,7 @@ fn packed_walks_are_the_walks_alone() {
     }
 }
 
-/// The window's ends lie between two samples at most frequencies: the work inside must not depend on where.
+/// At most frequencies, the ends of the evaluated window lie between two samples. The cost of transport must not depend on where.
 #[test]
 fn the_cost_of_transport_is_smooth_in_the_frequency() {
     let cost = |frequency: f64| {
@@ -146,7 +146,7 @@ fn the_cost_of_transport_is_smooth_in_the_frequency() {
     }
 }
 
-/// Every law walks alike in the engine that shares none of the other's dynamics.
+/// With every law, two engines with independent dynamics give the same walk.
 #[test]
 fn engines_agree_under_every_law() {
     for law in sandgait::sand::Law::ALL {
@@ -181,7 +181,7 @@ fn parameters_change_the_model() {
     assert_eq!(Axis::parse("xi=-0.1:0.2:4").unwrap().values, ["-0.1", "0", "0.1", "0.2"]);
 }
 
-/// The search finds at least the best of a coarse grid, stays in its bounds, and does so again.
+/// The search finds a design at least as good as the best of a coarse grid, stays within its bounds, and is reproducible.
 #[test]
 fn the_search_beats_a_grid() {
     let axes = [Axis::parse("xi=0:75:2").unwrap()];
@@ -200,10 +200,10 @@ fn the_search_beats_a_grid() {
     assert_eq!(a.values, b.values);
 }
 
-/// Legs rotated through sand with a mechanism feel what the diagnosis predicts for a log of that motion, which sums
-/// over other segments and knows slopes and filled legs by code of its own.
+/// The forces on a leg that rotates through sand with a mechanism agree with the diagnosis's prediction. The prediction sums over other
+/// segments and has its own code for slopes and filled legs.
 #[test]
-fn mechanisms_do_to_a_rotated_leg_what_the_diagnosis_says() {
+fn forces_with_mechanisms_agree_with_the_diagnosis() {
     let acting = ["inertial_drag", "concave_fill", "depth_power", "cohesion", "scale", "packing_grad", "slope"];
     let sensors = ["bias_x", "bias_z", "sensor_tilt", "depth_zero", "delay", "lowpass", "compliance"];
     let toml = "kind = \"intrusion\"\nmedium = \"poppy-loose\"\n\
@@ -234,7 +234,7 @@ fn mechanisms_do_to_a_rotated_leg_what_the_diagnosis_says() {
         let largest = |d: &dyn Fn(usize) -> f64| (0..ours.len()).map(d).fold(0.0, f64::max);
         let effect = largest(&|k| (ours[k].fx - plain[k].fx).hypot(ours[k].fz - plain[k].fz));
         let off = largest(&|k| (ours[k].fx - theirs[k]).hypot(ours[k].fz - theirs[ours.len() + k]));
-        // 400 segments here, 40 there: 4 mN apart, the effects are 57 mN and more.
+        // 400 segments here and 40 in the diagnosis differ by 4 mN; the effects of the mechanisms are 57 mN and more.
         assert!(off < 0.005 && effect > 0.05, "{id}: effect {effect} N, off by {off} N");
     }
     for id in sensors {
@@ -243,9 +243,9 @@ fn mechanisms_do_to_a_rotated_leg_what_the_diagnosis_says() {
     }
 }
 
-/// A grid is walked in portions, and says whose value is wrong before it walks.
+/// A large grid is computed in portions and gives the results of its single walks. A wrong value is named before the first walk.
 #[test]
-fn a_grid_of_any_size_is_its_walks() {
+fn a_large_grid_equals_its_single_walks() {
     let axes = [Axis::parse("xi=-40,40").unwrap(), Axis::parse("frequency=19:20:2100").unwrap()];
     let results = sandgait::sweep::grid(&design(), &axes, &Silent).unwrap();
     assert_eq!(results.len(), 4200);

@@ -1,4 +1,4 @@
-//! What every task keeps to: left and right are alike, and its page is what its code says.
+//! Properties of every task: mirror symmetry, and a page that agrees with the code.
 
 use sandgait::env::ground::Change;
 use sandgait::env::random::Random;
@@ -23,8 +23,7 @@ fn refused(id: &str, options: Value) -> String {
     Blueprint::new(id, options).err().unwrap().to_string()
 }
 
-/// Joint on the other side, and by which factor an angle changes when left and right are exchanged: hinge axes are
-/// axial vectors.
+/// For each joint, its counterpart on the other side, and the sign of its angle in the mirror. (Hinge axes are axial vectors.)
 fn other_side(model: &Model) -> Vec<(usize, f64)> {
     let names = model.robot.joint_names();
     let bodies: Vec<_> = model.legs.iter().flatten().collect();
@@ -50,14 +49,14 @@ fn mirrored_state(state: &State, sides: &[(usize, f64)]) -> State {
     new
 }
 
-/// A row of actions or observations with left and right exchanged. Signs come from what a column's name says it is.
+/// A row of actions or observations with left and right exchanged. The signs follow from the columns' names.
 fn mirrored_row(row: &[f32], columns: &[Column], model: &Model) -> Vec<f32> {
     let names = model.robot.joint_names();
     let sides = other_side(model);
     let sign = |name: &str| {
         let axial = name.contains("angular velocity") || name.contains("yaw");
         let odd = if axial { !name.ends_with(" y") } else { name.ends_with(" y") };
-        // Of angles, and all that goes with them; phases and torque limits know no direction.
+        // Signs of angles, speeds and torques. Phases and torque limits have no direction.
         let joint = names.iter().position(|j| name.ends_with(&format!(", {j}")) && !name.contains("cosine"));
         joint.map_or(if odd { -1.0 } else { 1.0 }, |i| sides[i].1)
     };
@@ -65,7 +64,7 @@ fn mirrored_row(row: &[f32], columns: &[Column], model: &Model) -> Vec<f32> {
     columns.iter().map(|c| sign(&c.name) as f32 * row[source(&c.name)]).collect()
 }
 
-/// A task's steps in one engine of two robots, without autoreset.
+/// Two robots of a task in one engine, without autoreset.
 struct Twins<'a> {
     blueprint: &'a Blueprint,
     engine: LanesEngine,
@@ -89,7 +88,7 @@ impl<'a> Twins<'a> {
         Self { blueprint, engine, states, goals: [goal, turned], last }
     }
 
-    /// Observation and info of each.
+    /// Makes a step; returns observation and info of both robots.
     fn step(&mut self, actions: [Vec<f32>; 2]) -> [(Vec<f32>, Vec<f32>); 2] {
         let task = &*self.blueprint.task;
         let period = 1.0 / task.spec().control_rate;
@@ -152,16 +151,16 @@ fn every_walk() -> Vec<(&'static str, Value)> {
     controls.into_iter().chain(others).collect()
 }
 
-/// What is done with left and right exchanged gives the same with left and right exchanged.
+/// From a mirrored state, mirrored actions give mirrored observations and the same info.
 #[test]
-fn tasks_know_no_left_and_right() {
+fn tasks_are_mirror_symmetric() {
     for (id, options) in every_walk() {
         let what = format!("{id} {options}");
         let blueprint = blueprint(id, options);
         let (model, spec) = (&**blueprint.task.model(), blueprint.task.spec());
         let mut twins = Twins::new(&blueprint);
         let mut aside = 0.0;
-        // Legs without servos fling the robot about: rounding grows, and after a second it shows.
+        // With torque control the motion is irregular, so that rounding errors grow and are visible after a second.
         for time in 0..30 {
             let action = wave(spec.action.len(), time);
             let mirrored = mirrored_row(&action, &spec.action, model);
@@ -174,9 +173,9 @@ fn tasks_know_no_left_and_right() {
     }
 }
 
-/// The clock's action 0 is the constant-rate tripod: hip speeds of half the greatest.
+/// Action 0 of the clock control is a tripod at a constant rate: each hip at half of the largest speed.
 #[test]
-fn the_clock_holds_the_constant_rate_tripod() {
+fn action_0_of_the_clock_is_the_constant_rate_tripod() {
     let quiet = |control| blueprint(GAIT, json!({"control": control, "angle_noise": 0.0}));
     let (clock, speed) = (quiet("clock"), quiet("hip_speed"));
     let (mut a, mut b) = (Twins::new(&clock), Twins::new(&speed));
@@ -189,9 +188,9 @@ fn the_clock_holds_the_constant_rate_tripod() {
     assert!(far < 1e-6, "{far}");
 }
 
-/// A torque action is the torque, as long as it is within the motor's; a target is where the hip goes.
+/// With torque control, the action is the motor's torque, within its limit. With position control, the hip moves to the target.
 #[test]
-fn torques_and_targets_are_what_they_say() {
+fn torque_and_position_actions_have_their_meaning() {
     let torque = blueprint(GAIT, json!({"control": "torque", "torque_limit": 0.02}));
     let mut twins = Twins::new(&torque);
     let action = vec![0.5, -0.25, 0.1, 0.0, 1.0, -1.0];
@@ -199,7 +198,7 @@ fn torques_and_targets_are_what_they_say() {
     let wanted: Vec<f32> = action.iter().map(|a| 0.02 * a).collect();
     close(&twins.states[0].torques.iter().map(|t| *t as f32).collect::<Vec<_>>(), &wanted, "torques");
 
-    // Far above the sand nothing pushes back.
+    // Far above the sand there is no force on the legs.
     let target = blueprint(GAIT, json!({"control": "hip_target"}));
     let mut twins = Twins::new(&target);
     twins.states[0].position[2] = 50.0;
@@ -216,9 +215,9 @@ fn torques_and_targets_are_what_they_say() {
 
 const WALKING: [&str; 4] = [GAIT, LEGS, "sandgait/HexapodRocks-v1", TERRAIN];
 
-/// Both commands stand in the observation, so nobody is paid for what cannot be seen.
+/// The observation contains both commands, so the reward depends on no hidden quantity.
 #[test]
-fn what_is_commanded_is_observed() {
+fn the_command_is_in_the_observation() {
     for id in WALKING {
         let blueprint = blueprint(id, json!({"turn": [0.5, 0.5], "command": [0.2, 0.2]}));
         let (task, columns) = (&blueprint.task, &blueprint.task.spec().observation);
@@ -230,15 +229,15 @@ fn what_is_commanded_is_observed() {
     }
 }
 
-/// `state` turned about the vertical by `yaw` [rad] where it stands.
+/// `state` rotated about the robot's vertical axis by `yaw` [rad].
 fn yawed(state: &State, yaw: f64) -> State {
     let (sin, cos) = (yaw / 2.0).sin_cos();
     let [w, x, y, z] = state.orientation;
     State { orientation: [cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w], ..state.clone() }
 }
 
-/// Info columns of a step of HexapodGait that turns from one heading to another [rad], goes by `moved` [m] and ends with
-/// the yaw speed `turning` [rad/s] and this much `work` [J].
+/// Info columns of a step of HexapodGait in which the robot turns from one heading to another [rad] and moves by `moved` [m]. At its
+/// end the yaw speed is `turning` [rad/s] and the accumulated work `work` [J].
 fn paid(headings: [f64; 2], moved: [f64; 2], turning: f64, work: f64) -> impl Fn(&str) -> f64 {
     let blueprint = blueprint(GAIT, json!({"command": [0.25, 0.25]}));
     let task = blueprint.task.clone();
@@ -262,24 +261,24 @@ fn paid(headings: [f64; 2], moved: [f64; 2], turning: f64, work: f64) -> impl Fn
     move |name| f64::from(info[names.iter().position(|n| n == name).unwrap()])
 }
 
-/// What is paid does not depend on where the robot heads; a step that turns is seen in the heading halfway.
+/// The reward does not depend on the robot's heading. Speeds in a step with a turn are those in the mean heading.
 #[test]
-fn speeds_are_paid_in_the_heading() {
+fn speeds_are_rewarded_along_the_heading() {
     for heading in [0.0, 1.0, 3.0, -2.0] {
         let (sin, cos) = f64::sin_cos(heading);
         let [forward, left] = [0.005, 0.001];
         let moved = [cos * forward - sin * left, sin * forward + cos * left];
         let got = paid([heading - 0.2, heading + 0.2], moved, 0.0, 0.0);
         assert!((got("speed") - 0.25).abs() < 1e-6 && (got("reward_tracking") - 1.0).abs() < 1e-6, "{heading}");
-        let lateral = -0.1 * 2.0 * ((1.0_f64 + 0.25).sqrt() - 1.0); // 0.05 m/s are half of the tolerance
+        let lateral = -0.1 * 2.0 * ((1.0_f64 + 0.25).sqrt() - 1.0); // 0.05 m/s is half of the tolerance
         assert!((got("reward_lateral") - lateral).abs() < 1e-6, "{heading}: {}", got("reward_lateral"));
         assert!((got("x_velocity") - moved[0] / 0.02).abs() < 1e-6);
     }
 }
 
-/// However bad it is, worse costs more.
+/// A cost never saturates: a larger error always costs more.
 #[test]
-fn no_cost_ends_anywhere() {
+fn costs_do_not_saturate() {
     let mut last = [0.0; 3];
     for much in [0.5, 1.0, 2.0, 5.0, 20.0] {
         let got = paid([0.0; 2], [0.0, 0.002 * much], much, 0.02 * much);
@@ -312,11 +311,11 @@ fn options_of_other_tasks_are_refused() {
     assert!(error.starts_with("rocks: ") && error.contains("HexapodRocks"), "{error}");
 }
 
-/// What a page has measured stands after this line; the rest is made from the task's data.
+/// The part of a page after this line has measured results and is written by hand; the part before it is generated.
 const MEASURED: &str = "<!-- measured -->";
 
 #[test]
-fn pages_are_what_the_code_says() {
+fn pages_agree_with_the_code() {
     for id in sandgait::env::registry::TASK_IDS {
         let name = id.trim_start_matches("sandgait/");
         let path = format!("{}/docs/tasks/{name}.md", env!("CARGO_MANIFEST_DIR"));
@@ -335,7 +334,7 @@ fn pages_are_what_the_code_says() {
 #[path = "../examples/own_task.rs"]
 mod own_task;
 
-/// A task of one's own needs one file: options, help, resets, rewards and figures follow from its lines.
+/// The example task works with one file: options, help, resets, rewards and figures are derived from it.
 #[test]
 fn a_task_of_ones_own_is_one_file() {
     let make = |options| Blueprint::of::<own_task::LevelWalk>(options);
@@ -354,7 +353,7 @@ fn a_task_of_ones_own_is_one_file() {
     assert_eq!(reset(json!({"largest_tilt": 0.3, "slope_deg": 5})).unwrap().task.option("largest_tilt"), 0.3);
     let fixed = reset(json!({"level_weights": {"level": 0}})).err().unwrap().to_string();
     assert!(fixed.starts_with("level_weights: no reset changes it; resets change: command, turn"), "{fixed}");
-    // Level or not, it walks; a price on tilt is paid.
+    // The robot walks with and without a weight on tilt, and the weight lowers the reward.
     let [free, priced] = [0.0, 5.0].map(|level| own_task::played(json!({"level_weights": {"level": level}})).unwrap());
     assert!(free > 1.0 && priced < free, "{free} {priced}");
 }

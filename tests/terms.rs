@@ -1,4 +1,4 @@
-//! Laws found in data, as data: what `sand.toml` says in `[[term]]` is what both engines do.
+//! Terms of the stress that a diagnosis found (`[[term]]` in `sand.toml`): both engines compute them as documented.
 
 use sandgait::number::{Portable, Real, Vec3};
 use sandgait::progress::Silent;
@@ -25,7 +25,7 @@ fn trial(sand: &SandDescription) -> Trial {
     Trial::new(Model::new(&robot, &scene).unwrap(), 3.0)
 }
 
-/// The engines agree about a term, and it slows the robot's legs down.
+/// Both engines agree on a walk with a term, and the term slows the robot down.
 #[test]
 fn both_engines_walk_on_a_sand_with_a_term() {
     let trials = [trial(&sand("")), trial(&sand(TERM))];
@@ -38,7 +38,7 @@ fn both_engines_walk_on_a_sand_with_a_term() {
     assert!((ours[1] / oracle[1] - 1.0).abs() < 0.03, "{ours:?} {oracle:?}");
 }
 
-/// The stress is the formula's, in lanes as in one number; a lane without the term keeps its bits.
+/// The stress equals the formula, in lanes and for a single number. A lane without the term keeps its bits.
 #[test]
 fn a_term_is_its_formula_in_every_lane() {
     let (with, without) = (sand(TERM), sand(""));

@@ -1,4 +1,4 @@
-//! HexapodTerrain: what is drawn is in force, ground changes and remembers, and difficulty 0 is the plain task.
+//! The task HexapodTerrain: random draws have effects, the ground changes and keeps footprints, and difficulty 0 is HexapodGait.
 
 use sandgait::env::Shard;
 use sandgait::env::registry::Blueprint;
@@ -26,7 +26,7 @@ fn walk(shard: &mut Shard) {
     shard.step(&actions);
 }
 
-/// The same rows as HexapodGait's, bit for bit, while nothing is drawn and nobody turns round.
+/// At difficulty 0, rows equal those of HexapodGait bit for bit, as long as no robot reverses its direction.
 #[test]
 fn difficulty_0_is_the_plain_task() {
     let near = json!({"difficulty": 0.0, "randomize": {"turning_point": [100.0, 100.0]}});
@@ -44,7 +44,7 @@ fn difficulty_0_is_the_plain_task() {
     }
 }
 
-/// Every quantity is within its range, spread over it, its own in every episode, and shrinks with the difficulty.
+/// Every quantity is drawn within its range and all over it, for each episode anew, and the range shrinks with the difficulty.
 #[test]
 fn quantities_are_drawn_within_their_ranges() {
     for (difficulty, slope) in [(1.0_f64, 10.0_f64), (0.3, 3.0)] {
@@ -67,7 +67,7 @@ fn quantities_are_drawn_within_their_ranges() {
             assert!(most - least > 0.9 * (high - low), "{name} is not spread over its range: {least} {most}");
         }
         assert!(column("difficulty").iter().all(|d| (d - difficulty).abs() < 1e-6));
-        // The load is felt, not only logged.
+        // The payload changes the motion, not only the log.
         let weights = column("weight");
         for (weight, payload) in weights.iter().zip(column("payload")) {
             assert!((weight - (0.15 + payload) * 9.80665).abs() < 1e-5, "{weight} {payload}");
@@ -75,9 +75,9 @@ fn quantities_are_drawn_within_their_ranges() {
     }
 }
 
-/// Robots pass patches, come back, and find weaker ground where they stood; without memory the ground stays fresh.
+/// Robots cross patches, come back, and find weaker ground in their footprints. Without footprints the ground stays fresh.
 #[test]
-fn ground_changes_along_the_way_and_remembers() {
+fn ground_has_patches_and_footprints() {
     for engine in ["lanes", "rapier"] {
         let run = |kappa: f64| {
             let ranges = json!({
@@ -111,10 +111,9 @@ fn ground_changes_along_the_way_and_remembers() {
     }
 }
 
-/// Only way made good in the commanded direction turns a robot round: one that goes astray the other way is not told to go
-/// on so.
+/// The command reverses only after progress in the commanded direction. A robot that moves the wrong way keeps its command.
 #[test]
-fn who_goes_astray_is_not_sent_further() {
+fn robots_that_move_the_wrong_way_keep_their_command() {
     for sign in [1.0, -1.0] {
         let ranges = json!({
             "turning_point": [0.3, 0.3], "slope_deg": [0.0, 0.0], "torque_limit": [1.0, 1.0], "footprint": [0.0, 0.0],
@@ -123,7 +122,7 @@ fn who_goes_astray_is_not_sent_further() {
         let command = 0.3 * sign;
         let options = json!({"randomize": ranges, "slope_deg": 15.0 * sign, "command": [command, command]});
         let (mut shard, blueprint) = shard(ID, options, 1);
-        // Downhill, against the command; then as it is told.
+        // First the robot walks downhill, against its command, then it follows the command.
         while sign * shard.state(0).position[0] > -0.35 {
             shard.step(&[-0.4 * sign as f32; 6]);
             assert!((info(&shard, &blueprint, "commanded_speed")[0] - command).abs() < 1e-6, "sign {sign}");
@@ -133,7 +132,7 @@ fn who_goes_astray_is_not_sent_further() {
     }
 }
 
-/// A command to walk backward turns round behind the start, and again at the start.
+/// A command to walk backward reverses behind the start, and again at the start.
 #[test]
 fn backward_commands_turn_round_too() {
     let ranges = json!({
@@ -143,7 +142,7 @@ fn backward_commands_turn_round_too() {
     let (mut sense, mut turns) = (-1.0, Vec::new());
     for _ in 0..300 {
         shard.step(&[0.4 * sense as f32; 6]);
-        // The command of the step just made: it turned, if it did, where the step began.
+        // The command of the last step; if it reversed, then at the beginning of the step.
         let now = info(&shard, &blueprint, "commanded_speed")[0].signum();
         if now != sense {
             turns.push(shard.state(0).position[0]);
@@ -154,7 +153,7 @@ fn backward_commands_turn_round_too() {
     assert!((turns[0] + 0.2).abs() < 0.05 && turns[1].abs() < 0.05, "{turns:?}");
 }
 
-/// What is drawn is in force at the ends of what can be drawn, too.
+/// Draws at the ends of the allowed ranges have effects, too.
 #[test]
 fn extreme_draws_are_in_force() {
     let ranges = json!({"slope_deg": [-70.0, -70.0], "payload": [10.0, 10.0], "torque_limit": [0.01, 0.01]});
@@ -167,7 +166,7 @@ fn extreme_draws_are_in_force() {
 }
 
 #[test]
-fn wrong_ranges_are_refused_in_a_line() {
+fn wrong_ranges_are_refused_in_one_line() {
     let refused = |options: Value| Blueprint::new(ID, options).err().unwrap().to_string();
     for (options, said) in [
         (json!({"randomize": {"zeta": [0.0, 1.0]}}), "randomize.zeta[0]: 0 is outside [0.1, 10]"),

@@ -1,5 +1,5 @@
-//! The three stress laws against their equations as printed, with sines and cosines, and against values computed by an
-//! independent implementation of them (another language, plain loops).
+//! Compares the three stress laws with their printed equations, in sines and cosines, and with values from an independent
+//! implementation in another language.
 
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -58,7 +58,7 @@ fn planar_laws_are_their_printed_equations() {
     }
 }
 
-/// The table's checksums and the anchor: α_z(0, π/2, 0)/ξ_n = 0.87574 is minus the sum of all coefficients.
+/// Checksums of the coefficient table, and the value α_z(0, π/2, 0)/ξ_n = 0.87574, which is minus the sum of all coefficients.
 #[test]
 fn anchor_and_table_of_agarwal2023() {
     let sum = |i: usize| agarwal2023::COEFFICIENTS.iter().map(|c| c[i]).sum::<f64>();
@@ -95,8 +95,8 @@ fn components_of_agarwal2023() {
     }
 }
 
-/// Free of trigonometry, in any horizontal direction, equals the published components wherever those push; where they
-/// pull, the normal part is turned round; and β counts modulo π.
+/// Our form without trigonometry equals the published components in any horizontal direction, if these push. If they would pull, our
+/// normal part has the opposite sign. β counts modulo π.
 #[test]
 fn spatial_law_is_its_published_components() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(8);
@@ -125,7 +125,7 @@ fn spatial_law_is_its_published_components() {
     assert!((600..1400).contains(&pulled), "{pulled} of 20000");
 }
 
-/// Friction caps the tangential stress and leaves the normal one.
+/// Friction limits the tangential stress and does not change the normal one.
 #[test]
 fn friction_caps_the_tangential_stress() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(9);
@@ -143,7 +143,7 @@ fn friction_caps_the_tangential_stress() {
     }
 }
 
-/// Reference: 0.290 N/cm³ for loose poppy seeds by calibration; the cubic gives about four times as much for them.
+/// The cubic formula for ζ from density and friction. For loose poppy seeds it gives about four times the calibrated 0.290 N/cm³.
 #[test]
 fn scale_from_friction() {
     // 638 kg/m³ and μ = 0.6: 638 · 9.80665 · (894·0.216 − 386·0.36 + 89·0.6) = 6.7279e5 N/m³

@@ -1,5 +1,5 @@
-//! `sandgait train` as those see it who run it: what is refused, what a stop and a killed server leave, and that going on gives
-//! the same bits.
+//! `sandgait train` on the command line: wrong input is refused, a stopped training and a killed server leave a checkpoint, and a
+//! resumed training gives the same bits.
 
 use sandgait::progress::{Progress, Silent};
 use sandgait::train::{Request, Settings};
@@ -14,7 +14,7 @@ fn train(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_sandgait")).arg("train").args(arguments).output().unwrap()
 }
 
-/// Exit code 2 and one line on stderr, which is given.
+/// Checks for exit code 2 and returns the one line on stderr.
 fn one_line(arguments: &[&str]) -> String {
     let output = train(arguments);
     let line = String::from_utf8(output.stderr).unwrap();
@@ -56,7 +56,7 @@ fn wrong_settings_are_one_line_and_write_nothing() {
 }
 
 #[test]
-fn what_is_no_checkpoint_is_refused_and_stays() {
+fn files_other_than_checkpoints_are_refused_and_kept() {
     let directory = tempfile::tempdir().unwrap();
     let checkpoints = directory.path().join("checkpoints");
     std::fs::create_dir(&checkpoints).unwrap();
@@ -72,7 +72,7 @@ fn what_is_no_checkpoint_is_refused_and_stays() {
     assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 1, "nothing was written");
 }
 
-/// A rate far too large.
+/// The learning rate is far too large.
 #[test]
 fn a_loss_that_is_not_a_number_ends_in_one_line_with_a_checkpoint() {
     let directory = tempfile::tempdir().unwrap();
@@ -87,7 +87,7 @@ fn a_loss_that_is_not_a_number_ends_in_one_line_with_a_checkpoint() {
     assert!(!out.join("policy.onnx").exists());
 }
 
-/// Sixteen environments for `timesteps` steps into `out`.
+/// A training with sixteen environments and `timesteps` steps that writes to `out`.
 fn request(task: &str, out: &Path, timesteps: u64, changes: &Value) -> Request {
     let mut entry = json!({
         "n_envs": 16, "n_steps": 8, "n_timesteps": timesteps, "batch_size": 64, "n_epochs": 2, "normalize": true,
@@ -109,7 +109,7 @@ fn request(task: &str, out: &Path, timesteps: u64, changes: &Value) -> Request {
     }
 }
 
-/// Stops a training at the report after so many updates, and the last share that was told.
+/// Stops a training at the report after a number of updates, and keeps the last reported share.
 struct Stop(Mutex<(usize, f64)>);
 
 impl Progress for Stop {
@@ -124,16 +124,16 @@ impl Progress for Stop {
     }
 }
 
-/// The policy's bytes, and the curve without its times.
+/// The policy's bytes, and the learning curve without its times.
 fn result(out: &Path) -> (Vec<u8>, Vec<String>) {
     let curve = std::fs::read_to_string(out.join("curve.csv")).unwrap();
     let line = |line: &str| line.split(',').step_by(2).collect::<Vec<_>>().join(",");
     (std::fs::read(out.join("policy.onnx")).unwrap(), curve.lines().map(line).collect())
 }
 
-/// In one go, or stopped in any place and gone on with: the same policy and the same curve, to the bit.
+/// A training that is stopped at any point and resumed gives the same policy and curve, to the bit, as one without a stop.
 #[test]
-fn going_on_gives_the_bits_of_never_having_stopped() {
+fn a_resumed_training_gives_the_same_bits() {
     for (task, changes) in [
         ("sandgait/HexapodGait-v1", json!({})),
         ("sandgait/HexapodTerrain-v1", json!({"normalize": false})),
@@ -159,7 +159,7 @@ fn going_on_gives_the_bits_of_never_having_stopped() {
     }
 }
 
-/// A training that starts from another's networks begins where that one ended, and learns for itself from there.
+/// A training with `start_from` begins with the networks and the normalisation of another training.
 #[test]
 fn a_training_starts_from_what_another_has_learnt() {
     let directory = tempfile::tempdir().unwrap();
@@ -184,9 +184,9 @@ fn a_training_starts_from_what_another_has_learnt() {
     assert!(refused(both).contains("start_from"));
 }
 
-/// Other environments than those that were kept: new episodes, and the reason.
+/// If the environments differ from those of the checkpoint, the resumed training begins new episodes and says why.
 #[test]
-fn other_environments_begin_anew() {
+fn other_environments_begin_new_episodes() {
     let directory = tempfile::tempdir().unwrap();
     let out = directory.path();
     request("sandgait/HexapodGait-v1", out, 256, &json!({})).run(&Silent).unwrap();
@@ -200,7 +200,7 @@ fn other_environments_begin_anew() {
     assert_eq!(anew(json!({"n_timesteps": 1024}), slope), "the checkpoint's task has other options");
 }
 
-/// `sandgait serve`, which ends with this.
+/// A process `sandgait serve`, which is ended when this value is dropped.
 struct Server {
     process: Child,
     address: String,
@@ -248,9 +248,9 @@ const SMALL: [&str; 14] = [
     "100000000",
 ];
 
-/// Environments on a server give what those in the process give, to the bit, and go on so.
+/// Training with environments on a server gives the same bits as in the process, also after it is resumed.
 #[test]
-fn a_server_s_environments_are_the_same() {
+fn environments_on_a_server_give_the_same_bits() {
     let server = Server::start();
     let directory = tempfile::tempdir().unwrap();
     let [here, away] = ["here", "away"].map(|name| directory.path().join(name));
@@ -272,9 +272,9 @@ fn a_server_s_environments_are_the_same() {
     );
 }
 
-/// A server that dies in the middle: one line, a checkpoint, and the training goes on without it.
+/// If the server is killed during a training, there is one line and a checkpoint, and the training can be resumed without the server.
 #[test]
-fn a_killed_server_loses_nothing() {
+fn a_training_survives_a_killed_server() {
     let mut server = Server::start();
     let directory = tempfile::tempdir().unwrap();
     let out = directory.path().join("out");
@@ -283,7 +283,7 @@ fn a_killed_server_loses_nothing() {
     let mut command = Command::new(env!("CARGO_BIN_EXE_sandgait"));
     command.arg("train").args(&arguments).args(["--address", &server.address]);
     let mut training = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-    // Some updates, so that there is something to lose.
+    // Some updates, so that the checkpoint matters.
     while std::fs::read_to_string(&curve).map_or(0, |text| text.lines().count()) < 5 {
         assert!(training.try_wait().unwrap().is_none(), "the training ended");
         std::thread::sleep(std::time::Duration::from_millis(10));
@@ -315,7 +315,7 @@ fn sweep(arguments: &[&str]) -> Output {
     command.arg("sweep").args(arguments).args(["--option", "max_episode_steps=40"]).output().unwrap()
 }
 
-/// Numbers of steps end the trainings: what is taken from files and what is learnt again are the same to the bit.
+/// A stopped study takes finished trainings from their files and repeats the others; the results are the same to the bit.
 #[test]
 fn a_study_that_was_stopped_goes_on() {
     let directory = tempfile::tempdir().unwrap();
@@ -332,17 +332,17 @@ fn a_study_that_was_stopped_goes_on() {
     assert!(text.contains("design0-*.onnx") && text.contains("±"), "{text}");
     let (table, policy, kept, lost) =
         (read("learnt.csv"), read("design1-0.onnx"), made("design0-1.json"), made("design1-0.json"));
-    // As a study that was stopped in its last training but one.
+    // The same state as after a stop in the last training but one.
     std::fs::remove_file(out.join("design1-0.json")).unwrap();
     assert_eq!(study("8192"), text);
     assert!(read("learnt.csv") == table && read("design1-0.onnx") == policy);
     assert!(made("design0-1.json") == kept && made("design1-0.json") > lost);
-    // Other trainings are other results, in the same directory too.
+    // With other settings in the same directory, the old results are not used.
     study("4096");
     assert!(read("learnt.csv") != table && made("design0-1.json") > kept);
 }
 
-/// A search with learning inside looks at designs within the bounds, more of them where it expects the best.
+/// A search that trains a policy for each design stays within the bounds and tries more designs near the expected best.
 #[test]
 fn a_search_learns_for_each_design() {
     let directory = tempfile::tempdir().unwrap();
@@ -376,7 +376,7 @@ fn wrong_studies_are_one_line_and_write_nothing() {
             &["--learn", "5", "--optimize", "return", "--vary", "leg=L,C"],
             "vary: leg needs two numbers to search between",
         ),
-        (&["--learn", "5", "--vary", "frequency=1:2:2"], "frequency: each design learns its own with --learn"),
+        (&["--learn", "5", "--vary", "frequency=1:2:2"], "frequency: with --learn each design learns its own"),
         (&["--warm", "5"], "they are for studies with --learn or --learn-steps"),
     ] {
         let done = sweep(&[&vary[..], arguments].concat());

@@ -1,4 +1,4 @@
-//! A robot from a file on hard ground and in sand: against MuJoCo, and over time steps.
+//! A robot from a file on hard ground and in sand: agreement with MuJoCo, and convergence in the time step.
 
 use sandgait::number::Isa;
 use sandgait::robots;
@@ -11,7 +11,7 @@ use sandgait::sim::{Model, State};
 use serde_json::Value;
 use std::path::Path;
 
-/// Our own quadruped, from its MJCF, with the servo of the reference.
+/// Our own quadruped from its MJCF, with the servos of the reference.
 fn sandcat(hard: Vec<HardGround>, dt: f64, reference: &Value) -> Model {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/sandcat.xml");
     let import = robots::load(&path).unwrap();
@@ -31,7 +31,7 @@ fn reference() -> Value {
     serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
 }
 
-/// Targets of a trot that begins after half a second; see the reference's source.
+/// Joint targets of a trot that begins after half a second, as in the program that made the reference.
 fn trot(rest: &[f64], t: f64) -> Vec<f64> {
     let ramp = (t - 0.5).clamp(0.0, 1.0);
     let target = |(i, rest): (usize, &f64)| {
@@ -60,8 +60,8 @@ fn run(model: &Model, isa: Isa, drop: f64, trots: bool, seconds: f64) -> Vec<Sta
     (0..(seconds / 0.02) as usize).map(control).collect()
 }
 
-/// Dropped onto its feet, at rest, and trotting: the trunk is where MuJoCo has it. Feet give way by different laws, so what
-/// comes of it grows with time: 1.5 mm while it stands, 3 mm after a second of trotting.
+/// Dropped onto its feet, at rest and trotting, the trunk is where MuJoCo has it. The contact laws of the feet differ, so the
+/// difference grows with time: 1.5 mm at rest, 3 mm after a second of trotting.
 #[test]
 fn a_quadruped_moves_as_in_mujoco() {
     let reference = reference();
@@ -80,7 +80,7 @@ fn a_quadruped_moves_as_in_mujoco() {
     }
 }
 
-/// In sand the trot is the same at half the time step, and in single precision.
+/// In sand the trot is the same with half the time step, and with single precision.
 #[test]
 fn a_trot_in_sand_does_not_depend_on_the_time_step() {
     let reference = reference();
@@ -95,14 +95,14 @@ fn a_trot_in_sand_does_not_depend_on_the_time_step() {
     }
 }
 
-/// A slab buried in the sand carries what sinks onto it.
+/// Feet that sink onto a slab buried in the sand stop there.
 #[test]
 fn a_buried_slab_stops_the_feet() {
     let reference = reference();
     let slab = |depth| vec![HardGround { depth, ..HardGround::everywhere() }];
     let height = |hard| run(&sandcat(hard, 1e-3, &reference), Isa::F64, 0.0, false, 1.0).last().unwrap().position[2];
     let (flush, buried, loose) = (height(slab(0.0)), height(slab(0.02)), height(Vec::new()));
-    // Sand carries a part of the weight, so knees bend less.
+    // The sand carries a part of the weight, so the knees bend less.
     assert!((flush - buried - 0.02).abs() < 3e-3, "{flush} {buried}");
     assert!(loose < buried - 0.005, "{loose} {buried}");
 }

@@ -24,7 +24,7 @@ fn rows_come_back_with_forces_depth_and_status() {
     let number = |row: usize, column: usize| lines[row][column].parse::<f64>().unwrap();
     assert!((number(1, 7) - 20.0).abs() < 1e-4 && (number(2, 11) - 0.02).abs() < 1e-9, "{csv}");
     assert_eq!([1, 2, 3].map(|k| lines[k][12]), ["ok", "ok", "no_equilibrium"]);
-    // A rougher surface is another motion's force.
+    // A rougher surface changes the force.
     let rough =
         sandgait(&["intrude", "--body", WHEEL, "--trials", &rows, "--sand", SAND, "--mu-s", "0.2", "--csv", &out]);
     assert!(rough.status.success() && std::fs::read_to_string(&out).unwrap() != csv);
@@ -50,7 +50,7 @@ fn wrong_use_is_one_line() {
     }
 }
 
-/// Nine pushes of three discs into one sand: pressure grows with depth and with size, and the program says so.
+/// Nine measured pushes of three discs into one sand: the pressure grows with depth and with the disc's size, and the output says so.
 #[test]
 fn measured_discs_are_compared() {
     let discs = "tests/data/real_wheel/discs.csv";
@@ -93,7 +93,7 @@ fn the_scoreboard_is_written_and_names_its_worst() {
     let rows = std::fs::read_to_string(out.join("validation_rows.csv")).unwrap();
     // 126 rows at slip angles up to 60°, in each of three comparisons, and 36 of the smooth wheel at positive slip.
     assert_eq!(rows.lines().count(), 1 + 3 * 126 + 36);
-    // Nothing but rounding lies between free flight here and in pinocchio and MuJoCo.
+    // Free flight differs from pinocchio and MuJoCo by rounding only.
     let flights = said.lines().filter(|l| l.contains("| pinocchio ") || l.contains("| MuJoCo "));
     let off: Vec<f64> = flights.map(|l| l.split('|').nth(4).unwrap().trim().parse().unwrap()).collect();
     assert!(off.len() == 5 && off.iter().all(|percent| *percent < 1e-7), "{off:?}");
@@ -104,7 +104,7 @@ fn the_scoreboard_is_written_and_names_its_worst() {
     assert_eq!(missing.status.code(), Some(2));
 }
 
-/// A folder of one's own: what its description says is what the page shows.
+/// A user's own folder of measurements: the page shows the scores by its description.
 #[test]
 fn a_folder_of_ones_own_is_scored() {
     let directory = tempfile::tempdir().unwrap();
@@ -124,7 +124,7 @@ sand = "sand.toml"
 "#;
     write("validation.toml", description);
     std::fs::copy(SAND, folder.join("sand.toml")).unwrap();
-    // What is measured is what the program itself says, Fz a tenth more.
+    // The "measured" values are the program's own, with Fz increased by a tenth.
     write("trials.csv", "vx,vy,wy,depth\n0.01,0,0,0.01\n0.01,-0.002,0,0.015\n0.01,-0.02,0,0.015\n");
     let [trials, forces, sand] = ["trials.csv", "forces.csv", "sand.toml"].map(|n| folder.join(n));
     let body = ["intrude", "--body", "box:length=0.1,width=0.06,height=0.04", "--trials", trials.to_str().unwrap()];
@@ -143,7 +143,7 @@ sand = "sand.toml"
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     let page = std::fs::read_to_string(out.join("validation.md")).unwrap();
     assert!(page.contains("## A box in our sand") && page.contains("our own laboratory") && page.contains("CC0"));
-    // Two rows: the third is beyond 45°. Fx and Fy are right, Fz is 1/11 of the measured one too small.
+    // Two rows count, because the third is beyond 45°. Fx and Fy are right; Fz is too small by 1/11 of the measured one.
     let all = page.lines().find(|l| l.starts_with("| all ")).unwrap();
     let cells: Vec<&str> = all.split('|').map(str::trim).collect();
     assert_eq!(cells[2], "2");

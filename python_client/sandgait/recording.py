@@ -25,7 +25,7 @@ Floats = npt.NDArray[np.float32]
 
 _FORMAT, _VERSION = "sandgait recording", 1
 _BLOCK = struct.Struct("<4sI")
-_FOREIGN = "this is none of sandgait's recordings"
+_FOREIGN = "this is not one of sandgait's recordings"
 
 #: Largest unpacked size of a recording [bytes]: our choice, four hours of a hexapod with 300 numbers a moment at 50 Hz.
 MAX_BYTES = 2**30

@@ -1,4 +1,4 @@
-//! The one error type: what a user got wrong, or what the machine could not do.
+//! The one error type: a wrong input of the user, or a failure of the machine.
 
 /// Every fallible call of the crate returns this. `Display` is one line fit for a terminal or a gRPC status.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
-/// Number of processors that this process may use; 1 where the system does not say.
+/// Number of processors that this process may use; 1 if the system does not report it.
 pub fn processors() -> usize {
     thread::available_parallelism().map_or(1, usize::from)
 }

@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 
 /// Receives progress reports, from any of the threads that work.
 pub trait Progress: Sync {
-    /// `done` is the finished share, 0 to 1; `stage` says what is done next. An error, usually
-    /// [`crate::Error::Cancelled`], stops the work, which returns that error.
+    /// `done` is the finished share, 0 to 1; `stage` describes the next part of the work. If this returns an error,
+    /// usually [`crate::Error::Cancelled`], the work stops and returns that error.
     fn report(&self, done: f64, stage: &str) -> Result<()>;
 }
 
@@ -39,7 +39,8 @@ impl Progress for Part<'_> {
     }
 }
 
-/// How often [`Latch::stopped`] asks. Work is to stop within a second, and asking is to cost nothing.
+/// Interval at which [`Latch::stopped`] asks: our choice. Work then stops within a second, and asking takes hardly any
+/// time.
 const ASKED: Duration = Duration::from_millis(200);
 
 /// For work whose results cannot carry an error. The work asks [`Latch::stopped`] and, if stopped, ends early with

@@ -11,7 +11,7 @@ pub fn one_sided_95(degrees: f64) -> f64 {
     quantile(1.644_854, degrees)
 }
 
-/// F(1, ν) at 95 %: how far an objective may rise within a confidence interval.
+/// F(1, ν) at 95 %: the rise of an objective at the ends of a confidence interval.
 pub fn square_at_95(degrees: f64) -> f64 {
     two_sided_95(degrees).powi(2)
 }

@@ -29,7 +29,7 @@ pub fn single(depth: &[f64], force: &[f64], c: &Calibration) -> Figure {
     }
 }
 
-/// Pressure over depth of every push, one colour a size.
+/// Pressure over depth of every push, one colour for each size.
 pub fn several(pushes: &[Push], study: &Pushes) -> Figure {
     let mut marks = Vec::new();
     for (k, size) in study.sizes.iter().enumerate() {

@@ -28,7 +28,7 @@ const LEAST_SAMPLES: usize = 4 * STRETCHES;
 /// Share of the greatest depth that is left out at the top, where grains still pile up: our choice; the paper fits
 /// its steady state only.
 const TRANSIENT: f64 = 0.1;
-/// Below this share of variance explained by the line the test was not a quasi-static penetration: our choice.
+/// If the line explains less than this share of the variance, the test was not a quasi-static penetration: our choice.
 const LEAST_R_SQUARED: f64 = 0.8;
 
 /// Results of a penetration test.
@@ -110,11 +110,13 @@ fn refuse(depth: &[f64], force: &[f64], greatest: f64) -> Result<()> {
     let pushing = force.iter().zip(depth).filter(|(f, z)| **z > TRANSIENT * greatest && **f > 0.0).count();
     let deep = depth.iter().filter(|z| **z > TRANSIENT * greatest).count();
     if 10 * pushing < 9 * deep {
-        return Err(refused("force is not positive while the plate goes down: count it upward on the plate"));
+        return Err(refused(
+            "force is not positive while the plate goes down: it must be positive upward on the plate",
+        ));
     }
     let falling = depth.windows(2).filter(|w| w[1] < w[0] - 1e-4 * greatest).count();
     if 10 * falling > depth.len() {
-        return Err(refused("depth goes back up: give the way down only"));
+        return Err(refused("depth decreases again: leave out the rows of the way up"));
     }
     Ok(())
 }

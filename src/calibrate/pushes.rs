@@ -1,8 +1,9 @@
 //! How the resistance to penetration grows with depth and with size, from several pushes of discs or plates.
 //!
 //! Pressure p = F/A of each push is averaged over stretches of depth, so that each push weighs alike. Five laws are
-//! fitted to ln p by least squares. Each must then predict a push, and a size, that was left out of its fit. The
-//! rig gives way by its compliance times the force, which appears as depth; the compliance is fitted too.
+//! fitted to ln p by least squares. Each must then predict a push, and a size, that was left out of its fit. The rig
+//! bends by its compliance times the force, and the log contains this deflection as depth; the compliance is fitted,
+//! too.
 
 use super::{TRANSIENT, refused};
 use crate::error::{Result, check_range};
@@ -139,7 +140,7 @@ pub struct Pushes {
 /// One stretch of a push: ln of depth, of size and of pressure; the depth is without the rig's deflection.
 type Point = [f64; 3];
 
-/// Compares the laws. `compliance` [m/N] of the rig is fitted where it is not given.
+/// Compares the laws. `compliance` [m/N] of the rig is fitted if it is not given.
 pub fn compare(pushes: &[Push], compliance: Option<f64>) -> Result<Pushes> {
     if pushes.len() < 2 {
         return Err(refused("one push only: several are needed to compare laws; leave out the column trial"));

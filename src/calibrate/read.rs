@@ -27,11 +27,11 @@ pub struct Tests {
     pub depth: Vec<f64>,
     /// Forces of all rows [N].
     pub force: Vec<f64>,
-    /// Empty where the file has no column trial.
+    /// Empty if the file has no column `trial`.
     pub pushes: Vec<Push>,
 }
 
-/// Reads a file; `units`: of depth and force, if the header does not give them.
+/// Reads a file. `units` are those of depth and force if the header does not give them.
 pub fn file(path: &Path, units: BTreeMap<String, String>) -> Result<Tests> {
     let mut several = Several::default();
     let (mut depth, mut force) = (Vec::new(), Vec::new());
@@ -40,7 +40,7 @@ pub fn file(path: &Path, units: BTreeMap<String, String>) -> Result<Tests> {
     several.tests(path, depth, force)
 }
 
-/// The same from text; `path` names it in errors.
+/// Reads tests from `text`; `path` names them in errors.
 pub fn text(path: &Path, text: &str) -> Result<Tests> {
     let mut several = Several::default();
     let (mut depth, mut force) = (Vec::new(), Vec::new());

@@ -71,7 +71,7 @@ enum Through {
     GrpcTcp,
     /// A server on a Unix socket in this process, rollouts of 150 steps, returns only.
     Rollouts,
-    /// The same with every step's rows.
+    /// As `Rollouts`, but the server also sends the rows of every step.
     Trajectories,
 }
 
@@ -136,7 +136,7 @@ impl Bench {
         Ok(self.report(task, engine, &rates))
     }
 
-    /// Actions for `at_once` control steps a call.
+    /// Actions for calls of `at_once` control steps.
     fn actions(&self, spec: &Spec, at_once: usize) -> Result<Actions> {
         let rows = at_once * self.envs;
         let held = |share: f64| {

@@ -11,13 +11,13 @@ const PLATE: f64 = 0.038 * 0.025;
 
 /// Measure your sand's scale with one slow vertical penetration of a horizontal plate.
 ///
-/// Reads columns depth (downward from the surface) and force (upward on the plate) of the way down, below 0.5 m/s;
-/// units stand in the header, as in "depth [mm],force [N]", or in the options, else m and N. Prints ζ, for --medium
-/// zeta=VALUE anywhere, and ξ_n of agarwal2023, with 95 % confidence intervals.
+/// Reads columns depth (downward from the surface) and force (upward on the plate), recorded on the way down at less
+/// than 0.5 m/s. Units are in the header, as in "depth [mm],force [N]", or in the options; otherwise m and N. Prints ζ,
+/// for --medium zeta=VALUE anywhere, and ξ_n of agarwal2023, with 95 % confidence intervals.
 ///
-/// With a column trial, several pushes of discs (diameter) or plates (length, width) are compared: which law of
-/// depth and size fits, how well it predicts a push and a size that were left out of its fit, how pushes repeat,
-/// how compliant the rig is, and where a calibration does not apply.
+/// With a column trial, several pushes of discs (diameter) or plates (length, width) are compared. The output has the
+/// law of depth and size that fits, its errors for a push and a size that were left out of its fit, the repeatability
+/// of pushes, the compliance of the rig, and the limits of the calibration.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait calibrate push.csv --area 0.00095
@@ -39,7 +39,7 @@ pub struct Calibrate {
     /// Draw the test and its line to this SVG file, and as PNG beside it
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
-    /// Compliance of the rig, in metres a newton, for several pushes; default: fitted too
+    /// Compliance of the rig, in metres a newton, for several pushes; fitted if not given
     #[arg(long, value_name = "M_PER_N", allow_negative_numbers = true)]
     compliance: Option<f64>,
     /// Machine-readable

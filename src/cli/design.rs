@@ -6,7 +6,7 @@ use sandgait::train::design::{Between, Compared, Findings, Measure, Study, Train
 use sandgait::{Error, Result};
 use std::path::Path;
 
-/// One line a design: each measure's mean over trainings with its interval, then the returns of the trainings.
+/// One line for each design: each measure's mean over trainings with its interval, then the returns of the trainings.
 fn csv(study: &Study, findings: &Findings) -> String {
     let mut head: Vec<String> = study.axes.iter().map(|a| a.parameter.label()).collect();
     for measure in Measure::ALL {

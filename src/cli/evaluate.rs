@@ -10,9 +10,9 @@ use std::path::{Path, PathBuf};
 
 /// How good is a gait? Returns, speeds, costs and falls over unseen seeds, per medium and slope.
 ///
-/// POLICY is an ONNX file (sandgait.export_onnx writes one), or a gait that needs no learning: tripod:HZ turns every hip at
-/// one rate, tripod searches the best rate on other seeds than those reported, clock:FILE.json and clock:N,N,… hold one
-/// action of control="clock", standing, random. docs/evaluate.md defines every figure.
+/// POLICY is an ONNX file (sandgait.export_onnx writes one) or a fixed gait. tripod:HZ turns every hip at one rate;
+/// tripod searches the best rate, on other seeds than those of the evaluation; clock:FILE.json and clock:N,N,… repeat
+/// one action of control="clock"; standing and random are for comparison. docs/evaluate.md defines every figure.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait evaluate runs/gait/policy.onnx --media poppy-loose,poppy-close --slopes 0,5,10
@@ -27,7 +27,7 @@ pub struct Evaluate {
     /// Options of the task, as for gymnasium.make
     #[arg(long, value_name = "JSON")]
     options: Option<String>,
-    /// Episodes, one a seed, from seed 1,000,000 on
+    /// Number of episodes; their seeds begin at 1,000,000
     #[arg(long, value_name = "N", default_value_t = Request::SEEDS)]
     seeds: usize,
     /// Sands in place of the options' own
@@ -36,10 +36,10 @@ pub struct Evaluate {
     /// Slopes in place of the options' own [°]
     #[arg(long, value_name = "DEG,…", value_delimiter = ',', allow_hyphen_values = true)]
     slopes: Vec<f64>,
-    /// Also write everything here
+    /// Also write all results to this file
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
-    /// Also write one line a medium and slope here
+    /// Also write one line for each medium and slope to this file
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
 }
@@ -77,7 +77,7 @@ impl Evaluate {
     }
 }
 
-/// Refuses a file in a missing folder, and a folder; creates nothing.
+/// Refuses a path that is a folder or in a missing folder. Creates nothing.
 fn writable(path: &Path) -> Result<()> {
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     if path.is_dir() || !folder.is_dir() {

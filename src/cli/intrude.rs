@@ -11,9 +11,10 @@ use std::path::PathBuf;
 /// With --shape a leg rotates about a hip fixed above the sand, as on a robot arm. Writes columns theta [rad], Fx, Fz [N] and
 /// Ty [N·m] about the hip: θ = 0 is straight down, positive θ brings the tip forward (+x); forces act on the leg.
 ///
-/// With --body a body moves steadily, one motion a row of --trials: vx, vy, vz [m/s], wx, wy, wz [rad/s] (x heading, y axle, z
-/// up; absent: 0) and depth [m] of its lowest point, or load [N] that it carries. Writes the rows with Fx, Fy, Fz, Tx, Ty, Tz,
-/// depth and status: ok, or no_equilibrium where the load buries the body. Bodies that are not round have means over a turn.
+/// With --body a body moves steadily. Each row of --trials is one motion: vx, vy, vz [m/s], wx, wy, wz [rad/s] (x
+/// heading, y axle, z up; 0 if absent), and either depth [m] of its lowest point or load [N] that it carries. Writes
+/// the rows with Fx, Fy, Fz, Tx, Ty, Tz, depth and status, which is ok, or no_equilibrium if the load buries the body.
+/// For bodies that are not round, forces are means over a turn.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait intrude --shape L --csv L.csv

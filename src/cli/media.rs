@@ -3,7 +3,7 @@
 use sandgait::Result;
 use sandgait::sand::Medium;
 
-/// List the sands that are built in, and where their numbers come from.
+/// List the built-in sands with the sources of their numbers.
 #[derive(clap::Args)]
 #[command(after_help = "Any other sand is zeta=VALUE (N/cm³) on the generic set, for example --medium zeta=0.5.")]
 pub struct Media {

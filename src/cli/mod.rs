@@ -167,14 +167,14 @@ fn sand(medium: &str, law: &str, file: Option<&Path>) -> Result<SandDescription>
     SandDescription::named(medium, law)
 }
 
-/// The same for robots that walk; warns on stderr of each mechanism that has no effect on them.
+/// As [`sand`], for walking robots. Warns on stderr of each mechanism that has no effect on them.
 fn sand_to_walk_on(medium: &str, law: &str, file: Option<&Path>) -> Result<SandDescription> {
     let sand = sand(medium, law, file)?;
     warn_of_unfelt(&sand);
     Ok(sand)
 }
 
-/// The same for the `sand` among a task's options.
+/// Warns in the same way of the `sand` among a task's options.
 fn warn_of_unfelt_option(options: &serde_json::Value) {
     let text = options.get("sand").and_then(serde_json::Value::as_str);
     // If the text is not a sand, the task refuses it with its own message.

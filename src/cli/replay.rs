@@ -17,7 +17,7 @@ pub struct Replay {
     /// The recording
     #[arg(value_name = "FILE")]
     file: PathBuf,
-    /// Write a self-contained page here
+    /// Write a self-contained page to this file
     #[arg(long, value_name = "FILE")]
     html: Option<PathBuf>,
     /// Machine-readable

@@ -4,7 +4,7 @@ use sandgait::Result;
 use sandgait::reproduce::{self, FIGURES, Verdict};
 use std::path::PathBuf;
 
-/// Reproduce the paper: figures 2 to 5 and every sentence with a number of Li, Zhang & Goldman 2012.
+/// Reproduce the paper: figures 2 to 5 of Li, Zhang & Goldman 2012, and every sentence with a number in it.
 ///
 /// Writes the figures as SVG and PNG, report.html and claims.json: each claim with the paper's value, ours, a verdict
 /// (reproduced, not_reproduced or no_data) and why.

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 /// Width and height of pictures [px].
 const PICTURE: [u32; 2] = [960, 720];
 
-/// Read a robot from a URDF, an MJCF or a TOML, and print masses, joints, limits, and what touches sand.
+/// Read a robot from a URDF, MJCF or TOML file, and print masses, joints, limits, and the shapes that touch sand.
 ///
 /// Parts of the file that the simulation leaves out are listed under "warnings". With --accelerations the motion of
 /// the robot in free flight is computed instead, as a check against other programs.
@@ -28,13 +28,13 @@ pub struct Robot {
     /// Machine-readable
     #[arg(long)]
     json: bool,
-    /// Draw the robot here as PNG, in its standing pose, with the plates that touch sand
+    /// Draw the robot to this PNG file, in its standing pose, with the plates that touch sand
     #[arg(long, value_name = "PNG")]
     picture: Option<PathBuf>,
     /// Bodies, links or shapes that touch sand; feet, lower links and belly if not given
     #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
     touches: Option<Vec<String>>,
-    /// Size of the plates that touching shapes are cut into [m]; as fine as forces within 2 % need, if not given
+    /// Size of the plates that touching shapes are cut into [m]; if not given, small enough for forces within 2 %
     #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
     plate_size: Option<f64>,
     /// Print the robot as one text, as option `robot` of sandgait/LeggedVelocity-v0 takes it; with --json uncompressed

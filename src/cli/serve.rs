@@ -14,9 +14,9 @@ use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
 
 /// Threads besides one for each processor: one for a study, and one so that large requests do not delay small ones.
-/// (The threads for each processor make environments, check large requests and free environments.) They compute and
-/// never wait, so more would only share the processors; and each thread has memory of its own (tokio's default is
-/// 512 threads).
+/// (The threads for each processor make environments, check large requests and free environments.) These threads
+/// compute and never wait, so more of them would only compete for the processors, and each needs memory (tokio's
+/// default is 512 threads).
 const SPARE_THREADS: usize = 2;
 
 /// How long a request in preparation may delay the end of the process.
@@ -326,7 +326,7 @@ fn on_signals(stop: &CancellationToken) -> Result<()> {
     Ok(())
 }
 
-/// A thread of its own: a read of stdin cannot be interrupted when the server stops for another reason.
+/// Reads stdin in a separate thread, because the read cannot be interrupted when the server stops for another reason.
 fn stop_with_stdin(stop: CancellationToken) {
     std::thread::spawn(move || {
         let mut stdin = std::io::stdin().lock();

@@ -13,7 +13,7 @@ const COLUMNS: [Column; 3] = [
     Column::needed("psi", Quantity::Angle),
 ];
 
-/// Evaluate a force law: stress per depth at given angles.
+/// Evaluate a force law: prints the stress per depth at given angles.
 ///
 /// Reads columns beta (tilt of the plate), gamma (direction of its velocity below the horizontal) and, for
 /// agarwal2023, psi (azimuth of its normal from the velocity's), in rad; beta counts modulo π. Prints them with the
@@ -35,8 +35,8 @@ pub struct Stress {
     /// CSV with columns beta, gamma and, if needed, psi [rad]
     #[arg(long, value_name = "FILE")]
     input: PathBuf,
-    /// Friction coefficient of the plate's surface: turns a normal stress that would pull into one that pushes, and
-    /// caps the tangential stress (agarwal2023 only)
+    /// Friction coefficient of the plate's surface: reverses a normal stress that would pull, and limits the tangential
+    /// stress (agarwal2023 only)
     #[arg(long, value_name = "MU", allow_negative_numbers = true)]
     friction: Option<f64>,
 }

@@ -50,21 +50,22 @@ pub struct Sweep {
     /// Measure in the figure: speed or cost-of-transport; with --learn also return
     #[arg(long, default_value = "speed")]
     measure: String,
-    /// Search between the bounds instead of walking the grid: speed or cost-of-transport; where gaits are learnt also return
+    /// Search between the bounds instead of walking the grid: speed or cost-of-transport; if gaits are learnt, also
+    /// return
     #[arg(long, value_name = "MEASURE")]
     optimize: Option<String>,
     /// Learn a gait for each design instead of walking at one frequency (HexapodGait, sandgait train's settings),
     /// for this many seconds each, on one thread. Each training is kept, and a repeated command continues the study
     #[arg(long, value_name = "SECONDS")]
     learn: Option<f64>,
-    /// The same for this many steps each: the result has the same bits on a busy machine too
+    /// As --learn, but for this many steps each: the result then has the same bits on a busy machine
     #[arg(long, value_name = "STEPS", conflicts_with = "learn")]
     learn_steps: Option<u64>,
     /// Trainings of each design
     #[arg(long, value_name = "N", default_value_t = 3)]
     trainings: usize,
-    /// Designs after the first on the last axis start from their neighbour's gait and learn for this many seconds,
-    /// or steps
+    /// Along the last axis, each design after the first starts from its neighbour's policy and learns for this many
+    /// seconds (or steps, with --learn-steps)
     #[arg(long, value_name = "SECONDS|STEPS", conflicts_with = "optimize")]
     warm: Option<f64>,
     /// Number of designs that --optimize tries with learnt gaits

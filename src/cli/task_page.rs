@@ -77,7 +77,7 @@ fn range(c: &Column) -> String {
     format!("{} … {}", bound(c.low), bound(c.high))
 }
 
-/// A table with a heading; a bar in a cell would end the cell.
+/// A table with a heading. Bars in cells are escaped, because a bar would end the cell.
 fn rows(head: &[&str], body: impl Iterator<Item = Vec<String>>) -> String {
     let line = |cells: Vec<String>| {
         let cells: Vec<_> = cells.iter().map(|cell| cell.replace('|', "\\|")).collect();

@@ -16,12 +16,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Learn a gait: PPO beside the environments, without Python.
+/// Learn a gait by PPO in the same process as the environments, without Python.
 ///
-/// Settings are those of stable-baselines3's PPO and of examples/hyperparameters/ppo.yml; without a file the program's own,
-/// src/train/ppo_fast.yml. The directory gets policy.onnx (for evaluate, rollout_policy and export),
-/// policy.safetensors, settings.json, curve.csv, curve.png, evaluation.txt, walk.rec (for replay), walk.png, checkpoints/ and
-/// tensorboard/. docs/learning.md says more.
+/// Settings are those of stable-baselines3's PPO and of examples/hyperparameters/ppo.yml; without a file, those of
+/// src/train/ppo_fast.yml apply. The directory gets policy.onnx (for evaluate, rollout_policy and export),
+/// policy.safetensors, settings.json, curve.csv, curve.png, evaluation.txt, walk.rec (for replay), walk.png,
+/// checkpoints/ and tensorboard/. docs/learning.md says more.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait train                                     (HexapodGait, a minute)
@@ -35,10 +35,10 @@ pub struct Train {
     /// Task's name or id
     #[arg(long, value_name = "TASK", default_value = HexapodGait::ID)]
     task: String,
-    /// File of settings in the format of rl-zoo3, one entry a task
+    /// File of settings in the format of rl-zoo3, one entry for each task
     #[arg(long, value_name = "FILE.yml")]
     hyperparameters: Option<PathBuf>,
-    /// Another value of a setting
+    /// Replace the value of a setting
     #[arg(long, value_name = "NAME=VALUE", allow_hyphen_values = true)]
     set: Vec<String>,
     /// Option of the task
@@ -59,13 +59,14 @@ pub struct Train {
     /// Go on from the last checkpoint in the directory
     #[arg(long)]
     resume: bool,
-    /// Begin with another training's networks: its policy.safetensors or a checkpoint; same task, observation and actions
+    /// Begin with the networks of another training: its policy.safetensors or a checkpoint. Task, observation and
+    /// actions must be the same
     #[arg(long, value_name = "FILE.safetensors", conflicts_with = "resume")]
     start_from: Option<PathBuf>,
     /// Steps between two checkpoints
     #[arg(long, value_name = "STEPS", default_value_t = 1_000_000)]
     checkpoint_every: u64,
-    /// Threads; 0: one a processor
+    /// Threads; 0: one for each processor
     #[arg(long, value_name = "N", default_value_t = 0)]
     threads: usize,
     /// Simulate on the server at host:port or unix:/path; learning stays in this process
@@ -93,10 +94,10 @@ pub struct Training {
     pub timesteps: Option<u64>,
     pub out: Option<PathBuf>,
     pub resume: bool,
-    /// What another training has learnt, to begin with.
+    /// Networks of another training, as the start.
     pub start_from: Option<PathBuf>,
     pub checkpoint_every: u64,
-    /// 0: one a processor.
+    /// 0: one for each processor.
     pub threads: usize,
     /// A server for the environments.
     pub place: Option<Place>,

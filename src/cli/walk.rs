@@ -16,8 +16,8 @@ const RECORDED_RATE: f64 = 100.0;
 
 /// Walk with an alternating tripod at constant stride frequency and measure the speed.
 ///
-/// The speed is taken over four strides, after two. At frequency 0 the robot stands for 10 s, and how far it sinks and
-/// drifts is measured.
+/// The speed is taken over four strides, after two. At frequency 0 the robot stands for 10 s, and its sinkage and drift
+/// are measured.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait walk --leg L --frequency 2
@@ -52,7 +52,7 @@ pub struct Walk {
     /// A built-in robot or a FILE.toml
     #[arg(long, default_value = Robot::DEFAULT)]
     robot: String,
-    /// Record every hundredth of a second of the walk in this file, for `sandgait replay`
+    /// Record the walk in this file, 100 moments a second, for `sandgait replay`
     #[arg(long, value_name = "FILE")]
     record: Option<std::path::PathBuf>,
     /// Machine-readable

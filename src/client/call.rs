@@ -18,7 +18,7 @@ async fn soon<T>(call: impl Future<Output = Result<T, Status>>) -> Result<T, Sta
     timeout(PATIENCE, call).await.map_err(|_| late())?.map_err(lost)
 }
 
-/// What the server is and which tasks it offers.
+/// Properties of the server, and its tasks.
 pub async fn describe(place: &Place) -> Result<DescribeResponse, Status> {
     soon(async { Ok(environments(place).await?.describe(DescribeRequest {}).await?.into_inner()) }).await
 }

@@ -4,8 +4,8 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::runtime::Runtime;
 
-/// After this long without a caller the connection is driven: our choice, short against the server's time limit for
-/// pings.
+/// After this time without a caller, the keeper drives the connection: our choice, much less than the server's time
+/// limit for pings.
 const IDLE: Duration = Duration::from_secs(1);
 
 /// Length of one turn of driving.

@@ -63,7 +63,8 @@ impl Stream {
         }))
     }
 
-    /// Sends without waiting. `here`: the caller will wait for the answer next, and the request is sent then.
+    /// Queues a request without waiting. `here` means that the caller waits for the answer next, and the request is
+    /// sent then.
     pub fn send(&self, request: RunSessionRequest, here: bool) {
         if let Some(requests) = &*self.requests.lock().unwrap_or_else(PoisonError::into_inner) {
             // If the stream is broken, the call that waits for the answer gets the error.

@@ -16,10 +16,11 @@ use std::pin::pin;
 use std::time::{Duration, Instant};
 use tonic::{Code, Status};
 
-/// How long an unreachable server is tried again, the same as in the Python client.
+/// Time during which the client tries to reach a server again, the same as in the Python client.
 const RETRY: Duration = Duration::from_secs(2);
 
-/// Longest wait for a server to free a session that is no longer needed; after that its lease ends it.
+/// Longest wait for a server to free a session that is no longer needed. Without an answer, the session ends with its
+/// lease.
 const CLOSING: Duration = Duration::from_secs(2);
 
 /// A session with one request in flight at most.
@@ -96,7 +97,7 @@ impl Session {
                     self.stream = stream;
                     self.stream.send(request.clone(), true);
                 }
-                // It is tried again: the old stream still reports that it is broken.
+                // Try again, because the old stream still reports that it is broken.
                 Err(Error::Invalid { reason, .. })
                     if since.elapsed() <= RETRY && reason.starts_with("it cannot be reached") => {}
                 Err(error) => return Err(error),
@@ -143,7 +144,7 @@ impl Drop for Session {
     fn drop(&mut self) {
         self.stream.close();
         if let Ok(runtime) = runtime() {
-            // A server that does not answer frees the session when its lease has run out.
+            // If the server does not answer, it frees the session at the end of its lease.
             let _ = runtime.block_on(close_session(&self.place, self.id.clone(), CLOSING));
         }
     }

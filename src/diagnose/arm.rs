@@ -4,7 +4,7 @@
 //! reference, compliance, delay, filter, tilt, offsets.
 
 use super::experiment::Intruder;
-use super::force_log::{Pose, Track};
+use super::track::{Pose, Track};
 use crate::error::Result;
 use crate::number::{Doubles, Kernel, Real, Vec3};
 use crate::sand::intrusion::Load;
@@ -22,11 +22,11 @@ const SEGMENTS: usize = 40;
 const REST: f64 = 0.05;
 /// Steps per sample interval of the low-pass filter; the force is linear in between. Our choice.
 const FILTER_STEPS: usize = 6;
-/// Number of samples from which an acceleration is computed where the motion is smooth: our choice. For a velocity
-/// with a period of thirteen samples the error is then 0.2 % inside a trial and 1 % at its ends (with two samples 4
-/// % and a quarter); noise of the velocity has a third more effect.
+/// Number of samples from which an acceleration is computed if the motion is smooth: our choice. For a velocity with a
+/// period of thirteen samples the error is then 0.2 % inside a trial and 1 % at its ends (with two samples 4 % and a
+/// quarter); noise of the velocity has a third more effect.
 const STENCIL: usize = 5;
-/// The same where no such stretch is smooth: short enough for a ramp of three samples.
+/// The number of samples if no stretch of [`STENCIL`] is smooth; short enough for a ramp of three samples.
 const SHORT: usize = 3;
 /// A stretch is smooth if the last of its differences is below this share of those before: our choice, above that
 /// of a period of thirteen samples (a quarter) and below that of a kink.
@@ -36,10 +36,10 @@ const SMOOTH: f64 = 0.5;
 /// (Shu, Journal of Scientific Computing 5:127, 1990, takes 2).
 const SHIFT: f64 = 2.0;
 
-/// For each sample the stretch from which its acceleration is computed. Drives start and stop with a kink in the
-/// speed, and a polynomial across a kink is wrong on both sides. So the smoothest of the stretches that contain the
-/// sample is used, as in essentially non-oscillatory schemes (Harten, Engquist, Osher & Chakravarthy 1987); among
-/// those of similar smoothness the one centred on the sample; and a short stretch where no long one is smooth.
+/// For each sample the stretch from which its acceleration is computed. Drives start and stop with a kink in the speed,
+/// and a polynomial across a kink is wrong on both sides. So the smoothest of the stretches that contain the sample is
+/// used, as in essentially non-oscillatory schemes (Harten, Engquist, Osher & Chakravarthy 1987). Among stretches of
+/// similar smoothness, the one centred on the sample is preferred. If no long stretch is smooth, a short one is used.
 pub fn stencils(track: &Track) -> Vec<Range<usize>> {
     let poses = &track.poses;
     let chosen = |i: usize| {
@@ -65,7 +65,7 @@ fn roughness(poses: &[Pose]) -> [f64; 2] {
     let interval = (poses[poses.len() - 1].t - poses[0].t) / (poses.len() - 1).max(1) as f64;
     let mut sizes = Vec::new();
     for order in 1..poses.len() {
-        // Divided differences times the interval, which for even sampling are the ordinary ones.
+        // Divided differences times the interval. For even sampling these are ordinary differences.
         let next = |i: usize| {
             let way = (poses[i + order].t - poses[i].t) / (order as f64 * interval);
             [0, 1, 2].map(|axis| (differences[i + 1][axis] - differences[i][axis]) / way)
@@ -140,7 +140,7 @@ pub struct PowerDrag {
 }
 
 impl PowerDrag {
-    /// How much more than v_n² stands there [m²/s²].
+    /// Difference of this law's speed term to v_n² [m²/s²].
     fn beyond_square(&self, speeds: Doubles) -> Doubles {
         let excess = |speed: f64| self.speed.powi(2) * (speed / self.speed).powf(self.exponent) - speed * speed;
         Doubles::from_array(std::array::from_fn(|i| excess(speeds.lane(i))))
@@ -205,7 +205,7 @@ pub fn filtered<const N: usize>(poses: &[Pose], steps: &[[Load; N]], tau: f64) -
     out
 }
 
-/// One track under one set of mechanisms, in each of N beds that differ in the stress coefficients only.
+/// Computes the loads of one track with one set of mechanisms in N beds that differ in their stress coefficients only.
 pub struct Arm<'a, const N: usize> {
     pub track: &'a Track,
     pub cut: &'a Cut,
@@ -299,8 +299,8 @@ impl<const N: usize> Arm<'_, N> {
     }
 
     /// Angular acceleration [rad/s²] and the centre's acceleration [m/s²] at time `t`: slopes of the polynomial
-    /// through the logged velocities of samples beside it (Lagrange), which works for uneven sampling and at the
-    /// ends. Before the first and after the last sample they are constant.
+    /// through the logged velocities of the samples around `t` (Lagrange), which works for uneven sampling and at the
+    /// ends. Before the first and after the last sample the accelerations are constant.
     fn acceleration(&self, t: f64) -> [f64; 3] {
         let poses = &self.track.poses;
         let t = t.clamp(poses[0].t, poses[poses.len() - 1].t);
@@ -444,8 +444,8 @@ mod tests {
     use super::*;
     use crate::sand::{Law, Medium, Surface};
 
-    /// A speed with a period of about thirteen unevenly spaced samples: its derivative is right at, between and
-    /// beyond samples.
+    /// For a speed with a period of about thirteen unevenly spaced samples, the derivative is right at samples, between
+    /// them and beyond the ends.
     #[test]
     fn accelerations_are_found_up_to_the_ends_of_a_log() {
         let swing = 2.0 * std::f64::consts::PI / 13.0;

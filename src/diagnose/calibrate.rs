@@ -22,11 +22,12 @@ use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-/// Probability that each gate opens on data with nothing hidden. Three gates make 0.6 %, below the target of 1 %.
+/// Probability that a gate opens on data without a hidden cause. For three gates this is 0.6 %, below the target of 1
+/// %.
 const FALSE_ALARM: f64 = 0.002;
 /// Normal quantile of that probability.
 const NORMAL: f64 = 2.88;
-/// Quantile of a quarter of that probability for the maximum of many (Gumbel's distribution), in standard
+/// Quantile of the maximum of many numbers (Gumbel's distribution) at a quarter of that probability, in standard
 /// deviations above the mean. A misfit of a single condition needs the strongest evidence.
 const GREATEST: f64 = 5.48;
 /// Number of simulated nulls: their mean and spread are then known to some 10 %. Our choice, a compromise with
@@ -37,8 +38,8 @@ const NULLS: usize = 80;
 /// memory.
 const NUMBERS_AT_ONCE: usize = 32 << 20;
 
-/// A cause affects the data if its typical strength moves them by more than 0.01 σ altogether: our choice, far
-/// below the smallest effect that could be found.
+/// A cause affects the data if its typical strength changes them by more than 0.01 σ in all: our choice, far below the
+/// smallest effect that could be found.
 pub const FELT: f64 = 1e-4;
 
 /// The effect of a candidate on the data: the change of the prediction per typical strength, at one value.
@@ -81,8 +82,8 @@ impl Gates {
         lack.mean <= SLIGHT * self.lack_of_fit && lack.worst <= SLIGHT * self.worst
     }
 
-    /// Degrees of freedom of a set of causes: the least of its members; for no cause, the least of all. At least 2,
-    /// our choice, because below that intervals would be useless.
+    /// Degrees of freedom of a set of causes: the least among its members, or among all causes if the set is empty. At
+    /// least 2, our choice, because below that intervals would be useless.
     pub fn degrees_of(&self, ids: &[usize]) -> f64 {
         let own = self.degrees.iter().filter(|d| ids.is_empty() || ids.contains(&d.0));
         own.map(|d| d.1).fold(MOST_DEGREES, f64::min)
@@ -142,7 +143,7 @@ impl Screen {
         self.best_of(gram, score, |_| 1.0)
     }
 
-    /// The same with each cause's Δχ² times a factor.
+    /// As [`Self::best_single`], with each cause's Δχ² times a factor.
     fn best_of(&self, gram: &DMatrix<f64>, score: &DVector<f64>, factor: impl Fn(usize) -> f64) -> f64 {
         let felt = (0..score.len()).filter(|&k| gram[(k, k)] > FELT && self.allowed(k, score[k]));
         felt.map(|k| factor(k) * score[k] * score[k] / gram[(k, k)]).fold(0.0, f64::max)
@@ -190,8 +191,8 @@ impl Screen {
     }
 }
 
-/// Start values of an upper limit: from twice its typical value down to a quarter, each smaller by √2. The
-/// behaviour changes where a motor begins to stall. Our choice.
+/// Number of start values for an upper limit: from twice its typical value down to a quarter of it, in steps of √2. Our
+/// choice, because the behaviour changes at the limit at which a motor begins to stall.
 const CEILINGS: usize = 7;
 
 /// Start values of a mechanism's fit; more than one if its effect is far from proportional.
@@ -247,8 +248,8 @@ pub fn gates(study: &Study, source: &Source, screen: &Screen, noise: &Noise, sco
         // one.
         inflation: (of(|n| n.best).0 / spread(&ideal).0.max(1e-9)).max(1.0),
         single: (of(|n| n.best).0 / spread(&ideal).0.max(1e-9)).max(1.0) * quantile(ideal, 1.0 - FALSE_ALARM),
-        // A tenth more for the skewness of a sum of squares. A mean square that noise itself causes is no misfit,
-        // although nulls, whose noise is known, may stay below it.
+        // A tenth more for the skewness of a sum of squares. A mean square that noise alone can cause is not a misfit,
+        // even if all nulls, whose noise is known, stay below it.
         lack_of_fit: (mean.0 + 1.1 * NORMAL * mean.1).max(1.0 + 1.1 * NORMAL * (2.0 / count.max(1.0)).sqrt()),
         worst: worst.0 + GREATEST * worst.1,
         degrees: screen.candidates.iter().map(|c| c.0).zip(degrees).collect(),

@@ -7,12 +7,12 @@ use crate::error::Result;
 use crate::progress::Silent;
 use std::path::PathBuf;
 
-/// What a simulation gets wrong about measured data, and why.
+/// Find where a simulation disagrees with measured data, and why.
 #[derive(Clone, Debug, clap::Args)]
 pub struct Arguments {
     /// Measured data: CSV, a robot's own log also Parquet or MCAP
     pub data: PathBuf,
-    /// What the data file does not contain: medium, shapes, units (TOML)
+    /// Facts that the data file does not contain: medium, shapes, units (TOML)
     #[arg(long)]
     pub experiment: PathBuf,
     /// Directory for report.json, report.html and sand.toml

@@ -13,7 +13,7 @@ use nalgebra::{DMatrix, DVector};
 #[derive(Clone, Debug)]
 pub struct HeldOut {
     pub errors: Errors,
-    /// |W (y − m)|² of everything held out.
+    /// |W (y − m)|² of all held-out data.
     pub deviance: f64,
 }
 
@@ -29,7 +29,7 @@ impl HeldOut {
     }
 }
 
-/// Errors of a model without fitted values, which are the same whether held out or not.
+/// Errors of a model without fitted values: these do not depend on the data.
 pub fn unfitted(study: &Study, fit: &Fit) -> HeldOut {
     errors(study, fit, |_| vec![0.0; fit.slopes.len()])
 }

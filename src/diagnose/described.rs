@@ -33,7 +33,7 @@ const DEPTH: [f64; 7] = [-0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75];
 const STILL: [f64; 7] = [-1.0, -0.75, -0.5, -0.25, 0.5, 1.0, 1.5];
 /// Least depth [m] in the range of a law: segments nearer to the surface carry almost no force. Our choice.
 const SHALLOW: f64 = 1e-3;
-/// Probability of naming a law where there is none.
+/// Probability of naming a law if there is none.
 const FALSE_ALARM: f64 = 0.002;
 /// Number of folds that must choose nearly the same powers.
 const STABLE: f64 = 0.75;
@@ -77,7 +77,7 @@ fn powers(term: &Term) -> [f64; 2] {
     ["froude", "depth_over_width"].map(|g| term.groups.get(g).copied().unwrap_or(0.0))
 }
 
-/// How much of a residual each law explains while everything else is fitted with it.
+/// The gain of each law if coefficients and nuisances are fitted together with it.
 struct Scores {
     gram: DMatrix<f64>,
     score: DVector<f64>,
@@ -232,9 +232,9 @@ fn held_out(
     (nested::together(&folds, parts, o.conditions.len()), chosen)
 }
 
-/// Share of the misfit beyond noise that the law explains: of the error on held-out conditions, against the plain
-/// model with its coefficients as they are or fitted, whichever is better, and of the whitened error; the smaller
-/// of the two.
+/// Share of the misfit beyond noise that the law explains. There are two such shares: of the error on held-out
+/// conditions, compared with the plain model with or without fitted coefficients, whichever is better; and of the
+/// whitened error. The smaller one is returned.
 pub fn explained(study: &Study, base: &Fit, law: &Described, [plain, floor]: [&Errors; 2]) -> f64 {
     let [before, after, least] = [&law.nested[0].errors, &law.nested[1].errors, floor].map(|e| e.rmse().powi(2));
     let before = before.min(plain.rmse().powi(2));

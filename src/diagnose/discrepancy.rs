@@ -24,7 +24,7 @@ const WAVES: usize = 6;
 /// Relative sizes that are tried: a thousandth to three tenths, eight a decade. Our choice: a model with a larger
 /// relative error everywhere is wrong and not merely inaccurate.
 const SIZES: usize = 21;
-/// Evidence (twice its logarithm) above which there is a discrepancy: chance exceeds it once in a thousand.
+/// Twice the logarithm of the evidence above which there is a discrepancy; chance exceeds it once in a thousand.
 const SEEN: f64 = super::chi_squared::AT_999_PER_MILLE;
 
 /// The `k`th relative size that is tried.
@@ -78,7 +78,7 @@ impl Directions {
     /// The size of the discrepancy about a fit, with the fit's parameters adjusted.
     pub fn about(&self, fit: &Fit) -> Discrepancy {
         let joint = self.joint(fit);
-        // The size with the greatest evidence; 0 has no threshold to pass.
+        // The size with the greatest evidence. A size other than 0 must also exceed the threshold.
         let none = Discrepancy { size: 0.0, surprise: joint.surprise(0.0) };
         let tried = (0..SIZES).map(|k| Discrepancy { size: size(k), surprise: joint.surprise(size(k)) });
         let best = tried.min_by(|a, b| a.surprise.total_cmp(&b.surprise)).unwrap_or(none);
@@ -92,7 +92,7 @@ impl Directions {
         let score = self.along(&fit.white);
         let solved = information.clone().cholesky().map(|c| c.solve(&cross));
         let left = solved.map_or_else(|| self.products.clone(), |s| &self.products - cross.transpose() * s);
-        // A fit has zero scores where it ended.
+        // At the end of a fit its scores are zero.
         let eigen = left.symmetric_eigen();
         let along = eigen.eigenvectors.transpose() * score;
         Joint { values: eigen.eigenvalues.iter().copied().collect(), along, objective: fit.objective }
@@ -162,7 +162,7 @@ fn columns(o: &Observations, features: &[Feature], groups: &(Vec<usize>, usize),
                 for (u, unit) in o.units.iter().enumerate().filter(|(u, _)| groups.0[*u] == group) {
                     for (i, k) in unit.block(channel).enumerate() {
                         let turned: f64 = features.iter().zip(&turns).map(|(f, w): (_, &f64)| w * f[u][i]).sum();
-                        // The first one is constant in all features.
+                        // The first wave is constant in all features.
                         let at = if wave == 0 { 1.0 } else { (2.0 / WAVES as f64).sqrt() * (turned + phase).cos() };
                         column[k] = sizes[k] * at;
                     }
@@ -174,8 +174,9 @@ fn columns(o: &Observations, features: &[Feature], groups: &(Vec<usize>, usize),
     columns
 }
 
-/// The size that an error is relative to, number by number: for the first two channels the size of their force, for
-/// other channels that size in proportion to their root mean squares; or each channel's own.
+/// The size to which an error is relative, for each number. With `Size::Force` this is the size of the force in the
+/// first two channels; in other channels it is multiplied by the ratio of the root mean squares. With `Size::Channel`
+/// it is each channel's own size.
 fn sizes(o: &Observations, prediction: &[f64]) -> Vec<f64> {
     let mut sizes: Vec<f64> = prediction.iter().map(|p| p.abs()).collect();
     if o.size == Size::Channel || o.channels.len() < 2 {

@@ -48,7 +48,8 @@ pub struct BodyDescription {
     pub friction: f64,
 }
 
-/// Between polished steel and rough plates in dry sand (Potyondy 1961: 0.54 to 0.76 of the sand's friction angle).
+/// A friction coefficient between those of polished steel and of rough plates in dry sand (Potyondy 1961: 0.54 to 0.76
+/// of the sand's friction angle).
 fn usual_friction() -> f64 {
     0.45
 }
@@ -119,11 +120,11 @@ pub struct Experiment {
     pub coefficient_sd: f64,
     pub robot: Option<String>,
     pub shapes: BTreeMap<String, Intruder>,
-    /// The tables of bodies in steady motion.
+    /// Force law that gives the stress tables of bodies in steady motion.
     pub law: Law,
     pub bodies: BTreeMap<String, BodyDescription>,
     pub nuisances: Priors,
-    /// Column → unit, where not SI.
+    /// Column → unit, for columns that are not in SI.
     pub units: BTreeMap<String, String>,
     /// Our column name → theirs.
     pub columns: BTreeMap<String, String>,
@@ -131,7 +132,7 @@ pub struct Experiment {
     pub trajectory: Keys,
 }
 
-/// Relative prior sd of the coefficients if the experiment gives none: the contract's default.
+/// Relative prior sd of the coefficients if the experiment gives none.
 const COEFFICIENT_SD: f64 = 0.08;
 
 impl Experiment {
@@ -140,7 +141,7 @@ impl Experiment {
         Self::from_toml(&text).map_err(|e| Error::file(path, e))
     }
 
-    /// Gives each row of the data to `take`, with the experiment's columns and units.
+    /// Calls `take` with each row of the data, with the experiment's columns and units.
     pub fn read(&self, data: &Path, columns: &[Column], take: impl FnMut(&Row) -> Result<()>) -> Result<Summary> {
         let (renamed, units) = (self.columns.clone(), self.units.clone());
         table::read(data, &Asked { columns, renamed, units, most_rows: Some(MOST_ROWS) }, take)
@@ -166,7 +167,7 @@ impl Experiment {
             run: file.run,
         };
         if let Some(key) = given.first().filter(|_| file.kind != Kind::Trajectory) {
-            return Err(Error::invalid(key, "only kind = \"trajectory\" takes it"));
+            return Err(Error::invalid(key, "only kind = \"trajectory\" has this key"));
         }
         let own_sand = file.sand.is_some();
         let mut medium = medium(file.medium.as_deref(), file.sand)?;
@@ -224,7 +225,10 @@ fn medium(name: Option<&str>, sand: Option<SandTable>) -> Result<Medium> {
             }
         },
         _ => {
-            return Err(Error::invalid("sand", "coefficients = \"generic\" needs zeta; any other set excludes it"));
+            return Err(Error::invalid(
+                "sand",
+                "zeta belongs to coefficients = \"generic\": give both, or another set without zeta",
+            ));
         }
     };
     for c in medium.coefficients.to_array() {
@@ -241,7 +245,7 @@ fn medium(name: Option<&str>, sand: Option<SandTable>) -> Result<Medium> {
 
 fn check_shape(name: &str, shape: &Intruder) -> Result<()> {
     let field = |part: &str| format!("shape.{name}.{part}");
-    // 1 mm to 10 m as for LegShape::segments: smaller or larger ones are unit slips.
+    // 1 mm to 10 m as for LegShape::segments: smaller or larger ones have a wrong unit.
     let (length, width, thickness) = match *shape {
         Intruder::Leg { chord, width, xi_deg, thickness } => {
             check_range(&field("xi_deg"), xi_deg, -89.9..=89.9)?;

@@ -14,8 +14,7 @@ use crate::number::dot;
 use crate::parallel;
 use crate::sand::mechanism::{CATALOG, Mechanisms};
 
-/// A second term must explain this share of the deviance that the pair explains on held-out conditions (contract,
-/// 4).
+/// A second term must explain this share of the deviance that the pair explains on held-out conditions.
 const SECOND_TERM_SHARE: f64 = 0.01;
 /// Number of pairs that are fitted, the best of the linear screen: our choice, because of time.
 const PAIRS_FITTED: usize = 14;
@@ -57,7 +56,7 @@ pub struct Candidate {
 /// Noise, whitening and nuisances about one candidate.
 pub struct Surroundings {
     pub noise: Noise,
-    /// The candidate's prediction, which the noise is proportional to.
+    /// Sizes of the candidate's prediction, to which a part of the noise is proportional.
     pub sizes: Sizes,
     pub whitener: Whitener,
     pub nuisances: Vec<Nuisance>,
@@ -98,8 +97,8 @@ pub fn candidate(study: &Study, base: &Fit, fit: Fit) -> Candidate {
     }
 }
 
-/// Candidates fitted beside `base`: those with `size` causes first, best first. Fits of a smooth model can compute
-/// their slopes again, and slopes use most of the memory, so only the first fits keep theirs.
+/// Sorts candidates: first those with `size` causes, and among these the best first. Only the first fits of a smooth
+/// model keep their slopes, because slopes use most of the memory and can be computed again.
 fn ranked(study: &Study, base: &Fit, fits: &[Fit], size: usize) -> Vec<Candidate> {
     let mut candidates = parallel::map(fits, |fit| candidate(study, base, fit.clone()));
     candidates.sort_by(|a, b| b.delta_chi2.total_cmp(&a.delta_chi2));
@@ -124,7 +123,7 @@ fn further_starts(study: &Study, ids: &[usize], values: &[f64]) -> (Vec<usize>, 
     (ids.to_vec(), from)
 }
 
-/// Start of a single fit: the linear estimate, bounded to usual strengths of the mechanism.
+/// Start of a fit with a single cause: the linear estimate, limited to usual strengths of the mechanism.
 fn linear_start(screen: &Screen, scores: &Scores, column: usize) -> f64 {
     let (id, value) = screen.candidates[column];
     let entry = &CATALOG[id];
@@ -138,9 +137,9 @@ fn linear_start(screen: &Screen, scores: &Scores, column: usize) -> f64 {
     if start == 0.0 { value * 0.1 } else { start }
 }
 
-/// The objective of a rough model has several minima, and the linear estimate may lead into one near the plain
-/// model. So there is a second start, on the same side and as far out as estimates may be. None for a smooth model,
-/// for which the first start suffices.
+/// The objective of a rough model has several minima, and the linear estimate may lead into one near the plain model.
+/// So there is a second start with the same sign, at the largest value that estimates may have. None for a smooth
+/// model, for which the first start suffices.
 fn far_start(study: &Study, id: usize, estimate: f64) -> Option<f64> {
     let entry = &CATALOG[id];
     let far = (USUAL * entry.typical).copysign(estimate).clamp(entry.bounds[0], entry.bounds[1]);
@@ -215,8 +214,9 @@ const BENDS: usize = 6;
 /// A change by less than this share of a prior standard deviation counts as converged: our choice.
 const STRAIGHT: f64 = 0.02;
 
-/// Nuisances about `fit` under a whitening, with the fit and the nuisances adjusted to each other: where a filter
-/// is slow against the fastest trials, the first estimate is inaccurate. A step that does not help is halved.
+/// Nuisances linearised at `fit` under a whitening. Fit and nuisances are adjusted to each other in turns, because the
+/// first estimate is inaccurate if a filter is slow compared with the fastest trials. A step that does not help is
+/// halved.
 fn bent(study: &Study, whitener: &Whitener, fit: &Fit) -> Vec<Nuisance> {
     let mut now = study.under(whitener, study.nuisances_about(fit));
     let mut at = now.fit_from(&[fit]).swap_remove(0);
@@ -292,8 +292,8 @@ impl Beside {
 /// Most rounds in which the size of a discrepancy and the fits are computed again: our choice, two usually suffice.
 const DISCREPANCIES: usize = 2;
 
-/// If the best leaves a smooth misfit beyond noise: fits everything again with a discrepancy, which explains its
-/// share of the differences between explanations. Without it the least noisy samples alone would decide. None if
+/// If the best candidate leaves a smooth misfit beyond noise, fits everything again with a discrepancy, which explains
+/// its share of the differences between explanations. Without it the least noisy samples alone would decide. None if
 /// the data need no discrepancy.
 ///
 /// Where even the largest discrepancy is too small, its directions would take what a cause explains. Then the noise

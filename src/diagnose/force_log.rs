@@ -4,39 +4,10 @@ use super::columns::columns;
 use super::experiment::{Experiment, Intruder};
 use super::motion::{Heading, heading, moving, progress};
 use super::observations::{Channel, Names, Observations, Size, Unit};
+use super::track::{Pose, Track};
 use crate::error::Result;
 use crate::table::{Column, Quantity, Row};
 use std::path::Path;
-
-/// Pose and motion of an intruder at one sample. Legs use the angle, plates the centre.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Pose {
-    /// [s]
-    pub t: f64,
-    /// [rad] and [rad/s]
-    pub theta: f64,
-    pub omega: f64,
-    /// Centre of a plate [m] and its velocity [m/s].
-    pub center: [f64; 2],
-    pub velocity: [f64; 2],
-}
-
-/// The motion of a trial; trials with the same motion share one.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Track {
-    pub shape: String,
-    pub intruder: Intruder,
-    /// Height of a leg's hip above the surface [m]; 0 for plates.
-    pub hip_height: f64,
-    /// Tilt of a plate [rad]; 0 for legs.
-    pub beta: f64,
-    pub pass: u32,
-    /// Distance from the first pass [m].
-    pub pass_dx: f64,
-    /// Position in the bed [m].
-    pub x_bed: f64,
-    pub poses: Vec<Pose>,
-}
 
 /// A force log, read and checked.
 pub struct ForceLog {
@@ -185,9 +156,9 @@ fn track_header(row: &Row, experiment: &Experiment) -> Result<Track> {
     })
 }
 
-/// β of a plate in our frame. Attack and intrusion angles are stated for motion toward +x (v ∥ (cos γ, −sin γ));
-/// where the logged velocity is the mirror image of that, so is the plate. The first direction in which the plate
-/// moves decides this: at rest it has no direction, and noise of its velocity has any.
+/// Sets a plate's β in our frame. Attack and intrusion angles are stated for motion toward +x (v ∥ (cos γ, −sin γ)). If
+/// the logged velocity is the mirror image of that, the plate is mirrored, too. The first direction in which the plate
+/// certainly moves decides this, because at rest the logged velocity is noise.
 fn mirror(trial: &mut Growing) {
     let poses = &trial.track.poses;
     let outward = poses.iter().zip(&trial.gammas).take(heading(&trial.track).until + 1);
@@ -293,7 +264,7 @@ fn assemble(
     ForceLog { observations, tracks, track_of, missing, notes, sha256 }
 }
 
-/// A log of trials that are not made yet: one unit a track, zeros for forces.
+/// A log of planned trials: one unit for each track, and zeros for forces.
 pub fn planned(tracks: Vec<Track>, channels: usize) -> ForceLog {
     let names = (0..tracks.len()).map(|i| i.to_string()).collect();
     let trials = tracks
@@ -314,7 +285,7 @@ pub fn planned(tracks: Vec<Track>, channels: usize) -> ForceLog {
     assemble(trials, names, channels > 2, Vec::new(), String::new())
 }
 
-/// Samples of a trial that is not made yet.
+/// Number of samples in a planned trial.
 const PLANNED_SAMPLES: usize = 60;
 
 /// Trials that the apparatus of `tracks` could make: its intruders at the slowest, middle and fastest speed used,
@@ -348,12 +319,6 @@ pub fn possible(tracks: &[Track]) -> Vec<(Track, String)> {
 }
 
 impl Track {
-    /// A leg on fresh ground at x = 0.
-    pub fn leg(intruder: Intruder, hip_height: f64, poses: Vec<Pose>) -> Self {
-        let (shape, beta, pass, pass_dx, x_bed) = ("leg".into(), 0.0, 1, 0.0, 0.0);
-        Self { shape, intruder, hip_height, beta, pass, pass_dx, x_bed, poses }
-    }
-
     /// Fastest angular speed of a leg [rad/s] or speed of a plate [m/s].
     fn rate(&self) -> f64 {
         let rate = |p: &Pose| match self.intruder {
@@ -363,7 +328,7 @@ impl Track {
         self.poses.iter().map(rate).fold(0.0, f64::max)
     }
 
-    /// The same intruder in another trial, and a description of that trial; angles in degrees.
+    /// This track's intruder in another trial, and a description of that trial; angles in degrees.
     fn planned(&self, rate: f64, deep: bool, pass: u32, x_bed: f64, beta: f64, gamma: f64) -> (Track, String) {
         let mut track = Track { pass, pass_dx: 0.0, x_bed, ..self.clone() };
         let at = |i: usize| (i as f64 + 0.5) / PLANNED_SAMPLES as f64;

@@ -5,12 +5,13 @@
 use super::arm::{Arm, Cut, PowerDrag, filtered, read, stencils};
 use super::experiment::{Experiment, Intruder};
 use super::fit::slope;
-use super::force_log::{ForceLog, Pose, Track};
+use super::force_log::ForceLog;
 use super::motion::moving;
 use super::nuisance::{Nuisance, Priors};
 use super::observations::Observations;
 use super::response::{Response, Responses, is_linear};
 use super::shared::Shared;
+use super::track::{Pose, Track};
 use crate::error::Result;
 use crate::number::{Doubles, Real};
 use crate::parallel;
@@ -27,11 +28,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 pub struct Feature {
     pub name: &'static str,
     pub unit: &'static str,
-    /// One value a sample, unit by unit (not repeated over channels).
+    /// One value for each sample, unit by unit (not repeated over channels).
     pub values: Vec<Vec<f64>>,
 }
 
-/// Trials that are not made yet.
+/// Trials that could be made next.
 pub struct Menu<'a> {
     pub model: Box<dyn ForwardModel + 'a>,
     pub observations: Observations,
@@ -43,7 +44,7 @@ pub struct Menu<'a> {
 pub trait ForwardModel: Sync {
     /// Same order as `Observations::values`.
     fn predict(&self, mechanisms: &Mechanisms, coefficients: &Coefficients) -> Vec<f64>;
-    /// The same for several states at once.
+    /// Predicts for several states at once.
     fn predict_many(&self, states: &[(Mechanisms, Coefficients)]) -> Vec<Vec<f64>> {
         parallel::map(states, |(m, c)| self.predict(m, c))
     }
@@ -60,21 +61,21 @@ pub trait ForwardModel: Sync {
     fn coefficient_step(&self) -> f64 {
         0.1
     }
-    /// Directions that the numbers of a repetition may have in common, at the prediction `prediction` of
+    /// Directions of the noise that all numbers of a repetition share, computed at `prediction`, which is that of
     /// `mechanisms` and `coefficients`.
     fn shared(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Shared>;
-    /// Numerical error of the prediction there: directions, one standard deviation long, along which all
-    /// repetitions of a condition err alike. None if it is negligible.
+    /// Errors of the model that are the same for all repetitions of a condition, as vectors of one standard deviation
+    /// each. Empty if they are negligible.
     fn model_error(&self, _: &Mechanisms, _: &Coefficients, _prediction: &[f64]) -> Vec<Vec<f64>> {
         Vec::new()
     }
-    /// Error of the model at each number, one standard deviation, independent between numbers and equal in all
-    /// repetitions; empty if it is not known.
+    /// Standard deviation of the model's error at each number. These errors are independent between numbers and equal
+    /// in all repetitions. Empty if they are not known.
     fn own_error(&self, _: &Mechanisms, _: &Coefficients, _prediction: &[f64]) -> Vec<f64> {
         Vec::new()
     }
-    /// Effects of measuring that all data share, at the prediction of `mechanisms` and `coefficients`; `values` are
-    /// the nuisances known so far.
+    /// Nuisances that all data share, computed at the prediction of `mechanisms` and `coefficients`; `values` are their
+    /// present estimates.
     fn nuisances(&self, _: &Mechanisms, _: &Coefficients, _values: &[(String, f64)]) -> Vec<Nuisance> {
         Vec::new()
     }
@@ -118,7 +119,7 @@ pub struct ForceLogModel<'a> {
     latch: Option<&'a Latch<'a>>,
     medium: Medium,
     tracks: Vec<Track>,
-    /// For each track the poses that are samples, where it moves.
+    /// For each track the indices of the samples in motion.
     kept: Vec<Vec<usize>>,
     cuts: BTreeMap<String, Cut>,
     /// Track, index in the stack and samples of each unit.
@@ -132,7 +133,7 @@ pub struct ForceLogModel<'a> {
     measuring: Kept<Measuring>,
 }
 
-/// Data for nuisances, at one state.
+/// What nuisances change in the data of one state.
 struct Measuring {
     mechanisms: Mechanisms,
     coefficients: Coefficients,
@@ -160,13 +161,13 @@ impl<T> Clone for Kept<T> {
     }
 }
 
-/// Steps of numerical derivatives by nuisances: our choices, shares of their usual sizes.
+/// Steps of numerical derivatives by nuisances: our choices, small parts of the nuisances' usual sizes.
 const DEPTH_STEP: f64 = 2e-4;
 const TIME_STEP: f64 = 1e-3;
 const TILT_STEP: f64 = 1e-4;
 /// Relative step.
 const STRENGTH_STEP: f64 = 0.02;
-/// Directions that each channel of each trial has of its own.
+/// Names of the directions that each channel of each trial has for itself.
 const OFFSETS: [(&str, &str); 3] = [("offset_Fx", "drift_Fx"), ("offset_Fz", "drift_Fz"), ("offset_Ty", "drift_Ty")];
 /// Number of states with the same mechanisms from which computing the response to the coefficients is cheaper.
 const ANSWERS: usize = 4;
@@ -197,7 +198,7 @@ impl<'a> ForceLogModel<'a> {
         })
     }
 
-    /// The same with a `latch` that may stop it.
+    /// This model with a `latch` that may stop its computations.
     pub fn heeding(self, latch: &'a Latch<'a>) -> Self {
         Self { latch: Some(latch), ..self }
     }
@@ -222,7 +223,7 @@ impl<'a> ForceLogModel<'a> {
         Ok(model.arm(&track, &sand.mechanisms, &[ground]).readings().into_iter().map(|[load]| load).collect())
     }
 
-    /// A model of other tracks with the same intruders, for experiments that are not made yet.
+    /// A model of other tracks with the same intruders, for planned experiments.
     pub fn for_tracks(&self, tracks: Vec<Track>) -> (Self, Observations) {
         let log = super::force_log::planned(tracks, self.channels);
         let units = log.observations.units.iter().zip(&log.track_of).map(|(u, &t)| (t, u.start, u.samples)).collect();
@@ -325,7 +326,7 @@ impl<'a> ForceLogModel<'a> {
         stacks
     }
 
-    /// How many numbers a stack has.
+    /// Length of a stack.
     fn numbers(&self) -> usize {
         self.units.iter().map(|u| u.2 * self.channels).sum()
     }
@@ -341,7 +342,7 @@ impl<'a> ForceLogModel<'a> {
         self.responses.of(m, || Response::new(|states| self.in_grounds(m, states)))
     }
 
-    /// Data for nuisances; the last result is kept.
+    /// What nuisances change in the data of this state. The last result is kept.
     fn measuring(&self, m: &Mechanisms, c: &Coefficients) -> Arc<Measuring> {
         let mut kept = self.measuring.0.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(known) = kept.as_ref().filter(|k| k.mechanisms == *m && k.coefficients == *c) {
@@ -461,7 +462,7 @@ impl ForwardModel for ForceLogModel<'_> {
         if CATALOG[id].id != "inertial_drag" {
             return None;
         }
-        // At the greatest speed of the data both laws are equal, so λ is comparable.
+        // At the greatest speed of the data the drag with this exponent equals the catalog's, so λ is comparable.
         let features = self.features();
         let speed = features.iter().filter(|f| f.name == "speed").flat_map(|f| f.values.iter().flatten());
         let speed = speed.copied().fold(1e-6, f64::max);

@@ -13,7 +13,7 @@ use std::path::Path;
 pub struct State {
     /// A table `[body.NAME]` of the experiment.
     pub body: String,
-    /// Under the measured load.
+    /// The motion under the measured load.
     pub trial: Trial,
     /// Standard deviations in time, channel by channel; 0 where the data have none.
     pub unsteadiness: [f64; 3],
@@ -55,7 +55,7 @@ pub const CHANNELS: [Channel; 3] = [
     Channel { name: "depth", unit: "m", in_rmse: false },
 ];
 
-/// Most rows: each is simulated some ten thousand times. Our choice, 15 times the rows of the wheels' data.
+/// Most rows: our choice, 15 times those of the wheels' data; each row is simulated some ten thousand times.
 const MOST_ROWS: usize = 2_000;
 
 /// Larger numbers are broken or in the wrong unit: our choice.
@@ -75,7 +75,7 @@ pub fn read(path: &Path, experiment: &Experiment) -> Result<IntruderLog> {
     let summary = experiment.read(path, COLUMNS, |row| {
         let id = row.needed_text(TRIAL)?;
         if ids.place(id) != states.len() {
-            return Err(row.error(TRIAL, format!("{id} stands there twice")));
+            return Err(row.error(TRIAL, format!("{id} is in the file twice")));
         }
         if states.len() == MOST_ROWS {
             return Err(row.error(TRIAL, format!("more than {MOST_ROWS} rows: split the data")));

@@ -22,7 +22,7 @@ const GEOMETRY_STEP: f64 = 5e-4;
 const FRICTION_STEP: f64 = 0.02;
 const STRENGTH_STEP: f64 = 0.02;
 
-/// A body as described, and a slightly larger one.
+/// A body in plates: as described, and slightly larger.
 struct Cut {
     description: BodyDescription,
     nominal: Body,
@@ -133,7 +133,7 @@ fn under_load(body: &Body, sand: &SandDescription, trial: &Trial) -> [f64; 3] {
     [outcome.force[0], outcome.force[1], outcome.depth]
 }
 
-/// Why steady states cannot show a mechanism.
+/// The reason why steady states cannot show a mechanism, if they cannot.
 fn lacking(id: &str) -> Option<String> {
     let off = SandDescription { mechanisms: Mechanisms::from_values([1.0; Mechanisms::COUNT]), ..plainest() };
     let said = if without_effect(&off).contains(&id) {
@@ -188,8 +188,8 @@ impl ForwardModel for IntruderModel<'_> {
         all
     }
 
-    /// A tenth of the load in either force, and the change of sinkage for a tenth of the strength; each condition
-    /// and channel errs independently of the others.
+    /// Errors of the law: a tenth of the load in either force, and the change of sinkage by a tenth of the strength.
+    /// Conditions and channels are independent.
     fn model_error(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Vec<f64>> {
         let strength = self.strength(mechanisms, coefficients, prediction);
         let load = |k: usize| if let Given::Load(load) = self.states[k / 3].trial.given { load } else { 0.0 };
@@ -254,7 +254,7 @@ impl ForwardModel for IntruderModel<'_> {
 }
 
 impl IntruderModel<'_> {
-    /// (rim speed − V)/max(rim speed, V) of the lowest point; 0 where a body does not travel.
+    /// (rim speed − V)/max(rim speed, V) of the lowest point; 0 if the body does not travel.
     fn slip(&self, state: &State) -> f64 {
         let [low, _] = self.cuts[&state.body].nominal.heights();
         let (v, rim) = (state.trial.velocity[0].hypot(state.trial.velocity[1]), -low * state.trial.spin[1]);

@@ -16,8 +16,8 @@ use super::verdict::{Evidence, Rival};
 use crate::sand::mechanism::{CATALOG, Mechanisms};
 use crate::student;
 
-/// The plain model's error counts as clearly larger than the scatter if it is larger by this share of itself with
-/// certainty: our choice. If it is not, a share of their difference has no meaning.
+/// The plain model's error counts as clearly larger than the scatter if its 95 % interval exceeds the scatter by this
+/// share of the error: our choice. If it is not, a share of their difference has no meaning.
 const CLEAR: f64 = 0.1;
 
 /// Uncertainty of a fit's values.
@@ -87,14 +87,14 @@ pub fn judged(study: &Study, standing: Standing) -> Judged {
     Judged { evidence, discrepancy, lacks, intervals, form, nested: nested.sand }
 }
 
-/// Share of the misfit beyond noise that the best explains: of the error of readings on held-out conditions if the
-/// plain model's is clearly larger than the scatter; otherwise of the whitened error. A cause that acts in some
-/// conditions only is judged by these.
+/// Share of the misfit beyond noise that the best candidate explains. If the plain model's error on held-out conditions
+/// is clearly larger than the scatter, this is the share of that error, and otherwise the share of the whitened error.
+/// Only conditions in which the candidate acts count.
 fn explained(study: &Study, fitted: &Fitted, lacks: &[Lack; 2], nested: &Nested, floor: &Errors) -> f64 {
     let of = |e: &Errors| e.among(&reached(study, fitted, floor));
     let [plain, sand, reading, floor] =
         [&fitted.plain_held_out.errors, &nested.sand[1].errors, &nested.reading[1].errors, floor].map(of);
-    // The effect of a filter or a tilt is no misfit of the sand: what nuisances explain beside the best.
+    // What nuisances explain beside the candidate, a filter or a tilt say, is no misfit of the sand.
     let misfit = plain.less(&sand, &reading);
     if misfit.reduction_interval(&floor)[0] > CLEAR {
         let [before, after, least] = [misfit, reading, floor].map(|e| e.rmse().powi(2));
@@ -103,7 +103,7 @@ fn explained(study: &Study, fitted: &Fitted, lacks: &[Lack; 2], nested: &Nested,
     1.0 - lacks[1].excess.max(0.0) / lacks[0].excess.max(1e-9)
 }
 
-/// The conditions that the best cause moves by more than their scatter; all if it moves none or there is none.
+/// The conditions whose prediction the best candidate changes by more than their scatter; all, if there are none.
 fn reached(study: &Study, fitted: &Fitted, floor: &Errors) -> Vec<usize> {
     let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
     let Some(best) = fitted.best() else { return all };
@@ -124,13 +124,14 @@ fn rivals(fitted: &Fitted, best: &Candidate, gates: &Gates) -> Vec<Rival> {
     fitted.candidates[1..fitted.finalists.max(1)].iter().map(of).collect()
 }
 
-/// Does the law of the best cause have the right form? If the data exclude it, or if the cause alone in another
-/// form explains as much as with a second term, which then only replaces that form, none of the causes is named.
+/// Tests whether the law of the best cause has the right form. No cause is named if the data exclude the form, or if
+/// the cause alone in another form explains as much as together with a second cause, which then only replaces that
+/// form.
 fn questioned(study: &Study, fitted: &Fitted, gates: &Gates) -> Option<SpeedExponent> {
     let best = &fitted.candidates[0].fit;
     let asked = SpeedLaw::of(study, best)?;
     let alone = fitted.candidates.iter().find(|c| asked.alone(&c.fit)).filter(|_| best.ids.len() > 1);
-    // It was fitted with an earlier noise.
+    // The single cause was fitted with an earlier noise.
     let alone = alone.and_then(|c| speed_exponent::check(study, &study.fit_from(&[&c.fit])[0], asked, gates.inflation));
     let stands_in = alone.filter(|form| form.excluded && form.objective <= best.objective);
     stands_in.or_else(|| speed_exponent::check(study, best, asked, gates.inflation))

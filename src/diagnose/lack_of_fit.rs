@@ -1,4 +1,4 @@
-//! Does a residual contain anything but noise?
+//! Tests whether a residual contains anything but noise.
 //!
 //! Whitened noise is white, and the error of a wrong model is smooth. So the whitened residual of each trial and
 //! channel is projected on the first few cosines along the trial, repetitions of a condition are averaged (which
@@ -15,10 +15,10 @@ const WAVES: usize = 8;
 pub struct Lack {
     /// Mean square of the smooth part: 1 for noise alone.
     pub mean: f64,
-    /// The greatest excess of the squares of one condition's channel over their number, in standard deviations of
-    /// that excess for noise alone. A mean over many conditions would not show the misfit of a single one.
+    /// For each channel of each condition, the sum of squares minus their number, in its standard deviations for noise
+    /// alone; the greatest of these. A mean over many conditions would not show the misfit of a single one.
     pub worst: f64,
-    /// Sum of the squares over their number, and that number.
+    /// Sum of the squares minus their number, and that number.
     pub excess: f64,
     pub count: f64,
 }

@@ -1,8 +1,8 @@
 //! Likelihood of the differences between repetitions under a noise model.
 //!
-//! Channels have independent noise, so products of whitened columns are sums over channels. A search changes one
-//! number at a time: the contributions of the other channels are kept, and the sizes of common directions only
-//! scale products.
+//! Channels have independent noise, so products of whitened columns are sums over channels. A search changes one number
+//! at a time, so the contributions of the other channels are kept. A change of a shared direction's size only scales
+//! products.
 
 use super::noise::{ChannelFilter, ChannelNoise, Clock, Noise};
 use super::repeats::Repeats;

@@ -18,7 +18,7 @@ pub struct Misfit {
     /// Mean of (measured − predicted) along the predicted direction, and root mean square [unit of the channel].
     pub mean: f64,
     pub rms: f64,
-    /// Mean error over mean predicted size; None where the predicted size is negligible.
+    /// Mean error over mean predicted size; None if the predicted size is negligible.
     pub relative: Option<f64>,
     pub samples: usize,
 }
@@ -29,12 +29,12 @@ const PREDICTED: f64 = 0.2;
 /// Number of ranges of a feature, each with the same number of samples.
 const RANGES: usize = 5;
 
-/// Error of `prediction` by every feature and shape.
+/// Errors of `prediction` in the ranges of every feature, and for every shape.
 pub fn misfit(observations: &Observations, model: &dyn ForwardModel, prediction: &[f64]) -> Vec<Misfit> {
     table(observations, model, prediction, |_| true)
 }
 
-/// The same over the units for which `counts` is true.
+/// As [`misfit`], over the units for which `counts` is true.
 fn table(
     observations: &Observations,
     model: &dyn ForwardModel,
@@ -129,7 +129,7 @@ pub fn whereabouts(observations: &Observations, model: &dyn ForwardModel, predic
     whereabouts_of(observations, model, prediction, "the plain model's error")
 }
 
-/// The same for an error with another name.
+/// As [`whereabouts`], for an error with another name.
 pub fn whereabouts_of(
     observations: &Observations,
     model: &dyn ForwardModel,
@@ -194,7 +194,7 @@ fn course(rows: &[(&Misfit, f64)], unit: &str) -> Option<(f64, String)> {
 }
 
 impl Misfit {
-    /// The range or group that it is about, in words.
+    /// The range of the feature, or the shape's name, as text.
     pub fn place(&self) -> String {
         match (&self.group, self.range) {
             (Some(group), _) => group.clone(),

@@ -1,12 +1,17 @@
-//! Diagnosis: show what the simulation gets wrong, name the cause, extend the model, measure the gain.
+//! Diagnosis: finds where the simulation errs, names the cause, extends the model, and measures the gain.
 //!
-//! data ([`force_log`] or [`walking_log`], [`experiment`]) → [`forward`] model ([`walking_model`] for runs) →
-//! [`noise`] from repetitions, with what they have in common ([`shared`]) → [`whiten`] → [`fit`] with [`nuisance`]s
-//! marginalised → [`select`]: [`calibrate`]d gates, then [`fitted`], then [`judged`] with [`discrepancy`],
-//! [`nested`] and [`lack_of_fit`], then the pure [`verdict`] → [`view`] → [`report`].
+//! 1. [`force_log`], [`walking_log`], [`intruder_log`] or [`trajectory`] reads the data, [`experiment`] the facts
+//!    about them.
+//! 2. A [`forward`] model predicts the data.
+//! 3. [`noise_search`] learns the [`noise`] from repetitions, with the errors that a trial shares ([`shared`]), and
+//!    [`whiten`] whitens the residuals.
+//! 4. [`gauss_newton`] makes [`fit`]s, in which [`nuisance`]s are marginalised.
+//! 5. [`select`] chooses: it [`calibrate`]s the gates, makes the fits ([`fitted`]), judges them ([`judged`], with
+//!    [`discrepancy`], [`nested`] and [`lack_of_fit`]), and decides the [`verdict`].
+//! 6. [`view`] and [`report`] show the result.
 //!
-//! Everything from `noise` on uses only [`observations`] and a [`forward::ForwardModel`]: another kind of data
-//! needs only its own reader and forward model.
+//! Steps 3 to 6 use only [`observations`] and a [`forward::ForwardModel`]. Another kind of data needs only its own
+//! reader and forward model.
 
 use sandgait_base::{error, parallel, progress, student};
 use sandgait_number as number;
@@ -32,6 +37,7 @@ pub mod fitted;
 pub mod force_log;
 pub mod forward;
 pub mod further;
+pub mod gauss_newton;
 pub mod intruder_log;
 pub mod intruder_model;
 pub mod judged;
@@ -43,6 +49,7 @@ pub mod motion;
 pub mod nested;
 pub mod next_experiment;
 pub mod noise;
+pub mod noise_search;
 pub mod nuisance;
 pub mod observations;
 pub mod page;
@@ -53,9 +60,9 @@ pub mod response;
 pub mod select;
 pub mod shared;
 pub mod speed_exponent;
-
 pub mod study;
 pub mod summary;
+pub mod track;
 pub mod trajectory;
 pub mod verdict;
 pub mod view;
@@ -83,7 +90,7 @@ use whiten::Whitener;
 
 pub use cli::run;
 
-/// Reads the data and diagnoses them. Errors name file, row and column of what cannot be read; an error of
+/// Reads the data and diagnoses them. If data cannot be read, the error names file, row and column. An error of
 /// `progress` stops the work and is returned.
 pub fn diagnose(data: &Path, experiment: &Experiment, progress: &dyn Progress) -> Result<Diagnosis> {
     let progress = &Latch::new(progress);

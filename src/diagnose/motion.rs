@@ -4,7 +4,7 @@
 //! over several samples.
 
 use super::experiment::Intruder;
-use super::force_log::{Pose, Track};
+use super::track::{Pose, Track};
 
 /// Below this share of the trial's speed an intruder rests: our choice, above the noise of velocities at rest and
 /// far below any speed of interest.
@@ -75,12 +75,12 @@ pub fn heading(track: &Track) -> Heading {
     }
 }
 
-/// Angle [rad] or path [m] travelled at each sample, counted from the frame's zero along `heading`. So repetitions
-/// that start at different times are matched by position and not by time. It never decreases; on a way back it
-/// keeps growing.
+/// Angle [rad] or path [m] travelled at each sample, counted from the frame's zero along `heading`. So repetitions that
+/// start at different times are matched by position and not by time. The path never decreases; it also grows when the
+/// intruder moves back.
 ///
-/// Fluctuations within [`SLACK`] do not count: a point follows the position at up to that distance, and the path is
-/// that point's. So noise at rest does not add up.
+/// Fluctuations within [`SLACK`] do not count: a point follows the position within that distance, and the path of this
+/// point is returned. So noise at rest does not add up.
 pub fn progress(track: &Track, heading: &Heading) -> Vec<f64> {
     let start = place(track, &track.poses[0]);
     let from = start[0] * heading.along[0] + start[1] * heading.along[1];
@@ -112,7 +112,7 @@ pub fn moving(track: &Track) -> Vec<usize> {
     };
     let moves = |i: &usize| {
         let logged = speed(track, &poses[*i]);
-        // At the ends of a rest only one side shows it.
+        // At the ends of a rest, only the samples on one side are at rest.
         let before = seen(i.saturating_sub(REACH), *i);
         let after = seen(*i, (i + REACH).min(poses.len() - 1));
         let seen = before.min(after);

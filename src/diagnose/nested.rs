@@ -1,5 +1,5 @@
-//! The gain of the extension on conditions that were used for nothing else: in each fold the noise is learnt, the
-//! data are whitened and the causes are chosen without the held-out conditions.
+//! The gain of the extension on held-out conditions. In each fold the noise is learnt, the data are whitened and the
+//! causes are chosen without the held-out conditions.
 //!
 //! Values are fitted by one Gauss-Newton step from the full fits, which is exact for a linear model. A cause that
 //! the rest of the data does not show is not chosen in that fold.
@@ -45,8 +45,8 @@ pub fn nested(study: &Study, fitted: &Fitted, gates: &Gates, known: &Known) -> N
 /// Conditions held out in each fold.
 pub fn folds(conditions: usize) -> Vec<Vec<usize>> {
     let folds = FOLDS.min(conditions);
-    // The conditions of a design are in order; a step that has no common divisor with their number scatters them
-    // over the folds.
+    // Neighbouring conditions of a design are similar. A stride without a common divisor with their number distributes
+    // them over the folds.
     let stride = (conditions / 2 + 1..conditions + 2).find(|s| gcd(*s, conditions) == 1).unwrap_or(1);
     (0..folds).map(|f| (f..conditions).step_by(folds).map(|k| k * stride % conditions).collect()).collect()
 }

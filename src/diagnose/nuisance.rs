@@ -14,15 +14,15 @@ use std::sync::Arc;
 /// One nuisance of all data.
 #[derive(Clone, Debug)]
 pub struct Nuisance {
-    /// `delay`, or `lowpass_Fx` where each channel has its own.
+    /// An id such as `delay`, or `lowpass_Fx` if each channel has its own.
     pub id: String,
     pub unit: &'static str,
     /// Prior standard deviation [unit].
     pub sd: f64,
     /// Change of the data by one standard deviation.
     pub column: Column,
-    /// Difference between the effect and as many columns as the nuisance's value, where the column was computed:
-    /// the effect of a filter is not linear.
+    /// For a nuisance with a nonlinear effect, such as a filter: the effect at the value at which `column` was
+    /// computed, minus `column` times this value.
     pub bend: Option<Column>,
 }
 
@@ -44,11 +44,11 @@ impl Nuisance {
 /// surface within 2 mm; clocks within 2 ms and 0.1 %; filters up to some 5 ms; half the length of a body within 1
 /// mm, the friction of its surface within 0.15.
 ///
-/// Of a robot's log: an IMU mounted within 3° whose log is 10 ms late, its zeros within 0.05 rad/s and 0.1 m/s²;
-/// torques within 2 %, their zeros and the friction of the joints within 5 % of what they read; the mass within 2
-/// %; beds that scatter by 5 %; and errors of the simulation of up to 10 % of a channel's range, independent
-/// between parts of a stride: two simulators of the same robot on the same sand differ by half of that, but
-/// similarly in neighbouring parts.
+/// For a robot's log: an IMU mounted within 3°, with a delay of 10 ms and offsets within 0.05 rad/s and 0.1 m/s²;
+/// torques within 2 %; offsets of torques and friction of joints within 5 % of the torques' rms; the mass within 2 %;
+/// beds that scatter by 5 %; errors of the simulation of 10 % of a channel's standard deviation within a stride,
+/// independent between parts of a stride. Two simulators of the same robot on the same sand differ by half of that, but
+/// the differences in neighbouring parts are similar.
 const KINDS: [(&str, &str, f64); 19] = [
     ("offset", "1", 0.1),
     ("gain", "1", 0.02),

@@ -34,12 +34,12 @@ impl Unit {
     }
 }
 
-/// The size that proportional noise is proportional to.
+/// The size to which the proportional part of the noise is proportional.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Size {
-    /// The size of the force that the first two channels make.
+    /// The magnitude of the force whose components are the first two channels.
     Force,
-    /// Each channel's own value.
+    /// The value of each channel itself.
     Channel,
 }
 

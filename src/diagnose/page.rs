@@ -126,7 +126,7 @@ fn form(html: &mut String, r: &Report) {
     );
 }
 
-/// The caption of a map's bars: forces, without the torque, which has another unit.
+/// The channels that the bars show: forces, without the torque, which has another unit.
 fn mapped(misfit: &[Misfit]) -> Vec<&str> {
     let mut channels: Vec<&str> = Vec::new();
     for m in misfit.iter().filter(|m| m.channel != "Ty") {
@@ -206,7 +206,7 @@ const DRAWN: usize = 100;
 
 fn curves(html: &mut String, c: &Curves) {
     html.push_str("<h2>Measured and predicted</h2>");
-    // A robot's run has one number a channel, a trial of a force log many.
+    // A run of a robot has one number for each channel, a trial of a force log has many.
     let figures = if c.observations.units.iter().all(|u| u.samples == 1) { by_condition(c) } else { by_progress(c) };
     figures.iter().for_each(|f| html.push_str(&f.svg()));
 }
@@ -294,7 +294,7 @@ fn by_condition(c: &Curves) -> Vec<Figure> {
     vec![Figure { title: "Every run and its predictions".into(), panels, columns: 2, note: String::new() }]
 }
 
-/// Runs have one number a channel: a table beside the figure.
+/// For runs, which have one number for each channel: a table beside the figure.
 fn runs(html: &mut String, r: &Report) {
     html.push_str("<details><summary>The same as a table, means over repetitions</summary><table><tr><th>condition<th>channel<th>measured<th>plain<th>extended<th>unit");
     for run in &r.runs {

@@ -1,8 +1,8 @@
 //! Profile likelihood of fitted values: the objective at finite steps of a value, with everything else fitted again
 //! (e.g. Venzon & Moolgavkar 1988).
 //!
-//! Where a gait sticks or stalls the objective is rough, so slopes are valid only locally, and a fit may end in a
-//! local minimum. So values are changed by finite steps and their runs simulated. The fit moves to the lowest
+//! If a gait sticks or stalls, the objective is rough: slopes are valid only locally, and a fit may end in a local
+//! minimum. So each value is changed by finite steps, and the runs are simulated with it. The fit moves to the lowest
 //! point, and the interval reaches from the first to the last point at which the objective is within the noise's
 //! tolerance.
 
@@ -65,8 +65,8 @@ pub fn within(scan: &[(f64, f64)], least: f64, allowed: f64) -> [f64; 2] {
     [low, high]
 }
 
-/// Fits with value `k` held at each point about that of `fit`. The other values change as the slopes at `fit`
-/// predict, and then once more as the residual there demands, if that helps.
+/// Fits with value `k` fixed at several points about that of `fit`. The other values first change as the slopes at
+/// `fit` predict, and then by a Gauss-Newton step from the residual, if that helps.
 fn scan(study: &Study, fit: &Fit, k: usize) -> Vec<Fit> {
     let (at, bounds) = (fit.coordinates()[k], CATALOG[fit.ids[k]].coordinate_bounds());
     let sd = fit.covariance()[(k, k)].sqrt();

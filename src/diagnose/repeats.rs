@@ -6,18 +6,19 @@ use super::shared::Shared;
 
 /// Repetitions of one condition, matched by progress.
 pub struct Repeats {
-    /// Channel by channel.
+    /// Size of each matched sample, channel by channel.
     pub sizes: Vec<Vec<f64>>,
     /// Progress of the matched samples.
     pub progress: Vec<f64>,
-    /// Common directions of a repetition: index in [`Shared`], and the direction channel by channel.
+    /// Directions of noise that a repetition's numbers share: index in [`Source::shared`], and the direction channel by
+    /// channel.
     pub shared: Vec<(usize, Vec<Vec<f64>>)>,
     /// Orthonormal differences of the residuals, each channel by channel.
     pub differences: Vec<Vec<Vec<f64>>>,
 }
 
 impl Source<'_> {
-    /// The repetitions of every condition that has some and is not left out.
+    /// The repetitions of every condition that has repetitions and is not left out.
     pub fn repeats(&self) -> Vec<Repeats> {
         let groups = self.observations.repetitions();
         let counts = |(condition, group): &(usize, &Vec<usize>)| group.len() > 1 && !self.left_out.contains(condition);
@@ -70,10 +71,11 @@ impl Source<'_> {
     }
 }
 
-/// Matched samples of the repetitions along the path, one of each repetition a row: in order, none used twice; the
-/// repetition with the fewest samples chooses first. Samples are not interpolated, because an interpolated value
-/// has less noise than a sample. Rows in which every channel of every repetition is exactly zero are left out: they
-/// come from simulated intruders in the air, and would give a noise of zero.
+/// Matches the samples of the repetitions along the path. Each row has one sample of each repetition; samples are in
+/// order, and none is used twice. Each sample of the repetition with the fewest samples gets the nearest samples of the
+/// others. Samples are not interpolated, because an interpolated value has less noise than a sample. Rows in which
+/// every channel of every repetition is exactly zero are left out: they come from simulated intruders in the air, and
+/// would give a noise of zero.
 fn matched(observations: &Observations, group: &[usize]) -> Vec<Vec<usize>> {
     let units: Vec<&Unit> = group.iter().map(|&u| &observations.units[u]).collect();
     let Some(leader) = (0..units.len()).min_by_key(|&k| units[k].samples) else { return Vec::new() };

@@ -1,4 +1,4 @@
-//! Contents of the report: `report.json`, as the contract defines it, and `sand.toml`.
+//! Contents of the report: `report.json`, as documented, and `sand.toml`.
 
 use super::misfit::{Correlate, Misfit};
 use super::next_experiment::Proposal;
@@ -29,7 +29,7 @@ pub struct Tried {
     /// Fraction by which it reduces the held-out error of the plain model with fitted coefficients.
     pub cv_gain: Option<f64>,
     pub lack_of_fit: f64,
-    /// χ² differences with 2 and ln n charged per parameter.
+    /// Differences of χ² plus 2, or ln n, for each parameter.
     pub delta_aic: f64,
     pub delta_bic: f64,
     /// Whitened distance to the best explanation [σ].
@@ -56,8 +56,8 @@ pub struct Gain {
     pub noise_floor: Option<f64>,
     pub reduction: Option<f64>,
     pub ci95: Option<[f64; 2]>,
-    /// Share of the achievable reduction: plain error less scatter. None if 0 is in the 95 % interval of that
-    /// difference. By chance it may be slightly above 1.
+    /// Reduction of the error as a share of the achievable one, which is the plain model's error minus the scatter.
+    /// None if 0 is in the 95 % interval of that difference. By chance it may be slightly above 1.
     pub achievable_fraction: Option<f64>,
     /// Were cause, noise and whitening chosen without the held-out conditions in each fold?
     pub nested: bool,
@@ -90,7 +90,7 @@ pub struct Remainder {
     /// The lack of fit of the worst condition and channel, in standard deviations of noise.
     pub worst: f64,
     pub worst_limit: f64,
-    /// Relative size of the smooth discrepancy beside the model.
+    /// Size of the model's smooth discrepancy, relative to the loads; 0 if the data need none.
     pub discrepancy: f64,
     /// Share of the misfit beyond noise that the best candidate explains.
     pub explained: f64,
@@ -99,7 +99,7 @@ pub struct Remainder {
 /// A law found in the data.
 #[derive(Clone, Debug, Serialize, PartialEq)]
 pub struct TermFound {
-    /// In words, and in TeX.
+    /// The formula as text, and in TeX.
     pub formula: String,
     pub tex: String,
     pub on: String,

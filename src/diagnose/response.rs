@@ -19,14 +19,14 @@ pub fn is_linear(m: &Mechanisms) -> bool {
     [m.friction_clip, m.compliance, m.skid_loss, m.slip_bearing] == [0.0; 4]
 }
 
-/// A prediction under given mechanisms by the coefficients.
+/// The prediction with given mechanisms as a linear function of the coefficients.
 pub struct Response {
     rest: Vec<f64>,
     by: Vec<Vec<f64>>,
 }
 
 impl Response {
-    /// From predictions in several sands.
+    /// Computes the response from predictions in several sands.
     pub fn new(predict: impl Fn([Coefficients; COEFFICIENTS + 1]) -> Vec<Vec<f64>>) -> Self {
         let state = |k: usize| {
             let mut c = [0.0; COEFFICIENTS];

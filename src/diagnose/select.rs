@@ -26,7 +26,7 @@ pub struct Selection {
     /// Noise, whitening and nuisances under which it was judged.
     pub around: Surroundings,
     pub verdict: Verdict,
-    /// The law found in the data, where no mechanism explains them.
+    /// The law found in the data, if no mechanism explains them.
     pub law: Option<Described>,
     /// Indices of the candidates that the data cannot distinguish from the best, including the best; empty if none
     /// is named.
@@ -45,9 +45,9 @@ impl Selection {
         others.filter(|(_, r)| r.explains).map(|(c, r)| (c, r.squared.sqrt()))
     }
 
-    /// The candidate in the extended model: the cause that was found; or else, if misfit remains, the candidate that
-    /// fits best, provided that the choices without the held-out conditions predict these better with certainty. It
-    /// is then a proxy and not a cause.
+    /// The candidate in the extended model. If a cause was found, this is the cause. Otherwise, if misfit remains, this
+    /// is the candidate that fits best: a proxy and not a cause. A proxy is only used if candidates chosen without the
+    /// held-out conditions predict these conditions better than the plain model, with 95 % certainty.
     pub fn extension(&self) -> Option<&Candidate> {
         let helps = self.plain_errors().reduction_interval(&self.judged.nested[1].errors)[0] > 0.0;
         let proxy = || self.fitted.best().filter(|_| self.judged.evidence.found && helps);
@@ -60,7 +60,7 @@ impl Selection {
     }
 }
 
-/// Where a diagnosis is asked.
+/// The inputs of a selection.
 pub struct Asked<'a> {
     pub source: &'a Source<'a>,
     pub noise: &'a Noise,
@@ -95,8 +95,8 @@ pub fn select(study: &Study, asked: &Asked, progress: &dyn Progress) -> Result<S
     if sensor.iter().map(gains).fold(0.0, f64::max) < selection.screened.gates.single {
         return Ok(selection);
     }
-    // Nuisances of single channels may explain a misfit that a mechanism with one value for all channels does not;
-    // then it is not that mechanism.
+    // If nuisances of single channels explain a misfit that a mechanism with one value for all channels does not
+    // explain, this mechanism is not the cause.
     let count = study.nuisances.len() as f64;
     let allowed = count + 3.0 * (2.0 * count).sqrt();
     let gates = &selection.screened.gates;
@@ -158,7 +158,7 @@ fn conclude(
         let renewed = study.under(&around.whitener, around.nuisances.clone());
         let fitted = match fitted.found(&first.gates) {
             true => fitted,
-            // With the first noise nothing was found: the plain model is judged with its own noise.
+            // Nothing was found with the first noise, so the plain model is judged with its own noise.
             false => Fitted { base: candidate(&renewed, &renewed.recalibrated(), renewed.recalibrated()), ..fitted },
         };
         let lack = |c: &Candidate| lack_of_fit::statistic(study.observations, &c.fit.white);

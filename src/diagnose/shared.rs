@@ -1,8 +1,8 @@
-//! Noise that the numbers of one repetition have in common: noise of low rank.
+//! Noise that all numbers of one repetition share: noise of low rank.
 //!
-//! A trial's bed is a little stronger or weaker as a whole; a robot's hips start a little earlier or later, and
-//! every measurement of that run moves with them. With the directions as columns of U and their standard deviations
-//! in it, the covariance of a unit is D + U Uᵀ, D the noise of its channels.
+//! For example, the whole bed of a trial is a little stronger or weaker, or a robot's hips start a little earlier or
+//! later, and all measurements of this trial change accordingly. With the directions as columns of U and their standard
+//! deviations in it, the covariance of a unit is D + U Uᵀ, D the noise of its channels.
 
 use crate::number::{add_scaled, dot};
 use nalgebra::{DMatrix, DVector};
@@ -74,7 +74,8 @@ pub fn gram(columns: &[Vec<f64>]) -> DMatrix<f64> {
     gram
 }
 
-/// ln |1 + S G S|, S diagonal with standard deviations and G the products of directions, and its inverse's quadratic forms.
+/// Computes ln |M| and quadratic forms of M⁻¹ for M = 1 + S G S. S is diagonal with standard deviations; G has the
+/// products of the directions.
 pub struct Likelihood {
     inverse: DMatrix<f64>,
     pub log_determinant: f64,

@@ -1,4 +1,4 @@
-//! Does the named law have the right form? The exponent of its speed is freed and everything is fitted again.
+//! Tests the form of the named law: the exponent of the speed is fitted together with everything else.
 //!
 //! A wrong exponent is a small misfit that lack of fit alone may not show: over a narrow range of speeds λ v² and
 //! λ' v^1.5 are similar. So the objective is scanned over exponents. The report states which exponents are
@@ -23,8 +23,8 @@ const SAME: f64 = 0.1;
 /// Exponents further than this from the law's are other laws; if the interval contains one, the data do not decide.
 /// Our choice: half a power, as between the drag of grains that is cited with 2 and laws measured with 1.5.
 const OTHER: f64 = 0.5;
-/// How far the law's objective may be above that of another exponent by chance, once in a thousand; the same
-/// probability as for causes in the ambiguity set.
+/// Largest difference of the objectives of the law and of another exponent that chance causes once in a thousand; the
+/// same probability as for causes in the ambiguity set.
 const EXCLUDED: f64 = chi_squared::AT_999_PER_MILLE;
 const INTERVAL: f64 = chi_squared::AT_95_PERCENT;
 

@@ -24,8 +24,8 @@ pub struct Study<'a> {
     pub coefficient_sd: f64,
     /// Nuisances that all data share.
     pub nuisances: Vec<Nuisance>,
-    /// Slopes by the coefficients at the plain model, and by the nuisances, with and without whitening: accurate
-    /// enough for the steps of a fit.
+    /// Derivatives of the plain model's prediction by the coefficients and the nuisances: not whitened, and whitened.
+    /// They are accurate enough for the steps of a fit.
     pub marginal_slopes: [Vec<Column>; 2],
     /// Step of the numerical slope by each mechanism, in its coordinate.
     pub steps: [f64; Mechanisms::COUNT],
@@ -49,8 +49,9 @@ impl<'a> Study<'a> {
         study
     }
 
-    /// Steps that change the data by at least `target` σ altogether, so that slopes of a rough simulation are
-    /// smooth: doubled from a tenth of the typical strength up to a quarter of the fitted range.
+    /// Finds steps that change the data by at least `target` σ in all, so that numerical slopes of a rough simulation
+    /// are smooth. Each step is doubled from a tenth of the typical strength up to at most a quarter of the fitted
+    /// range.
     fn find_steps(&mut self, target: f64, plain: &[f64]) {
         let mut open: Vec<usize> =
             (0..CATALOG.len()).filter(|&id| CATALOG[id].walking && !CATALOG[id].ceiling).collect();
@@ -103,8 +104,8 @@ impl<'a> Study<'a> {
         self.marginal_slopes[0].clone()
     }
 
-    /// A strength of mechanism `id` that affects these data, in its coordinate: the typical one, or a larger one
-    /// for a rough model.
+    /// A strength of mechanism `id`, in its coordinate, whose effect on the data is reliable: the typical strength, or
+    /// a larger one for a rough model.
     pub fn felt_strength(&self, id: usize) -> f64 {
         (0.5 * CATALOG[id].coordinate_typical()).max(self.steps[id])
     }
@@ -130,7 +131,7 @@ impl<'a> Study<'a> {
         self.nuisances_of(fit, fit)
     }
 
-    /// The same with the nuisances' values of another fit.
+    /// As [`Self::nuisances_about`], with the nuisances' values of another fit.
     pub fn nuisances_of(&self, fit: &Fit, adjusted: &Fit) -> Vec<Nuisance> {
         if self.nuisances.is_empty() {
             return Vec::new();
@@ -153,9 +154,9 @@ impl<'a> Study<'a> {
         reading
     }
 
-    /// Coefficients at given deviations. A relative sd has no meaning for a coefficient published as (nearly) 0,
-    /// such as C₋₁₁ of loose poppy seeds: the sd of every coefficient is at least half the set's root mean square
-    /// times the relative sd. Our choice.
+    /// Coefficients at given deviations. A relative sd has no meaning for a coefficient that is published as (nearly)
+    /// 0, such as C₋₁₁ of loose poppy seeds. So the sd of every coefficient is at least the relative sd times half the
+    /// set's root mean square: our choice.
     pub fn coefficients(&self, deviations: &[f64]) -> Coefficients {
         let mut c = self.model.medium().coefficients.to_array();
         let floor = 0.5 * (c.iter().map(|c| c * c).sum::<f64>() / COEFFICIENTS as f64).sqrt();

@@ -68,8 +68,7 @@ pub fn summary(study: &Study, selection: Option<&Selection>, causes: &[Cause], w
     whereabouts.map_or(verdict.clone(), |place| format!("{verdict}; {place}"))
 }
 
-/// The proxy for a cause that was not found: how much better, or how uncertain, its predictions of held-out
-/// conditions are.
+/// A clause on the proxy that stands for an unknown cause: the gain of its predictions on held-out conditions.
 fn stand_in(study: &Study, selection: &Selection) -> String {
     let Some(best) = selection.fitted.best() else { return String::new() };
     let (plain, chosen) = (selection.plain_errors(), &selection.judged.nested[1].errors);

@@ -22,18 +22,17 @@ pub enum Verdict {
 
 /// Probability that a true cause is excluded from the ambiguity set by chance, over all its rivals together.
 const REJECTION: f64 = 1e-3;
-/// Two explanations nearer to each other than this [σ] are not distinguished, whatever their χ². The contract asks
-/// for no correct names below it, and the tails of noise learnt from a few repetitions are not reliable so far out.
+/// Two explanations nearer to each other than this [σ] are not distinguished, whatever their χ². Our choice: noise that
+/// is learnt from a few repetitions does not have reliable tails so far out.
 const APART: f64 = 5.0;
-/// Share of the misfit beyond noise that a cause must explain to be named although misfit remains. Our choice:
-/// beside a wall, which is no mechanism of the catalogue, the nearest pair of causes explains seven tenths on our
-/// test-bed.
+/// Share of the misfit beyond noise that a cause must explain to be named although misfit remains. Our choice: on our
+/// test bed with a wall, which is not a mechanism of the catalogue, the nearest pair of causes explains seven tenths.
 pub const MAIN_PART: f64 = 0.8;
 
 /// An explanation beside the best.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rival {
-    /// χ² by which it is behind the best.
+    /// Its χ² minus that of the best.
     pub behind: f64,
     /// Whitened distance² [σ²] to the best.
     pub squared: f64,

@@ -102,7 +102,8 @@ impl View<'_> {
             let (entry, at) = (&CATALOG[id], fit.coordinates()[k]);
             let [low, high] =
                 ranges.as_ref().and_then(|r| r.get(k)).copied().unwrap_or([at, at]).map(|u| entry.value(u));
-            // The end of an upper limit's interval may be infinite; the greatest value replaces it.
+            // For a mechanism whose value is an upper limit, the end of the interval may be infinite; the largest
+            // allowed value replaces it.
             let most = if entry.ceiling && low == 0.0 { entry.bounds[1] } else { low };
             Cause {
                 id: entry.id.into(),
@@ -133,7 +134,8 @@ impl View<'_> {
         self.selection.map(|s| s.extension().unwrap_or(&s.fitted.base))
     }
 
-    /// Values of nuisances that all data share, and sizes of those that each trial and bed has of its own.
+    /// Values of the nuisances that all data share, and standard deviations of those that differ between trials or
+    /// beds.
     fn nuisances(&self) -> Vec<NuisanceValue> {
         let (Some(selection), Some(standing)) = (self.selection, self.standing()) else { return Vec::new() };
         let fit = &standing.fit;
@@ -210,7 +212,7 @@ impl View<'_> {
             UpperLimit { id: entry.id.into(), value: most, unit: entry.unit.into(), level: 0.95 }
         };
         let all = study.further(&standing.fit, &asked);
-        // A limit beyond the law's bound is left out.
+        // An upper limit beyond the law's bound is left out.
         all.iter().map(|f| (f.id, limit(f))).filter(|(id, l)| l.value < CATALOG[*id].bounds[1]).map(|l| l.1).collect()
     }
 
@@ -282,7 +284,7 @@ impl View<'_> {
         )
     }
 
-    /// Measured and predicted means of every condition, for runs, which have one number a channel.
+    /// Measured and predicted means of every condition, for runs, which have one number for each channel.
     fn runs(&self) -> Vec<RunMeans> {
         let o = self.study.observations;
         if o.units.iter().any(|u| u.samples > 1) {

@@ -67,8 +67,7 @@ const CHANNELS: [(usize, Channel); 5] = [
 
 /// Strides of the protocol's measurement if the data give none.
 const STRIDES: f64 = 4.0;
-/// Most different setups: each is simulated some five hundred times. Our choice, ten times the sixty runs that
-/// should take a minute.
+/// Most different setups: our choice. Each is simulated some five hundred times, and sixty runs take about a minute.
 const MOST_SETUPS: usize = 300;
 
 struct Run {
@@ -90,7 +89,7 @@ pub fn read(path: &Path, experiment: &Experiment) -> Result<WalkingLog> {
         }
         let id = row.needed_text(RUN)?;
         if ids.place(id) != runs.len() {
-            return Err(row.error(RUN, format!("{id} stands there twice")));
+            return Err(row.error(RUN, format!("{id} is in the file twice")));
         }
         row.needed_text(REP)?;
         let condition = conditions.place(row.needed_text(CONDITION)?);
@@ -137,7 +136,7 @@ fn setup(row: &Row, experiment: &Experiment) -> Result<Setup> {
         return Err(row.error(PAYLOAD, format!("{payload} kg is negative")));
     }
     let duration = row.within(DURATION, 1e4)?.unwrap_or(STRIDES / frequency.abs());
-    // Speeds are those of whole strides: a duration that was rounded in the log is not a fraction of a stride.
+    // A measurement covers whole strides, so a fraction of a stride is a rounding error of the duration in the log.
     let strides = (duration * frequency.abs()).round();
     if !(1.0..=100.0).contains(&strides) {
         return Err(row.error(DURATION, format!("{duration} s are {strides} strides; 1 to 100 can be simulated")));
@@ -169,7 +168,7 @@ fn leg(row: &Row) -> Result<String> {
     if wrong {
         return Err(row.error(XI, format!("{xi}° is not the knee angle of a leg {name}")));
     }
-    // The names mean 45°. A reversed leg is reversed whether its angle has a sign or not.
+    // The leg names stand for an angle of 45°. The angle of a reversed leg may be given with or without its sign.
     let named = name == "flat" || (xi.abs() - 45.0).abs() < 1e-9;
     Ok(if named { name.into() } else { format!("xi={}", if name == "revL" { -xi.abs() } else { xi }) })
 }
@@ -188,7 +187,7 @@ fn observations(runs: Vec<Run>, conditions: Vec<String>) -> Observations {
     Observations { size: Size::Channel, values, channels, units, conditions }
 }
 
-/// Runs that are not made yet: one unit a setup, zeros for measurements.
+/// Planned runs: one unit for each setup, and zeros for measurements.
 pub fn planned(setups: Vec<Setup>, channels: Vec<Channel>) -> WalkingLog {
     let count = channels.len();
     let unit = |i: usize| Unit { id: i.to_string(), condition: i, start: i * count, samples: 1, progress: vec![0.0] };
@@ -203,9 +202,9 @@ pub fn planned(setups: Vec<Setup>, channels: Vec<Channel>) -> WalkingLog {
     WalkingLog { observations, setups, setup_of, missing: Vec::new(), sha256: String::new() }
 }
 
-/// Runs that a laboratory with these `setups` could make: its legs and their mirror images at the slowest, middle
-/// and fastest stride frequency used, level and up and down 10°, with and without a third of the robot's mass on
-/// its back.
+/// Runs that a laboratory with these `setups` could make: its legs and their mirror images, at the slowest, middle and
+/// fastest stride frequency used, on level sand and 10° up and down, with and without a payload of a third of the
+/// robot's mass.
 pub fn possible(setups: &[Setup]) -> Vec<(Setup, String)> {
     let Some(first) = setups.first() else { return Vec::new() };
     let frequencies = setups.iter().map(|s| s.frequency.abs());

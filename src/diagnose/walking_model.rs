@@ -20,7 +20,7 @@ use std::sync::{Mutex, PoisonError};
 /// Steps of numerical slopes change the data by this many σ altogether: small against noise, and far above the
 /// roughness of a sticking gait (reversed leg at 1 Hz: 0.3 % when its phase shifts by 0.2 rad). Our choice.
 const ROUGHNESS: f64 = 4.0;
-/// Factor between the default time step and the one that shows its error: our choice.
+/// The default time step divided by the small one from which its error is computed: our choice.
 const FINE: f64 = 8.0;
 /// Step of the sand's strength for the direction of the shared noise: our choice, about the scatter of batches.
 const STRENGTH_STEP: f64 = 0.05;
@@ -31,7 +31,8 @@ const PHASES: [f64; 4] = [-0.2, -0.1, 0.1, 0.2];
 type State = (Mechanisms, Coefficients);
 
 /// Predicts the mean of a run's repetitions by one run with all hips at their nominal phase on a bed of nominal
-/// strength. The difference to the mean over other phases and strengths is part of [`ForwardModel::model_error`].
+/// strength. The difference to the mean over other phases and strengths is an error of the model and part of
+/// [`ForwardModel::model_error`].
 pub struct WalkingModel<'a> {
     latch: &'a Latch<'a>,
     medium: Medium,
@@ -98,9 +99,9 @@ impl<'a> WalkingModel<'a> {
         &self.setups
     }
 
-    /// Corrects the error of the default time step, some tenths of a percent, which is no property of the sand.
-    /// Each channel of each setup is multiplied by the plain simulation's ratio between an eighth of the step and
-    /// the step, which leaves an eighth of the error.
+    /// Corrects the error of the default time step, which is some tenths of a percent. Each channel of each setup is
+    /// multiplied by a factor: the plain simulation's result with an eighth of the time step, divided by that with the
+    /// whole step. An eighth of the error remains.
     fn correct_step(&mut self) -> Result<()> {
         let plain = (Mechanisms::default(), self.medium.coefficients);
         let (fine, coarse) = (self.stepped(EngineKind::Lanes, &plain, FINE)?, self.predict(&plain.0, &plain.1));
@@ -190,7 +191,7 @@ impl<'a> WalkingModel<'a> {
     }
 }
 
-/// `latch` stops walks too.
+/// The simulations of walks ask `latch`, too, whether to stop.
 impl Progress for WalkingModel<'_> {
     fn report(&self, _done: f64, _stage: &str) -> Result<()> {
         if self.latch.stopped() { self.latch.error().map_or(Ok(()), Err) } else { Ok(()) }
@@ -239,9 +240,9 @@ impl ForwardModel for WalkingModel<'_> {
         1.0
     }
 
-    /// Beds differ in strength: a run's numbers change along their slope by the sand's strength. Where a gait
-    /// sticks, slips or stalls, small differences grow: `gait_scatter` is spanned by the changes of the nominal run
-    /// with other initial phases, and by the curvature in the strength. For regular gaits both are negligible.
+    /// Beds differ in strength. The numbers of a run change with their bed's strength as their derivative by the strength
+    /// states. If a gait sticks, slips or stalls, small differences grow. The directions of `gait_scatter` are the changes of the nominal run
+    /// with other initial phases, and the curvature in the strength. For regular gaits both are negligible.
     fn shared(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Shared> {
         let Others { beds, phases } = self.others(&(*mechanisms, *coefficients));
         let slope = super::fit::slope(&beds[0], &beds[1], 2.0 * STRENGTH_STEP);
@@ -255,12 +256,12 @@ impl ForwardModel for WalkingModel<'_> {
         ]
     }
 
-    /// Measured without data, as four differences at the candidate itself: (1) the other engine's solution of the
-    /// same equations; (2) the effect of the time step there beyond the correction of [`Self::correct_step`]; (3)
-    /// the eighth of the step's error that the correction leaves; (4) the distance of the mean over other phases
-    /// and beds from the nominal run, which is negligible for regular gaits. The error of each channel of each
-    /// setup is their root sum of squares, independent of the others, because one difference gives the size of an
-    /// error and not its pattern.
+    /// Four differences of simulations at the candidate's parameters give the size of the error: (1) the other engine's
+    /// solution of the same equations; (2) the effect of the time step there beyond the correction of
+    /// [`Self::correct_step`]; (3) the eighth of the step's error that the correction leaves; (4) the distance of the
+    /// mean over other phases and beds from the nominal run, which is negligible for regular gaits. The error of each
+    /// channel of each setup is their root sum of squares, independent of the others, because one difference gives the
+    /// size of an error and not its pattern.
     fn model_error(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Vec<f64>> {
         let state = (*mechanisms, *coefficients);
         let (other, fine) =

@@ -27,14 +27,14 @@ pub struct Whitener {
 }
 
 impl Whitener {
-    /// The source's prediction gives the direction of the trial gains. With the measured mean they would cause a
-    /// scale error (the contract measured −12.6 % on data with nothing hidden).
+    /// The source's prediction gives the direction of the trial gains. With the measured mean as direction, the scale
+    /// would have an error (−12.6 % on data without a hidden cause).
     pub fn new(source: &Source, noise: &Noise) -> Self {
         let repetitions = source.observations.repetitions();
         let units = source.observations.units.iter().zip(source.sizes).map(|(unit, sizes)| {
             let span = source.observations.span(unit);
             let steps = noise.clock.steps(&unit.progress);
-            // An error that all n repetitions share counts n times in each; see `share`.
+            // The variance of an error that all n repetitions share is multiplied by n; see `share`.
             let repeated = repetitions[unit.condition].len() as f64;
             let own = |c: usize| -> Vec<f64> {
                 let errors = source.own_error.get(unit.block(c)).unwrap_or_default();
@@ -49,18 +49,18 @@ impl Whitener {
         Self { units: units.collect(), whole: LowRank::new(Vec::new()), held: Vec::new(), weight: 1.0 }
     }
 
-    /// The same with an additional error that all units share, along whitened directions one standard deviation
+    /// This whitening with an additional error that all units share, along whitened directions one standard deviation
     /// long.
     pub fn beside(&self, directions: Vec<Vec<f64>>) -> Self {
         Self { whole: LowRank::new(directions), ..self.clone() }
     }
 
-    /// The same as if the noise's variance were `dispersion` times as large.
+    /// This whitening as if the noise's variance were `dispersion` times as large.
     pub fn dispersed(self, dispersion: f64) -> Self {
         Self { weight: self.weight / dispersion.sqrt(), ..self }
     }
 
-    /// The same with some conditions held out.
+    /// This whitening with some conditions held out.
     pub fn without(self, observations: &Observations, conditions: &[usize]) -> Self {
         let units = observations.units.iter().filter(|u| conditions.contains(&u.condition));
         Self { held: units.map(|u| observations.span(u)).collect(), ..self }

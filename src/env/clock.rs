@@ -1,14 +1,15 @@
 //! A gait as parameters: hips that follow a two-speed clock, after the Buehler clock of RHex (Saranli, Buehler &
 //! Koditschek, Int. J. Robotics Research 20:616, 2001, section 3.2.1).
 //!
-//! In the share `duty` of a stride a leg sweeps the angle `sweep`, centred on `offset`, at one constant speed:
-//! stance. In the rest it turns on to the start of the sweep at another speed: swing. Leg i is `phases[i]` of a
-//! stride ahead of the clock.
+//! A leg's stance takes the share `duty` of a stride; in it the leg sweeps the angle `sweep`, centred on `offset`, at a
+//! constant speed. In the rest of the stride, the swing, it turns on to the start of the sweep at another speed. Leg i
+//! is `phases[i]` of a stride ahead of the clock.
 //!
-//! The clock has no memory of its own. Its phase is computed from the servos' references: the circular mean over
-//! all legs of the reference's phase less the leg's own. Every leg then moves toward its angle one control step
-//! later. So snapshots contain the phase, left and right are alike, and the clock waits for legs that the speed
-//! limit slows. Speeds are constant within a control step, which smooths the change between stance and swing.
+//! The clock has no memory of its own. Its phase is computed from the servos' references: each leg's reference gives a
+//! phase, from which the leg's own phase is subtracted; the circular mean over all legs is the phase of the clock.
+//! Every leg then moves toward its angle one control step later. So snapshots contain the phase, the clock is
+//! symmetric, and it waits for legs that the speed limit slows down. Speeds are constant within a control step, which
+//! smooths the change between stance and swing.
 
 use super::reference::toward;
 use super::spec::{CONTROL_RATE, Column};
@@ -23,10 +24,10 @@ const FREQUENCY: [f64; 2] = [0.0, 5.0]; // [Hz]; 5 Hz is the highest of Li et al
 const DUTY: [f64; 2] = [0.2, 0.8];
 const SWEEP: [f64; 2] = [PI / 6.0, 11.0 * PI / 6.0]; // [rad]
 const OFFSET: [f64; 2] = [-PI / 2.0, PI / 2.0]; // [rad]
-/// Each leg's phase relative to its tripod, in strides: any value.
+/// Each leg's phase relative to its tripod, in strides: the range covers all values.
 const PHASE: [f64; 2] = [-0.5, 0.5];
 
-/// Number of action components that concern all legs.
+/// Number of action components that all legs share.
 const SHARED: usize = 4;
 
 /// The clock of one robot: phase of each leg in the alternating tripod, in strides.
@@ -51,7 +52,7 @@ fn scaled(action: f32, [low, high]: [f64; 2]) -> f64 {
     low + (high - low) * (f64::from(action) + 1.0) / 2.0
 }
 
-/// `x` less whole strides, in [-0.5, 0.5).
+/// `x` without whole strides, in [-0.5, 0.5).
 fn wrap_stride(x: f64) -> f64 {
     (x + 0.5).rem_euclid(1.0) - 0.5
 }
@@ -129,7 +130,7 @@ mod tests {
 
     const NARROW: Stride = Stride { frequency: 2.0, duty: 0.4, sweep: 1.0, offset: 0.3 };
 
-    /// Stance sweeps its angle in its share of the stride, swing the rest; both ends meet.
+    /// Stance sweeps its angle in its share of the stride, swing the rest of the turn in the rest of the stride.
     #[test]
     fn two_speeds_make_one_turn() {
         let span = |a: f64, b: f64| NARROW.angle(b) - NARROW.angle(a);

@@ -15,7 +15,7 @@ use std::f64::consts::PI;
 pub enum Control {
     /// An action sets the speed of each hip's reference.
     HipSpeed,
-    /// An action sets the angle that each hip's reference goes to.
+    /// An action sets the angle to which each hip's reference moves.
     HipTarget,
     /// An action sets the torque of each hip; the servo is off.
     Torque,
@@ -82,7 +82,7 @@ impl Driver {
                 hips.for_each(|((a, reference), rate)| *rate = toward(f64::from(*a) * PI, *reference))
             }
             Control::Torque => {
-                // Without gains the reference has no effect; it follows the hip so that it stays near.
+                // Without gains the reference has no effect; it follows the hip so that the two stay close.
                 let angles = state.angles.iter().zip(&state.references).zip(&mut command.rates);
                 angles.for_each(|((angle, reference), rate)| *rate = (angle - reference) * CONTROL_RATE);
                 let torques = action.iter().zip(&mut command.torques);

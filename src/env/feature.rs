@@ -9,7 +9,8 @@
 
 use super::spec::Column;
 
-/// A list of numbers that a function of type `F` computes; the function's last argument is the number's place in its group.
+/// A list of numbers, each with a function of type `F` that computes it. The last argument of the function is the
+/// number's index in its group.
 pub struct Features<F>(Vec<Feature<F>>);
 
 struct Feature<F> {
@@ -40,12 +41,12 @@ impl<F: Copy> Features<F> {
         self.one(name, "1", 0.0, 1.0, value)
     }
 
-    /// One number an axis.
+    /// One number for each axis.
     pub fn xyz(self, name: &str, unit: &'static str, bound: f64, value: F) -> Self {
         self.group(Column::xyz(name, unit, bound), value)
     }
 
-    /// One number a joint.
+    /// One number for each joint.
     pub fn each(self, joints: &[String], name: &str, unit: &'static str, bound: f64, value: F) -> Self {
         self.group(Column::each(joints, name, unit, bound), value)
     }

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 /// Number of patches after which their sand repeats.
 pub const PATCHES: usize = 16;
 
-/// Number of footprints that are kept; older ones count as smoothed over. Our choice: some 80 strides of six legs.
+/// Number of footprints that are kept; the oldest one is forgotten first. Our choice: some 80 strides of six legs.
 const PRINTS: usize = 512;
 
 /// An episode's ground, and the footprints on it.
@@ -20,11 +20,11 @@ pub struct UsedGround {
     pub patch_length: f64,
     /// κ of ground that was stepped on.
     pub footprint: f64,
-    /// Distance from the start at which the robot is told to turn back [m].
+    /// Distance from the start at which the command reverses [m].
     pub turning_point: f64,
     /// Sign of x on the way out, which is that of the first command.
     pub outward: f64,
-    /// Is the robot told to go back to the start?
+    /// Is the robot commanded to walk back to the start?
     pub returning: bool,
     /// The patch whose sand the engine uses.
     pub patch: usize,
@@ -70,8 +70,9 @@ impl UsedGround {
         (x / self.patch_length).floor().rem_euclid(PATCHES as f64) as usize
     }
 
-    /// Does a robot at `x` [m] turn round: beyond the turning point on the way out, past the start on the way back?
-    /// Only distance in the commanded direction counts; a robot that slips the other way keeps its command.
+    /// Reverses the command if the robot at `x` [m] has passed the turning point on the way out, or the start on the
+    /// way back. Only distance in the commanded direction counts: a robot that moves the other way keeps its command.
+    /// Returns whether the command was reversed.
     pub fn turned(&mut self, x: f64) -> bool {
         let out = x * self.outward;
         let turned = if self.returning { out < 0.0 } else { out > self.turning_point };

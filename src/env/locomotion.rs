@@ -80,9 +80,10 @@ fn direction([x, y]: [f64; 2]) -> Option<[f64; 2]> {
     (norm > 1e-9).then(|| [x / norm, y / norm])
 }
 
-/// Mean velocity of the base's centre over a step, forward and to the left [m/s]: its displacement, in the heading
-/// halfway between before and after. A robot that cannot observe its heading can follow this. legged_gym
-/// (`_reward_tracking_lin_vel`, base frame) and Isaac Lab (`track_lin_vel_xy_yaw_frame_exp`) pay it too.
+/// Mean velocity of the base's centre over a step, forward and to the left [m/s]: its displacement, in the frame of the
+/// heading halfway between before and after. A policy that does not observe its heading can follow such a command.
+/// legged_gym (`_reward_tracking_lin_vel`, base frame) and Isaac Lab (`track_lin_vel_xy_yaw_frame_exp`) reward the
+/// same.
 fn heading_velocity(t: &Transition) -> [f64; 2] {
     let [before, after] = [t.before, t.after].map(heading);
     // After half a turn within the step the halfway heading is undefined.
@@ -99,11 +100,12 @@ fn cost(x: f64) -> f64 {
 }
 
 reward_terms! {
-    /// Weight of each reward term; all terms are of order 1 a step before weighting, `termination` once an episode. Our choice:
-    /// tracking dominates, the costs break ties between gaits of the same speed. `alive` and `termination` make sure that
-    /// falling never pays: standing is worth `alive` a step, less than it costs on any slope, and a fall costs as much as 4 s of
-    /// it (tests/falls.rs). gymnasium's Ant has `healthy_reward`, Isaac Lab `is_alive` and `is_terminated`. v_forward, v_left: the
-    /// base's mean velocity over the step in its heading frame; ω_z: its yaw speed after the step.
+    /// Weight of each reward term. Before weighting, all terms are of order 1 in a step; `termination` counts once an
+    /// episode. Our choice: tracking dominates, and the costs decide between gaits of the same speed. `alive` and
+    /// `termination` make sure that falling is never rewarded: a robot that stands gets `alive` in each step, which is
+    /// more than standing costs on any slope, and a fall costs as much as 4 s of `alive` (tests/falls.rs). gymnasium's
+    /// Ant has `healthy_reward`, Isaac Lab `is_alive` and `is_terminated`. v_forward, v_left: the base's mean velocity
+    /// over the step in its heading frame; ω_z: its yaw speed after the step.
     pub struct Weights of WalkStep<'_>, weights in [0.0, 1e3] {
         tracking: 1.0, "exp(−((v_forward − commanded speed) / 0.1 m/s)²)", |w| (-((w.forward - w.t.goal.speed) / 0.1).powi(2)).exp();
         lateral: 0.1, "−2 (√(1 + (v_left / 0.1 m/s)²) − 1)", |w| -cost(w.left / 0.1);

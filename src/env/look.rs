@@ -12,11 +12,11 @@ pub struct Look<'a> {
     pub model: &'a Arc<Model>,
     pub state: &'a State,
     pub goal: &'a Goal,
-    /// Stress on each leg as a share of that on fresh ground; empty where all ground is fresh.
+    /// Stress on each leg as a share of that on fresh ground; empty if all ground is fresh.
     pub footing: &'a [f64],
     /// Seed and number of the episode.
     pub episode: (u64, u64),
-    /// Since the episode began [s].
+    /// Time since the episode began [s].
     pub time: f64,
     pub action: &'a [f32],
     pub reward: f32,
@@ -24,8 +24,8 @@ pub struct Look<'a> {
 }
 
 impl Shard {
-    /// Environment `i`. If `ended`, and an episode ended in the last step, it is that episode's last moment; otherwise
-    /// it is where the environment goes on from.
+    /// The state of environment `i`. If `ended` is true and an episode ended in the last step, this is the last state
+    /// of that episode; otherwise the present one.
     pub fn look(&self, i: usize, ended: bool) -> Look<'_> {
         let spec = self.spec();
         let episode = &self.episodes[i];

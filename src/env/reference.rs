@@ -7,7 +7,7 @@ use std::f64::consts::{PI, TAU};
 /// modes have the same limit, so that gaits can be compared.
 pub const TOP_SPEED: f64 = 5.0 * TAU;
 
-/// Speed [rad/s] that takes a reference to `target` [rad] the shortest way within a control step, at most
+/// Speed [rad/s] with which a reference reaches `target` [rad] by the shortest way within a control step; at most
 /// [`TOP_SPEED`].
 pub fn toward(target: f64, reference: f64) -> f64 {
     (wrap_angle(target - reference) * CONTROL_RATE).clamp(-TOP_SPEED, TOP_SPEED)

@@ -52,7 +52,7 @@ pub const TASK_IDS: [&str; KINDS.len()] = {
 pub struct Keyword {
     pub name: &'static str,
     pub help: &'static str,
-    /// The help; for a dictionary with that of its keys.
+    /// The help; for a dictionary, together with the help of its keys.
     pub summary: String,
     /// Its value in this session.
     pub value: Value,
@@ -146,7 +146,7 @@ impl Blueprint {
         Ok(Self { task: self.task.changed(reset)?, ..*self })
     }
 
-    /// Options without effect, and why: mechanisms of a sand.toml that do nothing to robots.
+    /// Options without effect, with the reason: mechanisms of a sand.toml that have no effect on robots.
     pub fn warnings(&self) -> Vec<String> {
         self.task.model().scene.mechanisms.unfelt_by_walkers()
     }

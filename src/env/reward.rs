@@ -1,6 +1,6 @@
 //! Terms of a reward, each declared once with name, default weight, description and function.
 
-/// Declares the terms of a reward and the option that weights them, one line a term:
+/// Declares the terms of a reward and the option that weights them, one line for each term:
 /// `name: default weight, "what it is", function of the step;`.
 #[macro_export]
 macro_rules! reward_terms {

@@ -105,7 +105,7 @@ impl RockOptions {
             return (Obstacle { friction: self.friction, ..block }, length.hypot(width) / 2.0);
         }
         let radius = size(random) / 2.0;
-        // Loose rocks are set down on the sand, fixed ones are buried by up to half.
+        // Loose rocks lie on the sand; fixed ones are buried by up to half.
         let up = if loose { radius } else { radius * random.uniform(0.0, 1.0) };
         let rock = Obstacle::fixed(rock(radius, random), [0.0, 0.0, up]).turned(yaw);
         let rock = Obstacle { friction: self.friction, ..rock };
@@ -136,7 +136,7 @@ HexapodGait on a field of obstacles that is drawn anew for every episode: rocks 
 rocks that the robot can push. The observation ends with a scan of heights around the base. Rigid contacts
 are computed by rapier; see HexapodGait-v1 for `control`, for how episodes end, and for the cost of transport.";
 
-/// The task; the parts it shares with HexapodGait are those of that task.
+/// The task; it calls HexapodGait for the parts that both share.
 pub struct HexapodRocks {
     gait: HexapodGait,
     spec: Spec,

@@ -5,7 +5,7 @@
 
 use crate::error::Error;
 
-/// Results of a rollout so far; one row an environment.
+/// Results of a rollout so far; one row for each environment.
 #[derive(Default)]
 pub struct Rollout {
     /// f64 [envs]: sum of rewards until the rollout or the episode ended.
@@ -18,7 +18,7 @@ pub struct Rollout {
     pub truncated: Vec<u8>,
     /// Every step since the last call, if requested.
     pub steps: Vec<Recorded>,
-    /// The error for which no action exists for the next step; no more steps are made after it.
+    /// The error because of which the policy has no action for the next step; no further steps are made.
     pub failed: Option<Error>,
 }
 

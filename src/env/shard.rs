@@ -11,7 +11,7 @@ use crate::sim::engine::{Command, Engine};
 use crate::sim::{Model, State};
 use std::sync::Arc;
 
-/// Data of the last episode that the start of the next one overwrites.
+/// Data of an episode that ended, which the start of the next episode would overwrite.
 pub(super) struct Ended {
     pub goal: Goal,
     pub steps: u32,
@@ -99,7 +99,7 @@ impl Rows {
         self.final_observations.clear();
     }
 
-    /// The same for environment `i` alone.
+    /// Clears the buffers of environment `i` alone.
     fn clear_env(&mut self, i: usize) {
         let envs = self.rewards.len();
         let (wide, info) = (self.observations.len() / envs, self.infos.len() / envs);
@@ -172,9 +172,8 @@ impl Shard {
         self.episodes.iter().all(|e| e.steps == 0)
     }
 
-    /// Begins new episodes where `chosen` is set; where `task` has an entry, with that task in place of the
-    /// environment's own. With `seeds` the environments' streams of random numbers start anew, otherwise they
-    /// continue.
+    /// Begins new episodes in the environments for which `chosen` is true. An environment with an entry in `task` gets
+    /// that task instead of its own. With `seeds`, the streams of random numbers start anew; otherwise they continue.
     pub fn reset<'a>(
         &mut self,
         chosen: impl Fn(usize) -> bool,
@@ -196,8 +195,8 @@ impl Shard {
         }
     }
 
-    /// One control step of every environment; `actions` is f32 [envs, action] within its bounds. Where an episode
-    /// ends, the next one begins at once and its first observation takes the row.
+    /// One control step of every environment; `actions` is f32 [envs, action] within its bounds. If an episode ends,
+    /// the next one begins at once, and the row has its first observation.
     pub fn step(&mut self, actions: &[f32]) {
         self.rows.clear();
         let width = self.task.spec().action.len();
@@ -212,9 +211,9 @@ impl Shard {
         }
     }
 
-    /// [`Shard::step`] for the environments that `held` does not name. Held ones keep their state, and their rows
-    /// are zeros except for the observation. They are stepped with the others and then restored, because lanes move
-    /// together.
+    /// [`Shard::step`] for the environments that `held` does not name. Held ones keep their state, and their rows are
+    /// zeros except for the observation. Because lanes advance together, held environments make the step and are then
+    /// restored.
     pub fn step_but(&mut self, actions: &[f32], held: impl Fn(usize) -> bool) {
         let kept: Vec<_> = (0..self.envs()).filter(|i| held(*i)).map(|i| (i, self.keep(i))).collect();
         self.step(actions);
@@ -224,7 +223,7 @@ impl Shard {
         }
     }
 
-    /// Evaluates environment `i`'s step and begins the next episode where one ended.
+    /// Evaluates environment `i`'s step, and begins the next episode if this one ended.
     fn finish(&mut self, i: usize, action: &[f32]) {
         let spec = self.task.spec();
         let (wide, info) = (spec.observation.len(), spec.info.len());
@@ -291,7 +290,7 @@ impl Shard {
         self.take_up(i);
     }
 
-    /// Hands environment `i`'s state to the engine and fills its observation row.
+    /// Gives environment `i`'s state to the engine and fills its observation row.
     pub(super) fn take_up(&mut self, i: usize) {
         let episode = &mut self.episodes[i];
         self.engine.set_state(i, &episode.after);

@@ -27,7 +27,7 @@ pub struct SavedEpisode {
     pub goal: [f64; 2],
     /// The model of an episode that drew parts of it, such as rocks.
     pub drawn: Option<Box<(Robot, Scene)>>,
-    /// For tasks whose ground varies along the way.
+    /// The ground of tasks with patches or footprints.
     pub ground: Option<UsedGround>,
     /// For LeggedVelocity; the model is built again from these values.
     #[serde(default)]
@@ -71,7 +71,7 @@ impl Resumed {
         if last.len() != actions || !last.iter().all(|a| (-1.0..=1.0).contains(a)) {
             return Err(unfit("its last action"));
         }
-        // Both are counted up from 0.
+        // Both are counts from 0, so larger numbers are impossible.
         if saved.steps > task.spec().max_episode_steps || saved.number > u64::MAX / 2 {
             return Err(unfit("its counters"));
         }
@@ -92,7 +92,7 @@ impl Resumed {
 fn drawn(robot: &Robot, scene: &Scene, task: &dyn AnyTask) -> Result<Model> {
     let own = task.model();
     if !robot.is_variant_of(&own.robot) {
-        return Err(Error::invalid("robot", "not the session's"));
+        return Err(Error::invalid("robot", "it is not the robot of the session"));
     }
     robot.validate()?;
     let mut same = own.scene.clone();
@@ -100,7 +100,7 @@ fn drawn(robot: &Robot, scene: &Scene, task: &dyn AnyTask) -> Result<Model> {
     (same.slope_deg, same.payload, same.mechanisms) = (scene.slope_deg, scene.payload, scene.mechanisms);
     same.obstacles.clone_from(&scene.obstacles);
     if same != *scene {
-        return Err(Error::invalid("scene", "not the session's"));
+        return Err(Error::invalid("scene", "it is not the scene of the session"));
     }
     // The largest value that options allow, times the largest ζ of a patch.
     for c in scene.medium.coefficients.to_array() {
@@ -135,7 +135,7 @@ impl Shard {
         }
     }
 
-    /// The same for this shard's own use.
+    /// The state of environment `i` as this shard keeps it for itself.
     pub fn keep(&self, i: usize) -> Resumed {
         let Episode { task, seed, number, steps, goal, after, last_action, .. } = &self.episodes[i];
         let (task, goal) = (task.clone(), goal.clone());
@@ -232,7 +232,8 @@ mod tests {
                 let before = drawn.clone();
                 change(&mut drawn.0, &mut drawn.1);
                 if *drawn == before {
-                    // LegStroke's leg has this shape; nevertheless a snapshot with a robot is refused.
+                    // LegStroke has a leg of this shape, but its snapshots contain no robot, so one with a robot is
+                    // refused.
                     assert_eq!(id, "sandgait/LegStroke-v0", "{what}");
                 }
                 let error = resume(&blueprint, &crafted).err().unwrap_or_else(|| panic!("{id}: {what} is taken"));

@@ -9,7 +9,7 @@ pub const CONTROL_RATE: f64 = 50.0;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Column {
     pub name: String,
-    /// SI unit; "1" where dimensionless.
+    /// SI unit; "1" if dimensionless.
     pub unit: &'static str,
     pub low: f64,
     pub high: f64,
@@ -39,12 +39,12 @@ impl Column {
         terms.iter().map(|term| Self::free(format!("reward_{}", term.name), "1")).collect()
     }
 
-    /// One column an axis.
+    /// One column for each axis.
     pub fn xyz(name: &str, unit: &'static str, bound: f64) -> Vec<Self> {
         ["x", "y", "z"].iter().map(|axis| Self::new(format!("{name} {axis}"), unit, -bound, bound)).collect()
     }
 
-    /// One column a joint.
+    /// One column for each joint.
     pub fn each(joints: &[String], name: &str, unit: &'static str, bound: f64) -> Vec<Self> {
         joints.iter().map(|joint| Self::new(format!("{name}, {joint}"), unit, -bound, bound)).collect()
     }
@@ -66,7 +66,7 @@ pub struct Spec {
     /// For example `sandgait/HexapodGait-v1`.
     pub id: &'static str,
     pub summary: String,
-    /// For the task's page, in Markdown: what an episode is, how it ends, and what its figures are useful for.
+    /// Text of the task's page, in Markdown: what an episode is, how it ends, and what its figures are useful for.
     pub about: &'static str,
     pub observation: Vec<Column>,
     pub action: Vec<Column>,

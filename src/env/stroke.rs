@@ -15,7 +15,8 @@ use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 
 options! {
-    /// Options of LegStroke. `dt`: the midpoint rule's efficiencies are within 1 % of those at an eighth of it, which a test holds.
+    /// Options of LegStroke. `dt`: with this time step, efficiencies are within 1 % of those with an eighth of it,
+    /// which a test checks.
     pub struct StrokeTaskOptions {
         law: Law = Law::Li2013, "resistive force law: li2013, penetration-drag-1d or agarwal2023";
         dt: f64 = 4e-3, "time step [s], which divides the control period";
@@ -28,12 +29,12 @@ options! {
 }
 
 options! {
-    /// Carriage, leg and constraint. Our choices: at `carriage_speed` a stroke is two lengths of the leg long, with
-    /// which constant-rate strokes do best near the middle of the range of joint speeds; `lift` is a sixth of the
-    /// weight of the reference hexapod scaled to this leg (lengths × 1.9, mass × 1.9³); `lift_weight` is more than
-    /// the greatest possible efficiency. `height` and `start` are as in Li et al. 2012, section 3: the tip points
-    /// forward, 1.75 rad from straight down. Below the slowest carriage speed thrust per work has no meaning (see
-    /// the task's page); above the fastest RFT is not valid.
+    /// Carriage, leg and constraint. Our choices: at `carriage_speed` the carriage moves by two lengths of the leg
+    /// during a stroke, so that the best constant-rate strokes are near the middle of the range of joint speeds; `lift`
+    /// is a sixth of the weight of the reference hexapod scaled to this leg (lengths × 1.9, mass × 1.9³); `lift_weight`
+    /// is more than the greatest possible efficiency. `height` and `start` are as in Li et al. 2012, section 3: the tip
+    /// points forward, 1.75 rad from straight down. Below the slowest carriage speed thrust per work has no meaning
+    /// (see the task's page); above the fastest RFT is not valid.
     #[derive(Copy, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct StrokeOptions {
@@ -71,13 +72,14 @@ impl StrokeOptions {
 /// resistive force theory is known to be valid up to some 0.5 m/s.
 const TOP_SPEED: f64 = TAU;
 
-/// Least work in the efficiency [J], so that a leg at rest has one: a hundredth of what good strokes take.
+/// Least work in the efficiency [J], so that the efficiency of a leg at rest is defined: our choice, a hundredth of the
+/// work of good strokes.
 const LEAST_WORK: f64 = 1e-3;
 
 /// Depth of the leg at the end at which its penalty is full [m]. Our choice.
 const LEFT_DEPTH: f64 = 0.01;
 
-/// Bounds of the observation, far beyond good strokes on the default sand; values beyond are clipped.
+/// Bounds of the observation, far above the values of good strokes on the default sand; larger values are clipped.
 const TORQUE: f64 = 10.0; // [N·m]
 const IMPULSE: f64 = 20.0; // [N·s]
 const WORK: f64 = 20.0; // [J]
@@ -134,7 +136,7 @@ struct Account {
     /// Share of the lift impulse that is still missing; 0 before the stroke begins, so that the terms of the steps
     /// sum up to the missing share at the end.
     missing: f64,
-    /// Share of the stroke that is done.
+    /// Finished share of the stroke.
     progress: f64,
 }
 
@@ -156,7 +158,7 @@ impl StrokeStep<'_> {
     }
 }
 
-/// The reward's terms: name, what it is, weight, function of the step.
+/// The reward's terms: name, description, weight, function of the step.
 fn terms(stroke: &StrokeOptions) -> [(&'static str, &'static str, f64, Figure); 3] {
     [
         ("efficiency", "change of: thrust impulse × carriage speed / work", 1.0, |s| {
@@ -183,7 +185,7 @@ fn figures() -> Features<Figure> {
 }
 
 impl LegStroke {
-    /// Results of a stroke in `state`. The carriage's distance gives the share that is done.
+    /// Results of a stroke in `state`. The finished share follows from the carriage's distance.
     fn account(&self, stroke: &StrokeOptions, state: &State) -> Account {
         let progress = state.position[0] / (stroke.carriage_speed * self.duration);
         let [thrust, _, lift] = state.impulse;

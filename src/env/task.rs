@@ -20,7 +20,7 @@ pub struct Goal {
     pub turn: f64,
     /// The setup's model with this episode's drawn values, for tasks that draw some.
     pub model: Option<Arc<Model>>,
-    /// Ground that varies along the way and keeps footprints, for HexapodTerrain.
+    /// Ground with patches and footprints, for HexapodTerrain.
     pub ground: Option<UsedGround>,
     /// The drawn and updated values of an episode of LeggedVelocity.
     pub legged: Option<LeggedEpisode>,
@@ -33,7 +33,7 @@ pub struct Setup<'a, O> {
 }
 
 impl<'a, O> Setup<'a, O> {
-    /// The same model with the options of another task, on which this one is built.
+    /// The same setup with the options of another task on which this task is built.
     pub fn with<P>(&self, options: &'a P) -> Setup<'a, P> {
         Setup { options, model: self.model }
     }
@@ -51,7 +51,7 @@ pub struct Transition<'a> {
     pub previous_action: &'a [f32],
     /// Duration [s].
     pub period: f64,
-    /// The state became too large to compute; `after` is the last sound one.
+    /// The state became too large to compute; `after` is the last valid state.
     pub diverged: bool,
 }
 
@@ -98,8 +98,8 @@ pub trait Task: Send + Sync + Sized + 'static {
         0
     }
 
-    /// Checks the goal in a snapshot, and rebuilds the parts that snapshots leave out. The error names the wrong
-    /// part.
+    /// Checks the goal in a snapshot, and rebuilds the parts that snapshots leave out. The error says which part is
+    /// wrong.
     fn resume(_setup: &Setup<Self::Options>, goal: &mut Goal) -> std::result::Result<(), String> {
         match goal {
             Goal { model: None, ground: None, legged: None, .. } => Ok(()),
@@ -108,7 +108,7 @@ pub trait Task: Send + Sync + Sized + 'static {
     }
 }
 
-/// A task with an environment's options and model: all that an environment needs besides its engine.
+/// A task together with an environment's options and model: all data of an environment except its engine and state.
 pub trait AnyTask: Send + Sync {
     fn spec(&self) -> &Spec;
     fn model(&self) -> &Arc<Model>;
@@ -129,7 +129,7 @@ pub trait AnyTask: Send + Sync {
     /// The same task after a reset's changes.
     fn changed(&self, reset: &ResetOptions) -> Result<Arc<dyn AnyTask>>;
 
-    /// The same task with a robot or sand that options cannot name. A reset with options would undo these.
+    /// The same task with a model that the options do not describe. A reset with options would replace it.
     fn with_model(&self, model: Model) -> Result<Arc<dyn AnyTask>>;
 
     /// Equal for all copies of a setup, and different for every other live setup, because each setup makes its own

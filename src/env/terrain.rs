@@ -1,5 +1,5 @@
-//! `sandgait/HexapodTerrain-v1`: HexapodGait with sand, slope, load and motors drawn for every episode. The sand
-//! varies along the way, and the robot is told to turn back over ground that it has used.
+//! `sandgait/HexapodTerrain-v1`: HexapodGait with sand, slope, load and motors drawn for every episode. The sand varies
+//! with position, and the command makes the robot walk back over its own footprints.
 
 use super::feature::Features;
 use super::gait::{GaitOptions, HexapodGait};
@@ -26,10 +26,11 @@ options! {
 }
 
 options! {
-    /// Ranges [low, high] that an episode's quantities are drawn from, uniformly. `zeta`: our choice, on poppy seeds from plastic
-    /// pellets to twice as stiff as close packing makes them; batches alone differ by 20-40 % (Li, Zhang & Goldman 2013). The
-    /// others are our choice too: patches of one to four body lengths, payloads of up to a third of the robot's mass; no published
-    /// law of `footprint` was found. Bounds stand in [`Randomize::quantities`].
+    /// Ranges [low, high] that an episode's quantities are drawn from, uniformly. `zeta`: our choice; relative to poppy
+    /// seeds, from the stiffness of plastic pellets to twice that of closely packed seeds. Batches of one medium differ
+    /// by 20-40 % (Li, Zhang & Goldman 2013). The others are our choice too: patches of one to four body lengths,
+    /// payloads of up to a third of the robot's mass; no published law of `footprint` was found.
+    /// [`Randomize::quantities`] has the bounds.
     #[derive(Copy, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct Randomize {
@@ -55,8 +56,8 @@ struct Quantity {
 }
 
 impl Randomize {
-    /// The options that drawn values are added to, `slope_deg` [°] and `payload` [kg]; the sums stay within a
-    /// scene's bounds.
+    /// All quantities. `slope_deg` [°] and `payload` [kg] are the options to which drawn values are added; the sums
+    /// stay within a scene's bounds.
     fn quantities(&self, slope_deg: f64, payload: f64) -> [Quantity; 7] {
         let slope = [-Scene::MAX_SLOPE_DEG, Scene::MAX_SLOPE_DEG].map(|most| most - slope_deg);
         let load = [0.0, (Scene::MAX_PAYLOAD - payload).min(10.0)];
@@ -94,8 +95,8 @@ impl Randomize {
         Ok(())
     }
 
-    /// Draws an episode's quantities, always as many numbers in the same order, for a robot with `legs` legs that
-    /// is commanded to walk at `speed` [m/s].
+    /// Draws an episode's quantities for a robot with `legs` legs and a commanded speed of `speed` [m/s]. The number
+    /// and order of the draws are always the same.
     fn draw(&self, options: &TerrainOptions, speed: f64, legs: usize, random: &mut Random) -> (Draw, UsedGround) {
         let (difficulty, own) = (options.difficulty, &options.gait.walking);
         let ranges = self.quantities(own.slope_deg, own.payload).map(|Quantity { range, neutral, .. }| {
@@ -155,7 +156,7 @@ struct Drawn<'a> {
 /// Computes one of them.
 type Figure = fn(&Drawn) -> f64;
 
-/// The task; the parts it shares with HexapodGait are those of that task.
+/// The task; it calls HexapodGait for the parts that both share.
 pub struct HexapodTerrain {
     gait: HexapodGait,
     spec: Spec,
@@ -184,7 +185,7 @@ fn sand(model: &Model, ground: &UsedGround) -> Medium {
 
 impl Task for HexapodTerrain {
     const ID: &'static str = "sandgait/HexapodTerrain-v1";
-    /// With a model of its own and the most footprints; computed by counting.
+    /// Counted: an episode with its own model and as many footprints as are kept.
     const EPISODE_BYTES: usize = 26_000;
     type Options = TerrainOptions;
 
@@ -228,7 +229,7 @@ impl Task for HexapodTerrain {
         self.gait.command(action, state, command);
     }
 
-    /// Footprints, patches, and the way back.
+    /// Updates footprints, patch and command.
     fn after_step(&self, setup: &Setup<TerrainOptions>, goal: &mut Goal, state: &State, _info: &[f32]) -> Change {
         let (Some(ground), Some(model)) = (&mut goal.ground, &mut goal.model) else { return Change::Nothing };
         let change = ground.after_step(model, state);

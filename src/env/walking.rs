@@ -44,7 +44,7 @@ impl Walking {
         }
         let mut robot = Robot::load(self.robot.name())?.with_leg_shape(&self.leg)?;
         robot.servo.torque_limit = Some(self.torque_limit);
-        // The lag of a servo is not observed.
+        // The lag of a servo is not in the observation, so it must stay small.
         robot.servo.anti_windup = true;
         if !servos {
             (robot.servo.kp, robot.servo.kd) = (0.0, 0.0);

@@ -14,7 +14,7 @@ pub struct Columns {
 }
 
 impl Columns {
-    /// Refuses tasks without walking.
+    /// Finds the columns; refuses tasks in which robots do not walk.
     pub fn of(spec: &Spec) -> Result<Self> {
         let place = |name: &str| {
             let at = spec.info.iter().position(|c| c.name == name);
@@ -37,16 +37,16 @@ pub struct Episode {
     pub total_reward: f64,
     /// Duration [s].
     pub time: f64,
-    /// Along +x, uphill [m]; negative if backward.
+    /// Distance along +x, uphill [m]; negative if backward.
     pub distance: f64,
-    /// Distance at the commanded speed [m].
+    /// Distance that the commanded speed would give [m].
     pub commanded: f64,
     /// ∫ Σ|τ ω| dt over all joints [J].
     pub work: f64,
     /// Weight of robot and payload [N].
     pub weight: f64,
-    /// While a foot was in the sand: distance of the base [m], and the distance that the feet would have carried it
-    /// without slip [m].
+    /// While at least one foot was in the sand: distance of the base [m], and its distance if the feet had not slipped
+    /// [m].
     pub carried: f64,
     pub without_slip: f64,
     /// The robot flipped or was buried.

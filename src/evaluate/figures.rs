@@ -11,7 +11,7 @@ const RESAMPLES: usize = 2000;
 /// The same seed in every run.
 const SEED: u64 = 1;
 
-/// A figure and its 95 % interval; NaN where it is undefined.
+/// A figure and its 95 % interval; NaN if it is undefined.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Estimate {
     pub mean: f64,
@@ -59,8 +59,8 @@ fn ratio([above, below]: [f64; 2]) -> f64 {
     if below > 0.0 { above / below } else { f64::NAN }
 }
 
-/// A function of sums over episodes, with the percentile bootstrap's interval over episodes. If resamples beyond an
-/// end of the interval are undefined, so is that end.
+/// A function of sums over episodes, with the percentile bootstrap's interval over episodes. If the resamples beyond an
+/// end of the interval are undefined, that end is undefined, too.
 fn bootstrap(episodes: &[Episode], term: fn(&Episode) -> [f64; 2], of: fn([f64; 2]) -> f64) -> Estimate {
     let terms: Vec<[f64; 2]> = episodes.iter().map(term).collect();
     let sum = |sum: [f64; 2], t: &[f64; 2]| [sum[0] + t[0], sum[1] + t[1]];

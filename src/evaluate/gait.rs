@@ -11,7 +11,7 @@ use std::sync::Arc;
 /// Stride frequency at action 1 of a hip that is driven by its speed [Hz].
 const TOP_RATE: f64 = crate::env::reference::TOP_SPEED / std::f64::consts::TAU;
 
-/// A gait as the command line names it, without its task.
+/// A gait as the user names it, before it is checked for a task.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Wanted {
     /// An ONNX file: its name for people, and its bytes.
@@ -29,7 +29,7 @@ pub enum Wanted {
 const KNOWN: [&str; 5] = ["FILE.onnx", "tripod[:HZ]", "clock:FILE.json or clock:NUMBERS", "standing", "random"];
 
 impl Wanted {
-    /// The gait that `text` names. `read` reads files, and may refuse.
+    /// Parses the name of a gait. `read` reads files; it gives an error if files are not allowed.
     pub fn parse(text: &str, read: impl Fn(&str) -> Result<Vec<u8>>) -> Result<Self> {
         let (kind, rest) = text.split_once(':').map_or((text, None), |(kind, rest)| (kind, Some(rest)));
         match (kind, rest) {
@@ -38,7 +38,7 @@ impl Wanted {
             ("tripod", None) => Ok(Self::Tripod(None)),
             ("tripod", Some(rate)) => {
                 let rate =
-                    rate.parse().map_err(|_| Error::invalid("tripod", format!("{rate:?} is no number of Hz")))?;
+                    rate.parse().map_err(|_| Error::invalid("tripod", format!("{rate:?} is not a number of Hz")))?;
                 check_range("tripod", rate, -TOP_RATE..=TOP_RATE).map(|rate| Self::Tripod(Some(rate)))
             }
             ("clock", Some(file)) if file.ends_with(".json") => {
@@ -57,7 +57,7 @@ impl Wanted {
         }
     }
 
-    /// The control mode that it needs, if it needs one.
+    /// The control mode that this gait needs, if any.
     fn control(&self) -> Option<&'static str> {
         match self {
             Self::Tripod(_) | Self::Standing => Some("hip_speed"),
@@ -66,7 +66,7 @@ impl Wanted {
         }
     }
 
-    /// `options` with the control mode that it needs.
+    /// `options` with the control mode that this gait needs.
     pub fn with_control(&self, mut options: Value) -> Result<Value> {
         let Some(needed) = self.control() else { return Ok(options) };
         if options.is_null() {

@@ -1,5 +1,4 @@
-//! How good is a gait? Returns, speeds, costs and falls over seeds that no training uses, on several media and
-//! slopes.
+//! Evaluates gaits: returns, speeds, costs and falls over seeds that no training uses, on several media and slopes.
 //!
 //! [`gait`]: the evaluated gait → [`run`]: episodes over lanes and cores, each an [`episode`] of sums →
 //! [`figures`]: means with intervals → [`table`]: text, CSV and JSON. `docs/evaluate.md` defines every figure.
@@ -37,7 +36,8 @@ const SEARCH_SEEDS: std::ops::Range<u64> = 2_000_000..2_000_032;
 const RATES: std::ops::RangeInclusive<u32> = 1..=20;
 const RATE_STEP: f64 = 0.25;
 
-/// Most seeds: the seeds of the search follow them. Most media times slopes: our choice, an hour's work.
+/// Most seeds, because the seeds of the search follow them; and most combinations of media and slopes: our choice, an
+/// hour's work.
 const MOST_SEEDS: usize = 1_000_000;
 const MOST_CONDITIONS: usize = 1_000;
 
@@ -48,14 +48,14 @@ pub struct Request {
     /// Keywords of the task (a JSON object; null for none).
     pub options: Value,
     pub seeds: usize,
-    /// Empty: the option's own medium.
+    /// Media; if empty, that of the options.
     pub media: Vec<String>,
-    /// [°]; empty: the option's own slope.
+    /// Slopes [°]; if empty, that of the options.
     pub slopes: Vec<f64>,
 }
 
 impl Request {
-    /// Default number of seeds: intervals are then some fifth of the spread between episodes.
+    /// Default number of seeds: intervals are then about a fifth as wide as the spread between episodes.
     pub const SEEDS: usize = 100;
 }
 
@@ -93,7 +93,7 @@ impl Study {
         let base = Blueprint::new(task, options)?;
         let text = |name: &str| base.task.option(name).as_str().unwrap_or_default().to_owned();
         if !media.is_empty() && !text("sand").is_empty() {
-            return Err(Error::invalid("media", "the option sand excludes them"));
+            return Err(Error::invalid("media", "the option sand is given already; leave out one of the two"));
         }
         let media = if media.is_empty() { vec![text("medium")] } else { media.clone() };
         let slopes = if slopes.is_empty() {
@@ -114,8 +114,8 @@ impl Study {
         Ok(Self { conditions, seeds: *seeds })
     }
 
-    /// Runs all episodes; returns one row a medium and slope, the slope fastest. An error of `progress` stops the
-    /// work.
+    /// Runs all episodes; returns one row for each medium and slope, the slope fastest. An error of `progress` stops
+    /// the work.
     pub fn run(&self, progress: &dyn Progress) -> Result<Vec<Row>> {
         let searched = self.conditions.iter().any(|c| c.gait.is_none());
         let share = if searched { self.search_share() } else { 0.0 };
@@ -139,7 +139,8 @@ impl Study {
         search / (search + rest)
     }
 
-    /// Each condition's gait, and the searched rate of tripods without one: that with the greatest mean return.
+    /// The gait of each condition. For a condition without a gait this is the tripod with the greatest mean return
+    /// among several rates, and its rate.
     fn search(&self, progress: &dyn Progress) -> Result<Vec<(Gait, Option<f64>)>> {
         let seeds: Vec<u64> = SEARCH_SEEDS.collect();
         let rates: Vec<f64> = RATES.map(|k| f64::from(k) * RATE_STEP).collect();

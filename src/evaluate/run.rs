@@ -1,4 +1,4 @@
-//! Runs episodes side by side: as many seeds in a shard as its engine has room for, shards on all cores.
+//! Runs episodes in parallel: a shard has as many seeds as its engine takes, and shards run on all cores.
 
 use super::episode::{Columns, Episode};
 use super::gait::Gait;

@@ -20,7 +20,7 @@ struct Figure {
     of: fn(&Row) -> Estimate,
 }
 
-/// A column of numbers: name, unit, one number a row.
+/// A column of numbers: name, unit, one number for each row.
 pub struct Column {
     pub name: String,
     pub unit: &'static str,
@@ -49,7 +49,7 @@ pub fn columns(rows: &[Row]) -> Vec<Column> {
     all
 }
 
-/// One line a row; NaN is an empty cell.
+/// One line for each row; NaN is an empty cell.
 pub fn csv(rows: &[Row]) -> String {
     let columns = columns(rows);
     let mut text = String::from("medium");
@@ -66,7 +66,7 @@ pub fn csv(rows: &[Row]) -> String {
     text
 }
 
-/// `about` and one object a row; NaN is null.
+/// `about` and one object for each row; NaN is null.
 pub fn json(mut about: Value, rows: &[Row]) -> Value {
     let columns = columns(rows);
     let object = |(i, row): (usize, &Row)| {

@@ -85,8 +85,8 @@ mod control {
     pub fn write(_word: Word) {}
 }
 
-/// Did this thread compute with a denormal operand while `work` ran? The processor keeps a flag (MXCSR, bit 1), so
-/// it also notices numbers that no array holds. For tests of other crates.
+/// For tests: whether this thread computed with a denormal operand while `work` ran. The processor sets a flag (MXCSR,
+/// bit 1), so intermediate results are noticed, too.
 #[cfg(target_arch = "x86_64")]
 pub fn met_denormals(work: impl FnOnce()) -> bool {
     const DENORMAL_OPERAND: control::Word = 1 << 1;

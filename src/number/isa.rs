@@ -12,7 +12,7 @@ pub enum Isa {
     Avx2,
     /// 4 lanes of `f32` in portable code, for every processor.
     Baseline,
-    /// One lane of `f64`: the reference the others are measured against.
+    /// One lane of `f64`: the reference with which the others are compared.
     F64,
 }
 
@@ -57,9 +57,9 @@ impl Isa {
         }
     }
 
-    /// Runs `work` with the number type of this instruction set. There is no other access to types that need
-    /// special instructions, so a processor never runs instructions it does not have: the error names the missing
-    /// instruction set.
+    /// Runs `work` with the number type of this instruction set. Types that need special instructions are accessible
+    /// only here, so a processor never runs instructions that it does not have. The error names the missing instruction
+    /// set.
     pub fn with<W: Work>(self, work: W) -> Result<W::Out> {
         if !self.available() {
             return Err(Error::invalid("instruction set", format!("this machine has no {}", self.name())));
@@ -85,7 +85,7 @@ impl Isa {
         }
     }
 
-    /// The environment variable `SANDGAIT_ISA` if set, else the widest that the machine has.
+    /// The instruction set that the environment variable `SANDGAIT_ISA` names, or else the widest that the machine has.
     pub fn choose() -> Result<Self> {
         let Ok(name) = std::env::var("SANDGAIT_ISA") else {
             return Ok(Self::ALL.into_iter().find(|isa| isa.available()).unwrap_or(Self::Baseline));

@@ -65,9 +65,9 @@ pub trait Real:
     /// Nearest integer (ties to even).
     fn round(self) -> Self;
     fn lt(self, other: Self) -> Self::Mask;
-    /// In each lane: `yes` where `mask` holds, else `no`.
+    /// In each lane: `yes` if `mask` is true, else `no`.
     fn select(mask: Self::Mask, yes: Self, no: Self) -> Self;
-    /// Does `mask` hold in any lane?
+    /// Is `mask` true in any lane?
     fn any(mask: Self::Mask) -> bool;
 
     /// Runs `kernel` compiled for the instruction set of this type.

@@ -1,4 +1,4 @@
-//! The number types compute what `f64` does, lane by lane.
+//! The number types give the same results as `f64`, lane by lane.
 
 use super::{Isa, Kernel, Real, Work};
 

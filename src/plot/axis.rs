@@ -34,7 +34,7 @@ fn of_mark(mark: &Mark) -> [Option<[f64; 2]>; 2] {
     }
 }
 
-/// The range an axis shows: as asked, or all marks with 5 % of air (none beside heat maps).
+/// The range of an axis: the one that it states, or that of all marks with a margin of at most 5 % (none for heat maps).
 pub fn range(axis: &Axis, marks: &[Mark], which: usize) -> [f64; 2] {
     if let Some(range) = axis.range {
         return range;
@@ -58,8 +58,8 @@ pub fn range(axis: &Axis, marks: &[Mark], which: usize) -> [f64; 2] {
     [low - air, high + air]
 }
 
-/// Round values inside `range`, about `count` of them: 1, 2, 2.5 or 5 times a power of ten apart, or 15, 30, 45 … where
-/// that fits degrees.
+/// About `count` round values inside the range. Their step is 1, 2, 2.5 or 5 times a power of ten, or for degrees also 15, 30, 45,
+/// 60 or 90.
 pub fn ticks([low, high]: [f64; 2], count: usize, degrees: bool) -> Vec<f64> {
     let rough = (high - low) / count as f64;
     let power = 10f64.powf(rough.abs().max(1e-300).log10().floor());
@@ -72,7 +72,7 @@ pub fn ticks([low, high]: [f64; 2], count: usize, degrees: bool) -> Vec<f64> {
     (first..=last).map(|k| k as f64 * step).collect()
 }
 
-/// A tick's text with no more digits than the step needs.
+/// The text at a tick, with no more digits than `step` needs.
 pub fn label(value: f64, step: f64) -> String {
     if value != 0.0 && !(1e-4..1e5).contains(&value.abs()) {
         return format!("{value:.1e}").replace('-', "−");

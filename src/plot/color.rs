@@ -1,6 +1,6 @@
-//! Palettes that stay apart for colour-blind readers.
+//! Palettes whose colours colour-blind readers can distinguish.
 
-/// Okabe & Ito 2008, without the yellow that vanishes on white.
+// Okabe & Ito 2008, without yellow, which is hard to see on white.
 pub const BLUE: &str = "#0072b2";
 pub const VERMILION: &str = "#d55e00";
 pub const GREEN: &str = "#009e73";
@@ -13,13 +13,13 @@ pub const BLACK: &str = "#222222";
 /// For series without a meaning of their own.
 pub const CYCLE: [&str; 6] = [BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY];
 
-/// Red to blue through the spectrum, as the paper colours its families of curves; `share` in [0, 1].
+/// From red through the spectrum to blue, as the paper colours its families of curves; `share` in [0, 1].
 pub fn rainbow(share: f64) -> String {
-    // Dark enough everywhere to be read on white.
+    // All these colours are dark enough to be read on white.
     hsl(240.0 * share.clamp(0.0, 1.0), 0.75, 0.42)
 }
 
-/// The viridis colour map (van der Walt & Smith 2015) at nine stops, linear between.
+/// The viridis colour map (van der Walt & Smith 2015), interpolated linearly between nine colours.
 pub fn viridis(share: f64) -> String {
     const STOPS: [[f64; 3]; 9] = [
         [68.0, 1.0, 84.0],

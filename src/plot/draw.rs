@@ -4,7 +4,7 @@ use super::axis::{label, range, ticks};
 use super::{Axis, Dash, Figure, Mark, Panel, Style, color, escape};
 use std::fmt::Write;
 
-/// Inside of a panel, its margins and the font [px].
+/// Size of a panel without margins, the margins, and the font size [px].
 const WIDTH: f64 = 380.0;
 const HEIGHT: f64 = 270.0;
 const LEFT: f64 = 70.0;
@@ -16,7 +16,7 @@ const COLORBAR: f64 = 82.0;
 const TITLE: f64 = 36.0;
 const LEGEND_ROW: f64 = 22.0;
 const FONT: f64 = 13.0;
-/// Mean advance of a DejaVu Sans glyph over its size: places legends without measuring.
+/// Mean width of a letter of DejaVu Sans divided by the font size: gives the width of a legend's text.
 const ADVANCE: f64 = 0.58;
 
 impl Figure {
@@ -63,14 +63,14 @@ fn text(svg: &mut String, [x, y]: [f64; 2], anchor: &str, size: f64, content: &s
     );
 }
 
-/// One letter after an underscore set low: `v_x`, `α_z`.
+/// Makes a subscript of the letter after each underscore: `v_x`, `α_z`.
 fn subscripts(escaped: &str, size: f64) -> String {
     let mut parts = escaped.split('_');
     let mut text = parts.next().unwrap_or_default().to_owned();
     for part in parts {
         let cut = part.chars().next().map_or(0, char::len_utf8);
         let (low, rest) = part.split_at(cut);
-        // Both shifts in the units of the outer text, so that the line continues where it was.
+        // Both shifts are in units of the outer font size, so that the text continues at its old height.
         let (small, shift) = (0.75 * size, 0.25 * size);
         let _ = write!(
             text,
@@ -80,7 +80,7 @@ fn subscripts(escaped: &str, size: f64) -> String {
     text
 }
 
-/// Lines of at most `most` characters.
+/// Breaks a note into lines of at most `most` characters.
 fn wrap(note: &str, most: f64) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in note.split_whitespace() {
@@ -102,7 +102,7 @@ fn cells(panel: &Panel) -> Option<(&[Vec<f64>], &str)> {
     })
 }
 
-/// Samples and labels of all panels, each label once, centred in as many rows as they need; and the height of it.
+/// The legend of all panels, and its height: each label once, with a sample of its mark, in centred rows.
 fn legend(panels: &[Panel], width: f64) -> (String, f64) {
     let mut entries: Vec<(&str, &Mark)> = Vec::new();
     for mark in panels.iter().flat_map(|p| &p.marks) {
@@ -217,7 +217,7 @@ fn frame(svg: &mut String, panel: &Panel, [xr, yr]: [[f64; 2]; 2], to_page: &imp
     text(svg, [WIDTH / 2.0, -10.0], "middle", FONT, &panel.title, "font-weight=\"bold\"");
 }
 
-/// Text over marks: on a white rim, so that it can be read.
+/// Attributes of text over marks: a white outline makes it readable.
 const HALO: &str =
     "fill=\"#555555\" stroke=\"#ffffff\" stroke-width=\"3\" stroke-linejoin=\"round\" paint-order=\"stroke\"";
 
@@ -242,7 +242,7 @@ fn draw_mark(svg: &mut String, mark: &Mark, to_page: &impl Fn([f64; 2]) -> [f64;
         Mark::Horizontal { at, text: content } => {
             let [_, y] = to_page([0.0, *at]);
             polyline(svg, &Style::thin(color::GREY).dashed(), &[[0.0, y], [WIDTH, y]]);
-            // Under a line that leaves no room above it.
+            // The text is under the line if there is no room above it.
             let y = if y < 18.0 { y + 14.0 } else { y - 5.0 };
             text(svg, [6.0, y], "start", 11.0, content, HALO);
         }
@@ -272,12 +272,12 @@ fn polyline(svg: &mut String, style: &Style, points: &[[f64; 2]]) {
 }
 
 fn dot(svg: &mut String, style: &Style, [x, y]: [f64; 2]) {
-    // Dots without a line are clouds: smaller.
+    // Dots without a line are many and close together, so they are smaller.
     let radius = if style.width > 0.0 { 2.8 } else { 1.7 };
     let _ = write!(svg, "<circle cx=\"{x:.2}\" cy=\"{y:.2}\" r=\"{radius}\" fill=\"{}\"/>", style.color);
 }
 
-/// Least and greatest value of a heat map; never an empty interval.
+/// Least and greatest value of a heat map; the interval is never empty.
 fn extremes(values: &[Vec<f64>]) -> [f64; 2] {
     let finite = values.iter().flatten().copied().filter(|v| v.is_finite());
     let [low, high] = finite.fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], v| [l.min(v), h.max(v)]);

@@ -1,11 +1,11 @@
-//! Figures: line plots and heat maps as SVG text, and the same as PNG.
+//! Figures: line plots and heat maps as SVG and PNG.
 //!
 //! A [`Figure`] is data only; [`Figure::svg`] draws it. This module knows nothing of sand or robots.
 //!
 //! * [`axis`]: ranges, round ticks and the map from data to the page.
 //! * [`draw`]: panels, marks and legend as SVG.
-//! * [`color`]: palettes that stay apart for colour-blind readers.
-//! * [`png`]: SVG to pixels, with a font that is compiled in.
+//! * [`color`]: palettes whose colours colour-blind readers can distinguish.
+//! * [`png`]: converts SVG to PNG; the font is compiled in.
 
 use sandgait_base::error;
 
@@ -34,7 +34,7 @@ pub struct Panel {
     pub marks: Vec<Mark>,
 }
 
-/// Label with unit, and range; none: all data.
+/// Label with unit, and range. If the range is none, the axis shows all data.
 #[derive(Clone, Debug, Default)]
 pub struct Axis {
     pub label: String,
@@ -58,7 +58,7 @@ pub struct Style {
     /// [px]
     pub width: f64,
     pub dash: Dash,
-    /// Dots at the data.
+    /// Whether each data point has a dot.
     pub dots: bool,
 }
 
@@ -87,7 +87,7 @@ impl Style {
     }
 }
 
-/// Something drawn in a panel; an empty label stays out of the legend.
+/// Something drawn in a panel. A mark with an empty label is not in the legend.
 #[derive(Clone, Debug)]
 pub enum Mark {
     Line {
@@ -95,17 +95,18 @@ pub enum Mark {
         style: Style,
         points: Vec<[f64; 2]>,
     },
-    /// Between a lower and an upper curve: (x, low, high).
+    /// The area between a lower and an upper curve: (x, low, high).
     Band {
         label: String,
         color: String,
         points: Vec<[f64; 3]>,
     },
-    /// A straight line across the panel at one value, with its text beside it.
+    /// A straight line across the panel at one value of y, with a text beside it.
     Horizontal {
         at: f64,
         text: String,
     },
+    /// A straight line across the panel at one value of x, with a text beside it.
     Vertical {
         at: f64,
         text: String,
@@ -129,7 +130,7 @@ impl Mark {
     }
 }
 
-/// Text safe inside SVG and HTML.
+/// Escapes the characters that have a meaning in SVG and HTML.
 pub fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

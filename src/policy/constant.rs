@@ -15,7 +15,7 @@ impl Constant {
     pub fn read(name: &str, tensor: &Tensor) -> Result<Self> {
         let wrong = |why: String| Error::invalid("policy", format!("the numbers of {name:?} {why}"));
         if tensor.data_location != 0 {
-            return Err(wrong("stand in another file; export everything into one".into()));
+            return Err(wrong("are in another file; export everything into one file".into()));
         }
         if tensor.dims.len() > 2 {
             return Err(wrong(format!("have {} dimensions; 2 are the most", tensor.dims.len())));
@@ -55,7 +55,7 @@ impl Constant {
     }
 }
 
-/// From whichever of the two fields has the numbers; None if the number of bytes is wrong.
+/// The numbers, which are in one of the two fields; None if the number of bytes is wrong.
 fn numbers<T: Copy, const N: usize>(
     typed: &[T],
     raw: &[u8],

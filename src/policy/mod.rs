@@ -1,6 +1,6 @@
 //! Policies that users upload: feed-forward networks as ONNX, computed beside the environments.
 //!
-//! Between env and pool: this crate knows a task's tables; it has no threads, sessions or messages.
+//! This crate uses the tables of a task; it has no threads, sessions or messages.
 //!
 //! * [`format`]: the parts of an ONNX file that are read or written.
 //! * [`read`]: from a file to a program of checked steps; [`constant`]: its weights.
@@ -8,9 +8,9 @@
 //! * [`network`]: runs the program.
 //! * [`write`]: ONNX files of our own.
 //!
-//! A network is computed for [`LANES`] environments at a time, each in a lane of its own, sums in the order of the
-//! weights. So an action's bits depend on the environment's own observation alone, not on its neighbours, the batch
-//! or the threads.
+//! A network is computed for [`LANES`] environments at a time, one in each lane. Sums are in the order of the weights.
+//! So an action's bits depend on the environment's own observation alone, not on its neighbours, the batch or the
+//! threads.
 
 use sandgait_base::error;
 use sandgait_env as env;

@@ -1,4 +1,4 @@
-//! The operators of a network's steps, as ONNX defines operators of the same names.
+//! The operators of a network's steps; each is defined as the ONNX operator with the same name.
 
 use super::{LANES, Lanes};
 
@@ -122,7 +122,7 @@ pub enum Operator {
 }
 
 impl Operator {
-    /// Fills `out`, one entry a number of the result, from the earlier values.
+    /// Fills `out`, one entry for each number of the result, from the earlier values.
     pub fn compute(&self, values: &[Vec<Lanes>], out: &mut [Lanes]) {
         match self {
             Self::Dense { input, weights, bias } => dense(&values[*input], weights, bias, out),
@@ -151,7 +151,7 @@ fn operand(values: &[Vec<Lanes>], operand: &Operand, k: usize) -> Lanes {
     }
 }
 
-/// Number of outputs that are summed side by side, so that each number is read once for all of them.
+/// Number of outputs that are summed at the same time, so that each input is read once for all of them.
 const TILE: usize = 4;
 
 /// Each sum starts at its bias and adds the inputs in order, so its bits do not depend on the tile.

@@ -8,12 +8,13 @@ use crate::error::{Error, Result};
 use prost::Message as _;
 use std::collections::HashMap;
 
-/// Limits of a network, our choice: far above what walking needs, and some milliseconds of work for a shard.
+/// Limits of a network: our choice, far above the needs of walking; the largest network takes some milliseconds for a
+/// shard.
 const MOST_NODES: usize = 256;
 const MOST_WIDTH: usize = 4096;
 const MOST_PRODUCTS: usize = 2 << 20;
 
-/// Operator sets in which [`OPERATORS`] are defined as they are computed here.
+/// Versions of ONNX's operator set in which [`OPERATORS`] have the meaning that they have here.
 const OPSETS: std::ops::RangeInclusive<i64> = 7..=23;
 
 const OPERATORS: [&str; 26] = [
@@ -49,7 +50,7 @@ fn invalid(why: impl Into<String>) -> Error {
     Error::invalid("policy", why)
 }
 
-/// The program in `onnx`; `sizes` are the numbers in an observation and an action.
+/// Reads the program from `onnx`; `sizes` are the lengths of an observation and an action.
 pub fn program(onnx: &[u8], sizes: [usize; 2]) -> Result<Program> {
     if onnx.len() > MOST_BYTES {
         return Err(invalid(format!("{} bytes are more than {} MiB", onnx.len(), MOST_BYTES >> 20)));
@@ -155,7 +156,7 @@ impl<'a> Reader<'a> {
     fn value(&self, node: &Node, k: usize) -> Result<usize> {
         match self.input(node, k)? {
             Some(Named::Value(value)) => Ok(*value),
-            _ => Err(wrong(node, format!("takes what comes from the observation as input {k}"))),
+            _ => Err(wrong(node, format!("needs a value that depends on the observation as input {k}"))),
         }
     }
 
@@ -164,7 +165,9 @@ impl<'a> Reader<'a> {
         match self.input(node, k)? {
             None => Ok(None),
             Some(Named::Constant(constant)) => Ok(Some(constant)),
-            Some(Named::Value(_)) => Err(wrong(node, format!("takes numbers of the file as input {k}"))),
+            Some(Named::Value(_)) => {
+                Err(wrong(node, format!("needs constants as input {k}, not a value that depends on the observation")))
+            }
         }
     }
 
@@ -192,7 +195,7 @@ impl<'a> Reader<'a> {
             },
             _ => true,
         };
-        if fits { Ok(Named::Value(value)) } else { Err(wrong(node, "makes something else than rows of f32")) }
+        if fits { Ok(Named::Value(value)) } else { Err(wrong(node, "does not give rows of f32")) }
     }
 
     /// Bounds are inputs since operator set 11, attributes before.
@@ -216,7 +219,7 @@ impl<'a> Reader<'a> {
 
     fn concat(&mut self, node: &Node) -> Result<Named> {
         if !attribute(node, "axis").is_some_and(|a| [1, -1].contains(&a.i)) {
-            return Err(wrong(node, "joins something else than rows"));
+            return Err(wrong(node, "joins values that are not rows"));
         }
         let inputs = (0..node.input.len()).map(|k| self.value(node, k)).collect::<Result<Vec<_>>>()?;
         let width = inputs.iter().map(|i| self.widths[*i]).sum();
@@ -233,7 +236,7 @@ impl<'a> Reader<'a> {
         for k in 1..node.input.len() {
             let (right, width) = self.operand(node, k)?;
             if matches!((&left, &right), (Operand::Row(_), Operand::Row(_))) {
-                return Err(wrong(node, "joins numbers of the file only; export with constant folding"));
+                return Err(wrong(node, "has only constants as inputs; export with constant folding"));
             }
             if wide != width && wide != 1 && width != 1 {
                 return Err(wrong(node, format!("joins {wide} numbers and {width}")));
@@ -244,7 +247,7 @@ impl<'a> Reader<'a> {
         }
         match left {
             Operand::Value(value) => Ok(Named::Value(value)),
-            Operand::Row(_) => Err(wrong(node, "joins numbers of the file only; export with constant folding")),
+            Operand::Row(_) => Err(wrong(node, "has only constants as inputs; export with constant folding")),
         }
     }
 
@@ -270,7 +273,10 @@ impl<'a> Reader<'a> {
         let [rows, columns] = matrix.dims[..] else { return Err(wrong(node, "has weights that are no matrix")) };
         let [inputs, outputs] = if flag("transB") { [columns, rows] } else { [rows, columns] };
         if flag("transA") || inputs != self.widths[input] {
-            return Err(wrong(node, format!("takes {inputs} numbers a row and is given {}", self.widths[input])));
+            return Err(wrong(
+                node,
+                format!("needs rows of {inputs} numbers, but its input has {}", self.widths[input]),
+            ));
         }
         let products = self.products + inputs * outputs;
         if products > MOST_PRODUCTS {
@@ -284,7 +290,7 @@ impl<'a> Reader<'a> {
         let row = match added.map(Constant::row) {
             None => &[0.0],
             Some(Some(row)) if row.len() == 1 || row.len() == outputs => row,
-            _ => return Err(wrong(node, format!("adds something else than {outputs} numbers a row"))),
+            _ => return Err(wrong(node, format!("adds a bias that is not a row of {outputs} numbers"))),
         };
         let beta = factor("beta");
         let bias = (0..outputs).map(|j| beta * row[if row.len() == 1 { 0 } else { j }]).collect();
@@ -303,7 +309,7 @@ fn attribute<'a>(node: &'a Node, name: &str) -> Option<&'a Attribute> {
     node.attribute.iter().find(|a| a.name == name)
 }
 
-/// The function of a unary node; the default alpha is ONNX's.
+/// The function of a node with one input. If the node has no alpha, the default of ONNX applies.
 fn function(node: &Node) -> Function {
     let alpha = |default| attribute(node, "alpha").map_or(default, |a| a.f);
     match node.op_type.as_str() {

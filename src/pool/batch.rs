@@ -25,7 +25,7 @@ pub enum Operation {
     Roll(Roll),
 }
 
-/// New tasks of the environments that a reset begins anew: the same with other options.
+/// New tasks, with changed options, of the environments that a reset chooses.
 pub struct Tasks {
     /// Each different task once.
     all: Vec<Arc<dyn AnyTask>>,
@@ -72,7 +72,7 @@ impl Roll {
         self.total
     }
 
-    /// Does a network choose the actions?
+    /// Does a policy choose the actions?
     pub fn chooses(&self) -> bool {
         matches!(self.plan, Plan::Network(_))
     }
@@ -108,7 +108,7 @@ impl Batch {
         &self.shards
     }
 
-    /// Checks a reset. If given, `chosen` and `seeds` must have one entry an environment. `options` change the
+    /// Checks a reset. If given, `chosen` and `seeds` must have one entry for each environment. `options` change the
     /// present options of each chosen environment, and must suit all of them.
     pub fn reset(
         &mut self,
@@ -170,7 +170,7 @@ impl Batch {
         Error::invalid("actions", format!("{got} numbers, expected {} = [{n}, {width}]", n * width))
     }
 
-    /// [`Batch::step`] for some: environments that `held` names keep their state, whatever their actions.
+    /// The same as [`Batch::step`], but environments for which `held` is true keep their state.
     pub fn step_but(&self, actions: Vec<f32>, held: Vec<bool>) -> Result<Operation> {
         if held.len() != self.envs {
             return Err(Error::invalid("held", format!("{} entries for {} environments", held.len(), self.envs)));
@@ -188,7 +188,8 @@ impl Batch {
         Ok(Operation::Restore { episodes: all.collect() })
     }
 
-    /// Checks a rollout of `actions`, f32 [steps, envs, action]; none of its steps are made by what this returns.
+    /// Checks a rollout of `actions`, f32 [steps, envs, action]. The returned value has no steps yet; [`Roll::next`]
+    /// gives its parts.
     pub fn roll(&self, actions: Vec<f32>, record: bool) -> Result<Roll> {
         self.check_begun("rollout")?;
         let width = self.spec().action.len();
@@ -269,7 +270,7 @@ impl Operation {
         }
     }
 
-    /// How many of `envs` environments the operation steps; 0 if it is not a step.
+    /// Number of environments, of `envs`, that the operation advances; 0 if it is not a step.
     pub fn steps(&self, envs: usize) -> usize {
         match self {
             Self::Step { held, .. } => envs - held.iter().flatten().filter(|held| **held).count(),

@@ -26,7 +26,7 @@ impl Seal {
         Self::new(&key).ok_or_else(|| Error::file(path, format!("{} bytes are no key; at least {SHORTEST}", key.len())))
     }
 
-    /// None: the key is too short.
+    /// None if the key is too short.
     pub fn new(key: &[u8]) -> Option<Self> {
         let key = Some(key).filter(|k| k.len() >= SHORTEST)?;
         Hmac::new_from_slice(key).ok().map(|hmac| Self(Some(hmac)))

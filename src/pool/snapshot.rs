@@ -4,9 +4,9 @@
 //!  "sandgait snapshot\n" │ length u8, version of sandgait │ tag of the rest │ CBOR
 //! ```
 //!
-//! The tag is a [`Seal`]'s. Bits are promised on one version and one instruction set only, so a snapshot of another
-//! version is refused. Options and episodes are CBOR inside the CBOR. Only the requested ones are unpacked, one by
-//! one, so restoring needs memory for the batch's own environments only, whatever the snapshot's size.
+//! The tag is a [`Seal`]'s. Equal bits are guaranteed for one version and one instruction set only, so a snapshot of
+//! another version is refused. Options and episodes are CBOR inside the CBOR. Only the requested ones are unpacked, one
+//! by one, so restoring needs memory for the batch's own environments only, whatever the snapshot's size.
 
 use super::batch::{Batch, Operation};
 use super::seal::Seal;
@@ -22,8 +22,8 @@ use std::sync::Arc;
 const MAGIC: &[u8] = b"sandgait snapshot\n";
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 
-/// Longest and shortest part [bytes]. Our choice: twice the longest options, and less than any real part, so that a
-/// small snapshot cannot have very many empty parts.
+/// Shortest and longest part [bytes]: our choice. The longest is twice the longest options. Every real part is longer
+/// than the shortest, which prevents a small snapshot with very many empty parts.
 const PART: std::ops::RangeInclusive<usize> = 64..=1 << 19;
 
 /// Environments in the middle of their episodes.
@@ -101,7 +101,7 @@ impl Snapshot {
     }
 
     pub fn from_bytes(bytes: &[u8], seal: &Seal) -> Result<Self> {
-        let rest = bytes.strip_prefix(MAGIC).ok_or_else(|| broken("this is none of sandgait's"))?;
+        let rest = bytes.strip_prefix(MAGIC).ok_or_else(|| broken("this is not one of sandgait's files"))?;
         let short = || broken("it is cut off");
         let (length, rest) = rest.split_first().ok_or_else(short)?;
         let (version, rest) = rest.split_at_checked(usize::from(*length)).ok_or_else(short)?;
@@ -135,8 +135,8 @@ impl Batch {
         Ok(Snapshot { task: self.spec().id.into(), options, episodes })
     }
 
-    /// Checks that environment i can go on as environment `sources[i]` of `snapshot`. Without `sources` it is
-    /// number i modulo the snapshot's number, so that a snapshot of one environment is copied to all.
+    /// Checks that environment i can go on as environment `sources[i]` of `snapshot`. Without `sources`, environment i
+    /// goes on as number i modulo the number in the snapshot, so a snapshot of one environment is copied to all.
     pub fn restore(&mut self, snapshot: &Snapshot, sources: Option<&[u32]>) -> Result<Operation> {
         let episodes = self.resumed(snapshot, sources)?;
         self.begun.fill(true);

@@ -9,7 +9,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
-/// Called on a worker thread when a batch has run; not called if the pool ends before.
+/// Called on a worker thread when a batch is finished; not called if the pool ends before.
 type Done = Box<dyn FnOnce(Result<Batch>) + Send>;
 
 /// A shard that waits for a worker.
@@ -90,7 +90,7 @@ impl Pool {
         self.enqueue(batch, operation, 0, done);
     }
 
-    /// Returns the number of the job. `helpers`: threads outside the pool that will work on it.
+    /// Returns the number of the job. `helpers` is the number of threads outside the pool that will work on it.
     fn enqueue(
         &self,
         mut batch: Batch,
@@ -120,8 +120,8 @@ impl Pool {
         id
     }
 
-    /// [`Pool::wait`], in which the caller's thread works in place of one of the pool's. For a single shard no
-    /// other thread is woken.
+    /// The same as [`Pool::wait`], but the caller's thread works, too, in place of one of the pool's. For a single
+    /// shard no other thread is woken.
     pub fn help(&self, batch: Batch, operation: Operation) -> Result<Batch> {
         let (sender, receiver) = std::sync::mpsc::sync_channel(1);
         let id = self.enqueue(batch, operation, 1, move |batch| {
@@ -137,7 +137,7 @@ impl Pool {
         receiver.recv().unwrap_or_else(|_| Err(Error::Exhausted("the worker pool was closed".into())))
     }
 
-    /// [`Pool::run`], which waits for the result.
+    /// The same as [`Pool::run`], but waits for the result.
     pub fn wait(&self, batch: Batch, operation: Operation) -> Result<Batch> {
         let (sender, receiver) = std::sync::mpsc::sync_channel(1);
         self.run(batch, operation, move |batch| {
@@ -211,9 +211,9 @@ fn carry_out(shared: &Shared, id: u64, operation: Arc<Operation>, mut piece: Pie
     give_back(shared, id, piece.start, piece.shard, outcome.is_err())
 }
 
-/// Works on a shard until its operation is done (returns true), or until, after at least one part, another session
-/// waits. So a session that steps beside a rollout keeps its share, and a rollout alone does not return to the
-/// queue.
+/// Works on a shard until its operation is done, and then returns true. If another session waits, it stops earlier,
+/// after at least one part. So a rollout does not delay the steps of other sessions, and a rollout without other
+/// sessions does not return to the queue.
 fn work(shared: &Shared, id: u64, operation: &Operation, piece: &mut Piece) -> bool {
     loop {
         operation.run(&mut piece.shard, piece.start, piece.done);
@@ -244,8 +244,8 @@ fn give_back(shared: &Shared, id: u64, start: usize, shard: Shard, panicked: boo
     pending.batch.shards.extend(pending.finished.into_iter().map(|f| f.1));
     let lost = || Error::Internal("the simulation of this session failed".into());
     let Pending { batch, panicked, done, .. } = pending;
-    // If `done` panics, its caller notices by the values that it drops; this thread goes on with other sessions'
-    // work.
+    // If `done` panics, its values are dropped, by which their owner notices the panic. This thread goes on with the
+    // work of other sessions.
     drop(catch_unwind(AssertUnwindSafe(|| done(if panicked { Err(lost()) } else { Ok(batch) }))));
     shared.lock()
 }

@@ -1,5 +1,5 @@
-//! Values that the paper does not state, and the ranges in which we vary them. Every band in the figures and claims
-//! is the envelope over these; one value at a time differs from the declared model.
+//! Values that the paper does not state, and the ranges in which we vary them. Every band in the figures and claims is
+//! the envelope over these ranges. One value at a time differs from the declared model.
 
 use super::Table;
 use crate::error::Result;
@@ -8,7 +8,7 @@ use crate::sim::Robot;
 use crate::sim::model::Scene;
 use crate::sweep::{Design, Parameter};
 
-/// Declared knee angle of the L-leg [°]: both pieces equally long, as in the paper's figure.
+/// Declared knee angle of the L-leg [°]: both pieces have the same length, as in the paper's figure.
 pub const XI_DEG: f64 = 45.0;
 /// Knee angles tried [°].
 pub const XI_RANGE: [f64; 5] = [30.0, 37.5, 45.0, 52.5, 60.0];
@@ -41,7 +41,8 @@ pub fn robot(law: Law, xi_deg: f64, frequency: f64) -> Result<Design> {
     Ok(Design { robot, scene, frequency, phase: 0.0 })
 }
 
-/// The declared design, then one for each assumption changed; with `knees`, knee angles of the same sign too.
+/// The declared design, then the designs in each of which one assumption is changed; with `knees`, also other knee
+/// angles of the same sign.
 pub fn variants(law: Law, xi_deg: f64, frequency: f64, knees: bool) -> Result<Vec<Design>> {
     let declared = robot(law, xi_deg, frequency)?;
     let mut designs = vec![declared.clone()];

@@ -23,8 +23,8 @@ pub struct Claim {
     pub why: String,
 }
 
-/// A number counts as reproduced within this share of the paper's: 15 %, the agreement that the paper reports between
-/// its own model and its own experiment. Fixed before any comparison was made.
+/// A number counts as reproduced if it differs from the paper's by at most this share. 15 % is the agreement that the
+/// paper reports between its own model and its own experiment; it was fixed before any comparison was made.
 pub const TOLERANCE: f64 = 0.15;
 
 impl Claim {
@@ -51,8 +51,8 @@ impl Claim {
         }
     }
 
-    /// "Over-predicted by so many per cent": `ratio` is model over reference at the declared assumptions, `band`
-    /// its range over all of them, `seed` the paper's ratio.
+    /// A claim that a model over-predicts by a percentage: `ratio` is model over reference at the declared assumptions,
+    /// `band` its range over all assumptions, `seed` the paper's ratio.
     pub fn ratio(id: &str, claim: &str, seed_value: &str, seed: f64, ratio: f64, band: [f64; 2], note: &str) -> Self {
         let holds = (ratio / seed - 1.0).abs() <= TOLERANCE;
         let ours =

@@ -56,7 +56,7 @@ fn runs() -> Result<Vec<Run>> {
     Ok(runs)
 }
 
-/// Errors of a law for one run and component.
+/// Errors of a law for one run and one component of the force.
 struct Fit {
     /// Root mean square error over the greatest measured force.
     rms: f64,

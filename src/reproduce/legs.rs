@@ -16,7 +16,7 @@ const OMEGA: f64 = 0.2;
 /// Fine enough that forces no longer change in the fourth digit.
 pub const SEGMENTS: usize = 400;
 
-/// Leg angles [°]: all of the stroke in the sand.
+/// Leg angles [°]: the whole part of the stroke in the sand.
 fn angles() -> impl Iterator<Item = f64> {
     (-100..=100).map(f64::from)
 }
@@ -74,7 +74,7 @@ fn envelope(law: Law, xi_deg: f64, of: Component) -> Result<Vec<[f64; 3]>> {
     Ok(band)
 }
 
-/// Knee angle and hip height, one changed at a time.
+/// Pairs of knee angle and hip height; in each, at most one differs from the declared value.
 fn assumed(xi_deg: f64) -> impl Iterator<Item = (f64, f64)> {
     let knees = XI_RANGE.into_iter().map(move |xi| (xi.copysign(xi_deg), HIP));
     knees.chain(HIP_RANGE.into_iter().map(move |hip| (xi_deg, hip)))
@@ -198,7 +198,7 @@ fn ratio(xi_deg: f64, of: Component) -> Result<(f64, [f64; 2])> {
     Ok((at(xi_deg, HIP)?, extremes(all)))
 }
 
-/// Least ratio 1D/RFT at one angle, over all assumptions, where RFT's force is above a fifth of its peak.
+/// Least ratio 1D/RFT over all assumptions and over all angles at which RFT's force is above a fifth of its peak.
 fn least_ratio(xi_deg: f64, of: Component) -> Result<f64> {
     let mut least = f64::INFINITY;
     for (xi, hip) in assumed(xi_deg) {

@@ -1,12 +1,12 @@
-//! Compares with a paper: Li, Zhang & Goldman 2012, "A resistive force model for legged locomotion on granular
-//! media", its figures 2 to 5 and every quantitative sentence of its sections 2 to 6.
+//! Compares our models with a paper: Li, Zhang & Goldman 2012, "A resistive force model for legged locomotion on
+//! granular media", its figures 2 to 5 and every quantitative sentence of its sections 2 to 6.
 //!
 //! Each part computes its figures and its [`Claim`]s from the models as they are; nothing here is fitted to the
 //! paper.
 //!
-//! * [`stresses`]: figure 2. * [`legs`]: figure 3. * [`grains`]: its stand-in data, a simulated experiment.
-//! * [`speeds`]: figure 4. * [`shapes`]: figure 5. * [`assumptions`]: what the paper does not state.
-//! * [`claims`]: verdicts. * [`page`]: the report.
+//! * [`stresses`]: figure 2. * [`legs`]: figure 3. * [`grains`]: data in place of its measured curves, from a simulated
+//! experiment. * [`speeds`]: figure 4. * [`shapes`]: figure 5. * [`assumptions`]: what the paper does not state. *
+//! [`claims`]: verdicts. * [`page`]: the report.
 
 use sandgait_base::{error, progress};
 use sandgait_number as number;
@@ -66,7 +66,7 @@ pub fn compute(figures: &[u8]) -> Result<Vec<Part>> {
             3 => legs::part(grains::part()?)?,
             4 => speeds::part()?,
             5 => shapes::part()?,
-            other => return Err(Error::invalid("--figure", format!("{other} is none of 2, 3, 4, 5"))),
+            other => return Err(Error::invalid("--figure", format!("{other} is not one of 2, 3, 4, 5"))),
         });
     }
     if figures.len() == FIGURES.len() {

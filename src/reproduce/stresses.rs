@@ -39,7 +39,7 @@ fn figure(ground: &SandBed<f64>) -> Figure {
             let at = |a: f64| if over_gamma { alpha(ground, *fixed, a) } else { alpha(ground, a, *fixed) };
             let style = Style::thin(&color::rainbow(k as f64 / (family.len() - 1) as f64));
             let style = if over_gamma { style } else { style.dashed() };
-            // A thin plate at β = 0 and at 180° is the same plate: one curve for both.
+            // A thin plate at β = 180° is the plate at β = 0, so both have one curve.
             let twin = if over_gamma && k == 0 { ", 180°" } else { "" };
             let label = format!("{symbol} = {}{twin}", degrees(*fixed));
             Mark::line(&label, style, span.map(|a| [a.to_degrees(), at(a)[which]]).collect())
@@ -93,8 +93,9 @@ fn set_up() -> Vec<Claim> {
     ]
 }
 
-/// "For all β, both α_z and α_x had larger magnitudes for positive γ than for negative γ." Read word by word, at the same
-/// β; and as a plate that meets the grains at the same incidence going down and going up: (β, γ) against (−β, −γ).
+/// "For all β, both α_z and α_x had larger magnitudes for positive γ than for negative γ." There are two readings:
+/// literally, at the same β; or for plates that meet the grains at the same incidence on the way down and up, (β, γ)
+/// compared with (−β, −γ).
 fn stronger_downward(ground: &SandBed<f64>, which: usize) -> Claim {
     let (mut all, mut mirrored, mut fewer, mut worst) = (0, 0, Vec::new(), (0.0, 0.0, 0.0));
     for beta in (-90..90).step_by(5).map(f64::from) {

@@ -1,4 +1,4 @@
-//! Refuses robots that no engine can simulate: bodies without mass, joints that move no inertia.
+//! Refuses robots that no engine can simulate because of bodies without mass or joints that move no inertia.
 
 use super::draft::Merged;
 use crate::error::{Error, Result};

@@ -1,5 +1,5 @@
-//! Triangles of COLLADA 1.4 (DAE), posed by the file's scene, in metres. The file's up axis is ignored, as in RViz;
-//! robots' files rely on it.
+//! Triangles of COLLADA 1.4 (DAE), posed by the file's scene, in metres. The file's up axis is ignored, as in RViz,
+//! because files of robots are made for this.
 
 use super::files::Source;
 use crate::error::{Error, Result};
@@ -47,7 +47,7 @@ pub fn read(source: &Source) -> Result<Vec<Triangle>> {
     Ok(reader.triangles)
 }
 
-/// Names without their name space: files have that of 1.4 or of 1.5, or none.
+/// Compares names without their name space, because files have the name space of 1.4, that of 1.5, or none.
 trait Tagged {
     fn has_tag_name_any(&self, name: &str) -> bool;
 }

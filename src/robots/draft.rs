@@ -14,7 +14,7 @@ const FARTHEST: f64 = 100.0;
 /// An eigenvalue of an inertia counts as negative below minus this share of the largest one: the rounding of files
 /// with six digits.
 const ROUNDING: f64 = 1e-6;
-/// And below minus this value [kg·m²]: the inertia of a milligram a millimetre wide.
+/// The eigenvalue must also be below minus this value [kg·m²], the inertia of a milligram with a size of a millimetre.
 const NOTHING: f64 = 1e-12;
 
 /// Mass, centre and inertia about it, along the axes of the link.
@@ -30,7 +30,7 @@ impl Inertial {
         Self { mass: 0.0, center: Vector3::zeros(), inertia: Matrix3::zeros() }
     }
 
-    /// The same in the frame that contains this one at `at`.
+    /// These mass properties in a frame in which their own frame lies at `at`.
     pub fn moved(&self, at: &Isometry3<f64>) -> Self {
         let turn = at.rotation.to_rotation_matrix();
         let center = at.transform_point(&self.center.into()).coords;
@@ -57,7 +57,7 @@ impl Inertial {
         Self { mass, center, inertia: steiner(self) + steiner(other) }
     }
 
-    /// Says why no body has this mass and inertia; doubtful values give a warning.
+    /// Checks mass and inertia: an error if no body can have them, a warning if they are doubtful.
     pub fn check(&self) -> std::result::Result<Option<String>, String> {
         let numbers = self.inertia.iter().chain(self.center.iter()).chain([&self.mass]);
         if numbers.clone().any(|x| !x.is_finite()) {
@@ -142,7 +142,8 @@ pub fn merged(name: &str, links: Vec<Link>) -> Result<Merged> {
         links: Vec::new(),
         massless: Vec::new(),
     };
-    // Depth first, in the file's order: link, the body that carries it, and the link's frame in the body's.
+    // Entries are a link, the body that carries it, and the link's frame in the body's; depth first, in the file's
+    // order.
     let mut left = vec![(0, 0, Isometry3::identity())];
     while let Some((i, carrier, within)) = left.pop() {
         let link = &links[i];

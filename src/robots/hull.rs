@@ -25,7 +25,7 @@ struct Hull<'a> {
     least: f64,
 }
 
-/// Triangles counterclockwise from outside; none where all points lie in a plane.
+/// Triangles, counterclockwise seen from outside; None if all points lie in a plane.
 pub fn hull(points: &[V]) -> Option<Vec<[V; 3]>> {
     ON_FACE.iter().find_map(|on_face| hull_within(points, *on_face))
 }
@@ -82,7 +82,7 @@ impl Hull<'_> {
         Some(faces)
     }
 
-    /// Links faces that share an edge as neighbours; the other faces keep theirs.
+    /// Links those of `faces` that share an edge as neighbours.
     fn join(&mut self, faces: &[usize]) -> Option<()> {
         let mut edges = HashMap::new();
         for &f in faces {

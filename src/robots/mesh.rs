@@ -113,7 +113,7 @@ fn is_closed(triangles: &[Triangle]) -> bool {
     let mut edges: HashMap<[[i64; 3]; 2], i32> = HashMap::new();
     for [a, b, c] in triangles.iter().map(|t| [key(&t[0]), key(&t[1]), key(&t[2])]) {
         for [from, to] in [[a, b], [b, c], [c, a]] {
-            // A triangle thinner than a cell has an edge of length 0.
+            // After corners are merged, a very thin triangle has an edge of length 0.
             match from.cmp(&to) {
                 std::cmp::Ordering::Less => *edges.entry([from, to]).or_default() += 1,
                 std::cmp::Ordering::Greater => *edges.entry([to, from]).or_default() -= 1,
@@ -124,7 +124,7 @@ fn is_closed(triangles: &[Triangle]) -> bool {
     edges.values().all(|n| *n == 0)
 }
 
-/// Volume by the divergence theorem [m³]; negative where the surface is inside out.
+/// Volume by the divergence theorem [m³]; negative if the surface is inside out.
 pub fn volume(triangles: &[Triangle]) -> f64 {
     triangles.iter().map(|[a, b, c]| a.dot(&b.cross(c))).sum::<f64>() / 6.0
 }
@@ -135,7 +135,7 @@ pub fn solid(triangles: &[Triangle]) -> Moments {
     moments(volume, first, second)
 }
 
-/// The same by MuJoCo's rule `legacy`: tetrahedra between the faces and the mean of their centres, all counted as
+/// As [`solid`], by MuJoCo's rule `legacy`: tetrahedra between the faces and the mean of their centres, all counted as
 /// positive, give the centre of mass; those between the faces and that centre give volume and inertia.
 pub fn legacy(triangles: &[Triangle]) -> Moments {
     let middle = middle_of_faces(triangles);
@@ -173,7 +173,7 @@ fn middle_of_faces(triangles: &[Triangle]) -> Vector3<f64> {
     if all > 0.0 { sum / all } else { sum }
 }
 
-/// The same for a thin shell: area in place of volume.
+/// Moments of a thin shell: area in place of volume.
 pub fn shell(triangles: &[Triangle]) -> Moments {
     let (mut area, mut center, mut second) = (0.0, Vector3::zeros(), Matrix3::zeros());
     for [a, b, c] in triangles {

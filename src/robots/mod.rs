@@ -5,9 +5,8 @@
 //!                              └─▶ files (inside of the package only) ─▶ mesh (STL, OBJ, DAE)
 //! ```
 //!
-//! `roxmltree` reads both formats; the program needs it for figures anyway. Bytes, nodes and depth are bounded
-//! before anything is built from them, every element that is left out is named, and no path outside of the package
-//! is opened.
+//! `roxmltree` reads both formats; the program needs it for figures anyway. Bytes, nodes and depth are checked before
+//! anything is built from them, every element that is left out is named, and no file outside of the package is opened.
 
 use sandgait_base::error;
 use sandgait_sand as sand;
@@ -99,7 +98,7 @@ pub fn load(path: &Path) -> Result<Import> {
 }
 
 impl Import {
-    /// One of the built-in robots.
+    /// A robot from a TOML file in our own format.
     fn of_toml(path: &Path) -> Result<Self> {
         let source = Source::read(path, MOST_TEXT)?;
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
@@ -107,7 +106,7 @@ impl Import {
         Self::of_robot(&name, &robot)
     }
 
-    /// The same by its name, as `--robot` takes it.
+    /// A built-in robot by its name, as `--robot` takes it.
     pub fn built_in(name: &str) -> Result<Self> {
         Self::of_robot(name, &crate::sim::Robot::built_in(name)?)
     }
@@ -119,8 +118,8 @@ impl Import {
         Ok(Self { tree, format: Format::Toml, warnings: Vec::new(), links, visuals })
     }
 
-    /// The visual shapes of each body: the file's visuals, or else its collision shapes. Visual meshes are read
-    /// now.
+    /// The visual shapes of each body: the file's visuals, or else its collision shapes. Meshes of visuals are read
+    /// here.
     pub fn seen(&self) -> Result<Vec<Vec<TreeShape>>> {
         let mut meshes = Meshes::default();
         let any = self.visuals.iter().any(|v| !v.is_empty());

@@ -1,4 +1,4 @@
-//! States of a robot from a JSON file, and the accelerations in free flight there: checks the dynamics against
+//! Reads states of a robot from a JSON file and computes the accelerations in free flight, to compare the dynamics with
 //! other programs.
 
 use super::files::Source;
@@ -21,7 +21,7 @@ struct Row {
     tau: Vec<f64>,
 }
 
-/// Rows alone, or with the names of the joints that the numbers belong to; other keys are ignored.
+/// Rows, alone or with the names of their joints; other keys are ignored.
 #[derive(Deserialize)]
 #[serde(untagged)]
 enum JointRows {

@@ -93,7 +93,9 @@ fn ordered<'a, 'b>(
         [one] => one,
         [a, b, ..] => {
             let names = [a, b].map(|i| elements[i].get("name").unwrap_or_default());
-            return Err(root.error(format!("neither {:?} nor {:?} has a parent: two robots", names[0], names[1])));
+            return Err(
+                root.error(format!("neither {:?} nor {:?} has a parent: the file has two robots", names[0], names[1]))
+            );
         }
     };
     let (mut order, mut left) = (Vec::new(), vec![(base, None)]);
@@ -181,7 +183,7 @@ impl Reader<'_> {
         Ok(Look::Shape(match shape.tag.as_str() {
             "sphere" => Geometry::Sphere { radius: length("radius")? },
             "cylinder" => Geometry::Cylinder { radius: length("radius")?, half_length: length("length")? / 2.0 },
-            // Not in the standard, but drake and Isaac read it: `length` is without the caps.
+            // Capsules are not in the standard, but drake and Isaac read them: `length` is without the caps.
             "capsule" => Geometry::Capsule { radius: length("radius")?, half_length: length("length")? / 2.0 },
             "box" => {
                 let size = shape.numbers::<3>("size")?.ok_or_else(|| shape.error("size is missing"))?;

@@ -101,7 +101,7 @@ impl Element {
         Error::file(&self.file, format!("line {}, <{tag}{name}>: {reason}", self.line))
     }
 
-    /// The same of one attribute.
+    /// An error that names this element and one of its attributes.
     pub fn wrong(&self, attribute: &str, reason: impl std::fmt::Display) -> Error {
         self.error(format!("{attribute}: {reason}"))
     }

@@ -17,11 +17,12 @@ pub struct Surface {
     /// Speed scale v0 [m/s] below which the force falls to zero: the direction v/|v| becomes v/√(v²+v0²). Creep under
     /// a constant load is of this order; our choice, because 1e-5 lets the reference robot sink 0.03 mm in 10 s.
     pub rest_speed: f64,
-    /// A one-sided surface pushes with clamp(n·v̂ / gate, 0, 1) of its force: zero when it leaves the sand, full when
-    /// it leads. Our choice 0.2: a hard test (0) converges badly in the time step (7-12 % error at 1 ms).
+    /// Gate of a one-sided surface: it pushes with the share clamp(n·v̂ / gate, 0, 1) of its force, which is zero when
+    /// it moves away from the sand and 1 when it leads. Our choice 0.2: a hard test (0) converges badly in the time
+    /// step (7-12 % error at 1 ms).
     pub leading_edge_gate: f64,
-    /// `penetration-drag-1d` switches with the signs of v_z and v_x; each is clamp(v̂_i / gate, −1, 1). Our choice 0.02
-    /// (1.1°): the sharpest that a 0.5 ms step still resolves.
+    /// Gate of `penetration-drag-1d`, whose force depends on the signs of v_z and v_x; each sign is smoothed to
+    /// clamp(v̂_i / gate, −1, 1). Our choice 0.02 (1.1°): the sharpest that a 0.5 ms step still resolves.
     pub sign_gate: f64,
     /// Friction coefficient μ_s of the intruder's surface, for `agarwal2023`: caps its tangential stress. None: no cap.
     pub friction: Option<f64>,
@@ -51,7 +52,7 @@ pub enum LawCoefficients<R> {
     Agarwal2023(SpatialTable<R>),
 }
 
-/// Matches on the law at every call, for code that is not the hottest.
+/// Matches on the law at every call, for code outside the hot loops.
 impl<R: Real> StressLaw<R> for LawCoefficients<R> {
     fn set_lane(&mut self, lane: usize, medium: &Medium) {
         match self {
@@ -84,7 +85,7 @@ impl<R: Real> StressLaw<R> for LawCoefficients<R> {
 #[derive(Clone, Copy)]
 pub struct SandBed<R> {
     pub law: LawCoefficients<R>,
-    /// The mechanisms that act in the sand; none while no lane has any.
+    /// The mechanisms that act in the sand; None if no lane has any.
     pub mechanisms: Option<SandMechanisms<R>>,
     rest_speed_squared: R,
     inverse_gate: R,
@@ -96,9 +97,9 @@ pub struct SandBed<R> {
 pub struct Contact<R> {
     /// [N]
     pub force: Vec3<R>,
-    /// Resisting part of the force over the speed, −f·v/v² [N·s/m], never negative. It is the secant. At rest the
-    /// regularised force is linear in v, and the secant is the slope; for this, v² below must not contain v0²,
-    /// which would make it far too small.
+    /// Resisting part of the force over the speed, −f·v/v² [N·s/m], never negative. This is the secant. Near rest the
+    /// regularised force is linear in v, so the secant equals the slope. For this, the v² in the denominator must not
+    /// contain v0², or the secant would be far too small.
     pub drag: R,
     /// Slope of the leading-edge gate along the normal [N·s/m], never negative; 0 for two-sided segments.
     pub edge: R,
@@ -194,7 +195,7 @@ impl<R: Real> SandBed<R> {
         }
     }
 
-    /// The same for loops that have matched on law and mechanisms.
+    /// As [`Self::thin_plate`], for loops that have already matched on law and mechanisms.
     #[inline(always)]
     pub fn thin_plate_by(
         &self,
@@ -220,7 +221,7 @@ impl<R: Real> SandBed<R> {
         }
     }
 
-    /// The same for loops that have matched on law and mechanisms.
+    /// As [`Self::one_sided`], for loops that have already matched on law and mechanisms.
     #[inline(always)]
     pub fn one_sided_by(
         &self,
@@ -264,7 +265,7 @@ impl<R: Real> SandBed<R> {
     }
 }
 
-/// −f·v/v², or 0 where the force does not resist or the segment is at rest.
+/// −f·v/v², or 0 if the force does not resist the motion or the segment is at rest.
 #[inline(always)]
 fn secant<R: Real>(force: Vec3<R>, motion: &Motion<R>) -> R {
     (-force.dot(motion.v)).max(R::zero()) * motion.inverse_square

@@ -101,7 +101,7 @@ impl Rotation {
 }
 
 impl Load {
-    /// (1 − share) of this and `share` of the other.
+    /// Weighted mean of two loads: (1 − share) of this one and `share` of the other.
     fn mixed(&self, other: &Load, share: f64) -> Load {
         let mix = |a: f64, b: f64| (1.0 - share) * a + share * b;
         Load { fx: mix(self.fx, other.fx), fz: mix(self.fz, other.fz), ty: mix(self.ty, other.ty) }

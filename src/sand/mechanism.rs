@@ -1,5 +1,5 @@
 //! Mechanisms that plain resistive force theory leaves out: the one list that simulator, diagnosis, report and
-//! documents read. A new mechanism is one new entry of [`CATALOG`]'s table and, if it acts in the sand, one line in
+//! documentation use. A new mechanism is one new entry of [`CATALOG`]'s table and, if it acts in the sand, one line in
 //! [`super::mechanism_laws::SandMechanisms::stress`].
 //!
 //! Every parameter is 0 when its mechanism is off. The equations of the sand side are in
@@ -25,7 +25,7 @@ pub enum Side {
 pub struct Mechanism {
     pub id: &'static str,
     pub symbol: &'static str,
-    /// SI; "1" where dimensionless.
+    /// SI unit; "1" if dimensionless.
     pub unit: &'static str,
     /// Least and greatest value of a fit: physical bounds where they exist, otherwise our choice, wide.
     pub bounds: [f64; 2],
@@ -44,7 +44,7 @@ pub struct Mechanism {
     pub ceiling: bool,
     /// Power of the speed in its law, if a diagnosis can fit another power to the data.
     pub exponent: Option<f64>,
-    /// Why a walking robot does not feel it, for mechanisms that do not act in the sensor.
+    /// The reason why the mechanism has no effect on a walking robot; None if it has one, or acts in the sensor.
     pub unfelt: Option<&'static str>,
 }
 
@@ -55,7 +55,8 @@ impl Mechanism {
         if self.ceiling && value > 0.0 { 1.0 / value } else { value }
     }
 
-    /// The value at a coordinate; an upper limit above its greatest value is off.
+    /// The value at a coordinate. If the value is an upper limit, a limit above its largest value means that the
+    /// mechanism is off.
     pub fn value(&self, coordinate: f64) -> f64 {
         if self.ceiling && coordinate * self.bounds[1] < 1.0 { 0.0 } else { self.coordinate(coordinate) }
     }
@@ -171,7 +172,7 @@ mechanisms! {
     skid_loss: "κ_s", "1", [0.0, 10.0], 0.7, Sand, intrusion false, walking false, [],
         "vertical part of the stress × 1/(1 + κ_s s²) where a segment is dragged along with its body (slip s = −v·V̂/max(|V|, |v − V|) < 0)", "sand carried away from under a skidding wheel; cause after Agarwal, Karsai, Goldman & Kamrin 2021 (surface lowered by shear flow); form ours, for wheels measured at Carnegie Mellon";
     graze_loss: "κ_g", "1", [0.0, 1.0], 0.6, Sand, intrusion false, walking false, [],
-        "stress × (1 − κ_g |n_h|⁸ (1 − |n_h·V̂|/|n_h|)), n_h the horizontal part of the normal, V̂ the direction in which the body travels", "a steep face that travels along itself displaces little sand, and that sand its neighbour has moved already; form ours, for wheels measured at Carnegie Mellon";
+        "stress × (1 − κ_g |n_h|⁸ (1 − |n_h·V̂|/|n_h|)), n_h the horizontal part of the normal, V̂ the direction in which the body travels", "a steep face that travels along itself displaces little sand, and the face before it has already moved that sand; form ours, for wheels measured at Carnegie Mellon";
     slip_bearing: "c_b", "1", [0.0, 3.0], 0.9, Sand, intrusion false, walking false, [],
         "extra stress per depth −c_b (1 − μ)^1.5 ζ s (−m_z) m on the leading side m where a segment runs backward under its body (s > 0); μ from friction_clip", "Vesic 1973: bearing capacity under an inclined load, square footing; Li, Zhang & Goldman 2013 measured 0.375 ζ for a plate drawn along itself";
     bias_x: "b_x", "N", [-1e3, 1e3], 0.05, Sensor, intrusion true, walking false, [],

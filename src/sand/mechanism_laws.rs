@@ -1,6 +1,6 @@
 //! The stress laws of the mechanisms that act in the sand, for one number or for lanes with a strength each.
 //!
-//! A strength of 0 leaves every bit as plain theory gives it. So a lane without a mechanism has the same bits
+//! With a strength of 0, the stress has the bits of plain theory. So a lane without a mechanism has the same bits
 //! beside lanes that have it.
 
 use super::mechanism::Mechanisms;
@@ -17,10 +17,10 @@ const PACKING_LENGTH: f64 = 0.1;
 const RATE_REFERENCE: f64 = 0.01;
 /// Normal speed [m/s] over which cohesion builds up.
 const COHESION_SPEED: f64 = 1e-3;
-/// Least factor on the stress that `rate_log` and `packing_grad` may give. Both laws are straight lines fitted over
-/// a small range; extrapolated far enough they become negative, and sand would push what moves. Loosely packed
-/// poppy seeds have .254/.464 = 0.55 of the stress of closely packed ones (`sand::media`). Our choice 0.2 is well
-/// below that, so that only extrapolation meets it: `rate_log` of −0.1 beyond 30 m/s, of −0.25 beyond 0.24 m/s;
+/// Least factor on the stress that `rate_log` and `packing_grad` may give. Both laws are straight lines fitted over a
+/// small range; extrapolated far enough they become negative, and the sand would drive the motion. Loosely packed poppy
+/// seeds have .254/.464 = 0.55 of the stress of closely packed ones (`sand::media`). Our choice 0.2 is well below that,
+/// so it only takes effect in extrapolations: `rate_log` of −0.1 beyond 30 m/s, of −0.25 beyond 0.24 m/s;
 /// `packing_grad` of ±0.1 at 80 cm from the reference, of ±0.3 at 27 cm.
 pub const LEAST_FACTOR: f64 = 0.2;
 
@@ -28,7 +28,7 @@ pub const LEAST_FACTOR: f64 = 0.2;
 /// compared, and faster than the base of a standing robot moves.
 const TRAVEL_SPEED: f64 = 3e-4;
 
-/// What the mechanisms need of a segment besides its normal and velocity.
+/// The data of a segment that the mechanisms use, besides its normal and velocity.
 #[derive(Clone, Copy)]
 pub struct SegmentState<R> {
     /// Depth below the surface, ≥ 0 [m].
@@ -43,8 +43,8 @@ pub struct SegmentState<R> {
     pub normal_acceleration: R,
     /// Number of earlier passes over this place.
     pub passes: R,
-    /// Horizontal velocity (x, y) [m/s] of the body that the segment belongs to: of a wheel's axle or a robot's
-    /// base. Zero if the body does not travel; then `skid_loss`, `slip_bearing` and `graze_loss` do nothing.
+    /// Horizontal velocity (x, y) [m/s] of the body that the segment belongs to: of a wheel's axle or a robot's base.
+    /// Zero if the body does not travel; then `skid_loss`, `slip_bearing` and `graze_loss` have no effect.
     pub travel: [R; 2],
 }
 
@@ -64,7 +64,7 @@ impl<R: Real> SegmentState<R> {
 }
 
 /// Computes the stress on a segment from a law's stress per depth. Hot loops take it as a type parameter, so that
-/// plain theory does not pay for mechanisms.
+/// mechanisms do not make plain theory slower.
 pub trait StressModel<R: Real> {
     /// Force [N] on a segment of `area` [m²] with unit normal `n` and velocity `v`, from the law's stress per depth
     /// [N/m³]. Without a mechanism it has the bits of [`Plain`]: depth times area is computed first.
@@ -114,7 +114,7 @@ struct Active {
     slip_bearing: bool,
 }
 
-/// The sand side of [`Mechanisms`], ready for evaluation, one lane an environment.
+/// The sand side of [`Mechanisms`], ready for evaluation, one lane for each environment.
 #[derive(Clone, Copy)]
 pub struct SandMechanisms<R> {
     active: Active,
@@ -201,8 +201,8 @@ impl<R: Real> SandMechanisms<R> {
         self.penetration.set_lane(lane, penetration);
     }
 
-    /// The law's stress per depth, and what `slip_bearing` adds to it: c (1 − μ)^1.5 ζ s₊ (−m_z)₊ against the leading
-    /// side m, where s₊ is the segment's slip.
+    /// The law's stress per depth plus that of `slip_bearing`: c (1 − μ)^1.5 ζ s₊ (−m_z)₊ against the leading side m,
+    /// where s₊ is the segment's slip.
     #[inline(always)]
     fn carried(&self, per_depth: Vec3<R>, n: Vec3<R>, slip: R, along: R) -> Vec3<R> {
         let down = R::select(along.lt(R::zero()), n.z, -n.z).max(R::zero());
@@ -210,8 +210,8 @@ impl<R: Real> SandMechanisms<R> {
         n.scale_add(R::select(along.lt(R::zero()), push, -push), per_depth)
     }
 
-    /// `force` with its vertical part over 1 + κ s₋². Where the horizontal part drives the motion, the vertical
-    /// part brakes it and is not reduced; so the sand adds no energy.
+    /// `force` with its vertical part over 1 + κ s₋². If the horizontal part drives the motion, the vertical part
+    /// brakes it and is not reduced, so the sand adds no energy.
     #[inline(always)]
     fn skidding(&self, force: Vec3<R>, v: Vec3<R>, slip: R) -> Vec3<R> {
         let skid = slip.min(R::zero());
@@ -251,7 +251,7 @@ impl<R: Real> SandMechanisms<R> {
         powered
     }
 
-    /// Product of all factors on the depth-proportional stress.
+    /// Product of all factors on the stress that is proportional to depth.
     #[inline(always)]
     fn factor(&self, v: Vec3<R>, site: &SegmentState<R>) -> R {
         let mut factor = site.footprint * self.scale;
@@ -319,17 +319,17 @@ impl<R: Real> StressModel<R> for SandMechanisms<R> {
             pressure += normal;
             force += LaneTerms::against_slip(n, v) * (tangential * area);
         }
-        // A dry lane beside a wet one is computed with depth 0: nothing pushes on a segment in the air.
+        // A lane in the air beside one in the sand is computed with depth 0; there is no force on it.
         let push = R::select(R::zero().lt(site.depth), pressure * area, R::zero());
         let toward_front = R::select(along.lt(R::zero()), push, -push);
         n.scale_add(toward_front, force)
     }
 }
 
-/// Slip of a segment with velocity `v` on a body that travels with V: −v·V̂/max(|V|, |v − V|). It is −1 where the
-/// segment is dragged along (a locked wheel), 0 where it stands on the sand (a rolling wheel's bottom), toward 1
-/// where it runs backward (a spinning wheel). This is the usual slip of terramechanics, for each segment; it fades
-/// to 0 where the body hardly travels.
+/// Slip of a segment with velocity `v` on a body that travels with V: −v·V̂/max(|V|, |v − V|). It is −1 if the segment
+/// is dragged along (a locked wheel), 0 if it does not move on the sand (the bottom of a rolling wheel), and near 1 if
+/// it moves backward fast (a spinning wheel). This is the usual slip of terramechanics, for each segment; it goes to 0
+/// if the body hardly travels.
 #[inline(always)]
 fn slip<R: Real>(v: Vec3<R>, [x, y]: [R; 2]) -> R {
     let squared = x * x + y * y;
@@ -338,15 +338,15 @@ fn slip<R: Real>(v: Vec3<R>, [x, y]: [R; 2]) -> R {
     -(v.x * x + v.y * y) / ((squared * greater).sqrt() + R::splat(TRAVEL_SPEED * TRAVEL_SPEED))
 }
 
-/// Share of the bearing that remains under an inclined load, (1 − μ)^1.5: Vesic (1973) for a square footing whose
-/// load is inclined by the surface's friction μ; 0 where no friction is given (fully rough).
+/// Share of the bearing that remains under an inclined load, (1 − μ)^1.5: Vesic (1973) for a square footing whose load
+/// is inclined by the surface's friction μ; 0 if no friction is given (fully rough).
 fn inclination(inverse_friction: f64) -> f64 {
     if inverse_friction > 0.0 { (1.0 - 1.0 / inverse_friction).max(0.0).powf(1.5) } else { 0.0 }
 }
 
-/// `force` with its part along the face limited to 1/`inverse_mu` times the part along the normal; 0 limits
-/// nothing. Where the law's normal part acts along the motion (plates drawn out at a shallow angle), the part along
-/// the face stays as large as it must be for the whole force to brake the motion.
+/// `force` with its part along the face limited to 1/`inverse_mu` times the part along the normal; 0 limits nothing. If
+/// the law's normal part acts along the motion (plates drawn out at a shallow angle), the part along the face stays so
+/// large that the whole force still brakes the motion.
 #[inline(always)]
 fn capped<R: Real>(force: Vec3<R>, n: Vec3<R>, v: Vec3<R>, inverse_mu: R) -> Vec3<R> {
     let normal = force.dot(n);

@@ -15,7 +15,7 @@ pub struct Medium {
     pub coefficients: Coefficients,
     /// Bulk density [kg/m³].
     pub bulk_density: f64,
-    /// Where the numbers come from.
+    /// Source of the numbers.
     pub source: String,
     /// Terms added to the stress.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

@@ -21,9 +21,9 @@ pub struct Segment {
 /// The side view of an intruder's mid-surface.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum LegShape {
-    /// Two straight pieces; the knee lies on the circle that has hip-tip as its diameter, so they meet at a right
-    /// angle. `xi` [rad] is the signed angle at the hip between hip→tip and the first piece: 0 is a flat leg,
-    /// positive bulges forward (L-leg: π/4), negative backward (reversed L-leg). After Li et al. 2012, fig. 5a.
+    /// Two straight pieces; the knee lies on the circle that has hip-tip as its diameter, so the pieces meet at a right
+    /// angle. `xi` [rad] is the signed angle at the hip between hip→tip and the first piece: 0 is a flat leg, positive
+    /// bulges forward (L-leg: π/4), negative backward (reversed L-leg). After Li et al. 2012, fig. 5a.
     TwoPiece { xi: f64 },
     /// Half circle over the diameter hip-tip, bulging forward, or backward when `reversed`.
     HalfCircle { reversed: bool },

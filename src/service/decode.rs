@@ -6,7 +6,7 @@ use crate::env::ResetOptions;
 use crate::error::{Error, Result};
 use crate::pool::{Batch, Operation, Seal, Snapshot};
 
-/// The operation that `request` asks of `batch`; after an error the batch is unchanged.
+/// The operation on `batch` that `request` describes; after an error the batch is unchanged.
 pub fn operation(batch: &mut Batch, request: Option<Request>, seal: &Seal) -> Result<Operation> {
     let envs = batch.envs();
     match request {

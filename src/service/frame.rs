@@ -24,7 +24,7 @@ impl<T: Message + Default + 'static> Frame<T> {
         Ok((unpacked(bytes, layout)?, share))
     }
 
-    /// [`Self::receive`] of a call's only message.
+    /// The same as [`Self::receive`] for a call with a single message.
     pub async fn only(
         request: Request<Self>,
         layout: MessageLayout,
@@ -33,7 +33,7 @@ impl<T: Message + Default + 'static> Frame<T> {
         request.into_inner().receive(&door, layout).await
     }
 
-    /// [`Self::open`]; long unpacking runs off the async runtime's threads.
+    /// The same as [`Self::open`]; large messages are unpacked on another thread than the async runtime's.
     pub async fn receive(self, door: &Door, layout: MessageLayout) -> std::result::Result<(T, Option<Share>), Status> {
         let (bytes, share) = door.take(self.0);
         let message = if bytes.len() <= LIGHT {

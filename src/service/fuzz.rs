@@ -21,7 +21,7 @@ use sha2::{Digest as _, Sha256};
 
 const ENVS: usize = 3;
 
-/// A policy of the first task.
+/// A policy for the first of [`TASK_IDS`].
 const PPO: &[u8] = include_bytes!("../../tests/data/policy_ppo.onnx");
 
 fn options(json: &Value) -> Option<prost_types::Struct> {
@@ -147,7 +147,7 @@ fn spoiled(random: &mut Xoshiro256PlusPlus, mut request: Request) -> Request {
     request
 }
 
-/// Does with a message what a stream does.
+/// Handles a message as a stream does.
 fn operation(batch: &mut Batch, request: Option<Request>) -> Option<Operation> {
     match request {
         Some(Request::Rollout(rollout)) => {
@@ -193,7 +193,7 @@ fn wrong_requests_are_refused_or_carried_out() {
         }
     }
     println!("of {asked} requests {read} could be read and {carried_out} were carried out");
-    // Neither only noise nor only valid messages.
+    // The messages are neither all invalid nor all valid.
     assert!(read > asked / 2 && carried_out > asked / 20 && carried_out < asked / 2, "{read} {carried_out}");
 }
 

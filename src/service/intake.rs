@@ -29,7 +29,8 @@ const SMALL: usize = 16 << 10;
 /// Unit of shares [bytes].
 const UNIT: usize = 1 << 10;
 
-/// How long a request waits for its share. Our choice: longer than the largest step, shorter than clients' patience.
+/// Longest wait of a request for its share: our choice, longer than the largest step and shorter than the time limits
+/// of clients.
 const WAIT: Duration = Duration::from_secs(30);
 
 /// Time limit for a large message to arrive: this time, our choice, plus that of 1 MiB/s.
@@ -75,8 +76,8 @@ impl Intake {
         Arc::new(Self { shares, room, largest: limits.request.min(room / COPIES) })
     }
 
-    /// How much a client may send ahead on a stream [bytes]; twice that on a connection. Our choice: a step of the
-    /// largest usual batch without waiting for credit, limited so that 32 connections stay within the memory for
+    /// Bytes that a client may send on a stream before the server has read them; twice that on a connection. Our
+    /// choice: enough for a step of the largest usual batch, limited so that 32 connections stay within the memory for
     /// requests.
     pub fn window(&self) -> u32 {
         (self.room / 64).clamp(64 << 10, 4 << 20) as u32
@@ -117,7 +118,7 @@ pub struct Door(Arc<Inner>);
 
 #[derive(Default)]
 struct Inner {
-    /// [bytes]; what the call's session has room for anyway.
+    /// Size of messages [bytes] for which the call's session has reserved memory already.
     free: AtomicUsize,
     large: Mutex<Option<(Bytes, Share)>>,
 }
@@ -127,7 +128,7 @@ impl Door {
         request.extensions().get::<Self>().cloned().unwrap_or_default()
     }
 
-    /// From now on messages of `bytes` need no share, because the session's memory includes them.
+    /// From now on messages of up to `bytes` need no share, because the session's reservation includes them.
     pub fn let_pass(&self, bytes: usize) {
         self.0.free.store(bytes, Ordering::Relaxed);
     }
@@ -136,7 +137,7 @@ impl Door {
         self.0.free.load(Ordering::Relaxed).max(SMALL)
     }
 
-    /// The message that arrived as `bytes`: either itself, or the large message that an empty one stands for.
+    /// The message for `bytes`: `bytes` itself, or the large message in whose place an empty one was passed on.
     pub fn take(&self, bytes: Bytes) -> (Bytes, Option<Share>) {
         let mut large = self.0.large.lock().unwrap_or_else(PoisonError::into_inner);
         match large.take_if(|_| bytes.is_empty()) {
@@ -148,7 +149,7 @@ impl Door {
     fn put(&self, bytes: Bytes, share: Share) -> std::result::Result<(), Status> {
         let mut large = self.0.large.lock().unwrap_or_else(PoisonError::into_inner);
         if large.is_some() {
-            return Err(Status::invalid_argument("message: this call takes one"));
+            return Err(Status::invalid_argument("message: this call takes only one message"));
         }
         *large = Some((bytes, share));
         Ok(())
@@ -203,7 +204,7 @@ impl Messages {
         }
     }
 
-    /// How many of the bytes that have arrived belong to small messages.
+    /// Number of the bytes that have arrived and belong to small messages.
     fn small(&mut self) -> usize {
         let mut end = self.missing.min(self.arrived.len());
         self.missing -= end;

@@ -25,7 +25,7 @@ impl Loan {
         self.sessions.give_back(&self.id, environments);
     }
 
-    /// Marks that they will not come back.
+    /// Marks that the environments are lost.
     pub fn lose(&mut self, error: &Error) {
         self.settled = true;
         tracing::error!(session = name(&self.id), %error, "a session was lost");

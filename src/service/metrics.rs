@@ -34,7 +34,8 @@ pub struct Metrics {
     registry: Registry,
 }
 
-/// 0.1 ms to 3.3 s, each twice the one before: our choice, a step of 16 environments to a reset of the largest session.
+/// Bounds from 0.1 ms to 3.3 s, each twice the one before: our choice, from a step of 16 environments to a reset of the
+/// largest session.
 fn times() -> Histogram {
     Histogram::new(exponential_buckets(1e-4, 2.0, 16))
 }

@@ -21,7 +21,7 @@ pub const METRICS: usize = 32;
 /// the same time.
 pub const BESIDE_WATCHERS: usize = 128;
 
-/// Answers what `listener` gets with `app` on at most `all` connections until `stop` is cancelled.
+/// Answers the requests at `listener` with `app`, on at most `all` connections, until `stop` is cancelled.
 pub async fn serve(listener: TcpListener, app: Router, all: usize, refusals: Arc<Refusals>, stop: CancellationToken) {
     let table = Table::new(Caps { all, peer: all, opening: all });
     let door = Door { table, tls: None, greeting: Greeting::Any, rate: None, refusals };
@@ -33,7 +33,8 @@ pub async fn serve(listener: TcpListener, app: Router, all: usize, refusals: Arc
 
 /// Answers one request. A connection that waits for another request would only take room.
 async fn answer(connection: Connection, app: Router, stop: CancellationToken) {
-    // From its first bytes on it has a call. `REQUEST` limits its time, and for watchers the time without reading.
+    // The connection counts as having a call from its first bytes on. `REQUEST` limits the time of the call, and for
+    // watchers the time without reading.
     let _call = connection.link().begin();
     let mut builder = http1::Builder::new();
     builder.timer(TokioTimer::new()).header_read_timeout(REQUEST).keep_alive(false);

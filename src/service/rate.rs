@@ -13,10 +13,11 @@ const MOST: usize = 4096;
 /// Requests may come this much early, because timers are no finer than a millisecond.
 const EARLY: Duration = Duration::from_millis(5);
 
-/// When a peer's next request may be read. Waiting requests take turns; one that leaves costs the others nothing.
+/// Time at which a peer's next request may be read. Waiting requests take turns; a request that is cancelled does not
+/// delay the others.
 type Next = Arc<sync::Mutex<Instant>>;
 
-/// The limit of one server.
+/// Limits the requests of each peer of one server.
 pub struct Rate {
     period: Duration,
     peers: Mutex<HashMap<Peer, Next>>,
@@ -93,7 +94,7 @@ mod tests {
     async fn the_table_of_peers_is_bounded() {
         let rate = Rate { period: Duration::from_secs(3600), peers: Mutex::default() };
         for n in 0..MOST as u32 {
-            // Each has used its turn, and would have to wait for the next.
+            // Each peer has made its request and would have to wait for the next.
             rate.turn(peer(n)).await;
         }
         assert!(Arc::ptr_eq(&rate.next_of(peer(u32::MAX)), &rate.next_of(Peer::Others)), "all places are taken");

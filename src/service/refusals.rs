@@ -13,7 +13,7 @@ pub enum Refusal {
     Token,
     /// A TLS handshake that failed or took too long.
     Handshake,
-    /// A connection that did not begin to speak its protocol.
+    /// A connection that did not send the first bytes of its protocol.
     Silent,
     /// A connection beyond the limits, or one that was closed to make room.
     Connection,
@@ -68,7 +68,8 @@ impl Refusals {
         }
     }
 
-    /// If a line may be written now: the number of refusals since the last one. `more`: there is another refusal.
+    /// If a line may be written now, the number of refusals since the last one. `more` means that there is a new
+    /// refusal.
     fn due(&self, kind: Refusal, now: Instant, more: bool) -> Option<u64> {
         let mut lines = self.0[kind as usize].lock().unwrap_or_else(PoisonError::into_inner);
         let early = lines.last.is_some_and(|last| now < last + PAUSE);

@@ -44,8 +44,8 @@ impl Token {
         Self(Sha256::digest(token).into())
     }
 
-    /// Is this the value of an `authorization` header with this token? The time is the same for every wrong one of
-    /// its length.
+    /// Is this the value of an `authorization` header with this token? The comparison takes the same time for every
+    /// wrong value of the right length.
     pub fn admits(&self, authorization: &[u8]) -> bool {
         let Some((scheme, given)) = authorization.split_at_checked(SCHEME.len()) else { return false };
         scheme.eq_ignore_ascii_case(SCHEME) && bool::from(Sha256::digest(given).as_slice().ct_eq(&self.0))
@@ -78,7 +78,7 @@ impl Tls {
         Ok((tls, made.cert.pem()))
     }
 
-    /// The inner error: the key does not belong to the certificate.
+    /// The inner error means that the key does not belong to the certificate.
     fn with(
         chain: Vec<CertificateDer<'static>>,
         secret: PrivateKeyDer<'static>,
@@ -110,7 +110,7 @@ impl Tls {
     }
 }
 
-/// A file or directory of secrets that others can read is used, with a warning.
+/// Warns if other users can read a file or directory of secrets; it is used nevertheless.
 pub fn warn_if_shared(path: &Path) {
     if fs::metadata(path).is_ok_and(|m| m.permissions().mode() & 0o077 != 0) {
         tracing::warn!(path = %path.display(), "others than its owner can use this, which holds secrets");

@@ -173,7 +173,7 @@ fn add_services(
     intake: &Arc<Intake>,
     health: &HealthReporter,
 ) -> Result<()> {
-    // The intake has refused messages that are too large.
+    // The intake refuses larger messages before tonic reads them.
     let largest = sessions.limits().request;
     let environments = Service { sessions: sessions.clone(), pool, intake: intake.clone() };
     let reflection = || {
@@ -199,7 +199,7 @@ fn add_services(
     Ok(())
 }
 
-/// The work at the server's end, besides closing its connections.
+/// The work when the server stops, besides closing its connections.
 async fn end(sessions: Arc<Sessions>, mut health: HealthReporter, names: Vec<&'static str>, state: Option<StateDir>) {
     sessions.stop().cancelled().await;
     let deadline = Instant::now() + SAVED;

@@ -6,8 +6,9 @@
 //!              └── close, or a lease's time without a stream ──▶ freed
 //! ```
 //!
-//! Environments are made in turns of some milliseconds, one turn a processor. So a client that asks for very many
-//! delays neither clients that ask for few nor those that step, and if it leaves, the work ends.
+//! Environments are created in turns of some milliseconds, with one turn at a time for each processor. So a client that
+//! creates very many delays neither clients that create few nor the steps of others, and if it disconnects, the work
+//! ends.
 //!
 //! The environments are stored here whenever no operation runs on them, so a broken stream loses nothing.
 
@@ -86,7 +87,7 @@ pub struct Environments {
     reservation: Reservation,
 }
 
-/// The same without the batch, while the pool has that.
+/// What is left of [`Environments`] during an operation, while the pool has the batch.
 pub struct Bookkeeping {
     done: Done,
     reservation: Reservation,
@@ -157,15 +158,15 @@ fn not_made() -> Error {
 struct Entry {
     blueprint: Blueprint,
     envs: usize,
-    /// None while an operation runs on them.
+    /// None while an operation has the environments.
     environments: Option<Environments>,
-    /// Notified when they are back.
+    /// Notified when the environments are back.
     back: Arc<Notify>,
     sequence: u64,
     /// Number of the stream that has the session, or of the last one that had it.
     stream: u64,
     attached: bool,
-    /// When it lost its last stream, by the monotonic clock, which nobody can set.
+    /// Time at which the session lost its last stream, by the monotonic clock, which nobody can set.
     idle_since: Instant,
     /// Cancelled when the session is closed, when the server stops, or, for a stream, when another stream takes the
     /// session.
@@ -177,7 +178,7 @@ struct Entry {
 pub struct Session {
     pub id: String,
     pub blueprint: Blueprint,
-    /// None: an operation still runs on them.
+    /// None if an operation still has the environments.
     pub environments: Option<Environments>,
 }
 
@@ -254,8 +255,8 @@ impl Sessions {
         *lock(&self.usage)
     }
 
-    /// A new session of `envs` environments, which waits for its stream. If the caller stops waiting, nothing of it
-    /// is left.
+    /// A new session of `envs` environments, which waits for its stream. If the caller stops waiting, the session is
+    /// removed.
     pub async fn create(self: &Arc<Self>, task: String, envs: usize, options: Value) -> Result<(String, Blueprint)> {
         let (sessions, id) = (self.clone(), task.clone());
         let begin = move || {
@@ -285,13 +286,13 @@ impl Sessions {
         tokio::task::spawn_blocking(work).await.unwrap_or_else(|_| Err(not_made()))
     }
 
-    /// Environments that count as used until they are dropped, all made at once: not for the async runtime's
-    /// threads.
+    /// Creates environments at once, with their share of the limits. This takes long, so the async runtime's threads
+    /// must not call it.
     pub fn build(&self, blueprint: &Blueprint, envs: usize) -> Result<Environments> {
         self.begin(blueprint, envs)?.finish()
     }
 
-    /// The same, none of them made yet.
+    /// Reserves the share of the limits for environments that are not created yet.
     fn begin(&self, blueprint: &Blueprint, envs: usize) -> Result<Making> {
         if envs == 0 || envs > self.limits.environments {
             let range = format!("{envs} is outside [1, {}]", self.limits.environments);
@@ -375,7 +376,7 @@ impl Sessions {
         Ok(Hold { id: id.into(), stream: entry.stream, end: entry.stream_end.clone() })
     }
 
-    /// Does the session still exist, though not for this stream?
+    /// Has another stream taken this session?
     pub fn was_taken(&self, hold: &Hold) -> bool {
         lock(&self.entries).get(&hold.id).is_some_and(|e| e.stream != hold.stream)
     }

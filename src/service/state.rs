@@ -1,4 +1,5 @@
-//! Sessions that outlive their server: one file each, which a stopping server writes and the next one restores.
+//! Sessions that continue after a restart of their server: one file each, which a stopping server writes and the next
+//! one restores.
 //!
 //! ```text
 //!  "sandgait session\n" │ tag of the rest, as in snapshots │ Saved

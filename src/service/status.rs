@@ -4,7 +4,7 @@ use super::proto;
 use crate::error::Error;
 use tonic::{Code, Status};
 
-/// The word in [`Error::Unknown`] for a session that does not exist, or no longer.
+/// The kind in [`Error::Unknown`] for a session that does not exist.
 pub const SESSION: &str = "session";
 
 fn code(error: &Error) -> Code {

@@ -56,7 +56,7 @@ pub fn run(
 struct Run {
     requests: Streaming<Frame<RunSessionRequest>>,
     call: Call,
-    /// No message was read yet: the first one is counted with the call.
+    /// Has no message been read yet? The first one is counted with the call.
     first: bool,
     sessions: Arc<Sessions>,
     pool: Arc<Pool>,
@@ -121,7 +121,7 @@ impl Run {
         Ok(Some(request))
     }
 
-    /// Why the stream has no session any more.
+    /// The reason why the stream has no session any more.
     fn ended(&self) -> Status {
         let taken = |a: &Guard| self.sessions.was_taken(&a.hold);
         if self.sessions.stop().is_cancelled() {
@@ -152,7 +152,7 @@ impl Run {
             let reason = format!("{:?} is not this stream's; leave it empty or open a stream", request.session_id);
             return at_once(Response::Failure(status::failure(&Error::invalid("session_id", reason))));
         }
-        // Waits before the environments are taken, because this wait may be interrupted.
+        // This wait comes before the environments are taken, because it may be interrupted.
         let pictures = match &request.request {
             Some(Request::Render(render)) => Some(self.call.intake.share(view::size(render)).await),
             _ => None,

@@ -1,8 +1,7 @@
-//! Counts the unpacked size of a message on its bytes.
+//! Computes the unpacked size of a message from its bytes, before unpacking.
 //!
-//! Two bytes can be an empty list, which takes 32 bytes when it is unpacked, so a message's size alone bounds
-//! neither memory nor time. So all fields of a message are counted before unpacking, down to the values of its
-//! options.
+//! Two bytes can be an empty list, which takes 32 bytes when it is unpacked, so the size of a message limits neither
+//! memory nor time. Therefore all fields of a message are counted before unpacking, down to the values of its options.
 
 use crate::error::{Error, Result};
 
@@ -27,14 +26,14 @@ pub const PLAIN: MessageLayout = &[];
 /// option, has some 2 KiB.
 pub const LONGEST_OPTIONS: usize = 256 << 10;
 
-/// Most fields of one message: our choice, twice the seeds of the largest usual session if each is a field of its
-/// own.
+/// Most fields of one message: our choice, twice the number of seeds of the largest usual session, if each seed is a
+/// field.
 const MOST_FIELDS: usize = 1 << 17;
 
 /// Most messages inside one: some 1,000 values of options. All options of a task have some 50.
 const MOST_MESSAGES: usize = 4_096;
 
-/// Lists in lists and the like; a value is three or four of these.
+/// Deepest nesting of messages; a value inside a list takes three or four levels.
 const DEEPEST: usize = 48;
 
 const fn once(number: u64, name: &'static str, longest: usize, inside: Option<MessageLayout>) -> Field {
@@ -150,7 +149,7 @@ impl Count {
             let Some(inside) = inside else { continue };
             self.messages += 1;
             if self.messages > MOST_MESSAGES || depth >= DEEPEST {
-                return Err(Error::invalid(*name, "too many values, or too deep in one another"));
+                return Err(Error::invalid(*name, "too many values, or nested too deeply"));
             }
             self.message(value, inside, depth + 1)?;
         }

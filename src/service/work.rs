@@ -1,4 +1,4 @@
-//! The work of one request: the session's environments, and the duty to answer.
+//! The work of one request: the session's environments, and the obligation to answer.
 
 use super::encode;
 use super::intake::Share;

@@ -21,7 +21,7 @@ use std::time::Duration;
 /// step of a shard takes some 1 ms with rapier, 0.1 ms with lanes.
 const SOON: usize = 64;
 
-/// Environments are made for this long at a time; in between the caller may stop waiting.
+/// Environments are created for this time without a check whether the caller still waits.
 const BUILDING: Duration = Duration::from_millis(10);
 
 /// The answer to the last request.
@@ -72,7 +72,8 @@ fn closed() -> Error {
 }
 
 impl Shared {
-    /// Consistent even after a panic: fields that change together change without a call in between.
+    /// The data are consistent even after a panic, because fields that change together change without a call in
+    /// between.
     fn lock(&self) -> MutexGuard<'_, Slot> {
         self.slot.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -142,7 +143,7 @@ impl Environments {
         slot.answer.is_some() || matches!(slot.place, Place::Away)
     }
 
-    /// A rollout in progress ends soon, with a refusal.
+    /// Ends a rollout in progress soon, with a refusal.
     pub fn stop(&self) {
         self.shared.stop.store(true, Ordering::Relaxed);
     }
@@ -195,7 +196,8 @@ impl Loan {
         }
     }
 
-    /// [`Loan::run`] that also uses this thread, for short work: fewer threads need to wake up.
+    /// The same as [`Loan::run`], but this thread works, too. For short work this is faster, because fewer threads have
+    /// to wake up.
     pub fn run_here(mut self, pool: &Pool, check: impl FnOnce(&mut Batch) -> Result<Operation>) {
         if self.batch().shards().len() > SOON {
             return self.run(pool, check);
@@ -283,7 +285,7 @@ mod tests {
         loan.batch().shards().iter().flat_map(|s| s.rows.observations.clone()).collect()
     }
 
-    /// Steps on the caller's thread and on the pool's have the same bits; a refusal changes nothing.
+    /// Steps on the caller's thread and on the pool's threads have the same bits. A refused step changes nothing.
     #[test]
     fn here_and_in_the_pool() {
         let pool = Pool::new(3);

@@ -11,8 +11,8 @@ use std::time::{Duration, Instant};
 /// because the pool interleaves them.
 const TURN: Duration = Duration::from_millis(30);
 
-/// A part has at most this many times the steps of the one before, because the first part's single step may have
-/// been unusually fast.
+/// Largest ratio of the steps in a part to those in the part before, because the first part's single step may have been
+/// unusually fast.
 const GROWTH: usize = 4;
 
 /// Steps of the next part, if `steps` took `time` in the last one.
@@ -21,7 +21,7 @@ pub fn pace(steps: usize, time: Duration) -> usize {
     (fitting as usize).clamp(1, GROWTH * steps)
 }
 
-/// Results of a rollout; one row an environment.
+/// Results of a rollout; one row for each environment.
 #[derive(Default)]
 pub struct Rolled {
     pub returns: Vec<f64>,
@@ -79,7 +79,7 @@ fn check_size(batch: &Batch, roll: &Roll, record: bool) -> Result<()> {
 }
 
 impl Rolled {
-    /// The steps of the last part, if they were recorded.
+    /// Adds the steps of the last part, if they were recorded.
     fn add(&mut self, batch: &Batch, chosen: bool) {
         let shards = batch.shards();
         let steps = shards.first().map_or(0, |s| s.rollout.steps.len());

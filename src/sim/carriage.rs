@@ -1,7 +1,7 @@
 //! Legs under driven carriages: the base moves at a prescribed velocity, joints turn at prescribed rates, and the
-//! sand's forces are measured. There are no masses and no servos, so nothing is solved for.
+//! sand's forces are measured. There are no masses and no servos, so there are no equations of motion to solve.
 //!
-//! Work is the work of the joints, ∫ Σ τ ω dt. It goes into the sand and into pulling the carriage.
+//! Work is the work of the joints, ∫ Σ τ ω dt. It equals the work on the sand plus the work on the carriage.
 //!
 //! Bodies and sand are those of engine [`super::rapier`], in `f64`. A time step is the midpoint rule.
 

@@ -3,11 +3,12 @@
 /// The commands of all servos; they hold until the next command.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Command {
-    /// Speed at which the reference angle moves, ω_ref [rad/s], a joint.
+    /// Speed at which the reference angle of each joint moves, ω_ref [rad/s].
     pub rates: Vec<f64>,
-    /// Torque added to the servo's [N·m], a joint.
+    /// Torque added to the servo's torque in each joint [N·m].
     pub torques: Vec<f64>,
-    /// Reference angles [rad], set at once; empty: the references move on from where they are. Engine `tree` alone.
+    /// Reference angles [rad], set at once. If empty, the references move on from their present angles. Only engine
+    /// `tree` uses this.
     pub targets: Vec<f64>,
 }
 

@@ -18,7 +18,7 @@ pub use super::command::Command;
 pub enum EngineKind {
     /// Our own articulated-body dynamics over SIMD lanes; see [`super::lanes`].
     Lanes,
-    /// rapier3d multibodies, one world a robot. The reference that `lanes` is tested against, and the engine for
+    /// rapier3d multibodies, one world for each robot. The reference that `lanes` is tested against, and the engine for
     /// rigid obstacles; see [`super::rapier`].
     Rapier,
     /// Any tree of bodies from a file, over the same lanes; see [`super::tree`].
@@ -48,7 +48,7 @@ impl EngineKind {
         }
     }
 
-    /// Number of environments that a thread takes at a time.
+    /// Number of environments in a shard, which a thread computes as a whole.
     pub fn shard_size(self) -> usize {
         match self {
             Self::Lanes | Self::Tree | Self::Carriage => 16,
@@ -56,8 +56,8 @@ impl EngineKind {
         }
     }
 
-    /// Memory of one robot [bytes]: resident memory a robot in a session of thousands of environments, without what
-    /// an episode stores.
+    /// Memory of one robot [bytes]: the resident memory of a session of thousands of environments divided by their
+    /// number, without the data of an episode.
     pub fn robot_bytes(self) -> usize {
         match self {
             Self::Lanes => 10_000,

@@ -6,7 +6,7 @@ use super::model::Body;
 pub type V = nalgebra::Vector3<f64>;
 pub type M = nalgebra::Matrix3<f64>;
 
-/// A body's own frame; world-aligned axes, lengths from the base's centre of mass.
+/// Pose and motion of a body's frame, in world axes, with lengths from the base's centre of mass.
 #[derive(Clone, Copy, Debug)]
 pub struct Frame {
     /// Own axes to world axes.
@@ -36,7 +36,7 @@ impl Frame {
         }
     }
 
-    /// The frame of `body`, whose hinge stands at `angle` [rad] and turns at `rate` [rad/s].
+    /// The frame of `body`, whose hinge has the angle `angle` [rad] and the speed `rate` [rad/s].
     pub fn child(&self, body: &Body, angle: f64, rate: f64) -> Self {
         let arm = self.rotation * body.joint;
         let axis = nalgebra::Unit::new_unchecked(body.axis);

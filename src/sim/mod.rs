@@ -12,7 +12,7 @@
 //! * [`engine`]: the one interface to all engines.
 //! * `spatial`: spatial algebra for `lanes` and `tree`.
 //! * [`lanes`]: the fast engine, articulated bodies over SIMD lanes of robots.
-//! * [`rapier`]: rapier3d multibodies, one world a robot.
+//! * [`rapier`]: rapier3d multibodies, one world for each robot.
 //! * [`carriage`]: a leg on a driven carriage, whose forces are measured.
 //! * [`tree`]: any legged robot as a tree of bodies.
 //! * [`walk`]: the speed protocol of the reference experiments.

@@ -26,7 +26,7 @@ pub struct Scene {
     pub law: Law,
     #[serde(default)]
     pub surface: Surface,
-    /// Mechanisms of the sand. Those of sensors and logs have no effect here.
+    /// Mechanisms. Those of sensors and logs have no effect here.
     #[serde(default)]
     pub mechanisms: Mechanisms,
     /// The surface rises toward +x [°]; gravity tilts in the surface's frame.
@@ -41,7 +41,8 @@ pub struct Scene {
     /// Hard ground in the sand or in place of it; only engine `tree` supports it.
     #[serde(default)]
     pub hard: Vec<HardGround>,
-    /// Heights of the surface; None: flat. Only engine `tree` supports it. The caller that reads a scene adds it.
+    /// Heights of the surface; None: flat. Only engine `tree` supports it. It is not part of a stored scene; the code
+    /// that reads a scene adds it.
     #[serde(skip)]
     pub relief: Option<Arc<Relief>>,
 }
@@ -138,8 +139,8 @@ pub struct Body {
     pub plates: Vec<Plate>,
     /// The straight strip from joint to tip in place of `plates`, for `concave_fill`.
     pub chord: Vec<Plate>,
-    /// The side that the strip bulges to: 1 if it leads when the joint turns positively, −1 if the other side does,
-    /// 0 if straight.
+    /// Direction of the strip's bulge: 1 if the bulging side leads when the joint turns positively, −1 if the other
+    /// side leads, 0 if the strip is straight.
     pub bulge: f64,
     pub pieces: Vec<Piece>,
     /// From the joint to the next one or the tip [m].
@@ -157,10 +158,10 @@ pub struct Motor {
     pub torque_limit: f64,
     /// [rad/s]
     pub speed_limit: f64,
-    /// Largest distance of the reference from the joint's angle [rad]. With `anti_windup` it is torque_limit/kp,
-    /// where the position gain alone demands the full torque. A larger lag would not push harder; it would only
-    /// keep pushing after the command has changed (integrator windup; clamping is the usual remedy: Åström &
-    /// Murray, Feedback Systems, 2008, section 10.4).
+    /// Largest distance of the reference from the joint's angle [rad]. With `anti_windup` it is torque_limit/kp, where
+    /// the position gain alone demands the full torque. A larger lag would not increase the torque; it would only keep
+    /// the torque after the command has changed (integrator windup; clamping is the usual remedy: Åström & Murray,
+    /// Feedback Systems, 2008, section 10.4).
     pub lag_limit: f64,
 }
 
@@ -212,7 +213,7 @@ impl Model {
         if !scene.hard.is_empty() {
             return Err(Error::invalid(
                 "hard",
-                format!("{:?} takes none; robots from URDF or MJCF files do", robot.name),
+                format!("{:?} takes no hard ground; robots from URDF or MJCF files do", robot.name),
             ));
         }
         let size = V::from(robot.base.size).map(|s| s * s);
@@ -236,7 +237,7 @@ impl Model {
     pub fn of_tree(tree: TreeModel, scene: &Scene) -> Result<Self> {
         scene.validate()?;
         if !scene.obstacles.is_empty() {
-            return Err(Error::invalid("obstacles", "engine tree has none; hard ground it has"));
+            return Err(Error::invalid("obstacles", "engine tree does not support obstacles; use hard ground instead"));
         }
         if scene.hard.len() > HardGround::MOST {
             let reason = format!("{} pieces are more than {}", scene.hard.len(), HardGround::MOST);
@@ -328,7 +329,7 @@ impl Model {
         Self { scene: Scene { medium, ..self.scene.clone() }, ..self.clone() }
     }
 
-    /// Another slope [°] and payload [kg]; values beyond a scene's bounds are clipped.
+    /// Sets slope [°] and payload [kg]; values beyond a scene's bounds are clipped.
     pub fn set_load(&mut self, slope_deg: f64, payload: f64) {
         self.scene.slope_deg = slope_deg.clamp(-Scene::MAX_SLOPE_DEG, Scene::MAX_SLOPE_DEG);
         self.scene.payload = payload.clamp(0.0, Scene::MAX_PAYLOAD);

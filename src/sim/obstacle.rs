@@ -17,7 +17,7 @@ const MOST_CORNERS: usize = 64;
 /// Depth of steps, walls and patches under the surface [m]: more than a leg of the built-in robots reaches.
 const FOUNDATION: f64 = 0.05;
 
-/// The leg friction of Li, Zhang & Goldman 2012. They give none for rock; using the same is our choice.
+/// The leg friction of Li, Zhang & Goldman 2012. They state none for rock; the same value is our choice.
 pub const FRICTION: f64 = 0.36;
 
 /// One rigid obstacle.
@@ -38,7 +38,7 @@ pub struct Obstacle {
     pub friction: f64,
 }
 
-/// Lengths in m, about the centre of mass.
+/// Shape of an obstacle about its centre of mass; lengths in m.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub enum ObstacleShape {
@@ -82,7 +82,7 @@ impl Obstacle {
         Self { orientation: [cos, 0.0, 0.0, sin], ..self }
     }
 
-    /// The same as a body that moves, of `density` [kg/m³].
+    /// This obstacle as a body that can move, of `density` [kg/m³].
     pub fn loose(self, density: f64) -> Self {
         Self { density: Some(density), ..self }
     }

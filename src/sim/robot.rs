@@ -61,7 +61,7 @@ pub struct Link {
     pub mass: f64,
     /// Rotor inertia seen at the joint [kg·m²].
     pub armature: f64,
-    /// Lowest and highest angle [rad] that a position command may ask for; None: the joint turns freely.
+    /// Lowest and highest angle [rad] of a position command; None: the joint turns freely.
     #[serde(default)]
     pub range: Option<[f64; 2]>,
     /// The strip that pushes on sand; None: the link does not touch sand.
@@ -97,7 +97,7 @@ pub struct Servo {
     /// Largest speed that can be commanded [rad/s]; no limit if not given.
     #[serde(default)]
     pub speed_limit: Option<f64>,
-    /// Is the reference held back where the motor is at its limit? See [`super::model::Motor::lag_limit`].
+    /// Is the reference held back while the motor is at its limit? See [`super::model::Motor::lag_limit`].
     #[serde(default)]
     pub anti_windup: bool,
 }

@@ -19,8 +19,8 @@ pub struct Plate {
     pub width: f64,
 }
 
-/// Rings and sectors of a sphere's facets; a box's side has [`GRID`]² facets, a hull's triangle 4. Our choice:
-/// facets are then smaller than the depths that a rock sinks by.
+/// Rings and sectors of a sphere's facets; a box's side has [`GRID`]² facets, a hull's triangle 4. Our choice: facets
+/// are then smaller than the depth to which a rock sinks.
 const RINGS: usize = 8;
 const SECTORS: usize = 12;
 const GRID: usize = 4;
@@ -190,7 +190,7 @@ impl Solid {
         })
     }
 
-    /// How deep `point` [m] of the world lies inside the body at `pose` [m]; negative outside.
+    /// Depth [m] of a point of the world inside the body at `pose`; negative outside.
     pub fn depth(&self, pose: &Pose, point: V) -> f64 {
         let p = pose.inward(point);
         match &self.kind {

@@ -23,7 +23,7 @@ pub struct State {
     /// Torque each joint applied in the last time step [N·m].
     pub torques: Vec<f64>,
     /// Change of `velocity` [m/s] and `angular_velocity` [rad/s] in the last time step; zero at the start. Engine
-    /// `lanes` expects the next step to change them alike: see [`super::lanes`].
+    /// `lanes` expects about the same change in the next step: see [`super::lanes`].
     pub velocity_change: [f64; 3],
     pub angular_velocity_change: [f64; 3],
     /// Change of `rates` in the last time step [rad/s].
@@ -156,7 +156,7 @@ impl State {
     pub fn is_possible(&self) -> bool {
         let numbers = || self.references.iter().chain(&self.torques).chain(&self.impulse).chain([&self.work]);
         let unit = |q: &[f64; 4]| (q.iter().map(|c| c * c).sum::<f64>().sqrt() - 1.0).abs() < 1e-2;
-        // A servo's reference runs on while its joint is held; the bound is our choice, far beyond any episode.
+        // A servo's reference moves on while its joint is blocked; the bound is our choice, far beyond any episode.
         self.is_sound()
             && numbers().all(|x| x.abs() < 1e9)
             && unit(&self.orientation)

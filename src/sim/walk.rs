@@ -1,4 +1,4 @@
-//! The speed protocol: how fast a robot walks at a constant stride frequency, or how still it stands.
+//! The speed protocol: measures a robot's speed at a constant stride frequency, or its motion while it stands.
 //!
 //! Hold for 0.3 s, ramp the hips' speed up linearly in 0.2 s, turn them at constant speed for two strides, then measure
 //! over four. At frequency 0 the robot stands: settle for 1 s, then measure over 10 s.
@@ -146,7 +146,7 @@ pub struct Watch<'a> {
     pub see: &'a mut dyn FnMut(f64, &State),
 }
 
-/// [`walk`], which also gives every state to `watch`, the first one included.
+/// The same as [`walk`], and gives the states, with the first one, to `watch`.
 pub fn walk_watched(kind: EngineKind, trial: &Trial, watch: &mut Watch) -> Result<WalkResult> {
     check_range("rate", watch.rate, 1.0..=1.0 / TICK)?;
     let results = run(kind, std::slice::from_ref(trial), &|_| Ok(()), Some(watch))?;
@@ -256,7 +256,8 @@ impl<'a> Meter<'a> {
         let now = &self.now;
         for (end, at) in self.ends.iter_mut().zip(window) {
             if end.is_none() && time >= at {
-                // The window's ends lie between samples: extrapolate back with the present velocity.
+                // The ends of the window lie between samples, so the state there is extrapolated back with the present
+                // velocity.
                 let back = time - at;
                 let place = [0, 1, 2].map(|i| now.position[i] - back * now.velocity[i]);
                 *end = Some((place, now.work - (now.work - before) * back / tick));

@@ -13,7 +13,7 @@ pub const MOST_WALKS: usize = 500_000;
 /// Walks whose models are in memory at the same time: our choice, some 100 MiB.
 const PORTION: usize = 4096;
 
-/// One walk a grid point, the last axis fastest. An error of `progress` stops them.
+/// One walk for each grid point, the last axis fastest. An error of `progress` stops them.
 pub fn grid(base: &Design, axes: &[Axis], progress: &dyn Progress) -> Result<Vec<WalkResult>> {
     let count = check_grid(base, axes)?;
     let mut results = Vec::with_capacity(count);
@@ -33,7 +33,8 @@ pub fn check_grid(base: &Design, axes: &[Axis]) -> Result<usize> {
     check_range("number of walks", count as f64, 1.0..=MOST_WALKS as f64)?;
     let mut stride = 1;
     for axis in axes.iter().rev() {
-        // Tests each value with the other axes at their first values; all pairs would take as long as a walk each.
+        // Tests each value with the other axes at their first values, because testing all combinations would take too
+        // long.
         (0..axis.values.len()).try_for_each(|k| trial(base, axes, k * stride).map(drop))?;
         stride *= axis.values.len();
     }

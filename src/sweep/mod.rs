@@ -30,7 +30,7 @@ pub struct Design {
     pub scene: Scene,
     /// [Hz]
     pub frequency: f64,
-    /// Added to every hip's starting angle [rad].
+    /// Angle that is added to every hip's starting angle [rad].
     pub phase: f64,
 }
 
@@ -49,7 +49,7 @@ impl Design {
     }
 }
 
-/// The result of a walk that a study reports.
+/// The figure of a walk that a study compares.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Measure {
     Speed,
@@ -72,7 +72,7 @@ impl Measure {
         }
     }
 
-    /// In the label's unit.
+    /// The figure in the unit of its label.
     pub fn of(self, result: &WalkResult) -> f64 {
         match self {
             Self::Speed => 100.0 * result.speed,

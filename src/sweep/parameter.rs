@@ -20,7 +20,7 @@ fn number(text: &str) -> Result<f64> {
     }
 }
 
-/// Changes every strip that touches sand.
+/// Calls `change` with every strip that touches sand.
 fn strips(design: &mut Design, change: impl Fn(&mut crate::sim::robot::Strip)) {
     design.robot.leg.link.iter_mut().filter_map(|l| l.sand.as_mut()).for_each(change);
 }
@@ -97,7 +97,7 @@ impl Parameter {
             unit: "m",
             set: |d, v| {
                 let below = check_range("belly", number(v)?, 0.0..=10.0)?;
-                let belly = d.robot.belly.as_mut().ok_or_else(|| Error::invalid("belly", "this robot has none"))?;
+                let belly = d.robot.belly.as_mut().ok_or_else(|| Error::invalid("belly", "this robot has no belly"))?;
                 belly.below = below;
                 Ok(())
             },

@@ -28,7 +28,7 @@ pub fn walk_all(engine: EngineKind, trials: &[Trial], progress: &dyn Progress) -
             _ => blocks.push(vec![index]),
         }
     }
-    // Slow walks are last in each kind; started first, they do not keep a single core busy at the end.
+    // The slowest walks are last. They are started first, so that they do not keep a single core busy at the end.
     blocks.reverse();
     let clock = Clock::of(trials, &blocks, progress);
     let outcomes = parallel::map(&blocks, |block| {

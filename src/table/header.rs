@@ -22,7 +22,7 @@ impl<'a> Column<'a> {
     }
 }
 
-/// What a reader requests of a table.
+/// The columns that a reader requests from a table.
 #[derive(Clone, Debug)]
 pub struct Asked<'a> {
     pub columns: &'a [Column<'a>],
@@ -54,14 +54,14 @@ impl<'a> Asked<'a> {
         Ok(there)
     }
 
-    /// Index of each column in `header`; `None` for an absent optional one.
+    /// Index of each column in `header`; None for an optional column that is absent.
     pub(super) fn places(&self, path: &Path, header: &[String]) -> Result<Vec<Option<Place>>> {
         if header.iter().all(String::is_empty) {
-            return Err(Error::file(path, "row 1: empty, where the columns' names should stand"));
+            return Err(Error::file(path, "row 1: is empty; it must have the names of the columns"));
         }
         let twice = |(i, name): &(usize, &String)| !name.is_empty() && header[..*i].contains(name);
         if let Some((_, name)) = header.iter().enumerate().find(twice) {
-            return Err(Error::file(path, format!("row 1, column {}: stands there twice", shown(name))));
+            return Err(Error::file(path, format!("row 1, column {}: is in the header twice", shown(name))));
         }
         for ours in self.renamed.keys() {
             if !self.columns.iter().any(|c| c.name == ours) {
@@ -85,8 +85,7 @@ impl<'a> Asked<'a> {
         let theirs = self.theirs(column);
         let wrong = |reason: String| Error::file(path, format!("row 1, column {theirs}: {reason}"));
         let exact = header.iter().any(|h| h == theirs);
-        // The same name with a unit is a duplicate column; the name with other words in brackets is a different
-        // column.
+        // A header with the same name and a unit is a duplicate. With other words in brackets it is another column.
         let doubles = |(name, unit): (&str, Option<&str>)| {
             name == theirs && unit.is_some_and(|unit| column.quantity.factor(unit).is_some())
         };
@@ -94,7 +93,7 @@ impl<'a> Asked<'a> {
         let mut found = header.iter().enumerate().filter(|(_, cell)| is(cell));
         let place = found.next();
         if found.next().is_some() {
-            return Err(wrong("stands there twice".into()));
+            return Err(wrong("is in the header twice".into()));
         }
         let Some((index, cell)) = place else {
             if column.required || self.renamed.contains_key(column.name) {
@@ -112,7 +111,7 @@ impl<'a> Asked<'a> {
         };
         match (given, own) {
             (Some(given), Some(own)) if given != own => {
-                Err(wrong("its unit is another in the header than the one given beside".into()))
+                Err(wrong("the header gives another unit than the one that is stated separately".into()))
             }
             _ => Ok(Some(Place { index, factor: given.or(own).unwrap_or(1.0) })),
         }
@@ -123,7 +122,7 @@ impl<'a> Asked<'a> {
 fn factor(column: &Column, unit: &str) -> std::result::Result<f64, String> {
     let known: Vec<_> = column.quantity.units().iter().map(|u| u.0).collect();
     column.quantity.factor(unit).ok_or_else(|| match known.is_empty() {
-        true => format!("unit {unit:?} is given, but it takes none"),
+        true => format!("unit {unit:?} is given, but this column has no unit"),
         false => format!("unit {unit:?} is unknown; known: {}", known.join(", ")),
     })
 }

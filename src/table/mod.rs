@@ -1,5 +1,5 @@
-//! Tables that users bring: CSV with named columns and units, read row by row. The error of a bad cell names file,
-//! row and column. Row 1 is the header; rows are numbered by lines of the file.
+//! Tables of the user: CSV with named columns and units, read row by row. The error of a bad cell names file, row and
+//! column. Row 1 is the header; rows are numbered by lines of the file.
 
 use sandgait_base::error;
 
@@ -16,8 +16,9 @@ use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::Path;
 
-/// Larger files are refused before they are read, and streams once they exceed it. It allows over 6 kB a row for
-/// the longest log that can be diagnosed. Our choice; it also bounds the memory that a row without an end takes.
+/// Largest file: larger ones are refused before they are read, and streams when they exceed it. For the longest log
+/// that can be diagnosed this is more than 6 kB for each row. Our choice; it also bounds the memory that a row without
+/// an end takes.
 const MOST_BYTES: u64 = 256 << 20;
 /// Characters of a bad cell or header that an error shows: our choice, so that the line stays readable.
 const SHOWN: usize = 300;
@@ -84,7 +85,7 @@ impl Row<'_> {
     }
 }
 
-/// What is known of a table after it was read.
+/// Facts about a table that was read.
 pub struct Summary {
     /// All columns of the file, in its order.
     pub header: Vec<String>,
@@ -92,7 +93,7 @@ pub struct Summary {
     pub sha256: String,
 }
 
-/// Gives each row of the file to `take`, in the file's order.
+/// Calls `take` with each row of the file, in the file's order.
 pub fn read(path: &Path, asked: &Asked, take: impl FnMut(&Row) -> Result<()>) -> Result<Summary> {
     let file = File::open(path).map_err(|e| Error::file(path, e))?;
     let bytes = file.metadata().map_err(|e| Error::file(path, e))?.len();
@@ -102,7 +103,7 @@ pub fn read(path: &Path, asked: &Asked, take: impl FnMut(&Row) -> Result<()>) ->
     parse(path, BufReader::with_capacity(1 << 20, file), asked, take)
 }
 
-/// The same from any source; `path` is the name in errors.
+/// As [`read`], from any source; `path` is the name in errors.
 pub fn parse(
     path: &Path,
     source: impl Read,
@@ -134,7 +135,8 @@ pub fn parse(
     Ok(Summary { header, sha256: hexadecimal(source.hash) })
 }
 
-/// The same of rows that another reader makes, their first line 2; `next` fills a row and says whether there was one more.
+/// Reads rows that another reader makes; the first one counts as line 2. `next` fills a row and returns false if there
+/// are no more.
 pub fn rows(
     path: &Path,
     header: &[String],
@@ -171,7 +173,7 @@ fn hexadecimal(hash: Sha256) -> String {
     hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Reads, hashes what is read, and fails when it is too much.
+/// A reader that hashes all bytes and fails if there are too many.
 struct Hashed<R> {
     inner: R,
     hash: Sha256,

@@ -32,7 +32,7 @@ pub struct Saved {
     pub learnt: Learnt,
     /// [`super::curve::Curve::open`]
     pub open: [f64; 2],
-    /// Why new episodes begin, if they do.
+    /// The reason why new episodes begin, if they do.
     pub anew: Option<String>,
 }
 

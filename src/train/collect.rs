@@ -19,7 +19,7 @@ use std::ops::DerefMut;
 /// lanes.
 const PIECES: usize = 8;
 
-/// Where a piece's environments are computed.
+/// The place at which a piece's environments are computed.
 enum Place {
     Here(Box<Shard>),
     /// On a server; the rows of their last step.
@@ -227,8 +227,8 @@ impl Piece {
         }
     }
 
-    /// Normalizes the rewards of step `step`, the last one. Where an episode was truncated, adds the value of its
-    /// last observation.
+    /// Normalizes the rewards of step `step`, the last one. If an episode was truncated, adds the value of its last
+    /// observation.
     fn pay(&mut self, play: &Play, step: usize) {
         let first = step * self.envs;
         if let Some(scales) = play.scales {
@@ -281,7 +281,7 @@ fn observe(play: &Play, rows: &[f32], out: &mut [f32]) {
     }
 }
 
-/// Gives each piece its environments' rows.
+/// Distributes rows over the pieces of environments.
 pub fn deal<P: DerefMut<Target = Piece>>(
     pieces: impl Iterator<Item = P>,
     rows: &Rows,

@@ -9,7 +9,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
-/// How often a thread looks for work before it sleeps: some 20 µs, the time that the leader works alone between
+/// Number of times that a thread looks for work before it sleeps: our choice, some 20 µs, about the time between two
 /// phases.
 const LOOKS: usize = 2_000;
 

@@ -27,8 +27,8 @@ pub struct Curve {
 }
 
 impl Curve {
-    /// A curve in `path`. When a training goes on, it has the earlier points up to `until` steps and the episodes
-    /// that were open then.
+    /// A curve in `path`. In a continued training it keeps the earlier points up to `until` steps, and starts with the
+    /// sums `open` of the episodes after them.
     pub fn new(path: &Path, until: Option<u64>, open: [f64; 2], envs: usize) -> Result<Self> {
         let broken = |e: &dyn std::fmt::Display| Error::file(path, e);
         let points = match until {
@@ -36,7 +36,7 @@ impl Curve {
             None => Vec::new(),
         };
         let file = File::create(path).map_err(|e| broken(&e))?;
-        // Python's curves also have a point for an eighth of the environments.
+        // A point has an eighth as many episodes as there are environments, as in the curves of examples/train.py.
         let mut curve = Self { points, file, path: path.into(), open, enough: envs.div_ceil(8) as f64 };
         curve.write("steps,seconds,return\n")?;
         for point in curve.points.clone() {

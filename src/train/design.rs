@@ -1,5 +1,5 @@
-//! Design studies in which a gait is learnt for every design: designs of a grid or of a search, several trainings
-//! of each, and a comparison of the best on seeds that neither the trainings nor the choice has used.
+//! Design studies in which a gait is learnt for every design: designs of a grid or of a search, several trainings of
+//! each, and a comparison of the best designs on seeds that were used neither in training nor in the choice.
 
 use super::export::onnx;
 pub use super::measure::{Between, Measure};
@@ -79,7 +79,7 @@ pub struct Compared {
 pub struct Findings {
     /// Values on the axes, in the order of the grid, the last axis fastest, or of the search.
     pub designs: Vec<Vec<String>>,
-    /// One row a design, one entry a training.
+    /// One row for each design, one entry for each training.
     pub trained: Vec<Vec<Trained>>,
     /// The best ones by the measure, best first.
     pub best: Vec<Compared>,
@@ -93,7 +93,10 @@ impl Study {
         check_range("number of trainings", (designs * self.trainings) as f64, 1.0..=MOST_TRAININGS as f64)?;
         let gaits = ["frequency", "phase"];
         if let Some(axis) = self.axes.iter().find(|a| gaits.contains(&a.parameter.name)) {
-            return Err(Error::invalid(axis.parameter.name, "each design learns its own with --learn"));
+            return Err(Error::invalid(
+                axis.parameter.name,
+                "with --learn each design learns its own; it cannot be varied",
+            ));
         }
         if self.search.is_some() {
             check_range("number of parameters", self.axes.len() as f64, 1.0..=search::MOST_PARAMETERS as f64)?;
@@ -119,7 +122,7 @@ impl Study {
         Ok([low, high])
     }
 
-    /// The training number `training` of the design with these values.
+    /// The plan of training number `training` of the design with these values.
     fn plan(&self, values: &[String], training: usize) -> Result<Plan> {
         let mut changed = self.base.clone();
         for (axis, value) in self.axes.iter().zip(values) {
@@ -130,7 +133,7 @@ impl Study {
             options.insert("torque_limit".into(), json!(limit));
         }
         let blueprint = Blueprint::new(HexapodGait::ID, Value::Object(options))?;
-        // With servos if the task has them.
+        // The servos are those of the task, if it has any.
         changed.robot.servo.torque_limit = blueprint.task.option("torque_limit").as_f64();
         changed.robot.servo.anti_windup = true;
         let blueprint = blueprint.with_model(Model::new(&changed.robot, &changed.scene)?)?;
@@ -163,9 +166,9 @@ impl Study {
         Ok(Findings { designs, trained, best })
     }
 
-    /// A search for the best design: evenly spread designs first, then some at a time where the expected
-    /// improvement is greatest. Returns the expected value of each design at the end, which depends less on chance
-    /// than its own trainings.
+    /// A search for the best design: evenly spread designs first, then some at a time where the expected improvement is
+    /// greatest. Returns the expected value of each design at the end of the search; this depends less on chance than
+    /// the results of the design's own trainings.
     fn search(
         &self,
         count: usize,
@@ -199,7 +202,7 @@ impl Study {
     }
 
     /// All trainings of `designs`, whose numbers start at `first`: chains of neighbours if they are warm-started,
-    /// otherwise independent; one thread a training.
+    /// otherwise independent; one thread for each training.
     fn train(&self, designs: &[Vec<String>], first: usize, told: &Told) -> Result<Trainings> {
         let length = match (self.warm, self.search) {
             (Some(_), None) => self.axes.last().map_or(1, |axis| axis.values.len()),
@@ -230,7 +233,7 @@ impl Study {
         Ok(trained)
     }
 
-    /// Inputs of a training that starts from a neighbour's gait.
+    /// Shortens the settings for a training that starts from a neighbour's policy.
     fn shorten(&self, settings: &mut Settings) {
         match (self.warm, settings.seconds) {
             (Some(warm), Some(_)) => settings.seconds = Some(warm),
@@ -275,7 +278,8 @@ fn mean(measure: Measure, trained: &[Trained]) -> f64 {
     trained.iter().map(|t| t.chosen_by[place]).sum::<f64>() / trained.len() as f64
 }
 
-/// Variance of a design's mean, from the scatter of trainings within all designs; 0 if each has one training.
+/// Variance of a design's mean, from the scatter of trainings of the same design, pooled over all designs; 0 if each
+/// has one training.
 fn noise(measure: Measure, trained: &[Vec<Trained>]) -> f64 {
     let (mut squares, mut freedom) = (0.0, 0.0);
     for all in trained {

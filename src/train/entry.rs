@@ -17,7 +17,7 @@ pub fn task_id(name: &str) -> String {
     TASK_IDS.iter().find(short).map_or_else(|| name.to_owned(), |id| (*id).to_owned())
 }
 
-/// When a training ends, as changes of settings: if only a number of steps is given, time has no limit.
+/// The end of a training as changes of settings. If only a number of steps is given, the time has no limit.
 pub fn ends(timesteps: Option<u64>, seconds: Option<f64>) -> Vec<(String, Value)> {
     let steps = timesteps.map(|steps| ("n_timesteps", json!(steps)));
     let time = match (timesteps, seconds) {

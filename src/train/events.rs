@@ -75,7 +75,7 @@ fn record(content: &[u8]) -> Vec<u8> {
     [&length[..], &sum(&length), content, &sum(content)].concat()
 }
 
-/// TFRecord masks checksums, so that checksums of data that contain checksums are not trivial.
+/// TFRecord's mask for checksums, which avoids problems with checksums of data that contain checksums.
 fn masked(crc: u32) -> u32 {
     crc.rotate_right(15).wrapping_add(0xa282_ead8)
 }

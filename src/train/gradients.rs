@@ -1,5 +1,5 @@
-//! Compares the gradient of the loss with differences of the loss, which is written here a second time, plainly and
-//! in `f64`.
+//! Compares the gradient of the loss with finite differences of the loss, which is implemented a second time here, in
+//! `f64`.
 
 use super::learn::{CHUNK, Chunk, Minibatches, Rollout};
 use super::loss::Weights;

@@ -19,7 +19,7 @@ pub struct Kept {
 
 #[derive(Clone, Debug, PartialEq)]
 pub enum Episodes {
-    /// Of environments in this process.
+    /// Episodes of environments in this process.
     Here(Vec<SavedEpisode>),
     /// A server's snapshot.
     Away(Vec<u8>),
@@ -79,7 +79,12 @@ impl Kept {
                 super::collect::deal(pieces.iter_mut(), &rows, |piece, part| piece.take(part));
                 Vec::new()
             }
-            _ => return Err(Error::invalid("checkpoint", "its environments were elsewhere")),
+            _ => {
+                return Err(Error::invalid(
+                    "checkpoint",
+                    "its environments were on a server and are now in this process, or the reverse",
+                ));
+            }
         };
         if self.discounted.len() != envs || self.returns.len() != envs || !(resumed.is_empty() || resumed.len() == envs)
         {

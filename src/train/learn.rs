@@ -68,9 +68,10 @@ impl Rollout {
 pub struct Minibatches {
     /// Rows of the rollout in this epoch's order.
     order: Vec<u32>,
-    /// Normalization in the present minibatch.
+    /// Place of the present minibatch in `order`.
     first: usize,
     count: usize,
+    /// Mean and 1 / standard deviation of its advantages.
     mean: f32,
     scale: f32,
 }

@@ -82,7 +82,7 @@ mod tests {
         }
     }
 
-    /// Wherever a training is interrupted, it goes on from its last update with the same bits.
+    /// A training that is interrupted at any place goes on from its last update with the same bits.
     #[test]
     fn what_is_broken_off_goes_on_with_the_same_bits() {
         let entry = json!({

@@ -30,7 +30,7 @@ impl<'a> Matrix<'a> {
     }
 }
 
-/// out = a·b, added to what is there if `add`.
+/// out = a·b, or out + a·b if `add` is true.
 pub fn multiply(a: Matrix, b: Matrix, add: bool, out: &mut [f32]) {
     assert!(a.columns == b.rows && out.len() == a.rows * b.columns, "sizes of a product");
     assert!(a.data.len() == a.rows * a.columns && b.data.len() == b.rows * b.columns, "sizes of its factors");
@@ -57,7 +57,8 @@ pub fn multiply(a: Matrix, b: Matrix, add: bool, out: &mut [f32]) {
     }
 }
 
-/// Hyperbolic tangent, absolute error below 4e-7: the rational function of Eigen 3.4 (`generic_fast_tanh_float`, Benoit Steiner).
+/// Hyperbolic tangent with an absolute error below 4e-7, by the rational function of Eigen 3.4
+/// (`generic_fast_tanh_float`, Benoit Steiner).
 #[inline(always)]
 pub fn tanh(x: f32) -> f32 {
     let x = x.clamp(-7.905_311, 7.905_311);

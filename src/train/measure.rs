@@ -55,7 +55,7 @@ impl Measure {
     }
 }
 
-/// Mean over trainings, and its 95 % interval by Student's t; without ends where there is one training.
+/// Mean over trainings, and its 95 % interval by Student's t; there is no interval for a single training.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Between {
     pub mean: f64,

@@ -1,4 +1,4 @@
-//! Learning a gait: proximal policy optimization beside the environments, without Python.
+//! Learns gaits by proximal policy optimization, in the same process as the environments and without Python.
 //!
 //! ```text
 //!  settings ──▶ plan, learner ──▶ training: rollouts (collect, normal, remote) and updates (learn, loss, adam) in turn, over a crew

@@ -1,8 +1,8 @@
-//! Actor and critic: layers with hyperbolic tangents and a linear one behind, with separate layers but one array of
-//! parameters.
+//! Actor and critic: each has layers with hyperbolic tangents and then a linear layer. They share no layers, but all
+//! parameters are in one array.
 //!
-//! The actor gives the mean of a normal distribution; its standard deviations are parameters of their own. With a
-//! mirror both networks are averaged with their mirror images: (f(s) + M f(M s)) / 2 and (v(s) + v(M s)) / 2.
+//! The actor gives the mean of a normal distribution; the standard deviations are further parameters. With a mirror
+//! both networks are averaged with their mirror images: (f(s) + M f(M s)) / 2 and (v(s) + v(M s)) / 2.
 
 use super::matrix::{Bend, Matrix, SumRows, Unbend, multiply};
 use super::mirror::Mirror;
@@ -77,7 +77,7 @@ fn orthogonal(layer: &Layer, gain: f64, random: &mut impl Rng, weights: &mut [f3
     let mut vectors: Vec<Vec<f64>> = Vec::with_capacity(count);
     while vectors.len() < count {
         let mut v: Vec<f64> = (0..length).map(|_| random.sample(StandardNormal)).collect();
-        // Twice, to remove the rounding of the first time.
+        // Twice, because the second time removes the rounding errors of the first.
         for u in vectors.iter().chain(&vectors) {
             let along: f64 = u.iter().zip(&v).map(|(a, b)| a * b).sum();
             v.iter_mut().zip(u).for_each(|(v, u)| *v -= along * u);

@@ -13,7 +13,7 @@ pub struct Running {
 }
 
 impl Running {
-    /// No rows so far; a count of 1e-4 as in `VecNormalize`, so that the first rows dominate.
+    /// Statistics without rows. The initial count is 1e-4 as in `VecNormalize`, so that the first rows dominate.
     pub fn new(width: usize) -> Self {
         Self { mean: vec![0.0; width], variance: vec![1.0; width], count: 1e-4 }
     }
@@ -77,7 +77,7 @@ impl Moments {
     }
 }
 
-/// Statistics for normalizing rows and rewards; None leaves both unchanged.
+/// Statistics for the normalization of observations and rewards.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Normal {
     pub observations: Running,
@@ -130,7 +130,7 @@ impl Scales {
 mod tests {
     use super::*;
 
-    /// Mean and variance are the same for rows in pieces and at once.
+    /// Mean and variance are the same whether rows are added in pieces or at once.
     #[test]
     fn pieces_add_up() {
         let rows: Vec<f32> = (0..600).map(|k| (k as f32 * 0.37).sin() + (k % 3) as f32).collect();

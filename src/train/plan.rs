@@ -23,7 +23,7 @@ pub struct Learnt {
     pub steps: u64,
     /// Number of rollouts, each with its updates.
     pub updates: u64,
-    /// Time that it took [s].
+    /// Duration of the training so far [s].
     pub seconds: f64,
     /// Saved environments; without them new episodes begin.
     pub environments: Option<Arc<Kept>>,
@@ -46,7 +46,7 @@ impl<F: FnMut(&Learnt, &Report) -> Result<()>> Heed for F {
     }
 }
 
-/// What is to be learnt, and with which settings.
+/// The task, networks and settings of a training.
 pub struct Plan {
     pub blueprint: Blueprint,
     pub settings: Settings,
@@ -60,7 +60,7 @@ pub struct Plan {
 pub struct Report {
     pub steps: u64,
     pub seconds: f64,
-    /// Share of the training that is done, 0 to 1.
+    /// Finished share of the training, 0 to 1.
     pub done: f64,
     /// Mean return of the episodes that ended in the rollout; NaN if none did.
     pub mean_return: f64,

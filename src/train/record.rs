@@ -1,4 +1,4 @@
-//! Files of a design study's trainings. With them a stopped study goes on.
+//! Files of a design study's trainings, from which a stopped study continues.
 
 use super::checkpoint;
 use super::plan::{Learnt, Plan};

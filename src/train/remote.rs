@@ -1,4 +1,4 @@
-//! Environments on a server: the training gets rows, as from environments in this process.
+//! Environments on a server, from which the training gets the same rows as from environments in this process.
 
 use crate::error::Result;
 use std::ops::Range;
@@ -8,9 +8,9 @@ pub type Pause<'a> = &'a mut dyn FnMut() -> Result<()>;
 
 /// All environments of a training, on a server. Each call waits for its answer.
 pub trait Remote: Send {
-    /// Begins an episode in each environment; one seed an environment.
+    /// Begins an episode in each environment; one seed for each environment.
     fn reset(&mut self, seeds: &[u64], pause: Pause) -> Result<Rows>;
-    /// Makes a step; `actions` is f32 [envs, action]. Where an episode ends, the next one begins at once.
+    /// Makes a step; `actions` is f32 [envs, action]. If an episode ends, the next one begins at once.
     fn step(&mut self, actions: &[f32], pause: Pause) -> Result<Rows>;
     /// Saves all environments.
     fn save(&mut self, pause: Pause) -> Result<Vec<u8>>;

@@ -35,7 +35,7 @@ pub struct Request {
     pub threads: usize,
     /// Folder for the results.
     pub out: PathBuf,
-    /// Continue from the last checkpoint there?
+    /// Continue from the last checkpoint in `out`?
     pub resume: bool,
     /// Begin with the networks and the normalization of another training's checkpoint; not with `resume`.
     pub start_from: Option<PathBuf>,
@@ -51,7 +51,7 @@ pub struct Outcome {
     pub last: Option<Report>,
     /// The learning curve.
     pub curve: Vec<Point>,
-    /// Why a continued training began new episodes, if it did.
+    /// The reason why a continued training began new episodes, if it did.
     pub anew: Option<String>,
     /// The policy without noise over 100 unseen seeds; None for tasks without walking.
     pub score: Option<Row>,
@@ -239,7 +239,7 @@ impl Diary<'_> {
         Ok(path)
     }
 
-    /// Leaves a checkpoint of the last sound state, and reports it.
+    /// Writes a checkpoint of the last valid state. Returns the error with a note on this checkpoint.
     fn abandon(mut self, error: Error) -> Error {
         let steps = self.newest.steps;
         let kept =

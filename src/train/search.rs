@@ -26,7 +26,7 @@ pub struct Look {
 /// Point `index` of Halton's sequence, whose points fill the unit cube evenly.
 pub fn spread(index: u64, parameters: usize) -> Vec<f64> {
     let digit = |base: u64| {
-        // From 1, because number 0 is a corner.
+        // Counts from 1, because number 0 is a corner.
         let (mut rest, mut share, mut sum) = (index + 1, 1.0, 0.0);
         while rest > 0 {
             share /= base as f64;
@@ -38,8 +38,8 @@ pub fn spread(index: u64, parameters: usize) -> Vec<f64> {
     BASES.iter().take(parameters).map(|base| digit(*base)).collect()
 }
 
-/// The `count` next points, after `looks`, whose values have the variance `noise`. Points of one choice are spread
-/// by taking the expected value at each as if it had been measured.
+/// The `count` next points, after `looks`, whose values have the variance `noise`. So that the points of one choice are
+/// not close together, the expected value at each chosen point is used as if it had been measured.
 pub fn next(looks: &[Look], noise: f64, count: usize, random: &mut Xoshiro256PlusPlus) -> Vec<Vec<f64>> {
     let mut looks = looks.to_vec();
     let mut places = Vec::with_capacity(count);
@@ -58,7 +58,7 @@ pub fn next(looks: &[Look], noise: f64, count: usize, random: &mut Xoshiro256Plu
     places
 }
 
-/// Expected value at each of `looks`, given all of them: their values with less noise.
+/// Expected value at each of `looks`, given all values: this has less noise than the value itself.
 pub fn smoothed(looks: &[Look], noise: f64) -> Vec<f64> {
     let process = Process::fitted(looks, noise);
     looks.iter().map(|look| process.expected(&look.at)[0]).collect()
@@ -80,8 +80,8 @@ impl<'a> Process<'a> {
         let n = looks.len() as f64;
         let mean = looks.iter().map(|l| l.value).sum::<f64>() / n;
         let scatter = looks.iter().map(|l| (l.value - mean) * (l.value - mean)).sum::<f64>() / n;
-        // If noise explains all scatter, a small variance must remain, or the same value would be expected
-        // everywhere.
+        // A small variance must remain even if noise explains all scatter; otherwise the expected value would be the
+        // same everywhere.
         let variance = (scatter - noise).max(0.1 * scatter).max(1e-12);
         let noise = noise.max(1e-6 * variance);
         let all = LENGTHS.map(|length| {
@@ -173,9 +173,9 @@ mod tests {
     use super::*;
     use rand::SeedableRng as _;
 
-    /// Two dimensions, a hill at any place, noise: the search's loss with 24 evaluations is less than half of the
-    /// loss with as many evenly spread points, although the best of those is chosen without noise. With two hills
-    /// the lower one may be found: see docs/learning.md.
+    /// In two dimensions, for functions with one maximum at a random place and with noise, 24 evaluations of the search
+    /// have less than half of the loss of 24 evenly spread points, although the best of those is chosen without noise.
+    /// With two maxima, the search may find the lower one: see docs/learning.md.
     #[test]
     fn the_top_of_a_hill_is_found() {
         let (mut missed, mut even) = (0.0, 0.0);

@@ -34,7 +34,7 @@ pub struct Settings {
     pub seconds: Option<f64>,
     /// Normalize observations and rewards by running statistics.
     pub normalize: bool,
-    /// The policy treats left and right alike.
+    /// Whether the policy is made symmetric in left and right.
     pub mirror: bool,
     pub learning_rate: Schedule,
     /// Steps of each environment between two updates.
@@ -222,7 +222,7 @@ impl Settings {
     }
 }
 
-/// A number; YAML readers return texts for some, such as 1_000 and 1e-3.
+/// A number. YAML readers return some numbers as texts, such as 1_000 and 1e-3.
 fn float(value: &Value) -> Option<f64> {
     match value {
         Value::Number(number) => number.as_f64(),

@@ -94,7 +94,7 @@ impl Tensors {
             header.insert(name.clone(), entry);
         }
         let mut header = Value::Object(header).to_string().into_bytes();
-        // Blanks that align the numbers.
+        // Blanks at the end of the header align the numbers.
         header.resize(header.len().next_multiple_of(8), b' ');
         [&(header.len() as u64).to_le_bytes()[..], &header, &bytes].concat()
     }

@@ -28,9 +28,9 @@ pub struct Shared<'a> {
 
 #[derive(Clone, Copy)]
 pub enum Phase {
-    /// A step of the rollout; one item a piece.
+    /// A step of the rollout; one item for each piece.
     Act { step: usize },
-    /// The end of the rollout; one item a piece.
+    /// The end of the rollout; one item for each piece.
     Finish,
     /// The gradient of a minibatch; one item a chunk.
     Learn { weights: Weights },
@@ -49,7 +49,7 @@ fn write<T>(lock: &RwLock<T>) -> RwLockWriteGuard<'_, T> {
 }
 
 impl<'a> Shared<'a> {
-    /// With the environments in `learnt`, or at the beginning of new episodes.
+    /// Continues with the environments in `learnt`, or begins new episodes.
     pub fn new(plan: &'a Plan, learnt: &Learnt, mut remote: Away<'_>, heed: &mut dyn Heed) -> Result<Self> {
         let Plan { blueprint, settings, networks, .. } = plan;
         let mut pieces = Piece::all(blueprint, settings, networks, remote.is_some())?;
@@ -128,7 +128,7 @@ impl<'a, 'r> Training<'a, 'r> {
         Self { plan, shared, learnt, remote, began: Instant::now(), before, rollouts: 0.0 }
     }
 
-    /// Share of the training that is done: of its steps or its time, whichever is further.
+    /// Finished share of the training: of its steps or of its time, whichever is larger.
     pub fn done(&self) -> f64 {
         let settings = &self.plan.settings;
         let steps = self.learnt.steps as f64 / settings.n_timesteps as f64;
@@ -199,7 +199,7 @@ impl<'a, 'r> Training<'a, 'r> {
         Ok((finished, rollout.explained_variance()))
     }
 
-    /// Step `step` of environments on a server, with the actions chosen by the pieces.
+    /// Sends the pieces' actions to the environments on a server, and gives the results to the pieces: step `step`.
     fn step_away(&mut self, step: usize, heed: &mut dyn Heed) -> Result<()> {
         let Some(remote) = &mut self.remote else { return Ok(()) };
         let pieces = &self.shared.pieces;
@@ -359,7 +359,7 @@ mod tests {
         let moved = got.iter().zip(&before).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         assert!(moved > 2e-3, "three steps of Adam move by the rate each");
         for (k, (got, wanted)) in got.iter().zip(&wanted).enumerate() {
-            // Where a derivative is nearly zero, Adam amplifies its rounding: a hundredth of a step.
+            // If a derivative is nearly zero, Adam amplifies its rounding error, up to a hundredth of a step.
             assert!((f64::from(*got) - wanted).abs() < 1e-5, "parameter {k}: {got} {wanted}");
         }
     }

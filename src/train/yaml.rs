@@ -6,7 +6,7 @@ use saphyr_parser::{Event, Parser, ScalarStyle};
 use serde_json::{Map, Value};
 use std::collections::HashMap;
 
-/// Longest text [bytes], deepest nesting and most values, with those of anchors counted at every use: our choice.
+/// Longest text [bytes], deepest nesting, and most values (those of an anchor count at every use): our choice.
 const MOST_BYTES: usize = 1 << 20;
 const MOST_DEPTH: usize = 32;
 const MOST_VALUES: usize = 100_000;
@@ -14,7 +14,7 @@ const MOST_VALUES: usize = 100_000;
 /// An incomplete value.
 enum Open {
     List(Vec<Value>),
-    /// With the key whose value comes next.
+    /// A table, with the key whose value comes next.
     Table(Map<String, Value>, Option<String>),
 }
 

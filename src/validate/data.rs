@@ -47,9 +47,9 @@ struct IntruderDescription {
     name: String,
     body: String,
     rows: PathBuf,
-    /// Sand calibrated without these rows.
+    /// File of the sand that was calibrated without these rows.
     sand: PathBuf,
-    /// Sand fitted on these rows, if there is one.
+    /// File of the sand that was fitted to these rows, if there is one.
     fitted: Option<PathBuf>,
     /// Does the wheel carry sand between its grousers?
     #[serde(default)]
@@ -88,7 +88,7 @@ pub struct Wheel {
     pub carries_sand: bool,
 }
 
-/// All of a folder.
+/// All data of a folder.
 #[derive(Clone, Debug)]
 pub struct DataSet {
     pub title: String,

@@ -1,4 +1,4 @@
-//! Fits the few numbers that wheels in one sand share to measured steady motions.
+//! Fits a few numbers, which all wheels in one sand share, to measured steady motions.
 
 use super::data::{Row, Wheel};
 use crate::error::Result;
@@ -7,20 +7,21 @@ use crate::sand::intruder::{Given, Trial, compute};
 use crate::sand::{Law, Mechanisms, Medium, SandDescription};
 use nalgebra::{DMatrix, DVector};
 
-/// Errors that make a residual of 1: 8 % of the load in Fx and Fy, 15 % in Fz, 3.5 mm of sinkage. Our choice: the
-/// accuracy of a good model.
+/// Errors that count as a residual of 1: 8 % of the load in Fx and Fy, 15 % in Fz, and 3.5 mm of sinkage. Our choice:
+/// the accuracy of a good model.
 const TOLERANCES: [f64; 4] = [0.08, 0.15, 0.08, 0.0035];
 /// Step in depth [m] for the stiffness that converts a missing force into sinkage.
 const STEP: f64 = 5e-4;
-/// Least stiffness [N/m] in that conversion, so that a wheel without support counts as a few centimetres.
+/// Least stiffness [N/m] when a missing force is converted into sinkage, so that a wheel without support counts as a few
+/// centimetres.
 const SOFTEST: f64 = 200.0;
 /// Largest residual: our choice, so that rows without support do not outweigh all others.
 const LARGEST: f64 = 8.0;
 /// Friction of sand on sand, for wheels that carry sand between their teeth: tan 35°, within the 30° to 40° of dry
 /// sands (angle of repose 29°). Not fitted: rows at slip ≤ 0 hardly distinguish 0.55 from 0.9.
 const SAND_ON_SAND: f64 = 0.70;
-/// μ_s of a smooth wheel and its standard deviation. The data give none, so it is wide, around plates from polished
-/// to rough.
+/// μ_s of a smooth wheel and its standard deviation. The data give none, so the deviation is wide, with values for
+/// polished to rough plates.
 const SMOOTH: [f64; 2] = [0.45, 0.30];
 
 /// Vesic's value of `slip_bearing`, not fitted.

@@ -1,4 +1,4 @@
-//! Other comparisons: discs of several sizes, grains simulated one by one, walks and robots by independent codes.
+//! Other comparisons: discs of several sizes, a simulation of single grains, and walks and robots by independent codes.
 
 use super::{data, robots};
 use crate::calibrate::pushes::{self, Law as PushLaw};
@@ -44,7 +44,7 @@ fn discs() -> Result<String> {
     let missed = study.laws.iter().filter(|s| s.law == PushLaw::Proportional).find_map(|s| s.other_size_percent);
     if let Some(missed) = missed {
         let _ =
-            writeln!(text, "A foot of another size than the disc of the calibration is wrong by some {missed:.0} %.");
+            writeln!(text, "Plain theory, calibrated with one disc, errs by {missed:.0} % for a foot of another size.");
     }
     Ok(text)
 }
@@ -71,10 +71,10 @@ fn walks() -> Result<String> {
     let trials = each.clone().map(|(leg, f, _)| trial(leg, f)).collect::<Result<Vec<_>>>()?;
     let speeds = parallel::map(&trials, |trial| walk::walk(EngineKind::Lanes, trial).map(|r| r.speed));
     let mut text = String::from(
-        "## Walks by independent codes\n\nForward speed of `xplorer` on loose poppy seeds: the same equations in two codes that \
-         share nothing with this one, converged with explicit steps of 10⁻⁵ s (MuJoCo 4.0.0 and rapier's multibodies agree with \
-         them within 1 % where the leading edge is hard). This compares the integration, not the sand: no walk of a real robot \
-         was compared.\n\n| leg | stride frequency [Hz] | reference [m/s] | sandgait [m/s] | off by % |\n|---|---|---|---|---|\n",
+        "## Walks by independent codes\n\nForward speed of `xplorer` on loose poppy seeds. The reference is from two other codes, \
+         which share nothing with this one and solve the same equations with explicit steps of 10⁻⁵ s, at which they have \
+         converged. MuJoCo 4.0.0 and rapier's multibodies agree with them within 1 % where the leading edge is hard. This \
+         compares the integration, not the sand: no walk of a real robot was compared.\n\n| leg | stride frequency [Hz] | reference [m/s] | sandgait [m/s] | off by % |\n|---|---|---|---|---|\n",
     );
     for ((leg, frequency, reference), speed) in each.zip(speeds) {
         let speed = speed?;

@@ -140,7 +140,7 @@ impl Scoreboard {
         })
     }
 
-    /// One row a measured row and comparison.
+    /// CSV with one row for each measured row and comparison.
     pub fn rows(&self) -> String {
         let mut text = String::from(
             "comparison,wheel,slip_angle_deg,slip,depth,Fx,Fy,Fz,Fx_predicted,Fy_predicted,Fz_predicted,depth_predicted,\
@@ -162,7 +162,7 @@ impl Scoreboard {
         text
     }
 
-    /// Measured against predicted, one panel a quantity, for each comparison.
+    /// A figure of one comparison: predicted over measured values, with one panel for each quantity.
     fn figure(&self, c: &Comparison) -> Figure {
         let measured: [(&str, Measure); 4] = [
             ("Fx [N] at the measured sinkage", |p| Some([p.row.force[0], p.prediction.force[0]])),
@@ -185,7 +185,7 @@ impl Scoreboard {
         Figure { title: c.title.clone(), columns: 2, panels: panels.collect(), note: self.data.source.clone() }
     }
 
-    /// `validation.md` with `others` at its end, `validation_rows.csv` and a figure a comparison.
+    /// Writes `validation.md` with `others` at its end, `validation_rows.csv`, and a figure for each comparison.
     pub fn write(&self, folder: &Path, others: &str) -> Result<()> {
         std::fs::create_dir_all(folder).map_err(|e| Error::file(folder, e))?;
         let save = |name: &str, text: String| {
@@ -215,7 +215,7 @@ fn capital(text: &str) -> String {
     letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 
-/// Positive slips are predicted from a fit on all others.
+/// Predicts the rows with positive slip from a fit on all other rows.
 fn positive(wheels: &[Wheel]) -> Result<Vec<Pair>> {
     // A wheel that rolls freely is measured with slips of up to 3 %.
     let split = |wheel: &Wheel, above: bool| -> Vec<Row> {
@@ -233,7 +233,7 @@ fn positive(wheels: &[Wheel]) -> Result<Vec<Pair>> {
     Ok(pairs)
 }
 
-/// Each slip angle predicted from a fit on the others.
+/// Predicts each slip angle from a fit on the other slip angles.
 fn cross_validated(wheels: &[Wheel]) -> Result<Vec<Pair>> {
     let angle = |row: &Row| row.slip_angle.round() as i64;
     let mut angles: Vec<i64> = wheels.iter().flat_map(|w| w.rows.iter().map(angle)).collect();

@@ -49,7 +49,7 @@ const FLIGHTS: [(&str, &str, &str, &str); 5] = [
     ),
 ];
 
-/// A quadruped dropped onto a hard floor, at rest and trotting, by MuJoCo.
+/// MuJoCo's results for a quadruped that is dropped onto a hard floor, rests, and trots.
 const FLOOR: &str = include_str!("../../tests/data/robots/sandcat_mujoco.json");
 
 #[derive(Deserialize)]

@@ -7,8 +7,8 @@ use crate::sand::intruder::{Given, Status, Trial, compute};
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-/// Number of bootstrap resamples of conditions for an interval: our choice, its ends change by less than a tenth of
-/// its width.
+/// Number of bootstrap resamples of conditions for an interval: our choice; the ends then vary by less than a tenth of
+/// the width.
 const RESAMPLES: usize = 400;
 
 /// A sand's predictions for one row.
@@ -68,7 +68,7 @@ fn rms(values: impl Iterator<Item = f64>) -> f64 {
     (sum / f64::from(count)).sqrt()
 }
 
-/// 95 % intervals of [`FIGURES`]: conditions drawn anew, with all their repetitions.
+/// 95 % intervals of [`FIGURES`] by a bootstrap over conditions, each with all its repetitions.
 pub fn intervals(pairs: &[Pair]) -> [[f64; 2]; 6] {
     let groups = conditions(pairs);
     let mut random = Xoshiro256PlusPlus::seed_from_u64(1);

@@ -7,8 +7,8 @@ use crate::sim::{Model, State};
 /// Allowed width and height of a picture [px]: our choice.
 pub const SIZES: std::ops::RangeInclusive<u32> = 16..=4096;
 
-/// Direction to the camera: from the robot's right side toward its front, and above the horizon [rad]. Our choice,
-/// so that no leg hides another.
+/// Direction to the camera [rad]: the angle from the robot's right side toward its front, and the angle above the
+/// horizon. Our choice, so that no leg hides another.
 const AZIMUTH: f64 = 0.55;
 const ELEVATION: f64 = 0.32;
 
@@ -36,7 +36,7 @@ pub struct Camera {
 /// A point of the picture [px], y downward, and its distance along the line of sight [m].
 pub type Seen = ([f32; 2], f64);
 
-/// Half of the robot's length with its legs extended [m].
+/// Half of the robot's length with extended legs [m].
 pub fn radius(model: &Model) -> f64 {
     if let Some(tree) = &model.tree {
         return tree.standing_height(&tree.stance.angles).max(1e-3);
@@ -60,7 +60,7 @@ impl Camera {
         Self::towards(target, away, up, radius, [width, height])
     }
 
-    /// From the direction `away` of the target, at the distance that fits a robot of this half length.
+    /// Looks at `target` from the direction `away`, at a distance that fits a robot of this half length.
     fn towards(target: V, away: V, up: V, radius: f64, [width, height]: [u32; 2]) -> Self {
         let forward = -away;
         let right = forward.cross(&up).normalize();
@@ -78,7 +78,7 @@ impl Camera {
         }
     }
 
-    /// Looks at a robot of this half length about `target`, from its right front, on level ground.
+    /// Looks at a robot of this half length, centred at `target`, from its right front, on level ground.
     pub fn around(target: V, radius: f64, [width, height]: [u32; 2]) -> Self {
         let (sin, cos) = AZIMUTH.sin_cos();
         let away = V::new(sin * ELEVATION.cos(), -cos * ELEVATION.cos(), ELEVATION.sin());
@@ -154,7 +154,7 @@ mod tests {
         Camera::following(&model, &State::at_rest(0.03, &model.tripod_angles()), [480, 360])
     }
 
-    /// The picture's directions are right: forward is to the right, left is behind, up is up; a slope rises to the
+    /// In the picture, forward is to the right, the robot's left is farther away, up is up, and a slope rises to the
     /// right.
     #[test]
     fn the_picture_is_the_right_way_up() {

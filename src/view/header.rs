@@ -8,7 +8,7 @@ use crate::sim::solid::Solid;
 use crate::sim::{Model, Obstacle};
 use serde_json::{Value, json};
 
-/// What a section shows, apart from the model, in the task's terms.
+/// What the task adds to a section's header.
 #[derive(Clone, Debug, Default)]
 pub struct About<'a> {
     /// The task's id, or the name of the program that made the recording.

@@ -1,4 +1,4 @@
-//! One moment as an image, drawn without a GPU: far faces first, near ones over them.
+//! Draws one moment as an image, without a GPU: far faces first, then near faces over them.
 
 use super::camera::{Camera, SIZES, clip, radius};
 use super::pose::Pose;
@@ -26,7 +26,7 @@ const ROCK: Rgb = [150.0, 142.0, 134.0];
 const ARROW: Rgb = [200.0, 30.0, 60.0];
 const INK: [u8; 3] = [40, 44, 50];
 
-/// Where light comes from: over the camera's right shoulder, so that the robot's front is bright.
+/// Direction to the light: from behind the camera and to its right, so that the robot's front is bright.
 const LIGHT: [f64; 3] = [0.35, -0.45, 0.82];
 
 /// Spacing of the lines on the sand [m]: fine ones, and coarse ones with their x beside them.
@@ -112,7 +112,7 @@ fn robot_faces(model: &Model, pose: &Pose) -> Vec<Face> {
     faces
 }
 
-/// A robot from a file by its shapes. Meshes are not part of a packed robot, so the plates cut from them are drawn.
+/// The faces of a robot from a file. A packed robot does not contain its meshes, so the plates cut from them are drawn instead.
 fn tree_faces(robot: &TreeModel, state: &State) -> Vec<Face> {
     let mut faces = Vec::new();
     for (b, frame) in stance::frames(&robot.tree, state).iter().enumerate() {
@@ -244,7 +244,7 @@ impl Canvas {
                     (a[axis], b[axis]) = (at, at);
                     (a[1 - axis], b[1 - axis]) = (a[1 - axis] - reach, b[1 - axis] + reach);
                     let line = clip(&[a, b], |p| self.camera.depth(p) - 0.5 * self.radius);
-                    // A line is clipped as a polygon of two corners, there and back.
+                    // A line is clipped as a polygon with two corners.
                     if let Some(points) = self.camera.polygon(&line) {
                         outline(&points, &mut path);
                     }
@@ -286,7 +286,7 @@ impl Canvas {
         self.fill(path.finish(), &ink([90.0, 70.0, 40.0], 0.28));
     }
 
-    /// Parts under the surface are faintly visible through the sand; the rest is solid.
+    /// Draws the faces. Parts under the surface are faintly visible through the sand; the other parts are opaque.
     fn faces(&mut self, faces: Vec<Face>) {
         let middle = |f: &Face| f.corners.iter().sum::<V>() / f.corners.len() as f64;
         let mut seen: Vec<_> = faces.into_iter().filter(|f| self.camera.faces(middle(f), f.normal)).collect();

@@ -90,8 +90,8 @@ impl Pose {
         pose
     }
 
-    /// Sand on a link: on its strip, or in part on the straight chord where its concave side leads and fills.
-    /// `found` is the leg's share of the stress.
+    /// Adds the sand's forces on a link. They act on its strip, or in part on its straight chord if sand fills its concave
+    /// leading side. `found` is the leg's share of the stress.
     fn press_link(
         &mut self,
         model: &Model,
@@ -159,7 +159,7 @@ mod tests {
         Model::new(&Robot::load(robot).unwrap(), &Scene::flat(Medium::named("poppy-loose").unwrap())).unwrap()
     }
 
-    /// Over some strides the sand carries the robot: the mean of all forces is its weight.
+    /// Over several strides, the mean of the sand's forces is the robot's weight.
     #[test]
     fn the_forces_carry_the_robot() {
         let model = model("xplorer");
@@ -183,7 +183,7 @@ mod tests {
         let mean = sum / 2000.0;
         assert!((mean.z / weight - 1.0).abs() < 0.05, "{mean} of {weight} N");
         assert!(mean.x.abs() < 0.05 * weight && mean.y.abs() < 0.05 * weight, "{mean}");
-        // An alternating tripod has three of six legs down, roughly.
+        // In an alternating tripod about three of six legs stand.
         assert!((2.0..4.0).contains(&(f64::from(stances as u32) / 2000.0)), "{stances}");
     }
 

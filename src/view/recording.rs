@@ -7,8 +7,8 @@
 //!    "ROWS"  moments: rows of f32, all columns one after the other
 //! ```
 //!
-//! All numbers are little-endian. A section is an episode, or the rest of one; each may have another robot or other
-//! rocks. Of the header only `format`, `version` and `columns` are needed to read the numbers.
+//! All numbers are little-endian. A section is an episode, or the rest of an episode; sections may differ in robot and
+//! rocks. To read the numbers, a reader needs only `format`, `version` and `columns` of the header.
 
 use super::pose::Pose;
 use crate::error::{Error, Result};
@@ -35,7 +35,7 @@ const MOST_UNPACKED: u64 = 1 << 30;
 /// One moment of a robot, and the task's info of the step that led to it.
 #[derive(Clone, Copy, Debug)]
 pub struct Moment<'a> {
-    /// Since the episode began [s].
+    /// Time since the episode began [s].
     pub time: f64,
     pub state: &'a State,
     /// See [`Pose::of`].
@@ -179,7 +179,7 @@ fn broken(why: impl std::fmt::Display) -> Error {
 /// The sections of a file.
 ///
 /// # Errors
-/// It is no recording, of another version, damaged, cut off, or larger than 1 GiB.
+/// If the file is not a recording, has another version, is damaged or cut off, or is larger than 1 GiB.
 pub fn read(file: &[u8]) -> Result<Vec<Section>> {
     let mut stream = Vec::new();
     let unpacked = MultiGzDecoder::new(file).take(MOST_UNPACKED).read_to_end(&mut stream);
@@ -187,7 +187,7 @@ pub fn read(file: &[u8]) -> Result<Vec<Section>> {
         broken(if e.kind() == io::ErrorKind::UnexpectedEof {
             "it is cut off".into()
         } else {
-            format!("this is none of sandgait's ({e})")
+            format!("this is not one of sandgait's files ({e})")
         })
     })?;
     if stream.len() as u64 == MOST_UNPACKED {
@@ -203,7 +203,7 @@ pub fn read(file: &[u8]) -> Result<Vec<Section>> {
         match (kind, sections.last_mut()) {
             (HEAD, _) => sections.push(Section::new(content)?),
             (ROWS, Some(section)) => section.extend(content)?,
-            _ => return Err(broken("this is none of sandgait's")),
+            _ => return Err(broken("this is not one of sandgait's files")),
         }
         rest = after;
     }
@@ -267,7 +267,7 @@ mod tests {
         let whole = file();
         let message = |bytes: &[u8]| read(bytes).unwrap_err().to_string();
         assert!(message(b"").contains("cut off"), "{}", message(b""));
-        assert!(message(b"no gzip at all").contains("none of sandgait's"));
+        assert!(message(b"no gzip at all").contains("not one of sandgait's"));
         for length in [whole.len() / 3, whole.len() / 2, whole.len() - 1] {
             assert!(message(&whole[..length]).contains("cut off"));
         }
@@ -277,7 +277,7 @@ mod tests {
             out.finish().unwrap()
         };
         assert!(message(&packed(b"")).contains("empty"));
-        assert!(message(&packed(b"ROWS\0\0\0\0")).contains("none of sandgait's"));
+        assert!(message(&packed(b"ROWS\0\0\0\0")).contains("not one of sandgait's"));
         assert!(message(&packed(b"HEAD\x02\0\0\0{}")).contains("not \"sandgait recording\" 1"));
         assert!(message(&packed(b"HEAD\xff\xff\xff\xff{}")).contains("cut off"));
         let odd = [head_block(&header(&model(), &About::default())), rows_block(&[1.0; 5])].concat();

@@ -1,4 +1,4 @@
-//! Letters on a picture: a font that is compiled in, drawn once, copied from then on.
+//! Writes text on a picture. The font is compiled in; its letters are rendered once and then copied.
 
 use crate::error::{Error, Result};
 use resvg::tiny_skia::{Pixmap, Transform};
@@ -12,12 +12,12 @@ const SIZE: f64 = 13.0;
 
 const OTHERS: [char; 4] = ['°', '·', '−', '²'];
 
-/// How much of each pixel of each letter is covered.
+/// The coverage of each pixel of each letter, 0 to 255.
 struct Letters {
     cells: Vec<[u8; CELL[0] * CELL[1]]>,
 }
 
-/// Number of a character's cell; what has none is drawn as a blank.
+/// Index of a character's cell; a character without a cell is drawn as a blank.
 fn index(c: char) -> usize {
     match c {
         ' '..='~' => c as usize - ' ' as usize,
@@ -57,7 +57,8 @@ fn drawn() -> Option<Letters> {
     Some(Letters { cells: (0..all.len()).map(cell).collect() })
 }
 
-/// Writes `text` with its upper left corner at (x, y) on `pixels`, RGB rows of `width`; what lies outside is cut off.
+/// Writes `text` with its upper left corner at (x, y) on `pixels`, which are RGB rows of `width`. Parts outside of the picture are
+/// cut off.
 pub fn write(pixels: &mut [u8], width: usize, [x, y]: [i64; 2], text: &str, color: [u8; 3]) -> Result<()> {
     let letters = letters()?;
     let height = pixels.len() / 3 / width;

@@ -24,12 +24,11 @@ const LIGHT: [f64; 3] = [0.35, -0.45, 0.82];
 const SIDES: usize = 32;
 /// Samples of a pixel along each edge, for smooth edges: our choice.
 const SAMPLES: usize = 2;
-/// Distance at which plates are drawn outside their surface, in robot radii, so that the surface does not hide
-/// them.
+/// Distance between the drawn plates and their surface, in robot radii, so that the surface does not hide them.
 const BEFORE: f64 = 2e-3;
 
-/// A PNG of `size` [px]: `tree` in its standing pose on its lowest point; `seen` (visual shapes) and `plates` are
-/// lists by body, in the bodies' frames.
+/// A PNG of `size` [px]: `tree` in its standing pose, with its lowest point on the ground; `seen` (visual shapes) and
+/// `plates` are lists by body, in the bodies' frames.
 ///
 /// # Errors
 /// Names the side that is out of [`SIZES`].
@@ -207,7 +206,7 @@ impl Canvas {
     fn triangle(&mut self, corners: &[V; 3], color: Rgb) {
         let [a, b, c] = corners;
         let Some(normal) = (b - a).cross(&(c - a)).try_normalize(0.0) else { return };
-        // Visual meshes may be inside out, so faces on both sides are lit alike.
+        // Visual meshes may be inside out, so both sides of a face have the same brightness.
         let toward = if self.camera.faces((a + b + c) / 3.0, normal) { normal } else { -normal };
         let bright = 0.62 + 0.38 * toward.dot(&Vector3::from(LIGHT).normalize()).max(-0.6);
         self.flat(corners, color.map(|x| x * bright + 24.0 * (bright - 0.62)));

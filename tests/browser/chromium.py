@@ -1,4 +1,4 @@
-"""A headless Chromium on a leash: the DevTools protocol over two pipes, no library needed."""
+"""Controls a headless Chromium by the DevTools protocol over two pipes, without a library."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def program() -> str:
 
 
 class Page:
-    """One tab. What goes wrong in it is kept in `troubles`, what it asks for in `requests`."""
+    """One tab. `troubles` collects its errors, `requests` the addresses that it requests."""
 
     def __init__(self, profile: Path) -> None:
         there, self._out = os.pipe()
@@ -83,7 +83,7 @@ class Page:
             case "Runtime.consoleAPICalled" if parameters["type"] in ("error", "warning", "assert"):
                 self.troubles.append(str(parameters["args"]))
             case "Log.entryAdded" if parameters["entry"]["level"] in ("error", "warning"):
-                # What the software renderer says of itself is not about the page.
+                # Messages of the software renderer do not concern the page.
                 if "GPU stall" not in parameters["entry"]["text"]:
                     self.troubles.append(str(parameters["entry"]))
             case "Network.requestWillBeSent":
@@ -107,7 +107,7 @@ class Page:
             time.sleep(0.1)
 
     def picture(self, path: Path) -> None:
-        """Writes what the tab shows as PNG."""
+        """Writes a screenshot of the tab as PNG."""
         path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
 
     def close(self) -> None:

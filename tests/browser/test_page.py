@@ -1,6 +1,6 @@
-"""The page in a real browser: it loads, the robot is where the numbers say, nothing is asked of other hosts.
+"""The page in a real browser: it loads, shows the robot at its recorded place, and requests nothing from other hosts.
 
-Screenshots go to the directory $SANDGAIT_SHOTS if that is set; those of docs/seeing.md were made so.
+If $SANDGAIT_SHOTS is set, screenshots are written to this directory. The pictures of docs/seeing.md are made this way.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def shots(tmp_path: Path) -> Path:
 
 
 def colours(page: Page, canvas: str) -> int:
-    """How many different colours a canvas shows: 1 where nothing was drawn."""
+    """Number of different colours on a canvas; 1 if nothing was drawn."""
     copy = "Object.assign(document.createElement('canvas'), {width: c.width, height: c.height})"
     return int(
         page.ask(f"""(() => {{ const c = document.getElementById('{canvas}'), d = {copy}, x = d.getContext('2d');
@@ -49,7 +49,7 @@ def colours(page: Page, canvas: str) -> int:
 
 
 def tips(section: sandgait.Section, k: int) -> np.ndarray:
-    """Tips of the legs of a robot with one joint a leg [legs, 3], from the numbers alone."""
+    """Tips of the legs [legs, 3] of a robot with one joint in each leg, from the recorded numbers."""
     w, x, y, z = section["orientation"][k].astype(float)
     turn = np.array(
         [
@@ -113,7 +113,7 @@ def test_slow_motion_and_pause(page: Page, tmp_path: Path) -> None:
     page.open(f"file://{html}")
     page.until("player.world?.pose !== undefined")
     page.ask("(() => { const s = document.getElementById('pace'); s.value = '0.1'; s.onchange(); player.time = 1; })()")
-    # A fifth of a second for the viewer; by hand, because without a GPU frames come as they can.
+    # Advances by a fifth of a second by hand, because without a GPU the rate of frames is irregular.
     moved = "(() => { const t = player.time; tick(0.2); return player.time - t; })()"
     assert page.ask(moved) == pytest.approx(0.02, abs=1e-9)
     at = page.ask("player.time")
@@ -127,7 +127,7 @@ def test_slow_motion_and_pause(page: Page, tmp_path: Path) -> None:
 
 
 class Walker:
-    """A session on a server that is stepped at the control rate, as someone's training would."""
+    """A session on a server that makes steps at the control rate, as a training would."""
 
     def __init__(self, address: str, envs: int) -> None:
         self.env = sandgait.SandgaitVectorEnv(ID, envs, address, leg="C", command=[0.2, 0.2])

@@ -1,9 +1,9 @@
-//! 24 clients that do everything a session can, as fast as they can: the numbers stay those of a calm server, and the
-//! server's memory stays flat.
+//! 24 clients use all functions of sessions as fast as they can. Their numbers equal those of a server without load, and the
+//! server's memory does not grow.
 //!
-//! 20 s here; `make study-load` sets `SANDGAIT_LOAD_SECONDS=300`. How many sessions wait for their leases follows from how fast
-//! the machine is at the moment, so memory may grow in one window. A leak grows in every window, so the test goes on where
-//! memory grew, and fails after [`WINDOWS`].
+//! The test takes 20 s; `make study-load` sets `SANDGAIT_LOAD_SECONDS=300`. The number of sessions that wait for the end of their
+//! lease depends on the speed of the machine, so memory may grow in one window. A leak grows in every window. So the test
+//! measures again after a growth, and fails after [`WINDOWS`] windows with growth.
 
 use crate::harness::{Client, Session, create, number, step, wave};
 use crate::process::Process;
@@ -18,19 +18,19 @@ use std::time::{Duration, Instant};
 
 const CLIENTS: usize = 24;
 
-/// Environments of the sessions, in turn: less than a shard, some shards, no whole number of lanes.
+/// Environments of the sessions, in turn: less than a shard, several shards, and numbers that do not fill all lanes.
 const SIZES: [u32; 4] = [1, 8, 17, 40];
 
-/// Growth of memory that counts as none: our choice, a share of the mean, and what a few sessions more or less take [MiB].
+/// Growth of memory that is accepted: our choice, a share of the mean, and the size of a few sessions [MiB].
 const FLAT: (f64, f64) = (0.05, 2.0);
 
-/// Share of the time after which memory is looked at: sessions come and go, and those left to their leases have begun to.
+/// Share of the time after which memory is measured, so that the first leases have ended: our choice.
 const WARM: f64 = 0.5;
 
-/// Windows in a row in which memory has to grow to count as a leak: our choice.
+/// Growth in this number of consecutive windows counts as a leak: our choice.
 const WINDOWS: usize = 4;
 
-/// One session's life; what its answers were, in one number.
+/// Creates a session and uses it; returns it with a hash of all its answers.
 async fn life(client: Client, kind: usize) -> (Session, u64) {
     let mut session = Session::create(client, SIZES[kind], &[("max_episode_steps", number(12.0))]).await.unwrap();
     let mut digest = DefaultHasher::new();
@@ -52,7 +52,7 @@ async fn life(client: Client, kind: usize) -> (Session, u64) {
     ways[0].iter().for_each(|answer| digest.write(answer));
     session.failure(Some(step(&[2.0]))).await;
     session.send(Some(rollout(session.envs, 15, kind.is_multiple_of(2)))).await;
-    // Parts are cut by time, so only what they hold together is the same.
+    // The server cuts a rollout into parts by time, so only their joined content is reproducible.
     let (mut rows, mut rewards, mut returns) = (vec![], vec![], bytes::Bytes::new());
     while returns.is_empty() {
         let (_, Response::Rollout(part)) = session.receive().await.unwrap() else { panic!("no rollout") };
@@ -69,8 +69,8 @@ fn step_at(envs: usize, time: usize) -> Request {
     step(&wave(0..envs, time))
 }
 
-/// Sessions one after the other until `done`, each compared with what a calm server answered; every third is left to its
-/// lease, and before every tenth one is made and forgotten at once.
+/// Uses one session after the other until `done`, and compares each with the answers of a server without load. Every third session
+/// is not closed, so its lease runs out. Before every tenth, a further session is created and not used.
 async fn hammer(client: Client, number: usize, calm: &[u64], done: &AtomicBool, lives: &AtomicUsize) {
     for round in number.. {
         if done.load(Ordering::Relaxed) {
@@ -108,12 +108,12 @@ fn watch(process: u32, seconds: f64) -> Vec<(f64, f64)> {
     points
 }
 
-/// How memory went in one window.
+/// The memory in one window.
 #[derive(Debug)]
 struct Window {
-    /// [MiB]
+    /// Mean [MiB].
     mean: f64,
-    /// By a straight line [MiB].
+    /// Growth of a straight line through the measurements [MiB].
     growth: f64,
 }
 

@@ -1,4 +1,5 @@
-//! Clients that are slow, greedy, many or gone: the others do not notice, and memory stays bounded.
+//! Slow clients, clients with large requests, many clients, and clients that disappear: they do not delay others, and memory stays
+//! bounded.
 
 #[expect(dead_code, reason = "the rest is for other tests")]
 #[path = "../grpc/harness.rs"]
@@ -19,7 +20,7 @@ use tokio::io::AsyncWriteExt as _;
 use tokio::net::TcpStream;
 use tokio::sync::Mutex;
 
-/// These tests measure: one at a time.
+/// Runs one test at a time, because they measure times and memory.
 static ALONE: Mutex<()> = Mutex::const_new(());
 
 /// Memory of a process [MiB].
@@ -36,7 +37,7 @@ fn rollout(envs: usize, steps: usize, trajectories: bool) -> Request {
 
 /// A client that asks for 200 batches of 1 MiB and reads none is stopped by flow control after a few of them.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_client_that_does_not_read_is_not_stepped_on() {
+async fn steps_wait_for_a_client_that_does_not_read() {
     let _alone = ALONE.lock().await;
     let server = Server::start(1).await;
     let mut slow = server.session(4096).await;
@@ -59,12 +60,12 @@ async fn a_client_that_does_not_read_is_not_stepped_on() {
     let beside = steps_within(&mut other, Duration::from_secs(3)).await;
     assert!(!ahead.is_finished(), "the server has read 200 requests that it has not answered");
     ahead.abort();
-    // The client's own share, its window and what it has not sent, is in the same process.
+    // The client is in the same process; its receive window and its unsent requests count, too.
     assert!(resident(std::process::id()) - before < 64.0, "{before} to {} MiB", resident(std::process::id()));
     assert!(beside > alone, "the other session made {beside} steps in 3 s, and {alone} in 1 s alone");
 }
 
-/// How many steps a session makes.
+/// Number of steps that a session makes within `time`.
 async fn steps_within(session: &mut Session, time: Duration) -> usize {
     let (begun, mut steps) = (Instant::now(), 0);
     while begun.elapsed() < time {
@@ -74,7 +75,7 @@ async fn steps_within(session: &mut Session, time: Duration) -> usize {
     steps
 }
 
-/// Connections to the live page that watch an environment each, and read nothing.
+/// Opens connections to the live page. Each watches an environment and reads nothing.
 async fn watch(page: &str, session: &str, count: usize) -> Vec<TcpStream> {
     let mut all = Vec::new();
     for k in 0..count {
@@ -86,8 +87,8 @@ async fn watch(page: &str, session: &str, count: usize) -> Vec<TcpStream> {
     all
 }
 
-/// Who watches costs a step little; it was forty times as long once. The goal is 1.2, the bound has slack for what else
-/// runs on the machine.
+/// Viewers hardly slow a step down. (In an earlier version a step took forty times as long.) The goal is a factor of 1.2; the bound
+/// is larger because other programs may run on the machine.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn watchers_do_not_slow_the_steps() {
     let _alone = ALONE.lock().await;
@@ -100,7 +101,7 @@ async fn watchers_do_not_slow_the_steps() {
     for _ in 0..5 {
         let alone = latencies(&mut session, 300).await[0];
         let watchers = watch(&page, &listed[0].name, 64).await;
-        // All are there, and their headers were sent.
+        // All connections are open and have received their headers.
         tokio::time::sleep(Duration::from_millis(300)).await;
         let watched = latencies(&mut session, 300).await[0];
         println!("step of 16 environments [ms]: alone {alone:.3}, watched by 64 that read nothing {watched:.3}");
@@ -124,8 +125,8 @@ async fn latencies(session: &mut Session, count: usize) -> [f64; 2] {
     [times[count / 2], times[count * 99 / 100]]
 }
 
-/// One worker thread, so that everyone waits for the same processor: a small session's steps wait for some shards of the
-/// others, not for their batches.
+/// With one worker thread, all sessions compete for the same processor. The steps of a small session wait for a few shards of the
+/// others, not for whole batches.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn greedy_sessions_do_not_starve_a_small_one() {
     let _alone = ALONE.lock().await;
@@ -157,14 +158,14 @@ async fn greedy_sessions_do_not_starve_a_small_one() {
     assert!(beside[0] < whole, "{beside:?} against {whole}: the small session waits for whole batches");
 }
 
-/// Environments in each session of the builders: making them takes a processor some 50 ms.
+/// Environments in each session of the builders; creating them takes some 50 ms of processor time.
 const MANY: u32 = 2000;
 
-/// What a step may take beside builders, in steps alone: they have at most a thread for each processor, as the simulation
-/// has at most, so it keeps half of the machine (2); to get onto a processor it waits now and then for one that is taken.
+/// Longest time of a step beside builders, relative to a step alone. Builders and simulation both have a thread for each processor,
+/// so the simulation gets half of the machine (a factor of 2), and at times a thread must wait for a processor.
 const BESIDE_BUILDERS: f64 = 4.0;
 
-/// Makes one session after the other until told to stop; how long each took [ms].
+/// Creates one session after the other until `stop`; returns the time of each [ms].
 async fn build(mut client: harness::Client, stop: &AtomicBool) -> Vec<f64> {
     let mut times = Vec::new();
     while !stop.load(Ordering::Relaxed) {
@@ -177,17 +178,17 @@ async fn build(mut client: harness::Client, stop: &AtomicBool) -> Vec<f64> {
     times
 }
 
-/// Those who ask for one large session after the other hold up neither the large steps of others, which are checked on the
-/// same few threads, nor those who ask for a small session.
+/// Clients that create one large session after the other do not delay the large steps of others, although the same few threads
+/// check these steps. Nor do they delay the creation of a small session.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn greedy_builders_hold_up_nobody() {
+async fn creating_large_sessions_does_not_delay_others() {
     let _alone = ALONE.lock().await;
     let server = Process::start(&["--listen", "127.0.0.1:0"]);
-    // More actions than are checked on the thread that receives them.
+    // So many actions that they are not checked on the thread that receives them.
     let mut session = Session::create(server.client().await, 1000, &[]).await.unwrap();
     session.reset(0).await;
     let (mut ratios, mut smalls, mut larges) = (vec![], vec![], vec![]);
-    // In turns, so that whatever else the machine does is in both.
+    // Both are measured in turns, so that other load on the machine affects both.
     for _ in 0..5 {
         let alone = latencies(&mut session, 30).await[0];
         let stop = AtomicBool::new(false);
@@ -236,7 +237,7 @@ async fn a_thousand_sessions_leave_no_memory_behind() {
         for k in 0..200 {
             let id = client.create_session(create(16, &[])).await.unwrap().into_inner().session_id;
             match k % 3 {
-                // Closed, left to its lease, or left with a stream in the middle of a step.
+                // The session is closed, or left to its lease, or left during a step.
                 0 => drop(client.close_session(CloseSessionRequest { session_id: id }).await.unwrap()),
                 1 => {}
                 _ => {
@@ -283,7 +284,7 @@ async fn throughput(server: &Server, clients: usize, envs: usize, time: Duration
     steps as f64 / begun.elapsed().as_secs_f64()
 }
 
-/// The goal is 90 %; the bound has slack for what else runs on the machine, and the best of some pairs counts.
+/// The goal is 90 %. The bound is lower because other programs may run on the machine, and the best of several pairs counts.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn eight_clients_get_as_much_as_one() {
     let _alone = ALONE.lock().await;

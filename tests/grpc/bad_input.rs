@@ -1,4 +1,4 @@
-//! Everything a client can get wrong: a clear answer that names field, index and range, and nothing is lost.
+//! Wrong requests of every kind: the answer names field, index and range, and the session goes on unchanged.
 
 use crate::harness::{Server, Session, create, number, options, step, text, wave};
 use sandgait::service::proto::run_session_request::Request;
@@ -13,7 +13,7 @@ fn check(failure: &Failure, code: Code, words: &[&str]) {
     }
 }
 
-/// Two equal sessions; one gets `bad` between a reset and a step, and must go on as if nothing had been asked.
+/// Of two equal sessions one gets the request `bad` between a reset and a step. Afterwards both must give the same bits.
 async fn refused(bad: Option<Request>, code: Code, words: &[&str]) {
     let server = Server::start(1).await;
     let (mut session, mut undisturbed) = (server.session(3).await, server.session(3).await);
@@ -116,7 +116,7 @@ async fn not_created(request: CreateSessionRequest, code: Code, words: &[&str]) 
 }
 
 #[tokio::test]
-async fn sessions_that_cannot_be() {
+async fn impossible_sessions_are_refused() {
     let invalid = Code::InvalidArgument;
     let task_id = "sandgait/Swim-v0".to_owned();
     not_created(CreateSessionRequest { task_id, ..create(1, &[]) }, invalid, &["Swim", "HexapodGait-v1"]).await;
@@ -137,7 +137,7 @@ async fn sessions_that_cannot_be() {
 }
 
 #[tokio::test]
-async fn a_session_nobody_knows() {
+async fn unknown_sessions_are_refused() {
     let server = Server::start(1).await;
     let mut client = server.client().await;
     let close = CloseSessionRequest { session_id: "x".into() };

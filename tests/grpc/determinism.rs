@@ -1,4 +1,4 @@
-//! Equal seeds and actions give equal bits, whatever the threads and however environments are spread over sessions.
+//! Equal seeds and actions give equal bits, for any number of threads and any distribution of environments over sessions.
 
 use crate::harness::{Server, Session, floats, step, text, wave};
 use sandgait::service::proto::run_session_request::Request;
@@ -7,7 +7,7 @@ use std::ops::Range;
 
 const ENVS: usize = 37;
 
-/// Observations and rewards of all steps, one history an environment.
+/// Observations and rewards of all steps, separately for each environment.
 async fn histories(server: &Server, engine: &str, steps: usize, envs: Range<usize>) -> Vec<Vec<u32>> {
     let engine = [("engine", text(engine))];
     let mut session = Session::create(server.client().await, envs.len() as u32, &engine).await.unwrap();

@@ -1,4 +1,4 @@
-//! Wrong messages over a real connection: another session's numbers are those of an undisturbed run.
+//! Randomly changed messages over a real connection: the numbers of another session equal those of an undisturbed run.
 
 use crate::harness::{Server, Session, create, number, options, step, text, wave};
 use crate::mutate::mutated;
@@ -14,7 +14,7 @@ use sandgait::service::proto::{Attach, Reset, Restore, Rollout, RunSessionReques
 use std::time::{Duration, Instant};
 use tokio::net::UnixStream;
 
-/// Messages that are sent.
+/// Number of messages.
 const COUNT: usize = 3_000;
 
 async fn connect(server: &Server) -> SendRequest<Bytes> {
@@ -24,7 +24,7 @@ async fn connect(server: &Server) -> SendRequest<Bytes> {
     client.ready().await.unwrap()
 }
 
-/// Sends `frames` as all there is of a call and waits until the server has ended it.
+/// Makes a call whose only content is `frames`, and waits until the server has ended it.
 async fn send(client: &SendRequest<Bytes>, method: &str, frames: Vec<u8>) {
     let mut client = client.clone().ready().await.unwrap();
     let uri = format!("http://localhost/sandgait.v1.EnvironmentService/{method}");
@@ -76,7 +76,7 @@ async fn wrong_messages_disturb_nobody_else() {
         if k % 8 == 0 {
             send(&client, "CreateSession", frame(&mutated(&mut random, &creation, &valid[1]))).await;
         } else {
-            // The first message is right, so that the others reach the session.
+            // The first message is valid, so that the others reach the session.
             let mut frames = frame(&valid[random.random_range(0..valid.len())]);
             for _ in 0..random.random_range(1..4) {
                 let [one, other] = [(); 2].map(|()| &valid[random.random_range(0..valid.len())]);
@@ -89,7 +89,7 @@ async fn wrong_messages_disturb_nobody_else() {
         }
     }
     assert!(begun.elapsed() < Duration::from_secs(20), "{:?}", begun.elapsed());
-    // The session that had it all is still there, too.
+    // The session that received all the messages still exists.
     let (mut again, _) = Session::resume(server.client().await, &victim.id, 0).await.unwrap();
     again
         .requests

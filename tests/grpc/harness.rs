@@ -1,4 +1,4 @@
-//! A server on a Unix socket in a fresh directory, and a client that talks to it as any other would.
+//! A server on a Unix socket in a new directory, and a client that uses only the public protocol.
 
 use sandgait::service::proto::environment_service_client::EnvironmentServiceClient;
 use sandgait::service::proto::run_session_request::Request;
@@ -22,7 +22,7 @@ pub const ACTIONS: usize = 6;
 
 pub type Client = EnvironmentServiceClient<InterceptedService<Channel, Bearer>>;
 
-/// What a client says in every call: its token, if it has one.
+/// Adds the client's token, if it has one, to every call.
 #[derive(Clone, Default)]
 pub struct Bearer(pub Option<String>);
 
@@ -67,7 +67,7 @@ impl Server {
         Self::listen(setup, address, directory).await
     }
 
-    /// On a port of the loopback.
+    /// A server on a TCP port of the loopback interface.
     pub async fn tcp(setup: Setup) -> Self {
         Self::listen(setup, "127.0.0.1:0".parse().unwrap(), tempfile::tempdir().unwrap()).await
     }
@@ -113,14 +113,14 @@ pub fn create(envs: u32, fields: &[(&str, prost_types::Value)]) -> CreateSession
     CreateSessionRequest { task_id: TASK.into(), num_envs: envs, options: options(fields), protocol: PROTOCOL }
 }
 
-/// A stream: where requests go and answers come from.
+/// A stream: a sender of requests and a receiver of answers.
 async fn open(client: &mut Client) -> Result<(mpsc::Sender<RunSessionRequest>, Streaming<RunSessionResponse>), Status> {
     let (requests, receiver) = mpsc::channel(8);
     let answers = client.run_session(ReceiverStream::new(receiver)).await?.into_inner();
     Ok((requests, answers))
 }
 
-/// An attached session: a stream on which messages go back and forth.
+/// A session with an open stream.
 pub struct Session {
     pub client: Client,
     pub id: String,
@@ -144,8 +144,8 @@ impl Session {
         Ok(Self { client, id: created.session_id, task, envs: envs as usize, requests, answers, sequence: 0 })
     }
 
-    /// Takes the session up on a stream of its own, as a client that lost its stream does; `sequence` is the number of
-    /// the last request that it has an answer to. Gives the number of the last one that the server carried out.
+    /// Opens a new stream to a session, as a client does after it lost its stream. `sequence` is the number of the last request whose
+    /// answer it has. Returns the number of the last request that the server has carried out.
     pub async fn resume(mut client: Client, id: &str, sequence: u64) -> Result<(Self, u64), Status> {
         let request = DescribeSessionRequest { session_id: id.into() };
         let described = client.describe_session(request).await?.into_inner();
@@ -161,7 +161,7 @@ impl Session {
         }
     }
 
-    /// Sends without waiting; the session is named in every message.
+    /// Sends a request and does not wait. Every message names the session.
     pub async fn send(&mut self, request: Option<Request>) -> u64 {
         self.sequence += 1;
         let message = RunSessionRequest { session_id: self.id.clone(), sequence: self.sequence, request };
@@ -197,7 +197,7 @@ impl Session {
         }
     }
 
-    /// Resets all environments: seed `first` + number of the environment.
+    /// Resets all environments; environment i gets the seed `first` + i.
     pub async fn reset(&mut self, first: u64) -> Batch {
         let seeds = (0..self.envs as u64).map(|i| first + i).collect();
         self.batch(Request::Reset(Reset { seeds, ..Default::default() })).await
@@ -223,7 +223,7 @@ pub fn floats(bytes: &[u8]) -> Vec<f32> {
     bytes.chunks_exact(4).map(|b| f32::from_le_bytes(b.try_into().unwrap())).collect()
 }
 
-/// Waits until `ready`, as long as a slow machine may take.
+/// Waits until `ready`, with a limit that suits a slow machine.
 pub async fn until(mut ready: impl AsyncFnMut() -> bool) {
     for _ in 0..500 {
         if ready().await {

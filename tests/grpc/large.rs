@@ -1,4 +1,4 @@
-//! Large requests: refused or read by their share of the memory, while others step as if nobody asked.
+//! Large requests wait for their share of the memory or are refused, while other sessions go on.
 
 use crate::harness::{Server, Session, create, options, step, wave};
 use sandgait::service::proto::run_session_request::Request;
@@ -9,7 +9,7 @@ use tonic::Code;
 
 const MIB: usize = 1 << 20;
 
-/// 64 MiB: requests may take 16 of them, and the largest has 8.
+/// The server has 64 MiB: all requests together may take 16 MiB of them, and a single one 8.
 fn limits() -> Limits {
     Limits { memory: 64 * MIB, ..Limits::default() }
 }
@@ -37,7 +37,8 @@ async fn sessions_with_very_many_values_are_refused_unread() {
     }
 }
 
-/// Each is refused by its length, before it is unpacked; the session goes on with the bits of one that got none of them.
+/// Each field is refused because of its length, before it is decoded. The session goes on with the same bits as one without such
+/// requests.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn fields_that_are_too_long_for_the_session() {
     let server = Server::with_limits(1, limits()).await;
@@ -62,7 +63,7 @@ async fn fields_that_are_too_long_for_the_session() {
     assert_eq!(session.step(1).await, undisturbed.step(1).await);
 }
 
-/// These end their stream; the session can be taken up again.
+/// These messages end their stream, and the session can be resumed.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn messages_that_end_their_stream() {
     let server = Server::with_limits(1, limits()).await;
@@ -98,7 +99,7 @@ fn rollout(steps: usize, envs: usize) -> Request {
     Request::Rollout(Rollout { actions: row.repeat(steps).into(), trajectories: false })
 }
 
-/// The largest message takes all the memory there is for requests: a share that was not given back would be missed at once.
+/// The largest message takes all memory for requests, so the next one would fail if a share was not released.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn shares_are_given_back() {
     let server = Server::with_limits(1, Limits { memory: 16 * MIB, ..Limits::default() }).await;
@@ -113,7 +114,7 @@ async fn shares_are_given_back() {
         assert!(session.failure(garbage()).await.message.starts_with("snapshot: "));
     }
     for request in [rollout(), garbage()] {
-        // A client that leaves while its request is read or carried out.
+        // The client disconnects while its request is read or carried out.
         let (left, _) = Session::resume(server.client().await, &session.id, 0).await.unwrap();
         left.requests.send(RunSessionRequest { session_id: left.id.clone(), sequence: 0, request }).await.unwrap();
         drop(left);

@@ -1,4 +1,4 @@
-//! The service from outside, over a real socket: what is promised in `proto/sandgait/v1/`.
+//! The service as documented in `proto/sandgait/v1/`, over a real socket.
 
 mod bad_input;
 mod determinism;
@@ -59,7 +59,7 @@ async fn an_episode_from_reset_to_truncation() {
         let last = time == steps as usize;
         assert_eq!(batch.truncated.as_ref(), [u8::from(last); 3]);
         assert_eq!(batch.terminated.as_ref(), [0; 3]);
-        // SAME_STEP: the next episode has begun, the old one's last row comes beside it.
+        // In SAME_STEP the next episode has begun, and the answer also has the last row of the old episode.
         assert_eq!(batch.final_observations.len(), if last { 4 * 3 * wide } else { 0 });
         assert_eq!(batch.final_indices.len(), if last { 4 * 3 } else { 0 });
         if last {
@@ -82,8 +82,8 @@ async fn a_masked_reset_leaves_the_others_alone() {
     assert_ne!(row(&before, 1), row(&after, 1));
 }
 
-/// The environment that the reset names goes on as one of a session that was made with these options, also after a reset
-/// without any; the other as one of a session without them.
+/// After a reset with options, the chosen environment equals one of a session that was made with these options, also after a further
+/// reset without options. The other environment equals one of a session without them.
 #[tokio::test]
 async fn options_change_at_reset_and_hold() {
     let server = Server::start(1).await;

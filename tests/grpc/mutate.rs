@@ -1,8 +1,8 @@
-//! Valid messages, made wrong in some way.
+//! Random changes of valid messages.
 
 use rand::Rng;
 
-/// Numbers at the ends of ranges, as bytes of a message.
+/// Numbers at the ends of ranges, as encoded in messages.
 const EDGES: [&[u8]; 8] = [
     &[0],
     &[0xff; 4],

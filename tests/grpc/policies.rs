@@ -1,4 +1,4 @@
-//! Rollouts of an uploaded network: what step by step would have given, on any number of threads, and nothing changed.
+//! Rollouts of an uploaded policy give the same numbers as single steps, on any number of threads, and do not change the session.
 
 use crate::harness::{ACTIONS, Server, Session, floats, number, step};
 use crate::rollouts::parts;
@@ -19,7 +19,7 @@ fn joined(parts: &[RolloutPart]) -> [Vec<f32>; 3] {
 }
 
 #[tokio::test]
-async fn a_networks_rollout_is_its_steps_and_leaves_no_trace() {
+async fn a_policys_rollout_equals_its_steps_and_changes_nothing() {
     let (envs, steps) = (20, 40);
     let limit = [("max_episode_steps", number(60.0))];
     let (one, three) = (Server::start(1).await, Server::start(3).await);
@@ -30,7 +30,7 @@ async fn a_networks_rollout_is_its_steps_and_leaves_no_trace() {
     let other_parts = self::parts(&mut other, rollout(PPO, steps, true)).await;
     let wide = session.task.observation.len();
     let [observations, rewards, actions] = joined(&parts);
-    // How a rollout is cut into parts depends on the time it takes; what they hold does not.
+    // The server cuts a rollout into parts by time; the joined content does not depend on this.
     assert_eq!([&observations, &rewards, &actions], joined(&other_parts).each_ref(), "threads");
     assert_eq!(parts.last().unwrap().returns, other_parts.last().unwrap().returns);
     assert_eq!(actions.len(), steps as usize * envs * ACTIONS);
@@ -41,7 +41,7 @@ async fn a_networks_rollout_is_its_steps_and_leaves_no_trace() {
         assert_eq!(floats(&batch.observations), observations[k * envs * wide..][..envs * wide], "step {k}");
         assert_eq!(floats(&batch.rewards), rewards[k * envs..][..envs], "step {k}");
     }
-    // It goes on from where the environments are now, which is where `session` will be when it has made these steps.
+    // The rollout begins at the present state of the environments, which `session` reaches after the same steps.
     let again = self::parts(&mut session, rollout(PPO, 60, false)).await;
     let [only] = &again[..] else { panic!() };
     assert!(only.actions.is_empty() && only.observations.is_empty());
@@ -72,7 +72,7 @@ async fn wrong_policies_are_refused() {
         let failure = session.failure(Some(rollout(onnx, steps, false))).await;
         assert!(failure.message.contains(word), "{}", failure.message);
     }
-    // Weights that are not numbers are noticed when the network runs, after which everything is put back.
+    // Weights that are not numbers are detected when the network runs; the session's state is then restored.
     let mut broken = PPO.to_vec();
     broken[1000..1500].fill(0xff); // in the first layer's
     session.send(Some(rollout(&broken, 5, true))).await;

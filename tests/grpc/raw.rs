@@ -1,4 +1,4 @@
-//! Bytes that no gRPC library would send: the stream they come on ends with a reason, everything else goes on.
+//! Bytes that no gRPC library would send: their stream ends with a reason, and everything else goes on.
 
 use crate::harness::{Server, Session, create};
 use bytes::Bytes;
@@ -23,7 +23,7 @@ async fn http2(server: &Server) -> SendRequest<Bytes> {
     client.ready().await.unwrap()
 }
 
-/// Sends `body` as all there is of a RunSession stream and gives the status the server ends it with.
+/// Sends a RunSession stream whose only content is `body`, and returns the status with which the server ends it.
 async fn answer(server: &Server, body: Vec<u8>) -> (Code, String) {
     let request = http::Request::post("http://localhost/sandgait.v1.EnvironmentService/RunSession");
     let request = request.header("content-type", "application/grpc").header("te", "trailers").body(()).unwrap();
@@ -40,7 +40,7 @@ async fn answer(server: &Server, body: Vec<u8>) -> (Code, String) {
     (Code::from_bytes(field("grpc-status").as_bytes()), field("grpc-message"))
 }
 
-/// A gRPC frame that says it is `length` bytes long.
+/// A gRPC frame whose header states `length` bytes.
 fn frame(flag: u8, length: usize, message: &[u8]) -> Vec<u8> {
     [&[flag][..], &(length as u32).to_be_bytes(), message].concat()
 }
@@ -51,7 +51,7 @@ async fn first_message(server: &Server) -> Vec<u8> {
     RunSessionRequest { session_id, sequence: 1, request }.encode_to_vec()
 }
 
-/// A session that is stepped between other clients' attempts, and the same one undisturbed.
+/// A session that makes steps between the attempts of other clients, and the same session undisturbed.
 struct Witness(Session, Session, usize);
 
 impl Witness {

@@ -1,4 +1,4 @@
-//! Rollouts: what step by step would have given, and nothing changed.
+//! Rollouts give the same numbers as single steps and do not change the session.
 
 use crate::harness::{ACTIONS, Server, Session, floats, number, wave};
 use sandgait::service::proto::run_session_request::Request;
@@ -23,7 +23,7 @@ pub async fn parts(session: &mut Session, request: Request) -> Vec<RolloutPart> 
 }
 
 #[tokio::test]
-async fn a_rollout_is_its_steps_and_leaves_no_trace() {
+async fn a_rollout_equals_its_steps_and_changes_nothing() {
     let server = Server::start(2).await;
     let (envs, steps) = (20, 50);
     let limit = [("max_episode_steps", number(37.0))];
@@ -64,7 +64,7 @@ async fn a_rollout_is_its_steps_and_leaves_no_trace() {
     assert_eq!(got, returns);
     assert_eq!(last.lengths, lengths.iter().flat_map(|n: &u32| n.to_le_bytes()).collect::<Vec<_>>());
     assert_eq!((last.truncated.as_ref(), last.terminated.as_ref()), (&[1; 20][..], &[0; 20][..]));
-    // The environments are where they were, and the same rollout gives the same again, with returns alone too.
+    // The environments are unchanged, so the same rollout gives the same numbers again; so does one with returns only.
     let short = self::parts(&mut session, rollout(envs, steps, false)).await;
     let [only] = &short[..] else { panic!() };
     assert_eq!((&only.returns, only.first_step, only.steps), (&last.returns, 0, steps as u32));
@@ -93,9 +93,9 @@ async fn wrong_rollouts_are_refused() {
     session.step(0).await;
 }
 
-/// A client that leaves in the middle finds the session where it was.
+/// If a client leaves during a rollout, the session keeps the state from before it.
 #[tokio::test]
-async fn a_rollout_that_is_left_puts_everything_back() {
+async fn a_cancelled_rollout_restores_the_state() {
     let server = Server::start(1).await;
     let (mut session, mut undisturbed) = (server.session(16).await, server.session(16).await);
     assert_eq!(session.reset(2).await, undisturbed.reset(2).await);

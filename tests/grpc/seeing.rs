@@ -1,4 +1,4 @@
-//! Pictures and moments: they show what the numbers say, and change nothing.
+//! Pictures and moments agree with the numbers and do not change the session.
 
 use crate::harness::{ACTIONS, Server, Session, create, number, options, step, wave};
 use sandgait::service::proto::run_session_request::Request;
@@ -49,7 +49,7 @@ async fn pictures_show_each_environment_and_change_nothing() {
     assert_ne!(first, later);
     assert_ne!(later[..one], later[one..2 * one], "robots with other actions look otherwise");
     assert_eq!(later[one..2 * one], pictures(&mut seen, render(&[1], false)).await);
-    // Sky above sand: the picture's top is brighter and bluer than its bottom.
+    // The sky is above the sand, so the top of the picture is brighter and bluer than the bottom.
     let mean = |rows: &[u8], channel: usize| {
         rows.iter().skip(channel).step_by(3).map(|v| f64::from(*v)).sum::<f64>() / (rows.len() / 3) as f64
     };
@@ -81,12 +81,12 @@ async fn the_last_moment_of_an_episode_can_be_seen() {
     let (ended, begun) =
         (pictures(&mut session, render(&[0], true)).await, pictures(&mut session, render(&[0], false)).await);
     assert_ne!(ended, begun);
-    // A step later there is nothing left of the old episode.
+    // One step later the old episode cannot be shown any more.
     session.batch(step(&actions)).await;
     assert_eq!(moment(&mut session, 0, true).await.header["episode"], 1);
 }
 
-/// Rows hold the sand's force on every segment: a robot that stands is held up by it.
+/// Rows contain the sand's force on every segment. For a standing robot the sum is its weight.
 #[tokio::test]
 async fn moments_hold_the_forces() {
     let server = Server::start(1).await;
@@ -109,7 +109,7 @@ async fn moments_hold_the_forces() {
 }
 
 #[tokio::test]
-async fn wrong_looks_are_refused() {
+async fn wrong_requests_for_pictures_are_refused() {
     let server = Server::start(1).await;
     let mut session = server.session(2).await;
     let picture =
@@ -133,7 +133,7 @@ async fn wrong_looks_are_refused() {
     refused(Some(Request::Render(many)), &["1000 pictures", "pixels"]).await;
 }
 
-/// 100 pictures of 480 × 360 a second on one core is what is promised; a loaded test machine gets a tenth.
+/// The documentation states 100 pictures of 480 × 360 a second on one core; the test requires a tenth, for loaded machines.
 #[tokio::test]
 async fn pictures_are_quick() {
     let server = Server::start(1).await;

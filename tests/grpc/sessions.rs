@@ -1,4 +1,4 @@
-//! Whose environments are whose, and when they end.
+//! Which session environments belong to, and when sessions end.
 
 use crate::harness::{Server, Session, create, step, until, wave};
 use sandgait::service::Limits;
@@ -7,7 +7,7 @@ use sandgait::service::proto::{CloseSessionRequest, DescribeSessionRequest, List
 use std::time::{Duration, Instant};
 use tonic::Code;
 
-/// Does the server still know this session?
+/// Does the session still exist?
 async fn is_known(server: &Server, id: &str) -> bool {
     let close = CloseSessionRequest { session_id: id.into() };
     server.client().await.close_session(close).await.is_ok()
@@ -32,7 +32,7 @@ async fn two_sessions_do_not_see_each_other() {
     }
 }
 
-/// The client's end comes before the step's; the step is finished all the same, and then the session's lease runs out.
+/// The client dies during a step. The server finishes the step, and then the session's lease runs out.
 #[tokio::test]
 async fn a_client_that_dies_in_mid_step_leaves_no_trace() {
     const ENVS: usize = 32_768;
@@ -54,7 +54,7 @@ async fn a_client_that_dies_in_mid_step_leaves_no_trace() {
         session.step(0).await;
         let whole = begun.elapsed();
         let sent = session.send(Some(step(&wave(0..ENVS, 1)))).await;
-        // Long enough for the request to arrive, however loaded the machine is, and less than its step.
+        // Long enough for the request to arrive on a loaded machine, and shorter than its step.
         tokio::time::sleep(whole / 4).await;
         drop(session);
         let [summary] = &list().await[..] else { panic!("one session") };
@@ -78,9 +78,9 @@ async fn the_newest_stream_has_the_session() {
     second.step(0).await;
 }
 
-/// What a client that lost its stream does, whether or not its last request was carried out.
+/// A client that lost its stream resumes the session, whether or not its last request was carried out.
 #[tokio::test]
-async fn a_lost_stream_loses_and_doubles_nothing() {
+async fn a_lost_stream_neither_loses_nor_repeats_a_step() {
     let server = Server::start(2).await;
     let (mut session, mut undisturbed) = (server.session(20).await, server.session(20).await);
     assert_eq!(session.reset(3).await, undisturbed.reset(3).await);
@@ -90,7 +90,7 @@ async fn a_lost_stream_loses_and_doubles_nothing() {
             let sent = session.send(Some(step(&wave(0..20, time as usize)))).await;
             tokio::time::sleep(Duration::from_micros(400 * (time % 7))).await;
             let id = session.id.clone();
-            drop(session); // in the middle of the step, before it or after
+            drop(session); // before, during or after the step
             let (again, last) = Session::resume(server.client().await, &id, sent - 1).await.unwrap();
             assert!(last == sent || last == sent - 1, "{last} {sent}");
             session = again;
@@ -100,7 +100,7 @@ async fn a_lost_stream_loses_and_doubles_nothing() {
 }
 
 #[tokio::test]
-async fn a_number_out_of_turn_is_refused_and_changes_nothing() {
+async fn a_wrong_sequence_number_is_refused_and_changes_nothing() {
     let server = Server::start(1).await;
     let (mut session, mut undisturbed) = (server.session(2).await, server.session(2).await);
     assert_eq!(session.reset(3).await, undisturbed.reset(3).await);
@@ -116,7 +116,7 @@ async fn a_number_out_of_turn_is_refused_and_changes_nothing() {
 }
 
 #[tokio::test]
-async fn lists_name_sessions_without_giving_them_away() {
+async fn lists_of_sessions_do_not_reveal_their_ids() {
     let server = Server::start(1).await;
     let mut session = server.session(3).await;
     session.reset(0).await;
@@ -153,8 +153,8 @@ async fn only_the_first_message_names_the_session() {
     assert_eq!(session.receive().await.unwrap().0, 2);
 }
 
-/// A first message that asks for nothing is refused by name and takes the session all the same; one that names no
-/// session ends the stream.
+/// A first message without a request gives an error, but opens the session's stream. A first message without a session ends the
+/// stream.
 #[tokio::test]
 async fn a_first_message_without_a_request_or_a_session() {
     let server = Server::start(1).await;
@@ -189,8 +189,8 @@ async fn a_session_without_a_stream_expires() {
     attached.step(0).await;
 }
 
-/// A server that stops a quarter of the way into a step finishes and answers it; then the stream ends with a status that says
-/// why. Where the machine was so slow that the step had not been read when the server stopped, it is tried again.
+/// A server that is stopped during a step finishes the step and answers it. Then the stream ends with a status that states the
+/// reason. On a slow machine the server may stop before it has read the request; then the test tries again.
 #[tokio::test]
 async fn shutdown_answers_the_step_in_flight() {
     let mut answered = 0;

@@ -1,4 +1,4 @@
-//! Save, restore, fork: the same bits, or a refusal.
+//! Snapshots: a restored or forked session goes on with the same bits, and damaged snapshots are refused.
 
 use crate::harness::{Server, Session, TASK, number, options, text};
 use sandgait::service::PROTOCOL;
@@ -30,7 +30,7 @@ fn actions(session: &Session, time: usize) -> Request {
     crate::harness::step(&(0..count).map(|k| ((k * 3 + time) as f32 * 0.37).sin()).collect::<Vec<_>>())
 }
 
-/// Every task: 30 steps are made twice, the second time in another session from a snapshot, over ends of episodes.
+/// For every task: a session makes 30 steps over ends of episodes, and another one makes them again from a snapshot.
 #[tokio::test]
 async fn a_restored_session_goes_on_with_the_same_bits() {
     let server = Server::start(2).await;
@@ -85,7 +85,7 @@ async fn one_environment_is_forked_into_many() {
     assert!(failure.message.contains("4 entries for 40"), "{}", failure.message);
 }
 
-/// Every bit of a snapshot is looked at; none that is changed is taken, none makes the server fall.
+/// A snapshot with any one bit changed is refused, and the server goes on.
 #[tokio::test]
 async fn a_damaged_snapshot_is_refused() {
     let server = Server::start(1).await;

@@ -1,4 +1,4 @@
-//! Studies over the wire: the command line's numbers and refusals, progress that only grows, and cancellation.
+//! Studies over gRPC: the same numbers and errors as on the command line, progress that only grows, and cancellation.
 
 use crate::harness::Server;
 use crate::testbed;
@@ -21,7 +21,7 @@ async fn client(server: &Server) -> Client {
     Client::new(server.channel().await).max_decoding_message_size(usize::MAX)
 }
 
-/// What a command that is refused says on stderr.
+/// The line on stderr of a refused command.
 fn command_line(arguments: &[&str]) -> String {
     let output = Command::new(env!("CARGO_BIN_EXE_sandgait")).args(arguments).output().unwrap();
     assert_eq!(output.status.code(), Some(2), "{arguments:?}");
@@ -87,7 +87,7 @@ message!(WalkResponse, walk_response);
 message!(SweepResponse, sweep_response);
 message!(DiagnoseResponse, diagnose_response);
 
-/// All progress of a study, and its last message.
+/// All progress messages of a study, and its last message.
 async fn whole<T: Message>(mut stream: Streaming<T>) -> (Vec<Progress>, T) {
     let mut told = Vec::new();
     while let Some(message) = stream.message().await.unwrap() {
@@ -151,7 +151,7 @@ async fn wrong_sand_legs_and_robots_are_refused_as_on_the_command_line() {
     refused(client.walk(request).await, "robot \"/etc/passwd.toml\" is unknown; known: xplorer, xplorer18");
     let both = Some(Sand { file: file("sand.toml", ""), ..sand("poppy-loose", "li2013").unwrap() });
     let request = WalkRequest { sand: both, ..walk(&[2.0]) };
-    refused(client.walk(request).await, "sand: a file excludes medium and law");
+    refused(client.walk(request).await, "sand: give either a sand file, or medium and law");
 }
 
 #[tokio::test]
@@ -241,7 +241,7 @@ fn walk_log(name: &str) -> Option<File> {
 }
 
 #[tokio::test]
-async fn a_robots_own_log_travels_as_the_bytes_it_has() {
+async fn a_robots_own_log_is_sent_unchanged() {
     let server = Server::start(1).await;
     let mut client = client(&server).await;
     let experiment = walk_log("walk_mcap.toml").map(diagnose_request::Experiment::File);
@@ -252,7 +252,7 @@ async fn a_robots_own_log_travels_as_the_bytes_it_has() {
     assert!(diagnosis.sand_toml.contains("inertial_drag"));
     let out = tempfile::tempdir().unwrap();
     for log in ["walk.mcap", "walk.parquet", "walk.csv"] {
-        // The experiment of the other formats, with what only MCAP takes or without what it needs.
+        // Experiment files with keys that only MCAP takes, or without keys that MCAP needs.
         let mut wrong = walk_log(if log == "walk.mcap" { "walk.toml" } else { "walk_mcap.toml" }).unwrap();
         let data = walk_log(log);
         let [d, e] = [&data.as_ref().unwrap().name, &wrong.name];
@@ -264,7 +264,7 @@ async fn a_robots_own_log_travels_as_the_bytes_it_has() {
 }
 
 #[tokio::test]
-async fn a_sweep_tells_progress_and_gives_one_row_a_design() {
+async fn a_sweep_reports_progress_and_gives_one_row_a_design() {
     let server = Server::start(1).await;
     let mut client = client(&server).await;
     let legs = Variation { parameter: "leg".into(), names: vec!["L".into(), "C".into()], ..Default::default() };
@@ -279,13 +279,13 @@ async fn a_sweep_tells_progress_and_gives_one_row_a_design() {
     assert_eq!(column(&table, "leg").names.len(), 120);
     assert_eq!(numbers(&table, "frequency")[60..], frequencies);
     assert!(table.columns.iter().all(|c| c.names.len() == 120 || (c.numbers.len() == 8 * 120 && !c.unit.is_empty())));
-    // Bit by bit what the robot does alone.
+    // The same bits as a walk of this design alone.
     let alone = walked(&mut client, WalkRequest { leg: Some("C".into()), ..walk(&[1.5]) }).await;
     assert_eq!(numbers(&table, "speed")[60 + 10], numbers(&alone, "speed")[0]);
 }
 
 #[tokio::test]
-async fn a_search_tells_progress_and_gives_the_best_design() {
+async fn a_search_reports_progress_and_gives_the_best_design() {
     let server = Server::start(1).await;
     let request =
         SweepRequest { vary: vec![vary("xi", &[0.0, 75.0])], optimize: Some("speed".into()), ..Default::default() };
@@ -316,7 +316,7 @@ async fn extrapolated_sand_comes_with_a_warning() {
     assert!(table.warnings[0].contains("extrapolated"), "{:?}", table.warnings);
 }
 
-/// A walk's answer comes soon after the sweep before it is cancelled, which would have taken minutes.
+/// A sweep of several minutes is cancelled; the walk that waits for its place is then answered soon.
 #[tokio::test]
 async fn a_cancelled_sweep_frees_its_place_and_the_cores() {
     let server = Server::start(1).await;
@@ -333,9 +333,9 @@ async fn a_cancelled_sweep_frees_its_place_and_the_cores() {
     assert!(matches!(rest.1.event, Some(walk_response::Event::Table(_))));
 }
 
-/// Who leaves the line is forgotten: the next one comes before its time.
+/// A request that is cancelled while it waits leaves the queue, so the next one gets its place.
 #[tokio::test]
-async fn the_line_is_limited_and_can_be_left() {
+async fn the_queue_is_limited_and_can_be_left() {
     let server = Server::start(1).await;
     let mut client = client(&server).await;
     let mut streams = Vec::new();
@@ -350,7 +350,7 @@ async fn the_line_is_limited_and_can_be_left() {
 }
 
 #[tokio::test]
-async fn a_diagnosis_tells_progress_and_a_cancelled_one_frees_the_slot() {
+async fn a_diagnosis_reports_progress_and_a_cancelled_one_frees_the_slot() {
     let server = Server::start(1).await;
     let mut client = client(&server).await;
     let start = Instant::now();
@@ -415,7 +415,7 @@ async fn trials_give_one_row_a_motion() {
     assert_eq!(fz.len(), 4_000);
     assert!(fz.iter().all(|f| (f - 20.0).abs() < 1e-3) && depth.iter().all(|d| *d == depth[0] && *d > 1e-3));
     assert!(lost.iter().all(|l| *l == 0.0));
-    // The client has gone: the next one comes before its time.
+    // The first client has left, so the next study begins before the first would have ended.
     let mut long = client.trials(rolling(900_000)).await.unwrap().into_inner();
     first_progress(&mut long).await;
     drop(long);
@@ -424,7 +424,7 @@ async fn trials_give_one_row_a_motion() {
 }
 
 #[tokio::test]
-async fn trials_that_cannot_be_are_refused() {
+async fn impossible_trials_are_refused() {
     let server = Server::start(1).await;
     let mut client = client(&server).await;
     let one = || rolling(1);
@@ -436,9 +436,9 @@ async fn trials_that_cannot_be_are_refused() {
         (TrialsRequest { body: None, ..one() }, "body: none given"),
         (TrialsRequest { body: Some(trials_request::Body::Shape("/etc/passwd.stl".into())), ..one() }, "send the mesh"),
         (TrialsRequest { velocity: vec![0; 23].into(), ..one() }, "velocity: 23 bytes"),
-        (TrialsRequest { velocity: vec![0; 32].into(), ..one() }, "not three a row"),
+        (TrialsRequest { velocity: vec![0; 32].into(), ..one() }, "not a multiple of three"),
         (TrialsRequest { velocity: vec![].into(), ..one() }, "number of rows: 0"),
-        (TrialsRequest { spin: Some(vec![0; 8].into()), ..one() }, "spin: 1 numbers where 1 rows have 3"),
+        (TrialsRequest { spin: Some(vec![0; 8].into()), ..one() }, "spin: 1 numbers; 1 rows have 3"),
         (TrialsRequest { depth: Some(doubles(&[0.01]).into()), ..one() }, "trial 1: both depth and load"),
         (TrialsRequest { load: None, ..one() }, "trial 1: neither depth nor load"),
         (TrialsRequest { load: Some(doubles(&[f64::INFINITY]).into()), ..one() }, "trial 1: load"),

@@ -1,4 +1,4 @@
-//! Traps that were measured once and must not come back.
+//! Faults of an earlier version that must not return.
 
 use crate::harness::Server;
 use sandgait::service::proto::ListSessionsRequest;
@@ -6,7 +6,7 @@ use sandgait::service::{Address, Setup};
 use std::os::unix::fs::PermissionsExt as _;
 use std::time::Instant;
 
-/// With Nagle's algorithm a small call takes 44 ms: many times what it takes on a Unix socket.
+/// Nagle's algorithm must be off: with it, a small call over TCP takes 44 ms, many times as long as over a Unix socket.
 #[tokio::test]
 async fn a_unary_call_over_tcp_is_not_delayed() {
     let setup = || Setup { threads: 1, ..Setup::default() };
@@ -26,7 +26,7 @@ async fn a_unary_call_over_tcp_is_not_delayed() {
     assert!(tcp < 8 * unix, "medians {tcp:?}, {unix:?}");
 }
 
-/// gRPC caps messages at 4 MiB unless told otherwise.
+/// gRPC limits messages to 4 MiB by default; the server allows more.
 #[tokio::test]
 async fn messages_beyond_4_mib() {
     let server = Server::start(2).await;
@@ -40,7 +40,7 @@ async fn requests_beyond_4_mib() {
     let server = Server::start(1).await;
     let mut session = server.session(2).await;
     session.reset(0).await;
-    // Read, understood and refused: not cut off by the transport.
+    // The server has read and refused it; the transport did not cut it off.
     let failure = session.failure(Some(crate::harness::step(&vec![0.0; (5 << 20) / 4]))).await;
     assert!(failure.message.contains("numbers"), "{}", failure.message);
     session.step(0).await;

@@ -1,4 +1,4 @@
-"""What the tests share."""
+"""Fixtures for several test files."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from sandgait import server
 
 ID = "sandgait/HexapodGait-v1"
 
-#: First line of a program that is to be interrupted: what a shell starts in the background ignores SIGINT, and so would
-#: all its children.
+#: First line of a program that a test interrupts. A process that a shell started in the background ignores SIGINT, and
+#: its children inherit this, so the program restores the default.
 HEARS_CTRL_C = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
 
 
@@ -34,11 +34,11 @@ class RemoteServer:
             text=True,
         )
         assert self.process.stdout is not None
-        #: As the server prints it once clients can connect.
+        #: The address, as the server prints it when clients can connect.
         self.address = self.process.stdout.readline().removeprefix("listening on ").strip()
 
     def address_of(self, words: str) -> str:
-        """The address in the log's line with `words`, which the server writes before it says that it listens."""
+        """The address in the log's line with `words`; the server writes this line before its own address."""
         for _ in range(1000):
             for line in Path(self._log.name).read_text().splitlines():
                 if words in line:

@@ -1,13 +1,13 @@
-"""Pages of the documentation as what can be run: fenced blocks, and the comments before them that say how.
+"""Runs the fenced code blocks of the documentation's pages. HTML comments before a block say how:
 
-    <!-- not run: WHY -->        the block that follows is left out
-    <!-- test: COMMANDS -->      these run in its place, because it takes too long
-    <!-- replace: A -> B -->     it runs with B for A, which must stand in it
-    <!-- before: CODE -->        this runs first, in the block's language
-    <!-- serve: OPTIONS -->      this server runs from here to the end of the page
+    <!-- not run: WHY -->        the next block is not run
+    <!-- test: COMMANDS -->      these commands are run instead of the block, because it takes too long
+    <!-- replace: A -> B -->     the block is run with B instead of A, which must occur in it
+    <!-- before: CODE -->        this code, in the block's language, is run before the block
+    <!-- serve: OPTIONS -->      a server with these options runs from here to the end of the page
 
-A page runs from top to bottom in a directory of its own: its Python blocks share their names, and a server that it
-starts runs until the page ends or another one takes its address.
+The blocks of a page are run from top to bottom in a new directory. Its Python blocks share their variables. A server
+runs until the end of the page, or until another server is started at its address.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ from markdown_it.token import Token
 
 ROOT = Path(__file__).parents[2]
 
-#: Every page of the site, and what GitHub and PyPI show.
+#: Every page of the site, and the files that GitHub and PyPI show.
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), ROOT / "benches/RESULTS.md"])
 
-#: Languages of blocks that run, and of those with nothing to run.
+#: Languages of blocks that are run, and of blocks that cannot be run.
 RUN = ("sh", "console", "python", "pycon")
 SHOWN = ("text", "math", "toml", "csv", "json", "ini", "yaml", "rust")
 
-#: Longest a block may take [s].
+#: Longest time of a block [s].
 TIMEOUT = 60.0
 
 
 @dataclass
 class Block:
-    """One fenced block with what the comments before it say."""
+    """One fenced block with the comments before it."""
 
     page: Path
-    #: Of the fence's first line of text, counted from 1.
+    #: Line number of the block's first line of text, counted from 1.
     line: int
     language: str
     text: str
@@ -54,16 +54,16 @@ class Block:
         return f"{self.page.relative_to(ROOT)}:{self.line}"
 
     def said(self, kind: str) -> list[str]:
-        """What the comments of one kind say."""
+        """Texts of the comments of one kind."""
         return [text for k, text in self.comments if k == kind]
 
     @property
     def excuse(self) -> str | None:
-        """Why it is not run, if it is not."""
+        """The reason why the block is not run, if there is one."""
         return next(iter(self.said("not run")), None)
 
     def to_run(self) -> str:
-        """Its text as a test runs it."""
+        """The text that a test runs."""
         text = self.text
         for instead in self.said("test"):
             text = instead + "\n"
@@ -97,12 +97,12 @@ def _comment(html: str) -> tuple[str, str] | None:
 
 
 def inline_code(page: Path) -> Iterator[str]:
-    """Every piece of `code` in its text."""
+    """Every piece of inline `code` in the page's text."""
     yield from (token.content for token in _inline(page) if token.type == "code_inline")
 
 
 def links(page: Path) -> Iterator[str]:
-    """Where its links lead and its pictures are."""
+    """Targets of the page's links and pictures."""
     yield from (str(token.attrs[a]) for token in _inline(page) for a in ("href", "src") if a in token.attrs)
 
 
@@ -119,11 +119,11 @@ class Run:
         self.environment = environment
         self._names: dict[str, Any] = {"__name__": "__main__"}
         self._servers: list[tuple[str, subprocess.Popen[str]]] = []
-        # Ports and paths that the pages name may be taken on this machine.
+        # The ports and paths on the pages may be in use on this machine, so others replace them.
         self._elsewhere = {port: str(_free_port()) for port in ("50051", "8080", "9464")} | {"/tmp/": f"{directory}/"}
 
     def run(self, block: Block) -> None:
-        """Fails with the block's place if it does not work as shown."""
+        """Runs a block. If it does not work as shown, the failure states the block's file and line."""
         for options in block.said("serve"):
             self._serve(block, self._moved(f"sandgait serve {options}"))
         for code in block.said("before"):
@@ -141,7 +141,7 @@ class Run:
     def _run(self, block: Block, text: str) -> None:
         text = self._moved(text)
         if block.language == "python":
-            # Padded, so that a traceback names the page's own lines.
+            # Empty lines before the code, so that a traceback has the page's line numbers.
             exec(compile("\n" * (block.line - 1) + text, block.page, "exec"), self._names)
         elif block.language == "pycon":
             self._doctest(block, text)
@@ -201,7 +201,7 @@ class Run:
         assert line.startswith("listening on "), f"{block}: {command}\n{process.communicate()}"
 
     def _doctest(self, block: Block, text: str) -> None:
-        """Examples with their answers, `...` for what differs from run to run."""
+        """Runs examples with their answers; `...` stands for text that differs from run to run."""
         example = doctest.DocTestParser().get_doctest(text, self._names, str(block), str(block.page), block.line - 1)
         report: list[str] = []
         runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)
@@ -212,7 +212,7 @@ class Run:
 
 
 def _console(text: str) -> list[tuple[str, str]]:
-    """Commands (after `$ `) and what they print; one that shows nothing must succeed, the others may fail."""
+    """Commands (after `$ `) with their output. A command without output must succeed; the others may fail."""
     found = re.findall(r"^\$ ((?:.*\\\n)*.*)\n((?:(?!\$ ).*\n)*)", text, flags=re.MULTILINE)
     assert found, f"no command after `$ `: {text}"
     return found
@@ -227,7 +227,7 @@ def _matches(output: str, expected: str) -> bool:
 
 
 def _free_port() -> int:
-    """A port that nobody has, below those that the kernel gives to whoever asks for any, so it stays free."""
+    """A free port below the range from which the kernel chooses ports, so it stays free."""
     lowest = int(Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()[0])
     while True:
         port = random.randrange(1024, max(lowest, 1025))

@@ -1,4 +1,4 @@
-"""Attributes that would not reach the simulation are refused, with the way that does."""
+"""Attributes that would not affect the simulation are refused; the error says how to set the value instead."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import sandgait
 
 ID = sandgait.TASKS[0]
 
-#: What is set, and what the message has to say.
+#: Attribute, value, and words of the error message.
 REFUSED = [
     ("slope_deg", 8, r"slope_deg: .*reset\(options=\{'slope_deg': 8\}\)"),
     ("engine", "rapier", r"engine: fixed when the environment is made.*gymnasium\.make.*engine='rapier'"),
@@ -40,15 +40,15 @@ def setters() -> dict[str, Callable[[str, Any], object]]:
 
 
 @pytest.mark.parametrize(("name", "value", "says"), REFUSED)
-def test_what_would_change_nothing_is_refused(name: str, value: Any, says: str) -> None:
+def test_attributes_without_effect_are_refused(name: str, value: Any, says: str) -> None:
     for how, set_attribute in setters().items():
         with pytest.raises(sandgait.UnknownAttribute, match=says):
             set_attribute(name, value)
         assert how
 
 
-def test_an_option_is_no_attribute() -> None:
-    """Nothing tells of a slope that is not there."""
+def test_options_are_not_attributes() -> None:
+    """An environment on level sand has no attribute for the slope."""
     vec, many, one = sandgait.make_sb3(ID, 2), gymnasium.make_vec(ID, num_envs=2).unwrapped, sandgait.SandgaitEnv(ID)
     assert not vec.has_attr("slope_deg")
     with pytest.raises(AttributeError):
@@ -73,7 +73,7 @@ def test_methods_of_the_whole_batch_are_not_called_for_one() -> None:
     vec.close()
 
 
-def test_what_users_add_themselves_is_theirs() -> None:
+def test_users_can_add_their_own_attributes() -> None:
     class Mine(sandgait.SandgaitEnv):
         stage = 1
 

@@ -1,4 +1,4 @@
-"""DeepMind's own client and compliance suite against `sandgait serve --dm-env-rpc`."""
+"""DeepMind's own client and compliance tests, run against `sandgait serve --dm-env-rpc`."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from sandgait import client
 
 REPOSITORY = Path(__file__).parents[2]
 
-#: Tests that the suite of dm_env_rpc 1.1.7 has; fewer would mean that some do not run.
+#: Number of tests in the suite of dm_env_rpc 1.1.7. Fewer would mean that some are not run.
 COMPLIANCE_TESTS = 40
 
 pack = tensor_utils.pack_tensor
@@ -80,7 +80,7 @@ def row(response: Any) -> Any:
 
 
 class Connected:
-    """A connection a test."""
+    """Opens a connection for each test."""
 
     @pytest.fixture(autouse=True)
     def _server(self, address: str) -> None:
@@ -97,7 +97,7 @@ class Connected:
 
 
 class InWorld(Connected):
-    """And a world."""
+    """Also creates and joins a world."""
 
     def setUp(self) -> None:
         super().setUp()
@@ -198,8 +198,8 @@ def test_same_numbers_as_gymnasium(connection: Connection, address: str, task: s
     connection.send(dm_env_rpc_pb2.DestroyWorldRequest(world_name=world))
 
 
-def test_termination_has_no_discount(connection: Connection) -> None:
-    # On a slope of sand this steep and heavily laden the robot is buried or turned over before its time is up.
+def test_termination_has_discount_zero(connection: Connection) -> None:
+    # On such a steep slope and with such a payload the robot is buried or overturned before its time limit.
     settings = {"task": ID, "seed": 0, "payload": 5.0}
     env, _ = dm_env_adaptor.create_and_join_world(connection, settings, {})
     with env:
@@ -357,7 +357,7 @@ def test_requests_that_cannot_be_met(connections: Any) -> None:
         assert words in got[1]
 
 
-def test_a_batch_is_no_world(connection: Connection, address: str) -> None:
+def test_a_world_has_one_environment(connection: Connection, address: str) -> None:
     session = client.create_session(address, ID, 3, {}).session_id
     got = refusal(connection, dm_env_rpc_pb2.JoinWorldRequest(world_name=session))
     assert got[0] == code_pb2.INVALID_ARGUMENT
@@ -365,7 +365,7 @@ def test_a_batch_is_no_world(connection: Connection, address: str) -> None:
     client.close_session(address, session)
 
 
-def test_only_where_it_was_asked_for(remote: RemoteServer) -> None:
+def test_the_protocol_is_off_by_default(remote: RemoteServer) -> None:
     with grpc.insecure_channel(remote.address) as channel, pytest.raises(grpc.RpcError) as caught:
         create(Connection(channel))
     assert caught.value.code() == grpc.StatusCode.UNIMPLEMENTED
@@ -374,8 +374,8 @@ def test_only_where_it_was_asked_for(remote: RemoteServer) -> None:
 # --- documents -----------------------------------------------------------------------------------------------------
 
 
-def test_the_protocol_is_theirs(tmp_path: Path) -> None:
-    """Our .proto says what the wheel's descriptor says."""
+def test_our_protocol_file_equals_theirs(tmp_path: Path) -> None:
+    """Our .proto file has the same content as the descriptor in DeepMind's wheel."""
     out = tmp_path / "descriptor"
     paths = [f"--proto_path={REPOSITORY / 'proto'}", f"--descriptor_set_out={out}"]
     subprocess.run([sys.executable, "-m", "grpc_tools.protoc", *paths, "dm_env_rpc/v1/dm_env_rpc.proto"], check=True)
@@ -383,7 +383,7 @@ def test_the_protocol_is_theirs(tmp_path: Path) -> None:
     theirs = descriptor_pb2.FileDescriptorProto()
     dm_env_rpc_pb2.DESCRIPTOR.CopyToProto(theirs)
 
-    def without_json_names(message: Any) -> str:  # which protoc derives from the others, for the wheel only
+    def without_json_names(message: Any) -> str:  # protoc derives these names, in the wheel only
         return re.sub(r"\n *json_name: .*", "", str(message))
 
     assert without_json_names(ours) == without_json_names(theirs)
@@ -396,7 +396,7 @@ def test_the_example_of_the_document_runs(address: str, capsys: pytest.CaptureFi
     assert "reward of the last step:" in capsys.readouterr().out
 
 
-def test_what_worlds_do_is_counted() -> None:
+def test_metrics_count_worlds() -> None:
     with RemoteServer("127.0.0.1:0", "--dm-env-rpc", "--metrics", "127.0.0.1:0") as server:
         page = server.address_of("metrics are at /metrics")
         with grpc.insecure_channel(server.address) as channel:

@@ -1,4 +1,4 @@
-"""What the documentation shows works as shown: every command, every block of Python, every link of the site."""
+"""Checks the documentation: every command and every block of Python works as shown, and every link leads somewhere."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import pytest
 from pages import PAGES, ROOT, RUN, SHOWN, Run, blocks, inline_code, links
 from sandgait import server
 
-#: Pages with something to run.
+#: Pages with blocks that are run.
 RUNNABLE = [page for page in PAGES if any(b.language in RUN and not b.excuse for b in blocks(page))]
 
 
@@ -27,7 +27,7 @@ def name(page: Path) -> str:
 
 @pytest.fixture
 def directory() -> Iterator[Path]:
-    """A working copy as a reader has one: what a page writes stays here. The name is short for the sake of sockets."""
+    """A copy of the repository for files that the pages write. Its path is short, because paths of sockets must be."""
     with tempfile.TemporaryDirectory(prefix="docs") as path:
         for entry in ROOT.iterdir():
             if not entry.name.startswith(".") and entry.name not in ("runs", "site"):
@@ -38,7 +38,7 @@ def directory() -> Iterator[Path]:
 
 @pytest.fixture
 def environment() -> Iterator[dict[str, str]]:
-    """`sandgait` and `python` are those under test."""
+    """An environment in which `sandgait` and `python` are those under test."""
     with tempfile.TemporaryDirectory(prefix="docs") as path:
         for command, program in (("sandgait", server.command()), ("python", [sys.executable])):
             Path(path, command).write_text(f'#!/bin/sh\nexec {shlex.join(program)} "$@"\n')
@@ -47,7 +47,7 @@ def environment() -> Iterator[dict[str, str]]:
 
 
 @pytest.mark.parametrize("page", RUNNABLE, ids=name)
-def test_what_a_page_shows_works(
+def test_code_blocks_work_as_shown(
     page: Path, directory: Path, environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(directory)
@@ -78,14 +78,14 @@ def test_every_block_runs_or_says_why_not(capsys: pytest.CaptureFixture[str]) ->
 
 @functools.cache
 def options(*command: str) -> list[str]:
-    """What `sandgait COMMAND --help` lists; without a command, the commands."""
+    """The options that `sandgait COMMAND --help` lists; without a command, the commands."""
     text = subprocess.run([*server.command(), *command, "--help"], capture_output=True, text=True).stdout
     return re.findall(r"--[a-z-]+" if command else r"^  ([a-z]+) ", text, flags=re.MULTILINE)
 
 
 @functools.cache
 def all_options() -> set[str]:
-    """Of every command, example and bench."""
+    """The options of every command, example and benchmark."""
     scripts = [script.read_text(encoding="utf-8") for script in ROOT.glob("[be]*s/*.py")]
     found = [option for command in options() for option in options(command)]
     return {*found, *re.findall(r"--[a-z-]+", " ".join(scripts))}
@@ -112,15 +112,15 @@ def test_commands_and_files_in_the_text_exist(page: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name)
-def test_links_within_the_repository_lead_somewhere(page: Path) -> None:
-    """On GitHub; the site's are checked when it is built."""
+def test_links_within_the_repository_exist(page: Path) -> None:
+    """These are the links as GitHub shows them; the build of the site checks the site's links."""
     for link in links(page):
         target = link.partition("#")[0]
         assert "://" in link or (page.parent / target).exists(), f"{name(page)}: {link}"
 
 
 def test_the_site_is_whole_and_needs_no_other_host(tmp_path: Path) -> None:
-    """Every link leads somewhere, every page is in the navigation, and formulas are in the pages themselves."""
+    """Every link has a target, every page is in the navigation, and formulas are rendered without another host."""
     # Not --quiet: it would hide the warnings that --strict counts.
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)]
     built = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
@@ -135,8 +135,8 @@ def test_the_site_is_whole_and_needs_no_other_host(tmp_path: Path) -> None:
     assert "<math" in (tmp_path / "physics.html").read_text(encoding="utf-8")
 
 
-def test_figures_of_speed_are_those_measured() -> None:
-    """What the page on performance quotes stands in the record of measurements."""
+def test_quoted_speeds_are_in_the_results() -> None:
+    """Every number on the page on performance is in the record of measurements."""
     quoted = set(re.findall(r"\b\d{1,3},\d{3}\b", (ROOT / "docs/performance.md").read_text(encoding="utf-8")))
     measured = (ROOT / "benches/RESULTS.md").read_text(encoding="utf-8")
     assert len(quoted) > 10

@@ -1,4 +1,4 @@
-"""One story through every door: in this process, on a server of its own, and over the network. Equal bits."""
+"""The same steps through every door (in this process, in a separate process, over the network) give equal bits."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LEGS = "sandgait/HexapodLegs-v1"
 
 @pytest.fixture(params=["isolated", "tcp", "unix", "two of this process", "two servers"])
 def door(request: pytest.FixtureRequest, tmp_path: Path, remote: RemoteServer) -> Any:
-    """Keywords that go through another door than the one in this process."""
+    """Keywords that choose another door than the one in this process."""
     if request.param == "unix":
         with RemoteServer(f"unix:{tmp_path}/socket") as local:
             yield {"address": local.address}
@@ -44,7 +44,7 @@ def refused(call: Callable[[], object]) -> str:
 
 
 def vector(keywords: dict[str, Any]) -> list[Any]:
-    """All that a vector environment says."""
+    """All results of a vector environment's functions."""
     options: dict[str, Any] = {"max_episode_steps": 9, "command": np.array([0.1, 0.3]), "turn": (0.0, 0.1)}
     env = sandgait.SandgaitVectorEnv(ID, 19, autoreset_mode="SAME_STEP", **options, **keywords)
     said: list[Any] = [env.task, refused(lambda: env.step(np.zeros((19, 6)))), env.reset(seed=4)[0]]
@@ -80,7 +80,7 @@ def vector(keywords: dict[str, Any]) -> list[Any]:
 
 
 def single(keywords: dict[str, Any]) -> list[Any]:
-    """All that single environments say: also in NEXT_STEP, pickled, with other options."""
+    """All results of single environments: in NEXT_STEP, after pickling, and with other options."""
     said: list[Any] = []
     env = sandgait.SandgaitEnv(LEGS, max_episode_steps=5, medium="poppy-close", **keywords)
     said.append(env.reset(seed=3)[0])

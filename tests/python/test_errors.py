@@ -1,4 +1,4 @@
-"""Bad input: each mistake is named, changes nothing, and the session goes on."""
+"""Wrong input: the error names the mistake, nothing changes, and the session goes on."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def spoiled(index: tuple[int, int], value: float) -> np.ndarray:
     ],
 )
 def test_wrong_actions(actions: Any, says: str) -> None:
-    """The refused step has changed nothing: what follows equals an undisturbed run."""
+    """After a refused step, the next steps equal those of an undisturbed run."""
     env, calm = (gymnasium.make_vec(ID, num_envs=4, max_episode_steps=5) for _ in range(2))
     env.reset(seed=0)
     calm.reset(seed=0)
@@ -122,7 +122,7 @@ def test_a_closed_environment() -> None:
 
 
 def test_one_clients_mistakes_do_not_reach_another() -> None:
-    """Two sessions in turn: one of them errs in every step."""
+    """Two sessions make steps in turns; one of them sends a wrong action each time."""
     good, bad, alone = (sandgait.SandgaitVectorEnv(ID, 3) for _ in range(3))
     for env in (good, bad, alone):
         env.reset(seed=1)

@@ -1,4 +1,4 @@
-"""The examples do what they promise."""
+"""The example programs run and write the documented files."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def run(*arguments: str, cwd: Path = ROOT) -> str:
 
 
 def test_training_writes_what_it_promises_and_goes_on(tmp_path: Path) -> None:
-    """A few seconds: the files and the table, not the skill."""
+    """A training of a few seconds: the test checks the files and the table, not the policy's skill."""
     options = json.dumps({"leg": "C", "max_episode_steps": 100})
     arguments = ["--envs", "16", "--options", options, "--checkpoint-every", "1024", "--out", str(tmp_path / "run")]
     output = run("examples/train.py", *arguments, "--steps", "4096")
@@ -168,7 +168,7 @@ def test_wrong_settings_are_one_line(arguments: list[str], says: str, tmp_path: 
     ],
 )
 def test_a_worked_study_draws_its_figures(name: str, writes: list[str], says: str, tmp_path: Path) -> None:
-    """Under half a minute each, every cell, no warning."""
+    """Every cell runs without a warning; each study takes less than half a minute."""
     shutil.copytree(ROOT / "examples/data", tmp_path / "examples/data")
     start = time.monotonic()
     output = subprocess.run(
@@ -186,8 +186,8 @@ def test_a_worked_study_draws_its_figures(name: str, writes: list[str], says: st
         assert (tmp_path / "runs" / file).stat().st_size > 500
 
 
-def test_the_loop_closes(tmp_path: Path) -> None:
-    """Two generations: that the figures come, not what they are."""
+def test_close_the_loop_writes_its_figures(tmp_path: Path) -> None:
+    """Two generations only: the test checks that there are figures, not their content."""
     short = ["--seeds", "1", "--generations", "2", "--evaluations", "8"]
     output = run("-W", "error", "examples/close_the_loop.py", *short, "--out", str(tmp_path))
     assert "the misfit is explained by" in output

@@ -1,4 +1,4 @@
-"""`sandgait train` beside stable-baselines3: the same update from the same rollout, and its policies as models."""
+"""`sandgait train` and stable-baselines3 make the same update from the same rollout, and SB3 can load its policies."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from sandgait import server
 from sandgait.errors import InvalidRequest
 from sandgait.export import to_sb3
 
-#: What SB3 made of the update below; src/train/learner.rs has a test that makes the same of it.
+#: SB3's parameters after the update below. A test in src/train/learner.rs compares with the same numbers.
 KEPT = Path(__file__).parents[1] / "data" / "train" / "sb3_update.json"
 
 ROWS, OBSERVATION, ACTION = 64, 41, 6
 
 
 class Still(gymnasium.Env[Any, Any]):
-    """Spaces and nothing else."""
+    """An environment that has only spaces."""
 
     observation_space = gymnasium.spaces.Box(-10.0, 10.0, (OBSERVATION,))
     action_space = gymnasium.spaces.Box(-1.0, 1.0, (ACTION,))
@@ -41,12 +41,12 @@ class Still(gymnasium.Env[Any, Any]):
 
 
 def wave(count: int, size: float, pitch: float, shift: float) -> npt.NDArray[np.float32]:
-    """Numbers that a formula gives, here and in Rust."""
+    """Numbers from a formula that the test in Rust uses, too."""
     return (size * np.sin(pitch * np.arange(count)) + shift).astype(np.float32)
 
 
 def updated() -> list[float]:
-    """The parameters after three epochs of SB3's PPO, all rows a minibatch; weights [inputs, outputs], actor first."""
+    """The parameters after three epochs of SB3's PPO with one minibatch; weights [inputs, outputs], actor first."""
     model = PPO(
         "MlpPolicy",
         DummyVecEnv([Still]),
@@ -85,7 +85,7 @@ def updated() -> list[float]:
     return [float(x) for x in np.concatenate([*numbers, policy.log_std.detach().numpy()])]
 
 
-def test_what_is_kept_is_what_sb3_does() -> None:
+def test_the_kept_numbers_equal_sb3s() -> None:
     np.testing.assert_allclose(updated(), json.loads(KEPT.read_text()), atol=2e-6)
 
 
@@ -99,8 +99,8 @@ def trained(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     return out
 
 
-def test_the_model_acts_as_the_file(trained: Path) -> None:
-    """And goes on learning from there."""
+def test_the_model_acts_as_the_onnx_file(trained: Path) -> None:
+    """Loads the policy as a model of SB3, compares its actions, and continues the training."""
     env = sandgait.make_sb3(ID, 16, max_episode_steps=60)
     model = to_sb3(trained / "policy.safetensors", env)
     normalized = model.get_env()
@@ -128,7 +128,7 @@ def test_tensorboard_reads_the_events(trained: Path) -> None:
     assert {"train/approx_kl", "rollout/ep_rew_mean", "time/fps"} <= set(events.Tags()["scalars"])
 
 
-def test_what_is_no_policy_is_refused(trained: Path, tmp_path: Path) -> None:
+def test_files_other_than_policies_are_refused(trained: Path, tmp_path: Path) -> None:
     env = sandgait.make_sb3("sandgait/HexapodLegs-v1", 1)
     with pytest.raises(InvalidRequest, match="the policy takes"):
         to_sb3(trained / "policy.safetensors", env)

@@ -1,4 +1,4 @@
-"""`gymnasium.make` and what gymnasium itself checks."""
+"""`gymnasium.make`, and gymnasium's own checks."""
 
 from __future__ import annotations
 

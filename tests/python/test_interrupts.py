@@ -1,4 +1,4 @@
-"""Ctrl-C within a step: the step has been taken, and its answer is there for the next call."""
+"""Ctrl-C during a step: the step is still carried out, and the next call gets its answer."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from conftest import HEARS_CTRL_C
 
 ID = sandgait.TASKS[0]
 
-#: Interrupts every other step with a real signal. The server is stopped meanwhile, so that the answer cannot have come.
+#: Interrupts every second step with a real signal. The server is paused meanwhile, so its answer has not arrived.
 INTERRUPTED = f"""
 {HEARS_CTRL_C}
 import os, threading, time
@@ -59,7 +59,7 @@ def test_no_answer_is_lost_by_ctrl_c() -> None:
 
 
 def break_next_read(env: sandgait.SandgaitEnv | sandgait.SandgaitVectorEnv, shard: int) -> None:
-    """Lets Ctrl-C strike in the next wait for an answer of this shard's server."""
+    """Raises KeyboardInterrupt in the next wait for an answer of this shard's server."""
     stream = env._session._doors[shard]._link.stream
     assert stream is not None
 
@@ -71,7 +71,7 @@ def break_next_read(env: sandgait.SandgaitEnv | sandgait.SandgaitVectorEnv, shar
 
 
 def interrupted(env: sandgait.SandgaitEnv, action: np.ndarray) -> None:
-    """A step whose wait is broken off."""
+    """Makes a step whose wait is interrupted."""
     break_next_read(env, 0)
     with pytest.raises(KeyboardInterrupt):
         env.step(action)

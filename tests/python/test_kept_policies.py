@@ -1,4 +1,4 @@
-"""What is kept in examples/policies plays as well as it stands beside it."""
+"""The policies in examples/policies reach the results that are recorded beside them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_every_folder_is_replayed_and_all_are_small() -> None:
 
 
 def test_policies_play_as_recorded() -> None:
-    """By the server, over the same unseen seeds, so that only rounding makes a difference."""
+    """The server evaluates them on the recorded seeds, so the results differ by rounding only."""
     for path in kept("policy.onnx"):
         settings: dict[str, Any] = json.loads((path.parent / "settings.json").read_text())
         assert settings["command"]

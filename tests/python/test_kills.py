@@ -1,7 +1,7 @@
-"""Server and client killed in the middle of a step: nothing is lost, nothing is done twice.
+"""Server or client is killed during a step: no step is lost, and none is made twice.
 
-That a step was in flight is measured: when the server is frozen it has spent part of the processor time that a whole
-step takes, and no answer has come.
+The tests make sure that a step was in flight: the server is paused after it has used a part of the processor time of a
+whole step, and before it has answered.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ import sandgait
 from conftest import ID, RemoteServer
 from sandgait import client, session
 
-#: Environments of one server: a step takes its one thread some 60 ms.
+#: Environments of one server. A step takes some 60 ms on its single thread.
 ENVS = 10_000
 
 STEPS = 14
 
-#: Episodes end within these steps. SAME_STEP is what the wire carries.
+#: The episodes end within the steps of the tests. The protocol uses SAME_STEP.
 OPTIONS: dict[str, Any] = {"max_episode_steps": 9, "autoreset_mode": "SAME_STEP"}
 
 Row = tuple[npt.NDArray[np.generic], ...]
@@ -60,18 +60,18 @@ def undisturbed(n: int) -> list[Row]:
 
 
 class Server(RemoteServer):
-    """A server with one thread, whose steps are caught in flight."""
+    """A server with one thread that a test can pause during a step."""
 
     def __init__(self) -> None:
         super().__init__("127.0.0.1:0", "--threads", "1")
 
     def processor_time(self) -> float:
-        """Of all threads, to the nanosecond [s]."""
+        """Processor time of all threads [s], in nanosecond resolution."""
         files = Path(f"/proc/{self.process.pid}/task").glob("*/schedstat")
         return sum(int(file.read_text().split()[0]) for file in files) * 1e-9
 
     def freeze_in_flight(self, step: Callable[[], object], send: Callable[[], object]) -> None:
-        """Stops the process in the middle of the step that `send` asks for; `step` makes one and waits for it."""
+        """Pauses the process during the step that `send` requests; `step` makes a whole step, to measure its time."""
         before = self.processor_time()
         step()
         whole = self.processor_time() - before
@@ -112,7 +112,7 @@ def test_a_server_killed_in_a_step(killed_at: int, monkeypatch: pytest.MonkeyPat
         env.close()
 
 
-#: Steps when it is told to, and says what it did.
+#: A client that makes a step for each line of input and prints the result.
 CLIENT = f"""
 import sys, sandgait
 from test_kills import OPTIONS, actions
@@ -126,7 +126,7 @@ for time, _ in enumerate(sys.stdin):
 
 
 def test_a_client_killed_in_a_step() -> None:
-    """The server finishes the step; whoever takes the session up is given its answer. A neighbour does not notice."""
+    """The server finishes the step, and a client that resumes the session gets its answer. Other sessions go on."""
     with Server() as server:
         neighbour = sandgait.SandgaitVectorEnv(ID, 5, server.address, **OPTIONS)
         neighbour.reset(seed=3)

@@ -1,4 +1,4 @@
-"""What each file may know."""
+"""Modules that only certain files of the package may import."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ PACKAGE = Path(sandgait.__file__).parent
 
 
 def imports(path: Path) -> set[str]:
-    """First names of all absolute imports, wherever they stand in the file."""
+    """Top-level names of all absolute imports in the file."""
     names: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):

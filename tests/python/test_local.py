@@ -1,4 +1,4 @@
-"""Environments in this process: whose memory arrays are, Ctrl-C in every wait, threads, forks, and Python's end."""
+"""Environments in this process: memory of arrays, Ctrl-C during every wait, threads, forks, and the end of Python."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_arrays_are_the_callers_own() -> None:
     env.step(action(40, 9))
 
 
-def test_actions_are_read_however_they_lie() -> None:
+def test_actions_may_have_any_memory_layout() -> None:
     env, calm = (sandgait.SandgaitVectorEnv(ID, 5) for _ in range(2))
     for e in (env, calm):
         e.reset(seed=0)
@@ -57,7 +57,7 @@ def rollout(env: sandgait.SandgaitVectorEnv, steps: int) -> None:
     env.rollout(np.zeros((steps, env.num_envs, 6), np.float32))
 
 
-#: What takes long, and how it is asked for: a setup, and the call that is interrupted.
+#: Calls that take long, each with its setup; a test interrupts the call.
 WAITS = {
     "step": ("envs(20_000).reset(seed=0)", "for _ in range(1000): env.step(zeros)"),
     "rollout": ("envs(2_000).reset(seed=0)", "env.rollout(np.zeros((2000, 2000, 6), np.float32))"),
@@ -94,8 +94,8 @@ except KeyboardInterrupt:
 
 
 @pytest.mark.parametrize("what", WAITS)
-def test_ctrl_c_is_heard_in_every_wait(what: str) -> None:
-    """What is interrupted takes seconds; the answer comes in a small part of what it had taken so far."""
+def test_ctrl_c_interrupts_every_wait(what: str) -> None:
+    """Each call takes seconds; after the interrupt it ends in a small part of the time that it had run."""
     setup, call = WAITS[what]
     code = PROGRAM.replace("SETUP", setup).replace("CALL", call)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
@@ -121,7 +121,7 @@ def test_an_interrupted_rollout_ends_and_has_changed_nothing() -> None:
 
 
 def test_two_threads_two_environments() -> None:
-    """They simulate side by side: whoever waits does not hold Python's lock."""
+    """Two threads simulate at the same time, because a waiting thread does not hold Python's lock."""
     envs = [sandgait.SandgaitVectorEnv(ID, 33) for _ in range(3)]
     for env in envs:
         env.reset(seed=1)
@@ -185,7 +185,7 @@ def error_of(call: Callable[[], object]) -> BaseException | None:
 
 
 def test_a_fork_in_the_middle_of_a_step() -> None:
-    """The parent's threads are busy: whatever they hold at that moment, the child does not wait for it."""
+    """The parent forks while its threads are busy; the child must not wait for locks that these threads hold."""
     env = sandgait.SandgaitVectorEnv(ID, 3_000)
     env.reset(seed=0)
     with sandgait_env(33) as calm:
@@ -219,8 +219,8 @@ print("sent", flush=True)
     assert done.returncode == {"raise SystemExit(3)": 3, "os._exit(3)": 3, "raise RuntimeError": 1}.get(end, 0)
 
 
-def test_memory_goes_with_the_environment() -> None:
-    """20 times 4,000 environments of some 12 KB each: 50 MB, of which one batch's share is ever held."""
+def test_memory_is_freed_with_the_environment() -> None:
+    """Creates 4,000 environments of some 12 KB 20 times. Memory for only one batch of 50 MB is in use at a time."""
     code = f"""
 import gc, resource, numpy as np, sandgait
 def use():
@@ -239,7 +239,7 @@ print(first, last)
 
 
 def test_the_command_needs_neither_gymnasium_nor_numpy(tmp_path: Path) -> None:
-    """And hears Ctrl-C as a program does."""
+    """The command also ends at Ctrl-C like any program."""
     from sandgait import server
 
     program = [sys.executable, "-I", "-S", str(Path(sandgait.__file__).parents[1] / "sandgait_command/__main__.py")]

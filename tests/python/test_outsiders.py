@@ -1,6 +1,6 @@
-"""Clients that were not written for this server: they are used as their own pages say, unmodified.
+"""Clients that were not written for this server, unmodified and used as their own documentation says.
 
-dm_env_rpc, stable-baselines3 and RLlib have files of their own.
+The tests of dm_env_rpc, stable-baselines3 and RLlib are in other files.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ def test_grpcio_health_checking(remote: RemoteServer) -> None:
         assert next(watch).status == health_pb2.HealthCheckResponse.NOT_SERVING
 
 
-def test_who_has_no_proto_plays_by_reflection(remote: RemoteServer) -> None:
-    """As grpcurl does: services, methods and messages are asked of the server; the numbers are our client's."""
+def test_reflection_replaces_the_proto_files(remote: RemoteServer) -> None:
+    """As with grpcurl, services, methods and messages come from the server's reflection."""
     with grpc.insecure_channel(remote.address) as channel:
         database = ProtoReflectionDescriptorDatabase(channel)
         assert "sandgait.v1.EnvironmentService" in database.get_services()
@@ -70,7 +70,7 @@ def test_who_has_no_proto_plays_by_reflection(remote: RemoteServer) -> None:
 
 
 def test_a_loop_as_cleanrl_writes_it() -> None:
-    """The environments and the loop of CleanRL's ppo_continuous_action.py; its agent acts at random."""
+    """The environments and the loop of CleanRL's ppo_continuous_action.py, with random actions."""
 
     def make_env(gamma: float) -> Callable[[], gymnasium.Env[Any, Any]]:
         def thunk() -> gymnasium.Env[Any, Any]:
@@ -124,7 +124,7 @@ print(*(answer.batch.observations.hex() for answer in run(iter(requests))), sep=
 
 
 def test_a_grpcio_client_made_from_the_protos(remote: RemoteServer, tmp_path: Path) -> None:
-    """In a process without this package: its name is the messages' too."""
+    """Runs in a process without this package, because the generated messages have the same package name."""
     made = [
         sys.executable,
         "-m",

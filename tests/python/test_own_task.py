@@ -1,4 +1,4 @@
-"""The example of a task of one's own in Python: its numbers are those of the simulation it is built on."""
+"""The example of a user's own task in Python: its numbers agree with the simulation."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_rewards_are_computed_from_columns(own: Any) -> None:
     plain.close()
 
 
-def test_who_tilts_too_far_begins_anew(own: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_environment_that_tilts_too_far_is_reset(own: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(own, "LARGEST_TILT", 0.05)
     climb = own.Climb(8)
     climb.reset(seed=0)
@@ -57,7 +57,7 @@ def test_who_tilts_too_far_begins_anew(own: Any, monkeypatch: pytest.MonkeyPatch
         if terminated.any():
             assert (rewards[terminated] < -0.9 * own.FALL_PRICE).all()
             assert (infos["_final_obs"] == terminated).all()
-            # A new episode has no action yet; the old one's last row has one.
+            # The first row of a new episode has no previous action; the last row of the old episode has one.
             assert (seen[terminated][:, -6:] == 0).all()
             assert (infos["final_obs"][terminated][:, -6:] == 1).all()
         fell |= terminated

@@ -28,7 +28,7 @@ def action(k: int) -> np.ndarray:
 
 @pytest.mark.parametrize("copied", COPIES, ids=["pickle", "deepcopy"])
 def test_a_live_environment_and_its_copy_go_on_with_the_same_bits(copied: Callable[[Any], Any]) -> None:
-    """Ends of episodes, gymnasium's own step counter, options of a reset and draws of seeds included."""
+    """This includes ends of episodes, gymnasium's own step counter, options of a reset, and the stream of seeds."""
     env = gymnasium.make(ID, leg="C", max_episode_steps=9)
     env.reset(seed=3, options={"slope_deg": 5.0})
     for k in range(5):
@@ -50,7 +50,7 @@ def test_a_live_environment_and_its_copy_go_on_with_the_same_bits(copied: Callab
 @pytest.mark.parametrize("copied", COPIES, ids=["pickle", "deepcopy"])
 @pytest.mark.parametrize("mode", ["NEXT_STEP", "SAME_STEP"])
 def test_a_live_batch_too(copied: Callable[[Any], Any], mode: str) -> None:
-    """In every state of its episodes: with NEXT_STEP also between the end of one and the beginning of the next."""
+    """Copies are made in every state; with NEXT_STEP also between the end of an episode and the begin of the next."""
     env = gymnasium.make_vec(ID, num_envs=3, autoreset_mode=mode, max_episode_steps=4)
     env.reset(seed=3)
     for k in range(10):
@@ -76,7 +76,7 @@ def test_an_episode_that_is_over_stays_over() -> None:
 
 
 def test_before_the_first_reset_the_arguments_are_enough(remote: RemoteServer) -> None:
-    """The copy opens no session before it is used, so it can be made where the server is not."""
+    """The copy opens no session before it is used, so it can be made on a machine that cannot reach the server."""
     env = sandgait.SandgaitVectorEnv(ID, 2, remote.address, leg="C", clip_actions=True)
     data = pickle.dumps(env)
     other = pickle.loads(data)
@@ -89,7 +89,7 @@ def test_before_the_first_reset_the_arguments_are_enough(remote: RemoteServer) -
         pickle.loads(data).reset()
 
 
-def test_what_cannot_be_pickled_says_so() -> None:
+def test_pickling_errors_state_the_reason() -> None:
     env = sandgait.SandgaitVectorEnv(ID, 2)
     env.reset(seed=0)
     env.send(np.zeros((2, 6)))
@@ -106,7 +106,7 @@ def test_what_cannot_be_pickled_says_so() -> None:
 
 
 def test_a_closure_over_an_environment_is_pickled() -> None:
-    """As SubprocVecEnv and AsyncVectorEnv do it."""
+    """SubprocVecEnv and AsyncVectorEnv pickle such closures."""
     env = sandgait.SandgaitEnv(ID, leg="C")
     make = cloudpickle.loads(cloudpickle.dumps(lambda: env))
     assert np.array_equal(make().reset(seed=2)[0], env.reset(seed=2)[0])

@@ -1,4 +1,4 @@
-"""Policies that the server runs: SB3's own actions, a stepwise run's numbers, and what `sandgait evaluate` prints."""
+"""Policies that the server runs: equal to SB3's actions, to single steps, and to the output of `sandgait evaluate`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STEPS = 120
 
 
 def untrained(kind: Any) -> tuple[Any, VecNormalize]:
-    """A network with random weights, behind statistics that it has seen some steps of."""
+    """A network with random weights and with observation statistics of some steps."""
     env = VecNormalize(sandgait.make_sb3(ID, 4), clip_obs=4.0)
     arguments = {"buffer_size": 100} if kind is SAC else {}
     model = kind("MlpPolicy", env, seed=1, device="cpu", **arguments)
@@ -32,7 +32,7 @@ def untrained(kind: Any) -> tuple[Any, VecNormalize]:
     env.training = False
     with torch.no_grad():
         for weights in model.policy.parameters():
-            # Sums of order 1 in every layer, as in trained networks: what is larger, f32 cannot hold to 1e-5.
+            # Sums in every layer are of order 1, as in trained networks. Larger sums have errors above 1e-5 in f32.
             weights.copy_(torch.randn_like(weights) * (1.5 / weights.shape[-1] ** 0.5 if weights.ndim > 1 else 0.3))
     return model, env
 
@@ -47,7 +47,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("kind", [PPO, SAC])
 def test_the_servers_actions_are_sb3s(kind: Any, tmp_path: Path) -> None:
-    """Over whole episodes, and step by step the same bits."""
+    """The actions agree over whole episodes; rollouts and single steps have the same bits."""
     model, normalize = untrained(kind)
     path = sandgait.export_onnx(model, tmp_path / "policy.onnx", normalize)
     assert path == tmp_path / "policy.onnx"

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-# Without one Ray writes a token into the home of whoever runs the tests.
+# Without this token, Ray writes one into the home directory of the user who runs the tests.
 os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
 
 import numpy as np
@@ -23,7 +23,7 @@ from conftest import ID
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
-# Ray leaves sockets and files of its own to the garbage collector.
+# Ray does not close its own sockets and files, which would be a warning of the garbage collector.
 pytestmark = pytest.mark.filterwarnings(
     "default::ResourceWarning", "default::FutureWarning", "default::DeprecationWarning"
 )
@@ -68,7 +68,7 @@ def test_the_evolution_strategy_learns(servers: sandgait.ray.Servers) -> None:
 
 
 def test_rllib_trains_on_both_nodes(servers: sandgait.ray.Servers) -> None:
-    """Some seconds: every step reaches the learner, episodes end, and each runner has a session beside it."""
+    """In some seconds every step reaches the learner, episodes end, and each runner uses the server on its node."""
     import rllib_ppo
 
     algorithm = rllib_ppo.build(servers, runners=2, envs=16, max_episode_steps=40)

@@ -1,4 +1,4 @@
-"""Servers that ask for TLS, certificates and a token."""
+"""Servers that require TLS, client certificates and a token."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TOKEN = "the-token-that-nobody-may-show"
 
 
 class Pki:
-    """Authorities, certificates and a token as files, made for this run."""
+    """Files with certificate authorities, certificates and a token, made for this run."""
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
@@ -52,7 +52,7 @@ def pki(tmp_path: Path) -> Pki:
 
 @pytest.fixture
 def start(pki: Pki) -> Iterator[Callable[..., str]]:
-    """Starts a server with TLS and the token; gives its address."""
+    """Starts a server with TLS and the token; returns its address."""
     with ExitStack() as servers:
 
         def start(certificate: str = "server", *more: str) -> str:
@@ -71,7 +71,7 @@ def play(address: str | list[str] | None) -> np.ndarray:
     return np.stack(rows)
 
 
-def test_a_remote_goes_wherever_an_address_does(pki: Pki, start: Callable[..., str]) -> None:
+def test_a_remote_replaces_an_address_everywhere(pki: Pki, start: Callable[..., str]) -> None:
     clients = ("--client-ca", pki.file("ca"))
     credentials = {
         "ca": pki.file("ca"),
@@ -92,8 +92,8 @@ def test_a_remote_goes_wherever_an_address_does(pki: Pki, start: Callable[..., s
     env.close()
 
 
-def test_whoever_may_not_use_a_server_is_told_why(pki: Pki, start: Callable[..., str]) -> None:
-    """Nothing that fails says the token."""
+def test_refused_clients_get_the_reason(pki: Pki, start: Callable[..., str]) -> None:
+    """No error message contains the token."""
     ca, cert, key = pki.file("ca"), pki.file("client.cert"), pki.file("client.key")
     address, mutual, expired = start(), start("server", "--client-ca", ca), start("expired")
     witness = gymnasium.make_vec(ID, num_envs=2, address=sandgait.Remote(address, ca=ca, token=TOKEN))
@@ -153,7 +153,7 @@ def test_wrong_remotes_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_restarted_server_is_found_again(tmp_path: Path) -> None:
-    """With --state-dir a client needs nothing to go on after its server was stopped and started again."""
+    """With --state-dir a client goes on by itself after its server was stopped and started again."""
     address = f"unix:{tmp_path}/sock"
     calm = gymnasium.make_vec(ID, num_envs=3)
     state = ("--state-dir", str(tmp_path / "state"))

@@ -1,4 +1,4 @@
-"""A robot's file through every door: in this process, on a server of its own, and over the network. Equal bits."""
+"""A robot's file through every door (in this process, in a separate process, over the network) gives equal bits."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from conftest import RemoteServer
 ROOT = Path(__file__).parents[2]
 TASK = "sandgait/LeggedVelocity-v0"
 
-#: A body on two wheels' worth of joints; its hull is a mesh beside the file.
+#: A body with two joints; its shape is a mesh in another file.
 MESHED = """<robot name="meshed">
   <link name="base">
     <inertial><mass value="2"/><inertia ixx="0.02" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>
@@ -33,7 +33,7 @@ MESHED = """<robot name="meshed">
   </joint>
 </robot>"""
 
-#: A pyramid of 3 cm, faces outward.
+#: A pyramid of 3 cm with outward faces.
 PYRAMID = """v 0 0 -0.03
 v 0.02 0 0
 v -0.01 0.0173 0
@@ -54,7 +54,7 @@ def meshed(tmp_path: Path) -> Path:
 
 
 def walk(robot: Path, **keywords: Any) -> list[Any]:
-    """What 30 steps of three robots say; they begin in the ground, where forces are."""
+    """Results of 30 steps of three robots. They begin partly in the sand, so that there are forces."""
     env = sandgait.SandgaitVectorEnv(TASK, 3, robot=robot, max_episode_steps=20, **keywords)
     said: list[Any] = [env.single_action_space.shape]
     said.append(env.reset(seed=5)[0])
@@ -69,7 +69,7 @@ def walk(robot: Path, **keywords: Any) -> list[Any]:
 
 @pytest.mark.parametrize("name", ["sandcat.urdf", "sandcat.xml", "meshed"])
 @pytest.mark.filterwarnings("ignore:.*left out")
-def test_a_file_travels_through_every_door(name: str, meshed: Path, remote: RemoteServer) -> None:
+def test_a_robot_file_works_through_every_door(name: str, meshed: Path, remote: RemoteServer) -> None:
     robot = meshed if name == "meshed" else ROOT / "robots" / name
     here = walk(robot)
     assert np.isfinite(here[1]).all()
@@ -96,7 +96,7 @@ def test_gymnasium_takes_a_file_by_its_path(meshed: Path) -> None:
         ("/etc/passwd", "passwd"),
     ],
 )
-def test_a_mesh_that_cannot_be_read_is_one_clear_line(mesh: str, said: str, meshed: Path, remote: RemoteServer) -> None:
+def test_an_unreadable_mesh_gives_one_clear_line(mesh: str, said: str, meshed: Path, remote: RemoteServer) -> None:
     shutil.copy(meshed.parent / "foot.obj", meshed.parent.parent / "outside.obj")
     meshed.write_text(MESHED.format(mesh=mesh))
     for door in ({}, {"address": remote.address}):
@@ -105,7 +105,7 @@ def test_a_mesh_that_cannot_be_read_is_one_clear_line(mesh: str, said: str, mesh
         assert "\n" not in str(error.value)
 
 
-def test_wrong_files_are_one_clear_line(tmp_path: Path, remote: RemoteServer) -> None:
+def test_wrong_files_give_one_clear_line(tmp_path: Path, remote: RemoteServer) -> None:
     for name, text in [
         ("cut.urdf", "<robot name='a'><link name='b'>"),
         ("bomb.xml", "<!DOCTYPE a [<!ENTITY b 'bb'><!ENTITY c '&b;&b;'>]><mujoco>&c;</mujoco>"),

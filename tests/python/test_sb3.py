@@ -1,4 +1,4 @@
-"""`sandgait.make_sb3` against what stable-baselines3 expects, its own DummyVecEnv as the reference."""
+"""`sandgait.make_sb3` behaves as stable-baselines3 expects; its own DummyVecEnv is the reference."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_steps_are_dummyvecenvs() -> None:
 
 
 def test_termination_is_no_time_limit() -> None:
-    """Where an episode terminates in its last step as well, it is no truncation to be bootstrapped."""
+    """If an episode terminates in its last possible step, it does not count as truncated, so SB3 must not bootstrap."""
     patterns = np.array(list(itertools.product([-1.0, 0.0, 1.0], repeat=6)), dtype=np.float32)
     steep = {"medium": "poppy-close", "slope_deg": 30.0, "torque_limit": 5.0}
     env = sandgait.make_sb3(ID, len(patterns), max_episode_steps=60, **steep)
@@ -103,7 +103,7 @@ def test_attributes_and_methods_of_single_environments() -> None:
 
 
 def test_ppo_learns_a_little_and_is_saved(tmp_path: Any) -> None:
-    """One update; that it learns to walk is examples/train.py's to show."""
+    """One update only; examples/train.py shows that a robot learns to walk."""
     env = VecNormalize(sandgait.make_sb3(ID, 8, max_episode_steps=50))
     model = PPO("MlpPolicy", env, n_steps=64, batch_size=512, n_epochs=1, seed=0, device="cpu")
     model.learn(1024)
@@ -129,7 +129,7 @@ def test_the_package_itself_does_not_import_torch() -> None:
 
 
 def test_make_sb3_is_monitored(tmp_path: Path) -> None:
-    """`ep_rew_mean` comes from it; a path also writes the episodes."""
+    """The monitor gives `ep_rew_mean`; with a path it also writes the episodes."""
     path = tmp_path / "runs.monitor.csv"
     env = sandgait.make_sb3(ID, 2, monitor=path, info_keywords=("speed",), max_episode_steps=5)
     assert is_vecenv_wrapped(env, VecMonitor)

@@ -46,7 +46,7 @@ def test_pictures_are_what_gymnasium_expects() -> None:
 
 
 def orange(picture: np.ndarray) -> float:
-    """Mean column of the front of the base, which is painted."""
+    """Mean column of the base's front, which is painted orange."""
     red, green, blue = (picture[..., k].astype(int) for k in range(3))
     columns = np.nonzero((red - blue > 70) & (red - green > 50) & (green > 50))[1]
     assert columns.size > 20
@@ -101,7 +101,7 @@ def test_several_servers_show_their_environments(remote: object) -> None:
         env.close()
 
 
-def test_wrong_uses_are_told() -> None:
+def test_wrong_use_is_refused() -> None:
     with pytest.raises(sandgait.InvalidRequest, match="render_mode: 'ansi' is unknown; known: rgb_array, human"):
         sandgait.SandgaitEnv(ID, render_mode="ansi")
     with pytest.raises(sandgait.InvalidRequest, match=r"render_size: height 8 is outside \[16, 4096\]"):
@@ -179,7 +179,7 @@ def test_a_window_shows_the_same_pictures() -> None:
     run_with_window(HUMAN, "dummy")
 
 
-#: The first optimizer makes torch import triton, where it is installed.
+#: With the first optimizer, torch imports triton if it is installed.
 WATCHED_TRAINING = f"""
 import gymnasium, sandgait
 env = gymnasium.make("{ID}", render_mode="human")
@@ -192,10 +192,10 @@ env.close()
 """
 
 
-def test_who_watches_can_train_in_the_same_process() -> None:
-    """Mesa's OpenGL and torch's triton each bring an LLVM; together they end in a segmentation fault.
+def test_a_process_with_a_window_can_train() -> None:
+    """Mesa's OpenGL and torch's triton each contain an LLVM. If both are loaded, the process crashes.
 
-    This driver opens a window as one with a display would, OpenGL included where Mesa is installed.
+    This driver opens a window without a display, and loads OpenGL if Mesa is installed.
     """
     run_with_window(WATCHED_TRAINING, "offscreen")
 
@@ -206,7 +206,7 @@ def test_without_pygame_a_window_says_what_to_install(monkeypatch: pytest.Monkey
         sandgait.SandgaitEnv(ID, render_mode="human")
 
 
-def test_a_recording_is_what_happened(tmp_path: Path) -> None:
+def test_a_recording_has_the_numbers_of_the_steps(tmp_path: Path) -> None:
     path = tmp_path / "walk.rec"
     env = sandgait.SandgaitEnv(ID, max_episode_steps=40, command=[0.2, 0.2])
     env.record(path)
@@ -256,12 +256,12 @@ def test_a_vector_environment_records_one_of_its_own(tmp_path: Path) -> None:
     assert recording.sections[0]["objects"].shape == (11, loose, 7)
 
 
-def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
+def test_files_other_than_recordings_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "walk.rec"
     with pytest.raises(sandgait.InvalidRequest, match="No such file"):
         sandgait.read_recording(path)
     path.write_bytes(b"nothing")
-    with pytest.raises(sandgait.InvalidRequest, match="none of sandgait's recordings"):
+    with pytest.raises(sandgait.InvalidRequest, match="not one of sandgait's recordings"):
         sandgait.read_recording(path)
     env = sandgait.SandgaitEnv(ID)
     env.record(path)
@@ -275,7 +275,7 @@ def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_page_of_a_recording(tmp_path: Path) -> None:
-    """What can be said of the page without a browser; `make test-browser` has one."""
+    """Checks the page without a browser; `make test-browser` uses one."""
     path, page = tmp_path / "walk.rec", tmp_path / "walk.html"
     env = sandgait.SandgaitEnv(ID)
     env.record(path)
@@ -293,7 +293,7 @@ def block(kind: bytes, content: bytes, length: int | None = None) -> bytes:
 
 
 def test_a_recording_is_unpacked_within_a_bound(tmp_path: Path) -> None:
-    """A file of some kilobytes can unpack to gigabytes, and a block can claim to be that long."""
+    """A file of some kilobytes can unpack to gigabytes, and a block's header can state such a length."""
     header = {"format": "sandgait recording", "version": 1, "columns": [{"name": "time", "shape": [1]}]}
     head = block(b"HEAD", json.dumps(header).encode())
     path = tmp_path / "bomb.rec"
@@ -310,5 +310,5 @@ def test_a_recording_is_unpacked_within_a_bound(tmp_path: Path) -> None:
     tracemalloc.stop()
     for wrong in (b"[]", b"{", b'{"format": "sandgait recording", "version": 1}', b"[" * 100_000):
         path.write_bytes(gzip.compress(block(b"HEAD", wrong)))
-        with pytest.raises(sandgait.InvalidRequest, match="none of sandgait's recordings"):
+        with pytest.raises(sandgait.InvalidRequest, match="not one of sandgait's recordings"):
             sandgait.read_recording(path)

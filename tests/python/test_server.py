@@ -1,4 +1,4 @@
-"""The embedded server's life: it starts by itself and ends with Python, however Python ends."""
+"""The embedded server: Python starts it, and it ends with Python, however Python ends."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ print(server._server.process.pid, server._server.path, flush=True)
 
 
 def start(code: str) -> tuple[subprocess.Popen[str], str, int, Path]:
-    """Runs `PLAY` and then `code` in a Python of its own: process, hash of all results, server's pid and socket."""
+    """Runs `PLAY` and then `code` in a new Python: process, hash of all results, the server's pid and socket."""
     process = subprocess.Popen([sys.executable, "-c", PLAY + code], stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     digest = process.stdout.readline().strip()
@@ -89,8 +89,8 @@ def test_the_server_ends_with_python(end: str) -> None:
     process.stdout.close()
 
 
-def test_ctrl_c_is_for_python_alone() -> None:
-    """The whole foreground group gets SIGINT; the server must live until Python has done with it."""
+def test_ctrl_c_does_not_end_the_server() -> None:
+    """A terminal sends SIGINT to all processes in the foreground; the server must go on until Python has ended."""
     code = f"{HEARS_CTRL_C}\nimport time\ntry: time.sleep(60)\n"
     code += "except KeyboardInterrupt: env.step(numpy.zeros((20, 6))); print('done')"
     process = subprocess.Popen(
@@ -106,7 +106,7 @@ def test_ctrl_c_is_for_python_alone() -> None:
 
 
 def test_an_interrupted_step_is_neither_lost_nor_done_twice() -> None:
-    """grpc cannot take up a read that was broken off, but the session can: its answer is still there to be received."""
+    """grpc cannot continue a read that was interrupted, but the session keeps the answer for the next call."""
     code = """
 import signal, os
 pid = server._server.process.pid
@@ -210,7 +210,7 @@ def test_a_binary_that_is_not_there_or_cannot_serve(monkeypatch: pytest.MonkeyPa
 
 
 def forked(env: sandgait.SandgaitVectorEnv, answers: multiprocessing.Queue[str], isolated: bool) -> None:
-    """In a child: the parent's environment says whose it is, a new one works."""
+    """In a forked child, the parent's environment gives an error that says so, and a new environment works."""
     try:
         env.step(np.zeros((2, 6)))
     except sandgait.SandgaitError as error:

@@ -1,4 +1,4 @@
-"""Sessions outlive connections, and with `resume` servers; they are saved, restored, forked, spread and rolled out."""
+"""Sessions survive lost connections, and with `resume` lost servers. Snapshots, forks, several servers, rollouts."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def undisturbed() -> list[tuple[npt.NDArray[np.generic], ...]]:
 
 
 class Proxy:
-    """A wire to a server that can be cut."""
+    """A connection to a server that a test can cut."""
 
     def __init__(self, target: str) -> None:
         host, port = target.rsplit(":", 1)
@@ -97,7 +97,7 @@ def proxy(remote: RemoteServer) -> Iterator[Proxy]:
     proxy.cut()
 
 
-def test_a_cut_wire_loses_and_doubles_nothing(
+def test_a_cut_connection_neither_loses_nor_repeats_a_step(
     proxy: Proxy, undisturbed: list[tuple[npt.NDArray[np.generic], ...]]
 ) -> None:
     env = sandgait.SandgaitVectorEnv(ID, 5, address=proxy.address, max_episode_steps=17)
@@ -173,7 +173,7 @@ def test_resume_goes_on_elsewhere(
         env.close()
 
 
-def test_without_resume_a_dead_server_is_named(remote: RemoteServer) -> None:
+def test_without_resume_a_dead_server_is_an_error_with_its_address(remote: RemoteServer) -> None:
     env = sandgait.SandgaitVectorEnv(ID, 4, address=[None, remote.address])
     env.reset(seed=0)
     remote.kill()
@@ -235,7 +235,7 @@ def test_wrong_snapshots(tmp_path: Path) -> None:
     env.reset(seed=0)
     snapshot = env.save()
     for wrong, words in [
-        (b"", "none of sandgait's"),
+        (b"", "not one of sandgait's"),
         (snapshot[:25], "cut off"),
         (snapshot[:-1], "cut off"),
         (snapshot + b"x", "something after"),

@@ -1,4 +1,4 @@
-"""Studies from Python: the command line's numbers, its refusals, and an end when they are interrupted."""
+"""Studies from Python: the same numbers and errors as on the command line, and an end when they are interrupted."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ TABLES: dict[str, Any] = {
     },
 }
 
-#: Takes minutes.
+#: A study that takes minutes.
 LONG = {"xi": np.arange(-75, 75, 0.5), "frequency": np.linspace(1, 4, 300)}
 
 
@@ -123,7 +123,7 @@ def test_trials_are_the_command(tmp_path: Path) -> None:
     frame = pd.DataFrame(MOTIONS)
     frame.to_csv(tmp_path / "rows.csv", index=False)
     sand = WHEELS / "sand_discs.toml"
-    # 20 N bury the small box.
+    # A load of 20 N buries the small box.
     bodies: dict[str | Path, str] = {
         "cylinder:radius=0.0625,width=0.06": "ok",
         box_file(tmp_path / "box.stl"): "no_equilibrium",
@@ -147,7 +147,7 @@ def test_trials_are_the_command(tmp_path: Path) -> None:
 
 
 def test_trials_release_the_interpreters_lock() -> None:
-    """Another thread of Python goes on meanwhile."""
+    """Another thread of Python runs during the computation."""
     ticks = [0]
     done = threading.Event()
 
@@ -223,7 +223,7 @@ def test_diagnose_is_the_command(diagnosis: sandgait.Diagnosis, tmp_path: Path) 
     assert diagnosis.summary in repr(diagnosis)
 
 
-def test_a_frame_and_tables_are_as_good_as_files(diagnosis: sandgait.Diagnosis) -> None:
+def test_data_frames_and_tables_replace_files(diagnosis: sandgait.Diagnosis) -> None:
     told: list[tuple[float, str]] = []
     other = sandgait.diagnose(pd.read_csv(LOG), TABLES, progress=lambda share, stage: told.append((share, stage)))
     for name in ("verdict", "causes", "gain", "candidates"):
@@ -249,7 +249,7 @@ def test_a_robots_own_log_in_each_format(tmp_path: Path) -> None:
         assert parquet.report[name] == frame.report[name]
 
 
-def test_the_curves_are_the_data(diagnosis: sandgait.Diagnosis) -> None:
+def test_curves_contain_the_data(diagnosis: sandgait.Diagnosis) -> None:
     log, frame = pd.read_csv(LOG), diagnosis.to_frame()
     assert len(frame) == len(log)
     assert frame.attrs["units"]["Fz"] == "N"
@@ -271,7 +271,7 @@ def test_the_diagnosed_sand_goes_into_every_study(diagnosis: sandgait.Diagnosis,
     assert sandgait.sweep({"frequency": [4]}, sand=sand, progress=False).speed[0] == speed
 
 
-def test_a_robot_of_the_clients(tmp_path: Path) -> None:
+def test_a_robot_file_of_the_client(tmp_path: Path) -> None:
     text = (Path(__file__).parents[2] / "src/sim/robots/xplorer.toml").read_text()
     path = tmp_path / "mine.toml"
     path.write_text(text.replace("mass = 0.138", "mass = 0.2"))
@@ -295,7 +295,10 @@ def test_another_server(remote: RemoteServer) -> None:
         (lambda: sandgait.intrude("L", medium="moon"), "moon"),
         (lambda: sandgait.intrude("L", sand="/no/such/sand.toml"), "sand: .*/no/such/sand.toml"),
         (lambda: sandgait.intrude("L", sand=LOG), r"force_log.csv: sand"),
-        (lambda: sandgait.intrude("L", medium="poppy-loose", sand=EXPERIMENT), "sand: a file excludes medium and law"),
+        (
+            lambda: sandgait.intrude("L", medium="poppy-loose", sand=EXPERIMENT),
+            "sand: give either a sand file, or medium and law",
+        ),
         (lambda: sandgait.intrude("L", body="sphere:radius=0.1", rows={"depth": 0}), "give shape, or body with rows"),
         (lambda: sandgait.intrude(body="sphere:radius=0.1"), "give shape, or body with rows"),  # type: ignore[call-overload]
         (lambda: sandgait.intrude(body="ball:radius=1", rows={"depth": 0.1}), 'body "ball:radius=1" is unknown'),
@@ -335,7 +338,7 @@ def test_wrong_use(call: Any, says: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_data_that_are_too_many() -> None:
+def test_too_many_data_are_refused() -> None:
     class Large:
         def to_csv(self, index: bool) -> str:
             return "x" * (64 * 2**20)
@@ -390,7 +393,7 @@ def test_figures_have_axes_units_and_legends(diagnosis: sandgait.Diagnosis) -> N
     heat = grid.plot()
     assert (heat.get_xlabel(), heat.get_ylabel()) == ("frequency [Hz]", "xi [°]")
     shown = np.asarray(heat.collections[0].get_array()).reshape(3, 2)
-    # Rows ascend whatever the order of the values: ξ = −40, 0, 40.
+    # Rows are in ascending order, whatever the order of the values: ξ = −40, 0, 40.
     assert np.array_equal(shown, 100 * grid.speed.reshape(3, 2)[[1, 2, 0]])
     lines = sandgait.sweep({"leg": ["L", "C"], "frequency": [1, 2]}, progress=False).plot("cost-of-transport")
     assert lines.get_ylabel() == "cost of transport"

@@ -1,4 +1,4 @@
-"""Mirrored policies treat left and right alike, on every task that trains one."""
+"""Mirrored policies are symmetric in left and right, on every task for which one is trained."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SETTINGS = yaml.safe_load((ROOT / "examples/hyperparameters/ppo.yml").read_text(
 
 
 @pytest.mark.parametrize("name", [task for task, entry in SETTINGS.items() if entry.get("mirror")])
-def test_what_a_mirrored_policy_does_in_the_mirror_is_mirrored(name: str) -> None:
+def test_mirrored_observations_give_mirrored_actions(name: str) -> None:
     env = sandgait.SandgaitVectorEnv(name, 1)
     observation, action = (mirror([c.name for c in columns]) for columns in (env.task.observation, env.task.action))
     env.close()

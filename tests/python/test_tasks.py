@@ -1,4 +1,4 @@
-"""What every task keeps to, whatever it is about: both libraries' checks, equal seeds, snapshots."""
+"""Properties of every task: the checks of both libraries, equal seeds, snapshots."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import sandgait
 
 GAIT = "sandgait/HexapodGait-v1"
 
-#: Every task, and every way of driving it.
+#: Every task, with every control mode.
 TASKS: list[tuple[str, dict[str, Any]]] = [
     *((task, {}) for task in sandgait.TASKS),
     *((GAIT, {"control": control}) for control in ("hip_target", "torque", "clock")),
@@ -48,7 +48,7 @@ def history(task: str, envs: int, options: dict[str, Any]) -> list[npt.NDArray[n
 
 @every_task
 def test_equal_seeds_give_equal_bits(task: str, options: dict[str, Any]) -> None:
-    """Alone or beside others, over ends of episodes."""
+    """For one environment and for several, over ends of episodes."""
     first, again, alone = history(task, 3, options), history(task, 3, options), history(task, 1, options)
     for a, b, c in zip(first, again, alone, strict=True):
         assert np.array_equal(a, b)
@@ -111,8 +111,8 @@ def test_a_curriculum_changes_the_difficulty_at_resets() -> None:
 
 
 @pytest.mark.parametrize("mode", ["SAME_STEP", "NEXT_STEP"])
-def test_what_resets_change_adds_up_and_holds(mode: str) -> None:
-    """Environment by environment, over ends of episodes: the rows of environments that were made so."""
+def test_options_of_several_resets_are_all_in_force(mode: str) -> None:
+    """The rows equal those of environments that were made with these options, over ends of episodes."""
     gait: dict[str, Any] = {"max_episode_steps": 10, "autoreset_mode": mode}
     env = sandgait.SandgaitVectorEnv(GAIT, 2, **gait)
     env.reset(seed=0)
@@ -148,7 +148,7 @@ def test_earlier_versions_name_the_present_one(name: str) -> None:
 
 
 def test_a_stroke_returns_its_efficiency() -> None:
-    """A circular stroke: the knee locked, the hip at one speed; every figure from `info` again."""
+    """A circular stroke with a locked knee and a constant hip speed; every figure is computed again from `info`."""
     env = sandgait.SandgaitEnv("sandgait/LegStroke-v0")
     env.reset(seed=0)
     rewards, infos = [], []

@@ -1,4 +1,4 @@
-"""Threads that simulate, what importing does to a process, systems without Unix sockets, and closing."""
+"""Threads of the simulation, effects of importing the package, systems without Unix sockets, and closing."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ except sandgait.InvalidRequest as error:
     ],
 )
 @pytest.mark.parametrize("isolated", [False, True])
-def test_the_first_number_of_threads_holds(
+def test_the_first_number_of_threads_stays(
     keyword: str, variable: str, threads: str, says: str, isolated: bool
 ) -> None:
     done = run(TOLD % (isolated, keyword), SANDGAIT_THREADS=variable)
@@ -78,7 +78,7 @@ def test_wrong_numbers_of_threads(threads: object) -> None:
         sandgait.SandgaitEnv(ID, threads=threads)  # type: ignore[arg-type]
 
 
-def test_threads_are_this_processes(remote: RemoteServer) -> None:
+def test_threads_belong_to_this_process(remote: RemoteServer) -> None:
     with pytest.raises(sandgait.InvalidRequest, match="threads: of this process"):
         sandgait.make_sb3(ID, 2, remote.address, threads=2)
     done = run(f"import sandgait; sandgait.SandgaitEnv({ID!r})", SANDGAIT_THREADS="few")
@@ -98,12 +98,12 @@ assert dict(os.environ) == environment
 """
 
 
-def test_importing_changes_nothing_of_the_process() -> None:
+def test_importing_does_not_change_the_process() -> None:
     done = run(IMPORTED)
     assert done.returncode == 0, done.stderr
 
 
-#: What Windows does not have, gone before the package is imported.
+#: Removes what Windows does not have, before the package is imported.
 WINDOWS = f"""
 import os, signal, socket, sys
 import gymnasium, numpy, subprocess, tempfile, multiprocessing, pathlib, ctypes
@@ -148,7 +148,7 @@ def seconds_to_close(address: str, servers: int, process: subprocess.Popen[str])
 
 
 def test_many_dead_servers_are_closed_in_the_time_of_one(remote: RemoteServer) -> None:
-    """A server that is stopped takes connections and never answers."""
+    """A paused server accepts connections and never answers."""
     one = seconds_to_close(remote.address, 1, remote.process)
     assert one > 1, "it is waited for"
     assert seconds_to_close(remote.address, 16, remote.process) < 3 * one

@@ -1,4 +1,4 @@
-"""`sandgait.train`: the command's trainings from Python."""
+"""`sandgait.train`: trainings from Python, as on the command line."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SMALL: dict[str, Any] = {
 }
 
 
-def test_a_training_and_what_it_leaves(tmp_path: Path) -> None:
+def test_a_training_writes_its_files(tmp_path: Path) -> None:
     told: list[tuple[float, str]] = []
     heard = {**SMALL, "progress": lambda share, stage: told.append((share, stage))}
     training = sandgait.train(ID, out=tmp_path, timesteps=2048, seed=1, **heard)
@@ -46,7 +46,7 @@ class Enough(Exception):
     pass
 
 
-def test_whatever_is_raised_ends_it_and_it_goes_on_with_the_same_bits(tmp_path: Path) -> None:
+def test_an_exception_ends_a_training_which_resumes_with_the_same_bits(tmp_path: Path) -> None:
     last = 0.0
     updates = 0
 
@@ -88,7 +88,7 @@ def test_a_training_starts_from_what_another_has_learnt(tmp_path: Path) -> None:
     assert not (tmp_path / "third").exists()
 
 
-#: An update takes long: Ctrl-C has to be heard within it. Prints the times of an update and from signal to exception.
+#: Sends Ctrl-C during a long update. Prints the time of an update, and the time from the signal to the exception.
 INTERRUPTED = f"""
 {HEARS_CTRL_C}
 import os, sys, threading, time
@@ -115,7 +115,7 @@ except KeyboardInterrupt as error:
 """
 
 
-def test_ctrl_c_is_heard_within_an_update_and_leaves_a_checkpoint(tmp_path: Path) -> None:
+def test_ctrl_c_interrupts_an_update_and_leaves_a_checkpoint(tmp_path: Path) -> None:
     command = [sys.executable, "-c", INTERRUPTED, str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr

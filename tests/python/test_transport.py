@@ -1,4 +1,4 @@
-"""The wire: Unix and TCP sockets, large messages, latency, other clients. Each trap was met once."""
+"""The connection: Unix and TCP sockets, large messages, latency, other clients. Each test is for a past fault."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def play(address: str | None, steps: int = 20) -> list[np.ndarray]:
 
 
 def test_remote_servers_give_the_embedded_ones_numbers(remote: RemoteServer, tmp_path: Path) -> None:
-    """Over a Unix socket a default grpc client dies: its authority is the percent-encoded path (RST_STREAM 1)."""
+    """Over a Unix socket a default grpc client fails (RST_STREAM 1): its authority is the percent-encoded path."""
     expected = play(None)
     assert np.array_equal(play(remote.address), expected)
     with RemoteServer(f"unix:{tmp_path}/a socket") as local:
@@ -33,7 +33,7 @@ def test_remote_servers_give_the_embedded_ones_numbers(remote: RemoteServer, tmp
 
 
 def test_tcp_does_not_wait_for_more_to_send(remote: RemoteServer) -> None:
-    """With Nagle's algorithm on, small calls take 44 ms: many times what they take on a Unix socket."""
+    """With Nagle's algorithm, small calls take 44 ms, many times as long as on a Unix socket."""
     over = {
         address: gymnasium.make_vec(ID, num_envs=2, address=address, isolated=address is None)
         for address in (remote.address, None)
@@ -54,7 +54,7 @@ def test_tcp_does_not_wait_for_more_to_send(remote: RemoteServer) -> None:
 
 @pytest.mark.parametrize("over", ["unix", "tcp"])
 def test_messages_beyond_4_mib(over: str, remote: RemoteServer) -> None:
-    """16,384 environments: observations alone are 2.5 MiB, and twice that where every episode ends."""
+    """16,384 environments have observations of 2.5 MiB, and twice as much in a step in which all episodes end."""
     address = None if over == "unix" else remote.address
     env = sandgait.SandgaitVectorEnv(
         ID, 16_384, address, isolated=address is None, autoreset_mode="SAME_STEP", max_episode_steps=2
@@ -109,7 +109,7 @@ def test_a_server_that_goes_away(remote: RemoteServer) -> None:
 
 
 def test_two_clients_on_one_session(remote: RemoteServer) -> None:
-    """The newest stream has the session; the other client is told, and does not take it back by itself."""
+    """The newest stream has the session. The other client gets an error and does not take the session back."""
     env = sandgait.SandgaitVectorEnv(ID, 3, remote.address)
     env.reset()
     second = client.Stream(remote.address, env._session._doors[0]._link.session_id)

@@ -68,7 +68,7 @@ def test_what_make_vec_returns() -> None:
 
 
 def test_same_step_semantics_are_syncvectorenvs() -> None:
-    """40 steps of episodes of 12; after a masked reset some steps end no episode, some a few."""
+    """40 steps in episodes of 12 steps. After a masked reset, some steps end no episode, and some end a few."""
     ours, theirs = make(4, max_episode_steps=12), synchronous(4, max_episode_steps=12)
     first, second = ours.reset(seed=5), theirs.reset(seed=5)
     assert_same(first[0], second[0])
@@ -93,7 +93,7 @@ def test_same_step_semantics_are_syncvectorenvs() -> None:
 
 @pytest.mark.parametrize("task", sandgait.TASKS)
 def test_next_step_semantics_are_syncvectorenvs(task: str) -> None:
-    """Bit for bit over many ends, some of all environments at once, some of a few, and with wrong actions at resets."""
+    """The bits are equal over many ends of episodes, of all environments or a few, and with wrong actions at resets."""
     mode = AutoresetMode.NEXT_STEP
     ours = sandgait.SandgaitVectorEnv(task, 3, autoreset_mode=mode, max_episode_steps=5)
     theirs = SyncVectorEnv([lambda: sandgait.SandgaitEnv(task, max_episode_steps=5)] * 3, autoreset_mode=mode)
@@ -118,7 +118,7 @@ def test_next_step_semantics_are_syncvectorenvs(task: str) -> None:
     theirs.close()
 
 
-def test_next_step_over_several_servers_and_what_waits_for_the_next_step() -> None:
+def test_next_step_over_several_servers() -> None:
     one, two = (
         make(5, autoreset_mode="NEXT_STEP", max_episode_steps=3, address=address) for address in (None, [None, None])
     )
@@ -163,7 +163,7 @@ def rollout(env: sandgait.SandgaitVectorEnv, seed: Any, steps: int = 30) -> list
 
 
 def test_an_environment_depends_on_its_seed_alone() -> None:
-    """Not on its place, nor on how many there are: 37 fill no whole number of lanes."""
+    """It depends neither on its index nor on the number of environments; 37 do not fill all lanes."""
     batch = make(37, max_episode_steps=20)
     rows = rollout(batch, 100)
     assert np.array_equal(rows, rollout(batch, list(range(100, 137))))
@@ -206,7 +206,7 @@ def test_a_wrong_reset_mask_is_refused(mask: Any) -> None:
         env.reset(options={"reset_mask": mask})
 
 
-def test_two_halves_in_flight_are_one_batch() -> None:
+def test_two_halves_in_flight_equal_one_batch() -> None:
     halves, whole = (make(4, max_episode_steps=9), make(4, max_episode_steps=9)), make(8, max_episode_steps=9)
     halves[0].reset(seed=0)
     halves[1].reset(seed=4)

@@ -17,7 +17,7 @@ import sandgait
 
 ID = sandgait.TASKS[0]
 
-#: More than one end of an episode.
+#: Number of steps; more than one episode ends within them.
 STEPS = 9
 
 
@@ -51,10 +51,10 @@ WRAPPERS: dict[str, Callable[[VectorEnv], VectorEnv]] = {
     "RecordEpisodeStatistics": vector.RecordEpisodeStatistics,
 }
 
-#: Those that take images or dictionaries of observations.
+#: Wrappers for observations that are images or dictionaries.
 OTHER_OBSERVATIONS = {"FilterObservation", "GrayscaleObservation", "ResizeObservation"}
 
-#: Those that import what this project does not: array-api-compat, jax, OpenCV.
+#: Wrappers that import packages that this project does not: array-api-compat, jax, OpenCV.
 OTHER_PACKAGES = {"ArrayConversion", "JaxToNumpy", "JaxToTorch", "NumpyToTorch", "HumanRendering"}
 
 
@@ -63,7 +63,7 @@ def test_no_wrapper_is_left_out() -> None:
 
 
 def same(ours: Any, theirs: Any) -> bool:
-    """Equal values; keys whose mask is empty everywhere may be missing in theirs."""
+    """Whether values are equal. Keys whose mask is empty may be missing in `theirs`."""
     if isinstance(theirs, dict):
         return all(same(ours[key], theirs[key]) for key in theirs if key not in ("t", "_t"))
     if isinstance(theirs, (list, tuple)):
@@ -72,8 +72,8 @@ def same(ours: Any, theirs: Any) -> bool:
 
 
 @pytest.mark.parametrize("name", WRAPPERS)
-def test_a_wrapper_does_what_it_does_to_gymnasiums_own(name: str) -> None:
-    """Values after ends of episodes too, infos included. NEXT_STEP is what make_vec gives without being asked."""
+def test_wrappers_give_the_same_as_around_gymnasiums_own(name: str) -> None:
+    """Values are compared after ends of episodes, too, with infos. NEXT_STEP is the default of make_vec."""
     ours = WRAPPERS[name](gymnasium.make_vec(ID, num_envs=3, max_episode_steps=4))
     theirs = WRAPPERS[name](SyncVectorEnv([lambda: sandgait.SandgaitEnv(ID, max_episode_steps=4)] * 3))
     assert ours.metadata["autoreset_mode"] is theirs.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
@@ -103,7 +103,7 @@ def test_pictures_through_wrappers(tmp_path: Path) -> None:
     assert list((tmp_path / "videos").glob("*.mp4"))
 
 
-def test_next_step_is_for_gymnasium_and_same_step_one_keyword_away() -> None:
+def test_next_step_is_the_default_and_same_step_an_option() -> None:
     env = gymnasium.make_vec(ID, num_envs=2, autoreset_mode="SAME_STEP", max_episode_steps=2)
     assert env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
     env.reset(seed=1)
@@ -138,7 +138,7 @@ def test_actions_are_clipped_if_asked_for() -> None:
         env.close()
 
 
-def test_a_refused_action_says_that_clipping_is_there() -> None:
+def test_the_error_of_a_refused_action_mentions_clipping() -> None:
     words = r"actions\[0\]\[0\]: 2 .* is outside \[-1, 1\]; clip_actions=True clips"
     for address in (None, [None, None]):
         many = sandgait.SandgaitVectorEnv(ID, 2, address)
@@ -162,8 +162,8 @@ def test_the_registered_time_limit_is_the_servers(task: str) -> None:
     assert spec.max_episode_steps == told[task]
 
 
-def test_max_episode_steps_means_what_it_says() -> None:
-    """Of make, where gymnasium counts, and of make_vec, where the server does; beyond its own 500 steps."""
+def test_max_episode_steps_limits_the_episode() -> None:
+    """In `make` gymnasium counts the steps, in `make_vec` the server; both allow more than the task's own 500 steps."""
     standing = np.zeros(6, np.float32)
     for limit in (510, 3):
         one = gymnasium.make(ID, max_episode_steps=limit)
@@ -181,8 +181,8 @@ def test_max_episode_steps_means_what_it_says() -> None:
         many.close()
 
 
-def test_an_episode_that_gymnasium_cuts_is_the_servers_own() -> None:
-    """Bit for bit, the next episode included."""
+def test_an_episode_truncated_by_gymnasium_equals_the_servers() -> None:
+    """The bits are equal, also in the next episode."""
     counted, own = gymnasium.make(ID, max_episode_steps=7), sandgait.SandgaitEnv(ID, max_episode_steps=7)
     assert np.array_equal(counted.reset(seed=5)[0], own.reset(seed=5)[0])
     for k in range(20):

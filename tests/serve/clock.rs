@@ -1,4 +1,4 @@
-//! A time of day that jumps: sessions and leases do not notice.
+//! Jumps of the system's time of day do not affect sessions and leases.
 
 use crate::harness::{Session, create};
 use crate::process::{Process, text};
@@ -15,7 +15,7 @@ async fn jumps_end_no_session_and_keep_none() {
     let directory = tempfile::tempdir().unwrap();
     let (library, shift) = (directory.path().join("clock.so"), directory.path().join("shift"));
     let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/serve/clock.c");
-    // What links Rust programs is there.
+    // A C compiler is available, because Rust needs one to link.
     let mut compiler = Command::new("cc");
     assert!(compiler.args(["-shared", "-fPIC", "-o"]).arg(&library).arg(&source).status().unwrap().success());
     let jump = |years: i64| fs::write(&shift, (years * YEAR).to_string()).unwrap();
@@ -29,7 +29,7 @@ async fn jumps_end_no_session_and_keep_none() {
     assert_eq!(session.reset(4).await, undisturbed.reset(4).await);
     let mut client = server.client().await;
     for (time, years) in [20, -30, 5, -50, 0].into_iter().enumerate() {
-        // One without a stream, whose lease runs while the clock jumps.
+        // A session without a stream: its lease runs while the clock jumps.
         client.create_session(create(1, &[])).await.unwrap();
         jump(years);
         tokio::time::sleep(Duration::from_millis(100)).await;

@@ -1,4 +1,4 @@
-//! Options from a file, and limits.
+//! Options of `sandgait serve` from a file, and limits.
 
 use crate::harness::create;
 use crate::process::{Process, refused, text};
@@ -49,7 +49,7 @@ fn wrong_files_are_refused_by_name_and_key() {
         }
     }
     assert!(refused(&["--config", "/nowhere.toml"]).contains("/nowhere.toml: No such file"));
-    // A file makes nothing safe that is not.
+    // An unsafe combination of options is refused from a file, too.
     fs::write(&file, "listen = \"0.0.0.0:0\"").unwrap();
     assert!(refused(&["--config", text(&file)]).contains("--insecure"));
 }

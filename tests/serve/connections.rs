@@ -1,4 +1,4 @@
-//! Peers that connect and say nothing, or connect too often: others do not notice, and the log stays short.
+//! Peers that connect and send nothing, or connect too often, do not affect others, and the log stays short.
 
 use crate::harness::{Bearer, Session, client, until};
 use crate::process::{Process, text};
@@ -13,7 +13,7 @@ use tonic::Code;
 
 const PORT: &str = "127.0.0.1:0";
 
-/// How HTTP/2 begins.
+/// The first bytes of an HTTP/2 connection.
 const PREFACE: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
 
 async fn silent(server: &Process, count: usize) -> Vec<TcpStream> {
@@ -24,13 +24,13 @@ async fn silent(server: &Process, count: usize) -> Vec<TcpStream> {
     all
 }
 
-/// Those that the server has not closed, as far as is known here.
+/// Number of connections that the server has not closed, as seen from here.
 fn open(streams: &[TcpStream]) -> usize {
     let is_open = |s: &&TcpStream| s.try_read(&mut [0; 64]).is_err_and(|e| e.kind() == ErrorKind::WouldBlock);
     streams.iter().filter(is_open).count()
 }
 
-/// Before, 256 of them held up the next handshake until the first had run out of time.
+/// In an earlier version, 256 silent connections blocked the next handshake until the first of them timed out.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn silent_tls_connections_hold_up_no_handshake() {
     let (directory, authority) = (tempfile::tempdir().unwrap(), Authority::new("ours"));
@@ -71,9 +71,9 @@ async fn silent_connections_make_room_and_the_log_stays_short() {
     assert!((1..=2 + seconds).contains(&lines), "{lines} lines in {seconds} s: {log}");
 }
 
-/// Connections that have begun to speak but have no call make room too; those that have calls do not.
+/// If a peer has too many connections, the server closes those without a call, even after HTTP/2 has begun. It keeps those with calls.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn one_peer_has_so_many_connections() {
+async fn connections_of_a_peer_are_limited() {
     let server = Process::start(&["--listen", PORT, "--max-connections-per-peer", "3"]);
     let mut sessions = Vec::new();
     for k in 0..3 {
@@ -106,7 +106,7 @@ async fn one_peer_has_so_many_connections() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn who_does_not_begin_to_speak_is_closed() {
+async fn connections_without_http2_are_closed() {
     let server = Process::start(&["--listen", PORT]);
     let mut session = Session::create(server.client().await, 2, &[]).await.unwrap();
     session.reset(1).await;
@@ -116,12 +116,12 @@ async fn who_does_not_begin_to_speak_is_closed() {
         let closed = tokio::time::timeout(Duration::from_secs(60), stream.read_to_end(&mut Vec::new())).await;
         assert!(closed.is_ok(), "{begun:?}: still open");
     }
-    // This one was silent for as long.
+    // This connection has a call and was silent for the same time.
     session.step(0).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_connection_has_so_many_calls() {
+async fn calls_of_a_connection_are_limited() {
     let server = Process::start(&["--listen", PORT, "--max-streams", "3"]);
     let stream = TcpStream::connect(&server.address).await.unwrap();
     let (client, connection) = h2::client::handshake(stream).await.unwrap();
@@ -130,7 +130,7 @@ async fn a_connection_has_so_many_calls() {
     until(async || client.current_max_send_streams() == 3).await;
 }
 
-/// With few descriptors there are fewer connections; the server never runs out of them.
+/// If the system allows few file descriptors, the server accepts fewer connections and never runs out of descriptors.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn descriptors_do_not_run_out() {
     let mut command = Command::new("sh");
@@ -140,7 +140,7 @@ async fn descriptors_do_not_run_out() {
     session.reset(1).await;
     let mut idle = silent(&server, 300).await;
     for stream in &mut idle {
-        // Some are closed already.
+        // The server may have closed some of them already.
         let _ = stream.write_all(PREFACE).await;
     }
     Session::create(server.client().await, 2, &[]).await.unwrap().reset(1).await;
@@ -149,17 +149,17 @@ async fn descriptors_do_not_run_out() {
     assert!(log.contains("descriptors are the limit") && !log.contains("cannot accept"), "{log}");
 }
 
-/// Connecting again gives no more requests a second. The times are those that the limit asks for, so a slow machine only
-/// makes them longer.
+/// A peer does not get more requests a second by connecting again. The test checks lower bounds on times, so a slow machine does not
+/// make it fail.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn requests_a_second_are_those_of_a_peer() {
+async fn requests_a_second_are_limited_for_each_peer() {
     let server = Process::start(&["--listen", PORT, "--max-requests-per-second", "10", "--dm-env-rpc"]);
     let begun = Instant::now();
     for _ in 0..9 {
         server.client().await.describe(DescribeRequest {}).await.unwrap();
     }
     assert!(begun.elapsed() > Duration::from_millis(700), "{:?}", begun.elapsed());
-    // Sessions of one peer share them, message by message.
+    // All sessions of a peer share the limit, and each message counts.
     let begun = Instant::now();
     let mut one = Session::create(server.client().await, 1, &[]).await.unwrap();
     let mut other = Session::create(server.client().await, 1, &[]).await.unwrap();
@@ -168,7 +168,7 @@ async fn requests_a_second_are_those_of_a_peer() {
         session.step(0).await;
         session.step(1).await;
     }
-    // Two times: create, open with the first message, two more.
+    // For each of two sessions: create it, open a stream with the first message, and send two more messages.
     assert!(begun.elapsed() > Duration::from_millis(600), "{:?}", begun.elapsed());
     let wrong = one.client.close_session(CloseSessionRequest::default()).await.unwrap_err();
     assert_eq!(wrong.code(), Code::NotFound);

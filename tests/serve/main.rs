@@ -1,4 +1,4 @@
-//! `sandgait serve` as those see it who run it: the real program, its options, its log, its end.
+//! `sandgait serve` as a process: its options, its log, and how it ends.
 
 mod clock;
 mod configuration;

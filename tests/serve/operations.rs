@@ -1,4 +1,4 @@
-//! What those see who look after a server: health, reflection, metrics, the log, its end.
+//! Operation of a server: health, reflection, metrics, log and shutdown.
 
 use crate::harness::{ACTIONS, Bearer, Session, client, create, number, step, wave};
 use crate::process::{Process, text};
@@ -19,7 +19,7 @@ async fn channel(server: &Process) -> Channel {
     Endpoint::from_shared(format!("http://{}", server.address)).unwrap().connect().await.unwrap()
 }
 
-/// A server on TCP that asks for a token.
+/// A server on TCP that requires a token.
 fn with_token() -> (tempfile::TempDir, Process) {
     let directory = tempfile::tempdir().unwrap();
     let file = directory.path().join("token");
@@ -29,7 +29,7 @@ fn with_token() -> (tempfile::TempDir, Process) {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn health_is_told_to_everyone_until_the_end() {
+async fn health_needs_no_token_and_is_answered_until_the_end() {
     let (_directory, server) = with_token();
     let mut health = HealthClient::new(channel(&server).await);
     for service in ["", "sandgait.v1.EnvironmentService", "sandgait.v1.StudyService"] {
@@ -47,7 +47,7 @@ async fn health_is_told_to_everyone_until_the_end() {
     assert!(!log.contains("did not end in time"), "{log}");
 }
 
-/// What both versions of reflection list as services.
+/// The services that both versions of the reflection protocol list.
 async fn reflected(channel: Channel, token: &str) -> [Vec<String>; 2] {
     use tonic_reflection::pb::{v1, v1alpha};
     let mut asks = Bearer(Some(token.into()));
@@ -90,7 +90,7 @@ async fn reflection_lists_every_service() {
     }
 }
 
-/// The numbers of a page of metrics by name and labels.
+/// The numbers on the metrics page, by name and labels.
 async fn scrape(address: &str) -> HashMap<String, f64> {
     let mut stream = TcpStream::connect(address).await.unwrap();
     stream.write_all(b"GET /metrics HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n").await.unwrap();
@@ -163,7 +163,7 @@ async fn a_call_past_its_deadline_leaves_nothing_behind() {
     call.set_timeout(Duration::from_millis(2));
     let status = plain.create_session(call).await.unwrap_err();
     assert!(matches!(status.code(), Code::DeadlineExceeded | Code::Cancelled), "{status:?}");
-    // What was made for a client that no longer waits is freed at once, not when its lease has run out.
+    // A session that was created for a client that no longer waits is freed at once, not at the end of its lease.
     let begun = Instant::now();
     tokio::time::sleep(Duration::from_millis(300)).await;
     while !plain.list_sessions(ListSessionsRequest {}).await.unwrap().into_inner().sessions.is_empty() {
@@ -175,9 +175,9 @@ async fn a_call_past_its_deadline_leaves_nothing_behind() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn nothing_holds_up_the_end() {
+async fn open_calls_do_not_delay_the_shutdown() {
     let server = Process::start(&["--listen", "127.0.0.1:0"]);
-    // A rollout of some minutes, and a client that reads nothing of another one.
+    // A rollout that takes minutes, and another one whose client reads nothing.
     let client = client(channel(&server).await, Bearer::default());
     let mut sessions = Vec::new();
     for trajectories in [false, true] {

@@ -1,4 +1,4 @@
-//! A server process, what it logs, and clients of it.
+//! A server process with its log, and clients of it.
 
 use crate::harness::{Bearer, Client, client};
 use std::io::{BufRead as _, BufReader};
@@ -9,7 +9,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
 
-/// The command line of a server that is refused: its exit code and its one line.
+/// Starts a server with wrong options; checks the exit code and returns its one line.
 pub fn refused(arguments: &[&str]) -> String {
     let Output { status, stdout, stderr } =
         Command::new(env!("CARGO_BIN_EXE_sandgait")).arg("serve").args(arguments).output().unwrap();
@@ -21,10 +21,10 @@ pub fn refused(arguments: &[&str]) -> String {
 
 pub struct Process {
     child: Child,
-    /// Reads the log as it comes: a server whose log nobody reads stops when the pipe is full.
+    /// Reads the log all the time, because a server blocks when the pipe of its log is full.
     reader: Option<JoinHandle<()>>,
     log: Arc<Mutex<String>>,
-    /// As printed.
+    /// The address, as printed.
     pub address: String,
 }
 
@@ -42,7 +42,7 @@ impl Process {
         Self::of(command, arguments)
     }
 
-    /// `command` is `sandgait serve` in some way.
+    /// Starts a server by `command`, which runs `sandgait serve` directly or through another program.
     pub fn of(mut command: Command, arguments: &[&str]) -> Self {
         command.args(arguments).args(["--threads", "1"]);
         command.env_remove("SANDGAIT_LOG").stdout(Stdio::piped()).stderr(Stdio::piped());
@@ -94,7 +94,7 @@ impl Process {
         assert!(Command::new("kill").args([name, &self.id().to_string()]).status().unwrap().success());
     }
 
-    /// SIGTERM; the time until the process has ended well, and its log.
+    /// Sends SIGTERM. Returns the time until the process has ended with success, and its log.
     pub fn end(mut self) -> (Duration, String) {
         let begun = Instant::now();
         self.signal("-TERM");

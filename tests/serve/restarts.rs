@@ -1,4 +1,4 @@
-//! Sessions that outlive their server.
+//! Sessions that continue after a restart of their server.
 
 use crate::harness::{Session, create, step, until, wave};
 use crate::process::{Process, text};
@@ -42,7 +42,7 @@ fn mode(path: &Path) -> u32 {
     fs::metadata(path).unwrap().permissions().mode() & 0o777
 }
 
-/// Every task; the server ends while a step is asked for, and the client does what it does when a stream broke.
+/// For every task, the server ends during a step, and the client resumes its session as after any broken stream.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_client_goes_on_where_it_was_with_the_same_bits() {
     let (place, elsewhere) = (Place::new(), Place::new());
@@ -94,7 +94,7 @@ async fn a_session_that_was_never_reset_is_kept_too() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_cannot_be_taken_up_stays_and_is_logged() {
+async fn unreadable_sessions_are_kept_and_logged() {
     let place = Place::new();
     let server = place.start();
     let mut session = Session::create(server.client().await, 3, &[]).await.unwrap();
@@ -106,7 +106,7 @@ async fn what_cannot_be_taken_up_stays_and_is_logged() {
     fs::write(place.state().join(".unfinished-x"), "half").unwrap();
     let mut changed = whole.clone();
     changed[whole.len() / 2] ^= 1;
-    // A file that ends right before a field can be read, as a session without it.
+    // A file that is cut off exactly before a field can be decoded, as a session without this field.
     let snapshot = whole.windows(17).rposition(|w| w == b"sandgait snapshot").unwrap();
     assert!(
         (128..16_384).contains(&(whole.len() - snapshot)),
@@ -125,7 +125,7 @@ async fn what_cannot_be_taken_up_stays_and_is_logged() {
     Session::resume(server.client().await, &id, 1).await.unwrap().0.step(0).await;
 }
 
-/// A limit on the size of files stands for a disk that is full in mid-file.
+/// A limit on the size of files has the same effect as a disk that becomes full while a file is written.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_full_disk_is_logged_and_holds_nothing_up() {
     let place = Place::new();
@@ -140,7 +140,7 @@ async fn a_full_disk_is_logged_and_holds_nothing_up() {
     let (_, log) = server.end();
     assert!(!log.contains("took too long") && !log.contains("did not end in time"), "{log}");
     assert!(log.contains("a session was lost: it could not be saved") && log.contains("File too large"), "{log}");
-    // What fits is saved all the same, and nothing is there in part.
+    // Sessions that fit are saved, and no file is incomplete.
     assert_eq!(place.files().len(), 1);
     let server = place.start();
     Session::resume(server.client().await, &small.id, 2).await.unwrap().0.step(1).await;
@@ -152,7 +152,7 @@ async fn create_in(server: &Process, envs: u32) -> Session {
     Session::create(server.client().await, envs, &[]).await.unwrap()
 }
 
-/// Its client must be told why the stream ended, and find the answer to what was carried out.
+/// The client learns why the stream ended, and later gets the answer to the step that was carried out.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_step_in_flight_is_finished() {
     let place = Place::new();
@@ -164,7 +164,7 @@ async fn the_step_in_flight_is_finished() {
     session.step(0).await;
     let (whole, before) = (server.processor_time() - before, server.processor_time());
     let sent = session.send(Some(step(&wave(0..envs as usize, 1)))).await;
-    // Stopped once it has spent a part of what a whole step takes; it is told to end while the step is in flight.
+    // The server is told to end after it has used a part of the processor time of a step, that is, during the step.
     let spent = || (server.processor_time() - before) / whole;
     until(async || spent() > 0.3).await;
     server.signal("-STOP");

@@ -1,4 +1,4 @@
-//! Whoever may not use a server is told so; others do not notice, and the log does not give secrets away.
+//! Clients without permission are refused with a reason, others are not affected, and the log contains no secrets.
 
 use crate::harness::{Bearer, Session, client};
 use crate::process::{Process, refused, text};
@@ -14,7 +14,7 @@ use tonic::{Code, Status};
 
 const TOKEN: &str = "the-token-that-nobody-may-log";
 
-/// An authority, made for this run.
+/// A certificate authority, made for this run.
 pub struct Authority {
     issuer: Issuer<'static, KeyPair>,
     pub pem: String,
@@ -30,7 +30,7 @@ impl Authority {
         Self { issuer: Issuer::new(params, key), pem }
     }
 
-    /// A certificate for localhost that ends with `year`, and its key, PEM.
+    /// A certificate for localhost that is valid until the end of `year`, and its key, as PEM.
     pub fn issue(&self, year: i32) -> (String, String) {
         let mut params = CertificateParams::new(vec!["localhost".into()]).unwrap();
         params.extended_key_usages = vec![ExtendedKeyUsagePurpose::ServerAuth, ExtendedKeyUsagePurpose::ClientAuth];
@@ -54,7 +54,7 @@ pub fn write(directory: &Path, name: &str, content: &str) -> PathBuf {
     path
 }
 
-/// Starts a server with TLS and the token; with `clients`, only certificates of that authority are admitted.
+/// Starts a server with TLS and the token. With `clients`, it admits only certificates of this authority.
 fn start(directory: &Path, authority: &Authority, year: i32, clients: Option<&Authority>) -> Process {
     let (certificate, key) = authority.issue(year);
     let [certificate, key, token] =
@@ -114,7 +114,7 @@ async fn only_those_who_know_the_token_are_served() {
     let id = witness.0.id.clone();
     let (_, log) = server.end();
     assert!(log.contains("without this server's token") && log.contains("127.0.0.1:"), "{log}");
-    // Neither the token, right or wrong, nor a session's id, which is the right to use it.
+    // The log has neither the token, right or wrong, nor a session's id, because whoever knows the id may use the session.
     assert!(!log.contains(&TOKEN[1..]) && !log.contains(&id), "{log}");
     assert_eq!(log.matches("others than its owner can use this").count(), 2, "the token and the key: {log}");
 }
@@ -137,7 +137,7 @@ async fn only_handshakes_that_succeed_reach_the_services() {
         ("an expired certificate", &authority, Some(authority.identity(EXPIRED))),
     ];
     for (what, trusted, identity) in cases {
-        // Each reason shall have its line: there is one a second.
+        // The log has at most one line a second for refused connections, so the test waits to get one for each reason.
         tokio::time::sleep(Duration::from_millis(1100)).await;
         refusals.push((what, use_it(server.encrypted(&trusted.pem, identity).await).await));
         witness.goes_on().await;
@@ -153,7 +153,7 @@ async fn only_handshakes_that_succeed_reach_the_services() {
     assert!(!log.contains(TOKEN) && !log.contains("PRIVATE KEY"));
 }
 
-/// A client learns that the server refuses it at the latest from its first call.
+/// The client gets the refusal when it connects or at its first call.
 async fn use_it(connected: Result<Channel, String>) -> Result<String, String> {
     describe(connected?, Some(TOKEN)).await.map_err(|status| format!("{status:?}"))
 }
@@ -188,7 +188,7 @@ async fn a_server_can_make_its_own_certificate() {
     assert_eq!(describe(channel, None).await.unwrap_err().code(), Code::Unauthenticated);
     let error = connect(&pem, "127.0.0.2").await.unwrap_err();
     assert!(error.contains("NotValidForName"), "{error}");
-    // Another run has another key.
+    // The key is new in each run.
     let other = Process::start(&arguments);
     assert_ne!(fs::read_to_string(&certificate).unwrap(), pem);
     drop(other);

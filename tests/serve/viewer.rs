@@ -1,4 +1,4 @@
-//! The live page: what browsers get, and what they must not.
+//! The live page: what browsers get, and what they must not get.
 
 use crate::harness::{ACTIONS, Session, step};
 use crate::process::{Process, refused};
@@ -9,7 +9,7 @@ use tokio::net::TcpStream;
 
 const PORT: &str = "127.0.0.1:0";
 
-/// A server with a page, and the page's address out of its log.
+/// A server with a live page, and the page's address from its log.
 fn server(options: &[&str]) -> (Process, String) {
     let process = Process::start(&[&["--listen", PORT, "--viewer", PORT], options].concat());
     let address = process.address_of("browsers see the sessions");
@@ -54,7 +54,7 @@ async fn the_page_and_the_sessions_are_shown_without_their_ids() {
     assert!(answer.starts_with("HTTP/1.1 403") && !answer.contains(&name), "{answer}");
 }
 
-/// Reads the stream's chunks until `rows` rows have come.
+/// Reads the stream until `rows` rows have arrived.
 async fn watched(mut stream: TcpStream, rows: usize) -> Vec<Section> {
     let mut bytes = Vec::new();
     loop {
@@ -68,7 +68,7 @@ async fn watched(mut stream: TcpStream, rows: usize) -> Vec<Section> {
     }
 }
 
-/// The sections in the whole chunks of an answer so far.
+/// The sections in the complete chunks of an answer.
 fn unpacked(answer: &[u8]) -> Vec<Section> {
     let Some(at) = answer.windows(4).position(|w| w == b"\r\n\r\n") else { return Vec::new() };
     let (mut rest, mut blocks) = (&answer[at + 4..], Vec::new());
@@ -95,7 +95,7 @@ fn unpacked(answer: &[u8]) -> Vec<Section> {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn steps_are_streamed_to_who_looks() {
+async fn steps_are_streamed_to_viewers() {
     let (process, address) = server(&[]);
     let mut session = Session::create(process.client().await, 3, &[]).await.unwrap();
     session.reset(1).await;
@@ -116,7 +116,7 @@ async fn steps_are_streamed_to_who_looks() {
     for k in 1..seen.len() {
         assert!(seen.at("time", k).unwrap()[0] > seen.at("time", k - 1).unwrap()[0]);
     }
-    // The end of the server is the end of the stream, at once.
+    // When the server ends, the stream ends at once.
     let late = ask(&address, &format!("/watch/{name}/0"), &address).await;
     let end = tokio::spawn(watched(late, 1000));
     tokio::time::sleep(Duration::from_millis(200)).await;
@@ -131,7 +131,7 @@ async fn only(address: &str) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn so_many_may_watch_and_no_more() {
+async fn viewers_are_limited() {
     let (process, address) = server(&["--max-watchers", "3"]);
     let mut session = Session::create(process.client().await, 2, &[]).await.unwrap();
     session.reset(1).await;
@@ -146,7 +146,7 @@ async fn so_many_may_watch_and_no_more() {
     }
     let refused = get(&address, &path).await;
     assert!(refused.starts_with("HTTP/1.1 503") && refused.contains("3 watch this server already"), "{refused}");
-    // Who leaves makes room, as soon as the server has noticed; for that it needs something to send.
+    // A viewer that leaves makes room as soon as the server notices it, which is when it sends something.
     watching.pop();
     let mut time = 0;
     crate::harness::until(async || {
@@ -158,7 +158,7 @@ async fn so_many_may_watch_and_no_more() {
         &head == b"HTTP/1.1 200 OK"
     })
     .await;
-    // The end of the session is the end of what those who watch it get.
+    // When the session ends, the streams of its viewers end.
     let ended = tokio::spawn(watched(watching.pop().unwrap(), usize::MAX));
     let close = sandgait::service::proto::CloseSessionRequest { session_id: session.id.clone() };
     session.client.close_session(close).await.unwrap();
@@ -167,9 +167,9 @@ async fn so_many_may_watch_and_no_more() {
     assert!(log.contains("a watcher was refused"), "{log}");
 }
 
-/// Connections that say nothing, or not all of a request, are closed.
+/// Connections that send nothing, or only a part of a request, are closed.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn requests_that_do_not_come_are_not_waited_for() {
+async fn connections_without_a_whole_request_are_closed() {
     let (_process, address) = server(&[]);
     let mut streams = Vec::new();
     for begun in ["", "GET / HTTP/1.1\r\nHost: "] {
@@ -192,7 +192,7 @@ fn the_page_is_for_this_machine_only() {
         ("0.0.0.0:8080", "add --viewer-insecure"),
         ("unix:/tmp/x", "--viewer: unix:/tmp/x is not HOST:PORT"),
     ] {
-        // What makes other addresses open does not make this one.
+        // The option that allows other addresses for gRPC does not allow them for the page.
         let line = refused(&["--listen", PORT, "--insecure", "--metrics-insecure", "--viewer", address]);
         assert!(line.contains(words), "{line}");
     }

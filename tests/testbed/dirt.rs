@@ -1,11 +1,11 @@
-//! Dirt of a load cell put into a force log: zeros that differ from trial to trial, drift, steps.
+//! Adds the errors of a real load cell to a force log: offsets of each trial, drift, and a finite resolution.
 
 use super::normal;
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-/// The same log with an offset of `offset` [N] (standard deviation) in each channel of each trial, a drift of as much until its end,
-/// and readings in steps of 0.01 N; the torque 0.05 m times as much of all.
+/// Adds to each channel of each trial an offset with the standard deviation `offset` [N] and a drift of the same size until the end of
+/// the trial, and rounds to steps of 0.01 N. For the torque, all of these are multiplied by 0.05 m.
 pub fn dirty(log: &str, offset: f64) -> String {
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(78);
     let mut lines = log.lines();

@@ -1,12 +1,12 @@
-//! A laboratory of our own: force logs with a hidden cause, written apart from the forward model.
+//! Simulated measurements: force logs with a hidden cause, by code that is independent of the forward model.
 //!
-//! Shares no code with `src/`: attack and intrusion angles with sines and cosines instead of the trigonometry-free form,
-//! 53 segments a piece, motion as functions of time, delay and filter by integration in time, noise by recursion. The laws
-//! themselves are those of the contract, so a common misreading of it would not show here.
+//! It shares no code with `src/`. It computes attack and intrusion angles with sines and cosines instead of the form without
+//! trigonometry, takes 53 segments for each piece, and integrates delay and filter over time. The laws are those of the specification,
+//! so an error that both made in reading it would not show here.
 
-#[allow(dead_code)] // not every test that uses the laboratory has dirt and rests
+#[allow(dead_code)] // not every test uses it
 pub mod dirt;
-#[allow(dead_code)] // the same
+#[allow(dead_code)] // not every test uses it
 pub mod rests;
 
 use rand::{Rng, SeedableRng};
@@ -47,7 +47,7 @@ const PLATE: f64 = 0.038;
 const PIECES: usize = 53;
 const SAMPLES: usize = 40;
 
-/// What is hidden: ids of the contract, or one of the laboratory's own outside of the library.
+/// The hidden causes, by id: those of the diagnosis, or one that only this test bed has.
 #[derive(Clone, Debug, Default)]
 pub struct Hidden {
     pub causes: Vec<(&'static str, f64)>,
@@ -80,7 +80,7 @@ struct Trial {
 pub struct Log {
     pub noisy: String,
     pub clean: String,
-    /// Root mean square of hidden effect over noise.
+    /// Root mean square of the hidden effect, relative to the noise.
     pub effect: f64,
 }
 
@@ -97,9 +97,9 @@ pub fn normal(rng: &mut Xoshiro256PlusPlus) -> f64 {
 /// How trials are laid out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Design {
-    /// Depths at random beside speeds.
+    /// Depths are random and independent of the speeds.
     Crossed,
-    /// The faster the deeper: a careless design, in which effects of speed and of depth look alike.
+    /// Depth increases with speed: a poor design, in which effects of speed and of depth look alike.
     Covarying,
     /// As crossed, but all speeds lie within a factor of three.
     Narrow,
@@ -170,7 +170,7 @@ fn design(rng: &mut Xoshiro256PlusPlus, kind: Design) -> Vec<Trial> {
 }
 
 impl Trial {
-    /// Path and its first two derivatives at time t: three wobbles over the trial.
+    /// Path and its first two derivatives at time t; the speed oscillates three times during the trial.
     fn path(&self, t: f64) -> (f64, f64, f64) {
         let k = 6.0 * std::f64::consts::PI / self.duration;
         let w = self.wobble;
@@ -272,7 +272,7 @@ impl Trial {
         if depth <= 0.0 {
             return [0.0, 0.0];
         }
-        // Into the surface's frame: angles lose σ.
+        // In the surface's frame, all angles are smaller by σ.
         let speed = v[0].hypot(v[1]).max(1e-12);
         let mut gamma = -(v[1].atan2(v[0]) - sigma);
         let mut beta = tilt - sigma;
@@ -318,7 +318,7 @@ impl Trial {
         [(stress[0] - pressure * n[0]) * area, (stress[1] - pressure * n[1]) * area]
     }
 
-    /// Causes outside of the library.
+    /// Causes that the diagnosis does not know.
     fn outside(&self, p: [f64; 2], depth: f64, h: &Hidden) -> f64 {
         let x = self.x_bed + p[0];
         let crust = if depth < 0.012 { 1.0 + h.get("crust") } else { 1.0 };
@@ -328,7 +328,7 @@ impl Trial {
         (1.0 + h.get("wall") * (-(0.12 - x).max(0.0) / 0.04).exp()) * crust * slip * buried
     }
 
-    /// What the sensor says at time t.
+    /// The sensor's reading at time t.
     fn reading(&self, t: f64, c: &[f64; 9], h: &Hidden) -> [f64; 3] {
         let late = h.get("delay");
         let tau = h.get("lowpass");
@@ -356,12 +356,12 @@ pub fn log(seed: u64, hidden: &Hidden, coefficient_error: f64) -> Log {
     log_of(Design::Crossed, seed, hidden, coefficient_error)
 }
 
-/// The same of trials laid out in one way or the other.
+/// The same with another design of the trials.
 pub fn log_of(kind: Design, seed: u64, hidden: &Hidden, coefficient_error: f64) -> Log {
     noisy_log(kind, 1.0, seed, hidden, coefficient_error)
 }
 
-/// The same with all noise `loud` times the usual.
+/// The same with all noise multiplied by `loud`.
 pub fn noisy_log(kind: Design, loud: f64, seed: u64, hidden: &Hidden, coefficient_error: f64) -> Log {
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
     let trials = design(&mut rng, kind);
@@ -403,7 +403,7 @@ pub fn noisy_log(kind: Design, loud: f64, seed: u64, hidden: &Hidden, coefficien
 }
 
 impl Trial {
-    /// Columns kind to vz of one row.
+    /// The columns from `kind` to `vz` of one row.
     fn motion(&self, t: f64) -> String {
         let (s, rate, _) = self.path(t);
         let tail = format!("{},{},{}", self.pass, self.pass_dx, self.x_bed);

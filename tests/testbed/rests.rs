@@ -1,21 +1,21 @@
-//! Rests put into a force log: real drives start from rest, stop, and go on.
+//! Adds samples at rest to a force log: real drives start from rest, stop, and go on.
 
 use super::normal;
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-/// What a rest looks like in the log.
+/// How rests appear in the log.
 #[derive(Clone, Copy, Debug)]
 pub struct Rests {
     /// Samples at rest before, in the middle of, and after each trial.
     pub samples: [usize; 3],
-    /// Noise of the velocities logged there, as a share of the trial's greatest speed.
+    /// Noise of the velocities logged at rest, as a share of the trial's largest speed.
     pub noise: f64,
-    /// Share of the force just before that is still felt there.
+    /// Force at rest, as a share of the force just before.
     pub held: f64,
 }
 
-/// The same log with rests in every trial. What a trial reads while it moves stays as it is.
+/// The same log with rests in every trial. Samples in motion are unchanged.
 pub fn with_rests(log: &str, rests: Rests) -> String {
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(77);
     let mut lines = log.lines();

@@ -1,6 +1,6 @@
-//! A hall of our own: walking runs with a hidden cause, made apart from the forward model.
+//! Simulated measurements of walking: runs with a hidden cause, by another engine than the forward model's.
 //!
-//! The other engine (rapier), a finer time step, finer legs, and for every run its own bed strength and initial phase.
+//! The engine is rapier, with a smaller time step and finer legs. Every run has its own bed strength and initial phase.
 
 use super::normal;
 use rand::{Rng, SeedableRng};
@@ -25,20 +25,20 @@ const STEP: f64 = 2.5e-4;
 const SEGMENTS: usize = 17;
 const REPETITIONS: usize = 3;
 
-/// How a condition is walked.
+/// One condition of the runs.
 #[derive(Clone, Copy, Debug)]
 pub struct Condition {
     pub leg: &'static str,
-    /// [Hz]
+    /// Stride frequency [Hz].
     pub frequency: f64,
     pub slope_deg: f64,
-    /// [kg]
+    /// Payload [kg].
     pub payload: f64,
-    /// Start in the bed [m].
+    /// Position in the bed at which the run begins [m].
     pub x_bed: f64,
 }
 
-/// Both legs at three frequencies, uphill, and with a load.
+/// Both leg shapes at three frequencies, uphill, and with a payload.
 pub fn orderly() -> Vec<Condition> {
     let rows = [
         (2.0, 0.0, 0.0, 0.2),
@@ -53,7 +53,7 @@ pub fn orderly() -> Vec<Condition> {
     ["L", "revL"].map(of).concat()
 }
 
-/// As many conditions, drawn.
+/// The same number of conditions, drawn at random.
 pub fn drawn(seed: u64) -> Vec<Condition> {
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed ^ 0xde51);
     let mut condition = |leg| Condition {
@@ -66,7 +66,7 @@ pub fn drawn(seed: u64) -> Vec<Condition> {
     ["L", "L", "L", "L", "L", "revL", "revL", "revL", "revL", "C"].map(&mut condition).to_vec()
 }
 
-/// Runs as CSV.
+/// The runs as CSV.
 pub fn runs(seed: u64, conditions: &[Condition], hidden: Mechanisms, coefficient_error: f64) -> String {
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
     let mut medium = Medium::named("poppy-loose").unwrap();

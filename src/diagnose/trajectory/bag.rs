@@ -1,6 +1,6 @@
-//! Logs as MCAP: joints and IMU are topics of ROS 2, laid beside each other as rows of a table.
+//! Logs as MCAP: two topics of ROS 2, joints and IMU, are merged into the rows of one table.
 //!
-//! Rows are the joints' messages; what the IMU said is taken between its messages before and after.
+//! Each message of the joints gives a row. The IMU's readings at its time are interpolated between two messages of the IMU.
 
 use super::cdr::{self, Imu, JointState};
 use super::keys::{Cut, Topics};
@@ -14,15 +14,16 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-/// Longest record that is read [bytes]: our choice; messages of joints and IMU have a few hundred, but others stand beside them.
+/// Longest record that is read [bytes]: our choice. Messages of joints and IMU have a few hundred bytes, but a file may also hold
+/// camera images.
 const LONGEST: usize = 64 << 20;
-/// Bytes of file read at once.
+/// Bytes read from the file at once.
 const PIECE: usize = 1 << 20;
-/// Numbers that are kept: 160 MB, our choice, as of every log.
+/// Most numbers that a log may have: our choice, 160 MB, the same for every format.
 const MOST_NUMBERS: usize = 20_000_000;
-/// Channels and schemas of a file: our choice, what is known of them is kept.
+/// Most channels and schemas of a file: our choice; each is kept in memory.
 const MOST_CHANNELS: usize = 10_000;
-/// Longest time between two messages of the IMU between which its readings are known [ns]: our choice, as between joints.
+/// Longest time between two messages of the IMU over which its readings are interpolated [ns]: our choice, as for the joints.
 const LONGEST_GAP: i64 = 50_000_000;
 
 const JOINTS: &str = "sensor_msgs/msg/JointState";
@@ -34,35 +35,35 @@ enum Kind {
     Imu,
 }
 
-/// What a log says, in the order of its messages.
+/// The messages of a log, in the order of their times.
 pub struct Bag {
     names: Vec<String>,
-    /// Which of velocity and effort there are.
+    /// Whether the messages have velocities, and efforts.
     lists: [bool; 2],
     joints: Vec<(i64, Vec<f64>)>,
     imu: Vec<Imu>,
     cuts: Vec<Cut>,
 }
 
-/// What is known while a file is read.
+/// The state of reading a file.
 struct Reading<'a> {
     topics: &'a Topics,
-    /// Those that are read.
+    /// Schemas of joints and of the IMU, by id; other schemas are ignored.
     schemas: HashMap<u16, Kind>,
     channels: HashMap<u16, Kind>,
-    /// Topics taken, of each kind.
+    /// Name of the topic that is read, for joints and for the IMU.
     taken: [Option<String>; 2],
     numbers: usize,
     bag: Bag,
 }
 
-/// Reads joints and IMU of a file.
+/// Reads the messages of joints and IMU from a file.
 pub fn read(path: &Path, topics: &Topics, cuts: &[Cut]) -> Result<Bag> {
     let mut file = File::open(path).map_err(|e| Error::file(path, e))?;
     let bag = Bag { names: Vec::new(), lists: [false; 2], joints: Vec::new(), imu: Vec::new(), cuts: cuts.to_vec() };
     let (schemas, channels) = (HashMap::new(), HashMap::new());
     let mut reading = Reading { topics, schemas, channels, taken: [None, None], numbers: 0, bag };
-    // A log whose robot fell ends without its summary.
+    // The recorder of a robot that fell may not have written the file's end.
     let options = LinearReaderOptions::default()
         .with_skip_end_magic(true)
         .with_emit_chunks(true)
@@ -85,14 +86,14 @@ pub fn read(path: &Path, topics: &Topics, cuts: &[Cut]) -> Result<Bag> {
 
 type Told<T> = std::result::Result<T, String>;
 
-/// What is left of a record.
+/// The bytes of a record that are not read yet.
 struct Fields<'a> {
     data: &'a [u8],
 }
 
 impl<'a> Fields<'a> {
     fn bytes<const N: usize>(&mut self) -> Told<[u8; N]> {
-        let (bytes, rest) = self.data.split_first_chunk::<N>().ok_or("MCAP: a record ends too early")?;
+        let (bytes, rest) = self.data.split_first_chunk::<N>().ok_or("MCAP: a record is too short")?;
         self.data = rest;
         Ok(*bytes)
     }
@@ -107,25 +108,25 @@ impl<'a> Fields<'a> {
 
     fn part(&mut self, length: u64) -> Told<&'a [u8]> {
         let length = usize::try_from(length).unwrap_or(usize::MAX);
-        let (part, rest) = self.data.split_at_checked(length).ok_or("MCAP: a part reaches beyond its record")?;
+        let (part, rest) = self.data.split_at_checked(length).ok_or("MCAP: a field is longer than its record")?;
         self.data = rest;
         Ok(part)
     }
 
     fn text(&mut self) -> Told<&'a str> {
         let length = u32::from_le_bytes(self.bytes()?);
-        std::str::from_utf8(self.part(length.into())?).map_err(|_| "MCAP: a text that is not UTF-8".into())
+        std::str::from_utf8(self.part(length.into())?).map_err(|_| "MCAP: a text is not UTF-8".into())
     }
 }
 
 impl Reading<'_> {
-    /// Takes a record, which is a slice of the file: lengths in it are believed only as far as it reaches.
+    /// Takes a record. A length inside it that is larger than the record is an error, so no length can make the program allocate more.
     fn take(&mut self, opcode: u8, data: &[u8]) -> Told<()> {
         let mut fields = Fields { data };
         match opcode {
             op::SCHEMA => {
                 let (id, name) = (fields.short()?, fields.text()?);
-                // Before ROS 2 spoke of msg, packages had no such part.
+                // ROS 1 writes the same types without "/msg".
                 let is = |own: &str| name == own || name == own.replace("/msg/", "/");
                 match [(JOINTS, Kind::Joints), (IMU, Kind::Imu)].into_iter().find(|k| is(k.0)) {
                     Some((_, kind)) => drop(self.schemas.insert(id, kind)),
@@ -138,10 +139,10 @@ impl Reading<'_> {
             }
             op::MESSAGE => {
                 let id = fields.short()?;
-                fields.bytes::<4>()?; // its number
+                fields.bytes::<4>()?; // sequence number
                 let log_time =
-                    i64::try_from(fields.long()?).map_err(|_| "MCAP: a message of the year 2262 or later")?;
-                fields.bytes::<8>()?; // when it was published
+                    i64::try_from(fields.long()?).map_err(|_| "MCAP: a message has a time after the year 2262")?;
+                fields.bytes::<8>()?; // time of publishing
                 self.message(id, log_time, fields.data)?;
             }
             op::CHUNK => self.chunk(fields)?,
@@ -152,20 +153,20 @@ impl Reading<'_> {
 
     /// Takes the records of a chunk, each an opcode, a length and its bytes.
     fn chunk(&mut self, mut fields: Fields) -> Told<()> {
-        fields.bytes::<16>()?; // times of its first and last message
+        fields.bytes::<16>()?; // times of the chunk's first and last message
         let size = fields.long()?;
         let sum = u32::from_le_bytes(fields.bytes()?);
         let packing = match fields.text()? {
             "" => Packing::Plain,
             "lz4" => Packing::Lz4,
             "zstd" => Packing::Zstd,
-            other => return Err(format!("MCAP: chunks packed with {other:?} are not read; lz4 and zstd are")),
+            other => return Err(format!("MCAP: a chunk is compressed with {other:?}; use lz4, zstd or none")),
         };
         let length = fields.long()?;
         let unpacked = packing.unpack(fields.part(length)?, size).map_err(|e| format!("MCAP: a chunk: {e}"))?;
-        // Zero says that no sum was made.
+        // Zero means that the file has no checksum of this chunk.
         if sum != 0 && sum != crc32fast::hash(&unpacked) {
-            return Err("MCAP: a chunk was damaged: its sum is another".into());
+            return Err("MCAP: a chunk is damaged: its checksum does not match".into());
         }
         let mut records = Fields { data: &unpacked };
         while !records.data.is_empty() {
@@ -189,11 +190,13 @@ impl Reading<'_> {
             return Ok(());
         }
         if encoding != "cdr" {
-            return Err(format!("topic {topic}: encoding {encoding:?}, not cdr"));
+            return Err(format!("topic {topic}: its messages are encoded as {encoding:?}; only cdr is read"));
         }
         let taken = &mut self.taken[kind as usize];
         if let Some(other) = taken.as_ref().filter(|other| *other != topic) {
-            return Err(format!("topics {other} and {topic} are of one kind: state [topics] {key}"));
+            return Err(format!(
+                "topics {other} and {topic} have the same type: name one of them as {key} under [topics]"
+            ));
         }
         *taken = Some(topic.to_string());
         self.channels.insert(id, kind);
@@ -219,7 +222,7 @@ impl Reading<'_> {
 
     fn bounded(&self) -> Told<()> {
         if self.numbers > MOST_NUMBERS {
-            return Err(format!("more than {MOST_NUMBERS} numbers: keep every n-th message"));
+            return Err(format!("the log has more than {MOST_NUMBERS} numbers: keep only every n-th message"));
         }
         match self.schemas.len() + self.channels.len() > MOST_CHANNELS {
             true => Err(format!("more than {MOST_CHANNELS} channels and schemas")),
@@ -236,10 +239,10 @@ impl Reading<'_> {
         let mut row = Vec::with_capacity(3 * bag.names.len());
         for name in &bag.names {
             let place = state.names.iter().position(|n| n == name);
-            let place = place.ok_or_else(|| format!("a message of joints lacks {name:?}, which others have"))?;
+            let place = place.ok_or_else(|| format!("a message of joints lacks {name:?}, which the first one has"))?;
             let lists = [(true, &state.position), (bag.lists[0], &state.velocity), (bag.lists[1], &state.effort)];
             for (_, list) in lists.into_iter().filter(|l| l.0) {
-                let value = list.get(place).ok_or_else(|| format!("a message of joints has no value of {name:?}"))?;
+                let value = list.get(place).ok_or_else(|| format!("a message of joints has no value for {name:?}"))?;
                 row.push(*value);
             }
         }
@@ -256,7 +259,7 @@ impl Bag {
         if let Some((_, topic, key, kind)) = what.into_iter().find(|w| w.0) {
             let reason = match topic {
                 Some(topic) => format!("topic {topic} has no messages"),
-                None => format!("no topic of {kind} (as [topics] {key} says)"),
+                None => format!("no topic of {kind}, or none with the name that [topics] {key} gives"),
             };
             return Err(Error::file(path, reason));
         }
@@ -265,7 +268,7 @@ impl Bag {
         Ok(self)
     }
 
-    /// Columns of the rows.
+    /// Names of the columns.
     pub fn header(&self) -> Vec<String> {
         let fixed = ["run", "condition", "leg", "slope_deg", "stride_frequency", "t"];
         let kinds = [(true, "q"), (self.lists[0], "qd"), (self.lists[1], "tau")];
@@ -284,7 +287,8 @@ impl Bag {
         self.imu.iter().all(|i| i.attitude.is_some())
     }
 
-    /// The rows, one after the other: those between the IMU's messages, and of the runs that were cut out, if any were.
+    /// Gives one row at each call. Rows without readings of the IMU are left out, and rows outside of the experiment's runs, if it
+    /// lists runs.
     pub fn rows(&self) -> impl FnMut(&mut Cells) -> Result<bool> + '_ {
         let start = self.joints.first().map_or(0, |j| j.0);
         let whole = [Cut::default()];
@@ -293,7 +297,7 @@ impl Bag {
         move |cells| {
             while let Some((stamp, joints)) = self.joints.get(next) {
                 next += 1;
-                // A quotient, so that 20 ms are 0.02 s as a text would say it.
+                // Divided, not multiplied by 1e-9, so that 20 ms give the number that "0.02" gives.
                 let t = stamp.saturating_sub(start) as f64 / 1e9;
                 let cuts = if self.cuts.is_empty() { &whole[..] } else { &self.cuts };
                 let cut = cuts.iter().find(|c| c.holds(t));
@@ -313,7 +317,7 @@ impl Bag {
         }
     }
 
-    /// What the IMU said at a time, where that is known.
+    /// The IMU's readings at a time, interpolated; none in a gap.
     fn imu_at(&self, t: i64) -> Option<Imu> {
         let right = self.imu.partition_point(|i| i.stamp < t);
         let after = self.imu.get(right)?;
@@ -329,7 +333,7 @@ impl Bag {
             let sign = if (0..4).map(|k| a[k] * b[k]).sum::<f64>() < 0.0 { -1.0 } else { 1.0 };
             let mixed: [f64; 4] = std::array::from_fn(|k| mix(a[k], sign * b[k]));
             let norm = mixed.iter().map(|m| m * m).sum::<f64>().sqrt();
-            // A quaternion that was none stays so, and is refused as every bad row.
+            // An invalid quaternion stays invalid, so that the check of the rows refuses it.
             if norm > 0.5 { mixed.map(|m| m / norm * a.iter().map(|v| v * v).sum::<f64>().sqrt()) } else { mixed }
         });
         let three = |of: fn(&Imu) -> [f64; 3]| std::array::from_fn(|k| mix(of(before)[k], of(after)[k]));

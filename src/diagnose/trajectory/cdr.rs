@@ -1,6 +1,6 @@
-//! Messages of ROS 2 as they travel: CDR (OMG, DDS-XTypes 1.3, 7.4), of which the two kinds that a walking robot logs.
+//! Decodes messages of ROS 2 from their binary form, CDR (OMG, DDS-XTypes 1.3, 7.4). Two types are decoded: JointState and Imu.
 
-/// Names in one message: our choice, ten times what a robot that is replayed has.
+/// Most names in one message: our choice, ten times the joints of a robot that can be replayed.
 const MOST_NAMES: usize = 256;
 
 /// sensor_msgs/msg/JointState.
@@ -20,7 +20,7 @@ pub struct JointState {
 pub struct Imu {
     /// [ns]
     pub stamp: i64,
-    /// w, x, y, z; none where the sensor has no attitude.
+    /// w, x, y, z; none if the sensor has no attitude.
     pub attitude: Option<[f64; 4]>,
     pub gyro: [f64; 3],
     pub acc: [f64; 3],
@@ -28,7 +28,7 @@ pub struct Imu {
 
 /// Reads a message from its first byte to its last.
 struct Cdr<'a> {
-    /// Behind the four bytes that say how the rest is written.
+    /// The message without its first four bytes, which state the encoding.
     bytes: &'a [u8],
     at: usize,
     big: bool,
@@ -40,8 +40,8 @@ impl<'a> Cdr<'a> {
     fn new(message: &'a [u8]) -> Read<Self> {
         match message {
             [0, kind @ (0 | 1), _, _, bytes @ ..] => Ok(Self { bytes, at: 0, big: *kind == 0 }),
-            [a, b, _, _, ..] => Err(format!("encapsulation {a:#04x}{b:02x}, not plain CDR")),
-            _ => Err("shorter than the header of CDR".into()),
+            [a, b, _, _, ..] => Err(format!("has the encapsulation {a:#04x}{b:02x}, which is not plain CDR")),
+            _ => Err("is shorter than the header of CDR".into()),
         }
     }
 
@@ -49,7 +49,7 @@ impl<'a> Cdr<'a> {
         let from = self.at.next_multiple_of(N);
         let bytes = self.bytes.get(from..from + N).and_then(|b| b.try_into().ok());
         self.at = from + N;
-        bytes.ok_or_else(|| "ends too early".into())
+        bytes.ok_or_else(|| "is too short".into())
     }
 
     fn whole(&mut self) -> Read<u32> {
@@ -90,7 +90,7 @@ impl<'a> Cdr<'a> {
         (0..count).map(|_| self.number()).collect()
     }
 
-    /// std_msgs/msg/Header; its time [ns].
+    /// Reads a std_msgs/msg/Header and returns its time [ns].
     fn header(&mut self) -> Read<i64> {
         let seconds = self.whole()?.cast_signed();
         let stamp = 1_000_000_000 * i64::from(seconds) + i64::from(self.whole()?);
@@ -116,7 +116,7 @@ pub fn imu(message: &[u8]) -> Read<Imu> {
     let mut cdr = Cdr::new(message)?;
     let stamp = cdr.header()?;
     let [x, y, z, w] = cdr.numbers::<4>()?;
-    // By convention −1 there says that the sensor has no attitude; so does a quaternion that is none.
+    // sensor_msgs/Imu: a first covariance of −1 means that the sensor has no attitude. Some drivers write four zeros instead.
     let covariance = cdr.numbers::<9>()?;
     let attitude = (covariance[0] != -1.0 && [x, y, z, w] != [0.0; 4]).then_some([w, x, y, z]);
     let gyro = cdr.numbers::<3>()?;

@@ -1,4 +1,4 @@
-//! Logs as Parquet, column by column: the same columns as in CSV, handed on row by row.
+//! Logs as Parquet. The columns are those of a CSV log; they are read in batches and passed on row by row.
 
 use super::compact::Compact;
 use super::packed::Packing;
@@ -18,25 +18,25 @@ use std::sync::{Arc, Once};
 
 /// The first bytes of a file.
 pub const MAGIC: &[u8] = b"PAR1";
-/// Bytes of the summary at a file's end, which is unpacked whole: our choice, a hundred columns in a hundred groups of rows have 2 MB.
-const LONGEST_SUMMARY: u64 = 4 << 20;
-/// Columns of a file: our choice, as many as ten robots have.
+/// Most bytes of the footer, which is decoded as a whole: our choice; a hundred columns in a hundred row groups have 2 MB.
+const LONGEST_FOOTER: u64 = 4 << 20;
+/// Most columns of a file: our choice, as many as ten robots have.
 const MOST_COLUMNS: u64 = 1000;
-/// Fields of a summary and of its columns (parquet.thrift).
+/// Field numbers in the footer: the list of columns, and a column's number of children (parquet.thrift).
 const SCHEMA: i64 = 2;
 const CHILDREN: usize = 5;
 /// Rows taken from each column at once: our choice.
 const TOGETHER: usize = 1024;
-/// Characters of a cell: our choice, names of runs are short.
+/// Most characters of a cell: our choice; names of runs are short.
 const LONGEST_CELL: usize = 1000;
 
 type Read<T> = std::result::Result<T, String>;
 
-/// Hands each row of a file to `take`.
+/// Calls `take` with each row of a file.
 pub fn read(path: &Path, asked: &Asked, take: impl FnMut(&Row) -> Result<()>) -> Result<()> {
     let wrong = |reason: &dyn std::fmt::Display| Error::file(path, format!("Parquet: {reason}"));
     let mut file = File::open(path).map_err(|e| Error::file(path, e))?;
-    let bytes = summary(&mut file).map_err(|reason| wrong(&reason))?;
+    let bytes = check_footer(&mut file).map_err(|reason| wrong(&reason))?;
     let parse = || ParquetMetaDataReader::new().parse_and_finish(&file).map_err(|e| e.to_string());
     let metadata = guarded(parse).map_err(|reason| wrong(&reason))?;
     let file = Arc::new(file);
@@ -75,8 +75,8 @@ pub fn read(path: &Path, asked: &Asked, take: impl FnMut(&Row) -> Result<()>) ->
     rows(path, &header, asked, next, take)
 }
 
-/// Runs what the `parquet` crate does with a file: some of its decoders panic where a page has less than it says (60.1.0). Such a page
-/// is an error as any other, and nothing is printed.
+/// Calls the `parquet` crate and returns its panics as errors: some of its decoders (60.1.0) panic if a page has fewer bytes than
+/// its header states. Nothing is printed.
 fn guarded<T>(work: impl FnOnce() -> Read<T>) -> Read<T> {
     static HOOK: Once = Once::new();
     thread_local!(static WITHIN: Cell<bool> = const { Cell::new(false) });
@@ -91,35 +91,35 @@ fn guarded<T>(work: impl FnOnce() -> Read<T>) -> Read<T> {
     WITHIN.set(true);
     let done = catch_unwind(AssertUnwindSafe(work));
     WITHIN.set(false);
-    done.unwrap_or_else(|_| Err("a page or the summary is broken".into()))
+    done.unwrap_or_else(|_| Err("a page or the footer is damaged".into()))
 }
 
-/// Length of a file whose summary is not too long, and has no more columns than it says: whoever unpacks it believes that, and
-/// goes as deep as they nest.
-fn summary(file: &mut File) -> Read<u64> {
-    let end = file.seek(SeekFrom::End(-8)).map_err(|_| "shorter than its own ends")?;
+/// Checks the footer before the `parquet` crate decodes it, because the crate allocates memory for as many columns as the footer
+/// states, and recurses once for each level of nesting. Returns the length of the file.
+fn check_footer(file: &mut File) -> Read<u64> {
+    let end = file.seek(SeekFrom::End(-8)).map_err(|_| "the file is too short")?;
     let mut tail = [0; 8];
     file.read_exact(&mut tail).map_err(|e| e.to_string())?;
     if !tail.ends_with(MAGIC) {
-        return Err("the file does not end as one of Parquet: it was cut off".into());
+        return Err("the file does not end with PAR1: it was cut off".into());
     }
     let [a, b, c, d, ..] = tail;
     let length = u64::from(u32::from_le_bytes([a, b, c, d]));
-    if length > LONGEST_SUMMARY {
-        return Err(format!("a summary of {length} bytes; at most {LONGEST_SUMMARY} are read"));
+    if length > LONGEST_FOOTER {
+        return Err(format!("the footer has {length} bytes; at most {LONGEST_FOOTER} are read"));
     }
-    let from = end.checked_sub(length).ok_or("a summary longer than the file")?;
+    let from = end.checked_sub(length).ok_or("the footer is longer than the file")?;
     let mut bytes = Vec::new();
     file.seek(SeekFrom::Start(from)).map_err(|e| e.to_string())?;
     file.take(length).read_to_end(&mut bytes).map_err(|e| e.to_string())?;
-    let columns = columns(&bytes).ok_or("its summary is broken")?;
+    let columns = columns(&bytes).ok_or("the footer is damaged")?;
     match columns > MOST_COLUMNS {
-        true => Err(format!("{columns} columns; at most {MOST_COLUMNS} are read")),
+        true => Err(format!("the file has {columns} columns; at most {MOST_COLUMNS} are read")),
         false => Ok(end + 8),
     }
 }
 
-/// Columns of a summary, or the children that one of them says it has.
+/// Number of columns in a footer, or the number of children that a column states, whichever is larger.
 fn columns(bytes: &[u8]) -> Option<u64> {
     let mut compact = Compact { bytes, at: 0 };
     let (mut id, mut most) = (0, 0);
@@ -140,7 +140,7 @@ fn columns(bytes: &[u8]) -> Option<u64> {
     Some(most)
 }
 
-/// Where in the file a column of one group of rows lies, and how it is packed.
+/// First and last byte of a column of one row group, and its compression.
 fn place(chunk: &ColumnChunkMetaData, bytes: u64) -> Read<([u64; 2], Packing)> {
     let packing = match chunk.compression() {
         Compression::UNCOMPRESSED => Packing::Plain,
@@ -148,18 +148,18 @@ fn place(chunk: &ColumnChunkMetaData, bytes: u64) -> Read<([u64; 2], Packing)> {
         Compression::GZIP(_) => Packing::Gzip,
         Compression::LZ4_RAW => Packing::Lz4Block,
         Compression::ZSTD(_) => Packing::Zstd,
-        other => return Err(format!("{other} is not read; snappy, gzip, lz4_raw and zstd are")),
+        other => return Err(format!("the compression {other} is not read; use snappy, gzip, lz4_raw, zstd or none")),
     };
     if chunk.column_descr().max_rep_level() > 0 {
-        return Err("lists are not read".into());
+        return Err("the column has lists, which are not read".into());
     }
     let from = chunk.dictionary_page_offset().unwrap_or_else(|| chunk.data_page_offset());
     let ends = [from, chunk.data_page_offset(), chunk.compressed_size()].map(u64::try_from);
     let [Ok(from), Ok(data), Ok(length)] = ends else {
-        return Err("lies before the file".into());
+        return Err("its position in the file is negative".into());
     };
     let end = from.checked_add(length).filter(|end| *end <= bytes && data >= from && data < *end);
-    Ok(([from, end.ok_or("lies beyond the file")?], packing))
+    Ok(([from, end.ok_or("it ends beyond the end of the file")?], packing))
 }
 
 /// Some rows, column by column, as text.
@@ -183,7 +183,7 @@ impl Batch {
     }
 }
 
-/// `there` is the level at which a row has a value.
+/// The next rows of a column as text. `there` is the definition level of a row that has a value.
 fn cells(reader: &mut ColumnReader, there: i16) -> Read<Vec<String>> {
     match reader {
         ColumnReader::BoolColumnReader(own) => some(own, there, |v| Ok(u8::from(*v).to_string())),
@@ -193,14 +193,14 @@ fn cells(reader: &mut ColumnReader, there: i16) -> Read<Vec<String>> {
         ColumnReader::DoubleColumnReader(own) => some(own, there, |v| Ok(v.to_string())),
         ColumnReader::ByteArrayColumnReader(own) => some(own, there, |v| match std::str::from_utf8(v.data()) {
             Ok(text) if text.len() <= LONGEST_CELL => Ok(text.to_string()),
-            Ok(_) => Err(format!("a cell of more than {LONGEST_CELL} characters")),
-            Err(_) => Err("text is not UTF-8".into()),
+            Ok(_) => Err(format!("a cell has more than {LONGEST_CELL} characters")),
+            Err(_) => Err("a text is not UTF-8".into()),
         }),
-        _ => Err("neither numbers nor text".into()),
+        _ => Err("its values are neither numbers nor text".into()),
     }
 }
 
-/// The next rows of a column; blank where there is no value.
+/// The next rows of a column, each by `text`; blank if a row has no value.
 fn some<T: DataType>(
     reader: &mut ColumnReaderImpl<T>,
     there: i16,
@@ -214,7 +214,7 @@ fn some<T: DataType>(
     }
     let mut values = values.iter();
     let mut cell = |level: &i16| match *level == there {
-        true => values.next().map_or_else(|| Err("has fewer values than rows".into()), &text),
+        true => values.next().map_or_else(|| Err("it has fewer values than rows".into()), &text),
         false => Ok(String::new()),
     };
     levels.iter().take(records).map(&mut cell).collect()
@@ -224,20 +224,20 @@ fn some<T: DataType>(
 mod tests {
     use super::columns;
 
-    /// A version, then two columns: a root with `children`, and a leaf.
-    fn summary(children: &[u8]) -> Vec<u8> {
+    /// A footer with a version and two columns: a root that states `children`, and a leaf.
+    fn footer(children: &[u8]) -> Vec<u8> {
         let (root, leaf) = ([&[0x48, 1, b'r', 0x15], children, &[0]].concat(), [0x15, 0x0a, 0x38, 1, b'a', 0]);
         [&[0x15, 2, 0x19, 0x2c], &root[..], &leaf, &[0]].concat()
     }
 
     #[test]
-    fn a_summary_says_how_many_columns_there_are() {
-        assert_eq!(columns(&summary(&[2])), Some(2));
-        // A milliard of children.
-        assert_eq!(columns(&summary(&[0x80, 0xa8, 0xd6, 0xb9, 0x07])), Some(1_000_000_000));
-        // A milliard of columns, and fewer than none.
+    fn columns_of_a_footer_are_counted() {
+        assert_eq!(columns(&footer(&[2])), Some(2));
+        // A billion children.
+        assert_eq!(columns(&footer(&[0x80, 0xa8, 0xd6, 0xb9, 0x07])), Some(1_000_000_000));
+        // A billion columns in a few bytes; a negative number of children; a footer that was cut off.
         assert_eq!(columns(&[0x29, 0xfc, 0x80, 0x94, 0xeb, 0xdc, 0x03]), None);
-        assert_eq!(columns(&summary(&[1])), None);
-        assert_eq!(columns(&summary(&[2])[..9]), None);
+        assert_eq!(columns(&footer(&[1])), None);
+        assert_eq!(columns(&footer(&[2])[..9]), None);
     }
 }

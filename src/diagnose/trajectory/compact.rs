@@ -1,7 +1,8 @@
-//! Thrift's compact protocol (Apache Thrift, thrift-compact-protocol.md), in which Parquet says what is where: as much of it as tells what
-//! may be unpacked. Nothing is `Some` that reaches beyond its bytes.
+//! A reader of Thrift's compact protocol (Apache Thrift, thrift-compact-protocol.md), in which Parquet writes its headers. It reads
+//! only the fields that give sizes and counts, so that they can be checked before anything is decompressed. Every function returns
+//! `None` if the value would reach beyond the bytes.
 
-/// How deep tables may nest: our choice, those in use are three deep.
+/// Most levels of nested structs: our choice; those of Parquet are three deep.
 const DEEPEST: usize = 16;
 
 pub struct Compact<'a> {
@@ -9,11 +10,11 @@ pub struct Compact<'a> {
     pub at: usize,
 }
 
-/// Whole numbers of a table by their field's number, from 1 on.
+/// Integers of a struct by field number; the first is field 1.
 pub type Numbers = [Option<i64>; 8];
 
 impl Compact<'_> {
-    /// Whole numbers and truth values of a table.
+    /// Integers and Booleans of a struct.
     pub fn table(&mut self) -> Option<Numbers> {
         let mut own = [None; 8];
         let mut id = 0;
@@ -56,7 +57,7 @@ impl Compact<'_> {
         (next <= self.bytes.len()).then_some(())
     }
 
-    /// Type of the next field, whose number is left in `id`; `Some(None)` at the end.
+    /// Type of the next field; its number is written to `id`. `Some(None)` at the end of the struct.
     pub fn field(&mut self, id: &mut i64) -> Option<Option<u8>> {
         let byte = self.byte()?;
         if byte == 0 {
@@ -112,13 +113,13 @@ impl Compact<'_> {
     }
 
     fn elements(&mut self, kinds: &[u8], count: u64, depth: usize) -> Option<()> {
-        // Each element has at least a byte.
+        // Each element has at least one byte.
         if count > self.bytes.len() as u64 {
             return None;
         }
         for _ in 0..count {
             for kind in kinds {
-                // A truth value has a byte of its own here.
+                // In a list, a Boolean is one byte; as a field, it is part of the type.
                 if matches!(kind, 1 | 2) { self.over(1)? } else { self.skip(*kind, depth + 1)? }
             }
         }

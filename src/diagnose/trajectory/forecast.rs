@@ -1,4 +1,4 @@
-//! A robot's log as a forward model: what the diagnosis asks of any.
+//! The forward model of a robot's log: what the diagnosis requires of every forward model.
 
 use super::model::{State, TrajectoryModel};
 use super::sensors::Mounting;
@@ -12,9 +12,10 @@ use crate::shared::Shared;
 use std::collections::HashMap;
 use std::f64::consts::TAU;
 
-/// A slope of the simulation is trusted once its step moves the data by this many σ altogether: our choice, as for walks.
+/// A derivative by finite differences counts if its step changes the predicted data by this many σ in all: our choice, as for
+/// walking runs.
 const ROUGHNESS: f64 = 4.0;
-/// Step of the sand's strength that makes the direction of the beds' scatter: our choice, about that scatter.
+/// Relative step of the sand's strength for the derivative by the strength of the bed: our choice, about the scatter of beds.
 const STRENGTH_STEP: f64 = 0.05;
 /// Step of the robot's mass, relative: our choice.
 const MASS_STEP: f64 = 0.05;
@@ -40,12 +41,12 @@ impl ForwardModel for TrajectoryModel<'_> {
         1.0
     }
 
-    /// Strides of one run have nothing in common that the repetitions could tell: see [`Self::model_error`].
+    /// Nothing here is learnt from the scatter of repetitions: [`Self::model_error`] gives what the strides of a run share.
     fn shared(&self, _: &Mechanisms, _: &Coefficients, _prediction: &[f64]) -> Vec<Shared> {
         Vec::new()
     }
 
-    /// What all strides of a run have in common: the strength of its bed and the zeros of its sensors.
+    /// Errors that all strides of a run share: the strength of its bed, the offsets of its sensors, and the error of the time step.
     fn model_error(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Vec<f64>> {
         let sd = |kind: &str| self.priors.sd(kind);
         let strength = Mechanisms { scale: (1.0 + mechanisms.scale) * (1.0 + STRENGTH_STEP) - 1.0, ..*mechanisms };
@@ -69,7 +70,8 @@ impl ForwardModel for TrajectoryModel<'_> {
         all
     }
 
-    /// A share of the root mean square that each channel swings by in a stride; and what a change too small to matter does.
+    /// Standard deviation of the model's error at each number: a share of the channel's standard deviation within the stride, and the
+    /// scatter of [`Self::unsettled`].
     fn own_error(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<f64> {
         let share = self.priors.sd("model_error");
         let swing = |block: &[f64]| {
@@ -103,9 +105,9 @@ impl ForwardModel for TrajectoryModel<'_> {
 
     fn testable(&self) -> Vec<(usize, Option<String>)> {
         let why = |m: &crate::sand::mechanism::Mechanism| match m.id {
-            "packing_grad" => Some("the log does not say where in the bed each run began".to_string()),
+            "packing_grad" => Some("the log does not say at which place of the bed each run began".to_string()),
             "motor_torque_limit" if self.asked.is_none() => Some(
-                "the log does not say what the hips were told (stride_frequency), or the robot has no servo".into(),
+                "the log does not give the command of the hips (stride_frequency), or the robot has no servo".into(),
             ),
             _ => None,
         };

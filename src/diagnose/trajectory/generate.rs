@@ -1,4 +1,4 @@
-//! Logs for tests: the hexapod walks in the other engine, with servos, and its sensors are imperfect.
+//! Logs for tests: the hexapod walks with servos in the rapier engine, not in the engine that replays, and its sensors have errors.
 
 use super::replay::{Body, Drive, SIGNALS, Task, Track, sample};
 use crate::sand::mechanism::Mechanisms;
@@ -13,15 +13,15 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use std::f64::consts::TAU;
 use std::fmt::Write;
 
-/// What is true of a log and not told.
+/// Properties of a generated log that the experiment file does not state.
 #[derive(Clone)]
 pub struct Truth {
     pub mechanisms: Mechanisms,
-    /// Of the IMU in its frame [rad].
+    /// Rotation of the IMU from its stated mounting, in its own frame [rad].
     pub turn: [f64; 3],
-    /// [s]
+    /// Delay of the IMU [s].
     pub delay: f64,
-    /// Of the base, over what its description says.
+    /// Mass of the base, as a multiple of the robot file's.
     pub mass: f64,
     pub seed: u64,
 }
@@ -56,8 +56,7 @@ pub fn csv(truth: &Truth) -> String {
     }
     text += ",gyro_x,gyro_y,gyro_z,acc_x,acc_y,acc_z\n";
     let mut medium = Medium::named("poppy-loose").unwrap();
-    // Coefficients and beds differ from the nominal ones, but not all of them in one direction: that would be another strength than
-    // the truth says.
+    // Coefficients and beds scatter about the nominal ones. Their mean strength is kept, because it is part of the truth.
     let nominal = medium.coefficients.to_array();
     let drawn = nominal.map(|c| c * (1.0 + 0.05 * normal()));
     let size = |all: [f64; 9]| all.iter().map(|c| c.abs()).sum::<f64>();
@@ -79,7 +78,7 @@ pub fn csv(truth: &Truth) -> String {
     text
 }
 
-/// Sensors of one run, each 5 ms.
+/// Writes the sensors' readings of one run, one row every 5 ms.
 fn rows(
     text: &mut String,
     truth: &Truth,
@@ -100,7 +99,7 @@ fn rows(
     let offsets: Vec<f64> = (0..joints).map(|_| 2e-4 * normal()).collect();
     let biases: Vec<f64> = (0..6).map(|k| if k < 3 { 0.02 } else { 0.05 } * normal()).collect();
     let late = (1e3 * truth.delay).round() as usize;
-    // The engine takes whole turns out; a log does not.
+    // The engine wraps angles to one turn; a log counts on.
     let mut angles = states[0].angles.clone();
     for i in (0..states.len() - 1).step_by(5) {
         let state = &states[i];
@@ -130,14 +129,14 @@ fn rows(
     }
 }
 
-/// A log written where a test may read it.
+/// A temporary file with this text.
 pub fn file(text: &str) -> tempfile::NamedTempFile {
     let file = tempfile::Builder::new().suffix(".csv").tempfile().unwrap();
     std::fs::write(file.path(), text).unwrap();
     file
 }
 
-/// The robot that walks.
+/// The robot of these logs.
 pub fn body() -> Body {
     Body::load("xplorer", None).unwrap()
 }

@@ -1,4 +1,4 @@
-//! What an experiment file says of a robot's log alone.
+//! Keys of an experiment file that only `kind = "trajectory"` has.
 
 use crate::error::{Error, Result, check_range};
 use serde::Deserialize;
@@ -18,7 +18,7 @@ pub struct MotorTable {
     torque_constant: Option<f64>,
 }
 
-/// The table `[topics]`: which topics of an MCAP file are read, where it has several of a kind.
+/// The table `[topics]`: the topics of an MCAP file that are read, if it has several of the same type.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Topics {
@@ -26,7 +26,7 @@ pub struct Topics {
     pub imu: Option<String>,
 }
 
-/// A table `[[run]]`: what is cut out of an MCAP file, which knows no runs, from its first message of joints on [s].
+/// A table `[[run]]`: the part of an MCAP file that is one run. Times [s] count from the file's first message of joints.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Cut {
@@ -45,10 +45,10 @@ impl Cut {
     }
 }
 
-/// Runs that are cut out: our choice, as of every log.
+/// Most runs: our choice, the same for every log.
 const MOST_CUTS: usize = 1000;
 
-/// Keys as they stand in the file.
+/// The keys as the file has them, not checked yet.
 #[derive(Clone, Debug, Default)]
 pub struct Given {
     pub imu: Option<ImuTable>,
@@ -62,22 +62,22 @@ pub struct Given {
     pub run: Vec<Cut>,
 }
 
-/// Checked.
+/// The keys after the check, with defaults.
 #[derive(Clone, Debug)]
 pub struct Keys {
-    /// Of the IMU in the base's frame [m].
+    /// Position of the IMU in the base's frame [m].
     pub imu_position: [f64; 3],
-    /// IMU's frame to the base's, w, x, y, z, as mounted.
+    /// Mounting of the IMU: rotation from its frame to the base's frame, as a quaternion w, x, y, z.
     pub imu_quat: [f64; 4],
-    /// [N·m/A]; then the log has currents.
+    /// Torque constant of the motors [N·m/A]; if it is given, the log has currents instead of torques.
     pub torque_constant: Option<f64>,
-    /// Where the log has no such column.
+    /// This and the next two apply if the log has no such column.
     pub slope_deg: f64,
     pub stride_frequency: Option<f64>,
     pub leg: Option<String>,
-    /// Bodies or shapes of a robot from a file that touch the sand.
+    /// Bodies or shapes that touch the sand, for a robot from a URDF or MJCF file.
     pub touches: Option<Vec<String>>,
-    /// Length of the windows that a gait without strides is cut into [s].
+    /// Length of the windows if the log has no strides: no joint turns round and no stride frequency is given [s].
     pub window: f64,
     pub topics: Topics,
     pub cuts: Vec<Cut>,
@@ -130,21 +130,24 @@ impl Given {
         let own = Keys::default();
         let imu = self.imu.unwrap_or_default();
         let position = imu.position.unwrap_or(own.imu_position);
-        // A sensor more than 10 m from the base is a slip of units, as is a motor of 1000 N·m/A: our choices of guards.
+        // A sensor more than 10 m from the base, or a torque constant above 1000 N·m/A, has a wrong unit: our choices.
         position.iter().try_for_each(|p| check_range("imu.position", *p, -10.0..=10.0).map(drop))?;
         let quat = imu.quat.unwrap_or(own.imu_quat);
         let norm = quat.iter().map(|q| q * q).sum::<f64>().sqrt();
         if !(norm - 1.0).is_finite() || (norm - 1.0).abs() > 0.02 {
-            return Err(Error::invalid("imu.quat", format!("a quaternion (w, x, y, z) of length {norm}, not 1")));
+            return Err(Error::invalid("imu.quat", format!("the quaternion (w, x, y, z) has length {norm}, not 1")));
         }
         let mut cuts = self.run;
         if cuts.len() > MOST_CUTS {
-            return Err(Error::invalid("run", format!("{} runs; at most {MOST_CUTS} are cut out", cuts.len())));
+            return Err(Error::invalid("run", format!("{} runs are listed; at most {MOST_CUTS} are read", cuts.len())));
         }
         for (k, cut) in cuts.iter_mut().enumerate() {
             let ends = [cut.from.unwrap_or(0.0), cut.to.unwrap_or(f64::MAX)];
             if ends.iter().any(|e| e.is_nan()) || ends[0] >= ends[1] {
-                return Err(Error::invalid("run", format!("run {}: from {} to {}", k + 1, ends[0], ends[1])));
+                return Err(Error::invalid(
+                    "run",
+                    format!("run {}: from = {} is not before to = {}", k + 1, ends[0], ends[1]),
+                ));
             }
             cut.name.get_or_insert_with(|| (k + 1).to_string());
         }

@@ -1,4 +1,4 @@
-//! A robot's own log: runs of joints and IMU, one row a sample.
+//! A robot's own log in memory: runs with the samples of joints and IMU, gathered from the rows of a file.
 
 use super::keys::Keys;
 use crate::error::{Error, Result};
@@ -7,19 +7,19 @@ use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::path::Path;
 
-/// Numbers that are kept of a log: 160 MB, our choice.
+/// Most numbers of a log: our choice, 160 MB.
 const MOST_NUMBERS: usize = 20_000_000;
-/// Joints of a robot: our choice, a hexapod with four a leg.
+/// Most joints of a robot: our choice, a hexapod with four joints a leg.
 pub const MOST_JOINTS: usize = 24;
-/// Runs of a log: our choice.
+/// Most runs of a log: our choice.
 const MOST_RUNS: usize = 1000;
-/// Fewest samples of a run: our choice, a tenth of a second at 200 Hz says nothing of a gait.
+/// Fewest samples of a run: our choice; a tenth of a second at 200 Hz is less than a stride.
 const FEWEST_SAMPLES: usize = 20;
-/// Longest time between two samples [s], and how many times the usual one it may be: our choices. A slower log misses a
-/// stride's forces; over a longer gap nothing is known of the joints.
+/// Longest usual time between two samples [s], and the longest gap as a multiple of the usual time: our choices. A slower log misses
+/// the forces within a stride; over a longer gap the joints' motion is unknown.
 const LONGEST_STEP: f64 = 0.05;
 const LONGEST_GAP: f64 = 10.0;
-/// Numbers beyond this are broken: our choice, far above anything in SI units.
+/// Largest number that is accepted: our choice, far above every quantity of a robot in SI units.
 const MOST: f64 = 1e6;
 
 /// One run.
@@ -33,18 +33,18 @@ pub struct Run {
     pub frequency: Option<f64>,
     /// [s]
     pub t: Vec<f64>,
-    /// Joint by joint [rad].
+    /// Angles, joint by joint [rad].
     pub q: Vec<Vec<f64>>,
-    /// [rad/s]; empty where the log has none.
+    /// Joint speeds [rad/s]; empty if the log has none.
     pub qd: Vec<Vec<f64>>,
-    /// [N·m]
+    /// Joint torques [N·m].
     pub tau: Vec<Vec<f64>>,
-    /// In the IMU's frame [rad/s], [m/s²].
+    /// Angular velocity [rad/s] and, below, specific force [m/s²], in the IMU's frame.
     pub gyro: [Vec<f64>; 3],
     pub acc: [Vec<f64>; 3],
-    /// IMU's frame to the level frame, w, x, y, z; empty where the log has none.
+    /// Rotation from the IMU's frame to the level frame, w, x, y, z; empty if the log has none.
     pub attitude: [Vec<f64>; 4],
-    /// Of the base [m]; empty where the log has none.
+    /// Position of the base [m]; empty if the log has none.
     pub place: [Vec<f64>; 3],
 }
 
@@ -57,7 +57,7 @@ pub struct Log {
     pub sha256: String,
 }
 
-/// Columns that do not depend on the robot; those of joints follow.
+/// Columns that do not depend on the robot; the columns of joints follow them.
 const FIXED: [(&str, Quantity, bool); 23] = [
     ("run", Quantity::Text, false),
     ("condition", Quantity::Text, false),
@@ -94,7 +94,7 @@ const ACC: usize = 10;
 const QUAT: usize = 13;
 const PLACE: usize = 17;
 
-/// Names of the columns of joints, three a joint.
+/// Names of the joints' columns, three for each joint.
 pub struct Names {
     of_joints: Vec<String>,
     joints: usize,
@@ -102,10 +102,10 @@ pub struct Names {
 }
 
 impl Names {
-    /// Columns of a robot with these joints; of currents where the torque constant is known.
+    /// The columns of these joints; with currents instead of torques if the torque constant is given.
     pub fn new(joints: &[String], keys: &Keys) -> Result<Self> {
         if joints.is_empty() || joints.len() > MOST_JOINTS {
-            let reason = format!("{} joints; a log is replayed with 1 to {MOST_JOINTS}", joints.len());
+            let reason = format!("the robot has {} joints; a log is replayed with 1 to {MOST_JOINTS}", joints.len());
             return Err(Error::invalid("robot", reason));
         }
         let currents = keys.torque_constant.is_some();
@@ -115,7 +115,7 @@ impl Names {
         Ok(Self { of_joints: of_joints.collect(), joints: joints.len(), currents })
     }
 
-    /// What is asked of a table.
+    /// The columns that a log must or may have.
     pub fn columns(&self) -> Vec<Column<'_>> {
         let fixed = FIXED.iter().map(|&(name, quantity, required)| Column { name, quantity, required });
         let kinds = [
@@ -131,14 +131,14 @@ impl Names {
     }
 }
 
-/// Gathers rows to runs.
+/// Gathers the rows of a file into runs.
 pub struct Gather<'a> {
     names: &'a Names,
     keys: &'a Keys,
     runs: Vec<Run>,
     places: BTreeMap<String, usize>,
     numbers: usize,
-    /// Which optional columns are there; known from the first row on.
+    /// Whether the log has joint speeds, attitude and position; set by the first row.
     there: Option<[bool; 3]>,
 }
 
@@ -159,7 +159,7 @@ impl<'a> Gather<'a> {
         let t = number(T)?;
         let run = &mut self.runs[place];
         if run.t.last().is_some_and(|last| t <= *last) {
-            return Err(row.error(T, format!("{t} s is not after the sample before, of the same run")));
+            return Err(row.error(T, format!("{t} s is not after the previous sample of the same run")));
         }
         run.t.push(t);
         let base = FIXED.len();
@@ -178,9 +178,9 @@ impl<'a> Gather<'a> {
         if there[1] {
             three(QUAT, &mut run.attitude)?;
             let norm = run.attitude.iter().map(|v| v[v.len() - 1].powi(2)).sum::<f64>().sqrt();
-            // Rounded quaternions have a norm within a percent of 1: our choice of guard.
+            // Rounded quaternions have a norm within a percent of 1; we allow two.
             if (norm - 1.0).abs() > 0.02 {
-                return Err(row.error(QUAT, format!("quaternion of length {norm:.3}, not 1")));
+                return Err(row.error(QUAT, format!("the quaternion has length {norm:.3}, not 1")));
             }
         }
         if there[2] {
@@ -188,7 +188,9 @@ impl<'a> Gather<'a> {
         }
         self.numbers += 7 + 3 * joints + 4 * usize::from(there[1]) + 3 * usize::from(there[2]);
         match self.numbers > MOST_NUMBERS {
-            true => Err(row.error(T, format!("more than {MOST_NUMBERS} numbers: keep every n-th sample"))),
+            true => {
+                Err(row.error(T, format!("the log has more than {MOST_NUMBERS} numbers: keep only every n-th sample")))
+            }
             false => Ok(()),
         }
     }
@@ -244,16 +246,16 @@ impl<'a> Gather<'a> {
     }
 }
 
-/// Takes whole turns out of an angle that is logged between −π and π.
+/// Makes an angle continuous that is logged between −π and π.
 fn unwrap(q: &mut [f64]) {
     let [low, high] = q.iter().fold([f64::MAX, f64::MIN], |[a, b], v| [a.min(*v), b.max(*v)]);
     if high - low > 1.05 * TAU {
-        return; // it turns on already
+        return; // the angle is continuous already
     }
     let mut turns = 0.0;
     for i in 1..q.len() {
         let change = q[i] + turns - q[i - 1];
-        // Only where a jump is nearly a turn: between samples no joint moves by 0.8 of one.
+        // Only at a jump of nearly one turn: between two samples no joint moves by 0.8 of a turn.
         if (change.abs() / TAU - 1.0).abs() < 0.2 {
             turns -= TAU.copysign(change);
         }
@@ -271,13 +273,13 @@ impl Run {
 
     fn validate(&self) -> std::result::Result<(), String> {
         if self.t.len() < FEWEST_SAMPLES {
-            return Err(format!("{} samples; at least {FEWEST_SAMPLES} are needed", self.t.len()));
+            return Err(format!("it has {} samples; at least {FEWEST_SAMPLES} are needed", self.t.len()));
         }
         let step = self.step();
         if step > LONGEST_STEP {
             let hint = if step > 1.0 { "; is t in ms? state [units] t = \"ms\"" } else { "" };
             return Err(format!(
-                "a sample each {step:.3} s; at least {} a second are needed{hint}",
+                "it has one sample every {step:.3} s; at least {} a second are needed{hint}",
                 1.0 / LONGEST_STEP
             ));
         }

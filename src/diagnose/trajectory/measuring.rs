@@ -1,4 +1,4 @@
-//! What measuring does to a robot's log: how the IMU is mounted, how late it is, friction in the joints, zeros and gains.
+//! Nuisances of a robot's log: rotation and delay of the IMU, and friction in the joints.
 
 use super::log::Run;
 use super::model::TrajectoryModel;
@@ -8,9 +8,9 @@ use super::windows::{BINS, Integral};
 use crate::fit::slope;
 use crate::nuisance::Nuisance;
 
-/// Speed of a joint about which friction turns its sign [rad/s]: our choice, below that of any stride.
+/// Joint speed over which the friction changes its sign [rad/s]: our choice, below the speeds of a stride.
 const FRICTION_SPEED: f64 = 0.5;
-/// Step of the IMU's turn [rad] and delay [s]: our choices.
+/// Steps of the IMU's rotation [rad] and delay [s] for derivatives: our choices.
 const TURN_STEP: f64 = 1e-3;
 const DELAY_STEP: f64 = 1e-3;
 
@@ -37,12 +37,13 @@ impl TrajectoryModel<'_> {
         Nuisance::linear("friction".into(), "N·m", self.priors.sd("friction") * rms, column)
     }
 
-    /// How the IMU is mounted and how late it is: a turn is no straight line, nor is a delay.
+    /// Rotation and delay of the IMU, linearised at `values`. Neither is linear, so the first one carries the difference between the
+    /// prediction at `values` and its linear continuation from 0.
     pub(super) fn mounting(&self, tracks: &[Track], values: &[(String, f64)]) -> Vec<Nuisance> {
         const NAMES: [&str; 4] = ["imu_rotation_x", "imu_rotation_y", "imu_rotation_z", "imu_delay"];
         let value = |id: &str| values.iter().find(|v| v.0 == id).map_or(0.0, |v| v.1);
         let at = NAMES.map(value);
-        // A log cannot be early, and beyond what is simulated nothing is known.
+        // A log is not early by more than 10 ms, and the simulation ends `BEYOND` after the window.
         let mounted = |v: [f64; 4]| Mounting { turn: [v[0], v[1], v[2]], delay: v[3].clamp(-0.01, BEYOND) };
         let here = self.read(tracks, mounted(at));
         let mut bend = slope(&here, &self.read(tracks, Mounting::default()), 1.0);
@@ -62,7 +63,7 @@ impl TrajectoryModel<'_> {
     }
 }
 
-/// Directions in which each joint moves, −1…1.
+/// Direction of each joint's motion at each sample, −1 to 1.
 fn signs(run: &Run) -> Vec<Vec<f64>> {
     let of = |q: &Vec<f64>| {
         let rate = |i: usize| {

@@ -1,13 +1,15 @@
-//! A robot's own log: what its joints and its IMU say of the sand under it.
+//! A robot's own log: the diagnosis of the sand from what the joints and the IMU measured during walks.
 //!
-//! file → [`log`] (by [`read`]) → [`windows`] → [`replay`] of the logged joints → [`sensors`], [`servo`] → [`model`], a forward model
-//! as any other. Strides are the repetitions of their run; what a run has of its own (bed, zeros of sensors) is an error that all of
-//! its strides share.
+//! [`read`] reads the file into a [`log`]. [`windows`] selects the parts of each run that are compared. [`replay`] simulates them
+//! with the logged joint angles. [`sensors`] and [`servo`] compute what the log's sensors would have read. [`model`] puts this
+//! together as a forward model. The strides of a run are its repetitions. Effects that belong to one run (strength of the bed,
+//! offsets of the sensors) are errors that all strides of this run share.
 
 mod bag;
 mod cdr;
 mod columnar;
 mod compact;
+pub mod consistency;
 mod forecast;
 #[cfg(test)]
 mod generate;
@@ -25,7 +27,6 @@ pub mod replay;
 pub mod sensors;
 pub mod servo;
 mod simulate;
-pub mod slips;
 #[cfg(test)]
 mod tests;
 pub mod windows;
@@ -39,7 +40,7 @@ use crate::error::Result;
 use crate::progress::Latch;
 use std::path::Path;
 
-/// What was measured, and the model of it.
+/// The measured data, and the model that predicts them.
 pub fn measured<'a>(
     data: &Path,
     experiment: &Experiment,
@@ -48,9 +49,9 @@ pub fn measured<'a>(
     let log = read(data, experiment)?;
     let sha256 = log.sha256.clone();
     let (model, observations) = TrajectoryModel::new(log, experiment, latch)?;
-    slips::against_replay(data, model.layout(), &observations.values, &model.plain())?;
+    consistency::against_replay(data, model.layout(), &observations.values, &model.plain())?;
     let notes = vec![format!(
-        "joints are replayed as logged, in {} windows of {} strides; {}",
+        "the logged joint angles are replayed, in {} windows with {} strides in all; {}",
         model.windows().len(),
         observations.units.len(),
         model::channel_names(&observations.channels, &model.joint_names()),

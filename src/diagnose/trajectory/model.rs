@@ -1,4 +1,4 @@
-//! Predicts a robot's log by replaying its joints.
+//! The model of a robot's log: predicts what its sensors read while its joints move as logged.
 
 use super::keys::Keys;
 use super::log::Log;
@@ -19,19 +19,19 @@ use std::collections::HashMap;
 use std::f64::consts::TAU;
 use std::sync::Mutex;
 
-/// Predictions that are kept: our choice, some 10 MB.
+/// Most predictions that are kept in memory: our choice, some 10 MB.
 pub(super) const KNOWN: usize = 128;
 
 pub(super) type State = (Mechanisms, Coefficients);
 
-/// See the module.
+/// The log, and all that is needed to predict it.
 pub struct TrajectoryModel<'a> {
     pub(super) latch: &'a Latch<'a>,
     pub(super) medium: Medium,
     pub(super) keys: Keys,
     pub(super) priors: Priors,
     pub(super) log: Log,
-    /// Of each run.
+    /// The robot of each run.
     pub(super) bodies: Vec<Body>,
     pub(super) windows: Vec<Window>,
     pub(super) drives: Vec<Drive>,
@@ -43,7 +43,7 @@ pub struct TrajectoryModel<'a> {
 }
 
 impl<'a> TrajectoryModel<'a> {
-    /// The model and what it predicts.
+    /// The model, and the measured numbers that it predicts.
     pub fn new(log: Log, experiment: &Experiment, latch: &'a Latch<'a>) -> Result<(Self, Observations)> {
         let keys = experiment.trajectory.clone();
         let robot = experiment.robot.as_deref().unwrap_or("xplorer");
@@ -51,7 +51,7 @@ impl<'a> TrajectoryModel<'a> {
         let bodies = log.runs.iter().map(|r| body.with_leg(r.leg.as_deref())).collect::<Result<Vec<_>>>()?;
         let windows = windows(&log.runs, keys.window);
         if windows.is_empty() {
-            let reason = "no run has a whole stride after its first: runs of at least three strides are needed";
+            let reason = "no run has a whole stride after its first one: log runs of at least three strides";
             return Err(Error::invalid("data", reason));
         }
         let drives = windows.iter().map(|w| Drive::new(&log.runs[w.run], w, Scene::DEFAULT_DT)).collect();
@@ -88,7 +88,7 @@ impl<'a> TrajectoryModel<'a> {
             let run = &model.log.runs[model.windows[model.window_of[place]].run].name;
             return Err(Error::invalid(
                 "data",
-                format!("the simulation of run {run} diverges: do robot and log belong together?"),
+                format!("the simulation of run {run} diverges: check that the log is of this robot"),
             ));
         }
         let observations = model.observations();
@@ -116,7 +116,7 @@ impl<'a> TrajectoryModel<'a> {
         self.bodies[0].joint_names()
     }
 
-    /// Is it known what the hips were told?
+    /// Does the log give the command of the hips?
     pub fn knows_commands(&self) -> bool {
         self.asked.is_some()
     }
@@ -125,7 +125,7 @@ impl<'a> TrajectoryModel<'a> {
         BINS * self.layout.count()
     }
 
-    /// The log as it is compared: strides are the repetitions of their run.
+    /// The measured numbers: each stride is a repetition of its run.
     fn observations(&self) -> Observations {
         let values = self.windows.iter().flat_map(|w| self.measured(w)).collect();
         let mut conditions: Vec<String> = Vec::new();
@@ -152,12 +152,12 @@ impl<'a> TrajectoryModel<'a> {
         Observations { size: Size::Channel, values, channels: self.layout.channels(), units, conditions }
     }
 
-    /// What the log reads in one window.
+    /// The measured numbers of one window.
     fn measured(&self, window: &Window) -> Vec<f64> {
         let run = &self.log.runs[window.run];
         let [w, x, y, z] = &run.attitude;
         let up: Vec<Vec<f64>> = match self.layout.attitude {
-            // The direction up, in the frame that the quaternion turns into the level one.
+            // x and y of the upward direction in the IMU's frame.
             true => vec![
                 (0..run.t.len()).map(|i| 2.0 * (x[i] * z[i] - w[i] * y[i])).collect(),
                 (0..run.t.len()).map(|i| 2.0 * (y[i] * z[i] + w[i] * x[i])).collect(),
@@ -189,7 +189,7 @@ pub(super) fn window_of(windows: &[Window]) -> Vec<usize> {
     windows.iter().enumerate().flat_map(of_window).collect()
 }
 
-/// Parts of a stride, for what is plotted along it [rad].
+/// Phase at the middle of each part of a stride [rad].
 pub(super) fn progress() -> Vec<f64> {
     (0..BINS).map(|b| (b as f64 + 0.5) * TAU / BINS as f64).collect()
 }
@@ -200,7 +200,7 @@ fn speed(t: &[f64], place: &[Vec<f64>; 3], a: f64, b: f64) -> f64 {
     (at(0, b) - at(0, a)).hypot(at(1, b) - at(1, a)) / (b - a)
 }
 
-/// The channels of a log, for what names them.
+/// A sentence that says which joint each torque channel belongs to.
 pub fn channel_names(channels: &[Channel], joints: &[String]) -> String {
     let own = channels.iter().filter(|c| c.name.starts_with("torque_")).zip(joints);
     own.map(|(c, joint)| format!("{} is {joint}", c.name)).collect::<Vec<_>>().join(", ")

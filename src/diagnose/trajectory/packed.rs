@@ -1,5 +1,5 @@
-//! Packed parts of logs, unpacked by decompressors in Rust. What a part says of its own size is believed up to the reader's limit, and
-//! nothing is kept beyond it.
+//! Decompression of parts of a log, by libraries written in Rust. The file states the size of each part; a part that is larger than
+//! this, or than [`LARGEST`], is an error before more memory is used.
 
 use lz4_flex::block;
 use lz4_flex::frame::FrameDecoder;
@@ -7,10 +7,11 @@ use ruzstd::decoding::StreamingDecoder;
 use ruzstd::decoding::errors::{FrameDecoderError, ReadFrameHeaderError};
 use std::io::Read;
 
-/// Largest part, unpacked [bytes]: our choice, writers make parts of about a megabyte. Also the window of zstd, which is kept beside it.
+/// Largest size of a part after decompression [bytes]: our choice; writers make parts of about a megabyte. It is also the largest
+/// window of zstd.
 pub const LARGEST: u64 = 64 << 20;
 
-/// How a part is packed.
+/// Compression of a part.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Packing {
     Plain,
@@ -25,10 +26,10 @@ pub enum Packing {
 type Unpacked<T> = std::result::Result<T, String>;
 
 impl Packing {
-    /// Unpacks a part that says it has `size` bytes.
+    /// Decompresses a part whose stated size is `size` bytes.
     pub fn unpack(self, packed: &[u8], size: u64) -> Unpacked<Vec<u8>> {
         if size > LARGEST {
-            return Err(format!("a part of {} MiB; at most {} MiB are read", size >> 20, LARGEST >> 20));
+            return Err(format!("a compressed part has {} MiB; at most {} MiB are read", size >> 20, LARGEST >> 20));
         }
         let mut all = Vec::new();
         match self {
@@ -37,7 +38,7 @@ impl Packing {
             Self::Lz4 => more(FrameDecoder::new(packed), size, &mut all)?,
             Self::Zstd => zstd(packed, size, &mut all)?,
             Self::Lz4Block => all = block::decompress(packed, size as usize).map_err(|e| format!("lz4: {e}"))?,
-            // Its own word counts, so that it is looked at first.
+            // The library allocates the size that the part itself states, so this is compared first.
             Self::Snappy if snap::raw::decompress_len(packed).ok() == Some(size as usize) => {
                 all = snap::raw::Decoder::new().decompress_vec(packed).map_err(|e| e.to_string())?;
             }
@@ -51,22 +52,22 @@ impl Packing {
 }
 
 fn other(size: u64) -> String {
-    format!("a part that says it has {size} bytes has others")
+    format!("a compressed part does not have the {size} bytes that the file states")
 }
 
-/// Reads until there is one byte more than there should be.
+/// Reads at most one byte more than the stated size.
 fn more(source: impl Read, size: u64, all: &mut Vec<u8>) -> Unpacked<()> {
     let left = (size + 1).saturating_sub(all.len() as u64);
     source.take(left).read_to_end(all).map(drop).map_err(|e| e.to_string())
 }
 
-/// Frames one after the other; those that carry something else are passed over.
+/// Decompresses all frames of a part; skippable frames have no data.
 fn zstd(mut packed: &[u8], size: u64, all: &mut Vec<u8>) -> Unpacked<()> {
     while !packed.is_empty() && all.len() as u64 <= size {
         match StreamingDecoder::new_with_max_window_size(&mut packed, LARGEST) {
             Ok(frame) => more(frame, size, all)?,
             Err(FrameDecoderError::ReadFrameHeaderError(ReadFrameHeaderError::SkipFrame { length, .. })) => {
-                packed = packed.get(length as usize..).ok_or("zstd: a frame reaches beyond its part")?;
+                packed = packed.get(length as usize..).ok_or("zstd: a frame is longer than its part")?;
             }
             Err(e) => return Err(format!("zstd: {e}")),
         }
@@ -79,12 +80,12 @@ mod tests {
     use super::{LARGEST, Packing};
     use std::io::Write;
 
-    /// 3,000 bytes that repeat.
+    /// 3,000 bytes with a repeating pattern.
     fn plain() -> Vec<u8> {
         (0..3000u32).map(|i| (i % 251) as u8).collect()
     }
 
-    /// The same bytes by each packer; those of zstd and lz4 frames are of the reference implementations (see readers.rs).
+    /// The same bytes in each compression. Files compressed by the reference implementations of zstd and lz4 are in readers.rs.
     fn all() -> Vec<(Packing, Vec<u8>)> {
         let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
         gzip.write_all(&plain()).unwrap();
@@ -102,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn parts_are_as_large_as_they_say() {
+    fn parts_of_another_size_are_refused() {
         for (packing, packed) in all() {
             assert_eq!(packing.unpack(&packed, 3000).as_ref(), Ok(&plain()), "{packing:?}");
             for size in [0, 1, 2999, 3001, LARGEST] {
@@ -113,9 +114,9 @@ mod tests {
         }
     }
 
-    /// A frame that is passed over, then two of data.
+    /// A skippable frame, then two frames of data.
     #[test]
-    fn zstd_has_frames() {
+    fn zstd_reads_several_frames() {
         let data = all().pop().unwrap().1;
         let note = [0x50, 0x2a, 0x4d, 0x18, 3, 0, 0, 0, 1, 2, 3];
         let twice = [plain(), plain()].concat();

@@ -1,7 +1,7 @@
-//! Pages of a Parquet column, read one after the other and unpacked within limits: the `parquet` crate believes what a page says of its
-//! size, and would bring decompressors in C.
+//! Reads the pages of a Parquet column, with limits on their sizes. The page reader of the `parquet` crate is not used, because it
+//! allocates whatever size a page's header states, and because it needs decompressors in C.
 //!
-//! Fields of a page are those of parquet.thrift.
+//! Field numbers are those of parquet.thrift.
 
 use super::compact::{Compact, Numbers};
 use super::packed::Packing;
@@ -13,22 +13,22 @@ use std::io::{Read, Seek, SeekFrom};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
-/// Most bytes of a page's header, which may have statistics: our choice.
+/// Most bytes of a page's header, which may hold statistics: our choice.
 const HEADER: u64 = 16 << 10;
-/// Pages of a file: our choice, so that tiny ones do not take hours.
+/// Most pages of a file: our choice, so that a file of empty pages does not take hours.
 const MOST_PAGES: u64 = 100_000;
-/// Bytes that the pages read at once may have, unpacked: our choice.
+/// Most bytes, decompressed, of all pages that are in memory at the same time: our choice.
 const AT_ONCE: u64 = 256 << 20;
 
-/// What the columns of a file have together.
+/// Counts over all columns of a file.
 #[derive(Default)]
 pub struct Counts {
     pages: AtomicU64,
-    /// Bytes of the pages that are read now.
+    /// Decompressed bytes of the pages in memory.
     held: AtomicU64,
 }
 
-/// The pages of a column in one group of rows.
+/// The pages of a column in one row group.
 pub struct Pages {
     file: Arc<File>,
     at: u64,
@@ -40,7 +40,7 @@ pub struct Pages {
 }
 
 impl Pages {
-    /// Those in bytes `from` … `end` of the file.
+    /// The pages in bytes `from` to `end` of the file.
     pub fn new(file: Arc<File>, [from, end]: [u64; 2], packing: Packing, counts: Arc<Counts>) -> Self {
         Self { file, at: from, end, packing, counts, held: [0; 2] }
     }
@@ -53,10 +53,10 @@ impl Pages {
             let header = Header::read(&mut compact).ok_or("a page's header is broken")?;
             self.at += compact.at as u64;
             if header.packed > self.end - self.at {
-                return Err("a page ends beyond its column".into());
+                return Err("a page ends beyond the end of its column".into());
             }
             if self.counts.pages.fetch_add(1, Relaxed) >= MOST_PAGES {
-                return Err(format!("more than {MOST_PAGES} pages"));
+                return Err(format!("the file has more than {MOST_PAGES} pages"));
             }
             let from = self.at;
             self.at += header.packed;
@@ -82,14 +82,16 @@ impl Pages {
         }
     }
 
-    /// A page takes the place of the one before; a dictionary stays beside the pages that it is for.
+    /// Counts the memory of a new page. It replaces the previous page; a dictionary is kept beside the pages that use it.
     fn hold(&mut self, header: &Header) -> std::result::Result<(), String> {
         let place = &mut self.held[usize::from(header.kind != DICTIONARY)];
         let before = std::mem::replace(place, header.unpacked);
         let held = self.counts.held.fetch_add(header.unpacked, Relaxed).saturating_add(header.unpacked);
         self.counts.held.fetch_sub(before, Relaxed);
         match held > AT_ONCE {
-            true => Err(format!("{} MiB of pages at once; at most {} MiB are read", held >> 20, AT_ONCE >> 20)),
+            true => {
+                Err(format!("a row group needs {} MiB at once; at most {} MiB are read", held >> 20, AT_ONCE >> 20))
+            }
             false => Ok(()),
         }
     }
@@ -114,7 +116,7 @@ impl PageReader for Pages {
         self.next_page().map_err(ParquetError::General)
     }
 
-    // Asked for only where pages are skipped, which is never done here.
+    // Called only to skip pages, which this reader never does.
     fn peek_next_page(&mut self) -> Result<Option<PageMetadata>> {
         Err(ParquetError::NYI("pages are read one after the other".into()))
     }
@@ -123,7 +125,7 @@ impl PageReader for Pages {
         Err(ParquetError::NYI("pages are read one after the other".into()))
     }
 
-    /// Columns without lists have a row a value.
+    /// Columns without lists have one row for each value.
     fn at_record_boundary(&mut self) -> Result<bool> {
         Ok(true)
     }
@@ -139,12 +141,12 @@ struct Header {
     kind: i64,
     unpacked: u64,
     packed: u64,
-    /// Fields of the table that its kind has, by number from 1 on; truth values are 0 and 1.
+    /// Fields of the struct for this kind of page, by number; the first is field 1. Booleans are 0 and 1.
     own: Numbers,
 }
 
 impl Header {
-    /// Reads a header and leaves off behind it.
+    /// Reads a header; `compact` then stands at the first byte after it.
     fn read(compact: &mut Compact) -> Option<Self> {
         let (mut sizes, mut own) = ([None; 3], [None; 8]);
         let mut id = 0;
@@ -182,13 +184,13 @@ impl Header {
     }
 
     fn page(&self, bytes: &[u8], packing: Packing) -> std::result::Result<Page, String> {
-        // In the second version levels stand before what is packed, and a page need not be.
+        // In pages of version 2, the levels come first and are not compressed, and the rest need not be compressed.
         let levels = if self.kind == DATA_V2 { u64::from(self.count(5)?) + u64::from(self.count(6)?) } else { 0 };
         let packed = self.kind != DATA_V2 || self.own[6] != Some(0);
         let packing = if packed { packing } else { Packing::Plain };
         let size = self.unpacked.checked_sub(levels).ok_or("a page's levels are longer than the page")?;
-        let (before, rest) = bytes.split_at_checked(levels as usize).ok_or("a page's levels end beyond it")?;
-        // Pages without a value have nothing that is packed.
+        let (before, rest) = bytes.split_at_checked(levels as usize).ok_or("a page's levels end beyond the page")?;
+        // A page without values has no compressed data, not even an empty compressed part.
         let rest = if size == 0 { Vec::new() } else { packing.unpack(rest, size)? };
         let buf = if levels == 0 { rest } else { [before, &rest].concat() }.into();
         let num_values = self.count(1)?;
@@ -213,7 +215,7 @@ impl Header {
                 is_compressed: false,
                 statistics: None,
             },
-            other => return Err(format!("a page of the unknown kind {other}")),
+            other => return Err(format!("a page has the unknown type {other}")),
         })
     }
 }
@@ -225,7 +227,7 @@ mod tests {
     use std::io::Write;
     use std::sync::Arc;
 
-    /// The last page, or what is wrong.
+    /// The last page, or the error.
     fn told(bytes: &[u8]) -> Result<Page, String> {
         let mut file = tempfile::tempfile().unwrap();
         file.write_all(bytes).unwrap();
@@ -235,7 +237,7 @@ mod tests {
         all.map_err(|e| e.to_string()).map(|mut pages| pages.pop().unwrap())
     }
 
-    /// Kind 0, two bytes; its table says 300 values, plain, levels by runs, and has statistics; then the two bytes.
+    /// A data page of two bytes: its header states 300 values, plain encoding and run-length levels, and has statistics.
     const PAGE: [u8; 22] = [
         0x15, 0x00, 0x15, 0x04, 0x15, 0x04, 0x2c, 0x15, 0xd8, 0x04, 0x15, 0x00, 0x15, 0x06, 0x15, 0x06, 0x1c, 0x00,
         0x00, 0x00, 7, 8,
@@ -248,18 +250,18 @@ mod tests {
     }
 
     #[test]
-    fn pages_say_no_more_than_there_is() {
+    fn pages_with_wrong_sizes_are_refused() {
         assert!(told(&PAGE[..21]).unwrap_err().contains("ends beyond"));
         assert!(told(&PAGE[..9]).unwrap_err().contains("broken"));
-        // 64 MiB and a byte unpacked; three bytes where there are two.
+        // A page that states 64 MiB and a byte, and one that states three bytes instead of two.
         let large = [&PAGE[..3], &[0x82, 0x80, 0x80, 0x40], &PAGE[4..]].concat();
         assert!(told(&large).unwrap_err().contains("at most"));
         let longer = [&PAGE[..3], &[0x06], &PAGE[4..]].concat();
-        assert!(told(&longer).unwrap_err().contains("has others"));
-        // Pages of an index, which are passed over, but not without end.
+        assert!(told(&longer).unwrap_err().contains("that the file states"));
+        // Index pages are skipped, but count as pages.
         let tiny = [0x15, 0x02, 0x15, 0x00, 0x15, 0x00, 0x00].repeat(MOST_PAGES as usize + 1);
         assert!(told(&tiny).unwrap_err().contains("pages"));
-        // Negative sizes, and a list that claims more than there is.
+        // A negative size, and a list that states more elements than there are bytes.
         assert!(told(&[0x15, 0x00, 0x15, 0x01, 0x15, 0x00, 0x00]).unwrap_err().contains("broken"));
         assert!(told(&[0x59, 0xf5, 0xff, 0xff, 0xff, 0xff, 0x0f, 0x00]).unwrap_err().contains("broken"));
     }

@@ -1,4 +1,4 @@
-//! Walks that could be logged next, for what they tell: "walk at 3 Hz up 5°".
+//! Walks that could be logged next: the diagnosis proposes the one that best distinguishes the causes, such as "walk at 3 Hz up 5°".
 
 use super::log::Run;
 use super::model::{TrajectoryModel, progress, window_of};
@@ -13,20 +13,21 @@ use crate::sim::walk::hip_angle;
 use std::f64::consts::TAU;
 use std::sync::Mutex;
 
-/// Stride frequencies [Hz] and slopes [°] that are offered: our choices, round numbers about what six-legged robots do on sand.
+/// Stride frequencies [Hz] and slopes [°] that may be proposed: our choices, round numbers in the range of hexapods on sand.
 const FREQUENCIES: [f64; 5] = [1.0, 2.0, 3.0, 4.0, 5.0];
 const SLOPES_DEG: [f64; 4] = [0.0, 5.0, 10.0, -5.0];
-/// A frequency is offered up to this much beyond those of the log: our choice, motors that made those make it too.
+/// Frequencies up to this factor outside the range of the log are proposed: our choice; the motors can probably reach them.
 const BEYOND: f64 = 1.5;
-/// Turns that a planned walk has: a lead-in and the stride that is compared.
+/// Turns of the hips in a planned walk: a lead-in and the stride that is compared.
 const TURNS: f64 = 2.9;
-/// The protocol's hold and ramp [s].
+/// Duration of the protocol's hold and ramp [s].
 const START: f64 = 0.5;
-/// Rate of its samples [Hz].
+/// Rate of a planned walk's samples [Hz].
 const RATE: f64 = 200.0;
 
 impl TrajectoryModel<'_> {
-    /// Walks at constant stride frequency; none of a robot whose joints swing, because what it would do is not known.
+    /// Walks at constant stride frequency. None if the joints swing instead of turning round, because their motion is not known in
+    /// advance.
     pub(super) fn planned(&self) -> Option<Menu<'_>> {
         let (runs, bodies, descriptions) = self.walks()?;
         let mut all = windows(&runs, self.keys.window);
@@ -69,7 +70,7 @@ impl TrajectoryModel<'_> {
         Some(Menu { model: Box::new(model), observations, descriptions })
     }
 
-    /// The walks, their robots, and what they are in words.
+    /// The walks, their robots, and their descriptions.
     fn walks(&self) -> Option<(Vec<Run>, Vec<Body>, Vec<String>)> {
         let known: Option<Vec<f64>> = self.log.runs.iter().map(|r| r.frequency).collect();
         let known = known.filter(|k| k.iter().all(|f| f.abs() > 0.02))?;
@@ -98,7 +99,7 @@ impl TrajectoryModel<'_> {
         (!runs.is_empty()).then_some((runs, bodies, descriptions))
     }
 
-    /// The torques that the joints' motion needs on the plain sand: what servos ask of motors that give it.
+    /// The torques that the joints' motion needs on plain sand: the servos request these from the motors.
     fn needed(&self) -> Option<Asked> {
         let plain = (Mechanisms::default(), self.medium.coefficients);
         let tracks = self.tracks(&[plain], 0.0, 1.0).swap_remove(0);
@@ -116,7 +117,7 @@ impl TrajectoryModel<'_> {
     }
 }
 
-/// A walk whose joints start as those of `first` and then turn as the protocol tells them.
+/// A walk whose joints start at the angles of `first` and then turn by the protocol.
 fn walk(first: &Run, frequency: f64, slope_deg: f64, leg: Option<String>) -> Run {
     let length = START + TURNS / frequency.abs();
     let t: Vec<f64> = (0..=(length * RATE).ceil() as usize).map(|i| i as f64 / RATE).collect();

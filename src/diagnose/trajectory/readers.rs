@@ -1,5 +1,5 @@
-//! Tests of the readers on files of other writers (tests/data/trajectory): a log in each format and packing is the same log; broken
-//! files end in one line.
+//! Tests of the readers on files that other programs wrote (tests/data/trajectory). The same log is read from each format and
+//! compression, and a broken file gives an error of one line.
 
 use super::log::{Log, Run};
 use super::read;
@@ -21,7 +21,7 @@ fn text(name: &str) -> String {
     String::from_utf8(bytes(name)).unwrap()
 }
 
-/// The experiment with more lines: keys stand before its tables, tables behind them.
+/// The experiment with additional keys and tables.
 fn with(keys: &str, tables: &str) -> Experiment {
     Experiment::from_toml(&format!("{keys}{}{tables}", text("walk.toml"))).unwrap()
 }
@@ -32,7 +32,7 @@ fn read_bytes(bytes: &[u8], experiment: &Experiment) -> Result<Log> {
     read(file.path(), experiment)
 }
 
-/// The log as CSV, and its first rows.
+/// The first rows of the log as CSV.
 fn rows(count: usize) -> Vec<u8> {
     text("walk.csv").lines().take(1 + count).flat_map(|line| [line, "\n"]).collect::<String>().into_bytes()
 }
@@ -57,12 +57,12 @@ fn alike(got: &Log, want: &Log, close: f64) {
 }
 
 #[test]
-fn one_log_in_three_formats() {
+fn three_formats_give_the_same_log() {
     let want = read_bytes(&bytes("walk.csv"), &with("", "")).unwrap();
     alike(&read_bytes(&bytes("walk.parquet"), &with("", "")).unwrap(), &want, 0.0);
     let mcap = Experiment::from_toml(&text("walk_mcap.toml")).unwrap();
     let got = read_bytes(&bytes("walk.mcap"), &mcap).unwrap();
-    // Runs begin at 0, 10 and 20 s there.
+    // In the MCAP file, the runs begin at 0, 10 and 20 s.
     alike(&got, &want, 1e-14);
     for (a, b) in got.runs.iter().zip(&want.runs) {
         assert_eq!((&a.name, &a.condition, &a.leg), (&b.name, &b.condition, &b.leg));
@@ -71,7 +71,7 @@ fn one_log_in_three_formats() {
 }
 
 #[test]
-fn one_log_in_each_packing() {
+fn each_compression_gives_the_same_log() {
     let want = read_bytes(&rows(60), &with("", "")).unwrap();
     for name in PARQUET {
         alike(&read_bytes(&bytes(name), &with("", "")).unwrap(), &want, 0.0);
@@ -83,7 +83,7 @@ fn one_log_in_each_packing() {
 }
 
 #[test]
-fn what_is_wrong_with_a_file_is_one_line() {
+fn errors_of_files_are_one_line() {
     let told = |bytes: &[u8], experiment: &Experiment, words: &str| {
         let error = read_bytes(bytes, experiment).err().map(|e| e.to_string()).unwrap_or_default();
         assert!(error.contains(words) && !error.contains('\n'), "{error:?} lacks {words:?}");
@@ -96,7 +96,7 @@ fn what_is_wrong_with_a_file_is_one_line() {
     let mut damaged = bytes("first_none.mcap");
     let middle = damaged.len() / 2;
     damaged[middle] ^= 1;
-    told(&damaged, &with("", ""), "its sum is another");
+    told(&damaged, &with("", ""), "its checksum does not match");
     told(&rows(60), &with("", "[topics]\nimu = \"/imu\"\n"), "only MCAP files");
     told(&rows(60), &with("", "[[run]]\nfrom = 1.0\n"), "only MCAP files");
     for name in PARQUET {
@@ -108,7 +108,7 @@ fn what_is_wrong_with_a_file_is_one_line() {
     }
 }
 
-/// Mutated files, as many of each kind as `SANDGAIT_MUTATED_LOGS` says, give a log or one line.
+/// Randomly changed files give a log or an error of one line. `SANDGAIT_MUTATED_LOGS` sets the number for each original.
 #[test]
 fn mutated_files_do_not_panic() {
     let count = std::env::var("SANDGAIT_MUTATED_LOGS").map_or(40, |n| n.parse().unwrap());
@@ -136,7 +136,7 @@ fn mutated_files_do_not_panic() {
 fn mutated(bytes: &[u8], rng: &mut impl Rng) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
     for _ in 0..rng.random_range(1..8) {
-        // Often near the end, where Parquet says what is where.
+        // Half of the changes are near the end, where Parquet has its footer.
         let reach = if rng.random_bool(0.5) { bytes.len() } else { bytes.len().min(4096) };
         let at = bytes.len() - 1 - rng.random_range(0..reach);
         match rng.random_range(0..6) {

@@ -1,7 +1,7 @@
-//! The logged joints drive the simulation: angles are prescribed, the base is free.
+//! Simulates a robot whose joints move as logged; its base is free.
 //!
-//! The engines have servos and no prescribed joints; servos twenty times as stiff as the robot's follow to a millirad, and what
-//! they give is the torque that the motion needs.
+//! The engines have no prescribed joint angles, only servos. Servos twenty times as stiff as the robot's own follow the log to a
+//! millirad, and their torque is the torque that the motion needs.
 
 use super::log::Run;
 use super::windows::Window;
@@ -15,19 +15,20 @@ use crate::sim::{Model, Robot, State};
 use std::path::Path;
 use std::sync::Arc;
 
-/// How much stiffer than the robot's own the servos of a replay are: our choice; a joint then lags by a millirad, and numbers of
+/// Stiffness of a replay's servos as a multiple of the robot's own: our choice. A joint then lags by a millirad, and numbers of
 /// 32 bits still resolve the torque to a hundredth of its rms.
 const STIFFER: f64 = 20.0;
-/// What is sampled beside torques: gyro, specific force, the direction up (all in the base's frame), horizontal speed and height.
+/// Number of signals beside the torques: angular velocity, specific force, upward direction (three each, in the base's frame),
+/// horizontal speed and height.
 pub const SIGNALS: usize = 11;
-/// Time simulated beyond a window [s], for logs that are late: five times the usual delay.
+/// Time simulated after the end of a window [s], for sensors with a delay: five times the usual delay.
 pub const BEYOND: f64 = 0.03;
-/// Robots that advance in one engine: the widest block of lanes.
+/// Robots in one engine: as many as the widest block of lanes.
 const TOGETHER: usize = 16;
-/// Ticks between two looks at whether the work is to stop.
+/// Ticks between two checks whether the work was cancelled.
 const HEED: usize = 256;
 
-/// A robot from any source.
+/// A robot, from our own description or from a URDF or MJCF file.
 #[derive(Clone)]
 pub enum Body {
     Legged(Box<Robot>),
@@ -41,7 +42,7 @@ impl Body {
         if ![".urdf", ".xml", ".mjcf"].iter().any(|end| lower.ends_with(end)) {
             return match touches {
                 None => Ok(Self::Legged(Box::new(Robot::load(name)?))),
-                Some(_) => Err(Error::invalid("touches", "only robots from URDF and MJCF files take it")),
+                Some(_) => Err(Error::invalid("touches", "only robots from URDF and MJCF files take this key")),
             };
         }
         let import = robots::load(Path::new(name))?;
@@ -62,16 +63,18 @@ impl Body {
         }
     }
 
-    /// The same with another leg; robots from files have none to choose.
+    /// The same robot with another leg shape. Robots from URDF and MJCF files have no choice of legs.
     pub fn with_leg(&self, leg: Option<&str>) -> Result<Self> {
         match (self, leg) {
             (Self::Legged(robot), Some(leg)) => Ok(Self::Legged(Box::new(robot.as_ref().clone().with_leg_shape(leg)?))),
-            (Self::Tree(_), Some(_)) => Err(Error::invalid("leg", "only built-in robots and our own TOML take it")),
+            (Self::Tree(_), Some(_)) => {
+                Err(Error::invalid("leg", "only built-in robots and robots from TOML take a leg"))
+            }
             (own, None) => Ok(own.clone()),
         }
     }
 
-    /// Gains of the servo at each joint, where there is one: kp [N·m/rad], kd [N·m·s/rad].
+    /// Gains of each joint's servo: kp [N·m/rad], kd [N·m·s/rad]; 0 if the joint has none.
     pub fn gains(&self) -> Vec<[f64; 2]> {
         match self {
             Self::Legged(robot) => vec![[robot.servo.kp, robot.servo.kd]; robot.joint_names().len()],
@@ -82,14 +85,14 @@ impl Body {
         }
     }
 
-    /// A model whose joints follow what they are told.
+    /// The model with stiff servos, whose joints follow their targets.
     pub fn model(&self, scene: &Scene) -> Result<Model> {
         match self {
             Self::Legged(robot) => {
                 let mut model = Model::new(robot, scene)?;
                 let weight = model.total_mass() * crate::sim::model::GRAVITY;
                 let kp = if robot.servo.kp > 0.0 { robot.servo.kp } else { weight * robot.base.size[0] };
-                // kd/kp of the reference hexapod where there is none.
+                // Without damping in the robot's file: the ratio kd/kp of the reference hexapod.
                 let kd = if robot.servo.kd > 0.0 { robot.servo.kd } else { 0.01 * kp };
                 model.motor.kp = STIFFER * kp;
                 model.motor.kd = STIFFER * kd;
@@ -116,7 +119,7 @@ impl Body {
     }
 }
 
-/// A logged joint, smoothed: a cubic through seven samples (Savitzky & Golay 1964), which takes an encoder's steps away.
+/// A logged angle without the steps of its encoder: a cubic through seven samples (Savitzky & Golay 1964).
 pub fn smoothed(q: &[f64]) -> Vec<f64> {
     const WEIGHTS: [f64; 7] = [-2.0, 3.0, 6.0, 7.0, 6.0, 3.0, -2.0];
     let n = q.len();
@@ -129,7 +132,7 @@ pub fn smoothed(q: &[f64]) -> Vec<f64> {
     (0..n).map(at).collect()
 }
 
-/// Cubic through samples, with the slope of their neighbours (Catmull & Rom 1974).
+/// Cubic interpolation with slopes from the neighbouring samples (Catmull & Rom 1974).
 fn between(t: &[f64], q: &[f64], at: f64) -> f64 {
     let n = t.len();
     let right = t.partition_point(|&p| p < at).clamp(1, n - 1);
@@ -167,7 +170,7 @@ impl Drive {
         Self { tick, ticks, joints, angles }
     }
 
-    /// Of joints that stay at 0.
+    /// Joints that stay at 0.
     #[cfg(test)]
     pub fn still(joints: usize, tick: f64) -> Self {
         Self { tick, ticks: 0, joints, angles: vec![0.0; joints] }
@@ -179,23 +182,24 @@ impl Drive {
     }
 }
 
-/// One replay: signals tick by tick, torques first, then [`SIGNALS`]; the first tick ends one step after the start.
+/// The result of one replay: each signal at every tick, first the torques, then the [`SIGNALS`] others. The first value is that of
+/// one tick after the start.
 #[derive(Clone, Default)]
 pub struct Track {
     /// Signal by signal.
     pub signals: Vec<Vec<f64>>,
 }
 
-/// What is replayed: a model, how it is driven, and where the IMU is [m].
+/// One replay: the model, its joints' motion, and the position of the IMU [m].
 pub struct Task<'a> {
     pub model: &'a Model,
     pub drive: &'a Drive,
     pub imu: [f64; 3],
 }
 
-/// Replays all tasks, spread over the processors; empty tracks once stopped.
+/// Replays all tasks, distributed over the processors. The tracks are empty after a cancellation.
 pub fn replay(engine: EngineKind, tasks: &[Task], latch: &Latch) -> Result<Vec<Track>> {
-    // Long ones together, so that few lanes wait.
+    // Tasks of similar length are computed together, so that few lanes idle.
     let mut order: Vec<usize> = (0..tasks.len()).collect();
     order.sort_by_key(|&k| std::cmp::Reverse(tasks[k].drive.ticks));
     let chunks: Vec<&[usize]> = order.chunks(TOGETHER).collect();
@@ -252,7 +256,7 @@ fn block(kind: EngineKind, tasks: &[&Task], latch: &Latch) -> Result<Vec<Track>>
     Ok(tracks)
 }
 
-/// Feet on the surface, the base level in the surface's frame and still.
+/// The robot at rest with its feet on the surface; the base is parallel to the surface.
 fn start(task: &Task) -> State {
     let angles = task.drive.at(0);
     let height = match &task.model.tree {
@@ -264,7 +268,7 @@ fn start(task: &Task) -> State {
 
 type V = nalgebra::Vector3<f64>;
 
-/// What sensors at the base read over the tick from `before` to `now`.
+/// Appends what the sensors read over the tick from `before` to `now`.
 pub fn sample(task: &Task, before: &State, now: &State, track: &mut Track) {
     let tick = task.drive.tick;
     let rows = now.rotation();

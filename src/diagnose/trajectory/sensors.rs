@@ -1,10 +1,10 @@
-//! What the log's sensors would read of a replay, mean by mean over the parts of strides.
+//! Computes what the log's sensors would have read during a replay, as means over the parts of each stride.
 
 use super::replay::{SIGNALS, Track};
 use super::windows::{BINS, Integral, Window, bins};
 use crate::observations::Channel;
 
-/// Names of torque channels, joint by joint.
+/// Names of the torque channels, one for each joint.
 const TORQUES: [&str; super::log::MOST_JOINTS] = [
     "torque_1",
     "torque_2",
@@ -40,15 +40,15 @@ const IMU: [(&str, &str); 6] = [
     ("acc_z", "m/s²"),
 ];
 
-/// Which channels there are, and in what order: torques, gyro, specific force, direction up, speed, servo.
+/// The channels of a log, in this order: torques, gyro, specific force, upward direction, speed, servo.
 #[derive(Clone, Copy, Debug)]
 pub struct Layout {
     pub joints: usize,
-    /// Is there an attitude?
+    /// Does the log have an attitude?
     pub attitude: bool,
-    /// Is the base's place known?
+    /// Does the log have the base's position?
     pub place: bool,
-    /// Is it known what the hips were told?
+    /// Does the log give the command of the hips?
     pub servo: bool,
 }
 
@@ -73,7 +73,7 @@ impl Layout {
         self.joints + 6 + 2 * usize::from(self.attitude) + usize::from(self.place) + usize::from(self.servo)
     }
 
-    /// First channel of the direction up, where there is one.
+    /// First channel of the upward direction, if there is one.
     pub fn up(&self) -> Option<usize> {
         self.attitude.then_some(self.joints + 6)
     }
@@ -83,19 +83,19 @@ impl Layout {
     }
 }
 
-/// How the IMU is mounted and how late its log is.
+/// Rotation and delay of the IMU, beyond what the experiment file states.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Mounting {
-    /// Turned by this beyond what the experiment says [rad], a rotation vector in the IMU's frame.
+    /// Rotation vector in the IMU's frame [rad].
     pub turn: [f64; 3],
-    /// Its log is late by [s].
+    /// Delay of its readings [s].
     pub delay: f64,
 }
 
 type M = nalgebra::Matrix3<f64>;
 
 impl Mounting {
-    /// Base's frame to the IMU's, which the experiment says has the quaternion `quat` in the base's.
+    /// Rotation from the base's frame to the IMU's frame; `quat` is the mounting that the experiment file states.
     fn to_imu(self, quat: [f64; 4]) -> M {
         let [w, x, y, z] = quat;
         let nominal = nalgebra::UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z));
@@ -104,7 +104,7 @@ impl Mounting {
     }
 }
 
-/// Numbers of all strides of one window, stride by stride, in each channel by channel. The servo's channel is left at 0.
+/// The predicted numbers of one window: stride by stride, channel by channel. The servo's channel is 0 here.
 pub fn read(
     layout: &Layout,
     window: &Window,

@@ -1,7 +1,8 @@
-//! What the servos ask of the motors: a motor that gives less is weak.
+//! The torque that the servos requested from the motors. A weak motor gives less.
 //!
-//! A replay takes the joints' motion as it was, so it cannot show that they did not follow. The servo's own law can: from what
-//! the hips were told and where they were it says which torque was asked for.
+//! A replay uses the joints' motion as logged, so it cannot show that the joints lagged behind their command. The servo's law can:
+//! from the commanded and the logged angles it gives the requested torque. In this file, `asked` is the requested torque and `given`
+//! the motor's torque.
 
 use super::log::{Log, Run};
 use super::replay::{Body, smoothed};
@@ -9,33 +10,34 @@ use super::windows::{Integral, Window, bins};
 use crate::error::Result;
 use crate::sim::walk::hip_angle;
 
-/// Torques asked for beyond this share of the greatest logged one tell nothing more: our choice. A servo that has wound up asks for
-/// whatever.
+/// Requested torques are cut off at this multiple of the largest logged torque: our choice. A joint far behind its command requests
+/// any torque, which says nothing about the motor.
 const MOST: f64 = 2.0;
 
-/// Time from which the hips turn steadily [s]: after the protocol's ramp.
+/// Time after which the hips turn steadily [s]: the protocol's hold and ramp end at 0.5 s.
 const SETTLED: f64 = 0.6;
 
-/// Fewest samples after that: our choice.
+/// Fewest samples of steady turning: our choice.
 const FEWEST: usize = 30;
 
-/// Torques asked for in one run, joint by joint, sample by sample [N·m].
+/// Requested torques of one run.
 struct OfRun {
+    /// Joint by joint, sample by sample [N·m].
     joints: Vec<Vec<f64>>,
     /// First sample of steady turning.
     turning: usize,
-    /// Greatest torque that tells anything [N·m].
+    /// Torque at which the requests are cut off [N·m].
     most: f64,
-    /// Is it known where each joint was when it was told to start?
+    /// Is the angle of each joint at the start of its command known?
     exact: bool,
 }
 
-/// Torques asked for in all runs.
+/// Requested torques of all runs.
 pub struct Asked {
     runs: Vec<OfRun>,
 }
 
-/// What the hips were told in a log: none where it does not say, or where the robot has no servo.
+/// The requested torques of a log. None if it does not give the command of the hips, or if the robot has no servo.
 pub fn asked(log: &Log, bodies: &[Body]) -> Result<Option<Asked>> {
     let runs: Option<Vec<_>> = log.runs.iter().zip(bodies).map(|(run, body)| of_run(run, body)).collect();
     Ok(runs.map(|runs| Asked { runs }))
@@ -71,13 +73,14 @@ fn slope(t: &[f64], q: &[f64], i: usize) -> f64 {
     (q[b] - q[a]) / (t[b] - t[a])
 }
 
-/// Places at which the zero of a servo is tried first, among the differences that it may be: our choice.
+/// First values that are tried for the offset in [`zero`], evenly among the sorted differences: our choice.
 const TRIED: usize = 24;
-/// Steps from the best of them: our choice, each halves what is left at least.
+/// Most iterations from the best of them: our choice; each at least halves the error.
 const CLOSER: usize = 8;
 
-/// Where a joint was when it was told to start, and when exactly, is not known: the torque [N·m] to add to what was asked for, so that
-/// motors with a limit give what was logged, as nearly as can be. Samples that the limit cuts say nothing of it.
+/// The angle of a joint at the start of its command is not known, nor is the exact time of the start. This makes a constant error of
+/// the requested torque. The result is the torque [N·m] to add to the requests, so that motors with this limit give the logged
+/// torques with the least squared error. Samples at the limit carry no information about it.
 fn zero(asked: &[f64], given: &[f64], limit: f64) -> f64 {
     let mut apart: Vec<f64> = asked.iter().zip(given).map(|(a, t)| t - a).collect();
     if limit == f64::MAX {
@@ -101,7 +104,7 @@ fn zero(asked: &[f64], given: &[f64], limit: f64) -> f64 {
     best
 }
 
-/// Torques that motors give [N·m], mean over the joints, sample by sample of each run.
+/// Predicted torques of the motors [N·m], mean over the joints, at each sample of each run.
 pub struct Given {
     runs: Vec<Vec<f64>>,
 }
@@ -114,7 +117,7 @@ impl Given {
 }
 
 impl Asked {
-    /// Of joints whose servos ask for `torques`, run by run and joint by joint, sample by sample.
+    /// Requests that are known exactly: `torques` run by run, joint by joint, sample by sample.
     pub fn exactly(runs: &[Run], torques: Vec<Vec<Vec<f64>>>) -> Self {
         let of = |(run, joints): (&Run, Vec<Vec<f64>>)| {
             let most = joints.iter().flatten().fold(0.0, |m: f64, t| m.max(t.abs()));
@@ -123,7 +126,7 @@ impl Asked {
         Self { runs: runs.iter().zip(torques).map(of).collect() }
     }
 
-    /// What motors with a limit [N·m] give; a limit of 0 is none.
+    /// Torques of motors with a limit [N·m]; a limit of 0 means no limit.
     pub fn given(&self, runs: &[Run], limit: f64) -> Given {
         let limit = if limit > 0.0 { limit } else { f64::MAX };
         let of = |(own, run): (&OfRun, &Run)| {
@@ -140,7 +143,7 @@ impl Asked {
     }
 }
 
-/// What the motors gave [N·m], mean over the joints, as [`Given::of`] says it.
+/// Logged torques of the motors [N·m], mean over the joints, in the same parts of strides as [`Given::of`].
 pub fn logged(run: &Run, window: &Window) -> Vec<f64> {
     let given = |i: usize| run.tau.iter().map(|tau| tau[i]).sum::<f64>() / run.tau.len() as f64;
     mean(run, window, &(0..run.t.len()).map(given).collect::<Vec<_>>())
@@ -155,9 +158,9 @@ fn mean(run: &Run, window: &Window, values: &[f64]) -> Vec<f64> {
 mod tests {
     use super::zero;
 
-    /// A motor that is cut nearly all the time, and a servo whose start is not known.
+    /// The motor is at its limit most of the time, and the requests have a hidden constant offset.
     #[test]
-    fn a_zero_is_found_beside_the_limit() {
+    fn a_servos_offset_is_found_despite_the_limit() {
         let asked: Vec<f64> = (0..400).map(|i| 0.03 * (0.1 * f64::from(i)).sin() + 0.02).collect();
         for (limit, hidden) in [(0.01, 0.013), (0.01, -0.05), (0.02, 0.0)] {
             let given: Vec<f64> = asked.iter().map(|a| (a + hidden).clamp(-limit, limit)).collect();

@@ -1,4 +1,4 @@
-//! Replays of many states, read as the log's sensors read.
+//! Replays with many sets of mechanisms and coefficients, and the sensors' readings of each.
 
 use super::model::{KNOWN, State, TrajectoryModel};
 use super::replay::{Body, Task, Track, replay};
@@ -12,16 +12,16 @@ use crate::sim::model::Scene;
 use std::collections::HashMap;
 use std::sync::PoisonError;
 
-/// Changes of the sand's strength, relative, that are next to nothing: our choice, a hundredth of how beds scatter at most.
+/// Relative changes of the sand's strength that are too small to measure: our choice, at most a hundredth of the scatter of beds.
 const NUDGES: [f64; 6] = [-3e-4, -2e-4, -1e-4, 1e-4, 2e-4, 3e-4];
-/// A scatter counts as so many times its variance: our choice, so that what it does to χ² stays below a quarter for each window and channel.
+/// Factor on the variance of that scatter: our choice, so that it adds less than a quarter to χ² for each window and channel.
 const SETTLED: f64 = 4.0;
 
 impl TrajectoryModel<'_> {
     pub(super) fn models(&self, (mechanisms, coefficients): &State, payload: f64, dt: f64) -> Result<Vec<Model>> {
         let of = |run: usize| {
             let mut scene = Scene::flat(Medium { coefficients: *coefficients, ..self.medium.clone() });
-            // How the joints moved is known: a weak motor shows in what the servos asked for.
+            // The joints move as logged, so a weak motor has no effect here; it shows in the requested torques.
             scene.mechanisms = Mechanisms { motor_torque_limit: 0.0, ..*mechanisms };
             (scene.slope_deg, scene.dt) = (self.log.runs[run].slope_deg, dt);
             if matches!(self.bodies[run], Body::Tree(_)) {
@@ -39,7 +39,8 @@ impl TrajectoryModel<'_> {
         (0..self.log.runs.len()).map(of).collect()
     }
 
-    /// Tracks of several states, state by state and window by window, with `payload` as a share of the robot's mass.
+    /// Tracks of several states, state by state and window by window. `payload` is a share of the robot's mass; the time step is divided
+    /// by `finer`.
     pub(super) fn tracks(&self, states: &[State], payload: f64, finer: f64) -> Vec<Vec<Track>> {
         let dt = Scene::DEFAULT_DT / finer;
         let models: Result<Vec<Vec<Model>>> = states.iter().map(|s| self.models(s, payload, dt)).collect();
@@ -58,7 +59,7 @@ impl TrajectoryModel<'_> {
         }
     }
 
-    /// Numbers of all windows, the servo's channel at 0.
+    /// The predicted numbers of all windows; the servo's channel is 0.
     pub(super) fn read(&self, tracks: &[Track], mounting: Mounting) -> Vec<f64> {
         let of = |(k, track): (usize, &Track)| {
             read(&self.layout, &self.windows[k], track, self.drives[k].tick, mounting, self.keys.imu_quat)
@@ -66,7 +67,7 @@ impl TrajectoryModel<'_> {
         tracks.iter().enumerate().flat_map(of).collect()
     }
 
-    /// Puts in what the motors give.
+    /// Fills in the servo's channel for motors with this torque limit.
     pub(super) fn with_servo(&self, mut stack: Vec<f64>, limit: f64) -> Vec<f64> {
         let (Some(asked), Some(channel)) = (&self.asked, self.layout.servo_channel()) else { return stack };
         let given = asked.given(&self.log.runs, limit);
@@ -82,7 +83,7 @@ impl TrajectoryModel<'_> {
         stack
     }
 
-    /// Replays of several states, as read by an IMU that is mounted as the experiment says.
+    /// Predicted numbers of several states, with the IMU mounted as the experiment file states.
     pub(super) fn simulate(&self, states: &[State]) -> Vec<Vec<f64>> {
         let keys: Vec<Vec<u64>> = states.iter().map(key).collect();
         let known = || self.known.lock().unwrap_or_else(PoisonError::into_inner);
@@ -97,7 +98,7 @@ impl TrajectoryModel<'_> {
                 }
             }
         }
-        // A few at a time: tracks are long.
+        // Sixteen at a time, because tracks need much memory.
         for part in new.chunks(16) {
             let states: Vec<State> = part.iter().map(|&k| states[k]).collect();
             let tracks = self.tracks(&states, 0.0, 1.0);
@@ -117,9 +118,10 @@ impl TrajectoryModel<'_> {
             .collect()
     }
 
-    /// Where a gait hops or sways, a change of the sand that nobody could measure throws it into another course, as it would the robot:
-    /// such numbers say little. The variance that this adds to each: replays on sand that differs by next to nothing scatter by so
-    /// much, and in one window and channel they err together, so that all of these numbers tell no more than a part of one.
+    /// Variance of each predicted number due to chaotic motion. If a gait hops or sways, a change of the sand that is too small to
+    /// measure changes the robot's path, and the numbers after it carry little information. The variance is the scatter of replays on
+    /// sands that differ by [`NUDGES`]. Within one window and channel these errors are correlated, so the sum over all its numbers is
+    /// taken: together they count less than one number.
     pub(super) fn unsettled(&self, (mechanisms, coefficients): &State, prediction: &[f64]) -> Vec<f64> {
         let states = NUDGES.map(|nudge| {
             let scale = (1.0 + mechanisms.scale) * (1.0 + nudge) - 1.0;
@@ -133,11 +135,11 @@ impl TrajectoryModel<'_> {
             let square = nudged.iter().map(|n| (n[k] - here).powi(2)).sum::<f64>() / NUDGES.len() as f64;
             squares[block(k)] += if square.is_finite() { square } else { 0.0 };
         }
-        // The mean square times the block's numbers is the sum.
+        // Mean square times the count of the block's numbers, that is, their sum of squares.
         (0..prediction.len()).map(|k| SETTLED * squares[block(k)]).collect()
     }
 
-    /// A stack of f(unit's run, channel, bin's ends).
+    /// A vector in the order of the predictions, with f(run, channel, ends of the part) at each place.
     pub(super) fn stack(&self, f: impl Fn(usize, usize, [f64; 2]) -> f64) -> Vec<f64> {
         let mut stack = Vec::with_capacity(self.window_of.len() * self.span());
         for window in &self.windows {

@@ -1,8 +1,8 @@
-//! Logs of our own generator, whose rigid bodies are the other engine's, and what the diagnosis makes of them.
+//! Diagnoses of logs that the module `generate` simulates in the rapier engine.
 
 use super::generate::{Truth, csv, experiment, file};
 use super::log::Log;
-use super::{TrajectoryModel, read, slips};
+use super::{TrajectoryModel, consistency, read};
 use crate::diagnose;
 use crate::error::Result;
 use crate::forward::ForwardModel;
@@ -19,7 +19,7 @@ fn read_text(text: &str) -> Result<Log> {
     read(file(text).path(), &experiment())
 }
 
-/// The one cause, within a tenth.
+/// The verdict names this cause alone, with its value to a tenth.
 fn named(truth: &Truth, id: &str, value: f64) {
     let report = diagnosed(&csv(truth)).unwrap().report;
     assert_eq!(report.verdict, Verdict::Named, "{}", report.summary);
@@ -28,9 +28,9 @@ fn named(truth: &Truth, id: &str, value: f64) {
     assert!((cause.value / value - 1.0).abs() < 0.1, "{id} {} of {value}", cause.value);
 }
 
-/// A robot 3 % heavier than its description, and nothing hidden.
+/// No hidden cause, but a robot 3 % heavier than its description and a delayed IMU.
 #[test]
-fn nothing_hidden_is_the_noise_floor() {
+fn without_a_hidden_cause_the_verdict_is_noise_floor() {
     let truth = Truth { mass: 1.03, delay: 0.008, ..Truth::new(Mechanisms::PLAIN, 1) };
     let report = diagnosed(&csv(&truth)).unwrap().report;
     assert_eq!(report.verdict, Verdict::NoiseFloor, "{}", report.summary);
@@ -63,9 +63,9 @@ fn a_weak_motor_is_named() {
     named(&Truth { delay: 0.002, ..Truth::new(weak, 5) }, "motor_torque_limit", 0.01);
 }
 
-/// Walks that could be logged next are predicted like any log, and tell explanations apart.
+/// Every planned walk is predicted, and the predictions of different causes differ.
 #[test]
-fn walks_are_planned() {
+fn planned_walks_distinguish_causes() {
     let log = read_text(&csv(&Truth::new(Mechanisms::PLAIN, 7))).unwrap();
     let latch = Latch::new(&Silent);
     let (model, _) = TrajectoryModel::new(log, &experiment(), &latch).unwrap();
@@ -102,7 +102,7 @@ fn changed(text: &str, columns: &[&str], change: impl Fn(f64) -> f64) -> String 
 }
 
 #[test]
-fn slips_are_named() {
+fn wrong_units_and_signs_are_named() {
     let text = csv(&Truth::new(Mechanisms::PLAIN, 6));
     assert!(read_text(&text).is_ok());
     let told = |columns: &[&str], change: &dyn Fn(f64) -> f64, words: &str| {
@@ -124,21 +124,21 @@ fn slips_are_named() {
     told(&["t"], &|v| 1e3 * v, "is t in ms");
 }
 
-/// Attitudes in another order and direction.
+/// Quaternions in another order, and the inverse rotation.
 #[test]
-fn attitudes_are_checked() {
+fn wrong_quaternions_are_named() {
     let mut log = read_text(&csv(&Truth::new(Mechanisms::PLAIN, 7))).unwrap();
     log.runs.truncate(1);
     let run = &mut log.runs[0];
     run.acc = [vec![2.0; run.t.len()], vec![0.5; run.t.len()], vec![9.6; run.t.len()]];
-    // The rotation that turns that upward.
+    // The rotation that turns this specific force upward.
     let up = nalgebra::Vector3::new(2.0, 0.5, 9.6);
     let turn = nalgebra::UnitQuaternion::rotation_between(&up, &nalgebra::Vector3::z()).unwrap();
     let [x, y, z, w] = [turn.i, turn.j, turn.k, turn.w];
     let names: Vec<String> = super::generate::body().joint_names();
     let mut told = |q: [f64; 4]| {
         log.runs[0].attitude = q.map(|v| vec![v; log.runs[0].t.len()]);
-        let checked = slips::check(std::path::Path::new("log"), &log, &names, [1.0, 0.0, 0.0, 0.0]);
+        let checked = consistency::check(std::path::Path::new("log"), &log, &names, [1.0, 0.0, 0.0, 0.0]);
         checked.err().map(|e| e.to_string()).unwrap_or_default()
     };
     assert_eq!(told([w, x, y, z]), "");
@@ -146,7 +146,7 @@ fn attitudes_are_checked() {
     assert!(told([x, y, z, w]).contains("x, y, z, w"));
 }
 
-/// Mutated logs give a log or one line, in bounded memory.
+/// Randomly changed logs give a log or an error of one line.
 #[test]
 fn mutated_logs_do_not_panic() {
     use rand::{Rng, SeedableRng};

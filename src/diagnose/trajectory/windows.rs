@@ -1,26 +1,28 @@
-//! What of a log is replayed, and what of that is compared: windows, each a lead-in and then strides.
+//! Selects the parts of a log that are replayed. A window is a lead-in, which is simulated but not compared, and then the strides
+//! that are compared.
 //!
-//! Where a replay starts is not known: how deep the feet stand, how the base moves. Sand takes energy from everything, so a start
-//! is forgotten: a window begins with a lead-in that is simulated and not compared.
+//! The state at the start of a replay (depth of the feet, motion of the base) is not in the log. Sand dissipates energy, so the
+//! simulation forgets its initial state during the lead-in.
 
 use super::log::Run;
 use std::f64::consts::TAU;
 
-/// Parts of a stride that are compared: means over each. Our choice: the eighth harmonic of the gait is still seen.
+/// Parts of a stride; the mean over each part is compared. Our choice: it resolves the gait up to the eighth harmonic.
 pub const BINS: usize = 16;
-/// Turns of the hips, or windows, before the first stride that is compared: our choice.
+/// Turns of the hips before the first stride that is compared: our choice.
 const LEAD_IN: f64 = 0.75;
-/// Strides of a run that are replayed in one window, and how many of them are compared: our choices. More would say the same again.
+/// A run with at most this many strides is one window, and at most so many of them are compared: our choices. More strides of a run
+/// repeat the same information.
 const STRIDES: usize = 12;
 const COMPARED: usize = 4;
-/// Windows of a run that is longer, and of a whole log: our choices, for the time that they take.
+/// Windows of a longer run, and most windows of a log: our choices, which limit the computing time.
 const WINDOWS_OF_RUN: usize = 3;
 const WINDOWS: usize = 96;
-/// Strides of each of several windows of a run: our choice.
+/// Strides in each window of a longer run: our choice.
 const STRIDES_OF_MANY: usize = 4;
-/// A joint moves once it is so far [rad] from where it began: our choice, more than encoders scatter.
+/// A joint has begun to move at this distance from its first angle [rad]: our choice, above the noise of encoders.
 const MOVES: f64 = 0.1;
-/// Fewest turns for which a joint is one that turns on and on.
+/// A joint with more turns than this in a run turns round; other joints swing.
 const TURNS: f64 = 1.5;
 
 /// Part of a run that is replayed.
@@ -29,7 +31,7 @@ pub struct Window {
     pub run: usize,
     /// Where the replay starts [s].
     pub from: f64,
-    /// Beginnings and ends of what is compared [s], one after the other.
+    /// Begin and end of each stride that is compared [s].
     pub strides: Vec<[f64; 2]>,
 }
 
@@ -39,7 +41,7 @@ impl Window {
     }
 }
 
-/// The windows of all runs; `length` [s] cuts gaits whose joints swing and whose stride frequency is not known.
+/// The windows of all runs. `length` [s] is the length of a stride if the joints swing and the stride frequency is not known.
 pub fn windows(runs: &[Run], length: f64) -> Vec<Window> {
     let mut all: Vec<Window> = runs.iter().enumerate().flat_map(|(k, run)| of_run(k, run, length)).collect();
     if all.len() > WINDOWS {
@@ -66,13 +68,14 @@ fn of_run(index: usize, run: &Run, length: f64) -> Vec<Window> {
         whole.strides = (0..kept).map(|k| whole.strides[k * (count - 1) / (kept - 1).max(1)]).collect();
         return vec![whole];
     }
-    // Windows begin one stride before the first that is compared.
+    // A window begins one stride before the first stride that is compared.
     let last = count - STRIDES_OF_MANY;
     let first = |k: usize| (1 + k * (last - 1) / (WINDOWS_OF_RUN - 1)).min(last);
     (0..WINDOWS_OF_RUN).map(|k| window(edges[first(k) - 1], first(k), STRIDES_OF_MANY)).collect()
 }
 
-/// Where strides begin and end [s]: where the joint that turns farthest has turned once more; without one, each period or `length`.
+/// Times between strides [s]: at each full turn of the joint that turns farthest. If all joints swing, at each period of the stride
+/// frequency, or after each `length`.
 fn edges(run: &Run, length: f64) -> Vec<f64> {
     let way = |q: &Vec<f64>| q[q.len() - 1] - q[0];
     let farthest = run.q.iter().max_by(|a, b| way(a).abs().total_cmp(&way(b).abs()));
@@ -95,13 +98,13 @@ fn edges(run: &Run, length: f64) -> Vec<f64> {
             next += TAU;
         }
         if now - next > 10.0 * TAU {
-            break; // a jump of many turns is no walk
+            break; // the angle jumps by many turns: broken data
         }
     }
     edges
 }
 
-/// Running integrals of a signal, for means over any time.
+/// The integral of a signal from its start to each sample, for means between any two times.
 pub struct Integral<'a> {
     t: &'a [f64],
     sums: Vec<f64>,
@@ -109,7 +112,7 @@ pub struct Integral<'a> {
 }
 
 impl<'a> Integral<'a> {
-    /// Of a signal that is straight between samples.
+    /// The signal is linear between its samples.
     pub fn new(t: &'a [f64], values: &'a [f64]) -> Self {
         let mut sum = 0.0;
         let mut sums = vec![0.0; values.len()];
@@ -134,7 +137,7 @@ impl<'a> Integral<'a> {
     }
 }
 
-/// Ends of the bins of a stride.
+/// Begin and end of each part of a stride.
 pub fn bins([from, to]: [f64; 2]) -> impl Iterator<Item = [f64; 2]> {
     let edge = move |k: usize| from + (to - from) * k as f64 / BINS as f64;
     (0..BINS).map(move |k| [edge(k), edge(k + 1)])

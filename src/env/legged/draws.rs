@@ -16,7 +16,7 @@ pub struct Draws {
 }
 
 options! {
-    /// Those of legged_gym.
+    /// Ranges of commands; the defaults are those of legged_gym.
     #[derive(Copy, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct Commands {
@@ -42,7 +42,7 @@ options! {
 }
 
 impl DomainRand {
-    /// Nothing is drawn.
+    /// Ranges without randomness.
     pub const NONE: Self = Self {
         friction_range: [1.0; 2],
         sand_range: [1.0; 2],

@@ -32,12 +32,12 @@ pub struct LeggedEpisode {
     pub now: [f64; 3],
     /// Control steps since the start.
     pub step: u32,
-    /// Time since each foot left the ground [s].
+    /// Time for which each foot has been in the air [s].
     pub air: Vec<f64>,
 }
 
 impl LeggedEpisode {
-    /// Always draws as many numbers in the same order.
+    /// Draws an episode's values. The number and order of the draws are always the same.
     pub fn draw(from: Draws, model: &Model, random: &mut Random) -> Self {
         let Draws { commands, rand, steps } = from;
         let mut one = |[low, high]: [f64; 2]| random.uniform(low, high);
@@ -66,7 +66,7 @@ impl LeggedEpisode {
         let feet = model.tree.as_ref().map_or(0, |tree| tree.stance.feet.len());
         let most = |x: &f64| x.abs() <= MOST_COMMAND;
         let rand = from.rand;
-        // A reset may have changed the ranges since, so these are the options' bounds.
+        // A reset may have changed the ranges meanwhile, so the values are compared with the bounds of the options.
         (0.0..=10.0).contains(&self.friction)
             && (0.05..=20.0).contains(&self.sand)
             && (-0.3..=1.0).contains(&(self.added_mass / model.total_mass()))
@@ -80,7 +80,7 @@ impl LeggedEpisode {
             && self.air.iter().all(|t| (0.0..1e6).contains(t))
     }
 
-    /// The session's model with the drawn values.
+    /// The model of the session, changed by the drawn values.
     pub fn model(&self, own: &Model) -> Result<Model> {
         let mut model = own.clone();
         let Some(tree) = &model.tree else { return Ok(model) };

@@ -30,7 +30,7 @@ use episode::LeggedEpisode;
 use reward::{Contacts, LeggedStep};
 use std::sync::Arc;
 
-/// Bounds of the observation; values beyond are clipped. Some three times what a falling robot reaches.
+/// Bounds of the observation; values beyond are clipped. Our choice: some three times the values of a falling robot.
 const SPEED: f64 = 10.0; // [m/s]
 const TURN: f64 = 30.0; // [rad/s]
 const JOINT_SPEED: f64 = 100.0; // [rad/s]
@@ -264,7 +264,7 @@ impl Task for LeggedVelocity {
             return Err("its robot".into());
         };
         if !legged.is_sound(setup.options.draws(), setup.model) {
-            return Err("what it drew".into());
+            return Err("its drawn values".into());
         }
         goal.model = Some(Arc::new(legged.model(setup.model).map_err(|e| e.to_string())?));
         Ok(())

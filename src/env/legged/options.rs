@@ -17,10 +17,11 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 
 options! {
-    /// Options of LeggedVelocity. `dt`: our choice, twice that of the hexapods, whose feet turn faster. A trot of
-    /// the test quadruped differed from one at 0.125 ms by up to 5 % in sand and 10 % on hard ground; at 1 ms by 8
-    /// % on hard ground. Episodes take 20 s as in legged_gym. Its actions have no bounds and an `action_scale` of
-    /// 0.25; here they end at ± 1, which at that scale moves Go1's feet too little to walk.
+    /// Options of LeggedVelocity. `dt`: our choice, twice that of the hexapods, whose feet move faster. A trot of the
+    /// test quadruped at this time step differed from one at 0.125 ms by up to 5 % in sand and 10 % on hard ground; at
+    /// 1 ms by 8 % on hard ground. Episodes take 20 s as in legged_gym. legged_gym has an `action_scale` of 0.25 and no
+    /// bounds on actions. Here actions are within ± 1, and with a scale of 0.25 Go1's feet would move too little to
+    /// walk.
     pub struct LeggedOptions {
         robot: RobotName = RobotName::TREE.into(), "built-in robot sandcat, or a packed file (Python: its path)";
         law: Law = Law::Li2013, "resistive force law: li2013, penetration-drag-1d or agarwal2023";
@@ -81,7 +82,7 @@ impl LeggedOptions {
         let dunes = (self.ground == DUNES).then(ReliefOptions::default);
         if let Some(relief) = self.relief.as_ref().or(dunes.as_ref()) {
             if self.slope_deg != 0.0 {
-                return Err(Error::invalid("slope_deg", "a relief has its own slopes"));
+                return Err(Error::invalid("slope_deg", "a relief defines the slopes; leave out slope_deg"));
             }
             scene.relief = Some(Arc::new(relief.relief()?));
         }
@@ -89,7 +90,7 @@ impl LeggedOptions {
     }
 }
 
-/// Kinds of ground besides media: hard, slabs of hard ground in sand, sand that is not flat.
+/// Kinds of ground besides media: hard ground, slabs of hard ground in sand, and dunes.
 const GROUNDS: [&str; 3] = ["rigid", "mixed", DUNES];
 /// Loose sand that is not flat.
 const DUNES: &str = "dunes";

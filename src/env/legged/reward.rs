@@ -14,7 +14,7 @@ const TRACKING: f64 = 0.25;
 const AIR: f64 = 0.5;
 /// Commanded speed below which the robot should stand [m/s].
 const STANDING: f64 = 0.1;
-/// Share of a joint's range at its ends that it should avoid (A1: soft limits of 0.9).
+/// Share of a joint's range at either end that the joint should avoid (A1: soft limits of 0.9).
 const OUTER: f64 = 0.05;
 
 /// The bodies that touch the ground.
@@ -112,7 +112,7 @@ fn off_default(s: &LeggedStep) -> f64 {
     s.t.after.angles.iter().zip(s.default).map(|(q, default)| (q - default).abs()).sum()
 }
 
-/// How far all joints are in the outer parts of their ranges [rad].
+/// Sum over the joints of the distance by which each is in the outer part of its range [rad].
 fn beyond_limits(model: &Model, state: &State) -> f64 {
     let Some(tree) = &model.tree else { return 0.0 };
     let way = |(joint, q): (&crate::sim::tree::TreeJoint, &f64)| {

@@ -1,6 +1,6 @@
 //! The macro that declares options.
 
-/// Declares a struct of options; [`crate::options`] shows how, one line an option:
+/// Declares a struct of options; [`crate::options`] shows how, one line for each option:
 /// `name: Type = default, [low, high], reset, "help";`, where bounds and `reset` may be missing.
 #[macro_export]
 macro_rules! options {

@@ -39,15 +39,15 @@ pub struct OptionRow {
 
 /// A struct of options; [`options!`](crate::options!) implements it.
 pub trait Options: Clone + Default + PartialEq + std::fmt::Debug + Send + Sync + 'static {
-    /// In the order of the declaration, included ones first.
+    /// All options in the order of the declaration, those of included structs first.
     fn rows() -> Vec<OptionRow>;
 
     fn get(&self, name: &str) -> Option<Value>;
 
-    /// Sets option `name`; of a dictionary, only the keys in `value`. Returns false if there is no such option.
+    /// Sets option `name`; in a dictionary, only the keys in `value` change. Returns false if there is no such option.
     fn set(&mut self, name: &str, value: &Value) -> Result<bool>;
 
-    /// Refuses values out of bounds; `prefix` stands before each name in errors.
+    /// Refuses values out of bounds. In errors, `prefix` precedes each name.
     fn check_all(&self, prefix: &str) -> Result<()>;
 }
 

@@ -85,10 +85,10 @@ impl Bounded for [f64; 2] {
     }
 }
 
-/// `old` changed by `given`; of a dictionary, only the keys in `given` change.
+/// The value after `given` was set; in a dictionary, only the keys in `given` change.
 pub fn changed<T: Serialize + DeserializeOwned>(name: &str, old: &T, given: &Value) -> Result<T> {
     let refused = |e: serde_json::Error| match given {
-        Value::Null => Error::invalid(name, "null is no value for it"),
+        Value::Null => Error::invalid(name, "null is not allowed"),
         _ => Error::invalid(name, e.to_string()),
     };
     let mut whole = serde_json::to_value(old).map_err(refused)?;

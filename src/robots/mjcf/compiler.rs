@@ -9,7 +9,7 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, Unit, UnitQuaternion
 pub enum FromGeoms {
     Never,
     Always,
-    /// Where there is no `<inertial>`.
+    /// Inertia is computed from the geoms if there is no `<inertial>`.
     Auto,
 }
 
@@ -51,7 +51,7 @@ const KNOWN: [&str; 17] = [
 ];
 
 impl Compiler {
-    /// From all `<compiler>` sections; later ones take precedence.
+    /// Reads all `<compiler>` sections; later ones take precedence.
     pub fn read(root: &Element, notes: &mut Notes) -> Result<Self> {
         let mut c = Self {
             angle: 1f64.to_radians(),

@@ -4,7 +4,7 @@ use crate::error::Result;
 use crate::xml::Element;
 use std::collections::HashMap;
 
-/// Elements that share one set of defaults: all are actuators, and the latest one gives the kind.
+/// Actuators, which share one set of defaults; the latest element gives the kind.
 pub const ACTUATORS: [&str; 11] = [
     "general",
     "motor",
@@ -20,9 +20,9 @@ pub const ACTUATORS: [&str; 11] = [
 ];
 /// Name under which the defaults store an actuator's kind.
 pub const KIND: &str = "(kind)";
-/// An orientation replaces whatever other orientation the class has.
+/// Attributes of orientation: one that is given replaces any other of the class.
 const ORIENTATIONS: [&str; 5] = ["quat", "axisangle", "euler", "xyaxes", "zaxis"];
-/// A shorter list replaces the beginning of the class's.
+/// Attributes with lists: a shorter list replaces the beginning of the class's list.
 const LISTS: [&str; 4] = ["size", "friction", "gainprm", "biasprm"];
 
 type Attributes = Vec<(String, String)>;
@@ -40,7 +40,7 @@ fn key(tag: &str) -> &str {
 }
 
 impl Defaults {
-    /// From all `<default>` sections of the file.
+    /// Reads all `<default>` sections of the file.
     pub fn read(root: &Element) -> Result<Self> {
         let mut defaults = Self::default();
         for section in root.all("default") {

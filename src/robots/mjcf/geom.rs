@@ -22,11 +22,11 @@ const FRICTION: f64 = 1.0;
 /// How the mass of a mesh is computed.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Filling {
-    /// By its convex hull.
+    /// From the convex hull.
     Convex,
-    /// By its surface, which must be closed.
+    /// From the volume inside the surface, which must be closed.
     Exact,
-    /// By [`mesh::legacy`], MuJoCo's default.
+    /// By the rule of [`mesh::legacy`], MuJoCo's default.
     Legacy,
     /// A thin shell of 1 m × density.
     Shell,
@@ -128,7 +128,7 @@ fn inline(element: &Element, vertices: &[f64]) -> Result<Vec<Triangle>> {
 pub struct Geom {
     pub name: String,
     pub origin: Isometry3<f64>,
-    /// None: what collides has no volume.
+    /// None if the colliding shape has no volume.
     pub collision: Option<Geometry>,
     pub look: Look,
     pub friction: f64,
@@ -231,7 +231,7 @@ fn found<'a>(element: &Element, assets: &'a Assets) -> Result<&'a Mesh> {
     assets.get(name).ok_or_else(|| element.error(format!("there is no mesh {name:?}")))
 }
 
-/// With the geom's mass or density; without either, nothing.
+/// Mass and inertia from the geom's mass or density; none if it has neither.
 fn weighed(element: &Element, compiler: &Compiler, volume: f64, own: &Inertial) -> Result<Inertial> {
     let group = element.number("group")?.unwrap_or(0.0);
     if group < compiler.groups[0] || group > compiler.groups[1] {

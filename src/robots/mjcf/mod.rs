@@ -102,13 +102,15 @@ fn base<'a>(root: &'a Element, notes: &mut Notes) -> Result<Base<'a>> {
         ([one], _) => *one,
         ([a, b, ..], _) => {
             let name = bodies[*a].element.get("name").unwrap_or("(unnamed)").to_owned();
-            return Err(bodies[*b].element.error(format!("moves freely, and so does {name:?}: two robots")));
+            return Err(bodies[*b]
+                .element
+                .error(format!("moves freely, and so does {name:?}: the file has two robots")));
         }
         ([], 1) => {
             notes.say("the base is fixed to the world in the file; here it moves freely");
             0
         }
-        _ => return Err(root.error("no body of <worldbody> has a free joint: which one is the robot?")),
+        _ => return Err(root.error("no body of <worldbody> has a free joint: add one to the base of the robot")),
     };
     for (_, other) in bodies.iter().enumerate().filter(|(i, _)| *i != chosen) {
         notes.left_out(other.element);

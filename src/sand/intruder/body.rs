@@ -92,9 +92,9 @@ fn rising(mut plates: Vec<Plate>) -> Vec<Plate> {
 pub struct Body {
     /// Plates of a body at rest or turning about y, lowest first.
     pub plates: Vec<Plate>,
-    /// Plates of a body that turns about another axis, where they differ.
+    /// Plates of a body that turns about another axis, if they differ; otherwise empty.
     turning: Vec<Plate>,
-    /// Points that no plate of the body lies outside of; the lowest one is the body's lowest point.
+    /// Points whose convex hull contains all plates; the lowest one is the body's lowest point.
     corners: Corners,
     /// Size of the plates [m].
     pub plate_size: f64,
@@ -105,8 +105,8 @@ pub struct Body {
 /// Positions for a plate along the longest side: our choice. A period in 96 positions has forces within 1 % of
 /// those in 400; with plates half as long and twice as many positions, within 0.3 %.
 const TURNS: f64 = 1.92;
-/// Fewest and most positions, and the most plates in all positions together: our choice, 300 MB while a load is
-/// searched.
+/// Fewest and most positions, and the most plates in all positions together: our choice. With the most plates, the
+/// search for a load takes 300 MB.
 const FEWEST_TURNS: usize = 48;
 const MOST_TURNS: usize = 384;
 const MOST_TURNED: usize = 2_500_000;
@@ -117,7 +117,7 @@ fn turns(along: f64, plates: usize) -> usize {
     ((TURNS * along).round() as usize).clamp(FEWEST_TURNS, most)
 }
 
-/// The points that the lowest point is found from.
+/// The points among which the lowest point is searched.
 #[derive(Clone, Debug)]
 enum Corners {
     Sphere(f64),
@@ -132,7 +132,7 @@ impl Body {
         Self::cut_within(shape, size, mesh::MOST_PLATES)
     }
 
-    /// The same in at most `most` plates.
+    /// As [`Self::cut`], with at most `most` plates.
     pub fn cut_within(shape: &BodyShape, size: Option<f64>, most: usize) -> Result<Self> {
         let (corners, longest, surface) = match *shape {
             BodyShape::Cylinder { radius, width } => {
@@ -157,7 +157,7 @@ impl Body {
             BodyShape::Mesh(_) => Vec::new(),
         };
         let turning = match *shape {
-            // The two ends of the rim dip into the sand at different times.
+            // The two ends of the rim enter the sand at different times.
             BodyShape::Cylinder { radius, width } => cut::cylinder_across(radius, width, size, size, cut::FINE),
             _ => Vec::new(),
         };
@@ -224,7 +224,7 @@ impl Body {
         area(&self.plates)
     }
 
-    /// Does any rotation about `axis` (unit) leave the body unchanged?
+    /// Does every rotation about `axis` (unit) leave the body unchanged?
     pub fn is_round_about(&self, axis: Vec3<f64>) -> bool {
         match self.corners {
             Corners::Sphere(_) => true,
@@ -243,7 +243,7 @@ impl Body {
         }
     }
 
-    /// The same over a whole turn about `axis` (unit), in which each point moves on a circle.
+    /// As [`Self::heights`], over a whole turn about `axis` (unit), in which each point moves on a circle.
     pub fn heights_in_turn(&self, axis: Vec3<f64>) -> [f64; 2] {
         let level = (1.0 - axis.z * axis.z).max(0.0).sqrt();
         match &self.corners {
@@ -267,7 +267,7 @@ impl Body {
     }
 }
 
-/// The requested or default plate size; refused where it makes too many plates.
+/// The requested or default plate size; an error if it makes too many plates.
 fn size_within(asked: Option<f64>, longest: f64, surface: f64, most: usize) -> Result<f64> {
     let size = asked.unwrap_or(longest / ALONG);
     let least = (surface / most as f64).sqrt() * 1.01;

@@ -12,13 +12,13 @@ fn pieces(length: f64, size: f64, least: usize) -> usize {
     ((length / size - 1e-9).ceil() as usize).max(least)
 }
 
-/// A cylinder about y. Along the rim the plates are half as long as `size` and four times as wide: while its axis is level
-/// pressure changes along the rim and hardly across it.
+/// A cylinder about y. The plates are half as long as `size` along the rim and four times as wide across it, because
+/// with a level axis the pressure changes along the rim and hardly across it.
 pub fn cylinder(radius: f64, width: f64, size: f64, least: usize) -> Vec<Plate> {
     cylinder_across(radius, width, size, 4.0 * size, least)
 }
 
-/// The same with plates that are `wide` on the rim.
+/// As [`cylinder`], with plates whose width on the rim is `wide`.
 pub fn cylinder_across(radius: f64, width: f64, size: f64, wide: f64, least: usize) -> Vec<Plate> {
     let (around, across) = (pieces(TAU * radius, size / 2.0, least), pieces(width, wide, least / 8));
     let mut plates = Vec::new();

@@ -1,6 +1,6 @@
 //! Any rigid body in steady motion through sand: plates on its surface, and the mean force and torque on them.
 //!
-//! Body frame: x heading, y axle, z up, unturned against the world; the origin is where the body's velocity is given. Every
+//! Body frame: x heading, y axle, z up, parallel to the world's axes; the given velocity is that of the origin. Every
 //! plate is one-sided and pushes where it leads: n·v ≥ 0 and below the surface (Agarwal, Goldman & Kamrin 2023).
 
 mod body;
@@ -37,7 +37,7 @@ impl Plate {
         self.half[0].z.abs() + self.half[1].z.abs()
     }
 
-    /// How much n·v differs between the centre and an edge [m/s], for velocity `v` at the centre and spin `spin`.
+    /// Difference of n·v between the centre and an edge [m/s], for velocity `v` at the centre and spin `spin`.
     fn unevenness(&self, v: Vec3<f64>, spin: Vec3<f64>) -> f64 {
         let along = |k: usize| self.bend[k] * self.half[k].dot(v) + self.normal.dot(spin.cross(self.half[k]));
         along(0).abs() + along(1).abs()

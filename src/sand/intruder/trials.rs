@@ -79,7 +79,7 @@ pub struct Outcome {
     pub status: Status,
 }
 
-/// Mechanisms of `sand` that do nothing to a body in steady motion.
+/// Mechanisms of `sand` that have no effect on a body in steady motion.
 pub fn without_effect(sand: &SandDescription) -> Vec<&'static str> {
     let m = &sand.mechanisms;
     let all = [
@@ -116,7 +116,7 @@ pub fn check_all(sand: &SandDescription, trials: &[Trial]) -> Result<()> {
     Ok(())
 }
 
-/// The force on one plate: growing · D(depth) + constant, where D is the depth or its power.
+/// The force on one plate: growing · D(depth) + constant, where D is the depth or a power of it.
 struct Piece {
     /// Height of the centre above the body's origin [m], and half the plate's vertical extent.
     height: f64,
@@ -126,11 +126,11 @@ struct Piece {
     constant: Vec3<f64>,
 }
 
-/// Shares of a body's height for which pieces are made. If the part below the first share carries the load, no more
-/// pieces are needed.
+/// Shares of a body's height for which pieces are computed. If the part below the first share carries the load, the
+/// others are not needed.
 const PARTS: [f64; 2] = [0.4, 1.0];
 
-/// A body in motion: its leading plates below some height, lowest first, in all positions of its turn.
+/// The leading plates of a moving body below some height, lowest first, in all positions of its turn.
 struct Motion<'a> {
     ground: &'a SandBed<f64>,
     pieces: Vec<Piece>,
@@ -242,8 +242,8 @@ impl<'a> Motion<'a> {
 }
 
 impl Piece {
-    /// The leading share of a plate: None where no part leads; where the leading edge crosses the plate, in
-    /// proportion.
+    /// The force on the leading part of a plate; None if no part leads. If the leading edge crosses the plate, the
+    /// force is proportional to the leading share.
     fn of(ground: &SandBed<f64>, plate: &Plate, trial: &Trial, plain: bool) -> Option<Self> {
         let (velocity, spin) = (Vec3::<f64>::splat(trial.velocity), Vec3::<f64>::splat(trial.spin));
         let v = velocity + spin.cross(plate.center);
@@ -251,8 +251,8 @@ impl Piece {
         if speed == 0.0 {
             return None;
         }
-        // Limits that keep rounding from deciding whether a plate that moves along itself leads, and which side of
-        // a vertical plate does.
+        // Small numbers for two cases that rounding would decide otherwise: whether a plate leads that moves along
+        // itself, and which side of a vertical plate leads.
         let least = 1e-12 * speed;
         let n = plate.normal;
         let normal = if n.z.abs() < 1e-12 { Vec3::new(n.x, n.y, 0.0) } else { n };
@@ -262,8 +262,8 @@ impl Piece {
         if leading == 0.0 {
             return None;
         }
-        // Where the centre does not lead, the leading part moves with half of the edge's n·v. A plate that moves
-        // along itself is pushed too, not pulled.
+        // If the centre does not lead, the leading part moves with half of the edge's n·v. A plate that moves along
+        // itself is pushed too, not pulled.
         let toward = if leading < 1.0 { (along + uneven) / 2.0 } else { along.max(least) };
         let v = normal.scale_add(toward - along, v);
         let at = |depth| {

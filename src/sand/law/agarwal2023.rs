@@ -1,8 +1,8 @@
 //! Three-dimensional resistive force theory: Agarwal, Goldman & Kamrin, PNAS 120:e2214017120 (2023).
 //!
-//! One polynomial for all media times one number ξ_n a medium. In the local frame r̂ (horizontal part of the
-//! velocity), θ̂, ẑ a segment has tilt β, its velocity the angle γ below the horizontal, its normal the azimuth ψ
-//! from r̂:
+//! The stress is one polynomial, the same for all media, times one number ξ_n of the medium. In the local frame r̂
+//! (horizontal part of the velocity), θ̂, ẑ a segment has tilt β, its velocity the angle γ below the horizontal, its
+//! normal the azimuth ψ from r̂:
 //!
 //! x1 = sin γ, x2 = cos β, x3 = cos ψ cos γ sin β + sin γ cos β, f_i = Σ_k c_ik T_k(x1, x2, x3), α_r = f1 sin β cos
 //! ψ + f2 cos γ, α_θ = f1 sin β sin ψ, α_z = −f1 cos β − f2 sin γ − f3.
@@ -100,8 +100,8 @@ fn sum<R: Real, const N: usize>(terms: [(usize, R); N]) -> [R; 3] {
     f
 }
 
-/// Laplacian of α = f1 N + f2 u − f3 ẑ on the unit sphere of normals N. Of a homogeneous polynomial of degree d in N it is the
-/// Laplacian in space less d (d + 1) times itself; ∇x2 = −ẑ, ∇x3 = u, and their product is x1.
+/// Laplacian of α = f1 N + f2 u − f3 ẑ on the unit sphere of normals N. For a homogeneous polynomial of degree d in N,
+/// it is the Laplacian in space minus d (d + 1) times the polynomial; ∇x2 = −ẑ, ∇x3 = u, and their product is x1.
 #[inline(always)]
 fn laplacian<R: Real>(x1: R, x2: R, x3: R, n: Vec3<R>, u: Vec3<R>) -> Vec3<R> {
     let (x11, x22, x33, x12, x13, x23) = (x1 * x1, x2 * x2, x3 * x3, x1 * x2, x1 * x3, x2 * x3);
@@ -172,8 +172,8 @@ pub fn components(beta: f64, gamma: f64, psi: f64) -> [f64; 3] {
 #[inline(always)]
 fn on_surface<R: Real>(alpha: Vec3<R>, n: Vec3<R>, leading: R, friction: Option<R>) -> Vec3<R> {
     let normal = alpha.dot(n);
-    // Where the fit pulls the plate along (normal·leading > 0; 5 % of all directions), the pull becomes a push. At
-    // leading = ±1 it is exactly −|normal| on the leading side; in between it changes gradually.
+    // If the fit pulls the plate along (normal·leading > 0; in 5 % of all directions), the pull is replaced by a push:
+    // exactly −|normal| on the leading side at leading = ±1, with a gradual change in between.
     let turned = (normal * leading).max(R::zero()) * R::splat(2.0);
     let pushed = n.scale_add(R::select(normal.lt(R::zero()), turned, -turned), alpha);
     let Some(friction) = friction else { return pushed };

@@ -74,8 +74,8 @@ impl<R: Real> StressLaw<R> for PlanarTable<R> {
         self.planar(cos_2b, sin_2b_over_h, sin_2b_cos_g, [ex, ey], m)
     }
 
-    /// Exact, because the stress is of second degree in the normal. Where the motion is vertical, e is taken from
-    /// the mean normal.
+    /// Exact, because the stress is of second degree in the normal. For vertical motion, e is the horizontal direction
+    /// of the mean normal.
     #[inline(always)]
     fn mean_stress(&self, normals: &Normals<R>, m: &Motion<R>) -> Vec3<R> {
         let (n, s, p) = (normals.unit, normals.squares, normals.products);
@@ -109,8 +109,8 @@ impl<R: Real> PlanarTable<R> {
 /// A vector along e, about as long as the horizontal velocity; `along` is its product with the normal.
 #[inline(always)]
 fn heading<R: Real>(n: Vec3<R>, along: R, m: &Motion<R>) -> [R; 2] {
-    // Adds 1e-6 of the vertical speed along the normal. It decides e only where the horizontal speed is below 1e-6
-    // of the vertical one.
+    // Adds 1e-6 of the vertical speed along the normal. This determines e only if the horizontal speed is below 1e-6 of
+    // the vertical one.
     let nudge = R::splat(1e-6) * m.v.z.abs();
     let nudge = R::select(along.lt(R::zero()), -nudge, nudge);
     [n.x.mul_add(nudge, m.v.x), n.y.mul_add(nudge, m.v.y)]

@@ -1,11 +1,11 @@
 //! Resistive force laws: stress per depth on a small flat segment, free of trigonometry.
 //!
-//! * [`li2013`]: the resistive force theory of Li, Zhang & Goldman: nine coefficients a medium.
+//! * [`li2013`]: the resistive force theory of Li, Zhang & Goldman: nine coefficients for each medium.
 //! * [`penetration_drag`]: its baseline, one-dimensional penetration and drag.
-//! * [`agarwal2023`]: three-dimensional RFT: one universal polynomial, one number a medium.
+//! * [`agarwal2023`]: three-dimensional RFT: one universal polynomial, one number for each medium.
 //!
-//! A law is a type that implements [`StressLaw`]. Hot loops take it as a type parameter and match on
-//! [`super::contact::LawCoefficients`] once a loop, so a new law does not slow the others.
+//! A law is a type that implements [`StressLaw`]. Hot loops have it as a type parameter and match on
+//! [`super::contact::LawCoefficients`] once, before the loop. So a new law does not make the others slower.
 
 pub mod agarwal2023;
 pub mod li2013;
@@ -73,8 +73,8 @@ pub trait StressLaw<R: Real>: Copy {
     /// same.
     fn stress(&self, n: Vec3<R>, motion: &Motion<R>) -> Vec3<R>;
 
-    /// Mean of [`StressLaw::stress`] over `normals`. This default is exact to second order in the deviation from
-    /// the mean normal, and takes the deviations to be alike in all directions.
+    /// Mean of [`StressLaw::stress`] over `normals`. This default is exact to second order in the deviation from the
+    /// mean normal, if the deviations are equal in all directions.
     #[inline(always)]
     fn mean_stress(&self, normals: &Normals<R>, motion: &Motion<R>) -> Vec3<R> {
         self.stress(normals.unit, motion)
@@ -103,7 +103,7 @@ impl<R: Real> Normals<R> {
         Self { unit: mean * inverse, spread, squares, products }
     }
 
-    /// The same in other axes: the columns of `axes`.
+    /// As [`Self::new`], for means in axes that are the columns of `axes`.
     #[inline(always)]
     pub fn turned(mean: Vec3<R>, squares: Vec3<R>, products: Vec3<R>, axes: &Mat3<R>) -> Self {
         let (s, p) = (squares, products);

@@ -1,5 +1,5 @@
-//! The baseline of Li, Zhang & Goldman 2012 (section 3) for resistive force theory: a vertical penetration force
-//! and a horizontal drag force. Neither depends on the segment's orientation or on the other.
+//! The baseline of Li, Zhang & Goldman 2012 (section 3) for resistive force theory: a vertical penetration force and a
+//! horizontal drag force. Neither force depends on the segment's orientation or on the other force.
 
 use super::{Motion, StressLaw};
 use crate::media::{Coefficients, Medium};

@@ -26,7 +26,7 @@ struct Slot<R> {
     strength: R,
 }
 
-/// Terms ready for evaluation, one lane an environment.
+/// Terms ready for evaluation, one lane for each environment.
 #[derive(Clone, Copy)]
 pub struct LaneTerms<R> {
     slots: [Slot<R>; MOST_TERMS],
@@ -106,7 +106,7 @@ impl<R: Real> LaneTerms<R> {
         (normal * speed / speed.mul_add(speed, rest).sqrt(), tangential)
     }
 
-    /// Unit direction against the tangential velocity; its length falls to 0 near rest.
+    /// Unit vector against the tangential velocity; near rest its length falls to 0.
     #[inline(always)]
     pub fn against_slip(n: Vec3<R>, v: Vec3<R>) -> Vec3<R> {
         let along = v - n * n.dot(v);

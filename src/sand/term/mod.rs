@@ -31,25 +31,25 @@ pub enum On {
 
 /// A dimensionless number of a moving piece.
 ///
-/// Grain size, curvature and distance of a wall are in this list by our choice; no published power is known for
-/// them. Each measures one effect that resistive force theory neglects: sand is made of grains (d/w), neighbouring
-/// pieces of a curved face influence each other (κ w), and a bed has walls (distance over w). A user who finds such
-/// a law can write it as a term.
+/// Grain size, curvature and distance of a wall are in this list by our choice; no published power is known for them.
+/// Each measures one effect that resistive force theory neglects: sand is made of grains (d/w), neighbouring pieces of
+/// a curved face influence each other (κ w), and a bed has walls (distance over w). A user who knows such a law can
+/// write it as a term.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Group {
     /// v_n²/(g |z|)
     Froude,
     /// |z|/w, w the width across the plane of motion
     DepthOverWidth,
-    /// Grain diameter over w; 0 where it is not given.
+    /// Grain diameter over w; 0 if it is not given.
     GrainOverWidth,
-    /// Curvature times w; 0 of flat pieces, as all pieces of the engines are.
+    /// Curvature times w; 0 for flat pieces; all pieces of the engines are flat.
     Curvature,
     /// a_n/g of the leading face; 0 in the engines, which take the stress from velocities alone.
     Acceleration,
     /// Earlier passes here; 0 in the engines.
     Passes,
-    /// Distance of a wall over w; far away where it is not given.
+    /// Distance of a wall over w; far away if it is not given.
     Wall,
     SinGamma,
     CosGamma,
@@ -100,7 +100,7 @@ impl Group {
     }
 }
 
-/// One term as it stands in `sand.toml`.
+/// One term as written in `sand.toml`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Term {

@@ -3,7 +3,8 @@
 //! ```text
 //!  accept ──▶ a place in the table ──▶ TLS handshake ──▶ first bytes ──▶ HTTP
 //!                  │                    └── each connection in a task of its own, within a time ──┘
-//!                  └── no room: who has had no stream for longest is closed; if all have, the new one is
+//!                  └── no room: the connection without a stream for the longest time is closed; if all have
+//!                      streams, the new connection is closed
 //! ```
 //!
 //! Accepting does not wait for any peer, so silent peers do not delay others.
@@ -46,7 +47,7 @@ pub const KEEPALIVE: Duration = Duration::from_secs(60);
 /// Time to wait before accepting again when it failed (no file descriptors left).
 const PAUSE: Duration = Duration::from_millis(50);
 
-/// How often idle connections are searched.
+/// Interval at which idle connections are searched.
 const LOOK: Duration = Duration::from_secs(1);
 
 /// Accepted connections that wait for HTTP.
@@ -144,7 +145,7 @@ impl Door {
         }
     }
 
-    /// Continues with a connection in a task of its own.
+    /// Continues with a connection in a new task.
     fn begin(
         &self,
         wire: Wire,
@@ -163,11 +164,11 @@ impl Door {
         tokio::spawn(async move {
             let opened = tokio::select! {
                 opened = door.greet(wire, place, link) => opened,
-                () = end.cancelled() => Err((Refusal::Connection, "later ones needed its place".into())),
+                () = end.cancelled() => Err((Refusal::Connection, "closed to make room for a later connection".into())),
                 () = stop.cancelled() => return,
             };
             match opened {
-                // It fails only if the server has ended.
+                // Sending fails only if the server has ended.
                 Ok(connection) => drop(sender.send(connection).await),
                 Err((kind, reason)) => door.refusals.log(kind, &name, &reason),
             }

@@ -61,7 +61,7 @@ struct Entry {
     opening: bool,
     /// Number of calls that have not ended.
     streams: usize,
-    /// When it was accepted, sent its first bytes, or had its last stream.
+    /// Time at which the connection was accepted, sent its first bytes, or ended its last stream, whichever was last.
     since: Instant,
     end: CancellationToken,
 }
@@ -110,9 +110,9 @@ impl Table {
         self.entries.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A place for a connection that was just accepted; None if all connections of the peer, or all at all, have
-    /// streams. If there is no room, the connection without a stream for the longest time is closed: of this peer
-    /// if it has too many, otherwise of the peer with most of them.
+    /// A place for a new connection. If there is no room, the connection that has been without a stream for the longest
+    /// time is closed: one of this peer if the peer has too many, otherwise one of the peer with the most. None if all
+    /// these connections have streams.
     pub fn admit(self: &Arc<Self>, peer: Peer) -> Option<Place> {
         self.admit_at(peer, Instant::now())
     }

@@ -86,7 +86,7 @@ pub enum Greeting {
 struct First {
     bytes: [u8; PREFACE.len()],
     length: usize,
-    /// How many of them were read.
+    /// Number of bytes that were read.
     read: usize,
 }
 
@@ -125,7 +125,7 @@ async fn refuse(wire: &mut Wire) -> io::Result<()> {
 pub struct Connection {
     wire: Wire,
     first: First,
-    /// How long the peer may accept no bytes.
+    /// Longest time for which the peer may accept no bytes.
     patience: Option<Duration>,
     stalled: Option<Pin<Box<Sleep>>>,
     end: Pin<Box<WaitForCancellationFutureOwned>>,
@@ -159,7 +159,7 @@ impl Connection {
     }
 }
 
-/// How long a browser that watches may accept no bytes: our choice; its tab may be inactive for some seconds.
+/// Longest time for which a watching browser may accept no bytes: our choice; its tab may be inactive for some seconds.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 impl AsyncRead for Connection {
@@ -216,11 +216,11 @@ impl Connected for Connection {
     }
 }
 
-/// The connection that a call came on.
+/// The connection of a call.
 #[derive(Clone)]
 pub struct Link {
     pub(super) peer: Peer,
-    /// None: a Unix socket.
+    /// None for a Unix socket.
     pub(super) address: Option<SocketAddr>,
     pub(super) calls: Calls,
     pub(super) rate: Option<Arc<Rate>>,

@@ -39,7 +39,7 @@ struct Connection {
     requests: Streaming<Frame<EnvironmentRequest>>,
     door: Door,
     link: Option<Link>,
-    /// No message was read yet: the first one is counted with the call.
+    /// Has no message been read yet? The first one is counted with the call.
     first: bool,
     worlds: Arc<Worlds>,
     /// None: no world is joined.
@@ -155,7 +155,7 @@ impl Agent {
         if let Some(Interrupt { changes, done }) = self.place.interrupt() {
             let reset = self.place.reset(changes).await;
             let changed = reset.is_ok();
-            // The connection that asked for it may have ended.
+            // The connection that requested the reset may have ended.
             let _ = done.send(reset.map(drop));
             if let (true, Some(last)) = (changed, &self.last) {
                 return Ok(last.interrupted());
@@ -167,8 +167,8 @@ impl Agent {
         self.place.step(tensors::action(self.place.task.spec(), actions)?).await
     }
 
-    /// Begins another episode, which the next step shows. If the present episode has not been shown yet, and there
-    /// are no changes, it is used.
+    /// Begins another episode; the next step returns its first observation. The present episode is used if it has no
+    /// steps yet and there are no changes.
     async fn reset(&mut self, settings: Settings) -> Result<()> {
         let changes = settings::changes(settings)?;
         if self.last.is_some() || changes != Changes::default() {

@@ -75,18 +75,19 @@ impl WorldRequest {
         }
     }
 
-    /// Can it be prepared on the async runtime's threads? Changed options make a new model.
+    /// Can the request be prepared on the async runtime's threads? With changed options it makes a model, which takes
+    /// too long.
     fn is_light(&self) -> bool {
         !matches!(self, Self::Reset(changes) if changes.options != Default::default())
     }
 
-    /// How to read the operation's results.
+    /// The function that reads the operation's results.
     fn view(&self) -> fn(&Batch) -> View {
         if matches!(self, Self::Step(_)) { View::after_step } else { View::first }
     }
 }
 
-/// A session's errors in the terms of worlds.
+/// Converts an error about a session to one about a world.
 fn of_world(error: Error, name: &str) -> Error {
     match error {
         Error::Unknown { what: SESSION, .. } => Error::unknown(SESSION, name, &["worlds that have not been destroyed"]),
@@ -100,7 +101,7 @@ impl Worlds {
         Arc::new(Self { sessions, pool, joined: Mutex::default() })
     }
 
-    /// Every change under this lock is one step, so the data are consistent even after a panic.
+    /// Each change under this lock is a single operation on the map, so the map is consistent even after a panic.
     fn lock(&self) -> MutexGuard<'_, HashMap<String, Option<Interrupt>>> {
         self.joined.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -244,7 +245,7 @@ impl Place {
         } else {
             tokio::task::spawn_blocking(begin);
         }
-        // Without an answer the server has ended, or the work has panicked.
+        // If there is no answer, the server has ended or the work has panicked.
         let stop = self.worlds.sessions.stop();
         answer.await.unwrap_or_else(|_| Err(if stop.is_cancelled() { gone() } else { broken() }))
     }

@@ -35,7 +35,7 @@ pub enum Outcome {
 }
 
 impl Study {
-    /// Runs all of it, on this thread and those that it starts.
+    /// Runs the study on this thread and those that it starts.
     pub fn compute(self, progress: &dyn Progress) -> Result<Outcome> {
         use proto::{diagnose_response, evaluate_response, sweep_response, trials_response, walk_response};
         let outcome = match self {

@@ -1,4 +1,4 @@
-//! From requests to studies that are ready to run. Requests are checked here, before they wait in line, except for
+//! From requests to studies that are ready to run. Requests are checked here, before they wait in the queue, except for
 //! the rows of measured data.
 
 use crate::diagnose::experiment::Experiment;
@@ -66,7 +66,7 @@ fn sand(message: Option<proto::Sand>) -> Result<Sand> {
     let proto::Sand { medium, law, file } = message.unwrap_or_default();
     if let Some(file) = file {
         if medium.is_some() || law.is_some() {
-            return Err(Error::invalid("sand", "a file excludes medium and law"));
+            return Err(Error::invalid("sand", "give either a sand file, or medium and law"));
         }
         let description = SandDescription::from_toml(text(&file)?);
         let description = description.map_err(|e| Error::invalid(&file.name, e.to_string()))?;
@@ -80,7 +80,7 @@ fn sand(message: Option<proto::Sand>) -> Result<Sand> {
 fn robot(message: Option<proto::Robot>) -> Result<Robot> {
     let proto::Robot { name, file } = message.unwrap_or_default();
     match (name, file) {
-        (Some(_), Some(_)) => Err(Error::invalid("robot", "a file excludes a name")),
+        (Some(_), Some(_)) => Err(Error::invalid("robot", "give either a file or a name, not both")),
         (None, Some(file)) => Robot::from_toml(text(&file)?),
         (name, None) => Robot::built_in(name.as_deref().unwrap_or(Robot::DEFAULT)),
     }
@@ -109,10 +109,10 @@ pub fn trials(request: TrialsRequest) -> Result<Trials> {
         if values.len() == wide * rows {
             return Ok(Some(values));
         }
-        Err(Error::invalid(name, format!("{} numbers where {rows} rows have {}", values.len(), wide * rows)))
+        Err(Error::invalid(name, format!("{} numbers; {rows} rows have {}", values.len(), wide * rows)))
     };
     if velocity.len() != 3 * rows {
-        return Err(Error::invalid("velocity", format!("{} numbers are not three a row", velocity.len())));
+        return Err(Error::invalid("velocity", format!("{} numbers are not a multiple of three", velocity.len())));
     }
     let (spin, depth, load) =
         (sized("spin", spin.as_deref(), 3)?, sized("depth", depth.as_deref(), 1)?, sized("load", load.as_deref(), 1)?);
@@ -153,7 +153,9 @@ fn shaped(body: Option<Shaped>, plate_size: Option<f64>) -> Result<Body> {
         None => Err(Error::invalid("body", "none given")),
         Some(Shaped::Shape(text)) => match BodyShape::named(&text)? {
             // A server does not read files that a client names.
-            BodyShape::Mesh(_) => Err(Error::invalid("body", format!("{text}: send the mesh's content"))),
+            BodyShape::Mesh(_) => {
+                Err(Error::invalid("body", format!("{text}: a server reads no files; send the content of the mesh")))
+            }
             shape => Body::cut_within(&shape, plate_size, MOST_PLATES),
         },
         Some(Shaped::Mesh(file)) => {
@@ -218,7 +220,7 @@ const MOST_VARIED: usize = crate::sweep::Parameter::ALL.len();
 fn axis(variation: Variation) -> Result<Axis> {
     let Variation { parameter, numbers, names } = variation;
     if !numbers.is_empty() && !names.is_empty() {
-        return Err(Error::invalid(parameter, "numbers exclude names"));
+        return Err(Error::invalid(parameter, "give either numbers or names, not both"));
     }
     Axis::new(&parameter, numbers.iter().map(f64::to_string).chain(names).collect())
 }
@@ -229,7 +231,9 @@ pub fn evaluate(request: EvaluateRequest) -> Result<evaluate::Request> {
         None => return Err(Error::invalid("policy", "none given")),
         Some(Policy::Onnx(file)) => Wanted::Network { name: file.name, bytes: file.content.into() },
         // A server does not read files that a client names.
-        Some(Policy::Gait(text)) => Wanted::parse(&text, |file| Err(Error::invalid(file, "send its content")))?,
+        Some(Policy::Gait(text)) => Wanted::parse(&text, |file| {
+            Err(Error::invalid(file, "a server reads no files; send the content of this one"))
+        })?,
     };
     let seeds = seeds.map_or(evaluate::Request::SEEDS, |n| n as usize);
     Ok(evaluate::Request { policy, task: task_id, options: values::to_json(options)?, seeds, media, slopes })
@@ -253,7 +257,10 @@ pub fn diagnose(request: DiagnoseRequest) -> Result<(File, Experiment)> {
     }
     for (name, body) in &experiment.bodies {
         if let BodyShape::Mesh(_) = body.shape()? {
-            return Err(Error::invalid(format!("body.{name}"), "a mesh is read by the command line only"));
+            return Err(Error::invalid(
+                format!("body.{name}"),
+                "a server reads no mesh files; use sandgait diagnose on the command line",
+            ));
         }
     }
     Ok((data, experiment))

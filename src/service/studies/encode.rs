@@ -90,7 +90,7 @@ pub fn evaluation(rows: &[Row]) -> Vec<Series> {
     std::iter::once(media).chain(columns).collect()
 }
 
-/// One row a sample, in the order of the observations.
+/// One row for each sample, in the order of the observations.
 pub fn curves(c: &Curves) -> Vec<Series> {
     let o = &c.observations;
     let each = |of: &dyn Fn(usize) -> String| -> Vec<String> {

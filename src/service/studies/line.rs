@@ -49,7 +49,7 @@ impl Place {
         let next = |n: usize| (n < PLACES).then_some(n + 1);
         match taken.fetch_update(Ordering::Relaxed, Ordering::Relaxed, next) {
             Ok(ahead) => Ok(Self { taken: taken.clone(), ahead }),
-            Err(_) => Err(Error::Exhausted(format!("all {PLACES} places in this server's line of studies are taken"))),
+            Err(_) => Err(Error::Exhausted(format!("all {PLACES} places in this server's queue of studies are taken"))),
         }
     }
 }
@@ -84,7 +84,7 @@ impl Line {
                         n => format!("waiting for {n} other studies of this server"),
                     };
                     let event = Event { fraction: 0.0, stage, ahead: place.ahead as u32 };
-                    // A client that has left is noticed below.
+                    // The code below notices a client that has disconnected.
                     let _ = events.send(Ok(A::progress(event))).await;
                 }
                 slot.acquire_owned().await.ok()

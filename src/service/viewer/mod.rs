@@ -6,7 +6,7 @@
 //!  GET /watch/NAME/INDEX     a recording without end, in the format of recordings: one environment of a session
 //! ```
 //!
-//! Sessions have their names of logs and lists here, never their ids. Watching changes nothing.
+//! The page shows the names of sessions, as logs and lists do, never their ids. Watching changes nothing.
 //!
 //! * [`watchers`]: the watchers of each environment; [`frames`]: their data. The thread that steps only copies the
 //!   state.
@@ -36,7 +36,7 @@ use tokio_util::sync::CancellationToken;
 const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; \
                       connect-src 'self'; frame-ancestors 'none'";
 
-/// What the page is made from.
+/// The data of the page.
 #[derive(Clone)]
 struct Shown {
     sessions: Arc<Sessions>,

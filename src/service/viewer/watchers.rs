@@ -15,7 +15,8 @@ use tokio::sync::broadcast::error::RecvError;
 /// Least interval between frames of an environment: our choice, 60 a second, the rate of screens.
 const PAUSE: Duration = Duration::from_micros(16_600);
 
-/// With more watchers frames are less frequent: our choice, 2,000 a second in all, some percent of a processor.
+/// Least interval for each watcher, so that with many watchers frames are less frequent: our choice, 2,000 frames a
+/// second in all, some percent of a processor.
 const EACH: Duration = Duration::from_micros(500);
 
 /// All watchers of this server.
@@ -36,7 +37,7 @@ struct Watched {
     frames: Frames,
 }
 
-/// A watcher, until this is dropped.
+/// The registration of a watcher, which ends when this is dropped.
 pub struct Watcher {
     watchers: Arc<Watchers>,
     session: String,
@@ -56,7 +57,8 @@ impl Watchers {
         self.most
     }
 
-    /// Consistent even after a panic: fields that change together change without a call in between.
+    /// The data are consistent even after a panic, because fields that change together change without a call in
+    /// between.
     fn lock(&self) -> MutexGuard<'_, HashMap<String, Vec<Watched>>> {
         self.sessions.lock().unwrap_or_else(PoisonError::into_inner)
     }

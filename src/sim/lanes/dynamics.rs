@@ -1,15 +1,15 @@
 //! One time step of a robot on sand: servos → sand → rigid bodies.
 //!
-//! An articulated-body algorithm (Featherstone 2008, chapter 7) for a free base with legs, in a world-aligned frame
-//! at the base's centre of mass. Sand is linearly implicit: its force after the step is f − C (v⁺ − v) with the
-//! present velocity v, which is the same as point masses dt C at the segments. They enter the inertia only:
-//! velocity-product terms are gathered first (accelerations all zero), so the added masses cause none.
+//! An articulated-body algorithm (Featherstone 2008, chapter 7) for a free base with legs, in a world-aligned frame at
+//! the base's centre of mass. Sand is linearly implicit: its force after the step is f − C (v⁺ − v) with the present
+//! velocity v, which has the same effect as point masses dt C at the segments. These masses are added to the inertia
+//! only: velocity-product terms are computed before, with all accelerations zero, so the added masses cause none.
 //!
-//! Where a motion is smooth, a step changes the velocities by about the same Δv as the last step. There the sand's
-//! force is evaluated in the middle of the step, at v + ½ w Δv, and its drag acts on the difference from the
-//! expected change, f − C (v⁺ − v − w Δv). The weight w = (v² / (v² + 4 Δv²))² falls to zero where a segment
-//! sticks; at w = 0 the step is the plain implicit one. Our own scheme; the factor 4 is our choice, because of 2, 4
-//! and 6 it gave the least error over 16 walks (0.47 % at 1 ms; `docs/convergence.md`).
+//! In smooth motion, a step changes the velocities by about the same Δv as the last step. Then the sand's force is
+//! evaluated in the middle of the step, at v + ½ w Δv, and its drag acts on the difference from the expected change, f
+//! − C (v⁺ − v − w Δv). The weight w = (v² / (v² + 4 Δv²))² falls to zero if a segment sticks; at w = 0 the step is the
+//! plain implicit one. Our own scheme; the factor 4 is our choice, because of 2, 4 and 6 it gave the least error over
+//! 16 walks (0.47 % at 1 ms; `docs/convergence.md`).
 
 use super::model::{LaneBody, LaneModel, LanePlate};
 use super::plane::{Field, Moments, PlaneForces};
@@ -58,7 +58,7 @@ struct Hinge<R> {
     inverse: R,
     drive: R,
     torque: R,
-    /// Part of the torque that falls with the joint's acceleration [N·m·s²/rad].
+    /// Decrease of the torque with the joint's acceleration [N·m·s²/rad].
     yielding: R,
 }
 
@@ -72,9 +72,9 @@ impl<R: Real> Hinge<R> {
 
 /// Work space of a step; its contents are not kept.
 pub struct Scratch<R, const J: usize> {
-    /// One entry a joint.
+    /// One entry for each joint.
     hinges: Vec<Hinge<R>>,
-    /// Masses of each link of the present leg, with the sand's, and the wrench that its motion needs.
+    /// For each link of the present leg, its masses with those of the sand, and the wrench that its motion needs.
     links: [(PointMasses<R>, Wrench<R>); J],
 }
 
@@ -148,7 +148,7 @@ fn base_frame<R: Real>(state: &LaneState<R>) -> Frame<R> {
         Vec3::new(two * (xz + wy), two * (yz - wx), one - two * (xx + yy)),
     );
     let velocity = Twist { angular: state.angular_velocity, linear: state.velocity };
-    // The generalized acceleration is that of the centre of mass: with it zero, the spatial one is −ω × v.
+    // The generalized acceleration is that of the centre of mass. If it is zero, the spatial acceleration is −ω × v.
     let bias = Twist { angular: Vec3::zero(), linear: velocity.linear.cross(velocity.angular) };
     Frame { rotation, origin: Vec3::zero(), velocity, bias, change: state.change }
 }
@@ -226,8 +226,8 @@ fn belly_by<R: Real, const J: usize>(
     }
 }
 
-/// Weight w at `place`: 1 where the body's next change of velocity is expected to equal the last one, 0 where it is
-/// not.
+/// Weight w at `place`: near 1 in smooth motion, in which the next change of velocity is about the last one, and 0 if
+/// the place sticks.
 #[inline(always)]
 fn trust<R: Real>(frame: &Frame<R>, place: Vec3<R>) -> R {
     let (speed, change) = (frame.velocity.at(place).norm_squared(), frame.change.at(place).norm_squared());
@@ -266,8 +266,8 @@ fn link<R: Real, const J: usize>(
     (drag.scaled(model.dt).plus(&body.masses).of(&places), bias)
 }
 
-/// Sand on a link: on its strip, or in part on the straight chord where its concave side leads and fills. Adds the
-/// forces, and the drags as masses.
+/// Adds the sand's forces on a link, and its drags as masses. They act on the strip, or in part on the straight chord
+/// if sand fills the concave leading side.
 #[inline(always)]
 fn link_sand<R: Real>(
     ground: &SandBed<R>,
@@ -391,8 +391,8 @@ fn turned<R: Real>(u: Vec3<R>, axis: Vec3<R>, sin: R, cos: R) -> Vec3<R> {
     axis.cross(u).scale_add(sin, u.scale_add(cos, along))
 }
 
-/// The servo, implicit in angle and speed: τ = τ0 − (dt kd + dt² kp) q̈. Where that would exceed the torque limit
-/// (computed with the parent held still), the torque is the limit and independent of q̈.
+/// The servo, implicit in angle and speed: τ = τ0 − (dt kd + dt² kp) q̈. If that exceeds the torque limit (computed
+/// with the parent held still), the torque is the limit and independent of q̈.
 #[inline(always)]
 fn drive<R: Real, const J: usize>(
     model: &LaneModel<R, J>,

@@ -1,8 +1,8 @@
-//! The fast engine: articulated-body dynamics over lanes of environments, instruction set chosen at run time.
+//! The fast engine: articulated-body dynamics over lanes of environments. The instruction set is chosen at run time.
 //!
 //! * [`dynamics`]: one time step; generic over the number, so it exists once for `f64`, and for 8 and 16 lanes of `f32`.
 //! * [`plane`]: sand forces on the plates of one plane, summed in its two coordinates.
-//! * [`model`]: the model's numbers, one lane an environment.
+//! * [`model`]: the model's numbers, one lane for each environment.
 //!
 //! Lanes never read each other: an environment's bits do not depend on its lane, its neighbours or the batch.
 
@@ -255,8 +255,8 @@ impl<R: Real, const J: usize> Block for Lanes<R, J> {
     }
 }
 
-/// Counts denormal numbers in the processor while the engine runs without [`crate::number::flushed`]. So a new
-/// constant that ought to be zero is found on every x86-64 processor, also on those where it costs no time.
+/// Counts denormal numbers in the processor while the engine runs without [`crate::number::flushed`]. So a new constant
+/// that should be zero is found on every x86-64 processor, even if denormal numbers cost no time there.
 #[cfg(all(test, target_arch = "x86_64"))]
 mod tests {
     use super::*;

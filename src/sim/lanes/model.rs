@@ -1,4 +1,4 @@
-//! A model's numbers with one lane an environment.
+//! The numbers of models, one environment in each lane.
 
 use super::plane::Moments;
 use crate::Model;
@@ -26,10 +26,10 @@ pub struct LaneBody<R> {
     pub joint: Vec3<R>,
     pub axis: Vec3<R>,
     pub armature: R,
-    /// Unit vectors e₀ and e₁ of the plane through the joint that holds the body's mass, and its plates with their
-    /// normals.
+    /// Unit vectors e₀ and e₁ of a plane through the joint. The body's mass and its plates, with their normals, lie in
+    /// this plane.
     pub plane: [Vec3<R>; 2],
-    /// From the joint to the next one or the tip, along e₁ [m].
+    /// Distance from the joint to the next one, or to the tip, along e₁ [m].
     pub length: R,
     pub masses: Moments<R>,
     pub plates: Vec<LanePlate<R>>,
@@ -44,7 +44,7 @@ pub struct LaneModel<R, const J: usize> {
     pub base_inertia: Vec3<R>,
     /// x and y of the plates, whose normals are −z.
     pub belly: Vec<LanePlate<R>>,
-    /// z of all of them [m].
+    /// z of all these plates [m].
     pub belly_height: R,
     /// Half of the belly's length and width [m].
     pub belly_corner: [R; 2],
@@ -56,7 +56,7 @@ pub struct LaneModel<R, const J: usize> {
     pub lag_limit: R,
     pub gravity: Vec3<R>,
     pub ground: SandBed<R>,
-    /// The same in all lanes [s].
+    /// Time step, equal in all lanes [s].
     pub dt: R,
 }
 
@@ -96,7 +96,7 @@ fn moments(body: &Body, [e0, e1]: [V; 2]) -> Moments<f64> {
     }
 }
 
-/// `x`, or zero where it is a rounding error relative to `scale`: in `f32` it could become denormal. See
+/// `x`, or zero if it is a rounding error relative to `scale`, which could become denormal in `f32`. See
 /// [`crate::number::flushed`].
 fn nonzero(x: f64, scale: f64) -> f64 {
     if x.abs() < 1e-9 * scale { 0.0 } else { x }

@@ -1,8 +1,9 @@
 //! Bodies that lie in a plane: forces and masses summed in the plane's two coordinates.
 //!
-//! A link is a curve in the plane of its side view, and a belly is flat. So a piece is at o + p₀ e₀ + p₁ e₁, and
-//! its position, velocity and depth take two products a component. The sums Σf, Σp₀f, Σp₁f and the moments of the
-//! pieces' masses up to second order give the wrench and inertia of all pieces, once a body and not once a piece.
+//! A link is a curve in the plane of its side view, and a belly is flat. So a piece is at o + p₀ e₀ + p₁ e₁, and each
+//! component of its position, velocity and depth needs two products. The sums Σf, Σp₀f, Σp₁f and the moments of the
+//! pieces' masses up to second order give the wrench and inertia of all pieces. So these are computed once for a body
+//! and not for each piece.
 
 use crate::number::{Real, Vec3};
 use crate::spatial::{PointMasses, Symmetric, Twist, Wrench};
@@ -96,7 +97,7 @@ impl<R: Real> Moments<R> {
         Self { mass: self.mass + o.mass, first: [a0 + b0, a1 + b1], second: [a00 + b00, a01 + b01, a11 + b11] }
     }
 
-    /// The forces that give the masses these `accelerations`.
+    /// The forces that accelerate the masses by `accelerations`.
     #[inline(always)]
     pub fn forces(&self, accelerations: &Field<R>) -> PlaneForces<R> {
         let ([m0, m1], [m00, m01, m11]) = (self.first, self.second);
@@ -154,7 +155,7 @@ impl<R: Real> PlaneForces<R> {
         Self { force: self.force - o.force, first: [a0 - b0, a1 - b1] }
     }
 
-    /// Their wrench about the origin of `places`.
+    /// The forces' wrench about the origin of `places`.
     #[inline(always)]
     pub fn wrench(&self, places: &Field<R>) -> Wrench<R> {
         let [e0, e1] = places.by;

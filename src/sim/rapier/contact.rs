@@ -15,8 +15,8 @@ use rapier3d::prelude::*;
 /// Thickness of a leg's strip over its width: 2 mm on the reference robot. Our choice, because the paper does not say.
 const THICKNESS: f64 = 0.2;
 
-/// Sweeps of the projected Gauss-Seidel method over contacts and motors together, in worlds with obstacles: 16 cost
-/// no measurable time more than 8, because the dynamics around them cost far more.
+/// Sweeps of the projected Gauss-Seidel method over contacts and motors together, in worlds with obstacles: our choice.
+/// 16 take no measurably longer time than 8, because the dynamics take far more time.
 const SWEEPS: usize = 16;
 
 /// Contacts are springs with this frequency [Hz] and damping ratio between the touching bodies' masses. Our choice:
@@ -121,8 +121,7 @@ pub fn tune(parameters: &mut IntegrationParameters) {
     parameters.num_internal_pgs_iterations = SWEEPS;
     // The "normalized" lengths below are in metres.
     parameters.length_unit = PER_METRE as f32;
-    // We integrate the positions, so the velocities that push a penetration out must be in the velocities that we
-    // read.
+    // We integrate the positions, so the velocities that we read must include those that push a penetration out.
     parameters.num_internal_stabilization_iterations = 0;
     parameters.contact_softness = SOFTNESS;
     parameters.static_contact_softness = SOFTNESS;

@@ -1,12 +1,13 @@
-//! Engine on rapier3d's reduced-coordinate multibodies: one world a robot, RFT forces at each segment's own point.
+//! Engine on rapier3d's reduced-coordinate multibodies: one world for each robot, RFT forces at each segment's own
+//! point.
 //!
 //! * [`world`]: the model as a multibody; rapier's inputs and outputs.
 //! * [`sand`]: force on a body, and the added masses that make it implicit.
 //! * [`inertia`]: mass properties that survive rapier's `f32`; [`units`]: rapier's unit of length is not a metre.
 //! * [`contact`]: colliders of robot and obstacles; [`rocks`]: obstacles that move.
 //!
-//! We keep the state in `f64`; rapier solves in `f32` for the velocities after each step. Comments state each
-//! condition that rapier's multibody needs for the right motion, beside the line that establishes it.
+//! We keep the state in `f64`; rapier solves in `f32` for the velocities after each step. rapier's multibody gives the
+//! right motion under certain conditions only; a comment states each condition at the line that establishes it.
 //!
 //! rapier's contacts keep data between steps: impulses to start from, points, the order of pairs. A world with
 //! obstacles is therefore built anew at the start of every `advance`, so that a state that is read and set again
@@ -89,7 +90,7 @@ struct Robot {
     /// None without obstacles.
     shapes: Option<Shapes>,
     rocks: Vec<Rock>,
-    /// Objects that stay fixed until the world is built anew.
+    /// For each object, whether it stays fixed until the world is built again.
     resting: Vec<bool>,
     state: State,
     command: Command,

@@ -1,12 +1,13 @@
 //! Obstacles that move: weight and sand in `f64`, contacts by rapier.
 //!
-//! A rock's whole surface is made of one-sided facets of resistive force theory, like a belly. This is our choice:
-//! it needs no parameters besides those of the sand. It neglects grains that pile up before a pushed rock.
+//! A rock's whole surface is made of one-sided facets of resistive force theory, like a belly. This is our choice,
+//! because it needs no parameters besides those of the sand. It neglects the grains that pile up in front of a pushed
+//! rock.
 //!
 //! Weight and sand are solved first, linearly implicit as for the robot but with the full 6 × 6 matrix. rapier then
-//! starts from those velocities and adds the effect of contacts. For rapier the rock's mass includes the sand's
-//! added point masses, with the gate's mass taken in all directions. So a body that touches a rock feels the sand
-//! behind it, a little too strongly.
+//! starts from those velocities and adds the effect of contacts. For rapier the rock's mass includes the sand's added
+//! point masses; the masses that represent the leading-edge gate, which act along the normal, are taken in all
+//! directions. So a body that touches a rock feels the sand behind it, a little too strongly.
 
 use super::inertia::Masses;
 use super::sand::lanes;
@@ -36,9 +37,9 @@ const REST: f64 = 1e-4;
 /// No body that may meet a resting rock is faster than this [m/s]: our choice, twice the fastest walk.
 const APPROACH: f64 = 2.0;
 
-/// Which objects stay fixed for the next `time` [s]: those that neither move nor fall, and that neither the robot
-/// nor a moving object can reach. If a robot pushes a rock against a resting one within that time, the resting one
-/// acts as fixed; at the next call it moves.
+/// For each object, whether it stays fixed for the next `time` [s]. These are the objects that neither move nor fall,
+/// and that neither the robot nor a moving object can reach. If a robot pushes a rock against a resting one within that
+/// time, the resting one acts as fixed; at the next call it moves.
 pub fn resting(model: &Model, rocks: &[Rock], ground: &SandBed<f64>, state: &State, time: f64) -> Vec<bool> {
     let slow = |(rock, object): (&Rock, &ObjectState)| {
         let (solid, mut after) = (&model.solids[rock.index], *object);

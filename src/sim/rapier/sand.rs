@@ -1,4 +1,4 @@
-//! The sand's effect on one body: a wrench, and the point masses that make it implicit.
+//! The sand's effect on one body: a wrench, and point masses that represent the implicit part of the force.
 //!
 //! After a step the sand's force is f − C (v⁺ − v) with the present velocity v and C = drag·1 + edge·n nᵀ. A point
 //! mass dt·C at the segment has the same effect: it resists acceleration and has no weight. rapier's multibody
@@ -60,8 +60,8 @@ pub fn load_belly(ground: &SandBed<f64>, plates: &[Plate], at: &Place, dt: f64) 
     load
 }
 
-/// Sand on a link that turns at `rate` [rad/s]: on its strip, or in part on the straight chord where its concave side
-/// leads and fills.
+/// Sand on a link that turns at `rate` [rad/s]: on its strip, or in part on the straight chord if sand fills its
+/// concave leading side.
 pub fn load_link(ground: &SandBed<f64>, body: &Body, rate: f64, at: &Place, dt: f64) -> Load {
     let concave_leads = body.bulge * rate < 0.0;
     let fill = ground.mechanisms.as_ref().filter(|_| concave_leads).map_or(0.0, |mechanisms| mechanisms.fill);

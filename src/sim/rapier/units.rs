@@ -1,9 +1,9 @@
 //! Converts between our metres in `f64` and rapier's units in `f32`.
 //!
 //! parry's search for contacts has absolute tolerances: it ignores a triangle whose cross product is shorter than
-//! 1.1e-3 square units. In metres all triangles of a leg or of a rock of centimetres are that small, and parry
-//! sometimes reports a deep overlap where there is a gap. So rapier's unit of length is smaller than a metre.
-//! Masses, times and angles keep their units; so forces scale as lengths, moments and inertias as their squares.
+//! 1.1e-3 square units. In metres, all triangles of a leg or of a rock of some centimetres are that small, and parry
+//! sometimes reports a deep overlap in place of a gap. So rapier's unit of length is smaller than a metre. Masses,
+//! times and angles keep their units; so forces scale as lengths, moments and inertias as their squares.
 
 use crate::frame::V;
 use rapier3d::glamx::{Quat, Vec3};

@@ -11,8 +11,8 @@ use crate::{State, engine::Command};
 use rapier3d::glamx::{Pose3, Quat, Vec3};
 use rapier3d::prelude::*;
 
-/// Sweeps of the projected Gauss-Seidel method over the motors of one step. Joints couple through the base; each
-/// sweep shrinks the remaining error by the ratio of that coupling to the servo's own yielding, a few percent on
+/// Sweeps of the projected Gauss-Seidel method over the motors of one step. Joints couple through the base; each sweep
+/// multiplies the remaining error by the ratio of that coupling to the servo's own yielding, which is a few percent for
 /// the reference robot.
 const MOTOR_SWEEPS: usize = 4;
 
@@ -26,14 +26,14 @@ pub struct Part(RigidBodyHandle);
 /// rapier's objects. They hold no state of ours: coordinates, velocities, masses and forces are written every step.
 ///
 /// Without obstacles the base is always at rapier's origin, so that `f32` keeps its accuracy however far the robot
-/// walks. In a world with obstacles it was there when the world was built.
+/// walks. In a world with obstacles, the base was there when the world was built.
 pub struct World {
     physics: PhysicsWorld,
     base: Part,
     /// Massless bodies fixed to the base, for the sand's added masses. The base's own centre of mass must stay at
     /// its origin, because rapier takes a root's velocity for that of its centre of mass.
     pub drag: Part,
-    /// As `drag`, with mass along the vertical only.
+    /// The same as `drag`, with mass along the vertical only.
     pub edge: Part,
     /// Every link of every leg, in the order of the joints.
     pub links: Vec<Part>,
@@ -105,7 +105,8 @@ impl World {
             if obstacle.moves() {
                 let (object, rests) = (&state.objects[self.rocks.len()], resting[self.rocks.len()]);
                 let body = if rests { RigidBodyBuilder::fixed() } else { RigidBodyBuilder::dynamic() };
-                // We compute gyroscopic moments, with the weight and the sand.
+                // rapier's gyroscopic forces are off, because we compute gyroscopic moments together with weight and
+                // sand.
                 let body = body.can_sleep(false).gyroscopic_forces_enabled(false);
                 let pose = relative(&Pose::new(object.position, object.orientation), origin);
                 self.rocks.push(Part(physics.insert(body.pose(pose), collider).0));
@@ -234,7 +235,7 @@ fn relative(pose: &Pose, origin: V) -> Pose3 {
     Pose3::from_parts(scaled(pose.position - origin), quat(&turn))
 }
 
-/// How much a servo's torque falls with the speed gained in a step [N·m·s/rad].
+/// Decrease of a servo's torque with the speed gained in a step [N·m·s/rad].
 fn yielding(motor: &Motor, dt: f64) -> f64 {
     (motor.kd + dt * motor.kp).max(LEAST_YIELDING)
 }

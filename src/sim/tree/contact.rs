@@ -22,7 +22,7 @@ pub struct ContactPoint {
 /// choice.
 const RIM: usize = 4;
 
-/// One list a body.
+/// Points of contact, one list for each body.
 pub fn contact_points(tree: &Tree) -> Vec<Vec<ContactPoint>> {
     let of_body =
         |body: &super::TreeBody| body.shapes.iter().flat_map(|s| points(&s.geometry, &s.origin, s.friction)).collect();

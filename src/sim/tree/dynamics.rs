@@ -1,4 +1,4 @@
-//! Accelerations of a tree of bodies behind a floating base, over any number: one robot or lanes of them.
+//! Accelerations of a tree of bodies with a floating base, for one robot or for lanes of robots.
 //!
 //! An articulated-body algorithm (Featherstone 2008, chapter 7) in one world-aligned frame at the base link's
 //! origin, so that inertias and wrenches of child and parent add. The generalized acceleration of the base is the
@@ -9,12 +9,12 @@ use super::{JointKind, Tree};
 use crate::number::{Mat3, Real, Vec3};
 use crate::spatial::{Inertia, Symmetric, Twist, Wrench};
 
-/// A [`super::TreeBody`], one lane an environment.
+/// A [`super::TreeBody`], one lane for each environment.
 #[derive(Clone)]
 pub struct LaneBody<R> {
     pub parent: usize,
     pub kind: JointKind,
-    /// The body's frame in the parent's where the joint is at 0.
+    /// The body's frame in the parent's when the joint is at 0.
     pub turn: Mat3<R>,
     pub offset: Vec3<R>,
     pub axis: Vec3<R>,
@@ -24,7 +24,7 @@ pub struct LaneBody<R> {
     pub armature: R,
 }
 
-/// Position and motion of a robot, one lane each.
+/// Position and motion of the robots, one in each lane.
 #[derive(Clone)]
 pub struct Motion<R> {
     /// Orientation of the base: quaternion w and (x, y, z).
@@ -137,8 +137,7 @@ impl<R: Real> LaneBody<R> {
     }
 }
 
-/// `x`, or zero where it is a rounding error of lengths and directions: in `f32` its products could become
-/// denormal.
+/// `x`, or zero if it is a rounding error of lengths and directions, whose products could become denormal in `f32`.
 fn exact(x: f64) -> f64 {
     if x.abs() < 1e-14 { 0.0 } else { x }
 }

@@ -14,11 +14,11 @@ use super::terrain::Surface;
 use crate::number::{Real, Vec3};
 use crate::spatial::{Twist, Wrench};
 
-/// Factor on the reach within which points are examined where the ground is not flat: our choice, more than twice
-/// the angle of repose from one end of the reach to the other.
+/// Factor on the reach within which points are examined if the ground is not flat: our choice. It is enough if the
+/// slope changes by twice the angle of repose within the reach.
 const BENT: f64 = 2.5;
 
-/// One piece of [`HardGround`], one lane each.
+/// One piece of [`HardGround`] for each lane.
 #[derive(Clone, Copy)]
 struct Piece<R> {
     center: [R; 2],
@@ -46,7 +46,7 @@ pub struct Floor<R> {
 pub struct BodyContacts {
     pub body: usize,
     points: Vec<ContactPoint>,
-    /// A ball that contains all of them, in the body's frame [m].
+    /// Centre of a ball that contains all points, in the body's frame [m].
     center: [f64; 3],
     reach: f64,
 }
@@ -55,11 +55,11 @@ pub struct BodyContacts {
 #[derive(Clone, Copy)]
 pub struct Touch<R> {
     body: usize,
-    /// From the base's origin [m].
+    /// Position from the base's origin [m].
     at: Vec3<R>,
     normal: Vec3<R>,
     velocity: Vec3<R>,
-    /// k δ [N]; not positive where nothing touches.
+    /// k δ [N]; 0 or negative in lanes in which the point does not touch.
     spring: R,
     friction: R,
     /// C [N·s/m]
@@ -91,8 +91,7 @@ impl<R: Real> Floor<R> {
         floor
     }
 
-    /// Gives one lane other ground. Where it has fewer pieces than other lanes, the remaining pieces are put out of
-    /// reach.
+    /// Gives one lane other ground. If it has fewer pieces than other lanes, its remaining pieces are put out of reach.
     pub fn set_lane(&mut self, lane: usize, model: &TreeModel, hard: &[HardGround]) {
         self.pieces.resize(self.pieces.len().max(hard.len()), Piece::nowhere());
         for (k, piece) in self.pieces.iter_mut().enumerate() {
@@ -121,8 +120,8 @@ impl<R: Real> Floor<R> {
             let frame = &frames[contacts.body];
             let center = frame.point(Vec3::splat(contacts.center));
             let under = local.under(*place + center);
-            // Hard ground is nowhere higher than the least depth of its pieces. Where the surface bends, it may
-            // rise by more than its slope here says.
+            // Hard ground is nowhere higher than the least depth of its pieces. If the surface bends, it may rise by
+            // more than its slope at this point gives.
             let reach = if local.is_flat() { 1.0 } else { BENT } * contacts.reach;
             let depth = under.depth(*place + center) + R::splat(reach);
             let near = |p: &Piece<R>| R::any(p.depth.lt(depth));
@@ -207,7 +206,7 @@ impl<R: Real> Floor<R> {
         load.bias.add(&Wrench { moment: -t.at.cross(force), force: -force });
     }
 
-    /// How much a point's push falls with its speed [N·s/m].
+    /// Decrease of a point's normal force with its speed [N·s/m].
     #[inline(always)]
     fn yielding(&self, dt: R) -> R {
         self.stiffness.mul_add(dt * R::splat(0.5), self.damping)

@@ -1,10 +1,10 @@
-//! Any legged robot: a tree of rigid bodies behind a floating base. Crate `robots` reads URDF, MJCF and TOML into
-//! it; engine `tree` simulates it.
+//! Any legged robot: a tree of rigid bodies with a floating base. Crate `robots` reads URDF, MJCF and TOML into it;
+//! engine `tree` simulates it.
 //!
-//! Each body has a frame at its joint. `origin` is that frame in the parent's where the joint's position is 0. The
-//! base's frame is the one its file gives it (URDF: the root link's, MJCF: the free body's).
+//! Each body has a frame at its joint. `origin` is that frame in the parent's when the joint's position is 0. The
+//! base's frame is that of the file (URDF: the root link's, MJCF: the free body's).
 //!
-//! * [`model`]: the same ready for an engine: motors, plates, points of contact; [`hard`]: hard ground as a user
+//! * [`model`]: a tree as an engine needs it: motors, plates, points of contact; [`hard`]: hard ground as a user
 //!   describes it.
 //! * [`engine`]: lanes of such robots; [`step`]: one time step.
 //! * [`dynamics`]: accelerations of a tree, over any number; [`flight`]: those in free flight, for checks.
@@ -42,7 +42,7 @@ pub use robot::of_robot;
 use nalgebra::{Isometry3, Matrix3, Unit, Vector3};
 use std::sync::Arc;
 
-/// A robot. Bodies are in depth-first order: each after its parent, and each branch without a gap.
+/// A robot. Bodies are in depth-first order: each comes after its parent, and the bodies of a branch are contiguous.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tree {
     pub name: String,
@@ -56,7 +56,7 @@ pub struct TreeBody {
     pub name: String,
     /// Index of the parent, less than the body's own; 0 for the base itself.
     pub parent: usize,
-    /// The body's frame in the parent's where the joint is at 0 [m].
+    /// The body's frame in the parent's when the joint is at 0 [m].
     pub origin: Isometry3<f64>,
     /// None for the base alone: fixed joints are merged when a file is read.
     pub joint: Option<TreeJoint>,

@@ -41,7 +41,7 @@ pub struct TreeModel {
     pub motors: Vec<TreeMotor>,
     /// Plates that touch sand, in the frame of each body.
     pub plates: Arc<Vec<Vec<Plate>>>,
-    /// The same plates in the engines' form; None before [`TreeModel::for_law`].
+    /// The same plates in the engines' form; empty before [`TreeModel::for_law`].
     pub patches: Arc<Vec<BodyPatches>>,
     /// Points that touch hard ground, in the frame of each body.
     pub contacts: Arc<Vec<Vec<ContactPoint>>>,
@@ -77,7 +77,7 @@ impl TreeModel {
         Self::with_contacts(tree, plates, contacts)
     }
 
-    /// The same where the points of contact are known already.
+    /// As [`Self::new`], with points of contact that are known already.
     pub fn with_contacts(tree: Tree, plates: Vec<Vec<Plate>>, contacts: Vec<Vec<ContactPoint>>) -> Result<Self> {
         check(&tree)?;
         let (motors, compliance) = (motors(&tree), Compliance::of_mass(tree.mass()));
@@ -86,7 +86,7 @@ impl TreeModel {
         Ok(Self { tree, motors, plates: Arc::new(plates), patches, contacts, compliance, stance })
     }
 
-    /// The model made ready for `law`.
+    /// The model with its plates gathered for `law`.
     pub fn for_law(mut self, law: Law) -> Self {
         self.patches = Arc::new(BodyPatches::all(&self.plates, law));
         self
@@ -111,7 +111,7 @@ impl TreeModel {
         self.height_over(angles, |_, _| 0.0)
     }
 
-    /// The same over ground with a height at each place, as far as the base's origin from 0.
+    /// As [`Self::standing_height`], over ground with the heights `ground`; the base's origin is at x = y = 0.
     pub fn height_over(&self, angles: &[f64], ground: impl Fn(f64, f64) -> f64) -> f64 {
         let frames = frames(&self.tree, &crate::State::at_rest(0.0, angles));
         let over = |low: nalgebra::Vector3<f64>| low.z - ground(low.x, low.y);

@@ -1,5 +1,5 @@
-//! Gathers plates into patches. The law of the sand is expensive and is evaluated once a patch; which plates lead
-//! and lie in the sand is found plate by plate.
+//! Gathers plates into patches. The law of the sand is expensive and is evaluated once for each patch; whether a plate
+//! leads and is in the sand is found for each plate.
 //!
 //! A patch is a part of a body's surface whose plates have nearly the same normal and lie near each other. Its
 //! force is the law's force on the leading part in the sand, weighted by depth: for the mean normal, and for the
@@ -43,8 +43,8 @@ pub struct Facet {
     pub moment: [f32; 3],
     /// [m²]
     pub area: f32,
-    /// Distance of its two sample points above and below the centre when it is upright [m]: Gauss's rule for a
-    /// square.
+    /// Distance of the plate's two sample points from its centre, up and down, when the plate is upright [m]: Gauss's
+    /// rule for a square.
     pub rise: f32,
     /// The leading share is `begun` + `growth` n·v̂, clamped to 0 to 1.
     pub begun: f32,
@@ -105,7 +105,7 @@ impl Ball {
 }
 
 impl BodyPatches {
-    /// One for each body that has plates.
+    /// The patches of each body that has plates.
     pub fn all(plates: &[Vec<Plate>], law: Law) -> Vec<Self> {
         plates.iter().enumerate().filter(|(_, p)| !p.is_empty()).map(|(body, p)| Self::of(body, p, law)).collect()
     }
@@ -163,8 +163,7 @@ fn apart(a: &Look, b: &Look) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum()
 }
 
-/// Indices of the plates of each patch. There are as many patches as it takes to have every plate near a patch's
-/// centre.
+/// Indices of the plates of each patch. There are so many patches that every plate is near a patch's centre.
 fn alike(plates: &[Plate], ball: &Ball, law: Law) -> Vec<Vec<usize>> {
     let kind = usize::from(law == Law::Agarwal2023);
     let (most, turned) = (APART[kind], ONE_WAY[kind]);

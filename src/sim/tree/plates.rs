@@ -101,7 +101,7 @@ impl Geometry {
         })
     }
 
-    /// Does the shape contain a point given in its own frame? For a mesh `plates` decide.
+    /// Does the shape contain a point, given in the shape's frame? For a mesh this is computed from `plates`.
     fn holds(&self, p: Vector3<f64>, plates: &[Plate]) -> bool {
         match self {
             Self::Sphere { radius } => p.norm() < *radius,
@@ -160,7 +160,7 @@ fn one_shape(shape: &TreeShape, given: Option<f64>, larger: f64) -> Result<Vec<P
         return Err(too_many());
     }
     let plates = shape.geometry.cut(size).ok_or_else(too_many)?;
-    // The cut has along y what a shape has along z.
+    // The functions for plates have along y the axis that a shape has along z.
     let turned = |v: Vec3<f64>| match shape.geometry {
         Geometry::Capsule { .. } | Geometry::Cylinder { .. } => Vec3::new(v.x, -v.z, v.y),
         _ => v,

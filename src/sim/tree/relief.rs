@@ -12,7 +12,7 @@ pub const REPOSE_DEG: f64 = 35.0;
 /// Most nodes along a side, and largest height of a node [m]: our choice.
 const NODES: std::ops::RangeInclusive<f64> = 4.0..=512.0;
 const HEIGHTS: std::ops::RangeInclusive<f64> = -100.0..=100.0;
-/// Number of waves that are summed to dunes: our choice; no direction dominates.
+/// Number of waves whose sum makes dunes: our choice, enough that no direction dominates.
 const WAVES: usize = 24;
 /// Nodes along a side of dunes, and nodes a wave length: our choice.
 const SIDE: usize = 128;
@@ -28,7 +28,7 @@ pub struct Relief {
     columns: usize,
     /// Row by row [m].
     heights: Vec<f32>,
-    /// Does it repeat beyond its edges? Otherwise it continues at the height of the edge.
+    /// Does the field repeat beyond its edges? Otherwise the surface continues there at the height of the edge.
     repeats: bool,
 }
 
@@ -58,7 +58,7 @@ impl Relief {
         let waves: Vec<[f64; 3]> = (0..WAVES)
             .map(|_| {
                 let (angle, length) = (TAU * draw.next(), 0.5 + draw.next());
-                // Each wave fits a whole number of times.
+                // Each wave has a whole number of periods, so the dunes repeat.
                 let [x, y] = [angle.cos(), angle.sin()].map(|part| (whole * length * part).round());
                 [x, y, TAU * draw.next()]
             })
@@ -75,13 +75,13 @@ impl Relief {
         Ok(dunes)
     }
 
-    /// Length and width [m].
+    /// Length and width of the field [m].
     pub fn size(&self) -> [f64; 2] {
         [self.columns, self.rows].map(|n| n as f64 * self.spacing)
     }
 
-    /// Tangent of the steepest slope, and its position [m], from nodes and the points half way between them, where
-    /// it is largest.
+    /// Tangent of the steepest slope, and its position [m]. Only nodes and the points half way between them are
+    /// evaluated, because the slope is largest at one of these.
     pub fn steepest(&self) -> (f64, [f64; 2]) {
         let half = self.spacing / 2.0;
         let places = (0..4 * self.rows * self.columns)
@@ -201,7 +201,7 @@ mod tests {
             assert!((height - (0.2 * x - 0.1 * y)).abs() < 1e-7);
             assert!((gx - 0.2).abs() < 1e-6 && (gy + 0.1).abs() < 1e-6);
         }
-        // Beyond its edges it continues at the height of the edge.
+        // Beyond its edges the surface continues at the height of the edge.
         assert!(plane.at(1e9, 1.0).1[0].abs() < 1e-9 && plane.at(f64::MAX, -f64::MAX).0.is_finite());
     }
 

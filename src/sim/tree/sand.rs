@@ -1,9 +1,8 @@
 //! Sand on plates that face any direction, fixed to the bodies of a tree.
 //!
 //! Plates are one-sided with the leading-edge rule. The scheme in time is that of [`crate::lanes`]: the force is
-//! linearly implicit, f⁺ = f − C (v⁺ − v), and where a motion is smooth, the velocities are expected to change as
-//! in the last step. The law is evaluated once a patch ([`super::patches`]), for those of its plates that lead in
-//! the sand.
+//! linearly implicit, f⁺ = f − C (v⁺ − v), and in smooth motion the velocities are expected to change as in the last
+//! step. The law is evaluated once a patch ([`super::patches`]), for those of its plates that lead in the sand.
 
 use super::dynamics::{Frame, Load};
 use super::patches::{BodyPatches, Facet, Patch};
@@ -60,8 +59,8 @@ pub fn press<R: Real>(
     }
 }
 
-/// The surface under a body. Where it is not flat: its tangent plane under the body's lowest corner, which enters
-/// the sand first.
+/// The surface under a body. If the surface is not flat, this is its tangent plane under the body's lowest corner,
+/// which enters the sand first.
 #[inline(always)]
 fn under_body<R: Real>(plates: &BodyPatches, frame: &Frame<R>, place: &Vec3<R>, surface: &impl Surface<R>) -> Local<R> {
     if surface.is_flat() {
@@ -78,8 +77,8 @@ fn under_body<R: Real>(plates: &BodyPatches, frame: &Frame<R>, place: &Vec3<R>, 
     surface.under(*place + low)
 }
 
-/// Weight w at `place`: 1 where the body's next change of velocity is expected to equal the last one, 0 where it is
-/// not; see [`crate::lanes`].
+/// Weight w at `place`: near 1 in smooth motion, in which the next change of velocity is about the last one, and 0 if
+/// the place sticks; see [`crate::lanes`].
 #[inline(always)]
 fn trust<R: Real>(frame: &Frame<R>, place: Vec3<R>) -> R {
     let (speed, change) = (frame.velocity.at(place).norm_squared(), frame.change.at(place).norm_squared());
@@ -249,7 +248,7 @@ fn by<R: Real>(
     wet.then_some(total)
 }
 
-/// The same in all lanes.
+/// `x` in all lanes.
 #[inline(always)]
 fn lane<R: Real>(x: f32) -> R {
     R::splat(f64::from(x))

@@ -1,9 +1,8 @@
 //! Torques at the joints: motors, bearings and stops, all linearly implicit in the joint's rate.
 //!
-//! Each is τ(q̈) = torque − yielding q̈. A motor's torque is limited, and a stop only pushes. Which of them are at
-//! their limits is computed with the parent held still, as in [`crate::lanes`]; the torque of those is the limit
-//! and independent of q̈. Dry friction is F q̇⁺/max(|q̇|, v₀), with the rate after the step above and that before
-//! it below.
+//! Each is τ(q̈) = torque − yielding q̈. A motor's torque is limited, and a stop only pushes. Whether a torque is at
+//! its limit is computed with the parent held still, as in [`crate::lanes`]. The torque is then the limit, and
+//! independent of q̈. Dry friction is F q̇⁺/max(|q̇|, v₀), with the rate q̇⁺ after the step and q̇ before it.
 
 use super::dynamics::{Drive, JointMotion, Push};
 use super::model::TreeModel;
@@ -13,13 +12,13 @@ use crate::number::Real;
 const NO_LIMIT: f64 = 1e9;
 /// Rate v₀ [rad/s] with which a joint creeps while dry friction holds it: our choice.
 const CREEP: f64 = 1e-3;
-/// A stop resists acceleration this many times as much as the joint's inertia does: our choice.
+/// Resistance of a stop to acceleration, as a multiple of the joint's inertia: our choice.
 const STIFF: f64 = 1e3;
 /// Number of time steps in which a stop pushes a joint back into its range: our choice.
 const RETURN: f64 = 8.0;
-/// Stall torque of a motor over its torque limit. A line falls from there to zero torque at the speed limit (the
-/// saturation effort of Isaac Lab's `DCMotor`; 2 is our choice: the full torque is available up to half of the
-/// speed limit).
+/// Stall torque of a motor as a multiple of its torque limit. The largest torque falls linearly from there to zero at
+/// the speed limit (the saturation effort of Isaac Lab's `DCMotor`; 2 is our choice: the full torque is available up to
+/// half of the speed limit).
 const STALL: f64 = 2.0;
 
 /// The torques that drive and hold a joint, one lane each.
@@ -116,7 +115,7 @@ pub struct Joints<'a, R> {
 }
 
 impl<R: Real> Joints<'_, R> {
-    /// The motor's torque where the joint accelerates by `acceleration`.
+    /// The motor's torque if the joint accelerates by `acceleration`.
     #[inline(always)]
     pub fn motor_torque(&self, i: usize, acceleration: R) -> R {
         let (push, [low, high]) = self.motors[i].servo(&self.servos[i], &self.joints[i], self.dt);
@@ -163,7 +162,7 @@ impl<R: Real> Drive<R> for Joints<'_, R> {
         let stiff = own * R::splat(STIFF);
         let next = joint.rate.mul_add(dt, joint.position);
         let [least, most] = motor.range;
-        // How far the joint is, or at its present rate will be, beyond its range.
+        // Distance of the joint beyond its range, now or, at its present rate, soon.
         let beyond =
             (next - most).max(joint.position - most).max(zero) + (next - least).min(joint.position - least).min(zero);
         let past = (joint.position - most).max(zero) + (joint.position - least).min(zero);

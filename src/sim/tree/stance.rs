@@ -7,8 +7,8 @@ use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 type V = Vector3<f64>;
 
-/// Share of its longest reach to which a leg is extended if the file gives no pose: our choice, close to Go1's
-/// usual stance (0.27 m of 0.43 m would be 0.64; 0.7 loads the knees less).
+/// Share of its longest reach to which a leg is extended if the file gives no pose: our choice, close to Go1's usual
+/// stance (0.27 m of 0.43 m, or 0.64; with 0.7 the torques at the knees are smaller).
 const REACH: f64 = 0.7;
 /// Largest position of a joint that is tried [rad or m].
 const FARTHEST: f64 = 2.8;
@@ -85,7 +85,7 @@ impl Stance {
         let frames = chain(tree, Isometry3::identity(), &angles);
         let all = frames.iter().zip(contacts).map(|(f, p)| lowest(f, p).z);
         let low = all.fold(f64::INFINITY, f64::min);
-        // Branches that end in the upper seven tenths of the robot's height are arms and tails.
+        // Branches that end above the lowest three tenths of the robot's height are arms and tails.
         feet.retain(|foot| lowest(&frames[*foot], &contacts[*foot]).z < low + 0.3 * low.abs());
         Self { angles, feet }
     }
@@ -112,7 +112,7 @@ fn found(tree: &Tree, contacts: &[Vec<ContactPoint>], feet: &[usize]) -> Vec<f64
             let frames = chain(tree, Isometry3::identity(), angles);
             let (tip, hip) = (lowest(&frames[foot], &contacts[foot]), frames[root].translation.vector);
             let off = tip - hip + V::z() * (REACH * length);
-            // Of two solutions the one with the knee behind is taken, and of several turns the smallest.
+            // Of two solutions, the one with the knee farther back is taken, and among equivalent angles the smallest.
             let knee = frames[foot].translation.vector.x - hip.x + 0.3 * length;
             let turned: f64 = branch.iter().map(|i| angles[i - 1] * angles[i - 1]).sum();
             off.norm_squared() + 1e-3 * knee * knee + 1e-6 * length * length * turned

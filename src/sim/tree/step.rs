@@ -11,7 +11,7 @@ use crate::sand::SandBed;
 use crate::spatial::Twist;
 use std::sync::Arc;
 
-/// All data that do not change while a robot moves, one lane each.
+/// All data of the robots that do not change while they move, one robot in each lane.
 pub struct LaneTree<R> {
     pub bodies: Vec<LaneBody<R>>,
     pub motors: Vec<LaneMotor<R>>,
@@ -22,7 +22,7 @@ pub struct LaneTree<R> {
     /// None: the surface is flat.
     pub relief: Option<LaneRelief>,
     pub gravity: Vec3<R>,
-    /// The same in all lanes [s].
+    /// Time step, equal in all lanes [s].
     pub dt: R,
 }
 

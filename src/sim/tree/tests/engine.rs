@@ -1,4 +1,4 @@
-//! The engine: laws of free flight, precision, the same bits wherever a robot is computed, servos and stops.
+//! The engine: laws of free flight, precision, independence of lanes, servos and stops.
 
 use super::*;
 use crate::engine::Command;
@@ -217,7 +217,7 @@ fn a_ball_bounces() {
     }
 }
 
-/// A quadruped with feet that are balls: hip and knee a leg.
+/// A quadruped whose feet are balls; each leg has a hip and a knee.
 pub fn quadruped() -> Tree {
     let body = |name: String, parent, at: V, joint, mass: f64, half: V, center: V, shape| {
         let square = half.map(|h| h * h * mass / 3.0);
@@ -310,7 +310,7 @@ fn on_sand(slabs: Option<f64>) -> Model {
     Model::of_tree(TreeModel::new(tree, plates).unwrap(), &scene).unwrap()
 }
 
-/// Trotting in place: different for every robot.
+/// Commands of a trot in place, different for every robot.
 fn trot(k: usize, step: usize) -> Command {
     let tree = quadruped();
     let t = step as f64 * 0.02;
@@ -328,7 +328,7 @@ fn trotted(isa: Isa, model: &Model, count: usize, k: usize) -> State {
         start.position = [0.1 * i as f64, -0.05 * i as f64, 0.33];
         start
     };
-    // Computed alone it has the commands of robot `k` too.
+    // Computed alone, the robot also gets the commands of robot `k`.
     let named = |i: usize| if count == 1 { k } else { i };
     (0..count).for_each(|i| engine.set_state(i, &starts(named(i))));
     for step in 0..50 {
@@ -378,7 +378,7 @@ fn states_go_on_with_the_same_bits() {
     }
 }
 
-/// Robots walk alike in both precisions, for a time before chaos separates them.
+/// The walks in both precisions agree for some time, before chaotic motion separates them.
 #[test]
 fn precisions_agree() {
     let model = on_sand(None);
@@ -425,7 +425,7 @@ fn a_plane_of_heights_is_a_slope() {
 #[test]
 fn servos_and_stops() {
     let tree = quadruped();
-    // Held in the air: a trunk of a hundred tonnes.
+    // A trunk of a hundred tonnes, so that the robot hardly moves in the air.
     let mut heavy = tree.clone();
     heavy.bodies[0].mass = 1e5;
     heavy.bodies[0].inertia *= 1e5;

@@ -1,4 +1,4 @@
-//! Random trees, and what they must satisfy.
+//! Random trees, and the equations that their accelerations must satisfy.
 
 use super::flight::{Accelerations, GRAVITY, Pose, accelerations, accelerations_by};
 use super::*;
@@ -91,7 +91,7 @@ pub fn random_pose(draw: &mut Draw, joints: usize) -> Pose {
     }
 }
 
-/// A body's frame and centre of mass as classical mechanics has them.
+/// Motion of a body's frame and centre of mass, in classical mechanics.
 struct Moving {
     turn: Rotation3<f64>,
     at: V,
@@ -170,8 +170,8 @@ fn needed(tree: &Tree, motions: &[Moving], root: usize, about: V) -> (V, V) {
     (force, moment)
 }
 
-/// Newton's and Euler's equations hold, body by body, for the computed accelerations: no net force on the whole,
-/// the given torque at each joint. Written without spatial algebra.
+/// Newton's and Euler's equations hold, body by body, for the computed accelerations: no net force on the whole, the
+/// given torque at each joint. The test uses no spatial algebra.
 #[test]
 fn every_branch_is_in_balance() {
     let mut draw = Draw::new(1);

@@ -81,7 +81,7 @@ fn sands() -> [SandDescription; 3] {
     [loose.clone(), spatial, SandDescription { mechanisms, ..loose }]
 }
 
-/// A velocity at which no face of a turned box moves almost along itself. There engines begin to load the face
+/// A velocity at which no face of a turned box moves almost along itself. On such a face the engines apply the load
 /// gradually, and `sand::intruder` at once.
 fn clear_of(turn: &Rotation3<f64>, draw: impl FnMut() -> V) -> V {
     let along =
@@ -97,7 +97,7 @@ fn the_force_is_that_of_a_body_in_steady_motion() {
     let folder = tempfile::tempdir().unwrap();
     let mut draw = Draw::new(5);
     for sand in sands() {
-        // A patch has one mean depth, which is exact where stress is linear in depth.
+        // A patch has one mean depth, which is exact if the stress is linear in depth.
         let part = if sand.mechanisms.depth_power == 0.0 { 5e-3 } else { 2e-2 };
         for _ in 0..6 {
             let turn = Rotation3::from_scaled_axis(draw.vector() * 3.0);

@@ -1,7 +1,8 @@
-//! Slips of units and signs, found before anything is diagnosed: each is one line that says what to state in the experiment.
+//! Finds wrong units and signs before the diagnosis. Each error is one line that says what to state in the experiment file.
 //!
-//! Quantities that must agree are compared: joint speeds with the change of angles, angles with the command, specific force with
-//! gravity and with the attitude, and torques, gyro and speed with the replay, which errs by some ten percent and not by a factor of 57.
+//! Quantities that depend on each other are compared: joint speeds with the change of angles, angles with the command, specific
+//! force with gravity and with the attitude. Torques, gyro and speed are compared with the replay, whose error is some ten percent;
+//! a wrong unit gives a factor of 57 or more, a wrong sign a negative one.
 
 use super::log::{Log, Run};
 use super::sensors::Layout;
@@ -11,19 +12,20 @@ use crate::sim::model::GRAVITY;
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
-/// A ratio within this share of a known one is that one: our choice, far from the distance between any two.
+/// A ratio counts as one of the known ratios if it is this near to it, relative: our choice, much less than the distance between any
+/// two known ratios.
 const NEAR: f64 = 0.2;
-/// Correlation from which a ratio means anything: our choice.
+/// Least correlation for which a ratio is evaluated: our choice.
 const CLEAR: f64 = 0.7;
 const DEGREES: f64 = 180.0 / PI;
 
-/// The proportion of `b` to `a` and their correlation, both about zero.
+/// The ratio of `b` to `a` by their rms, with the sign of their correlation; none if the correlation is below [`CLEAR`].
 fn proportion(pairs: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
     let (aa, ab, bb) = pairs.fold((0.0, 0.0, 0.0), |(x, y, z), (a, b)| (x + a * a, y + a * b, z + b * b));
     (ab.abs() > CLEAR * (aa * bb).sqrt() && aa > 0.0 && bb > 0.0).then(|| ab.signum() * (bb / aa).sqrt())
 }
 
-/// What a ratio is called, of those that it may be.
+/// The name of the known ratio that `ratio` is near to.
 fn named<'a>(ratio: f64, known: &[(f64, &'a str)]) -> Option<&'a str> {
     known.iter().find(|k| (ratio / k.0 - 1.0).abs() < NEAR).map(|k| k.1)
 }
@@ -35,21 +37,21 @@ pub fn check(path: &Path, log: &Log, joints: &[String], mount: [f64; 4]) -> Resu
             .find_map(|(j, name)| speed(run, j, name).or_else(|| command(run, j, name)))
             .or_else(|| gravity(run, mount))
             .or_else(|| attitude(run));
-        if let Some(slip) = found {
-            return Err(Error::file(path, format!("run {}: {slip}", run.name)));
+        if let Some(error) = found {
+            return Err(Error::file(path, format!("run {}: {error}", run.name)));
         }
     }
     Ok(())
 }
 
-/// Joint speeds against the change of angles.
+/// Compares the joint speeds with the change of the angles.
 fn speed(run: &Run, j: usize, name: &str) -> Option<String> {
     let qd = run.qd.get(j)?;
     let q = &run.q[j];
     let inner = 2..q.len().saturating_sub(2);
     let change = |i: usize| (q[i + 2] - q[i - 2]) / (run.t[i + 2] - run.t[i - 2]);
     let [low, high] = q.iter().fold([f64::MAX, f64::MIN], |[a, b], v| [a.min(*v), b.max(*v)]);
-    // Not where an angle is wrapped.
+    // Samples at which an angle is wrapped are left out.
     let steady = |i: &usize| (q[i + 2] - q[i - 2]).abs() <= 0.5 * (high - low);
     let ratio = proportion(inner.filter(steady).map(|i| (change(i), qd[i])))?;
     let known = [
@@ -65,16 +67,16 @@ fn speed(run: &Run, j: usize, name: &str) -> Option<String> {
         ratio.abs(),
         &[(1.0, "="), (DEGREES, "qd"), (1.0 / DEGREES, "q"), (60.0 / TAU, "rpm"), (1.0 / TAU, "Hz")],
     ) {
-        Some("qd") => format!("it is in degrees; state [units] \"qd:{name}\" = \"deg/s\""),
-        Some("q") => format!("that is in degrees; state [units] \"q:{name}\" = \"deg\""),
-        Some("rpm") => format!("it is in turns a minute; state [units] \"qd:{name}\" = \"rpm\""),
-        Some("Hz") => format!("it is in turns a second; state [units] \"qd:{name}\" = \"Hz\""),
+        Some("qd") => format!("the speed is in degrees; state [units] \"qd:{name}\" = \"deg/s\""),
+        Some("q") => format!("the angle is in degrees; state [units] \"q:{name}\" = \"deg\""),
+        Some("rpm") => format!("the speed is in turns a minute; state [units] \"qd:{name}\" = \"rpm\""),
+        Some("Hz") => format!("the speed is in turns a second; state [units] \"qd:{name}\" = \"Hz\""),
         _ => "one of the two has the wrong sign".to_string(),
     };
     Some(format!("qd:{name} {what} q:{name}: {mend}"))
 }
 
-/// Angles against the hips' command, of joints that turn on and on.
+/// Compares the angles with the hips' command, for joints that turn round.
 fn command(run: &Run, j: usize, name: &str) -> Option<String> {
     let told = TAU * run.frequency?;
     let (q, half) = (&run.q[j], run.t.len() / 2);
@@ -89,7 +91,7 @@ fn command(run: &Run, j: usize, name: &str) -> Option<String> {
     }
 }
 
-/// The mean specific force is gravity's, upward.
+/// Compares the mean specific force with gravity: 9.81 m/s², upward.
 fn gravity(run: &Run, [w, x, y, z]: [f64; 4]) -> Option<String> {
     let mean = |v: &Vec<f64>| v.iter().sum::<f64>() / v.len() as f64;
     let own = nalgebra::Vector3::from_fn(|k, _| mean(&run.acc[k]));
@@ -98,11 +100,9 @@ fn gravity(run: &Run, [w, x, y, z]: [f64; 4]) -> Option<String> {
     let size = acc.norm() / GRAVITY;
     if size < 0.5 {
         return Some(match named(size * GRAVITY, &[(1.0, "g")]) {
-            Some(_) => {
-                "acc has a mean of 1 and not of 9.81: it is in g; state [units] acc_x, acc_y, acc_z = \"g\"".into()
-            }
+            Some(_) => "the mean of acc is 1, not 9.81: it is in g; state [units] acc_x, acc_y, acc_z = \"g\"".into(),
             None => format!(
-                "acc has a mean of {:.2} m/s²: gravity is missing in it; the specific force is needed",
+                "the mean of acc is {:.2} m/s²: gravity is missing; the specific force is needed, +9.81 upward at rest",
                 acc.norm()
             ),
         });
@@ -110,10 +110,10 @@ fn gravity(run: &Run, [w, x, y, z]: [f64; 4]) -> Option<String> {
     if size > 2.0 {
         return Some(match named(size, &[(1e3, "mm")]) {
             Some(_) => {
-                "acc has a mean of 9810 and not of 9.81: it is in mm/s²; state [units] acc_x, acc_y, acc_z = \"mm/s²\""
+                "the mean of acc is 9810, not 9.81: it is in mm/s²; state [units] acc_x, acc_y, acc_z = \"mm/s²\""
                     .into()
             }
-            None => format!("acc has a mean of {:.1} and not of 9.81 m/s²: its unit is wrong", acc.norm()),
+            None => format!("the mean of acc is {:.1} m/s², not 9.81: state its unit in [units]", acc.norm()),
         });
     }
     let up = acc.z / acc.norm();
@@ -123,14 +123,14 @@ fn gravity(run: &Run, [w, x, y, z]: [f64; 4]) -> Option<String> {
                 .into(),
         );
     }
-    // A robot that stands on the steepest slope and pitches still has four fifths of it along z.
+    // On the steepest slope, with the robot pitched, four fifths of the specific force are still along z.
     (up < 0.7).then(|| {
         let axis = ["x", "y", "z"][own.iamax()];
-        format!("acc_{axis} has most of gravity: the IMU is mounted otherwise than [imu] quat says")
+        format!("gravity is mostly along acc_{axis}: the IMU is not mounted as [imu] quat states")
     })
 }
 
-/// The attitude turns the specific force upward.
+/// Checks that the attitude turns the specific force upward.
 fn attitude(run: &Run) -> Option<String> {
     let [w, x, y, z] = &run.attitude;
     let upward = |q: &dyn Fn(usize) -> [f64; 4]| {
@@ -141,7 +141,7 @@ fn attitude(run: &Run) -> Option<String> {
         };
         (0..w.len()).map(up).sum::<f64>() / (w.len().max(1) as f64 * GRAVITY)
     };
-    // Beside the mean upward share, that of the tilt alone, which a wrong order or direction turns round.
+    // The correlation of the tilt alone is checked too: with a wrong order or the inverse rotation it is negative.
     let tilt = |q: &dyn Fn(usize) -> [f64; 4]| {
         let pairs = (0..w.len()).flat_map(|i| {
             let [w, x, y, z] = q(i);
@@ -162,15 +162,15 @@ fn attitude(run: &Run) -> Option<String> {
         return None;
     }
     Some(if upward(&shifted) > 0.7 && tilt(&shifted) > 0.5 {
-        "quat has another order than w, x, y, z: it stands as x, y, z, w".into()
+        "quat has the order x, y, z, w; w, x, y, z is needed".into()
     } else if upward(&inverse) > 0.7 && tilt(&inverse) > 0.5 {
-        "quat tilts against acc: it is the inverse, from the level frame to the IMU's".into()
+        "quat is the inverse rotation, from the level frame to the IMU's; from the IMU's frame to the level one is needed".into()
     } else {
-        "quat does not turn the specific force upward: it belongs to another frame".into()
+        "quat does not turn the specific force upward: it is the attitude of another frame than the IMU's".into()
     })
 }
 
-/// Refuses a log whose torques, gyro or speed are not those of the replay by a factor that a unit or sign makes.
+/// Refuses a log whose torques, gyro or speed differ from the replay by the factor of a wrong unit or sign.
 pub fn against_replay(path: &Path, layout: &Layout, measured: &[f64], replayed: &[f64]) -> Result<()> {
     let span = BINS * layout.count();
     let ratio = |channels: std::ops::Range<usize>| {
@@ -196,9 +196,10 @@ pub fn against_replay(path: &Path, layout: &Layout, measured: &[f64], replayed: 
         ("x, y, z", place.map(|c| c..c + 1), &speed[..]),
     ];
     for (what, channels, known) in checks {
-        let slip = channels.and_then(&ratio).and_then(|r| named(r, known).map(|slip| (r, slip)));
-        if let Some((ratio, slip)) = slip {
-            let reason = format!("{what} is {ratio:.3} times what a replay of the joints gives: it {slip}");
+        let found = channels.and_then(&ratio).and_then(|r| named(r, known).map(|error| (r, error)));
+        if let Some((ratio, error)) = found {
+            let reason =
+                format!("{what} is {ratio:.3} times the value in a simulation with the logged joints: it {error}");
             return Err(Error::file(path, reason));
         }
     }

@@ -1,0 +1,41 @@
+//! The motion of an intruder in one trial.
+
+use super::experiment::Intruder;
+
+/// Pose and motion of an intruder at one sample. Legs use the angle, plates the centre.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Pose {
+    /// [s]
+    pub t: f64,
+    /// [rad] and [rad/s]
+    pub theta: f64,
+    pub omega: f64,
+    /// Centre of a plate [m] and its velocity [m/s].
+    pub center: [f64; 2],
+    pub velocity: [f64; 2],
+}
+
+/// The motion of a trial; trials with the same motion share one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Track {
+    pub shape: String,
+    pub intruder: Intruder,
+    /// Height of a leg's hip above the surface [m]; 0 for plates.
+    pub hip_height: f64,
+    /// Tilt of a plate [rad]; 0 for legs.
+    pub beta: f64,
+    pub pass: u32,
+    /// Distance from the first pass [m].
+    pub pass_dx: f64,
+    /// Position in the bed [m].
+    pub x_bed: f64,
+    pub poses: Vec<Pose>,
+}
+
+impl Track {
+    /// A leg on fresh ground at x = 0.
+    pub fn leg(intruder: Intruder, hip_height: f64, poses: Vec<Pose>) -> Self {
+        let (shape, beta, pass, pass_dx, x_bed) = ("leg".into(), 0.0, 1, 0.0, 0.0);
+        Self { shape, intruder, hip_height, beta, pass, pass_dx, x_bed, poses }
+    }
+}
