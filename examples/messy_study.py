@@ -144,7 +144,8 @@ def law(
     push = hidden.get("inertial_drag", 0.0) * DENSITY * vn**2 + hidden.get("cohesion", 0.0) * np.tanh(vn / 1e-3)
     push = push + hidden.get("added_mass", 0.0) * DENSITY * WIDTH * dvn
     if "law" in hidden:  # a law that is no mechanism: coefficient · ρ g |z| · Fr^a · (|z|/w)^b
-        froude = vn**2 / (9.81 * np.maximum(under, 1e-9))
+        under = np.maximum(under, 1e-9)  # above the surface it is negative, and has no such powers
+        froude = vn**2 / (9.81 * under)
         push = push + hidden["law"] * DENSITY * 9.81 * under * froude ** hidden["a"] * (under / WIDTH) ** hidden["b"]
     return np.asarray((stress - push[..., None] * n) * (depth > 0)[..., None])
 

@@ -27,6 +27,11 @@ const SIZES: usize = 21;
 /// Twice the logarithm of the evidence above which there is a discrepancy; chance exceeds it once in a thousand.
 const SEEN: f64 = super::chi_squared::AT_999_PER_MILLE;
 
+/// The `k`th relative size that is tried.
+fn size(k: usize) -> f64 {
+    1e-3 * 10f64.powf(k as f64 / 8.0)
+}
+
 /// Directions of the model's error, whitened.
 pub struct Directions {
     /// Not whitened.
@@ -42,6 +47,14 @@ pub struct Discrepancy {
     pub size: f64,
     /// −2 ln of the evidence of the data, without constants that all models have in common.
     pub surprise: f64,
+}
+
+impl Discrepancy {
+    /// Is it as large as a discrepancy may be? Then the error is no small one, and directions of this size would take
+    /// what a cause explains.
+    pub fn too_large(&self) -> bool {
+        self.size >= size(SIZES - 1)
+    }
 }
 
 impl Directions {
@@ -67,15 +80,9 @@ impl Directions {
         let joint = self.joint(fit);
         // The size with the greatest evidence. A size other than 0 must also exceed the threshold.
         let none = Discrepancy { size: 0.0, surprise: joint.surprise(0.0) };
-        let size = |k: usize| 1e-3 * 10f64.powf(k as f64 / 8.0);
         let tried = (0..SIZES).map(|k| Discrepancy { size: size(k), surprise: joint.surprise(size(k)) });
         let best = tried.min_by(|a, b| a.surprise.total_cmp(&b.surprise)).unwrap_or(none);
         if best.surprise < none.surprise - SEEN { best } else { none }
-    }
-
-    /// The directions, one standard deviation long.
-    pub fn columns(&self, size: f64) -> Vec<Vec<f64>> {
-        self.white.iter().map(|w| w.iter().map(|v| size * v).collect()).collect()
     }
 
     fn joint(&self, fit: &Fit) -> Joint {

@@ -17,6 +17,21 @@ impl Errors {
         (self.square.iter().sum::<f64>() / self.count.iter().sum::<f64>().max(1.0)).sqrt()
     }
 
+    /// Those of some conditions.
+    pub fn among(&self, conditions: &[usize]) -> Self {
+        let of = |values: &[f64]| conditions.iter().map(|&k| values[k]).collect();
+        Self { square: of(&self.square), count: of(&self.count) }
+    }
+
+    /// The same less the squares by which `before` is larger than `after`, condition by condition.
+    pub fn less(&self, before: &Self, after: &Self) -> Self {
+        let part = |k: usize| {
+            let mean = |e: &Self| e.square[k] / e.count[k].max(1.0);
+            (self.square[k] - self.count[k] * (mean(before) - mean(after)).max(0.0)).max(0.0)
+        };
+        Self { square: (0..self.square.len()).map(part).collect(), count: self.count.clone() }
+    }
+
     /// 95 % interval of the fraction by which `other` is smaller: bootstrap over conditions, 2000 draws.
     pub fn reduction_interval(&self, other: &Errors) -> [f64; 2] {
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(3);

@@ -8,12 +8,12 @@ use super::errors::Errors;
 use super::fit::Fit;
 use super::fitted::{Candidate, Fitted, candidate};
 use super::lack_of_fit::Lack;
-use super::nested::Nested;
+use super::nested::{Nested, errors_of};
 use super::profile;
 use super::speed_exponent::{self, SpeedExponent, SpeedLaw};
 use super::study::Study;
 use super::verdict::{Evidence, Rival};
-use crate::sand::mechanism::CATALOG;
+use crate::sand::mechanism::{CATALOG, Mechanisms};
 use crate::student;
 
 /// The plain model's error counts as clearly larger than the scatter if its 95 % interval exceeds the scatter by this
@@ -77,7 +77,7 @@ pub fn judged(study: &Study, standing: Standing) -> Judged {
         misfit: gates.lacking(&lacks[0]),
         remainder: gates.lacking(&lacks[1]),
         slight: gates.slight(&lacks[1]),
-        explained: explained(fitted, &lacks, &nested.reading, floor),
+        explained: explained(study, fitted, &lacks, &nested, floor),
         form_excluded: form.as_ref().is_some_and(|form| form.excluded),
         described: false,
         inflation: gates.inflation,
@@ -87,17 +87,32 @@ pub fn judged(study: &Study, standing: Standing) -> Judged {
     Judged { evidence, discrepancy, lacks, intervals, form, nested: nested.sand }
 }
 
-/// Share of the misfit beyond noise that the best candidate explains. If the plain model's error of readings on
-/// held-out conditions is clearly larger than the scatter, this is the share of that error, and otherwise the share of
-/// the whitened error. The effect of a filter or a tilt is not counted as misfit of the sand.
-fn explained(fitted: &Fitted, lacks: &[Lack; 2], nested: &[HeldOut; 2], floor: &Errors) -> f64 {
-    let plain = &fitted.plain_held_out.errors;
-    let reference = if plain.rmse() < nested[0].errors.rmse() { plain } else { &nested[0].errors };
-    if reference.reduction_interval(floor)[0] > CLEAR {
-        let [before, after, least] = [reference, &nested[1].errors, floor].map(|e| e.rmse().powi(2));
+/// Share of the misfit beyond noise that the best candidate explains. If the plain model's error on held-out conditions
+/// is clearly larger than the scatter, this is the share of that error, and otherwise the share of the whitened error.
+/// Only conditions in which the candidate acts count.
+fn explained(study: &Study, fitted: &Fitted, lacks: &[Lack; 2], nested: &Nested, floor: &Errors) -> f64 {
+    let of = |e: &Errors| e.among(&reached(study, fitted, floor));
+    let [plain, sand, reading, floor] =
+        [&fitted.plain_held_out.errors, &nested.sand[1].errors, &nested.reading[1].errors, floor].map(of);
+    // What nuisances explain beside the candidate, a filter or a tilt say, is no misfit of the sand.
+    let misfit = plain.less(&sand, &reading);
+    if misfit.reduction_interval(&floor)[0] > CLEAR {
+        let [before, after, least] = [misfit, reading, floor].map(|e| e.rmse().powi(2));
         return 1.0 - (after - least).max(0.0) / (before - least).max(1e-300);
     }
     1.0 - lacks[1].excess.max(0.0) / lacks[0].excess.max(1e-9)
+}
+
+/// The conditions whose prediction the best candidate changes by more than their scatter; all, if there are none.
+fn reached(study: &Study, fitted: &Fitted, floor: &Errors) -> Vec<usize> {
+    let all: Vec<usize> = (0..study.observations.conditions.len()).collect();
+    let Some(best) = fitted.best() else { return all };
+    let without = study.model.predict(&Mechanisms::default(), &study.coefficients(&best.fit.deviations));
+    let moved = |k: usize| study.observations.values[k] + best.fit.prediction[k] - without[k];
+    let moved = errors_of(study, moved, &all).errors;
+    let further = |k: &usize| moved.square[*k] / moved.count[*k].max(1.0) > floor.square[*k] / floor.count[*k].max(1.0);
+    let reached: Vec<usize> = all.iter().copied().filter(further).collect();
+    if reached.is_empty() { all } else { reached }
 }
 
 fn rivals(fitted: &Fitted, best: &Candidate, gates: &Gates) -> Vec<Rival> {

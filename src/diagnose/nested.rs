@@ -84,9 +84,10 @@ impl Known<'_> {
         let source = Source { left_out: held, ..*self.source };
         let noise = source.noise(Some(self.noise), &|| study.model.stopped());
         let own = Whitener::new(&source, &noise).without(study.observations, held);
-        let Some(Beside { discrepancy, raw, .. }) = self.beside else { return own };
-        let sized = |column: &Vec<f64>| own.apply(column).iter().map(|v| discrepancy.size * v).collect();
-        own.beside(raw.iter().map(sized).collect())
+        match self.beside {
+            Some(beside) => beside.on(own),
+            None => own,
+        }
     }
 }
 

@@ -22,6 +22,8 @@ pub struct Whitener {
     whole: LowRank,
     /// Held-out numbers, which become 0.
     held: Vec<Range<usize>>,
+    /// Factor on the white stack: below 1 where the noise counts as larger than it is.
+    weight: f64,
 }
 
 impl Whitener {
@@ -44,13 +46,18 @@ impl Whitener {
             filter.share(source, noise, repeated.sqrt());
             filter
         });
-        Self { units: units.collect(), whole: LowRank::new(Vec::new()), held: Vec::new() }
+        Self { units: units.collect(), whole: LowRank::new(Vec::new()), held: Vec::new(), weight: 1.0 }
     }
 
     /// This whitening with an additional error that all units share, along whitened directions one standard deviation
     /// long.
     pub fn beside(&self, directions: Vec<Vec<f64>>) -> Self {
         Self { whole: LowRank::new(directions), ..self.clone() }
+    }
+
+    /// This whitening as if the noise's variance were `dispersion` times as large.
+    pub fn dispersed(self, dispersion: f64) -> Self {
+        Self { weight: self.weight / dispersion.sqrt(), ..self }
     }
 
     /// This whitening with some conditions held out.
@@ -69,6 +76,9 @@ impl Whitener {
         }
         self.held.iter().for_each(|span| white[span.clone()].fill(0.0));
         self.whole.apply(&mut white);
+        if self.weight != 1.0 {
+            white.iter_mut().for_each(|w| *w *= self.weight);
+        }
         white
     }
 }
