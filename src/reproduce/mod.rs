@@ -4,9 +4,14 @@
 //! Each part computes its figures and its [`Claim`]s from the models as they are; nothing here is fitted to the
 //! paper.
 //!
-//! * [`stresses`]: figure 2. * [`legs`]: figure 3. * [`grains`]: data in place of its measured curves, from a simulated
-//! experiment. * [`speeds`]: figure 4. * [`shapes`]: figure 5. * [`assumptions`]: what the paper does not state. *
-//! [`claims`]: verdicts. * [`page`]: the report.
+//! * [`stresses`]: figure 2.
+//! * [`legs`]: figure 3.
+//! * [`grains`]: data in place of its measured curves, from a simulated experiment.
+//! * [`speeds`]: figure 4.
+//! * [`shapes`]: figure 5.
+//! * [`assumptions`]: what the paper does not state.
+//! * [`claims`]: verdicts.
+//! * [`page`]: the report.
 
 use sandgait_base::{error, progress};
 use sandgait_number as number;

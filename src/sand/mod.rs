@@ -3,13 +3,16 @@
 //! Pure functions over [`crate::number::Real`]; this crate has no robots, engines, time or randomness. Frame: x
 //! along the surface (uphill on a slope), z along the surface's outward normal, sand at z < 0.
 //!
-//! * [`media`]: kinds of sand: stress coefficients with their sources. * [`law`]: stress per depth from a segment's
-//! orientation and direction of motion; three published laws. * [`contact`]: force on a segment, with the derivatives
-//! that an implicit integrator needs to keep it at rest. * [`mechanism`]: the list of mechanisms that plain theory
-//! leaves out, with sources and bounds. * [`mechanism_laws`]: the equations of the mechanisms that act in the sand. *
-//! [`term`]: additional stress terms from `sand.toml`. * [`shape`]: intruders (plates and legs) cut into segments. *
-//! [`description`]: medium and mechanisms as a file, `sand.toml`. * [`intruder`]: any rigid body in steady motion, from
-//! plates on its surface. * [`intrusion`]: a leg rotated about a fixed hip, as on a force-measuring arm.
+//! * [`media`]: kinds of sand: stress coefficients with their sources.
+//! * [`law`]: stress per depth from a segment's orientation and direction of motion; three published laws.
+//! * [`contact`]: force on a segment, with the derivatives that an implicit integrator needs to keep it at rest.
+//! * [`mechanism`]: the list of mechanisms that plain theory leaves out, with sources and bounds.
+//! * [`mechanism_laws`]: the equations of the mechanisms that act in the sand.
+//! * [`term`]: additional stress terms from `sand.toml`.
+//! * [`shape`]: intruders (plates and legs) cut into segments.
+//! * [`description`]: medium and mechanisms as a file, `sand.toml`.
+//! * [`intruder`]: any rigid body in steady motion, from plates on its surface.
+//! * [`intrusion`]: a leg rotated about a fixed hip, as on a force-measuring arm.
 
 use sandgait_base::{error, parallel};
 use sandgait_number as number;

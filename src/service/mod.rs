@@ -2,16 +2,19 @@
 //!
 //! The only crate of the server with protobuf and the network. It never computes on the async runtime's threads.
 //!
-//! * [`address`]: the address of a server; [`server`]: its services until it is stopped. * [`connections`]: incoming
-//! connections and their limits; [`refusals`]: the sampled log of refusals. * [`security`]: TLS and the token;
-//! [`gate`]: the layer around all calls; [`rate`]: the limit of a peer's requests. * [`metrics`]: counters; [`pages`]:
-//! HTTP/1 for metrics and the live page. * [`sessions`]: the environments of clients, and the limits; [`state`]:
-//! sessions that outlive their server. * [`stream`]: one RunSession stream, request by request; [`work`]: the work of
-//! one request; [`rollout`]: the request of many steps. * [`view`]: requests for pictures and moments; [`viewer`]: the
-//! page that follows sessions. * [`studies`]: the offline tools, one at a time. * [`dm_env_rpc`]: the same environments
-//! for DeepMind's protocol. * [`intake`]: the memory of requests; [`frame`], [`wire`]: requests whose size is checked
-//! before they are unpacked. * [`decode`], [`encode`], [`values`]: messages from and to the crate's types. *
-//! [`status`]: the map from errors to gRPC codes.
+//! * [`address`]: the address of a server; [`server`]: its services until it is stopped.
+//! * [`connections`]: incoming connections and their limits; [`refusals`]: the sampled log of refusals.
+//! * [`security`]: TLS and the token; [`gate`]: the layer around all calls; [`rate`]: the limit of a peer's requests.
+//! * [`metrics`]: counters; [`pages`]: HTTP/1 for metrics and the live page.
+//! * [`sessions`]: the environments of clients, and the limits; [`state`]: sessions that outlive their server.
+//! * [`stream`]: one RunSession stream, request by request; [`work`]: the work of one request; [`rollout`]: the request
+//!   of many steps.
+//! * [`view`]: requests for pictures and moments; [`viewer`]: the page that follows sessions.
+//! * [`studies`]: the offline tools, one at a time.
+//! * [`dm_env_rpc`]: the same environments for DeepMind's protocol.
+//! * [`intake`]: the memory of requests; [`frame`], [`wire`]: requests whose size is checked before they are unpacked.
+//! * [`decode`], [`encode`], [`values`]: messages from and to the crate's types.
+//! * [`status`]: the map from errors to gRPC codes.
 
 use sandgait_base::{error, parallel, progress};
 use sandgait_diagnose as diagnose;
