@@ -1,8 +1,8 @@
 //! Fits mechanisms by generalised least squares with the uncertainty of the stress coefficients marginalised.
 //!
 //! Each coefficient is c_k (1 + s d_k), with s its relative prior sd and d_k ~ N(0, 1). The d_k are fitted too, with
-//! the prior's penalty d_k². For a linear model the least value of |W (y − m)|² + |d|² is the χ² under the covariance V
-//! + s² J Jᵀ. Nuisances are fitted in the same way, as columns after those of the coefficients; they change the
+//! the prior's penalty d_k². For a linear model the least value of |W (y − m)|² + |d|² is the χ² under the covariance
+//! V + s² J Jᵀ. Nuisances are fitted in the same way, as columns after those of the coefficients; they change the
 //! readings and not the prediction of the sand.
 
 use super::fit::{COEFFICIENTS, Column, Fit, slope};

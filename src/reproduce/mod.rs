@@ -10,7 +10,7 @@
 //! * [`speeds`]: figure 4.
 //! * [`shapes`]: figure 5.
 //! * [`assumptions`]: what the paper does not state.
-//! * [`claims`]: verdicts.
+//! * [`claims`]: the verdict on each claim.
 //! * [`page`]: the report.
 
 use sandgait_base::{error, progress};

@@ -17,19 +17,19 @@ const FLAT: f64 = 1e-3;
 pub fn coarse(bodies: &[Vec<TreeShape>], most: usize) -> Vec<Vec<TreeShape>> {
     let mut meshes: Vec<&Arc<Vec<Triangle>>> = Vec::new();
     for shape in bodies.iter().flatten() {
-        if let Geometry::Mesh(triangles) = &shape.geometry {
-            if !meshes.iter().any(|m| Arc::ptr_eq(m, triangles)) {
-                meshes.push(triangles);
-            }
+        if let Geometry::Mesh(triangles) = &shape.geometry
+            && !meshes.iter().any(|m| Arc::ptr_eq(m, triangles))
+        {
+            meshes.push(triangles);
         }
     }
     let small = together(&meshes, most);
     let replaced = |shape: &TreeShape| {
         let mut shape = shape.clone();
-        if let Geometry::Mesh(old) = &shape.geometry {
-            if let Some(i) = meshes.iter().position(|m| Arc::ptr_eq(m, old)) {
-                shape.geometry = Geometry::Mesh(small[i].clone());
-            }
+        if let Geometry::Mesh(old) = &shape.geometry
+            && let Some(i) = meshes.iter().position(|m| Arc::ptr_eq(m, old))
+        {
+            shape.geometry = Geometry::Mesh(small[i].clone());
         }
         shape
     };
