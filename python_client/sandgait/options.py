@@ -12,8 +12,8 @@ from .errors import InvalidRequest
 
 
 def with_files(options: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Replaces paths by the files' text: a sand.toml, a URDF or an MJCF."""
-    texts = {}
+    """Replaces paths by the files' text: a sand.toml, a URDF or an MJCF, heights of the ground."""
+    texts: dict[str, Any] = {}
     if "sand" in options:
         try:
             texts["sand"] = Path(options["sand"]).read_text(encoding="utf-8")
@@ -25,7 +25,16 @@ def with_files(options: Mapping[str, Any]) -> Mapping[str, Any]:
         texts["robot"], lines = _native.pack_robot(str(robot))
         for line in lines:
             warnings.warn(line, UserWarning, stacklevel=2)
+    relief = options.get("relief")
+    if isinstance(relief, Mapping) and relief.get("file"):
+        texts["relief"] = {**relief, "file": _heights(relief["file"])}
     return {**options, **texts}
+
+
+def _heights(file: object) -> str:
+    if not isinstance(file, (str, Path)):
+        raise InvalidRequest(f"relief.file: {file!r} is not a path")
+    return file if isinstance(file, str) and file.startswith("heights:") else _native.pack_heights(str(file))
 
 
 #: Endings of robots' files.

@@ -32,7 +32,7 @@ pub struct Bench {
     #[arg(long)]
     engine: Option<String>,
     /// Option of the task, repeatable; VALUE is JSON or plain text, that of `sand` the path of a sand.toml,
-    /// that of `robot` may be the path of a URDF or MJCF
+    /// that of `robot` may be the path of a URDF or MJCF, and `file` of `relief` that of a CSV or NPY
     #[arg(long = "option", value_name = "KEY=VALUE")]
     options: Vec<String>,
     /// Environments
@@ -173,7 +173,7 @@ impl Bench {
             }
         }
         let mut options = options.into();
-        super::robot::read_option(&mut options)?;
+        super::read_files(&mut options)?;
         Ok(options)
     }
 

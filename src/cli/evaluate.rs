@@ -50,7 +50,7 @@ impl Evaluate {
         let mut options = self.options.as_deref().map_or(Ok(Value::Null), |text| {
             serde_json::from_str(text).map_err(|e| Error::invalid("--options", format!("not JSON: {e}")))
         })?;
-        super::robot::read_option(&mut options)?;
+        super::read_files(&mut options)?;
         let request = Request {
             policy: Wanted::parse(&self.policy, read)?,
             task: self.task,

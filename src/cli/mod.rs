@@ -7,6 +7,7 @@ mod config;
 mod design;
 mod diagnose;
 mod evaluate;
+mod heights;
 mod intrude;
 mod media;
 mod replay;
@@ -22,6 +23,7 @@ mod trials;
 mod validate;
 mod walk;
 
+pub use heights::pack as pack_heights;
 pub use robot::pack as pack_robot;
 pub use train::{Training, learn};
 
@@ -50,6 +52,12 @@ const EXAMPLES: &str = "Examples:
   sandgait tasks --json
 
 Each command has its own --help with more examples.";
+
+/// Replaces paths in a task's options by the files' packed texts: a robot, and heights of the ground.
+fn read_files(options: &mut serde_json::Value) -> Result<()> {
+    robot::read_option(options)?;
+    heights::read_option(options)
+}
 
 #[derive(Subcommand)]
 enum Command {

@@ -122,7 +122,7 @@ impl Train {
         let changes = self.set.iter().map(|change| entry::pair("--set", change)).collect::<Result<_>>()?;
         let options = self.option.iter().map(|option| entry::pair("--option", option));
         let mut options = Value::Object(options.collect::<Result<Map<_, _>>>()?);
-        super::robot::read_option(&mut options)?;
+        super::read_files(&mut options)?;
         let place = self.address.map(|address| place(address, self.token_file.as_deref(), self.ca.as_deref()));
         Ok(Training {
             task: self.task,

@@ -45,6 +45,12 @@ fn pack_robot(py: Python<'_>, path: std::path::PathBuf) -> PyResult<(String, Vec
     py.detach(|| sandgait::cli::pack_robot(&path)).map_err(|error| errors::raise(&error))
 }
 
+/// The heights of a CSV or NPY as one text.
+#[pyfunction]
+fn pack_heights(py: Python<'_>, path: std::path::PathBuf) -> PyResult<String> {
+    py.detach(|| sandgait::cli::pack_heights(&path)).map_err(|error| errors::raise(&error))
+}
+
 #[pymodule]
 mod _native {
     #[pymodule_export]
@@ -53,6 +59,8 @@ mod _native {
     use super::local::Local;
     #[pymodule_export]
     use super::main;
+    #[pymodule_export]
+    use super::pack_heights;
     #[pymodule_export]
     use super::pack_robot;
     #[pymodule_export]

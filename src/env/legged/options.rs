@@ -9,8 +9,8 @@ use crate::options::RobotName;
 use crate::sand::{Law, Medium, Surface};
 use crate::sim::Model;
 use crate::sim::model::Scene;
-use crate::sim::tree::HardGround;
 use crate::sim::tree::relief::Relief;
+use crate::sim::tree::{HardGround, heights};
 use crate::walking::{MAX_STEPS, set_sand};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
@@ -51,13 +51,23 @@ options! {
         wavelength: f64 = 2.0, "about how far it is from crest to crest [m]";
         slope_deg: f64 = 15.0, "of the steepest place [°]";
         heights: Option<Vec<Vec<f64>>> = None, "rows along y of heights along x [m], in place of dunes";
+        file: String = String::new(), "the same from a file, packed (Python, command line: path of a .csv or .npy)";
         spacing: f64 = 0.1, "between two of these heights [m]";
     }
 }
 
 impl ReliefOptions {
     fn relief(&self) -> Result<Relief> {
-        match &self.heights {
+        let packed = match (&self.heights, &self.file[..]) {
+            (_, "") => None,
+            (Some(_), _) => return Err(Error::invalid("relief", "heights and file are both given")),
+            (None, text) if heights::is_packed(text) => Some(heights::unpack(text)?),
+            (None, _) => {
+                let reason = "is no packed text; Python and the command line read a file's path, a server opens none";
+                return Err(Error::invalid("relief.file", reason));
+            }
+        };
+        match self.heights.as_ref().or(packed.as_ref()) {
             Some(rows) => Relief::new(self.spacing, rows),
             None => Relief::dunes(self.seed, self.wavelength, self.slope_deg),
         }
