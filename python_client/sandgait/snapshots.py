@@ -51,7 +51,7 @@ def read_snapshot(snapshot: bytes | FilePath) -> list[bytes]:
         except OSError as error:
             raise InvalidRequest(f"snapshot: {snapshot!r} cannot be read: {error.strerror}") from error
     if not snapshot.startswith(_MAGIC):
-        raise InvalidRequest("snapshot: this is not one of sandgait's files")
+        raise InvalidRequest("snapshot: this is not one of sandgait's snapshots")
     at = len(_MAGIC)
     try:
         (count,) = struct.unpack_from("<Q", snapshot, at)

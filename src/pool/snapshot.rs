@@ -101,7 +101,7 @@ impl Snapshot {
     }
 
     pub fn from_bytes(bytes: &[u8], seal: &Seal) -> Result<Self> {
-        let rest = bytes.strip_prefix(MAGIC).ok_or_else(|| broken("this is not one of sandgait's files"))?;
+        let rest = bytes.strip_prefix(MAGIC).ok_or_else(|| broken("this is not one of sandgait's snapshots"))?;
         let short = || broken("it is cut off");
         let (length, rest) = rest.split_first().ok_or_else(short)?;
         let (version, rest) = rest.split_at_checked(usize::from(*length)).ok_or_else(short)?;

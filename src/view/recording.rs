@@ -187,7 +187,7 @@ pub fn read(file: &[u8]) -> Result<Vec<Section>> {
         broken(if e.kind() == io::ErrorKind::UnexpectedEof {
             "it is cut off".into()
         } else {
-            format!("this is not one of sandgait's files ({e})")
+            format!("this is not one of sandgait's recordings ({e})")
         })
     })?;
     if stream.len() as u64 == MOST_UNPACKED {
@@ -203,7 +203,7 @@ pub fn read(file: &[u8]) -> Result<Vec<Section>> {
         match (kind, sections.last_mut()) {
             (HEAD, _) => sections.push(Section::new(content)?),
             (ROWS, Some(section)) => section.extend(content)?,
-            _ => return Err(broken("this is not one of sandgait's files")),
+            _ => return Err(broken("this is not one of sandgait's recordings")),
         }
         rest = after;
     }

@@ -54,7 +54,7 @@ async fn fields_that_are_too_long_for_the_session() {
         (Request::Reset(Reset { seeds: vec![1; MIB / 2], ..Default::default() }), "seeds: 524288 entries for 3"),
         (Request::Reset(names), "leg"),
         (Request::Restore(Restore { sources: long(), ..Default::default() }), "sources: 1048576 entries for 3"),
-        (Request::Restore(Restore { snapshot: long(), ..Default::default() }), "snapshot: this is none"),
+        (Request::Restore(Restore { snapshot: long(), ..Default::default() }), "snapshot: this is not one of"),
     ] {
         let failure = session.failure(Some(request)).await;
         assert_eq!(failure.code, i32::from(Code::InvalidArgument), "{}", failure.message);

@@ -434,7 +434,10 @@ async fn impossible_trials_are_refused() {
     };
     let cases = [
         (TrialsRequest { body: None, ..one() }, "body: none given"),
-        (TrialsRequest { body: Some(trials_request::Body::Shape("/etc/passwd.stl".into())), ..one() }, "send the mesh"),
+        (
+            TrialsRequest { body: Some(trials_request::Body::Shape("/etc/passwd.stl".into())), ..one() },
+            "send the content of the mesh",
+        ),
         (TrialsRequest { velocity: vec![0; 23].into(), ..one() }, "velocity: 23 bytes"),
         (TrialsRequest { velocity: vec![0; 32].into(), ..one() }, "not a multiple of three"),
         (TrialsRequest { velocity: vec![].into(), ..one() }, "number of rows: 0"),
