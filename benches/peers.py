@@ -4,7 +4,7 @@ usage: python benches/peers.py [--binary BINARY] [--robot robots/sandcat.xml] [-
 
 Measured in turn, each on one pinned core and then on all of this machine's cores, so that drift of the machine's
 speed affects all alike: `sandgait bench` (whole environment steps, sand included), EnvPool Ant-v5, gymnasium's
-Ant-v5 in a SyncVectorEnv, and MuJoCo's bare `mj_step` of the same hexapod, without any sand, at the same 1 ms time step.
+Ant-v5 in a SyncVectorEnv, and MuJoCo's bare `mj_step` of the same hexapod, without any sand, in the same steps of 1 ms.
 A robot from a file (MJCF) on a hard floor, random actions: LeggedVelocity at its own time step, `mj_step` at 2 ms; a
 step of both is 20 ms.
 Needs: pip install "gymnasium[mujoco]" envpool (a target of the Makefile makes an environment with them).
