@@ -1,9 +1,9 @@
 //! Mechanisms that plain resistive force theory leaves out: the one list that simulator, diagnosis, report and
-//! documentation use. A new mechanism is one new entry of [`CATALOG`]'s table and, if it acts in the sand, one line in
-//! [`super::mechanism_laws::SandMechanisms::stress`].
+//! documentation use. A new mechanism is one new entry of [`CATALOG`]'s table and, if it acts on the stress of a
+//! segment, its value and its equation in [`super::mechanism_laws`]: a field, its lane, and a term of the force.
 //!
-//! Every parameter is 0 when its mechanism is off. The equations of the sand side are in
-//! [`super::beyond`]; those of the measuring side (sensors, log, drive) are in `diagnose::forward`.
+//! Every parameter is 0 when its mechanism is off. The equations of the measuring side (sensors, log, drive) are in
+//! `diagnose::arm` and `diagnose::forward`.
 
 use crate::error::{Error, Result, check_range};
 use serde::{Deserialize, Serialize};

@@ -67,8 +67,8 @@ impl LeggedStep<'_> {
 }
 
 reward_terms! {
-    /// Weights of the reward's terms, with legged_gym's names, signs and values; each is a rate per second. All but
-    /// the last two velocities are in the base's frame.
+    /// Weights of the reward's terms, with legged_gym's names, signs and values; each is a rate per second.
+    /// Velocities are in the base's frame.
     pub struct Rewards of LeggedStep<'_>, weights in [-1e4, 1e4] {
         tracking_lin_vel: 1.0, "exp(−((v_x − commanded)² + (v_y − commanded)²) / 0.25 m²/s²)", |s| {
             (-(square(s.velocity[0] - s.legged.now[0]) + square(s.velocity[1] - s.legged.now[1])) / TRACKING).exp()
@@ -78,7 +78,7 @@ reward_terms! {
         ang_vel_xy: -0.05, "ω_x² + ω_y²", |s| square(s.angular_velocity[0]) + square(s.angular_velocity[1]);
         orientation: 0.0, "squares of gravity's direction along x and y of the base", |s| square(s.gravity[0]) + square(s.gravity[1]);
         torques: -1e-5, "Σ τ²", |s| s.t.after.torques.iter().map(|x| x * x).sum::<f64>();
-        dof_acc: -2.5e-7, "Σ (change of a joint's speed over the step)²", |s| accelerations(s.t);
+        dof_acc: -2.5e-7, "Σ (mean acceleration of a joint over the step)²", |s| accelerations(s.t);
         action_rate: -0.01, "Σ (change of the action)²", |s| {
             s.t.action.iter().zip(s.t.previous_action).map(|(a, b)| square(f64::from(a - b))).sum()
         };
