@@ -17,7 +17,7 @@ pub struct Job<'a> {
 }
 
 /// Control steps between two reports of progress: some milliseconds of work, our choice.
-const HEED: usize = 50;
+const REPORT_STEPS: usize = 50;
 
 /// The episodes of every job, in order of its seeds. An episode depends on its seed alone, not on its neighbours,
 /// the threads or the other jobs. An error of `progress` stops the work.
@@ -36,9 +36,9 @@ pub fn play(jobs: &[Job], progress: &dyn Progress) -> Result<Vec<Vec<Episode>>> 
     let played = parallel::map(&blocks, |(job, seeds)| {
         // After a stop no further block starts.
         advance(0)?;
-        let (steps, episodes) = block(job, seeds, &|| advance(HEED))?;
+        let (steps, episodes) = block(job, seeds, &|| advance(REPORT_STEPS))?;
         // Reports the steps that episodes did not make because they ended early, and the last ones.
-        advance(longest(job) - steps / HEED * HEED)?;
+        advance(longest(job) - steps / REPORT_STEPS * REPORT_STEPS)?;
         Ok(episodes)
     });
     let mut played = played.into_iter();
@@ -50,9 +50,9 @@ pub fn play(jobs: &[Job], progress: &dyn Progress) -> Result<Vec<Vec<Episode>>> 
         .collect()
 }
 
-/// Runs until the last of these episodes has ended; returns the number of steps. `heed` is called every [`HEED`] of
+/// Runs until the last of these episodes has ended; returns the number of steps. `report` is called every [`REPORT_STEPS`] of
 /// them.
-fn block(job: &Job, seeds: &[u64], heed: &dyn Fn() -> Result<()>) -> Result<(usize, Vec<Episode>)> {
+fn block(job: &Job, seeds: &[u64], report: &dyn Fn() -> Result<()>) -> Result<(usize, Vec<Episode>)> {
     let spec = job.blueprint.task.spec();
     let (columns, period) = (Columns::of(spec)?, 1.0 / spec.control_rate);
     let mut shard = Shard::new(job.blueprint, seeds.len())?;
@@ -68,8 +68,8 @@ fn block(job: &Job, seeds: &[u64], heed: &dyn Fn() -> Result<()>) -> Result<(usi
         shard.step(&actions);
         running.iter().for_each(|i| episodes[*i].add(&shard, *i, columns, period));
         steps += 1;
-        if steps % HEED == 0 {
-            heed()?;
+        if steps % REPORT_STEPS == 0 {
+            report()?;
         }
     }
     Ok((steps, episodes))

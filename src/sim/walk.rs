@@ -154,7 +154,7 @@ pub fn walk_watched(kind: EngineKind, trial: &Trial, watch: &mut Watch) -> Resul
 }
 
 /// Simulated time [s] between two calls of `advanced`: some milliseconds of work, our choice.
-const HEED: f64 = 1.0;
+const REPORT_TIME: f64 = 1.0;
 
 /// Runs `trials` side by side in one engine; all robots must have the same number of joints and plates. `advanced`
 /// receives the additional simulated seconds; its error stops the walks and is returned.
@@ -186,7 +186,7 @@ fn run(
     let mut meters: Vec<_> = trials.iter().map(Meter::new).collect();
     let mut command = Command::still(first.model.joints());
     let ticks = (end / tick).ceil() as usize;
-    let heed = (HEED / tick).round().max(1.0) as usize;
+    let between = (REPORT_TIME / tick).round().max(1.0) as usize;
     let every = watch.as_ref().map_or(1, |w| (1.0 / (w.rate * tick)).round().max(1.0) as usize);
     let mut seen = first.start();
     for k in 0..=ticks {
@@ -204,11 +204,11 @@ fn run(
         for (i, meter) in meters.iter_mut().enumerate() {
             meter.sample(&engine, i, time + tick, tick);
         }
-        if (k + 1) % heed == 0 {
-            advanced(heed as f64 * tick)?;
+        if (k + 1) % between == 0 {
+            advanced(between as f64 * tick)?;
         }
     }
-    advanced(((ticks + 1) % heed) as f64 * tick)?;
+    advanced(((ticks + 1) % between) as f64 * tick)?;
     Ok(meters.into_iter().map(Meter::result).collect())
 }
 

@@ -10,7 +10,7 @@
 //! training that ends after steps, not seconds, has the same bits on any number of threads of one instruction set.
 
 use super::crew;
-use super::plan::{Heed, Learnt, Plan};
+use super::plan::{Learnt, Observer, Plan};
 use super::remote::Away;
 use super::training::{Phase, Shared, Training};
 use crate::error::Result;
@@ -18,14 +18,14 @@ use crate::number::flushed;
 
 impl Plan {
     /// Continues from `learnt` until steps or time end it, with the environments in this process or of `remote`.
-    pub fn run(&self, learnt: Learnt, mut remote: Away<'_>, heed: &mut dyn Heed) -> Result<Learnt> {
-        let shared = Shared::new(self, &learnt, remote.as_deref_mut(), heed)?;
+    pub fn run(&self, learnt: Learnt, mut remote: Away<'_>, observer: &mut dyn Observer) -> Result<Learnt> {
+        let shared = Shared::new(self, &learnt, remote.as_deref_mut(), observer)?;
         let work = |phase: Phase, item: usize| flushed(|| shared.work(phase, item));
         let mut training = Training::new(self, &shared, learnt, remote);
         crew::with(self.threads, &work, |crew| {
             while training.done() < 1.0 {
-                let report = flushed(|| training.update(crew, heed))?;
-                heed.update(&training.learnt, &report)?;
+                let report = flushed(|| training.update(crew, observer))?;
+                observer.update(&training.learnt, &report)?;
             }
             Ok(())
         })?;
@@ -70,7 +70,7 @@ mod tests {
         last: Learnt,
     }
 
-    impl Heed for Break {
+    impl Observer for Break {
         fn update(&mut self, learnt: &Learnt, _: &Report) -> Result<()> {
             self.last = learnt.clone();
             Ok(())
@@ -94,10 +94,10 @@ mod tests {
         let whole = timeless(plan.run(plan.begin(), None, &mut |_: &Learnt, _: &Report| Ok(())).unwrap());
         // Nine or ten pauses an update: in a rollout, during learning, at an update's end.
         for left in [11, 16, 25, 38] {
-            let mut heed = Break { left, last: plan.begin() };
-            assert!(plan.run(plan.begin(), None, &mut heed).is_err());
-            assert!((1..5).contains(&heed.last.updates), "{left}: {}", heed.last.updates);
-            let went_on = plan.run(heed.last, None, &mut |_: &Learnt, _: &Report| Ok(())).unwrap();
+            let mut observer = Break { left, last: plan.begin() };
+            assert!(plan.run(plan.begin(), None, &mut observer).is_err());
+            assert!((1..5).contains(&observer.last.updates), "{left}: {}", observer.last.updates);
+            let went_on = plan.run(observer.last, None, &mut |_: &Learnt, _: &Report| Ok(())).unwrap();
             assert!(timeless(went_on) == whole, "{left}");
         }
     }

@@ -50,6 +50,6 @@ mod yaml;
 
 pub use curve::Point;
 pub use export::onnx;
-pub use plan::{Heed, Learnt, Plan, Report};
+pub use plan::{Learnt, Observer, Plan, Report};
 pub use run::{Connect, Outcome, Request};
 pub use settings::Settings;

@@ -30,7 +30,7 @@ pub struct Learnt {
 }
 
 /// Observes a training. An error of an observer ends it.
-pub trait Heed {
+pub trait Observer {
     /// Called after each update.
     fn update(&mut self, learnt: &Learnt, report: &Report) -> Result<()>;
 
@@ -40,7 +40,7 @@ pub trait Heed {
     }
 }
 
-impl<F: FnMut(&Learnt, &Report) -> Result<()>> Heed for F {
+impl<F: FnMut(&Learnt, &Report) -> Result<()>> Observer for F {
     fn update(&mut self, learnt: &Learnt, report: &Report) -> Result<()> {
         self(learnt, report)
     }

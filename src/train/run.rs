@@ -3,7 +3,7 @@
 
 use super::curve::{Curve, Point};
 use super::events::Events;
-use super::plan::{Heed, Learnt, Plan, Report};
+use super::plan::{Learnt, Observer, Plan, Report};
 use super::remote::{Pause, Remote};
 use super::settings::Settings;
 use super::{checkpoint, export, film};
@@ -185,7 +185,7 @@ struct Diary<'a> {
     asked: Instant,
 }
 
-impl Heed for Diary<'_> {
+impl Observer for Diary<'_> {
     fn pause(&mut self) -> Result<()> {
         if self.asked.elapsed() < PATIENCE {
             return Ok(());

@@ -6,7 +6,7 @@ use super::kept::Kept;
 use super::learn::{Chunk, Minibatches, Rollout};
 use super::loss::{Sums, Weights, entropy};
 use super::normal::{Moments, Running, Scales};
-use super::plan::{Heed, Learnt, Plan, Report};
+use super::plan::{Learnt, Observer, Plan, Report};
 use super::remote::Away;
 use crate::error::{Error, Result};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
@@ -50,10 +50,10 @@ fn write<T>(lock: &RwLock<T>) -> RwLockWriteGuard<'_, T> {
 
 impl<'a> Shared<'a> {
     /// Continues with the environments in `learnt`, or begins new episodes.
-    pub fn new(plan: &'a Plan, learnt: &Learnt, mut remote: Away<'_>, heed: &mut dyn Heed) -> Result<Self> {
+    pub fn new(plan: &'a Plan, learnt: &Learnt, mut remote: Away<'_>, observer: &mut dyn Observer) -> Result<Self> {
         let Plan { blueprint, settings, networks, .. } = plan;
         let mut pieces = Piece::all(blueprint, settings, networks, remote.is_some())?;
-        let mut pause = || heed.pause();
+        let mut pause = || observer.pause();
         match &learnt.environments {
             Some(kept) => kept.restore(&mut pieces, blueprint, remote.as_deref_mut(), &mut pause)?,
             None => {
@@ -137,17 +137,17 @@ impl<'a, 'r> Training<'a, 'r> {
     }
 
     /// A rollout and its update. After an error `learnt` cannot be used any more.
-    pub fn update(&mut self, crew: &Crew<'_, Phase>, heed: &mut dyn Heed) -> Result<Report> {
+    pub fn update(&mut self, crew: &Crew<'_, Phase>, observer: &mut dyn Observer) -> Result<Report> {
         let done = self.done();
         let start = Instant::now();
-        let (finished, explained_variance) = self.roll(crew, heed)?;
+        let (finished, explained_variance) = self.roll(crew, observer)?;
         self.rollouts += start.elapsed().as_secs_f64();
         let settings = &self.plan.settings;
         let rate = settings.learning_rate.at(done);
-        let sums = self.learn(crew, heed, done, rate)?;
+        let sums = self.learn(crew, observer, done, rate)?;
         self.learnt.updates += 1;
         let remote = self.remote.as_deref_mut();
-        self.learnt.environments = Some(Arc::new(Kept::of(&self.shared.pieces, remote, &mut || heed.pause())?));
+        self.learnt.environments = Some(Arc::new(Kept::of(&self.shared.pieces, remote, &mut || observer.pause())?));
         self.learnt.parameters.clone_from(&read(&self.shared.parameters));
         self.learnt.seconds = self.before + self.began.elapsed().as_secs_f64();
         let log_std = &self.learnt.parameters[self.plan.networks.shape.log_std.clone()];
@@ -171,7 +171,7 @@ impl<'a, 'r> Training<'a, 'r> {
     }
 
     /// Fills the rollout; returns the returns of the episodes that ended, and the explained variance of the values.
-    fn roll(&mut self, crew: &Crew<'_, Phase>, heed: &mut dyn Heed) -> Result<(Vec<f64>, f64)> {
+    fn roll(&mut self, crew: &Crew<'_, Phase>, observer: &mut dyn Observer) -> Result<(Vec<f64>, f64)> {
         let (settings, pieces) = (&self.plan.settings, &self.shared.pieces);
         for (k, piece) in pieces.iter().enumerate() {
             lock(piece).begin(self.plan.noise(self.learnt.updates, k as u64));
@@ -182,9 +182,9 @@ impl<'a, 'r> Training<'a, 'r> {
         self.reflect_statistics();
         for step in 0..settings.n_steps {
             crew.run(Phase::Act { step }, pieces.len());
-            self.step_away(step, heed)?;
+            self.step_away(step, observer)?;
             self.normalize(true);
-            heed.pause()?;
+            observer.pause()?;
         }
         crew.run(Phase::Finish, pieces.len());
         self.learnt.steps += (settings.n_envs * settings.n_steps) as u64;
@@ -200,11 +200,11 @@ impl<'a, 'r> Training<'a, 'r> {
     }
 
     /// Sends the pieces' actions to the environments on a server, and gives the results to the pieces: step `step`.
-    fn step_away(&mut self, step: usize, heed: &mut dyn Heed) -> Result<()> {
+    fn step_away(&mut self, step: usize, observer: &mut dyn Observer) -> Result<()> {
         let Some(remote) = &mut self.remote else { return Ok(()) };
         let pieces = &self.shared.pieces;
         let actions: Vec<f32> = pieces.iter().flat_map(|piece| lock(piece).clipped.clone()).collect();
-        let rows = remote.step(&actions, &mut || heed.pause())?;
+        let rows = remote.step(&actions, &mut || observer.pause())?;
         let (parameters, scales) = (read(&self.shared.parameters), read(&self.shared.scales));
         let Plan { settings, networks, .. } = self.plan;
         let play = Play { settings, networks, parameters: &parameters, scales: scales.as_ref() };
@@ -251,7 +251,7 @@ impl<'a, 'r> Training<'a, 'r> {
     }
 
     /// Runs all epochs; returns the sums over all minibatches.
-    fn learn(&mut self, crew: &Crew<'_, Phase>, heed: &mut dyn Heed, done: f64, rate: f64) -> Result<Sums> {
+    fn learn(&mut self, crew: &Crew<'_, Phase>, observer: &mut dyn Observer, done: f64, rate: f64) -> Result<Sums> {
         let (plan, shared) = (self.plan, self.shared);
         let settings = &plan.settings;
         let rows = settings.n_envs * settings.n_steps;
@@ -287,7 +287,7 @@ impl<'a, 'r> Training<'a, 'r> {
                     return Err(self.diverged(rate));
                 }
                 drop(parameters);
-                heed.pause()?;
+                observer.pause()?;
             }
         }
         Ok(all)
@@ -337,8 +337,8 @@ mod tests {
         };
         let weights = plan.networks.shape.log_std.start;
         wave(&mut learnt.parameters[..weights], 0.4, 1.1, 0.0);
-        let mut heed = |_: &Learnt, _: &Report| Ok(());
-        let shared = Shared::new(&plan, &learnt, None, &mut heed).unwrap();
+        let mut observer = |_: &Learnt, _: &Report| Ok(());
+        let shared = Shared::new(&plan, &learnt, None, &mut observer).unwrap();
         {
             let mut rollout = write(&shared.rollout);
             wave(&mut rollout.observations, 1.5, 0.37, 0.1);
@@ -351,7 +351,7 @@ mod tests {
         let before = learnt.parameters.clone();
         let mut training = Training::new(&plan, &shared, learnt, None);
         let work = |phase: Phase, item: usize| shared.work(phase, item);
-        let sums = crew::with(1, &work, |crew| training.learn(crew, &mut heed, 0.0, 1e-3)).unwrap();
+        let sums = crew::with(1, &work, |crew| training.learn(crew, &mut observer, 0.0, 1e-3)).unwrap();
         assert_eq!(sums.samples, 3.0 * rows as f64);
         let wanted: Vec<f64> = serde_json::from_str(include_str!("../../tests/data/train/sb3_update.json")).unwrap();
         let got = read(&shared.parameters);
