@@ -97,9 +97,9 @@ pub struct SandBed<R> {
 pub struct Contact<R> {
     /// [N]
     pub force: Vec3<R>,
-    /// Resisting part of the force over the speed, −f·v/v² [N·s/m], never negative. This is the secant. Near rest the
-    /// regularised force is linear in v, so the secant equals the slope. For this, the v² in the denominator must not
-    /// contain v0², or the secant would be far too small.
+    /// Force against the motion divided by the speed, −f·v/v² [N·s/m], never negative: the slope of the straight line
+    /// from rest to the present velocity (secant). Near rest the regularised force is linear in v, and the secant equals
+    /// its slope. It does so only if v² in the denominator is not regularised by v0², too.
     pub drag: R,
     /// Slope of the leading-edge gate along the normal [N·s/m], never negative; 0 for two-sided segments.
     pub edge: R,
