@@ -8,6 +8,7 @@ use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
 /// Called on a worker thread when a batch is finished; not called if the pool ends before.
 type Done = Box<dyn FnOnce(Result<Batch>) + Send>;
@@ -45,6 +46,8 @@ struct Queue {
     jobs: VecDeque<Job>,
     pending: Vec<Pending>,
     next_id: u64,
+    /// Number of threads that now work on a shard.
+    active: usize,
     closed: bool,
 }
 
@@ -137,6 +140,20 @@ impl Pool {
         receiver.recv().unwrap_or_else(|_| Err(Error::Exhausted("the worker pool was closed".into())))
     }
 
+    /// Works on shards that wait for a worker, on the caller's thread, until none waits, as many threads work as the pool
+    /// has, or `time` is over. The caller has nothing else to do, so it need not wait until the system has started a worker on a processor:
+    /// in training that doubled the time of a step. Work of several parts is left to the workers, because it may take long.
+    pub fn assist(&self, time: Duration) {
+        let start = Instant::now();
+        let mut queue = self.shared.lock();
+        while queue.active < self.workers.len() && start.elapsed() < time {
+            let Some(place) = queue.jobs.iter().position(|job| job.operation.parts() == 1) else { break };
+            let Some((id, operation, piece)) = take(&mut queue, place) else { break };
+            drop(queue);
+            queue = carry_out(&self.shared, id, operation, piece);
+        }
+    }
+
     /// The same as [`Pool::run`], but waits for the result.
     pub fn wait(&self, batch: Batch, operation: Operation) -> Result<Batch> {
         let (sender, receiver) = std::sync::mpsc::sync_channel(1);
@@ -172,6 +189,7 @@ fn take(queue: &mut Queue, place: usize) -> Option<(u64, Arc<Operation>, Piece)>
     if !job.waiting.is_empty() {
         queue.jobs.push_back(job);
     }
+    queue.active += 1;
     Some((id, operation, piece))
 }
 
@@ -202,6 +220,7 @@ fn carry_out(shared: &Shared, id: u64, operation: Arc<Operation>, mut piece: Pie
     let outcome = catch_unwind(AssertUnwindSafe(|| work(shared, id, &operation, &mut piece)));
     if matches!(outcome, Ok(false)) {
         let mut queue = shared.lock();
+        queue.active -= 1;
         if !queue.closed {
             put_back(&mut queue, id, operation, piece);
         }
@@ -231,6 +250,7 @@ fn work(shared: &Shared, id: u64, operation: &Operation, piece: &mut Piece) -> b
 /// Returns a shard to its batch; the last one completes it.
 fn give_back(shared: &Shared, id: u64, start: usize, shard: Shard, panicked: bool) -> MutexGuard<'_, Queue> {
     let mut queue = shared.lock();
+    queue.active -= 1;
     let Some(index) = queue.pending.iter().position(|p| p.id == id) else { return queue };
     let pending = &mut queue.pending[index];
     pending.panicked |= panicked;
@@ -257,17 +277,44 @@ mod tests {
     use serde_json::Value;
     use std::sync::mpsc;
 
+    fn begun() -> (Batch, Operation) {
+        let blueprint = Blueprint::new("sandgait/HexapodGait-v1", Value::Null).unwrap();
+        let mut batch = Batch::new(&blueprint, 40).unwrap();
+        let reset = batch.reset(None, None, Default::default()).unwrap();
+        (batch, reset)
+    }
+
+    /// The only worker is busy elsewhere, so the shards of a batch wait: who waits for them computes them, but not while
+    /// as many threads work as the pool has.
+    #[test]
+    fn who_waits_computes() {
+        let pool = Pool::new(1);
+        let (busy, released) = mpsc::channel::<()>();
+        let (told, worker_is_busy) = mpsc::channel();
+        let (batch, reset) = begun();
+        pool.run(batch, reset, move |_| {
+            told.send(()).unwrap();
+            let _ = released.recv();
+        });
+        worker_is_busy.recv().unwrap();
+        let (sender, finished) = mpsc::channel();
+        let (batch, reset) = begun();
+        pool.run(batch, reset, move |batch| sender.send(batch.unwrap().envs()).unwrap());
+        pool.shared.lock().active = 1;
+        pool.assist(Duration::MAX);
+        assert!(finished.try_recv().is_err());
+        pool.shared.lock().active = 0;
+        pool.assist(Duration::MAX);
+        assert_eq!(finished.try_recv(), Ok(40));
+        assert_eq!(pool.shared.lock().active, 0);
+        drop(busy);
+    }
+
     /// `done` of a batch panics: the only worker goes on with other batches, and the values that `done` held are
     /// dropped.
     #[test]
     fn a_panic_of_who_is_told_costs_no_worker() {
         let pool = Pool::new(1);
-        let begun = || {
-            let blueprint = Blueprint::new("sandgait/HexapodGait-v1", Value::Null).unwrap();
-            let mut batch = Batch::new(&blueprint, 2).unwrap();
-            let reset = batch.reset(None, None, Default::default()).unwrap();
-            (batch, reset)
-        };
         for _ in 0..3 {
             let (batch, reset) = begun();
             let (sender, dropped) = mpsc::channel::<()>();
@@ -278,6 +325,6 @@ mod tests {
             assert!(dropped.recv().is_err());
         }
         let (batch, reset) = begun();
-        assert_eq!(pool.wait(batch, reset).unwrap().envs(), 2);
+        assert_eq!(pool.wait(batch, reset).unwrap().envs(), 40);
     }
 }

@@ -39,7 +39,10 @@ impl Local {
         }
         let mut lent = self.environments.take(Duration::ZERO);
         while lent.is_none() {
-            lent = py.detach(|| self.environments.take(PATIENCE));
+            lent = py.detach(|| {
+                self.pool.assist(PATIENCE / 2);
+                self.environments.take(PATIENCE / 2)
+            });
             py.check_signals()?;
         }
         match lent {
