@@ -45,7 +45,7 @@ fn page(diagnosis: &Diagnosis, json: &str) -> String {
     gain(&mut html, r, unit);
     causes(&mut html, r);
     form(&mut html, r);
-    charts(&mut html, &r.misfit);
+    maps(&mut html, &r.misfit);
     curves(&mut html, &diagnosis.curves);
     if !r.runs.is_empty() {
         runs(&mut html, r);
@@ -137,7 +137,7 @@ fn mapped(misfit: &[Misfit]) -> Vec<&str> {
     channels
 }
 
-fn charts(html: &mut String, misfit: &[Misfit]) {
+fn maps(html: &mut String, misfit: &[Misfit]) {
     let channels = mapped(misfit);
     html.push_str("<h2>Where the plain model errs</h2><p><small>mean error along the predicted direction, in % of the mean predicted size:");
     for (k, channel) in channels.iter().enumerate() {
@@ -147,11 +147,11 @@ fn charts(html: &mut String, misfit: &[Misfit]) {
             color::CYCLE[k % color::CYCLE.len()]
         );
     }
-    html.push_str("</small></p><div class=charts>");
+    html.push_str("</small></p><div class=maps>");
     let mut features: Vec<&str> = misfit.iter().map(|m| m.by.as_str()).collect();
     features.dedup();
     for by in features {
-        chart(html, by, misfit, &channels);
+        map(html, by, misfit, &channels);
     }
     html.push_str("</div>");
 }
@@ -173,7 +173,7 @@ fn map(html: &mut String, by: &str, misfit: &[Misfit], channels: &[&str]) {
     let several = rows.iter().any(|r| r.2.place() != rows[0].2.place());
     let Some(top) = rows.iter().map(|r| r.0.abs()).reduce(f64::max).filter(|_| several) else { return };
     let height = BAR * rows.len() + 30;
-    let _ = write!(html, "<svg width={CHART} height={height}><text x=4 y=15 font-weight=bold>by {by}</text>");
+    let _ = write!(html, "<svg width={MAP} height={height}><text x=4 y=15 font-weight=bold>by {by}</text>");
     let mut before = String::new();
     for (k, (relative, channel, m)) in rows.iter().enumerate() {
         let y = 24 + BAR * k;
@@ -190,7 +190,7 @@ fn map(html: &mut String, by: &str, misfit: &[Misfit], channels: &[&str]) {
             html,
             "<rect x={x:.1} y={y} width={length:.1} height={} fill='{fill}'/><text x={} y={} text-anchor=end>{percent}</text>",
             BAR - 3,
-            CHART - 2,
+            MAP - 2,
             y + 12,
         );
     }

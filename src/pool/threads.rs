@@ -93,6 +93,13 @@ impl Pool {
         self.enqueue(batch, operation, 0, done);
     }
 
+    /// The same as [`Pool::run`] for a caller that will [assist](Self::assist): one worker fewer is woken, but at least one. If all
+    /// were woken, two of them would often share a processor, because the caller still uses its own.
+    pub fn start(&self, batch: Batch, operation: Operation, done: impl FnOnce(Result<Batch>) + Send + 'static) {
+        let threads = batch.shards.len().min(self.workers.len());
+        self.enqueue(batch, operation, usize::from(threads > 1), done);
+    }
+
     /// Returns the number of the job. `helpers` is the number of threads outside the pool that will work on it.
     fn enqueue(
         &self,
@@ -140,9 +147,9 @@ impl Pool {
         receiver.recv().unwrap_or_else(|_| Err(Error::Exhausted("the worker pool was closed".into())))
     }
 
-    /// Works on shards that wait for a worker, on the caller's thread, until none waits, as many threads work as the pool
-    /// has, or `time` is over. The caller has nothing else to do, so it need not wait until the system has started a worker on a processor:
-    /// in training that doubled the time of a step. Work of several parts is left to the workers, because it may take long.
+    /// Works on shards that wait for a worker, on the thread of a caller that has nothing else to do. It ends if no shard waits, if
+    /// as many threads work as the pool has, or after `time`. Operations of several parts are left to the workers, because they may
+    /// take long.
     pub fn assist(&self, time: Duration) {
         let start = Instant::now();
         let mut queue = self.shared.lock();
