@@ -60,6 +60,8 @@ struct Shared {
 pub struct Pool {
     shared: Arc<Shared>,
     workers: Vec<JoinHandle<()>>,
+    /// With as many active threads no caller assists.
+    most_active: usize,
 }
 
 impl Shared {
@@ -80,7 +82,8 @@ impl Pool {
                 std::thread::spawn(move || worker(&shared))
             })
             .collect();
-        Self { shared, workers }
+        let most_active = if threads < processors() { threads } else { usize::MAX };
+        Self { shared, workers, most_active }
     }
 
     pub fn threads(&self) -> usize {
@@ -91,13 +94,6 @@ impl Pool {
     /// `done` gets an error; other batches go on.
     pub fn run(&self, batch: Batch, operation: Operation, done: impl FnOnce(Result<Batch>) + Send + 'static) {
         self.enqueue(batch, operation, 0, done);
-    }
-
-    /// The same as [`Pool::run`] for a caller that will [assist](Self::assist): one worker fewer is woken, but at least one. If all
-    /// were woken, two of them would often share a processor, because the caller still uses its own.
-    pub fn start(&self, batch: Batch, operation: Operation, done: impl FnOnce(Result<Batch>) + Send + 'static) {
-        let threads = batch.shards.len().min(self.workers.len());
-        self.enqueue(batch, operation, usize::from(threads > 1), done);
     }
 
     /// Returns the number of the job. `helpers` is the number of threads outside the pool that will work on it.
@@ -147,13 +143,14 @@ impl Pool {
         receiver.recv().unwrap_or_else(|_| Err(Error::Exhausted("the worker pool was closed".into())))
     }
 
-    /// Works on shards that wait for a worker, on the thread of a caller that has nothing else to do. It ends if no shard waits, if
-    /// as many threads work as the pool has, or after `time`. Operations of several parts are left to the workers, because they may
+    /// Works on shards that wait for a worker, on the thread of a caller that has nothing else to do. It ends if no shard waits, or
+    /// after `time`. In a pool with fewer threads than the machine has processors it ends, too, if as many threads work as
+    /// the pool has. With more, workers may share a processor while the caller's is free. Operations of several parts are left to the workers, because they may
     /// take long.
     pub fn assist(&self, time: Duration) {
         let start = Instant::now();
         let mut queue = self.shared.lock();
-        while queue.active < self.workers.len() && start.elapsed() < time {
+        while queue.active < self.most_active && start.elapsed() < time {
             let Some(place) = queue.jobs.iter().position(|job| job.operation.parts() == 1) else { break };
             let Some((id, operation, piece)) = take(&mut queue, place) else { break };
             drop(queue);
@@ -295,7 +292,8 @@ mod tests {
     /// as many threads work as the pool has.
     #[test]
     fn who_waits_computes() {
-        let pool = Pool::new(1);
+        let mut pool = Pool::new(1);
+        pool.most_active = 1;
         let (busy, released) = mpsc::channel::<()>();
         let (told, worker_is_busy) = mpsc::channel();
         let (batch, reset) = begun();

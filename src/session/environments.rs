@@ -191,7 +191,7 @@ impl Loan {
             Ok(operation) => {
                 let Some(batch) = self.batch.take() else { return };
                 // The pool drops this without calling it when it ends; then no caller is left.
-                pool.start(batch, operation, move |batch| self.back(batch));
+                pool.run(batch, operation, move |batch| self.back(batch));
             }
         }
     }
