@@ -20,8 +20,9 @@ const LEAST_STRETCHES: usize = 4;
 const COMPLIANCES: usize = 60;
 /// A law with more parameters is preferred only if it predicts better by this share: our choice.
 const WORTH: f64 = 0.05;
-/// Most pushes and samples in all: our choice.
+/// Largest number of pushes: our choice, far more than an experiment has.
 pub const MOST_PUSHES: usize = 1000;
+/// Largest number of samples of all pushes together: our choice, a thousand for each of [`MOST_PUSHES`].
 pub const MOST_SAMPLES: usize = 1_000_000;
 
 /// One penetration.

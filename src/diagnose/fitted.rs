@@ -18,7 +18,7 @@ use crate::sand::mechanism::{CATALOG, Mechanisms};
 const SECOND_TERM_SHARE: f64 = 0.01;
 /// Number of pairs that are fitted, the best of the linear screen: our choice, because of time.
 const PAIRS_FITTED: usize = 14;
-/// Most times that the noise is learnt again after the best candidate has changed: our choice, two usually suffice.
+/// How often the noise is learnt again, at most, after the best candidate has changed: our choice; two times usually suffice.
 const NOISES: usize = 3;
 /// Number of rivals that are fitted again under the final whitening: our choice; rivals further behind differ by
 /// hundreds of χ².
@@ -209,7 +209,7 @@ pub fn surroundings(study: &Study, source: &Source, start: &Noise, fit: &Fit) ->
     Surroundings { noise, sizes, whitener, nuisances }
 }
 
-/// Most rounds for nuisances with a nonlinear effect: our choice, most need two.
+/// Largest number of rounds for nuisances with a nonlinear effect: our choice; most fits need two.
 const BENDS: usize = 6;
 /// A change by less than this share of a prior standard deviation counts as converged: our choice.
 const STRAIGHT: f64 = 0.02;
@@ -289,7 +289,7 @@ impl Beside {
     }
 }
 
-/// Most rounds in which the size of a discrepancy and the fits are computed again: our choice, two usually suffice.
+/// Largest number of rounds in which a discrepancy's size and the fits are computed again: our choice; two usually suffice.
 const DISCREPANCIES: usize = 2;
 
 /// If the best candidate leaves a smooth misfit beyond noise, fits everything again with a discrepancy, which explains

@@ -214,7 +214,7 @@ pub struct Correlate {
     pub delta_chi2: f64,
 }
 
-/// Most terms of the sparse regression: our choice, for a short report.
+/// Largest number of terms that the sparse regression selects: our choice, for a short report.
 const TERMS: usize = 4;
 
 /// Greedy sparse regression of the whitened residual on prediction × feature and on |prediction| × feature, features scaled

@@ -7,12 +7,12 @@ use nalgebra::{Matrix4, Point3, Rotation3, Unit, Vector3};
 use roxmltree::Node;
 use std::collections::HashMap;
 
-/// Most triangles of a mesh: our choice, the largest we have seen (the trunk of go1.urdf) has 307,000.
+/// Largest number of triangles of a mesh: our choice, the largest we have seen (the trunk of go1.urdf) has 307,000.
 pub const MOST_TRIANGLES: usize = 500_000;
 
 type Triangle = [Vector3<f64>; 3];
 
-/// Most XML nodes, and most instances of geometries in a scene: our choice.
+/// Largest number of XML nodes, and of nodes in a scene with all instances: our choice, to bound time and memory.
 const MOST_NODES: u32 = 1_000_000;
 const MOST_PLACES: usize = 10_000;
 /// Deepest nesting of a scene's nodes: our choice.

@@ -3,7 +3,7 @@
 use super::xml::Element;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Most lines of a kind; further ones are only counted. Our choice: they fit on a screen.
+/// Largest number of lines of one kind that are shown; further ones are only counted. Our choice: they fit on a screen.
 const MOST_LINES: usize = 20;
 
 /// Collected while a file is read.

@@ -51,11 +51,11 @@ const FRAME: u32 = 1 << 20;
 /// Limits of connections, and of calls on one.
 #[derive(Clone, Copy, Debug)]
 pub struct Connected {
-    /// Most connections at the same time.
+    /// Largest number of connections at the same time.
     pub all: u32,
-    /// Most connections of one peer.
+    /// Largest number of connections of one peer.
     pub peer: u32,
-    /// Most calls at the same time on one connection.
+    /// Largest number of calls at the same time on one connection.
     pub streams: u32,
 }
 

@@ -34,7 +34,7 @@ use tokio_util::sync::CancellationToken;
 #[derive(Clone, Debug)]
 pub struct Limits {
     pub sessions: usize,
-    /// Most environments in one session.
+    /// Largest number of environments in one session.
     pub environments: usize,
     /// Memory of all environments (estimated) and of requests together [bytes]; see [`super::intake`].
     pub memory: usize,
@@ -44,7 +44,7 @@ pub struct Limits {
     pub request: usize,
     /// Requests a second of one peer; None: no limit.
     pub rate: Option<u32>,
-    /// Most watchers of the live page.
+    /// Largest number of watchers of the live page.
     pub watchers: usize,
 }
 

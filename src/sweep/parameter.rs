@@ -203,7 +203,7 @@ pub struct Axis {
     pub values: Vec<String>,
 }
 
-/// Most values on one axis: our choice, which catches typing errors.
+/// Largest number of values on one axis: our choice, which catches typing errors.
 const MOST_VALUES: usize = 10_000;
 
 impl Axis {

@@ -13,7 +13,7 @@ const CANDIDATES: usize = 1000;
 /// Bases of Halton's sequence, one for each parameter.
 const BASES: [u64; 6] = [2, 3, 5, 7, 11, 13];
 
-/// Most parameters of a search.
+/// Largest number of parameters of a search: one for each of [`BASES`].
 pub const MOST_PARAMETERS: usize = BASES.len();
 
 /// A point in the unit cube, and its value; more is better.

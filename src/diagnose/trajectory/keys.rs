@@ -45,7 +45,7 @@ impl Cut {
     }
 }
 
-/// Most runs: our choice, the same for every log.
+/// Largest number of runs in a log: our choice, the same for every format.
 const MOST_CUTS: usize = 1000;
 
 /// The keys as the file has them, not checked yet.

@@ -75,7 +75,7 @@ fn slope(t: &[f64], q: &[f64], i: usize) -> f64 {
 
 /// First values that are tried for the offset in [`zero`], evenly among the sorted differences: our choice.
 const TRIED: usize = 24;
-/// Most iterations from the best of them: our choice; each at least halves the error.
+/// Largest number of iterations from the best of the values in [`TRIED`]: our choice; each at least halves the error.
 const CLOSER: usize = 8;
 
 /// The angle of a joint at the start of its command is not known, nor is the exact time of the start. This makes a constant error of

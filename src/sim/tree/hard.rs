@@ -23,7 +23,7 @@ pub struct HardGround {
 impl HardGround {
     /// A rectangle at least this long or wide [m] is endless for a walking robot: our choice.
     pub const ENDLESS: f64 = 1e5;
-    /// Most pieces in a scene: our choice, because each makes a step slower.
+    /// Largest number of pieces in a scene: our choice, because each makes a step slower.
     pub const MOST: usize = 8;
     /// Steepness of its edges.
     pub const EDGE: f64 = 2.0;

@@ -22,7 +22,7 @@ const BY_PLACE: f64 = 0.6;
 /// Weight of normals that vary in one direction only, which the mean of `agarwal2023` does not take into account:
 /// our choice.
 const ONE_WAY: [f64; 2] = [1.0, 1.6];
-/// Most patches of a body: our choice.
+/// Largest number of patches of a body: our choice, to bound the time of a step.
 const MOST: usize = 512;
 /// Iterations that move patches to the centres of their plates (Lloyd 1982): our choice, later ones change little.
 const ROUNDS: usize = 8;

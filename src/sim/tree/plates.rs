@@ -16,7 +16,7 @@ const ROUND: [f64; 2] = [0.6, 0.5];
 const LONG: f64 = 3.0;
 /// Fewest plates around a round shape: our choice, half of those in `sandgait intrude`.
 const COARSE: usize = 8;
-/// Most plates of a shape: our choice, a hundred times what can be simulated in real time.
+/// Largest number of plates of a shape: our choice, a hundred times what can be simulated in real time.
 const MOST_PLATES: f64 = 20_000.0;
 /// Factor on the plates' size for the base: our choice.
 const BASE: f64 = 2.0;

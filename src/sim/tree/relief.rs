@@ -9,7 +9,7 @@ use std::sync::Arc;
 /// Steepest slope at which dry, loose sand rests [°], the limit of [`crate::model::Scene`]; media have no limits of
 /// their own.
 pub const REPOSE_DEG: f64 = 35.0;
-/// Most nodes along a side, and largest height of a node [m]: our choice.
+/// Least and greatest number of nodes along a side, then least and greatest height of a node [m]: our choice.
 const NODES: std::ops::RangeInclusive<f64> = 4.0..=512.0;
 const HEIGHTS: std::ops::RangeInclusive<f64> = -100.0..=100.0;
 /// Number of waves whose sum makes dunes: our choice, enough that no direction dominates.
@@ -17,7 +17,7 @@ const WAVES: usize = 24;
 /// Nodes along a side of dunes, and nodes a wave length: our choice.
 const SIDE: usize = 128;
 const A_WAVE: f64 = 16.0;
-/// Most nodes along a side on pages: our choice, 100 kB.
+/// Largest number of nodes along a side that are drawn on a page: our choice, some 100 kB.
 const DRAWN: usize = 128;
 
 /// Heights on a square grid; the surface is the quadratic B-spline over them, so its normal changes without a jump.
