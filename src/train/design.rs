@@ -28,7 +28,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Seeds for ranking designs; no reported result uses them. Two blocks of lanes.
 const CHOICE_SEEDS: std::ops::Range<u64> = 3_000_000..3_000_032;
-/// Seeds of the comparison, the same as in evaluations.
+/// Number of seeds of the final comparison; they begin at [`FIRST_SEED`], as in evaluations.
 const SEEDS: usize = 100;
 /// Number of designs in the final comparison, the best of the ranking: our choice.
 const COMPARED: usize = 3;

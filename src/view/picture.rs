@@ -170,7 +170,7 @@ impl Canvas {
         })
     }
 
-    /// A robot from a file on its ground; gives the labels of the lines.
+    /// Draws a robot from a file and its ground; returns the labels of the grid lines.
     fn tree(&mut self, model: &Model, robot: &TreeModel, state: &State) -> Labels {
         let (painted, ground) = (solid::robot(robot, state), solid::ground(model, state));
         let mut labels = Vec::new();
@@ -189,7 +189,7 @@ impl Canvas {
         labels
     }
 
-    /// A robot on identical legs, and rocks; gives the labels of the lines.
+    /// Draws a robot with identical legs, and the rocks; returns the labels of the grid lines.
     fn legs(&mut self, model: &Model, state: &State, pose: &Pose) -> Labels {
         let labels = self.lines(model, state);
         let mut faces = robot_faces(model, pose);
