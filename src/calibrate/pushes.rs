@@ -333,7 +333,7 @@ fn soft(pushes: &[Push], stretches: &[Vec<[f64; 2]>], chosen: &[usize], sized: b
     Ok(best.1)
 }
 
-/// 95 % from leaving out one push at a time.
+/// A 95 % interval by the jackknife: `without` are the values with one push left out.
 fn jackknife(value: f64, without: impl Iterator<Item = f64>) -> Value {
     let without: Vec<f64> = without.collect();
     let n = without.len() as f64;

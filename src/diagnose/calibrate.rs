@@ -44,7 +44,7 @@ pub const FELT: f64 = 1e-4;
 
 /// The effect of a candidate on the data: the change of the prediction per typical strength, at one value.
 pub struct Screen {
-    /// Catalogue index, and the value at which the column was computed.
+    /// For each candidate its catalogue index, and the value at which its column was computed.
     pub candidates: Vec<(usize, f64)>,
     columns: Vec<Vec<f64>>,
     pub marginal_columns: Vec<Column>,

@@ -296,8 +296,8 @@ const DISCREPANCIES: usize = 2;
 /// its share of the differences between explanations. Without it the least noisy samples alone would decide. None if
 /// the data need no discrepancy.
 ///
-/// Where even the largest discrepancy is too small, its directions would take what a cause explains. Then the noise
-/// counts as larger by the best's lack of fit, everywhere alike (overdispersion: McCullagh & Nelder 1989, section 4.5).
+/// If even the largest discrepancy is too small, one that fits would also explain what a cause explains. Then the variance of
+/// the noise is multiplied by the best candidate's lack of fit instead (overdispersion: McCullagh & Nelder 1989, section 4.5).
 pub fn beside_discrepancy(study: &Study, around: &Surroundings, fitted: Fitted) -> (Fitted, Option<Beside>) {
     let mut fitted = fitted;
     let mut found = None;

@@ -107,7 +107,7 @@ fn causes(html: &mut String, r: &Report) {
     html.push_str("</table>");
 }
 
-/// The result on the exponent of the speed in the nearest law.
+/// Writes the result on the exponent of the speed in the nearest law.
 fn form(html: &mut String, r: &Report) {
     let Some(form) = &r.form else { return };
     let [low, high] = form.ci95;

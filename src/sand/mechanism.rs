@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Side {
-    /// In the sand: a simulation of a robot can switch it on.
+    /// In the sand: a simulation of a robot can switch the mechanism on.
     Sand,
     /// In the force sensor, the depth reference or the log.
     Sensor,

@@ -94,10 +94,10 @@ pub const LARGEST_POLICY: usize = crate::policy::MOST_BYTES;
 /// Largest number of a body's motions in one request: our choice, some ten minutes of computing.
 pub const MOST_TRIALS: usize = 1_000_000;
 
-/// Largest request of trials [bytes]: all columns, a mesh, a sand.
+/// Largest request of trials [bytes]: all columns, a mesh and a description of the sand.
 pub const LARGEST_TRIALS: usize = 64 * MOST_TRIALS + LARGEST_MESH + LONGEST_OPTIONS;
 
-/// A million rows.
+/// Largest column of a request of trials [bytes]: a number for each motion.
 const COLUMN: usize = 8 * MOST_TRIALS;
 
 pub static TRIALS: [Field; 6] = [

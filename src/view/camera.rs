@@ -12,7 +12,8 @@ pub const SIZES: std::ops::RangeInclusive<u32> = 16..=4096;
 const AZIMUTH: f64 = 0.55;
 const ELEVATION: f64 = 0.32;
 
-/// Number of elevations that are tried until no dune hides the robot, each higher by [`ELEVATION`].
+/// Largest number of elevations that are tried until no dune hides the robot; each is higher than the one before by
+/// [`ELEVATION`].
 const HIGHER: u32 = 4;
 
 /// Vertical field of view [rad]: our choice, that of a normal lens.

@@ -112,7 +112,8 @@ impl Pose {
         }
     }
 
-    /// `contact` takes the segment's state, area [m²], unit normal and velocity [m/s].
+    /// Adds the sand's force on each plate. `contact` computes it from the segment's state, area [m²], normal and
+    /// velocity [m/s].
     fn press(
         &mut self,
         plates: &[Plate],

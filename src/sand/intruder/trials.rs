@@ -130,14 +130,14 @@ struct Piece {
 /// others are not needed.
 const PARTS: [f64; 2] = [0.4, 1.0];
 
-/// The leading plates of a moving body below some height, lowest first, in all positions of its turn.
+/// A body in motion: its leading plates below some height in all positions of a period, lowest first.
 struct Motion<'a> {
     ground: &'a SandBed<f64>,
     pieces: Vec<Piece>,
     share: f64,
 }
 
-/// The positions of the turn (one or several), and the least and greatest height of the body [m].
+/// The positions of a period (one or several), and the least and greatest height of the body in them [m].
 struct Turns {
     axis: Vec3<f64>,
     count: usize,

@@ -47,7 +47,7 @@ pub enum Group {
     Curvature,
     /// a_n/g of the leading face; 0 in the engines, which take the stress from velocities alone.
     Acceleration,
-    /// Earlier passes here; 0 in the engines.
+    /// Number of earlier passes over this place; 0 in the engines.
     Passes,
     /// Distance of a wall over w; far away if it is not given.
     Wall,
