@@ -316,7 +316,7 @@ fn score(law: Law, pushes: &[Push], points: &[Vec<Point>]) -> Result<Score> {
     })
 }
 
-/// The compliance [m/N] with which the widest law fits best.
+/// The compliance [m/N] with which the law with the most exponents fits best.
 fn soft(pushes: &[Push], stretches: &[Vec<[f64; 2]>], chosen: &[usize], sized: bool) -> Result<f64> {
     let law = if sized { Law::PowerAndSize } else { Law::Power };
     let all = stretches.iter().flatten();

@@ -248,8 +248,8 @@ pub fn gates(study: &Study, source: &Source, screen: &Screen, noise: &Noise, sco
         // one.
         inflation: (of(|n| n.best).0 / spread(&ideal).0.max(1e-9)).max(1.0),
         single: (of(|n| n.best).0 / spread(&ideal).0.max(1e-9)).max(1.0) * quantile(ideal, 1.0 - FALSE_ALARM),
-        // A tenth more for the skewness of a sum of squares. A mean square that noise alone can cause is not a misfit,
-        // even if all nulls, whose noise is known, stay below it.
+        // The factor 1.1 allows for the skewness of a sum of squares. The limit is at least the mean square that noise
+        // alone can cause, even if all nulls, whose noise is known, stay below it.
         lack_of_fit: (mean.0 + 1.1 * NORMAL * mean.1).max(1.0 + 1.1 * NORMAL * (2.0 / count.max(1.0)).sqrt()),
         worst: worst.0 + GREATEST * worst.1,
         degrees: screen.candidates.iter().map(|c| c.0).zip(degrees).collect(),

@@ -51,8 +51,8 @@ pub struct Discrepancy {
 }
 
 impl Discrepancy {
-    /// Is it as large as a discrepancy may be? Then the error is no small one, and directions of this size would take
-    /// what a cause explains.
+    /// Is it as large as a discrepancy may be? Then the error is not small, and a discrepancy of this size
+    /// would also explain what a cause explains.
     pub fn too_large(&self) -> bool {
         self.size >= size(SIZES - 1)
     }

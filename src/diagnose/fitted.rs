@@ -421,8 +421,8 @@ pub fn with_pairs(study: &Study, first: &Screened, fitted: Fitted) -> (Fitted, b
         let none = charged(base, &fitted.base.held_out);
         let [one, two] = [best, pair].map(|c| charged(&c.fit, &c.held_out));
         let share = (one - two) / (none - two).max(1e-9);
-        // Where the model is wrong by much more than the noise, a term may lower χ² by bending to a few quiet samples.
-        // A second cause also lowers the error of conditions held out, in the data's own units.
+        // If the model is wrong by much more than the noise, a term may lower χ² by fitting a few samples with little noise.
+        // A true second cause also lowers the error of held-out conditions, in the data's own units.
         let predicts = pair.held_out.errors.rmse() < best.held_out.errors.rmse();
         pair.delta_chi2 - best.delta_chi2 > gate && share >= SECOND_TERM_SHARE && predicts
     });

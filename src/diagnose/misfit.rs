@@ -119,8 +119,8 @@ fn add(
 
 /// The report names a range if its error is this many times the smallest error of the same table: our choice.
 const UNEVEN: f64 = 1.25;
-/// An error counts as increasing or decreasing along a feature despite reversals by this share of its greatest
-/// size: our choice, for noise.
+/// An error counts as increasing or decreasing along a feature despite reversals of up to this share of its greatest size,
+/// which may be noise: our choice.
 const DIP: f64 = 0.1;
 
 /// One sentence: the shape with the largest error of `prediction`, and the ranges of the features where that error

@@ -37,7 +37,7 @@ impl Inertial {
         Self { mass: self.mass, center, inertia: turn.matrix() * self.inertia * turn.matrix().transpose() }
     }
 
-    /// Both combined into one body.
+    /// These mass properties and `other` combined into one body.
     pub fn with(&self, other: &Self) -> Self {
         let mass = self.mass + other.mass;
         if mass == 0.0 {

@@ -131,7 +131,7 @@ pub struct SandMechanisms<R> {
     inverse_friction: R,
     skid_loss: R,
     graze_loss: R,
-    /// `slip_bearing` after the cut by the surface's friction, before the medium's ζ.
+    /// c_b (1 − μ)^1.5 of `slip_bearing`; times ζ it is a stress per depth.
     bearing: R,
     /// ζ [N/m³]
     penetration: R,

@@ -142,14 +142,14 @@ impl Making {
         self.0.as_ref().map_or(0, |(building, _)| building.missing())
     }
 
-    /// The number of environments when complete.
+    /// Makes the remaining environments now; returns all of them.
     fn finish(mut self) -> Result<Environments> {
         let (building, reservation) = self.0.take().ok_or_else(not_made)?;
         Ok(Environments { batch: building.finish()?, done: Done::default(), reservation })
     }
 }
 
-/// A panic.
+/// The error after a panic in the construction.
 fn not_made() -> Error {
     Error::Internal("the session could not be made".into())
 }

@@ -145,7 +145,7 @@ fn load(path: &Path, seal: &Seal) -> Result<Saved> {
     Saved::decode(body).map_err(|e| Error::file(path, e))
 }
 
-/// Returns the session's name.
+/// Restores a saved session; returns its name.
 fn adopt(saved: Saved, sessions: &Sessions, pool: &Pool) -> Result<String> {
     let Saved { id, task, options, envs, sequence, answer, snapshot } = saved;
     let options: Value = ciborium::from_reader(&options[..]).map_err(|e| Error::invalid("options", e.to_string()))?;

@@ -107,7 +107,7 @@ impl<'a> Process<'a> {
         [mean, (self.variance - known).max(0.0).sqrt()]
     }
 
-    /// Expected improvement on `best` there.
+    /// Expected improvement on `best` at a point.
     fn improvement(&self, at: &[f64], best: f64) -> f64 {
         let [mean, deviation] = self.expected(at);
         if deviation <= 0.0 {

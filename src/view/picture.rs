@@ -174,7 +174,7 @@ impl Canvas {
     fn tree(&mut self, model: &Model, robot: &TreeModel, state: &State) -> Labels {
         let (painted, ground) = (solid::robot(robot, state), solid::ground(model, state));
         let mut labels = Vec::new();
-        // Lines and shadows are those of level ground.
+        // Lines and shadows are drawn on level ground only.
         if ground.is_none() {
             labels = self.lines(model, state);
             let face = |(corners, color): &solid::Painted| {

@@ -20,7 +20,7 @@ pub struct Segment<'a> {
     pub plate: &'a Plate,
 }
 
-/// The sand on a segment.
+/// The sand's force on a segment, and where it acts.
 #[derive(Clone, Copy, Debug)]
 pub struct Load {
     /// Position of the segment's centre in the world [m].

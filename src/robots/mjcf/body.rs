@@ -161,7 +161,7 @@ impl Builder<'_> {
         Ok(())
     }
 
-    /// `compiler`'s rules for masses that are too small and inertias that are physically impossible.
+    /// Applies `compiler`'s rules for masses that are too small and inertias that are physically impossible.
     fn bounded(&self, own: Inertial) -> Inertial {
         let c = self.compiler;
         let mut new = Inertial { mass: own.mass.max(c.least_mass), ..own };

@@ -75,7 +75,7 @@ pub fn robot(
     Ok(merged)
 }
 
-/// `settotalmass`
+/// Scales all masses so that their sum is `wanted`, the file's `settotalmass`.
 fn rescale(links: &mut [Link], wanted: f64) {
     let factor = wanted / links.iter().map(|l| l.inertial.mass).sum::<f64>();
     if factor.is_finite() {

@@ -102,7 +102,7 @@ pub struct Body {
     turns: usize,
 }
 
-/// Positions for a plate along the longest side: our choice. A period in 96 positions has forces within 1 % of
+/// Number of positions for each plate along the longest side: our choice. A period in 96 positions has forces within 1 % of
 /// those in 400; with plates half as long and twice as many positions, within 0.3 %.
 const TURNS: f64 = 1.92;
 /// Least and largest number of positions: our choice.

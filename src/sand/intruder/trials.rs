@@ -11,7 +11,7 @@ use crate::{SandBed, SandDescription, SegmentState, Surface};
 const STEPS: usize = 32;
 /// Accuracy [m] of the depth that carries a load: our choice, far below what can be measured.
 const EXACT: f64 = 1e-8;
-/// Two depths [m] that separate the force that grows with depth from the constant one.
+/// Two depths [m] at which a force is computed, to separate the part that grows with depth from the constant part.
 const PROBES: [f64; 2] = [0.02, 0.04];
 
 /// The given quantity of a trial besides its motion.

@@ -161,7 +161,7 @@ fn base_inertia<R: Real, const J: usize>(model: &LaneModel<R, J>, base: &Frame<R
     (Inertia::central(model.base_mass, own), bias)
 }
 
-/// Sand under the base.
+/// Adds the sand's force on the underside of the base.
 #[inline(always)]
 fn belly<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
@@ -180,7 +180,7 @@ fn belly<R: Real, const J: usize>(
     }
 }
 
-/// One-sided plates with a leading-edge gate, which all face down in one plane of the base.
+/// As [`belly`], for one law. The plates are one-sided with a leading-edge gate; all face down in one plane of the base.
 #[inline(always)]
 fn belly_by<R: Real, const J: usize>(
     law: &impl StressLaw<R>,

@@ -60,7 +60,7 @@ impl Shapes {
         [&self.base].into_iter().chain(&self.links).map(|shape| collider(shape, ROBOT, FIXED | LOOSE, 0.0))
     }
 
-    /// In the order of the scene.
+    /// The colliders of the obstacles, in the order of the scene.
     pub fn obstacles<'a>(&'a self, model: &'a Model) -> impl Iterator<Item = (&'a Obstacle, ColliderBuilder)> {
         self.obstacles.iter().zip(&model.scene.obstacles).map(|(shape, obstacle)| {
             let (own, others) = if obstacle.moves() { (LOOSE, ROBOT | FIXED | LOOSE) } else { (FIXED, ROBOT | LOOSE) };

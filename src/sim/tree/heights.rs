@@ -22,7 +22,7 @@ pub fn is_packed(text: &str) -> bool {
     text.starts_with(MARK)
 }
 
-/// Difference from the plane through the neighbours before it; outside of the field heights are 0.
+/// The height of node `k` on the plane through the neighbours before it; outside of the field heights are 0.
 fn expected(steps: &[i64], columns: usize, k: usize) -> i64 {
     let (row, column) = (k / columns, k % columns);
     let before = if column > 0 { steps[k - 1] } else { 0 };

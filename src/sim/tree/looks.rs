@@ -80,7 +80,8 @@ impl Look {
 }
 
 impl Looks {
-    /// Of the shapes of each body. Equal meshes are kept once. `meshed`: meshes too, which must be small.
+    /// The looks of the shapes of each body. Equal meshes are kept once. With `meshed`, meshes are included; they must
+    /// be small.
     pub fn of<'a>(bodies: impl Iterator<Item = &'a [TreeShape]>, meshed: bool) -> Self {
         let mut all = Self::default();
         for (body, shapes) in bodies.enumerate() {

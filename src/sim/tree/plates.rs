@@ -18,7 +18,7 @@ const LONG: f64 = 3.0;
 const COARSE: usize = 8;
 /// Largest number of plates of a shape: our choice, a hundred times what can be simulated in real time.
 const MOST_PLATES: f64 = 20_000.0;
-/// Factor on the plates' size for the base: our choice.
+/// Factor on the plates' size for the base: our choice, because the base seldom touches sand.
 const BASE: f64 = 2.0;
 /// Allowed sizes of plates [m].
 const SIZES: std::ops::RangeInclusive<f64> = 1e-4..=1.0;

@@ -9,8 +9,9 @@ use std::sync::Arc;
 /// Steepest slope at which dry, loose sand rests [°], the limit of [`crate::model::Scene`]; media have no limits of
 /// their own.
 pub const REPOSE_DEG: f64 = 35.0;
-/// Least and greatest number of nodes along a side, then least and greatest height of a node [m]: our choice.
+/// Least and greatest number of nodes along a side: our choice.
 const NODES: std::ops::RangeInclusive<f64> = 4.0..=512.0;
+/// Least and greatest height of a node [m]: our choice.
 const HEIGHTS: std::ops::RangeInclusive<f64> = -100.0..=100.0;
 /// Number of waves whose sum makes dunes: our choice, enough that no direction dominates.
 const WAVES: usize = 24;
@@ -32,7 +33,7 @@ pub struct Relief {
     heights: Vec<f32>,
     /// Does the field repeat beyond its edges? Otherwise the surface continues there at the height of the edge.
     repeats: bool,
-    /// The same for pages, with at most [`DRAWN`] nodes along a side.
+    /// The field as JSON for pages, with at most [`DRAWN`] nodes along a side.
     json: String,
 }
 

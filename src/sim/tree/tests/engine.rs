@@ -127,7 +127,7 @@ fn on_hard(tree: Tree, slope_deg: f64, dt: f64) -> Model {
     Model::of_tree(TreeModel::new(tree, plates).unwrap(), &scene).unwrap()
 }
 
-/// The state after `time`, and the engine.
+/// The state after `time`.
 fn run(isa: Isa, model: &Model, start: &State, time: f64) -> State {
     let mut engine = TreeEngine::with_isa(isa, model, 1).unwrap();
     engine.set_state(0, start);
