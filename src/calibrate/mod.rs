@@ -34,9 +34,9 @@ const LEAST_R_SQUARED: f64 = 0.8;
 /// Results of a penetration test.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Calibration {
-    /// α_z(0, π/2) [N/cm³], the scale ζ of the generic set.
+    /// The sand's scale ζ = α_z(0, π/2) [N/cm³].
     pub zeta: f64,
-    /// 95 % confidence.
+    /// Its 95 % confidence interval.
     pub zeta_interval: [f64; 2],
     /// ξ_n of `agarwal2023` [N/cm³]: ζ/0.87574.
     pub xi_n: f64,

@@ -42,7 +42,7 @@ const NUMBERS_AT_ONCE: usize = 32 << 20;
 /// smallest effect that could be found.
 pub const FELT: f64 = 1e-4;
 
-/// The effect of a candidate on the data: the change of the prediction per typical strength, at one value.
+/// The effect of each candidate on the data: the change of the prediction per typical strength, at one value.
 pub struct Screen {
     /// For each candidate its catalogue index, and the value at which its column was computed.
     pub candidates: Vec<(usize, f64)>,

@@ -160,7 +160,7 @@ fn beneath(study: &Study, base: Fit, fits: &[Fit]) -> Fit {
     if again.objective < base.objective { again } else { base }
 }
 
-/// Every single cause.
+/// Fits every single cause.
 pub fn singles(study: &Study, Screened { screen, scores, ids, .. }: &Screened) -> Fitted {
     let (plain, base) = (study.plain(), study.recalibrated());
     let columns: Vec<usize> = ids.iter().filter_map(|id| screen.candidates.iter().position(|c| c.0 == *id)).collect();

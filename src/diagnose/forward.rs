@@ -161,9 +161,12 @@ impl<T> Clone for Kept<T> {
     }
 }
 
-/// Steps of numerical derivatives by nuisances: our choices, small parts of the nuisances' usual sizes.
+/// Step of the depth [m] for derivatives by nuisances: our choice, as for the three steps below a small part of the
+/// nuisance's usual size.
 const DEPTH_STEP: f64 = 2e-4;
+/// Step of times [s].
 const TIME_STEP: f64 = 1e-3;
+/// Step of angles [rad].
 const TILT_STEP: f64 = 1e-4;
 /// Relative step of the sand's strength.
 const STRENGTH_STEP: f64 = 0.02;

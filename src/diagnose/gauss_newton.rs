@@ -200,7 +200,7 @@ impl Study<'_> {
         fits
     }
 
-    /// One Gauss-Newton step of each active fit.
+    /// Makes one Gauss-Newton step of each active fit.
     fn advance(&self, fits: &mut [Fit], active: &[usize]) {
         let steps: Vec<Vec<f64>> = active.iter().map(|&k| self.step(&fits[k])).collect();
         let mut pending: Vec<usize> = (0..active.len()).collect();

@@ -199,7 +199,7 @@ fn add_services(
     Ok(())
 }
 
-/// The work when the server stops, besides closing its connections.
+/// Does the work when the server stops, besides closing its connections.
 async fn end(sessions: Arc<Sessions>, mut health: HealthReporter, names: Vec<&'static str>, state: Option<StateDir>) {
     sessions.stop().cancelled().await;
     let deadline = Instant::now() + SAVED;

@@ -106,7 +106,7 @@ impl StateDir {
         }
     }
 
-    /// The file is written under another name and then renamed, so it is either complete or not there.
+    /// Writes a session's file under another name and then renames it, so it is either complete or not there.
     fn write(&self, name: &str, saved: &Saved, seal: &Seal) -> Result<()> {
         let path = self.0.join(format!("{name}.{ENDING}"));
         let unusable = |e: std::io::Error| Error::file(&path, e);

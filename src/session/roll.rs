@@ -95,7 +95,7 @@ impl Rolled {
         }
     }
 
-    /// The results after the last step.
+    /// Stores the results after the last step.
     fn end(&mut self, batch: &Batch) {
         let rollouts = || batch.shards().iter().map(|s| &s.rollout);
         let flags = |of: fn(&Rollout) -> &[u8]| rollouts().flat_map(of).copied().collect();

@@ -31,7 +31,7 @@ pub struct Camera {
     right: V,
     up: V,
     forward: V,
-    /// Pixels at distance 1 m per metre.
+    /// Size in the picture of a metre at a distance of 1 m [px].
     focal: f64,
     middle: [f64; 2],
     target: V,

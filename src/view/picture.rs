@@ -214,7 +214,7 @@ impl Canvas {
         }
     }
 
-    /// Sky, and the surface as far as the horizon.
+    /// Draws the sky, and the surface as far as the horizon.
     fn sand(&mut self) {
         let (width, height) = (self.map.width() as f32, self.map.height() as f32);
         if let Some(all) = Rect::from_xywh(0.0, 0.0, width, height) {

@@ -419,7 +419,7 @@ fn drive<R: Real, const J: usize>(
     hinge.drive = hinge.torque - load;
 }
 
-/// Outward pass over one leg: joint accelerations, then speeds, angles and servo references after the step.
+/// Outward pass over one leg: computes joint accelerations, then speeds, angles and servo references after the step.
 #[inline(always)]
 fn unfold_leg<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
@@ -443,7 +443,7 @@ fn unfold_leg<R: Real, const J: usize>(
     }
 }
 
-/// Semi-implicit Euler on the base; the rotation by the exponential map to third order, then normalised.
+/// Moves the base by semi-implicit Euler; the rotation by the exponential map to third order, then normalised.
 #[inline(always)]
 fn move_base<R: Real>(state: &mut LaneState<R>, acceleration: &Twist<R>, dt: R) {
     state.change = acceleration.scaled(dt);

@@ -116,7 +116,7 @@ fn obstacle(obstacle: &Obstacle, solid: &Solid) -> SharedShape {
     }
 }
 
-/// How a world with obstacles solves its contacts.
+/// Sets how a world with obstacles solves its contacts.
 pub fn tune(parameters: &mut IntegrationParameters) {
     parameters.num_internal_pgs_iterations = SWEEPS;
     // The "normalized" lengths below are in metres.

@@ -258,7 +258,7 @@ pub(super) fn fold_turns(state: &mut State) {
     }
 }
 
-/// Semi-implicit Euler: positions move with the velocities after the step.
+/// Moves the positions with the velocities after the step: semi-implicit Euler.
 fn advance_positions(state: &mut State, dt: f64) {
     advance_pose(&mut state.position, &mut state.orientation, state.velocity, state.angular_velocity, dt);
     for ((angle, rate), torque) in state.angles.iter_mut().zip(&state.rates).zip(&state.torques) {

@@ -260,7 +260,7 @@ pub fn fold<R: Real>(
     base.inertia.solve(&base.bias.scale_add(-R::one(), &Wrench::zero()))
 }
 
-/// Outward pass: accelerations of the joints, and those of all bodies beyond the ones due to velocities alone.
+/// Outward pass: computes accelerations of the joints, and those of all bodies beyond the ones due to velocities alone.
 #[inline(always)]
 pub fn unfold<R: Real>(
     bodies: &[LaneBody<R>],
