@@ -87,7 +87,7 @@ impl<'a> Reader<'a> {
         list.try_into().map_err(|_| self.wrong(format!("<{name}> has {count} numbers in place of {N}")))
     }
 
-    /// A scene, or one of its nodes with all nodes below.
+    /// Adds the triangles of a scene, or of one of its nodes with all nodes below.
     fn node(&mut self, node: Node<'a, 'a>, above: &Matrix4<f64>, depth: usize) -> Result<()> {
         self.places += 1;
         if depth > DEEPEST || self.places > MOST_PLACES {

@@ -201,7 +201,7 @@ pub fn shift(by: Vector3<f64>) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::from(by), nalgebra::UnitQuaternion::identity())
 }
 
-/// Names of a link's shapes: the link's own if it has one only, else `link/name`, unnamed ones by their number.
+/// Names a link's shapes: the link's own name if it has one only, else `link/name`, unnamed ones by their number.
 pub fn name_shapes(link: &str, shapes: &mut [TreeShape]) {
     let many = shapes.len() > 1;
     for (k, shape) in shapes.iter_mut().enumerate() {

@@ -110,7 +110,7 @@ fn obstacle_faces(model: &Model, state: &State) -> Vec<Face> {
     let mut faces = Vec::new();
     for (solid, at) in model.solids.iter().zip(obstacle_poses(model, state)) {
         if solid.corners.is_empty() {
-            // A sphere, by the facets that sand pushes on.
+            // A sphere is drawn by the facets that sand pushes on.
             faces.extend(solid.facets.iter().map(|f| {
                 let normal = at.rotation * f.normal;
                 let side = normal.cross(&if normal.z.abs() < 0.9 { V::z() } else { V::x() }).normalize();

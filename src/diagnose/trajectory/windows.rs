@@ -17,7 +17,7 @@ const STRIDES: usize = 12;
 const COMPARED: usize = 4;
 /// Number of windows in a longer run: our choice, which limits the computing time.
 const WINDOWS_OF_RUN: usize = 3;
-/// Largest number of windows in a log: our choice, for the same reason.
+/// Largest number of windows in a log: our choice, which also limits the computing time.
 const WINDOWS: usize = 96;
 /// Strides in each window of a longer run: our choice.
 const STRIDES_OF_MANY: usize = 4;

@@ -21,7 +21,7 @@ const MOST_PACKED: usize = 224 << 10;
 const MARK: &str = "tree:";
 /// Largest number of a robot's bodies: our choice, far beyond what can be simulated in real time.
 const MOST_BODIES: usize = 256;
-/// Largest number of a robot's plates, and of its points of contact: our choice, for the same reason.
+/// Largest number of a robot's plates, and of its points of contact: our choice, also far beyond real time.
 const MOST_PIECES: usize = 20_000;
 
 #[derive(Serialize, Deserialize)]

@@ -219,7 +219,7 @@ fn together(shapes: &[&TreeShape], size: Option<f64>, larger: f64) -> Result<Vec
     Ok(all)
 }
 
-/// From the shape's frame to its body's.
+/// The plate, moved from the shape's frame to its body's.
 fn moved(plate: &Plate, shape: &TreeShape) -> Plate {
     let point =
         |v: Vec3<f64>| Vec3::splat(shape.origin.transform_point(&Point3::from(Vector3::from(v.lane(0)))).coords.into());
