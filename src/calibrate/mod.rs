@@ -23,7 +23,7 @@ use crate::sand::law::agarwal2023;
 const STRETCHES: usize = 6;
 /// Student's t at 97.5 % with [`STRETCHES`] − 1 degrees of freedom.
 const T_95: f64 = 2.571;
-/// Least number of samples a stretch: our choice.
+/// Least number of samples in a test: our choice, four for each stretch.
 const LEAST_SAMPLES: usize = 4 * STRETCHES;
 /// Share of the greatest depth that is left out at the top, where grains still pile up: our choice; the paper fits
 /// its steady state only.

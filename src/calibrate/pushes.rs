@@ -18,7 +18,8 @@ const LEAST_STRETCHES: usize = 4;
 /// Compliances that are tried, as shares of the largest possible one (at which the rig accounts for all of the
 /// depth): our choice.
 const COMPLIANCES: usize = 60;
-/// A law with more parameters is preferred only if it predicts better by this share: our choice.
+/// A law with more parameters is preferred only if it predicts better by this share: our choice, so that chance does
+/// not decide.
 const WORTH: f64 = 0.05;
 /// Largest number of pushes: our choice, far more than an experiment has.
 pub const MOST_PUSHES: usize = 1000;

@@ -15,7 +15,7 @@ type Triangle = [Vector3<f64>; 3];
 /// Largest number of XML nodes, and of nodes in a scene with all instances: our choice, to bound time and memory.
 const MOST_NODES: u32 = 1_000_000;
 const MOST_PLACES: usize = 10_000;
-/// Deepest nesting of a scene's nodes: our choice.
+/// Deepest nesting of a scene's nodes: our choice, to bound the recursion.
 const DEEPEST: usize = 60;
 
 struct Reader<'a> {

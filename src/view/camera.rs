@@ -4,7 +4,7 @@
 use crate::sim::frame::V;
 use crate::sim::{Model, State};
 
-/// Allowed width and height of a picture [px]: our choice.
+/// Allowed width and height of a picture [px]: our choice, to bound its memory.
 pub const SIZES: std::ops::RangeInclusive<u32> = 16..=4096;
 
 /// Direction to the camera [rad]: the angle from the robot's right side toward its front, and the angle above the

@@ -25,7 +25,7 @@ const MOST_COLUMNS: u64 = 1000;
 /// Field numbers in the footer: the list of columns, and a column's number of children (parquet.thrift).
 const SCHEMA: i64 = 2;
 const CHILDREN: usize = 5;
-/// Rows taken from each column at once: our choice.
+/// Number of rows that are read from each column at once: our choice, which needs little memory.
 const TOGETHER: usize = 1024;
 /// Largest number of characters of a cell: our choice; names of runs are short.
 const LONGEST_CELL: usize = 1000;

@@ -15,7 +15,7 @@ const NODES: std::ops::RangeInclusive<f64> = 4.0..=512.0;
 const HEIGHTS: std::ops::RangeInclusive<f64> = -100.0..=100.0;
 /// Number of waves whose sum makes dunes: our choice, enough that no direction dominates.
 const WAVES: usize = 24;
-/// Nodes along a side of dunes, and nodes a wave length: our choice.
+/// Number of nodes along a side of dunes, and in a wave length: our choice, so that dunes repeat after eight wave lengths.
 const SIDE: usize = 128;
 const A_WAVE: f64 = 16.0;
 /// Largest number of nodes along a side that are drawn on a page: our choice, some 100 kB.
