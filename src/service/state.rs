@@ -30,7 +30,7 @@ const ENDING: &str = "session";
 /// Name of a file while it is written.
 const UNFINISHED: &str = ".unfinished-";
 
-/// The rest of a file. Snapshots contain their own version.
+/// What a file contains after `MAGIC` and the tag. Snapshots contain their own version.
 #[derive(Clone, PartialEq, Message)]
 struct Saved {
     #[prost(string, tag = "1")]
