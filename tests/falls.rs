@@ -9,9 +9,11 @@ use serde_json::json;
 
 const TASK: &str = "sandgait/HexapodGait-v1";
 const STEPS: usize = 500;
-/// Plans in a generation, number of generations, and number of falls that the next generation varies.
+/// Number of plans in a generation.
 const PLANS: usize = 64;
+/// Number of generations after the first.
 const GENERATIONS: usize = 1;
+/// Number of falls that the next generation varies: those with the highest returns.
 const BEST: usize = 8;
 /// Control steps during which a plan holds an action.
 const HOLD: usize = 10;

@@ -14,8 +14,8 @@ use sandgait::sim::walk::{Trial, WalkResult};
 use sandgait::sim::{Model, Robot};
 use sandgait::sweep::walk_all;
 
-/// Each mechanism that acts in the sand (or in the motor, if `motor`) alone at both of its bounds, then `combinations` of
-/// all of them drawn between their bounds.
+/// Makes test cases from the mechanisms that act in the sand (with `motor`, also in the motor): first each alone at both of
+/// its bounds, then `combinations` random combinations with values between the bounds.
 fn extremes(motor: bool, combinations: usize) -> Vec<(String, Mechanisms)> {
     let acts = |m: &Mechanism| m.side == Side::Sand || (motor && m.walking);
     let entries: Vec<_> = CATALOG.iter().enumerate().filter(|(_, m)| acts(m)).collect();

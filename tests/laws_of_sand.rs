@@ -45,8 +45,9 @@ fn everywhere(check: impl Fn(&SandBed<f64>, Vec3<f64>, Vec3<f64>, &str)) {
     }
 }
 
-/// The published 3D-RFT polynomial adds energy to nearly horizontal plates that are drawn up at a shallow angle: up to 0.006 of
-/// the penetration stress (see `sand::law::agarwal2023`). We keep it as published; this test checks the bound.
+/// With the published 3D-RFT polynomial, sand pushes nearly horizontal plates that are drawn out at a shallow angle along their
+/// motion, by up to 0.006 of the penetration stress (see `sand::law::agarwal2023`). We keep the polynomial as published; this
+/// test checks the bound.
 #[test]
 fn sand_never_adds_energy() {
     everywhere(|ground, n, v, what| {

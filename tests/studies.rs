@@ -200,8 +200,8 @@ fn the_search_beats_a_grid() {
     assert_eq!(a.values, b.values);
 }
 
-/// The forces on a leg that rotates through sand with a mechanism agree with the diagnosis's prediction. The prediction sums over other
-/// segments and has its own code for slopes and filled legs.
+/// The forces on a leg that rotates through sand with a mechanism agree with the diagnosis's prediction. The prediction divides
+/// the leg into fewer segments, and has separate code for slopes and filled legs.
 #[test]
 fn forces_with_mechanisms_agree_with_the_diagnosis() {
     let acting = ["inertial_drag", "concave_fill", "depth_power", "cohesion", "scale", "packing_grad", "slope"];

@@ -315,7 +315,8 @@ fn sweep(arguments: &[&str]) -> Output {
     command.arg("sweep").args(arguments).args(["--option", "max_episode_steps=40"]).output().unwrap()
 }
 
-/// A stopped study takes finished trainings from their files and repeats the others; the results are the same to the bit.
+/// When a stopped study is started again, it reads finished trainings from their files and repeats the others. Its results
+/// equal those of an uninterrupted study to the bit.
 #[test]
 fn a_study_that_was_stopped_goes_on() {
     let directory = tempfile::tempdir().unwrap();

@@ -1,12 +1,12 @@
 //! Quantiles of Student's t (Cornish-Fisher expansion in 1/ν, Abramowitz & Stegun 26.7.5). They are too small by 3
 //! % at 2 degrees of freedom and by a quarter at 1.
 
-/// At 97.5 %.
+/// The quantile at 97.5 %.
 pub fn two_sided_95(degrees: f64) -> f64 {
     quantile(1.959_964, degrees)
 }
 
-/// At 95 %.
+/// The quantile at 95 %.
 pub fn one_sided_95(degrees: f64) -> f64 {
     quantile(1.644_854, degrees)
 }

@@ -23,7 +23,7 @@ use crate::sand::law::agarwal2023;
 const STRETCHES: usize = 6;
 /// Student's t at 97.5 % with [`STRETCHES`] − 1 degrees of freedom.
 const T_95: f64 = 2.571;
-/// Least number of samples a stretch: our choice.
+/// Least number of samples in a test: our choice, four for each stretch.
 const LEAST_SAMPLES: usize = 4 * STRETCHES;
 /// Share of the greatest depth that is left out at the top, where grains still pile up: our choice; the paper fits
 /// its steady state only.
@@ -34,9 +34,9 @@ const LEAST_R_SQUARED: f64 = 0.8;
 /// Results of a penetration test.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Calibration {
-    /// α_z(0, π/2) [N/cm³], the scale ζ of the generic set.
+    /// The sand's scale ζ = α_z(0, π/2) [N/cm³].
     pub zeta: f64,
-    /// 95 % confidence.
+    /// Its 95 % confidence interval.
     pub zeta_interval: [f64; 2],
     /// ξ_n of `agarwal2023` [N/cm³]: ζ/0.87574.
     pub xi_n: f64,

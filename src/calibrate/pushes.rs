@@ -18,10 +18,12 @@ const LEAST_STRETCHES: usize = 4;
 /// Compliances that are tried, as shares of the largest possible one (at which the rig accounts for all of the
 /// depth): our choice.
 const COMPLIANCES: usize = 60;
-/// A law with more parameters is preferred only if it predicts better by this share: our choice.
+/// A law with more parameters is preferred only if it predicts better by this share: our choice, so that chance does
+/// not decide.
 const WORTH: f64 = 0.05;
-/// Most pushes and samples in all: our choice.
+/// Largest number of pushes: our choice, far more than an experiment has.
 pub const MOST_PUSHES: usize = 1000;
+/// Largest number of samples of all pushes together: our choice, a thousand for each of [`MOST_PUSHES`].
 pub const MOST_SAMPLES: usize = 1_000_000;
 
 /// One penetration.
@@ -315,7 +317,7 @@ fn score(law: Law, pushes: &[Push], points: &[Vec<Point>]) -> Result<Score> {
     })
 }
 
-/// The compliance [m/N] with which the widest law fits best.
+/// The compliance [m/N] with which the law with the most exponents fits best.
 fn soft(pushes: &[Push], stretches: &[Vec<[f64; 2]>], chosen: &[usize], sized: bool) -> Result<f64> {
     let law = if sized { Law::PowerAndSize } else { Law::Power };
     let all = stretches.iter().flatten();
@@ -332,7 +334,7 @@ fn soft(pushes: &[Push], stretches: &[Vec<[f64; 2]>], chosen: &[usize], sized: b
     Ok(best.1)
 }
 
-/// 95 % from leaving out one push at a time.
+/// A 95 % interval by the jackknife: `without` are the values with one push left out.
 fn jackknife(value: f64, without: impl Iterator<Item = f64>) -> Value {
     let without: Vec<f64> = without.collect();
     let n = without.len() as f64;

@@ -64,7 +64,7 @@ fn markdown(study: &Study, findings: &Findings, measure: Measure, best: &[Vec<St
     )
 }
 
-/// Empty where it is not finite.
+/// The value as text; empty if it is not finite.
 fn number(value: f64) -> String {
     if value.is_finite() { format!("{value:.6}") } else { String::new() }
 }

@@ -103,8 +103,9 @@ pub struct Training {
     pub place: Option<Place>,
 }
 
-/// Most threads, and largest seed: our choice.
+/// Largest number of threads: our choice, more than usual machines have cores.
 const MOST_THREADS: usize = 1024;
+/// Largest seed of a training: our choice, so that the seeds of its episodes cannot overflow 64 bits.
 const MOST_SEED: u64 = (1 << 23) - 1;
 
 impl Train {

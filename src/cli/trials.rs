@@ -27,7 +27,7 @@ const LOAD: usize = 7;
 /// Columns that are added to each row.
 const RESULTS: [&str; 8] = ["Fx", "Fy", "Fz", "Tx", "Ty", "Tz", "depth", "status"];
 
-/// Most rows: our choice; a tenth of them takes a minute.
+/// Largest number of rows: our choice; a tenth of them takes a minute.
 const MOST_ROWS: usize = 1_000_000;
 
 /// The rows of a file unchanged, and the motions in them.

@@ -33,7 +33,7 @@ pub struct Session {
     observation: usize,
 }
 
-/// A server's refusal, or a lost connection.
+/// The error for a server's refusal or a lost connection.
 fn failed(place: &Place, status: &Status) -> Error {
     let what = if status.code() == Code::Unavailable { "it cannot be reached: " } else { "" };
     Error::invalid(format!("server {}", place.address), format!("{what}{}", status.message()))

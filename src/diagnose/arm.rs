@@ -140,7 +140,7 @@ pub struct PowerDrag {
 }
 
 impl PowerDrag {
-    /// Difference of this law's speed term to v_n² [m²/s²].
+    /// This law's speed term minus v_n² [m²/s²].
     fn beyond_square(&self, speeds: Doubles) -> Doubles {
         let excess = |speed: f64| self.speed.powi(2) * (speed / self.speed).powf(self.exponent) - speed * speed;
         Doubles::from_array(std::array::from_fn(|i| excess(speeds.lane(i))))

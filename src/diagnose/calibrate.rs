@@ -34,17 +34,17 @@ const GREATEST: f64 = 5.48;
 /// time.
 const NULLS: usize = 80;
 
-/// Most numbers that nulls on all cores hold together: 256 MB, our choice, so that many cores do not fill the
-/// memory.
+/// Largest number of values that the nulls on all cores hold together: our choice, 256 MB, so that many cores do not fill
+/// the memory.
 const NUMBERS_AT_ONCE: usize = 32 << 20;
 
 /// A cause affects the data if its typical strength changes them by more than 0.01 σ in all: our choice, far below the
 /// smallest effect that could be found.
 pub const FELT: f64 = 1e-4;
 
-/// The effect of a candidate on the data: the change of the prediction per typical strength, at one value.
+/// The effect of each candidate on the data: the change of the prediction per typical strength, at one value.
 pub struct Screen {
-    /// Catalogue index, and the value at which the column was computed.
+    /// For each candidate its catalogue index, and the value at which its column was computed.
     pub candidates: Vec<(usize, f64)>,
     columns: Vec<Vec<f64>>,
     pub marginal_columns: Vec<Column>,
@@ -248,8 +248,8 @@ pub fn gates(study: &Study, source: &Source, screen: &Screen, noise: &Noise, sco
         // one.
         inflation: (of(|n| n.best).0 / spread(&ideal).0.max(1e-9)).max(1.0),
         single: (of(|n| n.best).0 / spread(&ideal).0.max(1e-9)).max(1.0) * quantile(ideal, 1.0 - FALSE_ALARM),
-        // A tenth more for the skewness of a sum of squares. A mean square that noise alone can cause is not a misfit,
-        // even if all nulls, whose noise is known, stay below it.
+        // The factor 1.1 allows for the skewness of a sum of squares. The limit is at least the mean square that noise
+        // alone can cause, even if all nulls, whose noise is known, stay below it.
         lack_of_fit: (mean.0 + 1.1 * NORMAL * mean.1).max(1.0 + 1.1 * NORMAL * (2.0 / count.max(1.0)).sqrt()),
         worst: worst.0 + GREATEST * worst.1,
         degrees: screen.candidates.iter().map(|c| c.0).zip(degrees).collect(),

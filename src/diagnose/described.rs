@@ -35,11 +35,12 @@ const STILL: [f64; 7] = [-1.0, -0.75, -0.5, -0.25, 0.5, 1.0, 1.5];
 const SHALLOW: f64 = 1e-3;
 /// Probability of naming a law if there is none.
 const FALSE_ALARM: f64 = 0.002;
-/// Number of folds that must choose nearly the same powers.
+/// Share of the folds that must choose nearly the same powers.
 const STABLE: f64 = 0.75;
 /// Tolerance of "nearly the same": one step of the dictionary in the speed's power, two in the depth's, because the
 /// two are correlated. Our choice.
 const NEARLY: [f64; 2] = [0.25, 0.5];
+/// Number of random draws from which the gain of the best law by chance is computed.
 const NULLS: usize = 1500;
 
 /// A law with its coefficient.

@@ -19,7 +19,8 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use std::f64::consts::PI;
 
-/// Cosines of each channel of each shape: our choice, several periods along each feature, and few against the data.
+/// Number of random cosines for each channel of each shape: our choice, enough for several periods along each feature, and
+/// far fewer than samples.
 const WAVES: usize = 6;
 /// Relative sizes that are tried: a thousandth to three tenths, eight a decade. Our choice: a model with a larger
 /// relative error everywhere is wrong and not merely inaccurate.
@@ -50,8 +51,8 @@ pub struct Discrepancy {
 }
 
 impl Discrepancy {
-    /// Is it as large as a discrepancy may be? Then the error is no small one, and directions of this size would take
-    /// what a cause explains.
+    /// Is it as large as a discrepancy may be? Then the error is not small, and a discrepancy of this size
+    /// would also explain what a cause explains.
     pub fn too_large(&self) -> bool {
         self.size >= size(SIZES - 1)
     }
@@ -117,7 +118,7 @@ impl Joint {
     }
 }
 
-/// Index of each unit's group, and the number of groups.
+/// For each unit (a trial or run) the index of its shape, and the number of shapes.
 fn groups(study: &Study) -> (Vec<usize>, usize) {
     let mut names: Vec<&str> = Vec::new();
     let of = |u: usize| {

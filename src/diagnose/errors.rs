@@ -17,13 +17,14 @@ impl Errors {
         (self.square.iter().sum::<f64>() / self.count.iter().sum::<f64>().max(1.0)).sqrt()
     }
 
-    /// Those of some conditions.
+    /// The errors in `conditions`.
     pub fn among(&self, conditions: &[usize]) -> Self {
         let of = |values: &[f64]| conditions.iter().map(|&k| values[k]).collect();
         Self { square: of(&self.square), count: of(&self.count) }
     }
 
-    /// The same less the squares by which `before` is larger than `after`, condition by condition.
+    /// These errors, reduced by as much as `after` is smaller than `before`: in each condition the mean square falls by the
+    /// difference of theirs.
     pub fn less(&self, before: &Self, after: &Self) -> Self {
         let part = |k: usize| {
             let mean = |e: &Self| e.square[k] / e.count[k].max(1.0);

@@ -10,7 +10,7 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Most rows: the fits of a log with this many use most of 1 GiB. Our choice.
+/// Largest number of rows of a log: our choice, because the fits of such a log use nearly 1 GiB.
 pub const MOST_ROWS: usize = 40_000;
 
 /// The kind of data.

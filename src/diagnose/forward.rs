@@ -161,13 +161,16 @@ impl<T> Clone for Kept<T> {
     }
 }
 
-/// Steps of numerical derivatives by nuisances: our choices, small parts of the nuisances' usual sizes.
+/// Step of the depth [m] for derivatives by nuisances: our choice, as for the three steps below a small part of the
+/// nuisance's usual size.
 const DEPTH_STEP: f64 = 2e-4;
+/// Step of times [s].
 const TIME_STEP: f64 = 1e-3;
+/// Step of angles [rad].
 const TILT_STEP: f64 = 1e-4;
-/// Relative step.
+/// Relative step of the sand's strength.
 const STRENGTH_STEP: f64 = 0.02;
-/// Names of the directions that each channel of each trial has for itself.
+/// Names of the nuisances that each channel of each trial has of its own.
 const OFFSETS: [(&str, &str); 3] = [("offset_Fx", "drift_Fx"), ("offset_Fz", "drift_Fz"), ("offset_Ty", "drift_Ty")];
 /// Number of states with the same mechanisms from which computing the response to the coefficients is cheaper.
 const ANSWERS: usize = 4;
@@ -311,7 +314,7 @@ impl<'a> ForceLogModel<'a> {
         }
     }
 
-    /// Stacks of loads given track by track and pose by pose, one of each ground.
+    /// Puts loads, given track by track and pose by pose, into stacks: one stack for each of the N beds.
     fn stacks<const N: usize>(&self, loads: &[Vec<[Load; N]>]) -> Vec<Vec<f64>> {
         let mut stacks = vec![vec![0.0; self.numbers()]; N];
         for &(track, start, samples) in &self.units {

@@ -21,7 +21,7 @@ const SETTLED_ROUGHLY: f64 = 0.25;
 /// Bound of a nuisance in prior standard deviations: our choice. Without it a model with a large error would be
 /// compensated by absurd nuisances.
 const MOST_DEVIATION: f64 = 3.0;
-/// Most Gauss-Newton steps: our choice; most fits converge in four.
+/// Largest number of Gauss-Newton steps of a fit: our choice; most fits converge in four.
 const ROUNDS: usize = 12;
 /// From this step on a fit can be abandoned because it is far behind another; the first step may be short. Our
 /// choice.
@@ -200,7 +200,7 @@ impl Study<'_> {
         fits
     }
 
-    /// One Gauss-Newton step of each active fit.
+    /// Makes one Gauss-Newton step of each active fit.
     fn advance(&self, fits: &mut [Fit], active: &[usize]) {
         let steps: Vec<Vec<f64>> = active.iter().map(|&k| self.step(&fits[k])).collect();
         let mut pending: Vec<usize> = (0..active.len()).collect();

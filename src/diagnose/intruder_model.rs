@@ -17,9 +17,11 @@ use std::collections::BTreeMap;
 /// Plates along a body's longest side: our choice; forces are within 2 % of those of plates three times as fine, a
 /// quarter of the scatter of measured forces.
 const ALONG: f64 = 16.0;
-/// Steps of numerical derivatives by nuisances: our choices. [m], [1], and relative.
+/// Step of lengths for derivatives by nuisances [m]: our choice, as for the two steps below; small, and far above rounding.
 const GEOMETRY_STEP: f64 = 5e-4;
+/// Step of the friction coefficient.
 const FRICTION_STEP: f64 = 0.02;
+/// Relative step of the sand's strength.
 const STRENGTH_STEP: f64 = 0.02;
 
 /// A body in plates: as described, and slightly larger.

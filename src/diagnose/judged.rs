@@ -31,7 +31,7 @@ pub struct Intervals {
 /// The evidence on the best candidate and its rivals.
 pub struct Judged {
     pub evidence: Evidence,
-    /// Further causes beside the best, or beside the plain model if nothing was found.
+    /// The smooth error beside the best candidate, or beside the plain model if nothing was found.
     pub discrepancy: Discrepancy,
     /// Lack of fit of base and best under the noise alone, without a discrepancy.
     pub lacks: [Lack; 2],

@@ -22,7 +22,7 @@ struct Part {
     products: DMatrix<f64>,
 }
 
-/// The terms of every condition, by the channel's noise.
+/// Terms of every condition that were computed earlier, with the channel's noise for which they hold.
 type Known = Mutex<Vec<(ChannelNoise, Arc<Vec<Part>>)>>;
 
 /// Differences of repetitions, for repeated evaluation of their likelihood.

@@ -49,7 +49,7 @@ pub fn minimise(f: impl Fn(&[f64]) -> f64, mut x: Vec<f64>, rounds: usize) -> Ve
     x
 }
 
-/// BFGS update of the inverse Hessian by a step `s` that changed the gradient by `y`.
+/// Updates the inverse Hessian (BFGS) by a step `s` that changed the gradient by `y`.
 fn update_inverse(inverse: &mut [Vec<f64>], s: &[f64], y: &[f64]) {
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let curvature = dot(s, y);

@@ -23,7 +23,8 @@ pub struct Misfit {
     pub samples: usize,
 }
 
-/// A relative error is stated if the predicted size is at least this share of the error's: our choice.
+/// A relative error is stated if the predicted size is at least this share of the error's: our choice, because an error
+/// relative to a negligible force has no meaning.
 const PREDICTED: f64 = 0.2;
 
 /// Number of ranges of a feature, each with the same number of samples.
@@ -119,8 +120,8 @@ fn add(
 
 /// The report names a range if its error is this many times the smallest error of the same table: our choice.
 const UNEVEN: f64 = 1.25;
-/// An error counts as increasing or decreasing along a feature despite reversals by this share of its greatest
-/// size: our choice, for noise.
+/// An error counts as increasing or decreasing along a feature despite reversals of up to this share of its greatest size,
+/// which may be noise: our choice.
 const DIP: f64 = 0.1;
 
 /// One sentence: the shape with the largest error of `prediction`, and the ranges of the features where that error
@@ -214,7 +215,7 @@ pub struct Correlate {
     pub delta_chi2: f64,
 }
 
-/// Most terms of the sparse regression: our choice, for a short report.
+/// Largest number of terms that the sparse regression selects: our choice, for a short report.
 const TERMS: usize = 4;
 
 /// Greedy sparse regression of the whitened residual on prediction × feature and on |prediction| × feature, features scaled

@@ -36,7 +36,7 @@ impl Heading {
     }
 }
 
-/// The moving coordinates: a leg's angle, a plate's centre.
+/// The coordinates that move: the angle of a leg, or the centre of a plate.
 fn place(track: &Track, pose: &Pose) -> [f64; 2] {
     match track.intruder {
         Intruder::Leg { .. } => [pose.theta, 0.0],

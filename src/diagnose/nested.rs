@@ -19,7 +19,7 @@ use std::sync::Arc;
 
 /// Number of folds: our choice; each needs its own noise.
 const FOLDS: usize = 6;
-/// Number of candidates in each fold: the best of the full fit's size, and of single causes.
+/// Numbers of candidates in each fold: the best with as many causes as the full fit, and the best single causes.
 const CHOSEN_FROM: [usize; 2] = [4, 2];
 /// If the information on a cause falls below this share of that in all data, the fold's data do not show it: our
 /// choice.
@@ -162,8 +162,8 @@ fn adjusted(study: &Study, whitened: &mut Whitened, fit: &Fit) -> Adjusted {
     Adjusted { objective, step, shown }
 }
 
-/// Least squares step along whitened slopes, of which the last are those by `deviations` with their prior; and its
-/// gain.
+/// Returns the least squares step along whitened slopes, and its gain. The last slopes are those by `deviations`, which have
+/// a prior.
 pub fn least_squares(slopes: &[Column], white: &[f64], deviations: &[f64]) -> (Vec<f64>, f64) {
     let n = slopes.len();
     let mut information = DMatrix::from_fn(n, n, |i, j| if j <= i { dot(&slopes[i], &slopes[j]) } else { 0.0 });

@@ -114,7 +114,7 @@ impl Priors {
         }
     }
 
-    /// Prior standard deviation of a kind.
+    /// Prior standard deviation of the nuisances of a kind; 0 if they are not fitted.
     pub fn sd(&self, kind: &str) -> f64 {
         self.sd.get(kind).copied().unwrap_or(0.0)
     }

@@ -12,7 +12,7 @@ const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1080px;ma
 h1{font-size:1.3em}h2{font-size:1.05em;margin-top:2em;border-bottom:1px solid #ddd}\
 table{border-collapse:collapse}td,th{padding:.15em .8em;text-align:right;border-bottom:1px solid #eee}\
 td:first-child,th:first-child{text-align:left}.verdict{font-size:1.15em;padding:.6em 1em;background:#f4f1ea;border-left:5px solid #b5803a}\
-.maps{display:flex;flex-wrap:wrap;gap:14px}.maps text{font:12px system-ui,sans-serif;fill:#333}\
+.charts{display:flex;flex-wrap:wrap;gap:14px}.charts text{font:12px system-ui,sans-serif;fill:#333}\
 svg{background:#fff;max-width:100%;height:auto}small{color:#666}.key{display:inline-block;width:.8em;height:.8em;margin:0 .3em 0 1em}";
 
 impl Diagnosis {
@@ -45,7 +45,7 @@ fn page(diagnosis: &Diagnosis, json: &str) -> String {
     gain(&mut html, r, unit);
     causes(&mut html, r);
     form(&mut html, r);
-    maps(&mut html, &r.misfit);
+    charts(&mut html, &r.misfit);
     curves(&mut html, &diagnosis.curves);
     if !r.runs.is_empty() {
         runs(&mut html, r);
@@ -107,7 +107,7 @@ fn causes(html: &mut String, r: &Report) {
     html.push_str("</table>");
 }
 
-/// The result on the exponent of the speed in the nearest law.
+/// Writes the result on the exponent of the speed in the nearest law.
 fn form(html: &mut String, r: &Report) {
     let Some(form) = &r.form else { return };
     let [low, high] = form.ci95;
@@ -127,7 +127,7 @@ fn form(html: &mut String, r: &Report) {
 }
 
 /// The channels that the bars show: forces, without the torque, which has another unit.
-fn mapped(misfit: &[Misfit]) -> Vec<&str> {
+fn charted(misfit: &[Misfit]) -> Vec<&str> {
     let mut channels: Vec<&str> = Vec::new();
     for m in misfit.iter().filter(|m| m.channel != "Ty") {
         if !channels.contains(&m.channel.as_str()) {
@@ -137,8 +137,8 @@ fn mapped(misfit: &[Misfit]) -> Vec<&str> {
     channels
 }
 
-fn maps(html: &mut String, misfit: &[Misfit]) {
-    let channels = mapped(misfit);
+fn charts(html: &mut String, misfit: &[Misfit]) {
+    let channels = charted(misfit);
     html.push_str("<h2>Where the plain model errs</h2><p><small>mean error along the predicted direction, in % of the mean predicted size:");
     for (k, channel) in channels.iter().enumerate() {
         let _ = write!(
@@ -147,23 +147,26 @@ fn maps(html: &mut String, misfit: &[Misfit]) {
             color::CYCLE[k % color::CYCLE.len()]
         );
     }
-    html.push_str("</small></p><div class=maps>");
+    html.push_str("</small></p><div class=charts>");
     let mut features: Vec<&str> = misfit.iter().map(|m| m.by.as_str()).collect();
     features.dedup();
     for by in features {
-        map(html, by, misfit, &channels);
+        chart(html, by, misfit, &channels);
     }
     html.push_str("</div>");
 }
 
-/// Start of the bars, length of the longest, width of a map, and height of a bar [px].
+/// Horizontal position in a chart at which its bars start: the line of zero error [px].
 const ZERO: f64 = 222.0;
+/// Length of a chart's longest bar [px].
 const LONGEST: f64 = 62.0;
-const MAP: usize = 344;
+/// Width of a chart [px].
+const CHART: usize = 344;
+/// Height of a bar with the space below it [px].
 const BAR: usize = 17;
 
-/// Bars of the mean relative error over the ranges of one feature.
-fn map(html: &mut String, by: &str, misfit: &[Misfit], channels: &[&str]) {
+/// Draws a bar chart of the mean relative error in each range of one feature's values.
+fn chart(html: &mut String, by: &str, misfit: &[Misfit], channels: &[&str]) {
     let rows: Vec<_> = misfit
         .iter()
         .filter(|m| m.by == by)
@@ -173,7 +176,7 @@ fn map(html: &mut String, by: &str, misfit: &[Misfit], channels: &[&str]) {
     let several = rows.iter().any(|r| r.2.place() != rows[0].2.place());
     let Some(top) = rows.iter().map(|r| r.0.abs()).reduce(f64::max).filter(|_| several) else { return };
     let height = BAR * rows.len() + 30;
-    let _ = write!(html, "<svg width={MAP} height={height}><text x=4 y=15 font-weight=bold>by {by}</text>");
+    let _ = write!(html, "<svg width={CHART} height={height}><text x=4 y=15 font-weight=bold>by {by}</text>");
     let mut before = String::new();
     for (k, (relative, channel, m)) in rows.iter().enumerate() {
         let y = 24 + BAR * k;
@@ -190,18 +193,18 @@ fn map(html: &mut String, by: &str, misfit: &[Misfit], channels: &[&str]) {
             html,
             "<rect x={x:.1} y={y} width={length:.1} height={} fill='{fill}'/><text x={} y={} text-anchor=end>{percent}</text>",
             BAR - 3,
-            MAP - 2,
+            CHART - 2,
             y + 12,
         );
     }
     let _ = write!(html, "<line x1={ZERO} x2={ZERO} y1=22 y2={} stroke='#888'/></svg>", height - 6);
 }
 
-/// Most conditions in a figure, those with the largest errors of the plain model: our choice, so that the page
-/// stays readable.
+/// Largest number of conditions in a figure: our choice, so that the page stays readable. Those with the largest errors of
+/// the plain model are shown.
 const CURVES: usize = 9;
 
-/// Most samples of a trial in a figure: our choice; more cannot be distinguished.
+/// Largest number of samples of a trial in a figure: our choice; more cannot be distinguished.
 const DRAWN: usize = 100;
 
 fn curves(html: &mut String, c: &Curves) {
@@ -294,7 +297,7 @@ fn by_condition(c: &Curves) -> Vec<Figure> {
     vec![Figure { title: "Every run and its predictions".into(), panels, columns: 2, note: String::new() }]
 }
 
-/// For runs, which have one number for each channel: a table beside the figure.
+/// Writes a table beside the figure, for runs, which have one number for each channel.
 fn runs(html: &mut String, r: &Report) {
     html.push_str("<details><summary>The same as a table, means over repetitions</summary><table><tr><th>condition<th>channel<th>measured<th>plain<th>extended<th>unit");
     for run in &r.runs {

@@ -49,7 +49,7 @@ pub struct LackOfFit {
 pub struct Gain {
     /// Error of the simulation without changes [N].
     pub held_out_rmse_plain: Option<f64>,
-    /// Error of the same with its coefficients fitted within their prior, without a cause [N].
+    /// Error of the simulation with coefficients fitted within their prior, without a cause [N].
     pub held_out_rmse_recalibrated: Option<f64>,
     pub held_out_rmse_extended: Option<f64>,
     /// Standard deviation between repetitions, which no model can predict [N].

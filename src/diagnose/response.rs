@@ -74,7 +74,7 @@ impl Responses {
             return response.clone();
         }
         let made = Arc::new(make());
-        // The plain model's comes first, because it is needed most often.
+        // The first response, usually the plain model's, stays, because it is needed most often.
         if known.len() == KEPT {
             known.remove(1);
         }

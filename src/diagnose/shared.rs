@@ -17,7 +17,7 @@ pub struct Shared {
     pub guess: f64,
     /// Is it left out if the repetitions do not support it?
     pub optional: bool,
-    /// In the order of the observations, each a direction within every unit.
+    /// Stacks in the order of the observations; each contains a direction for every unit.
     pub stacks: Vec<Vec<f64>>,
 }
 
@@ -102,7 +102,7 @@ impl Likelihood {
 mod tests {
     use super::*;
 
-    /// Both forms against the dense covariance.
+    /// Compares both forms with the dense covariance.
     #[test]
     fn low_rank_algebra_is_that_of_the_dense_matrix() {
         let columns = vec![vec![1.0, -2.0, 0.5, 0.0], vec![0.3, 0.4, -1.0, 2.0], vec![1.3, -1.6, -0.5, 2.0]];

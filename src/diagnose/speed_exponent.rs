@@ -26,6 +26,7 @@ const OTHER: f64 = 0.5;
 /// Largest difference of the objectives of the law and of another exponent that chance causes once in a thousand; the
 /// same probability as for causes in the ambiguity set.
 const EXCLUDED: f64 = chi_squared::AT_999_PER_MILLE;
+/// Rise of the objective at the ends of the 95 % interval.
 const INTERVAL: f64 = chi_squared::AT_95_PERCENT;
 
 /// Results on the exponent of the speed in a law.
@@ -44,7 +45,7 @@ pub struct SpeedExponent {
     pub told_apart: bool,
     /// Mean square of the smooth whitened residual with the exponent found.
     pub lack_of_fit: f64,
-    /// Objective there, in units of χ².
+    /// Objective of the fit with the exponent found, in units of χ².
     #[serde(skip)]
     pub objective: f64,
 }

@@ -15,7 +15,7 @@ pub struct Pose {
     pub velocity: [f64; 2],
 }
 
-/// The motion of a trial; trials with the same motion share one.
+/// The motion of a trial; trials that move in the same way share one `Track`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Track {
     pub shape: String,

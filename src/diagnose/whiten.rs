@@ -22,13 +22,13 @@ pub struct Whitener {
     whole: LowRank,
     /// Held-out numbers, which become 0.
     held: Vec<Range<usize>>,
-    /// Factor on the white stack: below 1 where the noise counts as larger than it is.
+    /// Factor on the whitened numbers; below 1 if the variance of the noise is multiplied by a dispersion.
     weight: f64,
 }
 
 impl Whitener {
-    /// The source's prediction gives the direction of the trial gains. With the measured mean as direction, the scale
-    /// would have an error (−12.6 % on data without a hidden cause).
+    /// The noise that a whole trial shares is proportional to the source's prediction. If it were proportional to the measured
+    /// mean, the fitted `scale` would have an error (−12.6 % on data without a hidden cause).
     pub fn new(source: &Source, noise: &Noise) -> Self {
         let repetitions = source.observations.repetitions();
         let units = source.observations.units.iter().zip(source.sizes).map(|(unit, sizes)| {

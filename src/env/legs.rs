@@ -108,7 +108,7 @@ impl Task for HexapodLegs {
         walking::begin(&setup.with(&setup.options.walking), random)
     }
 
-    /// The servo's reference moves to the target within the control step, no faster than [`TARGET_SPEED`].
+    /// Moves the servos' references to the targets within the control step, no faster than [`TARGET_SPEED`].
     fn command(&self, action: &[f32], state: &State, command: &mut Command) {
         for (i, ([middle, half], a)) in self.ranges.iter().zip(action).enumerate() {
             let target = middle + half * f64::from(*a);

@@ -54,7 +54,7 @@ const BEHIND: f64 = 0.3;
 /// No obstacle is closer to the start than this [m]: half the reference robot's length, a leg and a margin.
 const CLEAR: f64 = 0.15;
 
-/// Most random positions tried for one obstacle before it is left out.
+/// Largest number of random positions tried for one obstacle before it is left out.
 const TRIES: usize = 20;
 
 /// Corners of a rock: enough to look irregular.

@@ -195,7 +195,7 @@ impl Shard {
         }
     }
 
-    /// One control step of every environment; `actions` is f32 [envs, action] within its bounds. If an episode ends,
+    /// Makes one control step of every environment; `actions` is f32 [envs, action] within its bounds. If an episode ends,
     /// the next one begins at once, and the row has its first observation.
     pub fn step(&mut self, actions: &[f32]) {
         self.rows.clear();
@@ -211,7 +211,7 @@ impl Shard {
         }
     }
 
-    /// [`Shard::step`] for the environments that `held` does not name. Held ones keep their state, and their rows are
+    /// As [`Shard::step`], for the environments that `held` does not name. Held ones keep their state, and their rows are
     /// zeros except for the observation. Because lanes advance together, held environments make the step and are then
     /// restored.
     pub fn step_but(&mut self, actions: &[f32], held: impl Fn(usize) -> bool) {

@@ -93,7 +93,7 @@ pub trait Task: Send + Sync + Sized + 'static {
     /// Fills an info row (weighted reward terms first) and says whether the episode terminated.
     fn evaluate(&self, setup: &Setup<Self::Options>, transition: &Transition, info: &mut [f32]) -> bool;
 
-    /// Most obstacles in an episode's model.
+    /// Largest number of obstacles in an episode's model.
     fn most_obstacles(_options: &Self::Options) -> usize {
         0
     }

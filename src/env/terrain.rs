@@ -153,7 +153,7 @@ struct Drawn<'a> {
     ground: &'a UsedGround,
 }
 
-/// Computes one of them.
+/// Computes one number of this part.
 type Figure = fn(&Drawn) -> f64;
 
 /// The task; it calls HexapodGait for the parts that both share.

@@ -32,13 +32,13 @@ pub const FIRST_SEED: u64 = 1_000_000;
 /// Seeds for the search of the tripod's rate, which no reported result uses. Two blocks of lanes.
 const SEARCH_SEEDS: std::ops::Range<u64> = 2_000_000..2_000_032;
 
-/// Rates that the search tries [Hz]: 0.25, 0.5, … 5.
+/// Rates that the search tries, as multiples of [`RATE_STEP`]: 0.25, 0.5, … 5 Hz.
 const RATES: std::ops::RangeInclusive<u32> = 1..=20;
 const RATE_STEP: f64 = 0.25;
 
-/// Most seeds, because the seeds of the search follow them; and most combinations of media and slopes: our choice, an
-/// hour's work.
+/// Largest number of seeds: more would include [`SEARCH_SEEDS`].
 const MOST_SEEDS: usize = 1_000_000;
+/// Largest number of combinations of media and slopes: our choice, an hour's work.
 const MOST_CONDITIONS: usize = 1_000;
 
 /// A request for an evaluation.

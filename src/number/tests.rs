@@ -2,7 +2,7 @@
 
 use super::{Isa, Kernel, Real, Work};
 
-/// Largest error of sine and cosine over ±100 rad, and of the other operations, in every lane.
+/// Checks the largest error of sine and cosine over ±100 rad, and of the other operations, in every lane.
 struct Check<R>(std::marker::PhantomData<R>);
 
 impl<R: Real> Kernel for Check<R> {

@@ -192,7 +192,7 @@ fn grid(svg: &mut String, panel: &Panel, [xr, yr]: [[f64; 2]; 2], to_page: &impl
     }
 }
 
-/// Box, ticks, labels and title.
+/// Draws a panel's box, ticks, labels and title.
 fn frame(svg: &mut String, panel: &Panel, [xr, yr]: [[f64; 2]; 2], to_page: &impl Fn([f64; 2]) -> [f64; 2]) {
     let _ = write!(svg, "<rect width=\"{WIDTH}\" height=\"{HEIGHT}\" fill=\"none\" stroke=\"#444444\"/>");
     let (xs, ys) = (ticks(xr, 7, is_degrees(&panel.x)), ticks(yr, 6, is_degrees(&panel.y)));

@@ -80,7 +80,7 @@ impl Writer {
         self.node("Add", &[a, b])
     }
 
-    /// The file's bytes; `x` is the action, in rows of this many numbers.
+    /// Returns the file's bytes. `x` names the value that becomes the output; each of its rows has `action` numbers.
     pub fn finish(mut self, x: &str, action: usize) -> Vec<u8> {
         let output = OUTPUT.to_owned();
         self.graph.node.push(Node {

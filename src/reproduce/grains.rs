@@ -43,7 +43,8 @@ fn runs() -> Result<Vec<Run>> {
             runs.push(Run { shape: shape.to_owned(), omega, samples: Vec::new() });
             runs.len() - 1
         });
-        // The beds are sampled at the same angles, so the second bed's rows are added to the first one's.
+        // Both beds are sampled at the same angles. A row of the second bed is combined with the first bed's row at that
+        // angle: their mean, and half their difference.
         match runs[k].samples.iter_mut().find(|s| (s.0 - theta).abs() < 1e-9) {
             Some((_, mean, half)) => {
                 *half = Load { fx: (mean.fx - load.fx).abs() / 2.0, fz: (mean.fz - load.fz).abs() / 2.0, ty: 0.0 };

@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Vector3};
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
-/// Halvings of the range of cell sizes: our choice, within 1 % of the largest number of triangles that fits.
+/// How often the range of cell sizes is halved: our choice; the result has within 1 % of the largest number of triangles.
 const ROUNDS: usize = 16;
 /// Singular values below this share of the largest are zero: Lindstrom's 1e-3.
 const FLAT: f64 = 1e-3;

@@ -7,15 +7,15 @@ use nalgebra::{Matrix4, Point3, Rotation3, Unit, Vector3};
 use roxmltree::Node;
 use std::collections::HashMap;
 
-/// Most triangles of a mesh: our choice, the largest we have seen (the trunk of go1.urdf) has 307,000.
+/// Largest number of triangles of a mesh: our choice, the largest we have seen (the trunk of go1.urdf) has 307,000.
 pub const MOST_TRIANGLES: usize = 500_000;
 
 type Triangle = [Vector3<f64>; 3];
 
-/// Most XML nodes, and most instances of geometries in a scene: our choice.
+/// Largest number of XML nodes, and of nodes in a scene with all instances: our choice, to bound time and memory.
 const MOST_NODES: u32 = 1_000_000;
 const MOST_PLACES: usize = 10_000;
-/// Deepest nesting of a scene's nodes: our choice.
+/// Deepest nesting of a scene's nodes: our choice, to bound the recursion.
 const DEEPEST: usize = 60;
 
 struct Reader<'a> {
@@ -87,7 +87,7 @@ impl<'a> Reader<'a> {
         list.try_into().map_err(|_| self.wrong(format!("<{name}> has {count} numbers in place of {N}")))
     }
 
-    /// A scene, or one of its nodes with all nodes below.
+    /// Adds the triangles of a scene, or of one of its nodes with all nodes below.
     fn node(&mut self, node: Node<'a, 'a>, above: &Matrix4<f64>, depth: usize) -> Result<()> {
         self.places += 1;
         if depth > DEEPEST || self.places > MOST_PLACES {

@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 use crate::sim::tree::{Geometry, Tree, TreeBody, TreeJoint, TreeShape};
 use nalgebra::{Isometry3, Matrix3, Translation3, Vector3};
 
-/// Most links of a file, and most joints that move: our choice, ten times a humanoid with hands.
+/// Largest number of links of a file, and of joints that move: our choice, ten times those of a humanoid with hands.
 pub const MOST_LINKS: usize = 2000;
 const MOST_JOINTS: usize = 200;
 /// Largest mass [kg] and distance [m]: our choice, which catches wrong units.
@@ -37,7 +37,7 @@ impl Inertial {
         Self { mass: self.mass, center, inertia: turn.matrix() * self.inertia * turn.matrix().transpose() }
     }
 
-    /// Both combined into one body.
+    /// These mass properties and `other` combined into one body.
     pub fn with(&self, other: &Self) -> Self {
         let mass = self.mass + other.mass;
         if mass == 0.0 {
@@ -201,7 +201,7 @@ pub fn shift(by: Vector3<f64>) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::from(by), nalgebra::UnitQuaternion::identity())
 }
 
-/// Names of a link's shapes: the link's own if it has one only, else `link/name`, unnamed ones by their number.
+/// Names a link's shapes: the link's own name if it has one only, else `link/name`, unnamed ones by their number.
 pub fn name_shapes(link: &str, shapes: &mut [TreeShape]) {
     let many = shapes.len() > 1;
     for (k, shape) in shapes.iter_mut().enumerate() {

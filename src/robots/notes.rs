@@ -3,7 +3,7 @@
 use super::xml::Element;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Most lines of a kind; further ones are only counted. Our choice: they fit on a screen.
+/// Largest number of lines of one kind that are shown; further ones are only counted. Our choice: they fit on a screen.
 const MOST_LINES: usize = 20;
 
 /// Collected while a file is read.
@@ -15,7 +15,7 @@ pub struct Notes {
 }
 
 impl Notes {
-    /// One sentence.
+    /// Adds one sentence.
     pub fn say(&mut self, line: impl Into<String>) {
         let line = line.into();
         if !self.lines.contains(&line) {
@@ -23,12 +23,12 @@ impl Notes {
         }
     }
 
-    /// An element that is left out.
+    /// Notes that an element is left out.
     pub fn left_out(&mut self, element: &Element) {
         *self.elements.entry(element.tag.chars().take(60).collect()).or_default() += 1;
     }
 
-    /// Attributes of `element` that are not in `known`.
+    /// Notes the attributes of `element` that are not in `known`.
     pub fn others(&mut self, element: &Element, known: &[&str]) {
         for (name, _) in element.attributes.iter().filter(|(n, _)| !known.contains(&n.as_str())) {
             let of = self.attributes.entry(element.tag.chars().take(60).collect()).or_default();
@@ -36,7 +36,7 @@ impl Notes {
         }
     }
 
-    /// Children of `element` that are not in `known`.
+    /// Notes the children of `element` that are not in `known`.
     pub fn other_children(&mut self, element: &Element, known: &[&str]) {
         element.children.iter().filter(|c| !known.contains(&c.tag.as_str())).for_each(|c| self.left_out(c));
     }

@@ -4,7 +4,7 @@ use super::Import;
 use crate::error::{Error, Result};
 use crate::sim::tree::{Tree, TreeShape};
 
-/// Most names that a message lists: our choice.
+/// Largest number of names that a message lists: our choice, so that the message stays readable.
 const MOST_NAMES: usize = 40;
 
 /// Index of a body and of one of its shapes.

@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 use std::path::Path;
 use std::sync::Arc;
 
-/// Most nodes of a file: our choice, fifty times those of the largest robot we have seen (go1.urdf, 4000).
+/// Largest number of nodes of a file: our choice, fifty times that of the largest robot file we have seen (go1.urdf, 4000).
 const MOST_NODES: u32 = 200_000;
 /// Deepest nesting: our choice, a leg of twenty links is less than half of it.
 const DEEPEST: usize = 100;

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 #[serde(deny_unknown_fields, default)]
 pub struct Surface {
     /// Speed scale v0 [m/s] below which the force falls to zero: the direction v/|v| becomes v/√(v²+v0²). Creep under
-    /// a constant load is of this order; our choice, because 1e-5 lets the reference robot sink 0.03 mm in 10 s.
+    /// a constant load is of this order; our choice, because 1e-5 lets the reference robot sink less than 0.02 mm in 10 s.
     pub rest_speed: f64,
     /// Gate of a one-sided surface: it pushes with the share clamp(n·v̂ / gate, 0, 1) of its force, which is zero when
     /// it moves away from the sand and 1 when it leads. Our choice 0.2: a hard test (0) converges badly in the time

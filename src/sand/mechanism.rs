@@ -1,6 +1,7 @@
 //! Mechanisms that plain resistive force theory leaves out: the one list that simulator, diagnosis, report and
 //! documentation use. A new mechanism is one new entry of [`CATALOG`]'s table and, if it acts on the stress of a
-//! segment, its value and its equation in [`super::mechanism_laws`]: a field, its lane, and a term of the force.
+//! segment, additions to `SandMechanisms` in [`super::mechanism_laws`]: a field, its first value in `new`, its lane's value in
+//! `set_lane`, if needed a flag in `Active`, and its equation in `force`.
 //!
 //! Every parameter is 0 when its mechanism is off. The equations of the measuring side (sensors, log, drive) are in
 //! `diagnose::arm` and `diagnose::forward`.
@@ -12,7 +13,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Side {
-    /// In the sand: a simulation of a robot can switch it on.
+    /// In the sand: a simulation of a robot can switch the mechanism on.
     Sand,
     /// In the force sensor, the depth reference or the log.
     Sensor,

@@ -131,7 +131,7 @@ pub struct SandMechanisms<R> {
     inverse_friction: R,
     skid_loss: R,
     graze_loss: R,
-    /// `slip_bearing` after the cut by the surface's friction, before the medium's ζ.
+    /// c_b (1 − μ)^1.5 of `slip_bearing`; times ζ it is a stress per depth.
     bearing: R,
     /// ζ [N/m³]
     penetration: R,
@@ -279,8 +279,10 @@ impl<R: Real> StressModel<R> for SandMechanisms<R> {
         self.depth(loaded) * mean / (self.depth(mean) * loaded)
     }
 
-    /// The depth-proportional stress carries scale, packing, footprint, rate and the friction cap; inertia, added mass
-    /// and cohesion push against the leading face in addition.
+    /// The law's stress per depth plus that of `slip_bearing` is multiplied by the depth and by the factors of `scale`,
+    /// `footprint`, `packing_grad` and `rate_log`. Then `friction_clip`, `graze_loss` and `skid_loss` reduce the force.
+    /// Inertia, `added_mass`, `cohesion` and the normal terms of `sand.toml` push against the leading face in addition;
+    /// the tangential terms act against the tangential velocity.
     #[inline(always)]
     fn force(&self, per_depth: Vec3<R>, n: Vec3<R>, v: Vec3<R>, site: &SegmentState<R>, area: R) -> Vec3<R> {
         let along = n.dot(v);

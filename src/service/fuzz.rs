@@ -147,7 +147,7 @@ fn spoiled(random: &mut Xoshiro256PlusPlus, mut request: Request) -> Request {
     request
 }
 
-/// Handles a message as a stream does.
+/// The operation that a request asks for, decided as in a stream; None if the request is refused.
 fn operation(batch: &mut Batch, request: Option<Request>) -> Option<Operation> {
     match request {
         Some(Request::Rollout(rollout)) => {

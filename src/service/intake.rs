@@ -36,7 +36,7 @@ const WAIT: Duration = Duration::from_secs(30);
 /// Time limit for a large message to arrive: this time, our choice, plus that of 1 MiB/s.
 const ARRIVAL: Duration = Duration::from_secs(10);
 
-/// Factor on a message's size for the message and its unpacked parts: actions are copied once.
+/// Memory of a message with its unpacked parts, as a multiple of the message's size: actions are copied once.
 const COPIES: usize = 2;
 
 /// Bytes before a message: a flag and its length.

@@ -81,7 +81,7 @@ impl Metrics {
         }
     }
 
-    /// Only steps set the flags.
+    /// Counts the episodes that ended in this step; after other operations the flags are not set.
     fn ended_episodes(&self, batch: &Batch) {
         let spec = batch.spec();
         let diverged = spec.info.iter().position(|c| c.name == "diverged");
@@ -95,14 +95,14 @@ impl Metrics {
         }
     }
 
-    /// A rollout was carried out.
+    /// Counts a rollout that was carried out.
     pub fn rolled(&self, time: Duration, batch: &Batch) {
         self.batches.get_or_create(&[("operation", "rollout".into())]).observe(time.as_secs_f64());
         let steps = batch.shards().iter().flat_map(|s| &s.rollout.lengths).map(|n| u64::from(*n)).sum();
         self.steps.inc_by(steps);
     }
 
-    /// A call ended, or a request of a stream was refused, with this code.
+    /// Counts a call that ended, or a request of a stream that was refused, with this code.
     pub fn ended(&self, code: Code) {
         if code != Code::Ok {
             self.failures.get_or_create(&[("code", format!("{code:?}"))]).inc();

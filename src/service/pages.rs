@@ -14,11 +14,10 @@ use tokio_util::sync::CancellationToken;
 /// Time limit for a request to arrive: our choice, as for the first bytes of any connection.
 const REQUEST: Duration = Duration::from_secs(10);
 
-/// Most connections to the page of metrics: our choice, for some programs that ask at the same time.
+/// Largest number of connections to the page of metrics: our choice, for some programs that ask at the same time.
 pub const METRICS: usize = 32;
 
-/// Most connections to the live page besides those of watchers: our choice, for the requests of some browsers at
-/// the same time.
+/// Largest number of connections to the live page besides those of watchers: our choice, enough for some browsers.
 pub const BESIDE_WATCHERS: usize = 128;
 
 /// Answers the requests at `listener` with `app`, on at most `all` connections, until `stop` is cancelled.

@@ -51,11 +51,11 @@ const FRAME: u32 = 1 << 20;
 /// Limits of connections, and of calls on one.
 #[derive(Clone, Copy, Debug)]
 pub struct Connected {
-    /// Most connections at the same time.
+    /// Largest number of connections at the same time.
     pub all: u32,
-    /// Most connections of one peer.
+    /// Largest number of connections of one peer.
     pub peer: u32,
-    /// Most calls at the same time on one connection.
+    /// Largest number of calls at the same time on one connection.
     pub streams: u32,
 }
 
@@ -199,7 +199,7 @@ fn add_services(
     Ok(())
 }
 
-/// The work when the server stops, besides closing its connections.
+/// Does the work when the server stops, besides closing its connections.
 async fn end(sessions: Arc<Sessions>, mut health: HealthReporter, names: Vec<&'static str>, state: Option<StateDir>) {
     sessions.stop().cancelled().await;
     let deadline = Instant::now() + SAVED;

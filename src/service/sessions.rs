@@ -34,7 +34,7 @@ use tokio_util::sync::CancellationToken;
 #[derive(Clone, Debug)]
 pub struct Limits {
     pub sessions: usize,
-    /// Most environments in one session.
+    /// Largest number of environments in one session.
     pub environments: usize,
     /// Memory of all environments (estimated) and of requests together [bytes]; see [`super::intake`].
     pub memory: usize,
@@ -44,7 +44,7 @@ pub struct Limits {
     pub request: usize,
     /// Requests a second of one peer; None: no limit.
     pub rate: Option<u32>,
-    /// Most watchers of the live page.
+    /// Largest number of watchers of the live page.
     pub watchers: usize,
 }
 
@@ -142,14 +142,14 @@ impl Making {
         self.0.as_ref().map_or(0, |(building, _)| building.missing())
     }
 
-    /// The number of environments when complete.
+    /// Makes the remaining environments now; returns all of them.
     fn finish(mut self) -> Result<Environments> {
         let (building, reservation) = self.0.take().ok_or_else(not_made)?;
         Ok(Environments { batch: building.finish()?, done: Done::default(), reservation })
     }
 }
 
-/// A panic.
+/// The error after a panic in the construction.
 fn not_made() -> Error {
     Error::Internal("the session could not be made".into())
 }

@@ -30,7 +30,7 @@ const ENDING: &str = "session";
 /// Name of a file while it is written.
 const UNFINISHED: &str = ".unfinished-";
 
-/// The rest of a file. Snapshots contain their own version.
+/// What a file contains after `MAGIC` and the tag. Snapshots contain their own version.
 #[derive(Clone, PartialEq, Message)]
 struct Saved {
     #[prost(string, tag = "1")]
@@ -106,7 +106,7 @@ impl StateDir {
         }
     }
 
-    /// The file is written under another name and then renamed, so it is either complete or not there.
+    /// Writes a session's file under another name and then renames it, so it is either complete or not there.
     fn write(&self, name: &str, saved: &Saved, seal: &Seal) -> Result<()> {
         let path = self.0.join(format!("{name}.{ENDING}"));
         let unusable = |e: std::io::Error| Error::file(&path, e);
@@ -145,7 +145,7 @@ fn load(path: &Path, seal: &Seal) -> Result<Saved> {
     Saved::decode(body).map_err(|e| Error::file(path, e))
 }
 
-/// Returns the session's name.
+/// Restores a saved session; returns its name.
 fn adopt(saved: Saved, sessions: &Sessions, pool: &Pool) -> Result<String> {
     let Saved { id, task, options, envs, sequence, answer, snapshot } = saved;
     let options: Value = ciborium::from_reader(&options[..]).map_err(|e| Error::invalid("options", e.to_string()))?;

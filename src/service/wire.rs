@@ -26,11 +26,12 @@ pub const PLAIN: MessageLayout = &[];
 /// option, has some 2 KiB.
 pub const LONGEST_OPTIONS: usize = 256 << 10;
 
-/// Most fields of one message: our choice, twice the number of seeds of the largest usual session, if each seed is a
+/// Largest number of fields of one message: our choice, twice the number of seeds of the largest usual session, if each seed is a
 /// field.
 const MOST_FIELDS: usize = 1 << 17;
 
-/// Most messages inside one: some 1,000 values of options. All options of a task have some 50.
+/// Largest number of messages inside one message: our choice, enough for some 1,000 values of options. All options of a task
+/// together have some 50.
 const MOST_MESSAGES: usize = 4_096;
 
 /// Deepest nesting of messages; a value inside a list takes three or four levels.
@@ -90,13 +91,13 @@ pub const LARGEST_DIAGNOSIS: usize = 64 << 20;
 /// Largest network that is evaluated [bytes].
 pub const LARGEST_POLICY: usize = crate::policy::MOST_BYTES;
 
-/// Most motions of a body in one request: our choice, some ten minutes.
+/// Largest number of a body's motions in one request: our choice, some ten minutes of computing.
 pub const MOST_TRIALS: usize = 1_000_000;
 
-/// Largest request of trials [bytes]: all columns, a mesh, a sand.
+/// Largest request of trials [bytes]: all columns, a mesh and a description of the sand.
 pub const LARGEST_TRIALS: usize = 64 * MOST_TRIALS + LARGEST_MESH + LONGEST_OPTIONS;
 
-/// A million rows.
+/// Largest column of a request of trials [bytes]: a number for each motion.
 const COLUMN: usize = 8 * MOST_TRIALS;
 
 pub static TRIALS: [Field; 6] = [

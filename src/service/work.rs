@@ -45,7 +45,7 @@ impl Reply {
         self.loan.lose(error);
     }
 
-    /// The environments are still intact.
+    /// The work with its environments, which an operation has returned intact.
     pub fn with(self, rest: Bookkeeping, batch: Batch) -> Work {
         Work { environments: rest.with(batch), reply: self }
     }

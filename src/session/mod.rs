@@ -15,8 +15,8 @@ pub mod view;
 
 pub use environments::{Answer, Environments, Loan};
 
-/// Most environments of one session: our choice, room for any training.
+/// Largest number of environments of one session: our choice, room for any training.
 pub const MOST_ENVIRONMENTS: usize = 65_536;
 
-/// Most memory of sessions [bytes]: our choice, half of a 16 GiB machine.
+/// Largest memory of all sessions together [bytes]: our choice, half of a machine with 16 GiB.
 pub const MOST_MEMORY: usize = 8 << 30;

@@ -79,7 +79,7 @@ fn check_size(batch: &Batch, roll: &Roll, record: bool) -> Result<()> {
 }
 
 impl Rolled {
-    /// Adds the steps of the last part, if they were recorded.
+    /// Adds the steps of the part that was just computed, if they were recorded.
     fn add(&mut self, batch: &Batch, chosen: bool) {
         let shards = batch.shards();
         let steps = shards.first().map_or(0, |s| s.rollout.steps.len());
@@ -95,7 +95,7 @@ impl Rolled {
         }
     }
 
-    /// The results after the last step.
+    /// Stores the results after the last step.
     fn end(&mut self, batch: &Batch) {
         let rollouts = || batch.shards().iter().map(|s| &s.rollout);
         let flags = |of: fn(&Rollout) -> &[u8]| rollouts().flat_map(of).copied().collect();

@@ -6,7 +6,7 @@ use crate::pool::Batch;
 use crate::sim::Model;
 use sandgait_view::{self as view, About, Moment};
 
-/// Most pixels of one request, all its pictures together: our choice, 100 MB.
+/// Largest number of pixels of one request, all its pictures together: our choice, 100 MB.
 pub const MOST_PIXELS: u64 = 1 << 25;
 
 /// Checks the size of `count` pictures of `size`, width and height.

@@ -78,7 +78,7 @@ impl Carriage {
         }
     }
 
-    /// Half a step of motion → sand → the other half.
+    /// Makes a time step: half of the motion → sand → the other half.
     fn step(&mut self) {
         let dt = self.model.scene.dt;
         self.state.rates.clone_from(&self.rates);

@@ -109,7 +109,7 @@ impl Engine {
         match self {
             Self::Lanes(e) => e.set_footing(index, model, shares),
             Self::Rapier(e) => e.set_footing(index, model, shares),
-            Self::Tree(_) => (), // the tasks of these engines have no used ground
+            Self::Tree(_) => (), // no task of engine `tree` has footprints
             Self::Carriage(e) => e.set_footing(index, model, shares),
         }
     }

@@ -337,7 +337,7 @@ impl Model {
         self.gravity = gravity(&self.scene);
     }
 
-    /// Motors with `share`, at most 1, of the servos' torque limit.
+    /// Limits the motors' torque to `share`, at most 1, of the servos' torque limit.
     pub fn weaken_motors(&mut self, share: f64) {
         self.robot.servo.torque_limit = self.robot.servo.torque_limit.map(|limit| limit * share);
         self.motor = Motor::new(&self.robot.servo, &self.scene.mechanisms);

@@ -8,10 +8,10 @@ use super::solid::Solid;
 use crate::error::{Error, Result, check_range};
 use serde::{Deserialize, Serialize};
 
-/// Most obstacles of one scene: our choice, because each makes a step slower.
+/// Largest number of obstacles of one scene: our choice, because each makes a step slower.
 pub const MOST: usize = 256;
 
-/// Most corners of a hull: our choice.
+/// Largest number of corners of a hull: our choice; a random rock has 12.
 const MOST_CORNERS: usize = 64;
 
 /// Depth of steps, walls and patches under the surface [m]: more than a leg of the built-in robots reaches.

@@ -25,7 +25,8 @@ const RINGS: usize = 8;
 const SECTORS: usize = 12;
 const GRID: usize = 4;
 
-/// Two triangles a side of a box; bit k of a corner's number says that it lies on the positive side of axis k.
+/// The two triangles of each side of a box, as numbers of corners. Bit k of a corner's number is 1 if the corner lies on the
+/// positive side of axis k.
 const CUBE_FACES: [[u8; 3]; 12] = [
     [0, 4, 6],
     [0, 6, 2],

@@ -67,6 +67,7 @@ const STRIDES_BEFORE: f64 = 2.0;
 const STRIDES_MEASURED: f64 = 4.0;
 /// A robot set down on the surface comes to rest within 0.2 s; our choice leaves room for soft sand.
 const SETTLE: f64 = 1.0;
+/// Time over which a standing robot is measured [s].
 const STAND: f64 = 10.0;
 /// Interval of commands and samples [s]: short against a stride, long against a time step.
 const TICK: f64 = 1e-3;

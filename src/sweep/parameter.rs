@@ -203,7 +203,7 @@ pub struct Axis {
     pub values: Vec<String>,
 }
 
-/// Most values on one axis: our choice, which catches typing errors.
+/// Largest number of values on one axis: our choice, which catches typing errors.
 const MOST_VALUES: usize = 10_000;
 
 impl Axis {
@@ -243,7 +243,8 @@ impl Axis {
     }
 }
 
-/// To a millionth of the step or 6 significant digits, so that tables read 0.3 and 0, not 0.30000000000000004 and 1e-17.
+/// Rounds a value to 6 significant digits, and to 0 if it is below a millionth of the step, so that tables read 0.3 and
+/// 0, not 0.30000000000000004 and 1e-17.
 fn round(value: f64, step: f64) -> f64 {
     if value.abs() < 1e-6 * step.abs() {
         return 0.0;

@@ -4,7 +4,7 @@
 use crate::number::{Isa, Kernel};
 
 const BETAS: [f32; 2] = [0.9, 0.999];
-/// The value of stable-baselines3's PPO.
+/// Adam's ε, added to the root of the mean square; the value of stable-baselines3's PPO.
 const EPSILON: f32 = 1e-5;
 
 /// Running means of the gradient and of its square, number by number.

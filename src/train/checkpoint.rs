@@ -13,6 +13,7 @@ use std::sync::Arc;
 
 /// The files' `format`; a reader refuses any other.
 const FORMAT: &str = "sandgait policy 1";
+/// Ending of the files' names.
 const ENDING: &str = "safetensors";
 
 fn layers(plan: &Plan) -> impl Iterator<Item = (String, &Layer)> {
@@ -30,7 +31,7 @@ fn options(plan: &Plan) -> String {
 /// The contents of a checkpoint.
 pub struct Saved {
     pub learnt: Learnt,
-    /// [`super::curve::Curve::open`]
+    /// See [`super::curve::Curve::open`].
     pub open: [f64; 2],
     /// The reason why new episodes begin, if they do.
     pub anew: Option<String>,

@@ -28,11 +28,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Seeds for ranking designs; no reported result uses them. Two blocks of lanes.
 const CHOICE_SEEDS: std::ops::Range<u64> = 3_000_000..3_000_032;
-/// Seeds of the comparison, the same as in evaluations.
+/// Number of seeds of the final comparison; they begin at [`FIRST_SEED`], as in evaluations.
 const SEEDS: usize = 100;
 /// Number of designs in the final comparison, the best of the ranking: our choice.
 const COMPARED: usize = 3;
-/// Most trainings of a study: our choice, some days.
+/// Largest number of trainings of a study: our choice, some days.
 const MOST_TRAININGS: usize = 10_000;
 /// Number of designs that a search trains at the same time, and number of evenly spread designs at its beginning
 /// for each parameter: our choice.

@@ -33,7 +33,8 @@ pub fn onnx(plan: &Plan, learnt: &Learnt) -> Vec<u8> {
             let [weights, _] = &mut image[0];
             let width = shape.actor[0].outputs;
             for (k, (from, sign)) in observation.order.iter().zip(&observation.signs).enumerate() {
-                // Input k of the image is number `from` of the row, so row `from` of the weights is row k with its sign.
+                // Input k of the mirror image is number `from` of the row times `sign`. So the image's weights of
+                // number `from` are those of input k times `sign`.
                 let row = layers[0][0][k * width..(k + 1) * width].iter().map(|w| sign * w);
                 weights[from * width..(from + 1) * width].iter_mut().zip(row).for_each(|(out, w)| *out = w);
             }

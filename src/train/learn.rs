@@ -133,7 +133,7 @@ impl Chunk {
         }
     }
 
-    /// The gradient of the loss of chunk `index` of the present minibatch, and its sums, without the entropy.
+    /// Computes the gradient of the loss of chunk `index` of the present minibatch, and its sums, without the entropy.
     pub fn learn(
         &mut self,
         networks: &Networks,

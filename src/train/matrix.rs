@@ -30,7 +30,7 @@ impl<'a> Matrix<'a> {
     }
 }
 
-/// out = a·b, or out + a·b if `add` is true.
+/// Sets `out` to a·b, or to out + a·b if `add` is true.
 pub fn multiply(a: Matrix, b: Matrix, add: bool, out: &mut [f32]) {
     assert!(a.columns == b.rows && out.len() == a.rows * b.columns, "sizes of a product");
     assert!(a.data.len() == a.rows * a.columns && b.data.len() == b.rows * b.columns, "sizes of its factors");

@@ -27,7 +27,7 @@ pub struct NetworkSizes {
     pub action: usize,
     pub actor: Vec<Layer>,
     pub critic: Vec<Layer>,
-    /// Logarithms of the standard deviations of an action's numbers.
+    /// Indices in the parameters of the logarithms of the action's standard deviations.
     pub log_std: Range<usize>,
     /// Number of parameters.
     pub parameters: usize,

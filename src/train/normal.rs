@@ -1,7 +1,8 @@
 //! Running means and variances, and normalization by them, as in stable-baselines3's `VecNormalize`.
 
-/// `VecNormalize`'s values: what is added to a variance, and the clip range of normalized numbers.
+/// Added to a variance before its root is taken; the value of `VecNormalize`.
 pub const EPSILON: f64 = 1e-8;
+/// Normalized numbers are clipped to ± this; the value of `VecNormalize`.
 pub const CLIP: f32 = 10.0;
 
 /// Mean and variance of all rows so far, number by number.

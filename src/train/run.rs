@@ -41,7 +41,7 @@ pub struct Request {
     pub start_from: Option<PathBuf>,
     /// Steps between two checkpoints.
     pub checkpoint_every: u64,
-    /// Environments on a server, instead of this process.
+    /// Makes the environments on a server; None: they are in this process.
     pub connect: Option<Box<Connect>>,
 }
 

@@ -13,7 +13,7 @@ const CANDIDATES: usize = 1000;
 /// Bases of Halton's sequence, one for each parameter.
 const BASES: [u64; 6] = [2, 3, 5, 7, 11, 13];
 
-/// Most parameters of a search.
+/// Largest number of parameters of a search: one for each of [`BASES`].
 pub const MOST_PARAMETERS: usize = BASES.len();
 
 /// A point in the unit cube, and its value; more is better.
@@ -107,7 +107,7 @@ impl<'a> Process<'a> {
         [mean, (self.variance - known).max(0.0).sqrt()]
     }
 
-    /// Expected improvement on `best` there.
+    /// Expected improvement on `best` at a point.
     fn improvement(&self, at: &[f64], best: f64) -> f64 {
         let [mean, deviation] = self.expected(at);
         if deviation <= 0.0 {

@@ -118,7 +118,7 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// The settings of a file's entry with stable-baselines3's defaults, checked.
+    /// Reads and checks the settings of a file's entry; those that it does not give are the defaults of stable-baselines3.
     pub fn from_entry(entry: &Map<String, Value>) -> Result<Self> {
         let mut settings = Self::default();
         for (name, value) in entry {

@@ -6,9 +6,11 @@ use saphyr_parser::{Event, Parser, ScalarStyle};
 use serde_json::{Map, Value};
 use std::collections::HashMap;
 
-/// Longest text [bytes], deepest nesting, and most values (those of an anchor count at every use): our choice.
+/// Largest text [bytes]: our choice, as for the two limits below, far more than a file of hyperparameters needs.
 const MOST_BYTES: usize = 1 << 20;
+/// Deepest nesting.
 const MOST_DEPTH: usize = 32;
+/// Largest number of values; those of an anchor count at every use.
 const MOST_VALUES: usize = 100_000;
 
 /// An incomplete value.

@@ -26,7 +26,7 @@ pub fn own_discs() -> Result<Vec<Push>> {
     Ok(read::text(Path::new("discs.csv"), OWN_DISCS)?.pushes)
 }
 
-/// Most rows of a folder: our choice.
+/// Largest number of rows of a folder: our choice, to bound the time of a comparison.
 const MOST_ROWS: usize = 20_000;
 
 /// `validation.toml`.

@@ -77,7 +77,7 @@ fn read<'a, T: Deserialize<'a>>(text: &'a str) -> Result<T> {
     serde_json::from_str(text).map_err(|e| Error::Internal(format!("data that are compiled in: {e}")))
 }
 
-/// Markdown.
+/// The comparisons as Markdown.
 pub fn text() -> Result<String> {
     let folder = tempfile::tempdir().map_err(|e| Error::Exhausted(format!("no directory for temporary files: {e}")))?;
     let mut text = String::from(

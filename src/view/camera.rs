@@ -4,7 +4,7 @@
 use crate::sim::frame::V;
 use crate::sim::{Model, State};
 
-/// Allowed width and height of a picture [px]: our choice.
+/// Allowed width and height of a picture [px]: our choice, to bound its memory.
 pub const SIZES: std::ops::RangeInclusive<u32> = 16..=4096;
 
 /// Direction to the camera [rad]: the angle from the robot's right side toward its front, and the angle above the
@@ -12,7 +12,8 @@ pub const SIZES: std::ops::RangeInclusive<u32> = 16..=4096;
 const AZIMUTH: f64 = 0.55;
 const ELEVATION: f64 = 0.32;
 
-/// Number of elevations that are tried until no dune hides the robot, each higher by [`ELEVATION`].
+/// Largest number of elevations that are tried until no dune hides the robot; each is higher than the one before by
+/// [`ELEVATION`].
 const HIGHER: u32 = 4;
 
 /// Vertical field of view [rad]: our choice, that of a normal lens.
@@ -30,7 +31,7 @@ pub struct Camera {
     right: V,
     up: V,
     forward: V,
-    /// Pixels at distance 1 m per metre.
+    /// Size in the picture of a metre at a distance of 1 m [px].
     focal: f64,
     middle: [f64; 2],
     target: V,

@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 pub struct About<'a> {
     /// The task's id, or the name of the program that made the recording.
     pub task: &'a str,
-    /// Rows a second of simulated time.
+    /// Number of rows for a second of simulated time.
     pub rate: f64,
     /// Seed and number of the episode.
     pub episode: Option<(u64, u64)>,
@@ -23,7 +23,7 @@ pub struct About<'a> {
     pub info: Vec<(&'a str, &'a str)>,
     /// How many of these figures, from the first one, are reward terms.
     pub reward_terms: usize,
-    /// Numbers of an action.
+    /// How many numbers an action has.
     pub actions: usize,
 }
 

@@ -110,7 +110,7 @@ fn obstacle_faces(model: &Model, state: &State) -> Vec<Face> {
     let mut faces = Vec::new();
     for (solid, at) in model.solids.iter().zip(obstacle_poses(model, state)) {
         if solid.corners.is_empty() {
-            // A sphere, by the facets that sand pushes on.
+            // A sphere is drawn by the facets that sand pushes on.
             faces.extend(solid.facets.iter().map(|f| {
                 let normal = at.rotation * f.normal;
                 let side = normal.cross(&if normal.z.abs() < 0.9 { V::z() } else { V::x() }).normalize();
@@ -170,11 +170,11 @@ impl Canvas {
         })
     }
 
-    /// A robot from a file on its ground; gives the labels of the lines.
+    /// Draws a robot from a file and its ground; returns the labels of the grid lines.
     fn tree(&mut self, model: &Model, robot: &TreeModel, state: &State) -> Labels {
         let (painted, ground) = (solid::robot(robot, state), solid::ground(model, state));
         let mut labels = Vec::new();
-        // Lines and shadows are those of level ground.
+        // Lines and shadows are drawn on level ground only.
         if ground.is_none() {
             labels = self.lines(model, state);
             let face = |(corners, color): &solid::Painted| {
@@ -189,7 +189,7 @@ impl Canvas {
         labels
     }
 
-    /// A robot on identical legs, and rocks; gives the labels of the lines.
+    /// Draws a robot with identical legs, and the rocks; returns the labels of the grid lines.
     fn legs(&mut self, model: &Model, state: &State, pose: &Pose) -> Labels {
         let labels = self.lines(model, state);
         let mut faces = robot_faces(model, pose);
@@ -214,7 +214,7 @@ impl Canvas {
         }
     }
 
-    /// Sky, and the surface as far as the horizon.
+    /// Draws the sky, and the surface as far as the horizon.
     fn sand(&mut self) {
         let (width, height) = (self.map.width() as f32, self.map.height() as f32);
         if let Some(all) = Rect::from_xywh(0.0, 0.0, width, height) {

@@ -20,7 +20,7 @@ pub struct Segment<'a> {
     pub plate: &'a Plate,
 }
 
-/// The sand on a segment.
+/// The sand's force on a segment, and where it acts.
 #[derive(Clone, Copy, Debug)]
 pub struct Load {
     /// Position of the segment's centre in the world [m].
@@ -112,7 +112,8 @@ impl Pose {
         }
     }
 
-    /// `contact` takes the segment's state, area [m²], unit normal and velocity [m/s].
+    /// Adds the sand's force on each plate. `contact` computes it from the segment's state, area [m²], normal and
+    /// velocity [m/s].
     fn press(
         &mut self,
         plates: &[Plate],

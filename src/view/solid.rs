@@ -14,7 +14,7 @@ const GROUND: [Rgb; 2] = [[230.0, 213.0, 178.0], [222.0, 203.0, 166.0]];
 /// Side of these squares, and of the cells that the ground is drawn by [m]; larger ones for larger robots.
 const SQUARE: f64 = 0.25;
 const CELL: f64 = 0.05;
-/// Most cells from the robot to the edge of the drawn ground: our choice.
+/// Largest number of cells from the robot to the edge of the drawn ground: our choice, to bound the time of a picture.
 const REACH: f64 = 64.0;
 /// Share of a part under the surface that is visible through the sand.
 const BURIED: f32 = 0.22;

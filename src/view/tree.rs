@@ -181,7 +181,7 @@ impl Canvas {
         Self { size: [width, height], camera, layer, ground }
     }
 
-    /// A disc of sand under the robot, with the shadow of its faces.
+    /// Draws a disc of sand under the robot, with the shadow of its faces.
     fn ground(&mut self, faces: &[([V; 3], Rgb)], radius: f64) {
         let center = self.camera.target();
         let middle = V::new(center.x, center.y, self.ground - BEFORE * radius);

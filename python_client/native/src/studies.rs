@@ -15,7 +15,7 @@ use sandgait::service::studies::compute::{Outcome, Study};
 /// Name and content.
 type File = (String, Vec<u8>);
 
-/// Parameter, numbers and names.
+/// A parameter and the values it takes: numbers, or names in place of numbers.
 type Variation = (String, Vec<f64>, Vec<String>);
 
 #[derive(FromPyObject)]

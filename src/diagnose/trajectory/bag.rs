@@ -19,9 +19,9 @@ use std::path::Path;
 const LONGEST: usize = 64 << 20;
 /// Bytes read from the file at once.
 const PIECE: usize = 1 << 20;
-/// Most numbers that a log may have: our choice, 160 MB, the same for every format.
+/// Largest number of values in a log: our choice, 160 MB, the same for every format.
 const MOST_NUMBERS: usize = 20_000_000;
-/// Most channels and schemas of a file: our choice; each is kept in memory.
+/// Largest number of a file's channels and schemas together: our choice; each is kept in memory.
 const MOST_CHANNELS: usize = 10_000;
 /// Longest time between two messages of the IMU over which its readings are interpolated [ns]: our choice, as for the joints.
 const LONGEST_GAP: i64 = 50_000_000;

@@ -1,6 +1,6 @@
 //! Decodes messages of ROS 2 from their binary form, CDR (OMG, DDS-XTypes 1.3, 7.4). Two types are decoded: JointState and Imu.
 
-/// Most names in one message: our choice, ten times the joints of a robot that can be replayed.
+/// Largest number of names in one message: our choice, ten times the joints of a robot that can be replayed.
 const MOST_NAMES: usize = 256;
 
 /// sensor_msgs/msg/JointState.

@@ -18,16 +18,16 @@ use std::sync::{Arc, Once};
 
 /// The first bytes of a file.
 pub const MAGIC: &[u8] = b"PAR1";
-/// Most bytes of the footer, which is decoded as a whole: our choice; a hundred columns in a hundred row groups have 2 MB.
+/// Largest footer [bytes]; it is decoded as a whole. Our choice: with a hundred columns in a hundred row groups it has 2 MB.
 const LONGEST_FOOTER: u64 = 4 << 20;
-/// Most columns of a file: our choice, as many as ten robots have.
+/// Largest number of columns of a file: our choice, those of some ten robots.
 const MOST_COLUMNS: u64 = 1000;
 /// Field numbers in the footer: the list of columns, and a column's number of children (parquet.thrift).
 const SCHEMA: i64 = 2;
 const CHILDREN: usize = 5;
-/// Rows taken from each column at once: our choice.
+/// Number of rows that are read from each column at once: our choice, which needs little memory.
 const TOGETHER: usize = 1024;
-/// Most characters of a cell: our choice; names of runs are short.
+/// Largest number of characters of a cell: our choice; names of runs are short.
 const LONGEST_CELL: usize = 1000;
 
 type Read<T> = std::result::Result<T, String>;

@@ -2,7 +2,7 @@
 //! only the fields that give sizes and counts, so that they can be checked before anything is decompressed. Every function returns
 //! `None` if the value would reach beyond the bytes.
 
-/// Most levels of nested structs: our choice; those of Parquet are three deep.
+/// Largest depth of nested structs: our choice; those of Parquet are three deep.
 const DEEPEST: usize = 16;
 
 pub struct Compact<'a> {

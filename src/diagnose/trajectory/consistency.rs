@@ -15,7 +15,7 @@ use std::path::Path;
 /// A ratio counts as one of the known ratios if it is this near to it, relative: our choice, much less than the distance between any
 /// two known ratios.
 const NEAR: f64 = 0.2;
-/// Least correlation for which a ratio is evaluated: our choice.
+/// Least correlation for which a ratio is evaluated: our choice, because a ratio of unrelated signals has no meaning.
 const CLEAR: f64 = 0.7;
 const DEGREES: f64 = 180.0 / PI;
 

@@ -17,7 +17,7 @@ use std::f64::consts::TAU;
 const ROUGHNESS: f64 = 4.0;
 /// Relative step of the sand's strength for the derivative by the strength of the bed: our choice, about the scatter of beds.
 const STRENGTH_STEP: f64 = 0.05;
-/// Step of the robot's mass, relative: our choice.
+/// Relative step of the robot's mass for the derivative by the mass: our choice, as for the strength.
 const MASS_STEP: f64 = 0.05;
 
 impl ForwardModel for TrajectoryModel<'_> {

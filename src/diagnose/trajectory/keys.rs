@@ -45,7 +45,7 @@ impl Cut {
     }
 }
 
-/// Most runs: our choice, the same for every log.
+/// Largest number of runs in a log: our choice, the same for every format.
 const MOST_CUTS: usize = 1000;
 
 /// The keys as the file has them, not checked yet.
@@ -71,9 +71,11 @@ pub struct Keys {
     pub imu_quat: [f64; 4],
     /// Torque constant of the motors [N·m/A]; if it is given, the log has currents instead of torques.
     pub torque_constant: Option<f64>,
-    /// This and the next two apply if the log has no such column.
+    /// Slope of the surface [°], if the log has no column for it.
     pub slope_deg: f64,
+    /// Stride frequency [Hz], if the log has no column for it.
     pub stride_frequency: Option<f64>,
+    /// Leg shape, if the log has no column for it.
     pub leg: Option<String>,
     /// Bodies or shapes that touch the sand, for a robot from a URDF or MJCF file.
     pub touches: Option<Vec<String>>,

@@ -7,11 +7,11 @@ use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::path::Path;
 
-/// Most numbers of a log: our choice, 160 MB.
+/// Largest number of values in a log: our choice, 160 MB.
 const MOST_NUMBERS: usize = 20_000_000;
-/// Most joints of a robot: our choice, a hexapod with four joints a leg.
+/// Largest number of a robot's joints: our choice, those of a hexapod with four joints a leg.
 pub const MOST_JOINTS: usize = 24;
-/// Most runs of a log: our choice.
+/// Largest number of runs in a log: our choice, the same for every format.
 const MOST_RUNS: usize = 1000;
 /// Fewest samples of a run: our choice; a tenth of a second at 200 Hz is less than a stride.
 const FEWEST_SAMPLES: usize = 20;

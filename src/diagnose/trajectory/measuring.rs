@@ -37,8 +37,8 @@ impl TrajectoryModel<'_> {
         Nuisance::linear("friction".into(), "N·m", self.priors.sd("friction") * rms, column)
     }
 
-    /// Rotation and delay of the IMU, linearised at `values`. Neither is linear, so the first one carries the difference between the
-    /// prediction at `values` and its linear continuation from 0.
+    /// Rotation and delay of the IMU, linearised at `values`. Neither is linear, so the first nuisance carries the
+    /// difference between the prediction at `values` and its linear continuation from 0.
     pub(super) fn mounting(&self, tracks: &[Track], values: &[(String, f64)]) -> Vec<Nuisance> {
         const NAMES: [&str; 4] = ["imu_rotation_x", "imu_rotation_y", "imu_rotation_z", "imu_delay"];
         let value = |id: &str| values.iter().find(|v| v.0 == id).map_or(0.0, |v| v.1);

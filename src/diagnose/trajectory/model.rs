@@ -19,7 +19,7 @@ use std::collections::HashMap;
 use std::f64::consts::TAU;
 use std::sync::Mutex;
 
-/// Most predictions that are kept in memory: our choice, some 10 MB.
+/// Largest number of predictions that are kept in memory: our choice, some 10 MB in all.
 pub(super) const KNOWN: usize = 128;
 
 pub(super) type State = (Mechanisms, Coefficients);

@@ -13,11 +13,11 @@ use std::io::{Read, Seek, SeekFrom};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
-/// Most bytes of a page's header, which may hold statistics: our choice.
+/// Largest header of a page [bytes]: our choice, which leaves room for statistics.
 const HEADER: u64 = 16 << 10;
-/// Most pages of a file: our choice, so that a file of empty pages does not take hours.
+/// Largest number of pages of a file: our choice, so that a file of empty pages does not take hours.
 const MOST_PAGES: u64 = 100_000;
-/// Most bytes, decompressed, of all pages that are in memory at the same time: our choice.
+/// Largest size of all pages that are in memory at the same time, decompressed [bytes]: our choice.
 const AT_ONCE: u64 = 256 << 20;
 
 /// Counts over all columns of a file.

@@ -73,9 +73,9 @@ fn slope(t: &[f64], q: &[f64], i: usize) -> f64 {
     (q[b] - q[a]) / (t[b] - t[a])
 }
 
-/// First values that are tried for the offset in [`zero`], evenly among the sorted differences: our choice.
+/// Number of values that are tried first for the offset in [`zero`], evenly among the sorted differences: our choice.
 const TRIED: usize = 24;
-/// Most iterations from the best of them: our choice; each at least halves the error.
+/// Largest number of iterations that improve the best of these values: our choice; each at least halves the error.
 const CLOSER: usize = 8;
 
 /// The angle of a joint at the start of its command is not known, nor is the exact time of the start. This makes a constant error of

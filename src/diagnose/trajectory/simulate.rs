@@ -14,7 +14,8 @@ use std::sync::PoisonError;
 
 /// Relative changes of the sand's strength that are too small to measure: our choice, at most a hundredth of the scatter of beds.
 const NUDGES: [f64; 6] = [-3e-4, -2e-4, -1e-4, 1e-4, 2e-4, 3e-4];
-/// Factor on the variance of that scatter: our choice, so that it adds less than a quarter to χ² for each window and channel.
+/// Factor on the variance of predictions under [`NUDGES`]: our choice, so that chaotic motion adds less than a quarter
+/// to χ² for each window and channel.
 const SETTLED: f64 = 4.0;
 
 impl TrajectoryModel<'_> {

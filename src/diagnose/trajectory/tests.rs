@@ -146,7 +146,7 @@ fn wrong_quaternions_are_named() {
     assert!(told([x, y, z, w]).contains("x, y, z, w"));
 }
 
-/// Randomly changed logs give a log or an error of one line.
+/// Reading a randomly changed file gives a log or an error of one line.
 #[test]
 fn mutated_logs_do_not_panic() {
     use rand::{Rng, SeedableRng};

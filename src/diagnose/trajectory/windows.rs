@@ -11,12 +11,13 @@ use std::f64::consts::TAU;
 pub const BINS: usize = 16;
 /// Turns of the hips before the first stride that is compared: our choice.
 const LEAD_IN: f64 = 0.75;
-/// A run with at most this many strides is one window, and at most so many of them are compared: our choices. More strides of a run
-/// repeat the same information.
+/// A run with at most this number of strides is one window: our choice.
 const STRIDES: usize = 12;
+/// Largest number of strides of such a run that are compared: our choice; more strides repeat the same information.
 const COMPARED: usize = 4;
-/// Windows of a longer run, and most windows of a log: our choices, which limit the computing time.
+/// Number of windows in a longer run: our choice, which limits the computing time.
 const WINDOWS_OF_RUN: usize = 3;
+/// Largest number of windows in a log: our choice, which also limits the computing time.
 const WINDOWS: usize = 96;
 /// Strides in each window of a longer run: our choice.
 const STRIDES_OF_MANY: usize = 4;

@@ -3,10 +3,10 @@
 use crate::options;
 use serde::{Deserialize, Serialize};
 
-/// Largest command [m/s, rad/s].
+/// Largest commanded velocity: forward and to the left [m/s], yaw [rad/s].
 pub const MOST_COMMAND: f64 = 5.0;
 
-/// All ranges of an episode.
+/// All ranges from which an episode's values are drawn.
 #[derive(Clone, Copy)]
 pub struct Draws {
     pub commands: Commands,

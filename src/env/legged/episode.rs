@@ -8,8 +8,8 @@ use crate::spec::CONTROL_RATE;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// Most commands and pushes that an episode draws; after that they repeat. Our choice, 17 minutes with the
-/// default's intervals.
+/// Largest number of commands, and of pushes, that an episode draws; after that they repeat. Our choice: with the default
+/// time between two commands they last 17 minutes.
 const MOST: usize = 100;
 /// Commanded speeds below this are zero [m/s] (legged_gym, `_resample_commands`).
 const SMALL: f64 = 0.2;

@@ -22,7 +22,7 @@ pub struct Contacts {
     /// Contact of each foot, in the order of the stance's feet.
     pub feet: Vec<bool>,
     pub base: bool,
-    /// Other bodies.
+    /// Number of other bodies that touch the ground.
     pub others: usize,
 }
 

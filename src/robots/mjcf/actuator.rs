@@ -95,7 +95,7 @@ fn drive(element: &Element, autolimits: bool, joint: &mut TreeJoint, notes: &mut
     Ok(())
 }
 
-/// The smaller of the joint's limit and `factor` times a range.
+/// Limits a joint's torque to `factor` times a range, unless its own limit is smaller.
 fn limit(joint: &mut TreeJoint, range: Option<[f64; 2]>, factor: f64, notes: &mut Notes) {
     let Some([low, high]) = range.map(|r| r.map(|x| x * factor.abs())) else { return };
     let most = high.min(-low);
@@ -109,7 +109,7 @@ fn limit(joint: &mut TreeJoint, range: Option<[f64; 2]>, factor: f64, notes: &mu
     }
 }
 
-/// The pose of the keyframe `home`, or else of the first.
+/// Sets the standing pose: that of the keyframe `home`, or else of the first.
 pub fn rest(root: &Element, tree: &mut Tree, notes: &mut Notes) -> Result<()> {
     let mut keys = root.all("keyframe").flat_map(|section| section.all("key")).filter(|k| k.get("qpos").is_some());
     let Some(first) = keys.next() else { return Ok(()) };

@@ -49,7 +49,7 @@ pub fn is_free(body: &Element) -> bool {
 }
 
 impl Builder<'_> {
-    /// A body and all that it carries; `at` is the pose of its parent's frame, or of a `<frame>`, in the link
+    /// Adds a body and all that it carries; `at` is the pose of its parent's frame, or of a `<frame>`, in the link
     /// `parent`.
     pub fn body(&mut self, element: &Element, parent: Option<usize>, at: &Isometry3<f64>, class: &str) -> Result<()> {
         if self.links.len() > MOST_LINKS {
@@ -161,7 +161,7 @@ impl Builder<'_> {
         Ok(())
     }
 
-    /// `compiler`'s rules for masses that are too small and inertias that are physically impossible.
+    /// Applies `compiler`'s rules for masses that are too small and inertias that are physically impossible.
     fn bounded(&self, own: Inertial) -> Inertial {
         let c = self.compiler;
         let mut new = Inertial { mass: own.mass.max(c.least_mass), ..own };

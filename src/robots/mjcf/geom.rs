@@ -17,6 +17,7 @@ use std::sync::Arc;
 
 /// Density of water [kg/m³], MuJoCo's default.
 const DENSITY: f64 = 1000.0;
+/// Friction of geoms whose file gives none: MuJoCo's default.
 const FRICTION: f64 = 1.0;
 
 /// How the mass of a mesh is computed.

@@ -23,9 +23,9 @@ use std::path::PathBuf;
 const REFUSED: [&str; 3] = ["equality", "deformable", "extension"];
 /// Sections that are read.
 const READ: [&str; 7] = ["compiler", "default", "asset", "worldbody", "actuator", "keyframe", "include"];
-/// Most files of a model: our choice.
+/// Largest number of files of a model: our choice, to bound the time of reading.
 const MOST_FILES: usize = 50;
-/// Most elements of a model with all its includes: our choice, as for one file.
+/// Largest number of elements of a model with all its includes: our choice, as for one file.
 const MOST_ELEMENTS: usize = 200_000;
 
 /// The robot of a file.
@@ -75,7 +75,7 @@ pub fn robot(
     Ok(merged)
 }
 
-/// `settotalmass`
+/// Scales all masses so that their sum is `wanted`, the file's `settotalmass`.
 fn rescale(links: &mut [Link], wanted: f64) {
     let factor = wanted / links.iter().map(|l| l.inertial.mass).sum::<f64>();
     if factor.is_finite() {

@@ -102,13 +102,13 @@ pub struct Body {
     turns: usize,
 }
 
-/// Positions for a plate along the longest side: our choice. A period in 96 positions has forces within 1 % of
+/// Number of positions for each plate along the longest side: our choice. A period in 96 positions has forces within 1 % of
 /// those in 400; with plates half as long and twice as many positions, within 0.3 %.
 const TURNS: f64 = 1.92;
-/// Fewest and most positions, and the most plates in all positions together: our choice. With the most plates, the
-/// search for a load takes 300 MB.
+/// Least and largest number of positions: our choice.
 const FEWEST_TURNS: usize = 48;
 const MOST_TURNS: usize = 384;
+/// Largest number of plates in all positions together: our choice; with as many, the search for a load takes 300 MB.
 const MOST_TURNED: usize = 2_500_000;
 
 /// Number of positions in a period, for a body of `plates` plates, `along` of them along its longest side.

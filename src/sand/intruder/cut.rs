@@ -104,7 +104,7 @@ pub fn capsule(radius: f64, length: f64, size: f64, least: usize) -> Vec<Plate> 
     plates
 }
 
-/// Bands of equal width in latitude; plates two thirds as long as `size`, because n turns along both sides.
+/// Bands of equal width in latitude; plates two thirds as long as `size`, because the normal turns along both sides.
 pub fn sphere(radius: f64, size: f64, least: usize) -> Vec<Plate> {
     let size = size / 1.5;
     ball(radius, size, pieces(PI * radius, size, least / 2), least / 2)

@@ -9,10 +9,10 @@ use std::path::Path;
 
 pub type Triangle = [Vec3<f64>; 3];
 
-/// Most plates of a body: our choice, 2 × 10⁶ take 240 MB.
+/// Largest number of plates of a body: our choice, 2 × 10⁶ take 240 MB.
 pub(super) const MOST_PLATES: usize = 2_000_000;
 
-/// Most triangles of a mesh: our choice; no scan needs more than 10⁶.
+/// Largest number of triangles of a mesh: our choice; no scan needs more than 10⁶.
 const MOST_TRIANGLES: usize = 1_000_000;
 /// Largest file that is read [bytes]: 10⁶ triangles as text; our choice.
 const MOST_BYTES: u64 = 300 << 20;

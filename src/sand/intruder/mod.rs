@@ -21,7 +21,7 @@ use crate::number::Vec3;
 pub struct Plate {
     /// From the body's origin [m].
     pub center: Vec3<f64>,
-    /// Unit, outward.
+    /// Outward unit vector.
     pub normal: Vec3<f64>,
     /// [m²]
     pub area: f64,

@@ -11,7 +11,7 @@ use crate::{SandBed, SandDescription, SegmentState, Surface};
 const STEPS: usize = 32;
 /// Accuracy [m] of the depth that carries a load: our choice, far below what can be measured.
 const EXACT: f64 = 1e-8;
-/// Two depths [m] that separate the force that grows with depth from the constant one.
+/// Two depths [m] at which a force is computed, to separate the part that grows with depth from the constant part.
 const PROBES: [f64; 2] = [0.02, 0.04];
 
 /// The given quantity of a trial besides its motion.
@@ -130,14 +130,14 @@ struct Piece {
 /// others are not needed.
 const PARTS: [f64; 2] = [0.4, 1.0];
 
-/// The leading plates of a moving body below some height, lowest first, in all positions of its turn.
+/// A body in motion: its leading plates below some height in all positions of a period, lowest first.
 struct Motion<'a> {
     ground: &'a SandBed<f64>,
     pieces: Vec<Piece>,
     share: f64,
 }
 
-/// The positions of the turn (one or several), and the least and greatest height of the body [m].
+/// The positions of a period (one or several), and the least and greatest height of the body in them [m].
 struct Turns {
     axis: Vec3<f64>,
     count: usize,

@@ -14,9 +14,9 @@ use std::collections::BTreeMap;
 
 pub use lanes::{LaneTerms, Piece};
 
-/// Most terms of one sand, and most different terms among environments that are computed together: our choice.
+/// Largest number of terms of one sand, and of different terms in environments that are computed together: our choice.
 pub const MOST_TERMS: usize = 4;
-/// Most groups of one term.
+/// Largest number of groups of one term.
 const MOST_GROUPS: usize = 4;
 /// Number of orientations and of directions at which energy is checked, over 90° to either side.
 const ANGLES: i32 = 18;
@@ -47,7 +47,7 @@ pub enum Group {
     Curvature,
     /// a_n/g of the leading face; 0 in the engines, which take the stress from velocities alone.
     Acceleration,
-    /// Earlier passes here; 0 in the engines.
+    /// Number of earlier passes over this place; 0 in the engines.
     Passes,
     /// Distance of a wall over w; far away if it is not given.
     Wall,

@@ -34,13 +34,14 @@ impl Peer {
     }
 }
 
-/// Most connections at the same time.
+/// Largest numbers of connections at the same time.
 #[derive(Clone, Copy, Debug)]
 pub struct Caps {
+    /// Of all peers together.
     pub all: usize,
-    /// Most connections of one peer; the owner of a Unix socket may have all.
+    /// Of one peer. The owner of a Unix socket may have as many as all peers together.
     pub peer: usize,
-    /// Most connections without first bytes; a burst may exceed it for a second.
+    /// Of connections whose peers have not sent anything yet. A burst may exceed it for a second.
     pub opening: usize,
 }
 

@@ -165,7 +165,7 @@ const PATIENCE: Duration = Duration::from_secs(60);
 impl AsyncRead for Connection {
     fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, into: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         if self.end.as_mut().poll(cx).is_ready() {
-            // The same as a close by the peer.
+            // The reader sees the same as if the peer had closed the connection.
             return Poll::Ready(Ok(()));
         }
         let First { bytes, length, read } = &mut self.first;

@@ -78,7 +78,7 @@ fn scalar(x: f32) -> Tensor {
     tensor(vec![x], vec![])
 }
 
-/// Most uids in one step: our choice, several times the number of observations.
+/// Largest number of uids in one step: our choice, several times the number of observations.
 const MOST_REQUESTED: usize = 16;
 
 /// Refuses uids of observations that do not exist.

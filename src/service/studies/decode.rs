@@ -95,8 +95,8 @@ pub fn intrude(request: IntrudeRequest) -> Result<(Rotation, Sand)> {
     Ok((rotation, sand(request.sand)?))
 }
 
-/// Most plates of a client's body: our choice, 8 MB, or 300 MB in the turns of a period. A default wheel has some
-/// 3,000.
+/// Largest number of plates of a client's body: our choice; they take 8 MB, and 300 MB in all positions of a period. A
+/// default wheel has some 3,000.
 const MOST_PLATES: usize = 50_000;
 
 pub fn trials(request: TrialsRequest) -> Result<Trials> {
@@ -187,7 +187,7 @@ pub fn walk(request: WalkRequest) -> Result<Walks> {
     Ok(Walks { engine, trials: request.frequency.iter().map(trial).collect::<Result<_>>()?, warnings })
 }
 
-/// Most frequencies of one request: our choice, each has a model in memory.
+/// Largest number of stride frequencies in one request: our choice; each has a model in memory.
 const MOST_FREQUENCIES: usize = 4096;
 
 pub fn sweep(request: SweepRequest) -> Result<Sweep> {
@@ -214,7 +214,7 @@ pub fn sweep(request: SweepRequest) -> Result<Sweep> {
     Ok(Sweep { base, axes, optimize, warnings })
 }
 
-/// Most parameters of one search: all that exist.
+/// Largest number of parameters that one request varies: all that exist.
 const MOST_VARIED: usize = crate::sweep::Parameter::ALL.len();
 
 fn axis(variation: Variation) -> Result<Axis> {

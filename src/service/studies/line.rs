@@ -16,10 +16,10 @@ use tokio_stream::wrappers::ReceiverStream;
 use tokio_util::sync::CancellationToken;
 use tonic::Status;
 
-/// Most studies in line, including the running one: our choice, their requests stay within 1 GiB.
+/// Largest number of studies in line, including the running one: our choice, so that their requests stay within 1 GiB.
 const PLACES: usize = 16;
 
-/// Most events that wait for a slow client; further ones are left out, but never the result.
+/// Largest number of events that wait for a slow client; further ones are left out, but never the result.
 const EVENTS: usize = 8;
 
 /// Smallest progress that is reported: our choice, some 200 events a study.

@@ -13,7 +13,7 @@ use sandgait_view::recording::{head_block, rows_block};
 use std::sync::Arc;
 use tokio::sync::{broadcast, watch};
 
-/// Most frames that wait for a slow browser: those of one second.
+/// Largest number of frames that wait for a slow browser: our choice, about those of one second.
 const WAITING: usize = 64;
 
 /// A copy of an environment's visible state.

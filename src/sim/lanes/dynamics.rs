@@ -161,7 +161,7 @@ fn base_inertia<R: Real, const J: usize>(model: &LaneModel<R, J>, base: &Frame<R
     (Inertia::central(model.base_mass, own), bias)
 }
 
-/// Sand under the base.
+/// Adds the sand's force on the underside of the base.
 #[inline(always)]
 fn belly<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
@@ -180,7 +180,7 @@ fn belly<R: Real, const J: usize>(
     }
 }
 
-/// One-sided plates with a leading-edge gate, which all face down in one plane of the base.
+/// As [`belly`], for one law. The plates are one-sided with a leading-edge gate; all face down in one plane of the base.
 #[inline(always)]
 fn belly_by<R: Real, const J: usize>(
     law: &impl StressLaw<R>,
@@ -419,7 +419,7 @@ fn drive<R: Real, const J: usize>(
     hinge.drive = hinge.torque - load;
 }
 
-/// Outward pass over one leg: joint accelerations, then speeds, angles and servo references after the step.
+/// Outward pass over one leg: computes joint accelerations, then speeds, angles and servo references after the step.
 #[inline(always)]
 fn unfold_leg<R: Real, const J: usize>(
     model: &LaneModel<R, J>,
@@ -443,7 +443,7 @@ fn unfold_leg<R: Real, const J: usize>(
     }
 }
 
-/// Semi-implicit Euler on the base; the rotation by the exponential map to third order, then normalised.
+/// Moves the base by semi-implicit Euler; the rotation by the exponential map to third order, then normalised.
 #[inline(always)]
 fn move_base<R: Real>(state: &mut LaneState<R>, acceleration: &Twist<R>, dt: R) {
     state.change = acceleration.scaled(dt);

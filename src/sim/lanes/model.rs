@@ -60,8 +60,8 @@ pub struct LaneModel<R, const J: usize> {
     pub dt: R,
 }
 
-/// Largest distance of a plate from its plane [m], and deviation of its normal: rounding errors, far below any
-/// effect on a force.
+/// Largest distance of a plate's centre from its body's plane [m], and largest deviation of its normal from the required
+/// direction: allows for rounding, and is far below any effect on a force.
 const FLAT: f64 = 1e-9;
 
 /// The plane of a body: e₁ along its reach, e₀ across it toward the normals, or in any direction if the body is a

@@ -60,7 +60,7 @@ impl Shapes {
         [&self.base].into_iter().chain(&self.links).map(|shape| collider(shape, ROBOT, FIXED | LOOSE, 0.0))
     }
 
-    /// In the order of the scene.
+    /// The colliders of the obstacles, in the order of the scene.
     pub fn obstacles<'a>(&'a self, model: &'a Model) -> impl Iterator<Item = (&'a Obstacle, ColliderBuilder)> {
         self.obstacles.iter().zip(&model.scene.obstacles).map(|(shape, obstacle)| {
             let (own, others) = if obstacle.moves() { (LOOSE, ROBOT | FIXED | LOOSE) } else { (FIXED, ROBOT | LOOSE) };
@@ -116,7 +116,7 @@ fn obstacle(obstacle: &Obstacle, solid: &Solid) -> SharedShape {
     }
 }
 
-/// How a world with obstacles solves its contacts.
+/// Sets how a world with obstacles solves its contacts.
 pub fn tune(parameters: &mut IntegrationParameters) {
     parameters.num_internal_pgs_iterations = SWEEPS;
     // The "normalized" lengths below are in metres.

@@ -187,7 +187,7 @@ impl Robot {
         }
     }
 
-    /// Weight of each rock that is not at rest, and sand around it.
+    /// Applies weight and sand to each rock that is not at rest; returns the rocks as rapier got them.
     fn load_rocks(&mut self) -> Vec<(usize, rocks::Wet)> {
         let (model, ground, world) = (&self.model, &self.ground, &mut self.world);
         let awake = (0..self.rocks.len()).filter(|i| !self.resting[*i]);
@@ -200,7 +200,7 @@ impl Robot {
         awake.map(load).collect()
     }
 
-    /// Weight of the base, and sand under it.
+    /// Applies weight and sand to the base.
     fn load_base(&mut self, base: &Frame) {
         let model = &self.model;
         let at = Place { frame: base, base: &self.state.position, travel: self.state.travel() };
@@ -223,7 +223,7 @@ impl Robot {
         self.world.load(self.world.edge, properties, arm, &own);
     }
 
-    /// Weight of each link, and sand on it.
+    /// Applies weight and sand to each link.
     fn load_legs(&mut self, base: &Frame) {
         let (model, state) = (&self.model, &self.state);
         let mut joint = 0;
@@ -258,7 +258,7 @@ pub(super) fn fold_turns(state: &mut State) {
     }
 }
 
-/// Semi-implicit Euler: positions move with the velocities after the step.
+/// Moves the positions with the velocities after the step: semi-implicit Euler.
 fn advance_positions(state: &mut State, dt: f64) {
     advance_pose(&mut state.position, &mut state.orientation, state.velocity, state.angular_velocity, dt);
     for ((angle, rate), torque) in state.angles.iter_mut().zip(&state.rates).zip(&state.torques) {

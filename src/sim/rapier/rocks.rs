@@ -66,7 +66,7 @@ fn reach(model: &Model) -> f64 {
     model.legs.iter().map(leg).fold(base, f64::max)
 }
 
-/// A rock's data for rapier.
+/// A rock together with the point masses that the sand adds to it, as rapier gets it.
 pub struct Wet {
     pub pose: Pose,
     pub properties: MassProperties,
@@ -135,7 +135,7 @@ impl Rock {
 }
 
 impl Wet {
-    /// Velocity of the wet rock's centre of mass and angular velocity, rounded to rapier's precision.
+    /// Velocity of the centre of mass of rock and sand together, and angular velocity, rounded to rapier's precision.
     fn held(&self, object: &ObjectState) -> [V; 2] {
         let omega = V::from(object.angular_velocity);
         [V::from(object.velocity) + omega.cross(&self.arm), omega].map(|v| v.map(|c| f64::from(c as f32)))

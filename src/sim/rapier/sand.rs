@@ -35,7 +35,7 @@ impl Wrench {
     }
 }
 
-/// Sand on one body.
+/// The sand's effect on one body.
 #[derive(Clone, Copy, Debug)]
 pub struct Load {
     pub wrench: Wrench,
@@ -53,14 +53,14 @@ pub struct Place<'a> {
     pub travel: [f64; 2],
 }
 
-/// Sand under a base.
+/// The sand's effect on a base.
 pub fn load_belly(ground: &SandBed<f64>, plates: &[Plate], at: &Place, dt: f64) -> Load {
     let mut load = Load::none();
     load.add(plates, at, dt, |site, area, normal, velocity| ground.one_sided(site, area, normal, velocity));
     load
 }
 
-/// Sand on a link that turns at `rate` [rad/s]: on its strip, or in part on the straight chord if sand fills its
+/// The sand's effect on a link that turns at `rate` [rad/s]: on its strip, or in part on the straight chord if sand fills its
 /// concave leading side.
 pub fn load_link(ground: &SandBed<f64>, body: &Body, rate: f64, at: &Place, dt: f64) -> Load {
     let concave_leads = body.bulge * rate < 0.0;
@@ -79,7 +79,8 @@ impl Load {
         Self { wrench: Wrench::none(), drag: Masses::none(), edge: Masses::none() }
     }
 
-    /// `contact` takes the segment's state, area [m²], unit normal and velocity [m/s].
+    /// Adds the sand's effect on each plate. `contact` computes it from the segment's state, area [m²], unit normal and
+    /// velocity [m/s].
     fn add(
         &mut self,
         plates: &[Plate],

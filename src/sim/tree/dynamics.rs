@@ -209,7 +209,7 @@ fn turned<R: Real>(u: Vec3<R>, axis: Vec3<R>, sin: R, cos: R) -> Vec3<R> {
     axis.cross(u).scale_add(sin, u.scale_add(cos, along))
 }
 
-/// Positions and velocities of all bodies.
+/// Computes positions and velocities of all bodies.
 #[inline(always)]
 pub fn place<R: Real>(bodies: &[LaneBody<R>], motion: &Motion<R>, frames: &mut [Frame<R>]) {
     frames[0] = Frame::base(motion);
@@ -218,7 +218,7 @@ pub fn place<R: Real>(bodies: &[LaneBody<R>], motion: &Motion<R>, frames: &mut [
     }
 }
 
-/// The wrench that each body's own motion needs under `gravity`.
+/// Computes the wrench that each body's own motion needs under `gravity`.
 #[inline(always)]
 pub fn load<R: Real>(bodies: &[LaneBody<R>], frames: &[Frame<R>], gravity: Vec3<R>, loads: &mut [Load<R>]) {
     for ((body, frame), load) in bodies.iter().zip(frames).zip(loads) {
@@ -260,7 +260,7 @@ pub fn fold<R: Real>(
     base.inertia.solve(&base.bias.scale_add(-R::one(), &Wrench::zero()))
 }
 
-/// Outward pass: accelerations of the joints, and those of all bodies beyond the ones due to velocities alone.
+/// Outward pass: computes accelerations of the joints, and those of all bodies beyond the ones due to velocities alone.
 #[inline(always)]
 pub fn unfold<R: Real>(
     bodies: &[LaneBody<R>],

@@ -23,9 +23,9 @@ pub struct HardGround {
 impl HardGround {
     /// A rectangle at least this long or wide [m] is endless for a walking robot: our choice.
     pub const ENDLESS: f64 = 1e5;
-    /// Most pieces in a scene: our choice, because each makes a step slower.
+    /// Largest number of pieces in a scene: our choice, because each makes a step slower.
     pub const MOST: usize = 8;
-    /// Steepness of its edges.
+    /// Slope beyond the edges: the ground falls by this times the distance.
     pub const EDGE: f64 = 2.0;
 
     /// Hard ground everywhere, in place of sand.

@@ -10,8 +10,9 @@ use std::io::{Read, Write};
 const STEP: f64 = 1e-4;
 /// Longest text [bytes]: our choice, so that a packed robot has room beside it within a session's options.
 const MOST_TEXT: usize = 128 << 10;
-/// Largest number of heights, 512 × 512, and bytes of each at most.
+/// Largest number of heights: 512 × 512.
 const MOST: usize = 1 << 18;
+/// Largest number of bytes of a packed height.
 const LONGEST: usize = 5;
 /// The prefix of packed texts.
 const MARK: &str = "heights:";
@@ -21,7 +22,7 @@ pub fn is_packed(text: &str) -> bool {
     text.starts_with(MARK)
 }
 
-/// Difference from the plane through the neighbours before it; outside of the field heights are 0.
+/// The height of node `k` on the plane through the neighbours before it; outside of the field heights are 0.
 fn expected(steps: &[i64], columns: usize, k: usize) -> i64 {
     let (row, column) = (k / columns, k % columns);
     let before = if column > 0 { steps[k - 1] } else { 0 };

@@ -7,11 +7,11 @@ use nalgebra::{Isometry3, Quaternion, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 
-/// Most triangles of all meshes of a robot, each mesh counted once: our choice, some 50 kB of a packed robot.
+/// Largest number of triangles of all meshes of a robot, each mesh counted once: our choice, some 50 kB of a packed robot.
 pub const MOST_TRIANGLES: usize = 4000;
-/// Most triangles of all shapes, so that a picture takes some tenths of a second at most: our choice.
+/// Largest number of triangles of all shapes: our choice, so that a picture takes at most some tenths of a second.
 const MOST_DRAWN: usize = 1 << 20;
-/// Triangles of a primitive as pictures draw it, at most.
+/// Largest number of triangles with which pictures draw a primitive.
 const PRIMITIVE: usize = 1 << 10;
 /// Corners of meshes are rounded to this [m], which no picture shows: our choice.
 const ROUNDED: f64 = 1e-4;
@@ -80,7 +80,8 @@ impl Look {
 }
 
 impl Looks {
-    /// Of the shapes of each body. Equal meshes are kept once. `meshed`: meshes too, which must be small.
+    /// The looks of the shapes of each body. Equal meshes are kept once. With `meshed`, meshes are included; they must
+    /// be small.
     pub fn of<'a>(bodies: impl Iterator<Item = &'a [TreeShape]>, meshed: bool) -> Self {
         let mut all = Self::default();
         for (body, shapes) in bodies.enumerate() {

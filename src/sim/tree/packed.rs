@@ -19,8 +19,9 @@ const MOST_BYTES: usize = 6 << 20;
 const MOST_PACKED: usize = 224 << 10;
 /// The prefix of packed texts.
 const MARK: &str = "tree:";
-/// Most bodies, and most plates and points of a robot: our choice, far beyond what can be simulated in real time.
+/// Largest number of a robot's bodies: our choice, far beyond what can be simulated in real time.
 const MOST_BODIES: usize = 256;
+/// Largest number of a robot's plates, and of its points of contact: our choice, also far beyond real time.
 const MOST_PIECES: usize = 20_000;
 
 #[derive(Serialize, Deserialize)]

@@ -22,7 +22,7 @@ const BY_PLACE: f64 = 0.6;
 /// Weight of normals that vary in one direction only, which the mean of `agarwal2023` does not take into account:
 /// our choice.
 const ONE_WAY: [f64; 2] = [1.0, 1.6];
-/// Most patches of a body: our choice.
+/// Largest number of patches of a body: our choice, to bound the time of a step.
 const MOST: usize = 512;
 /// Iterations that move patches to the centres of their plates (Lloyd 1982): our choice, later ones change little.
 const ROUNDS: usize = 8;
@@ -34,7 +34,7 @@ const EDGE: f64 = 0.8;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Facet {
     pub center: [f32; 3],
-    /// Unit, outward.
+    /// Outward unit vector.
     pub normal: [f32; 3],
     /// Means of the products of the normal's components over the plate, which may be bent: xx, yy; yz, xz, xy.
     pub squares: [f32; 2],
@@ -46,7 +46,7 @@ pub struct Facet {
     /// Distance of the plate's two sample points from its centre, up and down, when the plate is upright [m]: Gauss's
     /// rule for a square.
     pub rise: f32,
-    /// The leading share is `begun` + `growth` n·v̂, clamped to 0 to 1.
+    /// `begun` + `growth` n·v̂, clamped to 0 to 1, is the share of the plate that leads when it moves along v̂.
     pub begun: f32,
     pub growth: f32,
 }

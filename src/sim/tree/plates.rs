@@ -16,9 +16,9 @@ const ROUND: [f64; 2] = [0.6, 0.5];
 const LONG: f64 = 3.0;
 /// Fewest plates around a round shape: our choice, half of those in `sandgait intrude`.
 const COARSE: usize = 8;
-/// Most plates of a shape: our choice, a hundred times what can be simulated in real time.
+/// Largest number of plates of a shape: our choice, a hundred times what can be simulated in real time.
 const MOST_PLATES: f64 = 20_000.0;
-/// Factor on the plates' size for the base: our choice.
+/// Factor on the plates' size for the base: our choice, because the base seldom touches sand.
 const BASE: f64 = 2.0;
 /// Allowed sizes of plates [m].
 const SIZES: std::ops::RangeInclusive<f64> = 1e-4..=1.0;
@@ -219,7 +219,7 @@ fn together(shapes: &[&TreeShape], size: Option<f64>, larger: f64) -> Result<Vec
     Ok(all)
 }
 
-/// From the shape's frame to its body's.
+/// The plate, moved from the shape's frame to its body's.
 fn moved(plate: &Plate, shape: &TreeShape) -> Plate {
     let point =
         |v: Vec3<f64>| Vec3::splat(shape.origin.transform_point(&Point3::from(Vector3::from(v.lane(0)))).coords.into());

@@ -9,15 +9,16 @@ use std::sync::Arc;
 /// Steepest slope at which dry, loose sand rests [°], the limit of [`crate::model::Scene`]; media have no limits of
 /// their own.
 pub const REPOSE_DEG: f64 = 35.0;
-/// Most nodes along a side, and largest height of a node [m]: our choice.
+/// Least and greatest number of nodes along a side: our choice.
 const NODES: std::ops::RangeInclusive<f64> = 4.0..=512.0;
+/// Least and greatest height of a node [m]: our choice.
 const HEIGHTS: std::ops::RangeInclusive<f64> = -100.0..=100.0;
 /// Number of waves whose sum makes dunes: our choice, enough that no direction dominates.
 const WAVES: usize = 24;
-/// Nodes along a side of dunes, and nodes a wave length: our choice.
+/// Number of nodes along a side of dunes, and in a wave length: our choice, so that dunes repeat after eight wave lengths.
 const SIDE: usize = 128;
 const A_WAVE: f64 = 16.0;
-/// Most nodes along a side on pages: our choice, 100 kB.
+/// Largest number of nodes along a side that are drawn on a page: our choice, some 100 kB.
 const DRAWN: usize = 128;
 
 /// Heights on a square grid; the surface is the quadratic B-spline over them, so its normal changes without a jump.
@@ -32,7 +33,7 @@ pub struct Relief {
     heights: Vec<f32>,
     /// Does the field repeat beyond its edges? Otherwise the surface continues there at the height of the edge.
     repeats: bool,
-    /// The same for pages, with at most [`DRAWN`] nodes along a side.
+    /// The field as JSON for pages, with at most [`DRAWN`] nodes along a side.
     json: String,
 }
 

@@ -140,7 +140,7 @@ impl<R: Real> Push<R> {
         (self.torque - load) / (own + self.yielding)
     }
 
-    /// The push itself, or its limit if the torque exceeds that at `acceleration`.
+    /// This push; if its torque at `acceleration` is beyond `low` or `high`, this limit as a constant torque.
     #[inline(always)]
     fn within(&self, low: R, high: R, acceleration: R) -> Self {
         let torque = self.at(acceleration);

@@ -97,7 +97,7 @@ fn solve<R: Real>(model: &LaneTree<R>, state: &LaneState<R>, s: &mut Scratch<R>)
     dynamics::unfold(&model.bodies, &s.frames, &s.hinges, &base, &mut s.accelerations, &mut s.joints);
 }
 
-/// Rates, positions and servos after the step.
+/// Computes rates, positions and servos after the step.
 #[inline(always)]
 fn move_joints<R: Real>(model: &LaneTree<R>, state: &mut LaneState<R>, accelerations: &[R]) {
     let dt = model.dt;
@@ -114,7 +114,7 @@ fn move_joints<R: Real>(model: &LaneTree<R>, state: &mut LaneState<R>, accelerat
     }
 }
 
-/// Semi-implicit Euler on the base; the rotation by the exponential map to third order, then normalised.
+/// Moves the base by semi-implicit Euler; the rotation by the exponential map to third order, then normalised.
 #[inline(always)]
 fn move_base<R: Real>(state: &mut LaneState<R>, acceleration: &Twist<R>, dt: R) {
     let motion = &mut state.motion;

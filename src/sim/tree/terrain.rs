@@ -16,7 +16,7 @@ pub trait Surface<R> {
 pub struct Local<R> {
     /// A point of it [m], world.
     pub point: Vec3<R>,
-    /// Unit, upward.
+    /// Upward unit vector.
     pub normal: Vec3<R>,
 }
 

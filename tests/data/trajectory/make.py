@@ -44,7 +44,7 @@ class Cdr:
 
 
 def messages(row: dict[str, str], nanoseconds: int) -> tuple[bytes, bytes]:
-    """What the joints and the IMU say."""
+    """The readings of the joints and the IMU."""
     joints, imu = Cdr(), Cdr()
     names = [name[2:] for name in row if name.startswith("q:")]
     joints.header(nanoseconds)

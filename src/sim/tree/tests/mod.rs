@@ -198,7 +198,7 @@ fn every_branch_is_in_balance() {
     }
 }
 
-/// The largest difference of two accelerations over the largest of them, of linear, angular and joints' each.
+/// The largest difference divided by the largest acceleration, of linear, angular and joint accelerations whichever is largest.
 pub fn difference(a: &Accelerations, b: &Accelerations) -> f64 {
     let of = |a: &[f64], b: &[f64]| {
         let most = b.iter().fold(1e-9_f64, |m, x| m.max(x.abs()));
