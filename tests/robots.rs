@@ -262,10 +262,9 @@ fn default_plates_give_the_forces_of_fine_plates() {
                 let mut unit = || V::from_fn(|_, _| chance.random::<f64>() - 0.5).normalize();
                 let turn = UnitQuaternion::from_axis_angle(&Unit::new_normalize(unit()), 3.0 * unit().x);
                 let (velocity, spin, size) = (unit() * 0.3, unit() * unit().x, geometry.radius());
+                let turned = |v: Vec3<f64>| turn * V::from(v.lane(0));
                 let points = || {
-                    let turned = |v: Vec3<f64>| turn * V::from(v.lane(0));
-                    fine.iter()
-                        .map(move |p| (turned(p.center), turned(p.normal), p.area, &grounds[usize::from(flat(p))]))
+                    fine.iter().map(|p| (turned(p.center), turned(p.normal), p.area, &grounds[usize::from(flat(p))]))
                 };
                 let lowest = points().map(|p| p.0.z).fold(0.0, f64::min);
                 let height = -lowest - size * (0.1 + 0.9 * unit().x.abs());
