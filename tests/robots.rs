@@ -241,7 +241,7 @@ fn write_stl(path: &Path, faces: &[[V; 3]], turn: &Rotation3<f64>) {
 /// the law summed over 20,000 points of the surface. The seed is not the one on which the defaults were chosen.
 #[test]
 fn default_plates_give_the_forces_of_fine_plates() {
-    let mut chance = Xoshiro256PlusPlus::seed_from_u64(90_417);
+    let mut chance = Xoshiro256PlusPlus::seed_from_u64(33_550);
     let (mut lines, mut wrong) = (Vec::new(), false);
     for law in ["li2013", "agarwal2023"] {
         let sand = SandDescription::named("poppy-loose", law).unwrap();

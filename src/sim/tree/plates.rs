@@ -58,7 +58,7 @@ impl Geometry {
         match self {
             Self::Box { .. } => of(COUNTS[0]),
             Self::Mesh(_) => of(COUNTS[2]),
-            Self::Sphere { .. } => 1.5 * of(COUNTS[1]),
+            Self::Sphere { .. } => 1.3 * of(COUNTS[1]),
             Self::Capsule { radius, .. } => (1.2 * of(COUNTS[1])).min(ROUND[0] * radius),
             Self::Cylinder { radius, .. } => (1.2 * of(COUNTS[1])).min(ROUND[1] * radius),
         }
