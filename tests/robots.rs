@@ -162,8 +162,10 @@ fn shapes() -> Vec<(&'static str, Geometry)> {
     let mesh = |faces| Geometry::Mesh(Arc::new(faces));
     vec![
         ("sphere", Geometry::Sphere { radius: 0.023 }),
-        ("capsule", Geometry::Capsule { radius: 0.012, half_length: 0.08 }),
-        ("cylinder", Geometry::Cylinder { radius: 0.03, half_length: 0.01 }),
+        ("long capsule", Geometry::Capsule { radius: 0.012, half_length: 0.08 }),
+        ("short capsule", Geometry::Capsule { radius: 0.02, half_length: 0.01 }),
+        ("flat cylinder", Geometry::Cylinder { radius: 0.03, half_length: 0.01 }),
+        ("long cylinder", Geometry::Cylinder { radius: 0.015, half_length: 0.06 }),
         ("box", Geometry::Box { half: V::new(0.05, 0.02, 0.01) }),
         ("mesh of a boot", mesh(ellipsoid(V::new(0.05, 0.02, 0.015), 60))),
         ("mesh of a box", mesh(box_faces(V::new(0.05, 0.02, 0.01)))),
@@ -239,16 +241,16 @@ fn write_stl(path: &Path, faces: &[[V; 3]], turn: &Rotation3<f64>) {
 /// the law summed over 20,000 points of the surface. The seed is not the one on which the defaults were chosen.
 #[test]
 fn default_plates_give_the_forces_of_fine_plates() {
-    let mut chance = Xoshiro256PlusPlus::seed_from_u64(7_011);
+    let mut chance = Xoshiro256PlusPlus::seed_from_u64(33_550);
     let (mut lines, mut wrong) = (Vec::new(), false);
     for law in ["li2013", "agarwal2023"] {
         let sand = SandDescription::named("poppy-loose", law).unwrap();
         for (name, geometry) in shapes() {
-            // A flat face becomes a leading face as a whole, so its smoothed leading edge is compared, as in the engine. Round shapes are
-            // compared with a sharp edge.
-            let flat = !matches!(name, "sphere" | "capsule" | "mesh of a boot");
-            let surface = if flat { Surface::SOLID } else { Surface::BARE };
-            let ground: SandBed<f64> = SandBed::new(sand.law, &sand.medium(), &surface);
+            // A flat face becomes a leading face as a whole, so its smoothed leading edge is compared, as in the engine. Bent faces
+            // are compared with a sharp edge.
+            let flat = |p: &Plate| name != "mesh of a boot" && p.bend == [0.0; 2];
+            let grounds: [SandBed<f64>; 2] =
+                [Surface::BARE, Surface::SOLID].map(|surface| SandBed::new(sand.law, &sand.medium(), &surface));
             let model = alone(&geometry, law);
             let fine = plates::of_shapes(
                 &[&shape(geometry.clone(), Isometry3::identity())],
@@ -260,13 +262,14 @@ fn default_plates_give_the_forces_of_fine_plates() {
                 let mut unit = || V::from_fn(|_, _| chance.random::<f64>() - 0.5).normalize();
                 let turn = UnitQuaternion::from_axis_angle(&Unit::new_normalize(unit()), 3.0 * unit().x);
                 let (velocity, spin, size) = (unit() * 0.3, unit() * unit().x, geometry.radius());
+                let turned = |v: Vec3<f64>| turn * V::from(v.lane(0));
                 let points = || {
-                    fine.iter().map(|p| (turn * V::from(p.center.lane(0)), turn * V::from(p.normal.lane(0)), p.area))
+                    fine.iter().map(|p| (turned(p.center), turned(p.normal), p.area, &grounds[usize::from(flat(p))]))
                 };
                 let lowest = points().map(|p| p.0.z).fold(0.0, f64::min);
                 let height = -lowest - size * (0.1 + 0.9 * unit().x.abs());
                 let (mut force, mut moment) = (V::zeros(), V::zeros());
-                for (at, n, area) in points().filter(|p| p.0.z + height < 0.0) {
+                for (at, n, area, ground) in points().filter(|p| p.0.z + height < 0.0) {
                     let v = velocity + spin.cross(&at);
                     if n.dot(&v) > 0.0 {
                         let [n, v] = [n, v].map(|v| Vec3::splat(v.into()));
@@ -299,9 +302,7 @@ fn default_plates_give_the_forces_of_fine_plates() {
             lines.push(format!(
                 "{law} {name}: {count:?} plates, patches, points; {worst:.4}, rms {mean:.4}, moment {turns:.4}"
             ));
-            // Of a long and thin body that is hardly in the sand, only few plates are in the sand.
-            let thin = matches!(name, "capsule" | "cylinder");
-            wrong |= worst >= if thin { 0.05 } else { 0.02 } || mean >= if thin { 0.02 } else { 0.011 };
+            wrong |= worst >= 0.02 || mean >= 0.011;
         }
     }
     assert!(!wrong, "{lines:#?}");

@@ -88,6 +88,32 @@ fn functions<R: Real>(x1: R, x2: R, x3: R) -> [R; 3] {
     f
 }
 
+/// Parts of f1, f2, f3 that are even, and odd, in (x2, x3), which change their sign with the normal.
+#[inline(always)]
+fn parts<R: Real>(x1: R, x2: R, x3: R) -> [[R; 3]; 2] {
+    let t = terms(x1, x2, x3);
+    let mut parts = [[R::zero(); 3]; 2];
+    for k in 0..20 {
+        let part = &mut parts[usize::from(ODD[k])];
+        for i in 0..3 {
+            part[i] = t[k].mul_add(R::splat(COEFFICIENTS[k][i]), part[i]);
+        }
+    }
+    parts
+}
+
+/// Is the term of odd degree in (x2, x3)?
+const ODD: [bool; 20] = {
+    let mut odd = [false; 20];
+    let of = [2, 3, 7, 9, 11, 12, 14, 15, 16, 17];
+    let mut i = 0;
+    while i < of.len() {
+        odd[of[i]] = true;
+        i += 1;
+    }
+    odd
+};
+
 /// Σ c_ik t over given terms k, for i = 1, 2, 3.
 #[inline(always)]
 fn sum<R: Real, const N: usize>(terms: [(usize, R); N]) -> [R; 3] {
@@ -153,6 +179,27 @@ fn laplacian<R: Real>(x1: R, x2: R, x3: R, n: Vec3<R>, u: Vec3<R>) -> Vec3<R> {
     let along_u = two * by_3 + space[1] - less(1, [2.0, 6.0, 12.0]);
     let mut all = n.scale_add(along_n, u * along_u);
     all.z += less(2, [2.0, 6.0, 12.0]) - space[2] - two * by_2;
+    all
+}
+
+/// Derivative by x2, at x2 = 0, of the part of α that changes its sign with the side. There dN = −ẑ dx2 and dx3 = x1 dx2.
+#[inline(always)]
+fn slope<R: Real>(x1: R, x3: R, even_1: R, n: Vec3<R>, u: Vec3<R>) -> Vec3<R> {
+    let (two, x11, x13, x33) = (R::splat(2.0), x1 * x1, x1 * x3, x3 * x3);
+    // Along N the even parts, along u and ẑ the odd ones.
+    let along_n = sum([(8, x3), (19, x13), (6, two * x13), (18, two * x1 * x13)])[0];
+    let [_, along_u, along_z] = sum([
+        (2, R::one()),
+        (7, x1),
+        (14, x11),
+        (15, x33),
+        (3, x1),
+        (9, x11),
+        (12, R::splat(3.0) * x1 * x33),
+        (17, x11 * x1),
+    ]);
+    let mut all = n.scale_add(along_n, u * along_u);
+    all.z = all.z - along_z - even_1;
     all
 }
 
@@ -224,28 +271,48 @@ impl<R: Real> StressLaw<R> for SpatialTable<R> {
 
     #[inline(always)]
     fn stress(&self, n: Vec3<R>, m: &Motion<R>) -> Vec3<R> {
-        self.mean(n, None, m)
-    }
-
-    #[inline(always)]
-    fn mean_stress(&self, normals: &Normals<R>, m: &Motion<R>) -> Vec3<R> {
-        self.mean(normals.unit, Some(normals.spread), m)
-    }
-}
-
-impl<R: Real> SpatialTable<R> {
-    #[inline(always)]
-    fn mean(&self, n: Vec3<R>, spread: Option<R>, m: &Motion<R>) -> Vec3<R> {
         let lower = R::select(R::zero().lt(n.z), -R::one(), R::one());
         let (n, u) = (n * lower, m.v * m.inverse_speed);
         let toward = n.dot(u);
         let [f1, f2, f3] = functions(-u.z, -n.z, toward);
         let mut alpha = n.scale_add(f1, u * f2);
         alpha.z -= f3;
-        if let Some(spread) = spread {
-            // σ²/4 of the Laplacian on the sphere, with σ² = 2 · spread.
-            alpha += laplacian(-u.z, -n.z, toward, n, u) * (spread * R::splat(0.5));
+        self.scaled(alpha, n, toward, m)
+    }
+
+    /// The law has a jump where a plate is vertical, so a part of the normals may be on each side of it. Otherwise as the
+    /// default.
+    #[inline(always)]
+    fn mean_stress(&self, normals: &Normals<R>, m: &Motion<R>) -> Vec3<R> {
+        let (n, u, one) = (normals.unit, m.v * m.inverse_speed, R::one());
+        let (x1, x2, x3) = (-u.z, -n.z, n.dot(u));
+        let lower = R::select(x2.lt(R::zero()), -one, one);
+        // Mean of the side's sign, if the normals' z varies evenly by ± √(1.5 variance): our choice, between √3, which is
+        // right for bands of a cylinder, and 0, which suits balls.
+        let mean = n.z * (one - normals.spread);
+        let varies = (normals.squares.z - mean * mean).max(R::splat(1e-12)) * R::splat(1.5);
+        let side = (x2 / varies.sqrt()).clamp(-one, one);
+        let [even, odd] = parts(x1, x2, x3);
+        // α on the two sides is common ± differing.
+        let mut common = n.scale_add(odd[0], u * even[1]);
+        common.z -= even[2];
+        // σ²/4 of the Laplacian on the sphere, with σ² = 2 · spread.
+        common += laplacian(x1, x2 * lower, x3 * lower, n * lower, u) * (normals.spread * R::splat(0.5));
+        let mut differing = n.scale_add(even[0], u * odd[1]);
+        differing.z -= odd[2];
+        let mut alpha = differing.scale_add(side, common);
+        let across = one - side * side;
+        if R::any(R::zero().lt(across)) {
+            // Half the distance of the normals on either side from the mean, weighted by their shares.
+            alpha += slope(x1, x3, even[0], n, u) * (across * varies.sqrt() * R::splat(0.5));
         }
+        self.scaled(alpha, n, x3, m)
+    }
+}
+
+impl<R: Real> SpatialTable<R> {
+    #[inline(always)]
+    fn scaled(&self, alpha: Vec3<R>, n: Vec3<R>, toward: R, m: &Motion<R>) -> Vec3<R> {
         let leading = (toward * self.inverse_gate).clamp(-R::one(), R::one());
         on_surface(alpha, n, leading, self.friction) * (self.scale * m.moving)
     }

@@ -51,10 +51,26 @@ pub struct Facet {
     pub growth: f32,
 }
 
+/// A plate that is flat along at least one of its sides. It may be long, and where it begins to lead depends on the
+/// direction of motion. `rise` and `growth` of `facet` are not used.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Panel {
+    pub facet: Facet,
+    /// From the centre to two neighbouring edges [m].
+    pub half: [[f32; 3]; 2],
+    /// Change of the normal from the centre to the edge towards which it turns.
+    pub turn: [f32; 3],
+    /// Half the least change of n·v̂ over which the plate begins to lead.
+    pub least: f32,
+}
+
 /// Plates with nearly the same normal.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Patch {
+    /// Bent along both sides.
     pub facets: Vec<Facet>,
+    /// The others.
+    pub panels: Vec<Panel>,
     pub ball: Ball,
 }
 
@@ -117,7 +133,13 @@ impl BodyPatches {
         let alike = alike(plates, &ball, law);
         let patch = |members: &Vec<usize>| {
             let own: Vec<Plate> = members.iter().map(|i| plates[*i]).collect();
-            Patch { facets: own.iter().map(Facet::of).collect(), ball: Ball::around(&own) }
+            let round = |p: &&Plate| p.bend.iter().all(|b| *b != 0.0);
+            let (facets, panels) = own.iter().partition::<Vec<&Plate>, _>(round);
+            Patch {
+                facets: facets.into_iter().map(Facet::of).collect(),
+                panels: panels.into_iter().map(Panel::of).collect(),
+                ball: Ball::around(&own),
+            }
         };
         Self { body, patches: alike.iter().map(patch).collect(), ball, corners }
     }
@@ -153,6 +175,22 @@ impl Facet {
             begun: begun as f32,
             growth: growth as f32,
         }
+    }
+}
+
+impl Panel {
+    fn of(p: &Plate) -> Self {
+        // The bent side first.
+        let k = usize::from(p.bend[0] == 0.0);
+        let half = [k, 1 - k].map(|k| V::from(p.half[k].lane(0)));
+        let turn = half[0] * p.bend[k];
+        // The middle of a bent plate lies below its highest point.
+        let sag = turn.dot(&half[0]) / 6.0;
+        let lower = Plate { center: p.center - p.normal * sag, ..*p };
+        let facet = Facet { begun: if p.bend[k] == 0.0 { 0.0 } else { 0.5 }, ..Facet::of(&lower) };
+        let single = |v: V| [v.x as f32, v.y as f32, v.z as f32];
+        let half = half.map(single);
+        Self { facet, half, turn: single(turn), least: (Surface::SOLID.leading_edge_gate / 2.0) as f32 }
     }
 }
 

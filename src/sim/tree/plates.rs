@@ -11,7 +11,7 @@ use std::f64::consts::{PI, TAU};
 /// choice: at random poses and velocities forces are within 2 % of those of fine plates (`tests/robots.rs`).
 const COUNTS: [f64; 3] = [200.0, 300.0, 500.0];
 /// Largest size of plates on long round shapes, as a share of the radius: our choice, as above.
-const ROUND: [f64; 2] = [0.6, 0.5];
+const ROUND: [f64; 2] = [0.45, 0.5];
 /// Largest ratio of length to width of a plate that is flat along its length: our choice.
 const LONG: f64 = 3.0;
 /// Fewest plates around a round shape: our choice, half of those in `sandgait intrude`.
@@ -58,8 +58,8 @@ impl Geometry {
         match self {
             Self::Box { .. } => of(COUNTS[0]),
             Self::Mesh(_) => of(COUNTS[2]),
-            Self::Sphere { .. } => 1.5 * of(COUNTS[1]),
-            Self::Capsule { radius, .. } => (1.5 * of(COUNTS[1])).min(ROUND[0] * radius),
+            Self::Sphere { .. } => 1.3 * of(COUNTS[1]),
+            Self::Capsule { radius, .. } => (1.2 * of(COUNTS[1])).min(ROUND[0] * radius),
             Self::Cylinder { radius, .. } => (1.2 * of(COUNTS[1])).min(ROUND[1] * radius),
         }
     }

@@ -5,7 +5,7 @@
 //! step. The law is evaluated once a patch ([`super::patches`]), for those of its plates that lead in the sand.
 
 use super::dynamics::{Frame, Load};
-use super::patches::{BodyPatches, Facet, Patch};
+use super::patches::{BodyPatches, Facet, Panel, Patch};
 use super::terrain::{Local, Surface};
 use crate::number::{Mat3, Real, Vec3};
 use crate::sand::law::{Normals, StressLaw};
@@ -135,48 +135,106 @@ struct Leading<R> {
 #[inline(always)]
 fn leading<R: Real>(patch: &Patch, own: &Own<R>, inverse_speed: R) -> Leading<R> {
     let (zero, one) = (R::zero(), R::one());
-    let (linear, angular) = (own.linear * inverse_speed, own.angular * inverse_speed);
-    let none = Vec3::zero();
-    let mut sum = Leading {
-        area: zero,
-        load: zero,
-        deep: zero,
-        normal: none,
-        squares: none,
-        products: none,
-        place: none,
-        growth: zero,
-    };
+    let own = Own { linear: own.linear * inverse_speed, angular: own.angular * inverse_speed, ..*own };
+    let mut sum = Leading::none();
     for facet in &patch.facets {
-        let Facet { center, normal, squares, products, moment, area, rise, begun, growth } = facet;
-        let (center, normal): (Vec3<R>, Vec3<R>) = (lanes(center), lanes(normal));
-        let along = normal.dot(linear) + lanes(moment).dot(angular);
-        let share = along.mul_add(lane(*growth), lane(*begun));
-        let leads = share.clamp(zero, one);
-        let depth = -(own.up.dot(center) + own.height);
+        let normal: Vec3<R> = lanes(&facet.normal);
+        let growth: R = lane(facet.growth);
+        let share = facet.along(&own).mul_add(growth, lane(facet.begun));
+        let depth = -(own.up.dot(lanes(&facet.center)) + own.height);
         // √(1 − x²) with an error below 0.05.
         let x = normal.dot(own.up);
         let flat = x * x;
-        let rise = lane::<R>(*rise) * (one - flat) * flat.mul_add(R::splat(0.6), one);
+        let rise = lane::<R>(facet.rise) * (one - flat) * flat.mul_add(R::splat(0.6), one);
         let (low, high) = (depth + rise, depth - rise);
-        let part = leads * lane::<R>(*area);
+        let part = share.clamp(zero, one) * lane::<R>(facet.area);
         let half = part * R::splat(0.5);
         let (lower, upper) = (low.max(zero), high.max(zero));
-        let load = half * (lower + upper);
         sum.deep = half.mul_add(lower.mul_add(lower, upper * upper), sum.deep);
         sum.area += R::select(zero.lt(low), half, zero) + R::select(zero.lt(high), half, zero);
-        sum.load += load;
-        sum.normal = normal.scale_add(load, sum.normal);
-        sum.squares.x = load.mul_add(lane(squares[0]), sum.squares.x);
-        sum.squares.y = load.mul_add(lane(squares[1]), sum.squares.y);
-        sum.products = lanes(products).scale_add(load, sum.products);
-        sum.place = center.scale_add(load, sum.place);
-        let whole = lane::<R>(*growth) * lane::<R>(*area) * depth.max(zero);
-        sum.growth += R::select(zero.lt(share), R::select(share.lt(one), whole, zero), zero);
+        sum.add(facet, normal, half * (lower + upper));
+        sum.grow(facet, share, growth, depth);
+    }
+    for panel in &patch.panels {
+        panel.press(&own, &mut sum);
     }
     // Normals are unit vectors, also for bent plates.
     sum.squares.z = sum.load - sum.squares.x - sum.squares.y;
     sum
+}
+
+impl Facet {
+    /// n·v̂ of its centre.
+    #[inline(always)]
+    fn along<R: Real>(&self, own: &Own<R>) -> R {
+        lanes::<R>(&self.normal).dot(own.linear) + lanes::<R>(&self.moment).dot(own.angular)
+    }
+}
+
+impl Panel {
+    /// Adds its leading part in the sand. The load is exact if the depth of that part is even in one direction.
+    #[inline(always)]
+    fn press<R: Real>(&self, own: &Own<R>, sum: &mut Leading<R>) {
+        let (zero, one, facet) = (R::zero(), R::one(), &self.facet);
+        let [bent, straight] = [0, 1].map(|k| lanes::<R>(&self.half[k]).dot(own.up));
+        let turn: Vec3<R> = lanes(&self.turn);
+        // n·v̂ changes by ± this towards the edges of the bent side.
+        let turning = turn.dot(own.linear);
+        let growth = R::splat(0.5) / turning.abs().max(lane(self.least));
+        let share = facet.along(own).mul_add(growth, lane(facet.begun));
+        let leads = share.clamp(zero, one);
+        // A bent plate leads with the part that is turned towards the velocity: its middle and its share of the length.
+        let (mut ahead, mut wide) = (zero, bent);
+        if facet.begun > 0.0 {
+            ahead = R::select(turning.lt(zero), leads - one, one - leads);
+            wide = leads * bent;
+        }
+        let rise = wide.mul_add(wide, straight.mul_add(straight, R::splat(1e-20))).sqrt();
+        let depth = -(own.up.dot(lanes(&facet.center)) + own.height + ahead * bent);
+        let (low, high) = ((depth + rise).max(zero), (depth - rise).max(zero));
+        let wet = (low - high) / (rise + rise).max(R::splat(1e-9));
+        let part = leads * lane::<R>(facet.area) * wet;
+        sum.area += part;
+        sum.deep = (part * R::splat(1.0 / 3.0)).mul_add(low.mul_add(low + high, high * high), sum.deep);
+        sum.add(facet, turn.scale_add(ahead, lanes(&facet.normal)), part * R::splat(0.5) * (low + high));
+        sum.grow(facet, share, growth, depth);
+    }
+}
+
+impl<R: Real> Leading<R> {
+    #[inline(always)]
+    fn none() -> Self {
+        let (zero, none) = (R::zero(), Vec3::zero());
+        Self {
+            area: zero,
+            load: zero,
+            deep: zero,
+            normal: none,
+            squares: none,
+            products: none,
+            place: none,
+            growth: zero,
+        }
+    }
+
+    /// Adds a plate with this mean normal and load [m³].
+    #[inline(always)]
+    fn add(&mut self, facet: &Facet, normal: Vec3<R>, load: R) {
+        self.load += load;
+        self.normal = normal.scale_add(load, self.normal);
+        self.squares.x = load.mul_add(lane(facet.squares[0]), self.squares.x);
+        self.squares.y = load.mul_add(lane(facet.squares[1]), self.squares.y);
+        self.products = lanes(&facet.products).scale_add(load, self.products);
+        self.place = lanes(&facet.center).scale_add(load, self.place);
+    }
+
+    /// Adds the derivative of the load of a plate whose leading share grows with n·v̂ by `growth`.
+    #[inline(always)]
+    fn grow(&mut self, facet: &Facet, share: R, growth: R, depth: R) {
+        let whole = growth * lane::<R>(facet.area) * depth.max(R::zero());
+        let inside = R::select(share.lt(R::one()), whole, R::zero());
+        self.growth += R::select(R::zero().lt(share), inside, R::zero());
+    }
 }
 
 #[inline(always)]
