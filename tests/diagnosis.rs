@@ -110,17 +110,34 @@ fn a_cause_outside_the_library_is_none_of_these() {
     assert!(r.causes.is_empty() && !r.correlates_with.is_empty());
 }
 
-/// No force theory made these data, so much remains beside the cause: grains that the concave side of the reversed leg
-/// holds. The cause acts on that leg only.
-#[test]
-fn the_concave_side_is_the_main_cause_in_grains() {
+/// A log of simulated grains, which no force theory made.
+fn in_grains(file: &str) -> Diagnosis {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/grains");
     let experiment = Experiment::from_toml(&std::fs::read_to_string(folder.join("experiment.toml")).unwrap()).unwrap();
-    let r = diagnose(&folder.join("legs.csv"), &experiment, &Silent).unwrap().report;
+    diagnose(&folder.join(file), &experiment, &Silent).unwrap()
+}
+
+/// Much remains beside the cause: grains that the concave side of the reversed leg holds. The cause acts on that leg
+/// only.
+#[test]
+fn the_concave_side_is_the_main_cause_in_grains() {
+    let r = in_grains("legs.csv").report;
     assert_eq!(r.verdict, Verdict::Named, "{}", r.summary);
     assert_eq!(r.causes.iter().map(|c| c.id.as_str()).collect::<Vec<_>>(), ["concave_fill"]);
     assert!(r.gain.reduction.unwrap() > 0.4, "{:?}", r.gain);
     assert!(r.remainder.as_ref().unwrap().significant);
+}
+
+/// The model's error is much larger than the noise. Values with weights from the noise lower the error on held-out
+/// conditions by 39 %; those fitted with every number alike do better, and are those of the extended sand.
+#[test]
+fn drag_is_the_main_cause_of_plates_in_grains() {
+    let Diagnosis { report: r, sand, .. } = in_grains("plates.csv");
+    assert_eq!(r.verdict, Verdict::Named, "{}", r.summary);
+    assert_eq!(r.causes.iter().map(|c| c.id.as_str()).collect::<Vec<_>>(), ["inertial_drag"]);
+    assert!(r.gain.nested && r.gain.reduction.unwrap() > 0.55, "{:?}", r.gain);
+    assert_eq!(sand.mechanisms.inertial_drag, r.causes[0].value);
+    assert_eq!(sand.terms.len(), r.terms.len());
 }
 
 /// The hidden drag has another power of the speed than the law. If the data exclude the law's power, the law is not named. If the
