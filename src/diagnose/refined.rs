@@ -29,6 +29,8 @@ use std::sync::Arc;
 /// Values fitted with every number alike are taken if their error on conditions left out is smaller by this share: our
 /// choice; where the model is right they are never that much better.
 const CLEARLY: f64 = 0.1;
+/// Fewest conditions with which leaving one out tells which values predict better: our choice.
+const FEWEST: usize = 4;
 /// Rounds in which the variance of the numbers and the values are computed again: our choice, the variance matters only
 /// against the prior of the coefficients.
 const ROUNDS: usize = 2;
@@ -59,7 +61,8 @@ impl Refined {
 }
 
 /// The fit of the best cause that predicts conditions left out best, with a law for the rest if one holds. `study` has
-/// the final noise, `nested` its errors. None if nothing changes, or for a model without laws.
+/// the final noise, `nested` its errors. None if nothing changes, if there are few conditions,
+/// or for a model without laws.
 pub fn refined(
     study: &Study,
     fitted: &Fitted,
@@ -68,7 +71,8 @@ pub fn refined(
     remainder: bool,
 ) -> Option<Refined> {
     let best = fitted.best()?;
-    if study.model.roughness().is_some() || study.model.with_terms(&[]).is_none() {
+    let few = study.observations.conditions.len() < FEWEST;
+    if few || study.model.roughness().is_some() || study.model.with_terms(&[]).is_none() {
         return None;
     }
     let (whitener, alike) = alike(study, &best.fit);
