@@ -94,6 +94,8 @@ fn hidden_causes_are_named() {
 fn a_pair_is_named() {
     let r = hidden(&[("inertial_drag", 1.0), ("cohesion", 150.0)]);
     assert_eq!(r.ambiguity_set, [["inertial_drag", "cohesion"]], "{}", r.summary);
+    // Where the model is right, its values have weights from the noise, and no law stands beside the causes.
+    assert!(r.terms.is_empty() && r.notes.is_empty(), "{:?} {:?}", r.terms, r.notes);
 }
 
 #[test]
@@ -110,17 +112,42 @@ fn a_cause_outside_the_library_is_none_of_these() {
     assert!(r.causes.is_empty() && !r.correlates_with.is_empty());
 }
 
-/// No force theory made these data, so much remains beside the cause: grains that the concave side of the reversed leg
-/// holds. The cause acts on that leg only.
-#[test]
-fn the_concave_side_is_the_main_cause_in_grains() {
+/// A log of simulated grains, which no force theory made, and facts about it.
+fn grains(file: &str) -> (PathBuf, Experiment) {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/grains");
     let experiment = Experiment::from_toml(&std::fs::read_to_string(folder.join("experiment.toml")).unwrap()).unwrap();
-    let r = diagnose(&folder.join("legs.csv"), &experiment, &Silent).unwrap().report;
+    (folder.join(file), experiment)
+}
+
+/// Much remains beside the cause: grains that the concave side of the reversed leg holds. The cause acts on that leg
+/// only.
+#[test]
+fn the_concave_side_is_the_main_cause_in_grains() {
+    let (data, experiment) = grains("legs.csv");
+    let r = diagnose(&data, &experiment, &Silent).unwrap().report;
     assert_eq!(r.verdict, Verdict::Named, "{}", r.summary);
     assert_eq!(r.causes.iter().map(|c| c.id.as_str()).collect::<Vec<_>>(), ["concave_fill"]);
     assert!(r.gain.reduction.unwrap() > 0.4, "{:?}", r.gain);
     assert!(r.remainder.as_ref().unwrap().significant);
+}
+
+/// The model's error is much larger than the noise. Values with weights from the noise lower the error on held-out
+/// conditions by 39 %; those fitted with every number alike, and a law for what remains, lower it by more. The cause
+/// stays the cause, and the extended sand gives the report's prediction.
+#[test]
+fn drag_is_the_main_cause_of_plates_in_grains() {
+    let (data, experiment) = grains("plates.csv");
+    let Diagnosis { report: r, sand, curves } = diagnose(&data, &experiment, &Silent).unwrap();
+    assert_eq!(r.verdict, Verdict::Named, "{}", r.summary);
+    assert_eq!(r.ambiguity_set, [["inertial_drag"]], "{}", r.summary);
+    assert!(r.gain.nested && r.gain.reduction.unwrap() >= 0.6, "{:?}", r.gain);
+    assert!(r.causes[0].value == sand.mechanisms.inertial_drag && r.notes[0].contains("every number alike"));
+    let [term] = &r.terms[..] else { panic!("{:?}", r.terms) };
+    assert!(term.ci95[0] > 0.0 && sand.terms[0].coefficient == term.coefficient, "{term:?}");
+    let log = force_log::read(&data, &experiment).unwrap();
+    let model = ForceLogModel::new(&log, &experiment).unwrap();
+    let again = model.with_terms(&sand.terms).unwrap().predict(&sand.mechanisms, &sand.coefficients);
+    assert!(again.iter().zip(&curves.extended.unwrap()).all(|(a, b)| (a - b).abs() < 1e-9));
 }
 
 /// The hidden drag has another power of the speed than the law. If the data exclude the law's power, the law is not named. If the

@@ -4,6 +4,7 @@
 //! reference, compliance, delay, filter, tilt, offsets.
 
 use super::experiment::Intruder;
+use super::sides::{leading_sides, sides};
 use super::track::{Pose, Track};
 use crate::error::Result;
 use crate::number::{Doubles, Kernel, Real, Vec3};
@@ -107,6 +108,8 @@ pub struct Cut {
     segments: Vec<Block>,
     /// Straight strip from hip to tip; empty for plates.
     chord: Vec<Block>,
+    /// Side faces of a thick plate, normals outward; empty for thin plates and for legs.
+    sides: Vec<Segment>,
     width: f64,
     half_thickness: f64,
 }
@@ -117,12 +120,14 @@ impl Cut {
             Intruder::Leg { chord, width, xi_deg, thickness } => Cut {
                 segments: blocks(&LegShape::two_piece(xi_deg)?.segments(chord, width, SEGMENTS)?),
                 chord: blocks(&straight([0.0, 0.0], [0.0, -chord], width, SEGMENTS)),
+                sides: Vec::new(),
                 width,
                 half_thickness: thickness.unwrap_or(0.0) / 2.0,
             },
             Intruder::Plate { length, width, thickness } => Cut {
                 segments: blocks(&straight([-length / 2.0, 0.0], [length / 2.0, 0.0], width, SEGMENTS)),
                 chord: Vec::new(),
+                sides: sides(length, width, thickness.unwrap_or(0.0)),
                 width,
                 half_thickness: thickness.unwrap_or(0.0) / 2.0,
             },
@@ -141,9 +146,8 @@ pub struct PowerDrag {
 
 impl PowerDrag {
     /// This law's speed term minus v_n² [m²/s²].
-    fn beyond_square(&self, speeds: Doubles) -> Doubles {
-        let excess = |speed: f64| self.speed.powi(2) * (speed / self.speed).powf(self.exponent) - speed * speed;
-        Doubles::from_array(std::array::from_fn(|i| excess(speeds.lane(i))))
+    fn beyond_square(&self, speed: f64) -> f64 {
+        self.speed.powi(2) * (speed / self.speed).powf(self.exponent) - speed * speed
     }
 }
 
@@ -216,8 +220,10 @@ pub struct Arm<'a, const N: usize> {
     pub stencils: Vec<Range<usize>>,
     /// [`crate::sand::mechanism_laws::footprint`] of the track's pass.
     pub footprint: f64,
-    /// λ ρ [kg/m³] and the exponent of inertial drag, if it differs from the catalogue's.
-    pub other_drag: Option<(f64, PowerDrag)>,
+    /// λ ρ [kg/m³] of inertial drag.
+    pub drag: f64,
+    /// The exponent of inertial drag, if it differs from the catalogue's.
+    pub other_drag: Option<PowerDrag>,
 }
 
 impl<const N: usize> Arm<'_, N> {
@@ -322,7 +328,19 @@ impl<const N: usize> Arm<'_, N> {
         let change = [acceleration[1], acceleration[2]];
         let place =
             Place { origin, turn: self.track.beta.sin_cos(), velocity: pose.velocity, spin: 0.0, change, spin_up: 0.0 };
-        self.sum(&self.cut.segments, place)
+        let sides = self.sides(place);
+        let with_sides = |l: Load| Load { fx: l.fx + sides.fx, fz: l.fz + sides.fz, ty: l.ty + sides.ty };
+        self.sum(&self.cut.segments, place).map(with_sides)
+    }
+
+    /// Inertial drag on the leading side face of a thick plate.
+    fn sides(&self, place: Place) -> Load {
+        if self.drag == 0.0 {
+            return Load::default();
+        }
+        let beyond = |speed| self.other_drag.map_or(0.0, |law| law.beyond_square(speed));
+        let pressure = |speed: f64| self.drag * (speed * speed + beyond(speed));
+        leading_sides(&self.cut.sides, place, self.mechanisms.slope, pressure)
     }
 
     fn leg(&self, pose: &Pose, spin_up: f64) -> [Load; N] {
@@ -358,10 +376,10 @@ impl<const N: usize> Arm<'_, N> {
 /// Pose and motion of an intruder, rotated by (sin, cos) counter-clockwise about its origin; velocity and
 /// acceleration are those of the origin.
 #[derive(Clone, Copy)]
-struct Place {
-    origin: [f64; 2],
-    turn: (f64, f64),
-    velocity: [f64; 2],
+pub struct Place {
+    pub origin: [f64; 2],
+    pub turn: (f64, f64),
+    pub velocity: [f64; 2],
     /// Angular velocity and acceleration. Only the tangential part of the acceleration changes v·n, because the
     /// normal turns with the leg.
     spin: f64,
@@ -420,7 +438,9 @@ impl<const N: usize> Kernel for Sum<'_, N> {
                 // A log has positions only; the velocity of travel is not known.
                 travel: [zero; 2],
             };
-            let more = arm.other_drag.map_or(zero, |(density, law)| splat(density) * law.beyond_square(along.abs()));
+            let speeds = along.abs();
+            let beyond = |law: PowerDrag| std::array::from_fn(|i| law.beyond_square(speeds.lane(i)));
+            let more = arm.other_drag.map_or(zero, |law| splat(arm.drag) * Doubles::from_array(beyond(law)));
             let more = Doubles::select(inside, more * lead, zero);
             let (normal, velocity) = (into(n), into(v));
             let motion = arm.grounds[0].motion(velocity);
@@ -465,6 +485,7 @@ mod tests {
             grounds: &[ground],
             stencils: stencils(&track),
             footprint: 1.0,
+            drag: 0.0,
             other_drag: None,
         };
         for k in -20..900 {

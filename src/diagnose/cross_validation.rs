@@ -36,39 +36,40 @@ pub fn unfitted(study: &Study, fit: &Fit) -> HeldOut {
 
 /// Held-out errors of a fitted model.
 pub fn leave_condition_out(study: &Study, fit: &Fit) -> HeldOut {
+    let steps = left_out(study, fit);
+    errors(study, fit, |condition| steps[condition].clone())
+}
+
+/// Changes of a fit's parameters if one condition is left out, condition by condition.
+pub fn left_out(study: &Study, fit: &Fit) -> Vec<Vec<f64>> {
     let (information, score) = fit.normal_equations();
-    let groups = study.observations.repetitions();
-    errors(study, fit, |condition| {
-        let n = fit.white_slopes.len();
+    let n = fit.white_slopes.len();
+    let values = n - fit.deviations.len();
+    let without = |group: &Vec<usize>| {
         let (mut a, mut b) = (information.clone(), score.clone());
-        for &u in &groups[condition] {
+        for &u in group {
             let span = study.observations.span(&study.observations.units[u]);
             let own: Vec<_> = fit.white_slopes.iter().map(|s| &s[span.clone()]).collect();
             a -= DMatrix::from_fn(n, n, |i, j| dot(own[i], own[j]));
             b -= DVector::from_fn(n, |i, _| dot(own[i], &fit.white[span.clone()]));
         }
         // If only this condition depends on a value, it keeps the value of the full fit.
-        for k in 0..fit.ids.len() {
-            if a[(k, k)] <= 1e-6 * information[(k, k)] {
-                a[(k, k)] = f64::INFINITY;
-            }
-        }
-        let held: Vec<bool> = (0..n).map(|k| !a[(k, k)].is_finite()).collect();
-        for k in (0..n).filter(|&k| held[k]) {
+        for k in (0..values).filter(|&k| a[(k, k)] <= 1e-6 * information[(k, k)]).collect::<Vec<_>>() {
             a.row_mut(k).fill(0.0);
             a.column_mut(k).fill(0.0);
             a[(k, k)] = 1.0;
             b[k] = 0.0;
         }
         a.cholesky().map_or_else(|| vec![0.0; n], |c| c.solve(&b).iter().copied().collect())
-    })
+    };
+    study.observations.repetitions().iter().map(without).collect()
 }
 
 /// Errors if the parameters change by `step(condition)` before a condition is predicted.
 fn errors(study: &Study, fit: &Fit, step: impl Fn(usize) -> Vec<f64>) -> HeldOut {
     let observations = study.observations;
     // The prediction of the sand does not include nuisances.
-    let sand = fit.ids.len() + COEFFICIENTS;
+    let sand = fit.slopes.len().saturating_sub(fit.deviations.len() - COEFFICIENTS);
     let (mut square, mut count, mut deviance) = (Vec::new(), Vec::new(), 0.0);
     for (condition, group) in observations.repetitions().iter().enumerate() {
         let step = step(condition);

@@ -56,7 +56,7 @@ pub struct Described {
 }
 
 /// The dictionary, over the range of the data.
-fn dictionary([speed, depth, width]: [f64; 3]) -> Vec<Term> {
+pub(super) fn dictionary([speed, depth, width]: [f64; 3]) -> Vec<Term> {
     let shallow = SHALLOW / width;
     let term = |(froude, over): (f64, f64)| {
         let (mut groups, mut range) = (BTreeMap::new(), BTreeMap::new());
@@ -79,13 +79,13 @@ fn powers(term: &Term) -> [f64; 2] {
 }
 
 /// The gain of each law if coefficients and nuisances are fitted together with it.
-struct Scores {
+pub(super) struct Scores {
     gram: DMatrix<f64>,
     score: DVector<f64>,
 }
 
 /// Scores of whitened columns about a whitened fit.
-fn scores(fit_slopes: &[Column], white: &[f64], deviations: &[f64], columns: &[Column]) -> Option<Scores> {
+pub(super) fn scores(fit_slopes: &[Column], white: &[f64], deviations: &[f64], columns: &[Column]) -> Option<Scores> {
     let n = fit_slopes.len();
     let mut information = DMatrix::from_fn(n, n, |i, j| if j <= i { dot(&fit_slopes[i], &fit_slopes[j]) } else { 0.0 });
     information.fill_upper_triangle_with_lower_triangle();
@@ -109,7 +109,7 @@ fn scores(fit_slopes: &[Column], white: &[f64], deviations: &[f64], columns: &[C
 }
 
 /// The law with the greatest gain, with its coefficient and gain, among those that are physically possible.
-fn best(study: &Study, fit: &Fit, laws: &[Term], scores: &Scores) -> Option<(usize, f64, f64)> {
+pub(super) fn best(study: &Study, fit: &Fit, laws: &[Term], scores: &Scores) -> Option<(usize, f64, f64)> {
     let medium = study.model.medium();
     let coefficients = study.coefficients(&fit.deviations);
     let of = |k: usize| {
@@ -124,50 +124,62 @@ fn best(study: &Study, fit: &Fit, laws: &[Term], scores: &Scores) -> Option<(usi
     all.into_iter().find(can_be)
 }
 
-/// Gain of the best law of the dictionary by chance.
-fn gate(scores: &Scores, gates: &Gates) -> f64 {
+/// Gain of the best law of the dictionary by chance, if the noise's variance is known with these degrees of freedom.
+pub(super) fn gate(scores: &Scores, degrees: f64) -> f64 {
     let Some(root) = square_root(&scores.gram) else { return f64::INFINITY };
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(6);
-    let degrees = gates.degrees_of(&[]);
     let mut draw = || {
         let score = &root * DVector::from_fn(scores.gram.nrows(), |_, _| StandardNormal.sample(&mut rng));
         let gain = |k: usize| if scores.gram[(k, k)] > 1e-9 { score[k] * score[k] / scores.gram[(k, k)] } else { 0.0 };
         let z: f64 = StandardNormal.sample(&mut rng);
         (0..score.len()).map(gain).fold(0.0, f64::max) / chi_squared_over(degrees, z)
     };
-    gates.inflation * quantile((0..NULLS).map(|_| draw()).collect(), 1.0 - FALSE_ALARM)
+    quantile((0..NULLS).map(|_| draw()).collect(), 1.0 - FALSE_ALARM)
 }
 
 /// The law that the data support beside the plain model `base`; None if no law passes all tests.
 pub fn described(study: &Study, known: &Known, base: &Fit, gates: &Gates) -> Option<Described> {
     let laws = dictionary(study.model.reach());
-    let coefficients = study.coefficients(&base.deviations);
-    let columns: Vec<Option<Vec<f64>>> = parallel::map(&laws, |law| {
-        let model = study.model.with_terms(std::slice::from_ref(law))?;
-        Some(slope(&model.predict(&base.mechanisms, &coefficients), &base.prediction, 1.0))
-    });
-    let columns: Vec<Vec<f64>> = columns.into_iter().collect::<Option<_>>()?;
+    let columns = columns(study, base, &laws)?;
     let white = parallel::map(&columns, |c| Arc::new(study.whitener.apply(c)));
     let all = scores(&base.white_slopes, &base.white, &base.deviations, &white)?;
     let (chosen, coefficient, gain) = best(study, base, &laws, &all)?;
-    if gain <= gate(&all, gates) {
+    if gain <= gates.inflation * gate(&all, gates.degrees_of(&[])) {
         return None;
     }
     let (nested, folds) = held_out(study, known, base, &laws, &columns);
-    let near = |k: &usize| {
-        let (a, b) = (powers(&laws[chosen]), powers(&laws[*k]));
-        (0..2).all(|i| (a[i] - b[i]).abs() <= NEARLY[i] + 1e-9)
-    };
-    let alike = folds.iter().flatten().filter(|k| near(k)).count();
-    let helps = nested[0].errors.reduction_interval(&nested[1].errors)[0] > 0.0;
-    if !helps || (alike as f64) < STABLE * folds.len() as f64 {
+    if !holds(&laws, chosen, &folds, &nested) {
         return None;
     }
-    fitted(study, base, Term { coefficient, ..laws[chosen].clone() }, gates, nested)
+    let reach = student::two_sided_95(gates.degrees_of(&[])) * gates.inflation.sqrt();
+    fitted(study, base, Term { coefficient, ..laws[chosen].clone() }, reach, nested)
 }
 
-/// Law, coefficients and nuisances fitted together, twice, because the columns depend slightly on the nuisances.
-fn fitted(study: &Study, base: &Fit, term: Term, gates: &Gates, nested: [HeldOut; 2]) -> Option<Described> {
+/// Change of the prediction of `base` by each law with the coefficient 1; None if the model supports no laws.
+pub(super) fn columns(study: &Study, base: &Fit, laws: &[Term]) -> Option<Vec<Vec<f64>>> {
+    let coefficients = study.coefficients(&base.deviations);
+    let column = |law: &Term| {
+        let model = study.model.with_terms(std::slice::from_ref(law))?;
+        Some(slope(&model.predict(&base.mechanisms, &coefficients), &base.prediction, 1.0))
+    };
+    parallel::map(laws, column).into_iter().collect()
+}
+
+/// Does the law `chosen` hold without the conditions of each fold: do the folds choose nearly the same powers, and is
+/// the second error on held-out conditions smaller than the first?
+pub(super) fn holds(laws: &[Term], chosen: usize, folds: &[Option<usize>], nested: &[HeldOut; 2]) -> bool {
+    let near = |k: &&usize| {
+        let (a, b) = (powers(&laws[chosen]), powers(&laws[**k]));
+        (0..2).all(|i| (a[i] - b[i]).abs() <= NEARLY[i] + 1e-9)
+    };
+    let alike = folds.iter().flatten().filter(near).count();
+    let helps = nested[0].errors.reduction_interval(&nested[1].errors)[0] > 0.0;
+    helps && alike as f64 >= STABLE * folds.len() as f64
+}
+
+/// Law, causes, coefficients and nuisances fitted together, in rounds, because the columns depend slightly on them.
+/// The coefficient's interval is `reach` standard deviations to both sides.
+pub(super) fn fitted(study: &Study, base: &Fit, term: Term, reach: f64, nested: [HeldOut; 2]) -> Option<Described> {
     let mut term = term;
     let mut fit = base.clone();
     let mut sd = 0.0;
@@ -186,9 +198,8 @@ fn fitted(study: &Study, base: &Fit, term: Term, gates: &Gates, nested: [HeldOut
     }
     let model = study.model.with_terms(std::slice::from_ref(&term))?;
     let fit = study.with_model(&*model).fit_near(&fit);
-    let reach = student::two_sided_95(gates.degrees_of(&[])) * gates.inflation.sqrt() * sd;
     let delta_chi2 = base.objective - fit.objective;
-    let ci95 = [term.coefficient - reach, term.coefficient + reach];
+    let ci95 = [term.coefficient - reach * sd, term.coefficient + reach * sd];
     term.check(&study.coefficients(&fit.deviations), study.model.medium().bulk_density).ok()?;
     Some(Described { term, ci95, delta_chi2, nested, fit })
 }

@@ -35,7 +35,7 @@ impl Fit {
     /// Information matrix and score of (values, deviations), the prior of the deviations included.
     pub fn normal_equations(&self) -> (DMatrix<f64>, DVector<f64>) {
         let n = self.white_slopes.len();
-        let count = self.ids.len();
+        let count = n - self.deviations.len();
         let mut information = DMatrix::zeros(n, n);
         for i in 0..n {
             for j in 0..=i {

@@ -303,7 +303,6 @@ impl<'a> ForceLogModel<'a> {
         m: &'b Mechanisms,
         grounds: &'b [SandBed<Doubles>; N],
     ) -> Arm<'b, N> {
-        let density = m.inertial_drag * self.medium.bulk_density;
         Arm {
             track,
             cut: &self.cuts[&track.shape],
@@ -312,7 +311,8 @@ impl<'a> ForceLogModel<'a> {
             grounds,
             stencils: if m.added_mass == 0.0 { Vec::new() } else { stencils(track) },
             footprint: footprint(m.footprint, track.pass, track.pass_dx),
-            other_drag: self.drag.map(|law| (density, law)),
+            drag: m.inertial_drag * self.medium.bulk_density,
+            other_drag: self.drag,
         }
     }
 

@@ -7,7 +7,8 @@
 //!    [`whiten`] whitens the residuals.
 //! 4. [`gauss_newton`] makes [`fit`]s, in which [`nuisance`]s are marginalised.
 //! 5. [`select`] chooses: it [`calibrate`]s the gates, makes the fits ([`fitted`]), judges them ([`judged`], with
-//!    [`discrepancy`], [`nested`] and [`lack_of_fit`]), and decides the [`verdict`].
+//!    [`discrepancy`], [`nested`] and [`lack_of_fit`]), decides the [`verdict`], and makes the model for predictions
+//!    ([`refined`], [`described`]).
 //! 6. [`view`] and [`report`] show the result.
 //!
 //! Steps 3 to 6 use only [`observations`] and a [`forward::ForwardModel`]. Another kind of data needs only its own
@@ -54,11 +55,13 @@ pub mod nuisance;
 pub mod observations;
 pub mod page;
 pub mod profile;
+pub mod refined;
 pub mod repeats;
 pub mod report;
 pub mod response;
 pub mod select;
 pub mod shared;
+pub mod sides;
 pub mod speed_exponent;
 pub mod study;
 pub mod summary;
@@ -174,23 +177,18 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
     progress.report(0.95, "report")?;
     let view = View { study: &study, source: &source, noise: &noise, selection: selection.as_ref(), floor };
     let report = view.report(untestable, sha256, notes);
-    let extension = selection.as_ref().and_then(select::Selection::extension);
+    let fit = selection.as_ref().and_then(select::Selection::fit);
     let mut sand = SandDescription::plain(model.medium());
-    if let Some(fit) = extension.map(|c| &c.fit) {
+    if let Some(fit) = fit {
         sand.name = format!("{}-extended", sand.name);
         sand.source = format!("sandgait diagnose, data {}: {}", report.data_sha256, report.summary);
         sand.coefficients = study.coefficients(&fit.deviations);
         sand.mechanisms = fit.mechanisms;
-    }
-    let law = selection.as_ref().and_then(|s| s.law.as_ref());
-    if let Some(law) = law {
-        sand.name = format!("{}-extended", sand.name);
-        sand.source = format!("sandgait diagnose, data {}: {}", report.data_sha256, report.summary);
-        sand.coefficients = study.coefficients(&law.fit.deviations);
-        sand.terms = vec![law.term.clone()];
+        sand.terms =
+            selection.as_ref().and_then(select::Selection::law).map(|law| law.term.clone()).into_iter().collect();
     }
     model.finish(&mut sand);
-    let extended = extension.map(|c| &c.fit).or(law.map(|l| &l.fit)).map(|fit| model.as_simulated(&fit.prediction));
+    let extended = fit.map(|fit| model.as_simulated(&fit.prediction));
     let band = noise.standard_deviation(&source);
     let groups = (0..observations.units.len()).map(|u| model.group(u).to_string()).collect();
     let plain = model.as_simulated(&plain);

@@ -34,12 +34,23 @@ pub struct Nested {
     pub reading: [HeldOut; 2],
 }
 
-pub fn nested(study: &Study, fitted: &Fitted, gates: &Gates, known: &Known) -> Nested {
+/// The choice of one fold.
+pub struct Choice {
+    /// Conditions that were not used.
+    pub held: Vec<usize>,
+    /// The chosen explanation, as fitted to all data; [`Known::without`] gave the whitening.
+    pub fit: Fit,
+    pub whitener: Whitener,
+}
+
+/// The errors on held-out conditions, and the choice of each fold.
+pub fn nested(study: &Study, fitted: &Fitted, gates: &Gates, known: &Known) -> (Nested, Vec<Choice>) {
     let conditions = study.observations.conditions.len();
     let places = folds(conditions);
     let made = parallel::map(&places, |held| fold(study, fitted, gates, known, held));
-    let (sand, reading) = made.into_iter().unzip();
-    Nested { sand: together(&places, sand, conditions), reading: together(&places, reading, conditions) }
+    let (errors, choices): (Vec<_>, Vec<Choice>) = made.into_iter().unzip();
+    let (sand, reading) = errors.into_iter().unzip();
+    (Nested { sand: together(&places, sand, conditions), reading: together(&places, reading, conditions) }, choices)
 }
 
 /// Conditions held out in each fold.
@@ -108,6 +119,9 @@ impl Whitened<'_> {
     }
 }
 
+/// Errors of the sand's predictions and of readings, of the plain model and of the choice each.
+type BothErrors = ([HeldOut; 2], [HeldOut; 2]);
+
 /// A candidate fitted to the rest of the data in a fold.
 struct Adjusted {
     step: Vec<f64>,
@@ -117,8 +131,8 @@ struct Adjusted {
 }
 
 /// Held-out errors of the plain model and of the choice on the conditions `held`, in their order: of the sand, and
-/// of readings.
-fn fold(study: &Study, fitted: &Fitted, gates: &Gates, known: &Known, held: &[usize]) -> ([HeldOut; 2], [HeldOut; 2]) {
+/// of readings; and the choice.
+fn fold(study: &Study, fitted: &Fitted, gates: &Gates, known: &Known, held: &[usize]) -> (BothErrors, Choice) {
     let whitener = known.without(study, held);
     let mut whitened = Whitened { whitener: &whitener, known: Vec::new() };
     let base = &fitted.base.fit;
@@ -147,7 +161,9 @@ fn fold(study: &Study, fitted: &Fitted, gates: &Gates, known: &Known, held: &[us
     let (fit, adjusted) = chosen.map_or((base, &of_base), |t| (t.0, &t.1));
     let both = [(base, &of_base.step), (fit, &adjusted.step)];
     let sand = both.map(|(fit, step)| errors(study, &fit.prediction, fit, &step[..fit.ids.len() + COEFFICIENTS], held));
-    (sand, both.map(|(fit, step)| errors(study, &study.reading(fit), fit, step, held)))
+    let reading = both.map(|(fit, step)| errors(study, &study.reading(fit), fit, step, held));
+    let fit = fit.clone();
+    ((sand, reading), Choice { held: held.to_vec(), fit, whitener })
 }
 
 /// One Gauss-Newton step on the data that are not held out.

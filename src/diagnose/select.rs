@@ -1,9 +1,11 @@
 //! Selects the cause in three stages: screening, fitting, judging. No stage changes the results of an earlier one.
 
 use super::calibrate::{FELT, Screen};
+use super::cross_validation::HeldOut;
 use super::described::{self, Described, described};
 use super::discrepancy::Discrepancy;
 use super::errors::Errors;
+use super::fit::Fit;
 use super::fitted::{
     Candidate, FINALISTS, Fitted, Screened, Surroundings, beside_discrepancy, candidate, screened, settled, singles,
     surroundings, with_pairs,
@@ -12,6 +14,7 @@ use super::judged::{Judged, Standing, explored, judged};
 use super::lack_of_fit;
 use super::nested::{Known, nested};
 use super::noise::{Noise, Source};
+use super::refined::{Refined, refined};
 use super::study::Study;
 use super::verdict::{Evidence, MAIN_PART, Verdict, verdict};
 use crate::error::Result;
@@ -27,7 +30,9 @@ pub struct Selection {
     pub around: Surroundings,
     pub verdict: Verdict,
     /// The law found in the data, if no mechanism explains them.
-    pub law: Option<Described>,
+    pub described: Option<Described>,
+    /// If a cause was found, its model for predictions where it differs from the best candidate.
+    pub refined: Option<Refined>,
     /// Indices of the candidates that the data cannot distinguish from the best, including the best; empty if none
     /// is named.
     pub set: Vec<usize>,
@@ -52,6 +57,25 @@ impl Selection {
         let helps = self.plain_errors().reduction_interval(&self.judged.nested[1].errors)[0] > 0.0;
         let proxy = || self.fitted.best().filter(|_| self.judged.evidence.found && helps);
         self.best().or_else(|| (self.verdict == Verdict::NoneOfThese).then(proxy).flatten())
+    }
+
+    /// The law in the extended model: beside a cause, or instead of one.
+    pub fn law(&self) -> Option<&Described> {
+        self.described.as_ref().or(self.refined.as_ref().and_then(|r| r.law.as_ref()))
+    }
+
+    /// The fit that the extended model is made from.
+    pub fn fit(&self) -> Option<&Fit> {
+        let refined = self.refined.as_ref().map(|r| &r.fit);
+        let described = self.described.as_ref().map(|d| &d.fit);
+        refined.or(described).or_else(|| self.extension().map(|c| &c.fit))
+    }
+
+    /// Errors of the plain model with fitted coefficients and of the extended model on held-out conditions, chosen anew
+    /// in each fold.
+    pub fn nested(&self) -> &[HeldOut; 2] {
+        let refined = self.refined.as_ref().map(|r| &r.nested);
+        refined.or(self.described.as_ref().map(|d| &d.nested)).unwrap_or(&self.judged.nested)
     }
 
     /// Errors of the plain model on held-out conditions.
@@ -154,7 +178,7 @@ fn conclude(
     progress: &dyn Progress,
 ) -> Result<Selection> {
     progress.report(0.9, "intervals, form of the law, conditions held out")?;
-    let (judged, fitted) = {
+    let (judged, fitted, refined) = {
         let renewed = study.under(&around.whitener, around.nuisances.clone());
         let fitted = match fitted.found(&first.gates) {
             true => fitted,
@@ -182,10 +206,14 @@ fn conclude(
         let lacks = [lacks[0], lack_of_fit::statistic(study.observations, &left.white)];
         let source = Source { sizes: &around.sizes, ..*asked.source };
         let known = Known { source: &source, noise: &around.noise, beside: beside.as_ref() };
-        let nested = nested(&last, &fitted, &first.gates, &known);
+        let (nested, choices) = nested(&last, &fitted, &first.gates, &known);
         let (gates, floor) = (&first.gates, asked.floor);
         let standing = Standing { fitted: &fitted, gates, discrepancy, lacks, floor, nested, profiled };
-        (judged(&last, standing), fitted)
+        let judged = judged(&last, standing);
+        let named = matches!(verdict(&judged.evidence).0, Verdict::Named | Verdict::Ambiguous);
+        let refine = || refined(&last, &fitted, gates, (&judged.nested, &choices), judged.evidence.remainder);
+        let refined = named.then(refine).flatten();
+        (judged, fitted, refined)
     };
     let (ruling, set) = verdict(&judged.evidence);
     let law = match ruling {
@@ -197,7 +225,7 @@ fn conclude(
     let judged = Judged { evidence, ..judged };
     let named = matches!(ruling, Verdict::Named | Verdict::Ambiguous);
     let set = if named { [0].into_iter().chain(set.into_iter().map(|k| k + 1)).collect() } else { Vec::new() };
-    Ok(Selection { screened: first, fitted, judged, around, verdict: ruling, law, set })
+    Ok(Selection { screened: first, fitted, judged, around, verdict: ruling, described: law, refined, set })
 }
 
 /// A law found in the data that explains the main part of the misfit.

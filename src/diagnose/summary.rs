@@ -49,7 +49,7 @@ pub fn summary(study: &Study, selection: Option<&Selection>, causes: &[Cause], w
                     law.term.formula()
                 )
             };
-            selection.law.as_ref().map_or(String::new(), law)
+            selection.law().map_or(String::new(), law)
         }
         Verdict::InsufficientData => String::new(),
     };
@@ -62,6 +62,11 @@ pub fn summary(study: &Study, selection: Option<&Selection>, causes: &[Cause], w
         ),
         false => verdict,
     };
+    let beside = selection.refined.as_ref().and_then(|r| r.law.as_ref());
+    let verdict = verdict
+        + &beside.map_or(String::new(), |law| {
+            format!("; a law found in the data describes a part of the rest: extra stress {}", law.term.formula())
+        });
     // If other misfit remains, the exponent is fitted to that misfit too, so it is not stated.
     let form = selection.judged.form.as_ref().filter(|form| form.lack_of_fit <= selection.screened.gates.lack_of_fit);
     let verdict = verdict + &form.map_or(String::new(), SpeedExponent::said);

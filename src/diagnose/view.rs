@@ -5,6 +5,7 @@ use super::errors::Errors;
 use super::fit::{COEFFICIENTS, Fit};
 use super::fitted::Candidate;
 use super::noise::{Noise, Source};
+use super::refined::Refined;
 use super::report::{
     Cause, Gain, LackOfFit, NextExperiment, NoiseSummary, NuisanceValue, Remainder, Report, RunMeans, TermFound, Tried,
     Untestable, UpperLimit,
@@ -13,6 +14,7 @@ use super::select::Selection;
 use super::study::Study;
 use super::summary::{far_coefficients, names, summary};
 use super::verdict::Verdict;
+use super::words::digits;
 use super::{lack_of_fit, misfit, next_experiment};
 use crate::sand::mechanism::CATALOG;
 use crate::sand::term::On;
@@ -36,7 +38,8 @@ impl View<'_> {
         let whereabouts = whereabouts.filter(|_| significant);
         let best = self.selection.and_then(Selection::best);
         let intervals = self.selection.and_then(|s| s.judged.intervals.as_ref());
-        let causes = best.map(|c| self.causes(&c.fit)).unwrap_or_default();
+        let refined = self.selection.and_then(|s| s.refined.as_ref());
+        let causes = best.map(|c| self.causes(refined.map_or(&c.fit, |r| &r.fit))).unwrap_or_default();
         let ranges = self.study.model.features().into_iter().map(|f| {
             let all = f.values.iter().flatten().copied();
             (f.name.to_string(), all.fold([f64::MAX, f64::MIN], |r, v| [r[0].min(v), r[1].max(v)]))
@@ -46,7 +49,7 @@ impl View<'_> {
         let mut warnings: Vec<String> =
             causes.iter().filter(|c| c.at_bound).map(|c| format!("{} is at its bound", c.id)).collect();
         let extension = self.selection.and_then(Selection::extension);
-        warnings.extend(extension.and_then(|c| far_coefficients(&c.fit)));
+        warnings.extend(self.selection.and_then(Selection::fit).and_then(far_coefficients));
         let unfelt = extension.map(|c| c.fit.mechanisms.unfelt_by_walkers()).unwrap_or_default();
         warnings.extend(unfelt.into_iter().map(|line| format!("sand.toml: {line}")));
         let mut notes = notes;
@@ -54,6 +57,7 @@ impl View<'_> {
         let powers =
             best.iter().flat_map(|c| &c.fit.ids).filter(|&&id| form.is_none() && CATALOG[id].exponent.is_some());
         notes.extend(powers.map(|&id| format!("no other power of the speed was tested in {}", CATALOG[id].id)));
+        notes.extend(refined.filter(|r| r.even).map(|r| even_note(best, r)));
         let channels = observations.channels.iter().zip(&self.noise.channels);
         Report {
             schema: "sandgait.diagnosis.v2",
@@ -66,7 +70,7 @@ impl View<'_> {
             candidates: self.tried(),
             lack_of_fit: LackOfFit {
                 plain: self.selection.map(|s| s.judged.lacks[0].mean),
-                extended: self.selection.and_then(|s| match &s.law {
+                extended: self.selection.and_then(|s| match &s.described {
                     Some(law) => Some(lack_of_fit::statistic(observations, &law.fit.white).mean),
                     None => extension.map(|_| s.judged.lacks[1].mean),
                 }),
@@ -98,10 +102,12 @@ impl View<'_> {
     /// Values with 95 % intervals.
     fn causes(&self, fit: &Fit) -> Vec<Cause> {
         let ranges = self.selection.and_then(|s| s.judged.intervals.as_ref()).map(|i| i.ranges.clone());
+        let refined = self.selection.and_then(|s| s.refined.as_ref());
         let cause = |(k, &id): (usize, &usize)| {
             let (entry, at) = (&CATALOG[id], fit.coordinates()[k]);
-            let [low, high] =
-                ranges.as_ref().and_then(|r| r.get(k)).copied().unwrap_or([at, at]).map(|u| entry.value(u));
+            let range = ranges.as_ref().and_then(|r| r.get(k)).copied().unwrap_or([at, at]);
+            let range = refined.map_or(range, |r| r.around(k, at, range));
+            let [low, high] = range.map(|u| entry.value(u));
             // For a mechanism whose value is an upper limit, the end of the interval may be infinite; the largest
             // allowed value replaces it.
             let most = if entry.ceiling && low == 0.0 { entry.bounds[1] } else { low };
@@ -126,7 +132,7 @@ impl View<'_> {
             ci95: law.ci95,
             range: law.term.range.clone(),
         };
-        self.selection.and_then(|s| s.law.as_ref()).map(found).into_iter().collect()
+        self.selection.and_then(Selection::law).map(found).into_iter().collect()
     }
 
     /// The final fit: the extension, or the fitted plain model.
@@ -166,12 +172,11 @@ impl View<'_> {
         let evidence = &selection.judged.evidence;
         let o = self.study.observations;
         let extends = selection.extension().is_some();
-        let of_law = selection.law.as_ref().map(|l| lack_of_fit::statistic(o, &l.fit.white));
+        let of_law = selection.described.as_ref().map(|l| lack_of_fit::statistic(o, &l.fit.white));
         let lack = of_law.as_ref().unwrap_or(&selection.judged.lacks[usize::from(extends)]);
         let significant = selection.screened.gates.lacking(lack);
-        let after = if extends { &selection.judged.nested[1] } else { &selection.judged.nested[0] };
-        let after = selection.law.as_ref().map_or(after, |l| &l.nested[1]);
-        let predicted = selection.law.as_ref().map_or(&standing.fit.prediction, |l| &l.fit.prediction);
+        let after = &selection.nested()[usize::from(selection.fit().is_some())];
+        let predicted = &selection.fit().unwrap_or(&standing.fit).prediction;
         let [plain, after, floor] =
             [selection.plain_errors().rmse(), after.rmse(), self.floor.rmse()].map(|rmse| rmse * rmse);
         let told = plain > floor && selection.plain_errors().reduction_interval(&self.floor)[0] > 0.0;
@@ -250,9 +255,8 @@ impl View<'_> {
             };
         };
         let plain = selection.plain_errors();
-        let [base, chosen] = selection.law.as_ref().map_or(&selection.judged.nested, |l| &l.nested);
-        let extends = selection.extension().is_some() || selection.law.is_some();
-        let extended = if extends { &chosen.errors } else { plain };
+        let [base, chosen] = selection.nested();
+        let extended = if selection.fit().is_some() { &chosen.errors } else { plain };
         let (before, after, floor) = (plain.rmse(), extended.rmse(), self.floor.rmse());
         // If the plain model's error is hardly larger than the scatter, a share of their difference has no meaning.
         let told = plain.reduction_interval(&self.floor)[0] > 0.0;
@@ -292,9 +296,7 @@ impl View<'_> {
         }
         let simulated = |prediction: &[f64]| self.study.model.as_simulated(prediction);
         let plain = simulated(&self.study.plain().prediction);
-        let law = self.selection.and_then(|s| s.law.as_ref()).map(|l| &l.fit);
-        let extended =
-            self.selection.and_then(Selection::extension).map(|c| &c.fit).or(law).map(|f| simulated(&f.prediction));
+        let extended = self.selection.and_then(Selection::fit).map(|f| simulated(&f.prediction));
         let groups = o.repetitions();
         let row = |(condition, units): (usize, &Vec<usize>), c: usize| {
             let mean = |stack: &[f64]| {
@@ -320,4 +322,16 @@ impl View<'_> {
         let why = "these conditions separate the two explanations that the data tell apart least".to_string();
         Some(NextExperiment { why, conditions })
     }
+}
+
+/// A note on values that were fitted with every number alike.
+fn even_note(best: Option<&Candidate>, refined: &Refined) -> String {
+    let weighted = best.map_or(Vec::new(), |c| c.fit.values());
+    let values: Vec<String> = weighted.into_iter().map(digits).collect();
+    format!(
+        "the model's error is much larger than the noise, so the values were fitted with every number alike, which predicts \
+         conditions left out better; weights from the noise give {} ({})",
+        values.join(", "),
+        names(&refined.fit).join(", ")
+    )
 }

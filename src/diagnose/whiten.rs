@@ -20,7 +20,7 @@ pub struct Whitener {
     units: Vec<UnitFilter>,
     /// Whitening of an error that all units may share.
     whole: LowRank,
-    /// Held-out numbers, which become 0.
+    /// Numbers that do not count, which become 0.
     held: Vec<Range<usize>>,
     /// Factor on the whitened numbers; below 1 if the variance of the noise is multiplied by a dispersion.
     weight: f64,
@@ -49,6 +49,14 @@ impl Whitener {
         Self { units: units.collect(), whole: LowRank::new(Vec::new()), held: Vec::new(), weight: 1.0 }
     }
 
+    /// A whitening in which all numbers that count in the error are alike, with the same variance; the others are 0.
+    pub fn even(observations: &Observations, variance: f64) -> Self {
+        let left_out = observations.channels.iter().enumerate().filter(|c| !c.1.in_rmse).map(|c| c.0);
+        let held = left_out.flat_map(|channel| observations.units.iter().map(move |unit| unit.block(channel)));
+        let (units, whole) = (Vec::new(), LowRank::new(Vec::new()));
+        Self { units, whole, held: held.collect(), weight: variance.max(1e-300).sqrt().recip() }
+    }
+
     /// This whitening with an additional error that all units share, along whitened directions one standard deviation
     /// long.
     pub fn beside(&self, directions: Vec<Vec<f64>>) -> Self {
@@ -60,10 +68,12 @@ impl Whitener {
         Self { weight: self.weight / dispersion.sqrt(), ..self }
     }
 
-    /// This whitening with some conditions held out.
+    /// This whitening with further conditions held out.
     pub fn without(self, observations: &Observations, conditions: &[usize]) -> Self {
         let units = observations.units.iter().filter(|u| conditions.contains(&u.condition));
-        Self { held: units.map(|u| observations.span(u)).collect(), ..self }
+        let mut held = self.held;
+        held.extend(units.map(|u| observations.span(u)));
+        Self { held, ..self }
     }
 
     /// The whitened stack.
