@@ -93,8 +93,7 @@ impl SpeedLaw {
     }
 }
 
-/// Scans the exponent of the given law about `fit`; `inflation` is the factor on χ² differences. If misfit remains even
-/// with the best exponent, the factor is at least that lack of fit, because a wrong exponent would bend to this misfit.
+/// Scans the exponent of the given law about `fit`; `inflation` is the factor on χ² differences.
 pub fn check(study: &Study, fit: &Fit, SpeedLaw { id, law }: SpeedLaw, inflation: f64) -> Option<SpeedExponent> {
     let fitted = |exponent: f64| {
         let model = study.model.with_exponent(id, exponent)?;
@@ -117,8 +116,6 @@ pub fn check(study: &Study, fit: &Fit, SpeedLaw { id, law }: SpeedLaw, inflation
     scan.push((found, best.objective));
     scan.sort_by(|a, b| a.0.total_cmp(&b.0));
     let objective = scan.iter().map(|s| s.1).fold(f64::MAX, f64::min);
-    let lack_of_fit = lack_of_fit::statistic(study.observations, &best.white).mean;
-    let inflation = inflation.max(lack_of_fit);
     let near = scan.iter().filter(|s| (s.0 - law).abs() <= SAME + 1e-9).map(|s| s.1).fold(f64::MAX, f64::min);
     let ci95 = within(&scan, objective, INTERVAL * inflation);
     let excluded = near - objective > EXCLUDED * inflation;
@@ -129,7 +126,7 @@ pub fn check(study: &Study, fit: &Fit, SpeedLaw { id, law }: SpeedLaw, inflation
         ci95,
         excluded,
         told_apart: excluded || (ci95[0] > law - OTHER && ci95[1] < law + OTHER),
-        lack_of_fit,
+        lack_of_fit: lack_of_fit::statistic(study.observations, &best.white).mean,
         objective,
     })
 }
