@@ -5,7 +5,7 @@
 
 use super::experiment::Intruder;
 use super::sides::{leading_sides, sides};
-use super::track::{Pose, Track};
+use super::track::{Place, Pose, Track};
 use crate::error::Result;
 use crate::number::{Doubles, Kernel, Real, Vec3};
 use crate::sand::intrusion::Load;
@@ -371,20 +371,6 @@ impl<const N: usize> Arm<'_, N> {
         Doubles::dispatch(Sum { arm: self, blocks, place, loads: &mut loads });
         loads
     }
-}
-
-/// Pose and motion of an intruder, rotated by (sin, cos) counter-clockwise about its origin; velocity and
-/// acceleration are those of the origin.
-#[derive(Clone, Copy)]
-pub struct Place {
-    pub origin: [f64; 2],
-    pub turn: (f64, f64),
-    pub velocity: [f64; 2],
-    /// Angular velocity and acceleration. Only the tangential part of the acceleration changes v·n, because the
-    /// normal turns with the leg.
-    spin: f64,
-    change: [f64; 2],
-    spin_up: f64,
 }
 
 struct Sum<'a, const N: usize> {

@@ -4,7 +4,7 @@
 //! × 0.6 cm). So the sides have no stress of their own. They only add the inertia of the sand that they push away, as
 //! the faces of a solid body do in engine `tree`.
 
-use super::arm::Place;
+use super::track::Place;
 use crate::sand::intrusion::Load;
 use crate::sand::mechanism_laws::slope_depth;
 use crate::sand::shape::Segment;

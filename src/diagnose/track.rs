@@ -15,6 +15,20 @@ pub struct Pose {
     pub velocity: [f64; 2],
 }
 
+/// Pose and motion of an intruder, rotated by (sin, cos) counter-clockwise about its origin; velocity and
+/// acceleration are those of the origin.
+#[derive(Clone, Copy)]
+pub struct Place {
+    pub origin: [f64; 2],
+    pub turn: (f64, f64),
+    pub velocity: [f64; 2],
+    /// Angular velocity and acceleration. Only the tangential part of the acceleration changes v·n, because the
+    /// normal turns with the leg.
+    pub spin: f64,
+    pub change: [f64; 2],
+    pub spin_up: f64,
+}
+
 /// The motion of a trial; trials that move in the same way share one `Track`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Track {
