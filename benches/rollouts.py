@@ -1,5 +1,5 @@
-"""Speed of rollouts of 150 steps compared with steps in process, as environment steps a second: Rust and Python
-clients.
+"""Measures rollouts of 150 steps with clients in Rust and Python, and compares them with steps in this process; in
+environment steps per second.
 
 usage: taskset -c 0 python benches/rollouts.py [--envs 16 64 256 1024] [--seconds 1]
 """
@@ -21,7 +21,7 @@ STEPS = 150
 
 
 def rust(envs: int, through: str, seconds: float) -> float:
-    """Speed by `sandgait bench`, one thread; the median of five repeats that take `seconds` together."""
+    """Speed of `sandgait bench` with one thread: the median of five repeats, which take `seconds` together."""
     options = ["--envs", str(envs), "--threads", "1", "--repeats", "5", "--seconds", str(seconds / 5), "--json"]
     command = [*server.command(), "bench", "--through", through, *options]
     result = subprocess.run(command, capture_output=True, text=True, check=True)
@@ -29,7 +29,7 @@ def rust(envs: int, through: str, seconds: float) -> float:
 
 
 def python(envs: int, trajectories: bool, seconds: float) -> float:
-    """Speed through a separate server; the median over single rollouts."""
+    """Speed of rollouts on a separate server: the median over single rollouts."""
     env = sandgait.SandgaitVectorEnv(ID, envs)
     env.reset(seed=0)
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (STEPS, envs, 6)).astype(np.float32)

@@ -3,15 +3,15 @@
     python examples/train.py                                   # HexapodGait with PPO, five minutes on two cores
     python examples/train.py --task HexapodLegs --seconds 300 --out runs/legs
     python examples/train.py --algorithm sac --set gamma=0.97 --set batch_size=256
-    python examples/train.py --resume                          # go on from the last checkpoint in --out
+    python examples/train.py --resume                          # continues from the last checkpoint in --out
     python examples/train.py --options '{"slope_deg": 10}' --start-from runs/HexapodGait-ppo --out runs/slope
     python examples/train.py --task LeggedVelocity --options '{"robot": "go1.xml", "ground": "poppy-close"}' \
         --curriculum examples/hyperparameters/hard_ground_to_sand.yml --out runs/go1-sand
     tensorboard --logdir runs
 
-Settings are in examples/hyperparameters/, one file an algorithm and one entry a task. The output directory gets
-policy.zip, policy.onnx, normalize.pkl, settings.json, curve.csv, curve.png, evaluation.txt, checkpoints/, videos/ and
-tensorboard/.
+Hyperparameters are in examples/hyperparameters/: one file for each algorithm, with one entry for each task. The program
+writes policy.zip, policy.onnx, normalize.pkl, settings.json, curve.csv, curve.png, evaluation.txt, checkpoints/,
+videos/ and tensorboard/ into the output directory.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ import matplotlib.pyplot as plt
 
 
 def draw(algorithm: str, curve: list[Row], scores: list[Score], path: Path) -> None:
-    """Learning curve with the other gaits' returns as lines."""
+    """Draws the learning curve, and the returns of the other gaits as lines."""
     figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
     steps = np.array([row.steps for row in curve])
     returns = [row.mean_return for row in curve]
@@ -116,7 +116,7 @@ def main() -> None:
     if arguments.stages is not None:
         made_by["curriculum"] = [asdict(stage) for stage in arguments.stages]
     write_settings(out, made_by)
-    torch.set_num_threads(1)  # networks this small are slower on several threads
+    torch.set_num_threads(1)  # such small networks are slower on several threads
     training = prepare(
         arguments.algorithm,
         arguments.id,
