@@ -59,8 +59,8 @@ def through_python(envs: int, seconds: float, isolated: bool) -> dict[str, float
 def main() -> None:
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n\n", maxsplit=1)[0])
     parser.add_argument("--envs", type=int, nargs="+", default=[1, 32, 256, 4096])
-    parser.add_argument("--seconds", type=float, default=2.0, help="length of one measurement")
-    parser.add_argument("--isolated", action="store_true", help="on a server of its own")
+    parser.add_argument("--seconds", type=float, default=2.0, help="duration of one measurement [s]")
+    parser.add_argument("--isolated", action="store_true", help="use a separate server process")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     rows: list[dict[str, Any]] = []

@@ -205,7 +205,7 @@ def child(binary: Path, robot: Path, name: str, seconds: float, cores: list[int]
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--binary", type=Path, default=ROOT / "target/release/sandgait")
-    parser.add_argument("--robot", type=Path, default=ROOT / "robots/sandcat.xml", help="MJCF")
+    parser.add_argument("--robot", type=Path, default=ROOT / "robots/sandcat.xml", help="MJCF file of a robot")
     parser.add_argument("--seconds", type=float, default=2.0)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--only", help=argparse.SUPPRESS)

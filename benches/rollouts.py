@@ -46,8 +46,8 @@ def python(envs: int, trajectories: bool, seconds: float) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n\n", maxsplit=1)[0])
     parser.add_argument("--envs", type=int, nargs="+", default=[16, 64, 256, 1024])
-    parser.add_argument("--seconds", type=float, default=1.0, help="length of one measurement")
-    parser.add_argument("--python-only", action="store_true", help="of Rust only the steps in process")
+    parser.add_argument("--seconds", type=float, default=1.0, help="duration of one measurement [s]")
+    parser.add_argument("--python-only", action="store_true", help="leave out rollouts with the client in Rust")
     arguments = parser.parse_args()
     print("envs  in process   rust: returns, trajectories   python: returns, trajectories")
     for envs in arguments.envs:

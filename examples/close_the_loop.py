@@ -2,10 +2,10 @@
 # # Does a diagnosis make better gaits?
 #
 # A sand differs from its textbook numbers in two ways, which the diagnosis does not know. We measure leg forces on this
-# sand, and the diagnosis extends the textbook sand. Then we train one gait on the textbook sand and one on the extended
-# sand, and both walk on the true sand. Run this file as a script or cell by cell; it takes two to five minutes on two
-# cores. The true sand was chosen before any gait was trained: batches of one medium differ by 20 to 40 % in strength,
-# and λ = 1.1 is the published inertial drag of an oblique plate.
+# sand, and the diagnosis extends the textbook sand. Then we train gaits on the textbook sand, on the extended sand and
+# on the true sand, and evaluate all of them on the true sand. Run this file as a script or cell by cell; it takes two
+# to five minutes on two cores. The true sand was chosen before any gait was trained: batches of one medium differ by 20
+# to 40 % in strength, and λ = 1.1 is the published inertial drag of an oblique plate.
 
 # %%
 from __future__ import annotations
@@ -167,8 +167,8 @@ def interval(rows: Numbers, generator: np.random.Generator) -> tuple[float, floa
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description="Gaits learnt on a diagnosed sand and on the textbook's")
     parser.add_argument("--seeds", type=int, default=3, help="trainings on each sand")
-    parser.add_argument("--generations", type=int, default=25, help="of each training")
-    parser.add_argument("--evaluations", type=int, default=200, help="unseen episodes that every gait walks")
+    parser.add_argument("--generations", type=int, default=25, help="generations of each training")
+    parser.add_argument("--evaluations", type=int, default=200, help="episodes for the evaluation of each gait")
     parser.add_argument("--out", type=Path, default=Path("runs/close_the_loop"))
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)

@@ -89,7 +89,7 @@ def table(lines: list[Line]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n\n", maxsplit=1)[0])
     parser.add_argument("policy", type=Path, help="policy.onnx of `sandgait train` or of sandgait.export_onnx")
-    parser.add_argument("--options", type=json.loads, default={}, help="the options that it was trained with, as JSON")
+    parser.add_argument("--options", type=json.loads, default={}, help="the options of the policy's training, as JSON")
     arguments = parser.parse_args()
     print(table([follow(arguments.policy, command, arguments.options) for command in COMMANDS]))
 

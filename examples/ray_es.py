@@ -88,8 +88,10 @@ def evolve(
 def main() -> None:
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n\n", maxsplit=1)[0])
     parser.add_argument("--generations", type=int, default=20)
-    parser.add_argument("--population", type=int, default=256, help="candidates a generation; even")
-    parser.add_argument("--ray", default=None, metavar="ADDRESS", help="of a running cluster; none: this machine")
+    parser.add_argument("--population", type=int, default=256, help="even number of candidates in a generation")
+    parser.add_argument(
+        "--ray", default=None, metavar="ADDRESS", help="address of a running cluster; by default this machine"
+    )
     arguments = parser.parse_args()
     if arguments.population < 2 or arguments.population % 2:
         parser.error(f"--population: {arguments.population} is no even number from 2 on")

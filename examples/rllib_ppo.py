@@ -66,9 +66,11 @@ def train(algorithm: PPO, iterations: int) -> list[float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n\n", maxsplit=1)[0])
     parser.add_argument("--iterations", type=int, default=30)
-    parser.add_argument("--runners", type=int, default=1, help="each needs a processor that Ray counts")
-    parser.add_argument("--envs", type=int, default=64, help="environments of a runner")
-    parser.add_argument("--ray", default=None, metavar="ADDRESS", help="of a running cluster; none: this machine")
+    parser.add_argument("--runners", type=int, default=1, help="number of runners; Ray must have a processor for each")
+    parser.add_argument("--envs", type=int, default=64, help="environments of each runner")
+    parser.add_argument(
+        "--ray", default=None, metavar="ADDRESS", help="address of a running cluster; by default this machine"
+    )
     arguments = parser.parse_args()
     ray.init(arguments.ray, log_to_driver=False)
     with sandgait.ray.serve() as servers:

@@ -67,26 +67,40 @@ def write_settings(out: Path, settings: dict[str, Any]) -> None:
 
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n\n", maxsplit=1)[0])
-    parser.add_argument("--task", default="HexapodGait", help="task's name (%(default)s)")
-    parser.add_argument("--algorithm", choices=ALGORITHMS, default="ppo", help="(%(default)s)")
-    parser.add_argument("--seconds", type=float, help="training ends after this time; none: as the settings say")
-    parser.add_argument("--steps", type=int, help="or after this many steps; none: as the settings say")
-    parser.add_argument("--envs", type=int, help="environments side by side; none: as the settings say")
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="another value of a setting")
-    parser.add_argument("--seed", type=int, default=0, help="of the policy and of the environments (%(default)s)")
-    parser.add_argument("--out", type=Path, help="output directory (runs/TASK-ALGORITHM)")
-    parser.add_argument("--resume", action="store_true", help="go on from the last checkpoint in the output directory")
+    parser.add_argument("--task", default="HexapodGait", help="name of the task (%(default)s)")
+    parser.add_argument("--algorithm", choices=ALGORITHMS, default="ppo", help="algorithm (%(default)s)")
     parser.add_argument(
-        "--start-from", type=Path, metavar="DIR", help="begin with the policy of another training's folder"
+        "--seconds", type=float, help="longest duration of the training [s]; by default that of the settings"
     )
-    parser.add_argument("--curriculum", type=Path, metavar="FILE", help="stages with further options of the task")
+    parser.add_argument("--steps", type=int, help="largest number of control steps; by default that of the settings")
+    parser.add_argument("--envs", type=int, help="number of environments; by default that of the settings")
     parser.add_argument(
-        "--checkpoint-every", type=int, default=1_000_000, metavar="STEPS", help="steps between two (%(default)s)"
+        "--set", action="append", default=[], metavar="NAME=VALUE", help="replaces the value of a setting"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="seed of the policy and of the environments (%(default)s)")
+    parser.add_argument("--out", type=Path, help="output directory (runs/TASK-ALGORITHM)")
+    parser.add_argument(
+        "--resume", action="store_true", help="continue from the last checkpoint in the output directory"
+    )
+    parser.add_argument(
+        "--start-from", type=Path, metavar="DIR", help="start with the policy in another training's output directory"
+    )
+    parser.add_argument(
+        "--curriculum", type=Path, metavar="FILE", help="stages of the training, each with options of the task"
+    )
+    parser.add_argument(
+        "--checkpoint-every",
+        type=int,
+        default=1_000_000,
+        metavar="STEPS",
+        help="steps between two checkpoints (%(default)s)",
     )
     parser.add_argument(
         "--video-every", type=int, default=1_000_000, metavar="STEPS", help="steps between films; 0: none (%(default)s)"
     )
-    parser.add_argument("--address", help="host:port or unix:/path of a running server; none: one is started")
+    parser.add_argument(
+        "--address", help="host:port or unix:/path of a running server; by default this process simulates"
+    )
     parser.add_argument("--options", type=json.loads, default={}, help='task options as JSON: \'{"leg": "C"}\'')
     arguments = parser.parse_args()
     changes = {"seconds": arguments.seconds, "n_timesteps": arguments.steps, "n_envs": arguments.envs}

@@ -195,13 +195,22 @@ def save(out: Path, clocks: dict[str, Values], scores: list[Score], made_by: dic
 
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n\n", maxsplit=1)[0])
-    parser.add_argument("--generations", type=int, default=70, help="of each restart of CMA-ES (%(default)s)")
-    parser.add_argument("--restarts", type=int, default=12, help="of CMA-ES (%(default)s)")
-    parser.add_argument("--random", type=int, default=3000, help="clocks to choose the starts from (%(default)s)")
-    parser.add_argument("--coarse", action="store_true", help="a tenth of the grid")
-    parser.add_argument("--seed", type=int, default=0, help="of CMA-ES (%(default)s)")
+    parser.add_argument(
+        "--generations", type=int, default=70, help="generations of each restart of CMA-ES (%(default)s)"
+    )
+    parser.add_argument("--restarts", type=int, default=12, help="restarts of CMA-ES (%(default)s)")
+    parser.add_argument(
+        "--random",
+        type=int,
+        default=3000,
+        help="random clocks to choose the starts from (%(default)s)",
+    )
+    parser.add_argument("--coarse", action="store_true", help="use a tenth of the grid")
+    parser.add_argument("--seed", type=int, default=0, help="seed of CMA-ES (%(default)s)")
     parser.add_argument("--out", type=Path, default=Path("runs/clock"), help="output directory (%(default)s)")
-    parser.add_argument("--address", help="host:port or unix:/path of a running server; none: one is started")
+    parser.add_argument(
+        "--address", help="host:port or unix:/path of a running server; by default this process simulates"
+    )
     parser.add_argument("--options", type=json.loads, default={}, help='task options as JSON: \'{"leg": "C"}\'')
     return parser.parse_args()
 

@@ -41,8 +41,8 @@ def draw(paths: list[Path], path: Path, title: str) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n\n", maxsplit=1)[0])
     parser.add_argument("runs", type=Path, nargs="+", help="output directories of train.py, or files curve.csv")
-    parser.add_argument("--out", type=Path, default=Path("curve.png"), help="picture (%(default)s)")
-    parser.add_argument("--title", default="", help="of the picture")
+    parser.add_argument("--out", type=Path, default=Path("curve.png"), help="file of the picture (%(default)s)")
+    parser.add_argument("--title", default="", help="title of the picture")
     arguments = parser.parse_args()
     draw(arguments.runs, arguments.out, arguments.title)
 

@@ -25,7 +25,7 @@ POLICIES = Path(__file__).parent / "policies"
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n\n", maxsplit=1)[0])
-    parser.add_argument("runs", type=Path, nargs="+", help="output directories of train.py, one a seed")
+    parser.add_argument("runs", type=Path, nargs="+", help="output directories of train.py, one for each seed")
     arguments = parser.parse_args()
     all_settings = [json.loads((run / "settings.json").read_text()) for run in arguments.runs]
     settings = all_settings[0]

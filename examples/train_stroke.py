@@ -191,10 +191,14 @@ def draw(strokes: list[Stroke], tracks: list[dict[str, Values]], path: Path) -> 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n\n", maxsplit=1)[0])
-    parser.add_argument("--generations", type=int, default=400, help="of each restart of CMA-ES (%(default)s)")
-    parser.add_argument("--restarts", type=int, default=3, help="of CMA-ES (%(default)s)")
-    parser.add_argument("--knees", type=int, default=15, help="knee angles that circular strokes try (%(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="of CMA-ES (%(default)s)")
+    parser.add_argument(
+        "--generations", type=int, default=400, help="generations of each restart of CMA-ES (%(default)s)"
+    )
+    parser.add_argument("--restarts", type=int, default=3, help="restarts of CMA-ES (%(default)s)")
+    parser.add_argument(
+        "--knees", type=int, default=15, help="number of knee angles of the circular strokes (%(default)s)"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="seed of CMA-ES (%(default)s)")
     parser.add_argument("--out", type=Path, default=Path("runs/stroke"), help="output directory (%(default)s)")
     parser.add_argument("--options", type=json.loads, default={}, help='task options as JSON: \'{"medium": "…"}\'')
     arguments = parser.parse_args()
