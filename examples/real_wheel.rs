@@ -31,7 +31,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let discs = SandDescription {
         name: "cmu-discs".into(),
         source: format!(
-            "ξ_n from discs of {:.0} mm up to {MOST_FORCE} N; range of forces and μ_s chosen after a look at the wheels",
+            "ξ_n was fitted to pushes of a {:.0} mm disc up to {MOST_FORCE} N; this limit and μ_s were chosen after a look at the wheels' rows",
             1e3 * DIAMETER
         ),
         law: Law::Agarwal2023,

@@ -89,7 +89,7 @@ fn the_scoreboard_is_written_and_names_its_worst() {
     let done = sandgait(&["validate", "--out", out.to_str().unwrap()]);
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     let said = String::from_utf8(done.stdout).unwrap();
-    assert!(said.starts_with("Worst regime where nothing was fitted on the wheels: locked, slip −1"), "{said}");
+    assert!(said.starts_with("Largest errors without a fit on the wheels: locked wheel, slip ratio −1"), "{said}");
     let rows = std::fs::read_to_string(out.join("validation_rows.csv")).unwrap();
     // 126 rows at slip angles up to 60°, in each of three comparisons, and 36 of the smooth wheel at positive slip.
     assert_eq!(rows.lines().count(), 1 + 3 * 126 + 36);
