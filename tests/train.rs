@@ -47,7 +47,7 @@ fn wrong_settings_are_one_line_and_write_nothing() {
         (&["--address", "nowhere"], "--address: \"nowhere\" is neither host:port nor unix:/path"),
         (&["--address", "unix:/none/sand.sock"], "server unix:/none/sand.sock: it cannot be reached: "),
         (&["--token-file", &file], "--address"),
-        (&["--address", "192.0.2.1:1", "--token-file", &file], "it would travel to 192.0.2.1:1 unencrypted"),
+        (&["--address", "192.0.2.1:1", "--token-file", &file], "it would be sent to 192.0.2.1:1 without encryption"),
     ] {
         let line = one_line(&[arguments, &["--out", &out]].concat());
         assert!(line.contains(words), "{line}");
@@ -267,7 +267,7 @@ fn environments_on_a_server_give_the_same_bits() {
     assert!(result(&here) == result(&away));
     let text = run(&away, &["--timesteps", "1408", "--resume"]);
     assert!(
-        text.contains("new episodes began where it went on: the checkpoint's environments are of a server"),
+        text.contains("new episodes began at the resumption: the checkpoint's environments are of a server"),
         "{text}"
     );
 }
@@ -378,7 +378,7 @@ fn wrong_studies_are_one_line_and_write_nothing() {
             "vary: leg needs two numbers to search between",
         ),
         (&["--learn", "5", "--vary", "frequency=1:2:2"], "frequency: with --learn each design learns its own"),
-        (&["--warm", "5"], "they are for studies with --learn or --learn-steps"),
+        (&["--warm", "5"], "they are used only with --learn or --learn-steps"),
     ] {
         let done = sweep(&[&vary[..], arguments].concat());
         let line = String::from_utf8(done.stderr).unwrap();

@@ -65,7 +65,7 @@ class Remote(str):
         if self.tls and address.startswith("unix:"):
             raise InvalidRequest(f"address: {address} is a Unix socket, which has no TLS")
         if token is not None and not self.tls and not _is_local(address):
-            raise InvalidRequest(f"token: it would travel to {address} unencrypted; add ca or tls=True")
+            raise InvalidRequest(f"token: it would be sent to {address} without encryption; add ca or tls=True")
         return self
 
 

@@ -6,13 +6,13 @@ use sandgait::env::Column;
 use sandgait::env::registry::{Blueprint, Keyword, TASK_IDS};
 use serde_json::{Value, json};
 
-/// List the tasks: observations, actions, rewards, and the options with their defaults
+/// List the tasks: observations, actions, rewards, and options with their defaults
 #[derive(clap::Args)]
 pub struct Tasks {
-    /// Machine-readable
+    /// Print JSON
     #[arg(long)]
     json: bool,
-    /// The page of one task, as in docs/tasks
+    /// Print the page of one task, as in docs/tasks
     #[arg(long, value_name = "ID", conflicts_with = "json")]
     markdown: Option<String>,
 }

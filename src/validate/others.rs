@@ -44,8 +44,10 @@ fn discs() -> Result<String> {
     let _ = writeln!(text, "\nScale ζ of each disc [N/cm³]: {}.", plain.collect::<Vec<_>>().join(", "));
     let missed = study.laws.iter().filter(|s| s.law == PushLaw::Proportional).find_map(|s| s.other_size_percent);
     if let Some(missed) = missed {
-        let _ =
-            writeln!(text, "Plain theory that is calibrated with one disc has an error of {missed:.0} % for a disc of another size.");
+        let _ = writeln!(
+            text,
+            "Plain theory that is calibrated with one disc has an error of {missed:.0} % for a disc of another size."
+        );
     }
     Ok(text)
 }
@@ -53,7 +55,8 @@ fn discs() -> Result<String> {
 /// The comparison with legs that rotate through simulated grains, from `sandgait reproduce`.
 fn grains() -> Result<String> {
     let table = reproduce::grains()?;
-    let mut text = format!("## Comparison with simulated grains\n\n{}\n\n| {} |\n", table.caption, table.head.join(" | "));
+    let mut text =
+        format!("## Comparison with simulated grains\n\n{}\n\n| {} |\n", table.caption, table.head.join(" | "));
     let _ = writeln!(text, "|{}", "---|".repeat(table.head.len()));
     for row in &table.rows {
         let _ = writeln!(text, "| {} |", row.join(" | "));

@@ -60,18 +60,23 @@ impl Scoreboard {
         if data.wheels.iter().all(|w| w.fitted.is_some()) {
             let left_out = cross_validated(&data.wheels)?;
             comparisons.push(Comparison {
-                title: "left out: each slip angle is predicted from a fit on the other slip angles of all wheels".into(),
+                title: "left out: each slip angle is predicted from a fit on the other slip angles of all wheels"
+                    .into(),
                 pairs: left_out,
             });
             let unseen = positive(&data.wheels)?;
             if !unseen.is_empty() {
                 comparisons.push(Comparison {
-                    title: "left out: positive slip ratios are predicted from a fit on the other slip ratios of all wheels".into(),
+                    title:
+                        "left out: positive slip ratios are predicted from a fit on the other slip ratios of all wheels"
+                            .into(),
                     pairs: unseen,
                 });
             }
             comparisons.push(Comparison {
-                title: "fitted: the fit used the same rows, so these are the least errors of this model and no prediction".into(),
+                title:
+                    "fitted: the fit used the same rows, so these are the least errors of this model and no prediction"
+                        .into(),
                 pairs: each(&|w| w.fitted.clone()),
             });
         }
@@ -89,7 +94,11 @@ impl Scoreboard {
         for c in &self.comparisons {
             let _ = writeln!(text, "**{}**\n\n{}", capital(&c.title), self.table(c));
         }
-        let _ = writeln!(text, "Scatter of the measurements between repetitions, in the same units:\n\n{}", self.scatters());
+        let _ = writeln!(
+            text,
+            "Scatter of the measurements between repetitions, in the same units:\n\n{}",
+            self.scatters()
+        );
         text
     }
 
