@@ -19,13 +19,13 @@ pub fn page(id: &str) -> Result<String> {
         action(id, None)?
     };
     Ok(format!(
-        "# {id}\n\n{summary}\n\n{about}\n\n{control_rate} control steps a second, at most {max_episode_steps} an episode. \
-         This part of the page is what `sandgait tasks --markdown {id}` prints.\n\n\
+        "# {id}\n\n{summary}\n\n{about}\n\n{control_rate} control steps per second, at most {max_episode_steps} in an episode. \
+         `sandgait tasks --markdown {id}` prints this part of the page.\n\n\
          ## Actions\n{actions}\n\
-         ## Reward\n\nThe sum of the weighted terms; each is a column of `info`.\n\n{}\n\
+         ## Reward\n\nThe reward is the sum of the weighted terms. Each weighted term is a column of `info`.\n\n{}\n\
          ## Figures in `info`\n\n{}\n\
          ## Observation\n\n{}\n\
-         ## Options\n\nKeywords of `gymnasium.make`; some also of `reset(options=…)`.\n\n{}",
+         ## Options\n\nOptions are keywords of `gymnasium.make`. Those marked `reset` are also options of `reset(options=…)`.\n\n{}",
         rows(&["column", "term", "weight"], terms.iter().zip(reward).map(term)),
         rows(&["column", "unit", "range"], figures.iter().map(|c| vec![code(&c.name), c.unit.into(), range(c)])),
         columns(observation),

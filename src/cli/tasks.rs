@@ -66,7 +66,7 @@ fn as_text(task: &Blueprint) -> String {
     };
     let options = super::table(&task.keywords().into_iter().map(option).collect::<Vec<_>>());
     format!(
-        "{}\n  {}\n  {} control steps a second, at most {} an episode\n\nobservation\n{}\naction\n{}\ninfo (the first {} are the reward's terms)\n{}\noptions\n{options}",
+        "{}\n  {}\n  {} control steps per second, at most {} in an episode\n\nobservation\n{}\naction\n{}\ninfo (the first {} are the reward terms)\n{}\noptions\n{options}",
         spec.id,
         spec.summary,
         spec.control_rate,
