@@ -1,5 +1,5 @@
-//! `sandgait train` on the command line: wrong input is refused, a stopped training and a killed server leave a checkpoint, and a
-//! resumed training gives the same bits.
+//! `sandgait train` on the command line: wrong input is refused, a stopped training and a killed server leave a
+//! checkpoint, and a resumed training gives the same bits.
 
 use sandgait::progress::{Progress, Silent};
 use sandgait::train::{Request, Settings};
@@ -131,7 +131,8 @@ fn result(out: &Path) -> (Vec<u8>, Vec<String>) {
     (std::fs::read(out.join("policy.onnx")).unwrap(), curve.lines().map(line).collect())
 }
 
-/// A training that is stopped at any point and resumed gives the same policy and curve, to the bit, as one without a stop.
+/// A training that is stopped at any point and resumed gives the same policy and curve, to the bit, as one without a
+/// stop.
 #[test]
 fn a_resumed_training_gives_the_same_bits() {
     for (task, changes) in [
@@ -272,7 +273,8 @@ fn environments_on_a_server_give_the_same_bits() {
     );
 }
 
-/// If the server is killed during a training, there is one line and a checkpoint, and the training can be resumed without the server.
+/// If the server is killed during a training, there is one line and a checkpoint, and the training can be resumed
+/// without the server.
 #[test]
 fn a_training_survives_a_killed_server() {
     let mut server = Server::start();
@@ -315,8 +317,8 @@ fn sweep(arguments: &[&str]) -> Output {
     command.arg("sweep").args(arguments).args(["--option", "max_episode_steps=40"]).output().unwrap()
 }
 
-/// When a stopped study is started again, it reads finished trainings from their files and repeats the others. Its results
-/// equal those of an uninterrupted study to the bit.
+/// When a stopped study is started again, it reads finished trainings from their files and repeats the others. Its
+/// results equal those of an uninterrupted study to the bit.
 #[test]
 fn a_study_that_was_stopped_goes_on() {
     let directory = tempfile::tempdir().unwrap();
