@@ -72,14 +72,14 @@ impl Intrude {
         let (name, shape) = (shape, LegShape::named(shape)?);
         let Self { chord, width, hip_height, omega, .. } = self;
         let sand = super::sand(&self.medium, &self.law, self.sand.as_deref())?;
-        let sweep = Rotation { shape, chord, width, hip_height, omega }.loads(&sand)?;
+        let loads = Rotation { shape, chord, width, hip_height, omega }.loads(&sand)?;
         if let Some(path) = &self.csv {
-            let rows = sweep.iter().map(|(theta, l)| format!("{theta:.2},{:.6},{:.6},{:.8}\n", l.fx, l.fz, l.ty));
+            let rows = loads.iter().map(|(theta, l)| format!("{theta:.2},{:.6},{:.6},{:.8}\n", l.fx, l.fz, l.ty));
             let text: String = std::iter::once("theta,Fx,Fz,Ty\n".to_owned()).chain(rows).collect();
             std::fs::write(path, text).map_err(|e| Error::file(path, e))?;
         }
         let largest = |name: &str, unit: &str, of: fn(&Load) -> f64| {
-            let at = sweep.iter().max_by(|a, b| of(&a.1).abs().total_cmp(&of(&b.1).abs()));
+            let at = loads.iter().max_by(|a, b| of(&a.1).abs().total_cmp(&of(&b.1).abs()));
             at.map_or_else(String::new, |(t, l)| format!("{name} {:.3} {unit} at {:.0}°", of(l), t.to_degrees()))
         };
         let peaks = [largest("Fx", "N", |l| l.fx), largest("Fz", "N", |l| l.fz), largest("Ty", "N·m", |l| l.ty)];

@@ -202,7 +202,7 @@ impl<'a> ForceLogModel<'a> {
     }
 
     /// This model with a `latch` that may stop its computations.
-    pub fn heeding(self, latch: &'a Latch<'a>) -> Self {
+    pub fn stopped_by(self, latch: &'a Latch<'a>) -> Self {
         Self { latch: Some(latch), ..self }
     }
 
