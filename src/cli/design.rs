@@ -56,7 +56,7 @@ fn markdown(study: &Study, findings: &Findings, measure: Measure, best: &[Vec<St
     let best: Vec<Vec<String>> = best.iter().map(|row| [&row[..1], &row[2..]].concat()).collect();
     format!(
         "The best designs by {} on 100 seeds that were used neither for training nor for the choice (±: 95 % interval of the \
-         mean over {} trainings, Student's t):\n\n{}\nAll designs on the 32 seeds of the choice:\n\n{}",
+         mean over {} trainings, Student's t):\n\n{}\nAll designs on the 32 seeds for the choice of the best designs:\n\n{}",
         measure.name(),
         study.trainings,
         table(&best),
@@ -85,7 +85,7 @@ fn figure(study: &Study, findings: &Findings, measure: Measure) -> Figure {
     };
     let note = match study.trainings {
         1 => String::new(),
-        _ => "Dots: one training each. Line: their mean, with its 95 % interval (Student's t). Evaluated on the seeds of the choice.".into(),
+        _ => "Dots: one training each. Line: their mean, with its 95 % interval (Student's t). Evaluated on the seeds for the choice of the best designs.".into(),
     };
     Figure { title, panels, columns: 2, note }
 }

@@ -1,4 +1,4 @@
-//! Reads runs of a walking robot (walking CSV): one row a run.
+//! Reads runs of a walking robot (walking CSV), with one row for each run.
 
 use super::columns::columns;
 use super::experiment::Experiment;

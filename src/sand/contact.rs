@@ -243,8 +243,8 @@ impl<R: Real> SandBed<R> {
         Contact { force, drag: secant(force, &motion), edge: inside }
     }
 
-    /// The leading part of a curved face: `area` [m²], whose mean depth weighted by depth is `loaded` [m], and
-    /// whose force grows with n·v̂ by the factor `growth`.
+    /// Force on the leading part of a curved face. `area`: area of this part [m²]; `loaded`: its mean depth, weighted
+    /// by depth [m]; `growth`: factor with which its force grows with n·v̂.
     #[inline(always)]
     #[allow(clippy::too_many_arguments)] // all arguments stay in registers
     pub fn leading_part_by(

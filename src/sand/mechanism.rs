@@ -33,9 +33,9 @@ pub struct Mechanism {
     /// A typical strength. Steps of numerical derivatives and scales of priors are multiples of it.
     pub typical: f64,
     pub side: Side,
-    /// Can force logs show it?
+    /// Can force logs show the mechanism?
     pub intrusion: bool,
-    /// Can walking runs show it?
+    /// Can walking runs show the mechanism?
     pub walking: bool,
     /// Optional columns of a force log that a test of this mechanism needs.
     pub columns: &'static [&'static str],

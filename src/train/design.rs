@@ -72,7 +72,7 @@ pub struct Trained {
 pub struct Compared {
     /// Index of the design.
     pub design: usize,
-    /// Each measure over the unseen seeds, one a training.
+    /// Each measure over the evaluation seeds, one value for each training.
     pub values: [Vec<f64>; 3],
 }
 

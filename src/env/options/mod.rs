@@ -31,7 +31,7 @@ use serde_json::{Map, Value};
 pub struct OptionRow {
     pub name: &'static str,
     pub help: &'static str,
-    /// May a reset change it?
+    /// May a reset change this option?
     pub at_reset: bool,
     /// For a dictionary: its keys.
     pub keys: Vec<OptionRow>,

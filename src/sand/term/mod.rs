@@ -95,7 +95,7 @@ impl Group {
         }
     }
 
-    /// May it be negative?
+    /// May the group be negative?
     fn signed(self) -> bool {
         matches!(self, Group::Acceleration | Group::SinGamma | Group::SinBeta)
     }
