@@ -92,7 +92,7 @@ fn the_scoreboard_is_written_and_names_its_worst() {
     let said = String::from_utf8(done.stdout).unwrap();
     assert!(said.starts_with("Largest errors without a fit on the wheels: locked wheel, slip ratio −1"), "{said}");
     let rows = std::fs::read_to_string(out.join("validation_rows.csv")).unwrap();
-    // 126 rows at slip angles up to 60°, in each of three comparisons, and 36 of the smooth wheel at positive slip.
+    // 126 rows at slip angles up to 60°, in each of three comparisons, and 36 of the smooth wheel at positive slip ratios.
     assert_eq!(rows.lines().count(), 1 + 3 * 126 + 36);
     // Free flight differs from pinocchio and MuJoCo by rounding only.
     let flights = said.lines().filter(|l| l.contains("| pinocchio ") || l.contains("| MuJoCo "));

@@ -42,7 +42,7 @@ class Window:
         self._clock: Any = None
 
     def show(self, picture: Pictures) -> None:
-        """Shows u8 [height, width, 3]."""
+        """Shows a picture, u8 [height, width, 3]."""
         pygame = self._pygame
         height, width, _ = picture.shape
         if self._screen is None:

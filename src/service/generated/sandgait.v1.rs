@@ -718,7 +718,7 @@ pub struct IntrudeRequest {
     /// Height of the hip above the surface \[m\].
     #[prost(double, optional, tag = "4")]
     pub hip_height: ::core::option::Option<f64>,
-    /// Angular speed \[rad/s\]; negative turns the tip backward.
+    /// Angular speed \[rad/s\]; with a negative one the tip moves backward.
     #[prost(double, optional, tag = "5")]
     pub omega: ::core::option::Option<f64>,
     #[prost(message, optional, tag = "6")]
