@@ -1,4 +1,4 @@
-# The server alone: docker build -t sandgait . && docker run -p 50051:50051 -v keys:/keys sandgait serve --listen 0.0.0.0:50051 \
+# An image with the server only: docker build -t sandgait . && docker run -p 50051:50051 -v keys:/keys sandgait serve --listen 0.0.0.0:50051 \
 #   --tls-cert /keys/cert.pem --tls-key /keys/key.pem --token-file /keys/token
 FROM rust:1.95-slim AS build
 WORKDIR /build

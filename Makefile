@@ -1,4 +1,4 @@
-# `make help` lists what there is. Needs cargo, Python ≥ 3.11 with venv and pip; everything else goes into .venv, once.
+# `make help` lists the targets. They need cargo and Python ≥ 3.11 with venv and pip, and install other packages into .venv.
 SHELL := /bin/bash
 PYTHON ?= python3
 VENV := .venv
@@ -7,7 +7,7 @@ PINS := python_client/constraints.txt
 ARGS ?=
 TASK ?= HexapodGait
 
-# What the wheel is made from.
+# The files from which the wheel is made.
 SOURCES := $(shell find src tests/data/real_wheel python_client Cargo.toml Cargo.lock pyproject.toml README.md \
 	-type f -not -path '*/__pycache__/*' -not -name '_native*.so')
 
@@ -18,30 +18,30 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 help:
 	@echo "make train   train a hexapod to walk on sand (5 minutes), results in runs/; TASK=HexapodLegs, ARGS=--help"
-	@echo "make policies   the trained policies in examples/policies anew (some 70 minutes)"
-	@echo "make test    formatting, lints and all tests, Rust and Python"
-	@echo "make test-browser   the live page and replays in headless Chromium, which apt installs if it is missing"
-	@echo "make docs    the documentation as a site in site/; every command in it is run by make test"
-	@echo "make film    the moving picture of README anew"
-	@echo "make native   the native module beside the Python sources, for those who change them"
-	@echo "make bench   speed of the Python environments beside the engine's"
-	@echo "make bench-peers   sandgait beside EnvPool, MuJoCo and gymnasium's Ant, in one run"
-	@echo "make bench-network   servers in network namespaces, behind links with and without delay; needs root"
-	@echo "make study   how often the diagnosis is right, on data of known cause (some 15 minutes)"
-	@echo "make study-messy   the same on logs with the dirt of laboratories: all kinds, some 2 s a log; ARGS=\"FIRST COUNT\""
-	@echo "make study-convergence   walking speed against the time step, both engines (some 3 minutes)"
-	@echo "make study-codesign   a gait learnt for each of 25 legs, three times: docs/codesign.md anew (an hour on two quiet cores)"
-	@echo "make study-starts   walking speed at 1 ms where legs stick, over 24 starts, and with each mechanism (some 10 minutes)"
-	@echo "make study-rocks   overlaps of robot and rocks in 1,000 random episodes (some 10 minutes)"
-	@echo "make page-three   bundle what the page takes from three.js anew; needs npm"
-	@echo "make study-load      24 clients against one server: its memory and its numbers (5 minutes)"
-	@echo "make proto   generate the code for messages from proto/ anew"
-	@echo "make task-pages   write docs/tasks/ anew from the tasks' tables; what was measured stays"
+	@echo "make policies   train the policies in examples/policies again (some 70 minutes)"
+	@echo "make test    check formatting and lints, and run all tests, Rust and Python"
+	@echo "make test-browser   test the live page and replays in headless Chromium, which apt installs if it is missing"
+	@echo "make docs    build the documentation as a site in site/; make test runs every command in it"
+	@echo "make film    make the animation of README again"
+	@echo "make native   build the native module into the folder of the Python sources, for work on these sources"
+	@echo "make bench   measure the speed of the Python environments and of the engine"
+	@echo "make bench-peers   compare the speed with EnvPool, MuJoCo and gymnasium's Ant, in one run"
+	@echo "make bench-network   measure servers in network namespaces, behind links with and without delay; needs root"
+	@echo "make study   measure how often the diagnosis is right on data with known causes (some 15 minutes)"
+	@echo "make study-messy   the same on logs with all errors of a laboratory, some 2 s for each log; ARGS=\"FIRST COUNT\""
+	@echo "make study-convergence   measure the walking speed over the time step with both engines (some 3 minutes)"
+	@echo "make study-codesign   learn gaits for 25 legs, three times each, and write docs/codesign.md again (an hour on two idle cores)"
+	@echo "make study-starts   compare walking speeds at 1 ms with converged ones, over 24 starts (some 10 minutes)"
+	@echo "make study-rocks   measure overlaps of robot and rocks in 1,000 random episodes (some 10 minutes)"
+	@echo "make page-three   bundle the parts of three.js that the page needs; needs npm"
+	@echo "make study-load   run 24 clients against one server, and check its memory and results (5 minutes)"
+	@echo "make proto   generate the code for messages from proto/ again"
+	@echo "make task-pages   write docs/tasks/ again from the tasks' tables, and keep the measured parts"
 
 train: $(VENV)/sb3
 	$(BIN)/python examples/train.py --task $(TASK) $(ARGS)
 
-# Everything in examples/policies, made anew: trainings of three seeds, clocks and strokes; some 70 minutes on two cores.
+# Makes examples/policies again: trainings with three seeds, clocks and strokes. This takes some 70 minutes on two cores.
 policies: $(VENV)/sb3
 	for task in HexapodGait HexapodLegs; do \
 		for seed in 0 1 2; do \
@@ -81,11 +81,11 @@ page-three:
 docs: $(VENV)/docs
 	$(BIN)/mkdocs build --strict
 
-# The moving picture of README and the site.
+# The animation of README and the site.
 film: $(VENV)/plot
 	$(BIN)/python docs/assets/film.py
 
-# The native module beside the Python sources, for PYTHONPATH=python_client; Cargo decides what is to be done.
+# Builds the native module into the folder of the Python sources, for PYTHONPATH=python_client. Cargo knows what has changed.
 native:
 	PYO3_PYTHON=$(PYTHON) cargo build --release --package sandgait-native
 	cp target/release/lib_native.so python_client/sandgait/_native.abi3.so
@@ -93,7 +93,7 @@ native:
 bench: $(VENV)/wheel
 	$(BIN)/python benches/client.py $(ARGS)
 
-# The peers come in an environment of their own: their pins are not ours.
+# The other simulators have their own virtual environment, because they need other versions of packages.
 bench-peers: $(VENV)-peers/ready
 	cargo build --release
 	$(VENV)-peers/bin/python benches/peers.py $(ARGS)
@@ -118,7 +118,7 @@ study-messy: $(VENV)/wheel
 study-convergence:
 	cargo run --release --example convergence_study
 
-# Everything below the page's marker is written anew.
+# Writes everything after the page's marker again.
 study-starts:
 	cargo build --release --example starts_study
 	target/release/examples/starts_study > target/starts.md
@@ -129,7 +129,7 @@ study-starts:
 study-rocks:
 	cargo run --release --example rocks_study
 
-# Stopped, it goes on where it was: each training is kept. Everything below the page's marker is written anew.
+# Every finished training is kept, so the study can be stopped and continued. Writes everything after the page's marker again.
 study-codesign:
 	cargo build --release
 	target/release/sandgait sweep --vary xi=-75:75:25 --learn-steps 3000000 --measure return \
@@ -143,7 +143,7 @@ study-codesign:
 study-load:
 	SANDGAIT_LOAD_SECONDS=300 cargo test --release --test faults -- --nocapture under_load
 
-# The code made from proto/; a test holds it current.
+# Generates the code from proto/. A test fails if this code is not up to date.
 proto:
 	SANDGAIT_WRITE_PROTO=1 cargo test --release --test generated
 
@@ -160,12 +160,12 @@ $(VENV)/wheel: $(SOURCES) $(VENV)/tools
 	$(BIN)/pip install --quiet --no-deps --force-reinstall dist/*.whl
 	@touch $@
 
-# The wheel with one of its extras. torch, which `sb3` brings, is some 5 GB: minutes, once.
+# Installs the wheel with one of its extras. Extra `sb3` includes torch, some 5 GB, which takes minutes the first time.
 $(VENV)/sb3 $(VENV)/plot $(VENV)/docs $(VENV)/dev: $(VENV)/wheel
 	$(BIN)/pip install --quiet --constraint $(PINS) "$$(echo dist/*.whl)[$(@F)]"
 	@touch $@
 
-# A page is what the program prints, then a line "<!-- measured -->" and what was measured.
+# A page has the program's output, then a line "<!-- measured -->", then measured results. The latter are kept.
 task-pages:
 	cargo build --release
 	mkdir -p docs/tasks

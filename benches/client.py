@@ -1,7 +1,7 @@
-"""Speed from Python: whole `step` calls in this process, or with `--isolated` through a server on a Unix socket,
-compared with `sandgait bench`.
+"""Measures the speed of `step` calls from Python and compares it with `sandgait bench`. The environments are in this
+process or, with `--isolated`, on a server at a Unix socket.
 
-`own` is the time of a step call beyond the simulation.
+`own` is the time of a step call minus the time of the simulation.
 
 usage: python benches/client.py [--envs 1 32 256 4096] [--seconds 2] [--isolated] [--json]
 """
@@ -23,7 +23,7 @@ ID = "sandgait/HexapodGait-v1"
 
 
 def in_process(envs: int, threads: int) -> float:
-    """Environment steps a second without gRPC or Python, by `sandgait bench`."""
+    """Environment steps per second of `sandgait bench`, without gRPC and Python."""
     command = [
         *server.command(),
         "bench",
@@ -40,7 +40,8 @@ def in_process(envs: int, threads: int) -> float:
 
 
 def through_python(envs: int, seconds: float, isolated: bool) -> dict[str, float]:
-    """Environment steps a second and the time of a step call [µs] with random actions; episodes end and begin."""
+    """Environment steps per second, and the time of a step call [µs], with random actions. Ends of episodes are
+    included."""
     env = sandgait.SandgaitVectorEnv(ID, envs, isolated=isolated)
     env.reset(seed=0)
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (64, envs, 6)).astype(np.float32)
@@ -58,8 +59,8 @@ def through_python(envs: int, seconds: float, isolated: bool) -> dict[str, float
 def main() -> None:
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n\n", maxsplit=1)[0])
     parser.add_argument("--envs", type=int, nargs="+", default=[1, 32, 256, 4096])
-    parser.add_argument("--seconds", type=float, default=2.0, help="length of one measurement")
-    parser.add_argument("--isolated", action="store_true", help="on a server of its own")
+    parser.add_argument("--seconds", type=float, default=2.0, help="duration of one measurement [s]")
+    parser.add_argument("--isolated", action="store_true", help="use a separate server process")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     rows: list[dict[str, Any]] = []

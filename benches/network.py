@@ -1,12 +1,13 @@
-"""Servers behind a network: each in a network namespace of its own, with a link, a core, and on request a delay.
+"""Measures servers behind a network. Each server has its own network namespace, link and core; the link can have a
+delay.
 
 usage: python benches/network.py [--servers 1 2] [--envs 256 4096] [--delays 0 0.5 2] [--seconds 0.5] [--json]
 
     client ── [relay that holds every byte for a delay] ── veth link ── namespace: sandgait serve, pinned to a core
 
-Needs root, for the namespaces; they, their links and their servers are gone when this ends. The relay stands in for
-`tc netem`, which not every kernel has; it takes processor time of its own, so other rows must be compared with the
-row with a delay of 0. The rounds interleave all rows of a table.
+It needs root for the namespaces. At its end it removes them with their links and servers. The relay replaces `tc
+netem`, which some kernels do not have. The relay takes processor time, so compare rows that have a delay with the row
+of delay 0. Each round measures all rows of a table.
 """
 
 from __future__ import annotations
@@ -33,12 +34,13 @@ from shards import ID, speed
 import sandgait
 from sandgait import server
 
-#: From the range that RFC 2544 reserves for measurements: server k has 198.18.k.2, this side of its link 198.18.k.1.
+#: Network of the range that RFC 2544 reserves for measurements. Server k has address 198.18.k.2, and the near end of
+#: its link 198.18.k.1.
 NETWORK = "198.18"
 
 PORT = 50051
 
-#: Bytes a relay reads at once.
+#: Largest number of bytes that a relay reads at once.
 CHUNK = 1 << 20
 
 
@@ -59,12 +61,13 @@ def namespace(k: int) -> Iterator[str]:
         ip("-netns", name, "link", "set", far, "up")
         yield name
     finally:
-        ip("netns", "delete", name)  # the link goes with it
+        ip("netns", "delete", name)  # this also deletes the link
 
 
 @contextlib.contextmanager
 def serving(k: int, name: str | None) -> Iterator[str]:
-    """The address of a server of one thread on core k (counted round), in namespace `name` if one is given."""
+    """Starts a server with one thread on core k modulo the number of cores, in namespace `name` if one is given. Yields
+    its address."""
     core = sorted(os.sched_getaffinity(0))[k % len(os.sched_getaffinity(0))]
     inside = [] if name is None else ["ip", "netns", "exec", name]
     listen = "127.0.0.1:0" if name is None else f"{NETWORK}.{k}.2:{PORT}"
@@ -78,7 +81,7 @@ def serving(k: int, name: str | None) -> Iterator[str]:
 
 
 def carry(source: socket.socket, sink: socket.socket, delay: float) -> None:
-    """Passes bytes on `delay` seconds after they came, in order, until either end closes."""
+    """Sends bytes on `delay` seconds after their arrival, in order, until one of the ends closes."""
     held: queue.SimpleQueue[tuple[float, bytes]] = queue.SimpleQueue()
 
     def deliver() -> None:
@@ -96,7 +99,7 @@ def carry(source: socket.socket, sink: socket.socket, delay: float) -> None:
 
 
 def relay(listener: socket.socket, target: tuple[str, int], delay: float) -> None:
-    """Carries every connection to `target` and back, until the process is ended."""
+    """Relays every connection to `target`, in both directions, until the process ends."""
     while True:
         near, _ = listener.accept()
         far = socket.create_connection(target)
@@ -107,10 +110,10 @@ def relay(listener: socket.socket, target: tuple[str, int], delay: float) -> Non
 
 @contextlib.contextmanager
 def delayed(address: str, delay: float) -> Iterator[str]:
-    """The address of a relay to `address` that holds every byte for `delay` seconds, each way."""
+    """The address of a relay to `address` that delays every byte by `delay` seconds, in both directions."""
     host, port = address.rsplit(":", 1)
     listener = socket.create_server(("127.0.0.1", 0))
-    # A new process by spawn, because a fork would copy locks that other threads of this process hold.
+    # The process is spawned, because a fork would copy locks that other threads of this process hold.
     process = multiprocessing.get_context("spawn").Process(
         target=relay, args=(listener, (host, int(port)), delay), daemon=True
     )
@@ -138,7 +141,8 @@ class Whole:
 
 
 class Halves:
-    """Two batches of half the environments: while one is in transit or simulated, the other's rows are read."""
+    """Two batches, each with half of the environments. While one is in transit or simulated, the rows of the other are
+    read."""
 
     def __init__(self, envs: int, addresses: list[str]) -> None:
         self.halves = [sandgait.SandgaitVectorEnv(ID, envs // 2, addresses) for _ in range(2)]
@@ -146,7 +150,7 @@ class Halves:
             half.reset(seed=k * envs // 2)
 
     def speed(self, seconds: float) -> float:
-        """Environment steps a second."""
+        """Environment steps per second."""
         count = self.halves[0].num_envs
         actions = np.random.default_rng(0).uniform(-1.0, 1.0, (16, count, 6)).astype(np.float32)
         for half in self.halves:
@@ -170,7 +174,7 @@ KINDS: tuple[type[Whole] | type[Halves], ...] = (Whole, Halves)
 
 
 def places(stack: contextlib.ExitStack, servers: int, delays: list[float]) -> dict[str, list[str]]:
-    """Addresses of `servers` servers by the way to them."""
+    """Addresses of `servers` servers for each way to reach them."""
     near = [stack.enter_context(serving(k, None)) for k in range(servers)]
     far = [stack.enter_context(serving(k, stack.enter_context(namespace(k)))) for k in range(servers)]
     ways = {"loopback": near, "link": far}
@@ -180,7 +184,7 @@ def places(stack: contextlib.ExitStack, servers: int, delays: list[float]) -> di
 
 
 def round_trip(addresses: list[str]) -> float:
-    """Median time of a step of one environment a server [s]."""
+    """Median time of a step with one environment on each server [s]."""
     batch = sandgait.SandgaitVectorEnv(ID, len(addresses), addresses)
     batch.reset(seed=0)
     times = []
@@ -193,15 +197,15 @@ def round_trip(addresses: list[str]) -> float:
 
 
 class Row(NamedTuple):
-    """Results of one way of stepping one number of environments."""
+    """Results of one setup: way to the servers, number of environments, kind of batch."""
 
     servers: int
     envs: int
     way: str
     batch: str
-    #: Time of a step of one environment a server [s].
+    #: Time of a step with one environment on each server [s].
     round_trip: float
-    #: Environment steps a second, one a round.
+    #: Environment steps per second, one figure for each round.
     speeds: list[float]
 
 
@@ -224,14 +228,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n\n", maxsplit=1)[0])
     parser.add_argument("--servers", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--envs", type=int, nargs="+", default=[256, 4096])
-    parser.add_argument("--delays", type=float, nargs="*", default=[0.0, 0.5, 2.0], help="each way [ms]")
-    parser.add_argument("--seconds", type=float, default=0.5, help="length of one measurement")
+    parser.add_argument(
+        "--delays", type=float, nargs="*", default=[0.0, 0.5, 2.0], help="delays of the link in each direction [ms]"
+    )
+    parser.add_argument("--seconds", type=float, default=0.5, help="duration of one measurement [s]")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     if os.geteuid() != 0:
         parser.error("network namespaces need root")
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that nothing is left behind
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that namespaces and servers are removed
     how = (arguments.envs, arguments.delays, arguments.seconds, arguments.rounds)
     rows = [row for servers in arguments.servers for row in measure(servers, *how)]
     if arguments.json:

@@ -1,14 +1,20 @@
-"""Compares sandgait with its peers, in one run on this machine.
+"""Compares the speed of sandgait with other simulators, in one run on this machine.
 
 usage: python benches/peers.py [--binary BINARY] [--robot robots/sandcat.xml] [--seconds 2] [--repeats 5]
 
-Measured in turn, each on one pinned core and then on all of this machine's cores, so that drift of the machine's
-speed affects all alike: `sandgait bench` (whole environment steps, sand included), EnvPool Ant-v5, gymnasium's
-Ant-v5 in a SyncVectorEnv, and MuJoCo's bare `mj_step` of the same hexapod, without any sand, in the same steps of 1 ms.
-A robot from a file (MJCF) on a hard floor, random actions: LeggedVelocity at its own time step, `mj_step` at 2 ms; a
-step of both is 20 ms.
-Needs: pip install "gymnasium[mujoco]" envpool (a target of the Makefile makes an environment with them).
-Prints a table and, as the last line, the same as JSON.
+The program measures these in turns, so that changes of the machine's speed affect all of them; first on one pinned
+core, then on all cores:
+
+- `sandgait bench`: whole environment steps, including the sand
+- EnvPool's Ant-v5
+- gymnasium's Ant-v5 in a SyncVectorEnv
+- MuJoCo's `mj_step` of the same hexapod without sand, with the same time step of 1 ms
+
+It also compares a robot from an MJCF file on a hard floor with random actions: LeggedVelocity with its own time step,
+and `mj_step` with 2 ms. A control step of both is 20 ms.
+
+It needs `pip install "gymnasium[mujoco]" envpool`; `make bench-peers` makes an environment with them. It prints a table
+and, as the last line, the same as JSON.
 """
 
 from __future__ import annotations
@@ -32,7 +38,7 @@ FLOOR_STEP, FLOOR_SUBSTEPS = 0.002, 10
 
 
 def hexapod_mjcf(robot: dict) -> str:
-    """The robot `xplorer` for MuJoCo: same masses, hinges, armature and servos; nothing to touch."""
+    """The robot `xplorer` for MuJoCo, with the same masses, hinges, armature and servos, and without contacts."""
     base, link = robot["base"], robot["leg"]["link"][0]
     size = " ".join(str(s / 2) for s in base["size"])
     reach = " ".join(map(str, link["reach"]))
@@ -55,7 +61,7 @@ def hexapod_mjcf(robot: dict) -> str:
 
 
 def timed(step: Callable[[], int], seconds: float) -> float:
-    """Environment steps a second of `step`, which says how many it made."""
+    """Environment steps per second. `step` makes some steps and returns their number."""
     clock, done = time.perf_counter(), 0
     while time.perf_counter() - clock < seconds:
         done += step()
@@ -63,7 +69,7 @@ def timed(step: Callable[[], int], seconds: float) -> float:
 
 
 def mujoco_step(seconds: float, _cores: int) -> float:
-    """One robot, one thread: `mj_step` has no batch of its own."""
+    """Speed of `mj_step` with one robot on one thread, because `mj_step` has no batches."""
     import tomllib
 
     import mujoco
@@ -82,7 +88,8 @@ def mujoco_step(seconds: float, _cores: int) -> float:
 
 
 def mujoco_floor(robot: Path) -> Callable[[float, int], float]:
-    """The file's robot on a plane; random targets of its servos; it begins anew every 2 s."""
+    """Speed of `mj_step` with the file's robot on a plane, with random targets of its servos. The robot is reset every
+    2 s."""
 
     def measure(seconds: float, _cores: int) -> float:
         import mujoco
@@ -114,7 +121,7 @@ def mujoco_floor(robot: Path) -> Callable[[float, int], float]:
 
 
 def ant_steps(pool: Any, envs: int, seconds: float) -> float:
-    """Speed of a vector of Ants, with random actions drawn beforehand."""
+    """Speed of a vector of Ants. Its random actions are drawn before the measurement."""
     import numpy as np
 
     actions = np.random.default_rng(0).uniform(-1, 1, (16, envs, 8))
@@ -183,7 +190,7 @@ def rows(binary: Path, robot: Path) -> dict[str, Callable[[float, int], float]]:
 
 
 def child(binary: Path, robot: Path, name: str, seconds: float, cores: list[int]) -> float:
-    """Measures one row in a process of its own, pinned before any library starts threads."""
+    """Measures one row in a new process, which is pinned to cores before any library starts threads."""
     command = [sys.executable, __file__, "--binary", binary, "--robot", robot, "--only", name, "--seconds", seconds]
     output = subprocess.run(
         list(map(str, command)),
@@ -198,7 +205,7 @@ def child(binary: Path, robot: Path, name: str, seconds: float, cores: list[int]
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--binary", type=Path, default=ROOT / "target/release/sandgait")
-    parser.add_argument("--robot", type=Path, default=ROOT / "robots/sandcat.xml", help="MJCF")
+    parser.add_argument("--robot", type=Path, default=ROOT / "robots/sandcat.xml", help="MJCF file of a robot")
     parser.add_argument("--seconds", type=float, default=2.0)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--only", help=argparse.SUPPRESS)

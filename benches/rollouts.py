@@ -1,5 +1,5 @@
-"""Speed of rollouts of 150 steps compared with steps in process, as environment steps a second: Rust and Python
-clients.
+"""Measures rollouts of 150 steps with clients in Rust and Python, and compares them with steps in this process; in
+environment steps per second.
 
 usage: taskset -c 0 python benches/rollouts.py [--envs 16 64 256 1024] [--seconds 1]
 """
@@ -21,7 +21,7 @@ STEPS = 150
 
 
 def rust(envs: int, through: str, seconds: float) -> float:
-    """Speed by `sandgait bench`, one thread; the median of five repeats that take `seconds` together."""
+    """Speed of `sandgait bench` with one thread: the median of five repeats, which take `seconds` together."""
     options = ["--envs", str(envs), "--threads", "1", "--repeats", "5", "--seconds", str(seconds / 5), "--json"]
     command = [*server.command(), "bench", "--through", through, *options]
     result = subprocess.run(command, capture_output=True, text=True, check=True)
@@ -29,7 +29,7 @@ def rust(envs: int, through: str, seconds: float) -> float:
 
 
 def python(envs: int, trajectories: bool, seconds: float) -> float:
-    """Speed through a separate server; the median over single rollouts."""
+    """Speed of rollouts on a separate server: the median over single rollouts."""
     env = sandgait.SandgaitVectorEnv(ID, envs)
     env.reset(seed=0)
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (STEPS, envs, 6)).astype(np.float32)
@@ -46,8 +46,8 @@ def python(envs: int, trajectories: bool, seconds: float) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n\n", maxsplit=1)[0])
     parser.add_argument("--envs", type=int, nargs="+", default=[16, 64, 256, 1024])
-    parser.add_argument("--seconds", type=float, default=1.0, help="length of one measurement")
-    parser.add_argument("--python-only", action="store_true", help="of Rust only the steps in process")
+    parser.add_argument("--seconds", type=float, default=1.0, help="duration of one measurement [s]")
+    parser.add_argument("--python-only", action="store_true", help="leave out rollouts with the client in Rust")
     arguments = parser.parse_args()
     print("envs  in process   rust: returns, trajectories   python: returns, trajectories")
     for envs in arguments.envs:

@@ -1,8 +1,8 @@
-"""Sharding: the same batch on one server of one thread, on two of them, and on one of two threads, in turns.
+"""Compares the same batch on one server with one thread, on two such servers, and on one server with two threads.
 
 usage: python benches/shards.py [--envs 256 4096] [--seconds 0.5] [--rounds 5] [--json]
 
-The rounds interleave the three, so other work of the machine affects all of them; compare the ratios of each round.
+Each round measures all three, so other work of the machine affects all of them. Compare the ratios of each round.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from sandgait import server
 
 ID = "sandgait/HexapodGait-v1"
 
-#: Threads of each server.
+#: Number of threads of each server, for each setup.
 SETUPS = {"one server, 1 thread": [1], "two servers, 1 thread each": [1, 1], "one server, 2 threads": [2]}
 
 
 @contextlib.contextmanager
 def serving(threads: int) -> Iterator[str]:
-    """The address of a server."""
+    """Starts a server; yields its address."""
     command = [*server.command(), "serve", "--listen", "127.0.0.1:0", "--threads", str(threads)]
     pipe = subprocess.PIPE
     with subprocess.Popen([*command, "--exit-on-stdin-close"], stdin=pipe, stdout=pipe, text=True) as process:
@@ -36,7 +36,7 @@ def serving(threads: int) -> Iterator[str]:
 
 
 def speed(env: sandgait.SandgaitVectorEnv, seconds: float) -> float:
-    """Environment steps a second."""
+    """Environment steps per second."""
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (16, env.num_envs, 6)).astype(np.float32)
     steps, start = 0, time.perf_counter()
     while (elapsed := time.perf_counter() - start) < seconds:
@@ -46,7 +46,7 @@ def speed(env: sandgait.SandgaitVectorEnv, seconds: float) -> float:
 
 
 def measure(envs: int, seconds: float, rounds: int) -> dict[str, list[float]]:
-    """Speeds of each setup, one a round."""
+    """Speeds of each setup, one for each round."""
     speeds: dict[str, list[float]] = {name: [] for name in SETUPS}
     with contextlib.ExitStack() as stack:
         batches = {}
@@ -64,7 +64,7 @@ def measure(envs: int, seconds: float, rounds: int) -> dict[str, list[float]]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n\n", maxsplit=1)[0])
     parser.add_argument("--envs", type=int, nargs="+", default=[256, 4096])
-    parser.add_argument("--seconds", type=float, default=0.5, help="length of one measurement")
+    parser.add_argument("--seconds", type=float, default=0.5, help="duration of one measurement [s]")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()

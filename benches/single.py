@@ -1,9 +1,9 @@
-"""Speed of the usual first programs, compared with the peers, in turns, each in a process of its own:
+"""Compares the speed of simple programs with sandgait and with others, in turns, each in a process of its own:
 
-a step of `gymnasium.make`, as every tutorial writes it, and of gymnasium's own Ant-v5: median [µs];
-a vector of 8 environments here and EnvPool's Ant-v5 with 8: environment steps a second.
+- a step of one environment from `gymnasium.make`, and of gymnasium's Ant-v5: median [µs]
+- a vector of 8 environments, and EnvPool's Ant-v5 with 8: environment steps per second
 
-Needs sandgait, gymnasium[mujoco] and envpool in one environment.
+It needs sandgait, gymnasium[mujoco] and envpool in one environment.
 
 usage: python benches/single.py [--seconds 1] [--rounds 5]
 """
@@ -21,12 +21,12 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-#: Environments of a small vector.
+#: Number of environments of the vector.
 SMALL = 8
 
 
 def single(id: str, seconds: float) -> float:
-    """Median of a step with random actions [µs]; episodes end and begin."""
+    """Median time of a step with random actions [µs]. Ends of episodes are included."""
     env = gymnasium.make(id)
     env.reset(seed=0)
     env.action_space.seed(0)
@@ -42,7 +42,7 @@ def single(id: str, seconds: float) -> float:
 
 
 def vector(env: Any, seconds: float) -> float:
-    """Environment steps a second with random actions."""
+    """Environment steps per second with random actions."""
     space = env.action_space
     random = np.random.default_rng(0)
     low, high = np.ravel(space.low)[: space.shape[-1]], np.ravel(space.high)[: space.shape[-1]]

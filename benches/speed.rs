@@ -1,5 +1,5 @@
-//! Times of the parts of a step: one segment, one time step of a robot, a step of the pool, a step through the
-//! service.
+//! Measures the parts of a step: the force on one segment, a time step of a robot, a step of the pool, and a step
+//! through the service.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use sandgait::bench::{Direct, Remote, Stepper, random_actions};
@@ -20,7 +20,7 @@ fn sand() -> Medium {
     Medium::named("poppy-loose").unwrap()
 }
 
-/// One segment in `f64`, by each law.
+/// The force on one segment, in `f64`, with each law.
 fn segment(c: &mut Criterion) {
     let mut group = c.benchmark_group("segment");
     for law in Law::ALL {
@@ -31,14 +31,14 @@ fn segment(c: &mut Criterion) {
     group.finish();
 }
 
-/// A walking robot's state, and the command that makes it walk.
+/// The state of a walking robot, and the command with which it walks.
 fn walking(model: &Model) -> (State, Command) {
     let angles = model.tripod_angles();
     let state = State::at_rest(model.standing_height(&angles), &angles);
     (state, Command { rates: vec![6.0; model.joints()], torques: vec![0.0; model.joints()], targets: vec![] })
 }
 
-/// A time step of one robot: on each instruction set of this machine, and on rapier.
+/// A time step of one robot: with each instruction set of this machine, and with engine `rapier`.
 fn substep(c: &mut Criterion) {
     let mut group = c.benchmark_group("substep");
     let model = Model::new(&Robot::load("xplorer").unwrap(), &Scene::flat(sand())).unwrap();
@@ -61,7 +61,7 @@ fn substep(c: &mut Criterion) {
     group.finish();
 }
 
-/// Environment steps: the pool with one and two threads, and the service.
+/// Control steps: of the pool with one and with two threads, and of the service.
 fn steps(c: &mut Criterion) {
     let blueprint = Blueprint::new(TASK, json!({})).unwrap();
     let width = blueprint.task.spec().action.len();

@@ -1,10 +1,11 @@
 # %% [markdown]
 # # Does a diagnosis make better gaits?
 #
-# A sand differs from its textbook numbers in two ways that nobody tells us. We measure leg forces on it, let the
-# diagnosis extend the textbook sand, train one gait on each, and let both walk on the true sand. Run as a script or
-# cell by cell; two to five minutes on two cores. The true sand was fixed before any gait was trained: batches of one
-# medium differ by 20 to 40 % in strength, and λ = 1.1 is the published inertial drag of an oblique plate.
+# A sand differs from its textbook numbers in two ways, which the diagnosis does not know. We measure leg forces on this
+# sand, and the diagnosis extends the textbook sand. Then we train gaits on the textbook sand, on the extended sand and
+# on the true sand, and evaluate all of them on the true sand. Run this file as a script or cell by cell; it takes two
+# to five minutes on two cores. The true sand was chosen before any gait was trained: batches of one medium differ by 20
+# to 40 % in strength, and λ = 1.1 is the published inertial drag of an oblique plate.
 
 # %%
 from __future__ import annotations
@@ -52,13 +53,14 @@ EXPERIMENT = {
 # %% [markdown]
 # ## Measuring
 #
-# Legs rotated through the true sand: three shapes, three speeds, two heights, three repetitions. Every trial has its
-# own bed (5 % in strength), grains that push unevenly (4 %, correlated from sample to sample) and a sensor (0.03 N).
+# Legs of three shapes rotate through the true sand, at three speeds and two heights, with three repetitions. Each trial
+# has errors: its bed's strength (5 %), the force of single grains (4 %, correlated from sample to sample) and the
+# sensor (0.03 N).
 
 
 # %%
 def measured_forces(truth: Path, generator: np.random.Generator, samples: int = 40) -> pd.DataFrame:
-    """A force log of the sand `truth`, noise included."""
+    """A force log of the sand `truth`, with noise."""
     trials = []
     for shape in ("L", "revL", "flat"):
         for omega in (0.5, 5.0, 15.0):
@@ -93,10 +95,11 @@ def noisy(clean: dict[str, Numbers], generator: np.random.Generator) -> dict[str
 # %% [markdown]
 # ## Gaits
 #
-# Six numbers make a gait: how fast the hips turn for a commanded speed (a parabola), how that changes along the turn,
-# and how strongly the two tripods hold each other half a turn apart. It sees the command and its own hips, as a robot
-# without a motion-capture hall does. The cross-entropy method learns them: 64 gaits a generation, four episodes each,
-# the best ten make the next. All sands get the same budget and the same seeds.
+# A gait has six numbers: the hips' speed as a parabola of the commanded speed, the change of this speed along the turn,
+# and the strength with which the two tripods are kept half a turn apart. Its inputs are the command and the hips'
+# angles and speeds, which a robot knows without motion capture. The cross-entropy method learns the numbers: a
+# generation has 64 gaits with four episodes each, and the next generation is drawn around the best ten. The budget and
+# the seeds are the same for all sands.
 
 # %%
 ID = "sandgait/HexapodGait-v1"
@@ -108,7 +111,7 @@ SINE, COSINE, COMMAND = slice(9, 15), slice(15, 21), 39
 
 
 def actions(gaits: Numbers, rows: npt.NDArray[np.float32]) -> Numbers:
-    """Hip speeds [rows, 6] of one gait a row: `gaits` is [rows, 6]."""
+    """Hip speeds [rows, 6]. Row i of `gaits` [rows, 6] is the gait of row i."""
     sine, cosine, command = rows[:, SINE], rows[:, COSINE], rows[:, [COMMAND]] / 0.4
     base, linear, square, fore, down, hold = (gaits[:, [k]] for k in range(6))
     other = [np.stack([x[:, side != TRIPODS].mean(axis=1) for side in TRIPODS], axis=1) for x in (sine, cosine)]
@@ -119,7 +122,7 @@ def actions(gaits: Numbers, rows: npt.NDArray[np.float32]) -> Numbers:
 
 
 def returns(env: sandgait.SandgaitVectorEnv, gaits: Numbers, seed: int) -> tuple[Numbers, Numbers]:
-    """Sum of rewards and mean speed error [m/s] of one episode a row."""
+    """Sum of rewards and mean speed error [m/s] of each gait's episode."""
     rows, _ = env.reset(seed=seed)
     total, error, running = np.zeros(len(gaits)), np.zeros(len(gaits)), np.ones(len(gaits), dtype=np.bool_)
     for _ in range(STEPS):
@@ -131,7 +134,7 @@ def returns(env: sandgait.SandgaitVectorEnv, gaits: Numbers, seed: int) -> tuple
 
 
 def learn(sand: Path, seed: int, generations: int) -> Numbers:
-    """The result of the cross-entropy method."""
+    """The gait that the cross-entropy method finds on `sand`."""
     generator = np.random.default_rng(seed)
     env = sandgait.SandgaitVectorEnv(ID, GAITS * EPISODES, sand=sand, max_episode_steps=STEPS)
     mean, spread = START, np.full(len(START), 0.3)
@@ -145,7 +148,7 @@ def learn(sand: Path, seed: int, generations: int) -> Numbers:
 
 
 def interval(rows: Numbers, generator: np.random.Generator) -> tuple[float, float, float]:
-    """Mean of `rows` [training seeds, evaluation seeds] and its 95 % interval, by a bootstrap over both seeds with
+    """Mean of `rows` [training seeds, evaluation seeds], and its 95 % interval from a bootstrap over both seeds with
     2000 draws."""
     trained, played = rows.shape
     again = [
@@ -164,8 +167,8 @@ def interval(rows: Numbers, generator: np.random.Generator) -> tuple[float, floa
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description="Gaits learnt on a diagnosed sand and on the textbook's")
     parser.add_argument("--seeds", type=int, default=3, help="trainings on each sand")
-    parser.add_argument("--generations", type=int, default=25, help="of each training")
-    parser.add_argument("--evaluations", type=int, default=200, help="unseen episodes that every gait walks")
+    parser.add_argument("--generations", type=int, default=25, help="generations of each training")
+    parser.add_argument("--evaluations", type=int, default=200, help="episodes for the evaluation of each gait")
     parser.add_argument("--out", type=Path, default=Path("runs/close_the_loop"))
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)

@@ -1,5 +1,5 @@
-//! Walking speed over the time step for both engines, the table of docs/convergence.md. `cargo run --release
-//! --example convergence_study` (or `make study-convergence`)
+//! Measures the walking speed over the time step for both engines and prints the table of docs/convergence.md.
+//! `cargo run --release --example convergence_study` (or `make study-convergence`)
 
 use sandgait::number::Isa;
 use sandgait::sand::Medium;

@@ -1,9 +1,9 @@
 # %% [markdown]
 # # Which leg walks best?
 #
-# The reference hexapod walks over loose poppy seeds with legs of any knee angle ξ (ξ > 0: the convex side leads, 45° is
-# the L-leg) at any stride frequency. Hundreds of walks take seconds. Run as a script or cell by cell; needs
-# `sandgait[plot]`.
+# The reference hexapod walks on loose poppy seeds, with legs of different knee angles ξ and at different stride
+# frequencies. With ξ > 0 the convex side of a leg leads; the L-leg has 45°. Hundreds of walks take seconds. Run this
+# file as a script or cell by cell. It needs `sandgait[plot]`.
 
 # %%
 from pathlib import Path
@@ -31,14 +31,14 @@ for word, best in (("fastest", fastest), ("cheapest", cheapest)):
 # %% [markdown]
 # ## A search
 #
-# Knee angle and length of the leg at 2 Hz, both at once: a particle swarm between the bounds.
+# A particle swarm searches for the best knee angle and leg length together, at 2 Hz and between given bounds.
 
 # %%
 found = sandgait.sweep({"xi": [0, 75], "chord": [0.03, 0.05]}, optimize="speed").best()
 print(f"best at 2 Hz: ξ = {found['xi']:.1f}°, chord {1000 * found['chord']:.1f} mm: {100 * found['speed']:.1f} cm/s")
 
 # %% [markdown]
-# ## Does it hold on other sands?
+# ## Is the result the same on other sands?
 
 # %%
 MEDIA = ("poppy-loose", "poppy-close", "quikrete-medium")

@@ -1,9 +1,9 @@
 # %% [markdown]
 # # What does the simulation get wrong about my data?
 #
-# A force log says where plain resistive force theory errs. The diagnosis names the cause, extends the sand, and says
-# what the extension is worth on conditions held out. Then the robot walks on the extended sand. Run as a script or cell
-# by cell; needs `sandgait[plot]`.
+# A force log shows where plain resistive force theory is wrong. The diagnosis names the cause, extends the sand, and
+# measures the gain of the extended sand on held-out conditions. Then the robot walks on the extended sand. Run this
+# file as a script or cell by cell. It needs `sandgait[plot]`.
 
 # %%
 from pathlib import Path
@@ -21,8 +21,8 @@ OUT.mkdir(parents=True, exist_ok=True)
 # %% [markdown]
 # ## The data
 #
-# One row a sample, SI units; repetitions of a condition tell noise from misfit. The log comes from a paper laboratory,
-# so its truth is known: one effect beyond plain theory, `inertial_drag` = 0.393.
+# The log has one row for each sample, in SI units. Repetitions of a condition show which errors are noise. The log is
+# simulated, so its true cause is known: `inertial_drag` = 0.393.
 
 # %%
 log = pd.read_csv(DATA / "force_log.csv", dtype={"trial": str, "condition": str})
@@ -42,13 +42,13 @@ print(f"error on held-out conditions: {gain['held_out_rmse_plain']:.3f} N plain,
 print(f"{gain['held_out_rmse_extended']:.3f} N extended; repetitions scatter by {gain['noise_floor']:.3f} N")
 
 # %%
-diagnosis.save(OUT)  # report.html is the whole record, with figures; sand.toml is what simulations load
+diagnosis.save(OUT)  # writes the report with figures (report.html) and the extended sand for simulations (sand.toml)
 diagnosis.plot().savefig(OUT / "curves.png", dpi=120)
 
 # %% [markdown]
-# ## What it means for a walk
+# ## The effect on a walk
 #
-# Every study and every environment takes the sand that the diagnosis saved.
+# The file sand.toml of the diagnosis is an option of every study and of every environment.
 
 # %%
 frequency = np.arange(1.0, 5.01, 0.5)

@@ -1,9 +1,10 @@
 //! The full study of the diagnosis on data of our own test-bed: writes a table for docs/diagnosis_study.md.
 //!
-//! Usage: diagnosis_study SEEDS NULLS SETS [CAUSES [FIRST]]: seeds a mechanism (3), number of logs with nothing
-//! hidden (40), and walking sets a cause (1). CAUSES, ids with commas between, selects the hidden causes (also
-//! `nothing`, `outside`, `forms` and `pairs`); FIRST is the number of the first seed (0). So a long study can be
-//! made in parts, whose tables can be joined.
+//! Usage: diagnosis_study SEEDS NULLS SETS [CAUSES [FIRST]], with defaults in parentheses. SEEDS is the number of logs
+//! for each mechanism (3), NULLS the number of logs without a hidden cause (40), SETS the number of sets of walking
+//! runs for each cause (1). CAUSES selects the hidden causes by their ids, with commas between (also `nothing`,
+//! `outside`, `forms` and `pairs`). FIRST is the number of the first seed (0). With CAUSES and FIRST a long study can
+//! be made in parts, whose tables can be joined.
 
 #[path = "../tests/testbed/walking.rs"]
 mod hall;
@@ -46,8 +47,8 @@ fn report(log: &Log, name: &str) -> Outcome<Report> {
     Ok(diagnosis?.report)
 }
 
-/// Whitened distance [σ] from the truth to the nearest model without `cause`: every other single cause fitted to
-/// the noise-free log.
+/// Distance [σ] from the log without noise to the nearest model without `cause`. Every other single cause is fitted to
+/// this log; the distance is the root of the least whitened sum of squares.
 fn separation(log: &Log, cause: &str, name: &str) -> Outcome<f64> {
     let path = std::env::temp_dir().join(format!("sandgait-clean-{}-{name}.csv", std::process::id()));
     std::fs::write(&path, &log.clean)?;
@@ -95,13 +96,13 @@ fn strength(id: &str, rng: &mut Xoshiro256PlusPlus) -> f64 {
     let Some(entry) = CATALOG.iter().find(|m| m.id == id) else {
         return 1.0;
     };
-    // Typical strengths are visible; 0.1 to 2 of them range from hardly visible to obvious.
+    // A typical strength is visible in a log. Drawn strengths are 0.1 to 2 times the typical one.
     let size = entry.typical * 0.1 * 20f64.powf(rng.random_range(0.0..1.0));
     if entry.bounds[0] < 0.0 && rng.random_range(0..2) == 0 { -size } else { size }
 }
 
-/// A strength from one to six of the mechanism's typical one, with a random sign, four fifths of its bound at most;
-/// for a motor, from one that hardly ever saturates to one that stalls.
+/// A strength of one to six times the mechanism's typical one, with a random sign and at most four fifths of its bound.
+/// For the torque limit: from a value that the motors seldom reach to one at which they stall.
 fn walking_strength(id: usize, rng: &mut Xoshiro256PlusPlus) -> f64 {
     let entry = &CATALOG[id];
     if entry.ceiling {
@@ -153,7 +154,8 @@ fn main() -> Outcome<()> {
     Ok(())
 }
 
-/// Walking runs of engine rapier, with one hidden cause of random strength and sign, or none.
+/// Diagnoses sets of walking runs from engine rapier. Each set has one hidden cause of random strength and sign, or no
+/// cause. Prints one line for each set.
 fn walking(sets: Range<usize>, asked: &dyn Fn(&str) -> bool) -> Outcome<()> {
     let experiment = Experiment::from_toml(hall::EXPERIMENT)?;
     println!(

@@ -1,5 +1,4 @@
-"""How good is a gait? Returns and speeds over seeds that no training uses, for policies and for gaits without
-learning."""
+"""Evaluates policies and gaits without learning: returns and speeds over seeds that no training uses."""
 
 from __future__ import annotations
 
@@ -17,7 +16,7 @@ GAIT = "sandgait/HexapodGait-v1"
 #: Training uses small seeds; the seeds of an evaluation start here.
 FIRST_SEED = 1_000_000
 
-#: Below this [m/s] a robot stands: a tenth of the slowest command.
+#: A robot with a lower speed [m/s] counts as standing: a tenth of the slowest command.
 LEAST_SPEED = 0.01
 
 Rows = npt.NDArray[np.float32]
@@ -28,7 +27,7 @@ Policy = Callable[[Rows], npt.NDArray[Any]]
 
 @dataclass
 class Score:
-    """Results of one gait; each array has one entry an episode."""
+    """Results of one gait; each array has one entry for each episode."""
 
     name: str
     #: Sum of rewards.
@@ -39,9 +38,9 @@ class Score:
     commanded: Values
     #: Mechanical power [W].
     power: Values
-    #: Mechanical work / (weight · distance); NaN where the robot stands or the task does not tell the weight.
+    #: Mechanical work / (weight · distance); NaN if the robot stands or the task has no figure for the weight.
     cost_of_transport: Values
-    #: Whether the robot flipped or sank.
+    #: Did the robot overturn or sink?
     fell: npt.NDArray[np.bool_]
 
     @property
@@ -67,10 +66,10 @@ class Score:
 def evaluate(
     name: str, policy: Policy, task: str = GAIT, address: str | None = None, seeds: int = 100, **options: Any
 ) -> Score:
-    """Plays one episode for each of `seeds` unseen seeds."""
+    """Runs one episode for each of `seeds` seeds that no training uses."""
     env = sandgait.SandgaitVectorEnv(task, seeds, address, **options)
     observations, _ = env.reset(seed=FIRST_SEED)
-    # LeggedVelocity turns, so its speed is that along the base, and its command has three parts.
+    # A robot of LeggedVelocity turns, so its speed is measured along its base. Its command has three parts.
     turns = "command_lin_vel_x" in [column.name for column in env.task.info]
     moved, wanted = ("speed", "command_lin_vel_x") if turns else ("x_velocity", "commanded_speed")
     sums = {key: np.zeros(seeds) for key in ("reward", "steps", moved, wanted, "work")}
@@ -92,23 +91,24 @@ def evaluate(
 
 
 def constant_rate(frequency: float) -> Policy:
-    """Alternating tripod whose legs turn at one rate [Hz]: episodes begin with the two tripods half a turn apart."""
+    """An alternating tripod whose legs turn at a constant rate [Hz]. Episodes begin with the two tripods half a turn
+    apart."""
     return lambda rows: np.full((len(rows), 6), frequency / 5.0)
 
 
 def random_actions(width: int, seed: int = 0) -> Policy:
-    """Uniform in the action space, anew in every step."""
+    """Draws uniform actions in every step."""
     generator = np.random.default_rng(seed)
     return lambda rows: generator.uniform(-1.0, 1.0, (len(rows), width))
 
 
 def learnt(model: Any, normalize: Any) -> Policy:
-    """A stable-baselines3 model with the VecNormalize of its training, without exploration."""
+    """The policy of a stable-baselines3 model without exploration, with the VecNormalize of its training."""
     return lambda rows: model.predict(normalize.normalize_obs(rows), deterministic=True)[0]
 
 
 def best_tripod(address: str | None = None, **options: Any) -> Score:
-    """The constant rate with the highest return, up to the motors' 5 Hz."""
+    """The tripod whose constant rate has the highest return. Rates are at most the motors' 5 Hz."""
     options = {**options, "control": "hip_speed"}
     tripods = [
         evaluate(f"tripod at {f:.2f} Hz, the best rate", constant_rate(f), GAIT, address, **options)
@@ -118,7 +118,7 @@ def best_tripod(address: str | None = None, **options: Any) -> Score:
 
 
 def compare(task: str, address: str | None = None, **options: Any) -> list[Score]:
-    """Gaits without learning, with the same motors and the same unseen seeds as a learnt gait."""
+    """Evaluates gaits without learning, with the motors and the seeds of the learnt gait's evaluation."""
     env = sandgait.SandgaitVectorEnv(task, 1, address, **options)
     width = len(env.task.action)
     env.close()
@@ -137,7 +137,7 @@ def interval(values: npt.NDArray[Any], digits: int) -> str:
 
 
 def table(scores: list[Score]) -> str:
-    """One line a gait."""
+    """A table with one line for each gait."""
     head = ("gait", "return", "speed [m/s]", "speed error [m/s]", "error [%]", "power [W]", "cost of transport", "fell")
     rows = [
         (

@@ -1,9 +1,10 @@
-"""How well does a robot follow commanded velocities? A table, one line a command, for a policy of LeggedVelocity.
+"""Measures how well a robot follows commanded velocities: a table with one line for each command, for a policy of
+LeggedVelocity.
 
     python examples/follow_commands.py runs/go1/policy.onnx --options '{"robot": "go1.xml", "ground": "rigid"}'
 
-Episodes have no randomization (no pushes, nominal sand and masses), and every command is held. Speeds are means over
-the last four of six seconds and over the robots, in the base's frame.
+Episodes have no randomization: no pushes, nominal sand and nominal masses. The command stays the same for an episode.
+Speeds are in the base's frame, and are means over the robots and the last four of six seconds.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ import numpy.typing as npt
 
 import sandgait
 
-#: Forward, sideways [m/s] and yaw [rad/s]: half and nearly all of the training's range, alone and together.
+#: Commands: forward and sideways speed [m/s] and yaw rate [rad/s]. They use half or nearly all of the training's range,
+#: one component alone or several together.
 COMMANDS = (
     (0.5, 0.0, 0.0),
     (0.9, 0.0, 0.0),
@@ -33,7 +35,7 @@ COMMANDS = (
     (0.6, 0.3, 0.0),
 )
 
-#: Robots a command, duration [s], and the time at the start that is not counted [s].
+#: Number of robots for each command, duration [s], and the time at the start that is not counted [s].
 ROBOTS, SECONDS, BEGINNING = 16, 6.0, 2.0
 
 #: Training uses small seeds; the seeds of an evaluation start here.
@@ -42,7 +44,7 @@ FIRST_SEED = 1_000_000
 
 @dataclass
 class Line:
-    """One command, the mean velocity [m/s, m/s, rad/s], and the share of robots that fell."""
+    """A command, the mean velocity [m/s, m/s, rad/s], and the share of robots that fell."""
 
     command: tuple[float, float, float]
     speed: npt.NDArray[np.float64]
@@ -50,13 +52,13 @@ class Line:
 
     @property
     def error(self) -> float:
-        """|velocity − command| / |command|; yaw rates count as in legged_gym's rewards."""
+        """|velocity − command| / |command|. Yaw rates have the same weight as in legged_gym's rewards."""
         command = np.array(self.command)
         return float(np.linalg.norm(self.speed - command) / np.linalg.norm(command))
 
 
 def follow(onnx: Path, command: tuple[float, float, float], options: Mapping[str, Any]) -> Line:
-    """Holds `command` and measures the robots' velocities."""
+    """Runs episodes with the constant `command`, and measures the robots' velocities."""
     names = ("lin_vel_x", "lin_vel_y", "ang_vel_yaw")
     calm = {"push_interval": 0.0, "max_push_vel_xy": 0.0, "friction_range": [1.0, 1.0], "sand_range": [1.0, 1.0]}
     calm |= {"added_mass_range": [0.0, 0.0], "motor_strength_range": [1.0, 1.0]}
@@ -75,7 +77,7 @@ def follow(onnx: Path, command: tuple[float, float, float], options: Mapping[str
 
 
 def table(lines: list[Line]) -> str:
-    """One line a command, and the mean error."""
+    """A table with one line for each command, and a line with the mean error."""
     text = ["forward  sideways  yaw (commanded)    forward  sideways    yaw   error   fell"]
     for line in lines:
         (a, b, c), (x, y, w) = line.command, line.speed
@@ -87,7 +89,7 @@ def table(lines: list[Line]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n\n", maxsplit=1)[0])
     parser.add_argument("policy", type=Path, help="policy.onnx of `sandgait train` or of sandgait.export_onnx")
-    parser.add_argument("--options", type=json.loads, default={}, help="the options that it was trained with, as JSON")
+    parser.add_argument("--options", type=json.loads, default={}, help="the options of the policy's training, as JSON")
     arguments = parser.parse_args()
     print(table([follow(arguments.policy, command, arguments.options) for command in COMMANDS]))
 

@@ -1,8 +1,9 @@
 # %% [markdown]
 # # Forces on a leg that rotates through sand
 #
-# A leg turns about a hip fixed 2 cm above the sand, as on a robot arm (Li et al. 2012, section 3). How do its shape and
-# the sand change lift and drag? Run as a script or cell by cell; needs `sandgait[plot]`.
+# A leg turns about a hip that is fixed 2 cm above the sand, as in the experiments of Li et al. 2012, section 3. How do
+# the leg's shape and the sand change lift and drag? Run this file as a script or cell by cell. It needs
+# `sandgait[plot]`.
 
 # %%
 from pathlib import Path
@@ -18,7 +19,7 @@ OUT.parent.mkdir(exist_ok=True)
 # %% [markdown]
 # ## Shapes
 #
-# The convex side of an L- or C-leg leads when it walks forward; reversed, the concave side does.
+# When a robot walks forward, the convex side of an L- or C-leg leads. With reversed legs the concave side leads.
 
 # %%
 SHAPES = {"L": "L", "revL": "reversed L", "C": "C", "revC": "reversed C", "flat": "flat"}
@@ -32,7 +33,7 @@ for name, forces in by_shape.items():
 # %% [markdown]
 # ## Sands
 #
-# The same L-leg in sands whose stiffness is published. Everything is also there as a pandas frame.
+# The same L-leg rotates in different sands whose stiffness is published. The results are also a pandas DataFrame.
 
 # %%
 MEDIA = ("poppy-loose", "poppy-close", "glass-beads", "plastic-pellets")

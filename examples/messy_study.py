@@ -1,12 +1,12 @@
-"""How well the diagnosis works on force logs with all errors of a laboratory at once.
+"""Measures how well the diagnosis works on simulated force logs that have all errors of a laboratory together.
 
 usage: messy_study.py SANDGAIT KIND FIRST COUNT      KIND: nulls, singles, pairs, laws, outside, or a mechanism's id
 
-The generator is written from the equations in docs/physics.md and shares no code with the tool. Every log has
-an offset and a drift in each channel of each trial, a bed whose strength scatters, a surface that is logged wrong,
-grain noise along the path, sensor noise and steps of the load cell, and wrong coefficients; by chance one channel is
-filtered, trials start from rest, samples are uneven or at a fixed rate, Ty is missing. Prints one line a log and a
-tally. Needs numpy.
+The generator of the logs is written from the equations in docs/physics.md and shares no code with sandgait. Every log
+has these errors: an offset and a drift in each channel of each trial, a bed whose strength scatters, a wrong height of
+the surface, grain noise along the path, sensor noise, a load cell of finite resolution, and wrong coefficients. Some
+logs have further errors, by chance: one channel is filtered, trials start from rest, samples are uneven or at a fixed
+rate, or Ty is missing. The program prints one line for each log, and counts of the verdicts. It needs numpy.
 """
 
 import json
@@ -29,7 +29,7 @@ HEADER = (
     "trial,condition,rep,kind,shape,medium,hip_z,plate_beta,plate_gamma,"
     "pass,pass_dx,x_bed,t,theta,omega,x,z,vx,vz,Fx,Fz,Ty"
 )
-FINE = 500  # instants a trial at which the force is computed; filters run on them
+FINE = 500  # times of a trial at which the force is computed; filters use the force at these times
 
 EXPERIMENT = """kind = "intrusion"
 medium = "poppy-loose"
@@ -56,7 +56,7 @@ length = 0.038
 width = 0.025
 """
 
-# Strengths as published for dry and slightly cohesive sands, or as usual in laboratories where nothing is published.
+# Strengths that are published for dry and slightly cohesive sands, or else usual in laboratories.
 CAUSES: dict[str, tuple[float, float, bool]] = {
     "inertial_drag": (1.1, 2.8, False),
     "concave_fill": (0.4, 1.0, False),
@@ -73,7 +73,7 @@ CAUSES: dict[str, tuple[float, float, bool]] = {
 
 
 def segments(shape: str, pieces: int = 16) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Centres, tilts and areas of panels at Gauss-Legendre points, and whether they belong to the chord."""
+    """Centres, tilts and areas of panels at Gauss-Legendre points; and for each panel: does it belong to the chord?"""
     nodes, weights = np.polynomial.legendre.leggauss(pieces)
     if shape == "plate":
         ends = [((-PLATE / 2, 0.0), (PLATE / 2, 0.0), False)]
@@ -143,15 +143,15 @@ def law(
         stress = normal[..., None] * n + share[..., None] * along
     push = hidden.get("inertial_drag", 0.0) * DENSITY * vn**2 + hidden.get("cohesion", 0.0) * np.tanh(vn / 1e-3)
     push = push + hidden.get("added_mass", 0.0) * DENSITY * WIDTH * dvn
-    if "law" in hidden:  # a law that is no mechanism: coefficient · ρ g |z| · Fr^a · (|z|/w)^b
-        under = np.maximum(under, 1e-9)  # above the surface it is negative, and has no such powers
+    if "law" in hidden:  # a law outside of the catalogue: coefficient · ρ g |z| · Fr^a · (|z|/w)^b
+        under = np.maximum(under, 1e-9)  # because powers of a negative depth, above the surface, are not defined
         froude = vn**2 / (9.81 * under)
         push = push + hidden["law"] * DENSITY * 9.81 * under * froude ** hidden["a"] * (under / WIDTH) ** hidden["b"]
     return np.asarray((stress - push[..., None] * n) * (depth > 0)[..., None])
 
 
 def outside(hidden: dict[str, float], x: Array, z: Array, along: Array, depth: Array) -> Array:
-    """Causes that are not in the catalogue: a wall, a crust, stick and slip, a buried stone."""
+    """Forces of causes that are not in the catalogue: a wall, a crust, stick and slip, a buried stone."""
     factor = 1 + hidden.get("wall", 0.0) * np.exp(-np.maximum(0.12 - x, 0.0) / 0.04)
     factor = factor * np.where(depth < 0.012, 1 + hidden.get("crust", 0.0), 1.0)
     factor = factor * (1 + hidden.get("stick_slip", 0.0) * np.sin(2 * math.pi * along / 0.02))
@@ -160,7 +160,7 @@ def outside(hidden: dict[str, float], x: Array, z: Array, along: Array, depth: A
 
 
 def path(trial: dict[str, Any], t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Position, speed and acceleration: ramps at both ends, three waves between."""
+    """Position, speed and acceleration along a path. The speed has ramps at both ends and three waves between them."""
     duration, ramp, wave = trial["duration"], trial["ramp"], trial["wave"]
     grid = np.linspace(0.0, duration, 4 * FINE)
     share = grid / duration
@@ -182,7 +182,7 @@ def motion(trial: dict[str, Any], t: Array) -> tuple[Array, Array, Array]:
 
 
 def loads(trial: dict[str, Any], t: Array, hidden: dict[str, float], c: Array, zero: float, bed: float) -> Array:
-    """Fx, Fz, Ty at times t."""
+    """Fx, Fz and Ty at the times t."""
     centres, tilts, areas, chord = segments(trial["shape"])
     where, rate, change = motion(trial, t)
     if trial["kind"] == "leg":
@@ -270,11 +270,11 @@ def log(seed: int, hidden: dict[str, float]) -> tuple[str, dict[str, Any]]:
             zero = float(np.clip(rng.normal(0, rig["zero"]), -2 * rig["zero"], 2 * rig["zero"]))
             bed = 1 + rig["bed"] * rng.standard_normal()
             grid = t
-            if rig["filter"] and trial["duration"] < 3.0:  # in slower trials 5 ms are negligible
+            if rig["filter"] and trial["duration"] < 3.0:  # a filter of 5 ms is negligible in slower trials
                 grid = np.linspace(0.0, trial["duration"], FINE)
             clean = loads(trial, grid, hidden, c, zero, bed)
             if len(grid) == FINE:
-                share = (grid[1] - grid[0]) / 0.005  # exact for a force that is linear between the filter's times
+                share = (grid[1] - grid[0]) / 0.005  # exact if the force is linear between the times
                 keep = math.exp(-share)
                 end = 1 - (1 - keep) / share
                 channel = ["Fx", "Fz"].index(rig["filter"])
@@ -288,7 +288,7 @@ def log(seed: int, hidden: dict[str, float]) -> tuple[str, dict[str, Any]]:
             f = np.column_stack([np.interp(t, grid, clean[:, k]) for k in range(3)])
             way, _, _ = path(trial, t)
             if trial["ramp"] > 0:
-                f[0] = 0.0  # at rest there is no force from the sand yet
+                f[0] = 0.0  # before the motion the sand exerts no force
             size = np.hypot(f[:, 0], f[:, 1])
             for k, arm in enumerate([1.0, 1.0, 0.05]):
                 grain = rng.standard_normal()

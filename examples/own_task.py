@@ -1,10 +1,10 @@
-"""A task of your own: observations, rewards and ends in numpy, on the columns that a sandgait environment gives.
+"""A task of your own in numpy: observations, rewards and ends of episodes from the columns of a sandgait environment.
 
     python examples/own_task.py
 
-`Climb` rewards the height that a hexapod gains, less the work for it. The policy sees gravity and its hips but not its
-own speed, and an episode ends when the robot has tilted too far. The simulation is HexapodGait's; everything else is
-computed here, for all environments at once.
+`Climb` rewards the height that a hexapod gains, minus the cost of its work. The policy observes the direction of
+gravity and the hips, but not the robot's speed. An episode ends when the robot tilts too far. HexapodGait does the
+simulation. This file computes everything else, for all environments together.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from gymnasium.vector.utils import batch_space
 
 import sandgait
 
-#: Columns of HexapodGait's observation that the policy sees, by the beginnings of their names.
+#: First words of the names of the observed columns of HexapodGait.
 SEEN = ("gravity direction", "sine of hip angle", "cosine of hip angle", "hip speed", "previous action")
 
-#: Cost of a joule of work in joules of height; tilt [rad] that ends an episode, and its cost.
+#: Cost of one joule of the hips' work [J]; tilt that ends an episode [rad]; cost of such an end [J].
 WORK_PRICE, LARGEST_TILT, FALL_PRICE = 0.2, 1.0, 5.0
 
 
 class Climb(VectorEnv[Any, Any, Any]):
-    """Height gained for the work it takes, on a slope of 10°."""
+    """Rewards the gain of height minus the cost of the work, on a slope of 10°."""
 
     metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
 
@@ -46,16 +46,16 @@ class Climb(VectorEnv[Any, Any, Any]):
         self.period = 1.0 / task.control_rate
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """First observations."""
+        """Begins episodes; returns their first observations."""
         observations, _ = self.simulation.reset(seed=seed, options=options)
         return observations[:, self.seen], {}
 
     def step(self, actions: npt.NDArray[np.float32]) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """One control step of all environments."""
+        """Makes one control step of all environments."""
         self.simulation.send(actions)
         batch = self.simulation.recv_batch()
-        # Each row of `infos` is one figure of all environments. Where an episode has just ended, the observation is the
-        # first of the next one; the last of the old one is in `final_observations`.
+        # Each row of `infos` is one figure of all environments. If an episode has ended in this step, the row of
+        # `observations` is the first of the next episode, and `final_observations` has the last of the old one.
         last = batch.observations.copy()
         last[batch.final_indices] = batch.final_observations
         fell = np.arccos(np.clip(-last[:, self.up], -1.0, 1.0)) > LARGEST_TILT
@@ -65,7 +65,7 @@ class Climb(VectorEnv[Any, Any, Any]):
         ended = batch.terminated | batch.truncated
         infos: dict[str, Any] = {"height_work": height}
         if (fell & ~ended).any():
-            # These end here although the simulation would go on: only they are reset.
+            # These episodes end by this task's rule, and the simulation would continue them; so they are reset here.
             mask = fell & ~ended
             observations, _ = self.simulation.reset(options={"reset_mask": mask})
             batch.observations[mask] = observations[mask]
@@ -75,12 +75,12 @@ class Climb(VectorEnv[Any, Any, Any]):
         return batch.observations[:, self.seen], rewards, terminated, batch.truncated & ~terminated, infos
 
     def close_extras(self, **_: Any) -> None:
-        """Frees the simulation."""
+        """Closes the simulation and frees its memory."""
         self.simulation.close()
 
 
 def main() -> None:
-    """Random actions around a forward tripod, and their returns."""
+    """Runs random actions around those of a forward tripod, and prints their returns."""
     env = Climb(64)
     generator = np.random.default_rng(0)
     env.reset(seed=0)

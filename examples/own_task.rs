@@ -15,7 +15,7 @@ use sandgait::sim::engine::{Command, EngineKind};
 use sandgait::sim::{Model, State};
 
 options! {
-    /// One line for each option: type, default, bounds, whether a reset can change it, help.
+    /// One line for each option: its type, default, bounds, help, and whether a reset can change it.
     pub struct LevelOptions {
         ..gait: GaitOptions = GaitOptions::default();
         largest_tilt: f64 = 0.8, [0.1, 3.0], reset, "tilt of the base that ends an episode [rad]";
@@ -24,14 +24,14 @@ options! {
 }
 
 reward_terms! {
-    /// One line for each term: default weight, description, function.
+    /// One line for each reward term: its default weight, description and function.
     pub struct LevelWeights of Transition<'_>, weights in [0.0, 100.0] {
         progress: 1.0, "speed uphill / 1 m/s", |t| (t.after.position[0] - t.before.position[0]) / t.period;
         level: 0.2, "cosine of the base's tilt, less 1", |t| t.after.rotation()[2][2] - 1.0;
     }
 }
 
-/// One line for each figure of `info`: name, unit, function.
+/// One line for each figure of `info`: its name, unit and function.
 fn figures() -> Features<fn(&Transition) -> f64> {
     Features::<fn(&Transition) -> f64>::none()
         .free("tilt", "rad", |t| tilt(t.after))

@@ -11,10 +11,12 @@ use std::path::{Path, PathBuf};
 
 /// As wide as the wheels [m].
 const DIAMETER: f64 = 0.06;
-/// Greatest load of a wheel [N]; deeper, the discs' force grows faster than in proportion.
+/// Greatest load of a wheel [N]. The discs are used up to this force, because beyond it their force is not proportional
+/// to the depth any more.
 const MOST_FORCE: f64 = 30.0;
-/// μ_s for the discs' file, which pushes of discs cannot show: tan(0.7 · 35°). Steel in dry sand has 0.54 (smooth)
-/// to 0.76 (rough) of the sand's friction angle (Potyondy 1961), dry sands have 30° to 40°.
+/// Friction coefficient μ_s in the discs' file: tan(0.7 · 35°). It cannot be measured with pushes of discs. The
+/// friction angle of steel in dry sand is 0.54 (smooth) to 0.76 (rough) of the sand's own (Potyondy 1961), which is 30°
+/// to 40°.
 const FRICTION: f64 = 0.46;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -29,7 +31,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let discs = SandDescription {
         name: "cmu-discs".into(),
         source: format!(
-            "ξ_n from discs of {:.0} mm up to {MOST_FORCE} N; range of forces and μ_s chosen after a look at the wheels",
+            "ξ_n was fitted to pushes of a {:.0} mm disc up to {MOST_FORCE} N; this limit and μ_s were chosen after a look at the wheels' rows",
             1e3 * DIAMETER
         ),
         law: Law::Agarwal2023,
@@ -56,7 +58,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// ζ [N/cm³]: force over depth and area through the origin.
+/// ζ [N/cm³]: slope of the line through the origin, of force / area over depth.
 fn discs(path: &Path) -> Result<f64, Box<dyn Error>> {
     const COLUMNS: [Column; 3] = [
         Column::needed("diameter", Quantity::Length),

@@ -1,7 +1,8 @@
-"""RLlib's PPO over a Ray cluster: every node has a server and a runner that steps a batch of its environments.
+"""RLlib's PPO on a Ray cluster. Every node has a server and a runner that steps a batch of the server's environments.
 
-RLlib needs a vector environment with the autoreset mode NEXT_STEP, such as `SandgaitVectorEnv`. A runner
-talks to the server of its own node, so rows stay on the node; RLlib carries episodes to the learner and weights back.
+RLlib needs a vector environment with the autoreset mode NEXT_STEP, such as `SandgaitVectorEnv`. A runner uses the
+server of its own node, so observations and actions do not cross the network. RLlib sends episodes to the learner and
+weights to the runners.
 
 usage: python examples/rllib_ppo.py [--iterations 30] [--runners 1] [--envs 64] [--ray auto]
 """
@@ -20,15 +21,15 @@ import sandgait.ray
 
 ID = "sandgait/HexapodGait-v1"
 
-#: Control steps of every environment between two updates: our choice, 1.3 s.
+#: Control steps of every environment between two updates: our choice, because 1.3 s have some strides.
 STEPS = 64
 
-#: PPO's numbers: our choice, near the defaults of Stable-baselines3, untuned.
+#: Hyperparameters of PPO: our choice, close to the defaults of stable-baselines3 and untuned.
 TRAINING = {"lr": 3e-4, "gamma": 0.99, "lambda_": 0.95, "clip_param": 0.2, "num_epochs": 5, "minibatch_size": 512}
 
 
 def build(servers: sandgait.ray.Servers, runners: int, envs: int, seed: int = 0, **options: Any) -> PPO:
-    """PPO with `runners` runners of `envs` environments each; `options` are the task's."""
+    """PPO with `runners` runners, each with `envs` environments. `options`: options of the task."""
     addresses = dict(zip(servers.nodes, servers.addresses, strict=True))
 
     def make(context: Any) -> sandgait.SandgaitVectorEnv:
@@ -52,7 +53,7 @@ def build(servers: sandgait.ray.Servers, runners: int, envs: int, seed: int = 0,
 
 
 def train(algorithm: PPO, iterations: int) -> list[float]:
-    """Mean return of the episodes that ended in each iteration; NaN while none has ended."""
+    """Mean return of the episodes that ended in each iteration; NaN before the first end of an episode."""
     curve = []
     for iteration in range(iterations):
         runners = algorithm.train()["env_runners"]
@@ -65,9 +66,11 @@ def train(algorithm: PPO, iterations: int) -> list[float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n\n", maxsplit=1)[0])
     parser.add_argument("--iterations", type=int, default=30)
-    parser.add_argument("--runners", type=int, default=1, help="each needs a processor that Ray counts")
-    parser.add_argument("--envs", type=int, default=64, help="environments of a runner")
-    parser.add_argument("--ray", default=None, metavar="ADDRESS", help="of a running cluster; none: this machine")
+    parser.add_argument("--runners", type=int, default=1, help="number of runners; Ray must have a processor for each")
+    parser.add_argument("--envs", type=int, default=64, help="environments of each runner")
+    parser.add_argument(
+        "--ray", default=None, metavar="ADDRESS", help="address of a running cluster; by default this machine"
+    )
     arguments = parser.parse_args()
     ray.init(arguments.ray, log_to_driver=False)
     with sandgait.ray.serve() as servers:

@@ -1,10 +1,10 @@
-//! Does a robot ever pass through a rock? Random actions among rocks, whole episodes, overlaps measured by geometry
-//! that the engine does not use. `cargo run --release --example rocks_study [EPISODES] [STEPS] [FIRST_SEED]`
+//! Checks that robots do not pass through rocks: whole episodes of random actions among rocks. Overlaps are computed by
+//! other code than the engine's. `cargo run --release --example rocks_study [EPISODES] [STEPS] [FIRST_SEED]`
 //!
 //! Prints the deepest overlap of each episode's legs (middle surface of the strips) and base with any obstacle
 //! after a control step, as quantiles over episodes. For overlaps between control steps it also interpolates poses
-//! (angles and positions linear), and prints the deepest overlap as a share of the depth of the obstacle's centre:
-//! a body that passes through a middle reaches nearly 1.
+//! (angles and positions linear), and prints the deepest overlap as a share of the depth of the obstacle's centre. This
+//! share is nearly 1 for a body that passes through an obstacle's centre.
 
 use sandgait::env::random::Random;
 use sandgait::env::registry::Blueprint;
@@ -17,21 +17,21 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// Number of poses between two control steps: a leg's tip moves at most 4 mm from one to the next.
 const BETWEEN: usize = 8;
 
-/// An overlap beyond this share of the depth of an obstacle's centre counts as passing through: our choice, half
-/// way in.
+/// An overlap beyond this share of the depth of an obstacle's centre counts as passing through: our choice, because a
+/// body that is half way to the centre will hardly be pushed out again.
 const THROUGH: f64 = 0.5;
 
 /// Results of one episode.
 struct Episode {
     /// Deepest overlap [m].
     overlap: f64,
-    /// Largest share of an obstacle's own depth, poses between the control steps included.
+    /// Deepest overlap as a share of the depth of the obstacle's centre, also at poses between the control steps.
     share: f64,
-    /// Distance from start to end [m].
+    /// Distance of the robot from start to end [m].
     distance: f64,
     diverged: bool,
     obstacles: usize,
-    /// Loose rocks that moved more than 5 mm along the surface.
+    /// Number of loose rocks that moved by more than 5 mm along the surface.
     pushed: usize,
 }
 
@@ -39,7 +39,7 @@ fn mix<const N: usize>(a: [f64; N], b: [f64; N], part: f64) -> [f64; N] {
     std::array::from_fn(|i| a[i] + part * (b[i] - a[i]))
 }
 
-/// Between two orientations less than half a turn apart.
+/// Interpolates between two orientations that are less than half a turn apart.
 fn mix_turn(a: [f64; 4], b: [f64; 4], part: f64) -> [f64; 4] {
     let same_side = a.iter().zip(&b).map(|(a, b)| a * b).sum::<f64>() >= 0.0;
     let q = mix(a, b.map(|c| if same_side { c } else { -c }), part);
@@ -47,12 +47,12 @@ fn mix_turn(a: [f64; 4], b: [f64; 4], part: f64) -> [f64; 4] {
     q.map(|c| c / norm)
 }
 
-/// The pose `part` of the way from `a` to `b`; speeds are `a`'s.
+/// The state at the share `part` of the way from `a` to `b`. Speeds are those of `a`.
 fn between(a: &State, b: &State, part: f64) -> State {
     let mut pose = a.clone();
     pose.position = mix(a.position, b.position, part);
     pose.orientation = mix_turn(a.orientation, b.orientation, part);
-    // The shorter way round: a hinge turns less than half a turn in a control step.
+    // The shorter of the two directions, because a hinge turns by less than half a turn in a control step.
     let shorter = |turn: f64| (turn + PI).rem_euclid(TAU) - PI;
     pose.angles.iter_mut().zip(&b.angles).for_each(|(angle, end)| *angle += part * shorter(end - *angle));
     let object = |(a, b): (&ObjectState, &ObjectState)| ObjectState {
@@ -77,8 +77,8 @@ fn episode(blueprint: &Blueprint, seed: u64, steps: usize) -> sandgait::Result<E
     let substeps = (1.0 / (task.spec().control_rate * model.scene.dt)).round() as usize;
     let (mut most, mut share): (f64, f64) = (0.0, 0.0);
     for step in 0..steps {
-        // A new random action every 0.2 s: long enough to reach speed. In half of the episodes the mean action is
-        // forward.
+        // A new random action every 0.2 s, in which the hips reach their speed. In half of the episodes the mean action
+        // is forward.
         if step % 10 == 0 {
             let low = if seed.is_multiple_of(2) { -1.0 } else { 0.0 };
             action.iter_mut().for_each(|a| *a = random.uniform(low, 1.0) as f32);

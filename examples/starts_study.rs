@@ -1,6 +1,6 @@
-//! Walking speed at 1 ms compared with the converged reference: means over 24 starts where legs stick and slip, and
-//! each mechanism alone; the tables at the end of docs/convergence.md. `cargo run --release --example starts_study`
-//! (or `make study-starts`)
+//! Compares the walking speed at a time step of 1 ms with the converged reference: means over 24 starts for gaits that
+//! stick and slip, and walks with each mechanism alone. It prints the tables at the end of docs/convergence.md.
+//! `cargo run --release --example starts_study` (or `make study-starts`)
 
 use sandgait::Result;
 use sandgait::parallel;
@@ -13,13 +13,13 @@ use sandgait::sim::{Model, Robot};
 
 /// Number of starts; the hips' angles differ by equal parts of a turn.
 const STARTS: usize = 24;
-/// Leg and stride frequency [Hz]. The first two stick and slip.
+/// Leg and stride frequency [Hz]. With the first two, legs stick and slip.
 const WALKS: [(&str, f64); 4] = [("revL", 1.0), ("revC", 2.0), ("L", 2.0), ("revL", 2.0)];
-/// Time step of the reference, engine rapier, and of the tested engine `lanes` [s].
+/// Time steps of the reference, engine `rapier`, and of the tested engine `lanes` [s].
 const FINE: f64 = 2e-5;
 const JUDGED: f64 = 1e-3;
 
-/// Speeds [m/s] of one leg at one frequency from `starts` starts.
+/// Speeds [m/s] of walks with one leg shape at one frequency, from `starts` different starts.
 fn speeds(
     engine: EngineKind,
     dt: f64,
@@ -42,7 +42,7 @@ fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-/// Standard error of the mean.
+/// Standard error of the mean of `values`.
 fn error(values: &[f64]) -> f64 {
     let (n, m) = (values.len() as f64, mean(values));
     (values.iter().map(|v| (v - m) * (v - m)).sum::<f64>() / (n - 1.0) / n).sqrt()

@@ -1,8 +1,8 @@
-"""Policies that treat left and right alike.
+"""Policies that are symmetric in left and right.
 
-A hexapod's mirror image is a hexapod, and sand has no handedness: in a mirrored situation a good policy chooses the
-mirrored action. A network that is averaged with its own mirror image always does so. That matters
-for walking straight: tasks do not show the heading, so nothing corrects what a gait has turned in the strides before.
+The mirror image of a hexapod on sand is again a hexapod on sand. So a good policy chooses the mirrored action for the
+mirrored observation. A network that is averaged with its own mirror image always does so. This helps a robot to walk
+straight: observations do not have the heading, so no policy can correct it later.
 """
 
 from __future__ import annotations
@@ -20,19 +20,20 @@ from stable_baselines3.common.type_aliases import Schedule
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
-#: For each column the column with its mirrored value, and the sign.
+#: For each column: the index of the column that has its mirrored value, and the sign of that value.
 Mirror = tuple[list[int], list[float]]
 
-#: The mirror reverses y: vectors change sign along y, rotations about x and z; a coxa rotates about z.
+#: The mirror reverses y. Components of vectors along y change their sign, and rotations about x and z. A coxa rotates
+#: about z.
 TURNED = re.compile(r"(gravity direction|base velocity), body frame, y|angular velocity, body frame, [xz]|coxa|yaw")
 
 
-#: Lateral positions of measured heights: the number changes its sign.
+#: The lateral position in the name of a measured height, which changes its sign.
 PLACE = re.compile(r"(-?\d+)(?= cm to the left)")
 
 
 def mirror(names: list[str]) -> Mirror:
-    """The mirror of a task's rows; `names` are the columns' names."""
+    """The mirror for rows whose columns have these names."""
     swapped = {"right": "left", "left": "right"}
 
     def image(name: str) -> str:
@@ -44,7 +45,7 @@ def mirror(names: list[str]) -> Mirror:
 
 
 class Reflection(nn.Module):
-    """Mirror images of rows: the product with a matrix of 0, 1 and −1, which is exact and possible in ONNX."""
+    """Mirrors rows by a product with a matrix of 0, 1 and −1, which is exact and possible in ONNX."""
 
     matrix: torch.Tensor
 
@@ -82,7 +83,7 @@ class MirroredNetworks(nn.Module):
 
 
 def _layers(hidden: list[int], last: list[int]) -> nn.Sequential:
-    """Tanh layers, then a linear one that begins small, as stable-baselines3 begins PPO's."""
+    """Tanh layers, then a linear layer with small initial weights, as in stable-baselines3's PPO."""
     layers: list[nn.Module] = []
     for before, after in pairwise(hidden):
         layers += [_linear(before, after, 2.0**0.5), nn.Tanh()]
@@ -109,7 +110,7 @@ class MirroredPolicy(ActorCriticPolicy):
 
     def _build(self, lr_schedule: Schedule) -> None:
         super()._build(lr_schedule)
-        self.action_net = nn.Identity()  # the mean is mirrored; another layer after it would undo that
+        self.action_net = nn.Identity()  # another layer after the mirrored mean would not be symmetric
         self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)  # type: ignore[call-arg]
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
@@ -118,7 +119,7 @@ class MirroredPolicy(ActorCriticPolicy):
 
 
 class MirroredStatistics(BaseCallback):
-    """Keeps the statistics of VecNormalize symmetric; else normalized rows would not be mirror images of each other."""
+    """Makes the statistics of VecNormalize symmetric, so that normalized rows stay mirror images of each other."""
 
     def __init__(self, observation: Mirror) -> None:
         super().__init__()

@@ -3,15 +3,15 @@
     python examples/train.py                                   # HexapodGait with PPO, five minutes on two cores
     python examples/train.py --task HexapodLegs --seconds 300 --out runs/legs
     python examples/train.py --algorithm sac --set gamma=0.97 --set batch_size=256
-    python examples/train.py --resume                          # go on from the last checkpoint in --out
+    python examples/train.py --resume                          # continues from the last checkpoint in --out
     python examples/train.py --options '{"slope_deg": 10}' --start-from runs/HexapodGait-ppo --out runs/slope
     python examples/train.py --task LeggedVelocity --options '{"robot": "go1.xml", "ground": "poppy-close"}' \
         --curriculum examples/hyperparameters/hard_ground_to_sand.yml --out runs/go1-sand
     tensorboard --logdir runs
 
-Settings are in examples/hyperparameters/, one file an algorithm and one entry a task. The output directory gets
-policy.zip, policy.onnx, normalize.pkl, settings.json, curve.csv, curve.png, evaluation.txt, checkpoints/, videos/ and
-tensorboard/.
+Hyperparameters are in examples/hyperparameters/: one file for each algorithm, with one entry for each task. The program
+writes policy.zip, policy.onnx, normalize.pkl, settings.json, curve.csv, curve.png, evaluation.txt, checkpoints/,
+videos/ and tensorboard/ into the output directory.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ import matplotlib.pyplot as plt
 
 
 def draw(algorithm: str, curve: list[Row], scores: list[Score], path: Path) -> None:
-    """Learning curve with the other gaits' returns as lines."""
+    """Draws the learning curve, and the returns of the other gaits as lines."""
     figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
     steps = np.array([row.steps for row in curve])
     returns = [row.mean_return for row in curve]
@@ -67,26 +67,40 @@ def write_settings(out: Path, settings: dict[str, Any]) -> None:
 
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n\n", maxsplit=1)[0])
-    parser.add_argument("--task", default="HexapodGait", help="task's name (%(default)s)")
-    parser.add_argument("--algorithm", choices=ALGORITHMS, default="ppo", help="(%(default)s)")
-    parser.add_argument("--seconds", type=float, help="training ends after this time; none: as the settings say")
-    parser.add_argument("--steps", type=int, help="or after this many steps; none: as the settings say")
-    parser.add_argument("--envs", type=int, help="environments side by side; none: as the settings say")
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="another value of a setting")
-    parser.add_argument("--seed", type=int, default=0, help="of the policy and of the environments (%(default)s)")
-    parser.add_argument("--out", type=Path, help="output directory (runs/TASK-ALGORITHM)")
-    parser.add_argument("--resume", action="store_true", help="go on from the last checkpoint in the output directory")
+    parser.add_argument("--task", default="HexapodGait", help="name of the task (%(default)s)")
+    parser.add_argument("--algorithm", choices=ALGORITHMS, default="ppo", help="algorithm (%(default)s)")
     parser.add_argument(
-        "--start-from", type=Path, metavar="DIR", help="begin with the policy of another training's folder"
+        "--seconds", type=float, help="longest duration of the training [s]; by default that of the settings"
     )
-    parser.add_argument("--curriculum", type=Path, metavar="FILE", help="stages with further options of the task")
+    parser.add_argument("--steps", type=int, help="largest number of control steps; by default that of the settings")
+    parser.add_argument("--envs", type=int, help="number of environments; by default that of the settings")
     parser.add_argument(
-        "--checkpoint-every", type=int, default=1_000_000, metavar="STEPS", help="steps between two (%(default)s)"
+        "--set", action="append", default=[], metavar="NAME=VALUE", help="replaces the value of a setting"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="seed of the policy and of the environments (%(default)s)")
+    parser.add_argument("--out", type=Path, help="output directory (runs/TASK-ALGORITHM)")
+    parser.add_argument(
+        "--resume", action="store_true", help="continue from the last checkpoint in the output directory"
+    )
+    parser.add_argument(
+        "--start-from", type=Path, metavar="DIR", help="start with the policy in another training's output directory"
+    )
+    parser.add_argument(
+        "--curriculum", type=Path, metavar="FILE", help="stages of the training, each with options of the task"
+    )
+    parser.add_argument(
+        "--checkpoint-every",
+        type=int,
+        default=1_000_000,
+        metavar="STEPS",
+        help="steps between two checkpoints (%(default)s)",
     )
     parser.add_argument(
         "--video-every", type=int, default=1_000_000, metavar="STEPS", help="steps between films; 0: none (%(default)s)"
     )
-    parser.add_argument("--address", help="host:port or unix:/path of a running server; none: one is started")
+    parser.add_argument(
+        "--address", help="host:port or unix:/path of a running server; by default this process simulates"
+    )
     parser.add_argument("--options", type=json.loads, default={}, help='task options as JSON: \'{"leg": "C"}\'')
     arguments = parser.parse_args()
     changes = {"seconds": arguments.seconds, "n_timesteps": arguments.steps, "n_envs": arguments.envs}
@@ -116,7 +130,7 @@ def main() -> None:
     if arguments.stages is not None:
         made_by["curriculum"] = [asdict(stage) for stage in arguments.stages]
     write_settings(out, made_by)
-    torch.set_num_threads(1)  # networks this small are slower on several threads
+    torch.set_num_threads(1)  # such small networks are slower on several threads
     training = prepare(
         arguments.algorithm,
         arguments.id,

@@ -1,10 +1,11 @@
-"""How fast does a clock walk? Tripods of constant rate, a grid of two-speed clocks, CMA-ES on all ten parameters.
+"""Searches for fast gaits of a clock: tripods of constant rate, a grid of two-speed clocks, and CMA-ES on all ten
+parameters.
 
     python examples/train_clock.py                      # some ten minutes on two cores
     python examples/train_clock.py --generations 20 --coarse --out runs/try
 
-All are clocks of `sandgait/HexapodGait-v1` with control="clock": same motors, sand, start and measure of energy.
-Written to the output directory: clocks.json, front.png, evaluation.txt.
+All gaits are clocks of `sandgait/HexapodGait-v1` with control="clock", with the same motors, sand, start and measure of
+energy. The program writes clocks.json, front.png and evaluation.txt into the output directory.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ import matplotlib.pyplot as plt
 
 Values = npt.NDArray[np.float64]
 
-#: Steps of a trial: a whole episode. Fast tripods turn aside only after some seconds, so shorter trials favour them.
+#: Control steps of a trial: a whole episode. Fast tripods leave their direction only after some seconds, so that
+#: shorter trials would favour them.
 STEPS = 500
 
 #: Commanded speeds [m/s] for which the grid's rewards are compared: the task's range.
@@ -43,24 +45,24 @@ TRACKING_WIDTH = 0.1
 EXCESS = 5.0
 
 
-#: Clocks of a generation of one restart: twice what Hansen's rule, 4 + 3 ln n, gives for ten parameters.
+#: Number of clocks in a generation of one restart: twice that of Hansen's rule, 4 + 3 ln n, for ten parameters.
 POPULATION = 22
 
 
 @dataclass
 class Trial:
-    """Results of clocks, one entry a clock."""
+    """Results of clocks, with one entry for each clock."""
 
     #: Mean speed along x [m/s].
     speed: Values
     #: Mechanical work / (weight · distance).
     cost_of_transport: Values
-    #: Mean reward of a step, from the start on, had the commanded speed been COMMANDS[j]; [clocks, commands].
+    #: [clocks, commands]: mean reward of a step that clock i would have with the commanded speed COMMANDS[j].
     rewards: Values
 
 
 def trial(clocks: npt.NDArray[Any], seed: int, address: str | None, options: dict[str, Any]) -> Trial:
-    """Plays an episode of each clock [clocks, 10], all from the same start."""
+    """Runs an episode of each clock [clocks, 10], all from the same start."""
     n = len(clocks)
     env = sandgait.SandgaitVectorEnv(GAIT, n, address, autoreset_mode="SAME_STEP", control="clock", **options)
     env.reset(seed=[seed] * n)
@@ -70,7 +72,8 @@ def trial(clocks: npt.NDArray[Any], seed: int, address: str | None, options: dic
         _, reward, terminated, _, infos = env.step(clocks)
         running &= ~terminated
         tracking = np.exp(-(((infos["speed"][:, None] - COMMANDS) / TRACKING_WIDTH) ** 2))
-        # A clock's action is constant, so it has no cost of smoothness: there is no first step from an action of zero.
+        # A clock's action is constant, so it has no cost of smoothness. The change from action 0 in the first step is
+        # left out.
         others = reward - infos["reward_tracking"] - infos["reward_smoothness"]
         rewards += np.where(running[:, None], tracking + others[:, None], 0.0)
         distance += infos["x_velocity"] / env.task.control_rate
@@ -78,24 +81,26 @@ def trial(clocks: npt.NDArray[Any], seed: int, address: str | None, options: dic
     weight = float(infos["weight"][0])
     env.close()
     seconds = STEPS / env.task.control_rate
-    distance[~running] = 0.0  # a robot that fell has no speed
+    distance[~running] = 0.0  # a fall counts as no distance
     with np.errstate(divide="ignore"):
         cost = np.where(distance > 0, work / (weight * np.maximum(distance, 1e-9)), np.inf)
     return Trial(distance / seconds, cost, rewards / STEPS)
 
 
 def action(frequency: float, duty: float, sweep_deg: float, offset_deg: float) -> list[float]:
-    """A clock whose legs keep the alternating tripod's phases; the task's table has the ranges."""
+    """The action of a clock with the phases of an alternating tripod. The ranges are those of the task's actions."""
     return [frequency / 2.5 - 1, (duty - 0.5) / 0.3, (sweep_deg - 180) / 150, offset_deg / 90, *[0.0] * 6]
 
 
 def tripods() -> npt.NDArray[np.float64]:
-    """Constant rates, 0.25 to 5 Hz: a duty factor that is the sweep's share of the turn."""
+    """Clocks of constant rates from 0.25 to 5 Hz. A clock's rate is constant if its duty factor is the sweep's share of
+    a turn."""
     return np.array([action(f, 0.5, 180, 0) for f in np.arange(0.25, 5.01, 0.25)])
 
 
 def grid(coarse: bool) -> npt.NDArray[np.float64]:
-    """Two-speed clocks: frequency, duty factor, sweep, offset; the tripod's phases."""
+    """Two-speed clocks with all combinations of frequency, duty factor, sweep and offset, and with the tripod's
+    phases."""
     step = 2 if coarse else 1
     frequencies = np.arange(0.5, 5.01, 0.25)[::step]
     duties = np.linspace(0.2, 0.8, 7)[::step]
@@ -105,22 +110,25 @@ def grid(coarse: bool) -> npt.NDArray[np.float64]:
 
 
 def policy(clocks: Values) -> Policy:
-    """The clock for each row's commanded speed, the last but one; `clocks` has one an entry of COMMANDS, or one."""
+    """A policy of clocks. `clocks` has one clock, or one for each entry of COMMANDS; then the nearest entry to a row's
+    commanded speed, its last column but one, is used."""
     if len(clocks) == 1:
         return lambda rows: np.repeat(clocks, len(rows), axis=0)
     return lambda rows: clocks[np.abs(rows[:, -2:-1] - COMMANDS).argmin(axis=1)]
 
 
 def evolve(limit: float, arguments: argparse.Namespace) -> tuple[Values, list[str]]:
-    """CMA-ES on all ten parameters for speed at a cost of transport up to `limit`, and the result of each restart.
+    """Searches all ten parameters with CMA-ES for the fastest clock with a cost of transport up to `limit`. Returns
+    this clock, and a line on each restart.
 
-    Speed over phases has many hills, so the restarts begin at the best of many random clocks near the top frequency.
+    The speed has many local maxima over the phases, so the restarts begin at the best of many random clocks near the
+    greatest frequency.
     """
     address, options, restarts = arguments.address, arguments.options, arguments.restarts
     generator = np.random.default_rng(arguments.seed)
     random = generator.uniform(-1.0, 1.0, (arguments.random, 10))
     random[:, 0] = generator.uniform(0.8, 1.0, len(random))  # 4.5 to 5 Hz
-    random[:, 1:4] = 0.0  # one speed: stance and swing differ little so near the motors' limit
+    random[:, 1:4] = 0.0  # constant rate, because stance and swing can differ little so close to the motors' limit
     starts = random[np.argsort(costs(in_parts(random, address, options), limit))[:restarts]]
     searches = [
         CMA(start, 0.2, bounds=np.array([[-1.0, 1.0]] * 10), seed=arguments.seed + i + 1, population_size=POPULATION)
@@ -128,12 +136,13 @@ def evolve(limit: float, arguments: argparse.Namespace) -> tuple[Values, list[st
     ]
     for generation in range(arguments.generations):
         rows = np.array([[search.ask() for _ in range(POPULATION)] for search in searches])
-        # Another start in every generation, the same for all clocks, so that none wins by its start alone.
+        # All clocks of a generation have the same start, and each generation has another start. So no clock is the best
+        # because of its start.
         played = trial(rows.reshape(-1, 10), 1 + generation, address, options)
         values = costs(played, limit).reshape(restarts, POPULATION)
         for search, clocks, cost in zip(searches, rows, values, strict=True):
             search.tell([(clock, float(c)) for clock, c in zip(clocks, cost, strict=True)])
-    # The result is the mean of the last generation, evaluated at a start that no generation had.
+    # The result of a restart is the mean of its last generation, evaluated at a start that no generation had.
     means = np.array([search.mean for search in searches])
     last = trial(means, 0, address, options)
     pairs = zip(last.speed, last.cost_of_transport, strict=True)
@@ -142,12 +151,12 @@ def evolve(limit: float, arguments: argparse.Namespace) -> tuple[Values, list[st
 
 
 def costs(played: Trial, limit: float) -> Values:
-    """Objective of CMA-ES: slowness, and a cost of transport beyond the limit."""
+    """The objective that CMA-ES minimizes: minus the speed, plus a penalty for a cost of transport above the limit."""
     return EXCESS * np.maximum(0.0, np.minimum(played.cost_of_transport, 10.0) - limit) - played.speed
 
 
 def in_parts(clocks: Values, address: str | None, options: dict[str, Any]) -> Trial:
-    """`trial` of many clocks, a thousand at a time."""
+    """Runs `trial` for many clocks, a thousand at a time."""
     parts = [trial(clocks[i : i + 1000], 0, address, options) for i in range(0, len(clocks), 1000)]
     columns = ("speed", "cost_of_transport", "rewards")
     return Trial(*(np.concatenate([getattr(part, name) for part in parts]) for name in columns))
@@ -159,13 +168,13 @@ def fastest(played: Trial, limit: float = np.inf) -> int:
 
 
 def judge(clocks: dict[str, Values], address: str | None, options: dict[str, Any]) -> list[Score]:
-    """Whole episodes of unseen seeds."""
+    """Evaluates clocks over episodes with seeds that the search did not use."""
     options = {**options, "control": "clock"}
     return [evaluate(name, policy(rows), GAIT, address, **options) for name, rows in clocks.items()]
 
 
 def draw(tripod: Trial, searched: Trial, evolved: Score, path: Path) -> None:
-    """Speed over cost of transport."""
+    """Draws the speed over the cost of transport."""
     figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
     axes.plot(searched.cost_of_transport, searched.speed, ".", color="C7", markersize=2, label="two-speed clocks, grid")
     axes.plot(tripod.cost_of_transport, tripod.speed, "o-", color="C0", label="tripods of constant rate, 0.25 to 5 Hz")
@@ -177,7 +186,7 @@ def draw(tripod: Trial, searched: Trial, evolved: Score, path: Path) -> None:
 
 
 def save(out: Path, clocks: dict[str, Values], scores: list[Score], made_by: dict[str, Any]) -> None:
-    """Clocks, one action or one an entry of COMMANDS, and their scores."""
+    """Writes the clocks and their scores. A clock is one action, or one for each entry of COMMANDS."""
     chosen = {name: rows.tolist() for name, rows in clocks.items()}
     summaries = {score.name: score.summary() for score in scores}
     made = {**made_by, "commands": COMMANDS.tolist(), "clocks": chosen, "scores": summaries}
@@ -186,13 +195,22 @@ def save(out: Path, clocks: dict[str, Values], scores: list[Score], made_by: dic
 
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n\n", maxsplit=1)[0])
-    parser.add_argument("--generations", type=int, default=70, help="of each restart of CMA-ES (%(default)s)")
-    parser.add_argument("--restarts", type=int, default=12, help="of CMA-ES (%(default)s)")
-    parser.add_argument("--random", type=int, default=3000, help="clocks to choose the starts from (%(default)s)")
-    parser.add_argument("--coarse", action="store_true", help="a tenth of the grid")
-    parser.add_argument("--seed", type=int, default=0, help="of CMA-ES (%(default)s)")
+    parser.add_argument(
+        "--generations", type=int, default=70, help="generations of each restart of CMA-ES (%(default)s)"
+    )
+    parser.add_argument("--restarts", type=int, default=12, help="restarts of CMA-ES (%(default)s)")
+    parser.add_argument(
+        "--random",
+        type=int,
+        default=3000,
+        help="random clocks to choose the starts from (%(default)s)",
+    )
+    parser.add_argument("--coarse", action="store_true", help="use a tenth of the grid")
+    parser.add_argument("--seed", type=int, default=0, help="seed of CMA-ES (%(default)s)")
     parser.add_argument("--out", type=Path, default=Path("runs/clock"), help="output directory (%(default)s)")
-    parser.add_argument("--address", help="host:port or unix:/path of a running server; none: one is started")
+    parser.add_argument(
+        "--address", help="host:port or unix:/path of a running server; by default this process simulates"
+    )
     parser.add_argument("--options", type=json.loads, default={}, help='task options as JSON: \'{"leg": "C"}\'')
     return parser.parse_args()
 
@@ -216,7 +234,7 @@ def main() -> None:
         "the best tripod for each command": rates[tripod.rewards.argmax(axis=0)],
         "the best two-speed clock for each command": two_speed[searched.rewards.argmax(axis=0)],
     }
-    clocks = {name: rows.round(4) for name, rows in clocks.items()}  # in the form of the kept files
+    clocks = {name: rows.round(4) for name, rows in clocks.items()}  # rounded like the numbers in clocks.json
     scores = judge(clocks, address, options)
     text = "\n".join([table(scores), "", *log])
     (out / "evaluation.txt").write_text(text + "\n")

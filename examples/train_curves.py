@@ -1,4 +1,4 @@
-"""Learning curves of several seeds as one picture: their mean, and the band between the worst and the best.
+"""Draws the learning curves of several seeds: their mean, and the band between the worst and the best.
 
     python examples/train_curves.py runs/gait-0 runs/gait-1 runs/gait-2 --out curve.png
 
@@ -17,12 +17,12 @@ from training import read_curve
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-#: Points of the common axis of steps.
+#: Number of points on the common axis of steps.
 POINTS = 200
 
 
 def draw(paths: list[Path], path: Path, title: str) -> None:
-    """Returns over steps, as far as the shortest run goes."""
+    """Draws the returns over the steps, up to the end of the shortest run."""
     curves = [read_curve(p / "curve.csv" if p.is_dir() else p) for p in paths]
     last = min(curve[-1].steps for curve in curves)
     steps = np.linspace(max(curve[0].steps for curve in curves), last, POINTS)
@@ -41,8 +41,8 @@ def draw(paths: list[Path], path: Path, title: str) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n\n", maxsplit=1)[0])
     parser.add_argument("runs", type=Path, nargs="+", help="output directories of train.py, or files curve.csv")
-    parser.add_argument("--out", type=Path, default=Path("curve.png"), help="picture (%(default)s)")
-    parser.add_argument("--title", default="", help="of the picture")
+    parser.add_argument("--out", type=Path, default=Path("curve.png"), help="file of the picture (%(default)s)")
+    parser.add_argument("--title", default="", help="title of the picture")
     arguments = parser.parse_args()
     draw(arguments.runs, arguments.out, arguments.title)
 

@@ -1,9 +1,10 @@
-"""Keeps the results of trainings with several seeds, small enough for the repository.
+"""Copies the results of trainings with several seeds into the repository.
 
     python examples/train_keep.py runs/legs-0 runs/legs-1 runs/legs-2
 
-The first run's policy goes to examples/policies/TASK-ALGORITHM/ as policy.onnx with its settings and score. Of all runs
-the curve and the score are kept; curve.png shows all curves. tests/python/test_kept_policies.py plays the policy again.
+The folder examples/policies/TASK-ALGORITHM/ gets the first run's policy as policy.onnx with its settings, and the
+curves and scores of all runs; curve.png shows all curves. tests/python/test_kept_policies.py evaluates the policy
+again.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ POLICIES = Path(__file__).parent / "policies"
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n\n", maxsplit=1)[0])
-    parser.add_argument("runs", type=Path, nargs="+", help="output directories of train.py, one a seed")
+    parser.add_argument("runs", type=Path, nargs="+", help="output directories of train.py, one for each seed")
     arguments = parser.parse_args()
     all_settings = [json.loads((run / "settings.json").read_text()) for run in arguments.runs]
     settings = all_settings[0]

@@ -1,13 +1,14 @@
-"""The stroke of one leg that gives the most thrust per work: the best circular stroke, and its improvement by CMA-ES.
+"""Searches for the stroke of one leg with the most thrust for its work: the best circular stroke, and its improvement
+by CMA-ES.
 
     python examples/train_stroke.py                     # some minutes on two cores
     python examples/train_stroke.py --generations 20 --out runs/try
 
-A circular stroke locks the knee and turns the hip at one speed; searched are knee angle, where the hip starts, and
-speed. From the best of them CMA-ES searches where it starts, and the speeds of both joints at ten times of the stroke,
-with straight lines between them. Both are compared by the task's return: efficiency less the penalty for missing
-lift. Written
-to the output directory: strokes.json, strokes.png, evaluation.txt.
+In a circular stroke the knee angle is constant, and the hip turns at a constant speed. A grid search finds the best
+knee angle, start angle of the hip, and speed. CMA-ES starts from the best circular stroke. It searches both start
+angles, and the speeds of both joints at ten times of the stroke; between these times the speeds are linear. Strokes are
+compared by the task's return: the efficiency minus the penalty for missing lift. The program writes strokes.json,
+strokes.png and evaluation.txt into the output directory.
 """
 
 from __future__ import annotations
@@ -33,23 +34,23 @@ TASK = "sandgait/LegStroke-v0"
 
 Values = npt.NDArray[np.float64]
 
-#: Times of a stroke at which CMA-ES chooses the speeds of both joints.
+#: Number of times in a stroke at which CMA-ES chooses the speeds of both joints.
 KNOTS = 10
 
-#: Start angles [rad] of the hip for circular strokes: all that are out of the sand, and the task's own.
+#: Start angles of the hip for circular strokes [rad]: all at which the leg is outside of the sand, and the task's own.
 HIPS = np.arange(-3.0, 3.01, 0.25)
 
-#: Hip speeds of circular strokes as actions: up to a turn a second, either way.
+#: Hip speeds of circular strokes, as actions: up to one turn in a second, in both directions.
 SPEEDS = np.linspace(-1.0, 1.0, 81)
 
 
-#: Strokes of a generation: twice what Hansen's rule, 4 + 3 ln n, gives for 22 numbers.
+#: Number of strokes in a generation: twice that of Hansen's rule, 4 + 3 ln n, for 22 parameters.
 POPULATION = 26
 
-#: Hip and knee angle [rad] of the task's own start, and how far from it CMA-ES may start.
+#: Hip and knee angle at the task's own start [rad], and the greatest distance of CMA-ES's starts from it [rad].
 START, REACH = np.array([-1.75, 0.0]), np.array([1.25, 1.5])
 
-#: Value of a stroke that begins in the sand: less than any return.
+#: Value of a stroke that begins in the sand. Every return is greater.
 REFUSED = -4.0
 
 
@@ -60,9 +61,9 @@ class Stroke:
     name: str
     #: Hip and knee angle [rad] at the start.
     start: list[float]
-    #: [steps, 2], speeds of hip and knee in turns a second.
+    #: [steps, 2]: speeds of hip and knee, in turns per second.
     actions: Values
-    #: The task's return; equal to the efficiency if no lift is missing.
+    #: The task's return, which is the efficiency if no lift is missing.
     score: float
 
 
@@ -80,7 +81,7 @@ def circular(knees: Values, options: dict[str, Any]) -> Stroke:
             try:
                 env.reset(seed=0, options={"stroke": stroke})
             except sandgait.InvalidRequest:
-                continue  # begins in the sand
+                continue  # the stroke begins in the sand
             returns = env.rollout(rows).returns
             tried += len(SPEEDS)
             i = int(np.argmax(returns))
@@ -92,14 +93,15 @@ def circular(knees: Values, options: dict[str, Any]) -> Stroke:
 
 
 def speeds(knots: Values, steps: int) -> Values:
-    """Actions [steps, n, 2] from knots [n, 2 · KNOTS]."""
+    """Actions [steps, n, 2], linear between the knots [n, 2 · KNOTS]."""
     times, ends = np.linspace(0.0, 1.0, steps), np.linspace(0.0, 1.0, KNOTS)
     tracks = [[np.interp(times, ends, row[j * KNOTS :][:KNOTS]) for j in range(2)] for row in knots]
     return np.array(tracks).transpose(2, 0, 1)
 
 
 def begin(env: sandgait.SandgaitVectorEnv, starts: Values, options: dict[str, Any]) -> npt.NDArray[np.bool_]:
-    """Lets every environment begin at its own angles; says which cannot, because the leg would be in the sand."""
+    """Resets every environment to its own start angles. Returns which starts are refused because the leg would be in
+    the sand."""
     refused = np.zeros(env.num_envs, dtype=np.bool_)
     for i, start in enumerate(starts):
         mask = np.arange(env.num_envs) == i
@@ -112,7 +114,7 @@ def begin(env: sandgait.SandgaitVectorEnv, starts: Values, options: dict[str, An
 
 
 def evolved(first: Stroke, arguments: argparse.Namespace, options: dict[str, Any]) -> Stroke:
-    """The best stroke that some restarts of CMA-ES found from `first`; its start is searched too."""
+    """The best stroke of several restarts of CMA-ES, which start from `first` and also search the start angles."""
     env = sandgait.SandgaitVectorEnv(TASK, POPULATION, **options)
     steps = env.task.max_episode_steps
     env.reset(seed=0)
@@ -144,7 +146,7 @@ def evolved(first: Stroke, arguments: argparse.Namespace, options: dict[str, Any
 
 
 def play(stroke: Stroke, options: dict[str, Any]) -> dict[str, Values]:
-    """The stroke step by step: angles [rad], thrust and lift [N], and the return."""
+    """Runs a stroke. Returns angles [rad], thrust and lift [N] of each step, and the stroke's return."""
     given = {**options, "stroke": {**options.get("stroke", {}), "start": stroke.start}}
     env = sandgait.SandgaitVectorEnv(TASK, 1, **given)
     rows, _ = env.reset(seed=0)
@@ -189,10 +191,14 @@ def draw(strokes: list[Stroke], tracks: list[dict[str, Values]], path: Path) -> 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n\n", maxsplit=1)[0])
-    parser.add_argument("--generations", type=int, default=400, help="of each restart of CMA-ES (%(default)s)")
-    parser.add_argument("--restarts", type=int, default=3, help="of CMA-ES (%(default)s)")
-    parser.add_argument("--knees", type=int, default=15, help="knee angles that circular strokes try (%(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="of CMA-ES (%(default)s)")
+    parser.add_argument(
+        "--generations", type=int, default=400, help="generations of each restart of CMA-ES (%(default)s)"
+    )
+    parser.add_argument("--restarts", type=int, default=3, help="restarts of CMA-ES (%(default)s)")
+    parser.add_argument(
+        "--knees", type=int, default=15, help="number of knee angles of the circular strokes (%(default)s)"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="seed of CMA-ES (%(default)s)")
     parser.add_argument("--out", type=Path, default=Path("runs/stroke"), help="output directory (%(default)s)")
     parser.add_argument("--options", type=json.loads, default={}, help='task options as JSON: \'{"medium": "…"}\'')
     arguments = parser.parse_args()

@@ -1,4 +1,4 @@
-"""Parts of a training: hyperparameters from files, environments, callbacks, and resuming."""
+"""Parts of a training: reads hyperparameters, makes environments and callbacks, and resumes a training."""
 
 from __future__ import annotations
 
@@ -31,21 +31,21 @@ import sandgait
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC}
 
-#: One file an algorithm, one entry a task.
+#: Folder with one file for each algorithm, which has one entry for each task.
 HYPERPARAMETERS = Path(__file__).parent / "hyperparameters"
 
-#: Keys of an entry that this script uses; the others are the algorithm's.
+#: Keys of an entry that this script uses. The others are arguments of the algorithm.
 OWN_KEYS = ("n_envs", "n_timesteps", "seconds", "normalize", "learning_rate", "mirror", "env_kwargs")
 
 CHECKPOINT = re.compile(r"model_(\d+)_steps\.zip")
 
 
 class BadSettings(ValueError):
-    """Hyperparameters that do not exist or cannot be read; one line."""
+    """The hyperparameters do not exist or cannot be read. The message is one line."""
 
 
 def task_id(name: str) -> str:
-    """Id of the present version of task `name`; an unknown name as it is."""
+    """Id of the present version of task `name`. An unknown name is returned unchanged."""
     return next((task for task in sandgait.TASKS if task.startswith(f"sandgait/{name}-v")), f"sandgait/{name}")
 
 
@@ -70,7 +70,8 @@ def hyperparameters(algorithm: str, task: str, changes: list[str]) -> dict[str, 
 
 
 def learning_rate(setting: Any) -> tuple[float, bool]:
-    """A rate, and whether it falls to zero: 0.001, or as rl-zoo3 writes it `lin_0.001`."""
+    """A learning rate, and whether it falls to zero. `lin_0.001` falls to zero, in rl-zoo3's notation; 0.001 is
+    constant."""
     text = str(setting)
     try:
         return float(text.removeprefix("lin_")), text.startswith("lin_")
@@ -79,14 +80,14 @@ def learning_rate(setting: Any) -> tuple[float, bool]:
 
 
 def git(*words: str) -> str:
-    """Output of git for this repository; empty without one."""
+    """Output of git for this repository; empty if there is no repository."""
     command = ["git", "-C", str(Path(__file__).parents[1]), *words]
     return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
 
 
 def provenance() -> dict[str, str]:
-    """Command, commit and date, with which a result can be reproduced. Results that were kept before do not mark
-    the commit as changed."""
+    """Command, commit and date, with which a result can be reproduced. Changed files of results do not mark the commit
+    as changed."""
     commit = git("rev-parse", "--short", "HEAD") or "unknown"
     changed = git("status", "--porcelain", "--untracked-files=no", "--", ".", ":!examples/policies")
     command = shlex.join(["python", "examples/" + Path(sys.argv[0]).name, *sys.argv[1:]])
@@ -94,7 +95,7 @@ def provenance() -> dict[str, str]:
 
 
 class Timed(VecEnvWrapper):
-    """Counts the time that stepping takes: simulation, gRPC and the client."""
+    """Measures the time of the environments' steps: simulation, gRPC and client."""
 
     seconds = 0.0
 
@@ -115,7 +116,8 @@ class Timed(VecEnvWrapper):
 
 @dataclass
 class Row:
-    """One point of the learning curve: environment steps and seconds so far, mean return of the last episodes."""
+    """A point of the learning curve: environment steps and seconds up to it, and the mean return of the last
+    episodes."""
 
     steps: int
     seconds: float
@@ -123,7 +125,7 @@ class Row:
 
 
 def read_curve(path: Path, until: float = np.inf) -> list[Row]:
-    """The learning curve in a file, up to `until` steps."""
+    """Reads the learning curve in a file, up to `until` steps."""
     with path.open(newline="") as file:
         rows = [Row(int(r["steps"]), float(r["seconds"]), float(r["return"])) for r in csv.DictReader(file)]
     return [row for row in rows if row.steps <= until]
@@ -131,14 +133,14 @@ def read_curve(path: Path, until: float = np.inf) -> list[Row]:
 
 @dataclass
 class Stage:
-    """A part of a training: it ends at this share of the steps or of the time, and has further options of the task."""
+    """A part of a training: the share of the steps or of the time at which it ends, and its options of the task."""
 
     until: float
     options: dict[str, Any]
 
 
 def curriculum(path: Path) -> list[Stage]:
-    """The stages in a file: a list of `{share: …, env_kwargs: {…}}` whose shares sum to 1."""
+    """Reads the stages in a file: a list of `{share: …, env_kwargs: {…}}` whose shares sum to 1."""
     try:
         rows = yaml.safe_load(path.read_text())
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
@@ -160,17 +162,18 @@ def curriculum(path: Path) -> list[Stage]:
 
 
 def done(row: Row, settings: dict[str, Any]) -> float:
-    """Share of a training's steps or seconds, whichever is larger, that are done at a point of its curve, 0 to 1."""
+    """The finished share of a training at a point of its curve, from 0 to 1: of its steps or of its time, whichever is
+    greater."""
     return min(1.0, max(row.seconds / float(settings["seconds"]), row.steps / int(settings["n_timesteps"])))
 
 
 def stage_at(stages: list[Stage], share: float) -> int:
-    """Index of the stage in which a training is that has done `share` of its steps or time."""
+    """Index of a training's stage when `share` of it is finished."""
     return next((index for index, stage in enumerate(stages) if share < stage.until), len(stages) - 1)
 
 
 class Progress(BaseCallback):
-    """Progress bar, learning curve, learning rate, and the end when time or the stage's share is up."""
+    """Shows the progress, writes the learning curve, sets the learning rate, and ends the stage or the training."""
 
     def __init__(self, timed: Timed, settings: dict[str, Any], path: Path, curve: list[Row]) -> None:
         super().__init__()
@@ -179,9 +182,9 @@ class Progress(BaseCallback):
         self.until = 1.0
         self.settings, self.total_steps = settings, int(settings["n_timesteps"])
         self.rate, self.falls = learning_rate(settings["learning_rate"])
-        #: Since the first training began, without the time between two.
+        #: Duration of the training with its earlier parts, if it was resumed [s].
         self.seconds = self.first = curve[-1].seconds if curve else 0.0
-        #: Time of this training that the environments' steps took [s].
+        #: Share of this training's time that the environments' steps took.
         self.simulation_share = 0.0
         self.returns: list[float] = []
 
@@ -192,7 +195,7 @@ class Progress(BaseCallback):
         self.writer.writerow(("steps", "seconds", "return"))
         self.writer.writerows((r.steps, r.seconds, r.mean_return) for r in self.curve)
         form = "{desc}{percentage:3.0f} %|{bar}| {elapsed} < {remaining}"
-        pause = 0.5 if sys.stderr.isatty() else 20.0  # a log file should have few lines
+        pause = 0.5 if sys.stderr.isatty() else 20.0  # a log file gets a line only every 20 s
         self.bar = tqdm(total=1.0, initial=self.share, desc="training", bar_format=form, mininterval=pause)
         self._set_rate()
 
@@ -213,7 +216,7 @@ class Progress(BaseCallback):
 
     def _on_rollout_end(self) -> None:
         self._set_rate()
-        # SAC's rollouts are single steps: a point needs some episodes.
+        # A rollout of SAC is a single step, so a point of the curve needs several rollouts, with some ended episodes.
         if len(self.returns) >= self.training_env.num_envs / 8:
             row = Row(self.num_timesteps, round(self.seconds, 2), float(np.mean(self.returns)))
             self.returns = []
@@ -229,7 +232,8 @@ class Progress(BaseCallback):
 
 
 class Checkpoints(CheckpointCallback):
-    """Policy and normalization every so many steps; only the last replay buffer is kept, because they are large."""
+    """Writes policy and normalization at a fixed interval of steps. Only the last replay buffer is kept, because replay
+    buffers are large."""
 
     def _on_step(self) -> bool:
         goes_on = super()._on_step()
@@ -248,15 +252,16 @@ class Training:
     model: BaseAlgorithm
     normalized: VecNormalize
     progress: Progress
-    #: Callbacks besides progress and checkpoints.
+    #: Other callbacks than those for progress and checkpoints.
     callbacks: list[BaseCallback]
-    #: Those still to do; without a curriculum there is one.
+    #: The stages that are not finished; a training without a curriculum has one stage.
     stages: list[Stage]
     #: Makes the environments of a stage.
     make: Callable[[Stage], VecEnv]
 
     def run(self, checkpoint_every: int, out: Path) -> None:
-        """Learns until steps or time are up; with regular checkpoints of policy, normalization and replay buffer."""
+        """Learns until the limit of steps or time. Writes regular checkpoints of policy, normalization and replay
+        buffer."""
         every = max(1, checkpoint_every // self.normalized.num_envs)
         where = str(out / "checkpoints")
         checkpoints = Checkpoints(every, where, "model", save_replay_buffer=True, save_vecnormalize=True)
@@ -266,7 +271,7 @@ class Training:
                 self.progress.timed.venv.close()
                 self.progress.timed.venv = self.make(stage)
                 self.normalized.seed((self.model.seed or 0) + self.model.num_timesteps)
-                self.model._last_obs = None  # learn() resets the environments where it has no last observation
+                self.model._last_obs = None  # without a last observation learn() resets the environments
             self.progress.until = stage.until
             left = max(0, self.progress.total_steps - self.model.num_timesteps)
             self.model.learn(left, callback=callbacks, reset_num_timesteps=False, log_interval=10, tb_log_name="log")
@@ -289,7 +294,7 @@ def last_checkpoint(out: Path) -> Path:
 
 
 def other_training(folder: Path) -> Path:
-    """`folder` if it holds what a training starts from."""
+    """Checks that `folder` has the files of a training that another one can start from."""
     for name in ("policy.zip", "normalize.pkl"):
         if not (folder / name).is_file():
             raise BadSettings(f"--start-from: no {name} in {folder}")
@@ -299,7 +304,7 @@ def other_training(folder: Path) -> Path:
 def create(
     kind: type[BaseAlgorithm], env: VecNormalize, settings: dict[str, Any], seed: int, log: Path
 ) -> BaseAlgorithm:
-    """A new model."""
+    """A new model of the algorithm `kind` with these hyperparameters."""
     rest = {name: value for name, value in settings.items() if name not in OWN_KEYS}
     if settings.get("mirror"):
         mirrors = dict(zip(("observation", "action"), mirrors_of(env), strict=True))
@@ -310,7 +315,7 @@ def create(
 
 
 def mirrors_of(env: VecNormalize) -> tuple[Mirror, Mirror]:
-    """Of observations and actions."""
+    """The mirrors of the task's observations and actions."""
     task = env.get_attr("task", [0])[0]
     return mirror([c.name for c in task.observation]), mirror([c.name for c in task.action])
 
@@ -327,7 +332,8 @@ def prepare(
     start_from: Path | None = None,
     stages: list[Stage] | None = None,
 ) -> Training:
-    """A new training, or the one in `out` continued from a checkpoint; `start_from` gives a new one its policy."""
+    """Makes a new training, or continues the one in `out` from a checkpoint. A new training starts with the policy in
+    `start_from`, if this is given."""
     curve = [] if checkpoint is None else read_curve(out / "curve.csv", until=steps_of(checkpoint))
     stages = stages or [Stage(1.0, {})]
     stages = stages[stage_at(stages, done(curve[-1], settings) if curve else 0.0) :]
@@ -352,7 +358,7 @@ def prepare(
         model = kind.load(checkpoint, env=normalized, device="cpu")
         if isinstance(model, SAC):
             model.load_replay_buffer(checkpoint.with_name(f"model_replay_buffer_{steps}_steps.pkl"))
-        normalized.seed(seed + steps)  # its episodes differ from those of the first part
+        normalized.seed(seed + steps)  # so that episodes differ from those of the first part
     progress = Progress(timed, settings, out / "curve.csv", curve)
     symmetric = settings.get("mirror") and settings["normalize"]
     callbacks: list[BaseCallback] = [MirroredStatistics(mirrors_of(normalized)[0])] if symmetric else []

@@ -1,4 +1,4 @@
-"""Films of a gait: one episode of an unseen seed as a GIF, on request or at regular steps of a training."""
+"""Makes films of a gait as GIFs, each of one episode: on request, or at regular steps of a training."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 import sandgait
 
-#: Control steps from one picture to the next: 25 pictures a second at 50 control steps.
+#: Control steps from one picture to the next: 25 pictures in a second with 50 control steps.
 STRIDE = 2
 
 
 def film(policy: Policy, path: Path, task: str, address: str | None = None, **options: Any) -> None:
-    """Plays one episode and writes its pictures as a GIF."""
+    """Runs one episode and writes its pictures as a GIF."""
     env = sandgait.SandgaitEnv(task, address, render_mode="rgb_array", **options)
     observation, _ = env.reset(seed=FIRST_SEED)
     pictures, step, over = [], 0, False
@@ -33,7 +33,7 @@ def film(policy: Policy, path: Path, task: str, address: str | None = None, **op
 
 
 class Video(BaseCallback):
-    """Films the present policy, without exploration, at regular steps."""
+    """Makes films of the present policy, without exploration, at regular steps of a training."""
 
     def __init__(self, every: int, folder: Path, task: str, address: str | None, options: dict[str, Any]) -> None:
         super().__init__()

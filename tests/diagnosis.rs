@@ -40,8 +40,8 @@ fn hidden(causes: &[(&'static str, f64)]) -> Report {
     diagnosis(&testbed::log(11, &Hidden { causes: causes.to_vec() }, 0.05).noisy).report
 }
 
-/// Every law agrees with the test bed's independent implementation to 1 % of the largest force, the difference between 40 and 53
-/// segments.
+/// Every law agrees with the test bed's independent implementation to 1 % of the largest force, the difference between
+/// 40 and 53 segments.
 #[test]
 fn forward_model_agrees_with_the_test_bed() {
     let directory = tempfile::tempdir().unwrap();
@@ -72,7 +72,8 @@ fn forward_model_agrees_with_the_test_bed() {
     }
 }
 
-/// On this design every rival is more than 12 σ away, so the diagnosis must name the right cause, and its value must be right.
+/// On this design every rival is more than 12 σ away, so the diagnosis must name the right cause, and its value must be
+/// right.
 #[test]
 fn hidden_causes_are_named() {
     for (id, value) in
@@ -132,8 +133,8 @@ fn the_concave_side_is_the_main_cause_in_grains() {
 }
 
 /// The model's error is much larger than the noise. Values with weights from the noise lower the error on held-out
-/// conditions by 39 %; those fitted with every number alike, and a law for what remains, lower it by more. The cause
-/// stays the cause, and the extended sand gives the report's prediction.
+/// conditions by 39 %. Values from a fit with equal weights, and a law for the remaining misfit, lower it by more. The
+/// verdict still names the cause, and the extended sand gives the report's prediction.
 #[test]
 fn drag_is_the_main_cause_of_plates_in_grains() {
     let (data, experiment) = grains("plates.csv");
@@ -141,7 +142,7 @@ fn drag_is_the_main_cause_of_plates_in_grains() {
     assert_eq!(r.verdict, Verdict::Named, "{}", r.summary);
     assert_eq!(r.ambiguity_set, [["inertial_drag"]], "{}", r.summary);
     assert!(r.gain.nested && r.gain.reduction.unwrap() >= 0.6, "{:?}", r.gain);
-    assert!(r.causes[0].value == sand.mechanisms.inertial_drag && r.notes[0].contains("every number alike"));
+    assert!(r.causes[0].value == sand.mechanisms.inertial_drag && r.notes[0].contains("equal weights"));
     let [term] = &r.terms[..] else { panic!("{:?}", r.terms) };
     assert!(term.ci95[0] > 0.0 && sand.terms[0].coefficient == term.coefficient, "{term:?}");
     let log = force_log::read(&data, &experiment).unwrap();
@@ -150,8 +151,8 @@ fn drag_is_the_main_cause_of_plates_in_grains() {
     assert!(again.iter().zip(&curves.extended.unwrap()).all(|(a, b)| (a - b).abs() < 1e-9));
 }
 
-/// The hidden drag has another power of the speed than the law. If the data exclude the law's power, the law is not named. If the
-/// data do not distinguish the powers, the report says so.
+/// The hidden drag has another power of the speed than the law. If the data exclude the law's power, the law is not
+/// named. If the data do not distinguish the powers, the report says so.
 #[test]
 fn the_exponent_of_the_speed_is_tested() {
     let form = |design, loud, id, value| {
@@ -174,8 +175,8 @@ fn the_exponent_of_the_speed_is_tested() {
     assert!(r.summary.contains("these data allow every power"), "{}", r.summary);
 }
 
-/// The verdict does not depend on samples at rest: at the start, as with every real drive, at the end, or at stops in between. The
-/// velocities and forces logged during a rest do not matter.
+/// The verdict does not depend on samples at rest: at the start, as with every real drive, at the end, or at stops in
+/// between. The velocities and forces logged during a rest do not matter.
 #[test]
 fn rests_change_no_verdict() {
     let rests = [
@@ -248,7 +249,8 @@ fn a_first_velocity_of_zero_changes_no_verdict() {
     assert!((r.causes[0].value - 1.0).abs() < 0.1, "{}", r.summary);
 }
 
-/// A plate that starts from rest toward −x gives the mirror image of one toward +x, whatever the noise of its velocity at rest.
+/// A plate that starts from rest toward −x gives the mirror image of one toward +x, whatever the noise of its velocity
+/// at rest.
 #[test]
 fn plates_that_start_from_rest_are_mirrored() {
     let directory = tempfile::tempdir().unwrap();
@@ -386,8 +388,8 @@ fn bad_data_are_refused_with_file_row_and_column() {
     );
 }
 
-/// A file of a gigabyte is refused before it is read, and a log with too many samples while it is read. Both give one line that says
-/// what to do.
+/// A file of a gigabyte is refused before it is read, and a log with too many samples while it is read. Both give one
+/// line that says what to do.
 #[test]
 fn logs_beyond_the_limits_are_refused() {
     let directory = tempfile::tempdir().unwrap();
@@ -454,7 +456,8 @@ fn damaged(base: &[u8], rng: &mut Xoshiro256PlusPlus) -> Vec<u8> {
     bytes
 }
 
-/// Ten thousand damaged walking logs and as many damaged experiment files are read, or refused in one line, without a panic.
+/// Ten thousand damaged walking logs and as many damaged experiment files are read, or refused in one line, without a
+/// panic.
 #[test]
 fn damaged_runs_and_experiments_never_panic() {
     const WALKS: &str = "run,condition,rep,robot,leg,xi_deg,stride_frequency,slope_deg,payload,x_bed,duration,speed,pitch_rms\n\

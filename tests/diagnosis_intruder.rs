@@ -48,8 +48,8 @@ fn errors(sand: &SandDescription, rows: &[String]) -> [f64; 2] {
     squares.map(f64::sqrt)
 }
 
-/// The diagnosis finds a loss of vertical resistance in skid. The found sand halves the error in Fx and Fy at a slip angle that was
-/// left out of the fit.
+/// The diagnosis finds a loss of vertical resistance in skid. The found sand halves the error in Fx and Fy at a slip
+/// angle that was left out of the fit.
 #[test]
 fn skid_loss_is_found_and_halves_the_held_out_error() {
     let diagnosis = diagnosed(|row| !row.contains("_30deg"));

@@ -1,5 +1,5 @@
-//! Falling is never rewarded. A search looks for action plans that end in a fall with a high return. For each of them, the same plan
-//! followed by standing still from some step on has a higher return.
+//! Falling is never rewarded. A search looks for action plans that end in a fall with a high return. For each of them,
+//! the same plan followed by standing still from some step on has a higher return.
 
 use rand::{Rng as _, SeedableRng as _};
 use rand_xoshiro::Xoshiro256PlusPlus;

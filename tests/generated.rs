@@ -1,5 +1,5 @@
-//! The committed code in `generated` folders is what the generators make from `proto/` now. It is committed so that a build needs
-//! neither the generators nor protoc. `make proto` writes it again.
+//! The committed code in `generated` folders is what the generators make from `proto/` now. It is committed so that a
+//! build needs neither the generators nor protoc. `make proto` writes it again.
 
 use prost::Message as _;
 use std::path::{Path, PathBuf};
@@ -17,7 +17,8 @@ fn make(out: &Path) {
     builder.compile_fds(files).unwrap();
 }
 
-/// The traits of the services. Requests have the type `Frame`: undecoded bytes, so that their size can be checked before decoding.
+/// The traits of the services. Requests have the type `Frame`: undecoded bytes, so that their size can be checked
+/// before decoding.
 fn server(files: prost_types::FileDescriptorSet, out: &Path) {
     let packages = [("sandgait.v1", "crate::proto"), ("dm_env_rpc.v1", "crate::dm_env_rpc::proto")];
     let messages = packages.iter().map(|(package, module)| (format!(".{package}"), (*module).to_owned()));

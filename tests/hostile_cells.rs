@@ -1,5 +1,5 @@
-//! Puts extreme cells into every column of every table for diagnosis and calibration. Each gives a result or one clear line, and
-//! never a panic.
+//! Puts extreme cells into every column of every table for diagnosis and calibration. Each gives a result or one clear
+//! line, and never a panic.
 
 #[path = "testbed/walking.rs"]
 #[allow(dead_code)] // only its tables are used here

@@ -1,4 +1,5 @@
-//! Bodies of any shape in steady motion: geometry, convergence, equilibrium, and comparison with wheels measured in sand.
+//! Bodies of any shape in steady motion: geometry, convergence, equilibrium, and comparison with wheels measured in
+//! sand.
 
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -43,7 +44,8 @@ fn plates_have_the_bodys_area_and_volume() {
     }
 }
 
-/// Forces with the default plates are within 2 % of those with plates a sixth as long; with four times as many plates, within 0.5 %.
+/// Forces with the default plates are within 2 % of those with plates a sixth as long; with four times as many plates,
+/// within 0.5 %.
 #[test]
 fn default_plates_are_fine_enough() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(3);
@@ -54,7 +56,8 @@ fn default_plates_are_fine_enough() {
         for _ in 0..20 {
             let mut v = [0, 1, 2].map(|_| random.random_range(-0.03..0.03));
             if name.starts_with("sphere") {
-                // On a rising sphere only a narrow strip is loaded; its force is a hundredth of that on a sinking sphere.
+                // On a rising sphere only a narrow strip is loaded; its force is a hundredth of that on a sinking
+                // sphere.
                 v[2] = -f64::abs(v[2]);
             }
             // The force on a turning box is a mean over its turn, which another test checks.
@@ -84,8 +87,8 @@ fn the_depth_found_carries_the_load() {
     assert_eq!((above.force, above.torque), ([0.0; 3], [0.0; 3]));
 }
 
-/// The force on a turning box is the mean over a turn; it has no lateral part and differs from the force on the same box without
-/// spin. A mirrored motion of a sphere has the mirrored force.
+/// The force on a turning box is the mean over a turn; it has no lateral part and differs from the force on the same
+/// box without spin. A mirrored motion of a sphere has the mirrored force.
 #[test]
 fn a_box_that_turns_has_the_mean_over_its_turn() {
     let b = body("box:length=0.05,width=0.05,height=0.05", None);
@@ -197,8 +200,8 @@ const INDEPENDENT: [Independent; 12] = [
     ([0.0137, -0.0013, 0.0133], 0.432, 0.0403, [-3.403, 2.812, 5.950]),
 ];
 
-/// With the mechanisms that depend on the body's travel, at any strength, the sand gives a segment no energy beyond what the plain
-/// theory gives.
+/// With the mechanisms that depend on the body's travel, at any strength, the sand gives a segment no energy beyond
+/// what the plain theory gives.
 #[test]
 fn slip_adds_no_energy() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(5);
@@ -231,7 +234,8 @@ fn slip_adds_no_energy() {
     assert!(stronger > 20_000, "the mechanisms did nothing: {stronger}");
 }
 
-/// Errors of the fitted sand files on the public rows of the measured wheels. The bounds are those that the files were made for.
+/// Errors of the fitted sand files on the public rows of the measured wheels. The bounds are those that the files were
+/// made for.
 #[test]
 fn measured_wheels_are_predicted_within_bounds() {
     let set = data::own().unwrap();

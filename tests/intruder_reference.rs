@@ -1,5 +1,6 @@
-//! Compares cylinders and boxes with a second implementation that was written from the published equations alone. It sums over many
-//! small cells on each surface and computes the angles β, γ and ψ by trigonometry. It shares no code with the program.
+//! Compares cylinders and boxes with a second implementation that was written from the published equations alone. It
+//! sums over many small cells on each surface and computes the angles β, γ and ψ by trigonometry. It shares no code
+//! with the program.
 
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -161,7 +162,8 @@ fn bodies(cells: usize) -> Vec<(String, Vec<Cell>, f64, f64)> {
     all
 }
 
-/// 300 random motions: wheels with any spin and boxes without spin, with any velocity (some components are 0) and any friction.
+/// 300 random motions: wheels with any spin and boxes without spin, with any velocity (some components are 0) and any
+/// friction.
 #[test]
 fn three_hundred_rows_agree_with_a_second_implementation() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(17);
@@ -211,7 +213,8 @@ fn three_hundred_rows_agree_with_a_second_implementation() {
     assert!(sorted[sorted.len() * 98 / 100] < 3e-3 && worst(&errors[1]) < 8e-3, "{} {sorted:?}", worst(&errors[1]));
 }
 
-/// Bodies that spin about any axis: the means over a period agree. The depth is that of the lowest point of the whole turn.
+/// Bodies that spin about any axis: the means over a period agree. The depth is that of the lowest point of the whole
+/// turn.
 #[test]
 fn turning_bodies_agree_with_a_second_implementation() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(4);

@@ -84,8 +84,8 @@ fn mechanics(model: &Model, s: &State) -> ([f64; 6], f64) {
     ([p.x, p.y, p.z, l.x, l.y, l.z], energy)
 }
 
-/// In free flight without motors and gravity, momentum and energy are constant. They are computed here from the bodies, so the
-/// armature is zero: it would be inertia that belongs to a joint and to no body.
+/// In free flight without motors and gravity, momentum and energy are constant. They are computed here from the bodies,
+/// so the armature is zero: it would be inertia that belongs to a joint and to no body.
 #[test]
 fn free_flight_keeps_momentum_and_energy() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(2);
@@ -176,8 +176,8 @@ fn lanes_do_not_affect_each_other() {
     }
 }
 
-/// The same with mechanisms of the sand switched on and neighbours at other stride frequencies: mechanisms that act at any depth must
-/// still not act in the air.
+/// The same with mechanisms of the sand switched on and neighbours at other stride frequencies: mechanisms that act at
+/// any depth must still not act in the air.
 #[test]
 fn lanes_do_not_affect_each_other_on_any_sand() {
     use sandgait::sim::engine::EngineKind;
@@ -239,8 +239,9 @@ fn a_state_set_again_gives_the_same_bits() {
     }
 }
 
-/// A robot's motion does not depend on its place, to the bit, with any instruction set and precision, because a lane computes with
-/// positions relative to its robot's last place. Only the position itself is rounded, as a double of its size is.
+/// A robot's motion does not depend on its place, to the bit, with any instruction set and precision, because a lane
+/// computes with positions relative to its robot's last place. Only the position itself is rounded, as a double of its
+/// size is.
 #[test]
 fn translation_changes_no_bit() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(6);
@@ -294,8 +295,8 @@ fn mirror_symmetry() {
     assert!((a.position[2] - b.position[2]).abs() < 1e-9);
 }
 
-/// The work of 10⁶ control steps is some kJ. The work of one time step would be lost in an f32 of that size. The accumulated work
-/// does not affect the motion.
+/// The work of 10⁶ control steps is some kJ. The work of one time step would be lost in an f32 of that size. The
+/// accumulated work does not affect the motion.
 #[test]
 fn accumulated_work_keeps_its_precision() {
     for name in ROBOTS {

@@ -14,8 +14,8 @@ use sandgait::sim::walk::{Trial, WalkResult};
 use sandgait::sim::{Model, Robot};
 use sandgait::sweep::walk_all;
 
-/// Makes test cases from the mechanisms that act in the sand (with `motor`, also in the motor): first each alone at both of
-/// its bounds, then `combinations` random combinations with values between the bounds.
+/// Makes test cases from the mechanisms that act in the sand (with `motor`, also in the motor): first each alone at
+/// both of its bounds, then `combinations` random combinations with values between the bounds.
 fn extremes(motor: bool, combinations: usize) -> Vec<(String, Mechanisms)> {
     let acts = |m: &Mechanism| m.side == Side::Sand || (motor && m.walking);
     let entries: Vec<_> = CATALOG.iter().enumerate().filter(|(_, m)| acts(m)).collect();
@@ -98,8 +98,8 @@ impl Segment {
     }
 }
 
-/// The power from the sand is at most that of the published law (0, except for 3D-RFT, see `laws_of_sand`) times the mechanisms'
-/// factors. The accelerations are 0 here, because added mass stores energy; another test below checks it.
+/// The power from the sand is at most that of the published law (0, except for 3D-RFT, see `laws_of_sand`) times the
+/// mechanisms' factors. The accelerations are 0 here, because added mass stores energy; another test below checks it.
 #[test]
 fn sand_with_mechanisms_never_adds_energy() {
     let medium = Medium::named("poppy-loose").unwrap();
@@ -138,7 +138,8 @@ fn sand_with_mechanisms_never_adds_energy() {
     }
 }
 
-/// The sand brakes a turning leg at every angle and speed. (In an earlier version `rate_log` = −0.25 drove a leg at 10 rad/s.)
+/// The sand brakes a turning leg at every angle and speed. (In an earlier version `rate_log` = −0.25 drove a leg at 10
+/// rad/s.)
 #[test]
 fn sand_brakes_a_turning_leg() {
     let poppy = SandDescription::named("poppy-loose", "li2013").unwrap();
@@ -155,7 +156,8 @@ fn sand_brakes_a_turning_leg() {
     }
 }
 
-/// Added mass stores energy and returns it: its work is zero over a stroke at constant depth with equal speeds at both ends.
+/// Added mass stores energy and returns it: its work is zero over a stroke at constant depth with equal speeds at both
+/// ends.
 #[test]
 fn added_mass_conserves_energy() {
     let medium = Medium::named("poppy-loose").unwrap();
@@ -194,8 +196,9 @@ fn walks(cases: &[(String, Mechanisms)], legs: &[&str], frequencies: &[f64]) -> 
     said.into_iter().zip(walk_all(EngineKind::Lanes, &trials, &Silent).unwrap()).collect()
 }
 
-/// Robots walk on every sand that the bounds allow, with one mechanism or several: no simulation diverges, and no robot is thrown
-/// into the air. (On ten times harder sand, uphill at 5 Hz, they tumble; the mean height stays below a body's length.)
+/// Robots walk on every sand that the bounds allow, with one mechanism or several: no simulation diverges, and no robot
+/// is thrown into the air. (On ten times harder sand, uphill at 5 Hz, they tumble; the mean height stays below a body's
+/// length.)
 #[test]
 fn robots_walk_on_every_sand_within_bounds() {
     let own = |m: &Mechanisms| Mechanisms { motor_torque_limit: 0.0, ..*m };
@@ -206,8 +209,8 @@ fn robots_walk_on_every_sand_within_bounds() {
     }
 }
 
-/// In sand that gets weaker along the path, a robot sinks until the smallest stress that the mechanism allows carries it, and goes
-/// on walking. (In an earlier version `packing_grad` = −0.3 buried every robot at 0.29 m.)
+/// In sand that gets weaker along the path, a robot sinks until the smallest stress that the mechanism allows carries
+/// it, and goes on walking. (In an earlier version `packing_grad` = −0.3 buried every robot at 0.29 m.)
 #[test]
 fn robots_walk_on_in_weakening_sand() {
     let cases =

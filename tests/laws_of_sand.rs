@@ -45,9 +45,9 @@ fn everywhere(check: impl Fn(&SandBed<f64>, Vec3<f64>, Vec3<f64>, &str)) {
     }
 }
 
-/// With the published 3D-RFT polynomial, sand pushes nearly horizontal plates that are drawn out at a shallow angle along their
-/// motion, by up to 0.006 of the penetration stress (see `sand::law::agarwal2023`). We keep the polynomial as published; this
-/// test checks the bound.
+/// With the published 3D-RFT polynomial, sand pushes nearly horizontal plates that are drawn out at a shallow angle
+/// along their motion, by up to 0.006 of the penetration stress (see `sand::law::agarwal2023`). We keep the polynomial
+/// as published; this test checks the bound.
 #[test]
 fn sand_never_adds_energy() {
     everywhere(|ground, n, v, what| {
@@ -112,7 +112,8 @@ fn one_sided_surfaces_only_push_ahead() {
     });
 }
 
-/// 3D-RFT adds energy for a small share of motions only. An error in the table or in the local frame would change this share.
+/// 3D-RFT adds energy for a small share of motions only. An error in the table or in the local frame would change this
+/// share.
 #[test]
 fn three_dimensional_rft_adds_energy_almost_nowhere() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(2);

@@ -1,10 +1,12 @@
-//! Dependencies go one way. Each folder of `src/` is a crate. Cargo refuses circular dependencies, and the compiler refuses a crate
-//! that Cargo.toml does not list. These tests check which dependencies each Cargo.toml may list. See ARCHITECTURE.md.
+//! Dependencies go one way. Each folder of `src/` is a crate. Cargo refuses circular dependencies, and the compiler
+//! refuses a crate that Cargo.toml does not list. These tests check which dependencies each Cargo.toml may list. See
+//! ARCHITECTURE.md.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// External crates for networking, messages, the engine `rapier` and the command line, each with the crates that may depend on it.
+/// External crates for networking, messages, the engine `rapier` and the command line, each with the crates that may
+/// depend on it.
 const OUTSIDE: [(&str, &[&str]); 7] = [
     ("tokio", &["service", "client", "bench", "root"]),
     ("tonic", &["service", "client", "bench"]),
@@ -73,8 +75,8 @@ fn every_folder_of_sources_is_a_crate() {
 
 type File = Vec<String>;
 
-/// Every file of `src/NAME`, by its path in the crate, with the files that it names by `crate::` or `super::`. Tests and generated
-/// files are left out. A file and the `mod.rs` of its folder may name each other.
+/// Every file of `src/NAME`, by its path in the crate, with the files that it names by `crate::` or `super::`. Tests
+/// and generated files are left out. A file and the `mod.rs` of its folder may name each other.
 fn files(name: &str) -> BTreeMap<File, BTreeSet<File>> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src").join(name);
     let mut texts: BTreeMap<File, String> = BTreeMap::new();

@@ -1,4 +1,5 @@
-//! The task LeggedVelocity: robots stand, rewards equal those of legged_gym, random draws have effects, and robots come from files.
+//! The task LeggedVelocity: robots stand, rewards equal those of legged_gym, random draws have effects, and robots come
+//! from files.
 
 use sandgait::env::registry::Blueprint;
 use sandgait::env::shard::Shard;
@@ -40,8 +41,8 @@ fn the_built_in_robot_equals_its_file() {
     assert_eq!(std::fs::read_to_string(path).unwrap().trim(), sandcat("sandcat.urdf"));
 }
 
-/// Without pushes and with zero actions, a robot stands for 10 s on every ground. So does the same robot from its URDF, for which a
-/// standing pose is computed, and from its MJCF, which states one.
+/// Without pushes and with zero actions, a robot stands for 10 s on every ground. So does the same robot from its URDF,
+/// for which a standing pose is computed, and from its MJCF, which states one.
 #[test]
 fn robots_stand() {
     for file in ["sandcat.urdf", "sandcat.xml"] {
@@ -192,8 +193,8 @@ fn large_meshes_become_small_for_pictures() {
     assert_eq!(run(with), run(without));
 }
 
-/// Each session has its own time step. Steps outside of the bounds, and those that do not divide the control step, are refused.
-/// On hard ground and in sand the motion comes closer to that of the finest step, the smaller the step is.
+/// Each session has its own time step. Steps outside of the bounds, and those that do not divide the control step, are
+/// refused. On hard ground and in sand the motion comes closer to that of the finest step, the smaller the step is.
 #[test]
 fn a_robot_has_its_own_time_step() {
     for (dt, said) in [(6e-3, "outside"), (0.0, "outside"), (-1e-3, "outside"), (1e-7, "outside"), (3e-3, "divide")] {
@@ -227,7 +228,8 @@ fn hexapod_tasks_refuse_the_engine_tree() {
     assert!(error.contains("engine"), "{error}");
 }
 
-/// On dunes, episodes begin at different places, robots stand on the local slope, and observed heights are those of the ground.
+/// On dunes, episodes begin at different places, robots stand on the local slope, and observed heights are those of the
+/// ground.
 #[test]
 fn robots_stand_on_dunes() {
     let options = json!({"ground": "dunes", "measure_heights": true, "domain_rand": null});

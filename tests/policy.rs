@@ -1,7 +1,9 @@
-//! Policies as ONNX files: actions equal those of stable-baselines3, do not depend on the batch, and wrong files are refused.
+//! Policies as ONNX files: actions equal those of stable-baselines3, do not depend on the batch, and wrong files are
+//! refused.
 //!
-//! `tests/data/policy_*.onnx` are untrained networks of PPO and SAC with VecNormalize, written by `sandgait.export_onnx`;
-//! `policy_actions.json` has observations and the actions of `predict(deterministic=True)` for them (stable-baselines3 2.9.2).
+//! `tests/data/policy_*.onnx` are untrained networks of PPO and SAC with VecNormalize, written by
+//! `sandgait.export_onnx`; `policy_actions.json` has observations and the actions of `predict(deterministic=True)` for
+//! them (stable-baselines3 2.9.2).
 
 #[path = "grpc/mutate.rs"]
 mod mutate;

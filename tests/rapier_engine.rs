@@ -133,8 +133,8 @@ fn a_falling_robot_gains_the_momentum_of_its_weight() {
     assert!((gained - impulse).norm() < 1e-4 * impulse.norm(), "{gained} {impulse}");
 }
 
-/// The servo of a leg on a fixed base: one step agrees with the equation kp(θ_ref⁺ − θ⁺) + kd(ω_ref − ω⁺) = torque, solved by hand
-/// for the leg's inertia about its hinge, with the torque limit.
+/// The servo of a leg on a fixed base: one step agrees with the equation kp(θ_ref⁺ − θ⁺) + kd(ω_ref − ω⁺) = torque,
+/// solved by hand for the leg's inertia about its hinge, with the torque limit.
 #[test]
 fn servo_is_implicit_armature_counts_and_the_limit_holds() {
     for limit in [None, Some(2e-3)] {
@@ -345,8 +345,8 @@ fn stands_still() {
     }
 }
 
-/// The two engines share the code of the sand and nothing else. Each simulates two seconds of walking, or of standing with 18
-/// joints, with a time step at which both have converged.
+/// The two engines share the code of the sand and nothing else. Each simulates two seconds of walking, or of standing
+/// with 18 joints, with a time step at which both have converged.
 #[test]
 fn agrees_with_the_engine_lanes() {
     let plain = Mechanisms::PLAIN;

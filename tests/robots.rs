@@ -41,7 +41,8 @@ const REFERENCES: [(&str, &str); 5] = [
     ("robots/sandcat.xml", "tests/data/robots/sandcat_mjcf.json"),
 ];
 
-/// Frames, inertias and dynamics are tested together: a number of the file that is read wrongly changes the accelerations.
+/// Frames, inertias and dynamics are tested together: a number of the file that is read wrongly changes the
+/// accelerations.
 #[test]
 fn accelerations_are_those_of_pinocchio_and_mujoco() {
     for (file, reference) in REFERENCES {
@@ -237,8 +238,9 @@ fn write_stl(path: &Path, faces: &[[V; 3]], turn: &Rotation3<f64>) {
     std::fs::write(path, bytes).unwrap();
 }
 
-/// Feet of any shape at random poses, depths, velocities and spins: the engine's force and moment with the default plates agree with
-/// the law summed over 20,000 points of the surface. The seed is not the one on which the defaults were chosen.
+/// Feet of any shape at random poses, depths, velocities and spins: the engine's force and moment with the default
+/// plates agree with the law summed over 20,000 points of the surface. The seed is not the one on which the defaults
+/// were chosen.
 #[test]
 fn default_plates_give_the_forces_of_fine_plates() {
     let mut chance = Xoshiro256PlusPlus::seed_from_u64(33_550);
@@ -246,8 +248,8 @@ fn default_plates_give_the_forces_of_fine_plates() {
     for law in ["li2013", "agarwal2023"] {
         let sand = SandDescription::named("poppy-loose", law).unwrap();
         for (name, geometry) in shapes() {
-            // A flat face becomes a leading face as a whole, so its smoothed leading edge is compared, as in the engine. Bent faces
-            // are compared with a sharp edge.
+            // A flat face becomes a leading face as a whole, so its smoothed leading edge is compared, as in the
+            // engine. Bent faces are compared with a sharp edge.
             let flat = |p: &Plate| name != "mesh of a boot" && p.bend == [0.0; 2];
             let grounds: [SandBed<f64>; 2] =
                 [Surface::BARE, Surface::SOLID].map(|surface| SandBed::new(sand.law, &sand.medium(), &surface));

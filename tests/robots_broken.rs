@@ -311,8 +311,8 @@ fn wrong_uses_are_refused_in_one_line() {
     }
 }
 
-/// Files with bytes changed, cut out, doubled and swapped are read or refused, without a panic, and those that are read can be
-/// simulated.
+/// Files with bytes changed, cut out, doubled and swapped are read or refused, without a panic, and those that are read
+/// can be simulated.
 #[test]
 fn mutants_are_read_or_refused() {
     let folder = tempfile::tempdir().unwrap();

@@ -18,8 +18,8 @@ type V = nalgebra::Vector3<f64>;
 /// Density of rock [kg/m³]: that of granite is about 2,650.
 const DENSITY: f64 = 2650.0;
 
-/// Deepest overlap [m] allowed in random episodes. In 1,000 episodes the deepest was 0.04 mm; with wrongly detected contacts it
-/// was 4 mm.
+/// Deepest overlap [m] allowed in random episodes. In 1,000 episodes the deepest was 0.04 mm; with wrongly detected
+/// contacts it was 4 mm.
 const DEEPEST: f64 = 2e-4;
 
 /// The reference robot with servos of 0.05 N·m, as the tasks have them.
@@ -164,9 +164,9 @@ fn a_loose_rock_rests() {
         );
         assert!(moved.norm() < 1e-4, "{shape:?} moved {moved}");
         if let ObstacleShape::Box { .. } = shape {
-            // Released at the surface, it stops at the depth at which the sand's work, ½ 0.254 N/cm³ × area × depth², equals the
-            // work of its weight, m g × depth. This is twice the depth at which the forces are equal. The tolerance is for 1e-5 m/s
-            // of creep and for the time step.
+            // Released at the surface, it stops at the depth at which the sand's work, ½ 0.254 N/cm³ × area × depth²,
+            // equals the work of its weight, m g × depth. This is twice the depth at which the forces are equal. The
+            // tolerance is for 1e-5 m/s of creep and for the time step.
             let depth = 2.0 * DENSITY * size * 9.80665 / 0.254e6;
             assert!((size / 2.0 - end.objects[0].position[2] - depth).abs() < 0.04 * depth, "{depth} {end:?}");
         }

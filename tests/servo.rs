@@ -15,7 +15,8 @@ fn model(torque_limit: f64, anti_windup: bool) -> Model {
     Model::new(&robot, &Scene::flat(Medium::named("poppy-loose").unwrap())).unwrap()
 }
 
-/// Drives a robot, set down in the tripod stance, at each rate [rad/s] for a time [s]. Returns the state at the end of each stretch.
+/// Drives a robot, set down in the tripod stance, at each rate [rad/s] for a time [s]. Returns the state at the end of
+/// each stretch.
 fn drive(kind: EngineKind, model: &Model, stretches: &[(f64, f64)]) -> Vec<State> {
     let angles = model.tripod_angles();
     let mut state = State::at_rest(model.standing_height(&angles), &angles);
@@ -43,8 +44,8 @@ fn overrun(kind: EngineKind, model: &Model) -> f64 {
     (0..6).map(|hip| turned(hip).abs()).fold(0.0, f64::max)
 }
 
-/// A motor of 8 mN·m cannot follow 5 Hz in sand. Without the lag limit its target gets turns ahead, and the hips turn on by more
-/// than half a radian after the command has ended. With the limit, only their momentum carries them on.
+/// A motor of 8 mN·m cannot follow 5 Hz in sand. Without the lag limit its target gets turns ahead, and the hips turn
+/// on by more than half a radian after the command has ended. With the limit, only their momentum carries them on.
 #[test]
 fn hips_stop_when_the_command_ends() {
     for kind in EngineKind::ALL {

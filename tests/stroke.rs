@@ -21,8 +21,8 @@ fn leg(dt: f64) -> Model {
     Model::new(&robot, &Scene { dt, ..Scene::flat(medium()) }).unwrap()
 }
 
-/// The state after a motion with joint speeds that change every 20 ms, times `scale`, from the angles `start`, with the carriage at
-/// `speed` [m/s].
+/// The state after a motion with joint speeds that change every 20 ms, times `scale`, from the angles `start`, with the
+/// carriage at `speed` [m/s].
 fn driven(model: &Model, start: [f64; 2], speed: f64, rates: &dyn Fn(usize) -> [f64; 2], steps: usize) -> State {
     let mut engine = CarriageEngine::new(model, 1);
     let mut state = State::at_rest(0.02, &start);
@@ -50,8 +50,8 @@ fn forces_are_those_of_a_rotating_leg() {
     for (knee, xi) in [(FRAC_PI_2, PI / 4.0), (-FRAC_PI_2, -PI / 4.0)] {
         let mut largest: f64 = 0.0;
         for theta in [-1.0_f64, -0.7, -0.3, 0.1, 0.6] {
-            // The paper's angle is that of the line from hip to tip, positive for a tip forward. Ours is that of the upper link, positive
-            // for a tip backward.
+            // The paper's angle is that of the line from hip to tip, positive for a tip forward. Ours is that of the
+            // upper link, positive for a tip backward.
             let hip = -theta - knee / 2.0;
             let (omega, dt) = (0.2, 1e-5);
             let model = leg(dt);
@@ -99,7 +99,8 @@ fn no_stroke_adds_energy() {
     }
 }
 
-/// On a carriage at rest, the same path at half the speed has twice the impulse for the same work. This is why the carriage moves.
+/// On a carriage at rest, the same path at half the speed has twice the impulse for the same work. This is why the
+/// carriage moves.
 #[test]
 fn a_standing_carriage_has_no_best_stroke() {
     let model = leg(1e-3);

@@ -22,7 +22,8 @@ fn design() -> Design {
     Design { robot: Robot::load("xplorer").unwrap(), scene, frequency: 2.0, phase: 0.0 }
 }
 
-/// The data are of plates pushed slowly through a simulation of single grains; its authors state ζ = 0.46 from three such runs.
+/// The data are of plates pushed slowly through a simulation of single grains; its authors state ζ = 0.46 from three
+/// such runs.
 #[test]
 fn a_penetration_test_gives_the_scale() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/penetration.csv");
@@ -40,8 +41,8 @@ fn a_penetration_test_gives_the_scale() {
     assert!((c.xi_n / c.zeta - 1.0 / 0.87574).abs() < 1e-12);
 }
 
-/// The interval contains the true value nearly as often as its confidence level, for noise that is correlated along the path.
-/// `calibrate::STRETCHES` says how nearly.
+/// The interval contains the true value nearly as often as its confidence level, for noise that is correlated along the
+/// path. `calibrate::STRETCHES` says how nearly.
 #[test]
 fn the_confidence_interval_has_its_coverage() {
     use rand::{Rng, SeedableRng};
@@ -133,7 +134,8 @@ fn parallel_walks_equal_single_walks() {
     }
 }
 
-/// At most frequencies, the ends of the evaluated window lie between two samples. The cost of transport must not depend on where.
+/// At most frequencies, the ends of the evaluated window lie between two samples. The cost of transport must not depend
+/// on where.
 #[test]
 fn the_cost_of_transport_is_smooth_in_the_frequency() {
     let cost = |frequency: f64| {
@@ -181,7 +183,8 @@ fn parameters_change_the_model() {
     assert_eq!(Axis::parse("xi=-0.1:0.2:4").unwrap().values, ["-0.1", "0", "0.1", "0.2"]);
 }
 
-/// The search finds a design at least as good as the best of a coarse grid, stays within its bounds, and is reproducible.
+/// The search finds a design at least as good as the best of a coarse grid, stays within its bounds, and is
+/// reproducible.
 #[test]
 fn the_search_beats_a_grid() {
     let axes = [Axis::parse("xi=0:75:2").unwrap()];
@@ -200,8 +203,8 @@ fn the_search_beats_a_grid() {
     assert_eq!(a.values, b.values);
 }
 
-/// The forces on a leg that rotates through sand with a mechanism agree with the diagnosis's prediction. The prediction divides
-/// the leg into fewer segments, and has separate code for slopes and filled legs.
+/// The forces on a leg that rotates through sand with a mechanism agree with the diagnosis's prediction. The prediction
+/// divides the leg into fewer segments, and has separate code for slopes and filled legs.
 #[test]
 fn forces_with_mechanisms_agree_with_the_diagnosis() {
     let acting = ["inertial_drag", "concave_fill", "depth_power", "cohesion", "scale", "packing_grad", "slope"];
@@ -243,7 +246,8 @@ fn forces_with_mechanisms_agree_with_the_diagnosis() {
     }
 }
 
-/// A large grid is computed in portions and gives the results of its single walks. A wrong value is named before the first walk.
+/// A large grid is computed in portions and gives the results of its single walks. A wrong value is named before the
+/// first walk.
 #[test]
 fn a_large_grid_equals_its_single_walks() {
     let axes = [Axis::parse("xi=-40,40").unwrap(), Axis::parse("frequency=19:20:2100").unwrap()];

@@ -23,7 +23,8 @@ fn refused(id: &str, options: Value) -> String {
     Blueprint::new(id, options).err().unwrap().to_string()
 }
 
-/// For each joint, its counterpart on the other side, and the sign of its angle in the mirror. (Hinge axes are axial vectors.)
+/// For each joint, its counterpart on the other side, and the sign of its angle in the mirror. (Hinge axes are axial
+/// vectors.)
 fn other_side(model: &Model) -> Vec<(usize, f64)> {
     let names = model.robot.joint_names();
     let bodies: Vec<_> = model.legs.iter().flatten().collect();
@@ -188,7 +189,8 @@ fn action_0_of_the_clock_is_the_constant_rate_tripod() {
     assert!(far < 1e-6, "{far}");
 }
 
-/// With torque control, the action is the motor's torque, within its limit. With position control, the hip moves to the target.
+/// With torque control, the action is the motor's torque, within its limit. With position control, the hip moves to the
+/// target.
 #[test]
 fn torque_and_position_actions_have_their_meaning() {
     let torque = blueprint(GAIT, json!({"control": "torque", "torque_limit": 0.02}));
@@ -236,8 +238,8 @@ fn yawed(state: &State, yaw: f64) -> State {
     State { orientation: [cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w], ..state.clone() }
 }
 
-/// Info columns of a step of HexapodGait in which the robot turns from one heading to another [rad] and moves by `moved` [m]. At its
-/// end the yaw speed is `turning` [rad/s] and the accumulated work `work` [J].
+/// Info columns of a step of HexapodGait in which the robot turns from one heading to another [rad] and moves by
+/// `moved` [m]. At its end the yaw speed is `turning` [rad/s] and the accumulated work `work` [J].
 fn paid(headings: [f64; 2], moved: [f64; 2], turning: f64, work: f64) -> impl Fn(&str) -> f64 {
     let blueprint = blueprint(GAIT, json!({"command": [0.25, 0.25]}));
     let task = blueprint.task.clone();

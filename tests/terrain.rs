@@ -1,4 +1,5 @@
-//! The task HexapodTerrain: random draws have effects, the ground changes and keeps footprints, and difficulty 0 is HexapodGait.
+//! The task HexapodTerrain: random draws have effects, the ground changes and keeps footprints, and difficulty 0 is
+//! HexapodGait.
 
 use sandgait::env::Shard;
 use sandgait::env::registry::Blueprint;
@@ -44,7 +45,8 @@ fn difficulty_0_is_the_plain_task() {
     }
 }
 
-/// Every quantity is drawn within its range and all over it, for each episode anew, and the range shrinks with the difficulty.
+/// Every quantity is drawn within its range and all over it, for each episode anew, and the range shrinks with the
+/// difficulty.
 #[test]
 fn quantities_are_drawn_within_their_ranges() {
     for (difficulty, slope) in [(1.0_f64, 10.0_f64), (0.3, 3.0)] {
@@ -75,7 +77,8 @@ fn quantities_are_drawn_within_their_ranges() {
     }
 }
 
-/// Robots cross patches, come back, and find weaker ground in their footprints. Without footprints the ground stays fresh.
+/// Robots cross patches, come back, and find weaker ground in their footprints. Without footprints the ground stays
+/// fresh.
 #[test]
 fn ground_has_patches_and_footprints() {
     for engine in ["lanes", "rapier"] {
@@ -111,7 +114,8 @@ fn ground_has_patches_and_footprints() {
     }
 }
 
-/// The command reverses only after progress in the commanded direction. A robot that moves the wrong way keeps its command.
+/// The command reverses only after progress in the commanded direction. A robot that moves the wrong way keeps its
+/// command.
 #[test]
 fn robots_that_move_the_wrong_way_keep_their_command() {
     for sign in [1.0, -1.0] {

@@ -1,5 +1,5 @@
-//! Compares the three stress laws with their printed equations, in sines and cosines, and with values from an independent
-//! implementation in another language.
+//! Compares the three stress laws with their printed equations, in sines and cosines, and with values from an
+//! independent implementation in another language.
 
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -58,7 +58,8 @@ fn planar_laws_are_their_printed_equations() {
     }
 }
 
-/// Checksums of the coefficient table, and the value α_z(0, π/2, 0)/ξ_n = 0.87574, which is minus the sum of all coefficients.
+/// Checksums of the coefficient table, and the value α_z(0, π/2, 0)/ξ_n = 0.87574, which is minus the sum of all
+/// coefficients.
 #[test]
 fn anchor_and_table_of_agarwal2023() {
     let sum = |i: usize| agarwal2023::COEFFICIENTS.iter().map(|c| c[i]).sum::<f64>();
@@ -95,8 +96,8 @@ fn components_of_agarwal2023() {
     }
 }
 
-/// Our form without trigonometry equals the published components in any horizontal direction, if these push. If they would pull, our
-/// normal part has the opposite sign. β counts modulo π.
+/// Our form without trigonometry equals the published components in any horizontal direction, if these push. If they
+/// would pull, our normal part has the opposite sign. β counts modulo π.
 #[test]
 fn spatial_law_is_its_published_components() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(8);
@@ -143,7 +144,8 @@ fn friction_caps_the_tangential_stress() {
     }
 }
 
-/// The cubic formula for ζ from density and friction. For loose poppy seeds it gives about four times the calibrated 0.290 N/cm³.
+/// The cubic formula for ζ from density and friction. For loose poppy seeds it gives about four times the calibrated
+/// 0.290 N/cm³.
 #[test]
 fn scale_from_friction() {
     // 638 kg/m³ and μ = 0.6: 638 · 9.80665 · (894·0.216 − 386·0.36 + 89·0.6) = 6.7279e5 N/m³

@@ -1,5 +1,5 @@
-//! `sandgait train` on the command line: wrong input is refused, a stopped training and a killed server leave a checkpoint, and a
-//! resumed training gives the same bits.
+//! `sandgait train` on the command line: wrong input is refused, a stopped training and a killed server leave a
+//! checkpoint, and a resumed training gives the same bits.
 
 use sandgait::progress::{Progress, Silent};
 use sandgait::train::{Request, Settings};
@@ -47,7 +47,7 @@ fn wrong_settings_are_one_line_and_write_nothing() {
         (&["--address", "nowhere"], "--address: \"nowhere\" is neither host:port nor unix:/path"),
         (&["--address", "unix:/none/sand.sock"], "server unix:/none/sand.sock: it cannot be reached: "),
         (&["--token-file", &file], "--address"),
-        (&["--address", "192.0.2.1:1", "--token-file", &file], "it would travel to 192.0.2.1:1 unencrypted"),
+        (&["--address", "192.0.2.1:1", "--token-file", &file], "it would be sent to 192.0.2.1:1 without encryption"),
     ] {
         let line = one_line(&[arguments, &["--out", &out]].concat());
         assert!(line.contains(words), "{line}");
@@ -131,7 +131,8 @@ fn result(out: &Path) -> (Vec<u8>, Vec<String>) {
     (std::fs::read(out.join("policy.onnx")).unwrap(), curve.lines().map(line).collect())
 }
 
-/// A training that is stopped at any point and resumed gives the same policy and curve, to the bit, as one without a stop.
+/// A training that is stopped at any point and resumed gives the same policy and curve, to the bit, as one without a
+/// stop.
 #[test]
 fn a_resumed_training_gives_the_same_bits() {
     for (task, changes) in [
@@ -267,12 +268,13 @@ fn environments_on_a_server_give_the_same_bits() {
     assert!(result(&here) == result(&away));
     let text = run(&away, &["--timesteps", "1408", "--resume"]);
     assert!(
-        text.contains("new episodes began where it went on: the checkpoint's environments are of a server"),
+        text.contains("new episodes began at the resumption: the checkpoint's environments are of a server"),
         "{text}"
     );
 }
 
-/// If the server is killed during a training, there is one line and a checkpoint, and the training can be resumed without the server.
+/// If the server is killed during a training, there is one line and a checkpoint, and the training can be resumed
+/// without the server.
 #[test]
 fn a_training_survives_a_killed_server() {
     let mut server = Server::start();
@@ -315,8 +317,8 @@ fn sweep(arguments: &[&str]) -> Output {
     command.arg("sweep").args(arguments).args(["--option", "max_episode_steps=40"]).output().unwrap()
 }
 
-/// When a stopped study is started again, it reads finished trainings from their files and repeats the others. Its results
-/// equal those of an uninterrupted study to the bit.
+/// When a stopped study is started again, it reads finished trainings from their files and repeats the others. Its
+/// results equal those of an uninterrupted study to the bit.
 #[test]
 fn a_study_that_was_stopped_goes_on() {
     let directory = tempfile::tempdir().unwrap();
@@ -378,7 +380,7 @@ fn wrong_studies_are_one_line_and_write_nothing() {
             "vary: leg needs two numbers to search between",
         ),
         (&["--learn", "5", "--vary", "frequency=1:2:2"], "frequency: with --learn each design learns its own"),
-        (&["--warm", "5"], "they are for studies with --learn or --learn-steps"),
+        (&["--warm", "5"], "they are used only with --learn or --learn-steps"),
     ] {
         let done = sweep(&[&vary[..], arguments].concat());
         let line = String::from_utf8(done.stderr).unwrap();

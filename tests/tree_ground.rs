@@ -60,8 +60,8 @@ fn run(model: &Model, isa: Isa, drop: f64, trots: bool, seconds: f64) -> Vec<Sta
     (0..(seconds / 0.02) as usize).map(control).collect()
 }
 
-/// Dropped onto its feet, at rest and trotting, the trunk is where MuJoCo has it. The contact laws of the feet differ, so the
-/// difference grows with time: 1.5 mm at rest, 3 mm after a second of trotting.
+/// Dropped onto its feet, at rest and trotting, the trunk is where MuJoCo has it. The contact laws of the feet differ,
+/// so the difference grows with time: 1.5 mm at rest, 3 mm after a second of trotting.
 #[test]
 fn a_quadruped_moves_as_in_mujoco() {
     let reference = reference();

@@ -50,7 +50,8 @@ fn wrong_use_is_one_line() {
     }
 }
 
-/// Nine measured pushes of three discs into one sand: the pressure grows with depth and with the disc's size, and the output says so.
+/// Nine measured pushes of three discs into one sand: the pressure grows with depth and with the disc's size, and the
+/// output says so.
 #[test]
 fn measured_discs_are_compared() {
     let discs = "tests/data/real_wheel/discs.csv";
@@ -89,9 +90,9 @@ fn the_scoreboard_is_written_and_names_its_worst() {
     let done = sandgait(&["validate", "--out", out.to_str().unwrap()]);
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     let said = String::from_utf8(done.stdout).unwrap();
-    assert!(said.starts_with("Worst regime where nothing was fitted on the wheels: locked, slip −1"), "{said}");
+    assert!(said.starts_with("Largest errors without a fit on the wheels: locked wheel, slip ratio −1"), "{said}");
     let rows = std::fs::read_to_string(out.join("validation_rows.csv")).unwrap();
-    // 126 rows at slip angles up to 60°, in each of three comparisons, and 36 of the smooth wheel at positive slip.
+    // 126 rows at slip angles up to 60°, in each of three comparisons, and 36 of the smooth wheel at positive slip ratios.
     assert_eq!(rows.lines().count(), 1 + 3 * 126 + 36);
     // Free flight differs from pinocchio and MuJoCo by rounding only.
     let flights = said.lines().filter(|l| l.contains("| pinocchio ") || l.contains("| MuJoCo "));
@@ -143,7 +144,8 @@ sand = "sand.toml"
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     let page = std::fs::read_to_string(out.join("validation.md")).unwrap();
     assert!(page.contains("## A box in our sand") && page.contains("our own laboratory") && page.contains("CC0"));
-    // Two rows count, because the third is beyond 45°. Fx and Fy are right; Fz is too small by 1/11 of the measured one.
+    // Two rows count, because the third is beyond 45°. Fx and Fy are right; Fz is too small by 1/11 of the measured
+    // one.
     let all = page.lines().find(|l| l.starts_with("| all ")).unwrap();
     let cells: Vec<&str> = all.split('|').map(str::trim).collect();
     assert_eq!(cells[2], "2");

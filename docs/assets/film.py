@@ -1,4 +1,4 @@
-"""The moving picture of README and the site: a hexapod with C-legs that walks at 2 Hz. `make film` runs it."""
+"""Makes the animation of README and the site: a hexapod with C-legs that walks at 2 Hz. `make film` runs this file."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from PIL import Image
 import sandgait  # noqa: F401  (registers the ids)
 
 OUT = Path(__file__).parents[1] / "images/walk.webp"
-#: Control steps at 50 a second: half a second to settle, then two seconds of film at 25 frames a second.
+#: Control steps until the film begins (0.5 s), of the film (2 s), and from frame to frame (25 frames per second).
 SETTLE, FILM, EVERY = 25, 100, 2
 
 env = gym.make("sandgait/HexapodGait-v1", leg="C", render_mode="rgb_array")
 env.reset(seed=0)
-action = np.full(6, 0.4, dtype=np.float32)  # 2 Hz of at most 5
+action = np.full(6, 0.4, dtype=np.float32)  # 2 Hz; action 1 is 5 Hz
 frames = []
 for step in range(SETTLE + FILM):
     env.step(action)

@@ -1,4 +1,4 @@
-"""What mkdocs does not do by itself: formulas, pages that are files of the root, the protocol's page, llms.txt."""
+"""Hooks of mkdocs for the site: formulas, pages from files of the root folder, the page of the protocol, llms.txt."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).parents[2]
 
-#: Pages of the site that live outside docs/, where people look for them first.
+#: Pages of the site whose files are not in docs/, because people look for them in the root folder.
 ELSEWHERE = {
     "ARCHITECTURE.md": "architecture.md",
     "CONTRIBUTING.md": "contributing.md",
@@ -32,7 +32,8 @@ def on_files(files: Files, config: Any, **_: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
-    """Formulas (```math, which GitHub draws too) become MathML, which browsers draw; links to `ELSEWHERE` stay here."""
+    """Converts formulas (```math, which GitHub also shows) to MathML for browsers, and links to files of `ELSEWHERE` to
+    links to their pages."""
     for source, target in ELSEWHERE.items():
         markdown = markdown.replace(f"](../{source}", f"]({target}")
     markdown = markdown.replace("<!-- proto/sandgait/v1 -->", protocol())
@@ -71,7 +72,7 @@ def protocol() -> str:
 
 
 def first_sentence(markdown: str) -> str:
-    """What a page begins with, its heading, pictures and code left out."""
+    """The first sentence of a page, after headings, pictures and code."""
     prose = re.sub(r"^```.*?^```$|<!--.*?-->", "", markdown, flags=re.DOTALL | re.MULTILINE)
     paragraphs = [part.strip() for part in prose.split("\n\n")]
     first = next((part for part in paragraphs if part and part[0] not in "#!|<:"), "")

@@ -6,7 +6,7 @@
     gymnasium.make_vec("sandgait/HexapodGait-v1", num_envs=256)
     sandgait.make_sb3("sandgait/HexapodGait-v1", num_envs=32)
 
-Studies need no environment, and are the commands of the same names:
+Studies need no environment. They are the functions of the commands with the same names:
 
     sandgait.intrude("L", medium="poppy-close").plot()
     sandgait.walk([1, 2, 3], leg="C").speed
@@ -18,8 +18,8 @@ Learning a gait takes a minute, without torch:
 
     sandgait.train("sandgait/HexapodGait-v1", seconds=60).policy
 
-This process computes all of it. With `address="host:port"` or `"unix:/path"` a running server does; a
-`sandgait.Remote` is the address of a server that requires TLS or a token.
+By default this process computes everything. With `address="host:port"` or `"unix:/path"` a running server computes
+it. A `sandgait.Remote` is the address of a server that requires TLS or a token.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ __all__ = [
     "walk",
 ]
 
-#: Ids of the tasks that this version registers; a test holds them equal to the server's.
+#: Ids of the tasks that this version registers. A test compares them with the server's.
 TASKS = (
     "sandgait/HexapodGait-v1",
     "sandgait/HexapodLegs-v1",
@@ -107,8 +107,9 @@ def make_sb3(
 ) -> Environments:
     """`num_envs` environments of task `id` as a stable-baselines3 `VecEnv`; `options` as for `gymnasium.make_vec`.
 
-    A `VecMonitor` wraps them; stable-baselines3 takes `ep_rew_mean` from it. `monitor`: with a path it also writes
-    every episode to that file, with the info columns `info_keywords`; False leaves the wrapper out.
+    A `VecMonitor` wraps them, from which stable-baselines3 takes `ep_rew_mean`. If `monitor` is a path, the VecMonitor
+    also writes every episode to that file, with the info columns `info_keywords`. With `monitor=False` there is no
+    VecMonitor.
     """
     from .sb3 import make
 
@@ -118,16 +119,16 @@ def make_sb3(
 def export_onnx(model: Any, path: FilePath, normalize: Any = None) -> Path:
     """Writes the deterministic policy of a stable-baselines3 `model` (PPO, A2C, SAC, TD3, DDPG) to an ONNX file.
 
-    `normalize`: the VecNormalize it was trained with; its statistics and its clipping become part of the network.
-    `rollout_policy`, `evaluate` and `sandgait evaluate` take the file. Returns its path. Needs `sandgait[sb3]`.
+    `normalize`: the VecNormalize of the model's training; its statistics and its clipping become part of the network.
+    `rollout_policy`, `evaluate` and `sandgait evaluate` read the file. Returns the file's path. Needs `sandgait[sb3]`.
     """
     from .export import export_onnx
 
     return export_onnx(model, path, normalize)
 
 
-#: Control steps until gymnasium truncates an episode; a test holds them equal to the server's. LegStroke counts itself:
-#: one episode is one stroke, and ends with it.
+#: Control steps until gymnasium truncates an episode. A test compares them with the server's. LegStroke has no limit
+#: here, because one episode is one stroke and ends with it.
 _TIME_LIMITS = {_id: 500 for _id in TASKS if "/Hexapod" in _id} | {"sandgait/LeggedVelocity-v0": 1000}
 
 for _id in TASKS:

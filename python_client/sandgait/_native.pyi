@@ -1,4 +1,4 @@
-"""The native module: `python_client/native/`."""
+"""Types of the native module, which `python_client/native/` makes."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path

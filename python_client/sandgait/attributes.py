@@ -1,6 +1,6 @@
-"""Refuses to set attributes of environments, because that would not change the simulation.
+"""Refuses to set attributes of environments, because the simulation would not change.
 
-Task options change at a reset, or are fixed when the environment is made.
+A task option can change at a reset, or it is fixed when the environment is made.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ KEYWORDS = frozenset(
 
 
 def refusal(task: Task, name: str, value: Any) -> UnknownAttribute:
-    """Why setting attribute `name` is refused, and what to do instead."""
+    """The error that says why attribute `name` cannot be set, and what to do instead."""
     option = next((o for o in task.options if o.name == name), None)
     if option is not None and option.at_reset:
         return UnknownAttribute(

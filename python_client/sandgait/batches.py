@@ -1,4 +1,4 @@
-"""Results of environments, as arrays over all of them."""
+"""Results of a reset, step or rollout, as arrays over all environments."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy.typing as npt
 
 
 class Batch(NamedTuple):
-    """All environments after a reset or step; arrays are this batch's own and may be written to."""
+    """All environments after a reset or step. The arrays belong to this batch alone, so the caller may change them."""
 
-    #: f32 [num_envs, observation]; where an episode ended, already the first of the next one.
+    #: f32 [num_envs, observation]; if an episode ended, the first observation of the next episode.
     observations: npt.NDArray[np.float32]
     #: f32 [num_envs]
     rewards: npt.NDArray[np.float32]
@@ -19,27 +19,29 @@ class Batch(NamedTuple):
     terminated: npt.NDArray[np.bool_]
     #: [num_envs]
     truncated: npt.NDArray[np.bool_]
-    #: f32 [info, num_envs], one contiguous row a column of the table
+    #: f32 [info, num_envs]; each info column is a contiguous row
     infos: npt.NDArray[np.float32]
-    #: [k] environments whose episode ended, ascending
+    #: [k]: environments whose episode ended, in ascending order
     final_indices: npt.NDArray[np.intp]
-    #: f32 [k, observation]
+    #: f32 [k, observation]: the last observations of these episodes
     final_observations: npt.NDArray[np.float32]
 
 
 class Rollout(NamedTuple):
-    """Results of a rollout; an environment's rollout ends with its episode."""
+    """Results of a rollout. The rollout of an environment ends early if its episode ends."""
 
     #: f64 [num_envs]: sum of rewards until the rollout or the episode ended.
     returns: npt.NDArray[np.float64]
-    #: [num_envs]: steps until then.
+    #: [num_envs]: number of steps until the rollout or the episode ended.
     lengths: npt.NDArray[np.intp]
-    #: [num_envs]: how the episode ended, if it did.
+    #: [num_envs]: was the episode terminated, and was it truncated?
     terminated: npt.NDArray[np.bool_]
     truncated: npt.NDArray[np.bool_]
-    #: f32 [steps, num_envs, observation] after each step, zero where a rollout had ended; empty unless asked for.
+    #: f32 [steps, num_envs, observation] after each step. Zero after an environment's rollout has ended. Empty without
+    #: `trajectories`.
     observations: npt.NDArray[np.float32]
-    #: f32 [steps, num_envs], as above.
+    #: f32 [steps, num_envs]; zero and empty in the same cases.
     rewards: npt.NDArray[np.float32]
-    #: f32 [steps, num_envs, action], as above: a policy's choices; empty for given actions.
+    #: f32 [steps, num_envs, action]: the policy's actions; zero and empty in the same cases. Also empty if the caller
+    #: gave the actions.
     actions: npt.NDArray[np.float32]

@@ -1,6 +1,6 @@
-"""Calls to servers, by the native module.
+"""Calls to servers, through the native module.
 
-A `Stream` returns one answer for each request; `session` makes a lasting session of streams.
+A `Stream` returns one answer for each request. Module `session` keeps a session when its stream breaks.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from .options import with_files
 from .remote import Remote
 from .spaces import Task
 
-#: The wire protocol this client speaks; the server refuses another.
+#: Version of the protocol of this client. The server refuses other versions.
 PROTOCOL = 1
 
 #: Longest wait for a server to confirm that a session is closed [s].
 CLOSE_TIMEOUT = 2.0
 
-#: gRPC's status codes: their names, and the exception for each.
+#: Name and exception of each of gRPC's status codes.
 _CODES: dict[int, tuple[str, type[SandgaitError]]] = {
     1: ("CANCELLED", SessionLost),
     3: ("INVALID_ARGUMENT", InvalidRequest),
@@ -55,7 +55,7 @@ def place(address: str) -> _native.Address:
 
 
 def describe(address: str) -> tuple[str, tuple[Task, ...]]:
-    """Version of the server at `address` and the tasks it offers."""
+    """The version of the server at `address`, and the tasks that it offers."""
     try:
         version, protocol, tasks = _native.describe_server(place(address))
     except _native.StatusError as error:
@@ -74,7 +74,7 @@ def study(address: str, name: str, request: Mapping[str, Any], told: Any = None)
 
 
 class Created(NamedTuple):
-    """A session that a server has made."""
+    """A new session on a server."""
 
     session_id: str
     task: Task
@@ -106,11 +106,11 @@ class Stream:
         self.last_sequence = self._native.last_sequence
 
     def send(self, request: Request, here: bool = False) -> None:
-        """Sends without waiting. `here`: the caller will wait for the answer next."""
+        """Sends a request without waiting for its answer. `here`: next the caller waits for this answer."""
         self._native.send(request, here)
 
     def receive(self) -> Response:
-        """The next answer. `ServerLost` if the connection broke: the session may still exist."""
+        """The next answer. Raises `ServerLost` if the connection broke; the session may still exist."""
         try:
             return self._native.receive()
         except _native.StatusError as error:
@@ -122,7 +122,7 @@ class Stream:
 
 
 def close_session(address: str, session_id: str, timeout: float = CLOSE_TIMEOUT) -> None:
-    """Frees a session before this returns, if its server answers within `timeout` [s]."""
+    """Closes a session. Waits up to `timeout` [s] until its server has freed it."""
     with contextlib.suppress(_native.StatusError):
         _native.close_session(place(address), session_id, timeout)
 
@@ -130,18 +130,19 @@ def close_session(address: str, session_id: str, timeout: float = CLOSE_TIMEOUT)
 def reset_request(
     seeds: Sequence[int] | None, mask: npt.NDArray[np.bool_] | None, options: Mapping[str, Any]
 ) -> Request:
-    """A reset. `seeds` and `mask` have one entry an environment; without seeds the random streams continue."""
+    """A reset. `seeds` and `mask` have one entry for each environment. Without seeds the random streams continue."""
     return Request.reset(seeds, None if mask is None else mask.tobytes(), options)
 
 
 def step_request(actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None = None) -> Request:
-    """A step; `actions` is f32 [num_envs, action]. The server checks bounds. Environments in `held` keep their
-    state."""
+    """A step; `actions` is f32 [num_envs, action]. The server checks the actions' bounds. Environments in `held` keep
+    their state."""
     return Request.step(actions, None if held is None else held.tobytes())
 
 
 def restore_request(snapshot: bytes, sources: npt.NDArray[np.integer[Any]] | None) -> Request:
-    """Environment i becomes number `sources[i]` of the snapshot; without sources, number i modulo theirs."""
+    """A restore. Environment i gets the state of the snapshot's environment `sources[i]`. Without `sources` it gets
+    that of environment i modulo n, if the snapshot has n environments."""
     return Request.restore(snapshot, None if sources is None else sources.astype("<u4").tobytes())
 
 

@@ -1,4 +1,4 @@
-"""Diagnosis: where a simulation differs from measured data, why, and the gain of an extended model."""
+"""Diagnosis: finds where a simulation differs from measured data, why it differs, and the gain of an extended model."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .errors import InvalidRequest, LimitReached
 from .studies import Display, FilePath, ProgressOption, columns, file
 from .tables import Table, new_axes
 
-#: Largest data a server takes [bytes]; `sandgait diagnose` on the command line reads larger files.
+#: Largest size of the data [bytes] that a server accepts. `sandgait diagnose` on the command line reads larger files.
 MOST_BYTES = 63 * 2**20
 
 #: Default number of conditions in a figure: those with the largest errors of the plain model.
@@ -29,10 +29,11 @@ class Diagnosis:
         self.report: dict[str, Any] = json.loads(report_json)
         #: `report.html`: one self-contained page.
         self.html = html
-        #: The extended model as `sand.toml`; the plain one if nothing helps.
+        #: The extended model as `sand.toml`. If no mechanism reduces the error, this is the plain model.
         self.sand = sand
-        #: Measured and predicted loads, one row a sample: trial, condition, shape, progress (angle [rad] or place
-        #: along the path [m]), then for each channel C: C, C_plain, C_extended, C_sd.
+        #: Measured and predicted loads, one row for each sample. Columns: trial, condition, shape, progress (angle
+        #: [rad] or position along the path [m]). Each channel C has the columns C (measured), C_plain and C_extended
+        #: (predicted) and C_sd (standard deviation of a repetition).
         self.curves = curves
 
     @property
@@ -42,7 +43,7 @@ class Diagnosis:
 
     @property
     def summary(self) -> str:
-        """The verdict in one sentence."""
+        """The verdict as a sentence."""
         return cast(str, self.report["summary"])
 
     @property
@@ -68,10 +69,10 @@ class Diagnosis:
         return self.curves.to_frame()
 
     def plot(self, conditions: list[str] | None = None, channels: tuple[str, ...] = ("Fx", "Fz")) -> Any:
-        """Measured (dots), plain and extended loads of some conditions, one row a condition, one column a channel.
+        """Plots the measured loads (dots) and those of the plain and the extended model over the progress.
 
-        `conditions`: by their names in the data (none: the 4 with the largest errors of the plain model). Returns
-        the matplotlib figure.
+        The figure has one row for each condition and one column for each channel. `conditions`: names of conditions in
+        the data; by default the 4 conditions with the largest errors of the plain model. Returns the matplotlib figure.
         Needs `sandgait[plot]`.
         """
         c = self.curves
@@ -97,7 +98,7 @@ class Diagnosis:
         return figure
 
     def _worst(self, channels: tuple[str, ...]) -> list[str]:
-        """Conditions with the largest errors of the plain model, in σ of a repetition."""
+        """Conditions with the largest errors of the plain model, relative to the standard deviation of a repetition."""
         c = self.curves
         off = sum(((c[n] - c[f"{n}_plain"]) / np.maximum(c[f"{n}_sd"], 1e-12)) ** 2 for n in channels)
         names, index = np.unique(c["condition"], return_inverse=True)
@@ -124,11 +125,11 @@ class Diagnosis:
 def diagnose(
     data: Any, experiment: FilePath | Mapping[str, Any], address: str | None = None, progress: ProgressOption = True
 ) -> Diagnosis:
-    """Shows where the simulation differs from `data`, names the cause, extends the model, measures the gain.
+    """Finds where the simulation differs from `data`, names the cause, extends the model and measures its gain.
 
-    `data`: path of a CSV file (a robot's own log may be Parquet or MCAP too), or a pandas DataFrame with the same
-    columns; at most 63 MiB. `experiment`: path of an EXPERIMENT.toml, or the same tables as a dict. Ctrl-C stops the
-    work on the server too.
+    `data`: path of a CSV file, or a pandas DataFrame with the same columns; at most 63 MiB. A log that a robot recorded
+    can also be a Parquet or MCAP file. `experiment`: path of an EXPERIMENT.toml, or the same tables as a dict. Ctrl-C
+    stops the work, also on a server.
     """
     name, content = _content(data)
     if len(content) > MOST_BYTES:

@@ -1,6 +1,6 @@
-"""The two doors to environments: in this process, and over the network.
+"""The interface to environments in this process or over the network.
 
-`Door` is their common interface: `Local` for this process, `session.Session` for the network.
+`Door` is the common interface. `Local` implements it for this process, `session.Session` for the network.
 """
 
 from __future__ import annotations
@@ -19,27 +19,27 @@ from .options import with_files
 from .spaces import Task
 from .threads import agreed
 
-#: Called with a study's progress: the finished share, and the present stage.
+#: A study calls this function with its progress: the finished share of the work, and the present stage.
 Told = Callable[[float, str], None]
 
 
 class Held(NamedTuple):
-    """Closes a session that is not referred to any more."""
+    """Closes a session when no other object refers to it any more."""
 
     close: Callable[[], object]
-    #: Sets how long `close` may take [s].
+    #: Sets the longest duration of `close` [s].
     hurry: Callable[[float], None]
 
 
 class Door(Protocol):
-    """Environments of one task in one place. Each request has an answer, which must be received."""
+    """Environments of one task, in this process or on one server. The caller must receive each request's answer."""
 
     num_envs: int
     task: Task
 
     @property
     def address(self) -> str | None:
-        """Address of the server that has the environments; None: they are in this process."""
+        """Address of the server that has the environments; None if they are in this process."""
 
     @property
     def held(self) -> Held:
@@ -129,7 +129,7 @@ class Local:
 
 
 def describe(address: str | None = None) -> tuple[str, tuple[Task, ...]]:
-    """Version of the server at `address` and the tasks it offers; without an address, of this package."""
+    """The version and the tasks of the server at `address`; without an address, those of this package."""
     if address is None:
         version, tasks = _native.describe()
         return version, tuple(Task.of(task) for task in tasks)
@@ -139,9 +139,9 @@ def describe(address: str | None = None) -> tuple[str, tuple[Task, ...]]:
 
 
 def study(address: str | None, name: str, request: Mapping[str, Any], told: Told | None = None) -> Any:
-    """Result of a study at `address`, or in this process: a table, or of a diagnosis its three files and a table.
+    """Result of a study at `address` or in this process. It is a table; for a diagnosis, three files and a table.
 
-    An exception of `told` or Ctrl-C interrupts the wait and stops the study.
+    Ctrl-C, or an exception that `told` raises, stops the study.
     """
     if address is None:
         return _native.study(None, name, request, told)

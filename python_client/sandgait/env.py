@@ -21,21 +21,22 @@ from .view import RENDER_MODES, SIZE
 Observation = npt.NDArray[np.float32]
 
 
-#: The longest episode that a server supports.
+#: Length of the longest episode that a server supports [control steps].
 LONGEST_EPISODE = 1_000_000
 
 
 class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     """One environment of `task` in this process, or on the server at `address`.
 
-    For training use `SandgaitVectorEnv`: sixteen environments take little longer than one. `resume`: survive the
-    death of a server, by snapshots. `clip_actions`: clip actions to their bounds; without it an action outside is
-    refused. `threads`: number of simulating threads of this process; its first environment decides. `isolated`:
-    without an address, use a separate server process, so that a crash does not affect this one.
-    `render_mode`: "rgb_array" for pictures of `render_size` (width, height), "human" for the same in a window.
+    For training use `SandgaitVectorEnv`, because a step of sixteen environments takes little longer than a step of one.
+    `resume`: continue from a snapshot when the server has ended. `clip_actions`: clip actions to their bounds; by
+    default an action outside of its bounds is refused. `threads`: number of simulating threads of this process; only
+    the first environment of the process can set it. `isolated`: without an address, use a separate server process, so
+    that a crash of the simulation does not end this process. `render_mode`: "rgb_array" makes pictures of `render_size`
+    (width, height) [px], "human" shows them in a window.
 
-    A step that was interrupted (Ctrl-C) is made nevertheless: the next call of `step` returns its answer. Pickling
-    and copying an environment that was reset include its state (`pickling`).
+    A step that Ctrl-C interrupts is still carried out, and the next call of `step` returns its answer. A pickle or copy
+    of an environment that was reset includes its state (module `pickling`).
     """
 
     metadata: dict[str, Any] = {"render_modes": RENDER_MODES}
@@ -60,21 +61,21 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._actions = Actions(self.action_space, "action", clip_actions)
         self._seeded = False
         self._over = False
-        #: First row of the next episode: the server has begun it in the step that ended the last one.
+        #: First observation of the next episode, which the server begins in the step that ends an episode.
         self._next: Observation | None = None
-        #: The action of a step whose answer was not returned yet, and the answer once it has come.
+        #: The action of a step whose answer was not returned yet, and this answer as soon as it has arrived.
         self._in_flight: npt.NDArray[np.float32] | None = None
         self._batch: Batch | None = None
-        #: Attributes that are set after this are the user's own.
+        #: Attributes of this class. The user may set others.
         self._own = frozenset(self.__dict__) | {"_own"}
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begins an episode. `options`: task options that a reset can change; they hold from then on."""
+        """Begins an episode. `options`: new values of task options; they hold until another reset changes them."""
         if self._in_flight is not None:
             with contextlib.suppress(InvalidRequest):
-                self._answer()  # it may have ended the episode, and then the next one has begun
+                self._answer()  # if the step ended the episode, the next one has begun already
         super().reset(seed=seed)
         first, self._next, self._over = self._next, None, False
         if first is not None and seed is None and not options:
@@ -90,7 +91,7 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         return observation, {}
 
     def step(self, action: npt.ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """One control step; `action` is [action] within its bounds."""
+        """Makes one control step. `action` is an array [action] of numbers within their bounds."""
         if self._over:
             raise OutOfOrder("step: the episode is over; call reset first")
         row = self._actions.rows(action)
@@ -136,14 +137,14 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             raise OutOfOrder(f"{call}: a step was interrupted; call step for its answer, or reset")
 
     def set_wrapper_attr(self, name: str, value: Any, *, force: bool = True) -> bool:
-        """Refused if it would change nothing; attributes that you added yourself can be set."""
+        """Sets an attribute that the user added. Other names are refused, because the simulation would not change."""
         ours = name in self._own or hasattr(SandgaitEnv, name) or not hasattr(self, name)
         if ours and name != "np_random":
             raise refusal(self.task, name, value)
         return super().set_wrapper_attr(name, value, force=force)
 
     def render(self) -> npt.NDArray[np.uint8] | None:
-        """The robot as it is now: u8 [height, width, 3]; in mode "human" it is shown instead."""
+        """A picture of the robot's present state, u8 [height, width, 3]. In mode "human" a window shows the picture."""
         if self.render_mode is None:
             raise InvalidRequest('render_mode: none was chosen; make the environment with render_mode="rgb_array"')
         self._require_rest("render")
@@ -154,7 +155,7 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         return picture
 
     def record(self, path: FilePath) -> None:
-        """Writes every moment from the next reset or step on to the file `path`, until `stop_recording` or `close`."""
+        """Records to the file `path`: the state after each reset or step, until `stop_recording` or `close`."""
         self._view.record(path, 0)
 
     def stop_recording(self) -> None:
@@ -162,21 +163,22 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         self._view.stop_recording()
 
     def save(self, path: FilePath | None = None) -> bytes:
-        """The environment as it is, for `restore`; also written to the file `path`, completely or not at all."""
+        """Takes a snapshot, for `restore`. With `path` also writes it to a file, completely or not at all."""
         self._require_rest("save")
         if self._over:
             raise OutOfOrder("save: the episode is over; call reset first")
         return write_snapshot(self._session.save(), path)
 
     def restore(self, snapshot: bytes | FilePath) -> Observation:
-        """Continues from a snapshot (bytes or a file), with the same bits; returns the observation."""
+        """Sets the state to that of a snapshot (bytes or a file), and returns the observation. The environment then
+        continues with the same bits."""
         self._session.send_restore(read_snapshot(snapshot), None)
         self._over, self._next, self._seeded, self._in_flight = False, None, True, None
         observation: Observation = self._session.receive().observations[0]
         return observation
 
     def fork(self, n: int) -> SandgaitVectorEnv:
-        """`n` environments as one batch, each in the state of this one; close it when done."""
+        """`n` new environments in one vector, each in the state of this one. The caller must close the vector."""
         snapshot = self.save()
         copies = SandgaitVectorEnv(self.task.id, n, self._origin.address, **self._origin.options)
         try:
@@ -187,18 +189,18 @@ class SandgaitEnv(Pickled, gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         return copies
 
     def close(self) -> None:
-        """Ends the session; calling it again does nothing."""
+        """Ends the session. A second call does nothing."""
         self._close()
 
 
 def registered(task: str, **options: Any) -> SandgaitEnv:
     """`gymnasium.make` calls this for a task with a time limit.
 
-    gymnasium does not pass `max_episode_steps` on and counts in a wrapper (TimeLimit), so the environment's own
+    gymnasium keeps `max_episode_steps` for its wrapper TimeLimit, which counts the steps. So the environment's own
     limit is set to its maximum.
     """
     return SandgaitEnv(task, **{"max_episode_steps": LONGEST_EPISODE, **options})
 
 
-#: gymnasium reads the render modes from it.
+#: gymnasium reads the render modes from the entry point's metadata.
 registered.metadata = SandgaitEnv.metadata  # type: ignore[attr-defined]

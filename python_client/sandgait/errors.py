@@ -1,22 +1,22 @@
-"""Exceptions, distinguished by what the caller can do."""
+"""Exceptions. Each class stands for errors after which the caller can do the same."""
 
 from __future__ import annotations
 
 
 class SandgaitError(Exception):
-    """Base of every error this package raises on purpose."""
+    """Base class of this package's exceptions."""
 
 
 class InvalidRequest(SandgaitError, ValueError):
-    """A value is wrong; the message names the field, the index and the range. The session goes on."""
+    """A value is wrong. The message names the field, the index and the range. The session continues."""
 
 
 class UnknownAttribute(SandgaitError, AttributeError):
-    """An attribute that does not exist, or that would change nothing; the message says what to use instead."""
+    """The attribute does not exist, or setting it would change nothing. The message says what to use instead."""
 
 
 class OutOfOrder(SandgaitError):
-    """A call that the present state does not allow, such as a step before any reset. The session goes on."""
+    """The present state does not allow the call, for example a step before the first reset. The session continues."""
 
 
 class LimitReached(SandgaitError):
@@ -24,7 +24,7 @@ class LimitReached(SandgaitError):
 
 
 class ServerLost(SandgaitError, ConnectionError):
-    """The server cannot be reached, or has ended. Make the environment again once it is back."""
+    """The server cannot be reached, or has ended. Make the environment again when the server runs again."""
 
 
 class SessionLost(SandgaitError):

@@ -1,5 +1,6 @@
-"""Policies of stable-baselines3 as ONNX files, for `rollout_policy`, `sandgait.evaluate` and `sandgait evaluate`; and
-policies of `sandgait train` as stable-baselines3's (`to_sb3`)."""
+"""Converts policies. `export_onnx` writes a policy of stable-baselines3 as an ONNX file, for `rollout_policy`,
+`sandgait.evaluate` and `sandgait evaluate`. `to_sb3` makes a model of stable-baselines3 from a policy of `sandgait
+train`."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ from .from_rust import to_sb3 as to_sb3
 from .snapshots import FilePath
 
 try:
-    import onnxscript  # noqa: F401 - torch needs it and reports its absence late
+    import onnxscript  # noqa: F401 - torch needs onnxscript and would report its absence only during the export
     import torch
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.policies import ActorCriticPolicy
@@ -27,12 +28,11 @@ except ImportError as error:
 
 
 def export_onnx(model: BaseAlgorithm, path: FilePath, normalize: VecNormalize | None = None) -> Path:
-    """Writes the deterministic policy of a PPO, A2C, SAC, TD3 or DDPG `model` to the ONNX file `path`; returns that
-    path.
+    """Writes the deterministic policy of a PPO, A2C, SAC, TD3 or DDPG `model` to the ONNX file `path`; returns `path`.
 
-    `normalize`: the VecNormalize it was trained with; its statistics as they are now and its clipping become part of
-    the network. Input: `observation`, f32 [n, observation], as the environments give them. Output: `action`, f32
-    [n, action].
+    `normalize`: the VecNormalize of the model's training; its present statistics and its clipping become part of the
+    network. The network's input is `observation`, f32 [n, observation], the environments' observations without
+    normalization. Its output is `action`, f32 [n, action].
     """
     actor = _Actor(model, normalize).eval()
     size = model.observation_space.shape
@@ -50,7 +50,7 @@ def export_onnx(model: BaseAlgorithm, path: FilePath, normalize: VecNormalize | 
         )
     assert program is not None
     graph = program.model.graph
-    for part in (graph, *graph):  # torch records in which file and line it found every node
+    for part in (graph, *graph):  # removes the source files and lines that torch writes into each node
         part.metadata_props.clear()
     path = Path(path)
     program.save(path, external_data=False)
@@ -58,7 +58,7 @@ def export_onnx(model: BaseAlgorithm, path: FilePath, normalize: VecNormalize | 
 
 
 class _Actor(torch.nn.Module):
-    """From raw observations to the action of `predict(deterministic=True)`."""
+    """Computes the action of `predict(deterministic=True)` from observations that are not normalized."""
 
     center: torch.Tensor
     rest: torch.Tensor
@@ -80,7 +80,8 @@ class _Actor(torch.nn.Module):
             statistics: Any = normalize.obs_rms
             if isinstance(statistics, dict):
                 raise InvalidRequest("normalize: observations that are dicts have no ONNX here")
-            # VecNormalize computes in f64. A mean as a sum of two f32 is as accurate where observations hardly vary.
+            # VecNormalize computes in f64. Here the mean is a sum of two f32, which is as accurate, because a small
+            # variance makes errors of the mean large.
             mean = torch.as_tensor(statistics.mean, dtype=torch.float64)
             scale = torch.sqrt(torch.as_tensor(statistics.var, dtype=torch.float64) + normalize.epsilon)
             self.register_buffer("center", mean.float())
@@ -99,7 +100,7 @@ class _Actor(torch.nn.Module):
 
 
 def _mean(policy: Any) -> Callable[[Any], Any]:
-    """The policy without noise, before SB3 scales or clips its output to the action space."""
+    """The policy's action without noise, before SB3 scales or clips it to the action space."""
     if isinstance(policy, ActorCriticPolicy):
 
         def actor_critic(rows: Any) -> Any:

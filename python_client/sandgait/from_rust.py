@@ -1,4 +1,4 @@
-"""Policies of `sandgait train` as models of stable-baselines3, for further training."""
+"""Reads policies of `sandgait train` as models of stable-baselines3, for further training."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Arrays = dict[str, npt.NDArray[Any]]
 
 
 def read_policy(path: FilePath) -> tuple[dict[str, str], Arrays]:
-    """The texts and arrays in a file of `sandgait train`; weights are [inputs, outputs]."""
+    """The texts and arrays in a file of `sandgait train`. Its weight matrices are [inputs, outputs]."""
     data = Path(path).read_bytes()
     try:
         length = int.from_bytes(data[:8], "little")
@@ -54,9 +54,9 @@ def read_policy(path: FilePath) -> tuple[dict[str, str], Arrays]:
 def to_sb3(path: FilePath, env: VecEnv, **changes: Any) -> PPO:
     """A PPO model with the weights and settings in `path`, a `policy.safetensors` or checkpoint of `sandgait train`.
 
-    `env`: environments of the same task, as `make_sb3` gives them. Where the training normalized, the model's
-    `get_env()` is a `VecNormalize` around them with the training's statistics. `changes`: other arguments of PPO
-    than the training's, for example `learning_rate`. The optimizer's state is not restored.
+    `env`: environments of the same task, made by `make_sb3`. If the training used `normalize`, the model's `get_env()`
+    is a `VecNormalize` around `env` with the training's statistics. `changes`: arguments of PPO that replace those of
+    the training, for example `learning_rate`. The optimizer's state is not restored.
     """
     about, arrays = read_policy(path)
     settings = json.loads(about["settings"])
@@ -104,7 +104,7 @@ def _normalized(env: VecEnv, arrays: Arrays, settings: dict[str, Any]) -> VecNor
 
 
 def _load(policy: Any, arrays: Arrays, mirrored: bool) -> None:
-    """Copies the weights layer by layer; torch has them [outputs, inputs]."""
+    """Copies the weights layer by layer. torch's weight matrices are [outputs, inputs]."""
     extractor = policy.mlp_extractor
     if mirrored:
         actor, critic = [*extractor.actor], [*extractor.critic, policy.value_net]
@@ -118,12 +118,12 @@ def _load(policy: Any, arrays: Arrays, mirrored: bool) -> None:
         policy.log_std.copy_(torch.from_numpy(arrays["log_std"].copy()))
 
 
-#: For each column the column with its mirrored value, and the sign.
+#: For each column: the index of the column that has its mirrored value, and the sign of that value.
 Mirror = tuple[list[int], list[float]]
 
 
 class _Reflection(nn.Module):
-    """Mirror images of rows: the product with a matrix of 0, 1 and -1, which is exact and possible in ONNX."""
+    """Mirrors rows by a product with a matrix of 0, 1 and -1, which is exact and possible in ONNX."""
 
     matrix: torch.Tensor
 
@@ -166,7 +166,7 @@ def _tangents(sizes: list[int]) -> list[nn.Module]:
 
 
 class MirroredPolicy(ActorCriticPolicy):
-    """PPO's policy for trainings with `mirror`: actor and critic treat left and right alike."""
+    """PPO's policy for trainings with `mirror`. Actor and critic give mirrored results for mirrored observations."""
 
     def __init__(self, *args: Any, mirrors: tuple[Mirror, Mirror], **kwargs: Any) -> None:
         self.mirrors = mirrors
@@ -179,7 +179,7 @@ class MirroredPolicy(ActorCriticPolicy):
 
     def _build(self, lr_schedule: Schedule) -> None:
         super()._build(lr_schedule)
-        self.action_net = nn.Identity()  # the mean is mirrored; another layer after it would undo that
+        self.action_net = nn.Identity()  # another layer after the mirrored mean would not be symmetric
         self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)  # type: ignore[call-arg]
 
     def _get_constructor_parameters(self) -> dict[str, Any]:

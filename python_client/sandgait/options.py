@@ -1,4 +1,4 @@
-"""Prepares keywords of tasks for sending."""
+"""Prepares the options of tasks for sending."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .errors import InvalidRequest
 
 
 def with_files(options: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Replaces paths by the files' text: a sand.toml, a URDF or an MJCF, heights of the ground."""
+    """Replaces paths of files (sand.toml, URDF, MJCF, heights of the ground) by the files' contents."""
     texts: dict[str, Any] = {}
     if "sand" in options:
         try:
@@ -37,5 +37,5 @@ def _heights(file: object) -> str:
     return file if isinstance(file, str) and file.startswith("heights:") else _native.pack_heights(str(file))
 
 
-#: Endings of robots' files.
+#: Endings of the names of robot files.
 ROBOT_FILES = (".urdf", ".xml", ".mjcf")

@@ -1,7 +1,7 @@
-"""Arguments of an environment, and how it is pickled and copied.
+"""Arguments of an environment, and its pickling and copying.
 
-An environment that was never reset is pickled as its constructor's arguments, later with a snapshot too. The copy
-opens its session, and restores the snapshot, when it is first used. It goes on with the same bits.
+The pickle of an environment has its constructor's arguments and, after the first reset, a snapshot. When the copy is
+used for the first time, it opens a session and restores the snapshot. It then continues with the same bits.
 """
 
 from __future__ import annotations
@@ -45,14 +45,14 @@ class Pickled:
 
     task: Task
     _origin: Origin
-    #: None: not yet, or it was closed before.
+    #: None before the session is opened and after it is closed.
     _opened: tuple[Shards, View] | None
-    #: Snapshot that the session starts from; None: a new one.
+    #: Snapshot from which the session starts; None if it starts without a state.
     _kept: bytes | None
     _shut: bool
-    #: Were the environments reset?
+    #: Have the environments been reset?
     _seeded: Any
-    #: Names of the task's options; setting one as an attribute is refused, because it would have no effect.
+    #: Names of the task's options. Setting an attribute of such a name is refused, because it would have no effect.
     _options: frozenset[str] = frozenset()
 
     def _begin(self, origin: Origin) -> None:
@@ -96,7 +96,7 @@ class Pickled:
             shards.close()
 
     def _in_step(self) -> bool:
-        """Is a step's answer still to be received?"""
+        """Has the answer of a step not been received yet?"""
         raise NotImplementedError
 
     def __getstate__(self) -> dict[str, Any]:

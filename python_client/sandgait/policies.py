@@ -28,11 +28,11 @@ def read_policy(onnx: bytes | FilePath) -> bytes:
 
 
 class Evaluation(Table):
-    """Evaluation of a gait; one row a medium and slope. Undefined values are NaN.
+    """Evaluation of a gait; one row for each medium and slope. Undefined values are NaN.
 
-    Columns: medium, slope_deg [°], rate [Hz] of a tripod whose rate was searched, episodes; return, speed [m/s],
-    speed_error [m/s], cost_of_transport, slip and falls, each with the ends `_low` and `_high` of its 95 % interval;
-    diverged. `docs/evaluate.md` defines them.
+    Columns: medium, slope_deg [°], rate [Hz] (only for "tripod": the best rate found), episodes, return, speed [m/s],
+    speed_error [m/s], cost_of_transport, slip, falls and diverged. For each column X from return to falls, X_low and
+    X_high are the ends of its 95 % interval. `docs/evaluate.md` defines the columns.
     """
 
     @property
@@ -42,7 +42,7 @@ class Evaluation(Table):
 
     @property
     def cost_of_transport(self) -> Numbers:
-        """Work of all episodes over weight times distance; NaN where the robot does not go forward."""
+        """Work of all episodes / (weight · distance); NaN if the robot does not walk forward."""
         return self["cost_of_transport"]
 
 
@@ -57,12 +57,13 @@ def evaluate(
     progress: ProgressOption = True,
     **options: Any,
 ) -> Evaluation:
-    """Plays one episode for each of `seeds` unseen seeds (from 1,000,000 on) on each of `media` and `slopes` [°].
+    """Runs `seeds` episodes on each combination of `media` and `slopes` [°]. Their seeds count up from 1,000,000, so no
+    training has used them.
 
-    `policy`: an ONNX file that `sandgait.export_onnx` wrote, or its bytes; or "tripod:HZ", "tripod" (the best rate,
-    searched on other seeds), "clock:N,N,…" or "clock:FILE.json" (one action of `control="clock"`, held), "standing",
-    "random".
-    `options`: as for `gymnasium.make`. `sandgait evaluate` computes the same.
+    `policy`: an ONNX file that `sandgait.export_onnx` wrote, or its bytes; or a gait without a file: "tripod:HZ",
+    "tripod" (with the best rate, searched with other seeds), "clock:N,N,…" or "clock:FILE.json" (a constant action of
+    `control="clock"`), "standing" or "random".
+    `options`: the same as for `gymnasium.make`. `sandgait evaluate` computes the same.
     """
     network = isinstance(policy, (bytes, PathLike)) or policy.endswith(".onnx")
     name = "policy.onnx" if isinstance(policy, bytes) else str(policy)

@@ -3,9 +3,8 @@
     with sandgait.ray.serve() as servers:
         env = sandgait.SandgaitVectorEnv(id, 4096, address=servers.addresses)
 
-Every server listens on its node's address in the cluster, with TLS and a token. The token is drawn by `serve`, each
-server makes its own certificate, and Ray transfers both: all users of the cluster can use its servers, and nobody
-else.
+Every server listens on its node's address in the cluster, with TLS and a token. `serve` draws the token, each server
+makes its own certificate, and Ray sends both to the clients. So only users of the cluster can use its servers.
 """
 
 from __future__ import annotations
@@ -29,16 +28,19 @@ try:
 except ImportError as error:
     raise ImportError("ray is not installed: pip install 'sandgait[ray]'") from error
 
-#: Longest wait for all servers to start [s]: a cluster may have to start Python on each node first.
+#: Longest wait for all servers to start [s]. It is long, because a cluster may have to start Python on each node first.
 START_TIMEOUT = 60.0
 
 
 class _Server:
-    """An actor that owns a server process. The server ends with it: its standard input is a pipe of this process."""
+    """An actor that owns a server process. When the actor ends, the server's standard input closes, and the server
+    ends."""
 
     def __init__(self, threads: int, token: str) -> None:
         listen = f"{ray.util.get_node_ip_address()}:0"
-        #: Only this user can enter it. When the server reports its address, it has read and written its files.
+        #: Directory that only this user can enter, for the token and the certificate. It is removed after the server
+        #: has
+        #: reported its address, because the server needs no file of it any more.
         self._directory = tempfile.TemporaryDirectory()
         token_file, self._certificate = (Path(self._directory.name) / name for name in ("token", "certificate"))
         token_file.touch(0o600)
@@ -54,7 +56,7 @@ class _Server:
         self._process = subprocess.Popen(command + security, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
     def address(self) -> tuple[str, bytes]:
-        """The server's address and its certificate; both empty if it could not start (its log is in the actor's)."""
+        """The server's address and certificate. Both are empty if it could not start; the actor's log says why."""
         assert self._process.stdout is not None
         address = self._process.stdout.readline().removeprefix("listening on ").strip()
         certificate = self._certificate.read_bytes() if address else b""
@@ -62,7 +64,7 @@ class _Server:
         return address, certificate
 
     def stop(self) -> None:
-        """Ends the server after the step in flight."""
+        """Ends the server. A step in progress is completed first."""
         assert self._process.stdin is not None
         self._process.stdin.close()
         self._process.wait()
@@ -70,13 +72,14 @@ class _Server:
 
 @dataclass
 class Servers:
-    """Servers of a cluster, one a node. They end with `close`, or when this object is garbage-collected."""
+    """Servers on the nodes of a cluster, one on each. They end when `close` is called or this object is deleted."""
 
-    #: For `address=` of an environment: the addresses, with credentials, of all servers; or take some of them.
+    #: Addresses of all servers with their credentials. All or some of them can be the argument `address` of an
+    #: environment.
     addresses: list[Remote]
-    #: Ray's id of each server's node, for placing clients there.
+    #: Ray's id of each server's node. With it a client can be placed on the same node.
     nodes: list[str]
-    #: Threads of each server.
+    #: Number of threads of each server.
     threads: list[int]
     _actors: list[Any]
 
@@ -100,11 +103,12 @@ class Servers:
 
 
 def serve(nodes: Sequence[str] | None = None, threads: int | None = None, num_cpus: float = 0.0) -> Servers:
-    """Starts one server on each of `nodes` (Ray's ids; none: every node that has processors) and waits for all.
+    """Starts one server on each of `nodes` and waits until all have started.
 
-    `threads`: of each server; by default as many as Ray counts processors on the node. `num_cpus`: how many of them
-    Ray reserves for each server; 0 leaves all to the clients, which wait while their server computes. The caller
-    initializes Ray, and this package must be installed on every node.
+    `nodes`: Ray's ids of nodes; by default all nodes with processors. `threads`: number of threads of each server; by
+    default the number of processors that Ray counts on the node. `num_cpus`: number of processors that Ray reserves for
+    each server; with 0 clients can have all processors, because they wait while their server computes. Ray must be
+    initialized, and this package must be installed on every node.
     """
     if threads is not None and not 1 <= threads <= 65_535:
         raise InvalidRequest(f"threads: {threads} is outside [1, 65535]")

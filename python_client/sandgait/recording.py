@@ -1,6 +1,6 @@
-"""Recordings: the motion of a robot, moment by moment, in a file that `sandgait replay` can show.
+"""Recordings: files with the state of a robot after each control step, which `sandgait replay` shows.
 
-A file is a gzip stream of blocks; `docs/seeing.md` has the format. Reading needs no server.
+A file is a gzip stream of blocks; `docs/seeing.md` has the format. No server is needed to read a recording.
 """
 
 from __future__ import annotations
@@ -25,22 +25,23 @@ Floats = npt.NDArray[np.float32]
 
 _FORMAT, _VERSION = "sandgait recording", 1
 _BLOCK = struct.Struct("<4sI")
-#: Parts of a header that are long, and that a file has once while they stay the same.
+#: Long parts of a header. A section has such a part only if it differs from that of the section before.
 _SAME = ("shapes", "relief")
 _AS_BEFORE = "as before"
 _FOREIGN = "this is not one of sandgait's recordings"
 
-#: Largest unpacked size of a recording [bytes]: our choice, four hours of a hexapod with 300 numbers a moment at 50 Hz.
+#: Largest unpacked size of a recording [bytes]: our choice, because four hours of a hexapod fit into it, at 50 Hz with
+#: 300 numbers each time.
 MAX_BYTES = 2**30
 
 
 class Section:
-    """An episode, or its recorded part: `section["angles"]` is f32 [moments, joints]."""
+    """The recorded states of one episode; for example `section["angles"]` is f32 [states, joints]."""
 
     def __init__(self, header: dict[str, Any], rows: Floats) -> None:
-        #: Names, units and shapes of the columns, geometry of the robot, seed: see docs/seeing.md.
+        #: Names, units and shapes of the columns, geometry of the robot, seed and more: see docs/seeing.md.
         self.header = header
-        #: f32 [moments, all columns]
+        #: f32 [states, all columns]
         self.rows = rows
         self._places: dict[str, tuple[slice, tuple[int, ...]]] = {}
         start = 0
@@ -66,7 +67,8 @@ class Section:
 
 
 class Recording:
-    """All sections of a file: `recording["position"]` is f32 [moments, 3] of all of them, in order."""
+    """All sections of a file. For example `recording["position"]` is f32 [states, 3] with the states of all sections,
+    in order."""
 
     def __init__(self, sections: tuple[Section, ...]) -> None:
         self.sections = sections
@@ -92,7 +94,7 @@ class Recording:
 
 
 def read_recording(path: FilePath, max_bytes: int = MAX_BYTES) -> Recording:
-    """The recording in the file `path`, as numpy arrays; refused if it unpacks to more than `max_bytes`."""
+    """The recording in the file `path` as numpy arrays. A file that unpacks to more than `max_bytes` is refused."""
     sections: list[Section] = []
     try:
         with gzip.open(path) as stream:
@@ -117,7 +119,7 @@ class _CutOff(Exception):
 
 
 def _blocks(stream: IO[bytes], path: FilePath, left: int) -> Iterator[tuple[bytes, list[bytes]]]:
-    """Header and rows of each section. At most `left` bytes are unpacked, whatever lengths the blocks claim."""
+    """Header and rows of each section. Unpacks at most `left` bytes, also if a block states a greater length."""
     header: bytes | None = None
     rows: list[bytes] = []
     while start := stream.read(_BLOCK.size):
@@ -158,7 +160,7 @@ def _section(head: bytes, rows: list[bytes], path: FilePath) -> Section:
 
 
 class Recorder:
-    """Writes a recording of moments in the server's form."""
+    """Writes a recording from the states that the server sends."""
 
     def __init__(self, path: FilePath) -> None:
         self._path = Path(path)
@@ -170,14 +172,14 @@ class Recorder:
         self._same: dict[str, Any] = {}
 
     def add(self, header: str, row: bytes) -> None:
-        """One moment; a header other than the last one begins a section."""
+        """Adds a state. If its header differs from the last one, a new section begins."""
         if header != self._header:
             self._header = header
             self._write(b"HEAD", self._shortened(header).encode())
         self._write(b"ROWS", row)
 
     def _shortened(self, header: str) -> str:
-        """The header without what equals the last section's."""
+        """The header without the parts that are equal in the section before."""
         whole = json.loads(header)
         before, self._same = self._same, {part: whole[part] for part in _SAME if part in whole}
         same = [part for part, value in self._same.items() if before.get(part) == value]
@@ -190,5 +192,5 @@ class Recorder:
             raise SandgaitError(f"{self._path}: the recording cannot be written: {error.strerror}") from error
 
     def close(self) -> None:
-        """Completes the file; before that it cannot be read."""
+        """Completes the file, which cannot be read before."""
         self._file.close()

@@ -13,22 +13,21 @@ FilePath = str | PathLike[str]
 
 
 class Remote(str):
-    """The address of a server with credentials; can be used wherever an address can.
+    """The address of a server with credentials. It can be used for every argument `address`.
 
         gymnasium.make_vec(id, num_envs=256, address=sandgait.Remote("sand.lab:50051", ca="ca.pem", token_file="token"))
 
     `address`: `host:port` or `unix:/path`.
 
-    `token`, `token_file`: the content of the server's `--token-file`. It is sent in every call, but only over TLS,
-    over a
-    Unix socket or to this machine.
+    `token`, `token_file`: the content of the server's `--token-file`. Every call sends the token, but only over TLS,
+    over a Unix socket or to this machine.
 
-    `ca`: encrypt, and trust certificates of this authority (PEM, as a file or as bytes). `tls=True`: encrypt, and trust
-    the system's authorities.
+    `ca`: the connection is encrypted, and certificates of this authority are trusted (PEM, as a file or as bytes).
+    `tls=True`: the connection is encrypted, and the system's authorities are trusted.
 
     `cert`, `key`: this client's certificate and its key (PEM files), for a server with `--client-ca`.
 
-    Files are read once, here. `str` and `repr` show the address, not the token.
+    The files are read when the object is made. `str` and `repr` show the address without the token.
     """
 
     token: str | None
@@ -66,7 +65,7 @@ class Remote(str):
         if self.tls and address.startswith("unix:"):
             raise InvalidRequest(f"address: {address} is a Unix socket, which has no TLS")
         if token is not None and not self.tls and not _is_local(address):
-            raise InvalidRequest(f"token: it would travel to {address} unencrypted; add ca or tls=True")
+            raise InvalidRequest(f"token: it would be sent to {address} without encryption; add ca or tls=True")
         return self
 
 

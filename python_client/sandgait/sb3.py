@@ -25,7 +25,7 @@ Indices = None | int | Iterable[int]
 
 
 class EnvironmentView:
-    """One environment of a batch, for SB3's calls to single environments: its attributes, and a reset of its own.
+    """One environment of a batch, for SB3's calls to single environments: attributes and `reset`.
 
     Its attributes cannot be set, because that would not change the simulation.
     """
@@ -68,7 +68,7 @@ class EnvironmentView:
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[npt.NDArray[np.float32], dict[str, Any]]:
-        """Begins a new episode of this environment alone; a step in flight is dropped."""
+        """Begins a new episode of this environment alone. The answer of a step in flight is dropped."""
         mask = np.zeros(self._envs.num_envs, dtype=np.bool_)
         mask[self._index] = True
         seeds = [seed if chosen else None for chosen in mask]
@@ -79,10 +79,10 @@ class EnvironmentView:
 
 
 class SandgaitVecEnv(VecEnv):
-    """`SandgaitVectorEnv` behind stable-baselines3's interface.
+    """`SandgaitVectorEnv` with stable-baselines3's interface.
 
-    The info dictionaries have entries only where an episode ended: the step's reward terms and figures,
-    `terminal_observation` and `TimeLimit.truncated`. The columns of every step are in `batch`.
+    Only environments whose episode ended have entries in their info dictionaries: the step's reward terms and figures,
+    `terminal_observation` and `TimeLimit.truncated`. The info columns of every step are in `batch`.
     """
 
     def __init__(self, envs: SandgaitVectorEnv) -> None:
@@ -91,12 +91,12 @@ class SandgaitVecEnv(VecEnv):
         self.envs = envs
         self._views = [EnvironmentView(envs, i) for i in range(envs.num_envs)]
         self._names = [c.name for c in envs.task.info]
-        #: gymnasium's registration; VecMonitor writes its id to its file.
+        #: gymnasium's registration of the task. VecMonitor writes the task's id to its file.
         self.spec = gymnasium.registry.get(envs.task.id)
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
 
     def reset(self) -> npt.NDArray[np.float32]:
-        """Begins new episodes, with the arguments of the last `seed` and `set_options`."""
+        """Begins new episodes, with the arguments of the last calls of `seed` and `set_options`."""
         groups: list[tuple[dict[str, Any], npt.NDArray[np.bool_]]] = []
         for i, options in enumerate(self._options):
             mask = next((m for o, m in groups if o == options), None)
@@ -133,7 +133,7 @@ class SandgaitVecEnv(VecEnv):
         return super().render(mode)
 
     def get_images(self) -> Sequence[npt.NDArray[np.uint8] | None]:
-        """A picture of every environment; SB3's `render` puts them side by side."""
+        """A picture of every environment. SB3's `render` puts these pictures side by side."""
         return self.envs.render() or [None] * self.num_envs
 
     def close(self) -> None:
@@ -143,7 +143,7 @@ class SandgaitVecEnv(VecEnv):
         return [getattr(view, attr_name) for view in self._chosen(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Refused, because it would not change the simulation. The message says what does."""
+        """Refuses to set an attribute, because the simulation would not change. The message says what changes it."""
         raise refusal(self.envs.task, attr_name, value)
 
     def env_method(self, method_name: str, *args: Any, indices: Indices = None, **kwargs: Any) -> list[Any]:
@@ -158,7 +158,7 @@ class SandgaitVecEnv(VecEnv):
         return [self._views[i] for i in self._get_indices(indices)]
 
 
-#: The result of `sandgait.make_sb3`, with and without a monitor.
+#: Types of the result of `sandgait.make_sb3`, with and without a monitor.
 Environments = SandgaitVecEnv | VecMonitor
 
 

@@ -1,9 +1,9 @@
 """The embedded server: one `sandgait serve` per Python process, on a Unix socket that only this user can reach.
 
-It starts with the first environment that is `isolated`, and ends with the process: its standard input is a pipe
-from this process, and it exits when the pipe closes, however Python ended.
+The server starts with the first environment that is `isolated`. Its standard input is a pipe from this process. When
+this process ends, for whatever reason, the pipe closes, and then the server ends.
 
-Environments of one process share it and its threads; the first requested number of threads applies
+All isolated environments of a process share the server and its threads. The first requested number of threads is used
 (`ask_for_threads`).
 """
 
@@ -28,12 +28,12 @@ from .threads import agreed, wanted
 #: Longest wait for the server to answer after its start [s].
 START_TIMEOUT = 20.0
 
-#: Longest wait for it to end by itself before it is killed [s].
+#: Longest wait for the server to end by itself [s]. After this time it is killed.
 STOP_TIMEOUT = 5.0
 
 
 def command() -> list[str]:
-    """The program `sandgait`: $SANDGAIT_BINARY, or else this package in a new Python process."""
+    """The command of the program `sandgait`: $SANDGAIT_BINARY if it is set, else this package in a Python process."""
     chosen = os.environ.get("SANDGAIT_BINARY")
     if not chosen:
         program = Path(__file__).parents[1] / "sandgait_command" / "__main__.py"
@@ -44,7 +44,7 @@ def command() -> list[str]:
 
 
 class EmbeddedServer:
-    """A server process and its socket. `threads` simulate; 0: one for each processor."""
+    """A server process and its socket. `threads`: number of simulating threads; 0: one for each processor."""
 
     def __init__(self, threads: int = 0) -> None:
         if not hasattr(socket, "AF_UNIX") or not hasattr(os, "getuid"):
@@ -57,14 +57,14 @@ class EmbeddedServer:
         self.owner = os.getpid()
         self.path = os.path.join(_private_directory(), f"{self.owner}-{secrets.token_hex(4)}")
         self.address = f"unix:{self.path}"
-        self._log = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process does
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115 - the file stays open as long as the server runs
         self.process = subprocess.Popen(
             [*self.command, "serve", "--listen", self.address, "--exit-on-stdin-close", "--threads", str(threads)],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=self._log,
-            env={"SANDGAIT_LOG": "warn", **os.environ},  # the last lines of its log give the reason
-            start_new_session=True,  # Ctrl-C is for Python; the closing pipe tells the server to end
+            env={"SANDGAIT_LOG": "warn", **os.environ},  # the log's last lines say why a server could not start
+            start_new_session=True,  # Ctrl-C reaches only Python; the server ends when its pipe closes
         )
         try:
             self._wait_until_ready()
@@ -91,7 +91,7 @@ class EmbeddedServer:
         return self.process.poll() is None
 
     def last_words(self) -> str:
-        """Exit code and end of the log, or nothing while the server runs."""
+        """Exit code of the server and the end of its log; empty while it runs."""
         if self.running():
             return ""
         size = self._log.seek(0, os.SEEK_END)
@@ -100,7 +100,7 @@ class EmbeddedServer:
         return f"; it ended with exit code {self.process.returncode}" + (f": {text}" if text else "")
 
     def stop(self) -> None:
-        """Ends the server; only the process that started it may."""
+        """Ends the server, if this process started it."""
         if self.owner != os.getpid():
             return
         if self.process.stdin is not None:
@@ -121,9 +121,9 @@ class EmbeddedServer:
 
 
 def _private_directory() -> str:
-    """The directory of this user's sockets, which nobody else may enter; all servers of a user share it."""
+    """The directory for the sockets of all servers of this user. No other user may enter it."""
     parent = tempfile.gettempdir()
-    if len(os.fsencode(parent)) > 70:  # a socket address holds some 100 bytes
+    if len(os.fsencode(parent)) > 70:  # a socket's path can have some 100 bytes
         parent = "/tmp"
     path = os.path.join(parent, f"sandgait-{os.getuid()}")
     with contextlib.suppress(FileExistsError):
@@ -137,14 +137,14 @@ def _private_directory() -> str:
 _lock = threading.Lock()
 _server: EmbeddedServer | None = None
 _inherited: list[EmbeddedServer] = []
-#: Threads that environments have requested; None: SANDGAIT_THREADS decides.
+#: Number of threads that environments have requested; None if none has, then SANDGAIT_THREADS is used.
 _threads: int | None = None
 
 
 def ask_for_threads(threads: int | None) -> None:
-    """Requests a number of threads for the embedded server; None accepts any number.
+    """Requests a number of threads for the embedded server; with None any number is accepted.
 
-    Refused while a server runs with another number.
+    The request is refused if a server runs with another number.
     """
     global _threads
     if threads is None:
@@ -160,7 +160,7 @@ def _threads_wanted() -> int:
 
 
 def address() -> str:
-    """Address of this process's embedded server, started if it does not run."""
+    """Address of this process's embedded server. Starts the server if it does not run."""
     global _server
     with _lock:
         if _server is not None and not _server.running():
@@ -172,12 +172,12 @@ def address() -> str:
 
 
 def is_dead(address: str) -> bool:
-    """Is this the address of an embedded server that has ended? No server will listen there again."""
+    """Is this the address of an embedded server that has ended? No other server will use this address."""
     server = _server
     if server is None or server.address != address:
         return _is_ours(address)
     with contextlib.suppress(subprocess.TimeoutExpired):
-        server.process.wait(0.05)  # its connections close a moment before the process has ended
+        server.process.wait(0.05)  # a connection closes shortly before the process has ended
     return not server.running()
 
 
@@ -189,12 +189,12 @@ def _is_ours(address: str) -> bool:
 
 
 def last_words(address: str) -> str:
-    """The last log lines of the embedded server at `address` that has ended; empty for any other server."""
+    """The last log lines of the embedded server at `address`, if it has ended; empty for every other server."""
     server = _server
     if server is None or server.address != address:
         return ""
     with contextlib.suppress(subprocess.TimeoutExpired):
-        server.process.wait(0.5)  # its connections close a moment before the process has ended
+        server.process.wait(0.5)  # a connection closes shortly before the process has ended
     return server.last_words()
 
 
@@ -204,7 +204,7 @@ def _stop() -> None:
 
 
 def _after_fork() -> None:
-    """A child starts a server of its own. The parent's object is kept, so that no finalizer runs here."""
+    """Makes a forked child start its own server. The parent's object is kept, so that the child runs no finalizer."""
     global _server, _lock
     _lock = threading.Lock()
     if _server is not None:

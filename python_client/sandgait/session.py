@@ -1,8 +1,9 @@
-"""The door over the network: a session that outlives its connections.
+"""The door over the network: a session that continues after its connection has broken.
 
-Requests are numbered. When the stream breaks, the next one asks for the last number that the server has answered,
-and later requests are sent again: nothing is lost or done twice. With `resume=True` a session also outlives its
-server: it takes snapshots, stores every request since the last one, and repeats these on another server.
+Requests are numbered. When a stream breaks, a new stream asks for the number of the last request that the server has
+answered, and sends the later requests again. So no request is lost or carried out twice. With `resume=True` a session
+also continues after its server has ended: it takes snapshots, stores every request since the last snapshot, and repeats
+these requests on another server.
 """
 
 from __future__ import annotations
@@ -25,27 +26,27 @@ from .door import Held
 from .errors import InvalidRequest, SandgaitError, ServerLost, SessionLost
 from .spaces import Task
 
-#: How long an unreachable server is tried again [s]: without and with `resume`. The lease is 300 s by default.
+#: Time for which attempts to reach a server are repeated [s], without and with `resume`. The lease is 300 s by default.
 RETRY = 2.0
 RETRY_RESUME = 60.0
 
-#: Requests between two snapshots of a session with `resume=True`: at most some seconds of work are repeated.
+#: Number of requests between two snapshots of a session with `resume=True`. To repeat so many takes a few seconds.
 SNAPSHOT_EVERY = 200
 
 
 class _Link:
-    """Resources to release when a session ends. A finalizer refers to it, so it must not refer to the session."""
+    """Resources that a finalizer releases when a session ends. A reference to the session would prevent its end."""
 
     def __init__(self) -> None:
         self.process = os.getpid()
         self.address = ""
         self.session_id = ""
         self.stream: Stream | None = None
-        #: How long `close` waits for the server [s]; after that the lease ends the session.
+        #: Longest wait of `close` for the server [s]. Later the session ends with its lease.
         self.patience = client.CLOSE_TIMEOUT
 
     def drop(self) -> None:
-        """Gives up a stream that is broken."""
+        """Closes a stream that is broken."""
         if self.stream is not None:
             self.stream.close()
             self.stream = None
@@ -55,7 +56,7 @@ class _Link:
 
     def close(self) -> None:
         if os.getpid() != self.process:
-            return  # a forked child: the session is the parent's
+            return  # in a forked child, because the session belongs to the parent
         if self.session_id:
             client.close_session(self.address, self.session_id, self.patience)
         self.drop()
@@ -64,8 +65,8 @@ class _Link:
 class Session:
     """Environments of one task on one server.
 
-    `addresses`: servers in order of preference; all but the first only with `resume`. None is this process's own
-    server.
+    `addresses`: servers in order of preference. Servers after the first are used only with `resume`. None stands for
+    the embedded server of this process.
     """
 
     def __init__(
@@ -86,13 +87,13 @@ class Session:
         self._sequence = 0
         #: Requests without an answer, with their numbers, in order.
         self._unanswered: list[Request] = []
-        #: The last answer, until the next request: a caller that was interrupted can take it again.
+        #: The last answer, kept until the next request, so that a caller that was interrupted can take it again.
         self._last: Response | None = None
-        #: The last snapshot (empty: none), and the requests carried out since.
+        #: The last snapshot (empty if there is none), and the requests that were carried out after it.
         self._snapshot = b""
         self._since: list[Request] = []
         self._link = _Link()
-        # Runs once: when called, when this object is collected, or when Python ends.
+        # It runs once: when it is called, when this object is deleted, or when Python ends.
         self.close = weakref.finalize(self, self._link.close)
         self.task = self._create(self._addresses[0], task)
 
@@ -114,9 +115,9 @@ class Session:
         return created.task
 
     def send(self, request: Request, here: bool = False) -> None:
-        """Sends a request without waiting for its answer; with `resume` it sometimes takes a snapshot first.
+        """Sends a request without waiting for its answer. With `resume` it sometimes takes a snapshot first.
 
-        `here`: the caller will wait for the answer next."""
+        `here`: next the caller waits for this answer."""
         self._check_usable()
         if self._resume and len(self._since) >= SNAPSHOT_EVERY and request.changes:
             self.save()
@@ -128,7 +129,7 @@ class Session:
         try:
             assert self._link.stream is not None
             self._link.stream.send(request, here)
-        except BaseException:  # whether it was sent is not known; the next stream sends it again
+        except BaseException:  # the request may have been sent or not; the next stream sends it again
             self._link.drop()
             raise
 
@@ -155,11 +156,11 @@ class Session:
         self.send(Request.policy_rollout(onnx, steps, trajectories))
 
     def receive(self) -> Batch:
-        """Answer to the last reset or step; earlier answers that were not received are dropped."""
+        """Answer to the last reset or step. Drops earlier answers that were not received."""
         return client.batch(self._receive())
 
     def save(self) -> bytes:
-        """All environments as data, for `restore`."""
+        """A snapshot of all environments, for `restore`."""
         self.send(Request.save())
         snapshot = self._receive().snapshot
         self._snapshot, self._since, self._last = snapshot, [], None
@@ -171,7 +172,7 @@ class Session:
         return self._receive().pixels
 
     def observe(self, index: int, ended: bool) -> tuple[str, bytes]:
-        """Header and row of environment `index`'s moment, as recordings hold them."""
+        """The present state of environment `index`: header and row, in the format of recordings."""
         self.send(Request.observe(index, ended))
         return self._receive().observation
 
@@ -180,7 +181,7 @@ class Session:
         parts = [self._receive()]
         while parts[-1].is_part:
             parts.append(self._receive())
-            if parts[-1].first_step == 0:  # the stream broke, and the rollout started again
+            if parts[-1].first_step == 0:  # the stream broke, and the rollout starts again
                 del parts[:-1]
         return client.rollout(parts, self.num_envs, self.task)
 
@@ -212,7 +213,7 @@ class Session:
                 self._broken = str(error)
                 raise
             if response.sequence >= self._sequence and self._last is None:
-                return response  # the first part of a rollout: its answer is not complete
+                return response  # it is the first part of a rollout, so the answer is not complete
 
     def _answered(self, response: Response) -> Response:
         error = client.failure(response, self.address)
@@ -224,7 +225,7 @@ class Session:
         return response
 
     def _reconnect(self, reason: ServerLost | None) -> None:
-        """Attaches to the session again, or makes it again on another server; raises the error if neither works."""
+        """Attaches to the session again, or makes it again on another server. Raises the error if both fail."""
         deadline = time.monotonic() + (RETRY_RESUME if self._resume else RETRY)
         error: SandgaitError | None = reason
         pause = 0.01
@@ -234,7 +235,7 @@ class Session:
                     return self._attach()
                 except ServerLost as lost:
                     error = error or lost
-                except SessionLost as lost:  # the server runs, but does not have this session
+                except SessionLost as lost:  # the server runs, but it has no such session
                     error = lost if not isinstance(error, ServerLost) else error
                     if not self._resume:
                         break
@@ -250,7 +251,7 @@ class Session:
         raise error if error is not None else ServerLost(f"{self.address}: the server cannot be reached")
 
     def _attach(self) -> None:
-        """Opens another stream to the session, and sends requests without an answer again."""
+        """Opens a new stream to the session, and sends the requests without an answer again."""
         stream = Stream(self._link.address, self._link.session_id)
         self._link.stream = stream
         for request in self._unanswered:
@@ -258,8 +259,8 @@ class Session:
                 stream.send(request)
 
     def _rebuild(self) -> bool:
-        """Makes the session again on the first server that accepts it, and repeats all requests since the last
-        snapshot."""
+        """Makes the session again on the first server that accepts it, restores the last snapshot, and repeats all
+        requests after it."""
         for address in self._addresses:
             with contextlib.suppress(ServerLost, SessionLost):
                 self._create(address, self.task.id)
@@ -275,7 +276,7 @@ class Session:
         for number, request in enumerate(past + self._unanswered, start=1):
             request.sequence = number
         self._sequence = len(past) + len(self._unanswered)
-        for request in past:  # one by one, because requests sent ahead would wait in this process's memory
+        for request in past:  # one by one, so that few requests wait in this process's memory
             stream.send(request)
             error = client.failure(stream.receive(), self.address)
             if error is not None:

@@ -1,6 +1,7 @@
-"""One batch of environments in one or several places; the results do not depend on the places.
+"""One batch of environments, in this process or divided over several servers. The results are the same in all cases.
 
-Place k has consecutive environments of the batch. All servers simulate at the same time.
+A place is this process or one of the servers. It has consecutive environments of the batch. All servers simulate at the
+same time.
 """
 
 from __future__ import annotations
@@ -19,25 +20,25 @@ from .batches import Batch, Rollout
 from .door import Door, Held, Local
 from .errors import InvalidRequest
 
-#: Where environments are simulated: in this process, or on one or several servers.
+#: The place of environments: None for this process, or the address of one or several servers.
 Address = str | Sequence[str] | None
 
 #: Longest wait for servers to confirm that sessions are closed [s].
 CLOSE_TIMEOUT = 2.0
 
-#: The same if other doors have used up the time: enough for a server that runs [s].
+#: The same after other doors have used up that time [s]. It is enough for a server that runs.
 LEAST_PATIENCE = 0.05
 
-#: Deadline for closing sessions at the end of Python, once that has begun.
+#: Deadline for closing sessions at the end of Python; None before this closing has begun.
 _last_call: float | None = None
 
 
 class Shards:
-    """`num_envs` environments, spread evenly over places; `open_door(k, envs)` opens place k."""
+    """`num_envs` environments, divided evenly over the places. `open_door(k, envs)` opens the session of place k."""
 
     def __init__(self, places: int, num_envs: int, open_door: Callable[[int, int], Door]) -> None:
         if not 1 <= places <= max(num_envs, 1):
-            raise InvalidRequest(f"address: {places} servers for {num_envs} environments")
+            raise InvalidRequest(f"address: {places} servers are more than the {num_envs} environments")
         self.num_envs = num_envs
         self._doors: list[Door] = []
         cuts = [num_envs * k // places for k in range(places + 1)]
@@ -51,20 +52,20 @@ class Shards:
         except BaseException:
             close_all(held)
             raise
-        # Runs once: when called, when this object is collected, or when Python ends; before those of the doors, which
-        # were opened earlier.
+        # It runs once: when it is called, when this object is deleted, or when Python ends. At the end of Python it
+        # runs before the finalizers of the doors, because they were made earlier.
         self.close = weakref.finalize(self, close_all, held)
         self.task = self._doors[0].task
 
     @property
     def addresses(self) -> list[str | None]:
-        """Addresses of the servers that have the environments now; None: this process."""
+        """Addresses of the servers that have the environments at present; None for this process."""
         return [door.address for door in self._doors]
 
     def send_reset(
         self, seeds: Sequence[int] | None, mask: npt.NDArray[np.bool_] | None, options: Mapping[str, Any]
     ) -> None:
-        """Asks for a reset. `seeds` and `mask` have one entry an environment; without seeds the random streams
+        """Asks for a reset. `seeds` and `mask` have one entry for each environment. Without seeds the random streams
         continue."""
         for i, seed in enumerate(seeds or ()):
             if not 0 <= seed < 2**64:
@@ -76,10 +77,10 @@ class Shards:
     def send_step(
         self, actions: npt.NDArray[np.float32], held: npt.NDArray[np.bool_] | None = None, here: bool = False
     ) -> None:
-        """Asks for a step; `actions` is f32 [num_envs, action], environments in `held` [num_envs] keep their state.
-        `here`: the caller only waits for this step, so its thread may compute it. The places check bounds; with
-        several places they are checked here too, because one place's refusal would leave the others a step
-        ahead."""
+        """Asks for a step. `actions` is f32 [num_envs, action]; environments in `held` [num_envs] keep their state.
+        `here`: next the caller waits for this step, so its thread may compute it. Each place checks the actions'
+        bounds. With several places this function checks them first; else one place might refuse its actions while the
+        others make the step."""
         if len(self._doors) == 1:
             self._doors[0].send_step(actions, held, here)
             return
@@ -118,21 +119,22 @@ class Shards:
         return any(door.owes for door in self._doors)
 
     def save(self) -> list[bytes]:
-        """All environments as data, one snapshot a place."""
+        """A snapshot of all environments, with one part for each place."""
         return [door.save() for door in self._doors]
 
     def send_restore(self, snapshots: Sequence[bytes], sources: npt.NDArray[np.integer[Any]] | None) -> None:
-        """Environment i becomes number `sources[i]` of the snapshot; without sources, number i modulo theirs. Several
-        snapshots need as many places as saved them."""
+        """Environment i gets the state of the snapshot's environment `sources[i]`. Without `sources` it gets that of
+        environment i modulo n, if the snapshot has n environments. A snapshot of several places can only be restored
+        on the same number of places."""
         if len(snapshots) not in (1, len(self._doors)) or (len(snapshots) > 1 and sources is not None):
-            raise InvalidRequest(f"snapshot: of {len(snapshots)} servers, for {len(self._doors)}")
+            raise InvalidRequest(f"snapshot: it is of {len(snapshots)} servers, but this batch has {len(self._doors)}")
         if len(snapshots) == 1 and sources is None and len(self._doors) > 1:
             sources = np.arange(self.num_envs)
         for k, (door, part) in enumerate(zip(self._doors, self._slices, strict=True)):
             door.send_restore(snapshots[k % len(snapshots)], None if sources is None else sources[part])
 
     def rollout(self, actions: npt.NDArray[np.float32], trajectories: bool) -> Rollout:
-        """Runs `actions`, f32 [steps, num_envs, action], from the environments' present state, and restores it."""
+        """Runs `actions`, f32 [steps, num_envs, action], from the present states, and then restores these states."""
         expected = (self.num_envs, len(self.task.action))
         if actions.ndim != 3 or actions.shape[1:] != expected or not len(actions):
             raise InvalidRequest(f"actions: shape {actions.shape}, expected [steps, {expected[0]}, {expected[1]}]")
@@ -141,7 +143,7 @@ class Shards:
         return self._rollout()
 
     def rollout_policy(self, onnx: bytes, steps: int, trajectories: bool) -> Rollout:
-        """Runs a network for `steps`, and restores the environments."""
+        """Runs a network for `steps` from the present states, and then restores these states."""
         for door in self._doors:
             door.send_policy_rollout(onnx, steps, trajectories)
         return self._rollout()
@@ -149,26 +151,27 @@ class Shards:
     def _rollout(self) -> Rollout:
         """Answer to the last rollout."""
         if len(self._doors) == 1:
-            return self._doors[0].receive_rollout()  # megabytes: a single part is not copied
+            return self._doors[0].receive_rollout()  # no copy, because the answer can have megabytes
         parts: list[Rollout] = self._all("receive_rollout")
         ends = [np.concatenate(column) for column in zip(*(p[:4] for p in parts), strict=True)]
         rows = [np.concatenate(column, axis=1) for column in zip(*(p[4:] for p in parts), strict=True)]
         return Rollout(*ends, *rows)
 
     def render(self, indices: Sequence[int], width: int, height: int, ended: bool) -> bytes:
-        """A picture of each environment: u8 [indices, height, width, 3]. `indices` ascend."""
+        """A picture of each environment: u8 [indices, height, width, 3]. `indices` must be in ascending order."""
         parts = zip(self._doors, self._slices, strict=True)
         chosen = [(door, [i - part.start for i in indices if part.start <= i < part.stop]) for door, part in parts]
         return b"".join(door.render(own, width, height, ended) for door, own in chosen if own)
 
     def observe(self, index: int, ended: bool) -> tuple[str, bytes]:
-        """Header and row of environment `index`'s moment, as recordings hold them."""
+        """The present state of environment `index`: header and row, in the format of recordings."""
         parts = zip(self._doors, self._slices, strict=True)
         door, part = next((door, part) for door, part in parts if part.start <= index < part.stop)
         return door.observe(index - part.start, ended)
 
     def _all(self, receive: str) -> list[Any]:
-        """Every door's answer. A refusal is raised after all have answered, so that all stay at the same step."""
+        """The answers of all doors. A refusal is raised after all have answered, so that all doors are at the same
+        step."""
         answers, errors = [], []
         for door in self._doors:
             try:
@@ -189,13 +192,13 @@ def open_shards(
     threads: int | None = None,
     isolated: bool = False,
 ) -> Shards:
-    """Environments at `address`, which may be several; by default in this process, or if `isolated` on a separate
-    server. `threads`: of this process, or of that server."""
+    """Environments on the servers of `address`. Without an address they are in this process or, if `isolated`, on its
+    embedded server. `threads`: number of simulating threads of this process or of the embedded server."""
     addresses = [address] if address is None or isinstance(address, str) else list(address)
     if threads is not None and None not in addresses:
-        raise InvalidRequest("threads: of this process; a server that has an address was started with its own")
+        raise InvalidRequest("threads: it applies to this process; the server at an address was started with its own")
     if isolated and None not in addresses:
-        raise InvalidRequest("isolated: of environments without an address; this one has its server already")
+        raise InvalidRequest("isolated: it starts a server, but these environments have an address already")
 
     def open_door(k: int, envs: int) -> Door:
         if addresses[k] is None and not isolated:
@@ -211,9 +214,10 @@ def open_shards(
 
 
 def close_all(all: Sequence[Held]) -> None:
-    """Closes sessions in parallel, so that many dead servers take about as long as one.
+    """Closes sessions in parallel, so that the wait for many servers that do not answer is as long as for one.
 
-    At the end of Python no thread can be started: then they are closed one after the other within a common time limit.
+    At the end of Python no thread can be started. Sessions are then closed one after the other within a common time
+    limit.
     """
     if threading.main_thread().is_alive():
         deadline = time.monotonic() + CLOSE_TIMEOUT

@@ -1,4 +1,4 @@
-"""Snapshots as one piece of bytes and as files: those of several servers, one after the other."""
+"""Joins the snapshots of one or several servers to one piece of bytes, and writes and reads it as a file."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from .errors import InvalidRequest, SandgaitError
 
 FilePath = str | PathLike[str]
 
-#: Before the snapshots: their number, then the length of each [bytes], u64 little-endian.
+#: The first bytes. Then follow the number of snapshots, the length of each [bytes] (all u64 little-endian), and the
+#: snapshots.
 _MAGIC = b"sandgait snapshots\n"
 
 
 def write_snapshot(snapshots: Sequence[bytes], path: FilePath | None) -> bytes:
-    """One piece of bytes. The file is written under another name and then renamed, so it is either complete or not
-    there."""
+    """Joins `snapshots` to one piece of bytes, and writes it to a file if one is named. The file is written under
+    another name and then renamed, so that it is never incomplete."""
     lengths = struct.pack(f"<{1 + len(snapshots)}Q", len(snapshots), *map(len, snapshots))
     data = _MAGIC + lengths + b"".join(snapshots)
     if path is None:
@@ -44,7 +45,7 @@ def write_snapshot(snapshots: Sequence[bytes], path: FilePath | None) -> bytes:
 
 
 def read_snapshot(snapshot: bytes | FilePath) -> list[bytes]:
-    """The inverse of `write_snapshot`, from its bytes or its file. The server checks the contents."""
+    """The inverse of `write_snapshot`: reads its bytes or its file. The server checks each snapshot's content."""
     if not isinstance(snapshot, bytes):
         try:
             snapshot = Path(snapshot).read_bytes()

@@ -1,6 +1,6 @@
-"""A task's tables, and gymnasium spaces made from them.
+"""A task's columns, and the gymnasium spaces made from them.
 
-The server sends the tables when a session is opened: names, units and bounds of every number.
+When a session is opened, the server sends the name, unit and bounds of every column.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from .errors import InvalidRequest
 
 @dataclass(frozen=True)
 class Column:
-    """One number of a row; `unit` is SI, "1" where dimensionless."""
+    """A number of an observation, an action or an info row. `unit` is SI, "1" for a dimensionless number."""
 
     name: str
     unit: str
@@ -27,7 +27,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Option:
-    """One keyword of `gymnasium.make`; with `at_reset` also of `reset(options=...)`."""
+    """A keyword of `gymnasium.make`. With `at_reset` it is also an option of `reset(options=...)`."""
 
     name: str
     summary: str
@@ -37,18 +37,18 @@ class Option:
 
 @dataclass(frozen=True)
 class Task:
-    """A task's description by the server."""
+    """The server's description of a task."""
 
     id: str
     summary: str
     observation: tuple[Column, ...]
     action: tuple[Column, ...]
-    #: Weighted reward terms first, then other figures of a step.
+    #: First the weighted reward terms, then other figures of a step.
     info: tuple[Column, ...]
-    #: How many leading columns of `info` are reward terms; the reward is their sum.
+    #: Number of reward terms, the first columns of `info`. Their sum is the reward.
     reward_terms: int
     max_episode_steps: int
-    #: Control steps a second of simulated time [Hz].
+    #: Control steps in a second of simulated time [Hz].
     control_rate: float
     options: tuple[Option, ...]
 
@@ -62,28 +62,29 @@ class Task:
 
 
 def box(columns: tuple[Column, ...]) -> spaces.Space[npt.NDArray[np.float32]]:
-    """Box of float32 [len(columns)] with each column's own bounds."""
+    """A gymnasium Box of float32 [columns] with the columns' bounds."""
     low = np.array([c.low for c in columns], dtype=np.float32)
     high = np.array([c.high for c in columns], dtype=np.float32)
     return cast("spaces.Space[npt.NDArray[np.float32]]", spaces.Box(low, high, dtype=np.float32))
 
 
 class Actions:
-    """Prepares actions for sending. Errors use `name` for them; with `clip` they are clipped to their bounds."""
+    """Prepares actions for sending. `clip`: clip them to their bounds. `name`: name of the actions in errors."""
 
     def __init__(self, space: spaces.Space[npt.NDArray[np.float32]], name: str, clip: bool) -> None:
         box = cast("spaces.Box", space)
         self._low, self._high, self._name, self._clip = box.low, box.high, name, clip
 
     def rows(self, actions: npt.ArrayLike) -> npt.NDArray[np.float32]:
-        """The caller's `actions` as float32 of the right shape; a copy if it was clipped."""
+        """The caller's `actions` as float32 of the right shape. It is a copy if actions were clipped."""
         rows = np.asarray(actions, dtype=np.float32)
         if rows.shape != self._low.shape:
             raise InvalidRequest(f"{self._name}: shape {rows.shape}, expected {self._low.shape}")
         return np.clip(rows, self._low, self._high) if self._clip else rows
 
     def explain(self, error: BaseException) -> BaseException:
-        """Adds a remedy to the refusal of an action beyond its bounds; other errors are unchanged."""
+        """Adds the advice `clip_actions=True` to the refusal of an action beyond its bounds. Other errors are
+        unchanged."""
         text = str(error)
         if not isinstance(error, InvalidRequest) or not text.startswith("actions[") or "NaN" in text or "nan" in text:
             return error

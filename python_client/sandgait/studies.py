@@ -1,7 +1,7 @@
 """Studies that need no environment: forces on a leg, walks, sweeps over designs.
 
-They are the commands `sandgait intrude`, `walk` and `sweep`, with the same names, defaults and numbers. `address` is
-that of a running server; without one this process computes. A long study can be interrupted with Ctrl-C.
+They are the functions of the commands `sandgait intrude`, `walk` and `sweep`, with the same names, defaults and
+results. `address`: a running server that computes the study; by default this process computes it. Ctrl-C stops a study.
 """
 
 from __future__ import annotations
@@ -22,16 +22,17 @@ from .tables import Numbers, Table, new_axes
 
 FilePath = str | PathLike[str]
 
-#: True: a line on the terminal (or in the notebook). Or a function, called with the finished share and the stage.
+#: True shows the progress as a line on the terminal or in the notebook. A function is called with the finished share
+#: and the stage.
 ProgressOption = bool | Callable[[float, str], None]
 
 
 class Intrusion(Table):
-    """Forces on a leg that rotates through sand about a fixed hip; one row an angle."""
+    """Forces on a leg that rotates through sand about a fixed hip; one row for each angle."""
 
     @property
     def theta(self) -> Numbers:
-        """Angle of the leg [rad]: 0 is straight down, positive is the tip forward (+x)."""
+        """Angle of the leg [rad]: 0 if the tip is straight down, positive if it is forward (+x)."""
         return self["theta"]
 
     @property
@@ -50,7 +51,7 @@ class Intrusion(Table):
         return self["Ty"]
 
     def plot(self, axes: Any = None, label: str = "") -> Any:
-        """Forces over the leg's angle on matplotlib `axes`; returns the axes. Needs `sandgait[plot]`."""
+        """Plots the forces over the leg's angle on matplotlib `axes`; returns the axes. Needs `sandgait[plot]`."""
         axes = new_axes(axes)
         for name, style in (("Fx", "-"), ("Fz", "--")):
             axes.plot(np.degrees(self.theta), self[name], style, label=f"{name} {label}".strip())
@@ -62,7 +63,7 @@ class Intrusion(Table):
 
 
 class Trials(Table):
-    """Steady motions of a body through sand; one row a motion. Rows without equilibrium are NaN.
+    """Motions of a body through sand with constant velocity; one row for each motion. Rows without equilibrium are NaN.
 
     Columns: Fx, Fy, Fz [N], Tx, Ty, Tz [N·m] about the body's origin, depth [m], status (ok or no_equilibrium).
     """
@@ -84,12 +85,12 @@ class Trials(Table):
 
     @property
     def status(self) -> npt.NDArray[np.str_]:
-        """ok, or no_equilibrium where no depth carries the load."""
+        """ok, or no_equilibrium if the sand carries the load at no depth."""
         return self["status"]
 
 
 class Walks(Table):
-    """Walks at constant stride frequencies; one row a frequency. Walks that diverged are NaN.
+    """Walks at constant stride frequencies; one row for each frequency. Rows of walks that diverged are NaN.
 
     Columns: frequency [Hz], speed [m/s], base_height [m], pitch_rms [rad], hip_torque_rms [N·m], hip_speed_error_rms
     [rad/s], cost_of_transport, sink [m], drift [m].
@@ -97,21 +98,21 @@ class Walks(Table):
 
     @property
     def frequency(self) -> Numbers:
-        """Turns of the hips a second [Hz]."""
+        """Turns of the hips in a second [Hz]."""
         return self["frequency"]
 
     @property
     def speed(self) -> Numbers:
-        """Net horizontal displacement per time over four strides [m/s]; negative if toward −x."""
+        """Horizontal displacement over four strides, divided by their duration [m/s]; negative toward −x."""
         return self["speed"]
 
     @property
     def cost_of_transport(self) -> Numbers:
-        """Work of the hips over weight times distance; NaN where the robot stands."""
+        """Work of the hips / (weight · distance); NaN if the robot stands."""
         return self["cost_of_transport"]
 
     def plot(self, axes: Any = None, label: str = "") -> Any:
-        """Speed over stride frequency on matplotlib `axes`; returns the axes. Needs `sandgait[plot]`."""
+        """Plots the speed over the stride frequency on matplotlib `axes`; returns the axes. Needs `sandgait[plot]`."""
         axes = new_axes(axes)
         order = np.argsort(self.frequency)
         axes.plot(self.frequency[order], 100.0 * self.speed[order], "o-", markersize=3, label=label or None)
@@ -122,7 +123,8 @@ class Walks(Table):
         return axes
 
 
-#: Measure → column, factor, label of an axis, and the sign that makes less better.
+#: For each measure: its column, the factor to the unit of the axis, the label of the axis, and −1 if the best design
+#: has the greatest value, else 1.
 _MEASURES = {
     "speed": ("speed", 100.0, "forward speed [cm/s]", -1.0),
     "cost-of-transport": ("cost_of_transport", 1.0, "cost of transport", 1.0),
@@ -130,9 +132,10 @@ _MEASURES = {
 
 
 class Sweep(Table):
-    """Walks over a grid of designs, one row a design, the last parameter fastest; or the best design found, one row.
+    """Walks of a grid of designs, or of the best design found.
 
-    Columns: the `parameters`, in their units, then those of :class:`Walks` without the frequency.
+    The table has one row for each design; the last parameter varies fastest. Columns: the `parameters` in their units,
+    then the columns of :class:`Walks` without the frequency.
     """
 
     def __init__(
@@ -145,21 +148,21 @@ class Sweep(Table):
         super().__init__(columns, units)
         #: Names of the varied parameters, in order.
         self.parameters = parameters
-        #: The measure of `best` and `plot`: speed or cost-of-transport.
+        #: The measure that `best` and `plot` use: speed or cost-of-transport.
         self.measure = measure
 
     @property
     def speed(self) -> Numbers:
-        """[m/s]"""
+        """Walking speed [m/s], as in :class:`Walks`."""
         return self["speed"]
 
     @property
     def cost_of_transport(self) -> Numbers:
-        """Work of the hips over weight times distance; NaN where the robot stands."""
+        """Work of the hips / (weight · distance); NaN if the robot stands."""
         return self["cost_of_transport"]
 
     def best(self, measure: str | None = None) -> dict[str, Any]:
-        """The row with the greatest speed, or the least cost of transport among those that walk forward."""
+        """The row with the greatest speed or, among robots that walk forward, with the least cost of transport."""
         column, _, _, sign = _MEASURES[_measure(measure or self.measure)]
         values = sign * self[column]
         if column == "cost_of_transport":
@@ -168,9 +171,8 @@ class Sweep(Table):
         return {name: self[name][index].item() for name in self}
 
     def plot(self, measure: str | None = None, axes: Any = None) -> Any:
-        """A heat map over two number parameters, or lines over the last one, one for each name of the first.
-
-        On matplotlib `axes`; returns the axes. Needs `sandgait[plot]`.
+        """Plots the measure on matplotlib `axes`: a heat map over two numerical parameters, or else lines over the last
+        parameter, one line for each value of the first. Returns the axes. Needs `sandgait[plot]`.
         """
         column, factor, label, _ = _MEASURES[_measure(measure or self.measure)]
         if len(self.parameters) > 2:
@@ -244,22 +246,24 @@ def intrude(
     plate_size: float | None = None,
     progress: ProgressOption = False,
 ) -> Intrusion | Trials:
-    """Rotates a leg about a hip fixed above sand; returns force and torque over its angle, −1.75 to 1.75 rad.
+    """Computes the forces of sand on a rotating leg, or on any body that moves with constant velocity.
 
-    Or, with `body` and `rows`, moves any body steadily; returns forces and torques, one row a motion. `body`:
-    cylinder:radius=M,width=M (axle along y), box:length=M,width=M,height=M, sphere:radius=M, or an STL or OBJ file
-    [m].
-    `rows`: columns as a mapping or a frame, vx, vy, vz [m/s] and wx, wy, wz [rad/s] in the body's frame (x heading,
-    y axle, z up; absent: 0), and depth [m] of the lowest point or load [N] that is carried (one of them; if both
-    are columns, one of them is NaN in each row); a single number applies to all rows. `mu_s`: friction coefficient
-    of the body's
-    surface, in place of the sand's. `plate_size` [m]: of the plates that the body is cut into (none: a fiftieth of
-    its longest side).
+    Without `body` a leg of shape `shape` rotates about a hip that is fixed above the sand. The result has force and
+    torque for angles from −1.75 to 1.75 rad. `shape`: L, revL, C, revC, flat or xi=DEGREES. `chord`: distance from hip
+    to tip [m]. `width`: width of the leg [m]. `hip_height`: height of the hip above the surface [m]. `omega`: angular
+    speed [rad/s]; with a negative one the tip moves backward.
 
-    `shape`: L, revL, C, revC, flat or xi=DEGREES. `chord`: distance from hip to tip [m]. `width` [m]. `hip_height`: hip
-    above the surface [m]. `omega`: angular speed [rad/s]; negative turns the tip backward. `medium`: a name from
-    `sandgait media`, zeta=VALUE or mu=VALUE,rho=VALUE (none: poppy-loose). `law`: li2013, penetration-drag-1d or
-    agarwal2023 (none: li2013). `sand`: a sand.toml, as a diagnosis saves it, in place of both.
+    With `body` and `rows` the result has forces and torques, one row for each motion. `body`: cylinder:radius=M,width=M
+    (axle along y), box:length=M,width=M,height=M, sphere:radius=M, or an STL or OBJ file [m]. `rows`: a mapping or a
+    DataFrame with columns vx, vy, vz [m/s] and wx, wy, wz [rad/s] in the body's frame (x heading, y axle, z up; absent
+    columns are 0), and depth [m] of the lowest point or load [N] that the sand carries. If there are both columns, one
+    of them must be NaN in each row. A column may be a single number for all rows. `mu_s`: friction coefficient of the
+    body's surface, instead of the sand's. `plate_size`: size of the plates into which the surface is cut [m]; by
+    default a fiftieth of the body's longest side.
+
+    `medium`: a name from `sandgait media`, zeta=VALUE or mu=VALUE,rho=VALUE; by default poppy-loose. `law`: li2013,
+    penetration-drag-1d or agarwal2023; by default li2013. `sand`: a sand.toml, for example from a diagnosis, instead
+    of medium and law.
     """
     if body is not None or rows is not None:
         if shape is not None or body is None or rows is None:
@@ -300,12 +304,13 @@ def walk(
     address: str | None = None,
     progress: ProgressOption = False,
 ) -> Walks:
-    """Walks with an alternating tripod at each stride frequency [Hz] and measures speed and work; at 0 the robot
-    stands for 10 s.
+    """Simulates a robot that walks with an alternating tripod at each stride frequency [Hz], and measures speed and
+    work. At frequency 0 the robot stands for 10 s.
 
-    `leg`: L, revL, C, revC, flat or xi=DEGREES (none: the robot's own). `engine`: lanes or rapier. `medium`, `law`,
-    `sand`: as for :func:`intrude`. `slope_deg`: the surface rises in walking direction [°]. `dt`: time step [s] (none:
-    0.5 ms). `robot`: a built-in robot or a file ending in .toml.
+    `leg`: shape of the legs, L, revL, C, revC, flat or xi=DEGREES; by default the robot's own. `engine`: lanes or
+    rapier. `medium`, `law`, `sand`: the same as for :func:`intrude`. `slope_deg`: slope of the surface [°]; a positive
+    slope rises in the walking direction. `dt`: time step [s]; by default 0.0005. `robot`: a built-in robot or a .toml
+    file.
     """
     frequencies = np.atleast_1d(np.asarray(frequency, dtype=np.float64)).ravel()
     request = {
@@ -336,14 +341,14 @@ def sweep(
     address: str | None = None,
     progress: ProgressOption = True,
 ) -> Sweep:
-    """Walks a robot over a grid of one or two parameters, or searches for the best design.
+    """Simulates walks of a robot over a grid of one or two parameters, or searches for the best design.
 
-    `vary`: parameter → the values it takes; `set`: parameter → its one value. Parameters: xi [°], leg, chord [m],
-    width [m], leg_mass [kg], base_mass [kg], hip_height [m], belly [m], frequency [Hz], phase [rad], medium, zeta
-    [N/cm³], law, slope [°], payload [kg], torque_limit [N·m], kp [N·m/rad]. `robot`, `medium`, `law`, `sand`: as for
-    :func:`walk`.
-    `frequency`: stride frequency [Hz]. `measure`: used by `plot` and `best`, speed or cost-of-transport.
-    `optimize`: a measure; search between the least and greatest value of each parameter instead of walking the grid.
+    `vary`: the values of each varied parameter. `set`: the one value of each other parameter. Parameters: xi [°], leg,
+    chord [m], width [m], leg_mass [kg], base_mass [kg], hip_height [m], belly [m], frequency [Hz], phase [rad], medium,
+    zeta [N/cm³], law, slope [°], payload [kg], torque_limit [N·m], kp [N·m/rad]. `robot`, `medium`, `law`, `sand`: the
+    same as for :func:`walk`. `frequency`: stride frequency [Hz]. `measure`: speed or cost-of-transport; `plot` and
+    `best` use it. `optimize`: the measure of a search for the best design. The search replaces the grid, and stays
+    between the least and the greatest value of each parameter.
     """
     request = {
         "vary": [_variation(name, list(values)) for name, values in vary.items()],
@@ -367,7 +372,7 @@ def _measure(name: str) -> str:
 
 
 def file(path: FilePath, what: str) -> tuple[str, bytes]:
-    """Name and content of a local file, read here because the server may be on another machine."""
+    """Name and content of a local file. The client reads it, because the server may be on another machine."""
     try:
         return str(path), Path(path).read_bytes()
     except (OSError, TypeError) as error:
@@ -378,7 +383,7 @@ _MOTION = ("vx", "vy", "vz", "wx", "wy", "wz", "depth", "load")
 
 
 def _motions(rows: Mapping[str, npt.ArrayLike]) -> dict[str, Any]:
-    """Columns of motions as bytes."""
+    """The columns of `rows` as bytes."""
     for name in rows:
         if name not in _MOTION:
             raise InvalidRequest(f"rows: column {name!r} is unknown; known: {', '.join(_MOTION)}")
@@ -389,7 +394,7 @@ def _motions(rows: Mapping[str, npt.ArrayLike]) -> dict[str, Any]:
     except (TypeError, ValueError) as error:
         raise InvalidRequest(f"rows: {error}") from error
     if full[0].ndim != 1:
-        raise InvalidRequest("rows: a column has one number a row")
+        raise InvalidRequest("rows: each column must be a number or a one-dimensional array")
     groups = {"velocity": full[:3], "spin": full[3:6], "depth": full[6:7], "load": full[7:]}
     return {name: np.stack(group, axis=1).astype("<f8").tobytes() for name, group in groups.items()}
 
@@ -417,7 +422,7 @@ def _variation(name: str, values: list[Any]) -> tuple[str, list[float], list[str
 def columns(
     table: tuple[list[tuple[str, str, Any]], list[str]],
 ) -> tuple[dict[str, npt.NDArray[Any]], dict[str, str]]:
-    """Arrays and units of a table, by names that are valid in Python."""
+    """The arrays and the units of a table, with names that are valid in Python."""
     series, told = table
     for warning in told:
         warnings.warn(warning, stacklevel=3)
@@ -427,7 +432,7 @@ def columns(
 
 
 class Display:
-    """Progress of a study: one line that is overwritten, on a terminal or in a notebook."""
+    """Shows the progress of a study on a terminal or in a notebook, as a line that is overwritten."""
 
     def __init__(self, option: ProgressOption) -> None:
         self._tell = option if callable(option) else None

@@ -1,4 +1,4 @@
-"""Results as columns of numpy arrays, each with its unit; pandas and matplotlib are imported only when needed."""
+"""Results as columns of numpy arrays with units. pandas and matplotlib are imported only when they are needed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Numbers = npt.NDArray[np.float64]
 
 
 class Table(Mapping[str, npt.NDArray[Any]]):
-    """Columns of equal length by name. `units[name]` is SI, "1" where dimensionless, "" for names."""
+    """Columns of equal length by name. `units[name]` is SI, "1" for dimensionless numbers, "" for names."""
 
     def __init__(self, columns: Mapping[str, npt.NDArray[Any]], units: Mapping[str, str]) -> None:
         self._columns = dict(columns)
@@ -34,7 +34,7 @@ class Table(Mapping[str, npt.NDArray[Any]]):
         return f"<{type(self).__name__}: {rows} rows of {', '.join(self.label(name) for name in self)}>"
 
     def label(self, name: str) -> str:
-        """Name and unit, for an axis: `Fx [N]`."""
+        """The label of an axis: name and unit, for example `Fx [N]`."""
         unit = self.units[name]
         return name if unit in ("", "1") else f"{name} [{unit}]"
 
@@ -46,15 +46,15 @@ class Table(Mapping[str, npt.NDArray[Any]]):
 
 
 def optional(module: str) -> Any:
-    """A module that only tables and plots need."""
+    """Imports a module that is needed only for tables and plots."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        raise ImportError(f"{module} is needed for this: pip install 'sandgait[plot]'") from error
+        raise ImportError(f"tables and plots need {module}: pip install 'sandgait[plot]'") from error
 
 
 def new_axes(axes: Any, rows: int = 1, columns: int = 1, size: tuple[float, float] = (6.4, 4.0)) -> Any:
-    """`axes` if given, otherwise those of a new matplotlib figure of `size` [inch]."""
+    """`axes` if they are given, else the axes of a new matplotlib figure of `size` [inch]."""
     if axes is not None:
         return axes
     return optional("matplotlib.pyplot").subplots(rows, columns, figsize=size, layout="constrained")[1]

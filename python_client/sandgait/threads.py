@@ -1,4 +1,4 @@
-"""The number of simulating threads: a keyword of the first environment, or SANDGAIT_THREADS."""
+"""The number of simulating threads. The first environment's keyword `threads` sets it, or else SANDGAIT_THREADS."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from .errors import InvalidRequest
 
 
 def checked(threads: object, name: str) -> int:
-    """A number of threads, also from text."""
+    """Checks a number of threads, which may be a text."""
     try:
         number = int(str(threads))
     except ValueError:
@@ -19,13 +19,14 @@ def checked(threads: object, name: str) -> int:
 
 
 def wanted() -> int:
-    """The default number; 0: one for each processor."""
+    """The default number of threads; 0 stands for one thread on each processor."""
     chosen = os.environ.get("SANDGAIT_THREADS")
     return checked(chosen, "SANDGAIT_THREADS") if chosen else 0
 
 
 def agreed(threads: int | None, has: int | None, whose: str) -> int:
-    """The number for environments that request `threads`, given that `has` threads run already (None: none yet)."""
+    """The number of threads for environments that request `threads`. `has`: number of running threads; None if no
+    thread runs yet."""
     if threads is None:
         return wanted() if has is None else has
     number = checked(threads, "threads")

@@ -1,4 +1,4 @@
-"""Learning gaits without torch, as the command `sandgait train`."""
+"""Learns gaits without torch. This is the function of the command `sandgait train`."""
 
 from __future__ import annotations
 
@@ -23,30 +23,33 @@ class Training:
 
     #: Folder of all results; docs/learning.md lists its files.
     out: Path
-    #: Steps of all environments together.
+    #: Number of control steps of all environments together.
     steps: int
-    #: Duration of the training with the earlier parts of a resumed one [s].
+    #: Duration of the training [s], including the parts before a resumption.
     seconds: float
-    #: The learning curve: columns steps, seconds [s] and return, the mean of episodes that ended since the row before.
+    #: The learning curve. Columns: steps, seconds [s], and return, the mean over the episodes that ended since the row
+    #: before.
     curve: Table
-    #: The policy without noise over 100 unseen seeds, as in settings.json; none for tasks without walking.
+    #: Evaluation of the policy without noise over 100 seeds that the training did not use, as in settings.json. Empty
+    #: for
+    #: tasks without walking.
     score: dict[str, Any] | None
-    #: All of it as text.
+    #: The results as text.
     summary: str
 
     @property
     def policy(self) -> Path:
-        """The ONNX file, for `evaluate`, `rollout_policy` and any ONNX runtime."""
+        """The policy's ONNX file, for `evaluate`, `rollout_policy` and any ONNX runtime."""
         return self.out / "policy.onnx"
 
     @property
     def weights(self) -> Path:
-        """Weights and statistics, for :func:`sandgait.export.to_sb3`."""
+        """The file with weights and statistics, for :func:`sandgait.export.to_sb3`."""
         return self.out / "policy.safetensors"
 
     @property
     def recording(self) -> Path:
-        """An unseen episode, for `sandgait replay` and `read_recording`."""
+        """The recording of an episode that the training did not use, for `sandgait replay` and `read_recording`."""
         return self.out / "walk.rec"
 
     def __repr__(self) -> str:
@@ -70,17 +73,19 @@ def train(
     progress: ProgressOption = True,
     **options: Any,
 ) -> Training:
-    """Learns a gait by PPO; writes policy, learning curve, film and score into the folder `out` (none: runs/TASK-fast).
+    """Learns a gait by PPO. Writes policy, learning curve, recording and score into the folder `out` (by default
+    runs/TASK-fast).
 
-    The training ends after `seconds`, or `timesteps` (without `seconds` there is no limit of time, and the result
-    has the same bits each time).
-    `hyperparameters`: a file in the format of rl-zoo3, none: the program's own; `settings`: replace values of the
-    file.
-    `resume`: go on from the last checkpoint in `out`. `start_from`: begin with what another training has learnt, its
-    policy.safetensors (same task, observation and actions). `threads`: 0 is one a processor. `address`: simulate on
-    that server. `options`: as for `gymnasium.make`.
+    The training ends after `seconds` of time or `timesteps` control steps. Without `seconds` there is no limit of time,
+    and the result has the same bits in each run.
 
-    Ctrl-C, and an exception of `progress`, end the training at once and leave a checkpoint.
+    `hyperparameters`: a file in the format of rl-zoo3; by default the program's own values. `settings`: values that
+    replace those of the file. `resume`: continue from the last checkpoint in `out`. `start_from`: the
+    policy.safetensors of another training of the same task, observation and actions. This training then starts from
+    its weights. `threads`: number of simulating threads; 0 stands for one on each processor. `address`: the server that
+    simulates. `options`: the same as for `gymnasium.make`.
+
+    Ctrl-C, or an exception that `progress` raises, ends the training at once and leaves a checkpoint.
     """
     asked = {
         "task": task,

@@ -1,4 +1,5 @@
-"""Many environments as one `gymnasium.vector.VectorEnv`: a batched step is one message to the server and one back."""
+"""Many environments as one `gymnasium.vector.VectorEnv`. A step of all environments takes one message in each
+direction."""
 
 from __future__ import annotations
 
@@ -27,26 +28,28 @@ Step = tuple[Observations, npt.NDArray[np.float64], Flags, Flags, dict[str, Any]
 
 
 class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32], npt.NDArray[Any]]):
-    """`num_envs` environments of `task` in this process, or on the server at `address` (a list: spread over them).
+    """`num_envs` environments of `task` in this process or on the server at `address`. If `address` is a list, the
+    environments are divided over its servers.
 
-    `resume`: survive the death of a server, by snapshots; the environments go on when it is back, or at the next
-    address of the list.
+    `resume`: continue from a snapshot when a server has ended. The environments continue when the server runs again, or
+    at the next address of the list.
 
-    `autoreset_mode`: with NEXT_STEP, gymnasium's default, the observation at the end of an episode is its last one;
-    the next step ignores that environment's action and returns the new episode's first observation. With SAME_STEP
-    the observation is already the next episode's first; `infos["final_obs"]` has the last one and
-    `infos["final_info"]` its figures.
+    `autoreset_mode`: with NEXT_STEP, gymnasium's default, the step that ends an episode returns its last observation.
+    The next step ignores that environment's action and returns the first observation of the new episode. With SAME_STEP
+    the step that ends an episode returns the first observation of the new one; `infos["final_obs"]` has the last
+    observation of the old one, and `infos["final_info"]` its figures.
 
-    `clip_actions`: clip actions to their bounds; without it an action outside is refused. `threads`: number of
-    simulating threads of this process; its first environment decides. `isolated`: without an address, use a
-    separate server process, so that a crash does not affect this one.
+    `clip_actions`: clip actions to their bounds; by default an action outside of its bounds is refused. `threads`:
+    number of simulating threads of this process; only the first environment of the process can set it. `isolated`:
+    without an address, use a separate server process, so that a crash of the simulation does not end this process.
 
-    `render_mode`: "rgb_array" for pictures of `render_size` (width, height), one an environment; "human" for the first
-    four in a window.
+    `render_mode`: "rgb_array" makes a picture of each environment, of `render_size` (width, height) [px]. "human" shows
+    the first four environments in a window.
 
-    Pickling and copying an environment that was reset include its state (`pickling`).
+    A pickle or copy of environments that were reset includes their states (module `pickling`).
 
-    To let the learner and the simulation overlap, split a batch over two of these and alternate `send` and `recv`.
+    If two objects of this class each have half of the environments, and calls of `send` and `recv` alternate between
+    them, the learner computes while the other half is simulated.
     """
 
     metadata: dict[str, Any] = {"render_modes": RENDER_MODES, "autoreset_mode": AutoresetMode.NEXT_STEP}
@@ -79,10 +82,11 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         self._info_names = (*names, *(f"_{name}" for name in names))
         self._seeded = np.zeros(num_envs, dtype=np.bool_)
         self._in_flight = False
-        #: The answer of the step in flight, once it has come.
+        #: The answer of the step in flight, as soon as it has arrived.
         self._batch: Batch | None = None
         self._everybody = np.ones(num_envs, dtype=np.bool_)
-        #: With NEXT_STEP, the environments whose next step returns the first row of an episode; with SAME_STEP none.
+        #: With NEXT_STEP: the environments whose next step returns the first observation of an episode. With SAME_STEP:
+        #: none.
         self._ended = np.zeros(num_envs, dtype=np.bool_)
         self._next_step = mode is AutoresetMode.NEXT_STEP
 
@@ -92,11 +96,11 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         seed: int | list[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Observations, dict[str, Any]]:
-        """Begins new episodes and drops a step in flight.
+        """Begins new episodes and drops the answer of a step in flight.
 
-        `seed`: an int s gives environment i the seed s + i; a list gives each its own (None: its random stream
-        continues). `options`: task options that a reset can change, and `reset_mask`, bool [num_envs]: which
-        environments to reset.
+        `seed`: if it is an int s, environment i has the seed s + i. If it is a list, entry i is the seed of environment
+        i, and with entry None its random stream continues. `options`: new values of task options, and `reset_mask`,
+        bool [num_envs], which says which environments to reset.
         """
         options = dict(options or {})
         mask = self._mask(options.pop("reset_mask", None))
@@ -105,7 +109,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         anew = mask & ~goes_on
         if self._in_flight:
             with contextlib.suppress(InvalidRequest, OutOfOrder):
-                self.recv()  # environments that are not reset may have ended an episode in it
+                self.recv()  # episodes of environments that are not reset may have ended in this step
         if anew.any():
             batch = self._reset([s or 0 for s in seeds], anew, options)
         if goes_on.any():
@@ -120,9 +124,9 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         return self._session.receive()
 
     def _seeds(self, seed: int | list[int | None] | None, mask: Flags) -> list[int | None]:
-        """One seed an environment, None where the random stream continues.
+        """The seed of each environment, or None if its random stream continues.
 
-        An environment that never had a seed gets a random one, so that no two environments or runs are alike.
+        An environment that never had a seed gets a random one, so that environments and runs differ.
         """
         seeds: list[int | None]
         if seed is None:
@@ -149,22 +153,22 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         return mask
 
     def step(self, actions: npt.ArrayLike) -> Step:
-        """One control step of every environment; `actions` is [num_envs, action] within its bounds."""
+        """Makes one control step of every environment. `actions` is [num_envs, action] within the bounds."""
         self._send(actions, here=True)
         return self.recv()
 
     def send(self, actions: npt.ArrayLike) -> None:
-        """Starts a step and returns at once; `recv` waits for it."""
+        """Starts a step and returns at once; `recv` waits for the result."""
         self._send(actions, here=False)
 
     def _send(self, actions: npt.ArrayLike, here: bool) -> None:
-        """`here`: the caller will wait for it next."""
+        """Starts a step. `here`: next the caller waits for its result."""
         if self._in_flight:
             raise OutOfOrder("send: a step is in flight already; call recv first")
         rows = self._actions.rows(actions)
         held = self._ended if self._next_step and np.count_nonzero(self._ended) else None
         if held is not None:
-            rows = np.where(held[:, None], np.float32(0.0), rows)  # ignored, even if out of bounds
+            rows = np.where(held[:, None], np.float32(0.0), rows)  # held environments ignore their actions
         session = self._session
         try:
             self._in_flight, self._batch = True, None
@@ -174,14 +178,14 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
             raise self._actions.explain(error) from None
 
     def recv_batch(self) -> Batch:
-        """`recv` as plain columns of SAME_STEP, without gymnasium's dictionaries."""
+        """The result of `recv` as arrays, always in the mode SAME_STEP and without gymnasium's dictionaries."""
         batch = self._receive()
         self._in_flight, self._batch = False, None
         return batch
 
     def _receive(self) -> Batch:
-        """The answer of the step in flight. The caller must mark the step as done, so after an interrupt at any
-        point the answer can be taken again."""
+        """The answer of the step in flight. The caller marks the step as done, so that after an interrupt at any point
+        the answer can be taken again."""
         if not self._in_flight:
             raise OutOfOrder("recv: no step is in flight; call send first")
         if self._batch is None:
@@ -194,7 +198,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         return self._batch
 
     def recv(self) -> Step:
-        """Result of the step that `send` started, as `step` returns it."""
+        """The result of the step that `send` started; the same as that of `step`."""
         batch = self._receive()
         ended = self._ended
         if self._next_step:
@@ -209,10 +213,10 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         return result
 
     def _infos(self, batch: Batch) -> dict[str, Any]:
-        """Reward terms and figures as columns [num_envs] with gymnasium's masks, as SyncVectorEnv groups them.
+        """Reward terms and figures as columns [num_envs] with gymnasium's masks, grouped like those of SyncVectorEnv.
 
-        A column holds the step's value for every environment. Where an episode ended its mask is False, because
-        gymnasium has that value in `final_info`, whose other values are zero.
+        A column has the step's value for every environment. If an environment's episode ended, its mask is False,
+        because gymnasium puts that value into `final_info`. The other environments have 0 in `final_info`.
         """
         columns, ended = batch.infos, batch.final_indices
         if not ended.size:
@@ -230,17 +234,21 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         return dict(zip(self._info_names, (*columns, *repeat(mask, len(columns))), strict=True))
 
     def save(self, path: FilePath | None = None) -> bytes:
-        """All environments as they are, for `restore`; also written to the file `path`, completely or not at all.
+        """Takes a snapshot of all environments, for `restore`. With `path` also writes it to a file, completely or not
+        at all.
 
-        What follows a restored state has the same bits, on servers of one version and instruction set.
+        After a restore the environments continue with the same bits, on servers of the same version and instruction
+        set.
         """
         self._require_rest("save")
         return write_snapshot(self._session.save(), path)
 
     def restore(self, snapshot: bytes | FilePath, indices: npt.ArrayLike | None = None) -> Observations:
-        """Continues environment i as number `indices[i]` of a snapshot (bytes or a file); returns the observations.
+        """Sets environment i to the state of environment `indices[i]` of a snapshot (bytes or a file). Returns the
+        observations.
 
-        Without indices it is number i modulo the snapshot's: one saved environment is copied to all.
+        Without `indices` environment i gets the state of environment i modulo n, if the snapshot has n environments. So
+        a snapshot of one environment sets all environments.
         """
         sources = None if indices is None else np.asarray(indices)
         if sources is not None and (sources.shape != (self.num_envs,) or sources.dtype.kind not in "iu"):
@@ -253,7 +261,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         return self._session.receive().observations
 
     def fork(self, n: int, index: int = 0) -> SandgaitVectorEnv:
-        """`n` new environments, each in the state of environment `index` of this batch; close them when done."""
+        """`n` new environments, each in the state of environment `index` of this one. The caller must close them."""
         if not 0 <= index < self.num_envs:
             raise InvalidRequest(f"index: {index} is outside [0, {self.num_envs})")
         origin, mode = self._origin, self.metadata["autoreset_mode"]
@@ -266,22 +274,22 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         return copies
 
     def rollout(self, actions: npt.ArrayLike, trajectories: bool = False) -> Rollout:
-        """Runs action sequences [steps, num_envs, action] on the server, and restores the environments.
+        """Runs sequences of actions [steps, num_envs, action] from the present states, and then restores these states.
 
-        All steps take one message to the server and one back: for evolution strategies, random shooting and
-        model-predictive
-        control. With `trajectories` the result has every step's observations and rewards.
+        All steps need one message to the server and its answer. Evolution strategies, random shooting and
+        model-predictive control can use it. With `trajectories` the result has the observations and rewards of every
+        step.
         """
         self._require_rest("rollout")
         return self._session.rollout(np.asarray(actions, dtype=np.float32), trajectories)
 
     def rollout_policy(self, onnx: bytes | FilePath, steps: int, trajectories: bool = False) -> Rollout:
-        """Runs a policy beside the environments for `steps` from their present state, and restores it.
+        """Runs a policy for `steps` control steps from the present states, and then restores these states.
 
-        `onnx`: a file that `sandgait.export_onnx` wrote, or its bytes. All steps take one message to the server and
-        one back. With `trajectories` the result has every step's observations, rewards and actions. An
-        environment's rollout
-        ends with its episode, so `steps` are at most the task's `max_episode_steps`.
+        `onnx`: a file that `sandgait.export_onnx` wrote, or its bytes. The policy runs where the environments are, so
+        all steps need one message to the server and its answer. With `trajectories` the result has the observations,
+        rewards and actions of every step. The rollout of an environment ends early if its episode ends, so `steps` can
+        be at most the task's `max_episode_steps`.
         """
         self._require_rest("rollout_policy")
         if not 0 <= steps < 2**32:
@@ -289,14 +297,15 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         return self._session.rollout_policy(read_policy(onnx), steps, trajectories)
 
     def _require_rest(self, call: str) -> None:
-        """Refuses `call` while a step is in flight, or where an episode has ended and the next one has not begun."""
+        """Refuses `call` while a step is in flight, or if an episode has ended and the next one has not begun."""
         if self._in_flight:
             raise OutOfOrder(f"{call}: a step is in flight; call recv first")
         if self._ended.any():
             raise OutOfOrder(f"{call}: environment {self._ended.argmax()} has ended its episode; step or reset first")
 
     def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
-        """Every robot as it is now: u8 [height, width, 3] each; in mode "human" they are shown instead."""
+        """A picture of every robot's present state, each u8 [height, width, 3]. In mode "human" a window shows the
+        pictures."""
         if self.render_mode is None:
             raise InvalidRequest('render_mode: none was chosen; make the environments with render_mode="rgb_array"')
         if self._in_flight:
@@ -307,7 +316,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         return tuple(self._view.pictures(list(range(self.num_envs)), self._next_step))
 
     def record(self, path: FilePath, index: int = 0) -> None:
-        """Writes every moment of environment `index` from the next reset or step on to the file `path`."""
+        """Records environment `index` to the file `path`: its state after each reset or step from now on."""
         self._view.record(path, index)
 
     def stop_recording(self) -> None:
@@ -315,26 +324,27 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         self._view.stop_recording()
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
-        """Attribute `name` of each environment, as in gymnasium's SyncVectorEnv; task options are not attributes."""
+        """Attribute `name` of each environment, the same as in gymnasium's SyncVectorEnv. Task options are not
+        attributes."""
         value = getattr(self, name, self)
         if value is self or callable(value):
             raise UnknownAttribute(f"{name}: no attribute of single environments")
         return (value,) * self.num_envs
 
     def set_attr(self, name: str, values: Any) -> None:
-        """Refused, because it would not change the simulation. The message says what does."""
+        """Refuses to set an attribute, because the simulation would not change. The message says what changes it."""
         raise refusal(self.task, name, values)
 
     def _in_step(self) -> bool:
         return self._in_flight
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Ends the session; the environments' memory is freed on the server."""
+        """Ends the session and frees the environments' memory."""
         self._close()
 
 
 def _autoreset(mode: AutoresetMode | str) -> AutoresetMode:
-    """One of the two modes, as a member or its value."""
+    """The autoreset mode, from a member of the enum or its value."""
     for known in (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP):
         if mode in (known, known.value, known.name):
             return known

@@ -1,6 +1,7 @@
-"""Pictures, a window and recordings of environments. The server computes all of it; nothing else must be installed.
+"""Pictures, a window and recordings of environments.
 
-`render_mode="rgb_array"` needs no display and no GPU. `"human"` shows the same pictures in a window of pygame's.
+The simulating process or server draws the pictures. `render_mode="rgb_array"` needs no display, no GPU and no other
+package. `"human"` shows the same pictures in a window of pygame.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ SIZE = (480, 360)
 
 
 class Window:
-    """A window that shows one picture after the other, no faster than `rate` a second."""
+    """A window that shows pictures, at most `rate` of them in a second."""
 
     def __init__(self, title: str, rate: float) -> None:
         try:
@@ -41,7 +42,7 @@ class Window:
         self._clock: Any = None
 
     def show(self, picture: Pictures) -> None:
-        """Shows u8 [height, width, 3]."""
+        """Shows a picture, u8 [height, width, 3]."""
         pygame = self._pygame
         height, width, _ = picture.shape
         if self._screen is None:
@@ -67,7 +68,7 @@ class Window:
 
 
 class View:
-    """The pictures, window and recording of an environment object with one or many environments."""
+    """Makes the pictures, window and recording of one or many environments."""
 
     def __init__(self, shards: Shards, render_mode: str | None, size: tuple[int, int]) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
@@ -92,16 +93,17 @@ class View:
             raise
 
     def pictures(self, indices: list[int], ended: bool = False) -> Pictures:
-        """u8 [indices, height, width, 3]; `ended`: show the last moment of an episode that has just ended."""
+        """Pictures, u8 [indices, height, width, 3]. `ended`: show the last state of an episode that ended in this
+        step."""
         width, height = self._size
         pixels = self._shards.render(indices, width, height, ended)
         return np.frombuffer(pixels, np.uint8).reshape(len(indices), height, width, 3).copy()
 
     def moved(self, *, record_ended: bool, show_ended: bool) -> None:
-        """Called after a reset or step: records it, and shows it in the window.
+        """Records the state after a reset or step, and shows it in the window.
 
-        Each argument says whether to take the last moment of an episode that has just ended, or the first of the
-        next one.
+        The arguments matter if an episode ended in the step: if true, its last state is taken, else the first state of
+        the next episode.
         """
         if self._recorder is not None:
             self._recorder.add(*self._shards.observe(self._index, record_ended))
@@ -109,12 +111,13 @@ class View:
             self.show(show_ended)
 
     def show(self, ended: bool = False) -> None:
-        """Shows the first environments in the window, as many as four."""
+        """Shows the first environments in the window, at most four."""
         assert self._window is not None
         self._window.show(tiles(self.pictures(list(range(min(self._shards.num_envs, 4))), ended)))
 
     def record(self, path: FilePath, index: int) -> None:
-        """Writes every moment of environment `index` from now on to the file `path`."""
+        """Starts a recording of environment `index` to the file `path`: its state after each reset or step from now
+        on."""
         if not 0 <= index < self._shards.num_envs:
             raise InvalidRequest(f"index: {index} is outside [0, {self._shards.num_envs})")
         if self._recorder is not None:
@@ -122,7 +125,7 @@ class View:
         self._recorder, self._index = Recorder(path), index
 
     def stop_recording(self) -> None:
-        """Completes the recording, if one is being made."""
+        """Completes the recording, if there is one in progress."""
         if self._recorder is not None:
             self._recorder.close()
             self._recorder = None
@@ -134,7 +137,7 @@ class View:
 
 
 def tiles(pictures: Pictures) -> Pictures:
-    """Pictures [n, height, width, 3] side by side in rows, as one."""
+    """Joins pictures [n, height, width, 3] to one picture, side by side in rows."""
     count, height, width, _ = pictures.shape
     across = math.ceil(math.sqrt(count))
     down = math.ceil(count / across)

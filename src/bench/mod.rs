@@ -78,7 +78,7 @@ impl Stepper for Direct {
     }
 }
 
-/// Environment steps a second of each of `repeats` stretches of `length`, ascending.
+/// Environment steps per second in each of `repeats` intervals of duration `length`, in ascending order.
 pub fn measure(
     stepper: &mut dyn Stepper,
     actions: &Actions,

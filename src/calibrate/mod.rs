@@ -28,7 +28,8 @@ const LEAST_SAMPLES: usize = 4 * STRETCHES;
 /// Share of the greatest depth that is left out at the top, where grains still pile up: our choice; the paper fits
 /// its steady state only.
 const TRANSIENT: f64 = 0.1;
-/// If the line explains less than this share of the variance, the test was not a quasi-static penetration: our choice.
+/// If the line explains less than this share of the variance, the test was not a quasi-static penetration, whose force
+/// is proportional to the depth. Our choice, below 1 because of noise.
 const LEAST_R_SQUARED: f64 = 0.8;
 
 /// Results of a penetration test.

@@ -11,12 +11,12 @@ use crate::student;
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 
-/// Number of stretches of depth that a push is averaged over: our choice, enough for a line.
+/// Number of stretches of depth over each of which a push is averaged: our choice, because a line needs several points.
 const STRETCHES: usize = 12;
 /// Least number of stretches with samples: our choice, because a power of depth needs several.
 const LEAST_STRETCHES: usize = 4;
-/// Compliances that are tried, as shares of the largest possible one (at which the rig accounts for all of the
-/// depth): our choice.
+/// Number of compliances that are tried, evenly from 0 to the largest possible one, at which the compliance of the rig
+/// explains all of the depth. Our choice, because the steps are then below 2 % of the largest one.
 const COMPLIANCES: usize = 60;
 /// A law with more parameters is preferred only if it predicts better by this share: our choice, so that chance does
 /// not decide.
@@ -57,8 +57,8 @@ pub enum Law {
     Size,
     /// p = k |z|^n (D/D0)^q
     PowerAndSize,
-    /// p = a D + b |z|: bearing capacity of a round footing, a for the weight of the sand beside it, b for the depth (Terzaghi
-    /// 1943).
+    /// p = a D + b |z|: bearing capacity of a round footing, a for the weight of the sand beside it, b for the depth
+    /// (Terzaghi 1943).
     Footing,
 }
 

@@ -11,9 +11,9 @@ use serde_json::{Map, Value, json};
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// Measure whole environment steps a second: action, servo, sand, dynamics, observation, reward, autoreset.
+/// Measure environment steps per second: action, servo, sand, dynamics, observation, reward, autoreset.
 ///
-/// The figure is the median of the repeats. Actions are made before the clock starts; a policy's own time is not
+/// The result is the median of the repeats. Actions are computed before the measurement, so the time of a policy is not
 /// counted.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
@@ -25,65 +25,65 @@ use std::time::Duration;
   sandgait bench --option sand=sand.toml --option leg=C
   SANDGAIT_ISA=avx2 sandgait bench            (avx512, avx2, baseline or f64)")]
 pub struct Bench {
-    /// Task id, or `all`: every task, one line each
+    /// Id of the task; `all` measures every task and prints a line for each
     #[arg(long, default_value = "sandgait/HexapodGait-v1")]
     task: String,
-    /// Engine; the task's own if not given
+    /// Engine; default: the task's own
     #[arg(long)]
     engine: Option<String>,
-    /// Option of the task, repeatable; VALUE is JSON or plain text, that of `sand` the path of a sand.toml,
-    /// that of `robot` may be the path of a URDF or MJCF, and `file` of `relief` that of a CSV or NPY
+    /// Option of the task, repeatable; VALUE is JSON or plain text. VALUE of `sand` is the path of a sand.toml. VALUE
+    /// of `robot` can be the path of a URDF or MJCF file, and key `file` of `relief` the path of a CSV or NPY file
     #[arg(long = "option", value_name = "KEY=VALUE")]
     options: Vec<String>,
-    /// Environments
+    /// Number of environments
     #[arg(long, default_value_t = 256, value_name = "N")]
     envs: usize,
-    /// Threads that simulate; 0: one for each processor
+    /// Number of simulating threads; 0: one for each processor
     #[arg(long, default_value_t = 1, value_name = "N")]
     threads: u16,
     /// Actions of the robots
     #[arg(long, value_enum, default_value_t = Chosen::Random)]
     actions: Chosen,
-    /// Network for `--actions policy`
+    /// ONNX file of the network for `--actions policy`
     #[arg(long, value_name = "FILE.onnx")]
     policy: Option<PathBuf>,
-    /// Path of the steps
+    /// Interface through which steps are requested
     #[arg(long, value_enum, default_value_t = Through::Process)]
     through: Through,
-    /// Repeats, at least 5
+    /// Number of repeats, at least 5
     #[arg(long, default_value_t = 7, value_name = "N", value_parser = clap::value_parser!(u16).range(5..))]
     repeats: u16,
-    /// Length of a repeat [s]
+    /// Duration of a repeat [s]
     #[arg(long, default_value_t = 0.5, value_name = "S")]
     seconds: f64,
-    /// Machine-readable
+    /// Print JSON
     #[arg(long)]
     json: bool,
 }
 
 #[derive(Clone, Copy, PartialEq, clap::ValueEnum)]
 enum Through {
-    /// No service: the pool is called directly.
+    /// The pool is called directly, without a service.
     Process,
-    /// A server on a Unix socket in this process, one stream.
+    /// A server on a Unix socket in this process, with one stream.
     GrpcUds,
-    /// A server on loopback TCP in this process, one stream.
+    /// A server on loopback TCP in this process, with one stream.
     GrpcTcp,
-    /// A server on a Unix socket in this process, rollouts of 150 steps, returns only.
+    /// A server on a Unix socket in this process, with rollouts of 150 steps whose answers have only the returns.
     Rollouts,
-    /// As `Rollouts`, but the server also sends the rows of every step.
+    /// The same as `Rollouts`, but the answers also have the rows of every step.
     Trajectories,
 }
 
 #[derive(Clone, Copy, PartialEq, clap::ValueEnum)]
 enum Chosen {
-    /// Uniform over the action space, anew in every step
+    /// Uniform random actions, drawn in every step
     Random,
-    /// 0: the hips of walking tasks stand still
+    /// Action 0: the hips of walking tasks do not move
     Zero,
-    /// 0.4 of every upper bound: HexapodGait walks at 2 Hz
+    /// 0.4 of every upper bound: robots of HexapodGait walk at 2 Hz
     Constant,
-    /// The network of --policy
+    /// The actions of the network of --policy
     Policy,
 }
 
@@ -149,7 +149,7 @@ impl Bench {
                 Network::new(&bytes, spec).map(Actions::Policy)
             }
             (Chosen::Policy, None) => Err(Error::invalid("--actions", "policy needs --policy FILE.onnx")),
-            (_, Some(_)) => Err(Error::invalid("--policy", "is for --actions policy")),
+            (_, Some(_)) => Err(Error::invalid("--policy", "it is used only with --actions policy")),
             (Chosen::Random, None) => Ok(Actions::Made(random_actions(rows, spec.action.len()))),
             (Chosen::Zero, None) => held(0.0),
             (Chosen::Constant, None) => held(0.4),

@@ -9,15 +9,16 @@ use std::path::PathBuf;
 /// The plate of Li et al. 2012, section 2: 3.8 × 2.5 cm [m²].
 const PLATE: f64 = 0.038 * 0.025;
 
-/// Measure your sand's scale with one slow vertical penetration of a horizontal plate.
+/// Measure the scale ζ of your sand with one slow vertical penetration of a horizontal plate.
 ///
-/// Reads columns depth (downward from the surface) and force (upward on the plate), recorded on the way down at less
-/// than 0.5 m/s. Units are in the header, as in "depth [mm],force [N]", or in the options; otherwise m and N. Prints ζ,
-/// for --medium zeta=VALUE anywhere, and ξ_n of agarwal2023, with 95 % confidence intervals.
+/// The file has columns depth (downward from the surface) and force (upward on the plate). They are recorded on the way
+/// down at less than 0.5 m/s. The header has the units, for example "depth [mm],force [N]", or the options have them;
+/// without either they are m and N. Prints ζ, for --medium zeta=VALUE of every command, and ξ_n of agarwal2023, with 95
+/// % confidence intervals.
 ///
-/// With a column trial, several pushes of discs (diameter) or plates (length, width) are compared. The output has the
-/// law of depth and size that fits, its errors for a push and a size that were left out of its fit, the repeatability
-/// of pushes, the compliance of the rig, and the limits of the calibration.
+/// With a column trial, several pushes of discs (column diameter) or plates (columns length and width) are compared.
+/// Prints the law of depth and size that fits, its errors for a push and for a size that its fit did not use, the
+/// repeatability of pushes, the compliance of the rig, and the limits of the calibration.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait calibrate push.csv --area 0.00095
@@ -30,19 +31,19 @@ pub struct Calibrate {
     /// Area of the plate [m²]; default: 3.8 × 2.5 cm, the plate of Li et al. 2012
     #[arg(long, value_name = "M2", allow_negative_numbers = true)]
     area: Option<f64>,
-    /// m, cm, mm or in
+    /// Unit of the depths: m, cm, mm or in
     #[arg(long)]
     depth_unit: Option<String>,
-    /// N, mN, kN, gf, kgf or lbf
+    /// Unit of the forces: N, mN, kN, gf, kgf or lbf
     #[arg(long)]
     force_unit: Option<String>,
-    /// Draw the test and its line to this SVG file, and as PNG beside it
+    /// Draw the test and the fitted line to this SVG file, and to a PNG file of the same name
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
-    /// Compliance of the rig, in metres a newton, for several pushes; fitted if not given
+    /// Compliance of the rig for several pushes [m/N]; default: it is fitted
     #[arg(long, value_name = "M_PER_N", allow_negative_numbers = true)]
     compliance: Option<f64>,
-    /// Machine-readable
+    /// Print JSON
     #[arg(long)]
     json: bool,
 }
@@ -59,10 +60,7 @@ impl Calibrate {
             return self.compare(&read.pushes);
         }
         if self.compliance.is_some() {
-            return Err(Error::invalid(
-                "--compliance",
-                "one push alone cannot use it: give several, with a column trial",
-            ));
+            return Err(Error::invalid("--compliance", "it needs several pushes, with a column trial"));
         }
         let result = calibrate::calibrate(&read.depth, &read.force, self.area.unwrap_or(PLATE))?;
         if let Some(path) = &self.plot {

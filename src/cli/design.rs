@@ -1,4 +1,4 @@
-//! `sandgait sweep --learn`: the results of a study of learnt gaits, as files and as text.
+//! `sandgait sweep --learn`: writes the results of a study of learnt gaits as files and as text.
 
 use sandgait::plot::{self, Figure, Mark, Panel, Style, color, png};
 use sandgait::sweep::Axis;
@@ -30,13 +30,13 @@ fn csv(study: &Study, findings: &Findings) -> String {
     text
 }
 
-/// Mean, and half of the interval if there is one.
+/// The mean and, if there is an interval, half of its width.
 fn between(all: &[f64]) -> String {
     let Between { mean, half } = Between::of(all);
     if half.is_nan() { format!("{mean:.3}") } else { format!("{mean:.3} ± {half:.3}") }
 }
 
-/// All designs, and the comparison of the best, as Markdown.
+/// All designs and the comparison of the best ones, as Markdown.
 fn markdown(study: &Study, findings: &Findings, measure: Measure, best: &[Vec<String>]) -> String {
     let table = |rows: &[Vec<String>]| {
         let line = |row: &Vec<String>| format!("| {} |\n", row.join(" | "));
@@ -55,8 +55,8 @@ fn markdown(study: &Study, findings: &Findings, measure: Measure, best: &[Vec<St
     let all: Vec<_> = std::iter::once(head).chain(findings.designs.iter().zip(&findings.trained).map(row)).collect();
     let best: Vec<Vec<String>> = best.iter().map(|row| [&row[..1], &row[2..]].concat()).collect();
     format!(
-        "The best by {} on 100 seeds that neither training nor choice has seen (±: 95 % interval of the mean over {} trainings, \
-         Student's t):\n\n{}\nAll designs on the 32 seeds of the choice:\n\n{}",
+        "The best designs by {} on 100 seeds that were used neither for training nor for the choice (±: 95 % interval of the \
+         mean over {} trainings, Student's t):\n\n{}\nAll designs on the 32 seeds for the choice of the best designs:\n\n{}",
         measure.name(),
         study.trainings,
         table(&best),
@@ -75,8 +75,8 @@ fn measured(measure: Measure, trained: &[Trained]) -> Vec<f64> {
     trained.iter().map(|t| t.chosen_by[place]).collect()
 }
 
-/// The measure over one axis: each training as a dot, the means as a line with their intervals. With two axes there
-/// is a line for each value of the first.
+/// Draws the measure over one axis: each training as a dot, the means as a line with their intervals. With two axes
+/// there is a line for each value of the first axis.
 fn figure(study: &Study, findings: &Findings, measure: Measure) -> Figure {
     let title = format!("a gait learnt for each design, {} trainings each", study.trainings);
     let panels = match study.search {
@@ -85,7 +85,7 @@ fn figure(study: &Study, findings: &Findings, measure: Measure) -> Figure {
     };
     let note = match study.trainings {
         1 => String::new(),
-        _ => "Dots: trainings; their mean with its 95 % interval (Student's t). Seeds of the choice.".into(),
+        _ => "Dots: one training each. Line: their mean, with its 95 % interval (Student's t). Evaluated on the seeds for the choice of the best designs.".into(),
     };
     Figure { title, panels, columns: 2, note }
 }
@@ -122,7 +122,7 @@ fn searched(study: &Study, findings: &Findings, measure: Measure, k: usize) -> P
     Panel { x, y, marks: vec![Mark::line("a training", dotted(color::BLUE), dots)], ..Panel::default() }
 }
 
-/// Dots without a line.
+/// A style of dots without a line.
 fn dotted(color: &'static str) -> Style {
     Style { width: 0.0, ..Style::line(color) }.with_dots()
 }
@@ -146,7 +146,7 @@ pub fn report(study: &Study, findings: &Findings, measure: Measure, out: &Path) 
     }
     write("learnt.md", markdown(study, findings, measure, &rows).as_bytes())?;
     let text = format!(
-        "best by {} on 100 seeds that neither training nor choice has seen:\n\n{}\n\
+        "best designs by {} on 100 seeds that were used neither for training nor for the choice:\n\n{}\n\
          ±: 95 % interval of the mean over trainings (Student's t)\n",
         measure.name(),
         super::table(&rows)

@@ -3,7 +3,7 @@
 use sandgait::Result;
 use sandgait::diagnose;
 
-/// Show what the simulation gets wrong about measured data, name the cause, extend the model and measure the gain.
+/// Find where the simulation disagrees with measured data, name the cause, extend the model and measure the gain.
 #[derive(clap::Args)]
 #[command(after_help = "Example:
   sandgait diagnose forces.csv --experiment experiment.toml --out report")]

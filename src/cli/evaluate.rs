@@ -8,38 +8,39 @@ use sandgait::{Error, Result};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
-/// How good is a gait? Returns, speeds, costs and falls over unseen seeds, per medium and slope.
+/// Evaluate a gait: returns, speeds, costs and falls over seeds that no training uses, for each medium and slope.
 ///
-/// POLICY is an ONNX file (sandgait.export_onnx writes one) or a fixed gait. tripod:HZ turns every hip at one rate;
-/// tripod searches the best rate, on other seeds than those of the evaluation; clock:FILE.json and clock:N,N,… repeat
-/// one action of control="clock"; standing and random are for comparison. docs/evaluate.md defines every figure.
+/// POLICY is an ONNX file (sandgait.export_onnx writes one) or a fixed gait. With tripod:HZ every hip turns at this
+/// rate. tripod has the best rate, searched on other seeds than those of the evaluation. clock:FILE.json and
+/// clock:N,N,… repeat one action of control="clock". standing and random are for comparison. docs/evaluate.md defines
+/// every figure.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait evaluate runs/gait/policy.onnx --media poppy-loose,poppy-close --slopes 0,5,10
   sandgait evaluate tripod --slopes 0,10 --json tripod.json
   sandgait evaluate clock:best.json --options '{\"leg\": \"C\"}' --csv clock.csv")]
 pub struct Evaluate {
-    /// FILE.onnx, tripod[:HZ], clock:FILE.json, clock:N,N,…, standing or random
+    /// Gait: FILE.onnx, tripod[:HZ], clock:FILE.json, clock:N,N,…, standing or random
     #[arg(allow_hyphen_values = true)]
     policy: String,
     #[arg(long, value_name = "ID", default_value = HexapodGait::ID)]
     task: String,
-    /// Options of the task, as for gymnasium.make
+    /// Options of the task as JSON, the same as for gymnasium.make
     #[arg(long, value_name = "JSON")]
     options: Option<String>,
     /// Number of episodes; their seeds begin at 1,000,000
     #[arg(long, value_name = "N", default_value_t = Request::SEEDS)]
     seeds: usize,
-    /// Sands in place of the options' own
+    /// Media, instead of the medium in the options
     #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
     media: Vec<String>,
-    /// Slopes in place of the options' own [°]
+    /// Slopes [°], instead of the slope in the options
     #[arg(long, value_name = "DEG,…", value_delimiter = ',', allow_hyphen_values = true)]
     slopes: Vec<f64>,
-    /// Also write all results to this file
+    /// Also write all results to this JSON file
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
-    /// Also write one line for each medium and slope to this file
+    /// Also write one line for each medium and slope to this CSV file
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
 }
@@ -61,7 +62,7 @@ impl Evaluate {
         };
         let study = Study::new(&request)?;
         super::warn_of_unfelt_option(&request.options);
-        // Checked before the work begins.
+        // The paths are checked before the work begins.
         for path in [&self.json, &self.csv].into_iter().flatten() {
             writable(path)?;
         }

@@ -1,4 +1,4 @@
-//! Files with heights of the ground: `.csv` and `.npy`.
+//! Reads files with heights of the ground: `.csv` and `.npy`.
 
 use sandgait::sim::tree::{heights, relief::Relief};
 use sandgait::{Error, Result};
@@ -6,7 +6,8 @@ use serde_json::Value;
 use std::io::Read as _;
 use std::path::Path;
 
-/// Largest file [bytes]: our choice; `numpy.savetxt` writes 512 × 512 heights, the most, in 6.5 MB.
+/// Largest file [bytes]: our choice, because `numpy.savetxt` writes the largest number of heights, 512 × 512, in 6.5
+/// MB.
 const MOST_BYTES: u64 = 8 << 20;
 
 /// Replaces the path in a task's option `relief` by the packed heights of the file.
@@ -17,7 +18,7 @@ pub fn read_option(options: &mut Value) -> Result<()> {
     Ok(())
 }
 
-/// A file's heights as one text.
+/// The heights of a file as one text.
 pub fn pack(path: &Path) -> Result<String> {
     let failed = |e: std::io::Error| Error::file(path, e);
     if std::fs::metadata(path).map_err(failed)?.is_dir() {
@@ -26,13 +27,13 @@ pub fn pack(path: &Path) -> Result<String> {
     let mut bytes = Vec::new();
     std::fs::File::open(path).map_err(failed)?.take(MOST_BYTES + 1).read_to_end(&mut bytes).map_err(failed)?;
     if bytes.len() as u64 > MOST_BYTES {
-        return Err(Error::file(path, format!("more than the {} MiB that are read", MOST_BYTES >> 20)));
+        return Err(Error::file(path, format!("it is larger than {} MiB", MOST_BYTES >> 20)));
     }
     let ending = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
     let rows = match ending.as_deref() {
         Some("csv") => from_text(&bytes),
         Some("npy") => from_npy(&bytes),
-        _ => Err("heights are read from .csv and .npy".into()),
+        _ => Err("heights are read from .csv and .npy files".into()),
     };
     let named = |e: Error| match e {
         Error::Invalid { reason, field } => {
@@ -41,7 +42,7 @@ pub fn pack(path: &Path) -> Result<String> {
         other => other,
     };
     let rows = rows.map_err(|reason| Error::file(path, reason))?;
-    // The spacing is checked later; this is about the heights.
+    // Any spacing is good here, because it is checked later.
     Relief::new(1.0, &rows).map_err(named)?;
     heights::pack(&rows).map_err(named)
 }
@@ -50,7 +51,7 @@ type Rows = std::result::Result<Vec<Vec<f64>>, String>;
 
 /// Lines of numbers, split at commas, semicolons or blanks. Empty lines and those that begin with # do not count.
 fn from_text(bytes: &[u8]) -> Rows {
-    let text = std::str::from_utf8(bytes).map_err(|_| "no text in UTF-8")?;
+    let text = std::str::from_utf8(bytes).map_err(|_| "it is not a text in UTF-8")?;
     let mut rows: Vec<Vec<f64>> = Vec::new();
     for (n, line) in text.trim_start_matches('\u{feff}').lines().enumerate() {
         let line = line.trim();
@@ -66,14 +67,14 @@ fn from_text(bytes: &[u8]) -> Rows {
         for (k, cell) in cells.iter().enumerate() {
             let at = format!("line {}, number {}", n + 1, k + 1);
             let shown: String = cell.chars().take(20).collect();
-            let height: f64 = cell.parse().map_err(|_| format!("{at}: {shown:?} is no number"))?;
+            let height: f64 = cell.parse().map_err(|_| format!("{at}: {shown:?} is not a number"))?;
             if !height.is_finite() {
                 return Err(format!("{at}: {shown} is not finite"));
             }
             row.push(height);
         }
         if let Some(first) = rows.first().filter(|first| first.len() != row.len()) {
-            return Err(format!("line {} has {} numbers, the first row {}", n + 1, row.len(), first.len()));
+            return Err(format!("line {} has {} numbers, but the first row has {}", n + 1, row.len(), first.len()));
         }
         rows.push(row);
     }
@@ -82,7 +83,7 @@ fn from_text(bytes: &[u8]) -> Rows {
 
 /// An array of `numpy.save`: two dimensions, f4 or f8, little-endian.
 fn from_npy(bytes: &[u8]) -> Rows {
-    let cut_off = "no file of numpy.save, or cut off";
+    let cut_off = "it is not a file of numpy.save, or it is cut off";
     let rest = bytes.strip_prefix(b"\x93NUMPY").ok_or(cut_off)?;
     let (length, rest) = match rest.split_first_chunk::<2>().ok_or(cut_off)? {
         ([1, _], rest) => {
@@ -99,19 +100,24 @@ fn from_npy(bytes: &[u8]) -> Rows {
     let after = |key: &str| head.split_once(key).map(|(_, value)| value.trim_start_matches([':', ' ']));
     let kind = after("'descr'").and_then(|v| v.split('\'').nth(1)).ok_or("its header has no descr")?;
     if after("'fortran_order'").is_some_and(|v| v.starts_with("True")) {
-        return Err("it is in Fortran's order; save numpy.ascontiguousarray(heights)".into());
+        return Err("its array is in Fortran order; save numpy.ascontiguousarray(heights)".into());
     }
     let shape = after("'shape'").and_then(|v| v.strip_prefix('(')?.split_once(')')).ok_or("its header has no shape")?.0;
     let sides: Vec<usize> = shape.split(',').filter_map(|n| n.trim().parse().ok()).collect();
-    let [rows, columns] = sides[..] else { return Err(format!("its shape is ({shape}), not rows and columns")) };
+    let [rows, columns] = sides[..] else {
+        return Err(format!("its shape is ({shape}), but it must be (rows, columns)"));
+    };
     let numbers: Vec<f64> = match kind {
         "<f8" => data.as_chunks().0.iter().map(|b| f64::from_le_bytes(*b)).collect(),
         "<f4" => data.as_chunks().0.iter().map(|b| f64::from(f32::from_le_bytes(*b))).collect(),
-        _ => return Err(format!("its numbers are {kind:?}; save heights.astype(float)")),
+        _ => return Err(format!("its numbers have type {kind:?}; save heights.astype(float)")),
     };
     let size = if kind == "<f8" { 8 } else { 4 };
     if columns == 0 || rows.checked_mul(columns).and_then(|n| n.checked_mul(size)) != Some(data.len()) {
-        return Err(format!("it has {} bytes of numbers, not those of {rows} × {columns}", data.len()));
+        return Err(format!(
+            "its numbers have {} bytes, which is not the size of {rows} × {columns} numbers",
+            data.len()
+        ));
     }
     if let Some(k) = numbers.iter().position(|h| !h.is_finite()) {
         return Err(format!("row {}, number {}: {} is not finite", k / columns + 1, k % columns + 1, numbers[k]));

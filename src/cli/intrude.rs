@@ -6,15 +6,16 @@ use sandgait::sand::{Law, LegShape, Medium};
 use sandgait::{Error, Result};
 use std::path::PathBuf;
 
-/// Push a leg or any other body through sand and record force and torque.
+/// Compute the forces of sand on a rotating leg, or on any body that moves with constant velocity.
 ///
-/// With --shape a leg rotates about a hip fixed above the sand, as on a robot arm. Writes columns theta [rad], Fx, Fz [N] and
-/// Ty [N·m] about the hip: θ = 0 is straight down, positive θ brings the tip forward (+x); forces act on the leg.
+/// With --shape a leg rotates about a hip that is fixed above the sand, as on a robot arm. Writes columns theta [rad],
+/// Fx, Fz [N] and Ty [N·m] about the hip. At θ = 0 the tip is straight down, at positive θ it is forward (+x). Forces
+/// are those on the leg.
 ///
-/// With --body a body moves steadily. Each row of --trials is one motion: vx, vy, vz [m/s], wx, wy, wz [rad/s] (x
-/// heading, y axle, z up; 0 if absent), and either depth [m] of its lowest point or load [N] that it carries. Writes
-/// the rows with Fx, Fy, Fz, Tx, Ty, Tz, depth and status, which is ok, or no_equilibrium if the load buries the body.
-/// For bodies that are not round, forces are means over a turn.
+/// With --body a body moves with constant velocity. Each row of --trials is one motion: vx, vy, vz [m/s], wx, wy, wz
+/// [rad/s] (x heading, y axle, z up; 0 if absent), and either depth [m] of the body's lowest point or load [N] that the
+/// sand carries. Writes the rows with Fx, Fy, Fz, Tx, Ty, Tz, depth and status. The status is ok, or no_equilibrium if
+/// the sand cannot carry the load. If a body that is not round turns, forces are means over a turn.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait intrude --shape L --csv L.csv
@@ -23,20 +24,20 @@ use std::path::PathBuf;
   sandgait intrude --body cylinder:radius=0.0625,width=0.06 --trials rows.csv --sand sand.toml --csv forces.csv
   sandgait intrude --body box:length=0.1,width=0.05,height=0.02 --trials rows.csv --law agarwal2023 --csv forces.csv")]
 pub struct Intrude {
-    /// Leg: L, revL, C, revC, flat or xi=DEGREES
+    /// Shape of the leg: L, revL, C, revC, flat or xi=DEGREES
     #[arg(long, allow_hyphen_values = true, required_unless_present = "body", conflicts_with_all = ["body", "trials"])]
     shape: Option<String>,
-    /// Body: cylinder:radius=M,width=M (axle along y), box:length=M,width=M,height=M, sphere:radius=M, FILE.stl or FILE.obj
-    /// [metres]
+    /// Body: cylinder:radius=M,width=M (axle along y), box:length=M,width=M,height=M, sphere:radius=M, FILE.stl or
+    /// FILE.obj [metres]
     #[arg(long, requires = "trials", conflicts_with_all = ["chord", "width", "hip_height", "omega"])]
     body: Option<String>,
-    /// Motions of the body, CSV
+    /// CSV file with the motions of the body
     #[arg(long, value_name = "FILE", requires = "body")]
     trials: Option<PathBuf>,
-    /// Friction coefficient μ_s of the body's surface, in place of the sand's friction_clip
+    /// Friction coefficient μ_s of the body's surface, instead of the sand's friction_clip
     #[arg(long, value_name = "MU", allow_negative_numbers = true, requires = "body")]
     mu_s: Option<f64>,
-    /// Size of the plates that the body is cut into [m]; default: a fiftieth of its longest side
+    /// Size of the plates into which the surface is cut [m]; default: a fiftieth of the body's longest side
     #[arg(long, value_name = "METRES", allow_negative_numbers = true, requires = "body")]
     plate_size: Option<f64>,
     /// Distance from hip to tip [m]
@@ -48,7 +49,7 @@ pub struct Intrude {
     /// Height of the hip above the surface [m]
     #[arg(long, value_name = "METRES", default_value_t = HIP_HEIGHT, allow_negative_numbers = true)]
     hip_height: f64,
-    /// Angular speed [rad/s]; negative turns the tip backward
+    /// Angular speed of the leg [rad/s]; with a negative one the tip moves backward
     #[arg(long, value_name = "RAD/S", default_value_t = OMEGA, allow_negative_numbers = true)]
     omega: f64,
     /// Sand: a name from `sandgait media`, or zeta=VALUE
@@ -57,10 +58,10 @@ pub struct Intrude {
     /// Resistive force law: li2013, penetration-drag-1d or agarwal2023
     #[arg(long, default_value = Law::Li2013.name())]
     law: String,
-    /// A sand.toml, as a diagnosis writes it, in place of --medium and --law
+    /// A sand.toml, for example from a diagnosis, instead of --medium and --law
     #[arg(long, value_name = "FILE", conflicts_with_all = ["medium", "law"])]
     sand: Option<PathBuf>,
-    /// File to write the sweep to
+    /// CSV file for the forces
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
 }
@@ -71,14 +72,14 @@ impl Intrude {
         let (name, shape) = (shape, LegShape::named(shape)?);
         let Self { chord, width, hip_height, omega, .. } = self;
         let sand = super::sand(&self.medium, &self.law, self.sand.as_deref())?;
-        let sweep = Rotation { shape, chord, width, hip_height, omega }.loads(&sand)?;
+        let loads = Rotation { shape, chord, width, hip_height, omega }.loads(&sand)?;
         if let Some(path) = &self.csv {
-            let rows = sweep.iter().map(|(theta, l)| format!("{theta:.2},{:.6},{:.6},{:.8}\n", l.fx, l.fz, l.ty));
+            let rows = loads.iter().map(|(theta, l)| format!("{theta:.2},{:.6},{:.6},{:.8}\n", l.fx, l.fz, l.ty));
             let text: String = std::iter::once("theta,Fx,Fz,Ty\n".to_owned()).chain(rows).collect();
             std::fs::write(path, text).map_err(|e| Error::file(path, e))?;
         }
         let largest = |name: &str, unit: &str, of: fn(&Load) -> f64| {
-            let at = sweep.iter().max_by(|a, b| of(&a.1).abs().total_cmp(&of(&b.1).abs()));
+            let at = loads.iter().max_by(|a, b| of(&a.1).abs().total_cmp(&of(&b.1).abs()));
             at.map_or_else(String::new, |(t, l)| format!("{name} {:.3} {unit} at {:.0}°", of(l), t.to_degrees()))
         };
         let peaks = [largest("Fx", "N", |l| l.fx), largest("Fz", "N", |l| l.fz), largest("Ty", "N·m", |l| l.ty)];

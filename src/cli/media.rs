@@ -7,7 +7,7 @@ use sandgait::sand::Medium;
 #[derive(clap::Args)]
 #[command(after_help = "Any other sand is zeta=VALUE (N/cm³) on the generic set, for example --medium zeta=0.5.")]
 pub struct Media {
-    /// Machine-readable, with all coefficients
+    /// Print JSON with all coefficients
     #[arg(long)]
     json: bool,
 }

@@ -1,5 +1,5 @@
-//! The command line. Wrong usage ends with exit code 2 and one line on stderr, without writing any file; failures
-//! of the machine end with 1.
+//! The command line. Wrong usage ends with exit code 2 and one line on stderr, and no file is written. Failures of the
+//! machine end with exit code 1.
 
 mod bench;
 mod calibrate;
@@ -105,7 +105,7 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     }
 }
 
-/// The same command line, with a file of options for its command.
+/// The same command line, with the options of a file inserted.
 fn with_file(file: &Path, given: Vec<OsString>) -> Result<Cli> {
     let mut given = given.into_iter();
     let mut all: Vec<_> = given.by_ref().take(2).collect();
@@ -164,7 +164,7 @@ fn one_line(message: &str) -> String {
     lines.collect::<Vec<_>>().join(" ").trim_start_matches("error: ").replace(" tip:", "; tip:")
 }
 
-/// The sand of a file, or a medium and a law by their names; warns on stderr if its numbers are extrapolated.
+/// The sand of a file, or of a medium and a law by their names. Warns on stderr if its numbers are extrapolated.
 fn sand(medium: &str, law: &str, file: Option<&Path>) -> Result<SandDescription> {
     if let Some(file) = file {
         return SandDescription::load(file);
@@ -175,14 +175,14 @@ fn sand(medium: &str, law: &str, file: Option<&Path>) -> Result<SandDescription>
     SandDescription::named(medium, law)
 }
 
-/// As [`sand`], for walking robots. Warns on stderr of each mechanism that has no effect on them.
+/// The same as [`sand`], for walking robots. Warns on stderr of each mechanism that has no effect on them.
 fn sand_to_walk_on(medium: &str, law: &str, file: Option<&Path>) -> Result<SandDescription> {
     let sand = sand(medium, law, file)?;
     warn_of_unfelt(&sand);
     Ok(sand)
 }
 
-/// Warns in the same way of the `sand` among a task's options.
+/// Warns of mechanisms without effect in the `sand` among a task's options.
 fn warn_of_unfelt_option(options: &serde_json::Value) {
     let text = options.get("sand").and_then(serde_json::Value::as_str);
     // If the text is not a sand, the task refuses it with its own message.
@@ -197,7 +197,7 @@ fn warn_of_unfelt(sand: &SandDescription) {
     }
 }
 
-/// A progress bar, on a terminal only; otherwise indicatif prints nothing.
+/// A progress bar. If the output is not a terminal, indicatif prints nothing.
 struct Bar(ProgressBar);
 
 impl Bar {

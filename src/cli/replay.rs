@@ -5,22 +5,22 @@ use sandgait::{Error, Result};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
-/// Show a recording's contents, or write it as a page for browsers.
+/// Describe a recording, or write it as a page for browsers.
 ///
-/// Recordings are made by `sandgait walk --record FILE` and, of any environment, by `env.unwrapped.record(FILE)` in
-/// Python. docs/seeing.md has their format.
+/// `sandgait walk --record FILE` records a walk; `env.unwrapped.record(FILE)` in Python records any environment.
+/// docs/seeing.md has the format of recordings.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
-  sandgait replay walk.rec                       (what it holds)
+  sandgait replay walk.rec                       (prints its contents)
   sandgait replay walk.rec --html walk.html      (one page with everything in it; open it in a browser)")]
 pub struct Replay {
-    /// The recording
+    /// File of the recording
     #[arg(value_name = "FILE")]
     file: PathBuf,
     /// Write a self-contained page to this file
     #[arg(long, value_name = "FILE")]
     html: Option<PathBuf>,
-    /// Machine-readable
+    /// Print JSON
     #[arg(long, conflicts_with = "html")]
     json: bool,
 }

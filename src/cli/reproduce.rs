@@ -4,16 +4,16 @@ use sandgait::Result;
 use sandgait::reproduce::{self, FIGURES, Verdict};
 use std::path::PathBuf;
 
-/// Reproduce the paper: figures 2 to 5 of Li, Zhang & Goldman 2012, and every sentence with a number in it.
+/// Reproduce Li, Zhang & Goldman 2012: figures 2 to 5, and every claim with a number.
 ///
-/// Writes the figures as SVG and PNG, report.html and claims.json: each claim with the paper's value, ours, a verdict
-/// (reproduced, not_reproduced or no_data) and why.
+/// Writes the figures as SVG and PNG, report.html and claims.json. These files have each claim with the paper's value,
+/// ours, a verdict (reproduced, not_reproduced or no_data) and its reason.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait reproduce --out paper
   sandgait reproduce --figure 4 --out paper")]
 pub struct Reproduce {
-    /// One figure only: 2, 3, 4 or 5
+    /// Make only this figure: 2, 3, 4 or 5
     #[arg(long, value_name = "N")]
     figure: Option<u8>,
     /// Directory for the results

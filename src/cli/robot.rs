@@ -12,8 +12,8 @@ const PICTURE: [u32; 2] = [960, 720];
 
 /// Read a robot from a URDF, MJCF or TOML file, and print masses, joints, limits, and the shapes that touch sand.
 ///
-/// Parts of the file that the simulation leaves out are listed under "warnings". With --accelerations the motion of
-/// the robot in free flight is computed instead, as a check against other programs.
+/// The list "warnings" has the parts of the file that the simulation leaves out. With --accelerations the command
+/// computes accelerations of the robot in free flight, for comparison with other programs.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait robot go1.urdf
@@ -23,22 +23,22 @@ const PICTURE: [u32; 2] = [960, 720];
   sandgait robot go1.urdf --pack > go1.json
   sandgait robot xplorer")]
 pub struct Robot {
-    /// A .urdf, an .xml (MJCF or URDF), a .toml, or the name of a built-in robot
+    /// A file with ending .urdf, .xml (MJCF or URDF) or .toml, or the name of a built-in robot
     #[arg(value_name = "FILE")]
     file: PathBuf,
-    /// Machine-readable
+    /// Print JSON
     #[arg(long)]
     json: bool,
-    /// Draw the robot to this PNG file, in its standing pose, with the plates that touch sand
+    /// Draw the robot in its standing pose, with the plates that touch sand, to this PNG file
     #[arg(long, value_name = "PNG")]
     picture: Option<PathBuf>,
-    /// Bodies, links or shapes that touch sand; feet, lower links and belly if not given
+    /// Bodies, links or shapes that touch sand; default: feet, lower links and belly
     #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
     touches: Option<Vec<String>>,
-    /// Size of the plates that touching shapes are cut into [m]; if not given, small enough for forces within 2 %
+    /// Size of the plates into which touching shapes are cut [m]; default: small enough for forces within 2 %
     #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
     plate_size: Option<f64>,
-    /// Print the robot as one text, as option `robot` of sandgait/LeggedVelocity-v0 takes it; with --json uncompressed
+    /// Print the robot as one text, for option `robot` of sandgait/LeggedVelocity-v0; with --json uncompressed
     #[arg(long, conflicts_with_all = ["picture", "accelerations"])]
     pack: bool,
     /// Print accelerations in free flight for the rows {quat, v, w, q, qd, tau} of this JSON file
@@ -90,7 +90,7 @@ pub fn read_option(options: &mut Value) -> Result<()> {
     Ok(())
 }
 
-/// A robot's file as one text, its meshes cut into plates, with notes on the parts that were left out.
+/// A robot's file as one text, with its meshes cut into plates, and notes on the parts that were left out.
 pub fn pack(path: &Path) -> Result<(String, Vec<String>)> {
     let import = robots::load(path)?;
     let touching = Touching::of(&import, None, None)?;
@@ -98,19 +98,20 @@ pub fn pack(path: &Path) -> Result<(String, Vec<String>)> {
     Ok((text, import.warnings.into_iter().chain(note).collect()))
 }
 
-/// The packed text, without shapes for pictures if these do not fit. The note says what pictures lack.
+/// The packed text. If shapes for pictures do not fit into it, they are left out, and the note says so.
 fn compressed(import: &Import, touching: &Touching) -> Result<(String, Option<String>)> {
     let (looks, note) = looks(import);
     let text = |looks| packed::compressed(&packed::pack(&import.tree, &touching.plates, looks)?);
     match (&looks, text(looks.as_ref())) {
-        (Some(_), Err(_)) => {
-            Ok((text(None)?, Some("its plates leave no room for its meshes; pictures show it without them".into())))
-        }
+        (Some(_), Err(_)) => Ok((
+            text(None)?,
+            Some("its plates use the whole packed text, so pictures show it without its visual meshes".into()),
+        )),
         (_, text) => Ok((text?, note)),
     }
 }
 
-/// Shapes for pictures. A visual mesh that cannot be read is no error: the robot moves without it.
+/// Shapes for pictures. A visual mesh that cannot be read is no error, because the motion does not need it.
 fn looks(import: &Import) -> (Option<Looks>, Option<String>) {
     match import.looks() {
         Ok(looks) => (looks, None),

@@ -13,13 +13,12 @@ use tracing_subscriber::filter::Targets;
 use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
 
-/// Threads besides one for each processor: one for a study, and one so that large requests do not delay small ones.
-/// (The threads for each processor make environments, check large requests and free environments.) These threads
-/// compute and never wait, so more of them would only compete for the processors, and each needs memory (tokio's
-/// default is 512 threads).
+/// Number of blocking threads beyond one for each processor: one for a study, and one so that large requests do not
+/// delay small ones. (The others create and free environments and check large requests.) Blocking threads compute and
+/// never wait. So more of them would compete for the processors, and each needs memory (tokio's default is 512).
 const SPARE_THREADS: usize = 2;
 
-/// How long a request in preparation may delay the end of the process.
+/// Longest delay of the process's end by a request in preparation.
 const GRACE: Duration = Duration::from_millis(500);
 
 /// Serve environments over gRPC until SIGTERM or Ctrl-C.
@@ -30,22 +29,22 @@ const GRACE: Duration = Duration::from_millis(500);
     args_override_self = true,
     after_help = "Examples:
   sandgait serve --listen unix:/tmp/sand.sock
-  sandgait serve --listen 127.0.0.1:0 --threads 8      (any free port; the line printed says which)
+  sandgait serve --listen 127.0.0.1:0 --threads 8      (any free port; the printed line has its number)
   sandgait serve --viewer 127.0.0.1:8080               (watch in a browser)
   sandgait serve --listen 0.0.0.0:50051 --tls-cert server.pem --tls-key server.key --token-file token
-  sandgait serve --listen 0.0.0.0:50051 --insecure     (anyone who reaches this port can use it)"
+  sandgait serve --listen 0.0.0.0:50051 --insecure     (anyone who can reach this port can use the server)"
 )]
 pub struct Serve {
-    /// HOST:PORT or unix:PATH (a socket only its owner can use)
+    /// Address: HOST:PORT or unix:PATH (a socket that only its owner can use)
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:50051")]
     listen: Address,
-    /// Threads that simulate; 0: one for each processor
+    /// Number of simulating threads; 0: one for each processor
     #[arg(long, value_name = "N", default_value_t = 0)]
     threads: u16,
-    /// Also speak dm_env_rpc, DeepMind's protocol, on the same address
+    /// Also serve DeepMind's protocol dm_env_rpc at the same address
     #[arg(long)]
     dm_env_rpc: bool,
-    /// Options as TOML, by their long names; those of the command line win
+    /// TOML file with options by their long names; options of the command line take precedence
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     #[command(flatten)]
@@ -56,13 +55,13 @@ pub struct Serve {
     peers: Peers,
     #[command(flatten)]
     pages: Pages,
-    /// Format of the log on stderr; SANDGAIT_LOG filters it
+    /// Format of the log on stderr; the variable SANDGAIT_LOG sets its filter
     #[arg(long, value_name = "FORMAT", default_value = "text")]
     log_format: LogFormat,
-    /// Directory for sessions while no server runs: saved at SIGTERM, restored at the next start
+    /// Directory for sessions: at SIGTERM the server saves them, at the next start it restores them
     #[arg(long, value_name = "DIR")]
     state_dir: Option<PathBuf>,
-    /// Also stop when stdin is closed, as it is when the process that started this one ends
+    /// Also stop when stdin is closed, for example because the process that started this one has ended
     #[arg(long)]
     exit_on_stdin_close: bool,
 }
@@ -70,25 +69,26 @@ pub struct Serve {
 /// Access to the server.
 #[derive(clap::Args)]
 struct Security {
-    /// Encrypt: the server's certificate, PEM
+    /// The server's certificate (PEM), for encryption
     #[arg(long, value_name = "FILE")]
     tls_cert: Option<PathBuf>,
-    /// Its private key, PEM
+    /// The private key of the server's certificate (PEM)
     #[arg(long, value_name = "FILE")]
     tls_key: Option<PathBuf>,
-    /// Encrypt with a certificate that is made for this run, and write it to this file, PEM, for clients to trust
+    /// Encrypt with a certificate that is made for this run, and write it to this file (PEM), so that clients can trust
+    /// it
     #[arg(long, value_name = "FILE", conflicts_with = "tls_cert")]
     tls_self_signed: Option<PathBuf>,
-    /// Clients must have certificates of this authority, PEM
+    /// Clients must have certificates of this authority (PEM)
     #[arg(long, value_name = "FILE")]
     client_ca: Option<PathBuf>,
-    /// Clients must know the token in this file
+    /// Clients must send the token in this file
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
-    /// Seal snapshots and kept sessions with the key in this file, and refuse all others
+    /// Authenticate snapshots and saved sessions with the key in this file, and refuse all others
     #[arg(long, value_name = "FILE")]
     snapshot_key: Option<PathBuf>,
-    /// Allow --listen to have an address that other machines reach without encryption and token
+    /// Allow other machines to reach the address of --listen without encryption and token
     #[arg(long)]
     insecure: bool,
 }
@@ -96,19 +96,19 @@ struct Security {
 /// Pages without encryption and token.
 #[derive(clap::Args)]
 struct Pages {
-    /// Answer GET /metrics for Prometheus here
+    /// Address that answers GET /metrics for Prometheus
     #[arg(long, value_name = "HOST:PORT")]
     metrics: Option<Address>,
-    /// Allow --metrics to have an address that other machines reach
+    /// Allow other machines to reach the address of --metrics
     #[arg(long)]
     metrics_insecure: bool,
-    /// Show the sessions as they step to browsers here: http://HOST:PORT
+    /// Address at which browsers see the sessions live: http://HOST:PORT
     #[arg(long, value_name = "HOST:PORT")]
     viewer: Option<Address>,
-    /// Allow --viewer to have an address that other machines reach
+    /// Allow other machines to reach the address of --viewer
     #[arg(long)]
     viewer_insecure: bool,
-    /// Streams of the live page at a time
+    /// Largest number of simultaneous streams of the live page
     #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..))]
     max_watchers: u32,
 }
@@ -116,16 +116,16 @@ struct Pages {
 /// Limits of connections and requests.
 #[derive(clap::Args)]
 struct Peers {
-    /// Connections at a time; fewer if there are not as many file descriptors
+    /// Largest number of connections; lower if there are not enough file descriptors
     #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(1..))]
     max_connections: u32,
-    /// Connections of one address at a time (IPv6: of one /64)
+    /// Largest number of connections from one address (IPv6: from one /64)
     #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..))]
     max_connections_per_peer: u32,
-    /// Calls at a time on one connection; a client's further ones wait
+    /// Largest number of simultaneous calls on one connection; further calls wait
     #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(1..))]
     max_streams: u32,
-    /// Requests of one address a second, on all its connections; 0: no limit
+    /// Largest rate of requests from one address, on all its connections [1/s]; 0: no limit
     #[arg(long, value_name = "N", default_value_t = 0)]
     max_requests_per_second: u32,
 }
@@ -133,19 +133,19 @@ struct Peers {
 /// Limits of sessions and memory.
 #[derive(clap::Args)]
 struct SessionLimits {
-    /// Sessions at a time
+    /// Largest number of sessions
     #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(1..))]
     max_sessions: u32,
-    /// Environments of one session
+    /// Largest number of environments of one session
     #[arg(long, value_name = "N", default_value_t = 65_536, value_parser = clap::value_parser!(u32).range(1..))]
     max_envs: u32,
-    /// Memory of all environments, estimated, and of large requests together [MiB]
+    /// Largest memory of all environments (estimated) and large requests together [MiB]
     #[arg(long, value_name = "MIB", default_value_t = 8192, value_parser = clap::value_parser!(u32).range(1..))]
     max_memory_mib: u32,
-    /// Size of a request [MiB]
+    /// Largest size of a request [MiB]
     #[arg(long, value_name = "MIB", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..4096))]
     max_message_mib: u32,
-    /// A session without a client is freed after this time [s]
+    /// The server frees a session that has been without a client for this time [s]
     #[arg(long, value_name = "S", default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..))]
     lease_seconds: u32,
 }
@@ -176,7 +176,7 @@ impl Serve {
         let secrets = [token_file, tls_key, snapshot_key, &self.state_dir];
         let open = setup.tls.is_none() || setup.token.is_none();
         if open && !self.listen.is_local() {
-            tracing::warn!(listen = %self.listen, "others reach this server without encryption or token, as --insecure allows");
+            tracing::warn!(listen = %self.listen, "other machines can reach this server without encryption or token, because of --insecure");
         }
         secrets.into_iter().flatten().for_each(|path| service::warn_if_shared(path));
         let beside = sandgait::parallel::processors() + SPARE_THREADS;
@@ -230,7 +230,8 @@ impl Security {
     /// Refuses unsafe addresses unless the user allows them.
     fn check(&self, listen: &Address) -> Result<()> {
         let missing = |name: &str| Err(Error::invalid(name, "missing; TLS needs a certificate and its key"));
-        let local = |option| Err(Error::invalid(option, format!("{listen} is for its owner only and needs no TLS")));
+        let local =
+            |option| Err(Error::invalid(option, format!("{listen} can only be used by its owner and needs no TLS")));
         match (&self.tls_cert, &self.tls_key) {
             (Some(_), None) => return missing("--tls-key"),
             (None, Some(_)) => return missing("--tls-cert"),

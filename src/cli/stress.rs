@@ -15,11 +15,11 @@ const COLUMNS: [Column; 3] = [
 
 /// Evaluate a force law: prints the stress per depth at given angles.
 ///
-/// Reads columns beta (tilt of the plate), gamma (direction of its velocity below the horizontal) and, for
-/// agarwal2023, psi (azimuth of its normal from the velocity's), in rad; beta counts modulo π. Prints them with the
-/// stress per depth in N/m³: alpha_x against the motion and alpha_z up, or for agarwal2023 the components alpha_r
-/// along the motion, alpha_theta across it and alpha_z up. The laws are evaluated without the regularisation that
-/// dynamics needs.
+/// The input has columns beta (tilt of the plate, modulo π), gamma (direction of its velocity below the horizontal)
+/// and, for agarwal2023, psi (azimuth of its normal from that of the velocity), in rad. Prints these columns and the
+/// stress per depth in N/m³: alpha_x against the motion and alpha_z up. For agarwal2023 the components are alpha_r
+/// along the motion, alpha_theta across it and alpha_z up. The laws are evaluated without the regularisation that the
+/// dynamics need.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait stress --input angles.csv
@@ -32,11 +32,11 @@ pub struct Stress {
     /// Sand: a name from `sandgait media`, zeta=VALUE or mu=VALUE,rho=VALUE
     #[arg(long, default_value = "poppy-loose")]
     medium: String,
-    /// CSV with columns beta, gamma and, if needed, psi [rad]
+    /// CSV file with columns beta, gamma and, if needed, psi [rad]
     #[arg(long, value_name = "FILE")]
     input: PathBuf,
-    /// Friction coefficient of the plate's surface: reverses a normal stress that would pull, and limits the tangential
-    /// stress (agarwal2023 only)
+    /// Friction coefficient of the plate's surface (agarwal2023 only): a normal stress that would pull is reversed, and
+    /// the tangential stress is limited
     #[arg(long, value_name = "MU", allow_negative_numbers = true)]
     friction: Option<f64>,
 }

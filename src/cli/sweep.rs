@@ -13,11 +13,12 @@ use sandgait::train::{design, entry};
 use sandgait::{Error, Result};
 use std::path::PathBuf;
 
-/// Study a design: walk a robot over a grid of one or two parameters, or search for the best.
+/// Study a design: simulate walks of a robot over a grid of one or two parameters, or search for the best design.
 ///
-/// Writes sweep.csv, sweep.svg and sweep.png: a heat map of two parameters, a line of one. A parameter is varied as
-/// NAME=FIRST:LAST:COUNT or NAME=VALUE,VALUE,… and fixed with --set NAME=VALUE. Names: xi, leg, chord, width, leg-mass,
-/// base-mass, hip-height, belly, frequency, phase, medium, zeta, law, slope, payload, torque-limit, kp.
+/// Writes sweep.csv, and sweep.svg and sweep.png with a heat map for two parameters or a line for one. A parameter is
+/// varied with NAME=FIRST:LAST:COUNT or NAME=VALUE,VALUE,… and fixed with --set NAME=VALUE. Names: xi, leg, chord,
+/// width, leg-mass, base-mass, hip-height, belly, frequency, phase, medium, zeta, law, slope, payload, torque-limit,
+/// kp.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait sweep --vary xi=-75:75:31 --vary frequency=1:5:9 --out study
@@ -26,13 +27,13 @@ use std::path::PathBuf;
   sandgait sweep --vary xi=-75:75:25 --learn 60 --option command=[0.1,0.6] --out study    (a gait learnt for each leg)
   sandgait sweep --vary xi=-75:75:2 --vary chord=0.03:0.05:2 --optimize return --learn-steps 3000000 --out study")]
 pub struct Sweep {
-    /// Parameter and its values, once or twice
+    /// Parameter and its values; can be given twice
     #[arg(long, value_name = "NAME=VALUES", required = true, allow_hyphen_values = true)]
     vary: Vec<String>,
-    /// Parameter and its one value
+    /// Parameter with one value
     #[arg(long, value_name = "NAME=VALUE", allow_hyphen_values = true)]
     set: Vec<String>,
-    /// Built-in robot or FILE.toml; legs of one joint
+    /// Built-in robot or FILE.toml, with one joint in each leg
     #[arg(long, default_value = Robot::DEFAULT)]
     robot: String,
     /// Stride frequency [Hz]
@@ -44,28 +45,30 @@ pub struct Sweep {
     /// Resistive force law: li2013, penetration-drag-1d or agarwal2023
     #[arg(long, default_value = Law::Li2013.name())]
     law: String,
-    /// A sand.toml, as a diagnosis writes it, in place of --medium and --law
+    /// A sand.toml, for example from a diagnosis, instead of --medium and --law
     #[arg(long, value_name = "FILE", conflicts_with_all = ["medium", "law"])]
     sand: Option<PathBuf>,
     /// Measure in the figure: speed or cost-of-transport; with --learn also return
     #[arg(long, default_value = "speed")]
     measure: String,
-    /// Search between the bounds instead of walking the grid: speed or cost-of-transport; if gaits are learnt, also
-    /// return
+    /// Search for the best design between the bounds instead of simulating the grid, by speed or cost-of-transport;
+    /// with --learn also by return
     #[arg(long, value_name = "MEASURE")]
     optimize: Option<String>,
-    /// Learn a gait for each design instead of walking at one frequency (HexapodGait, sandgait train's settings),
-    /// for this many seconds each, on one thread. Each training is kept, and a repeated command continues the study
+    /// Learn a gait for each design for this time [s], on one thread, instead of walking at one frequency. The task is
+    /// HexapodGait with the settings of sandgait train. Each training is kept, and a repeated command continues the
+    /// study
     #[arg(long, value_name = "SECONDS")]
     learn: Option<f64>,
-    /// As --learn, but for this many steps each: the result then has the same bits on a busy machine
+    /// The same as --learn, but each training has this number of steps, so that the result has the same bits on a busy
+    /// machine
     #[arg(long, value_name = "STEPS", conflicts_with = "learn")]
     learn_steps: Option<u64>,
-    /// Trainings of each design
+    /// Number of trainings of each design
     #[arg(long, value_name = "N", default_value_t = 3)]
     trainings: usize,
-    /// Along the last axis, each design after the first starts from its neighbour's policy and learns for this many
-    /// seconds (or steps, with --learn-steps)
+    /// Along the last axis each design after the first starts with its neighbour's policy and learns for this time [s]
+    /// or, with --learn-steps, for this number of steps
     #[arg(long, value_name = "SECONDS|STEPS", conflicts_with = "optimize")]
     warm: Option<f64>,
     /// Number of designs that --optimize tries with learnt gaits
@@ -90,7 +93,7 @@ impl Sweep {
             return self.learnt(base, axes);
         }
         if self.warm.is_some() || !self.option.is_empty() {
-            return Err(Error::invalid("--warm, --option", "they are for studies with --learn or --learn-steps"));
+            return Err(Error::invalid("--warm, --option", "they are used only with --learn or --learn-steps"));
         }
         let measure = Measure::named(&self.measure)?;
         match &self.optimize {

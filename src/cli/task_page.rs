@@ -1,4 +1,4 @@
-//! The page of a task: its tables as Markdown, from the same data as its rows.
+//! The page of a task as Markdown, from the same tables as its rows.
 
 use sandgait::Result;
 use sandgait::env::control::Control;
@@ -19,13 +19,13 @@ pub fn page(id: &str) -> Result<String> {
         action(id, None)?
     };
     Ok(format!(
-        "# {id}\n\n{summary}\n\n{about}\n\n{control_rate} control steps a second, at most {max_episode_steps} an episode. \
-         This part of the page is what `sandgait tasks --markdown {id}` prints.\n\n\
+        "# {id}\n\n{summary}\n\n{about}\n\n{control_rate} control steps per second, at most {max_episode_steps} in an episode. \
+         `sandgait tasks --markdown {id}` prints this part of the page.\n\n\
          ## Actions\n{actions}\n\
-         ## Reward\n\nThe sum of the weighted terms; each is a column of `info`.\n\n{}\n\
+         ## Reward\n\nThe reward is the sum of the weighted terms. Each weighted term is a column of `info`.\n\n{}\n\
          ## Figures in `info`\n\n{}\n\
          ## Observation\n\n{}\n\
-         ## Options\n\nKeywords of `gymnasium.make`; some also of `reset(options=…)`.\n\n{}",
+         ## Options\n\nOptions are keywords of `gymnasium.make`. Those marked `reset` are also options of `reset(options=…)`.\n\n{}",
         rows(&["column", "term", "weight"], terms.iter().zip(reward).map(term)),
         rows(&["column", "unit", "range"], figures.iter().map(|c| vec![code(&c.name), c.unit.into(), range(c)])),
         columns(observation),
@@ -33,7 +33,7 @@ pub fn page(id: &str) -> Result<String> {
     ))
 }
 
-/// The action's table, of one control mode if there are several.
+/// The table of actions, for one control mode if there are several.
 fn action(id: &str, control: Option<&str>) -> Result<String> {
     let options = control.map_or(Value::Null, |control| json!({"control": control}));
     let task = Blueprint::new(id, options)?;
@@ -45,7 +45,7 @@ fn term((column, term): (&Column, &Term)) -> Vec<String> {
     vec![code(&column.name), term.law.into(), format!("{}", term.weight)]
 }
 
-/// One row; for a dictionary also one for each of its keys.
+/// The row of an option; for a dictionary also a row for each of its keys.
 fn option(k: &Keyword) -> Vec<Vec<String>> {
     let when = if k.at_reset { "make, reset" } else { "make" };
     let row =
@@ -68,7 +68,7 @@ fn code(text: &str) -> String {
     format!("`{text}`")
 }
 
-/// Bounds to four decimals.
+/// A bound with four decimals.
 fn range(c: &Column) -> String {
     let bound = |x: f64| match x.is_finite() {
         true => format!("{}", (x * 1e4).round() / 1e4),

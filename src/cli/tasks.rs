@@ -6,13 +6,13 @@ use sandgait::env::Column;
 use sandgait::env::registry::{Blueprint, Keyword, TASK_IDS};
 use serde_json::{Value, json};
 
-/// List the tasks: observations, actions, rewards, and the options with their defaults
+/// List the tasks: observations, actions, rewards, and options with their defaults
 #[derive(clap::Args)]
 pub struct Tasks {
-    /// Machine-readable
+    /// Print JSON
     #[arg(long)]
     json: bool,
-    /// The page of one task, as in docs/tasks
+    /// Print the page of one task, as in docs/tasks
     #[arg(long, value_name = "ID", conflicts_with = "json")]
     markdown: Option<String>,
 }
@@ -66,7 +66,7 @@ fn as_text(task: &Blueprint) -> String {
     };
     let options = super::table(&task.keywords().into_iter().map(option).collect::<Vec<_>>());
     format!(
-        "{}\n  {}\n  {} control steps a second, at most {} an episode\n\nobservation\n{}\naction\n{}\ninfo (the first {} are the reward's terms)\n{}\noptions\n{options}",
+        "{}\n  {}\n  {} control steps per second, at most {} in an episode\n\nobservation\n{}\naction\n{}\ninfo (the first {} are the reward terms)\n{}\noptions\n{options}",
         spec.id,
         spec.summary,
         spec.control_rate,

@@ -18,21 +18,21 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Learn a gait by PPO in the same process as the environments, without Python.
 ///
-/// Settings are those of stable-baselines3's PPO and of examples/hyperparameters/ppo.yml; without a file, those of
-/// src/train/ppo_fast.yml apply. The directory gets policy.onnx (for evaluate, rollout_policy and export),
-/// policy.safetensors, settings.json, curve.csv, curve.png, evaluation.txt, walk.rec (for replay), walk.png,
-/// checkpoints/ and tensorboard/. docs/learning.md says more.
+/// Settings have the names of stable-baselines3's PPO and of examples/hyperparameters/ppo.yml. Without a file those of
+/// src/train/ppo_fast.yml are used. The command writes into the directory: policy.onnx (for evaluate, rollout_policy
+/// and export), policy.safetensors, settings.json, curve.csv, curve.png, evaluation.txt, walk.rec (for replay),
+/// walk.png, checkpoints/ and tensorboard/. docs/learning.md explains them.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait train                                     (HexapodGait, a minute)
   sandgait train --task HexapodLegs --seed 1 --out runs/legs
   sandgait train --option leg=C --option slope_deg=5 --set gamma=0.97 --seconds 30
-  sandgait train --resume --seconds 120              (go on from the last checkpoint in the directory)
+  sandgait train --resume --seconds 120              (continues from the last checkpoint in the directory)
   sandgait train --option slope_deg=10 --start-from runs/HexapodGait-fast/policy.safetensors --out runs/slope
-  sandgait train --timesteps 2000000                 (the same to the bit each time: no clock ends it)
+  sandgait train --timesteps 2000000                 (the same bits each time, because it has no limit of time)
   sandgait train --address sand.lab:50051 --ca ca.pem --token-file token    (environments on a server)")]
 pub struct Train {
-    /// Task's name or id
+    /// Name or id of the task
     #[arg(long, value_name = "TASK", default_value = HexapodGait::ID)]
     task: String,
     /// File of settings in the format of rl-zoo3, one entry for each task
@@ -47,26 +47,26 @@ pub struct Train {
     /// Seed of the policy, its exploration and the environments
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
-    /// The training ends after this time, whatever the settings; a resumed training counts its earlier time
+    /// The training ends after this time [s], instead of that in the settings; the time before a resumption counts
     #[arg(long, value_name = "S")]
     seconds: Option<f64>,
-    /// The training ends after this many steps; without --seconds it has no limit of time
+    /// The training ends after this number of steps; without --seconds it has no limit of time
     #[arg(long, value_name = "N")]
     timesteps: Option<u64>,
     /// Directory for the results [default: runs/TASK-fast]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Go on from the last checkpoint in the directory
+    /// Continue from the last checkpoint in the directory
     #[arg(long)]
     resume: bool,
-    /// Begin with the networks of another training: its policy.safetensors or a checkpoint. Task, observation and
+    /// Start with the networks of another training: its policy.safetensors or a checkpoint. Task, observation and
     /// actions must be the same
     #[arg(long, value_name = "FILE.safetensors", conflicts_with = "resume")]
     start_from: Option<PathBuf>,
-    /// Steps between two checkpoints
+    /// Number of steps between two checkpoints
     #[arg(long, value_name = "STEPS", default_value_t = 1_000_000)]
     checkpoint_every: u64,
-    /// Threads; 0: one for each processor
+    /// Number of simulating threads; 0: one for each processor
     #[arg(long, value_name = "N", default_value_t = 0)]
     threads: usize,
     /// Simulate on the server at host:port or unix:/path; learning stays in this process
@@ -75,35 +75,35 @@ pub struct Train {
     /// The server's token
     #[arg(long, value_name = "FILE", requires = "address")]
     token_file: Option<PathBuf>,
-    /// Encrypt, and trust certificates of this authority (PEM)
+    /// Encrypt the connection, and trust certificates of this authority (PEM)
     #[arg(long, value_name = "FILE", requires = "address")]
     ca: Option<PathBuf>,
 }
 
-/// A request for a training, from here or from Python.
+/// A request for a training, from the command line or from Python.
 pub struct Training {
-    /// Name or id.
+    /// Name or id of the task.
     pub task: String,
     pub hyperparameters: Option<PathBuf>,
     /// Settings that replace those of the file.
     pub changes: Vec<(String, Value)>,
-    /// Keywords of the task, an object.
+    /// Options of the task, as an object.
     pub options: Value,
     pub seed: u64,
     pub seconds: Option<f64>,
     pub timesteps: Option<u64>,
     pub out: Option<PathBuf>,
     pub resume: bool,
-    /// Networks of another training, as the start.
+    /// File with the networks of another training, with which this one starts.
     pub start_from: Option<PathBuf>,
     pub checkpoint_every: u64,
-    /// 0: one for each processor.
+    /// Number of simulating threads; 0: one for each processor.
     pub threads: usize,
-    /// A server for the environments.
+    /// The server that has the environments.
     pub place: Option<Place>,
 }
 
-/// Largest number of threads: our choice, more than usual machines have cores.
+/// Largest number of threads: our choice, because usual machines have fewer cores.
 const MOST_THREADS: usize = 1024;
 /// Largest seed of a training: our choice, so that the seeds of its episodes cannot overflow 64 bits.
 const MOST_SEED: u64 = (1 << 23) - 1;
@@ -143,7 +143,7 @@ impl Train {
     }
 }
 
-/// The server's address; a token is sent encrypted, over a Unix socket or to this machine only.
+/// The server's address. A token is sent only over TLS, over a Unix socket or to this machine.
 fn place(address: String, token: Option<&Path>, ca: Option<&Path>) -> Result<Place> {
     let port = address.rsplit_once(':').is_some_and(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok());
     if !port && !address.starts_with("unix:") {
@@ -155,7 +155,7 @@ fn place(address: String, token: Option<&Path>, ca: Option<&Path>) -> Result<Pla
     let host = address.rsplit_once(':').map_or(address.as_str(), |(host, _)| host).trim_matches(['[', ']']);
     let local = host == "localhost" || host.parse().is_ok_and(|host: IpAddr| host.is_loopback());
     if token.is_some() && ca.is_none() && !local && !address.starts_with("unix:") {
-        let reason = format!("it would travel to {address} unencrypted; add --ca");
+        let reason = format!("it would be sent to {address} without encryption; add --ca");
         return Err(Error::invalid("--token-file", reason));
     }
     Ok(Place { tls: ca.is_some(), address, token, ca, identity: None })
@@ -218,7 +218,7 @@ fn report(request: &Request, outcome: &Outcome) -> String {
         learnt.seconds,
     );
     if let Some(why) = &outcome.anew {
-        text += &format!("new episodes began where it went on: {why}\n");
+        text += &format!("new episodes began at the resumption: {why}\n");
     }
     if let Some(row) = &outcome.score {
         let rows = [row.clone()];
@@ -233,7 +233,7 @@ fn report(request: &Request, outcome: &Outcome) -> String {
     text
 }
 
-/// The first Ctrl-C sets it; the second one ends the process.
+/// The first Ctrl-C sets this flag. The second one ends the process.
 fn interrupted() -> Arc<AtomicBool> {
     let stop = Arc::new(AtomicBool::new(false));
     let heard = stop.clone();

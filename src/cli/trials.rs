@@ -27,17 +27,17 @@ const LOAD: usize = 7;
 /// Columns that are added to each row.
 const RESULTS: [&str; 8] = ["Fx", "Fy", "Fz", "Tx", "Ty", "Tz", "depth", "status"];
 
-/// Largest number of rows: our choice; a tenth of them takes a minute.
+/// Largest number of rows: our choice, because so many take ten minutes.
 const MOST_ROWS: usize = 1_000_000;
 
-/// The rows of a file unchanged, and the motions in them.
+/// The unchanged rows of a file, and the motions that they describe.
 struct Rows {
     header: Vec<String>,
     cells: Vec<String>,
     trials: Vec<Trial>,
 }
 
-/// Computes every row; writes the table to `csv` if there is one, and returns how many rows found no equilibrium.
+/// Computes every row and writes the table to `csv`, if this is given. Returns the number of rows without equilibrium.
 pub fn run(
     shape: &str,
     plate_size: Option<f64>,
@@ -84,7 +84,7 @@ fn read(path: &Path) -> Result<Rows> {
         keep.push(row.cells().map(str::to_owned).collect::<Vec<_>>());
         Ok(())
     })?;
-    // The computed depth has a column of its own; if a depth was given it is the same.
+    // The computed depth replaces a column `depth` of the input; a given depth is unchanged.
     let is_depth = |name: &str| name.split(['[', '(']).next().is_some_and(|n| n.trim() == "depth");
     let kept: Vec<usize> = (0..summary.header.len()).filter(|k| !is_depth(&summary.header[*k])).collect();
     let named = |k: &usize| match &summary.header[*k] {

@@ -4,20 +4,20 @@ use sandgait::Result;
 use sandgait::validate::{data, others, page::Scoreboard};
 use std::path::PathBuf;
 
-/// Compare the model with measurements: predictions, their errors, and where they fail.
+/// Compare the model with measurements, and print the errors of its predictions.
 ///
-/// Without --data: two wheels and three discs in dry sand, measured at Carnegie Mellon University; legs in grains
-/// simulated one by one; walks by independent codes, and robots by pinocchio and MuJoCo.
+/// Without --data the references are: two wheels and three discs in dry sand, measured at Carnegie Mellon University;
+/// legs in simulated grains; walks of independent programs; and robots in pinocchio and MuJoCo.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait validate
   sandgait validate --out scoreboard               (validation.md, its rows and figures)
   sandgait validate --data my_wheel --out scoreboard")]
 pub struct Validate {
-    /// Folder with a validation.toml and its rows
+    /// Folder with a validation.toml and the files of rows that it names
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
-    /// Folder to write the page, its rows and figures to
+    /// Folder for the page, its rows and its figures
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
 }

@@ -11,13 +11,14 @@ use serde_json::json;
 use std::path::Path;
 use std::time::Instant;
 
-/// Moments a second in a recording: our choice, twenty a stride at the highest stride frequency of Li et al. 2012.
+/// Recorded states in a second [Hz]: our choice, because this is twenty in a stride at the highest stride frequency of
+/// Li et al. 2012.
 const RECORDED_RATE: f64 = 100.0;
 
-/// Walk with an alternating tripod at constant stride frequency and measure the speed.
+/// Simulate a walk with an alternating tripod at constant stride frequency, and measure the speed.
 ///
-/// The speed is taken over four strides, after two. At frequency 0 the robot stands for 10 s, and its sinkage and drift
-/// are measured.
+/// The speed is measured over four strides, after two others. At frequency 0 the robot stands for 10 s, and its sinkage
+/// and drift are measured.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   sandgait walk --leg L --frequency 2
@@ -25,10 +26,10 @@ const RECORDED_RATE: f64 = 100.0;
   sandgait walk --robot mine.toml --frequency 0        (stand still)
   sandgait walk --leg C --frequency 2 --record walk.rec && sandgait replay walk.rec --html walk.html")]
 pub struct Walk {
-    /// Leg: L, revL, C, revC, flat or xi=DEGREES; the robot's own if not given
+    /// Shape of the legs: L, revL, C, revC, flat or xi=DEGREES; default: the robot's own
     #[arg(long)]
     leg: Option<String>,
-    /// Turns of the hips a second [Hz]; negative walks backward, 0 stands
+    /// Turns of the hips in a second [Hz]; with a negative frequency the robot walks backward, with 0 it stands
     #[arg(long, value_name = "HZ", allow_negative_numbers = true)]
     frequency: f64,
     /// Engine that integrates the motion
@@ -37,25 +38,25 @@ pub struct Walk {
     /// Sand: a name from `sandgait media`, or zeta=VALUE
     #[arg(long, default_value = Medium::DEFAULT)]
     medium: String,
-    /// A sand.toml, as a diagnosis writes it, in place of --medium and --law
+    /// A sand.toml, for example from a diagnosis, instead of --medium and --law
     #[arg(long, value_name = "FILE", conflicts_with_all = ["medium", "law"])]
     sand: Option<std::path::PathBuf>,
     /// Resistive force law: li2013, penetration-drag-1d or agarwal2023
     #[arg(long, default_value = Law::Li2013.name())]
     law: String,
-    /// The surface rises in walking direction [°]
+    /// Slope of the surface [°]; a positive slope rises in the walking direction
     #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
     slope_deg: f64,
-    /// Time step [s]; 1 ms if not given, 0.5 ms with engine rapier
+    /// Time step [s]; default: 0.001, with engine rapier 0.0005
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     dt: Option<f64>,
     /// A built-in robot or a FILE.toml
     #[arg(long, default_value = Robot::DEFAULT)]
     robot: String,
-    /// Record the walk in this file, 100 moments a second, for `sandgait replay`
+    /// Record the walk in this file, with 100 states in a second, for `sandgait replay`
     #[arg(long, value_name = "FILE")]
     record: Option<std::path::PathBuf>,
-    /// Machine-readable
+    /// Print JSON
     #[arg(long)]
     json: bool,
 }
@@ -101,7 +102,7 @@ impl Walk {
     }
 }
 
-/// Walks and writes the recording; the file appears when it is complete.
+/// Simulates the walk and writes the recording. The file appears when it is complete.
 fn recorded(engine: EngineKind, trial: &Trial, path: &Path) -> Result<WalkResult> {
     let failed = |e: std::io::Error| Error::file(path, e);
     let about = About { task: "sandgait walk", rate: RECORDED_RATE, ..About::default() };

@@ -34,8 +34,8 @@ const GREATEST: f64 = 5.48;
 /// time.
 const NULLS: usize = 80;
 
-/// Largest number of values that the nulls on all cores hold together: our choice, 256 MB, so that many cores do not fill
-/// the memory.
+/// Largest number of values that the nulls on all cores hold together: our choice, 256 MB, so that many cores do not
+/// fill the memory.
 const NUMBERS_AT_ONCE: usize = 32 << 20;
 
 /// A cause affects the data if its typical strength changes them by more than 0.01 σ in all: our choice, far below the

@@ -19,8 +19,8 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use std::f64::consts::PI;
 
-/// Number of random cosines for each channel of each shape: our choice, enough for several periods along each feature, and
-/// far fewer than samples.
+/// Number of random cosines for each channel of each shape: our choice, enough for several periods along each feature,
+/// and far fewer than samples.
 const WAVES: usize = 6;
 /// Relative sizes that are tried: a thousandth to three tenths, eight a decade. Our choice: a model with a larger
 /// relative error everywhere is wrong and not merely inaccurate.

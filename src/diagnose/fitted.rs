@@ -18,7 +18,8 @@ use crate::sand::mechanism::{CATALOG, Mechanisms};
 const SECOND_TERM_SHARE: f64 = 0.01;
 /// Number of pairs that are fitted, the best of the linear screen: our choice, because of time.
 const PAIRS_FITTED: usize = 14;
-/// How often the noise is learnt again, at most, after the best candidate has changed: our choice; two times usually suffice.
+/// How often the noise is learnt again, at most, after the best candidate has changed: our choice; two times usually
+/// suffice.
 const NOISES: usize = 3;
 /// Number of rivals that are fitted again under the final whitening: our choice; rivals further behind differ by
 /// hundreds of χ².
@@ -289,15 +290,17 @@ impl Beside {
     }
 }
 
-/// Largest number of rounds in which a discrepancy's size and the fits are computed again: our choice; two usually suffice.
+/// Largest number of rounds in which a discrepancy's size and the fits are computed again: our choice; two usually
+/// suffice.
 const DISCREPANCIES: usize = 2;
 
 /// If the best candidate leaves a smooth misfit beyond noise, fits everything again with a discrepancy, which explains
 /// its share of the differences between explanations. Without it the least noisy samples alone would decide. None if
 /// the data need no discrepancy.
 ///
-/// If even the largest discrepancy is too small, one that fits would also explain what a cause explains. Then the variance of
-/// the noise is multiplied by the best candidate's lack of fit instead (overdispersion: McCullagh & Nelder 1989, section 4.5).
+/// If even the largest discrepancy is too small, one that fits would also explain what a cause explains. Then the
+/// variance of the noise is multiplied by the best candidate's lack of fit instead (overdispersion: McCullagh & Nelder
+/// 1989, section 4.5).
 pub fn beside_discrepancy(study: &Study, around: &Surroundings, fitted: Fitted) -> (Fitted, Option<Beside>) {
     let mut fitted = fitted;
     let mut found = None;
@@ -421,8 +424,8 @@ pub fn with_pairs(study: &Study, first: &Screened, fitted: Fitted) -> (Fitted, b
         let none = charged(base, &fitted.base.held_out);
         let [one, two] = [best, pair].map(|c| charged(&c.fit, &c.held_out));
         let share = (one - two) / (none - two).max(1e-9);
-        // If the model is wrong by much more than the noise, a term may lower χ² by fitting a few samples with little noise.
-        // A true second cause also lowers the error of held-out conditions, in the data's own units.
+        // If the model is wrong by much more than the noise, a term may lower χ² by fitting a few samples with little
+        // noise. A true second cause also lowers the error of held-out conditions, in the data's own units.
         let predicts = pair.held_out.errors.rmse() < best.held_out.errors.rmse();
         pair.delta_chi2 - best.delta_chi2 > gate && share >= SECOND_TERM_SHARE && predicts
     });

@@ -202,7 +202,7 @@ impl<'a> ForceLogModel<'a> {
     }
 
     /// This model with a `latch` that may stop its computations.
-    pub fn heeding(self, latch: &'a Latch<'a>) -> Self {
+    pub fn stopped_by(self, latch: &'a Latch<'a>) -> Self {
         Self { latch: Some(latch), ..self }
     }
 
@@ -285,8 +285,8 @@ impl<'a> ForceLogModel<'a> {
         (square / f64::max(count, 1.0)).sqrt().max(1e-6)
     }
 
-    /// Without the medium's ζ: only `slip_bearing` uses it, which has no effect on a body that does not travel, and in these
-    /// logs none does ([`super::arm`]).
+    /// Without the medium's ζ: only `slip_bearing` uses it, which has no effect on a body that does not travel, and in
+    /// these logs none does ([`super::arm`]).
     fn sand(&self, m: &Mechanisms) -> SandMechanisms<Doubles> {
         let mut sand = SandMechanisms::new(m, self.medium.bulk_density);
         (0..Doubles::LANES).for_each(|l| sand.set_terms(l, &self.medium.terms, self.medium.bulk_density));

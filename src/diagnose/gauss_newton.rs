@@ -275,7 +275,7 @@ impl Study<'_> {
         }
     }
 
-    /// Sets the slopes by the values of the active fits, before those by the coefficients.
+    /// Computes the derivatives by the values of the active fits, and puts them before those by the coefficients.
     fn set_value_slopes(&self, fits: &mut [Fit], active: &[usize]) {
         let (mut steps, mut states) = (Vec::new(), Vec::new());
         for fit in active.iter().map(|&k| &fits[k]) {

@@ -55,7 +55,8 @@ pub const CHANNELS: [Channel; 3] = [
     Channel { name: "depth", unit: "m", in_rmse: false },
 ];
 
-/// Largest number of rows: our choice, 15 times that of the wheels' data; each row is simulated some ten thousand times.
+/// Largest number of rows: our choice, 15 times that of the wheels' data; each row is simulated some ten thousand
+/// times.
 const MOST_ROWS: usize = 2_000;
 
 /// Larger numbers are broken or in the wrong unit: our choice.

@@ -17,7 +17,8 @@ use std::collections::BTreeMap;
 /// Plates along a body's longest side: our choice; forces are within 2 % of those of plates three times as fine, a
 /// quarter of the scatter of measured forces.
 const ALONG: f64 = 16.0;
-/// Step of lengths for derivatives by nuisances [m]: our choice, as for the two steps below; small, and far above rounding.
+/// Step of lengths for derivatives by nuisances [m]: our choice, as for the two steps below; small, and far above
+/// rounding.
 const GEOMETRY_STEP: f64 = 5e-4;
 /// Step of the friction coefficient.
 const FRICTION_STEP: f64 = 0.02;
@@ -141,7 +142,7 @@ fn lacking(id: &str) -> Option<String> {
     let said = if without_effect(&off).contains(&id) {
         "it is not defined for a body in steady motion"
     } else if id == "packing_grad" {
-        "rows of steady states have no place in the bed"
+        "rows of steady states have no position in the bed"
     } else if id == "friction_clip" {
         "the friction of the body's surface is a nuisance here (surface_friction)"
     } else {

@@ -94,7 +94,7 @@ fn explained(study: &Study, fitted: &Fitted, lacks: &[Lack; 2], nested: &Nested,
     let of = |e: &Errors| e.among(&reached(study, fitted, floor));
     let [plain, sand, reading, floor] =
         [&fitted.plain_held_out.errors, &nested.sand[1].errors, &nested.reading[1].errors, floor].map(of);
-    // What nuisances explain beside the candidate, a filter or a tilt say, is no misfit of the sand.
+    // The part of the misfit that nuisances explain (for example a filter or a tilt) is no misfit of the sand.
     let misfit = plain.less(&sand, &reading);
     if misfit.reduction_interval(&floor)[0] > CLEAR {
         let [before, after, least] = [misfit, reading, floor].map(|e| e.rmse().powi(2));

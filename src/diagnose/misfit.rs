@@ -120,8 +120,8 @@ fn add(
 
 /// The report names a range if its error is this many times the smallest error of the same table: our choice.
 const UNEVEN: f64 = 1.25;
-/// An error counts as increasing or decreasing along a feature despite reversals of up to this share of its greatest size,
-/// which may be noise: our choice.
+/// An error counts as increasing or decreasing along a feature despite reversals of up to this share of its greatest
+/// size, which may be noise: our choice.
 const DIP: f64 = 0.1;
 
 /// One sentence: the shape with the largest error of `prediction`, and the ranges of the features where that error
@@ -189,7 +189,7 @@ fn course(rows: &[(&Misfit, f64)], unit: &str) -> Option<(f64, String)> {
     } else if rows.is_sorted_by(|a, b| a.1 + slack >= b.1) {
         format!("falls with {by} from {} to {}", said(first), said(last))
     } else {
-        format!("is worst by {by} with {}, least with {}", said(high), said(low))
+        format!("depends on {by}: it is largest with {} and least with {}", said(high), said(low))
     };
     (ratio > UNEVEN).then_some((ratio, text))
 }
@@ -218,8 +218,8 @@ pub struct Correlate {
 /// Largest number of terms that the sparse regression selects: our choice, for a short report.
 const TERMS: usize = 4;
 
-/// Greedy sparse regression of the whitened residual on prediction × feature and on |prediction| × feature, features scaled
-/// to −1…1 with their squares and products; terms enter while each lowers χ² by more than `gate`.
+/// Greedy sparse regression of the whitened residual on prediction × feature and on |prediction| × feature, features
+/// scaled to −1…1 with their squares and products; terms enter while each lowers χ² by more than `gate`.
 pub fn correlates(
     observations: &Observations,
     model: &dyn ForwardModel,

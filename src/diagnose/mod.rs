@@ -102,7 +102,7 @@ pub fn diagnose(data: &Path, experiment: &Experiment, progress: &dyn Progress) -
     match experiment.kind {
         Kind::Intrusion => {
             let log = force_log::read(data, experiment)?;
-            let model = ForceLogModel::new(&log, experiment)?.heeding(progress);
+            let model = ForceLogModel::new(&log, experiment)?.stopped_by(progress);
             let (observations, sha256, notes) = (log.observations, log.sha256, log.notes);
             diagnose_measured(Measured { observations, coefficient_sd, interest, sha256, notes }, &model, progress)
         }

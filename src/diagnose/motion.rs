@@ -16,8 +16,8 @@ const REACH: usize = 2;
 /// Share of the trial's extent within which fluctuations of the position do not count as motion: our choice, 0.2 mm
 /// on a distance of 4 cm, 1° on one of 200°.
 const SLACK: f64 = 0.005;
-/// Share of the trial's extent after which an intruder has certainly started: our choice. The error of the
-/// direction is twice the position's noise over the extent.
+/// Share of the trial's extent after which an intruder has certainly started: our choice, because the error of the
+/// direction is then only twice the position's noise / the extent.
 const SET_OUT: f64 = 0.5;
 
 /// The first direction of motion of a trial.

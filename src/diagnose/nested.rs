@@ -178,8 +178,8 @@ fn adjusted(study: &Study, whitened: &mut Whitened, fit: &Fit) -> Adjusted {
     Adjusted { objective, step, shown }
 }
 
-/// Returns the least squares step along whitened slopes, and its gain. The last slopes are those by `deviations`, which have
-/// a prior.
+/// Returns the least squares step along whitened slopes, and its gain. The last slopes are those by `deviations`, which
+/// have a prior.
 pub fn least_squares(slopes: &[Column], white: &[f64], deviations: &[f64]) -> (Vec<f64>, f64) {
     let n = slopes.len();
     let mut information = DMatrix::from_fn(n, n, |i, j| if j <= i { dot(&slopes[i], &slopes[j]) } else { 0.0 });

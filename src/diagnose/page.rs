@@ -35,7 +35,7 @@ fn page(diagnosis: &Diagnosis, json: &str) -> String {
     let r = &diagnosis.report;
     let mut html = format!(
         "<!doctype html><html lang=en><meta charset=utf-8><title>sandgait diagnosis</title><style>{STYLE}</style>\
-         <h1>What the simulation gets wrong</h1><p class=verdict>{}</p>",
+         <h1>Where the simulation disagrees with the data</h1><p class=verdict>{}</p>",
         escape(&r.summary)
     );
     for warning in &r.warnings {
@@ -71,11 +71,11 @@ fn gain(html: &mut String, r: &Report, unit: &str) {
     let interval = g.ci95.map_or("–".into(), |c| format!("{:.1} to {:.1} %", 100.0 * c[0], 100.0 * c[1]));
     let _ = write!(
         html,
-        "<h2>Gain on conditions held out</h2><table><tr><td>error of the simulation as it stands<td>{} {unit}\
-         <tr><td>with coefficients adjusted within their prior<td>{} {unit}<tr><td>extended<td>{} {unit}\
+        "<h2>Gain on held-out conditions</h2><table><tr><td>error of the plain model<td>{} {unit}\
+         <tr><td>error with coefficients fitted within their prior<td>{} {unit}<tr><td>error of the extended model<td>{} {unit}\
          <tr><td>scatter between repetitions, which no model removes<td>{} {unit}\
-         <tr><td>reduction (95 % interval)<td>{} ({interval})<tr><td>share of what a perfect model would remove<td>{}\
-         <tr><td>lack of fit: plain, extended, limit<td>{}, {}, {}</table>",
+         <tr><td>reduction of the error (95 % interval)<td>{} ({interval})<tr><td>reduction, relative to that of a perfect model<td>{}\
+         <tr><td>lack of fit: plain model, extended model, limit<td>{}, {}, {}</table>",
         measure(g.held_out_rmse_plain),
         measure(g.held_out_rmse_recalibrated),
         measure(g.held_out_rmse_extended),
@@ -114,13 +114,13 @@ fn form(html: &mut String, r: &Report) {
     let lacking = r.lack_of_fit.limit.is_some_and(|limit| form.lack_of_fit > limit);
     let said = match (form.excluded, form.told_apart) {
         _ if lacking => "other misfit remains, so the interval is too narrow",
-        (true, _) => "the data exclude the law's",
-        (false, true) => "the data agree with the law's",
-        (false, false) => "the data do not distinguish the law's from others",
+        (true, _) => "the data exclude the law's power",
+        (false, true) => "the data agree with the law's power",
+        (false, false) => "the data do not distinguish the law's power from others",
     };
     let _ = write!(
         html,
-        "<h2>Form of the law</h2><table><tr><th>power of the speed in {}<th>the law's<th>fits best<th>95 % interval\
+        "<h2>Form of the law</h2><table><tr><th>power of the speed in {}<th>power in the law<th>best fit<th>95 % interval\
          <tr><td>{said}<td>{}<td>{:.2}<td>{low:.2} to {high:.2}</table>",
         form.id, form.law, form.found
     );
@@ -139,7 +139,7 @@ fn charted(misfit: &[Misfit]) -> Vec<&str> {
 
 fn charts(html: &mut String, misfit: &[Misfit]) {
     let channels = charted(misfit);
-    html.push_str("<h2>Where the plain model errs</h2><p><small>mean error along the predicted direction, in % of the mean predicted size:");
+    html.push_str("<h2>Errors of the plain model</h2><p><small>mean error along the predicted direction, in % of the mean predicted size:");
     for (k, channel) in channels.iter().enumerate() {
         let _ = write!(
             html,
@@ -200,8 +200,8 @@ fn chart(html: &mut String, by: &str, misfit: &[Misfit], channels: &[&str]) {
     let _ = write!(html, "<line x1={ZERO} x2={ZERO} y1=22 y2={} stroke='#888'/></svg>", height - 6);
 }
 
-/// Largest number of conditions in a figure: our choice, so that the page stays readable. Those with the largest errors of
-/// the plain model are shown.
+/// Largest number of conditions in a figure: our choice, so that the page stays readable. Those with the largest errors
+/// of the plain model are shown.
 const CURVES: usize = 9;
 
 /// Largest number of samples of a trial in a figure: our choice; more cannot be distinguished.
@@ -229,10 +229,10 @@ fn by_progress(c: &Curves) -> Vec<Figure> {
     firsts.sort_by(|a, b| error(*b).total_cmp(&error(*a)));
     firsts.truncate(CURVES);
     let figure = |channel: usize| Figure {
-        title: format!("{}: the conditions where the plain model errs most", o.channels[channel].name),
+        title: format!("{}: the conditions with the largest errors of the plain model", o.channels[channel].name),
         panels: firsts.iter().map(|&u| panel(c, u, channel)).collect(),
         columns: 3,
-        note: "Dots: every repetition. Band: one standard deviation of a repetition about the model.".into(),
+        note: "Dots: every repetition. Band: the model ± one standard deviation of a repetition.".into(),
     };
     (0..o.channels.len()).filter(|k| o.channels[*k].in_rmse).map(figure).collect()
 }
@@ -264,7 +264,7 @@ fn panel(c: &Curves, u: usize, channel: usize) -> Panel {
     let label = format!("{} [{}]", o.channels[channel].name, o.channels[channel].unit);
     Panel {
         title: format!("{}, condition {}", c.groups[u], o.conditions[unit.condition]),
-        x: Axis::new("angle [rad] or place along the path [m]"),
+        x: Axis::new("angle [rad] or position along the path [m]"),
         y: Axis::within(&label, least - air, most + air),
         marks,
     }
@@ -291,7 +291,7 @@ fn by_condition(c: &Curves) -> Vec<Figure> {
         // In a figure an underscore would start a subscript.
         let name = o.channels[channel].name.replace('_', " ");
         let y = Axis::new(&format!("{name}{}", bracketed(o.channels[channel].unit)));
-        Panel { title: name, x: Axis::new("condition, in the order of the data"), y, marks }
+        Panel { title: name, x: Axis::new("number of the condition, in the order of the data"), y, marks }
     };
     let panels = (0..o.channels.len()).map(panel).collect();
     vec![Figure { title: "Every run and its predictions".into(), panels, columns: 2, note: String::new() }]
@@ -299,7 +299,7 @@ fn by_condition(c: &Curves) -> Vec<Figure> {
 
 /// Writes a table beside the figure, for runs, which have one number for each channel.
 fn runs(html: &mut String, r: &Report) {
-    html.push_str("<details><summary>The same as a table, means over repetitions</summary><table><tr><th>condition<th>channel<th>measured<th>plain<th>extended<th>unit");
+    html.push_str("<details><summary>The same data as a table: means over repetitions</summary><table><tr><th>condition<th>channel<th>measured<th>plain<th>extended<th>unit");
     for run in &r.runs {
         let _ = write!(
             html,
@@ -316,7 +316,7 @@ fn runs(html: &mut String, r: &Report) {
 }
 
 fn rivals(html: &mut String, r: &Report) {
-    html.push_str("<h2>Causes tried</h2><table><tr><th>cause<th>value<th>Δχ²<th>ΔAIC<th>ΔBIC<th>held-out gain<th>lack of fit<th>distance to the best, σ");
+    html.push_str("<h2>Candidate causes</h2><table><tr><th>cause<th>value<th>Δχ²<th>ΔAIC<th>ΔBIC<th>held-out gain<th>lack of fit<th>distance to the best, σ");
     for c in r.candidates.iter().take(16) {
         let values: Vec<_> = c.values.iter().map(|v| digits(*v)).collect();
         let _ = write!(
@@ -346,7 +346,7 @@ fn beside(html: &mut String, r: &Report) {
     }
     if let Some(rest) = r.remainder.as_ref().filter(|rest| rest.significant) {
         let text = format!(
-            "{:.0} % of the plain model's misfit stays (lack of fit {}, noise leaves up to {}). {}",
+            "{:.0} % of the plain model's misfit remains (lack of fit {}; with noise alone it is at most {}). {}",
             100.0 * rest.fraction,
             digits(rest.lack_of_fit),
             digits(rest.limit),
@@ -354,7 +354,7 @@ fn beside(html: &mut String, r: &Report) {
         );
         let _ = write!(html, "<h2>What remains</h2><p>{}</p>", escape(&text));
     }
-    html.push_str("<h2>Nuisances</h2><p><small>what measuring did; marginalised, no causes</small></p><ul>");
+    html.push_str("<h2>Nuisances</h2><p><small>effects of the measurement; fits marginalise over them, and they are not causes</small></p><ul>");
     for n in &r.nuisances {
         let channel = n.channel.as_ref().map_or(String::new(), |c| format!(" {c}"));
         let unit = after(n.unit);
@@ -363,7 +363,9 @@ fn beside(html: &mut String, r: &Report) {
     }
     html.push_str("</ul>");
     if !r.upper_limits.is_empty() {
-        html.push_str("<h2>Not found</h2><p><small>upper limits at 95 %</small></p><ul>");
+        html.push_str(
+            "<h2>Causes that were not found</h2><p><small>upper limits of their strengths, at 95 %</small></p><ul>",
+        );
         for limit in &r.upper_limits {
             let _ = write!(html, "<li>{} &lt; {}{}", limit.id, digits(limit.value), after(&limit.unit));
         }
@@ -372,14 +374,14 @@ fn beside(html: &mut String, r: &Report) {
 }
 
 fn unknowns(html: &mut String, r: &Report) {
-    html.push_str("<h2>What these data cannot tell</h2>");
+    html.push_str("<h2>What these data cannot decide</h2>");
     if r.ambiguity_set.len() < 2 && r.untestable.is_empty() {
-        html.push_str("<p>nothing that is asked here</p>");
+        html.push_str("<p>no open questions</p>");
     }
     html.push_str("<ul>");
     if r.ambiguity_set.len() > 1 {
         let set: Vec<_> = r.ambiguity_set.iter().map(|ids| ids.join(" + ")).collect();
-        let _ = write!(html, "<li>apart: {}", set.join(" | "));
+        let _ = write!(html, "<li>which of these explanations is right: {}", set.join(" | "));
     }
     for u in &r.untestable {
         let _ = write!(html, "<li>{}: {}", u.id, escape(&u.why));
@@ -393,7 +395,7 @@ fn unknowns(html: &mut String, r: &Report) {
         html.push_str("</ul>");
     }
     if !r.correlates_with.is_empty() {
-        html.push_str("<h2>The residual correlates with</h2><p><small>not causes</small></p><ul>");
+        html.push_str("<h2>Correlations of the residual</h2><p><small>they are not causes</small></p><ul>");
         for c in &r.correlates_with {
             let _ = write!(html, "<li>{} with {} (Δχ² {:.0})", c.channel, escape(&c.feature), c.delta_chi2);
         }
@@ -404,7 +406,7 @@ fn unknowns(html: &mut String, r: &Report) {
         r.valid_range.iter().map(|(name, v)| format!("{name} {}", span(*v, units(name)).replace('-', "−"))).collect();
     let _ = write!(
         html,
-        "<h2>Valid for</h2><p>{}</p><p><small>data SHA-256 {}</small></p>",
+        "<h2>Range of validity</h2><p>{}</p><p><small>data SHA-256 {}</small></p>",
         ranges.join(" · "),
         r.data_sha256
     );

@@ -1,13 +1,14 @@
 //! Values for predictions, and a law for what remains, once a cause is named.
 //!
-//! Weights learnt from the noise are the best ones if the model is right. If it is wrong by much more than the noise,
-//! they make the quietest samples decide, and nuisances take what the model lacks; such values predict conditions left
-//! out badly. So the values are fitted a second time with every number alike (ordinary least squares, without
-//! nuisances). These values are taken if they predict conditions left out clearly better.
+//! Weights from the noise are the best ones if the model is right. If the model's error is much larger than the noise,
+//! a fit with these weights follows the samples with the least noise, and nuisances absorb errors of the model. Then
+//! the fitted values predict left-out conditions badly. So the values are fitted a second time with equal weights
+//! (ordinary least squares, without nuisances). These values are used if they predict left-out conditions clearly
+//! better.
 //!
-//! The rest may then follow a law of [`super::described`]'s dictionary. It is a description beside the named cause. It
-//! is only searched where the misfit beside the cause is significant or the second kind of values is taken. Weights
-//! and law are chosen anew in each fold, by leaving out further conditions of the rest.
+//! The remaining misfit may follow a law of [`super::described`]'s dictionary. This law is a description in addition to
+//! the named cause. It is searched only if the remaining misfit is significant, or if the values with equal weights are
+//! used. In each fold weights and law are chosen again, by leaving out further conditions of the other folds.
 
 use super::calibrate::Gates;
 use super::cross_validation::{HeldOut, leave_condition_out, left_out};
@@ -26,10 +27,11 @@ use crate::sand::mechanism::CATALOG;
 use crate::student;
 use std::sync::Arc;
 
-/// Values fitted with every number alike are taken if their error on conditions left out is smaller by this share: our
-/// choice; where the model is right they are never that much better.
+/// Values from the fit with equal weights are used if their error on left-out conditions is smaller by this share: our
+/// choice, because if the model is right they are never better by so much.
 const CLEARLY: f64 = 0.1;
-/// Fewest conditions with which leaving one out tells which values predict better: our choice.
+/// Least number of conditions for the comparison of the two fits on left-out conditions: our choice, because with fewer
+/// each fit would have at most two conditions.
 const FEWEST: usize = 4;
 /// Rounds in which the variance of the numbers and the values are computed again: our choice, the variance matters only
 /// against the prior of the coefficients.
@@ -41,7 +43,7 @@ pub struct Refined {
     pub fit: Fit,
     /// What the law explains of the rest.
     pub law: Option<Described>,
-    /// Were the values fitted with every number alike?
+    /// Do the values come from the fit with equal weights?
     pub even: bool,
     /// Errors of the fitted plain model and of this one on held-out conditions, chosen anew in each fold.
     pub nested: [HeldOut; 2],
@@ -108,7 +110,7 @@ fn clearly(before: &Errors, after: &Errors) -> bool {
     after.rmse() < (1.0 - CLEARLY) * before.rmse()
 }
 
-/// The fit with every number alike, and its whitening.
+/// The fit with equal weights, and its whitening.
 fn alike(study: &Study, from: &Fit) -> (Whitener, Fit) {
     let o = study.observations;
     let mut whitener = Whitener::even(o, smooth_variance(study, &from.prediction, &[]));
@@ -170,7 +172,7 @@ struct Search<'a> {
     laws: Vec<Term>,
     /// Change of the prediction by each law with the coefficient 1.
     columns: Vec<Vec<f64>>,
-    /// The best cause fitted with every number alike.
+    /// The best cause in the fit with equal weights.
     alike: &'a Fit,
 }
 
@@ -183,7 +185,7 @@ impl Search<'_> {
         Some((law, coefficient, gain > inflation * described::gate(&scores, degrees)))
     }
 
-    /// Degrees of freedom of the variance, and the factor on χ² differences. With every number alike, the variance comes
+    /// Degrees of freedom of the variance, and the factor on χ² differences. With equal weights, the variance comes
     /// from the fit's own error and not from the repetitions.
     fn degrees(&self, even: bool) -> (f64, f64) {
         if even { (smooth_numbers(self.study), 1.0) } else { (self.gates.degrees_of(&[]), self.gates.inflation) }
@@ -207,7 +209,7 @@ impl Search<'_> {
         (gains && with.rmse() < without.rmse()).then_some((law, coefficient))
     }
 
-    /// The cause fitted with every number alike to all conditions that are not held out, from the state of `start`.
+    /// The fit of the cause with equal weights to all conditions that are not held out, from the state of `start`.
     fn alike_without(&self, start: &Fit, held: &[usize]) -> (Whitener, Fit) {
         let o = self.study.observations;
         let at = |prediction: &[f64]| {

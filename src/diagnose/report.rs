@@ -79,7 +79,7 @@ pub struct NuisanceValue {
 /// The misfit that the final model leaves.
 #[derive(Clone, Debug, Serialize, PartialEq)]
 pub struct Remainder {
-    /// Is it larger than noise?
+    /// Is the misfit larger than noise?
     pub significant: bool,
     /// Remaining share of the plain model's held-out misfit beyond noise.
     pub fraction: f64,

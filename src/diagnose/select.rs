@@ -177,7 +177,7 @@ fn conclude(
     around: Surroundings,
     progress: &dyn Progress,
 ) -> Result<Selection> {
-    progress.report(0.9, "intervals, form of the law, conditions held out")?;
+    progress.report(0.9, "intervals, form of the law, held-out conditions")?;
     let (judged, fitted, refined) = {
         let renewed = study.under(&around.whitener, around.nuisances.clone());
         let fitted = match fitted.found(&first.gates) {

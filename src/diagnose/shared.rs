@@ -15,7 +15,7 @@ pub struct Shared {
     pub unit: &'static str,
     /// Standard deviation from which the search starts.
     pub guess: f64,
-    /// Is it left out if the repetitions do not support it?
+    /// Is this part of the noise left out if the repetitions do not show it?
     pub optional: bool,
     /// Stacks in the order of the observations; each contains a direction for every unit.
     pub stacks: Vec<Vec<f64>>,

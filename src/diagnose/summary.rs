@@ -37,7 +37,10 @@ pub fn summary(study: &Study, selection: Option<&Selection>, causes: &[Cause], w
         Verdict::Ambiguous => {
             let rivals: Vec<_> =
                 selection.set.iter().skip(1).map(|&k| names(&selection.fitted.candidates[k].fit).join(" + ")).collect();
-            format!("the misfit is explained by {found}, or by {}: these data cannot tell", rivals.join(", or by "))
+            format!(
+                "the misfit is explained by {found}, or by {}: these data cannot distinguish them",
+                rivals.join(", or by ")
+            )
         }
         Verdict::NoneOfThese => not_enough(study, selection),
         Verdict::Described => {
@@ -56,10 +59,7 @@ pub fn summary(study: &Study, selection: Option<&Selection>, causes: &[Cause], w
     let evidence = &selection.judged.evidence;
     let named = matches!(selection.verdict, Verdict::Named | Verdict::Ambiguous) && evidence.remainder;
     let verdict = match named {
-        true => format!(
-            "{verdict}; something else remains beside it ({:.0} % of the misfit)",
-            100.0 * (1.0 - evidence.explained)
-        ),
+        true => format!("{verdict}, but {:.0} % of the misfit remains", 100.0 * (1.0 - evidence.explained)),
         false => verdict,
     };
     let beside = selection.refined.as_ref().and_then(|r| r.law.as_ref());
@@ -82,17 +82,17 @@ fn stand_in(study: &Study, selection: &Selection) -> String {
     let [low, high] = plain.reduction_interval(chosen).map(|share| format!("{:.0}", 100.0 * share));
     let name = names(&best.fit).join(" with ");
     let gain = format!(
-        "from {} to {}{unit} on conditions held out ({:.0} %, 95 % interval {low} to {high} %)",
+        "from {} to {}{unit} on held-out conditions ({:.0} %, 95 % interval {low} to {high} %)",
         digits(before),
         digits(now),
         100.0 * (1.0 - now / before)
     );
     match selection.extension() {
-        None if now >= before => "; none of them predicts conditions held out better than the plain model".into(),
+        None if now >= before => "; none of them predicts held-out conditions better than the plain model".into(),
         Some(_) => format!("; as a stand-in and not as the cause, {name} lowers the error {gain}"),
         None => {
             format!(
-                "; no cause helps with certainty: {name}, which does best, changes the error {gain}, so the sand stays plain"
+                "; no cause reduces the error with certainty: the best one, {name}, changes the error {gain}, so the sand stays plain"
             )
         }
     }
@@ -108,7 +108,7 @@ fn not_enough(study: &Study, selection: &Selection) -> String {
         }
         Some(best) if best.delta_chi2 > selection.screened.gates.single => {
             format!(
-                "none of the known causes is enough: the nearest, {}, leaves a lack of fit of {} where noise leaves up to {}",
+                "none of the known causes is enough: the nearest, {}, leaves a lack of fit of {}; with noise alone it is at most {}",
                 names(&best.fit).join(" with "),
                 digits(selection.judged.lacks[1].mean),
                 digits(selection.screened.gates.lack_of_fit)

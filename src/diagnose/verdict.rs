@@ -36,7 +36,7 @@ pub struct Rival {
     pub behind: f64,
     /// Whitened distance² [σ²] to the best.
     pub squared: f64,
-    /// Does it explain more than its gate?
+    /// Does the cause explain more than its gate?
     pub explains: bool,
 }
 

@@ -319,18 +319,18 @@ impl View<'_> {
         let menu = self.study.model.menu()?;
         let set: Vec<&Fit> = selection.set.iter().map(|&k| &selection.fitted.candidates[k].fit).collect();
         let conditions = next_experiment::propose(&menu, &selection.around.noise, self.study, &set, 3);
-        let why = "these conditions separate the two explanations that the data tell apart least".to_string();
+        let why = "these conditions separate the two explanations that the data distinguish least".to_string();
         Some(NextExperiment { why, conditions })
     }
 }
 
-/// A note on values that were fitted with every number alike.
+/// A note on values from a fit in which all numbers have equal weights.
 fn even_note(best: Option<&Candidate>, refined: &Refined) -> String {
     let weighted = best.map_or(Vec::new(), |c| c.fit.values());
     let values: Vec<String> = weighted.into_iter().map(digits).collect();
     format!(
-        "the model's error is much larger than the noise, so the values were fitted with every number alike, which predicts \
-         conditions left out better; weights from the noise give {} ({})",
+        "the model's error is much larger than the noise, so all numbers have equal weights in the fit, which predicts \
+         left-out conditions better; with weights from the noise the values are {} ({})",
         values.join(", "),
         names(&refined.fit).join(", ")
     )

@@ -1,4 +1,4 @@
-//! Reads runs of a walking robot (walking CSV): one row a run.
+//! Reads runs of a walking robot (walking CSV), with one row for each run.
 
 use super::columns::columns;
 use super::experiment::Experiment;
@@ -67,7 +67,8 @@ const CHANNELS: [(usize, Channel); 5] = [
 
 /// Strides of the protocol's measurement if the data give none.
 const STRIDES: f64 = 4.0;
-/// Largest number of different setups: our choice. Each is simulated some five hundred times, and sixty runs take about a minute.
+/// Largest number of different setups: our choice. Each is simulated some five hundred times, and sixty runs take about
+/// a minute.
 const MOST_SETUPS: usize = 300;
 
 struct Run {

@@ -115,8 +115,8 @@ impl<'a> WalkingModel<'a> {
         let largest = self.correction.iter().map(|ratio| (ratio - 1.0).abs()).fold(0.0, f64::max);
         let (step, fine) = (1e3 * Scene::DEFAULT_DT, 1e3 * Scene::DEFAULT_DT / FINE);
         Ok(format!(
-            "predictions are those of a time step of {step} ms times the ratio of plain simulations with {fine} and {step} ms, \
-             which differs from 1 by at most {} %; what the report shows is as simulated",
+            "predictions are simulated with a time step of {step} ms and multiplied by the ratio of plain simulations with {fine} \
+             and {step} ms, which differs from 1 by at most {} %; the report shows simulated numbers without this factor",
             super::words::digits(100.0 * largest)
         ))
     }
@@ -240,9 +240,10 @@ impl ForwardModel for WalkingModel<'_> {
         1.0
     }
 
-    /// Beds differ in strength. The numbers of a run change with their bed's strength as their derivative by the strength
-    /// states. If a gait sticks, slips or stalls, small differences grow. The directions of `gait_scatter` are the changes of the nominal run
-    /// with other initial phases, and the curvature in the strength. For regular gaits both are negligible.
+    /// Beds differ in strength. The numbers of a run change with their bed's strength as their derivative by the
+    /// strength states. If a gait sticks, slips or stalls, small differences grow. The directions of `gait_scatter` are
+    /// the changes of the nominal run with other initial phases, and the curvature in the strength. For regular gaits
+    /// both are negligible.
     fn shared(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Shared> {
         let Others { beds, phases } = self.others(&(*mechanisms, *coefficients));
         let slope = super::fit::slope(&beds[0], &beds[1], 2.0 * STRENGTH_STEP);

@@ -27,8 +27,8 @@ pub struct Whitener {
 }
 
 impl Whitener {
-    /// The noise that a whole trial shares is proportional to the source's prediction. If it were proportional to the measured
-    /// mean, the fitted `scale` would have an error (−12.6 % on data without a hidden cause).
+    /// The noise that a whole trial shares is proportional to the source's prediction. If it were proportional to the
+    /// measured mean, the fitted `scale` would have an error (−12.6 % on data without a hidden cause).
     pub fn new(source: &Source, noise: &Noise) -> Self {
         let repetitions = source.observations.repetitions();
         let units = source.observations.units.iter().zip(source.sizes).map(|(unit, sizes)| {

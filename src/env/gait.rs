@@ -18,7 +18,7 @@ options! {
     /// Options of HexapodGait.
     pub struct GaitOptions {
         ..walking: Walking = Walking::default();
-        control: Control = Control::HipSpeed, "what an action is: hip_speed, hip_target, torque or clock";
+        control: Control = Control::HipSpeed, "meaning of the actions: hip_speed, hip_target, torque or clock";
     }
 }
 
@@ -26,24 +26,26 @@ options! {
 const HIP_SPEED: f64 = 3.0 * TOP_SPEED;
 
 const ABOUT: &str = "\
-The robot starts at rest in the alternating tripod, its joints off by up to `angle_noise`; a speed is drawn from `command`
-and a yaw speed from `turn`, and both hold for the episode. `control` selects how the hips are driven, always within `torque_limit` and, except for `torque`, 5 Hz.
+The robot starts at rest in the pose of the alternating tripod, with random errors of the joint angles of up to `angle_noise`. A
+commanded speed is drawn from `command` and a commanded yaw speed from `turn`; both stay the same for the episode. `control` selects
+the meaning of the actions. Torques are within `torque_limit`, and hip speeds within 5 Hz except with `torque`.
 
-With `control=\"clock\"` an action is a gait: in the share *duty factor* of a stride a leg sweeps the angle *stance sweep*
-about *stance offset* (0: tip straight down) at one speed, in the rest it turns on at another, and each leg has its phase;
-after the Buehler clock of RHex (Saranli, Buehler & Koditschek, Int. J. Robotics Research 20:616, 2001). Action 0 is the
-alternating tripod at one constant speed of 2.5 Hz. The clock is computed from the servos' references, so an action may change at
-every step; a common shift of all phases has no effect. A clock cannot walk backward.
+With `control=\"clock\"` an action is a gait, as with the Buehler clock of RHex (Saranli, Buehler & Koditschek, Int. J. Robotics
+Research 20:616, 2001). During stance, which is the share *duty factor* of a stride, a leg turns with one speed by the angle *stance
+sweep*; the middle of stance is at the angle *stance offset* (0: tip straight down). During the rest of the stride it turns with another
+speed to the beginning of the next stance. Each leg has a phase. Action 0 is the alternating tripod at a constant speed of 2.5 Hz. The clock is computed
+from the servos' references, so the action may change in every step. A common change of all phases has no effect. A clock cannot
+walk backward.
 
-Rewards use velocities in the base's own heading. v_forward (`speed` in `info`) and v_left are the displacement of its centre
-in a control step, divided by the step's duration, along its heading on the surface and to the left of it. The heading is that
-halfway through the step. `x_velocity` is the displacement along x, uphill.
+Rewards use velocities relative to the base's heading. v_forward (`speed` in `info`) and v_left are the displacements of the base's
+centre in a control step, along its heading on the surface and to the left of it, divided by the step's duration. The heading is
+the mean of those at the beginning and the end of the step. `x_velocity` is the displacement along x, uphill, divided by this duration.
 
 An episode terminates when the base lies on its back (`flipped`) or its centre is 15 mm under the surface (`buried`); it is
 truncated after `max_episode_steps`, or when its state can no longer be computed (`diverged`).
 
-Over a stretch of steps the cost of transport is Σ`work` / (`weight` · distance), and slip is 1 − distance / (2R Σ`hip_turn`)
-with 2R the leg's length, 4 cm for `xplorer`.";
+The cost of transport of several steps is Σ`work` / (`weight` · distance). The slip of the gait is 1 − distance / (2R Σ`hip_turn`),
+where 2R is the leg's length, 4 cm for `xplorer`.";
 
 pub struct HexapodGait {
     spec: Spec,

@@ -29,18 +29,18 @@ const JOINT_SPEED: f64 = 3.0 * TARGET_SPEED;
 const OVERSHOOT: f64 = 0.5;
 
 const ABOUT: &str = "\
-The robot starts at rest with its joints off by up to `angle_noise`; a speed is drawn from `command` and a yaw speed from
-`turn`, and both hold for the episode. Each servo's reference moves to its target within the control step, at 13 rad/s or
-less. `slope_deg` tilts the sand.
+The robot starts at rest, with random errors of the joint angles of up to `angle_noise`. A commanded speed is drawn from `command` and
+a commanded yaw speed from `turn`; both stay the same for the episode. The reference of each servo moves to its target within the
+control step, at 13 rad/s or less. `slope_deg` tilts the sand.
 
-Rewards use velocities in the base's own heading. v_forward (`speed` in `info`) and v_left are the displacement of its centre
-in a control step, divided by the step's duration, along its heading on the surface and to the left of it. The heading is that
-halfway through the step. `x_velocity` is the displacement along x, uphill.
+Rewards use velocities relative to the base's heading. v_forward (`speed` in `info`) and v_left are the displacements of the base's
+centre in a control step, along its heading on the surface and to the left of it, divided by the step's duration. The heading is
+the mean of those at the beginning and the end of the step. `x_velocity` is the displacement along x, uphill, divided by this duration.
 
 An episode terminates when the base lies on its back (`flipped`) or its centre is 15 mm under the surface (`buried`); it is
 truncated after `max_episode_steps`, or when its state can no longer be computed (`diverged`).
 
-Over a stretch of steps the cost of transport is Σ`work` / (`weight` · distance).";
+The cost of transport of several steps is Σ`work` / (`weight` · distance).";
 
 pub struct HexapodLegs {
     spec: Spec,

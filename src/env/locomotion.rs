@@ -80,7 +80,7 @@ fn direction([x, y]: [f64; 2]) -> Option<[f64; 2]> {
     (norm > 1e-9).then(|| [x / norm, y / norm])
 }
 
-/// Mean velocity of the base's centre over a step, forward and to the left [m/s]: its displacement, in the frame of the
+/// Mean velocity of the base's centre over a step, forward and range of the speed to the left [m/s]: its displacement, in the frame of the
 /// heading halfway between before and after. A policy that does not observe its heading can follow such a command.
 /// legged_gym (`_reward_tracking_lin_vel`, base frame) and Isaac Lab (`track_lin_vel_xy_yaw_frame_exp`) reward the
 /// same.
@@ -112,8 +112,8 @@ reward_terms! {
         turning: 0.05, "−2 (√(1 + ((ω_z − commanded yaw speed) / 1 rad/s)²) − 1)", |w| -cost(w.t.after.angular_velocity[2] - w.t.goal.turn);
         power: 0.1, "−mechanical power Σ|τ ω| / 1 W", |w| -w.work / w.t.period;
         smoothness: 0.05, "−mean squared change of the action", |w| -change_of_action(w.t);
-        alive: 0.1, "1 in every step that does not terminate the episode", |w| 1.0 - flag(w.terminated);
-        termination: 20.0, "−1 in the step that terminates it", |w| -flag(w.terminated);
+        alive: 0.1, "1, and 0 in the step that terminates the episode", |w| 1.0 - flag(w.terminated);
+        termination: 20.0, "−1 in the step that terminates the episode", |w| -flag(w.terminated);
     }
 }
 

@@ -54,9 +54,9 @@ pub struct Keyword {
     pub help: &'static str,
     /// The help; for a dictionary, together with the help of its keys.
     pub summary: String,
-    /// Its value in this session.
+    /// The option's value in this session.
     pub value: Value,
-    /// May a reset change it?
+    /// May a reset change this option?
     pub at_reset: bool,
     /// For a dictionary: its keys.
     pub keys: Vec<OptionRow>,

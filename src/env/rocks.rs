@@ -28,7 +28,7 @@ options! {
             },
             ..GaitOptions::default()
         };
-        rocks: RockOptions = RockOptions::default(), reset, "what lies on the sand";
+        rocks: RockOptions = RockOptions::default(), reset, "obstacles on the sand";
     }
 }
 
@@ -38,13 +38,13 @@ options! {
     #[derive(Copy, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct RockOptions {
-        count: usize = 16, [0.0, 64.0], reset, "obstacles of an episode; fewer where no free place is found";
+        count: usize = 16, [0.0, 64.0], reset, "number of obstacles of an episode; fewer if there is not enough free space";
         size: [f64; 2] = [0.02, 0.06], [5e-3, 0.5], reset, "range [low, high] of a rock's diameter and a step's length and width [m]";
         step_height: [f64; 2] = [0.0, 0.02], [0.0, 0.5], reset, "range [low, high] of a step's height over the sand [m]";
-        dynamic_fraction: f64 = 0.5, [0.0, 1.0], reset, "share that are loose rocks; the others are fixed, half of them rocks and half steps";
-        density: f64 = 2650.0, [100.0, 2e4], reset, "of loose rocks [kg/m³]";
-        friction: f64 = FRICTION, [0.0, 10.0], reset, "Coulomb coefficient between robot and rock";
-        field: [f64; 2] = [1.6, 0.8], reset, "length and width of the field [m]; the start is in its middle line, 0.3 m from its beginning";
+        dynamic_fraction: f64 = 0.5, [0.0, 1.0], reset, "share of loose rocks; half of the other obstacles are fixed rocks and half are steps";
+        density: f64 = 2650.0, [100.0, 2e4], reset, "density of loose rocks [kg/m³]";
+        friction: f64 = FRICTION, [0.0, 10.0], reset, "Coulomb friction coefficient between robot and rock";
+        field: [f64; 2] = [1.6, 0.8], reset, "length and width of the field of obstacles [m]; the robot starts on its centre line, 0.3 m from its beginning";
     }
 }
 
@@ -132,9 +132,9 @@ fn rock(radius: f64, random: &mut Random) -> ObstacleShape {
 }
 
 const ABOUT: &str = "\
-HexapodGait on a field of obstacles that is drawn anew for every episode: rocks that are fixed in the sand, steps, and loose
-rocks that the robot can push. The observation ends with a scan of heights around the base. Rigid contacts
-are computed by rapier; see HexapodGait-v1 for `control`, for how episodes end, and for the cost of transport.";
+This is HexapodGait on a field of obstacles that is drawn for every episode: fixed rocks, steps, and loose rocks that the robot can
+push. The last numbers of the observation are heights around the base. rapier computes the rigid contacts. See HexapodGait-v1
+for `control`, the end of episodes and the cost of transport.";
 
 /// The task; it calls HexapodGait for the parts that both share.
 pub struct HexapodRocks {

@@ -58,7 +58,7 @@ pub struct Shard {
     pub rollout: Rollout,
 }
 
-/// Rows of the last reset or step, one an environment.
+/// Rows of the last reset or step, one for each environment.
 pub struct Rows {
     /// f32 [envs, observation]
     pub observations: Vec<f32>,
@@ -195,8 +195,8 @@ impl Shard {
         }
     }
 
-    /// Makes one control step of every environment; `actions` is f32 [envs, action] within its bounds. If an episode ends,
-    /// the next one begins at once, and the row has its first observation.
+    /// Makes one control step of every environment; `actions` is f32 [envs, action] within its bounds. If an episode
+    /// ends, the next one begins at once, and the row has its first observation.
     pub fn step(&mut self, actions: &[f32]) {
         self.rows.clear();
         let width = self.task.spec().action.len();
@@ -211,9 +211,9 @@ impl Shard {
         }
     }
 
-    /// As [`Shard::step`], for the environments that `held` does not name. Held ones keep their state, and their rows are
-    /// zeros except for the observation. Because lanes advance together, held environments make the step and are then
-    /// restored.
+    /// As [`Shard::step`], for the environments that `held` does not name. Held ones keep their state, and their rows
+    /// are zeros except for the observation. Because lanes advance together, held environments make the step and are
+    /// then restored.
     pub fn step_but(&mut self, actions: &[f32], held: impl Fn(usize) -> bool) {
         let kept: Vec<_> = (0..self.envs()).filter(|i| held(*i)).map(|i| (i, self.keep(i))).collect();
         self.step(actions);

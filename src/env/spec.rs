@@ -2,7 +2,7 @@
 
 use crate::error::{Error, Result};
 
-/// Control steps a second in every task: 50, usual for legged robots of this size.
+/// Control steps in a second [Hz], in every task. 50 Hz is usual for legged robots of this size.
 pub const CONTROL_RATE: f64 = 50.0;
 
 /// One number of an observation, action or info row.
@@ -75,6 +75,6 @@ pub struct Spec {
     /// Number of leading info columns that are reward terms; the reward is their sum.
     pub reward: Vec<Term>,
     pub max_episode_steps: u32,
-    /// Control steps a second of simulated time.
+    /// Control steps in a second of simulated time [Hz].
     pub control_rate: f64,
 }

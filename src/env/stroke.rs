@@ -20,10 +20,10 @@ options! {
     pub struct StrokeTaskOptions {
         law: Law = Law::Li2013, "resistive force law: li2013, penetration-drag-1d or agarwal2023";
         dt: f64 = 4e-3, "time step [s], which divides the control period";
-        angle_noise: f64 = 0.0, [0.0, PI], "initial joint angles are uniform within ± this around stroke.start [rad]";
+        angle_noise: f64 = 0.0, [0.0, PI], "largest difference of the initial joint angles from stroke.start, uniformly distributed [rad]";
         medium: String = Medium::DEFAULT.into(), reset, "sand: a medium's name, zeta=VALUE or mu=VALUE,rho=VALUE";
-        sand: String = String::new(), "a sand.toml, as a diagnosis writes it: replaces medium and law (Python: its path)";
-        max_episode_steps: u32 = 50, [1.0, MAX_STEPS], "control steps of a stroke, 50 a second";
+        sand: String = String::new(), "text of a sand.toml, for example from a diagnosis (in Python its path); it replaces medium and law";
+        max_episode_steps: u32 = 50, [1.0, MAX_STEPS], "number of control steps of a stroke, at 50 Hz";
         stroke: StrokeOptions = StrokeOptions::default(), reset, "carriage, leg and constraint";
     }
 }
@@ -40,9 +40,9 @@ options! {
     pub struct StrokeOptions {
         carriage_speed: f64 = 0.2, [0.01, 0.5], reset, "speed of the carriage toward +x [m/s]";
         height: f64 = 0.02, [0.0, 0.1], reset, "height of the hip over the sand [m]";
-        start: [f64; 2] = [-1.75, 0.0], reset, "angles [hip, knee] at the start [rad], with the leg out of the sand";
+        start: [f64; 2] = [-1.75, 0.0], reset, "angles [hip, knee] at the start [rad]; the leg must be outside of the sand";
         lift: f64 = 1.7, [1e-3, 1e3], reset, "least mean lift over the stroke [N]";
-        lift_weight: f64 = 2.0, [0.0, 1e3], reset, "penalty of a stroke without any lift";
+        lift_weight: f64 = 2.0, [0.0, 1e3], reset, "penalty of a stroke without lift";
         exit_weight: f64 = 1.0, [0.0, 1e3], reset, "penalty of a stroke that leaves the leg 1 cm or more in the sand";
     }
 }
@@ -85,33 +85,33 @@ const IMPULSE: f64 = 20.0; // [N·s]
 const WORK: f64 = 20.0; // [J]
 
 const ABOUT: &str = "\
-A carriage moves one leg over the sand at a constant speed and height and measures the forces, like the arm of Li et al. 2012; the
-speeds of hip and knee are the action. One stroke is an episode. Forces are those of the sand's law on the leg's 24 segments;
-the leg has no mass, so only sand does work on it.
+A carriage moves one leg over the sand at a constant speed and height and measures the forces, like the arm of Li et al. 2012. The
+actions are the speeds of hip and knee. An episode is one stroke. Forces come from the sand's law on the leg's 24 segments.
+The leg has no mass, so only the sand does work on it.
 
-**Goal**: thrust per work. Thrust is the sand's mean forward force on the leg; work is that of both joints
-together, ∫Σ τ ω dt, which goes into the sand and into the carriage. The figure of merit is the *efficiency* of propulsion,
+**Goal**: much thrust for little work. Thrust is the sand's mean forward force on the leg. Work is that of both joints
+together, ∫Σ τ ω dt, which the sand and the carriage receive. The reward measures the *efficiency* of propulsion,
 
 ```text
 efficiency = thrust impulse [N·s] × carriage speed [m/s] / work [J],
 ```
 
-the share of that work which pushes the carriage. It is thrust per work times a constant, has no unit, and cannot exceed 1,
-because sand only takes energy. Under a carriage at rest thrust per work would have no maximum: the sand's forces do not
-depend on speed, so the same path at half the speed gives twice the impulse for the same work. The speed of a moving carriage
-removes this freedom.
+which is the share of the work that pushes the carriage. It is thrust / work times a constant, has no unit, and cannot exceed 1,
+because sand only dissipates energy. With a carriage at rest thrust / work would have no maximum: the sand's forces do not
+depend on the speed, so the same path at half the speed gives twice the impulse for the same work. With a moving carriage
+the path depends on the speed, so there is a maximum.
 
-**Constraint**: the mean lift over the whole stroke is at least `stroke.lift`, and the leg is out of the sand at the end. Violations
-are penalised. The reward's terms are differences, so that the return is exactly
+**Constraint**: the mean lift over the whole stroke is at least `stroke.lift`, and the leg is outside of the sand at the end. Violations
+have penalties. The reward's terms are changes from step to step, so that the return is exactly
 
 ```text
 efficiency − lift_weight · (share of the lift that is missing) − exit_weight · (depth at the end / 1 cm, at most 1)
 ```
 
-with the efficiency clipped to [−1, 1] and a work of at least 1 mJ. The episode terminates with the stroke.
+Here the efficiency is clipped to [−1, 1], and its work is at least 1 mJ. The episode terminates at the end of the stroke.
 
-**Baseline**: circular strokes: the knee locked, the hip at one speed; the best over knee angle, speed and start
-(`stroke.start`).";
+**Baseline**: the best circular stroke. In a circular stroke the knee angle is constant and the hip turns at a constant speed; a search
+finds the best knee angle, speed and start (`stroke.start`).";
 
 /// Computes one number of an observation from goal, state, last action and the stroke's length [s].
 type Observe = fn(&Goal, &State, &[f32], f64, usize) -> f64;
@@ -161,13 +161,13 @@ impl StrokeStep<'_> {
 /// The reward's terms: name, description, weight, function of the step.
 fn terms(stroke: &StrokeOptions) -> [(&'static str, &'static str, f64, Figure); 3] {
     [
-        ("efficiency", "change of: thrust impulse × carriage speed / work", 1.0, |s| {
+        ("efficiency", "change of the efficiency, thrust impulse × carriage speed / work", 1.0, |s| {
             s.after.efficiency - s.before.efficiency
         }),
-        ("lift", "−change of: share of the lift impulse missing", stroke.lift_weight, |s| {
+        ("lift", "−change of the missing share of the lift impulse", stroke.lift_weight, |s| {
             s.before.missing - s.after.missing
         }),
-        ("exit", "at the end: −depth of the leg / 1 cm, at least −1", stroke.exit_weight, |s| {
+        ("exit", "in the last step: −depth of the leg / 1 cm, at least −1", stroke.exit_weight, |s| {
             -(s.left / LEFT_DEPTH).min(1.0)
         }),
     ]
@@ -235,7 +235,7 @@ impl Task for LegStroke {
         let spec = Spec {
             id: Self::ID,
             summary:
-                "Find the stroke of one leg through sand that gives the most thrust per work; actions are joint speeds."
+                "Find the stroke of one leg through sand with the most thrust for its work; actions are joint speeds."
                     .into(),
             about: ABOUT,
             observation: observation.columns(),

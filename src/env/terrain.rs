@@ -20,8 +20,8 @@ options! {
     /// Options of HexapodTerrain.
     pub struct TerrainOptions {
         ..gait: GaitOptions = GaitOptions::default();
-        randomize: Randomize = Randomize::default(), reset, "ranges [low, high] that an episode draws from; they change what the other options say";
-        difficulty: f64 = 1.0, [0.0, 1.0], reset, "how much of randomize: 0 nothing, 1 all";
+        randomize: Randomize = Randomize::default(), reset, "ranges [low, high] of the quantities that an episode draws; they modify other options";
+        difficulty: f64 = 1.0, [0.0, 1.0], reset, "share of the ranges in randomize, from 0 (nothing varies) to 1";
     }
 }
 
@@ -36,11 +36,11 @@ options! {
     pub struct Randomize {
         zeta: [f64; 2] = [0.45, 2.0], reset, "factor on the medium's ζ, for each patch";
         patch_length: [f64; 2] = [0.15, 0.6], reset, "length of a patch along x [m]";
-        slope_deg: [f64; 2] = [-10.0, 10.0], reset, "added to slope_deg [°]";
-        payload: [f64; 2] = [0.0, 0.05], reset, "added to payload [kg]";
+        slope_deg: [f64; 2] = [-10.0, 10.0], reset, "angle added to slope_deg [°]";
+        payload: [f64; 2] = [0.0, 0.05], reset, "mass added to payload [kg]";
         torque_limit: [f64; 2] = [0.4, 1.0], reset, "factor on torque_limit";
-        footprint: [f64; 2] = [0.0, 0.5], reset, "κ of re-used ground; see mechanism footprint";
-        turning_point: [f64; 2] = [0.3, 1.2], reset, "distance after which the robot is sent back, and again when it is back at the start [m]";
+        footprint: [f64; 2] = [0.0, 0.5], reset, "κ of re-used ground, as in mechanism footprint";
+        turning_point: [f64; 2] = [0.3, 1.2], reset, "distance from the start at which the commanded speed changes its sign; it changes again when the robot is back [m]";
     }
 }
 
@@ -129,22 +129,23 @@ struct Draw {
 }
 
 const ABOUT: &str = "\
-HexapodGait on ground that the policy does not observe. At every reset the quantities in `randomize` are drawn from the
-episode's own random numbers; `info` has them at every step. They change the values of other options (`zeta` and
-`torque_limit` multiply, `slope_deg` and `payload` add).
+This is HexapodGait on ground that the policy does not observe. Every reset draws the quantities in `randomize` from the episode's
+random numbers; `info` has them at every step. They modify other options: `zeta` and `torque_limit` are factors, `slope_deg` and
+`payload` are added.
 
-**Media vary along the way.** The bed is divided into patches of equal length, each with a ζ of its own; after 16 patches they
-repeat. All legs use the sand of the patch under the base's centre, which changes only between control steps:
-patches are by default at least as long as the robot, and the engine has one sand for each robot.
+**Media vary along x.** The bed is divided into patches of equal length, each with its own ζ; after 16 patches they repeat. All
+legs use the sand of the patch under the base's centre, because the engine has one sand for each robot. The patch changes only
+between control steps. By default patches are at least as long as the robot.
 
-**Footprints.** When a leg's tip leaves the sand, there is a footprint where it entered. If a leg enters at the
-distance d from the nearest footprint, its stress is 1 − κ e^(−d/3 cm) of that on fresh ground until it leaves the sand (mechanism
-`footprint`; `info` has the mean over legs as `footing`). The last 512 footprints of all legs count. The belly leaves
-none. Beyond `turning_point` from the start, in the direction along x of the first command, the commanded speed changes its
-sign, and again when the robot is back, so it walks over its own footprints. Slipping the other way does not change the command. A clock cannot walk backward: use a far `turning_point`.
+**Footprints.** A leg leaves a footprint at the point where its tip entered the sand, as soon as the tip leaves it. If a leg enters at the
+distance d from the nearest footprint, its stress is 1 − κ e^(−d/3 cm) times that on fresh ground until it leaves the sand (mechanism
+`footprint`; `info` has the mean over legs as `footing`). The last 512 footprints of all legs count. The belly leaves no footprints.
+At the distance `turning_point` from the start, in the direction of the first command along x, the commanded speed changes its sign. It
+changes again when the robot is back at the start. So the robot walks over its own footprints. If a robot slips in the other direction, the
+command does not change. A clock cannot walk backward, so it needs a large `turning_point`.
 
-**Curriculum.** `difficulty` from 0 to 1 scales the ranges of ζ, slope, payload, motors and κ from nothing to all of
-`randomize`; a reset may change both. See HexapodGait-v1 for `control`, for how episodes end, and for the cost of transport.";
+**Curriculum.** `difficulty` from 0 to 1 scales the ranges of ζ, slope, payload, motors and κ from nothing to the whole of
+`randomize`. A reset may change both options. See HexapodGait-v1 for `control`, the end of episodes and the cost of transport.";
 
 /// The ground's part of an info row.
 struct Drawn<'a> {

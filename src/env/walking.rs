@@ -23,16 +23,16 @@ options! {
         law: Law = Law::Li2013, "resistive force law: li2013, penetration-drag-1d or agarwal2023";
         dt: f64 = Scene::DEFAULT_DT, "time step [s], which divides the control period; 1 ms, with engine rapier 0.5 ms";
         torque_limit: f64 = 0.05, [1e-4, 1e3], "largest servo torque [N·m]";
-        command: [f64; 2] = [0.1, 0.4], [-MAX_COMMAND, MAX_COMMAND], reset, "range [low, high] the commanded speed is drawn from [m/s]";
-        turn: [f64; 2] = [0.0, 0.0], [-MAX_TURN, MAX_TURN], reset, "range [low, high] the commanded yaw speed is drawn from [rad/s]";
-        angle_noise: f64 = 0.2, [0.0, PI], "initial joint angles are uniform within ± this around the task's own [rad]";
+        command: [f64; 2] = [0.1, 0.4], [-MAX_COMMAND, MAX_COMMAND], reset, "range [low, high] of the commanded speed [m/s]";
+        turn: [f64; 2] = [0.0, 0.0], [-MAX_TURN, MAX_TURN], reset, "range [low, high] of the commanded yaw speed [rad/s]";
+        angle_noise: f64 = 0.2, [0.0, PI], "largest difference of the initial joint angles from the task's initial pose, uniformly distributed [rad]";
         weights: Weights = Weights::default(), "weight of each reward term";
         leg: String = "L".into(), reset, "leg shape: L, revL, C, revC, flat or xi=DEGREES";
         medium: String = Medium::DEFAULT.into(), reset, "sand: a medium's name, zeta=VALUE or mu=VALUE,rho=VALUE";
-        sand: String = String::new(), "a sand.toml, as a diagnosis writes it: replaces medium and law (Python: its path)";
-        slope_deg: f64 = 0.0, reset, "surface rises toward +x [°]";
+        sand: String = String::new(), "text of a sand.toml, for example from a diagnosis (in Python its path); it replaces medium and law";
+        slope_deg: f64 = 0.0, reset, "slope of the surface [°]; a positive slope rises toward +x";
         payload: f64 = 0.0, reset, "extra mass at the base's centre [kg]";
-        max_episode_steps: u32 = 500, [1.0, MAX_STEPS], "control steps until an episode is truncated";
+        max_episode_steps: u32 = 500, [1.0, MAX_STEPS], "number of control steps after which an episode is truncated";
     }
 }
 

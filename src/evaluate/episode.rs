@@ -45,8 +45,8 @@ pub struct Episode {
     pub work: f64,
     /// Weight of robot and payload [N].
     pub weight: f64,
-    /// While at least one foot was in the sand: distance of the base [m], and its distance if the feet had not slipped
-    /// [m].
+    /// Distance of the base while at least one foot was in the sand [m], and this distance if the feet had not moved in
+    /// the sand [m]; from both the slip of the gait is computed.
     pub carried: f64,
     pub without_slip: f64,
     /// The robot flipped or was buried.

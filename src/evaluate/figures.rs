@@ -31,7 +31,8 @@ pub struct Figures {
     pub speed_error: Estimate,
     /// Work of all episodes over weight times distance of all; undefined if the distance is not forward.
     pub cost_of_transport: Estimate,
-    /// 1 − distance / distance without slip, of all episodes; undefined if the feet did not push backward.
+    /// Slip of the gait: 1 − distance / distance without slip, over all episodes; undefined if the feet did not push
+    /// backward.
     pub slip: Estimate,
     /// Share of the episodes that ended with the robot flipped or buried.
     pub falls: Estimate,

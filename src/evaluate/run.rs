@@ -50,8 +50,8 @@ pub fn play(jobs: &[Job], progress: &dyn Progress) -> Result<Vec<Vec<Episode>>> 
         .collect()
 }
 
-/// Runs until the last of these episodes has ended; returns the number of steps. `report` is called every [`REPORT_STEPS`] of
-/// them.
+/// Runs until the last of these episodes has ended; returns the number of steps. `report` is called every
+/// [`REPORT_STEPS`] of them.
 fn block(job: &Job, seeds: &[u64], report: &dyn Fn() -> Result<()>) -> Result<(usize, Vec<Episode>)> {
     let spec = job.blueprint.task.spec();
     let (columns, period) = (Columns::of(spec)?, 1.0 / spec.control_rate);

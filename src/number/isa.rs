@@ -44,7 +44,7 @@ impl Isa {
         }
     }
 
-    /// Can this machine run it?
+    /// Can this machine run this instruction set?
     pub fn available(self) -> bool {
         match self {
             #[cfg(target_arch = "x86_64")]

@@ -86,8 +86,8 @@ struct Quadric {
 }
 
 impl Quadric {
-    /// The point nearest to all planes, close to the mean corner where they leave it free, within the cell's
-    /// neighbourhood.
+    /// The point with the least squared distance from all planes. In directions that the planes do not determine, it is that
+    /// of the mean corner. If it is farther than `size` from the mean corner, the mean corner is returned.
     fn point(&self, size: f64) -> Vector3<f64> {
         let mean = self.corners / self.count;
         let svd = self.a.svd(true, true);

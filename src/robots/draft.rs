@@ -104,7 +104,7 @@ pub struct Link {
     pub parent: usize,
     pub origin: Isometry3<f64>,
     pub joint: Option<TreeJoint>,
-    /// May it move without a mass of its own?
+    /// May the link move without a mass of its own?
     pub massless: bool,
     pub inertial: Inertial,
     pub shapes: Vec<TreeShape>,

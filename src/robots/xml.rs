@@ -5,11 +5,12 @@ use crate::error::{Error, Result};
 use std::path::Path;
 use std::sync::Arc;
 
-/// Largest number of nodes of a file: our choice, fifty times that of the largest robot file we have seen (go1.urdf, 4000).
+/// Largest number of nodes of a file: our choice, fifty times that of the largest robot file we have seen (go1.urdf,
+/// 4000).
 const MOST_NODES: u32 = 200_000;
 /// Deepest nesting: our choice, a leg of twenty links is less than half of it.
 const DEEPEST: usize = 100;
-/// How many characters of a malformed number a message shows.
+/// Largest number of characters of a malformed number in a message.
 const QUOTED: usize = 40;
 
 /// An element; its text is dropped, because robots do not use it.

@@ -14,8 +14,9 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Surface {
-    /// Speed scale v0 [m/s] below which the force falls to zero: the direction v/|v| becomes v/√(v²+v0²). Creep under
-    /// a constant load is of this order; our choice, because 1e-5 lets the reference robot sink less than 0.02 mm in 10 s.
+    /// Speed scale v0 [m/s] below which the force falls to zero: the direction v/|v| becomes v/√(v²+v0²). Creep under a
+    /// constant load is of this order; our choice, because 1e-5 lets the reference robot sink less than 0.02 mm in 10
+    /// s.
     pub rest_speed: f64,
     /// Gate of a one-sided surface: it pushes with the share clamp(n·v̂ / gate, 0, 1) of its force, which is zero when
     /// it moves away from the sand and 1 when it leads. Our choice 0.2: a hard test (0) converges badly in the time
@@ -98,8 +99,8 @@ pub struct Contact<R> {
     /// [N]
     pub force: Vec3<R>,
     /// Force against the motion divided by the speed, −f·v/v² [N·s/m], never negative: the slope of the straight line
-    /// from rest to the present velocity (secant). Near rest the regularised force is linear in v, and the secant equals
-    /// its slope. It does so only if v² in the denominator is not regularised by v0², too.
+    /// from rest to the present velocity (secant). Near rest the regularised force is linear in v, and the secant
+    /// equals its slope. It does so only if v² in the denominator is not regularised by v0², too.
     pub drag: R,
     /// Slope of the leading-edge gate along the normal [N·s/m], never negative; 0 for two-sided segments.
     pub edge: R,
@@ -242,8 +243,8 @@ impl<R: Real> SandBed<R> {
         Contact { force, drag: secant(force, &motion), edge: inside }
     }
 
-    /// The leading part of a curved face: `area` [m²], whose mean depth weighted by depth is `loaded` [m], and
-    /// whose force grows with n·v̂ by the factor `growth`.
+    /// Force on the leading part of a curved face. `area`: area of this part [m²]; `loaded`: its mean depth, weighted
+    /// by depth [m]; `growth`: factor with which its force grows with n·v̂.
     #[inline(always)]
     #[allow(clippy::too_many_arguments)] // all arguments stay in registers
     pub fn leading_part_by(

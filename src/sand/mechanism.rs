@@ -1,7 +1,7 @@
 //! Mechanisms that plain resistive force theory leaves out: the one list that simulator, diagnosis, report and
 //! documentation use. A new mechanism is one new entry of [`CATALOG`]'s table and, if it acts on the stress of a
-//! segment, additions to `SandMechanisms` in [`super::mechanism_laws`]: a field, its first value in `new`, its lane's value in
-//! `set_lane`, if needed a flag in `Active`, and its equation in `force`.
+//! segment, additions to `SandMechanisms` in [`super::mechanism_laws`]: a field, its first value in `new`, its lane's
+//! value in `set_lane`, if needed a flag in `Active`, and its equation in `force`.
 //!
 //! Every parameter is 0 when its mechanism is off. The equations of the measuring side (sensors, log, drive) are in
 //! `diagnose::arm` and `diagnose::forward`.
@@ -33,9 +33,9 @@ pub struct Mechanism {
     /// A typical strength. Steps of numerical derivatives and scales of priors are multiples of it.
     pub typical: f64,
     pub side: Side,
-    /// Can force logs show it?
+    /// Can force logs show the mechanism?
     pub intrusion: bool,
-    /// Can walking runs show it?
+    /// Can walking runs show the mechanism?
     pub walking: bool,
     /// Optional columns of a force log that a test of this mechanism needs.
     pub columns: &'static [&'static str],
@@ -144,8 +144,9 @@ macro_rules! mechanisms {
     };
 }
 
-// A row: `id: symbol, unit, [least, greatest], typical, side, intrusion …, walking …, [columns], law, source`, with the meaning of
-// [`Mechanism`]'s fields. It may end with `exponent P`, `unfelt "reason"` or `ceiling`, the last three of these fields.
+// A row: `id: symbol, unit, [least, greatest], typical, side, intrusion …, walking …, [columns], law, source`, with the
+// meaning of [`Mechanism`]'s fields. It may end with `exponent P`, `unfelt "reason"` or `ceiling`, the last three of
+// these fields.
 mechanisms! {
     inertial_drag: "λ", "1", [0.0, 30.0], 0.5, Sand, intrusion true, walking true, [],
         "extra stress −λ ρ v_n² n on the leading face", "Agarwal et al. 2021 (dynamic RFT): 1.1 oblique plate, 1.4 sphere, 2.8 plane-strain plate",
@@ -154,10 +155,10 @@ mechanisms! {
         "legs whose concave side leads: F = (1−χ) F_segments + χ F_straight hip–tip chord", "our form of the cause named in Li et al. 2012 (grains held in a concave leading surface)";
     footprint: "κ", "1", [-2.0, 1.0], 0.2, Sand, intrusion true, walking false, ["pass", "pass_dx"],
         "re-used ground (pass ≥ 2): stress × (1 − κ e^(−pass_dx/3 cm))", "our choice: no published law found",
-        unfelt "all ground is fresh but in HexapodTerrain, whose prints have a strength of their own (randomize.footprint)";
+        unfelt "all ground is fresh except in HexapodTerrain, where randomize.footprint sets the strength of footprints";
     added_mass: "C_a", "1", [0.0, 30.0], 0.5, Sand, intrusion true, walking false, [],
         "extra stress −C_a ρ w (dv_n/dt) n, w the segment's width", "after Aguilar & Goldman 2016 (added mass of jumping feet); form ours",
-        unfelt "the engines take the sand's stress from velocities alone";
+        unfelt "the engines compute the sand's stress from velocities and not from accelerations";
     depth_power: "p − 1", "1", [-0.8, 2.0], 0.1, Sand, intrusion true, walking true, [],
         "|z| → z0 (|z|/z0)^p, z0 = 2 cm", "power-law depth dependence, e.g. Hill, Yeung & Koehler 2005; form ours";
     cohesion: "c", "Pa", [0.0, 1e4], 50.0, Sand, intrusion true, walking true, [],
@@ -173,7 +174,7 @@ mechanisms! {
     friction_clip: "1/μ", "1", [0.0, 10.0], 1.0, Sand, intrusion true, walking true, [],
         "tangential stress capped at μ × normal stress", "Coulomb friction of the intruder's surface, as in Agarwal, Goldman & Kamrin 2023";
     skid_loss: "κ_s", "1", [0.0, 10.0], 0.7, Sand, intrusion false, walking false, [],
-        "vertical part of the stress × 1/(1 + κ_s s²) where a segment is dragged along with its body (slip s = −v·V̂/max(|V|, |v − V|) < 0)", "sand carried away from under a skidding wheel; cause after Agarwal, Karsai, Goldman & Kamrin 2021 (surface lowered by shear flow); form ours, for wheels measured at Carnegie Mellon";
+        "vertical part of the stress × 1/(1 + κ_s s²) where a segment is dragged along with its body (slip ratio s = −v·V̂/max(|V|, |v − V|) < 0)", "sand carried away from under a skidding wheel; cause after Agarwal, Karsai, Goldman & Kamrin 2021 (surface lowered by shear flow); form ours, for wheels measured at Carnegie Mellon";
     graze_loss: "κ_g", "1", [0.0, 1.0], 0.6, Sand, intrusion false, walking false, [],
         "stress × (1 − κ_g |n_h|⁸ (1 − |n_h·V̂|/|n_h|)), n_h the horizontal part of the normal, V̂ the direction in which the body travels", "a steep face that travels along itself displaces little sand, and the face before it has already moved that sand; form ours, for wheels measured at Carnegie Mellon";
     slip_bearing: "c_b", "1", [0.0, 3.0], 0.9, Sand, intrusion false, walking false, [],

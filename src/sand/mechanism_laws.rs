@@ -213,7 +213,7 @@ impl<R: Real> SandMechanisms<R> {
     }
 
     /// The law's stress per depth plus that of `slip_bearing`: c (1 − μ)^1.5 ζ s₊ (−m_z)₊ against the leading side m,
-    /// where s₊ is the segment's slip.
+    /// where s₊ is the positive part of the segment's slip ratio.
     #[inline(always)]
     fn carried(&self, per_depth: Vec3<R>, n: Vec3<R>, slip: R, along: R) -> Vec3<R> {
         let down = R::select(along.lt(R::zero()), n.z, -n.z).max(R::zero());
@@ -339,10 +339,10 @@ impl<R: Real> StressModel<R> for SandMechanisms<R> {
     }
 }
 
-/// Slip of a segment with velocity `v` on a body that travels with V: −v·V̂/max(|V|, |v − V|). It is −1 if the segment
-/// is dragged along (a locked wheel), 0 if it does not move on the sand (the bottom of a rolling wheel), and near 1 if
-/// it moves backward fast (a spinning wheel). This is the usual slip of terramechanics, for each segment; it goes to 0
-/// if the body hardly travels.
+/// Slip ratio of a segment with velocity `v` on a body that travels with V: −v·V̂/max(|V|, |v − V|). It is −1 if the
+/// body drags the segment along (a locked wheel), 0 if the segment does not move on the sand (the bottom of a rolling
+/// wheel), and near 1 if it moves backward fast (a spinning wheel). This is the slip ratio of terramechanics for each
+/// segment. It goes to 0 if the body hardly travels.
 #[inline(always)]
 fn slip<R: Real>(v: Vec3<R>, [x, y]: [R; 2]) -> R {
     let squared = x * x + y * y;
@@ -372,8 +372,8 @@ fn capped<R: Real>(force: Vec3<R>, n: Vec3<R>, v: Vec3<R>, inverse_mu: R) -> Vec
     tangential.scale_add(allowed.max(needed) - R::one(), force)
 }
 
-/// ln(1 + x) for 0 ≤ x < 10⁴, relative error below 1e-7: ln y = 32 artanh((r − 1)/(r + 1)) with r = y^(1/16), the series
-/// cut at the 13th power.
+/// ln(1 + x) for 0 ≤ x < 10⁴, relative error below 1e-7: ln y = 32 artanh((r − 1)/(r + 1)) with r = y^(1/16), the
+/// series cut at the 13th power.
 #[inline(always)]
 fn log_one_plus<R: Real>(x: R) -> R {
     let root = (x + R::one()).sqrt().sqrt().sqrt().sqrt();

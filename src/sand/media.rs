@@ -87,8 +87,8 @@ impl Medium {
 
     /// The generic set, scaled so that `agarwal2023` gets its ξ_n for friction μ and critical density ρ_c [kg/m³].
     fn from_friction(mu: f64, density: f64) -> Result<Self> {
-        // Wider than any granular medium. Between these bounds and the fitted range `caution` gives a warning. Our
-        // choice.
+        // Our choice, because no granular medium is outside of these bounds. Between them and the fitted range
+        // `caution` gives a warning.
         check_range("mu", mu, 0.05..=2.0)?;
         check_range("rho", density, 10.0..=20_000.0)?;
         let zeta = friction::from_friction(mu, density) * friction::PENETRATION / PER_CM3;

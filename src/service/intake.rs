@@ -33,7 +33,8 @@ const UNIT: usize = 1 << 10;
 /// of clients.
 const WAIT: Duration = Duration::from_secs(30);
 
-/// Time limit for a large message to arrive: this time, our choice, plus that of 1 MiB/s.
+/// Time limit for the arrival of a large message, in addition to its transfer at 1 MiB/s. Our choice, because a slow or
+/// busy client may pause for some seconds.
 const ARRIVAL: Duration = Duration::from_secs(10);
 
 /// Memory of a message with its unpacked parts, as a multiple of the message's size: actions are copied once.

@@ -48,7 +48,7 @@ const SAVED: Duration = Duration::from_secs(4);
 /// Largest HTTP/2 frame we accept.
 const FRAME: u32 = 1 << 20;
 
-/// Limits of connections, and of calls on one.
+/// Limits of connections, and of calls on one connection.
 #[derive(Clone, Copy, Debug)]
 pub struct Connected {
     /// Largest number of connections at the same time.

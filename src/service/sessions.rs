@@ -242,7 +242,7 @@ impl Sessions {
         })
     }
 
-    /// Cancelled when the server stops.
+    /// This token is cancelled when the server stops.
     pub fn stop(&self) -> &CancellationToken {
         &self.stop
     }

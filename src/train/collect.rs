@@ -148,7 +148,7 @@ impl Piece {
         }
     }
 
-    /// Continues these episodes, one an environment.
+    /// Continues these episodes, one in each environment.
     pub fn resume(&mut self, episodes: &[Resumed]) {
         if let Place::Here(shard) = &mut self.place {
             shard.rows.clear();

@@ -30,7 +30,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 const CHOICE_SEEDS: std::ops::Range<u64> = 3_000_000..3_000_032;
 /// Number of seeds of the final comparison; they begin at [`FIRST_SEED`], as in evaluations.
 const SEEDS: usize = 100;
-/// Number of designs in the final comparison, the best of the ranking: our choice.
+/// Number of designs in the final comparison, the best of the ranking: our choice, because their intervals often
+/// overlap.
 const COMPARED: usize = 3;
 /// Largest number of trainings of a study: our choice, some days.
 const MOST_TRAININGS: usize = 10_000;
@@ -71,7 +72,7 @@ pub struct Trained {
 pub struct Compared {
     /// Index of the design.
     pub design: usize,
-    /// Each measure over the unseen seeds, one a training.
+    /// Each measure over the evaluation seeds, one value for each training.
     pub values: [Vec<f64>; 3],
 }
 

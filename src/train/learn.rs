@@ -9,7 +9,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 /// enough to stay in a processor's own cache.
 pub const CHUNK: usize = 128;
 
-/// The transitions, one row a step of an environment.
+/// The transitions, one row for each step of an environment.
 #[derive(Clone, Debug, Default)]
 pub struct Rollout {
     pub observations: Vec<f32>,

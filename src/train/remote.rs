@@ -21,7 +21,7 @@ pub trait Remote: Send {
 /// Environments on a server, if the training uses one.
 pub type Away<'a> = Option<&'a mut (dyn Remote + 'static)>;
 
-/// Rows of the last reset or step, one an environment.
+/// Rows of the last reset or step, one for each environment.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Rows {
     /// f32 [envs, observation]

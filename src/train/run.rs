@@ -37,7 +37,7 @@ pub struct Request {
     pub out: PathBuf,
     /// Continue from the last checkpoint in `out`?
     pub resume: bool,
-    /// Begin with the networks and the normalization of another training's checkpoint; not with `resume`.
+    /// Checkpoint of another training, whose networks and normalization this training starts with. It excludes `resume`.
     pub start_from: Option<PathBuf>,
     /// Steps between two checkpoints.
     pub checkpoint_every: u64,

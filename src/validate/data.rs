@@ -26,7 +26,7 @@ pub fn own_discs() -> Result<Vec<Push>> {
     Ok(read::text(Path::new("discs.csv"), OWN_DISCS)?.pushes)
 }
 
-/// Largest number of rows of a folder: our choice, to bound the time of a comparison.
+/// Largest number of rows of a folder: our choice, because it bounds the time of a comparison.
 const MOST_ROWS: usize = 20_000;
 
 /// `validation.toml`.
@@ -62,15 +62,16 @@ pub struct Row {
     pub trial: Trial,
     /// Depth of the lowest point [m].
     pub depth: f64,
-    /// [N]
+    /// Forces on the wheel [N].
     pub force: [f64; 3],
-    /// [°]
+    /// Angle between the wheel's heading and its velocity [°].
     pub slip_angle: f64,
+    /// Slip ratio: positive when the wheel spins, −1 when it is locked.
     pub slip: f64,
 }
 
 impl Row {
-    /// Rows of one condition have the same slip angle and slip.
+    /// Rows of one condition have the same slip angle and slip ratio.
     pub fn condition(&self) -> (i64, i64) {
         ((self.slip_angle).round() as i64, (self.slip * 10.0).round() as i64)
     }

@@ -7,24 +7,24 @@ use crate::sand::intruder::{Given, Trial, compute};
 use crate::sand::{Law, Mechanisms, Medium, SandDescription};
 use nalgebra::{DMatrix, DVector};
 
-/// Errors that count as a residual of 1: 8 % of the load in Fx and Fy, 15 % in Fz, and 3.5 mm of sinkage. Our choice:
-/// the accuracy of a good model.
+/// Errors that count as a residual of 1, as shares of the load: of Fx and Fy at the measured sinkage, of Fz, and of Fx
+/// and Fy under the measured load; then of the sinkage [m]. Our choice, because a good model has about these errors.
 const TOLERANCES: [f64; 4] = [0.08, 0.15, 0.08, 0.0035];
 /// Step in depth [m] for the stiffness that converts a missing force into sinkage.
 const STEP: f64 = 5e-4;
-/// Least stiffness [N/m] when a missing force is converted into sinkage, so that a wheel without support counts as a few
-/// centimetres.
+/// Least stiffness [N/m] when a missing force is converted into sinkage, so that a wheel without support counts as a
+/// few centimetres.
 const SOFTEST: f64 = 200.0;
 /// Largest residual: our choice, so that rows without support do not outweigh all others.
 const LARGEST: f64 = 8.0;
 /// Friction of sand on sand, for wheels that carry sand between their teeth: tan 35°, within the 30° to 40° of dry
-/// sands (angle of repose 29°). Not fitted: rows at slip ≤ 0 hardly distinguish 0.55 from 0.9.
+/// sands (angle of repose 29°). It is not fitted, because rows at slip ratios ≤ 0 hardly distinguish 0.55 from 0.9.
 const SAND_ON_SAND: f64 = 0.70;
 /// μ_s of a smooth wheel and its standard deviation. The data give none, so the deviation is wide, with values for
 /// polished to rough plates.
 const SMOOTH: [f64; 2] = [0.45, 0.30];
 
-/// Vesic's value of `slip_bearing`, not fitted.
+/// The value of `slip_bearing` from Vesic's formula; it is not fitted.
 pub const BEARING: f64 = 1.0;
 
 /// The fitted numbers: ζ [N/cm³], `depth_power`, `skid_loss` and `graze_loss`, shared by all wheels, and one μ_s of
@@ -38,10 +38,10 @@ pub struct Parameters {
     pub friction: f64,
 }
 
-/// Least and greatest values, in the order of the fields: wide, our choice.
+/// Least and greatest values, in the order of the fields. Our choice: wide, because they must not limit a fit.
 const LOW: [f64; 5] = [0.1, -0.6, 0.0, 0.0, 0.15];
 const HIGH: [f64; 5] = [4.0, 1.0, 6.0, 1.0, 0.95];
-/// Start of a fit: ordinary values.
+/// Values from which a fit starts, typical for dry sand.
 const START: [f64; 5] = [0.85, -0.2, 0.6, 0.5, SMOOTH[0]];
 
 impl Parameters {

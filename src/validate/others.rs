@@ -15,9 +15,9 @@ use std::fmt::Write as _;
 /// Stride frequencies of the walks [Hz].
 const FREQUENCIES: [f64; 4] = [1.0, 2.0, 3.0, 5.0];
 
-/// Forward speeds [m/s] of `xplorer` on loose poppy seeds at [`FREQUENCIES`], from two implementations that share no code with
-/// this one, converged with explicit steps of 10⁻⁵ s; the same robots with a hard leading edge in MuJoCo 4.0.0 and in rapier's
-/// multibodies agree with one of them within 1 % (L).
+/// Forward speeds [m/s] of `xplorer` on loose poppy seeds at [`FREQUENCIES`]. They come from two implementations that
+/// share no code with this one and have converged with explicit steps of 10⁻⁵ s. With L-legs and a hard leading edge,
+/// MuJoCo 4.0.0 and rapier's multibodies agree with one of them within 1 %.
 const WALKS: [(&str, [f64; 4]); 2] =
     [("L", [0.1201, 0.2870, 0.4161, 0.7139]), ("revL", [0.0715, 0.1308, 0.2401, 0.4387])];
 
@@ -26,13 +26,14 @@ pub fn text() -> Result<String> {
     Ok(format!("{}\n{}\n{}\n{}", discs()?, grains()?, walks()?, robots::text()?))
 }
 
-/// ζ of one disc, compared with the other discs.
+/// Compares laws for discs: each predicts pushes and disc sizes to which it was not fitted.
 fn discs() -> Result<String> {
     let study = pushes::compare(&data::own_discs()?, None)?;
     let mut text = String::from(
-        "## Discs of three sizes pushed into the wheels' sand\n\nMeasured, same source and licence. Root mean square of \
-         ln(predicted/measured) below the first tenth of the depth; fitted on the other pushes, or on the other sizes. Plain theory \
-         is the first row.\n\n| law | another push % | another size % |\n|---|---|---|\n",
+        "## Discs of three sizes pushed into the wheels' sand\n\nThese measurements have the same source and licence. Errors are the root \
+         mean square of ln(predicted/measured), without the first tenth of the depth. Each push is predicted from a fit on the other \
+         pushes, and each size from a fit on the other sizes. The first row is plain theory.\n\n\
+         | law | error for another push % | error for another size % |\n|---|---|---|\n",
     );
     for s in &study.laws {
         let size = s.other_size_percent.map_or("-".into(), |p| format!("{p:.1}"));
@@ -40,24 +41,27 @@ fn discs() -> Result<String> {
         let _ = writeln!(text, "| {formula} | {:.1} | {size} |", s.other_push_percent);
     }
     let plain = study.sizes.iter().map(|s| format!("{:.2} at {:.0} mm", s.zeta, 1e3 * s.diameter));
-    let _ = writeln!(text, "\nζ in N/cm³: {}.", plain.collect::<Vec<_>>().join(", "));
+    let _ = writeln!(text, "\nScale ζ of each disc [N/cm³]: {}.", plain.collect::<Vec<_>>().join(", "));
     let missed = study.laws.iter().filter(|s| s.law == PushLaw::Proportional).find_map(|s| s.other_size_percent);
     if let Some(missed) = missed {
-        let _ =
-            writeln!(text, "Plain theory, calibrated with one disc, errs by {missed:.0} % for a foot of another size.");
+        let _ = writeln!(
+            text,
+            "Plain theory that is calibrated with one disc has an error of {missed:.0} % for a disc of another size."
+        );
     }
     Ok(text)
 }
 
-/// Legs rotated through grains, from `sandgait reproduce`.
+/// The comparison with legs that rotate through simulated grains, from `sandgait reproduce`.
 fn grains() -> Result<String> {
     let table = reproduce::grains()?;
-    let mut text = format!("## Grains simulated one by one\n\n{}\n\n| {} |\n", table.caption, table.head.join(" | "));
+    let mut text =
+        format!("## Comparison with simulated grains\n\n{}\n\n| {} |\n", table.caption, table.head.join(" | "));
     let _ = writeln!(text, "|{}", "---|".repeat(table.head.len()));
     for row in &table.rows {
         let _ = writeln!(text, "| {} |", row.join(" | "));
     }
-    text += "\nζ comes from slow vertical plates in the same grains; nothing else was fitted.\n";
+    text += "\nThe scale ζ was fitted to slow vertical plates in the same grains. No other number was fitted.\n";
     Ok(text)
 }
 
@@ -71,10 +75,11 @@ fn walks() -> Result<String> {
     let trials = each.clone().map(|(leg, f, _)| trial(leg, f)).collect::<Result<Vec<_>>>()?;
     let speeds = parallel::map(&trials, |trial| walk::walk(EngineKind::Lanes, trial).map(|r| r.speed));
     let mut text = String::from(
-        "## Walks by independent codes\n\nForward speed of `xplorer` on loose poppy seeds. The reference is from two other codes, \
-         which share nothing with this one and solve the same equations with explicit steps of 10⁻⁵ s, at which they have \
-         converged. MuJoCo 4.0.0 and rapier's multibodies agree with them within 1 % where the leading edge is hard. This \
-         compares the integration, not the sand: no walk of a real robot was compared.\n\n| leg | stride frequency [Hz] | reference [m/s] | sandgait [m/s] | off by % |\n|---|---|---|---|---|\n",
+        "## Comparison with walks of independent programs\n\nForward speed of `xplorer` on loose poppy seeds. The reference comes from two \
+         other programs, which share no code with sandgait. They solve the same equations with explicit steps of 10⁻⁵ s, at which they \
+         have converged. With a hard leading edge MuJoCo 4.0.0 and rapier's multibodies agree with them within 1 %. This is a test of \
+         the integration and not of the sand, because no walk of a real robot was compared.\n\n\
+         | leg | stride frequency [Hz] | reference [m/s] | sandgait [m/s] | difference % |\n|---|---|---|---|---|\n",
     );
     for ((leg, frequency, reference), speed) in each.zip(speeds) {
         let speed = speed?;

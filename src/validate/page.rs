@@ -13,20 +13,23 @@ type Measure = fn(&Pair) -> Option<[f64; 2]>;
 
 /// The text above the scoreboard.
 const INTRODUCTION: &str = "\
-Written by `sandgait validate --out DIR`. The numbers are computed; the text is fixed. *Not fitted* means that no number was
-fitted on the rows, although the model's authors knew them; *left out* that the fit used other slip angles, or other slips, of the same wheels; *fitted* is no prediction at all.
+`sandgait validate --out DIR` writes this page. It computes the numbers; the text is fixed. *Not fitted* means that no number of the model
+was fitted to the rows, although the model's authors knew the rows. *Left out* means that the model was fitted to rows of the same wheels
+with other slip angles or other slip ratios. *Fitted* means that the model was fitted to the same rows, so this is no prediction. The slip
+ratio of a wheel is positive when it spins, negative when it skids, and −1 when it is locked.
 
-Limits: 3D-RFT loads each plate as if it were alone. A locked wheel sinks 20 mm deeper than predicted, because the sand
-under it is carried away (`skid_loss`); a spinning one sinks less, because a smooth surface carries more than the law
-gives to a plate that moves along itself (`slip_bearing`); a side face that travels nearly along itself bears less than the law
-says (`graze_loss`). With these mechanisms the oblique locked wheel still has the largest errors. A `depth_power` below 0 is not a property of the sand: the resistance of discs in it grows faster than
-depth and size, so a file fitted on these wheels does not apply to other sizes or loads. The grouser wheel is a
-cylinder of its tip radius with the friction of sand on sand; its rows at positive slip are not in the program, and
-neither the sinkage there nor the pull of its grousers has been compared with measurements.
+3D-RFT computes the force on each plate as if the plate moved alone. This has three limits. A locked wheel sinks 20 mm deeper than
+predicted, because sand is carried away from under it (`skid_loss`). A spinning wheel sinks less than predicted, because a smooth surface
+that slides along itself carries more than in the law (`slip_bearing`). A side face that moves nearly along itself carries less than in the
+law (`graze_loss`). With these mechanisms the locked wheel at an angle still has the largest errors. A `depth_power` below 0 is not a property
+of the sand: the resistance of discs in this sand grows faster than in proportion to depth and size. So a file that is fitted on these wheels does not
+apply to other sizes or loads. The grouser wheel is modelled as a cylinder of its tip radius, with the friction of sand on sand. Its rows at
+positive slip ratios are not in the program. So its sinkage at positive slip ratios and the pull of its grousers were never compared with
+measurements.
 
-For your own data make a folder with a `validation.toml` as in `tests/data/real_wheel` (title, source, licence, and an
-`[[intruder]]` table for each body: name, body, rows, sand, and fitted where there is one) and rows with the columns vx, vy, wy,
-depth, Fx, Fy, Fz, slip_angle_deg and slip; then `sandgait validate --data FOLDER --out DIR`.
+To compare your own data, make a folder with a `validation.toml` like that in `tests/data/real_wheel`. It has title, source, licence, and an
+`[[intruder]]` table for each body, with name, body, rows, sand and, if there is a fit, fitted. The rows have the columns vx, vy, wy, depth, Fx,
+Fy, Fz, slip_angle_deg and slip. Then run `sandgait validate --data FOLDER --out DIR`.
 ";
 
 /// One comparison: the rows of the fit, and the predicted rows.
@@ -57,18 +60,23 @@ impl Scoreboard {
         if data.wheels.iter().all(|w| w.fitted.is_some()) {
             let left_out = cross_validated(&data.wheels)?;
             comparisons.push(Comparison {
-                title: "left out: fitted on the other slip angles of all wheels, predicted on this one".into(),
+                title: "left out: each slip angle is predicted from a fit on the other slip angles of all wheels"
+                    .into(),
                 pairs: left_out,
             });
             let unseen = positive(&data.wheels)?;
             if !unseen.is_empty() {
                 comparisons.push(Comparison {
-                    title: "left out: fitted at slip up to 0 of all wheels, predicted at positive slip".into(),
+                    title:
+                        "left out: positive slip ratios are predicted from a fit on the other slip ratios of all wheels"
+                            .into(),
                     pairs: unseen,
                 });
             }
             comparisons.push(Comparison {
-                title: "fitted on these very rows (no prediction, the best this model can do)".into(),
+                title:
+                    "fitted: the fit used the same rows, so these are the least errors of this model and no prediction"
+                        .into(),
                 pairs: each(&|w| w.fitted.clone()),
             });
         }
@@ -81,12 +89,16 @@ impl Scoreboard {
         let mut text = format!("## {}\n\nData: {}. Licence: {}.\n\n", d.title, d.source, d.licence);
         let _ = writeln!(
             text,
-            "Root mean square errors, forces in % of the mean load, 95 % interval over conditions in brackets.\n"
+            "Root mean square errors, with 95 % intervals over conditions in brackets. Forces are in % of the mean load.\n"
         );
         for c in &self.comparisons {
             let _ = writeln!(text, "**{}**\n\n{}", capital(&c.title), self.table(c));
         }
-        let _ = writeln!(text, "The data's own scatter between repetitions, in the same units:\n\n{}", self.scatters());
+        let _ = writeln!(
+            text,
+            "Scatter of the measurements between repetitions, in the same units:\n\n{}",
+            self.scatters()
+        );
         text
     }
 
@@ -125,7 +137,8 @@ impl Scoreboard {
         text
     }
 
-    /// The first sentence of the page: the largest error of the first comparison, and where it is.
+    /// The first sentences of the page: the rows of the first comparison with the largest error in sinkage, and their
+    /// errors.
     pub fn worst(&self) -> String {
         let c = &self.comparisons[0];
         let regimes = REGIMES.iter().map(|(name, belongs)| (name, select(c, |p| belongs(&p.row))));
@@ -133,8 +146,8 @@ impl Scoreboard {
         let worst = all.max_by(|a, b| a.1[3].total_cmp(&b.1[3]));
         worst.map_or_else(String::new, |(name, v)| {
             format!(
-                "Worst regime where nothing was fitted on the wheels: {name}: sinkage off by {:.1} mm, Fz at the measured sinkage by {:.0} %, \
-                 Fx under load by {:.0} %.",
+                "Largest errors without a fit on the wheels: {name}. They are {:.1} mm in sinkage, {:.0} % in Fz at the measured sinkage, \
+                 and {:.0} % in Fx under the measured load.",
                 v[3], v[2], v[4]
             )
         })
@@ -215,9 +228,9 @@ fn capital(text: &str) -> String {
     letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 
-/// Predicts the rows with positive slip from a fit on all other rows.
+/// Predicts the rows with positive slip ratios from a fit on all other rows.
 fn positive(wheels: &[Wheel]) -> Result<Vec<Pair>> {
-    // A wheel that rolls freely is measured with slips of up to 3 %.
+    // The measured slip ratio of a wheel that rolls freely is up to 3 %.
     let split = |wheel: &Wheel, above: bool| -> Vec<Row> {
         wheel.rows.iter().filter(|r| (r.slip > 0.03) == above).copied().collect()
     };

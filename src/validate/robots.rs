@@ -81,16 +81,17 @@ fn read<'a, T: Deserialize<'a>>(text: &'a str) -> Result<T> {
 pub fn text() -> Result<String> {
     let folder = tempfile::tempdir().map_err(|e| Error::Exhausted(format!("no directory for temporary files: {e}")))?;
     let mut text = String::from(
-        "## Robots beside pinocchio and MuJoCo\n\nNo sand: bodies, joints and servos alone. Accelerations in free flight at random states, \
-         the largest difference in % of the largest acceleration of its kind in the row:\n\n| robot | program | states | off by % |\n|---|---|---|---|\n",
+        "## Comparison of robots with pinocchio and MuJoCo\n\nThis is a test of bodies, joints and servos, without sand. Each row has the \
+         accelerations of a robot in free flight at random states. The difference is the largest one in % of the largest acceleration \
+         of its kind (linear, angular, joint):\n\n| robot | program | states | difference % |\n|---|---|---|---|\n",
     );
     for (name, robot, reference, program) in FLIGHTS {
         let (count, worst) = flight(folder.path(), name, robot, reference)?;
         let _ = writeln!(text, "| {name} | {program} | {count} | {:.0e} |", 100.0 * worst);
     }
     let floor: Floor = read(FLOOR)?;
-    text += "\nA quadruped on a hard floor, three seconds from its drop, beside MuJoCo 4.0 (whose contact law for feet differs):\n\n\
-             | motion | moments | trunk off by at most [mm] |\n|---|---|---|\n";
+    text += "\nA quadruped is dropped on a hard floor and simulated for three seconds, here and by MuJoCo 4.0, which has another contact law:\n\n\
+             | motion | compared times | largest distance of the trunks [mm] |\n|---|---|---|\n";
     for (name, trots, rows) in [("stands", false, &floor.stand), ("trots", true, &floor.trot)] {
         let _ = writeln!(text, "| {name} | {} | {:.1} |", rows.len(), 1e3 * moved(&floor, trots, rows)?);
     }

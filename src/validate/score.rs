@@ -38,7 +38,8 @@ pub fn predict(index: usize, wheel: &Wheel, sand: &SandDescription, rows: &[Row]
     })
 }
 
-/// Root mean squares: Fx, Fy, Fz at the measured sinkage in % of the mean load, sinkage in mm, Fx, Fy under the measured load.
+/// Root mean squares: Fx, Fy, Fz at the measured sinkage in % of the mean load, sinkage in mm, Fx, Fy under the
+/// measured load.
 pub const FIGURES: [&str; 6] = ["Fx %", "Fy %", "Fz %", "sinkage mm", "Fx under load %", "Fy under load %"];
 
 /// [`FIGURES`] of some rows.
@@ -119,11 +120,11 @@ pub fn scatter(pairs: &[Pair]) -> [f64; 4] {
 pub type Regime = (&'static str, fn(&Row) -> bool);
 
 pub const REGIMES: [Regime; 7] = [
-    ("locked, slip −1", |r| r.slip < -0.9),
-    ("skid, −0.9 to −0.55", |r| (-0.9..-0.55).contains(&r.slip)),
-    ("slip −0.5 to 0.5, set", |r| r.slip.abs() <= 0.55),
-    ("slip −0.5 to 0.5, measured", |r| r.slip.abs() <= 0.5),
-    ("spin, above 0.55", |r| r.slip > 0.55),
-    ("straight, 0°", |r| r.slip_angle.abs() < 1.0),
-    ("sideways, 45° and more", |r| r.slip_angle.abs() >= 45.0),
+    ("locked wheel, slip ratio −1", |r| r.slip < -0.9),
+    ("skid, slip ratio −0.9 to −0.55", |r| (-0.9..-0.55).contains(&r.slip)),
+    ("commanded slip ratio −0.5 to 0.5", |r| r.slip.abs() <= 0.55),
+    ("measured slip ratio −0.5 to 0.5", |r| r.slip.abs() <= 0.5),
+    ("spin, slip ratio above 0.55", |r| r.slip > 0.55),
+    ("slip angle 0°", |r| r.slip_angle.abs() < 1.0),
+    ("slip angle 45° and more", |r| r.slip_angle.abs() >= 45.0),
 ];

@@ -1,5 +1,5 @@
-//! Slow clients, clients with large requests, many clients, and clients that disappear: they do not delay others, and memory stays
-//! bounded.
+//! Slow clients, clients with large requests, many clients, and clients that disappear: they do not delay others, and
+//! memory stays bounded.
 
 #[expect(dead_code, reason = "the rest is for other tests")]
 #[path = "../grpc/harness.rs"]
@@ -87,8 +87,8 @@ async fn watch(page: &str, session: &str, count: usize) -> Vec<TcpStream> {
     all
 }
 
-/// Viewers hardly slow a step down. (In an earlier version a step took forty times as long.) The goal is a factor of 1.2; the bound
-/// is larger because other programs may run on the machine.
+/// Viewers hardly slow a step down. (In an earlier version a step took forty times as long.) The goal is a factor of
+/// 1.2; the bound is larger because other programs may run on the machine.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn watchers_do_not_slow_the_steps() {
     let _alone = ALONE.lock().await;
@@ -125,8 +125,8 @@ async fn latencies(session: &mut Session, count: usize) -> [f64; 2] {
     [times[count / 2], times[count * 99 / 100]]
 }
 
-/// With one worker thread, all sessions compete for the same processor. The steps of a small session wait for a few shards of the
-/// others, not for whole batches.
+/// With one worker thread, all sessions compete for the same processor. The steps of a small session wait for a few
+/// shards of the others, not for whole batches.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn greedy_sessions_do_not_starve_a_small_one() {
     let _alone = ALONE.lock().await;
@@ -161,8 +161,9 @@ async fn greedy_sessions_do_not_starve_a_small_one() {
 /// Environments in each session of the builders; creating them takes some 50 ms of processor time.
 const MANY: u32 = 2000;
 
-/// Longest time of a step beside builders, relative to a step alone. Builders and simulation both have a thread for each processor,
-/// so the simulation gets half of the machine (a factor of 2), and at times a thread must wait for a processor.
+/// Longest time of a step beside builders, relative to a step alone. Builders and simulation both have a thread for
+/// each processor, so the simulation gets half of the machine (a factor of 2), and at times a thread must wait for a
+/// processor.
 const BESIDE_BUILDERS: f64 = 4.0;
 
 /// Creates one session after the other until `stop`; returns the time of each [ms].
@@ -178,8 +179,8 @@ async fn build(mut client: harness::Client, stop: &AtomicBool) -> Vec<f64> {
     times
 }
 
-/// Clients that create one large session after the other do not delay the large steps of others, although the same few threads
-/// check these steps. Nor do they delay the creation of a small session.
+/// Clients that create one large session after the other do not delay the large steps of others, although the same few
+/// threads check these steps. Nor do they delay the creation of a small session.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn creating_large_sessions_does_not_delay_others() {
     let _alone = ALONE.lock().await;
@@ -255,7 +256,7 @@ async fn a_thousand_sessions_leave_no_memory_behind() {
     assert!(resident_after[4] - resident_after[0] < 16.0, "{resident_after:?}");
 }
 
-/// Environment steps a second of `clients` with `envs` environments in all.
+/// Environment steps per second of `clients` clients that have `envs` environments together.
 async fn throughput(server: &Server, clients: usize, envs: usize, time: Duration) -> f64 {
     let mut sessions = Vec::new();
     for k in 0..clients {
@@ -284,7 +285,8 @@ async fn throughput(server: &Server, clients: usize, envs: usize, time: Duration
     steps as f64 / begun.elapsed().as_secs_f64()
 }
 
-/// The goal is 90 %. The bound is lower because other programs may run on the machine, and the best of several pairs counts.
+/// The goal is 90 %. The bound is lower because other programs may run on the machine, and the best of several pairs
+/// counts.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn eight_clients_get_as_much_as_one() {
     let _alone = ALONE.lock().await;

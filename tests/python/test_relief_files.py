@@ -70,22 +70,22 @@ def saved(path: Path, array: Any) -> None:
 
 #: Name, content and message of each wrong file.
 WRONG: list[tuple[str, Any, str]] = [
-    ("ragged.csv", "0,0,0,0\n0,0,0,0\n0,0,0\n0,0,0,0\n", "line 3 has 3 numbers, the first row 4"),
+    ("ragged.csv", "0,0,0,0\n0,0,0,0\n0,0,0\n0,0,0,0\n", "line 3 has 3 numbers, but the first row has 4"),
     ("nan.csv", "0,0,0,0\n0,nan,0,0\n0,0,0,0\n0,0,0,0\n", "line 2, number 2: nan is not finite"),
-    ("word.csv", "0,0,0,0\n0,0,high,0\n", 'line 2, number 3: "high" is no number'),
-    ("gap.csv", "0,0,0,0\n0,,0,0\n", 'line 2, number 2: "" is no number'),
+    ("word.csv", "0,0,0,0\n0,0,high,0\n", 'line 2, number 3: "high" is not a number'),
+    ("gap.csv", "0,0,0,0\n0,,0,0\n", 'line 2, number 2: "" is not a number'),
     ("empty.csv", "# nothing\n", "rows: 0 is outside [4, 512]"),
     ("small.csv", "0,0,0,0\n" * 3, "rows: 3 is outside [4, 512]"),
     ("wide.csv", ("0," * 512 + "0\n") * 4, "columns: 513 is outside [4, 512]"),
     ("high.csv", "0,0,0,200\n" * 4, "200 is outside [-100, 100]"),
-    ("large.csv", "0,0,0,0\n" * 1_100_000, "more than the 8 MiB that are read"),
-    ("binary.csv", b"\xff\xfe\x00", "no text in UTF-8"),
+    ("large.csv", "0,0,0,0\n" * 1_100_000, "it is larger than 8 MiB"),
+    ("binary.csv", b"\xff\xfe\x00", "it is not a text in UTF-8"),
     ("heights.txt", "0,0,0,0\n" * 4, "heights are read from .csv and .npy"),
-    ("flat.npy", np.zeros(16), "its shape is (16,), not rows and columns"),
-    ("whole.npy", np.zeros((4, 4), int), 'its numbers are "<i8"; save heights.astype(float)'),
+    ("flat.npy", np.zeros(16), "its shape is (16,), but it must be (rows, columns)"),
+    ("whole.npy", np.zeros((4, 4), int), 'its numbers have type "<i8"; save heights.astype(float)'),
     ("turned.npy", np.asfortranarray(np.zeros((4, 5))), "Fortran"),
     ("infinite.npy", np.full((4, 4), np.inf), "row 1, number 1: inf is not finite"),
-    ("text.npy", "0,0,0,0", "no file of numpy.save"),
+    ("text.npy", "0,0,0,0", "not a file of numpy.save"),
     ("rough.npy", np.random.default_rng(0).uniform(-90, 90, (512, 512)), "give fewer, or smoother ones"),
 ]
 

@@ -265,7 +265,7 @@ PYRAMID = "v 0 0 0.2\nv 0.1 0 0\nv -0.05 0.087 0\nv -0.05 -0.087 0\nf 2 4 3\nf 1
 
 
 def robot_pixels(picture: np.ndarray) -> int:
-    """Pixels that are bluish and not the sky's: sand is yellow."""
+    """Number of pixels of the robot: they are bluish, sand is yellow, and the sky is brighter."""
     red, green, blue = (picture[..., k].astype(int) for k in range(3))
     return int(((blue - red > 5) & (green < 190)).sum())
 

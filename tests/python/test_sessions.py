@@ -201,7 +201,7 @@ def test_several_servers_give_the_numbers_of_one(
     env.restore(snapshot)
     assert equal(walk(env, range(20)), ahead)
     env.close()
-    with pytest.raises(sandgait.InvalidRequest, match="3 servers for 2 environments"):
+    with pytest.raises(sandgait.InvalidRequest, match="3 servers are more than the 2 environments"):
         sandgait.SandgaitVectorEnv(ID, 2, address=[None, None, None])
 
 

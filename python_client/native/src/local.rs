@@ -95,7 +95,7 @@ impl Local {
         Ok(Self { environments, pool, process: std::process::id(), task, warnings: blueprint.warnings() })
     }
 
-    /// `seeds` and `mask` have one entry an environment; without seeds the random streams continue.
+    /// `seeds` and `mask` have one entry for each environment. Without seeds the random streams continue.
     #[pyo3(signature = (seeds, mask, options))]
     fn send_reset(
         &self,
@@ -130,7 +130,7 @@ impl Local {
         Ok(())
     }
 
-    /// `sources`: u32, one an environment.
+    /// `sources`: u32, one for each environment.
     #[pyo3(signature = (snapshot, sources))]
     fn send_restore(&self, py: Python<'_>, snapshot: &[u8], sources: Option<&[u8]>) -> PyResult<()> {
         let snapshot = snapshot.to_vec();

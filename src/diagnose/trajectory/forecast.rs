@@ -105,7 +105,7 @@ impl ForwardModel for TrajectoryModel<'_> {
 
     fn testable(&self) -> Vec<(usize, Option<String>)> {
         let why = |m: &crate::sand::mechanism::Mechanism| match m.id {
-            "packing_grad" => Some("the log does not say at which place of the bed each run began".to_string()),
+            "packing_grad" => Some("the log does not say at which position of the bed each run began".to_string()),
             "motor_torque_limit" if self.asked.is_none() => Some(
                 "the log does not give the command of the hips (stride_frequency), or the robot has no servo".into(),
             ),

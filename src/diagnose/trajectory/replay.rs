@@ -25,8 +25,8 @@ pub const SIGNALS: usize = 11;
 pub const BEYOND: f64 = 0.03;
 /// Robots in one engine: as many as the widest block of lanes.
 const TOGETHER: usize = 16;
-/// Ticks between two checks whether the work was cancelled.
-const HEED: usize = 256;
+/// Number of ticks between two checks whether the work was cancelled.
+const CHECK_INTERVAL: usize = 256;
 
 /// A robot, from our own description or from a URDF or MJCF file.
 #[derive(Clone)]
@@ -234,7 +234,7 @@ fn block(kind: EngineKind, tasks: &[&Task], latch: &Latch) -> Result<Vec<Track>>
     let mut command = Command::still(joints);
     let mut now = before[0].clone();
     for k in 0..ticks {
-        if k % HEED == 0 && latch.stopped() {
+        if k % CHECK_INTERVAL == 0 && latch.stopped() {
             return Ok(vec![Track::default(); tasks.len()]);
         }
         for (i, task) in tasks.iter().enumerate() {

@@ -3,7 +3,7 @@
 use crate::options;
 use serde::{Deserialize, Serialize};
 
-/// Largest commanded velocity: forward and to the left [m/s], yaw [rad/s].
+/// Largest commanded velocity: forward and range of the speed to the left [m/s], yaw [rad/s].
 pub const MOST_COMMAND: f64 = 5.0;
 
 /// All ranges from which an episode's values are drawn.
@@ -20,10 +20,10 @@ options! {
     #[derive(Copy, Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct Commands {
-        lin_vel_x: [f64; 2] = [-1.0, 1.0], [-MOST_COMMAND, MOST_COMMAND], "forward [m/s]";
-        lin_vel_y: [f64; 2] = [-1.0, 1.0], [-MOST_COMMAND, MOST_COMMAND], "to the left [m/s]";
+        lin_vel_x: [f64; 2] = [-1.0, 1.0], [-MOST_COMMAND, MOST_COMMAND], "range of the forward speed [m/s]";
+        lin_vel_y: [f64; 2] = [-1.0, 1.0], [-MOST_COMMAND, MOST_COMMAND], "range of the speed to the left [m/s]";
         ang_vel_yaw: [f64; 2] = [-1.0, 1.0], [-MOST_COMMAND, MOST_COMMAND], "yaw speed [rad/s]";
-        resampling_time: f64 = 10.0, [0.1, 1e4], "time after which commands are drawn anew [s]";
+        resampling_time: f64 = 10.0, [0.1, 1e4], "time after which commands are drawn again [s]";
     }
 }
 
@@ -34,10 +34,10 @@ options! {
     pub struct DomainRand {
         friction_range: [f64; 2] = [0.5, 1.25], [0.0, 10.0], "factor on the friction of hard ground";
         sand_range: [f64; 2] = [0.6, 1.6], [0.05, 20.0], "factor on the sand's stress";
-        added_mass_range: [f64; 2] = [-0.08, 0.08], [-0.3, 1.0], "added to the base, as a share of the robot's mass";
+        added_mass_range: [f64; 2] = [-0.08, 0.08], [-0.3, 1.0], "mass added to the base, as a share of the robot's mass";
         motor_strength_range: [f64; 2] = [0.9, 1.1], [0.1, 10.0], "factor on torque limits and gains of the motors";
-        push_interval: f64 = 15.0, [0.0, 1e4], "time between two pushes [s], at least 0.1; 0: none";
-        max_push_vel_xy: f64 = 0.5, [0.0, 5.0], "largest velocity along x and along y that a push gives the base [m/s]";
+        push_interval: f64 = 15.0, [0.0, 1e4], "time between two pushes [s], at least 0.1; 0: no pushes";
+        max_push_vel_xy: f64 = 0.5, [0.0, 5.0], "largest change of the base's velocity along x and along y by a push [m/s]";
     }
 }
 

@@ -40,23 +40,25 @@ const JOINT_OFFSET: f64 = std::f64::consts::TAU; // [rad]
 const FALLEN: f64 = -0.5;
 
 const ABOUT: &str = "\
-The robot starts in its default pose, joints off by up to `angle_noise`, just over the ground. An action is an offset of each
-joint's target from its default position, times `action_scale`; a servo at each joint (the file's gains, or kp = torque limit / 1 rad and kd =
-kp / 40 s⁻¹) follows it. Commands are drawn from `commands` at the start and every `resampling_time`; those below 0.2 m/s are
-zero. `domain_rand` has the other quantities that an episode draws, and how often the base is pushed.
+The robot starts in its default pose just above the ground, with random errors of the joint angles of up to `angle_noise`. The target of a
+joint is its default position plus its action times `action_scale`. A servo at each joint follows the target, with the gains of the robot's
+file, or kp = torque limit / 1 rad and kd = kp / 40 s⁻¹. Commands are drawn from `commands` at the start and every `resampling_time`; speeds
+below 0.2 m/s are set to zero. `domain_rand` has the other quantities that an episode draws, and the pushes of the base.
 
-Names and laws of reward terms, their weights, and the order of the observation are those of legged_gym (Rudin et al. 2022) and
-of Isaac Lab's velocity tasks; as there, each term counts its weight a second. A foot is in contact when it is in the ground, and a
-body collides when it is. Velocities are those of the base link's origin, in the base's frame. Unlike there, observations are not scaled,
-a negative sum of rewards is not cut at zero, and actions end at ±1 (hence an `action_scale` of 1, which is 0.25 there).
+The names and formulas of the reward terms, their weights, and the order of the observation are those of legged_gym (Rudin et al. 2022) and
+of Isaac Lab's velocity tasks. As in these, a term is multiplied by its weight and by the control step's duration. A foot is in contact, and
+another body collides, when it is in the ground. Velocities are those of the base link's origin, in the base's frame. There are three differences to
+legged_gym: observations are not scaled, a negative sum of rewards is not clipped at zero, and actions are within ±1. Therefore
+`action_scale` is 1, and not 0.25 as in legged_gym.
 
 An episode terminates when the base has tilted by more than 60° (`bad_orientation`) or, on `rigid` ground, touches it
 (`base_contact`); it is truncated after `max_episode_steps`, or when its state can no longer be computed (`diverged`).
 
-On ground with heights (`relief`, or ground `dunes`) an episode begins at a random position; `measure_heights` adds legged_gym's
-`measured_heights`, the base's height over 17 × 11 points less 0.5 m, within ± 1 m. On a slope, depth and forces refer to the sand's own surface.
+On ground with heights (`relief`, or ground `dunes`) an episode begins at a random position. `measure_heights` adds legged_gym's
+`measured_heights` to the observation: the base's height above 17 × 11 points of the ground, minus 0.5 m, clipped to ± 1 m. On a slope, depths and
+forces refer to the normal of the sand's surface.
 
-Resistive force theory was measured for segments up to about 0.5 m/s in the sand; faster ones are extrapolated.";
+Resistive force theory was measured for segments that move with up to about 0.5 m/s in the sand. Forces at higher speeds are extrapolated.";
 
 /// The arguments of an observation's functions.
 struct Observed<'a> {
@@ -183,7 +185,7 @@ impl Task for LeggedVelocity {
         let reward = rewards.terms();
         let spec = Spec {
             id: Self::ID,
-            summary: "Any legged robot follows commanded velocities on sand or hard ground; actions are offsets of joint targets."
+            summary: "A legged robot follows commanded velocities on sand or hard ground; actions are differences of joint targets from the default pose."
                 .into(),
             observation: observation.columns(),
             action: Column::each(joints, "offset of the target over action_scale", "1", 1.0),

@@ -23,21 +23,21 @@ options! {
     /// bounds on actions. Here actions are within ± 1, and with a scale of 0.25 Go1's feet would move too little to
     /// walk.
     pub struct LeggedOptions {
-        robot: RobotName = RobotName::TREE.into(), "built-in robot sandcat, or a packed file (Python: its path)";
+        robot: RobotName = RobotName::TREE.into(), "built-in robot sandcat, or a packed robot file (in Python its path)";
         law: Law = Law::Li2013, "resistive force law: li2013, penetration-drag-1d or agarwal2023";
         dt: f64 = 2e-3, "time step [s], which divides the control period";
-        angle_noise: f64 = 0.1, [0.0, PI], "initial joint angles are uniform within ± this around the default pose [rad]";
-        sand: String = String::new(), "a sand.toml, as a diagnosis writes it: replaces medium and law (Python: its path)";
-        slope_deg: f64 = 0.0, reset, "surface rises toward +x [°]";
+        angle_noise: f64 = 0.1, [0.0, PI], "largest difference of the initial joint angles from the default pose, uniformly distributed [rad]";
+        sand: String = String::new(), "text of a sand.toml, for example from a diagnosis (in Python its path); it replaces medium and law";
+        slope_deg: f64 = 0.0, reset, "slope of the surface [°]; a positive slope rises toward +x";
         payload: f64 = 0.0, reset, "extra mass at the base's centre [kg]";
-        max_episode_steps: u32 = 1000, [1.0, MAX_STEPS], "control steps until an episode is truncated";
-        ground: String = Medium::DEFAULT.into(), "rigid, mixed (slabs of hard ground in loose poppy seeds), dunes (of loose poppy seeds), a medium's name, zeta=VALUE or mu=VALUE,rho=VALUE";
-        commands: Commands = Commands::default(), "ranges [low, high] of commands, drawn at the start and anew as time goes on";
-        rewards: Rewards = Rewards::default(), "weight of each reward term, a second";
-        domain_rand: Option<DomainRand> = Some(DomainRand::default()), "ranges [low, high] that an episode draws from; None: nothing is drawn";
-        action_scale: f64 = 1.0, [1e-3, 3.0], "what an action of 1, the largest, adds to a joint's default position [rad]";
-        relief: Option<ReliefOptions> = None, "heights of the ground; None: it is flat, but for ground dunes";
-        measure_heights: bool = false, "observe the ground's heights at legged_gym's 187 points around the robot";
+        max_episode_steps: u32 = 1000, [1.0, MAX_STEPS], "number of control steps after which an episode is truncated";
+        ground: String = Medium::DEFAULT.into(), "rigid, mixed (slabs of hard ground in loose poppy seeds), dunes (of loose poppy seeds), a medium's name, zeta=VALUE, or mu=VALUE,rho=VALUE";
+        commands: Commands = Commands::default(), "ranges [low, high] of commands, which are drawn at the start and repeatedly during the episode";
+        rewards: Rewards = Rewards::default(), "weight of each reward term [1/s]";
+        domain_rand: Option<DomainRand> = Some(DomainRand::default()), "ranges [low, high] of the quantities that an episode draws; None: nothing is drawn";
+        action_scale: f64 = 1.0, [1e-3, 3.0], "difference between a joint's target and its default position at action 1 [rad]";
+        relief: Option<ReliefOptions> = None, "heights of the ground; None: the ground is flat, except with ground dunes";
+        measure_heights: bool = false, "add the ground's heights at legged_gym's 187 points around the robot to the observation";
     }
 }
 
@@ -47,12 +47,12 @@ options! {
     #[derive(Serialize, Deserialize)]
     #[serde(deny_unknown_fields, default)]
     pub struct ReliefOptions {
-        seed: u64 = 0, "of random dunes";
-        wavelength: f64 = 2.0, "about how far it is from crest to crest [m]";
-        slope_deg: f64 = 15.0, "of the steepest place [°]";
-        heights: Option<Vec<Vec<f64>>> = None, "rows along y of heights along x [m], in place of dunes";
-        file: String = String::new(), "the same from a file, packed (Python, command line: path of a .csv or .npy)";
-        spacing: f64 = 0.1, "between two of these heights [m]";
+        seed: u64 = 0, "seed of random dunes";
+        wavelength: f64 = 2.0, "approximate distance from crest to crest of dunes [m]";
+        slope_deg: f64 = 15.0, "greatest slope of dunes [°]";
+        heights: Option<Vec<Vec<f64>>> = None, "heights instead of dunes [m]: rows along y, each with heights along x";
+        file: String = String::new(), "packed heights of a file (in Python and on the command line the path of a .csv or .npy file)";
+        spacing: f64 = 0.1, "distance between two heights of heights or file [m]";
     }
 }
 

@@ -76,18 +76,18 @@ reward_terms! {
         tracking_ang_vel: 0.5, "exp(−(ω_z − commanded)² / 0.25 rad²/s²)", |s| (-square(s.angular_velocity[2] - s.legged.now[2]) / TRACKING).exp();
         lin_vel_z: -2.0, "v_z²", |s| square(s.velocity[2]);
         ang_vel_xy: -0.05, "ω_x² + ω_y²", |s| square(s.angular_velocity[0]) + square(s.angular_velocity[1]);
-        orientation: 0.0, "squares of gravity's direction along x and y of the base", |s| square(s.gravity[0]) + square(s.gravity[1]);
+        orientation: 0.0, "g_x² + g_y², with gravity's direction g in the base's frame", |s| square(s.gravity[0]) + square(s.gravity[1]);
         torques: -1e-5, "Σ τ²", |s| s.t.after.torques.iter().map(|x| x * x).sum::<f64>();
         dof_acc: -2.5e-7, "Σ (mean acceleration of a joint over the step)²", |s| accelerations(s.t);
         action_rate: -0.01, "Σ (change of the action)²", |s| {
             s.t.action.iter().zip(s.t.previous_action).map(|(a, b)| square(f64::from(a - b))).sum()
         };
-        feet_air_time: 1.0, "Σ (time in the air − 0.5 s) of feet that touch down, if more than 0.1 m/s is commanded", |s| {
+        feet_air_time: 1.0, "Σ (time in the air − 0.5 s) over the feet that touch down; 0 if the commanded speed is at most 0.1 m/s", |s| {
             if s.commanded() > STANDING { air_time(s) } else { 0.0 }
         };
-        collision: -1.0, "number of bodies in the ground that are neither base nor feet", |s| s.contacts.others as f64;
-        dof_pos_limits: -10.0, "Σ way of joints into the outer 5 % of their range at either end [rad]", |s| beyond_limits(s.t.model, s.t.after);
-        stand_still: 0.0, "Σ |joint − default|, if less than 0.1 m/s is commanded", |s| {
+        collision: -1.0, "number of bodies in the ground, except base and feet", |s| s.contacts.others as f64;
+        dof_pos_limits: -10.0, "Σ distance of joints beyond the middle 90 % of their range [rad]", |s| beyond_limits(s.t.model, s.t.after);
+        stand_still: 0.0, "Σ |joint angle − default|; 0 if the commanded speed is at least 0.1 m/s", |s| {
             if s.commanded() < STANDING { off_default(s) } else { 0.0 }
         };
         termination: -100.0, "1 in the step that terminates the episode", |s| flag(s.terminated());

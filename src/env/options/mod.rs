@@ -7,7 +7,7 @@
 //!     /// Options of HexapodTerrain.
 //!     pub struct TerrainOptions {
 //!         ..gait: GaitOptions = GaitOptions::default();
-//!         difficulty: f64 = 1.0, [0.0, 1.0], reset, "how much of randomize: 0 nothing, 1 all";
+//!         difficulty: f64 = 1.0, [0.0, 1.0], reset, "share of the ranges in randomize, from 0 (nothing varies) to 1";
 //!     }
 //! }
 //! ```
@@ -31,7 +31,7 @@ use serde_json::{Map, Value};
 pub struct OptionRow {
     pub name: &'static str,
     pub help: &'static str,
-    /// May a reset change it?
+    /// May a reset change this option?
     pub at_reset: bool,
     /// For a dictionary: its keys.
     pub keys: Vec<OptionRow>,

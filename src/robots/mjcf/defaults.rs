@@ -4,7 +4,8 @@ use crate::error::Result;
 use crate::xml::Element;
 use std::collections::HashMap;
 
-/// Actuators, which share one set of defaults; the latest element gives the kind.
+/// Elements of actuators. In a default class they share one set of attributes, and the last element gives the
+/// actuator's kind.
 pub const ACTUATORS: [&str; 11] = [
     "general",
     "motor",

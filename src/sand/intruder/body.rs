@@ -105,7 +105,7 @@ pub struct Body {
 /// Number of positions for each plate along the longest side: our choice. A period in 96 positions has forces within 1 % of
 /// those in 400; with plates half as long and twice as many positions, within 0.3 %.
 const TURNS: f64 = 1.92;
-/// Least and largest number of positions: our choice.
+/// Least and largest number of positions: our choice, because fewer are inaccurate and more take too long.
 const FEWEST_TURNS: usize = 48;
 const MOST_TURNS: usize = 384;
 /// Largest number of plates in all positions together: our choice; with as many, the search for a load takes 300 MB.

@@ -14,7 +14,8 @@ use std::collections::BTreeMap;
 
 pub use lanes::{LaneTerms, Piece};
 
-/// Largest number of terms of one sand, and of different terms in environments that are computed together: our choice.
+/// Largest number of terms of one sand, and of different terms in environments that are computed together: our choice,
+/// because each term makes a step slower.
 pub const MOST_TERMS: usize = 4;
 /// Largest number of groups of one term.
 const MOST_GROUPS: usize = 4;
@@ -94,7 +95,7 @@ impl Group {
         }
     }
 
-    /// May it be negative?
+    /// May the group be negative?
     fn signed(self) -> bool {
         matches!(self, Group::Acceleration | Group::SinGamma | Group::SinBeta)
     }
@@ -114,7 +115,8 @@ pub struct Term {
     pub range: BTreeMap<String, [f64; 2]>,
 }
 
-/// A share of the penetration stress too small for any experiment to detect: our choice.
+/// A negative stress up to this share of the penetration stress is accepted: our choice, because no experiment can
+/// detect it.
 const UNTOLD: f64 = 1e-3;
 
 /// Bounds of the law's own stress on a moving piece, per depth [N/m³].
@@ -149,7 +151,8 @@ impl Term {
         self.groups.iter().map(factor).collect()
     }
 
-    /// Refuses a term that would add energy, pull, break mirror symmetry or act above the surface, and one without bounds.
+    /// Refuses a term that would add energy, pull, break mirror symmetry or act above the surface, and one without
+    /// bounds.
     pub fn check(&self, coefficients: &Coefficients, bulk_density: f64) -> Result<()> {
         check_range("term.coefficient", self.coefficient, -1e4..=1e4)?;
         let factors = self.factors()?;

@@ -21,7 +21,7 @@ pub enum Peer {
     Host(IpAddr),
     /// The other end of a Unix socket.
     Local,
-    /// All further peers, counted together, when the table has no room for more.
+    /// All other peers together, if the table is full.
     Others,
 }
 
@@ -68,7 +68,7 @@ struct Entry {
 }
 
 impl Entry {
-    /// May it be closed to make room?
+    /// May the connection be closed to make room for another one?
     fn is_idle(&self) -> bool {
         self.streams == 0
     }

@@ -3,16 +3,16 @@
 pub struct DescribeRequest {}
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct DescribeResponse {
-    /// Version of the server, as in its Cargo.toml.
+    /// Version of the server's software.
     #[prost(string, tag = "1")]
     pub version: ::prost::alloc::string::String,
-    /// Raised whenever a client of the previous number would misread this server.
+    /// Version of this protocol. It increases when a client of the previous version would misread this server.
     #[prost(uint32, tag = "2")]
     pub protocol: u32,
     #[prost(message, repeated, tag = "3")]
     pub tasks: ::prost::alloc::vec::Vec<Task>,
 }
-/// A task as its default options make it. A session's own table comes with CreateSessionResponse.
+/// A task with its default options. CreateSessionResponse has the task with the session's options.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Task {
     /// For example "sandgait/HexapodGait-v1".
@@ -24,15 +24,15 @@ pub struct Task {
     pub observation: ::prost::alloc::vec::Vec<Column>,
     #[prost(message, repeated, tag = "4")]
     pub action: ::prost::alloc::vec::Vec<Column>,
-    /// Reward terms (already weighted) first, in order; then other figures of the step.
+    /// First the weighted reward terms in order, then other figures of the step.
     #[prost(message, repeated, tag = "5")]
     pub info: ::prost::alloc::vec::Vec<Column>,
-    /// How many leading columns of `info` are reward terms: their sum is the reward.
+    /// Number of reward terms, the first columns of `info`. Their sum is the reward.
     #[prost(uint32, tag = "6")]
     pub reward_terms: u32,
     #[prost(uint32, tag = "7")]
     pub max_episode_steps: u32,
-    /// Control steps a second of simulated time.
+    /// Control steps in a second of simulated time \[Hz\].
     #[prost(double, tag = "8")]
     pub control_rate: f64,
     #[prost(message, repeated, tag = "9")]
@@ -43,7 +43,7 @@ pub struct Task {
 pub struct Column {
     #[prost(string, tag = "1")]
     pub name: ::prost::alloc::string::String,
-    /// SI unit, "1" where dimensionless.
+    /// SI unit; "1" for a dimensionless number.
     #[prost(string, tag = "2")]
     pub unit: ::prost::alloc::string::String,
     #[prost(double, tag = "3")]
@@ -51,7 +51,7 @@ pub struct Column {
     #[prost(double, tag = "4")]
     pub high: f64,
 }
-/// One keyword of gymnasium.make.
+/// A keyword of gymnasium.make.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Option {
     #[prost(string, tag = "1")]
@@ -60,7 +60,7 @@ pub struct Option {
     pub summary: ::prost::alloc::string::String,
     #[prost(message, optional, tag = "3")]
     pub default_value: ::core::option::Option<::prost_types::Value>,
-    /// May also be given to a reset.
+    /// A reset may change this option.
     #[prost(bool, tag = "4")]
     pub at_reset: bool,
 }
@@ -72,7 +72,7 @@ pub struct CreateSessionRequest {
     pub num_envs: u32,
     #[prost(message, optional, tag = "3")]
     pub options: ::core::option::Option<::prost_types::Struct>,
-    /// The protocol number the client was written for; a mismatch is refused.
+    /// The version of the protocol for which the client was written. The server refuses another version than its own.
     #[prost(uint32, tag = "4")]
     pub protocol: u32,
 }
@@ -80,13 +80,13 @@ pub struct CreateSessionRequest {
 pub struct CreateSessionResponse {
     #[prost(string, tag = "1")]
     pub session_id: ::prost::alloc::string::String,
-    /// The table of this session, as its options made it.
+    /// The session's task, with the session's options.
     #[prost(message, optional, tag = "2")]
     pub task: ::core::option::Option<Task>,
-    /// Without a stream the session is freed after this time \[s\].
+    /// The server ends the session after this time without a stream \[s\].
     #[prost(double, tag = "3")]
     pub lease_seconds: f64,
-    /// What of the options has no effect, and why; a line each, for people.
+    /// For people: one line for each option without effect, with the reason.
     #[prost(string, repeated, tag = "4")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
 }
@@ -111,30 +111,31 @@ pub struct ListSessionsResponse {
 }
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct SessionSummary {
-    /// First 8 digits of the SHA-256 of the session's id: what the server's log calls it.
+    /// The session's name in the server's log: the first 8 digits of the SHA-256 of its id.
     #[prost(string, tag = "1")]
     pub name: ::prost::alloc::string::String,
     #[prost(string, tag = "2")]
     pub task_id: ::prost::alloc::string::String,
     #[prost(uint32, tag = "3")]
     pub num_envs: u32,
-    /// A stream holds it.
+    /// The session has a stream.
     #[prost(bool, tag = "4")]
     pub attached: bool,
-    /// Number of the last request that was carried out or refused.
+    /// Number of the last request that the server carried out or refused.
     #[prost(uint64, tag = "5")]
     pub sequence: u64,
-    /// Time without a stream \[s\]; 0 while attached.
+    /// Time since the session lost its stream \[s\]; 0 while it has a stream.
     #[prost(double, tag = "6")]
     pub idle_seconds: f64,
 }
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct RunSessionRequest {
-    /// Needed in the first message of a stream; later empty or the same.
+    /// Required in the first message of a stream. Later messages leave it empty or repeat it.
     #[prost(string, tag = "1")]
     pub session_id: ::prost::alloc::string::String,
-    /// 1, 2, 3, … in a session. The last number again asks for the last answer again and does nothing else, so a client
-    /// that lost its stream repeats the request that it has no answer to. 0: not numbered, not protected.
+    /// Number of the request in its session: 1, 2, 3, … If a client sends the last number again, the server sends the last
+    /// answer again and does nothing else. So a client that lost its stream can repeat the request that was not answered.
+    /// With number 0 a request cannot be repeated in this way.
     #[prost(uint64, tag = "2")]
     pub sequence: u64,
     #[prost(
@@ -167,82 +168,83 @@ pub mod run_session_request {
         Observe(super::Observe),
     }
 }
-/// Takes the session for this stream. Any first message does that; this one does nothing else.
+/// Attaches the session to this stream and does nothing else. Any other first message also attaches the session.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct Attach {}
-/// Asks for all environments as data.
+/// Asks for a snapshot of all environments.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct Save {}
-/// Lets environments go on as saved ones: with every bit, also in another session or on another server, if it has the
-/// same version and instruction set.
+/// Sets environments to the states in a snapshot. They then continue with the same bits as the saved environments, also
+/// in another session, and on another server of the same version and instruction set.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct Restore {
     #[prost(bytes = "bytes", tag = "1")]
     pub snapshot: ::prost::bytes::Bytes,
-    /// u32 \[num_envs\]: which of the snapshot's environments each one becomes. Empty: its own number modulo theirs, so a
-    /// snapshot of one environment is forked.
+    /// u32 \[num_envs\]: for each environment, the index of an environment of the snapshot. Empty: environment i is restored
+    /// from environment i modulo n of a snapshot of n environments. So a snapshot of one environment sets all environments.
     #[prost(bytes = "bytes", tag = "2")]
     pub sources: ::prost::bytes::Bytes,
 }
-/// Runs sequences of actions from where the environments are, and puts them back there. An environment's rollout ends
-/// with its episode.
+/// Runs a sequence of actions in each environment, from its present state, and then restores this state. The rollout of
+/// an environment ends early if its episode ends.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct Rollout {
     /// f32 \[steps, num_envs, actions\]
     #[prost(bytes = "bytes", tag = "1")]
     pub actions: ::prost::bytes::Bytes,
-    /// Give back every step, not only the returns.
+    /// Return the observations and rewards of every step, not only the sums of rewards.
     #[prost(bool, tag = "2")]
     pub trajectories: bool,
 }
-/// Runs a policy from where the environments are, and puts them back there. Answered as a rollout is.
+/// Runs a policy in each environment, from its present state, and then restores this state. The answers are those of a
+/// Rollout.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct PolicyRollout {
-    /// A feed-forward network as ONNX, at most 4 MiB: one input, f32 \[n, observations\], one output, f32 \[n, actions\]. Actions
-    /// are clipped to their bounds. Whatever normalizes observations is part of it.
+    /// A feed-forward network as ONNX, at most 4 MiB, with one input, f32 \[n, observations\], and one output, f32 \[n, actions\].
+    /// The server clips actions to their bounds. If observations must be normalized, the network does it.
     #[prost(bytes = "bytes", tag = "1")]
     pub onnx: ::prost::bytes::Bytes,
-    /// 1 to the task's max_episode_steps.
+    /// Number of control steps, from 1 to the task's max_episode_steps.
     #[prost(uint32, tag = "2")]
     pub steps: u32,
-    /// Give back every step, not only the returns.
+    /// Return the observations and rewards of every step, not only the sums of rewards.
     #[prost(bool, tag = "3")]
     pub trajectories: bool,
 }
-/// Asks for pictures of environments; nothing changes.
+/// Asks for pictures of environments. This changes no environment.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct Render {
-    /// \[pictures\]: which environments; each may be asked for more than once.
+    /// \[pictures\]: the environment of each picture. An environment may occur more than once.
     #[prost(uint32, repeated, tag = "1")]
     pub indices: ::prost::alloc::vec::Vec<u32>,
-    /// Of each picture \[px\].
+    /// Width and height of each picture \[px\].
     #[prost(uint32, tag = "2")]
     pub width: u32,
     #[prost(uint32, tag = "3")]
     pub height: u32,
-    /// Where an episode ended in the last step show its last moment, not the first of the next one.
+    /// If an episode ended in the last step, show its last state and not the first state of the next episode.
     #[prost(bool, tag = "4")]
     pub ended: bool,
 }
-/// Asks for the moment of one environment as recordings hold it; nothing changes.
+/// Asks for the present state of one environment, in the format of recordings. This changes no environment.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct Observe {
     #[prost(uint32, tag = "1")]
     pub index: u32,
-    /// As in Render.
+    /// If the episode ended in the last step, show its last state and not the first state of the next episode.
     #[prost(bool, tag = "2")]
     pub ended: bool,
 }
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Reset {
-    /// One seed an environment, or none: the streams of random numbers go on.
+    /// One seed for each environment. Empty: each environment's stream of random numbers continues.
     #[prost(fixed64, repeated, tag = "1")]
     pub seeds: ::prost::alloc::vec::Vec<u64>,
-    /// u8, one an environment: which are reset. Empty: all. Others keep their state.
+    /// u8 \[num_envs\]: 1 resets an environment, 0 leaves it unchanged. Empty: all environments are reset.
     #[prost(bytes = "bytes", tag = "2")]
     pub mask: ::prost::bytes::Bytes,
-    /// Changes to the task options that each of these environments has; they hold until a reset changes them again. Structs
-    /// in them (randomize, rocks, stroke) change key by key.
+    /// New values of task options for the environments that are reset. They hold until another reset changes them. In a
+    /// structured option (randomize, rocks, stroke) only the given keys change.
     #[prost(message, optional, tag = "3")]
     pub options: ::core::option::Option<::prost_types::Struct>,
 }
@@ -251,8 +253,8 @@ pub struct Step {
     /// f32 \[num_envs, actions\]
     #[prost(bytes = "bytes", tag = "1")]
     pub actions: ::prost::bytes::Bytes,
-    /// u8 \[num_envs\]: environments that stay as they are, whatever their actions; their rows are zero but for the
-    /// observation. Empty: all step. With it a client makes the autoreset mode NEXT_STEP.
+    /// u8 \[num_envs\]: 1 holds an environment, which then ignores its action and keeps its state. Its rows are zero except for
+    /// the observation. Empty: no environment is held. Clients use this for the autoreset mode NEXT_STEP.
     #[prost(bytes = "bytes", tag = "10")]
     pub held: ::prost::bytes::Bytes,
 }
@@ -269,14 +271,14 @@ pub mod run_session_response {
     pub enum Response {
         #[prost(message, tag = "2")]
         Batch(super::Batch),
-        /// The request was refused and changed nothing; the session goes on.
+        /// The server refused the request, which changed nothing. The session continues.
         #[prost(message, tag = "3")]
         Failure(super::Failure),
         #[prost(message, tag = "4")]
         Attached(super::Attached),
         #[prost(message, tag = "5")]
         Snapshot(super::Snapshot),
-        /// A rollout is answered by one or more of these; the last one has `returns`.
+        /// The server answers a rollout with one or more parts. The last part has `returns`.
         #[prost(message, tag = "6")]
         Rollout(super::RolloutPart),
         #[prost(message, tag = "20")]
@@ -287,63 +289,64 @@ pub mod run_session_response {
 }
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct Pictures {
-    /// u8 \[pictures, height, width, 3\]: red, green, blue, from the upper left corner.
+    /// u8 \[pictures, height, width, 3\]: rows from the top, pixels from the left, each as red, green and blue.
     #[prost(bytes = "bytes", tag = "1")]
     pub pixels: ::prost::bytes::Bytes,
 }
-/// docs/seeing.md has the format.
+/// The state of an environment as in a recording; docs/seeing.md has the format.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct Observation {
-    /// Header of a recording's section: JSON. It stays the same for an episode.
+    /// Header of a section of a recording, as JSON. It is the same for a whole episode.
     #[prost(string, tag = "1")]
     pub header: ::prost::alloc::string::String,
-    /// f32 \[the header's columns\]
+    /// f32 \[columns\]: one number for each column of the header.
     #[prost(bytes = "bytes", tag = "2")]
     pub row: ::prost::bytes::Bytes,
 }
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct Attached {
-    /// Number of the last request that was carried out or refused; 0 if none was.
+    /// Number of the last request that the server carried out or refused; 0 before the first request.
     #[prost(uint64, tag = "1")]
     pub last_sequence: u64,
 }
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct Snapshot {
-    /// As Restore takes it.
+    /// The environments' states, for a Restore.
     #[prost(bytes = "bytes", tag = "1")]
     pub data: ::prost::bytes::Bytes,
 }
-/// The next steps of a rollout. Rows of an environment whose rollout has ended are zero.
+/// Some consecutive steps of a rollout. After an environment's rollout has ended, its rows are zero.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct RolloutPart {
-    /// Number of the first step in this part, and of steps.
+    /// Number of the first step of this part, and the count of its steps.
     #[prost(uint32, tag = "1")]
     pub first_step: u32,
     #[prost(uint32, tag = "2")]
     pub steps: u32,
-    /// f32 \[steps, num_envs, observations\], f32 \[steps, num_envs\]: after each step; empty unless asked for.
+    /// Observations after each step, f32 \[steps, num_envs, observations\], and rewards, f32 \[steps, num_envs\]. Both are empty
+    /// unless the request has `trajectories`.
     #[prost(bytes = "bytes", tag = "3")]
     pub observations: ::prost::bytes::Bytes,
     #[prost(bytes = "bytes", tag = "4")]
     pub rewards: ::prost::bytes::Bytes,
-    /// The rest stands in the last part only. f64 \[num_envs\]: sum of rewards.
+    /// f64 \[num_envs\]: sum of rewards. This field and the next three are in the last part only.
     #[prost(bytes = "bytes", tag = "5")]
     pub returns: ::prost::bytes::Bytes,
-    /// u32 \[num_envs\]: steps until the rollout or the episode ended.
+    /// u32 \[num_envs\]: number of steps until the rollout or the episode ended.
     #[prost(bytes = "bytes", tag = "6")]
     pub lengths: ::prost::bytes::Bytes,
-    /// u8 \[num_envs\]: how the episode ended, if it did.
+    /// u8 \[num_envs\]: 1 if the episode was terminated, and 1 if it was truncated.
     #[prost(bytes = "bytes", tag = "7")]
     pub terminated: ::prost::bytes::Bytes,
     #[prost(bytes = "bytes", tag = "8")]
     pub truncated: ::prost::bytes::Bytes,
-    /// f32 \[steps, num_envs, actions\]: what a policy chose, clipped; with its trajectories only.
+    /// f32 \[steps, num_envs, actions\]: the policy's clipped actions. Empty unless a PolicyRollout has `trajectories`.
     #[prost(bytes = "bytes", tag = "30")]
     pub actions: ::prost::bytes::Bytes,
 }
-/// State of all environments after a reset or step. Where an episode ended in this step, the environment has already
-/// been reset (SAME_STEP): `observations` holds the first row of the new episode, the `final_*` columns the last
-/// row of the old one.
+/// Results of a reset, step or restore for all environments. If an episode ended in this step, the environment has already
+/// been reset (autoreset mode SAME_STEP). `observations` then has the first observation of the new episode, and the
+/// `final_*` fields have the last observation of the old one.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct Batch {
     /// f32 \[num_envs, observations\]
@@ -358,10 +361,10 @@ pub struct Batch {
     /// u8 \[num_envs\]
     #[prost(bytes = "bytes", tag = "4")]
     pub truncated: ::prost::bytes::Bytes,
-    /// f32 \[num_envs, info\]; of the step that was just made, also where an episode ended. Zero after a reset.
+    /// f32 \[num_envs, info\]: figures of this step, also if the episode ended in it. Zero after a reset.
     #[prost(bytes = "bytes", tag = "5")]
     pub infos: ::prost::bytes::Bytes,
-    /// u32 \[k\]: environments whose episode ended, ascending.
+    /// u32 \[k\]: environments whose episode ended in this step, in ascending order.
     #[prost(bytes = "bytes", tag = "6")]
     pub final_indices: ::prost::bytes::Bytes,
     /// f32 \[k, observations\]
@@ -370,7 +373,7 @@ pub struct Batch {
 }
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct Failure {
-    /// A google.rpc.Code, for example 3 = INVALID_ARGUMENT.
+    /// A number of google.rpc.Code, for example 3 for INVALID_ARGUMENT.
     #[prost(int32, tag = "1")]
     pub code: i32,
     #[prost(string, tag = "2")]
@@ -474,7 +477,7 @@ pub mod environment_service_client {
             self.inner = self.inner.max_encoding_message_size(limit);
             self
         }
-        /// What this server is and which tasks it offers.
+        /// Returns the server's version and the tasks that it offers.
         pub async fn describe(
             &mut self,
             request: impl tonic::IntoRequest<super::DescribeRequest>,
@@ -526,8 +529,8 @@ pub mod environment_service_client {
                 );
             self.inner.unary(req, path, codec).await
         }
-        /// Resets, steps and what else a session does. The first message names the session. A session has one stream: a new
-        /// one takes it from the old one, which ends with ABORTED.
+        /// Carries out the requests of a session, such as resets and steps. The first message names the session. A session has
+        /// one stream: when a new stream names the session, the old stream ends with ABORTED.
         pub async fn run_session(
             &mut self,
             request: impl tonic::IntoStreamingRequest<Message = super::RunSessionRequest>,
@@ -552,7 +555,7 @@ pub mod environment_service_client {
                 .insert(GrpcMethod::new("sandgait.v1.EnvironmentService", "RunSession"));
             self.inner.streaming(req, path, codec).await
         }
-        /// What a session is and how far it has come.
+        /// Returns a session's task, and the number of its last request.
         pub async fn describe_session(
             &mut self,
             request: impl tonic::IntoRequest<super::DescribeSessionRequest>,
@@ -579,7 +582,7 @@ pub mod environment_service_client {
                 );
             self.inner.unary(req, path, codec).await
         }
-        /// All sessions of this server, without the ids that would let one use them.
+        /// Lists all sessions of this server. The list has no ids, because whoever knows an id can use the session.
         pub async fn list_sessions(
             &mut self,
             request: impl tonic::IntoRequest<super::ListSessionsRequest>,
@@ -606,7 +609,7 @@ pub mod environment_service_client {
                 );
             self.inner.unary(req, path, codec).await
         }
-        /// Frees a session.
+        /// Ends a session and frees its environments.
         pub async fn close_session(
             &mut self,
             request: impl tonic::IntoRequest<super::CloseSessionRequest>,
@@ -635,10 +638,10 @@ pub mod environment_service_client {
         }
     }
 }
-/// A file of the client's.
+/// A file that the client sends.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct File {
-    /// Stands in messages about the file; nothing is opened by it.
+    /// Name of the file in messages. The server opens no file of this name.
     #[prost(string, tag = "1")]
     pub name: ::prost::alloc::string::String,
     #[prost(bytes = "bytes", tag = "2")]
@@ -649,10 +652,10 @@ pub struct Sand {
     /// A name from `sandgait media`, zeta=VALUE or mu=VALUE,rho=VALUE. Absent: poppy-loose.
     #[prost(string, optional, tag = "1")]
     pub medium: ::core::option::Option<::prost::alloc::string::String>,
-    /// li2013, penetration-drag-1d or agarwal2023. Absent: li2013.
+    /// The force law: li2013, penetration-drag-1d or agarwal2023. Absent: li2013.
     #[prost(string, optional, tag = "2")]
     pub law: ::core::option::Option<::prost::alloc::string::String>,
-    /// A sand.toml, in place of both.
+    /// A sand.toml, instead of medium and law.
     #[prost(message, optional, tag = "3")]
     pub file: ::core::option::Option<File>,
 }
@@ -661,20 +664,20 @@ pub struct Robot {
     /// A built-in robot. Absent: xplorer.
     #[prost(string, optional, tag = "1")]
     pub name: ::core::option::Option<::prost::alloc::string::String>,
-    /// A robot's TOML, in its place.
+    /// A robot's TOML file, instead of a name.
     #[prost(message, optional, tag = "2")]
     pub file: ::core::option::Option<File>,
 }
-/// How far a study has come.
+/// The progress of a study.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Progress {
-    /// 0 to 1, never less than before.
+    /// Share of the work that is done, from 0 to 1. It never decreases.
     #[prost(double, tag = "1")]
     pub fraction: f64,
-    /// What is done now, for people.
+    /// The present stage of the work, for people.
     #[prost(string, tag = "2")]
     pub stage: ::prost::alloc::string::String,
-    /// Studies that this server finishes first; 0 once this one is computed.
+    /// Number of studies that this server computes before this one; 0 as soon as it computes this one.
     #[prost(uint32, tag = "3")]
     pub ahead: u32,
 }
@@ -683,7 +686,7 @@ pub struct Progress {
 pub struct Table {
     #[prost(message, repeated, tag = "1")]
     pub columns: ::prost::alloc::vec::Vec<Series>,
-    /// For people, for example that the sand's numbers are extrapolated.
+    /// Lines for people. One may say, for example, that the sand's numbers are extrapolated.
     #[prost(string, repeated, tag = "2")]
     pub warnings: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
 }
@@ -691,31 +694,31 @@ pub struct Table {
 pub struct Series {
     #[prost(string, tag = "1")]
     pub name: ::prost::alloc::string::String,
-    /// SI unit, "1" where dimensionless, "" for names.
+    /// SI unit; "1" for dimensionless numbers, "" for names.
     #[prost(string, tag = "2")]
     pub unit: ::prost::alloc::string::String,
-    /// f64, little-endian; not a number where a walk diverged.
+    /// f64, little-endian. The numbers of a walk that diverged are NaN.
     #[prost(bytes = "bytes", tag = "3")]
     pub numbers: ::prost::bytes::Bytes,
-    /// In place of numbers.
+    /// Names, instead of numbers.
     #[prost(string, repeated, tag = "4")]
     pub names: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
 }
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct IntrudeRequest {
-    /// L, revL, C, revC, flat or xi=DEGREES.
+    /// Shape of the leg: L, revL, C, revC, flat or xi=DEGREES.
     #[prost(string, tag = "1")]
     pub shape: ::prost::alloc::string::String,
     /// Distance from hip to tip \[m\].
     #[prost(double, optional, tag = "2")]
     pub chord: ::core::option::Option<f64>,
-    /// \[m\]
+    /// Width of the leg \[m\].
     #[prost(double, optional, tag = "3")]
     pub width: ::core::option::Option<f64>,
     /// Height of the hip above the surface \[m\].
     #[prost(double, optional, tag = "4")]
     pub hip_height: ::core::option::Option<f64>,
-    /// Angular speed \[rad/s\]; negative turns the tip backward.
+    /// Angular speed \[rad/s\]; with a negative one the tip moves backward.
     #[prost(double, optional, tag = "5")]
     pub omega: ::core::option::Option<f64>,
     #[prost(message, optional, tag = "6")]
@@ -723,31 +726,33 @@ pub struct IntrudeRequest {
 }
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct IntrudeResponse {
-    /// theta, Fx, Fz, Ty: angle (0: tip straight down, positive: tip forward), forces on the leg, torque about the hip.
+    /// Columns theta, Fx, Fz and Ty: the leg's angle (0: tip straight down, positive: tip forward), the forces on the leg and
+    /// the torque about the hip.
     #[prost(message, optional, tag = "1")]
     pub table: ::core::option::Option<Table>,
 }
-/// What `sandgait intrude --body` computes. All columns have one f64, little-endian, a row; up to 1,000,000 rows.
+/// Computes the same as `sandgait intrude --body`. Each column has one f64, little-endian, for each motion; up to 1,000,000
+/// motions.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct TrialsRequest {
-    /// vx, vy, vz of the body's origin, row by row \[m/s\]: x heading, y axle, z up.
+    /// Velocity of the body's origin \[m/s\]: vx, vy, vz, row by row. x is the heading, y the axle, z points up.
     #[prost(bytes = "bytes", tag = "3")]
     pub velocity: ::prost::bytes::Bytes,
-    /// wx, wy, wz, row by row \[rad/s\]. Absent: none.
+    /// Angular velocity \[rad/s\]: wx, wy, wz, row by row. Absent: 0.
     #[prost(bytes = "bytes", optional, tag = "4")]
     pub spin: ::core::option::Option<::prost::bytes::Bytes>,
-    /// Of the lowest point below the surface \[m\]; not a number where a load is given. Absent: loads only.
+    /// Depth of the body's lowest point below the surface \[m\]; NaN in a row with a load. Absent: all rows have loads.
     #[prost(bytes = "bytes", optional, tag = "5")]
     pub depth: ::core::option::Option<::prost::bytes::Bytes>,
-    /// Upward force to be carried \[N\]; not a number where a depth is given. Absent: depths only.
+    /// Load that the sand carries \[N\]; NaN in a row with a depth. Absent: all rows have depths.
     #[prost(bytes = "bytes", optional, tag = "6")]
     pub load: ::core::option::Option<::prost::bytes::Bytes>,
     #[prost(message, optional, tag = "7")]
     pub sand: ::core::option::Option<Sand>,
-    /// Friction coefficient μ_s of the body's surface, in place of the sand's friction_clip.
+    /// Friction coefficient μ_s of the body's surface, instead of the sand's friction_clip.
     #[prost(double, optional, tag = "8")]
     pub friction: ::core::option::Option<f64>,
-    /// Size of the plates that the body is cut into \[m\]. Absent: a fiftieth of its longest side.
+    /// Size of the plates into which the surface is cut \[m\]. Absent: a fiftieth of the body's longest side.
     #[prost(double, optional, tag = "9")]
     pub plate_size: ::core::option::Option<f64>,
     #[prost(oneof = "trials_request::Body", tags = "1, 2")]
@@ -760,7 +765,7 @@ pub mod trials_request {
         /// cylinder:radius=M,width=M (axle along y), box:length=M,width=M,height=M or sphere:radius=M.
         #[prost(string, tag = "1")]
         Shape(::prost::alloc::string::String),
-        /// STL or OBJ \[m\], by the ending of its name; up to 4 MiB.
+        /// A mesh \[m\], up to 4 MiB. The ending of its name tells the format: STL or OBJ.
         #[prost(message, tag = "2")]
         Mesh(super::File),
     }
@@ -776,25 +781,27 @@ pub mod trials_response {
     pub enum Event {
         #[prost(message, tag = "1")]
         Progress(super::Progress),
-        /// Fx, Fy, Fz, Tx, Ty, Tz, depth, and no_equilibrium: 1 where nothing carries the load, all others not a number there.
+        /// Columns Fx, Fy, Fz, Tx, Ty, Tz, depth and no_equilibrium. no_equilibrium is 1 if the sand cannot carry the load; all
+        /// other columns of this row are then NaN.
         #[prost(message, tag = "2")]
         Table(super::Table),
     }
 }
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct WalkRequest {
-    /// As in IntrudeRequest. Absent: the robot's own.
+    /// Shape of the legs, as in IntrudeRequest. Absent: the robot's own shape.
     #[prost(string, optional, tag = "1")]
     pub leg: ::core::option::Option<::prost::alloc::string::String>,
-    /// Turns of the hips a second \[Hz\]; negative walks backward, 0 stands for 10 s.
+    /// Stride frequencies: turns of the hips in a second \[Hz\]. With a negative frequency the robot walks backward; with 0 it
+    /// stands for 10 s.
     #[prost(double, repeated, tag = "2")]
     pub frequency: ::prost::alloc::vec::Vec<f64>,
-    /// lanes or rapier. Absent: lanes.
+    /// The engine: lanes or rapier. Absent: lanes.
     #[prost(string, optional, tag = "3")]
     pub engine: ::core::option::Option<::prost::alloc::string::String>,
     #[prost(message, optional, tag = "4")]
     pub sand: ::core::option::Option<Sand>,
-    /// The surface rises in walking direction \[°\].
+    /// Slope of the surface \[°\]; a positive slope rises in the walking direction.
     #[prost(double, tag = "5")]
     pub slope_deg: f64,
     /// Time step \[s\].
@@ -814,19 +821,20 @@ pub mod walk_response {
     pub enum Event {
         #[prost(message, tag = "1")]
         Progress(super::Progress),
-        /// frequency, then speed, base_height, pitch_rms, hip_torque_rms, hip_speed_error_rms, cost_of_transport, sink, drift.
+        /// Columns frequency, speed, base_height, pitch_rms, hip_torque_rms, hip_speed_error_rms, cost_of_transport, sink and
+        /// drift.
         #[prost(message, tag = "2")]
         Table(super::Table),
     }
 }
-/// A parameter of `sandgait sweep` and the values it takes: numbers in its unit, or names.
+/// A parameter of `sandgait sweep` and its values: names, or numbers in the parameter's unit.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Variation {
     #[prost(string, tag = "1")]
     pub parameter: ::prost::alloc::string::String,
     #[prost(double, repeated, tag = "2")]
     pub numbers: ::prost::alloc::vec::Vec<f64>,
-    /// In place of numbers.
+    /// Names, instead of numbers.
     #[prost(string, repeated, tag = "3")]
     pub names: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
 }
@@ -834,7 +842,7 @@ pub struct Variation {
 pub struct SweepRequest {
     #[prost(message, repeated, tag = "1")]
     pub vary: ::prost::alloc::vec::Vec<Variation>,
-    /// Each has one value; set in order, before what is varied.
+    /// Parameters with one value each. They are set in order, before the parameters of `vary`.
     #[prost(message, repeated, tag = "2")]
     pub set: ::prost::alloc::vec::Vec<Variation>,
     #[prost(message, optional, tag = "3")]
@@ -844,8 +852,8 @@ pub struct SweepRequest {
     pub frequency: ::core::option::Option<f64>,
     #[prost(message, optional, tag = "5")]
     pub sand: ::core::option::Option<Sand>,
-    /// speed or cost-of-transport: search between the least and greatest value of each parameter instead of walking the
-    /// grid. Absent: walk the grid.
+    /// Measure to be optimized: speed or cost-of-transport. The search stays between the least and the greatest value of each
+    /// parameter. Absent: the study computes the whole grid.
     #[prost(string, optional, tag = "6")]
     pub optimize: ::core::option::Option<::prost::alloc::string::String>,
 }
@@ -860,7 +868,7 @@ pub mod sweep_response {
     pub enum Event {
         #[prost(message, tag = "1")]
         Progress(super::Progress),
-        /// The parameters varied, then the columns of a walk.
+        /// First the varied parameters, then the columns of a walk.
         #[prost(message, tag = "2")]
         Table(super::Table),
     }
@@ -871,10 +879,10 @@ pub struct EvaluateRequest {
     pub task_id: ::prost::alloc::string::String,
     #[prost(message, optional, tag = "4")]
     pub options: ::core::option::Option<::prost_types::Struct>,
-    /// Episodes, one a seed, from seed 1,000,000 on. Absent: 100.
+    /// Number of episodes for each medium and slope. Their seeds count up from 1,000,000. Absent: 100.
     #[prost(uint32, optional, tag = "5")]
     pub seeds: ::core::option::Option<u32>,
-    /// Sands and slopes \[°\] in place of the options' own.
+    /// Media and slopes \[°\], instead of those in `options`.
     #[prost(string, repeated, tag = "6")]
     pub media: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
     #[prost(double, repeated, tag = "7")]
@@ -886,10 +894,10 @@ pub struct EvaluateRequest {
 pub mod evaluate_request {
     #[derive(Clone, PartialEq, Eq, Hash, ::prost::Oneof)]
     pub enum Policy {
-        /// An ONNX file.
+        /// A policy as an ONNX file.
         #[prost(message, tag = "1")]
         Onnx(super::File),
-        /// A gait that needs none: tripod:HZ, tripod, clock:NUMBERS, standing or random.
+        /// A gait without a file: tripod:HZ, tripod, clock:NUMBERS, standing or random.
         #[prost(string, tag = "2")]
         Gait(::prost::alloc::string::String),
     }
@@ -905,30 +913,31 @@ pub mod evaluate_response {
     pub enum Event {
         #[prost(message, tag = "1")]
         Progress(super::Progress),
-        /// medium, slope_deg, rate of a tripod that was searched, episodes; return, speed, speed_error, cost_of_transport, slip
-        /// and falls, each with the ends \_low and \_high of its 95 % interval; diverged.
+        /// Columns medium, slope_deg, rate (only for gait tripod: the best stride frequency found), episodes, return, speed,
+        /// speed_error, cost_of_transport, slip, falls and diverged. After each column from return to falls two more columns
+        /// have the ends of its 95 % interval.
         #[prost(message, tag = "2")]
         Table(super::Table),
     }
 }
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct DiagnoseRequest {
-    /// Measured data, CSV.
+    /// Measured data as CSV.
     #[prost(message, optional, tag = "1")]
     pub data: ::core::option::Option<File>,
-    /// What the data do not say: medium, shapes, units.
+    /// Medium, shapes, units and all else that is not in the data file.
     #[prost(oneof = "diagnose_request::Experiment", tags = "2, 3")]
     pub experiment: ::core::option::Option<diagnose_request::Experiment>,
 }
 /// Nested message and enum types in `DiagnoseRequest`.
 pub mod diagnose_request {
-    /// What the data do not say: medium, shapes, units.
+    /// Medium, shapes, units and all else that is not in the data file.
     #[derive(Clone, PartialEq, ::prost::Oneof)]
     pub enum Experiment {
-        /// As TOML.
+        /// An experiment.toml.
         #[prost(message, tag = "2")]
         File(super::File),
-        /// The same tables as values.
+        /// The tables of an experiment.toml as values.
         #[prost(message, tag = "3")]
         Values(::prost_types::Struct),
     }
@@ -948,7 +957,7 @@ pub mod diagnose_response {
         Diagnosis(super::Diagnosis),
     }
 }
-/// The files that `sandgait diagnose` writes, and the curves of its page.
+/// The files that `sandgait diagnose` writes, and the curves of its HTML page.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Diagnosis {
     #[prost(string, tag = "1")]
@@ -957,8 +966,9 @@ pub struct Diagnosis {
     pub report_html: ::prost::alloc::string::String,
     #[prost(string, tag = "3")]
     pub sand_toml: ::prost::alloc::string::String,
-    /// One row a sample: trial, condition, shape, progress (angle \[rad\] or place along the path \[m\]), and for each
-    /// measured channel C: C, C_plain and C_extended (what the models predict), C_sd (of one repetition).
+    /// One row for each sample. Columns trial, condition, shape and progress (angle \[rad\] or position along the path \[m\]). Each
+    /// measured channel C has four columns more: C, the predictions C_plain and C_extended of the two models, and C_sd, the
+    /// standard deviation of one repetition.
     #[prost(message, optional, tag = "4")]
     pub curves: ::core::option::Option<Table>,
 }
@@ -1053,7 +1063,7 @@ pub mod study_service_client {
             self.inner = self.inner.max_encoding_message_size(limit);
             self
         }
-        /// Rotates a leg about a hip fixed above sand: one row an angle.
+        /// Rotates a leg about a hip that is fixed above the sand. The table has one row for each angle.
         pub async fn intrude(
             &mut self,
             request: impl tonic::IntoRequest<super::IntrudeRequest>,
@@ -1078,7 +1088,7 @@ pub mod study_service_client {
                 .insert(GrpcMethod::new("sandgait.v1.StudyService", "Intrude"));
             self.inner.unary(req, path, codec).await
         }
-        /// Moves any body steadily through sand: one row a motion.
+        /// Moves any body with constant velocity through sand. The table has one row for each motion.
         pub async fn trials(
             &mut self,
             request: impl tonic::IntoRequest<super::TrialsRequest>,
@@ -1103,7 +1113,7 @@ pub mod study_service_client {
                 .insert(GrpcMethod::new("sandgait.v1.StudyService", "Trials"));
             self.inner.server_streaming(req, path, codec).await
         }
-        /// Walks at constant stride frequencies: one row a frequency.
+        /// Simulates walks at constant stride frequencies. The table has one row for each frequency.
         pub async fn walk(
             &mut self,
             request: impl tonic::IntoRequest<super::WalkRequest>,
@@ -1128,7 +1138,8 @@ pub mod study_service_client {
                 .insert(GrpcMethod::new("sandgait.v1.StudyService", "Walk"));
             self.inner.server_streaming(req, path, codec).await
         }
-        /// Walks over a grid of designs, one row a design, the last parameter fastest; or searches for the best design, one row.
+        /// Simulates a walk of each design of a grid. The table has one row for each design; the last parameter varies fastest.
+        /// With `optimize` it searches for the best design instead, and the table has one row.
         pub async fn sweep(
             &mut self,
             request: impl tonic::IntoRequest<super::SweepRequest>,
@@ -1153,7 +1164,7 @@ pub mod study_service_client {
                 .insert(GrpcMethod::new("sandgait.v1.StudyService", "Sweep"));
             self.inner.server_streaming(req, path, codec).await
         }
-        /// Plays episodes over unseen seeds: one row a medium and slope.
+        /// Runs episodes of a gait or policy with evaluation seeds. The table has one row for each medium and slope.
         pub async fn evaluate(
             &mut self,
             request: impl tonic::IntoRequest<super::EvaluateRequest>,
@@ -1178,7 +1189,7 @@ pub mod study_service_client {
                 .insert(GrpcMethod::new("sandgait.v1.StudyService", "Evaluate"));
             self.inner.server_streaming(req, path, codec).await
         }
-        /// Shows what the simulation gets wrong about measured data, and why.
+        /// Finds where the simulation disagrees with measured data, and why.
         pub async fn diagnose(
             &mut self,
             request: impl tonic::IntoRequest<super::DiagnoseRequest>,

@@ -404,9 +404,9 @@ fn drive<R: Real, const J: usize>(
 ) {
     let dt = model.dt;
     let rate = joint.command_rate.clamp(-model.speed_limit, model.speed_limit);
-    let slip = rate - joint.rate;
-    let torque =
-        model.kp.mul_add(slip.mul_add(dt, joint.reference - joint.angle), model.kd.mul_add(slip, joint.command_torque));
+    let rate_error = rate - joint.rate;
+    let error = rate_error.mul_add(dt, joint.reference - joint.angle);
+    let torque = model.kp.mul_add(error, model.kd.mul_add(rate_error, joint.command_torque));
     let yielding = dt * dt.mul_add(model.kp, model.kd);
     hinge.inertia_axis = inertia.apply(&hinge.axis);
     let own = hinge.inertia_axis.dot(&hinge.axis) + armature;

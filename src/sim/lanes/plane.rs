@@ -51,7 +51,7 @@ impl<R: Real> Field<R> {
         Self { at: n * n.dot(self.at), by: [n * n.dot(self.by[0]), n * n.dot(self.by[1])] }
     }
 
-    /// Each vector's product with `v`, as in `self` × `v`.
+    /// The cross product `self` × `v` of each vector with `v`.
     #[inline(always)]
     pub fn cross(&self, v: Vec3<R>) -> Self {
         Self { at: self.at.cross(v), by: [self.by[0].cross(v), self.by[1].cross(v)] }

@@ -188,7 +188,7 @@ impl Robot {
     }
 
     /// Applies weight and sand to each rock that is not at rest; returns the rocks as rapier got them.
-    fn load_rocks(&mut self) -> Vec<(usize, rocks::Wet)> {
+    fn load_rocks(&mut self) -> Vec<(usize, rocks::RockInSand)> {
         let (model, ground, world) = (&self.model, &self.ground, &mut self.world);
         let awake = (0..self.rocks.len()).filter(|i| !self.resting[*i]);
         let load = |i: usize| {

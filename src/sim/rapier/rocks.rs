@@ -66,8 +66,8 @@ fn reach(model: &Model) -> f64 {
     model.legs.iter().map(leg).fold(base, f64::max)
 }
 
-/// A rock together with the point masses that the sand adds to it, as rapier gets it.
-pub struct Wet {
+/// A rock with the point masses that the sand adds to it, as rapier gets it.
+pub struct RockInSand {
     pub pose: Pose,
     pub properties: MassProperties,
     /// From the rock's centre to that of rock and sand together, world axes [m].
@@ -85,7 +85,14 @@ impl Rock {
     }
 
     /// Gives `object` the velocities after a step of `dt` [s] under weight and sand alone.
-    pub fn fall(&self, solid: &Solid, ground: &SandBed<f64>, gravity: V, dt: f64, object: &mut ObjectState) -> Wet {
+    pub fn fall(
+        &self,
+        solid: &Solid,
+        ground: &SandBed<f64>,
+        gravity: V,
+        dt: f64,
+        object: &mut ObjectState,
+    ) -> RockInSand {
         let pose = Pose::new(object.position, object.orientation);
         let (velocity, omega) = (V::from(object.velocity), V::from(object.angular_velocity));
         let inertia = pose.rotation * self.inertia * pose.rotation.transpose();
@@ -130,11 +137,11 @@ impl Rock {
         object.velocity = (velocity + gained.fixed_rows::<3>(0)).into();
         object.angular_velocity = (omega + gained.fixed_rows::<3>(3)).into();
         let arm = if sunk { pose.rotation * masses.center() } else { V::zeros() };
-        Wet { pose, properties: masses.properties(), arm }
+        RockInSand { pose, properties: masses.properties(), arm }
     }
 }
 
-impl Wet {
+impl RockInSand {
     /// Velocity of the centre of mass of rock and sand together, and angular velocity, rounded to rapier's precision.
     fn held(&self, object: &ObjectState) -> [V; 2] {
         let omega = V::from(object.angular_velocity);

@@ -48,7 +48,7 @@ use std::sync::Arc;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tree {
     pub name: String,
-    /// The first is the base; it has no parent and no joint.
+    /// The bodies. The first one is the base, which has no parent and no joint.
     pub bodies: Vec<TreeBody>,
 }
 

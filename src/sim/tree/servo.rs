@@ -10,11 +10,14 @@ use crate::number::Real;
 
 /// Largest number that stands for "no limit".
 const NO_LIMIT: f64 = 1e9;
-/// Rate v₀ [rad/s] with which a joint creeps while dry friction holds it: our choice.
+/// Rate v₀ at which dry friction has its full size [rad/s]; a joint creeps more slowly under a smaller load. Our
+/// choice, because even at this rate a joint turns by only 0.06° in a second.
 const CREEP: f64 = 1e-3;
-/// Resistance of a stop to acceleration, as a multiple of the joint's inertia: our choice.
+/// Resistance of a stop to acceleration, as a multiple of the joint's inertia: our choice, because a load then
+/// accelerates a joint at its stop a thousand times less than elsewhere.
 const STIFF: f64 = 1e3;
-/// Number of time steps in which a stop pushes a joint back into its range: our choice.
+/// Number of time steps in which a stop pushes a joint back into its range: our choice, because the joint then returns
+/// with an eighth of the speed of a return in one step.
 const RETURN: f64 = 8.0;
 /// Stall torque of a motor as a multiple of its torque limit. The largest torque falls linearly from there to zero at
 /// the speed limit (the saturation effort of Isaac Lab's `DCMotor`; 2 is our choice: the full torque is available up to
@@ -91,9 +94,9 @@ impl<R: Real> LaneMotor<R> {
     /// The motor's part of the push, and the limits of its torque at the joint's rate.
     #[inline(always)]
     fn servo(&self, servo: &LaneServo<R>, joint: &JointMotion<R>, dt: R) -> (Push<R>, [R; 2]) {
-        let slip = self.reference_rate(servo) - joint.rate;
-        let error = slip.mul_add(dt, servo.reference - joint.position);
-        let torque = self.kp.mul_add(error, self.kd.mul_add(slip, servo.command_torque));
+        let rate_error = self.reference_rate(servo) - joint.rate;
+        let error = rate_error.mul_add(dt, servo.reference - joint.position);
+        let torque = self.kp.mul_add(error, self.kd.mul_add(rate_error, servo.command_torque));
         let yielding = dt * dt.mul_add(self.kp, self.kd);
         let part = joint.rate / self.speed_limit;
         (Push { torque, yielding }, [-self.most(-part), self.most(part)])

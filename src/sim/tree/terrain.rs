@@ -4,7 +4,7 @@ use crate::number::{Real, Vec3};
 
 /// The ground's surface.
 pub trait Surface<R> {
-    /// Is it level everywhere?
+    /// Is the ground level everywhere?
     fn is_flat(&self) -> bool;
 
     /// The surface below or above a point of the world.

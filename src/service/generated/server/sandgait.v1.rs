@@ -12,7 +12,7 @@ pub mod environment_service_server {
     /// Generated trait containing gRPC methods that should be implemented for use with EnvironmentServiceServer.
     #[async_trait]
     pub trait EnvironmentService: std::marker::Send + std::marker::Sync + 'static {
-        /// What this server is and which tasks it offers.
+        /// Returns the server's version and the tasks that it offers.
         async fn describe(
             &self,
             request: tonic::Request<crate::frame::Frame<crate::proto::DescribeRequest>>,
@@ -39,15 +39,15 @@ pub mod environment_service_server {
             >
             + std::marker::Send
             + 'static;
-        /// Resets, steps and what else a session does. The first message names the session. A session has one stream: a new
-        /// one takes it from the old one, which ends with ABORTED.
+        /// Carries out the requests of a session, such as resets and steps. The first message names the session. A session has
+        /// one stream: when a new stream names the session, the old stream ends with ABORTED.
         async fn run_session(
             &self,
             request: tonic::Request<
                 tonic::Streaming<crate::frame::Frame<crate::proto::RunSessionRequest>>,
             >,
         ) -> std::result::Result<tonic::Response<Self::RunSessionStream>, tonic::Status>;
-        /// What a session is and how far it has come.
+        /// Returns a session's task, and the number of its last request.
         async fn describe_session(
             &self,
             request: tonic::Request<
@@ -57,7 +57,7 @@ pub mod environment_service_server {
             tonic::Response<crate::proto::DescribeSessionResponse>,
             tonic::Status,
         >;
-        /// All sessions of this server, without the ids that would let one use them.
+        /// Lists all sessions of this server. The list has no ids, because whoever knows an id can use the session.
         async fn list_sessions(
             &self,
             request: tonic::Request<
@@ -67,7 +67,7 @@ pub mod environment_service_server {
             tonic::Response<crate::proto::ListSessionsResponse>,
             tonic::Status,
         >;
-        /// Frees a session.
+        /// Ends a session and frees its environments.
         async fn close_session(
             &self,
             request: tonic::Request<
@@ -503,7 +503,7 @@ pub mod study_service_server {
     /// Generated trait containing gRPC methods that should be implemented for use with StudyServiceServer.
     #[async_trait]
     pub trait StudyService: std::marker::Send + std::marker::Sync + 'static {
-        /// Rotates a leg about a hip fixed above sand: one row an angle.
+        /// Rotates a leg about a hip that is fixed above the sand. The table has one row for each angle.
         async fn intrude(
             &self,
             request: tonic::Request<crate::frame::Frame<crate::proto::IntrudeRequest>>,
@@ -517,7 +517,7 @@ pub mod study_service_server {
             >
             + std::marker::Send
             + 'static;
-        /// Moves any body steadily through sand: one row a motion.
+        /// Moves any body with constant velocity through sand. The table has one row for each motion.
         async fn trials(
             &self,
             request: tonic::Request<crate::frame::Frame<crate::proto::TrialsRequest>>,
@@ -528,7 +528,7 @@ pub mod study_service_server {
             >
             + std::marker::Send
             + 'static;
-        /// Walks at constant stride frequencies: one row a frequency.
+        /// Simulates walks at constant stride frequencies. The table has one row for each frequency.
         async fn walk(
             &self,
             request: tonic::Request<crate::frame::Frame<crate::proto::WalkRequest>>,
@@ -539,7 +539,8 @@ pub mod study_service_server {
             >
             + std::marker::Send
             + 'static;
-        /// Walks over a grid of designs, one row a design, the last parameter fastest; or searches for the best design, one row.
+        /// Simulates a walk of each design of a grid. The table has one row for each design; the last parameter varies fastest.
+        /// With `optimize` it searches for the best design instead, and the table has one row.
         async fn sweep(
             &self,
             request: tonic::Request<crate::frame::Frame<crate::proto::SweepRequest>>,
@@ -550,7 +551,7 @@ pub mod study_service_server {
             >
             + std::marker::Send
             + 'static;
-        /// Plays episodes over unseen seeds: one row a medium and slope.
+        /// Runs episodes of a gait or policy with evaluation seeds. The table has one row for each medium and slope.
         async fn evaluate(
             &self,
             request: tonic::Request<crate::frame::Frame<crate::proto::EvaluateRequest>>,
@@ -561,7 +562,7 @@ pub mod study_service_server {
             >
             + std::marker::Send
             + 'static;
-        /// Shows what the simulation gets wrong about measured data, and why.
+        /// Finds where the simulation disagrees with measured data, and why.
         async fn diagnose(
             &self,
             request: tonic::Request<crate::frame::Frame<crate::proto::DiagnoseRequest>>,
