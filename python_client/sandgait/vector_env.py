@@ -4,7 +4,7 @@ direction."""
 from __future__ import annotations
 
 import contextlib
-from itertools import repeat
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,17 @@ from .view import RENDER_MODES, SIZE
 Observations = npt.NDArray[np.float32]
 Flags = npt.NDArray[np.bool_]
 Step = tuple[Observations, npt.NDArray[np.float64], Flags, Flags, dict[str, Any]]
+
+
+@dataclass(slots=True)
+class _Turn:
+    """How far the present step is."""
+
+    #: With NEXT_STEP, the environments whose next step returns the first row of an episode; with SAME_STEP none.
+    ended: Flags
+    in_flight: bool = False
+    #: The answer of the step in flight, once it has come.
+    batch: Batch | None = None
 
 
 class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32], npt.NDArray[Any]]):
@@ -78,16 +89,11 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._actions = Actions(self.action_space, "actions", clip_actions)
-        names = [c.name for c in self.task.info]
-        self._info_names = (*names, *(f"_{name}" for name in names))
+        self._columns = [c.name for c in self.task.info]
+        self._info_names = [*self._columns, *(f"_{name}" for name in self._columns)]
         self._seeded = np.zeros(num_envs, dtype=np.bool_)
-        self._in_flight = False
-        #: The answer of the step in flight, as soon as it has arrived.
-        self._batch: Batch | None = None
+        self._turn = _Turn(np.zeros(num_envs, dtype=np.bool_))
         self._everybody = np.ones(num_envs, dtype=np.bool_)
-        #: With NEXT_STEP: the environments whose next step returns the first observation of an episode. With SAME_STEP:
-        #: none.
-        self._ended = np.zeros(num_envs, dtype=np.bool_)
         self._next_step = mode is AutoresetMode.NEXT_STEP
 
     def reset(
@@ -107,7 +113,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         seeds = self._seeds(seed, mask)
         goes_on = mask & np.array([s is None for s in seeds])
         anew = mask & ~goes_on
-        if self._in_flight:
+        if self._turn.in_flight:
             with contextlib.suppress(InvalidRequest, OutOfOrder):
                 self.recv()  # episodes of environments that are not reset may have ended in this step
         if anew.any():
@@ -115,7 +121,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         if goes_on.any():
             batch = self._reset(None, goes_on, options)
         self._seeded |= mask
-        self._ended &= ~mask
+        self._turn.ended &= ~mask
         self._view.moved(record_ended=True, show_ended=False)
         return batch.observations, {}
 
@@ -163,44 +169,47 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
 
     def _send(self, actions: npt.ArrayLike, here: bool) -> None:
         """Starts a step. `here`: next the caller waits for its result."""
-        if self._in_flight:
+        turn = self._turn
+        if turn.in_flight:
             raise OutOfOrder("send: a step is in flight already; call recv first")
         rows = self._actions.rows(actions)
-        held = self._ended if self._next_step and np.count_nonzero(self._ended) else None
+        held = turn.ended if self._next_step and np.count_nonzero(turn.ended) else None
         if held is not None:
             rows = np.where(held[:, None], np.float32(0.0), rows)  # held environments ignore their actions
         session = self._session
         try:
-            self._in_flight, self._batch = True, None
+            turn.in_flight, turn.batch = True, None
             session.send_step(rows, held, here)
         except BaseException as error:
-            self._in_flight = session.owes and not isinstance(error, SandgaitError)
+            turn.in_flight = session.owes and not isinstance(error, SandgaitError)
             raise self._actions.explain(error) from None
 
     def recv_batch(self) -> Batch:
         """The result of `recv` as arrays, always in the mode SAME_STEP and without gymnasium's dictionaries."""
         batch = self._receive()
-        self._in_flight, self._batch = False, None
+        self._turn.in_flight, self._turn.batch = False, None
         return batch
 
     def _receive(self) -> Batch:
         """The answer of the step in flight. The caller marks the step as done, so that after an interrupt at any point
         the answer can be taken again."""
-        if not self._in_flight:
+        turn = self._turn
+        if not turn.in_flight:
             raise OutOfOrder("recv: no step is in flight; call send first")
-        if self._batch is None:
+        if turn.batch is None:
             try:
-                self._batch = self._session.receive()
+                turn.batch = self._session.receive()
             except SandgaitError as error:
-                self._in_flight = False
+                turn.in_flight = False
                 raise self._actions.explain(error) from None
         self._view.moved(record_ended=True, show_ended=self._next_step)
-        return self._batch
+        return turn.batch
 
     def recv(self) -> Step:
         """The result of the step that `send` started; the same as that of `step`."""
         batch = self._receive()
-        ended = self._ended
+        turn = self._turn
+        ended = turn.ended
         if self._next_step:
             infos = self._masked(batch.infos, ~ended)  # of the environments that stepped
             if batch.final_indices.size:
@@ -209,7 +218,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         else:
             infos = self._infos(batch)
         result = batch.observations, batch.rewards.astype(np.float64), batch.terminated, batch.truncated, infos
-        self._ended, self._in_flight, self._batch = ended, False, None
+        turn.ended, turn.in_flight, turn.batch = ended, False, None
         return result
 
     def _infos(self, batch: Batch) -> dict[str, Any]:
@@ -231,7 +240,9 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
 
     def _masked(self, columns: npt.NDArray[np.float32], mask: Flags) -> dict[str, Any]:
         """`{name: column, _name: mask}` of every info column; `columns` is [info, num_envs]."""
-        return dict(zip(self._info_names, (*columns, *repeat(mask, len(columns))), strict=True))
+        infos: dict[str, Any] = dict.fromkeys(self._info_names, mask)
+        infos.update(zip(self._columns, columns, strict=True))
+        return infos
 
     def save(self, path: FilePath | None = None) -> bytes:
         """Takes a snapshot of all environments, for `restore`. With `path` also writes it to a file, completely or not
@@ -255,9 +266,9 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
             raise InvalidRequest(f"indices: expected whole numbers [{self.num_envs}], got {indices!r}")
         if sources is not None and sources.min() < 0:
             raise InvalidRequest(f"indices: {sources.min()} is below 0")
-        self._in_flight = False
+        self._turn.in_flight = False
         self._session.send_restore(read_snapshot(snapshot), sources)
-        self._seeded[:], self._ended[:] = True, False
+        self._seeded[:], self._turn.ended[:] = True, False
         return self._session.receive().observations
 
     def fork(self, n: int, index: int = 0) -> SandgaitVectorEnv:
@@ -298,17 +309,18 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
 
     def _require_rest(self, call: str) -> None:
         """Refuses `call` while a step is in flight, or if an episode has ended and the next one has not begun."""
-        if self._in_flight:
+        if self._turn.in_flight:
             raise OutOfOrder(f"{call}: a step is in flight; call recv first")
-        if self._ended.any():
-            raise OutOfOrder(f"{call}: environment {self._ended.argmax()} has ended its episode; step or reset first")
+        ended = self._turn.ended
+        if ended.any():
+            raise OutOfOrder(f"{call}: environment {ended.argmax()} has ended its episode; step or reset first")
 
     def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
         """A picture of every robot's present state, each u8 [height, width, 3]. In mode "human" a window shows the
         pictures."""
         if self.render_mode is None:
             raise InvalidRequest('render_mode: none was chosen; make the environments with render_mode="rgb_array"')
-        if self._in_flight:
+        if self._turn.in_flight:
             raise OutOfOrder("render: a step is in flight; call recv first")
         if self.render_mode == "human":
             self._view.show(self._next_step)
@@ -336,7 +348,7 @@ class SandgaitVectorEnv(Pickled, VectorEnv[Observations, npt.NDArray[np.float32]
         raise refusal(self.task, name, values)
 
     def _in_step(self) -> bool:
-        return self._in_flight
+        return self._turn.in_flight
 
     def close_extras(self, **kwargs: Any) -> None:
         """Ends the session and frees the environments' memory."""
