@@ -79,7 +79,7 @@ def test_wrong_numbers_of_threads(threads: object) -> None:
 
 
 def test_threads_belong_to_this_process(remote: RemoteServer) -> None:
-    with pytest.raises(sandgait.InvalidRequest, match="threads: of this process"):
+    with pytest.raises(sandgait.InvalidRequest, match="threads: it applies to this process"):
         sandgait.make_sb3(ID, 2, remote.address, threads=2)
     done = run(f"import sandgait; sandgait.SandgaitEnv({ID!r})", SANDGAIT_THREADS="few")
     assert "SANDGAIT_THREADS: 'few' is not a whole number" in done.stderr
