@@ -16,7 +16,7 @@ use crate::sand::mechanism::{CATALOG, Mechanisms};
 
 /// A second term must explain this share of the deviance that the pair explains on held-out conditions.
 const SECOND_TERM_SHARE: f64 = 0.01;
-/// Number of pairs that are fitted, the best of the linear screen: our choice, because of time.
+/// Number of pairs that are fitted, the best of the linear screen: our choice, because each fit takes time.
 const PAIRS_FITTED: usize = 14;
 /// How often the noise is learnt again, at most, after the best candidate has changed: our choice; two times usually
 /// suffice.

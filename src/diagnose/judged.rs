@@ -124,9 +124,8 @@ fn rivals(fitted: &Fitted, best: &Candidate, gates: &Gates) -> Vec<Rival> {
     fitted.candidates[1..fitted.finalists.max(1)].iter().map(of).collect()
 }
 
-/// Tests whether the law of the best cause has the right form. No cause is named if the data exclude the form, or if
-/// the cause alone in another form explains as much as together with a second cause, which then only replaces that
-/// form.
+/// Tests whether the law of the best cause has the right form. No cause is named in two cases. Either the data exclude the
+/// form; or the best cause alone explains as much with another form as it does with this form and a second cause.
 fn questioned(study: &Study, fitted: &Fitted, gates: &Gates) -> Option<SpeedExponent> {
     let best = &fitted.candidates[0].fit;
     let asked = SpeedLaw::of(study, best)?;

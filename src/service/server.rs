@@ -84,7 +84,7 @@ pub struct Setup {
     pub metrics: Option<TcpListener>,
     /// Address of the live page.
     pub viewer: Option<TcpListener>,
-    /// Directory of sessions while no server runs.
+    /// Directory in which sessions are saved while no server runs.
     pub state: Option<StateDir>,
     /// Also serve dm_env_rpc.
     pub dm_env_rpc: bool,

@@ -164,7 +164,7 @@ const KNOWN: [&str; 25] = [
     "fluidshape",
 ];
 
-/// Reads a geom, defaults applied.
+/// Reads a geom, with the defaults of its class.
 pub fn geom(element: &Element, compiler: &Compiler, assets: &Assets, notes: &mut Notes) -> Result<Geom> {
     notes.others(element, &KNOWN);
     if flag(element, "shellinertia")?.unwrap_or(false) {
