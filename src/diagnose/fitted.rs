@@ -373,7 +373,7 @@ fn beyond(study: &Study, single: &Candidate, pair: &Fit) -> Option<Fit> {
     (again.objective < single.fit.objective).then_some(again)
 }
 
-/// Tries second causes beside the best. If the best pair passes its tests, pairs move to the front. Returns whether
+/// Tries second causes in addition to the best. If the best pair passes its tests, pairs move to the front. Returns whether
 /// it does.
 pub fn with_pairs(study: &Study, first: &Screened, fitted: Fitted) -> (Fitted, bool) {
     let Screened { screen, gates, .. } = first;

@@ -1,4 +1,4 @@
-//! The third stage: the remaining misfit beside the best candidate, the distances of its rivals and its gain; the
+//! The third stage: the remaining misfit in addition to the best candidate, the distances of its rivals and its gain; the
 //! evidence for the verdict.
 
 use super::calibrate::Gates;
@@ -31,7 +31,7 @@ pub struct Intervals {
 /// The evidence on the best candidate and its rivals.
 pub struct Judged {
     pub evidence: Evidence,
-    /// The smooth error beside the best candidate, or beside the plain model if nothing was found.
+    /// The smooth error in addition to the best candidate, or in addition to the plain model if nothing was found.
     pub discrepancy: Discrepancy,
     /// Lack of fit of base and best under the noise alone, without a discrepancy.
     pub lacks: [Lack; 2],
