@@ -254,7 +254,7 @@ fn translation_changes_no_bit() {
         for isa in isas() {
             let mut engine = engine(isa, &model, &shifted);
             (0..places.len()).for_each(|i| engine.command(i, &command));
-            // Control steps; between them each lane takes its robot's new place as origin.
+            // The robot makes control steps. Between them each lane takes its robot's new position as origin.
             (0..20).for_each(|_| engine.advance(20));
             let here = read(&engine, 0, &start);
             assert!(here.position[0].hypot(here.position[1]) > 1e-3, "{name} stands still");

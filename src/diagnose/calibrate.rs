@@ -25,9 +25,9 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 /// Probability that a gate opens on data without a hidden cause. For three gates this is 0.6 %, below the target of 1
 /// %.
 const FALSE_ALARM: f64 = 0.002;
-/// Normal quantile of that probability.
+/// Quantile of the normal distribution for [`FALSE_ALARM`].
 const NORMAL: f64 = 2.88;
-/// Quantile of the maximum of many numbers (Gumbel's distribution) at a quarter of that probability, in standard
+/// Quantile of the maximum of many numbers (Gumbel's distribution) for a quarter of [`FALSE_ALARM`], in standard
 /// deviations above the mean. A misfit of a single condition needs the strongest evidence.
 const GREATEST: f64 = 5.48;
 /// Number of simulated nulls: their mean and spread are then known to some 10 %. Our choice, a compromise with

@@ -124,7 +124,7 @@ impl Link {
 pub struct Merged {
     pub tree: Tree,
     pub visuals: Vec<Vec<Visual>>,
-    /// For each body the links merged into it, its own first.
+    /// For each body the links that are merged into it; its own link is the first.
     pub links: Vec<Vec<String>>,
     /// May the body move without mass?
     pub massless: Vec<bool>,
