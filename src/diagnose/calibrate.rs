@@ -143,7 +143,7 @@ impl Screen {
         self.best_of(gram, score, |_| 1.0)
     }
 
-    /// As [`Self::best_single`], with each cause's Δχ² times a factor.
+    /// The same as [`Self::best_single`], with each cause's Δχ² times a factor.
     fn best_of(&self, gram: &DMatrix<f64>, score: &DVector<f64>, factor: impl Fn(usize) -> f64) -> f64 {
         let felt = (0..score.len()).filter(|&k| gram[(k, k)] > FELT && self.allowed(k, score[k]));
         felt.map(|k| factor(k) * score[k] * score[k] / gram[(k, k)]).fold(0.0, f64::max)

@@ -100,7 +100,7 @@ pub struct Visual {
 #[derive(Clone, Debug)]
 pub struct Link {
     pub name: String,
-    /// Index of the parent; of the root: its own.
+    /// Index of the parent link; the root has its own index.
     pub parent: usize,
     pub origin: Isometry3<f64>,
     pub joint: Option<TreeJoint>,

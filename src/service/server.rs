@@ -140,7 +140,7 @@ pub async fn serve(listener: Listener, setup: Setup, stop: CancellationToken) ->
     let connections = door.open(socket, stop.clone());
     drive(routes.into(), connections, connected.streams, keepalive, window, stop).await?;
     let saved = saved.await;
-    // Must be last: a pool that ends drops the batches whose clients have left.
+    // The pool ends last, because it then drops the batches whose clients have left.
     drop(pool);
     saved.map_err(|e| Error::Exhausted(format!("the sessions could not be saved: {e}")))
 }

@@ -103,7 +103,7 @@ pub fn read(path: &Path, asked: &Asked, take: impl FnMut(&Row) -> Result<()>) ->
     parse(path, BufReader::with_capacity(1 << 20, file), asked, take)
 }
 
-/// As [`read`], from any source; `path` is the name in errors.
+/// The same as [`read`], from any source; `path` is the name in errors.
 pub fn parse(
     path: &Path,
     source: impl Read,

@@ -27,9 +27,9 @@ enum Filling {
     Convex,
     /// From the volume inside the surface, which must be closed.
     Exact,
-    /// By the rule of [`mesh::legacy`], MuJoCo's default.
+    /// From the volume by the rule of [`mesh::legacy`], MuJoCo's default.
     Legacy,
-    /// A thin shell of 1 m × density.
+    /// From a thin shell, whose mass by area is 1 m × density.
     Shell,
 }
 
