@@ -271,7 +271,8 @@ pub fn settled(study: &Study, source: &Source, noise: &Noise, fitted: Fitted) ->
     (fitted, around)
 }
 
-/// What the best does not explain beyond noise, as a part of the noise, and the whitening that includes it.
+/// The misfit beyond noise that the best candidate does not explain, represented as a part of the noise; and the whitening with this
+/// noise.
 pub struct Beside {
     pub discrepancy: Discrepancy,
     /// Directions of the discrepancy without whitening; none where it is too large to have any.
