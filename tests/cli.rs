@@ -171,7 +171,7 @@ struct Served(Child);
 
 impl Drop for Served {
     fn drop(&mut self) {
-        // Fails if it has already ended.
+        // This fails if the server has ended already.
         let _ = self.0.kill();
     }
 }

@@ -95,7 +95,7 @@ fn hidden_causes_are_named() {
 fn a_pair_is_named() {
     let r = hidden(&[("inertial_drag", 1.0), ("cohesion", 150.0)]);
     assert_eq!(r.ambiguity_set, [["inertial_drag", "cohesion"]], "{}", r.summary);
-    // Where the model is right, its values have weights from the noise, and no law stands beside the causes.
+    // If the model is right, its values come from weights by the noise, and no law is added to the causes.
     assert!(r.terms.is_empty() && r.notes.is_empty(), "{:?} {:?}", r.terms, r.notes);
 }
 
@@ -120,8 +120,7 @@ fn grains(file: &str) -> (PathBuf, Experiment) {
     (folder.join(file), experiment)
 }
 
-/// Much remains beside the cause: grains that the concave side of the reversed leg holds. The cause acts on that leg
-/// only.
+/// The concave side of the reversed leg holds grains. This cause acts on that leg only, and much misfit remains.
 #[test]
 fn the_concave_side_is_the_main_cause_in_grains() {
     let (data, experiment) = grains("legs.csv");

@@ -239,9 +239,8 @@ fn a_state_set_again_gives_the_same_bits() {
     }
 }
 
-/// A robot's motion does not depend on its place, to the bit, with any instruction set and precision, because a lane
-/// computes with positions relative to its robot's last place. Only the position itself is rounded, as a double of its
-/// size is.
+/// The bits of a robot's motion do not depend on its position, with any instruction set and precision, because a lane computes
+/// with positions relative to its robot's last position. Only the position itself is rounded, to a double.
 #[test]
 fn translation_changes_no_bit() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(6);
@@ -255,7 +254,7 @@ fn translation_changes_no_bit() {
         for isa in isas() {
             let mut engine = engine(isa, &model, &shifted);
             (0..places.len()).for_each(|i| engine.command(i, &command));
-            // Control steps; between them each lane takes its robot's new place as origin.
+            // The robot makes control steps. Between them each lane takes its robot's new position as origin.
             (0..20).for_each(|_| engine.advance(20));
             let here = read(&engine, 0, &start);
             assert!(here.position[0].hypot(here.position[1]) > 1e-3, "{name} stands still");

@@ -185,7 +185,7 @@ fn sand_adds_no_energy() {
         for step in 0..2000 {
             state = advance(&mut engine, 1, &state);
             let now = mechanics(&model, &state).0;
-            // 1e-6 J: rounding of f32 velocities, against 0.05 J in all
+            // 1e-6 J are allowed for the rounding of f32 velocities; the whole energy is 0.05 J.
             assert!(now < energy + 1e-6, "{leg} step {step}: {energy} J -> {now} J");
             energy = now;
         }

@@ -24,7 +24,7 @@ fn claims_are_complete_and_reproducible() {
     for id in ["3.1d_disagrees", "4.l_faster", "5.positive_faster_1hz", "5.positive_faster_4hz", "4.cost"] {
         assert_eq!(verdict(id), Verdict::Reproduced, "{id}");
     }
-    // Claims that the stated equations do not give in any reading. If one of these turns true, something was tuned.
+    // Claims that do not follow from the stated equations. If one of them were reproduced, the model would have been tuned to it.
     assert_eq!(verdict("3.1d_drag_reversed"), Verdict::NotReproduced);
     // Claims that need the paper's measured curves, which are not public.
     for id in ["3.rft_agreement", "4.speed_within_15", "4.speed_within_30", "5.within_10_50", "5.within_30_50"] {

@@ -43,7 +43,7 @@ pub trait Stepper {
 /// The pool, called directly.
 pub struct Direct {
     pool: Pool,
-    /// None only while the pool has it.
+    /// The environments; None only while the pool works on them.
     batch: Option<Batch>,
 }
 

@@ -186,8 +186,8 @@ pub fn compare(pushes: &[Push], compliance: Option<f64>) -> Result<Pushes> {
     Ok(study)
 }
 
-/// The simplest law that no other beats by more than [`WORTH`], by the error on left-out sizes, or on left-out
-/// pushes if there is one size.
+/// The simplest law whose error no other law reduces by more than the share [`WORTH`]. The error is that on left-out sizes or, if
+/// there is only one size, on left-out pushes.
 fn chosen(scores: &[Score]) -> Law {
     let error = |s: &Score| s.other_size_percent.unwrap_or(s.other_push_percent);
     let least = scores.iter().map(error).fold(f64::INFINITY, f64::min);
@@ -275,7 +275,7 @@ fn fit(law: Law, points: &[Point]) -> Result<[f64; 3]> {
 /// ln(predicted/measured).
 fn off(law: Law, x: &[f64; 3], p: &Point) -> f64 {
     let predicted = match law {
-        // A footing that predicts no or negative pressure counts as infinitely wrong.
+        // The bound makes the error very large if a footing predicts a pressure of 0 or less.
         Law::Footing => (x[0] * p[1].exp() + x[1] * p[0].exp()).max(1e-9).ln(),
         _ => x[0] + x[1] * p[0] + x[2] * p[1],
     };

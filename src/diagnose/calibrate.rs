@@ -25,9 +25,9 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 /// Probability that a gate opens on data without a hidden cause. For three gates this is 0.6 %, below the target of 1
 /// %.
 const FALSE_ALARM: f64 = 0.002;
-/// Normal quantile of that probability.
+/// Quantile of the normal distribution for [`FALSE_ALARM`].
 const NORMAL: f64 = 2.88;
-/// Quantile of the maximum of many numbers (Gumbel's distribution) at a quarter of that probability, in standard
+/// Quantile of the maximum of many numbers (Gumbel's distribution) for a quarter of [`FALSE_ALARM`], in standard
 /// deviations above the mean. A misfit of a single condition needs the strongest evidence.
 const GREATEST: f64 = 5.48;
 /// Number of simulated nulls: their mean and spread are then known to some 10 %. Our choice, a compromise with
@@ -143,7 +143,7 @@ impl Screen {
         self.best_of(gram, score, |_| 1.0)
     }
 
-    /// As [`Self::best_single`], with each cause's Δχ² times a factor.
+    /// The same as [`Self::best_single`], with each cause's Δχ² times a factor.
     fn best_of(&self, gram: &DMatrix<f64>, score: &DVector<f64>, factor: impl Fn(usize) -> f64) -> f64 {
         let felt = (0..score.len()).filter(|&k| gram[(k, k)] > FELT && self.allowed(k, score[k]));
         felt.map(|k| factor(k) * score[k] * score[k] / gram[(k, k)]).fold(0.0, f64::max)

@@ -1,7 +1,7 @@
 //! A law found in the data, if no mechanism explains them: a coefficient times a product of powers of dimensionless
 //! groups.
 //!
-//! Every law of the dictionary is a column beside coefficients and nuisances, because stresses add up and a
+//! Every law of the dictionary is a column in addition to coefficients and nuisances, because stresses add up and a
 //! sensor's reading is linear in them. The best law must gain more than the best of so many laws gains by chance.
 //! In each fold of the conditions, noise, whitening and law are chosen anew: the held-out error must fall, and the
 //! folds must choose nearly the same powers.
@@ -137,7 +137,7 @@ pub(super) fn gate(scores: &Scores, degrees: f64) -> f64 {
     quantile((0..NULLS).map(|_| draw()).collect(), 1.0 - FALSE_ALARM)
 }
 
-/// The law that the data support beside the plain model `base`; None if no law passes all tests.
+/// The law that the data support in addition to the plain model `base`; None if no law passes all tests.
 pub fn described(study: &Study, known: &Known, base: &Fit, gates: &Gates) -> Option<Described> {
     let laws = dictionary(study.model.reach());
     let columns = columns(study, base, &laws)?;

@@ -35,7 +35,7 @@ fn size(k: usize) -> f64 {
 
 /// Directions of the model's error, whitened.
 pub struct Directions {
-    /// Not whitened.
+    /// The same directions before the whitening.
     pub raw: Vec<Vec<f64>>,
     white: Vec<Vec<f64>>,
     products: DMatrix<f64>,

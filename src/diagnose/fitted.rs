@@ -16,7 +16,7 @@ use crate::sand::mechanism::{CATALOG, Mechanisms};
 
 /// A second term must explain this share of the deviance that the pair explains on held-out conditions.
 const SECOND_TERM_SHARE: f64 = 0.01;
-/// Number of pairs that are fitted, the best of the linear screen: our choice, because of time.
+/// Number of pairs that are fitted, the best of the linear screen: our choice, because each fit takes time.
 const PAIRS_FITTED: usize = 14;
 /// How often the noise is learnt again, at most, after the best candidate has changed: our choice; two times usually
 /// suffice.
@@ -271,7 +271,8 @@ pub fn settled(study: &Study, source: &Source, noise: &Noise, fitted: Fitted) ->
     (fitted, around)
 }
 
-/// What the best does not explain beyond noise, as a part of the noise, and the whitening that includes it.
+/// The misfit beyond noise that the best candidate does not explain, represented as a part of the noise; and the whitening with this
+/// noise.
 pub struct Beside {
     pub discrepancy: Discrepancy,
     /// Directions of the discrepancy without whitening; none where it is too large to have any.
@@ -373,7 +374,7 @@ fn beyond(study: &Study, single: &Candidate, pair: &Fit) -> Option<Fit> {
     (again.objective < single.fit.objective).then_some(again)
 }
 
-/// Tries second causes beside the best. If the best pair passes its tests, pairs move to the front. Returns whether
+/// Tries second causes in addition to the best. If the best pair passes its tests, pairs move to the front. Returns whether
 /// it does.
 pub fn with_pairs(study: &Study, first: &Screened, fitted: Fitted) -> (Fitted, bool) {
     let Screened { screen, gates, .. } = first;

@@ -42,7 +42,7 @@ pub struct Menu<'a> {
 
 /// Predicts the stack of [`Observations`] for any mechanisms and coefficients.
 pub trait ForwardModel: Sync {
-    /// Same order as `Observations::values`.
+    /// Predicts all numbers, in the order of `Observations::values`.
     fn predict(&self, mechanisms: &Mechanisms, coefficients: &Coefficients) -> Vec<f64>;
     /// Predicts for several states at once.
     fn predict_many(&self, states: &[(Mechanisms, Coefficients)]) -> Vec<Vec<f64>> {

@@ -1,4 +1,4 @@
-//! Further causes beside a fitted model: their gain, size, and upper limit.
+//! Further causes in addition to a fitted model: their gain, size, and upper limit.
 
 use super::fit::{Fit, slope};
 use super::fitted::USUAL;
@@ -7,7 +7,7 @@ use crate::number::dot;
 use crate::parallel;
 use crate::sand::mechanism::CATALOG;
 
-/// A further cause beside a fitted model, from a linear estimate.
+/// A further cause in addition to a fitted model, from a linear estimate.
 #[derive(Clone, Copy, Debug)]
 pub struct Further {
     /// Catalogue index.
@@ -21,7 +21,7 @@ pub struct Further {
 }
 
 impl Study<'_> {
-    /// Further causes beside a fitted model, in order of their gain [χ²], largest first.
+    /// Further causes in addition to a fitted model, in order of their gain [χ²], largest first.
     pub fn further(&self, first: &Fit, candidates: &[(usize, f64)]) -> Vec<Further> {
         let coefficients = self.coefficients(&first.deviations);
         let (information, _) = first.normal_equations();

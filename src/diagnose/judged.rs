@@ -1,4 +1,4 @@
-//! The third stage: the remaining misfit beside the best candidate, the distances of its rivals and its gain; the
+//! The third stage: the remaining misfit in addition to the best candidate, the distances of its rivals and its gain; the
 //! evidence for the verdict.
 
 use super::calibrate::Gates;
@@ -31,7 +31,7 @@ pub struct Intervals {
 /// The evidence on the best candidate and its rivals.
 pub struct Judged {
     pub evidence: Evidence,
-    /// The smooth error beside the best candidate, or beside the plain model if nothing was found.
+    /// The smooth error in addition to the best candidate, or in addition to the plain model if nothing was found.
     pub discrepancy: Discrepancy,
     /// Lack of fit of base and best under the noise alone, without a discrepancy.
     pub lacks: [Lack; 2],
@@ -124,9 +124,8 @@ fn rivals(fitted: &Fitted, best: &Candidate, gates: &Gates) -> Vec<Rival> {
     fitted.candidates[1..fitted.finalists.max(1)].iter().map(of).collect()
 }
 
-/// Tests whether the law of the best cause has the right form. No cause is named if the data exclude the form, or if
-/// the cause alone in another form explains as much as together with a second cause, which then only replaces that
-/// form.
+/// Tests whether the law of the best cause has the right form. No cause is named in two cases. Either the data exclude the
+/// form; or the best cause alone explains as much with another form as it does with this form and a second cause.
 fn questioned(study: &Study, fitted: &Fitted, gates: &Gates) -> Option<SpeedExponent> {
     let best = &fitted.candidates[0].fit;
     let asked = SpeedLaw::of(study, best)?;

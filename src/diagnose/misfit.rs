@@ -35,7 +35,7 @@ pub fn misfit(observations: &Observations, model: &dyn ForwardModel, prediction:
     table(observations, model, prediction, |_| true)
 }
 
-/// As [`misfit`], over the units for which `counts` is true.
+/// The same as [`misfit`], over the units for which `counts` is true.
 fn table(
     observations: &Observations,
     model: &dyn ForwardModel,
@@ -130,7 +130,7 @@ pub fn whereabouts(observations: &Observations, model: &dyn ForwardModel, predic
     whereabouts_of(observations, model, prediction, "the plain model's error")
 }
 
-/// As [`whereabouts`], for an error with another name.
+/// The same as [`whereabouts`], for an error with another name.
 pub fn whereabouts_of(
     observations: &Observations,
     model: &dyn ForwardModel,
@@ -177,7 +177,7 @@ fn sizes<'a>(table: &'a [Misfit], by: &str, observations: &Observations) -> Vec<
     rows.into_iter().map(|(row, square)| (row, square.sqrt())).collect()
 }
 
-/// The trend of an error along one feature, and its greatest over its least size; None if it is similar everywhere.
+/// The trend of an error along one feature, and the ratio of its greatest to its least size; None if the error is similar everywhere.
 fn course(rows: &[(&Misfit, f64)], unit: &str) -> Option<(f64, String)> {
     let low = rows.iter().min_by(|a, b| a.1.total_cmp(&b.1))?;
     let high = rows.iter().max_by(|a, b| a.1.total_cmp(&b.1))?;

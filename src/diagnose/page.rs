@@ -297,7 +297,7 @@ fn by_condition(c: &Curves) -> Vec<Figure> {
     vec![Figure { title: "Every run and its predictions".into(), panels, columns: 2, note: String::new() }]
 }
 
-/// Writes a table beside the figure, for runs, which have one number for each channel.
+/// Writes a table after the figure, for runs, which have one number for each channel.
 fn runs(html: &mut String, r: &Report) {
     html.push_str("<details><summary>The same data as a table: means over repetitions</summary><table><tr><th>condition<th>channel<th>measured<th>plain<th>extended<th>unit");
     for run in &r.runs {

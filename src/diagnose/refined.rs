@@ -177,7 +177,7 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// The law that gains most beside `fit`, its coefficient, and whether it gains more than by chance.
+    /// The law that gains most in addition to `fit`, its coefficient, and whether it gains more than by chance.
     fn chosen(&self, fit: &Fit, white: &[Column], even: bool) -> Option<(usize, f64, bool)> {
         let scores = described::scores(&fit.white_slopes, &fit.white, &fit.deviations, white)?;
         let (law, coefficient, gain) = described::best(self.study, fit, &self.laws, &scores)?;
@@ -199,7 +199,7 @@ impl Search<'_> {
         fit
     }
 
-    /// The law beside the fit of all data, if it gains more than by chance and predicts conditions left out better, and
+    /// The law in addition to the fit of all data, if it gains more than by chance and predicts conditions left out better, and
     /// its coefficient.
     fn law(&self, base: &Fit, whitener: &Whitener, even: bool) -> Option<(usize, f64)> {
         let white = parallel::map(&self.columns, |c| Arc::new(whitener.apply(c)));

@@ -59,7 +59,7 @@ impl Selection {
         self.best().or_else(|| (self.verdict == Verdict::NoneOfThese).then(proxy).flatten())
     }
 
-    /// The law in the extended model: beside a cause, or instead of one.
+    /// The law in the extended model: in addition to a cause, or instead of one.
     pub fn law(&self) -> Option<&Described> {
         self.described.as_ref().or(self.refined.as_ref().and_then(|r| r.law.as_ref()))
     }

@@ -131,7 +131,7 @@ impl<'a> Study<'a> {
         self.nuisances_of(fit, fit)
     }
 
-    /// As [`Self::nuisances_about`], with the nuisances' values of another fit.
+    /// The same as [`Self::nuisances_about`], with the nuisances' values of another fit.
     pub fn nuisances_of(&self, fit: &Fit, adjusted: &Fit) -> Vec<Nuisance> {
         if self.nuisances.is_empty() {
             return Vec::new();

@@ -29,7 +29,7 @@ const APART: f64 = 5.0;
 /// test bed with a wall, which is not a mechanism of the catalogue, the nearest pair of causes explains seven tenths.
 pub const MAIN_PART: f64 = 0.8;
 
-/// An explanation beside the best.
+/// An explanation other than the best one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rival {
     /// Its χ² minus that of the best.
@@ -47,7 +47,7 @@ pub struct Evidence {
     pub found: bool,
     /// Is there misfit beyond noise without any cause?
     pub misfit: bool,
-    /// Is there misfit beyond noise beside the best cause?
+    /// Is there misfit beyond noise that the best cause does not explain?
     pub remainder: bool,
     /// Is that misfit only slightly larger than the limit?
     pub slight: bool,

@@ -1,5 +1,5 @@
 //! Many steps in one call, with given actions (for planners and evolution strategies) or with the actions of a
-//! policy that runs beside the environments.
+//! policy that runs in the process of the environments.
 //!
 //! An environment's rollout ends with its episode. Later steps are not counted, and their rows are zeros.
 

@@ -211,7 +211,7 @@ impl Shard {
         }
     }
 
-    /// As [`Shard::step`], for the environments that `held` does not name. Held ones keep their state, and their rows
+    /// The same as [`Shard::step`], for the environments that `held` does not name. Held ones keep their state, and their rows
     /// are zeros except for the observation. Because lanes advance together, held environments make the step and are
     /// then restored.
     pub fn step_but(&mut self, actions: &[f32], held: impl Fn(usize) -> bool) {

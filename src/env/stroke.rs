@@ -76,7 +76,7 @@ const TOP_SPEED: f64 = TAU;
 /// work of good strokes.
 const LEAST_WORK: f64 = 1e-3;
 
-/// Depth of the leg at the end at which its penalty is full [m]. Our choice.
+/// Depth of the leg at the end of a stroke at which the penalty is full [m]. Our choice, about an eighth of the leg's length.
 const LEFT_DEPTH: f64 = 0.01;
 
 /// Bounds of the observation, far above the values of good strokes on the default sand; larger values are clipped.

@@ -114,7 +114,7 @@ impl Study {
         Ok(Self { conditions, seeds: *seeds })
     }
 
-    /// Runs all episodes; returns one row for each medium and slope, the slope fastest. An error of `progress` stops
+    /// Runs all episodes; returns one row for each medium and slope; the slope varies fastest. An error of `progress` stops
     /// the work.
     pub fn run(&self, progress: &dyn Progress) -> Result<Vec<Row>> {
         let searched = self.conditions.iter().any(|c| c.gait.is_none());

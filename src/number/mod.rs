@@ -47,7 +47,7 @@ pub trait Real:
 {
     /// Number of environments in one value.
     const LANES: usize;
-    /// The result of a comparison, one truth value a lane.
+    /// The result of a comparison, one truth value for each lane.
     type Mask: Copy;
 
     /// The same number in every lane.

@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 /// Numbers of at most two dimensions, row-major. Integers and `f64` are rounded to `f32`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Constant {
-    /// None for a single number.
+    /// Sizes of the dimensions; empty for a single number.
     pub dims: Vec<usize>,
     pub data: Vec<f32>,
 }
@@ -46,7 +46,7 @@ impl Constant {
         if let [x] = self.data[..] { Some(x) } else { None }
     }
 
-    /// As a row to add to, or multiply with, every environment's row: [1], [k] or [1, k].
+    /// The numbers as a row that can be added to, or multiplied with, every environment's row: [1], [k] or [1, k].
     pub fn row(&self) -> Option<&[f32]> {
         match self.dims[..] {
             [] | [_] | [1, _] => Some(&self.data),

@@ -1,4 +1,4 @@
-//! Policies that users upload: feed-forward networks as ONNX, computed beside the environments.
+//! Policies that users upload: feed-forward networks as ONNX, computed in the process of the environments.
 //!
 //! This crate uses the tables of a task; it has no threads, sessions or messages.
 //!

@@ -13,7 +13,7 @@ use crate::sand::{Law, LegShape, Medium, SandBed, Segment, Surface};
 pub const CHORD: f64 = 0.076;
 pub const WIDTH: f64 = 0.025;
 const OMEGA: f64 = 0.2;
-/// Fine enough that forces no longer change in the fourth digit.
+/// Number of segments of a leg: so many that with more the forces change in the fifth digit only.
 pub const SEGMENTS: usize = 400;
 
 /// Leg angles [°]: the whole part of the stroke in the sand.

@@ -100,7 +100,7 @@ pub struct Visual {
 #[derive(Clone, Debug)]
 pub struct Link {
     pub name: String,
-    /// Index of the parent; of the root: its own.
+    /// Index of the parent link; the root has its own index.
     pub parent: usize,
     pub origin: Isometry3<f64>,
     pub joint: Option<TreeJoint>,
@@ -124,7 +124,7 @@ impl Link {
 pub struct Merged {
     pub tree: Tree,
     pub visuals: Vec<Vec<Visual>>,
-    /// For each body the links merged into it, its own first.
+    /// For each body the links that are merged into it; its own link is the first.
     pub links: Vec<Vec<String>>,
     /// May the body move without mass?
     pub massless: Vec<bool>,

@@ -135,7 +135,7 @@ pub fn solid(triangles: &[Triangle]) -> Moments {
     moments(volume, first, second)
 }
 
-/// As [`solid`], by MuJoCo's rule `legacy`: tetrahedra between the faces and the mean of their centres, all counted as
+/// The same as [`solid`], by MuJoCo's rule `legacy`: tetrahedra between the faces and the mean of their centres, all counted as
 /// positive, give the centre of mass; those between the faces and that centre give volume and inertia.
 pub fn legacy(triangles: &[Triangle]) -> Moments {
     let middle = middle_of_faces(triangles);

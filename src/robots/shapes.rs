@@ -25,7 +25,7 @@ pub fn collision_mesh(meshes: &mut Meshes, file: &MeshFile, notes: &mut Notes) -
     }))
 }
 
-/// As [`collision_mesh`], for given triangles.
+/// The same as [`collision_mesh`], for given triangles.
 pub fn closed_mesh(name: &str, triangles: Vec<Triangle>, notes: &mut Notes) -> Option<Geometry> {
     let kept = match closed(&triangles) {
         Closed::Itself => triangles,

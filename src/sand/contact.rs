@@ -196,7 +196,7 @@ impl<R: Real> SandBed<R> {
         }
     }
 
-    /// As [`Self::thin_plate`], for loops that have already matched on law and mechanisms.
+    /// The same as [`Self::thin_plate`], for loops that have already matched on law and mechanisms.
     #[inline(always)]
     pub fn thin_plate_by(
         &self,
@@ -222,7 +222,7 @@ impl<R: Real> SandBed<R> {
         }
     }
 
-    /// As [`Self::one_sided`], for loops that have already matched on law and mechanisms.
+    /// The same as [`Self::one_sided`], for loops that have already matched on law and mechanisms.
     #[inline(always)]
     pub fn one_sided_by(
         &self,

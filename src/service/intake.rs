@@ -138,7 +138,7 @@ impl Door {
         self.0.free.load(Ordering::Relaxed).max(SMALL)
     }
 
-    /// The message for `bytes`: `bytes` itself, or the large message in whose place an empty one was passed on.
+    /// The message: `bytes` or, if `bytes` is empty, the large message that the empty one stands for.
     pub fn take(&self, bytes: Bytes) -> (Bytes, Option<Share>) {
         let mut large = self.0.large.lock().unwrap_or_else(PoisonError::into_inner);
         match large.take_if(|_| bytes.is_empty()) {

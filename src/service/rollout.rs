@@ -62,7 +62,7 @@ async fn run(work: Work, roll: Roll, back: Operation, trajectories: bool, pool: 
             } else if answers.is_closed() || stop.is_cancelled() {
                 break;
             } else if trajectories {
-                // A client that does not read slows this down. A client that has left ends it, and so does the
+                // A client that does not read slows the rollout. A client that has left ends the rollout, and so does the
                 // server's end.
                 let sent = stop.run_until_cancelled(answers.send(part(rows))).await;
                 if !matches!(sent, Some(Ok(()))) {

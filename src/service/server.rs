@@ -84,7 +84,7 @@ pub struct Setup {
     pub metrics: Option<TcpListener>,
     /// Address of the live page.
     pub viewer: Option<TcpListener>,
-    /// Directory of sessions while no server runs.
+    /// Directory in which sessions are saved while no server runs.
     pub state: Option<StateDir>,
     /// Also serve dm_env_rpc.
     pub dm_env_rpc: bool,
@@ -140,7 +140,7 @@ pub async fn serve(listener: Listener, setup: Setup, stop: CancellationToken) ->
     let connections = door.open(socket, stop.clone());
     drive(routes.into(), connections, connected.streams, keepalive, window, stop).await?;
     let saved = saved.await;
-    // Must be last: a pool that ends drops the batches whose clients have left.
+    // The pool ends last, because it then drops the batches whose clients have left.
     drop(pool);
     saved.map_err(|e| Error::Exhausted(format!("the sessions could not be saved: {e}")))
 }

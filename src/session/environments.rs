@@ -62,7 +62,7 @@ pub struct Environments {
 
 /// The environments, on loan to a thread that works on them.
 pub struct Loan {
-    /// None after they were passed on.
+    /// None after the environments were passed on.
     batch: Option<Batch>,
     shared: Arc<Shared>,
 }

@@ -76,7 +76,7 @@ impl Obstacle {
         Self::fixed(ObstacleShape::Box { size }, [x, y, height - size[2] / 2.0]).turned(yaw)
     }
 
-    /// Turned about the vertical by `yaw` [rad].
+    /// The obstacle with the orientation `yaw` about the vertical [rad].
     pub fn turned(self, yaw: f64) -> Self {
         let (sin, cos) = (yaw / 2.0).sin_cos();
         Self { orientation: [cos, 0.0, 0.0, sin], ..self }

@@ -11,7 +11,7 @@ use std::path::Path;
 pub struct Column<'a> {
     pub name: &'a str,
     pub quantity: Quantity,
-    /// Must the header have it? (Single cells may still be blank where the quantity does not apply.)
+    /// Must the header have this column? (Single cells may still be blank where the quantity does not apply.)
     pub required: bool,
 }
 

@@ -103,7 +103,7 @@ pub fn read(path: &Path, asked: &Asked, take: impl FnMut(&Row) -> Result<()>) ->
     parse(path, BufReader::with_capacity(1 << 20, file), asked, take)
 }
 
-/// As [`read`], from any source; `path` is the name in errors.
+/// The same as [`read`], from any source; `path` is the name in errors.
 pub fn parse(
     path: &Path,
     source: impl Read,
@@ -193,7 +193,7 @@ fn too_long() -> String {
     format!("more than the {} MiB this reads: keep every n-th sample", MOST_BYTES >> 20)
 }
 
-/// The beginning of a text, which may be very long.
+/// The first characters of a text, because the text may be very long.
 fn shown(text: &str) -> String {
     match text.char_indices().nth(SHOWN) {
         Some((end, _)) => format!("{} …", &text[..end]),

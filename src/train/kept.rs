@@ -26,7 +26,7 @@ pub enum Episodes {
 }
 
 impl Episodes {
-    /// As bytes of a file: CBOR, or the server's snapshot unchanged.
+    /// The bytes of the episodes' file: CBOR, or the server's snapshot unchanged.
     pub fn bytes(&self) -> Result<Vec<u8>> {
         match self {
             Self::Here(episodes) => {

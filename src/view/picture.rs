@@ -276,7 +276,7 @@ impl Canvas {
             let above = clip(&face.corners, |p| p.z);
             let cast: Vec<V> = above.iter().map(|p| p - light * (p.z / light.z)).collect();
             if let Some(points) = self.camera.polygon(&cast).filter(|p| p.len() > 2) {
-                // All with the same winding, so that overlapping shadows do not cancel.
+                // All polygons get the same winding, so that overlapping shadows do not cancel.
                 let area = |p: &[[f32; 2]]| -> f32 {
                     p.iter().zip(p.iter().cycle().skip(1)).map(|(a, b)| a[0] * b[1] - a[1] * b[0]).sum()
                 };

@@ -42,7 +42,7 @@ pub struct Layer {
     /// Number of the first row in the image.
     top: usize,
     pub colors: Vec<[f32; 3]>,
-    /// [m]; infinite where there is no face.
+    /// Distance of each sample's nearest face from the camera [m]; infinite if there is no face.
     pub distances: Vec<f32>,
 }
 

@@ -27,7 +27,8 @@ const FLAT: (f64, f64) = (0.05, 2.0);
 /// Share of the time after which memory is measured, so that the first leases have ended: our choice.
 const WARM: f64 = 0.5;
 
-/// Growth in this number of consecutive windows counts as a leak: our choice.
+/// Growth in this number of consecutive windows counts as a leak: our choice, because without a leak the memory seldom grows so often
+/// in a row.
 const WINDOWS: usize = 4;
 
 /// Creates a session and uses it; returns it with a hash of all its answers.

@@ -161,7 +161,7 @@ async fn greedy_sessions_do_not_starve_a_small_one() {
 /// Environments in each session of the builders; creating them takes some 50 ms of processor time.
 const MANY: u32 = 2000;
 
-/// Longest time of a step beside builders, relative to a step alone. Builders and simulation both have a thread for
+/// Longest time of a step while clients create environments, relative to that of a step alone. Builders and simulation both have a thread for
 /// each processor, so the simulation gets half of the machine (a factor of 2), and at times a thread must wait for a
 /// processor.
 const BESIDE_BUILDERS: f64 = 4.0;

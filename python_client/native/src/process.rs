@@ -11,8 +11,8 @@ struct Owned {
     pool: Arc<Pool>,
 }
 
-/// Threads that hold Python's lock take this one for moments only. A fork also holds Python's lock, so in a child
-/// this one is free.
+/// Threads take this lock only for short times and while they hold Python's lock. A fork also holds Python's lock, so in a
+/// child process this lock is free.
 static POOL: Mutex<Option<Owned>> = Mutex::new(None);
 
 /// This process's pool; `threads` matters only if it is made now.

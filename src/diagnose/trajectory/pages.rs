@@ -82,7 +82,7 @@ impl Pages {
         }
     }
 
-    /// Counts the memory of a new page. It replaces the previous page; a dictionary is kept beside the pages that use it.
+    /// Counts the memory of a new page. It replaces the previous page; a dictionary is kept together with the pages that use it.
     fn hold(&mut self, header: &Header) -> std::result::Result<(), String> {
         let place = &mut self.held[usize::from(header.kind != DICTIONARY)];
         let before = std::mem::replace(place, header.unpacked);

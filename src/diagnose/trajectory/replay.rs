@@ -18,7 +18,7 @@ use std::sync::Arc;
 /// Stiffness of a replay's servos as a multiple of the robot's own: our choice. A joint then lags by a millirad, and numbers of
 /// 32 bits still resolve the torque to a hundredth of its rms.
 const STIFFER: f64 = 20.0;
-/// Number of signals beside the torques: angular velocity, specific force, upward direction (three each, in the base's frame),
+/// Number of signals in addition to the torques: angular velocity, specific force, upward direction (three each, in the base's frame),
 /// horizontal speed and height.
 pub const SIGNALS: usize = 11;
 /// Time simulated after the end of a window [s], for sensors with a delay: five times the usual delay.

@@ -27,9 +27,9 @@ enum Filling {
     Convex,
     /// From the volume inside the surface, which must be closed.
     Exact,
-    /// By the rule of [`mesh::legacy`], MuJoCo's default.
+    /// From the volume by the rule of [`mesh::legacy`], MuJoCo's default.
     Legacy,
-    /// A thin shell of 1 m × density.
+    /// From a thin shell, whose mass by area is 1 m × density.
     Shell,
 }
 
@@ -164,7 +164,7 @@ const KNOWN: [&str; 25] = [
     "fluidshape",
 ];
 
-/// Reads a geom, defaults applied.
+/// Reads a geom, with the defaults of its class.
 pub fn geom(element: &Element, compiler: &Compiler, assets: &Assets, notes: &mut Notes) -> Result<Geom> {
     notes.others(element, &KNOWN);
     if flag(element, "shellinertia")?.unwrap_or(false) {

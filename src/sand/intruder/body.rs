@@ -132,7 +132,7 @@ impl Body {
         Self::cut_within(shape, size, mesh::MOST_PLATES)
     }
 
-    /// As [`Self::cut`], with at most `most` plates.
+    /// The same as [`Self::cut`], with at most `most` plates.
     pub fn cut_within(shape: &BodyShape, size: Option<f64>, most: usize) -> Result<Self> {
         let (corners, longest, surface) = match *shape {
             BodyShape::Cylinder { radius, width } => {
@@ -243,7 +243,7 @@ impl Body {
         }
     }
 
-    /// As [`Self::heights`], over a whole turn about `axis` (unit), in which each point moves on a circle.
+    /// The same as [`Self::heights`], over a whole turn about `axis` (unit), in which each point moves on a circle.
     pub fn heights_in_turn(&self, axis: Vec3<f64>) -> [f64; 2] {
         let level = (1.0 - axis.z * axis.z).max(0.0).sqrt();
         match &self.corners {

@@ -18,7 +18,7 @@ pub fn cylinder(radius: f64, width: f64, size: f64, least: usize) -> Vec<Plate> 
     cylinder_across(radius, width, size, 4.0 * size, least)
 }
 
-/// As [`cylinder`], with plates whose width on the rim is `wide`.
+/// The same as [`cylinder`], with plates whose width on the rim is `wide`.
 pub fn cylinder_across(radius: f64, width: f64, size: f64, wide: f64, least: usize) -> Vec<Plate> {
     let (around, across) = (pieces(TAU * radius, size / 2.0, least), pieces(width, wide, least / 8));
     let mut plates = Vec::new();

@@ -32,7 +32,7 @@ pub fn read(path: &Path) -> Result<Vec<Triangle>> {
     some(path, read_from(path, BufReader::new(file), MOST_TRIANGLES)?)
 }
 
-/// As [`read`], from a file's `bytes`, with at most `most` triangles.
+/// The same as [`read`], from a file's `bytes`, with at most `most` triangles.
 pub fn read_bytes(path: &Path, bytes: &[u8], most: usize) -> Result<Vec<Triangle>> {
     some(path, read_mesh(path, bytes, most)?)
 }

@@ -186,7 +186,7 @@ fn laplacian<R: Real>(x1: R, x2: R, x3: R, n: Vec3<R>, u: Vec3<R>) -> Vec3<R> {
 #[inline(always)]
 fn slope<R: Real>(x1: R, x3: R, even_1: R, n: Vec3<R>, u: Vec3<R>) -> Vec3<R> {
     let (two, x11, x13, x33) = (R::splat(2.0), x1 * x1, x1 * x3, x3 * x3);
-    // Along N the even parts, along u and ẑ the odd ones.
+    // The component along N has the even parts, those along u and ẑ have the odd parts.
     let along_n = sum([(8, x3), (19, x13), (6, two * x13), (18, two * x1 * x13)])[0];
     let [_, along_u, along_z] = sum([
         (2, R::one()),

@@ -103,7 +103,7 @@ impl<R: Real> Normals<R> {
         Self { unit: mean * inverse, spread, squares, products }
     }
 
-    /// As [`Self::new`], for means in axes that are the columns of `axes`.
+    /// The same as [`Self::new`], for means in axes that are the columns of `axes`.
     #[inline(always)]
     pub fn turned(mean: Vec3<R>, squares: Vec3<R>, products: Vec3<R>, axes: &Mat3<R>) -> Self {
         let (s, p) = (squares, products);

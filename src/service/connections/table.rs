@@ -37,11 +37,11 @@ impl Peer {
 /// Largest numbers of connections at the same time.
 #[derive(Clone, Copy, Debug)]
 pub struct Caps {
-    /// Of all peers together.
+    /// Connections of all peers together.
     pub all: usize,
-    /// Of one peer. The owner of a Unix socket may have as many as all peers together.
+    /// Connections of one peer. The owner of a Unix socket may have as many as all peers together.
     pub peer: usize,
-    /// Of connections whose peers have not sent anything yet. A burst may exceed it for a second.
+    /// Connections whose peers have not sent anything yet. For a second there may be more.
     pub opening: usize,
 }
 

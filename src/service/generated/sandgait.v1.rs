@@ -335,9 +335,10 @@ pub struct RolloutPart {
     /// u32 \[num_envs\]: number of steps until the rollout or the episode ended.
     #[prost(bytes = "bytes", tag = "6")]
     pub lengths: ::prost::bytes::Bytes,
-    /// u8 \[num_envs\]: 1 if the episode was terminated, and 1 if it was truncated.
+    /// u8 \[num_envs\]: 1 if the episode was terminated.
     #[prost(bytes = "bytes", tag = "7")]
     pub terminated: ::prost::bytes::Bytes,
+    /// u8 \[num_envs\]: 1 if the episode was truncated.
     #[prost(bytes = "bytes", tag = "8")]
     pub truncated: ::prost::bytes::Bytes,
     /// f32 \[steps, num_envs, actions\]: the policy's clipped actions. Empty unless a PolicyRollout has `trajectories`.

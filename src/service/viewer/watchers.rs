@@ -84,8 +84,8 @@ impl Watchers {
         Some(Watcher { watchers: self.clone(), session: session.into(), index, frames, head: Bytes::new() })
     }
 
-    /// Must be called after each reset or step of session `id`. Costs reading a counter, or copying a state when a
-    /// frame is due.
+    /// The server calls this function after each reset or step of session `id`. It reads a counter and, when a frame is due,
+    /// copies a state.
     pub fn saw(&self, id: &str, batch: &Batch) {
         let count = self.count.load(Ordering::Relaxed);
         if count == 0 {

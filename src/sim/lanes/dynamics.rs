@@ -180,7 +180,7 @@ fn belly<R: Real, const J: usize>(
     }
 }
 
-/// As [`belly`], for one law. The plates are one-sided with a leading-edge gate; all face down in one plane of the base.
+/// The same as [`belly`], for one law. The plates are one-sided with a leading-edge gate; all face down in one plane of the base.
 #[inline(always)]
 fn belly_by<R: Real, const J: usize>(
     law: &impl StressLaw<R>,

@@ -57,7 +57,7 @@ impl Masses {
         M::identity() * second.trace() - second
     }
 
-    /// As rapier's mass properties.
+    /// The mass, its centre and inertia in rapier's type.
     pub fn properties(&self) -> MassProperties {
         mass_properties(self.mass, self.center(), &self.inertia())
     }

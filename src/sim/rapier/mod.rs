@@ -87,7 +87,7 @@ struct Robot {
     /// Mass properties of the links with no sand on them.
     dry: Vec<MassProperties>,
     world: World,
-    /// None without obstacles.
+    /// Collision shapes; None if the model has no obstacles.
     shapes: Option<Shapes>,
     rocks: Vec<Rock>,
     /// For each object, whether it stays fixed until the world is built again.

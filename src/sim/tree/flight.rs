@@ -82,7 +82,7 @@ pub fn accelerations(tree: &Tree, pose: &Pose) -> Accelerations {
     accelerations_by::<f64>(tree, pose)
 }
 
-/// As [`accelerations`], computed with numbers of type `R`; the result is that of lane 0.
+/// The same as [`accelerations`], computed with numbers of type `R`; the result is that of lane 0.
 pub fn accelerations_by<R: Real>(tree: &Tree, pose: &Pose) -> Accelerations {
     let mut bodies = LaneBody::<R>::all(tree);
     bodies.iter_mut().for_each(|b| b.armature = R::zero());

@@ -22,7 +22,7 @@ const ROUNDED: f64 = 1e-4;
 pub struct Looks {
     pub meshes: Vec<LookMesh>,
     pub shapes: Vec<Look>,
-    /// The same as JSON, because each section of a recording begins with it.
+    /// The meshes and shapes as JSON, because each section of a recording begins with this text.
     #[serde(skip)]
     json: String,
 }

@@ -60,7 +60,7 @@ pub struct TreeBody {
     pub parent: usize,
     /// The body's frame in the parent's when the joint is at 0 [m].
     pub origin: Isometry3<f64>,
-    /// None for the base alone: fixed joints are merged when a file is read.
+    /// The joint to the parent. Only the base has none, because fixed joints are merged when a file is read.
     pub joint: Option<TreeJoint>,
     /// [kg]
     pub mass: f64,

@@ -80,7 +80,7 @@ impl TreeModel {
         Self::with_contacts(tree, plates, contacts)
     }
 
-    /// As [`Self::new`], with points of contact that are known already.
+    /// The same as [`Self::new`], with points of contact that are known already.
     pub fn with_contacts(tree: Tree, plates: Vec<Vec<Plate>>, contacts: Vec<Vec<ContactPoint>>) -> Result<Self> {
         check(&tree)?;
         let (motors, compliance) = (motors(&tree), Compliance::of_mass(tree.mass()));
@@ -121,7 +121,7 @@ impl TreeModel {
         self.height_over(angles, |_, _| 0.0)
     }
 
-    /// As [`Self::standing_height`], over ground with the heights `ground`; the base's origin is at x = y = 0.
+    /// The same as [`Self::standing_height`], over ground with the heights `ground`; the base's origin is at x = y = 0.
     pub fn height_over(&self, angles: &[f64], ground: impl Fn(f64, f64) -> f64) -> f64 {
         let frames = frames(&self.tree, &crate::State::at_rest(0.0, angles));
         let over = |low: nalgebra::Vector3<f64>| low.z - ground(low.x, low.y);
