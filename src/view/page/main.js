@@ -85,7 +85,7 @@ function show() {
   readout(a.section, a.row);
   chart_all(recording, time, a.section);
   const newton = 0.01 / world.arrows.scale;
-  const arrows = world.layers.arrows && a.section.header.segments.length ? `arrows: 10 mm stand for ${newton.toPrecision(2)} N, ` : "";
+  const arrows = world.layers.arrows && a.section.pushed ? `arrows: 10 mm stand for ${newton.toPrecision(2)} N, ` : "";
   $("scale").textContent = `${arrows}lines: 0.1 m apart`;
   const scrub = $("scrub");
   [scrub.min, scrub.max] = [recording.start, recording.end];
@@ -134,10 +134,12 @@ function controls() {
 function describe(section) {
   const { task, robot, medium, law } = section.header;
   $("status").textContent = [task, robot, medium, law].join(" · ");
-  // Robots from files have feet, and neither arrows nor footprints.
+  // Robots from files have feet, and no footprints; old recordings of them have no forces.
   const { legs, segments } = section.header;
   $("gait-title").textContent = legs.length ? "Legs held by the sand" : "Feet in contact with the ground";
-  for (const name of ["arrows", "prints"]) $(name).parentElement.hidden = !segments.length;
+  $("arrows-title").textContent = legs.length ? "sand's force on each segment" : "ground's force on each body";
+  $("arrows").parentElement.hidden = !section.pushed;
+  $("prints").parentElement.hidden = !segments.length;
 }
 
 function main() {

@@ -80,6 +80,60 @@ function grains() {
   return texture;
 }
 
+/** Largest number of pieces of hard ground, as in src/sim/tree/hard.rs, and the slope beyond their edges. */
+const MOST_HARD = 8;
+const EDGE = 2;
+
+/** Hard ground on the graphics processor: [centre, size] and [distance of copies, depth] of each piece; as in src/view/hard.rs. */
+const HARD_GROUND = `
+uniform vec4 pieces[${MOST_HARD}];
+uniform vec3 copies[${MOST_HARD}];
+uniform int count;
+varying vec2 place;
+float hardness() {
+  float share = 0.0;
+  for (int k = 0; k < count; k += 1) {
+    vec2 at = place - pieces[k].xy, every = copies[k].xy;
+    at -= mix(vec2(0.0), round(at / max(every, vec2(1e-3))) * every, step(1e-3, every));
+    vec2 outside = max(abs(at) - 0.5 * pieces[k].zw, 0.0);
+    float beyond = outside.x + outside.y;
+    share = max(share, copies[k].z + ${EDGE}.0 * beyond <= 1e-6 ? 1.0 : beyond <= 0.0 ? 0.4 : 0.0);
+  }
+  return share;
+}
+`;
+
+/** Paints pieces of hard ground grey. Gives the function that changes the pieces. */
+function with_hard_ground(material) {
+  const vectors = (Type) => Array.from({ length: MOST_HARD }, () => new Type());
+  const uniforms = { pieces: { value: vectors(THREE.Vector4) }, copies: { value: vectors(THREE.Vector3) }, count: { value: 0 } };
+  material.onBeforeCompile = (shader) => {
+    Object.assign(shader.uniforms, uniforms);
+    const vertex = shader.vertexShader.replace("#include <begin_vertex>", "#include <begin_vertex>\nplace = position.xy;");
+    shader.vertexShader = `varying vec2 place;\n${vertex}`;
+    const grey = "diffuseColor.rgb = mix(diffuseColor.rgb, vec3(0.62 * dot(diffuseColor.rgb, vec3(0.2126, 0.7152, 0.0722))), hardness());";
+    const fragment = shader.fragmentShader.replace("#include <color_fragment>", `#include <color_fragment>\n${grey}`);
+    shader.fragmentShader = HARD_GROUND + fragment;
+  };
+  return (hard) => {
+    uniforms.count.value = hard.length;
+    hard.forEach(({ center, size, every, depth }, k) => {
+      uniforms.pieces.value[k].set(...center, ...size);
+      uniforms.copies.value[k].set(...every, depth);
+    });
+  };
+}
+
+/** How far hard ground rises above the sand [m]. */
+function rise(hard, x, y) {
+  const top = ({ center, size, every, depth }) => [x, y].reduce((sum, at, k) => {
+    const from = at - center[k];
+    const outside = Math.abs(from - (every[k] ? Math.round(from / every[k]) * every[k] : 0)) - size[k] / 2;
+    return sum - EDGE * Math.max(outside, 0);
+  }, -depth);
+  return Math.max(0, ...hard.map(top));
+}
+
 /** The surface: a height field around the robot, and a flat frame around that. */
 class Sand {
   constructor(group) {
@@ -100,6 +154,7 @@ class Sand {
     }
     this.geometry.setIndex(index);
     this.material = new THREE.MeshLambertMaterial({ vertexColors: true, map: grains() });
+    this.paint = with_hard_ground(this.material);
     this.mesh = new THREE.Mesh(this.geometry, this.material);
     this.mesh.receiveShadow = true;
     this.mesh.frustumCulled = false;
@@ -107,13 +162,15 @@ class Sand {
     this.frame = new THREE.Mesh(new THREE.BufferGeometry(), this.material);
     this.frame.frustumCulled = false;
     group.add(this.frame);
-    this.enter(1, undefined);
+    this.enter(1);
   }
 
-  /** For a robot of this scale on this ground; undefined: it is flat. */
-  enter(scale, relief) {
+  /** For a robot of this scale; without `relief` the ground is flat, without `hard` it is sand alone. */
+  enter(scale, relief, hard = []) {
     this.cell = CELL * scale * (relief ? WIDER : 1);
     this.relief = relief;
+    this.paint(hard);
+    this.risen = hard.filter((piece) => piece.depth < 0);
     this.frame.visible = !relief;
     this.far = 6 * scale;
     this.shown = "";
@@ -127,10 +184,10 @@ class Sand {
     if (state === this.shown) return;
     this.shown = state;
     this.heights.fill(0);
-    if (this.relief) {
+    if (this.relief || this.risen.length) {
       for (let k = 0; k < this.heights.length; k += 1) {
-        const [i, j] = [k % (nx + 1), Math.floor(k / (nx + 1))];
-        this.heights[k] = height_at(this.relief, (i0 + i) * this.cell, (j0 + j) * this.cell);
+        const [x, y] = [i0 + (k % (nx + 1)), j0 + Math.floor(k / (nx + 1))].map((cell) => cell * this.cell);
+        this.heights[k] = (this.relief ? height_at(this.relief, x, y) : 0) + rise(this.risen, x, y);
       }
     } else if (prints) {
       for (let j = 1, k = nx + 1; j < ny; j += 1, k = j * (nx + 1)) {
@@ -175,7 +232,7 @@ class Sand {
         const length = Math.hypot(dx, dy, 1);
         normal.setXYZ(k, -dx / length, -dy / length, 1 / length);
         // Prints are darker; the light shows dunes.
-        const dark = this.relief ? 1 : 1 + 22 * h[k];
+        const dark = 1 + 22 * Math.min(this.relief ? 0 : h[k], 0);
         color.setXYZ(k, 0.83 * dark, 0.72 * dark, 0.52 * dark);
         uv.setXY(k, x * 10, y * 10);
       }
