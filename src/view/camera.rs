@@ -133,6 +133,11 @@ impl Camera {
         distance.is_finite().then(|| self.eye + self.sight(at) * distance)
     }
 
+    /// Length of the level surface that a pixel covers at this distance along the line of sight [m].
+    pub fn blur(&self, distance: f64) -> f64 {
+        distance * distance / (self.focal * self.eye.z.abs().max(NEAR))
+    }
+
     /// Direction to a point of the picture [px], with length 1 along the line of sight.
     fn sight(&self, [x, y]: [f64; 2]) -> V {
         let [u, v] = [(x - self.middle[0]) / self.focal, (self.middle[1] - y) / self.focal];

@@ -84,6 +84,7 @@ pub fn ground(model: &Model, state: &State) -> Option<Vec<Painted>> {
 pub fn paint(map: &mut Pixmap, camera: &Camera, robot: &[Painted], ground: Option<&[Painted]>, hard: &[HardGround]) {
     let lit = |all: &[Painted]| -> Vec<Facet> { all.iter().filter_map(|(t, c)| Facet::lit(camera, t, *c)).collect() };
     let (robot, ground) = (lit(robot), ground.map(lit));
+    let everywhere = hard.iter().any(HardGround::is_everything);
     let [width, height] = [map.width(), map.height()].map(|side| side as usize);
     for top in (0..height).step_by(BAND) {
         let rows = BAND.min(height - top);
@@ -101,13 +102,17 @@ pub fn paint(map: &mut Pixmap, camera: &Camera, robot: &[Painted], ground: Optio
                 let [x, y] = [k % width * SAMPLES + s % SAMPLES, k / width * SAMPLES + s / SAMPLES];
                 let at = y * width * SAMPLES + x;
                 let place = [x as f64 + 0.5, (top * SAMPLES + y) as f64 + 0.5];
-                let (sand, surface) = match &ground {
-                    Some(ground) if ground.distances[at].is_finite() => (ground.colors[at], ground.distances[at]),
-                    Some(_) => (old, f32::INFINITY),
-                    None => (old, camera.level(place) as f32),
+                let level = camera.level(place);
+                // Beyond the drawn ground one sees a level surface.
+                let (sand, surface, seen) = match &ground {
+                    Some(ground) if ground.distances[at].is_finite() => {
+                        (ground.colors[at], ground.distances[at], f64::from(ground.distances[at]))
+                    }
+                    Some(_) => (old, f32::INFINITY, if everywhere { level } else { f64::INFINITY }),
+                    None => (old, level as f32, level),
                 };
-                let below = match camera.point(place, f64::from(surface)).filter(|_| !hard.is_empty()) {
-                    Some(p) => hard::shaded(hard, [p.x, p.y], sand),
+                let below = match camera.point(place, seen).filter(|_| !hard.is_empty()) {
+                    Some(p) => hard::shaded(hard, [p.x, p.y], camera.blur(seen), sand),
                     None => sand,
                 };
                 let share = match robot.distances[at] {

@@ -132,8 +132,9 @@ function controls() {
 
 /** What the recording is of, in the page's upper right corner. */
 function describe(section) {
-  const { task, robot, medium, law } = section.header;
-  $("status").textContent = [task, robot, medium, law].join(" · ");
+  const { task, robot, medium, law, hard } = section.header;
+  const ground = hard ? [`${medium} and hard ground`, law] : [medium, law];
+  $("status").textContent = [task, robot, ...(hard?.some(everywhere) ? ["hard ground"] : ground)].join(" · ");
   // Robots from files have feet, and no footprints; old recordings of them have no forces.
   const { legs, segments } = section.header;
   $("gait-title").textContent = legs.length ? "Legs held by the sand" : "Feet in contact with the ground";

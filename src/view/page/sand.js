@@ -84,7 +84,7 @@ function grains() {
 const MOST_HARD = 8;
 const EDGE = 2;
 
-/** Hard ground on the graphics processor: [centre, size] and [distance of copies, depth] of each piece; as in src/view/hard.rs. */
+/** Share of grey at a place, as in src/view/hard.rs: of each piece [centre, size] and [distance of copies, depth]. */
 const HARD_GROUND = `
 uniform vec4 pieces[${MOST_HARD}];
 uniform vec3 copies[${MOST_HARD}];
@@ -92,12 +92,16 @@ uniform int count;
 varying vec2 place;
 float hardness() {
   float share = 0.0;
+  vec2 blur = fwidth(place);
   for (int k = 0; k < count; k += 1) {
-    vec2 at = place - pieces[k].xy, every = copies[k].xy;
-    at -= mix(vec2(0.0), round(at / max(every, vec2(1e-3))) * every, step(1e-3, every));
-    vec2 outside = max(abs(at) - 0.5 * pieces[k].zw, 0.0);
-    float beyond = outside.x + outside.y;
-    share = max(share, copies[k].z + ${EDGE}.0 * beyond <= 1e-6 ? 1.0 : beyond <= 0.0 ? 0.4 : 0.0);
+    vec2 size = pieces[k].zw, every = max(copies[k].xy, 1e-3), again = step(1e-3, copies[k].xy);
+    float depth = copies[k].z;
+    vec2 at = place - pieces[k].xy;
+    vec2 outside = max(abs(at - again * round(at / every) * every) - 0.5 * size, 0.0);
+    bool flank = depth <= 0.0 && depth + ${EDGE}.0 * (outside.x + outside.y) <= 0.0;
+    vec2 sharp = flank ? vec2(1.0) : 1.0 - step(1e-6, outside);
+    vec2 along = mix(sharp, size / every, again * min(max(blur.x, blur.y) / every, 1.0));
+    share = max(share, (depth <= 0.0 ? 1.0 : 0.4) * along.x * along.y);
   }
   return share;
 }
@@ -105,24 +109,26 @@ float hardness() {
 
 /** Paints pieces of hard ground grey. Gives the function that changes the pieces. */
 function with_hard_ground(material) {
-  const vectors = (Type) => Array.from({ length: MOST_HARD }, () => new Type());
-  const uniforms = { pieces: { value: vectors(THREE.Vector4) }, copies: { value: vectors(THREE.Vector3) }, count: { value: 0 } };
+  const [pieces, copies, count] = [new Float32Array(4 * MOST_HARD), new Float32Array(3 * MOST_HARD), { value: 0 }];
   material.onBeforeCompile = (shader) => {
-    Object.assign(shader.uniforms, uniforms);
-    const vertex = shader.vertexShader.replace("#include <begin_vertex>", "#include <begin_vertex>\nplace = position.xy;");
-    shader.vertexShader = `varying vec2 place;\n${vertex}`;
-    const grey = "diffuseColor.rgb = mix(diffuseColor.rgb, vec3(0.62 * dot(diffuseColor.rgb, vec3(0.2126, 0.7152, 0.0722))), hardness());";
-    const fragment = shader.fragmentShader.replace("#include <color_fragment>", `#include <color_fragment>\n${grey}`);
-    shader.fragmentShader = HARD_GROUND + fragment;
+    Object.assign(shader.uniforms, { pieces: { value: pieces }, copies: { value: copies }, count });
+    const after = (text, part, added) => text.replace(`#include <${part}>`, `#include <${part}>\n${added}`);
+    shader.vertexShader = `varying vec2 place;\n${after(shader.vertexShader, "begin_vertex", "place = position.xy;")}`;
+    const grey = `vec3 grey = vec3(0.55, 0.6, 0.72) * dot(diffuseColor.rgb, vec3(0.2126, 0.7152, 0.0722));
+      diffuseColor.rgb = mix(diffuseColor.rgb, grey, hardness());`;
+    shader.fragmentShader = HARD_GROUND + after(shader.fragmentShader, "color_fragment", grey);
   };
   return (hard) => {
-    uniforms.count.value = hard.length;
+    count.value = hard.length;
     hard.forEach(({ center, size, every, depth }, k) => {
-      uniforms.pieces.value[k].set(...center, ...size);
-      uniforms.copies.value[k].set(...every, depth);
+      pieces.set([...center, ...size], 4 * k);
+      copies.set([...every, depth], 3 * k);
     });
   };
 }
+
+/** Is a piece of hard ground endless, so that there is no sand? As in src/sim/tree/hard.rs. */
+function everywhere({ size, depth }) { return Math.min(...size) >= 1e5 && depth <= 0; }
 
 /** How far hard ground rises above the sand [m]. */
 function rise(hard, x, y) {

@@ -132,8 +132,8 @@ class Arrows {
       group.add(mesh);
     }
     const weight = section.header.mass * Math.hypot(...section.header.gravity);
-    /** [m/N]: half a metre for the usual robot's weight, because many segments share it. */
-    this.scale = (0.5 * size) / weight;
+    /** [m/N]: for the usual robot's weight half a metre, because many segments share it; a fifth for robots from files. */
+    this.scale = ((section.header.touching ? 0.2 : 0.5) * size) / weight;
   }
 
   show({ force: forces, at: places }) {

@@ -100,7 +100,7 @@ fn free_flight_conserves() {
 }
 
 /// A box of `mass` with its corners as points of contact.
-fn block(half: [f64; 3], mass: f64, friction: f64) -> Tree {
+pub fn block(half: [f64; 3], mass: f64, friction: f64) -> Tree {
     let [x, y, z] = half.map(|h| h * h * mass / 3.0);
     let shape = TreeShape {
         name: "block".into(),

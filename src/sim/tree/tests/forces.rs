@@ -1,7 +1,7 @@
 //! Forces for pictures are those that move the robot.
 
 use super::super::forces::{pushes, touching};
-use super::engine::{conserved, on_hard, on_sand, plates, quadruped, run, scene, standing, trot};
+use super::engine::{block, conserved, on_hard, on_sand, plates, quadruped, run, scene, standing, trot};
 use super::*;
 use crate::model::Scene;
 use crate::number::Isa;
@@ -72,5 +72,27 @@ fn forces_carry_a_standing_robot() {
         }
         let air = State { position: [0.0, 0.0, 5.0], ..state };
         assert!(pushes(&model, &air).is_empty(), "{name}");
+    }
+}
+
+/// Pictures draw hard ground where the engine has it: a small ball is pushed just below its top, and not just above.
+#[test]
+fn hard_ground_is_where_it_is_drawn() {
+    let mut tree = block([0.001; 3], 1.0, 0.5);
+    tree.bodies[0].shapes[0].geometry = Geometry::Sphere { radius: 0.001 };
+    let road = HardGround { center: [0.2, -0.3], size: [0.5, 0.3], every: [0.9, 0.0], depth: 0.02, grip: 1.0 };
+    let step = HardGround { center: [-0.4, 0.5], size: [0.3, 0.4], every: [0.0; 2], depth: -0.05, grip: 1.0 };
+    let model = Model::of_tree(
+        TreeModel::new(tree, vec![Vec::new()]).unwrap(),
+        &Scene { hard: vec![road, step], ..scene(1e-3) },
+    );
+    let (model, mut draw) = (model.unwrap(), Draw::new(5));
+    for _ in 0..200 {
+        let [x, y] = [2.0 * draw.number(), 2.0 * draw.number()];
+        let top = road.top([x, y]).min(step.top([x, y]));
+        for (above, touches) in [(1e-5, false), (-1e-5, true)] {
+            let state = State { position: [x, y, 0.001 - top + above], ..State::at_rest(0.0, &[]) };
+            assert_eq!(!pushes(&model, &state).is_empty(), touches, "{x} {y} {top}");
+        }
     }
 }
