@@ -123,11 +123,25 @@ impl Camera {
 
     /// Distance along the line of sight at which a point of the picture [px] shows the level surface z = 0; infinite
     /// above the horizon.
-    pub fn level(&self, [x, y]: [f64; 2]) -> f64 {
-        let [u, v] = [(x - self.middle[0]) / self.focal, (self.middle[1] - y) / self.focal];
-        let sight = self.forward + self.right * u + self.up * v;
-        let distance = -self.eye.z / sight.z;
+    pub fn level(&self, at: [f64; 2]) -> f64 {
+        let distance = -self.eye.z / self.sight(at).z;
         if distance > 0.0 { distance } else { f64::INFINITY }
+    }
+
+    /// What a point of the picture [px] shows at this distance along the line of sight [m]; None: the sky.
+    pub fn point(&self, at: [f64; 2], distance: f64) -> Option<V> {
+        distance.is_finite().then(|| self.eye + self.sight(at) * distance)
+    }
+
+    /// Length of the level surface that a pixel covers at this distance along the line of sight [m].
+    pub fn blur(&self, distance: f64) -> f64 {
+        distance * distance / (self.focal * self.eye.z.abs().max(NEAR))
+    }
+
+    /// Direction to a point of the picture [px], with length 1 along the line of sight.
+    fn sight(&self, [x, y]: [f64; 2]) -> V {
+        let [u, v] = [(x - self.middle[0]) / self.focal, (self.middle[1] - y) / self.focal];
+        self.forward + self.right * u + self.up * v
     }
 
     /// A polygon in the picture, without the part behind the camera; None if nothing is left.

@@ -6,6 +6,7 @@ use super::recording::{FORMAT, VERSION};
 use crate::sim::frame::V;
 use crate::sim::model::{Body, Piece};
 use crate::sim::solid::Solid;
+use crate::sim::tree::forces::touching;
 use crate::sim::tree::{JointKind, TreeBody, TreeModel};
 use crate::sim::{Model, Obstacle};
 use serde_json::{Value, json};
@@ -31,7 +32,7 @@ pub struct About<'a> {
 pub fn header(model: &Model, about: &About) -> String {
     let robot = &model.robot;
     let hips: Vec<_> = robot.hip.iter().map(|h| json!({"name": h.name, "tripod": h.tripod})).collect();
-    let head = json!({
+    let mut head = json!({
         "format": FORMAT,
         "version": VERSION,
         "sandgait": env!("CARGO_PKG_VERSION"),
@@ -55,6 +56,12 @@ pub fn header(model: &Model, about: &About) -> String {
         "obstacles": model.scene.obstacles.iter().zip(&model.solids).map(obstacle).collect::<Vec<_>>(),
         "columns": columns(model, about),
     });
+    if model.tree.is_some() {
+        head["touching"] = json!(touching(model));
+    }
+    if !model.scene.hard.is_empty() {
+        head["hard"] = json!(model.scene.hard);
+    }
     let mut text = head.to_string();
     // Long parts that stay the same are kept as text. The header ends with them.
     let parts = [
@@ -166,5 +173,9 @@ fn columns(model: &Model, about: &About) -> Vec<Value> {
     all.push(column("stance", "1", &[model.legs.len()]));
     all.push(column("objects", "m, 1", &[model.objects_at_rest().len(), 7]));
     all.push(column("forces", "N", &[segments, 3]));
+    if model.tree.is_some() {
+        let bodies = touching(model).len();
+        all.extend([column("ground_forces", "N", &[bodies, 3]), column("ground_points", "m", &[bodies, 3])]);
+    }
     all
 }

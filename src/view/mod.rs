@@ -9,7 +9,7 @@
 //! * [`recording`]: the format; [`header`]: its description of robot and columns.
 //! * [`picture`]: one moment as an image; [`camera`]: its point of view; [`text`]: letters on it.
 //! * [`tree`]: any robot from a file as an image; [`solid`]: the same in the picture of a moment, with its ground;
-//!   [`raster`]: triangles for both.
+//!   [`hard`]: colours of hard ground; [`raster`]: triangles for both.
 //! * [`page`]: a recording as a page for browsers, and the page that follows a server.
 //!
 //! This crate uses models and states only; it has no tasks, sessions or messages.
@@ -21,6 +21,7 @@ use sandgait_sand as sand;
 use sandgait_sim as sim;
 
 mod camera;
+mod hard;
 mod header;
 pub mod page;
 pub mod picture;

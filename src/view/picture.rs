@@ -1,7 +1,7 @@
 //! Draws one moment as an image, without a GPU: far faces first, then near faces over them.
 
 use super::camera::{Camera, SIZES, clip, radius};
-use super::pose::Pose;
+use super::pose::{Load, Pose};
 use super::raster::{LIGHT, Rgb, SAMPLES};
 use super::{solid, text};
 use crate::error::{Error, Result};
@@ -61,7 +61,7 @@ pub fn draw(model: &Model, state: &State, footing: &[f64], size: [u32; 2], capti
     let mut canvas = Canvas::new(model, state, size)?;
     canvas.sand();
     let labels = match &model.tree {
-        Some(robot) => canvas.tree(model, robot, state),
+        Some(robot) => canvas.tree(model, robot, state, &pose),
         None => canvas.legs(model, state, &pose),
     };
     let mut pixels = canvas.pixels();
@@ -171,7 +171,7 @@ impl Canvas {
     }
 
     /// Draws a robot from a file and its ground; returns the labels of the grid lines.
-    fn tree(&mut self, model: &Model, robot: &TreeModel, state: &State) -> Labels {
+    fn tree(&mut self, model: &Model, robot: &TreeModel, state: &State, pose: &Pose) -> Labels {
         let (painted, ground) = (solid::robot(robot, state), solid::ground(model, state));
         let mut labels = Vec::new();
         // Lines and shadows are drawn on level ground only.
@@ -185,7 +185,8 @@ impl Canvas {
         }
         let size = [self.map.width(), self.map.height()].map(|side| side * SAMPLES as u32);
         let fine = Camera::following(model, state, size);
-        solid::paint(&mut self.map, &fine, &painted, ground.as_deref());
+        solid::paint(&mut self.map, &fine, &painted, ground.as_deref(), &model.scene.hard);
+        self.arrows(model, pose);
         labels
     }
 
@@ -314,12 +315,11 @@ impl Canvas {
         }
     }
 
-    /// Arrows of the sand's force on each leg, from the point where it acts.
+    /// Arrows of the ground's force on each leg, or body that touches, from the point where it acts.
     fn arrows(&mut self, model: &Model, pose: &Pose) {
         let per_newton = ARROW_LENGTH * self.radius / (model.total_mass() * model.gravity.norm());
         let thick = self.map.height() as f32 / 180.0;
-        for leg in (0..model.legs.len()).filter(|l| pose.stance[*l]) {
-            let Some((at, force)) = pose.pressed(model, leg) else { continue };
+        for Load { position: at, force } in pose.arrows(model) {
             let tip = at + force * per_newton;
             let (Some((from, _)), Some((to, _))) = (self.camera.see(at), self.camera.see(tip)) else { continue };
             let [dx, dy] = [to[0] - from[0], to[1] - from[1]];

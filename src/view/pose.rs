@@ -4,10 +4,12 @@ use crate::number::Vec3;
 use crate::sand::{Contact, SandBed, SegmentState};
 use crate::sim::frame::{Frame, M, V};
 use crate::sim::model::{Body, Plate};
+use crate::sim::tree::{forces, stance};
 use crate::sim::{Model, State};
 
-/// A leg stands if the sand holds it with more than this share of the robot's weight: our choice, far above the
-/// force on a leg in the air (none) and far below that on one of three legs (a third).
+/// A leg stands if the sand holds it with more than this share of the robot's weight, and a body of a robot from a
+/// file has an arrow: our choice, far above the force on a leg in the air (none) and far below that on one of three
+/// legs (a third).
 const STANCE: f64 = 0.02;
 
 /// A small flat piece that sand may push on, as a [`Model`] has it.
@@ -39,6 +41,10 @@ pub struct Pose {
     pub leg_forces: Vec<V>,
     /// Whether each leg is held by the sand.
     pub stance: Vec<bool>,
+    /// The ground's force on each body of [`forces::touching`] and its mean place: only for robots from files.
+    pub contacts: Vec<Load>,
+    /// Least force of a leg that stands [N].
+    least: f64,
     /// Velocity of the base along x and y [m/s].
     travel: [f64; 2],
 }
@@ -68,6 +74,8 @@ impl Pose {
             loads: Vec::new(),
             leg_forces: Vec::new(),
             stance: Vec::new(),
+            contacts: contacts(model, state),
+            least: STANCE * model.total_mass() * model.gravity.norm(),
             travel: state.travel(),
         };
         pose.press(&model.belly, &base, at, |site, area, n, v| ground.one_sided(site, area, n, v));
@@ -85,8 +93,7 @@ impl Pose {
             }
             pose.leg_forces.push(pose.loads[first..].iter().map(|l| l.force).sum());
         }
-        let least = STANCE * model.total_mass() * model.gravity.norm();
-        pose.stance = pose.leg_forces.iter().map(|f| f.norm() > least).collect();
+        pose.stance = pose.leg_forces.iter().map(|f| f.norm() > pose.least).collect();
         pose
     }
 
@@ -136,16 +143,38 @@ impl Pose {
         }));
     }
 
-    /// The leg's force and the point [m] where it acts: the mean of its segments' places, weighted by their forces.
-    pub fn pressed(&self, model: &Model, leg: usize) -> Option<(V, V)> {
-        let force = self.leg_forces[leg];
-        let own = segments(model).into_iter().zip(&self.loads).filter(|(s, _)| s.leg == Some(leg)).map(|(_, l)| l);
-        let (sum, total) = own.fold((V::zeros(), 0.0), |(sum, total), l| {
-            let weight = l.force.norm();
-            (sum + l.position * weight, total + weight)
-        });
-        (total > 0.0).then(|| (sum / total, force))
+    /// Forces of the ground to draw, one for each leg that stands, or for each body that touches; the position is the
+    /// mean of its segments' positions, weighted by their forces.
+    pub fn arrows(&self, model: &Model) -> Vec<Load> {
+        let segments = segments(model);
+        let of_leg = |leg: usize| {
+            let own = segments.iter().zip(&self.loads).filter(|(s, _)| s.leg == Some(leg)).map(|(_, load)| *load);
+            Some(Load { position: mean_place(own)?, force: self.leg_forces[leg] })
+        };
+        let legs = (0..self.stance.len()).filter(|leg| self.stance[*leg]).filter_map(of_leg);
+        legs.chain(self.contacts.iter().filter(|c| c.force.norm() > self.least).copied()).collect()
     }
+}
+
+/// Mean position, weighted by force; None if there is no force.
+fn mean_place(loads: impl Iterator<Item = Load>) -> Option<V> {
+    let (sum, total) = loads.fold((V::zeros(), 0.0), |(sum, total), load| {
+        let weight = load.force.norm();
+        (sum + load.position * weight, total + weight)
+    });
+    (total > 0.0).then(|| sum / total)
+}
+
+/// The ground's force on each body that can touch it. Where there is none, its position is the body's origin.
+fn contacts(model: &Model, state: &State) -> Vec<Load> {
+    let Some(robot) = &model.tree else { return Vec::new() };
+    let (frames, pushes) = (stance::frames(&robot.tree, state), forces::pushes(model, state));
+    let of_body = |body: usize| {
+        let own = pushes.iter().filter(|p| p.body == body).map(|p| Load { position: p.at, force: p.force });
+        let position = mean_place(own.clone()).unwrap_or(frames[body].translation.vector);
+        Load { position, force: own.map(|load| load.force).sum() }
+    };
+    forces::touching(model).into_iter().map(of_body).collect()
 }
 
 #[cfg(test)]

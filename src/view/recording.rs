@@ -12,6 +12,7 @@
 
 use super::pose::Pose;
 use crate::error::{Error, Result};
+use crate::sim::frame::V;
 use crate::sim::{Model, State};
 use flate2::Compression;
 use flate2::read::MultiGzDecoder;
@@ -64,7 +65,11 @@ pub fn row(model: &Model, moment: &Moment) -> Vec<f32> {
     row.extend(pose.stance.iter().map(|s| f32::from(u8::from(*s))));
     let objects = state.objects.iter().flat_map(|o| o.position.iter().chain(&o.orientation));
     row.extend(objects.map(|x| *x as f32));
-    row.extend(pose.loads.iter().flat_map(|l| [l.force.x, l.force.y, l.force.z]).map(|x| x as f32));
+    let mut vectors =
+        |all: &mut dyn Iterator<Item = V>| row.extend(all.flat_map(|v| [v.x, v.y, v.z]).map(|x| x as f32));
+    vectors(&mut pose.loads.iter().map(|load| load.force));
+    vectors(&mut pose.contacts.iter().map(|load| load.force));
+    vectors(&mut pose.contacts.iter().map(|load| load.position));
     row
 }
 

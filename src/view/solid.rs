@@ -2,10 +2,10 @@
 
 use super::camera::{Camera, radius};
 use super::raster::{Facet, Layer, Rgb, SAMPLES};
-use super::tree;
+use super::{hard, tree};
 use crate::sim::frame::V;
 use crate::sim::tree::looks::{Form, Looks};
-use crate::sim::tree::{Geometry, TreeModel, stance};
+use crate::sim::tree::{Geometry, HardGround, TreeModel, stance};
 use crate::sim::{Model, State};
 use resvg::tiny_skia::{Pixmap, PremultipliedColorU8};
 
@@ -54,9 +54,11 @@ fn triangles(looks: &Looks, form: Form) -> Vec<[V; 3]> {
     tree::triangles(&primitive)
 }
 
-/// Ground with heights around the robot; None: it is flat.
+/// Ground with heights around the robot, in the colours of sand; None: it is flat.
 pub fn ground(model: &Model, state: &State) -> Option<Vec<Painted>> {
-    model.scene.relief.as_ref()?;
+    if model.scene.relief.is_none() && !hard::rises(&model.scene.hard) {
+        return None;
+    }
     let reach = 12.0 * radius(model);
     let cell = CELL * (reach / (REACH * CELL)).ceil().max(1.0);
     let [x, y, _] = state.position;
@@ -64,7 +66,7 @@ pub fn ground(model: &Model, state: &State) -> Option<Vec<Painted>> {
     let count = (2.0 * reach / cell).ceil() as usize + 1;
     let node = |i: usize, j: usize| {
         let [x, y] = [(i0 + i as f64) * cell, (j0 + j as f64) * cell];
-        V::new(x, y, model.surface_height(x, y))
+        V::new(x, y, hard::surface(model, x, y))
     };
     let nodes: Vec<V> = (0..count * count).map(|k| node(k % count, k / count)).collect();
     let mut all = Vec::with_capacity(2 * count * count);
@@ -77,11 +79,12 @@ pub fn ground(model: &Model, state: &State) -> Option<Vec<Painted>> {
     Some(all)
 }
 
-/// Paints both into `map`. `camera`: that of a picture with [`SAMPLES`] times as many pixels along each side. Parts
-/// of the robot under the surface shine through.
-pub fn paint(map: &mut Pixmap, camera: &Camera, robot: &[Painted], ground: Option<&[Painted]>) {
+/// Paints robot, ground and hard ground into `map`. `camera`: that of a picture with [`SAMPLES`] times as many pixels
+/// along each side. Parts of the robot under the surface shine through.
+pub fn paint(map: &mut Pixmap, camera: &Camera, robot: &[Painted], ground: Option<&[Painted]>, hard: &[HardGround]) {
     let lit = |all: &[Painted]| -> Vec<Facet> { all.iter().filter_map(|(t, c)| Facet::lit(camera, t, *c)).collect() };
     let (robot, ground) = (lit(robot), ground.map(lit));
+    let everywhere = hard.iter().any(HardGround::is_everything);
     let [width, height] = [map.width(), map.height()].map(|side| side as usize);
     for top in (0..height).step_by(BAND) {
         let rows = BAND.min(height - top);
@@ -98,10 +101,19 @@ pub fn paint(map: &mut Pixmap, camera: &Camera, robot: &[Painted], ground: Optio
             for s in 0..SAMPLES * SAMPLES {
                 let [x, y] = [k % width * SAMPLES + s % SAMPLES, k / width * SAMPLES + s / SAMPLES];
                 let at = y * width * SAMPLES + x;
-                let (below, surface) = match &ground {
-                    Some(ground) if ground.distances[at].is_finite() => (ground.colors[at], ground.distances[at]),
-                    Some(_) => (old, f32::INFINITY),
-                    None => (old, camera.level([x as f64 + 0.5, (top * SAMPLES + y) as f64 + 0.5]) as f32),
+                let place = [x as f64 + 0.5, (top * SAMPLES + y) as f64 + 0.5];
+                let level = camera.level(place);
+                // Beyond the drawn ground one sees a level surface.
+                let (sand, surface, seen) = match &ground {
+                    Some(ground) if ground.distances[at].is_finite() => {
+                        (ground.colors[at], ground.distances[at], f64::from(ground.distances[at]))
+                    }
+                    Some(_) => (old, f32::INFINITY, if everywhere { level } else { f64::INFINITY }),
+                    None => (old, level as f32, level),
+                };
+                let below = match camera.point(place, seen).filter(|_| !hard.is_empty()) {
+                    Some(p) => hard::shaded(hard, [p.x, p.y], camera.blur(seen), sand),
+                    None => sand,
                 };
                 let share = match robot.distances[at] {
                     f32::INFINITY => 0.0,

@@ -5,7 +5,10 @@ If $SANDGAIT_SHOTS is set, screenshots are written to this directory. The pictur
 
 from __future__ import annotations
 
+import gzip
+import json
 import os
+import struct
 import subprocess
 import threading
 import time
@@ -164,6 +167,76 @@ def test_a_robot_from_a_file_is_drawn_by_its_shapes(page: Page, tmp_path: Path, 
     assert not page.troubles
 
 
+#: Sum of the forces that the arrows show [N].
+SHOWN = """(() => { const { shafts, scale } = player.world.arrows, m = new THREE.Matrix4(), sum = new THREE.Vector3();
+    for (let k = 0; k < shafts.count; k += 1) { shafts.getMatrixAt(k, m);
+        sum.add(new THREE.Vector3().setFromMatrixColumn(m, 1).divideScalar(scale)); }
+    return sum.toArray(); })()"""
+
+
+def colour(page: Page, place: list[float]) -> list[int]:
+    """Red, green and blue of the canvas where it shows a place of the world [m]."""
+    found = page.ask(f"""(() => {{ const {{ canvas, tilted, camera }} = player.world;
+        const p = tilted.localToWorld(new THREE.Vector3(...{place})).project(camera);
+        const d = document.createElement('canvas'), x = d.getContext('2d');
+        [d.width, d.height] = [canvas.width, canvas.height]; x.drawImage(canvas, 0, 0);
+        const at = [(p.x + 1) / 2 * d.width, (1 - p.y) / 2 * d.height].map(Math.round);
+        return Array.from(x.getImageData(...at, 1, 1).data); }})()""")
+    assert found[3] == 255, f"{place} is outside the picture"
+    return list(found[:3])
+
+
+def as_before(path: Path) -> None:
+    """Removes from a recording what those of older versions lack: hard ground, and forces of robots from files."""
+    stream, kept = gzip.decompress(path.read_bytes()), b""
+    while stream:
+        kind, length = struct.unpack("<4sI", stream[:8])
+        content, stream = stream[8 : 8 + length], stream[8 + length :]
+        if kind == b"HEAD":
+            header = json.loads(content)
+            added = 6 * len(header.pop("touching"))
+            header.pop("hard")
+            assert [c["name"] for c in header["columns"][-2:]] == ["ground_forces", "ground_points"]
+            del header["columns"][-2:]
+            content = json.dumps(header).encode()
+        else:
+            content = content[: -4 * added]
+        kept += struct.pack("<4sI", kind, len(content)) + content
+    path.write_bytes(gzip.compress(kept))
+
+
+def test_hard_ground_and_forces_are_seen(page: Page, tmp_path: Path) -> None:
+    robot = Path(__file__).parents[2] / "robots" / "sandcat.urdf"
+    options: dict[str, Any] = {"domain_rand": None, "angle_noise": 0.0}
+    env = sandgait.SandgaitEnv("sandgait/LeggedVelocity-v0", robot=robot, ground="mixed", **options)
+    env.record(tmp_path / "cat.rec")
+    env.reset(seed=1)
+    for _ in range(200):
+        env.step(np.zeros(12, np.float32))
+    env.close()
+    for old in (False, True):
+        if old:
+            as_before(tmp_path / "cat.rec")
+        html = tmp_path / f"cat_{old}.html"
+        subprocess.run([*server.command(), "replay", tmp_path / "cat.rec", "--html", html], check=True)
+        page.open(f"file://{html}")
+        page.until("player.world?.pose !== undefined && player.world.pose !== null")
+        page.ask("player.play(false)")
+        page.ask("player.time = player.recording.end")
+        page.until("player.world.pose.bodies[0].position.z < 0.3 && player.time === player.recording.end")
+        page.ask("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        assert page.ask("document.getElementById('arrows').parentElement.hidden") is old
+        # Behind the robot: on the slab, which ends at 0.4 m, and beside it.
+        (red, _, blue), (_, _, _) = slab, sand = [colour(page, [x, 0.3, 0.0]) for x in (0.37, 0.45)]
+        assert sand[0] - sand[2] > 40, sand
+        assert (abs(red - blue) < 15) is not old, slab
+        if not old:
+            weight = page.ask("player.world.section.header.mass") * 9.81
+            assert page.ask(SHOWN) == pytest.approx([0, 0, weight], abs=0.03 * weight)
+            page.picture(shots(tmp_path) / "cat_mixed.png")
+    assert not page.troubles
+
+
 def test_slow_motion_and_pause(page: Page, tmp_path: Path) -> None:
     recorded(tmp_path / "walk.rec", 400)
     html = tmp_path / "walk.html"
@@ -187,8 +260,8 @@ def test_slow_motion_and_pause(page: Page, tmp_path: Path) -> None:
 class Walker:
     """A session on a server that makes steps at the control rate, as a training would."""
 
-    def __init__(self, address: str, envs: int) -> None:
-        self.env = sandgait.SandgaitVectorEnv(ID, envs, address, leg="C", command=[0.2, 0.2])
+    def __init__(self, address: str, envs: int, task: str = ID, **options: Any) -> None:
+        self.env = sandgait.SandgaitVectorEnv(task, envs, address, **options)
         self.env.reset(seed=1)
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._walk)
@@ -207,7 +280,9 @@ class Walker:
         self.env.close()
 
 
-def test_the_live_page_follows_a_session(page: Page, tmp_path: Path) -> None:
+@pytest.fixture
+def live(page: Page, tmp_path: Path) -> Iterator[tuple[Page, str]]:
+    """The live page of a new server, and the server's address. At the end the page must have had no trouble."""
     address = f"unix:{tmp_path}/s"
     arguments = [*server.command(), "serve", "--listen", address, "--viewer", "127.0.0.1:0", "--exit-on-stdin-close"]
     log = tmp_path / "log"
@@ -218,7 +293,18 @@ def test_the_live_page_follows_a_session(page: Page, tmp_path: Path) -> None:
     url = log.read_text().split("browsers see the sessions at ")[1].split()[0]
     page.open(url)
     page.until("document.getElementById('status').textContent.startsWith('No session yet')")
-    walker = Walker(address, 2)
+    yield page, address
+    page.until(
+        "document.getElementById('status').textContent === 'No session yet: make an environment on this server.'"
+    )
+    assert not page.troubles
+    assert all(request.startswith((url, "data:", "blob:")) for request in page.requests), page.requests
+    process.communicate(timeout=10)
+
+
+def test_the_live_page_follows_a_session(live: tuple[Page, str], tmp_path: Path) -> None:
+    page, address = live
+    walker = Walker(address, 2, leg="C", command=[0.2, 0.2])
     try:
         page.until("document.getElementById('environment').options.length === 2")
         page.until("player.recording.moments.length > 20")
@@ -240,9 +326,25 @@ def test_the_live_page_follows_a_session(page: Page, tmp_path: Path) -> None:
         assert page.ask("player.time") == held
     finally:
         walker.close()
-    page.until(
-        "document.getElementById('status').textContent === 'No session yet: make an environment on this server.'"
-    )
-    assert not page.troubles
-    assert all(request.startswith((url, "data:", "blob:")) for request in page.requests), page.requests
-    process.communicate(timeout=10)
+
+
+def test_the_live_page_follows_a_robot_from_a_file(live: tuple[Page, str], tmp_path: Path) -> None:
+    page, address = live
+    robot = Path(__file__).parents[2] / "robots" / "sandcat.xml"
+    options: dict[str, Any] = {"robot": robot, "ground": "mixed", "domain_rand": None, "angle_noise": 0.0}
+    walker = Walker(address, 2, "sandgait/LeggedVelocity-v0", **options)
+    try:
+        page.until("player.recording.end - player.recording.start > 3.0")
+        page.until("player.recording.end - player.time < 1.1")
+        status = page.ask("document.getElementById('status').textContent")
+        assert "LeggedVelocity-v0 · sandcat · poppy-loose and hard ground" in status
+        # The first one stands on a slab in the middle of the picture, and the ground carries it.
+        assert page.ask(HUNG)[0][:3] == pytest.approx([0, 0, 0.22], abs=0.06)
+        weight = page.ask("player.world.section.header.mass") * 9.81
+        assert page.ask(SHOWN) == pytest.approx([0, 0, weight], abs=0.1 * weight)
+        slab, trunk = colour(page, [0.25, -0.35, 0.0]), colour(page, page.ask(HUNG)[0][:3])
+        assert abs(slab[0] - slab[2]) < 15, slab
+        assert np.abs(np.subtract(slab, trunk)).max() > 20, (slab, trunk)
+        page.picture(shots(tmp_path) / "live_cat.png")
+    finally:
+        walker.close()

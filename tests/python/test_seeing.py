@@ -327,6 +327,65 @@ def test_a_robot_on_high_ground_is_seen_as_on_level_ground() -> None:
     assert robot_pixels(high) == pytest.approx(level, rel=0.05)
 
 
+def grey_share(picture: np.ndarray) -> float:
+    """Share of the pixels with the colour of hard ground; the robot is bluish, and sand is yellow."""
+    red, green, blue = (picture[..., k].astype(int) for k in range(3))
+    return float(((abs(red - blue) < 4) & (abs(red - green) < 4) & (red < 200)).mean())
+
+
+def test_hard_ground_is_grey() -> None:
+    sand, mixed, hard = (grey_share(pictured(robot=SANDCAT, ground=g)) for g in ("poppy-loose", "mixed", "rigid"))
+    assert sand < 0.01
+    assert 0.15 < mixed < 0.6
+    assert hard > 0.75
+    dunes = pictured(robot=SANDCAT, ground="mixed", relief={"seed": 3, "wavelength": 1.5, "slope_deg": 10})
+    assert 0.03 < grey_share(dunes) < 0.6
+
+
+def arrows(picture: np.ndarray) -> int:
+    """Pixels in the red of arrows."""
+    red, green, blue = (picture[..., k].astype(int) for k in range(3))
+    return int(((red > 180) & (green < 60) & (blue < 90)).sum())
+
+
+@pytest.mark.parametrize("ground", ["poppy-loose", "mixed", "dunes"])
+def test_forces_on_a_robot_from_a_file_carry_it(tmp_path: Path, ground: str) -> None:
+    options: dict[str, Any] = {"domain_rand": None, "angle_noise": 0.0, "render_mode": "rgb_array"}
+    env = sandgait.SandgaitEnv(LEGGED, robot=SANDCAT, ground=ground, **options)
+    env.record(tmp_path / "cat.rec")
+    env.reset(seed=1)
+    pictures = [env.render()]
+    for _ in range(200):
+        env.step(np.zeros(12, np.float32))
+    pictures.append(env.render())
+    env.close()
+    cat = sandgait.read_recording(tmp_path / "cat.rec")
+    names = [cat.header["bodies"][body]["name"] for body in cat.header["touching"]]
+    assert cat["ground_forces"].shape == cat["ground_points"].shape == (201, len(names), 3)
+    weight = cat.header["mass"] * 9.81
+    assert cat["ground_forces"][-1].sum(axis=0) == pytest.approx([0, 0, weight], abs=0.03 * weight)
+    for name, force, point in zip(names, cat["ground_forces"][-1], cat["ground_points"][-1], strict=True):
+        if name.endswith("_calf"):
+            assert force[2] > 0.1 * weight
+            assert np.linalg.norm(point - cat["position"][-1]) < 0.4
+        else:
+            assert (force == 0).all()
+    assert not cat["ground_forces"][0].any(), "it begins above the ground"
+    assert [arrows(picture) > 100 for picture in pictures] == [False, True]
+    slabs = {"center": [0, 0], "size": [0.8, 0.8], "every": [1.6, 1.6], "depth": 0, "grip": 1}
+    assert cat.header.get("hard") == ([slabs] if ground == "mixed" else None)
+
+
+def test_recordings_of_hexapods_are_as_before(tmp_path: Path) -> None:
+    env = sandgait.SandgaitEnv(ID)
+    env.record(tmp_path / "walk.rec")
+    walked(env, 2)
+    env.close()
+    header = sandgait.read_recording(tmp_path / "walk.rec").header
+    assert header["columns"][-1]["name"] == "forces"
+    assert not {"hard", "touching"} & set(header)
+
+
 def test_a_vector_environment_records_one_of_its_own(tmp_path: Path) -> None:
     path = tmp_path / "rocks.rec"
     env = sandgait.SandgaitVectorEnv("sandgait/HexapodRocks-v1", 2, max_episode_steps=10)

@@ -31,7 +31,7 @@ impl Work for Blocks<'_> {
     type Out = Vec<Box<dyn Block>>;
 
     fn run<R: Real>(self) -> Self::Out {
-        (0..self.count).map(|_| Lanes::<R>::boxed(self.model, self.tree)).collect()
+        (0..self.count).map(|_| -> Box<dyn Block> { Box::new(Lanes::<R>::new(self.model, self.tree)) }).collect()
     }
 }
 
@@ -101,7 +101,7 @@ struct Lanes<R: Real> {
 }
 
 impl<R: Real> Lanes<R> {
-    fn boxed(model: &Model, tree: &Arc<TreeModel>) -> Box<dyn Block> {
+    fn new(model: &Model, tree: &Arc<TreeModel>) -> Self {
         let zero = R::zero();
         let still = Twist { angular: Vec3::zero(), linear: Vec3::zero() };
         let joints = tree.joints();
@@ -133,7 +133,7 @@ impl<R: Real> Lanes<R> {
         };
         let scratch = Scratch::new(joints + 1);
         let (origins, works) = (vec![[0.0; 2]; R::LANES], vec![0.0; R::LANES]);
-        Box::new(Self { tree: lanes, state, scratch, endless, origins, works })
+        Self { tree: lanes, state, scratch, endless, origins, works }
     }
 
     /// Moves each lane's x and y into its origin and its work into the sum, and takes whole turns out of angles and
@@ -156,6 +156,14 @@ impl<R: Real> Lanes<R> {
             servo.reference -= turns;
         }
     }
+}
+
+/// One robot in `f64`, ready for a time step from `state`; None if the model's robot is no tree.
+pub fn alone(model: &Model, state: &State) -> Option<(LaneTree<f64>, LaneState<f64>)> {
+    let mut block = Lanes::<f64>::new(model, model.tree.as_ref()?);
+    block.set_model(0, model);
+    block.set_state(0, state);
+    Some((block.tree, block.state))
 }
 
 /// The hot loop, to be compiled for the block's instruction set.

@@ -54,9 +54,9 @@ pub struct BodyContacts {
 /// A point that touches the ground in some lane.
 #[derive(Clone, Copy)]
 pub struct Touch<R> {
-    body: usize,
+    pub body: usize,
     /// Position from the base's origin [m].
-    at: Vec3<R>,
+    pub at: Vec3<R>,
     normal: Vec3<R>,
     velocity: Vec3<R>,
     /// k δ [N]; 0 or negative in lanes in which the point does not touch.

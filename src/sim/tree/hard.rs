@@ -38,6 +38,21 @@ impl HardGround {
         self.size.iter().all(|s| *s >= Self::ENDLESS) && self.depth <= 0.0
     }
 
+    /// Distances along x and y from the nearest copy of the rectangle [m]; 0 on it.
+    pub fn outside(&self, place: [f64; 2]) -> [f64; 2] {
+        std::array::from_fn(|k| {
+            let x = place[k] - self.center[k];
+            let copy = if self.every[k] > 0.0 { (x / self.every[k]).round() * self.every[k] } else { 0.0 };
+            ((x - copy).abs() - self.size[k] / 2.0).max(0.0)
+        })
+    }
+
+    /// Depth of its top below the surface at a place [m], as the engine has it.
+    pub fn top(&self, place: [f64; 2]) -> f64 {
+        let [x, y] = self.outside(place);
+        self.depth + Self::EDGE * (x + y)
+    }
+
     pub fn validate(&self) -> Result<()> {
         for k in 0..2 {
             check_range("hard.center", self.center[k], -Self::ENDLESS..=Self::ENDLESS)?;

@@ -8,7 +8,8 @@
 //!   describes it.
 //! * [`engine`]: lanes of such robots; [`step`]: one time step.
 //! * [`dynamics`]: accelerations of a tree, over any number; [`flight`]: those in free flight, for checks.
-//! * [`servo`]: motors, bearings and stops; [`sand`]: sand on plates; [`floor`]: hard ground under points.
+//! * [`servo`]: motors, bearings and stops; [`sand`]: sand on plates; [`floor`]: hard ground under points;
+//!   [`forces`]: those of both at one moment, for pictures.
 //! * [`contact`]: the points; [`terrain`]: the ground's surface near a point, [`relief`]: a surface that is not
 //!   flat, [`heights`]: those of a file as one text.
 //! * [`stance`]: the standing pose and the feet; [`looks`]: shapes for pictures; [`packed`]: a robot as one text.
@@ -20,6 +21,7 @@ pub mod dynamics;
 pub mod engine;
 pub mod flight;
 pub mod floor;
+pub mod forces;
 pub mod hard;
 pub mod heights;
 pub mod looks;

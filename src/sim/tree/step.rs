@@ -38,16 +38,24 @@ pub struct LaneState<R> {
     pub work: R,
 }
 
+impl<R: Real> LaneState<R> {
+    /// Position of the base's origin in the world [m].
+    #[inline(always)]
+    pub fn place(&self) -> Vec3<R> {
+        self.position + Vec3::new(self.travelled[0], self.travelled[1], R::zero())
+    }
+}
+
 /// Work space of a step; its contents are not kept.
 pub struct Scratch<R> {
-    frames: Vec<Frame<R>>,
+    pub frames: Vec<Frame<R>>,
     loads: Vec<Load<R>>,
     /// Loads without those of hard ground.
     bare: Vec<Load<R>>,
     hinges: Vec<Hinge<R>>,
-    accelerations: Vec<Twist<R>>,
+    pub accelerations: Vec<Twist<R>>,
     joints: Vec<R>,
-    touches: Vec<Touch<R>>,
+    pub touches: Vec<Touch<R>>,
 }
 
 impl<R: Real> Scratch<R> {
@@ -68,9 +76,17 @@ impl<R: Real> Scratch<R> {
 /// Advances all lanes by one time step.
 #[inline(always)]
 pub fn step<R: Real>(model: &LaneTree<R>, state: &mut LaneState<R>, scratch: &mut Scratch<R>) {
+    accelerate(model, state, scratch);
+    move_joints(model, state, &scratch.joints);
+    move_base(state, &scratch.accelerations[0], model.dt);
+}
+
+/// Computes the accelerations in a time step.
+#[inline(always)]
+pub fn accelerate<R: Real>(model: &LaneTree<R>, state: &LaneState<R>, scratch: &mut Scratch<R>) {
     let surface = &model.relief;
     let dt = model.dt;
-    let place = state.position + Vec3::new(state.travelled[0], state.travelled[1], R::zero());
+    let place = state.place();
     dynamics::place(&model.bodies, &state.motion, &mut scratch.frames);
     dynamics::load(&model.bodies, &scratch.frames, model.gravity, &mut scratch.loads);
     sand::press(&model.ground, &model.patches, &scratch.frames, &place, surface, &mut scratch.loads, dt);
@@ -86,8 +102,6 @@ pub fn step<R: Real>(model: &LaneTree<R>, state: &mut LaneState<R>, scratch: &mu
         model.floor.press(&scratch.touches, &mut scratch.loads, dt);
         solve(model, state, scratch);
     }
-    move_joints(model, state, &scratch.joints);
-    move_base(state, &scratch.accelerations[0], dt);
 }
 
 #[inline(always)]

@@ -85,7 +85,7 @@ function show() {
   readout(a.section, a.row);
   chart_all(recording, time, a.section);
   const newton = 0.01 / world.arrows.scale;
-  const arrows = world.layers.arrows && a.section.header.segments.length ? `arrows: 10 mm stand for ${newton.toPrecision(2)} N, ` : "";
+  const arrows = world.layers.arrows && a.section.pushed ? `arrows: 10 mm stand for ${newton.toPrecision(2)} N, ` : "";
   $("scale").textContent = `${arrows}lines: 0.1 m apart`;
   const scrub = $("scrub");
   [scrub.min, scrub.max] = [recording.start, recording.end];
@@ -132,12 +132,15 @@ function controls() {
 
 /** What the recording is of, in the page's upper right corner. */
 function describe(section) {
-  const { task, robot, medium, law } = section.header;
-  $("status").textContent = [task, robot, medium, law].join(" · ");
-  // Robots from files have feet, and neither arrows nor footprints.
+  const { task, robot, medium, law, hard } = section.header;
+  const ground = hard ? [`${medium} and hard ground`, law] : [medium, law];
+  $("status").textContent = [task, robot, ...(hard?.some(everywhere) ? ["hard ground"] : ground)].join(" · ");
+  // Robots from files have feet, and no footprints; old recordings of them have no forces.
   const { legs, segments } = section.header;
   $("gait-title").textContent = legs.length ? "Legs held by the sand" : "Feet in contact with the ground";
-  for (const name of ["arrows", "prints"]) $(name).parentElement.hidden = !segments.length;
+  $("arrows-title").textContent = legs.length ? "sand's force on each segment" : "ground's force on each body";
+  $("arrows").parentElement.hidden = !section.pushed;
+  $("prints").parentElement.hidden = !segments.length;
 }
 
 function main() {

@@ -150,6 +150,21 @@ class Section {
     return { bodies, objects };
   }
 
+  /** Number of forces that a moment has: on segments, or on bodies of a robot from a file. */
+  get pushed() {
+    const { segments, touching } = this.header;
+    return touching && this.places.has("ground_forces") ? touching.length : segments.length;
+  }
+
+  /** These forces [N] and where they act (THREE.Vector3), for bodies of `pose`. */
+  forces(row, bodies) {
+    const force = this.get(row, "ground_forces");
+    if (!force.length) return { force: this.get(row, "forces"), at: this.segments(bodies) };
+    const point = this.get(row, "ground_points");
+    const at = Array.from({ length: point.length / 3 }, (_, k) => new THREE.Vector3(...point.subarray(3 * k, 3 * k + 3)));
+    return { force, at };
+  }
+
   /** The world position of each segment, for bodies of `pose`. */
   segments(bodies) {
     return this.header.segments.map((s) =>

@@ -80,6 +80,66 @@ function grains() {
   return texture;
 }
 
+/** Largest number of pieces of hard ground, as in src/sim/tree/hard.rs, and the slope beyond their edges. */
+const MOST_HARD = 8;
+const EDGE = 2;
+
+/** Share of grey at a place, as in src/view/hard.rs: of each piece [centre, size] and [distance of copies, depth]. */
+const HARD_GROUND = `
+uniform vec4 pieces[${MOST_HARD}];
+uniform vec3 copies[${MOST_HARD}];
+uniform int count;
+varying vec2 place;
+float hardness() {
+  float share = 0.0;
+  vec2 blur = fwidth(place);
+  for (int k = 0; k < count; k += 1) {
+    vec2 size = pieces[k].zw, every = max(copies[k].xy, 1e-3), again = step(1e-3, copies[k].xy);
+    float depth = copies[k].z;
+    vec2 at = place - pieces[k].xy;
+    vec2 outside = max(abs(at - again * round(at / every) * every) - 0.5 * size, 0.0);
+    bool flank = depth <= 0.0 && depth + ${EDGE}.0 * (outside.x + outside.y) <= 0.0;
+    vec2 sharp = flank ? vec2(1.0) : 1.0 - step(1e-6, outside);
+    vec2 along = mix(sharp, size / every, again * min(max(blur.x, blur.y) / every, 1.0));
+    share = max(share, (depth <= 0.0 ? 1.0 : 0.4) * along.x * along.y);
+  }
+  return share;
+}
+`;
+
+/** Paints pieces of hard ground grey. Gives the function that changes the pieces. */
+function with_hard_ground(material) {
+  const [pieces, copies, count] = [new Float32Array(4 * MOST_HARD), new Float32Array(3 * MOST_HARD), { value: 0 }];
+  material.onBeforeCompile = (shader) => {
+    Object.assign(shader.uniforms, { pieces: { value: pieces }, copies: { value: copies }, count });
+    const after = (text, part, added) => text.replace(`#include <${part}>`, `#include <${part}>\n${added}`);
+    shader.vertexShader = `varying vec2 place;\n${after(shader.vertexShader, "begin_vertex", "place = position.xy;")}`;
+    const grey = `vec3 grey = vec3(0.55, 0.6, 0.72) * dot(diffuseColor.rgb, vec3(0.2126, 0.7152, 0.0722));
+      diffuseColor.rgb = mix(diffuseColor.rgb, grey, hardness());`;
+    shader.fragmentShader = HARD_GROUND + after(shader.fragmentShader, "color_fragment", grey);
+  };
+  return (hard) => {
+    count.value = hard.length;
+    hard.forEach(({ center, size, every, depth }, k) => {
+      pieces.set([...center, ...size], 4 * k);
+      copies.set([...every, depth], 3 * k);
+    });
+  };
+}
+
+/** Is a piece of hard ground endless, so that there is no sand? As in src/sim/tree/hard.rs. */
+function everywhere({ size, depth }) { return Math.min(...size) >= 1e5 && depth <= 0; }
+
+/** How far hard ground rises above the sand [m]. */
+function rise(hard, x, y) {
+  const top = ({ center, size, every, depth }) => [x, y].reduce((sum, at, k) => {
+    const from = at - center[k];
+    const outside = Math.abs(from - (every[k] ? Math.round(from / every[k]) * every[k] : 0)) - size[k] / 2;
+    return sum - EDGE * Math.max(outside, 0);
+  }, -depth);
+  return Math.max(0, ...hard.map(top));
+}
+
 /** The surface: a height field around the robot, and a flat frame around that. */
 class Sand {
   constructor(group) {
@@ -100,6 +160,7 @@ class Sand {
     }
     this.geometry.setIndex(index);
     this.material = new THREE.MeshLambertMaterial({ vertexColors: true, map: grains() });
+    this.paint = with_hard_ground(this.material);
     this.mesh = new THREE.Mesh(this.geometry, this.material);
     this.mesh.receiveShadow = true;
     this.mesh.frustumCulled = false;
@@ -107,13 +168,15 @@ class Sand {
     this.frame = new THREE.Mesh(new THREE.BufferGeometry(), this.material);
     this.frame.frustumCulled = false;
     group.add(this.frame);
-    this.enter(1, undefined);
+    this.enter(1);
   }
 
-  /** For a robot of this scale on this ground; undefined: it is flat. */
-  enter(scale, relief) {
+  /** For a robot of this scale; without `relief` the ground is flat, without `hard` it is sand alone. */
+  enter(scale, relief, hard = []) {
     this.cell = CELL * scale * (relief ? WIDER : 1);
     this.relief = relief;
+    this.paint(hard);
+    this.risen = hard.filter((piece) => piece.depth < 0);
     this.frame.visible = !relief;
     this.far = 6 * scale;
     this.shown = "";
@@ -127,10 +190,10 @@ class Sand {
     if (state === this.shown) return;
     this.shown = state;
     this.heights.fill(0);
-    if (this.relief) {
+    if (this.relief || this.risen.length) {
       for (let k = 0; k < this.heights.length; k += 1) {
-        const [i, j] = [k % (nx + 1), Math.floor(k / (nx + 1))];
-        this.heights[k] = height_at(this.relief, (i0 + i) * this.cell, (j0 + j) * this.cell);
+        const [x, y] = [i0 + (k % (nx + 1)), j0 + Math.floor(k / (nx + 1))].map((cell) => cell * this.cell);
+        this.heights[k] = (this.relief ? height_at(this.relief, x, y) : 0) + rise(this.risen, x, y);
       }
     } else if (prints) {
       for (let j = 1, k = nx + 1; j < ny; j += 1, k = j * (nx + 1)) {
@@ -175,7 +238,7 @@ class Sand {
         const length = Math.hypot(dx, dy, 1);
         normal.setXYZ(k, -dx / length, -dy / length, 1 / length);
         // Prints are darker; the light shows dunes.
-        const dark = this.relief ? 1 : 1 + 22 * h[k];
+        const dark = 1 + 22 * Math.min(this.relief ? 0 : h[k], 0);
         color.setXYZ(k, 0.83 * dark, 0.72 * dark, 0.52 * dark);
         uv.setXY(k, x * 10, y * 10);
       }

@@ -116,41 +116,41 @@ function shape(obstacle) {
   return geometry;
 }
 
-/** An arrow a segment: where the sand pushes, how hard and which way. */
+/** An arrow a force: where the ground pushes, how hard and which way. `size`: of the robot, relative to the usual one. */
 class Arrows {
-  constructor(section, group) {
-    const { length } = section.header.segments;
-    const count = Math.max(length, 1);
-    this.any = length > 0;
+  constructor(section, group, size) {
+    const count = Math.max(section.pushed, 1);
+    this.any = section.pushed > 0;
+    this.size = size;
     const material = new THREE.MeshBasicMaterial({ color: 0xc81e3c });
-    const shaft = new THREE.CylinderGeometry(0.0009, 0.0009, 1, 6);
+    const shaft = new THREE.CylinderGeometry(0.0009 * size, 0.0009 * size, 1, 6);
     shaft.translate(0, 0.5, 0);
     this.shafts = new THREE.InstancedMesh(shaft, material, count);
-    this.heads = new THREE.InstancedMesh(new THREE.ConeGeometry(0.0028, 0.008, 10), material, count);
+    this.heads = new THREE.InstancedMesh(new THREE.ConeGeometry(0.0028 * size, 0.008 * size, 10), material, count);
     for (const mesh of [this.shafts, this.heads]) {
       mesh.frustumCulled = false;
       group.add(mesh);
     }
     const weight = section.header.mass * Math.hypot(...section.header.gravity);
-    /** [m/N]: half a metre for the robot's weight, because many segments share it. */
-    this.scale = 0.5 / weight;
+    /** [m/N]: for the usual robot's weight half a metre, because many segments share it; a fifth for robots from files. */
+    this.scale = ((section.header.touching ? 0.2 : 0.5) * size) / weight;
   }
 
-  show(section, row, places) {
-    const forces = section.get(row, "forces");
+  show({ force: forces, at: places }) {
     const [up, force, turn] = [new THREE.Vector3(0, 1, 0), new THREE.Vector3(), new THREE.Quaternion()];
     const [matrix, none] = [new THREE.Matrix4(), new THREE.Matrix4().makeScale(0, 0, 0)];
     places.forEach((at, k) => {
       force.set(forces[3 * k], forces[3 * k + 1], forces[3 * k + 2]);
       const length = force.length() * this.scale;
-      if (length < 0.001) {
+      if (!(length >= 0.001 * this.size)) {
         this.shafts.setMatrixAt(k, none);
         return this.heads.setMatrixAt(k, none);
       }
       turn.setFromUnitVectors(up, force.normalize());
       this.shafts.setMatrixAt(k, matrix.compose(at, turn, new THREE.Vector3(1, length, 1)));
       const tip = at.clone().addScaledVector(force, length);
-      this.heads.setMatrixAt(k, matrix.compose(tip, turn, new THREE.Vector3(1, Math.min(1, length / 0.012), 1)));
+      const head = Math.min(1, length / (0.012 * this.size));
+      this.heads.setMatrixAt(k, matrix.compose(tip, turn, new THREE.Vector3(1, head, 1)));
     });
     this.shafts.instanceMatrix.needsUpdate = this.heads.instanceMatrix.needsUpdate = true;
   }
@@ -204,11 +204,11 @@ class World {
   enter(section) {
     if (this.figures) this.tilted.remove(this.figures.group, this.arrows.shafts, this.arrows.heads);
     this.figures = new Figures(section, this.tilted);
-    this.arrows = new Arrows(section, this.tilted);
     this.section = section;
-    const { shapes, radius, relief } = section.header;
+    const { shapes, radius, relief, hard } = section.header;
     this.zoom(shapes ? radius / USUAL : 1);
-    this.sand.enter(this.scale, relief);
+    this.arrows = new Arrows(section, this.tilted, this.scale);
+    this.sand.enter(this.scale, relief, hard);
     const down = new THREE.Vector3(...section.header.gravity).normalize();
     this.tilted.quaternion.setFromUnitVectors(down.negate(), new THREE.Vector3(0, 0, 1));
   }
@@ -220,7 +220,7 @@ class World {
     const pose = section.pose(a.row, b.row, share);
     this.figures.place(pose);
     this.arrows.visible = this.layers.arrows;
-    this.arrows.show(section, share < 0.5 ? a.row : b.row, section.segments(pose.bodies));
+    this.arrows.show(section.forces(share < 0.5 ? a.row : b.row, pose.bodies));
     this.sand.glass = this.layers.glass;
     const at = pose.bodies[0].position;
     this.sand.show(this.layers.prints ? prints : null, at.x, at.y, time);

@@ -9,7 +9,7 @@ use crate::sand::intruder::{Body, BodyShape, Plate};
 use crate::{Model, State};
 use std::sync::Arc;
 
-fn scene(dt: f64) -> Scene {
+pub fn scene(dt: f64) -> Scene {
     Scene { dt, ..Scene::flat(Medium::named("poppy-loose").unwrap()) }
 }
 
@@ -44,7 +44,7 @@ fn pose_of(state: &State) -> Pose {
 }
 
 /// Momentum, angular momentum about the centre of mass, and energy.
-fn conserved(model: &Model, state: &State) -> (V, V, f64) {
+pub fn conserved(model: &Model, state: &State) -> (V, V, f64) {
     let (tree, pose) = (&model.tree.as_ref().unwrap().tree, pose_of(state));
     let none = Accelerations { a: [0.0; 3], alpha: [0.0; 3], qdd: vec![0.0; pose.q.len()] };
     let motions = motions(tree, &pose, &none);
@@ -100,7 +100,7 @@ fn free_flight_conserves() {
 }
 
 /// A box of `mass` with its corners as points of contact.
-fn block(half: [f64; 3], mass: f64, friction: f64) -> Tree {
+pub fn block(half: [f64; 3], mass: f64, friction: f64) -> Tree {
     let [x, y, z] = half.map(|h| h * h * mass / 3.0);
     let shape = TreeShape {
         name: "block".into(),
@@ -121,14 +121,14 @@ fn block(half: [f64; 3], mass: f64, friction: f64) -> Tree {
     Tree { name: "block".into(), bodies: vec![body] }
 }
 
-fn on_hard(tree: Tree, slope_deg: f64, dt: f64) -> Model {
+pub fn on_hard(tree: Tree, slope_deg: f64, dt: f64) -> Model {
     let plates = vec![Vec::new(); tree.bodies.len()];
     let scene = Scene { slope_deg, hard: vec![HardGround::everywhere()], ..scene(dt) };
     Model::of_tree(TreeModel::new(tree, plates).unwrap(), &scene).unwrap()
 }
 
 /// The state after `time`.
-fn run(isa: Isa, model: &Model, start: &State, time: f64) -> State {
+pub fn run(isa: Isa, model: &Model, start: &State, time: f64) -> State {
     let mut engine = TreeEngine::with_isa(isa, model, 1).unwrap();
     engine.set_state(0, start);
     let mut state = start.clone();
@@ -264,7 +264,7 @@ pub fn quadruped() -> Tree {
     Tree { name: "quadruped".into(), bodies }
 }
 
-fn standing(tree: &Tree) -> State {
+pub fn standing(tree: &Tree) -> State {
     let angles: Vec<f64> = tree.joints().map(|j| j.rest.unwrap()).collect();
     State::at_rest(0.35, &angles)
 }
@@ -293,7 +293,7 @@ fn a_quadruped_stands_on_its_feet() {
 }
 
 /// Plates of balls at the feet and of the trunk's underside.
-fn plates(tree: &Tree) -> Vec<Vec<Plate>> {
+pub fn plates(tree: &Tree) -> Vec<Vec<Plate>> {
     let ball = Body::cut(&BodyShape::Sphere { radius: 0.02 }, Some(0.01)).unwrap().plates;
     let shifted = |p: &Plate| Plate { center: p.center + Vec3::new(0.0, 0.0, -0.2), ..*p };
     let foot: Vec<Plate> = ball.iter().map(shifted).collect();
@@ -302,7 +302,7 @@ fn plates(tree: &Tree) -> Vec<Vec<Plate>> {
 }
 
 /// Loose sand with slabs of hard ground at `depth` under the surface.
-fn on_sand(slabs: Option<f64>) -> Model {
+pub fn on_sand(slabs: Option<f64>) -> Model {
     let tree = quadruped();
     let plates = plates(&tree);
     let slab = |depth| HardGround { size: [0.3, 0.4], every: [0.6, 0.8], depth, ..HardGround::everywhere() };
@@ -311,7 +311,7 @@ fn on_sand(slabs: Option<f64>) -> Model {
 }
 
 /// Commands of a trot in place, different for every robot.
-fn trot(k: usize, step: usize) -> Command {
+pub fn trot(k: usize, step: usize) -> Command {
     let tree = quadruped();
     let t = step as f64 * 0.02;
     let phase = |i: usize| if matches!(i / 3, 0 | 3) { 0.0 } else { std::f64::consts::PI };

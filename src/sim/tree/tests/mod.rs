@@ -5,6 +5,7 @@ use super::*;
 use nalgebra::{Rotation3, UnitQuaternion};
 
 mod engine;
+mod forces;
 mod sand;
 
 type V = Vector3<f64>;
