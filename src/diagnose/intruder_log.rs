@@ -19,7 +19,7 @@ pub struct State {
     pub unsteadiness: [f64; 3],
 }
 
-/// Steady states, read and checked: one a unit.
+/// Checked steady states of a log; each is a unit.
 pub struct IntruderLog {
     pub observations: Observations,
     pub states: Vec<State>,
