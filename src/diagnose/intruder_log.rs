@@ -1,4 +1,4 @@
-//! Reads steady states of a body in sand (intruder CSV): one row a steady state under a known load.
+//! Reads steady states of a body in sand (intruder CSV), with one row for each steady state under a known load.
 
 use super::columns::columns;
 use super::experiment::Experiment;
