@@ -301,7 +301,7 @@ fn outside(seeds: Range<usize>) -> Outcome<()> {
             }
         }
     }
-    println!("{}", tally.row("outside the library, effect/noise ≥ 0.5"));
+    println!("{}", tally.row("outside the catalogue, effect/noise ≥ 0.5"));
     Ok(())
 }
 

@@ -150,7 +150,7 @@ fn broken_robots_and_options_are_refused_in_one_line() {
     assert!(with(&|r| r["bodies"][0]["shapes"] = json!(vec![shape.clone(); 2001])).contains("triangles"));
 }
 
-/// A mesh of 32,000 triangles travels as a few thousand, and the robot moves as without it.
+/// A visual mesh of 32,000 triangles is sent with a few thousand triangles, and the robot's motion does not depend on it.
 #[test]
 fn large_meshes_become_small_for_pictures() {
     let folder = tempfile::tempdir().unwrap();

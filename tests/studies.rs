@@ -134,8 +134,8 @@ fn parallel_walks_equal_single_walks() {
     }
 }
 
-/// At most frequencies, the ends of the evaluated window lie between two samples. The cost of transport must not depend
-/// on where.
+/// At most frequencies the ends of the evaluated window lie between two samples. The cost of transport must not depend on
+/// their positions between these samples.
 #[test]
 fn the_cost_of_transport_is_smooth_in_the_frequency() {
     let cost = |frequency: f64| {

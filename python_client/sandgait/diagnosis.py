@@ -91,7 +91,7 @@ class Diagnosis:
                 self._draw(ax, chosen, channel)
             row[0].set_title(f"{c['shape'][chosen][0]}, condition {condition}", loc="left", fontsize="medium")
         for ax in grid[-1]:
-            ax.set_xlabel("angle [rad] or place along the path [m]")
+            ax.set_xlabel("angle [rad] or position along the path [m]")
         handles, labels = grid[0][0].get_legend_handles_labels()
         figure = grid[0][0].figure
         figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))

@@ -227,7 +227,7 @@ pub struct Arm<'a, const N: usize> {
 }
 
 impl<const N: usize> Arm<'_, N> {
-    /// Loads as the log has them, one a pose.
+    /// Loads like those in the log, one for each pose.
     pub fn readings(&self) -> Vec<[Load; N]> {
         let m = self.mechanisms;
         let mut loads: Vec<[Load; N]> = if m.lowpass > 0.0 {

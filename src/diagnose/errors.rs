@@ -23,8 +23,8 @@ impl Errors {
         Self { square: of(&self.square), count: of(&self.count) }
     }
 
-    /// These errors, reduced by as much as `after` is smaller than `before`: in each condition the mean square falls by
-    /// the difference of theirs.
+    /// These errors after a reduction: in each condition the mean square falls by the difference of the mean squares of
+    /// `before` and `after`.
     pub fn less(&self, before: &Self, after: &Self) -> Self {
         let part = |k: usize| {
             let mean = |e: &Self| e.square[k] / e.count[k].max(1.0);

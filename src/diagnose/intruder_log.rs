@@ -1,4 +1,4 @@
-//! Reads steady states of a body in sand (intruder CSV): one row a steady state under a known load.
+//! Reads steady states of a body in sand (intruder CSV), with one row for each steady state under a known load.
 
 use super::columns::columns;
 use super::experiment::Experiment;
@@ -19,7 +19,7 @@ pub struct State {
     pub unsteadiness: [f64; 3],
 }
 
-/// Steady states, read and checked: one a unit.
+/// Checked steady states of a log; each is a unit.
 pub struct IntruderLog {
     pub observations: Observations,
     pub states: Vec<State>,

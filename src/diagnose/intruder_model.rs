@@ -174,7 +174,7 @@ impl ForwardModel for IntruderModel<'_> {
         parallel::map(states, |(m, c)| self.predict(m, c))
     }
 
-    /// Beds differ in strength; and a state whose readings fluctuate in time is not quite steady.
+    /// Noise that the numbers of a state share: beds differ in strength, and readings of a steady state fluctuate in time.
     fn shared(&self, mechanisms: &Mechanisms, coefficients: &Coefficients, prediction: &[f64]) -> Vec<Shared> {
         let strength = self.strength(mechanisms, coefficients, prediction);
         let mut all =

@@ -72,7 +72,7 @@ impl<'a> Study<'a> {
         }
     }
 
-    /// Sets `nuisances`, and before them the slopes by the coefficients at the plain model.
+    /// Sets `nuisances`, and the slopes that fits marginalise over: by the coefficients at the plain model, then by the nuisances.
     fn set_nuisances(&mut self, nuisances: Vec<Nuisance>) {
         self.nuisances = nuisances;
         self.marginal_slopes = [self.nuisance_columns(), Vec::new()];

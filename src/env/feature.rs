@@ -16,7 +16,7 @@ pub struct Features<F>(Vec<Feature<F>>);
 struct Feature<F> {
     column: Column,
     value: F,
-    /// Which joint, axis or point it belongs to.
+    /// Index of the joint, axis or point that the number belongs to.
     place: usize,
 }
 

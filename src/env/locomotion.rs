@@ -80,7 +80,7 @@ fn direction([x, y]: [f64; 2]) -> Option<[f64; 2]> {
     (norm > 1e-9).then(|| [x / norm, y / norm])
 }
 
-/// Mean velocity of the base's centre over a step, forward and range of the speed to the left [m/s]: its displacement, in the frame of the
+/// Mean velocity of the base's centre over a step, forward and to the left [m/s]: its displacement, in the frame of the
 /// heading halfway between before and after. A policy that does not observe its heading can follow such a command.
 /// legged_gym (`_reward_tracking_lin_vel`, base frame) and Isaac Lab (`track_lin_vel_xy_yaw_frame_exp`) reward the
 /// same.

@@ -9,7 +9,7 @@ use crate::parallel;
 use crate::progress::Progress;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Episodes of one gait, one a seed.
+/// Episodes of one gait, one for each seed.
 pub struct Job<'a> {
     pub blueprint: &'a Blueprint,
     pub gait: &'a Gait,

@@ -13,7 +13,7 @@ use crate::sand::{Law, LegShape, Medium, SandBed, Segment, Surface};
 pub const CHORD: f64 = 0.076;
 pub const WIDTH: f64 = 0.025;
 const OMEGA: f64 = 0.2;
-/// Number of segments of a leg: so many that with more the forces change in the fifth digit only.
+/// Number of segments of a leg. With more segments the first four digits of the forces do not change.
 pub const SEGMENTS: usize = 400;
 
 /// Leg angles [°]: the whole part of the stroke in the sand.

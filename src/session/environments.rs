@@ -33,7 +33,7 @@ pub enum Answer {
     Refused(Error),
 }
 
-/// Each session has one, so its size does not matter.
+/// Each session has only one `Place`, so the size of a `Place` does not matter.
 #[allow(clippy::large_enum_variant)]
 enum Place {
     Here(Batch),

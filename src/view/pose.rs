@@ -31,15 +31,15 @@ pub struct Load {
     pub force: V,
 }
 
-/// A robot at a moment.
+/// Positions of a robot's bodies and the forces of the sand on them, at one time.
 pub struct Pose {
     /// The base, then every link, leg by leg from the hip outward; origins in the world [m].
     pub bodies: Vec<(M, V)>,
-    /// In the order of [`segments`].
+    /// The force of the sand on each segment, in the order of [`segments`].
     pub loads: Vec<Load>,
     /// Sum of the forces on each leg [N].
     pub leg_forces: Vec<V>,
-    /// Whether each leg is held by the sand.
+    /// Does the sand hold the leg? One value for each leg.
     pub stance: Vec<bool>,
     /// The ground's force on each body of [`forces::touching`] and its mean place: only for robots from files.
     pub contacts: Vec<Load>,

@@ -9,7 +9,7 @@ use tonic::Code;
 
 const MIB: usize = 1 << 20;
 
-/// The server has 64 MiB: all requests together may take 16 MiB of them, and a single one 8.
+/// The server has 64 MiB. All requests together may take 16 MiB of them, and a single request 8 MiB.
 fn limits() -> Limits {
     Limits { memory: 64 * MIB, ..Limits::default() }
 }

@@ -64,7 +64,7 @@ def break_next_read(env: sandgait.SandgaitEnv | sandgait.SandgaitVectorEnv, shar
     assert stream is not None
 
     def broken() -> None:
-        del stream.receive  # the next wait is as ever
+        del stream.receive  # restores the original method for later waits
         raise KeyboardInterrupt
 
     stream.receive = broken  # type: ignore[method-assign, assignment]

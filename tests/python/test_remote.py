@@ -134,8 +134,12 @@ def test_wrong_remotes_are_refused(tmp_path: Path) -> None:
     (tmp_path / "empty").write_text("\n")
     file = str(tmp_path / "empty")
     cases: list[tuple[str, dict[str, str | bool], str]] = [
-        ("sand.lab:1", {"token": TOKEN}, r"token: it would be sent to sand\.lab:1 without encryption; add ca or tls=True"),
-        ("10.0.0.1:1", {"token": TOKEN}, "unencrypted"),
+        (
+            "sand.lab:1",
+            {"token": TOKEN},
+            r"token: it would be sent to sand\.lab:1 without encryption; add ca or tls=True",
+        ),
+        ("10.0.0.1:1", {"token": TOKEN}, "without encryption"),
         ("sand.lab:1", {"token": TOKEN, "token_file": file}, "token: token_file is given too"),
         ("sand.lab:1", {"token": "with blanks", "tls": True}, "token: empty, or with characters"),
         ("sand.lab:1", {"token_file": file, "tls": True}, "token: empty"),

@@ -124,7 +124,7 @@ def test_an_interrupted_wait_can_be_taken_up(undisturbed: list[tuple[npt.NDArray
     assert stream is not None
 
     def interrupted() -> None:
-        del stream.receive  # the next wait is as ever
+        del stream.receive  # restores the original method for later waits
         raise KeyboardInterrupt
 
     stream.receive = interrupted  # type: ignore[method-assign, assignment]

@@ -78,7 +78,7 @@ impl Process {
         panic!("no {words:?} in {}", self.log());
     }
 
-    /// Processor time of all its threads [s].
+    /// Processor time of all threads of the process [s].
     pub fn processor_time(&self) -> f64 {
         let tasks = std::fs::read_dir(format!("/proc/{}/task", self.id())).unwrap();
         let spent = |task: std::fs::DirEntry| std::fs::read_to_string(task.path().join("schedstat")).ok();

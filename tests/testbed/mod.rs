@@ -101,7 +101,7 @@ pub enum Design {
     Crossed,
     /// Depth increases with speed: a poor design, in which effects of speed and of depth look alike.
     Covarying,
-    /// As crossed, but all speeds lie within a factor of three.
+    /// The same as the crossed design, but all speeds lie within a factor of three.
     Narrow,
 }
 

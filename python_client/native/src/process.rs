@@ -4,7 +4,7 @@ use pyo3::prelude::*;
 use sandgait::pool::Pool;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// A pool with the process that it belongs to and its requested number of threads; 0: one a processor.
+/// A pool with the process that it belongs to and its requested number of threads; 0: one for each processor.
 struct Owned {
     process: u32,
     threads: usize,

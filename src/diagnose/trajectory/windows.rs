@@ -19,7 +19,7 @@ const COMPARED: usize = 4;
 const WINDOWS_OF_RUN: usize = 3;
 /// Largest number of windows in a log: our choice, which also limits the computing time.
 const WINDOWS: usize = 96;
-/// Strides in each window of a longer run: our choice.
+/// Strides in each window of a longer run: our choice, as many as are compared in a short run ([`COMPARED`]).
 const STRIDES_OF_MANY: usize = 4;
 /// A joint has begun to move at this distance from its first angle [rad]: our choice, above the noise of encoders.
 const MOVES: f64 = 0.1;

@@ -3,7 +3,7 @@
 use crate::options;
 use serde::{Deserialize, Serialize};
 
-/// Largest commanded velocity: forward and range of the speed to the left [m/s], yaw [rad/s].
+/// Largest commanded velocity: forward and to the left [m/s], yaw [rad/s].
 pub const MOST_COMMAND: f64 = 5.0;
 
 /// All ranges from which an episode's values are drawn.

@@ -52,7 +52,7 @@ options! {
         slope_deg: f64 = 15.0, "greatest slope of dunes [°]";
         heights: Option<Vec<Vec<f64>>> = None, "heights instead of dunes [m]: rows along y, each with heights along x";
         file: String = String::new(), "packed heights of a file (in Python and on the command line the path of a .csv or .npy file)";
-        spacing: f64 = 0.1, "distance between two heights of heights or file [m]";
+        spacing: f64 = 0.1, "distance between neighbouring heights, from heights or from file [m]";
     }
 }
 

@@ -64,7 +64,7 @@ pub struct Motion<R> {
     pub inverse_square: R,
 }
 
-/// The numbers of a law, one medium a lane.
+/// The numbers of a law, with one medium in each lane.
 pub trait StressLaw<R: Real>: Copy {
     /// Sets the medium of lane `lane`.
     fn set_lane(&mut self, lane: usize, medium: &Medium);

@@ -13,7 +13,7 @@ mod settings;
 mod tensors;
 mod worlds;
 
-/// Generated from `proto/dm_env_rpc/v1/` and `proto/google/rpc/`; nested as their packages are.
+/// Code that is generated from `proto/dm_env_rpc/v1/` and `proto/google/rpc/`. Its modules are nested like the packages.
 pub mod proto {
     pub mod google {
         pub mod rpc {

@@ -1,5 +1,5 @@
 //! A tree robot as one text, which a client sends to a server: JSON, compressed as `tree:` and base64 of a zlib
-//! stream. It contains the plates and points of contact of meshes; of the meshes only small ones for pictures.
+//! stream. It contains the plates and points of contact of meshes, but no mesh, except small ones for pictures.
 
 use super::contact::{ContactPoint, contact_points};
 use super::looks::Looks;
