@@ -61,11 +61,20 @@ impl<R: Real> SegmentState<R> {
     pub fn travelling(self, travel: [R; 2]) -> Self {
         Self { travel, ..self }
     }
+
+    /// The same on a piece of this width [m].
+    #[inline(always)]
+    pub fn wide(self, width: R) -> Self {
+        Self { width, ..self }
+    }
 }
 
 /// Computes the stress on a segment from a law's stress per depth. Hot loops take it as a type parameter, so that
 /// mechanisms do not make plain theory slower.
 pub trait StressModel<R: Real> {
+    /// Does the force depend on depth and area by their product alone?
+    const BY_LOAD: bool = false;
+
     /// Force [N] on a segment of `area` [m²] with unit normal `n` and velocity `v`, from the law's stress per depth
     /// [N/m³]. Without a mechanism it has the bits of [`Plain`]: depth times area is computed first.
     fn force(&self, per_depth: Vec3<R>, n: Vec3<R>, v: Vec3<R>, site: &SegmentState<R>, area: R) -> Vec3<R>;
@@ -83,6 +92,8 @@ pub trait StressModel<R: Real> {
 pub struct Plain;
 
 impl<R: Real> StressModel<R> for Plain {
+    const BY_LOAD: bool = true;
+
     #[inline(always)]
     fn force(&self, per_depth: Vec3<R>, _n: Vec3<R>, _v: Vec3<R>, site: &SegmentState<R>, area: R) -> Vec3<R> {
         per_depth * (site.depth * area)

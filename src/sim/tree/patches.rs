@@ -30,7 +30,7 @@ const ROUNDS: usize = 8;
 /// diagonal.
 const EDGE: f64 = 0.8;
 
-/// A plate in the form that lanes need, in its body's frame.
+/// A plate in the form that lanes need, in its body's frame: bent along both sides, or part of a [`Panel`] or [`Tile`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Facet {
     pub center: [f32; 3],
@@ -49,28 +49,35 @@ pub struct Facet {
     /// `begun` + `growth` n·v̂, clamped to 0 to 1, is the share of the plate that leads when it moves along v̂.
     pub begun: f32,
     pub growth: f32,
+    /// `growth` times `area` [m²].
+    pub edge: f32,
 }
 
-/// A plate that is flat along at least one of its sides. It may be long, and where it begins to lead depends on the
-/// direction of motion. `rise` and `growth` of `facet` are not used.
+/// A flat plate. `rise` of `facet` is not used.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Panel {
+pub struct Tile {
     pub facet: Facet,
     /// From the centre to two neighbouring edges [m].
     pub half: [[f32; 3]; 2],
+}
+
+/// A plate that is bent along one side and flat along the other. It may be long, and where it begins to lead depends on
+/// the direction of motion. `rise`, `growth` and `edge` of `facet` are not used.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Panel {
+    pub facet: Facet,
+    /// From the centre to the edges of the bent and of the flat side [m].
+    pub half: [[f32; 3]; 2],
     /// Change of the normal from the centre to the edge towards which it turns.
     pub turn: [f32; 3],
-    /// Half the least change of n·v̂ over which the plate begins to lead.
-    pub least: f32,
 }
 
 /// Plates with nearly the same normal.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Patch {
-    /// Bent along both sides.
     pub facets: Vec<Facet>,
-    /// The others.
     pub panels: Vec<Panel>,
+    pub tiles: Vec<Tile>,
     pub ball: Ball,
 }
 
@@ -133,11 +140,11 @@ impl BodyPatches {
         let alike = alike(plates, &ball, law);
         let patch = |members: &Vec<usize>| {
             let own: Vec<Plate> = members.iter().map(|i| plates[*i]).collect();
-            let round = |p: &&Plate| p.bend.iter().all(|b| *b != 0.0);
-            let (facets, panels) = own.iter().partition::<Vec<&Plate>, _>(round);
+            let bent = |sides: usize| own.iter().filter(move |p| p.bend.iter().filter(|b| **b != 0.0).count() == sides);
             Patch {
-                facets: facets.into_iter().map(Facet::of).collect(),
-                panels: panels.into_iter().map(Panel::of).collect(),
+                facets: bent(2).map(Facet::of).collect(),
+                panels: bent(1).map(Panel::of).collect(),
+                tiles: bent(0).map(Tile::of).collect(),
                 ball: Ball::around(&own),
             }
         };
@@ -174,24 +181,33 @@ impl Facet {
             rise: rise as f32,
             begun: begun as f32,
             growth: growth as f32,
+            edge: (growth * p.area) as f32,
         }
+    }
+}
+
+impl Tile {
+    fn of(p: &Plate) -> Self {
+        Self { facet: Facet::of(p), half: halves(p) }
     }
 }
 
 impl Panel {
     fn of(p: &Plate) -> Self {
         // The bent side first.
-        let k = usize::from(p.bend[0] == 0.0);
-        let half = [k, 1 - k].map(|k| V::from(p.half[k].lane(0)));
-        let turn = half[0] * p.bend[k];
+        let p =
+            if p.bend[0] == 0.0 { Plate { half: [p.half[1], p.half[0]], bend: [p.bend[1], 0.0], ..*p } } else { *p };
+        let half = V::from(p.half[0].lane(0));
+        let turn = half * p.bend[0];
         // The middle of a bent plate lies below its highest point.
-        let sag = turn.dot(&half[0]) / 6.0;
-        let lower = Plate { center: p.center - p.normal * sag, ..*p };
-        let facet = Facet { begun: if p.bend[k] == 0.0 { 0.0 } else { 0.5 }, ..Facet::of(&lower) };
-        let single = |v: V| [v.x as f32, v.y as f32, v.z as f32];
-        let half = half.map(single);
-        Self { facet, half, turn: single(turn), least: (Surface::SOLID.leading_edge_gate / 2.0) as f32 }
+        let sag = turn.dot(&half) / 6.0;
+        let lower = Plate { center: p.center - p.normal * sag, ..p };
+        Self { facet: Facet::of(&lower), half: halves(&p), turn: turn.map(|x| x as f32).into() }
     }
+}
+
+fn halves(p: &Plate) -> [[f32; 3]; 2] {
+    p.half.map(|h| h.lane(0).map(|x| x as f32))
 }
 
 /// The normal, and the position divided by the body's size.

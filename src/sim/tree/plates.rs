@@ -12,8 +12,9 @@ use std::f64::consts::{PI, TAU};
 const COUNTS: [f64; 3] = [200.0, 300.0, 500.0];
 /// Largest size of plates on long round shapes, as a share of the radius: our choice, as above.
 const ROUND: [f64; 2] = [0.45, 0.5];
-/// Largest ratio of length to width of a plate that is flat along its length: our choice.
-const LONG: f64 = 3.0;
+/// Largest ratio of length to width of a plate that is bent along its width only: our choice, as above. The engine
+/// computes the load on such a plate and the place of that load (`super::sand`).
+const LONG: f64 = 15.0;
 /// Fewest plates around a round shape: our choice, half of those in `sandgait intrude`.
 const COARSE: usize = 8;
 /// Largest number of plates of a shape: our choice, a hundred times what can be simulated in real time.
@@ -87,11 +88,14 @@ impl Geometry {
     }
 
     /// Outward plates about the shape's origin, with the shape's z along y.
-    fn cut(&self, size: f64) -> Option<Vec<Plate>> {
+    /// `wide`: the width of plates on the rim of a cylinder.
+    fn cut(&self, size: f64, wide: f64) -> Option<Vec<Plate>> {
         Some(match self {
             Self::Sphere { radius } => cut::sphere(*radius, size, COARSE),
             Self::Capsule { radius, half_length } => cut::capsule(*radius, 2.0 * half_length, size, COARSE),
-            Self::Cylinder { radius, half_length } => cut::cylinder(*radius, 2.0 * half_length, size, COARSE),
+            Self::Cylinder { radius, half_length } => {
+                cut::cylinder_across(*radius, 2.0 * half_length, size, wide, COARSE)
+            }
             Self::Box { half } => cut::cuboid(2.0 * half.x, 2.0 * half.y, 2.0 * half.z, size, COARSE),
             Self::Mesh(triangles) => {
                 let point = |p: Vector3<f64>| Vec3::new(p.x, p.y, p.z);
@@ -159,30 +163,57 @@ fn one_shape(shape: &TreeShape, given: Option<f64>, larger: f64) -> Result<Vec<P
     if size < least {
         return Err(too_many());
     }
-    let plates = shape.geometry.cut(size).ok_or_else(too_many)?;
+    // If the user gives a size, the plates are those of `sandgait intrude`. Others are joined to long ones later.
+    let wide = if given.is_some() { 4.0 * size } else { size };
+    let plates = shape.geometry.cut(size, wide).ok_or_else(too_many)?;
     // The functions for plates have along y the axis that a shape has along z.
     let turned = |v: Vec3<f64>| match shape.geometry {
         Geometry::Capsule { .. } | Geometry::Cylinder { .. } => Vec3::new(v.x, -v.z, v.y),
         _ => v,
     };
     let one = |p: Plate| Plate { center: turned(p.center), normal: turned(p.normal), half: p.half.map(turned), ..p };
-    let plates = plates.into_iter().map(one);
-    // If the user gives a size, the plates are those of `sandgait intrude`.
-    Ok(if given.is_some() { plates.collect() } else { plates.flat_map(|p| squared(&p)).collect() })
+    Ok(plates.into_iter().map(one).collect())
 }
 
-/// Splits a plate that is much longer than wide and flat along its length.
-fn squared(plate: &Plate) -> Vec<Plate> {
-    let [a, b] = plate.half.map(|h| h.norm_squared().sqrt());
-    let (k, ratio) = if a > b { (0, a / b) } else { (1, b / a) };
-    let count = (ratio / LONG).ceil();
-    if !(2.0..=MOST_PLATES).contains(&count) || plate.bend[k] != 0.0 {
-        return vec![*plate];
+/// Joins neighbouring plates along the axis of a round shape, up to [`LONG`] times their width.
+fn joined(plates: &[Plate]) -> Vec<Plate> {
+    let mut all = Vec::new();
+    for row in plates.chunk_by(|one, next| straight_side(one).is_some_and(|k| continues(one, next, k))) {
+        let Some(k) = straight_side(&row[0]) else {
+            all.extend_from_slice(row);
+            continue;
+        };
+        let size = |k: usize| row[0].half[k].norm_squared().sqrt();
+        let most = (LONG * size(1 - k) / size(k)).max(1.0);
+        let count = (row.len() as f64 / most).ceil() as usize;
+        let ends = |i: usize| i * row.len() / count;
+        all.extend((0..count).map(|i| one_of(&row[ends(i)..ends(i + 1)], k)));
     }
-    let mut half = plate.half;
-    half[k] = half[k] * (1.0 / count);
-    let at = |i: usize| plate.half[k].scale_add((2.0 * i as f64 + 1.0) / count - 1.0, plate.center);
-    (0..count as usize).map(|i| Plate { center: at(i), half, area: plate.area / count, ..*plate }).collect()
+    all
+}
+
+/// The side along which a plate is flat while it is bent along the other.
+fn straight_side(plate: &Plate) -> Option<usize> {
+    (0..2).find(|k| plate.bend[*k] == 0.0 && plate.bend[1 - k] != 0.0)
+}
+
+/// Does `next` lie beside `one` in the direction of its side `k`, with the same size and normal?
+fn continues(one: &Plate, next: &Plate, k: usize) -> bool {
+    let near = |a: Vec3<f64>, b: Vec3<f64>| {
+        let (apart, size) = ((a - b).norm_squared(), a.norm_squared());
+        apart < 1e-12 * size
+    };
+    let sides = one.half.iter().zip(&next.half).all(|(a, b)| near(*a, *b));
+    one.bend == next.bend && sides && near(one.normal, next.normal) && near(one.half[k] * 2.0, next.center - one.center)
+}
+
+/// The plate that the plates of a row make together.
+fn one_of(row: &[Plate], k: usize) -> Plate {
+    let (first, last) = (row[0], row[row.len() - 1]);
+    let mut half = first.half;
+    half[k] = half[k] * row.len() as f64;
+    let center = (first.center + last.center) * 0.5;
+    Plate { center, half, area: first.area * row.len() as f64, ..first }
 }
 
 /// Plates of the shapes that touch sand, by index of body and shape, body by body. The base seldom touches sand, so
@@ -216,7 +247,7 @@ fn together(shapes: &[&TreeShape], size: Option<f64>, larger: f64) -> Result<Vec
             }
         }
     }
-    Ok(all)
+    Ok(if size.is_some() { all } else { joined(&all) })
 }
 
 /// The plate, moved from the shape's frame to its body's.

@@ -5,7 +5,7 @@
 //! step. The law is evaluated once a patch ([`super::patches`]), for those of its plates that lead in the sand.
 
 use super::dynamics::{Frame, Load};
-use super::patches::{BodyPatches, Facet, Panel, Patch};
+use super::patches::{BodyPatches, Facet, Panel, Patch, Tile};
 use super::terrain::{Local, Surface};
 use crate::number::{Mat3, Real, Vec3};
 use crate::sand::law::{Normals, StressLaw};
@@ -116,6 +116,24 @@ struct Own<R> {
     height: R,
 }
 
+impl BodyPatches {
+    /// Horizontal extent of the box around the plates, across the velocity of the box's centre [m]. If the body moves
+    /// up or down, this is the extent along its own y: legs swing in their x-z plane.
+    #[inline(always)]
+    fn width<R: Real>(&self, own: &Own<R>) -> R {
+        let middle = Vec3::splat(self.ball.center);
+        let speed = own.linear + own.angular.cross(middle);
+        let y = Vec3::splat([0.0, 1.0, 0.0]);
+        let level = y - own.up * own.up.y;
+        let still = speed.norm_squared().mul_add(R::splat(1e-6), R::splat(1e-12)).sqrt();
+        let across = level.scale_add(still, own.up.cross(speed));
+        let length = across.norm_squared().max(R::splat(1e-20)).sqrt();
+        let [low, high] = [self.corners[0], self.corners[7]];
+        let extent = |k: usize, along: R| along.abs() * R::splat(high[k] - low[k]);
+        (extent(0, across.x) + extent(1, across.y) + extent(2, across.z)) / length
+    }
+}
+
 /// The leading part of a patch in the sand, as sums over its plates.
 struct Leading<R> {
     /// [m²]
@@ -133,7 +151,7 @@ struct Leading<R> {
 
 /// The hottest loop in simulations of robots on sand.
 #[inline(always)]
-fn leading<R: Real>(patch: &Patch, own: &Own<R>, inverse_speed: R) -> Leading<R> {
+fn leading<R: Real, M: StressModel<R>>(patch: &Patch, own: &Own<R>, inverse_speed: R) -> Leading<R> {
     let (zero, one) = (R::zero(), R::one());
     let own = Own { linear: own.linear * inverse_speed, angular: own.angular * inverse_speed, ..*own };
     let mut sum = Leading::none();
@@ -150,13 +168,18 @@ fn leading<R: Real>(patch: &Patch, own: &Own<R>, inverse_speed: R) -> Leading<R>
         let part = share.clamp(zero, one) * lane::<R>(facet.area);
         let half = part * R::splat(0.5);
         let (lower, upper) = (low.max(zero), high.max(zero));
-        sum.deep = half.mul_add(lower.mul_add(lower, upper * upper), sum.deep);
-        sum.area += R::select(zero.lt(low), half, zero) + R::select(zero.lt(high), half, zero);
+        if !M::BY_LOAD {
+            sum.deep = half.mul_add(lower.mul_add(lower, upper * upper), sum.deep);
+            sum.area += R::select(zero.lt(low), half, zero) + R::select(zero.lt(high), half, zero);
+        }
         sum.add(facet, normal, half * (lower + upper));
-        sum.grow(facet, share, growth, depth);
+        sum.grow(share, lane(facet.edge), depth);
     }
     for panel in &patch.panels {
-        panel.press(&own, &mut sum);
+        panel.press::<R, M>(&own, &mut sum);
+    }
+    for tile in &patch.tiles {
+        tile.press::<R, M>(&own, &mut sum);
     }
     // Normals are unit vectors, also for bent plates.
     sum.squares.z = sum.load - sum.squares.x - sum.squares.y;
@@ -171,33 +194,73 @@ impl Facet {
     }
 }
 
-impl Panel {
-    /// Adds its leading part in the sand. The load is exact if the depth of that part is even in one direction.
+impl Tile {
+    /// Adds its leading part in the sand, with the distribution of depths of [`Panel::press`].
     #[inline(always)]
-    fn press<R: Real>(&self, own: &Own<R>, sum: &mut Leading<R>) {
+    fn press<R: Real, M: StressModel<R>>(&self, own: &Own<R>, sum: &mut Leading<R>) {
         let (zero, one, facet) = (R::zero(), R::one(), &self.facet);
-        let [bent, straight] = [0, 1].map(|k| lanes::<R>(&self.half[k]).dot(own.up));
-        let turn: Vec3<R> = lanes(&self.turn);
-        // n·v̂ changes by ± this towards the edges of the bent side.
-        let turning = turn.dot(own.linear);
-        let growth = R::splat(0.5) / turning.abs().max(lane(self.least));
-        let share = facet.along(own).mul_add(growth, lane(facet.begun));
-        let leads = share.clamp(zero, one);
-        // A bent plate leads with the part that is turned towards the velocity: its middle and its share of the length.
-        let (mut ahead, mut wide) = (zero, bent);
-        if facet.begun > 0.0 {
-            ahead = R::select(turning.lt(zero), leads - one, one - leads);
-            wide = leads * bent;
+        let slopes = [0, 1].map(|k| lanes::<R>(&self.half[k]).dot(own.up));
+        let share = facet.along(own).mul_add(lane(facet.growth), lane(facet.begun));
+        let rise = slopes[0].mul_add(slopes[0], slopes[1].mul_add(slopes[1], R::splat(1e-20))).sqrt();
+        let depth = -(own.up.dot(lanes(&facet.center)) + own.height);
+        let low = (depth + rise).max(zero);
+        let wet = (R::splat(0.5) * low / rise).min(one);
+        let range = rise * wet;
+        let mean = low - range;
+        let part = share.clamp(zero, one) * lane::<R>(facet.area) * wet;
+        if !M::BY_LOAD {
+            sum.area += part;
+            sum.deep = part.mul_add(mean.mul_add(mean, range * range * R::splat(1.0 / 3.0)), sum.deep);
         }
-        let rise = wide.mul_add(wide, straight.mul_add(straight, R::splat(1e-20))).sqrt();
-        let depth = -(own.up.dot(lanes(&facet.center)) + own.height + ahead * bent);
-        let (low, high) = ((depth + rise).max(zero), (depth - rise).max(zero));
-        let wet = (low - high) / (rise + rise).max(R::splat(1e-9));
+        sum.add(facet, lanes(&facet.normal), part * mean);
+        sum.grow(share, lane(facet.edge), depth);
+    }
+}
+
+impl Panel {
+    /// Adds its leading part in the sand. The depth of that part is taken as evenly distributed between its lowest and
+    /// its highest point, which is exact if the depth changes in one direction only.
+    #[inline(always)]
+    fn press<R: Real, M: StressModel<R>>(&self, own: &Own<R>, sum: &mut Leading<R>) {
+        let (zero, one, facet) = (R::zero(), R::one(), &self.facet);
+        let sides: [Vec3<R>; 2] = [0, 1].map(|k| lanes(&self.half[k]));
+        let [bent, straight] = sides.map(|side| side.dot(own.up));
+        let turn: Vec3<R> = lanes(&self.turn);
+        // n·v̂ changes by ± `spread` towards the edges of the bent side. Lengths ending in `_s` are multiplied by it, so
+        // that one division suffices.
+        let turning = turn.dot(own.linear);
+        let spread = turning.abs().max(R::splat(crate::sand::Surface::SOLID.leading_edge_gate / 2.0));
+        let (half, third) = (R::splat(0.5), R::splat(1.0 / 3.0));
+        let leads_s = (half * (facet.along(own) + spread)).clamp(zero, spread);
+        // The plate leads with the part that is turned towards the velocity: its middle and its share of the length.
+        let ahead_s = R::select(turning.lt(zero), leads_s - spread, spread - leads_s);
+        let rise_s = leads_s * bent;
+        let flat = spread * spread * straight.mul_add(straight, R::splat(1e-20));
+        let rise_s = rise_s.mul_add(rise_s, flat).sqrt();
+        let depth = -(own.up.dot(lanes(&facet.center)) + own.height);
+        let low_s = depth.mul_add(spread, rise_s - ahead_s * bent).max(zero);
+        let inverse = one / (spread * rise_s);
+        let (per_spread, per_rise_s) = (inverse * rise_s, inverse * spread);
+        // The part in the sand: its share, half the range of its depths, and their mean.
+        let wet = (half * low_s * per_rise_s).min(one);
+        let range_s = rise_s * wet;
+        let mean_s = low_s - range_s;
+        let leads = leads_s * per_spread;
+        let (mean, ahead) = (mean_s * per_spread, ahead_s * per_spread);
         let part = leads * lane::<R>(facet.area) * wet;
-        sum.area += part;
-        sum.deep = (part * R::splat(1.0 / 3.0)).mul_add(low.mul_add(low + high, high * high), sum.deep);
-        sum.add(facet, turn.scale_add(ahead, lanes(&facet.normal)), part * R::splat(0.5) * (low + high));
-        sum.grow(facet, share, growth, depth);
+        let load = part * mean;
+        if !M::BY_LOAD {
+            let range = range_s * per_spread;
+            sum.area += part;
+            sum.deep = part.mul_add(mean.mul_add(mean, range * range * third), sum.deep);
+        }
+        sum.add(facet, turn.scale_add(ahead, lanes(&facet.normal)), load);
+        // The load lies below the middle of the part.
+        let below = part * (mean_s * per_rise_s).mul_add(wet - one, -(wet * wet * third));
+        sum.place = sides[1].scale_add(below * straight, sum.place);
+        sum.place = sides[0].scale_add(load.mul_add(ahead, below * leads * leads * bent), sum.place);
+        let edge = half * per_spread * lane(facet.area);
+        sum.grow(leads, edge, ahead.mul_add(-bent, depth));
     }
 }
 
@@ -228,20 +291,21 @@ impl<R: Real> Leading<R> {
         self.place = lanes(&facet.center).scale_add(load, self.place);
     }
 
-    /// Adds the derivative of the load of a plate whose leading share grows with n·v̂ by `growth`.
+    /// Adds the derivative by n·v̂ of the load of a plate at `depth`, of which the share `leads` leads. `edge` is its
+    /// area times the derivative of that share.
     #[inline(always)]
-    fn grow(&mut self, facet: &Facet, share: R, growth: R, depth: R) {
-        let whole = growth * lane::<R>(facet.area) * depth.max(R::zero());
-        let inside = R::select(share.lt(R::one()), whole, R::zero());
-        self.growth += R::select(R::zero().lt(share), inside, R::zero());
+    fn grow(&mut self, leads: R, edge: R, depth: R) {
+        let (zero, one) = (R::zero(), R::one());
+        let inside = R::select(leads.lt(one), edge * depth.max(zero), zero);
+        self.growth += R::select(zero.lt(leads), inside, zero);
     }
 }
 
 #[inline(always)]
 #[allow(clippy::too_many_arguments)] // all arguments stay in registers
-fn by<R: Real>(
+fn by<R: Real, M: StressModel<R>>(
     law: &impl StressLaw<R>,
-    stress_model: &impl StressModel<R>,
+    stress_model: &M,
     ground: &SandBed<R>,
     plates: &BodyPatches,
     frame: &Frame<R>,
@@ -262,6 +326,7 @@ fn by<R: Real>(
         up: frame.rotation.apply_transposed(under.normal),
         height: under.normal.dot(*place + frame.origin - under.point),
     };
+    let width = if M::BY_LOAD { zero } else { plates.width(&own) };
     for patch in &plates.patches {
         let center = Vec3::splat(patch.ball.center);
         let depth = -(own.up.dot(center) + own.height);
@@ -269,7 +334,7 @@ fn by<R: Real>(
             continue;
         }
         let speed = own.linear + own.angular.cross(center);
-        let part = leading(patch, &own, ground.inverse_speed(speed));
+        let part = leading::<R, M>(patch, &own, ground.inverse_speed(speed));
         if !R::any(zero.lt(part.load)) {
             continue;
         }
@@ -277,16 +342,18 @@ fn by<R: Real>(
         let at = frame.point(part.place * inverse);
         let normals = Normals::turned(part.normal * inverse, part.squares * inverse, part.products * inverse, &turn);
         let v = velocity.at(at);
-        let site = SegmentState::fresh(part.load / part.area.max(tiny), place.x + at.x).travelling(travel);
-        let (growth, loaded) = (part.growth * inverse, part.deep * inverse);
+        // Where only their product counts, the load takes the place of the depth, on 1 m².
+        let (area, depth, loaded) = match M::BY_LOAD {
+            true => (R::one(), part.load, part.load),
+            false => (part.area, part.load / part.area.max(tiny), part.deep * inverse),
+        };
+        let site = SegmentState::fresh(depth, place.x + at.x).travelling(travel).wide(width);
+        let growth = part.growth * inverse;
         let (contact, normal) = match &axes {
-            None => {
-                (ground.leading_part_by(law, stress_model, &site, part.area, loaded, &normals, v, growth), normals.unit)
-            }
+            None => (ground.leading_part_by(law, stress_model, &site, area, loaded, &normals, v, growth), normals.unit),
             Some(axes) => {
                 let v = axes.apply_transposed(v);
-                let mut contact =
-                    ground.leading_part_by(law, stress_model, &site, part.area, loaded, &normals, v, growth);
+                let mut contact = ground.leading_part_by(law, stress_model, &site, area, loaded, &normals, v, growth);
                 contact.force = axes.apply(contact.force);
                 (contact, axes.apply(normals.unit))
             }

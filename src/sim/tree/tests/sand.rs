@@ -2,7 +2,8 @@
 
 use super::*;
 use crate::number::{Portable, Real, Vec3};
-use crate::sand::intruder::{Body, BodyShape, Given, Plate, Trial, compute};
+use crate::sand::intruder::{Body, BodyShape, Given, Plate, Trial, compute, cut};
+use crate::sand::term::Term;
 use crate::sand::{Law, Mechanisms, Medium, SandBed, SandDescription, Surface};
 use crate::spatial::Twist;
 use crate::tree::dynamics::{Frame, Load};
@@ -127,4 +128,22 @@ fn assert_near((f, m): (V, V), (force, moment): (V, V), part: f64) {
     let scale = force.norm() + moment.norm() / 0.04;
     let off = (f - force).norm() + (m - moment).norm() / 0.04;
     assert!(off <= part * scale, "{} of it: {f} {m}\n{force} {moment}", off / scale);
+}
+
+/// A term by depth over width takes the body's extent across its horizontal velocity, and along its own y if it moves
+/// straight down.
+#[test]
+fn a_term_takes_the_width_across_the_motion() {
+    let text = "on = \"normal\"\ncoefficient = 1e4\ngroups = { depth_over_width = 1.0 }\n\
+                range = { depth_over_width = [0.0, 9.0] }";
+    let term = toml::from_str::<Term>(text).unwrap();
+    let plain = SandDescription::plain(&Medium::named("poppy-loose").unwrap());
+    let with = SandDescription { terms: vec![term], ..plain.clone() };
+    let plates = cut::cuboid(0.1, 0.04, 0.002, 0.005, 8);
+    let push =
+        |sand: &SandDescription, v: V| by_lanes::<f64>(&plates, sand, &Rotation3::identity(), 0.01, v, 1e-20).0.z;
+    let [along, across, down] = [V::new(0.05, 0.0, -0.3), V::new(0.0, 0.05, -0.3), V::new(0.0, 0.0, -0.3)]
+        .map(|v| push(&with, v) - push(&plain, v));
+    assert!(along > 0.0 && (along / across - 2.5).abs() < 1e-2, "{along} {across}");
+    assert!((down / along - 1.0).abs() < 1e-2, "{down} {along}");
 }
