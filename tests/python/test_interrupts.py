@@ -25,6 +25,14 @@ LIMIT, STEPS = 7, 60
 def action(k):
     return np.sin(0.3 * k + np.arange(6)).astype(np.float32)
 
+def pause(pid):
+    os.kill(pid, signal.SIGSTOP)
+    # The signal stops the server's threads one after the other.
+    states = lambda: {{open(f"/proc/{{pid}}/task/{{t}}/stat").read().rsplit(")", 1)[1].split()[0]
+                      for t in os.listdir(f"/proc/{{pid}}/task")}}
+    while states() != {{"T"}}:
+        time.sleep(0.001)
+
 def strike():
     time.sleep(0.02)
     os.kill(os.getpid(), signal.SIGINT)
@@ -36,7 +44,7 @@ struck = ends = 0
 for k in range(STEPS):
     expected = calm.step(action(k))
     if k % 2 == 0 or k % LIMIT == LIMIT - 1:
-        os.kill(server._server.process.pid, signal.SIGSTOP)
+        pause(server._server.process.pid)
         threading.Thread(target=strike).start()
         try:
             env.step(action(k))
