@@ -35,6 +35,8 @@ Fy, Fz, slip_angle_deg and slip. Then run `sandgait validate --data FOLDER --out
 /// One comparison: the rows of the fit, and the predicted rows.
 struct Comparison {
     title: String,
+    /// Title of its figure.
+    short: &'static str,
     pairs: Vec<Pair>,
 }
 
@@ -54,12 +56,14 @@ impl Scoreboard {
         };
         let names = |of: &dyn Fn(&Wheel) -> Option<String>| data.wheels.iter().find_map(of).unwrap_or_default();
         comparisons.push(Comparison {
+            short: "Not fitted",
             title: format!("not fitted: {}", names(&|w| Some(w.sand.source.clone()))),
             pairs: each(&|w| Some(w.sand.clone())),
         });
         if data.wheels.iter().all(|w| w.fitted.is_some()) {
             let left_out = cross_validated(&data.wheels)?;
             comparisons.push(Comparison {
+                short: "Left out: slip angles",
                 title: "left out: each slip angle is predicted from a fit on the other slip angles of all wheels"
                     .into(),
                 pairs: left_out,
@@ -67,6 +71,7 @@ impl Scoreboard {
             let unseen = positive(&data.wheels)?;
             if !unseen.is_empty() {
                 comparisons.push(Comparison {
+                    short: "Left out: positive slip ratios",
                     title:
                         "left out: positive slip ratios are predicted from a fit on the other slip ratios of all wheels"
                             .into(),
@@ -74,6 +79,7 @@ impl Scoreboard {
                 });
             }
             comparisons.push(Comparison {
+                short: "Fitted",
                 title:
                     "fitted: the fit used the same rows, so these are the least errors of this model and no prediction"
                         .into(),
@@ -195,7 +201,7 @@ impl Scoreboard {
             }
             Panel { x: Axis::new(&format!("measured {name}")), y: Axis::new("predicted"), marks, ..Panel::default() }
         });
-        Figure { title: c.title.clone(), columns: 2, panels: panels.collect(), note: self.data.source.clone() }
+        Figure { title: c.short.into(), columns: 2, panels: panels.collect(), note: self.data.source.clone() }
     }
 
     /// Writes `validation.md` with `others` at its end, `validation_rows.csv`, and a figure for each comparison.
