@@ -166,10 +166,10 @@ impl Pool {
         receiver.recv().unwrap_or_else(|_| Err(Error::Exhausted("the worker pool was closed".into())))
     }
 
-    /// Works on shards that wait for a worker, on the thread of a caller that has nothing else to do. It ends if no shard waits, or
-    /// after `time`. In a pool with fewer threads than the machine has processors it ends, too, if as many threads work as
-    /// the pool has. With more, workers may share a processor while the caller's is free. Operations of several parts are left to the workers, because they may
-    /// take long.
+    /// Works on shards that wait for a worker, on the thread of a caller that has nothing else to do. It ends if no shard
+    /// waits, or after `time`. In a pool with fewer threads than the machine has processors it also ends if as many
+    /// threads work as the pool has. With more, workers may share a processor while the caller's is free. Operations of
+    /// several parts are left to the workers, because they may take long.
     pub fn assist(&self, time: Duration) {
         let start = Instant::now();
         let mut queue = self.shared.lock();
@@ -377,5 +377,24 @@ mod tests {
         }
         let (batch, reset) = begun();
         assert_eq!(pool.wait(batch, reset).unwrap().envs(), 40);
+    }
+
+    /// Jobs come when the workers are in any state: at work, watching, falling asleep or asleep. Each job is finished
+    /// without help from a later one.
+    #[test]
+    fn no_job_is_forgotten() {
+        let pool = Pool::new(2);
+        let (mut batch, mut reset) = begun();
+        for round in 0..400 {
+            let (sender, finished) = mpsc::channel();
+            pool.run(batch, reset, move |batch| sender.send(batch.unwrap()).unwrap());
+            batch = finished.recv_timeout(Duration::from_secs(20)).expect("a job was forgotten");
+            let pause = WATCH * (round % 20) / 10;
+            let start = Instant::now();
+            while start.elapsed() < pause {
+                spin_loop();
+            }
+            reset = batch.reset(None, None, Default::default()).unwrap();
+        }
     }
 }
