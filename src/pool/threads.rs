@@ -383,18 +383,20 @@ mod tests {
     /// without help from a later one.
     #[test]
     fn no_job_is_forgotten() {
-        let pool = Pool::new(2);
-        let (mut batch, mut reset) = begun();
-        for round in 0..400 {
-            let (sender, finished) = mpsc::channel();
-            pool.run(batch, reset, move |batch| sender.send(batch.unwrap()).unwrap());
-            batch = finished.recv_timeout(Duration::from_secs(20)).expect("a job was forgotten");
-            let pause = WATCH * (round % 20) / 10;
-            let start = Instant::now();
-            while start.elapsed() < pause {
-                spin_loop();
+        for threads in [1, 2] {
+            let pool = Pool::new(threads);
+            let (mut batch, mut reset) = begun();
+            for round in 0..200 {
+                let (sender, finished) = mpsc::channel();
+                pool.run(batch, reset, move |batch| sender.send(batch.unwrap()).unwrap());
+                batch = finished.recv_timeout(Duration::from_secs(20)).expect("a job was forgotten");
+                let pause = WATCH * (round % 20) / 10;
+                let start = Instant::now();
+                while start.elapsed() < pause {
+                    spin_loop();
+                }
+                reset = batch.reset(None, None, Default::default()).unwrap();
             }
-            reset = batch.reset(None, None, Default::default()).unwrap();
         }
     }
 }
