@@ -44,7 +44,8 @@ const SILENCE: Duration = Duration::from_secs(10);
 /// again.
 pub const KEEPALIVE: Duration = Duration::from_secs(60);
 
-/// Time to wait before accepting again when it failed (no file descriptors left).
+/// Time to wait before accepting again when it failed (no file descriptors left), and the longest wait for closed
+/// connections to end.
 const PAUSE: Duration = Duration::from_millis(50);
 
 /// Interval at which idle connections are searched.
@@ -127,6 +128,8 @@ impl Door {
     async fn accept(&self, mut socket: Socket, sender: mpsc::Sender<Connection>, stop: &CancellationToken) {
         let mut look = interval(LOOK);
         loop {
+            // A connection that does not end must not stop the others.
+            let _ = timeout(PAUSE, self.table.few_closing()).await;
             let accepted = tokio::select! {
                 accepted = socket.accept() => accepted,
                 _ = look.tick() => {

@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::net::IpAddr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
+use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
 
 /// How long a connection may be without a stream: our choice, as long as a session's default lease.
@@ -12,6 +13,10 @@ const IDLE: Duration = Duration::from_secs(300);
 /// How long a connection may take for its first bytes before it can be closed to make room: our choice. Many
 /// clients that connect at once on a busy machine need some hundred ms.
 const PATIENCE: Duration = Duration::from_secs(1);
+
+/// Closed connections that may still have their file descriptors. Our choice: a quarter of the descriptors that are
+/// reserved besides those of connections.
+const CLOSING: usize = 16;
 
 /// The origin of a connection, for the limits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -49,12 +54,16 @@ pub struct Caps {
 pub struct Table {
     caps: Caps,
     entries: Mutex<Entries>,
+    /// A closed connection has given back its place.
+    ended: Notify,
 }
 
 #[derive(Default)]
 struct Entries {
     next: u64,
     all: HashMap<u64, Entry>,
+    /// Number of connections that are closed but have not given back their places.
+    closing: usize,
 }
 
 struct Entry {
@@ -89,6 +98,7 @@ impl Entries {
 
     fn close(&mut self, id: u64) {
         if let Some(entry) = self.all.remove(&id) {
+            self.closing += 1;
             entry.end.cancel();
         }
     }
@@ -103,7 +113,7 @@ impl Entries {
 
 impl Table {
     pub fn new(caps: Caps) -> Arc<Self> {
-        Arc::new(Self { caps, entries: Mutex::default() })
+        Arc::new(Self { caps, entries: Mutex::default(), ended: Notify::new() })
     }
 
     /// Every change under this lock is one step, so the data are consistent even after a panic.
@@ -149,6 +159,14 @@ impl Table {
         late.into_iter().for_each(|id| entries.close(id));
     }
 
+    /// Waits until few closed connections still have their descriptors. Without this, a burst of connections would be
+    /// accepted faster than the tasks of the closed ones end, and use all descriptors.
+    pub async fn few_closing(&self) {
+        while self.lock().closing >= CLOSING {
+            self.ended.notified().await;
+        }
+    }
+
     fn change(&self, id: u64, change: impl FnOnce(&mut Entry)) {
         if let Some(entry) = self.lock().all.get_mut(&id) {
             change(entry);
@@ -166,7 +184,11 @@ pub struct Place {
 
 impl Drop for Place {
     fn drop(&mut self) {
-        self.table.lock().all.remove(&self.id);
+        let mut entries = self.table.lock();
+        if entries.all.remove(&self.id).is_none() {
+            entries.closing -= 1;
+            self.table.ended.notify_one();
+        }
     }
 }
 
