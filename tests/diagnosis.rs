@@ -221,7 +221,7 @@ fn a_dirty_load_cell_changes_no_verdict() {
     let cause = &r.causes[0];
     assert!((cause.ci95[0]..=cause.ci95[1]).contains(&1.0), "{}", r.summary);
     assert!(!r.remainder.as_ref().unwrap().significant && r.gain.nested && r.degrees_of_freedom.unwrap() > 5.0);
-    assert_eq!(r.schema, "sandgait.diagnosis.v2");
+    assert_eq!(r.schema, "sandgait.diagnosis.v3");
 }
 
 /// The velocity of the first row is exactly zero, but the trial does not begin with a rest.

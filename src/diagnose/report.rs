@@ -20,6 +20,35 @@ pub struct Cause {
     pub at_bound: bool,
 }
 
+/// One model in the comparison by its predictions of left-out conditions.
+#[derive(Clone, Debug, Serialize, PartialEq)]
+pub struct Compared {
+    /// Ids of its causes; empty for the plain model and for a law alone.
+    pub ids: Vec<String>,
+    /// Formulas of its laws found in the data.
+    pub terms: Vec<String>,
+    /// Log predictive density of left-out conditions, summed over the conditions.
+    pub elpd: f64,
+    /// `elpd` minus that of the best model, 0 or negative.
+    pub difference: f64,
+    /// Standard error of `difference`, over conditions.
+    pub standard_error: f64,
+}
+
+/// What `sand.toml` holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Written {
+    /// A named cause, or the best of an ambiguity set.
+    Cause,
+    /// A law found in the data.
+    Description,
+    /// Mechanisms that predict left-out conditions better, but that are not held for the cause.
+    Proxy,
+    /// The plain model.
+    Plain,
+}
+
 /// One cause or pair that was tried.
 #[derive(Clone, Debug, Serialize, PartialEq)]
 pub struct Tried {
@@ -136,6 +165,10 @@ pub struct NextExperiment {
 pub struct Report {
     pub schema: &'static str,
     pub verdict: Verdict,
+    /// What `sand.toml` holds.
+    pub written: Written,
+    /// The models that the verdict compares, the plain one first.
+    pub evidence: Vec<Compared>,
     /// The verdict in one sentence.
     pub summary: String,
     pub causes: Vec<Cause>,

@@ -9,6 +9,7 @@ use super::refined::Refined;
 use super::report::{
     Cause, Gain, LackOfFit, NextExperiment, NoiseSummary, NuisanceValue, Remainder, Report, RunMeans, TermFound, Tried,
     Untestable, UpperLimit,
+    Written,
 };
 use super::select::Selection;
 use super::study::Study;
@@ -60,8 +61,10 @@ impl View<'_> {
         notes.extend(refined.filter(|r| r.even).map(|r| even_note(best, r)));
         let channels = observations.channels.iter().zip(&self.noise.channels);
         Report {
-            schema: "sandgait.diagnosis.v2",
+            schema: "sandgait.diagnosis.v3",
             verdict: self.selection.map_or(Verdict::InsufficientData, |s| s.verdict),
+            written: self.written(),
+            evidence: Vec::new(),
             summary: summary(self.study, self.selection, &causes, whereabouts.as_deref()),
             whereabouts,
             correlations: best.and(intervals).map(|i| i.correlations.clone()).unwrap_or_default(),
@@ -96,6 +99,16 @@ impl View<'_> {
             notes,
             runs: self.runs(),
             data_sha256,
+        }
+    }
+
+    fn written(&self) -> Written {
+        let Some(selection) = self.selection else { return Written::Plain };
+        match selection.verdict {
+            Verdict::Named | Verdict::Ambiguous => Written::Cause,
+            Verdict::Described => Written::Description,
+            _ if selection.fit().is_some() => Written::Proxy,
+            _ => Written::Plain,
         }
     }
 
