@@ -10,7 +10,6 @@ from typing import Any, cast
 
 import numpy as np
 
-from . import logs
 from .door import study
 from .errors import InvalidRequest, LimitReached
 from .studies import Display, FilePath, ProgressOption, columns, file
@@ -149,6 +148,8 @@ def diagnose(
 
 
 def _content(data: Any, experiment: FilePath | Mapping[str, Any]) -> tuple[str, bytes]:
+    from . import logs  # not above, so that `python -m sandgait.logs` loads it once
+
     if hasattr(data, "to_csv"):
         return "data", data.to_csv(index=False).encode()
     if logs.kind(Path(data)) is None:

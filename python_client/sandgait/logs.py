@@ -3,8 +3,8 @@
     python -m sandgait.logs walk.mcap --out walk.csv
 
 `sandgait.diagnose` does the same with a recording. Files are read by pyarrow, mcap and rosbags, which
-`pip install 'sandgait[logs]'` installs, in a process of their own with limits on memory and size. So a damaged or hostile
-file ends with one error, even if a library crashes on it. Nothing but the table goes further.
+`pip install 'sandgait[logs]'` installs, in a process of their own with limits on memory and size. So a damaged or
+hostile file ends with one error, even if a library crashes on it. Nothing but the table goes further.
 """
 
 from __future__ import annotations

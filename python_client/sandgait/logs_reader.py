@@ -2,7 +2,8 @@
 
     python -P logs_reader.py FORM FILE [joints=TOPIC] [imu=TOPIC]
 
-It imports nothing of sandgait, so that it starts fast. An error is one line on stderr and exit code 2; other lines on stderr are notes.
+It imports nothing of sandgait, so that it starts fast. An error is one line on stderr and exit code 2; other lines on
+stderr are notes.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ from typing import Any, cast
 import numpy as np
 import numpy.typing as npt
 
-#: Largest memory of this process [bytes]: our choice. A table of MOST_NUMBERS takes a fifth of it.
-MEMORY = 4 << 30
+#: Largest memory of this process [bytes]: our choice. The messages of MOST_NUMBERS take about half of it.
+MEMORY = 2 << 30
 #: Largest file that it may write [bytes]: our choice; compressed bags are unpacked into temporary files.
 UNPACKED = 8 << 30
 #: Largest number of values: the limit of the diagnosis (src/diagnose/trajectory/log.rs).
@@ -178,18 +179,23 @@ def robot(messages: Iterator[tuple[str, str, str, int, bytes]], topics: dict[str
             continue
         if found.setdefault(kind, topic) != topic:
             key = "joints" if kind == JOINTS else "imu"
-            raise Wrong(f"topics {found[kind]} and {topic} have the same type: name one of them as {key} under [topics]")
+            raise Wrong(
+                f"topics {found[kind]} and {topic} have the same type: name one of them as {key} under [topics]"
+            )
         if encoding not in stores:
             raise Wrong(f"topic {topic}: its messages are encoded as {encoding!r}; cdr and ros1 are read")
         store = stores[encoding]
-        message = store.deserialize_cdr(data, kind) if encoding == "cdr" else store.deserialize_ros1(data, kind)
+        decode = store.deserialize_cdr if encoding == "cdr" else store.deserialize_ros1
+        message: Any = decode(data, kind)
         stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
         numbers += 10 if kind == IMU else 3 * len(message.name)
         _bound(len(message.name) if kind == JOINTS else 0, numbers)
         read[kind].append((stamp or time, message))
     for kind, key in ((JOINTS, "joints"), (IMU, "imu")):
         if not read[kind]:
-            raise Wrong(f"no message of {kind}" + (f" in topic {asked[kind]}, which {key} names" if asked[kind] else ""))
+            raise Wrong(
+                f"no message of {kind}" + (f" in topic {asked[kind]}, which {key} names" if asked[kind] else "")
+            )
         read[kind].sort(key=lambda entry: entry[0])
     return pa.table(_rows(read[JOINTS], read[IMU]))
 

@@ -1,4 +1,4 @@
-"""Recordings become the table that the diagnosis reads: `sandgait.logs`. The libraries of each format write the files."""
+"""Recordings become the table that the diagnosis reads: `sandgait.logs`. Each format's own library writes the files."""
 
 from __future__ import annotations
 
@@ -42,7 +42,9 @@ def read(path: Path, topics: dict[str, str] | None = None) -> dict[str, list[str
     return {name: [row[name] for row in table] for name in table[0]}
 
 
-def alike(got: dict[str, list[str]], want: list[dict[str, str]], close: float, names: dict[str, str] | None = None) -> None:
+def alike(
+    got: dict[str, list[str]], want: list[dict[str, str]], close: float, names: dict[str, str] | None = None
+) -> None:
     """Compares all columns of joints and IMU, and the time."""
     for name in want[0]:
         if name not in (*make.TEXTS, "slope_deg", "stride_frequency"):
@@ -52,9 +54,10 @@ def alike(got: dict[str, list[str]], want: list[dict[str, str]], close: float, n
 
 def old_bag(path: Path, table: list[dict[str, str]], compression: Any = None, second: bool = False) -> None:
     store = get_typestore(Stores.ROS1_NOETIC)
-    with rosbag1.Writer(path) as writer:
-        if compression:
-            writer.set_compression(compression)
+    writer = rosbag1.Writer(path)
+    if compression:
+        writer.set_compression(compression)
+    with writer:
         made = {n: writer.add_connection(t, f"sensor_msgs/msg/{n}", typestore=store) for n, t in make.TOPICS.items()}
         other = writer.add_connection("/other", "sensor_msgs/msg/Imu", typestore=store) if second else None
         for name, time, message in make.messages(table, store):
@@ -185,7 +188,15 @@ def test_damaged_files_give_a_table_or_one_line(tmp_path: Path) -> None:
     """Cut off and randomly changed files of each library."""
     files = each_format(tmp_path)
     rng, read_anyway, broken = random.Random(1), 0, tmp_path / "broken"
-    for name in ("parquet zstd", "parquet none", "mcap NONE", "mcap ZSTD", "ROS 1 plain", "ROS 1 lz4", "ROS 2 database"):
+    for name in (
+        "parquet zstd",
+        "parquet none",
+        "mcap NONE",
+        "mcap ZSTD",
+        "ROS 1 plain",
+        "ROS 1 lz4",
+        "ROS 2 database",
+    ):
         whole = files[name].read_bytes()
         variants = [whole[: len(whole) // 2], whole[:60]]
         for _ in range(4):
@@ -197,23 +208,25 @@ def test_damaged_files_give_a_table_or_one_line(tmp_path: Path) -> None:
         path = broken.with_suffix(files[name].suffix)
         for variant in variants:
             path.write_bytes(variant)
+            said = ""
             try:
                 read_anyway += bool(logs.to_csv(path))
             except sandgait.InvalidRequest as error:
-                assert "\n" not in str(error)
-                assert len(str(error)) < 500
-                assert "Traceback" not in str(error)
+                said = str(error)
+            assert len(said) < 500
+            assert "\n" not in said
+            assert "Traceback" not in said
     assert read_anyway < 30, "most of these files are broken"
 
 
 def bomb(compressor: Any) -> bytes:
-    """One stream that is unpacked into 6 GiB of zeros."""
+    """One stream that is unpacked into 3 GiB of zeros."""
     start = compressor.begin() if hasattr(compressor, "begin") else b""
-    return start + b"".join(compressor.compress(bytes(64 << 20)) for _ in range(96)) + compressor.flush()
+    return start + b"".join(compressor.compress(bytes(64 << 20)) for _ in range(48)) + compressor.flush()
 
 
 def test_bombs_are_refused(tmp_path: Path) -> None:
-    """Small files that would take 6 GiB and more: the reader ends with one line, and this process stays small."""
+    """Small files that would take 3 GiB and more: the reader ends with one line, and this process stays small."""
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     rows = tmp_path / "rows.parquet"
     writer = pq.ParquetWriter(rows, pa.schema({f"c{i}": pa.float64() for i in range(20)}))
@@ -222,17 +235,20 @@ def test_bombs_are_refused(tmp_path: Path) -> None:
     writer.close()
     refused(rows, "more than 20000000 values")
     text = tmp_path / "text.parquet"
-    pq.write_table(pa.table({"run": pa.array(["x" * (1 << 20)] * 8192).dictionary_encode()}), text)
+    long = pa.DictionaryArray.from_arrays(np.zeros(4096, dtype=np.int32), ["x" * (1 << 20)])
+    pq.write_table(pa.table({"run": long}), text)
     assert text.stat().st_size < 1 << 20
     refused(text, "GiB of memory|MiB as CSV")
 
     bombs = {"zstd": zstandard.ZstdCompressor().compressobj(), "lz4": lz4.frame.LZ4FrameCompressor()}
     for packing, packed in ((name, bomb(compressor)) for name, compressor in bombs.items()):
         path = tmp_path / f"{packing}.mcap"
-        chunk = b"".join(n.to_bytes(8, "little") for n in (0, 0, 6 << 30)) + bytes(4)
+        chunk = b"".join(n.to_bytes(8, "little") for n in (0, 0, 3 << 30)) + bytes(4)
         chunk += len(packing).to_bytes(4, "little") + packing.encode() + len(packed).to_bytes(8, "little") + packed
         header = bytes(8)
-        records = b"\x01" + len(header).to_bytes(8, "little") + header + b"\x06" + len(chunk).to_bytes(8, "little") + chunk
+        records = (
+            b"\x01" + len(header).to_bytes(8, "little") + header + b"\x06" + len(chunk).to_bytes(8, "little") + chunk
+        )
         path.write_bytes(b"\x89MCAP0\r\n" + records)
         refused(path, "GiB of memory|cannot be read as mcap")
 
@@ -243,7 +259,7 @@ def test_bombs_are_refused(tmp_path: Path) -> None:
     size = int.from_bytes(whole[start - 4 : start], "little")
     stream = bz2.compress(bytes(64 << 20))
     packed = stream * (size // len(stream))
-    assert size // len(stream) > 64, "4 GiB"
+    assert size // len(stream) > 48, "3 GiB"
     bag.write_bytes(whole[:start] + packed.ljust(size, b"\0") + whole[start + size :])
     refused(bag, "GiB of memory|cannot be read as bag")
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < before + (8 << 20)

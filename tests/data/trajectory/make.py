@@ -1,7 +1,7 @@
 """Writes walk.parquet and walk.mcap beside walk.csv. Needs pyarrow 26, mcap 1.6, rosbags 0.11.
 
-The tests of `sandgait.logs` (tests/python/test_logs.py) write its other formats with the same functions. MCAP files and bags have
-the messages of ROS that walk.csv says, the runs one after the other, 10 s from start to start.
+The tests of `sandgait.logs` (tests/python/test_logs.py) write its other formats with the same functions. MCAP files and
+bags have the messages of ROS that walk.csv says, the runs one after the other, 10 s from start to start.
 """
 
 import csv
@@ -28,7 +28,9 @@ def rows() -> list[dict[str, str]]:
 
 def messages(table: list[dict[str, str]], store: Any) -> Iterator[tuple[str, int, Any]]:
     """Type, time [ns] and message: for each row one of the joints and one of the IMU."""
-    make = {name.rsplit("/", 1)[1]: of for name, of in store.types.items()}
+    packages = ("builtin_interfaces", "std_msgs", "geometry_msgs", "sensor_msgs")
+    known = [name for package in reversed(packages) for name in store.types if name.startswith(package + "/")]
+    make = {name.rsplit("/", 1)[1]: store.types[name] for name in known}  # the Time of builtin_interfaces
     runs = list(dict.fromkeys(row["run"] for row in table))
     one = {"seq": 0} if "seq" in make["Header"].__dataclass_fields__ else {}
     for row in table:
