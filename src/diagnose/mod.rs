@@ -28,11 +28,13 @@ pub mod calibrate;
 pub mod chi_squared;
 pub mod cli;
 mod columns;
+mod conditions;
 pub mod cross_validation;
 pub mod described;
 pub mod discrepancy;
 pub mod errors;
 pub mod experiment;
+mod figures;
 pub mod fit;
 pub mod fitted;
 pub mod force_log;
@@ -98,6 +100,12 @@ pub use cli::run;
 pub fn diagnose(data: &Path, experiment: &Experiment, progress: &dyn Progress) -> Result<Diagnosis> {
     let progress = &Latch::new(progress);
     progress.report(0.0, "reading the data")?;
+    let mut diagnosis = diagnose_kind(data, experiment, progress)?;
+    diagnosis.name = data.file_name().map_or_else(Default::default, |name| name.to_string_lossy().into());
+    Ok(diagnosis)
+}
+
+fn diagnose_kind(data: &Path, experiment: &Experiment, progress: &Latch) -> Result<Diagnosis> {
     let (coefficient_sd, interest) = (experiment.coefficient_sd, experiment.nuisances.interest.clone());
     match experiment.kind {
         Kind::Intrusion => {
@@ -192,8 +200,10 @@ pub fn diagnose_measured(measured: Measured, model: &dyn ForwardModel, progress:
     let band = noise.standard_deviation(&source);
     let groups = (0..observations.units.len()).map(|u| model.group(u).to_string()).collect();
     let plain = model.as_simulated(&plain);
-    let curves = Curves { groups, plain, extended, band, observations: observations.clone() };
-    Ok(Diagnosis { report, sand, curves })
+    let conditions = conditions::described(&observations, model);
+    let medium = model.medium().name.clone();
+    let curves = Curves { groups, conditions, medium, plain, extended, band, observations: observations.clone() };
+    Ok(Diagnosis { report, sand, curves, name: "the data".into() })
 }
 
 /// Causes that the data can show, and the others with the reason why not.

@@ -8,8 +8,7 @@ use super::noise::{Noise, Source};
 use super::refined::Refined;
 use super::report::{
     Cause, Gain, LackOfFit, NextExperiment, NoiseSummary, NuisanceValue, Remainder, Report, RunMeans, TermFound, Tried,
-    Untestable, UpperLimit,
-    Written,
+    Untestable, UpperLimit, Written,
 };
 use super::select::Selection;
 use super::study::Study;

@@ -114,7 +114,10 @@ pub fn parse(
     if let Some(format) = other_format(source.fill_buf().map_err(|e| Error::file(path, e))?) {
         let name = path.file_name().map_or_else(Default::default, |n| n.to_string_lossy());
         let how = format!("`python -m sandgait.logs {name} --out {name}.csv`");
-        return Err(Error::file(path, format!("is {format}, not CSV: {how} converts it (pip install 'sandgait[logs]')")));
+        return Err(Error::file(
+            path,
+            format!("is {format}, not CSV: {how} converts it (pip install 'sandgait[logs]')"),
+        ));
     }
     let mut reader = csv::ReaderBuilder::new().comment(Some(b'#')).trim(csv::Trim::Headers).from_reader(&mut source);
     let header = reader.headers().map_err(|e| Error::file(path, format!("row 1: {}", reason(&e))))?;

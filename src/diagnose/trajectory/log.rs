@@ -255,7 +255,10 @@ impl<'a> Gather<'a> {
     /// The log, checked run by run.
     pub fn finish(mut self, path: &Path, sha256: String) -> Result<Log> {
         if self.runs.is_empty() {
-            return Err(Error::file(path, "no row belongs to a run that the experiment file lists: `from` and `to` are values of t [s]"));
+            return Err(Error::file(
+                path,
+                "no row belongs to a run that the experiment file lists: `from` and `to` are values of t [s]",
+            ));
         }
         let there = self.there.unwrap_or_default();
         if !there[0] {
