@@ -1,6 +1,6 @@
 """Writes docs/images/diagnosis.png: the page of the diagnosis that docs/diagnosis.md makes. `make diagnosis-picture`.
 
-    python docs/assets/diagnosis_picture.py SANDGAIT [OUT.png WIDTH HEIGHT]
+python docs/assets/diagnosis_picture.py SANDGAIT [OUT.png WIDTH HEIGHT]
 """
 
 from __future__ import annotations

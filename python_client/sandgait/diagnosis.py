@@ -152,7 +152,7 @@ def _content(data: Any, experiment: FilePath | Mapping[str, Any]) -> tuple[str, 
 
     if hasattr(data, "to_csv"):
         return "data", data.to_csv(index=False).encode()
-    if logs.kind(Path(data)) is None:
+    if logs.kind(data) is None:
         return file(data, "data")
     if not isinstance(experiment, Mapping):
         name, text = file(experiment, "experiment")

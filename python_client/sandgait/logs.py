@@ -34,16 +34,18 @@ READER = str(Path(__file__).with_name("logs_reader.py"))
 SHOWN = 300
 
 
-def kind(path: Path) -> str | None:
-    """The format of a recording: parquet, mcap or bag. None for CSV and for files of other formats."""
-    if (path / "metadata.yaml").is_file():
-        return "bag"
-    if (path / "meta" / "info.json").is_file():
-        return "parquet"
-    if not path.is_file():
+def kind(source: str | PathLike[str]) -> str | None:
+    """The format of a recording: parquet, mcap or bag. None for CSV, other formats, and what cannot be read."""
+    try:
+        path = Path(source)
+        if (path / "metadata.yaml").is_file():
+            return "bag"
+        if (path / "meta" / "info.json").is_file():
+            return "parquet"
+        with path.open("rb") as file:
+            first = file.read(max(map(len, MARKS)))
+    except (OSError, TypeError, ValueError):
         return None
-    with path.open("rb") as file:
-        first = file.read(max(map(len, MARKS)))
     return next((name for mark, name in MARKS.items() if first.startswith(mark)), None)
 
 
@@ -57,6 +59,8 @@ def to_csv(path: str | PathLike[str], topics: Mapping[str, str] | None = None) -
     form = kind(source)
     if form is None:
         raise InvalidRequest(f"{source}: neither Parquet, LeRobot, MCAP nor a bag of ROS 1 or ROS 2")
+    if not isinstance(topics or {}, Mapping):
+        raise InvalidRequest(f"topics: {topics!r} is no table with joints and imu")
     wrong = [name for name in topics or {} if name not in ("joints", "imu")]
     if wrong:
         raise InvalidRequest(f"topics: {wrong[0]!r} is unknown; known: joints, imu")
