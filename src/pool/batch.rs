@@ -14,6 +14,7 @@ pub struct Batch {
     pub(super) shards: Vec<Shard>,
     task: Arc<dyn AnyTask>,
     envs: usize,
+    episode_bytes: usize,
     pub(super) begun: Vec<bool>,
 }
 
@@ -87,7 +88,8 @@ impl Batch {
     /// `envs` environments of `blueprint`, which need a first reset.
     pub(super) fn of(blueprint: &Blueprint, shards: Vec<Shard>) -> Self {
         let envs = shards.iter().map(Shard::envs).sum();
-        Self { shards, task: blueprint.task.clone(), envs, begun: vec![false; envs] }
+        let (task, episode_bytes) = (blueprint.task.clone(), blueprint.episode_bytes());
+        Self { shards, task, envs, episode_bytes, begun: vec![false; envs] }
     }
 
     pub fn envs(&self) -> usize {
@@ -101,6 +103,11 @@ impl Batch {
 
     pub fn spec(&self) -> &Spec {
         self.task.spec()
+    }
+
+    /// Estimated memory of a copy of one environment's episode [bytes].
+    pub fn episode_bytes(&self) -> usize {
+        self.episode_bytes
     }
 
     /// The shards in order of the environments; `rows` of each hold the results of the last operation.

@@ -12,6 +12,7 @@
 //!
 //! The environments are stored here whenever no operation runs on them, so a broken stream loses nothing.
 
+use super::lent::Lent;
 use super::metrics::{Metrics, Usage};
 use super::names::name;
 use super::proto::RunSessionResponse;
@@ -42,10 +43,11 @@ pub struct Limits {
     pub lease: Duration,
     /// Largest request [bytes].
     pub request: usize,
-    /// Requests a second of one peer; None: no limit.
-    pub rate: Option<u32>,
     /// Largest number of watchers of the live page.
     pub watchers: usize,
+    /// Longest time in which a client reads nothing of an answer that takes memory for requests, in addition to its
+    /// transfer at 1 MiB/s.
+    pub stall: Duration,
 }
 
 impl Default for Limits {
@@ -58,8 +60,8 @@ impl Default for Limits {
             memory: MOST_MEMORY,
             lease: Duration::from_secs(300),
             request: 256 << 20,
-            rate: None,
             watchers: 64,
+            stall: Duration::from_secs(60),
         }
     }
 }
@@ -80,29 +82,16 @@ impl Drop for Reservation {
     }
 }
 
-/// The environments of a session, with their share of the limits.
+/// The environments of a session.
 pub struct Environments {
     pub batch: Batch,
+    pub books: Books,
+}
+
+/// What belongs to a session's environments.
+pub struct Books {
     pub done: Done,
-    reservation: Reservation,
-}
-
-/// What is left of [`Environments`] during an operation, while the pool has the batch.
-pub struct Bookkeeping {
-    done: Done,
-    reservation: Reservation,
-}
-
-impl Environments {
-    pub fn into_parts(self) -> (Batch, Bookkeeping) {
-        (self.batch, Bookkeeping { done: self.done, reservation: self.reservation })
-    }
-}
-
-impl Bookkeeping {
-    pub fn with(self, batch: Batch) -> Environments {
-        Environments { batch, done: self.done, reservation: self.reservation }
-    }
+    pub reservation: Reservation,
 }
 
 /// The state of a session's requests.
@@ -144,14 +133,14 @@ impl Making {
 
     /// Makes the remaining environments now; returns all of them.
     fn finish(mut self) -> Result<Environments> {
-        let (building, reservation) = self.0.take().ok_or_else(not_made)?;
-        Ok(Environments { batch: building.finish()?, done: Done::default(), reservation })
+        let (building, reservation) = self.0.take().ok_or_else(failed)?;
+        Ok(Environments { batch: building.finish()?, books: Books { done: Done::default(), reservation } })
     }
 }
 
-/// The error after a panic in the construction.
-fn not_made() -> Error {
-    Error::Internal("the session could not be made".into())
+/// The error after a panic.
+fn failed() -> Error {
+    Error::Internal("the request failed inside the server".into())
 }
 
 /// One session.
@@ -174,12 +163,11 @@ struct Entry {
     stream_end: CancellationToken,
 }
 
-/// A session that no client can reach: before it is added, or after the server has stopped.
+/// A session that no client can reach, because the server has stopped.
 pub struct Session {
     pub id: String,
     pub blueprint: Blueprint,
-    /// None if an operation still has the environments.
-    pub environments: Option<Environments>,
+    pub environments: Environments,
 }
 
 /// A stream's attachment to a session.
@@ -202,10 +190,7 @@ pub struct Summary {
 
 /// Length of a turn of making environments: our choice, short for waiting clients, long against the time between
 /// threads (some 50 µs).
-const TURN: Duration = Duration::from_millis(10);
-
-/// How often a stopping server checks whether its operations have ended.
-const LOOK: Duration = Duration::from_millis(2);
+pub const TURN: Duration = Duration::from_millis(10);
 
 /// All sessions of a server.
 pub struct Sessions {
@@ -274,8 +259,9 @@ impl Sessions {
         Ok((id, blueprint))
     }
 
-    /// Runs on a blocking thread, in turns.
-    async fn turn<T: Send + 'static>(&self, part: impl FnOnce() -> Result<T> + Send + 'static) -> Result<T> {
+    /// Runs `part`, of some milliseconds, on a blocking thread when its turn has come. So there is always a thread for
+    /// short work besides.
+    pub async fn turn<T: Send + 'static>(&self, part: impl FnOnce() -> Result<T> + Send + 'static) -> Result<T> {
         // The semaphore is never closed, so `acquire` cannot fail. The permit goes with the work, which continues
         // even if no caller waits.
         let turn = self.turns.clone().acquire_owned().await;
@@ -283,7 +269,7 @@ impl Sessions {
             let _turn = turn;
             part()
         };
-        tokio::task::spawn_blocking(work).await.unwrap_or_else(|_| Err(not_made()))
+        tokio::task::spawn_blocking(work).await.unwrap_or_else(|_| Err(failed()))
     }
 
     /// Creates environments at once, with their share of the limits. This takes long, so the async runtime's threads
@@ -313,7 +299,7 @@ impl Sessions {
         let entry = Entry {
             blueprint,
             envs: environments.batch.envs(),
-            sequence: environments.done.sequence,
+            sequence: environments.books.done.sequence,
             environments: Some(environments),
             back: Arc::default(),
             stream: 0,
@@ -381,16 +367,17 @@ impl Sessions {
         lock(&self.entries).get(&hold.id).is_some_and(|e| e.stream != hold.stream)
     }
 
-    /// Detaches a stream: the lease begins, unless another stream has the session.
+    /// Detaches a stream: its work ends, and the lease begins, unless another stream has the session.
     pub fn detach(&self, hold: &Hold) {
+        hold.end.cancel();
         if let Some(entry) = lock(&self.entries).get_mut(&hold.id).filter(|e| e.stream == hold.stream) {
             (entry.attached, entry.idle_since) = (false, Instant::now());
         }
     }
 
-    /// The session's environments, when no operation runs on them; [`Self::give_back`] returns them. None if the
-    /// session or the server has ended or another stream has it.
-    pub async fn take(&self, hold: &Hold) -> Option<Environments> {
+    /// The session's environments, when no operation runs on them. None if the session or the server has ended or
+    /// another stream has it.
+    pub async fn take(self: &Arc<Self>, hold: &Hold) -> Option<Lent> {
         loop {
             // Registers before the check, so that a return between the check and the wait is not missed.
             let back = {
@@ -398,7 +385,7 @@ impl Sessions {
                 let running = |e: &&mut Entry| e.stream == hold.stream && !self.stop.is_cancelled();
                 let entry = entries.get_mut(&hold.id).filter(running)?;
                 if let Some(environments) = entry.environments.take() {
-                    return Some(environments);
+                    return Some(Lent::new(self.clone(), hold.id.clone(), environments));
                 }
                 entry.back.clone().notified_owned()
             };
@@ -416,7 +403,7 @@ impl Sessions {
             drop(entries);
             return release(Some(environments));
         };
-        entry.sequence = environments.done.sequence;
+        entry.sequence = environments.books.done.sequence;
         entry.environments = Some(environments);
         // All waiting streams are notified, because one of them may have lost the session meanwhile and would
         // ignore the notification.
@@ -433,14 +420,18 @@ impl Sessions {
         Ok(())
     }
 
-    /// Removes all sessions, each when no operation runs on it, until `deadline`. The server has stopped, so no
-    /// operation begins any more.
-    pub async fn drain(&self, deadline: Instant) -> Vec<Session> {
-        while Instant::now() < deadline && lock(&self.entries).values().any(|e| e.environments.is_none()) {
-            tokio::time::sleep(LOOK).await;
+    /// Ends a session that no stream has.
+    pub fn close_free(&self, id: &str) -> Result<()> {
+        if lock(&self.entries).get(id).is_some_and(|e| e.attached) {
+            return Err(Error::OutOfOrder("another connection has it".into()));
         }
-        let out = |(id, e): (String, Entry)| Session { id, blueprint: e.blueprint, environments: e.environments };
-        lock(&self.entries).drain().map(out).collect()
+        self.close(id)
+    }
+
+    /// Removes the sessions on which no operation runs. The server has stopped, so no operation begins any more.
+    pub fn idle(&self) -> Vec<Session> {
+        let idle = |(id, e): (String, Entry)| Some(Session { id, blueprint: e.blueprint, environments: e.environments? });
+        lock(&self.entries).extract_if(|_, e| e.environments.is_some()).filter_map(idle).collect()
     }
 
     pub fn describe(&self, id: &str) -> Result<Summary> {

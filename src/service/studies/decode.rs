@@ -19,7 +19,7 @@ use crate::sim::walk::Trial;
 use crate::sim::{Model, Robot};
 use crate::sweep::grid::check_grid;
 use crate::sweep::{Axis, Design, Measure, optimize};
-use crate::wire::MOST_TRIALS;
+use crate::price::MOST_TRIALS;
 use crate::{proto, values};
 use std::path::Path;
 
