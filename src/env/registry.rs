@@ -162,10 +162,19 @@ impl Blueprint {
         self.task.rows().into_iter().map(keyword).collect()
     }
 
-    /// Estimated memory of one environment [bytes]: rows twice (final observations), its episode, its robot.
-    pub fn bytes_per_env(&self) -> usize {
-        let spec = self.task.spec();
+    /// Estimated memory of `envs` environments [bytes]: their model, and for each the rows (twice, because of final
+    /// observations), its episode with the one before it, and its robot.
+    pub fn bytes(&self, envs: usize) -> usize {
+        let (spec, model) = (self.task.spec(), self.task.model());
         let rows = 4 * (2 * spec.observation.len() + spec.info.len() + spec.action.len());
-        rows + self.episode_bytes + self.engine.robot_bytes()
+        model.bytes() + envs * (rows + 2 * self.episode_bytes()) + self.engine.bytes(model, envs)
+    }
+
+    /// Estimated memory of a copy of an episode [bytes].
+    pub fn episode_bytes(&self) -> usize {
+        let model = self.task.model();
+        // The models of other engines' episodes are in the measured constant.
+        let drawn = if model.tree.is_some() { model.copy_bytes() } else { 0 };
+        self.episode_bytes / 2 + drawn
     }
 }

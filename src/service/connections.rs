@@ -11,7 +11,6 @@
 
 use super::refusals::{Refusal, Refusals};
 use super::security::Tls;
-use crate::error::{Error, Result};
 use axum::Router;
 use axum::extract::Request;
 use hyper::body::Incoming;
@@ -398,9 +397,14 @@ pub const METRICS: usize = 32;
 pub const BESIDE_WATCHERS: usize = 128;
 
 /// Answers requests for pages with `routes`, on at most `most` connections, until `stop` is cancelled.
-pub async fn pages(listener: TcpListener, routes: Router, most: usize, refusals: Arc<Refusals>, stop: CancellationToken) {
-    let connections =
-        Connections { table: Table::new(most), tls: None, protocol: Protocol::Http1, routes, refusals };
+pub async fn pages(
+    listener: TcpListener,
+    routes: Router,
+    most: usize,
+    refusals: Arc<Refusals>,
+    stop: CancellationToken,
+) {
+    let connections = Connections { table: Table::new(most), tls: None, protocol: Protocol::Http1, routes, refusals };
     connections.serve(Socket::Tcp(listener), stop).await;
 }
 

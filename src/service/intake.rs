@@ -255,14 +255,9 @@ impl Reader {
         let share = self.intake.share(COPIES * length).await.map_err(|e| refused(e.to_string()))?;
         *self.messages.slot() = Some(share);
         self.missing = HEADER + length;
-        self.deadline = Some(Instant::now() + transfer(length));
+        self.deadline = Some(Instant::now() + ARRIVAL + Duration::from_secs((length >> 20) as u64));
         Ok(())
     }
-}
-
-/// Longest time for the transfer of `bytes`.
-pub fn transfer(bytes: usize) -> Duration {
-    ARRIVAL + Duration::from_secs((bytes >> 20) as u64)
 }
 
 /// Length of the message that begins here, if its header is complete.

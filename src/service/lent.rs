@@ -2,7 +2,7 @@
 
 use super::names::name;
 use super::sessions::{Books, Done, Environments, Sessions};
-use crate::error::Error;
+use crate::error::{Error, Result};
 use crate::pool::Batch;
 use std::sync::Arc;
 
@@ -24,8 +24,8 @@ impl Lent {
     }
 
     /// The session's last request.
-    pub fn done(&self) -> Done {
-        self.books.as_ref().map_or_else(Done::default, |books| books.done.clone())
+    pub fn done(&self) -> Option<&Done> {
+        self.books.as_ref().map(|books| &books.done)
     }
 
     /// # Panics
@@ -44,6 +44,24 @@ impl Lent {
 
     pub fn put(&mut self, batch: Batch) {
         self.batch = Some(batch);
+    }
+
+    /// Reserves memory for `made` bytes of models that an operation gives to the environments.
+    pub fn reserve_models(&mut self, made: usize) -> Result<()> {
+        match &mut self.books {
+            Some(books) if made > 0 => books.reservation.set_models(books.reservation.models() + made),
+            _ => Ok(()),
+        }
+    }
+
+    /// Releases the memory of the models that no environment has any more, after [`Self::reserve_models`].
+    pub fn release_models(&mut self, made: usize) {
+        if made > 0
+            && let (Some(books), Some(batch)) = (&mut self.books, &self.batch)
+        {
+            // Less than was reserved, which is always possible.
+            let _ = books.reservation.set_models(batch.model_bytes());
+        }
     }
 
     /// Ends the session, because the environments are lost.
@@ -66,7 +84,8 @@ impl Drop for Lent {
         if self.is_lost() {
             return self.lose(&broken());
         }
-        if let (Some(batch), Some(books)) = (self.batch.take(), self.books.take()) {
+        if let (Some(mut batch), Some(books)) = (self.batch.take(), self.books.take()) {
+            batch.set_account(None);
             self.sessions.give_back(&self.id, Environments { batch, books });
         }
     }

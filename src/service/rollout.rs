@@ -69,9 +69,8 @@ async fn parts(work: &mut Work, roll: &Roll, trajectories: bool, pool: &Arc<Pool
     while let Some(operation) = rolling.next() {
         let (made, is_last, chooses) = (rolling.made(), rolling.is_last(), roll.chooses());
         // Encoded on the thread that made the last step.
-        let encoded = move |batch: &Batch| {
-            Rolling::check(batch).map(|()| encode::rollout(batch, made, is_last, chooses))
-        };
+        let encoded =
+            move |batch: &Batch| Rolling::check(batch).map(|()| encode::rollout(batch, made, is_last, chooses));
         let part = match pooled(work, pool, operation, encoded).await? {
             Ok(part) => part,
             Err(error) => return Ok(Err(error)),

@@ -21,7 +21,7 @@ use super::viewer::watchers::Watchers;
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
 use crate::parallel::processors;
-use crate::pool::{Batch, Building, Seal};
+use crate::pool::{Batch, Building, Seal, check_envs};
 use crate::session::{MOST_ENVIRONMENTS, MOST_MEMORY};
 use serde_json::Value;
 use std::collections::HashMap;
@@ -50,19 +50,23 @@ pub struct Limits {
     pub stall: Duration,
 }
 
-impl Default for Limits {
+impl Limits {
     /// Our choice: room for any training, and half of a 16 GiB machine; requests as large as the steps of the
     /// largest session, and rollouts of some minutes.
+    pub const DEFAULT: Self = Self {
+        sessions: 1024,
+        environments: MOST_ENVIRONMENTS,
+        memory: MOST_MEMORY,
+        lease: Duration::from_secs(300),
+        request: 256 << 20,
+        watchers: 64,
+        stall: Duration::from_secs(60),
+    };
+}
+
+impl Default for Limits {
     fn default() -> Self {
-        Self {
-            sessions: 1024,
-            environments: MOST_ENVIRONMENTS,
-            memory: MOST_MEMORY,
-            lease: Duration::from_secs(300),
-            request: 256 << 20,
-            watchers: 64,
-            stall: Duration::from_secs(60),
-        }
+        Self::DEFAULT
     }
 }
 
@@ -71,6 +75,39 @@ pub struct Reservation {
     usage: Arc<Mutex<Usage>>,
     environments: usize,
     memory: usize,
+    /// The part of `memory` that is for models.
+    models: usize,
+    /// Memory for all sessions [bytes].
+    most: usize,
+}
+
+/// Refuses `field` if it needs more memory than is free.
+fn fits(field: &str, needed: usize, free: usize) -> Result<()> {
+    if needed <= free {
+        return Ok(());
+    }
+    let [needed, free] = [needed, free].map(|bytes| bytes.div_ceil(1 << 20));
+    Err(Error::Exhausted(format!("{field}: needs about {needed} MiB, {free} MiB are left to sessions")))
+}
+
+impl Reservation {
+    /// Reserves `models` bytes for models, in place of those that were reserved for them.
+    pub fn set_models(&mut self, models: usize) -> Result<()> {
+        let mut usage = lock(&self.usage);
+        let others = usage.memory - self.models;
+        // A smaller reservation is always possible.
+        if models > self.models {
+            fits("models", models, self.most.saturating_sub(others))?;
+        }
+        usage.memory = others + models;
+        self.memory = self.memory - self.models + models;
+        self.models = models;
+        Ok(())
+    }
+
+    pub fn models(&self) -> usize {
+        self.models
+    }
 }
 
 impl Drop for Reservation {
@@ -173,7 +210,8 @@ pub struct Session {
 /// A stream's attachment to a session.
 pub struct Hold {
     pub id: String,
-    stream: u64,
+    /// Number of this attachment in its session.
+    pub stream: u64,
     /// When this is cancelled, the stream must end.
     pub end: CancellationToken,
 }
@@ -280,16 +318,8 @@ impl Sessions {
 
     /// Reserves the share of the limits for environments that are not created yet.
     fn begin(&self, blueprint: &Blueprint, envs: usize) -> Result<Making> {
-        if envs == 0 || envs > self.limits.environments {
-            let range = format!("{envs} is outside [1, {}]", self.limits.environments);
-            let error = if envs == 0 {
-                Error::invalid("num_envs", range)
-            } else {
-                Error::Exhausted(format!("num_envs: {range}"))
-            };
-            return Err(error);
-        }
-        let reservation = self.reserve(envs, envs * blueprint.bytes_per_env())?;
+        check_envs(envs, self.limits.environments)?;
+        let reservation = self.reserve(envs, blueprint)?;
         Ok(Making(Some((Building::new(blueprint, envs)?, reservation))))
     }
 
@@ -321,22 +351,18 @@ impl Sessions {
         Ok(())
     }
 
-    fn reserve(&self, environments: usize, memory: usize) -> Result<Reservation> {
+    fn reserve(&self, environments: usize, blueprint: &Blueprint) -> Result<Reservation> {
+        let (memory, models) = (blueprint.bytes(environments), blueprint.task.model().bytes());
         let mut usage = lock(&self.usage);
         if usage.sessions >= self.limits.sessions {
             return Err(Error::Exhausted(format!("all {} sessions of this server are taken", self.limits.sessions)));
         }
-        let free = self.limits.of_environments().saturating_sub(usage.memory);
-        if memory > free {
-            let [needed, free] = [memory, free].map(|bytes| bytes.div_ceil(1 << 20));
-            return Err(Error::Exhausted(format!(
-                "num_envs: needs about {needed} MiB, {free} MiB are left to sessions"
-            )));
-        }
+        let most = self.limits.of_environments();
+        fits("num_envs", memory, most.saturating_sub(usage.memory))?;
         usage.sessions += 1;
         usage.environments += environments;
         usage.memory += memory;
-        Ok(Reservation { usage: self.usage.clone(), environments, memory })
+        Ok(Reservation { usage: self.usage.clone(), environments, memory, models, most })
     }
 
     /// Attaches a new stream to the session, in place of its present one.
@@ -430,7 +456,8 @@ impl Sessions {
 
     /// Removes the sessions on which no operation runs. The server has stopped, so no operation begins any more.
     pub fn idle(&self) -> Vec<Session> {
-        let idle = |(id, e): (String, Entry)| Some(Session { id, blueprint: e.blueprint, environments: e.environments? });
+        let idle =
+            |(id, e): (String, Entry)| Some(Session { id, blueprint: e.blueprint, environments: e.environments? });
         lock(&self.entries).extract_if(|_, e| e.environments.is_some()).filter_map(idle).collect()
     }
 

@@ -11,7 +11,7 @@
 
 use super::connections::Link;
 use super::frame::Frame;
-use super::intake::{Intake, Messages, Share, transfer};
+use super::intake::{Intake, Messages, Share};
 use super::lent::Lent;
 use super::proto::run_session_request::Request;
 use super::proto::run_session_response::Response;
@@ -24,6 +24,8 @@ use crate::pool::Pool;
 use futures_util::{Stream, stream};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio::task::AbortHandle;
 use tonic::{Status, Streaming};
@@ -113,7 +115,7 @@ impl Run {
     /// HTTP/2 asks for the next answer when the client has read most of this one.
     fn watch_reader(&self) -> Option<StallWatch> {
         let (link, share) = (self.call.link.clone()?, self.share.as_ref()?);
-        let time = self.sessions.limits().stall + transfer(share.bytes());
+        let time = self.sessions.limits().stall + Duration::from_secs((share.bytes() >> 20) as u64);
         let late = async move {
             tokio::time::sleep(time).await;
             tracing::warn!(peer = link.name(), "a connection was closed: its client does not read a large answer");
@@ -175,17 +177,18 @@ impl Run {
         }
         let end = hold.end.clone();
         let Some(mut lent) = self.sessions.take(hold).await else { return Err(self.ended()) };
-        let done = lent.done();
         if matches!(request.request, Some(Request::Attach(_))) {
-            return at_once(Response::Attached(Attached { last_sequence: done.sequence }));
+            let last_sequence = lent.done().map_or(0, |done| done.sequence);
+            return at_once(Response::Attached(Attached { last_sequence }));
         }
-        if let Some(answer) = repeated(&done, sequence) {
+        if let Some(answer) = lent.done().and_then(|done| repeated(done, sequence)) {
             return Ok(Some(answer));
         }
         self.call.messages.let_pass(decode::largest_step(lent.batch()));
         let priced = request.request.as_ref().map_or(Ok(0), |request| price::of_request(request, lent.batch()));
+        let grows = decode::weight(&request) == Weight::Long;
         let (lent, share) = match priced {
-            Ok(0) => (lent, Ok(None)),
+            Ok(0) if !grows => (lent, Ok(None)),
             Ok(bytes) => self.paid(lent, bytes).await?,
             Err(error) => (lent, Err(error)),
         };
@@ -292,6 +295,7 @@ fn repeated(done: &Done, sequence: u64) -> Option<RunSessionResponse> {
 /// Checks a request and starts its operation.
 fn carry_out(mut work: Work, request: Option<Request>, pool: &Arc<Pool>) {
     let seal = work.lent.sessions.seal.clone();
+    let made = work.count_memory();
     let operation = match request {
         Some(Request::Save(_)) => {
             let saved = work.batch().save().and_then(|s| s.to_bytes(&seal));
@@ -306,7 +310,7 @@ fn carry_out(mut work: Work, request: Option<Request>, pool: &Arc<Pool>) {
         request => decode::operation(work.batch(), request, &seal),
     };
     match operation {
-        Ok(operation) => work.run(operation, pool),
+        Ok(operation) => work.run(operation, made.load(Ordering::Relaxed), pool),
         Err(error) => work.refuse(&error),
     }
 }

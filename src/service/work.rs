@@ -10,6 +10,7 @@ use super::status;
 use crate::error::{Error, Result};
 use crate::pool::{Batch, Operation, Pool};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
@@ -50,8 +51,26 @@ impl Work {
         RunSessionResponse { sequence: self.sequence, response: Some(response) }
     }
 
-    /// Runs `operation` and answers with its batch.
-    pub fn run(mut self, operation: Operation, pool: &Pool) {
+    /// From now on the memory of models and snapshots that the batch makes is taken from the request's share. The
+    /// returned number is their sum.
+    pub fn count_memory(&mut self) -> Arc<AtomicUsize> {
+        let made = Arc::<AtomicUsize>::default();
+        if let Some(share) = self.share.clone() {
+            let made = made.clone();
+            self.batch().set_account(Some(Arc::new(move |bytes| {
+                made.fetch_add(bytes, Ordering::Relaxed);
+                share.grow(bytes)
+            })));
+        }
+        made
+    }
+
+    /// Runs `operation` and answers with its batch. `made`: memory of the models that the operation gives to the
+    /// environments [bytes].
+    pub fn run(mut self, operation: Operation, made: usize, pool: &Pool) {
+        if let Err(error) = self.lent.reserve_models(made) {
+            return self.refuse(&error);
+        }
         let batch = self.lent.take();
         let ran = self.lent.sessions.metrics.begin(&operation, batch.envs());
         pool.run(batch, operation, move |batch| match batch {
@@ -60,6 +79,7 @@ impl Work {
                 ran(&batch);
                 self.lent.sessions.watchers.saw(&self.lent.id, &batch);
                 self.lent.put(batch);
+                self.lent.release_models(made);
                 self.finish(response, true);
             }
             Err(error) => self.lose(&error),
@@ -98,3 +118,77 @@ impl Work {
     }
 }
 
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::env::registry::Blueprint;
+    use crate::pool::Seal;
+    use crate::sessions::{Limits, Sessions};
+    use serde_json::Value;
+    use tokio_util::sync::CancellationToken;
+    use tonic::Code;
+
+    /// A session's environments in an operation, and the channel of its answers.
+    fn lent(sessions: &Arc<Sessions>) -> (Work, mpsc::Receiver<RunSessionResponse>) {
+        let blueprint = Blueprint::new("sandgait/HexapodGait-v1", Value::Null).unwrap();
+        let environments = sessions.build(&blueprint, 2).unwrap();
+        let (answers, receiver) = mpsc::channel(2);
+        sessions.add("one".into(), blueprint.clone(), sessions.build(&blueprint, 1).unwrap()).unwrap();
+        let lent = Lent::new(sessions.clone(), "one".into(), environments);
+        (Work { sequence: 7, lent, answers, end: CancellationToken::new(), share: None }, receiver)
+    }
+
+    fn sessions() -> Arc<Sessions> {
+        Sessions::new(Limits::default(), Seal::default(), CancellationToken::new())
+    }
+
+    fn check(sessions: &Sessions, mut answers: mpsc::Receiver<RunSessionResponse>) {
+        let RunSessionResponse { sequence, response } = answers.blocking_recv().unwrap();
+        let Some(Response::Failure(failure)) = response else { panic!("{response:?}") };
+        assert_eq!((sequence, failure.code), (7, i32::from(Code::Internal)));
+        assert!(failure.message.ends_with("please report this as a bug"), "{}", failure.message);
+        assert!(answers.blocking_recv().is_none());
+        assert!(sessions.list().is_empty(), "the session has ended");
+    }
+
+    /// In the pool: the worker that runs the last shard encodes the answer.
+    #[test]
+    fn a_panic_while_an_answer_is_made_is_answered() {
+        let (sessions, pool) = (sessions(), Pool::new(1));
+        for _ in 0..2 {
+            let (mut work, answers) = lent(&sessions);
+            let operation = work.batch().reset(None, None, Default::default()).unwrap();
+            let batch = work.lent.take();
+            pool.run(batch, operation, move |batch| {
+                work.lent.put(batch.unwrap());
+                panic!("on purpose");
+            });
+            check(&sessions, answers);
+        }
+        assert_eq!(sessions.usage().sessions, 0);
+    }
+
+    /// In a task of the runtime, for example a rollout.
+    #[test]
+    fn a_panic_between_the_parts_of_a_rollout_is_answered() {
+        let sessions = sessions();
+        let (work, answers) = lent(&sessions);
+        let runtime = tokio::runtime::Runtime::new().unwrap();
+        let task = runtime.spawn(async move {
+            let _work = work;
+            tokio::task::yield_now().await;
+            panic!("on purpose");
+        });
+        assert!(runtime.block_on(task).unwrap_err().is_panic());
+        check(&sessions, answers);
+    }
+
+    #[test]
+    fn a_session_whose_environments_are_back_goes_on() {
+        let sessions = sessions();
+        let (work, mut answers) = lent(&sessions);
+        work.refuse(&Error::invalid("x", "y"));
+        assert!(matches!(answers.blocking_recv().unwrap().response, Some(Response::Failure(_))));
+        assert_eq!(sessions.list().len(), 1);
+    }
+}

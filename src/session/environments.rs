@@ -12,7 +12,7 @@ use super::roll::{self, Rolled};
 use super::{MOST_ENVIRONMENTS, MOST_MEMORY};
 use crate::env::registry::Blueprint;
 use crate::error::{Error, Result};
-use crate::pool::{Batch, Building, Operation, Pool, Roll};
+use crate::pool::{Batch, Building, Operation, Pool, Roll, check_envs};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -95,14 +95,7 @@ impl Shared {
 impl Environments {
     /// `envs` environments of `blueprint`, which need a first reset; `stopped` ends the work.
     pub fn new(blueprint: &Blueprint, envs: usize, stopped: impl Fn() -> bool) -> Result<Self> {
-        if !(1..=MOST_ENVIRONMENTS).contains(&envs) {
-            let range = format!("{envs} is outside [1, {MOST_ENVIRONMENTS}]");
-            return Err(match envs {
-                0 => Error::invalid("num_envs", range),
-                _ => Error::Exhausted(format!("num_envs: {range}")),
-            });
-        }
-        let bytes = envs * blueprint.bytes_per_env();
+        let bytes = blueprint.bytes(check_envs(envs, MOST_ENVIRONMENTS)?);
         if bytes > MOST_MEMORY {
             let [needed, most] = [bytes, MOST_MEMORY].map(|bytes| bytes >> 20);
             return Err(Error::Exhausted(format!("num_envs: needs about {needed} MiB, more than {most} MiB")));

@@ -186,7 +186,8 @@ impl Local {
     /// Is an answer pending, or still kept from the last request?
     #[getter]
     fn owes(&self) -> bool {
-        self.environments.owes()
+        // In a forked child another thread of the parent may hold the lock for ever.
+        std::process::id() == self.process && self.environments.owes()
     }
 
     /// All environments as data.

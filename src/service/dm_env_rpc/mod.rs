@@ -30,7 +30,7 @@ pub mod proto {
 }
 
 use super::frame::Frame;
-use super::intake::Door;
+use super::intake::Messages;
 use super::sessions::Sessions;
 use crate::pool::Pool;
 use futures_util::Stream;
@@ -60,8 +60,8 @@ impl Environment for DmEnvRpc {
         &self,
         request: Request<Streaming<Frame<EnvironmentRequest>>>,
     ) -> Result<Response<Self::ProcessStream>, Status> {
-        let (door, link) = (Door::of(&request), request.extensions().get().cloned());
-        let answers = connection::run(request.into_inner(), door, link, self.worlds.clone());
+        let messages = Messages::of(&request);
+        let answers = connection::run(request.into_inner(), messages, self.worlds.clone());
         Ok(Response::new(Box::pin(answers)))
     }
 }

@@ -5,7 +5,7 @@ use super::settings::{Changes, Plan};
 use super::tensors::{self, View};
 use crate::env::AnyTask;
 use crate::error::{Error, Result};
-use crate::loan::{Loan, broken};
+use crate::lent::broken;
 use crate::pool::{Batch, Operation, Pool};
 use crate::sessions::{Hold, Sessions};
 use crate::status::SESSION;
@@ -25,7 +25,14 @@ pub struct Worlds {
     pub sessions: Arc<Sessions>,
     pool: Arc<Pool>,
     /// Joined worlds, by name.
-    joined: Mutex<HashMap<String, Option<Interrupt>>>,
+    joined: Mutex<HashMap<String, Joined>>,
+}
+
+/// A world that a connection has joined.
+struct Joined {
+    /// The connection's attachment to the session.
+    stream: u64,
+    interrupt: Option<Interrupt>,
 }
 
 /// A connection's place in a world; dropping it leaves the world.
@@ -39,8 +46,11 @@ impl Drop for Place {
     fn drop(&mut self) {
         let mut joined = self.worlds.lock();
         self.worlds.sessions.detach(&self.hold);
-        // This drops the sender of a waiting ResetWorld, which then finds the world free.
-        joined.remove(&self.hold.id);
+        // Another connection has joined the world meanwhile if a stream of sandgait.v1 took it from this one.
+        if joined.get(&self.hold.id).is_some_and(|j| j.stream == self.hold.stream) {
+            // This drops the sender of a waiting ResetWorld, which then finds the world free.
+            joined.remove(&self.hold.id);
+        }
     }
 }
 
@@ -102,7 +112,7 @@ impl Worlds {
     }
 
     /// Each change under this lock is a single operation on the map, so the map is consistent even after a panic.
-    fn lock(&self) -> MutexGuard<'_, HashMap<String, Option<Interrupt>>> {
+    fn lock(&self) -> MutexGuard<'_, HashMap<String, Joined>> {
         self.joined.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -122,14 +132,14 @@ impl Worlds {
         self.enter(&mut joined, name)
     }
 
-    fn enter(self: &Arc<Self>, joined: &mut HashMap<String, Option<Interrupt>>, name: &str) -> Result<Place> {
+    fn enter(self: &Arc<Self>, joined: &mut HashMap<String, Joined>, name: &str) -> Result<Place> {
         let summary = self.sessions.describe(name).map_err(|e| of_world(e, name))?;
         if summary.envs != 1 {
             let reason = format!("{name:?} is a session of {} environments, a world has one", summary.envs);
             return Err(Error::invalid("world_name", reason));
         }
         let hold = self.sessions.attach_free(name).map_err(|e| of_world(e, name))?;
-        joined.insert(name.into(), None);
+        joined.insert(name.into(), Joined { stream: hold.stream, interrupt: None });
         Ok(Place { hold, worlds: self.clone(), task: summary.blueprint.task })
     }
 
@@ -152,10 +162,13 @@ impl Worlds {
         let mut joined = self.lock();
         match joined.get_mut(name) {
             None => self.enter(&mut joined, name).map(Entry::Free),
-            Some(Some(_)) => Err(Error::OutOfOrder(format!("world_name: another reset_world of {name:?} is waiting"))),
-            Some(slot) => {
+            Some(Joined { interrupt: Some(waiting), .. }) if !waiting.done.is_closed() => {
+                Err(Error::OutOfOrder(format!("world_name: another reset_world of {name:?} is waiting")))
+            }
+            // A ResetWorld whose client has left makes room.
+            Some(Joined { interrupt, .. }) => {
                 let (done, told) = oneshot::channel();
-                *slot = Some(Interrupt { changes: changes.clone(), done });
+                *interrupt = Some(Interrupt { changes: changes.clone(), done });
                 Ok(Entry::Waiting(told))
             }
         }
@@ -163,13 +176,10 @@ impl Worlds {
 
     /// Ends a world that no connection has joined.
     pub fn destroy(&self, name: &str) -> Result<()> {
-        let joined = self.lock();
-        if joined.contains_key(name) {
-            return Err(Error::OutOfOrder(format!(
-                "world_name: a connection has joined {name:?}; it must leave first"
-            )));
-        }
-        self.sessions.close(name).map_err(|e| of_world(e, name))
+        self.sessions.close_free(name).map_err(|e| match of_world(e, name) {
+            Error::OutOfOrder(joined) => Error::OutOfOrder(format!("{joined}; it must leave first")),
+            other => other,
+        })
     }
 }
 
@@ -184,7 +194,7 @@ impl Place {
 
     /// A ResetWorld of another connection that waits for this one, if any.
     pub fn interrupt(&self) -> Option<Interrupt> {
-        self.worlds.lock().get_mut(self.name()).and_then(Option::take)
+        self.worlds.lock().get_mut(self.name()).and_then(|joined| joined.interrupt.take())
     }
 
     /// The first observation of the present episode, which has no steps yet.
@@ -206,36 +216,35 @@ impl Place {
     /// waits for the answer any more.
     async fn run(&self, request: WorldRequest) -> Result<View> {
         let gone = || Error::Cancelled(format!("world_name: {:?} was closed or taken by another stream", self.name()));
-        let mut environments = self.worlds.sessions.take(&self.hold).await.ok_or_else(gone)?;
+        let mut lent = self.worlds.sessions.take(&self.hold).await.ok_or_else(gone)?;
         let (sender, answer) = oneshot::channel();
         let pool = self.worlds.pool.clone();
-        // If it is dropped before the environments are back, which happens in a panic, it ends the session.
-        let mut loan = Loan::new(self.worlds.sessions.clone(), self.hold.id.clone());
         let (light, view) = (request.is_light(), request.view());
         let begin = move || {
             // The receiver may be gone, so the results of `send` are ignored.
-            let operation = match request.operation(&mut environments.batch) {
+            let operation = match request.operation(lent.batch()) {
                 Ok(Some(operation)) => operation,
                 unmoved => {
-                    let seen = unmoved.map(|_| view(&environments.batch));
-                    loan.give_back(environments);
+                    let seen = unmoved.map(|_| view(lent.batch()));
+                    drop(lent);
                     let _ = sender.send(seen);
                     return;
                 }
             };
-            let (batch, rest) = environments.into_parts();
-            let ran = loan.sessions.metrics.begin(&operation, batch.envs());
+            let batch = lent.take();
+            let ran = lent.sessions.metrics.begin(&operation, batch.envs());
             pool.run(batch, operation, move |done| {
                 let seen = done.map(|batch| {
                     let seen = view(&batch);
                     ran(&batch);
-                    loan.sessions.watchers.saw(&loan.id, &batch);
-                    loan.give_back(rest.with(batch));
+                    lent.sessions.watchers.saw(&lent.id, &batch);
+                    lent.put(batch);
                     seen
                 });
                 if let Err(error) = &seen {
-                    loan.lose(error);
+                    lent.lose(error);
                 }
+                drop(lent);
                 let _ = sender.send(seen);
             });
         };

@@ -10,11 +10,11 @@ mod encode;
 mod line;
 
 use super::frame::Frame;
+use super::off_runtime;
 use super::proto::study_service_server::StudyService;
 use super::proto::{self, DiagnoseRequest, DiagnoseResponse, IntrudeRequest, IntrudeResponse};
 use super::proto::{EvaluateRequest, EvaluateResponse, SweepRequest, SweepResponse, WalkRequest, WalkResponse};
 use super::proto::{TrialsRequest, TrialsResponse};
-use super::off_runtime;
 use line::{Answer, Line};
 use tokio_stream::wrappers::ReceiverStream;
 use tokio_util::sync::CancellationToken;
