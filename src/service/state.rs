@@ -246,3 +246,55 @@ fn adopt(saved: Saved, sessions: &Sessions, pool: &Pool) -> Result<String> {
     sessions.add(id, blueprint, environments)?;
     Ok(name)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sessions::Limits;
+    use tokio_util::sync::CancellationToken;
+
+    /// A disk that needs 5 ms a sync.
+    fn slow(file: &File) -> std::io::Result<()> {
+        std::thread::sleep(Duration::from_millis(5));
+        file.sync_all()
+    }
+
+    /// The largest number of sessions, on a slow disk, and beside blocking work that fills all threads of the runtime.
+    /// One after the other their syncs would take 5 s.
+    #[tokio::test]
+    async fn the_default_number_of_sessions_is_saved_in_time() {
+        let directory = tempfile::tempdir().unwrap();
+        let sessions = Sessions::new(Limits::default(), Seal::default(), CancellationToken::new());
+        let (blueprint, pool) = (Blueprint::new("sandgait/HexapodGait-v1", Value::Null).unwrap(), Pool::new(0));
+        for k in 0..Limits::DEFAULT.sessions {
+            let mut environments = sessions.build(&blueprint, 64).unwrap();
+            let reset = environments.batch.reset(None, None, Default::default()).unwrap();
+            environments.batch = pool.wait(environments.batch, reset).unwrap();
+            sessions.add(k.to_string(), blueprint.clone(), environments).unwrap();
+        }
+        let mut state = StateDir::new(directory.path()).unwrap();
+        state.sync = slow;
+        let begun = Instant::now();
+        state.save(&sessions, begun + Duration::from_secs(4)).await.unwrap();
+        println!("{} sessions of 64 environments were saved in {:.2?}", Limits::DEFAULT.sessions, begun.elapsed());
+        let files = fs::read_dir(directory.path()).unwrap().count();
+        assert_eq!(files, Limits::DEFAULT.sessions + 1, "and the lock");
+    }
+
+    /// A session that an operation has beyond the deadline is named.
+    #[tokio::test]
+    async fn sessions_that_are_not_saved_are_named() {
+        let directory = tempfile::tempdir().unwrap();
+        let sessions = Sessions::new(Limits::default(), Seal::default(), CancellationToken::new());
+        let blueprint = Blueprint::new("sandgait/HexapodGait-v1", Value::Null).unwrap();
+        for id in ["idle", "busy"] {
+            sessions.add(id.into(), blueprint.clone(), sessions.build(&blueprint, 1).unwrap()).unwrap();
+        }
+        let hold = sessions.attach("busy").unwrap();
+        let _lent = sessions.take(&hold).await.unwrap();
+        let state = StateDir::new(directory.path()).unwrap();
+        let error = state.save(&sessions, Instant::now() + Duration::from_millis(300)).await.unwrap_err();
+        assert_eq!(error.to_string(), format!("1 sessions were not saved: {}", name("busy")));
+        assert!(directory.path().join(format!("{}.{ENDING}", name("idle"))).exists());
+    }
+}

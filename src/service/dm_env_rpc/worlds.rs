@@ -259,3 +259,54 @@ impl Place {
         answer.await.unwrap_or_else(|_| Err(if stop.is_cancelled() { gone() } else { broken() }))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::env::registry::TASK_IDS;
+    use crate::sessions::Limits;
+    use serde_json::Value;
+    use tokio_util::sync::CancellationToken;
+
+    async fn world() -> (Arc<Worlds>, String) {
+        let sessions = Sessions::new(Limits::default(), Default::default(), CancellationToken::new());
+        let worlds = Worlds::new(sessions, Arc::new(Pool::new(1)));
+        let name = worlds.create(Plan { task: TASK_IDS[0].into(), options: Value::Null, seed: Some(1) }).await.unwrap();
+        (worlds, name)
+    }
+
+    /// A stream of `sandgait.v1` takes the world from the first connection, and leaves it. The second connection joins
+    /// it, and then the first one notices and leaves. In an earlier version the world could now be destroyed.
+    #[tokio::test]
+    async fn a_world_in_use_is_not_destroyed() {
+        let (worlds, name) = world().await;
+        let first = worlds.join(&name).unwrap();
+        let stream = worlds.sessions.attach(&name).unwrap();
+        let refused = worlds.destroy(&name).unwrap_err().to_string();
+        assert!(refused.contains("another connection has joined"), "{refused}");
+        worlds.sessions.detach(&stream);
+        let second = worlds.join(&name).unwrap();
+        drop(first);
+        assert!(matches!(worlds.destroy(&name), Err(Error::OutOfOrder(_))));
+        second.begin().await.unwrap();
+        drop(second);
+        worlds.destroy(&name).unwrap();
+    }
+
+    /// A connection waits for its ResetWorld of a world that another has joined, and leaves. In an earlier version every
+    /// later ResetWorld was refused.
+    #[tokio::test]
+    async fn an_abandoned_reset_makes_room() {
+        let (worlds, name) = world().await;
+        let place = worlds.join(&name).unwrap();
+        let reset = || worlds.reset(&name, Changes { seed: Some(2), ..Default::default() });
+        let wait = std::time::Duration::from_millis(20);
+        assert!(tokio::time::timeout(wait, reset()).await.is_err(), "nobody steps");
+        let (later, _) = tokio::join!(reset(), async {
+            tokio::time::sleep(wait).await;
+            let Interrupt { changes, done } = place.interrupt().unwrap();
+            let _ = done.send(place.reset(changes).await.map(drop));
+        });
+        later.unwrap();
+    }
+}
