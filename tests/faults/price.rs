@@ -36,16 +36,18 @@ const PPO: &[u8] = include_bytes!("../data/policy_ppo.onnx");
 const KINDS: usize = 8;
 
 /// The most expensive request of a kind that the limits accept; None: it needs a snapshot first.
-fn dearest(kind: usize, session: &Session, snapshot: &Option<bytes::Bytes>, random: &mut Xoshiro256PlusPlus) -> Request {
+fn dearest(
+    kind: usize,
+    session: &Session,
+    snapshot: &Option<bytes::Bytes>,
+    random: &mut Xoshiro256PlusPlus,
+) -> Request {
     let envs = session.envs;
     let row: Vec<u8> = wave(0..envs, 0).iter().flat_map(|a| a.to_le_bytes()).collect();
     // All pictures together may have 2.7 million pixels, 6 bytes each, in the memory for requests.
-    let render = |count: usize, side| Request::Render(Render {
-        indices: vec![0; count],
-        width: side,
-        height: side,
-        ended: false,
-    });
+    let render = |count: usize, side| {
+        Request::Render(Render { indices: vec![0; count], width: side, height: side, ended: false })
+    };
     match kind {
         0 => render(4096, 25),
         1 => render(1, 1600),
@@ -64,13 +66,18 @@ fn dearest(kind: usize, session: &Session, snapshot: &Option<bytes::Bytes>, rand
     }
 }
 
+async fn connect(address: &str) -> Client {
+    let endpoint = Endpoint::from_shared(format!("http://{address}")).unwrap();
+    crate::harness::client(endpoint.connect().await.unwrap(), Bearer::default())
+}
+
 /// Makes requests of all kinds in a session of `envs` environments, and sometimes leaves without the answer.
-async fn use_session(connect: impl AsyncFn() -> Client, seed: u64, envs: u32, stop: &AtomicBool, done: &AtomicUsize) {
+async fn use_session(address: &str, seed: u64, envs: u32, stop: &AtomicBool, done: &AtomicUsize) {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
     let mut first = seed as usize;
     while !stop.load(Ordering::Relaxed) {
         // The memory of the other sessions may be in use.
-        let Ok(mut session) = Session::create(connect().await, envs, &[]).await else { continue };
+        let Ok(mut session) = Session::create(connect(address).await, envs, &[]).await else { continue };
         session.reset(seed).await;
         let mut snapshot = None;
         for k in 0..KINDS {
@@ -122,10 +129,9 @@ async fn use_studies(channel: Channel, stop: &AtomicBool) {
 async fn the_dearest_requests_keep_within_memory_and_delay_nobody() {
     let _alone = ALONE.lock().await;
     let server = Process::start(&["--listen", "127.0.0.1:0", "--max-memory-mib", "64"]);
-    let connect = async || server.client().await;
     let mut sessions = Vec::new();
     for _ in 0..2 {
-        let mut session = Session::create(connect().await, 8, &[]).await.unwrap();
+        let mut session = Session::create(server.client().await, 8, &[]).await.unwrap();
         session.reset(1).await;
         sessions.push(session);
     }
@@ -143,11 +149,7 @@ async fn the_dearest_requests_keep_within_memory_and_delay_nobody() {
     for seed in 0..6 {
         let (stop, done, address) = (stop.clone(), done.clone(), address.clone());
         clients.push(tokio::spawn(async move {
-            let connect = async || {
-                let endpoint = Endpoint::from_shared(format!("http://{address}")).unwrap();
-                crate::harness::client(endpoint.connect().await.unwrap(), Bearer::default())
-            };
-            use_session(connect, seed, 600, &stop, &done).await;
+            use_session(&address, seed, 600, &stop, &done).await;
         }));
     }
     let channel = Endpoint::from_shared(format!("http://{address}")).unwrap().connect().await.unwrap();
@@ -163,7 +165,7 @@ async fn the_dearest_requests_keep_within_memory_and_delay_nobody() {
     }
     let begun = Instant::now();
     let other = CreateSessionRequest { num_envs: 1, ..create(1, &[]) };
-    let created = Session::create_by(connect().await, other).await;
+    let created = Session::create_by(server.client().await, other).await;
     let created = (created.is_ok(), begun.elapsed());
     stop.store(true, Ordering::Relaxed);
     for client in clients {

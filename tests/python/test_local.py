@@ -164,7 +164,7 @@ def test_threads_that_share_an_environment_wait_for_each_other() -> None:
 def in_child(env: sandgait.SandgaitVectorEnv, answers: multiprocessing.Queue[Any]) -> None:
     calls = (env.recv, lambda: env.step(action(3_000, 0)), env.reset)
     answers.put([str(type(error_of(call))) for call in calls])
-    answers.put(env._door.owes)
+    answers.put(env._session.owes)
     with sandgait_env(33) as own:
         answers.put(own.step(action(33, 1))[0].tobytes())
 
