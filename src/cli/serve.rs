@@ -167,7 +167,7 @@ impl Serve {
         setup.threads = self.threads.into();
         setup.limits = self.limits();
         setup.connected = self.peers.connected();
-        setup.dm_env_rpc = self.dm_env_rpc;
+        setup.others = self.dm_env_rpc.then(dm_env_rpc).transpose()?;
         setup.state = self.state_dir.as_deref().map(StateDir::new).transpose()?;
         let Security { token_file, tls_key, snapshot_key, .. } = &self.security;
         let secrets = [token_file, tls_key, snapshot_key, &self.state_dir];
@@ -221,6 +221,16 @@ impl Serve {
         }
         service::serve(listener, setup, stop).await
     }
+}
+
+#[cfg(feature = "dm-env-rpc")]
+fn dm_env_rpc() -> Result<service::AddServices> {
+    Ok(sandgait_dm_env_rpc::service())
+}
+
+#[cfg(not(feature = "dm-env-rpc"))]
+fn dm_env_rpc() -> Result<service::AddServices> {
+    Err(Error::invalid("--dm-env-rpc", "this sandgait was built without the feature dm-env-rpc"))
 }
 
 impl Security {

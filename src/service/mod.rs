@@ -11,7 +11,6 @@
 //!   environments that it works on; [`rollout`]: the request of many steps.
 //! * [`view`]: requests for pictures and moments; [`viewer`]: the page that follows sessions.
 //! * [`studies`]: the offline tools, one at a time.
-//! * [`dm_env_rpc`]: the same environments for DeepMind's protocol.
 //! * [`price`]: what each call may cost; [`intake`]: the memory of requests; [`frame`]: requests that are not unpacked.
 //! * [`decode`], [`encode`], [`values`]: messages from and to the crate's types.
 //! * [`status`]: the map from errors to gRPC codes.
@@ -30,14 +29,13 @@ use sandgait_sweep as sweep;
 pub mod address;
 mod connections;
 mod decode;
-pub mod dm_env_rpc;
 mod encode;
-mod frame;
+pub mod frame;
 #[cfg(test)]
 mod fuzz;
 mod gate;
-mod intake;
-mod lent;
+pub mod intake;
+pub mod lent;
 mod metrics;
 mod names;
 mod price;
@@ -45,12 +43,12 @@ mod refusals;
 mod rollout;
 mod security;
 pub mod server;
-mod sessions;
+pub mod sessions;
 mod state;
-mod status;
+pub mod status;
 mod stream;
 pub mod studies;
-mod values;
+pub mod values;
 mod view;
 mod viewer;
 mod work;
@@ -68,7 +66,7 @@ pub use crate::pool::Seal;
 pub use address::{Address, Listener, bind_tcp};
 pub use encode::task;
 pub use security::{Tls, Token, warn_if_shared};
-pub use server::{Connected, Setup, serve};
+pub use server::{AddServices, Connected, Setup, serve};
 pub use sessions::Limits;
 pub use state::StateDir;
 pub use values::{from_json, number};

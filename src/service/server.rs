@@ -6,8 +6,6 @@
 
 use super::address::Listener;
 use super::connections::{self, Connections, Protocol, Socket, Table};
-use super::dm_env_rpc::DmEnvRpc;
-use super::dm_env_rpc::proto::environment_server::EnvironmentServer as DmEnvRpcServer;
 use super::gate::{self, Gate};
 use super::intake::{self, Intake};
 use super::metrics;
@@ -76,13 +74,16 @@ pub struct Setup {
     pub viewer: Option<TcpListener>,
     /// Directory in which sessions are saved while no server runs.
     pub state: Option<StateDir>,
-    /// Also serve dm_env_rpc.
-    pub dm_env_rpc: bool,
+    /// Adds services of other crates.
+    pub others: Option<AddServices>,
 }
+
+/// Adds services that share the sessions and the threads of a server.
+pub type AddServices = Box<dyn FnOnce(&mut Services, &Arc<Sessions>, &Arc<Pool>) + Send>;
 
 /// Serves until `stop` is cancelled, then lets every stream finish its present operation.
 pub async fn serve(listener: Listener, setup: Setup, stop: CancellationToken) -> Result<()> {
-    let Setup { threads, limits, connected, tls, token, seal, metrics, viewer, state, dm_env_rpc } = setup;
+    let Setup { threads, limits, connected, tls, token, seal, metrics, viewer, state, others: add_others } = setup;
     // File descriptors for the pages.
     let watched = limits.watchers + connections::BESIDE_WATCHERS;
     let others = [(metrics.is_some(), connections::METRICS), (viewer.is_some(), watched)];
@@ -103,8 +104,8 @@ pub async fn serve(listener: Listener, setup: Setup, stop: CancellationToken) ->
     }
     let health = HealthReporter::new();
     let mut services = Services { routes: Routes::builder(), names: vec![""] };
-    if dm_env_rpc {
-        services.add(DmEnvRpcServer::new(DmEnvRpc::new(sessions.clone(), pool.clone())));
+    if let Some(add) = add_others {
+        add(&mut services, &sessions, &pool);
     }
     let intake = Intake::new(sessions.limits());
     let window = intake.window();
@@ -132,13 +133,14 @@ pub async fn serve(listener: Listener, setup: Setup, stop: CancellationToken) ->
 }
 
 /// Services and their names.
-struct Services {
+pub struct Services {
     routes: RoutesBuilder,
     names: Vec<&'static str>,
 }
 
 impl Services {
-    fn add<S>(&mut self, service: S) -> &mut Self
+    /// Adds a service, which then has health and a token, too.
+    pub fn add<S>(&mut self, service: S) -> &mut Self
     where
         S: NamedService + Clone + Send + Sync + 'static,
         S: tower_service::Service<axum::http::Request<Body>, Error = std::convert::Infallible>,
