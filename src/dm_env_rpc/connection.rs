@@ -13,7 +13,7 @@ use super::proto::google::rpc;
 use super::proto::{self, EnvironmentRequest, EnvironmentResponse, EnvironmentStateType, StepRequest, StepResponse};
 use super::settings::{self, Changes, Settings};
 use super::tensors::{self, View};
-use super::worlds::{Interrupt, Place, Worlds};
+use super::worlds::{Interrupt, JoinedWorld, Worlds};
 use crate::error::{Error, Result};
 use crate::frame::Frame;
 use crate::intake::Messages;
@@ -43,7 +43,7 @@ struct Connection {
 
 /// The world that this connection has joined.
 struct Agent {
-    place: Place,
+    place: JoinedWorld,
     /// The last result of the episode; None while it is not running.
     last: Option<View>,
 }

@@ -5,7 +5,7 @@ use super::settings::{Changes, Plan};
 use super::tensors::{self, View};
 use crate::env::AnyTask;
 use crate::error::{Error, Result};
-use crate::lent::broken;
+use crate::guard::broken;
 use crate::pool::{Batch, Operation, Pool};
 use crate::sessions::{Hold, Sessions};
 use crate::status::SESSION;
@@ -36,13 +36,13 @@ struct Joined {
 }
 
 /// A connection's place in a world; dropping it leaves the world.
-pub struct Place {
+pub struct JoinedWorld {
     hold: Hold,
     worlds: Arc<Worlds>,
     pub task: Arc<dyn AnyTask>,
 }
 
-impl Drop for Place {
+impl Drop for JoinedWorld {
     fn drop(&mut self) {
         let mut joined = self.worlds.lock();
         self.worlds.sessions.detach(&self.hold);
@@ -57,7 +57,7 @@ impl Drop for Place {
 /// How ResetWorld reaches a world.
 enum Entry {
     /// No connection had joined it.
-    Free(Place),
+    Free(JoinedWorld),
     /// The connection that has joined it answers here at its next step.
     Waiting(oneshot::Receiver<Result<()>>),
 }
@@ -127,12 +127,12 @@ impl Worlds {
     }
 
     /// Joins a world that no connection has joined.
-    pub fn join(self: &Arc<Self>, name: &str) -> Result<Place> {
+    pub fn join(self: &Arc<Self>, name: &str) -> Result<JoinedWorld> {
         let mut joined = self.lock();
         self.enter(&mut joined, name)
     }
 
-    fn enter(self: &Arc<Self>, joined: &mut HashMap<String, Joined>, name: &str) -> Result<Place> {
+    fn enter(self: &Arc<Self>, joined: &mut HashMap<String, Joined>, name: &str) -> Result<JoinedWorld> {
         let summary = self.sessions.describe(name).map_err(|e| of_world(e, name))?;
         if summary.envs != 1 {
             let reason = format!("{name:?} is a session of {} environments, a world has one", summary.envs);
@@ -140,7 +140,7 @@ impl Worlds {
         }
         let hold = self.sessions.attach_free(name).map_err(|e| of_world(e, name))?;
         joined.insert(name.into(), Joined { stream: hold.stream, interrupt: None });
-        Ok(Place { hold, worlds: self.clone(), task: summary.blueprint.task })
+        Ok(JoinedWorld { hold, worlds: self.clone(), task: summary.blueprint.task })
     }
 
     /// Begins another episode in a world. If a connection has joined it, waits until that connection has been
@@ -183,7 +183,7 @@ impl Worlds {
     }
 }
 
-impl Place {
+impl JoinedWorld {
     pub fn name(&self) -> &str {
         &self.hold.id
     }
@@ -216,35 +216,35 @@ impl Place {
     /// waits for the answer any more.
     async fn run(&self, request: WorldRequest) -> Result<View> {
         let gone = || Error::Cancelled(format!("world_name: {:?} was closed or taken by another stream", self.name()));
-        let mut lent = self.worlds.sessions.take(&self.hold).await.ok_or_else(gone)?;
+        let mut guard = self.worlds.sessions.take(&self.hold).await.ok_or_else(gone)?;
         let (sender, answer) = oneshot::channel();
         let pool = self.worlds.pool.clone();
         let (light, view) = (request.is_light(), request.view());
         let begin = move || {
             // The receiver may be gone, so the results of `send` are ignored.
-            let operation = match request.operation(lent.batch()) {
+            let operation = match request.operation(guard.batch()) {
                 Ok(Some(operation)) => operation,
                 unmoved => {
-                    let seen = unmoved.map(|_| view(lent.batch()));
-                    drop(lent);
+                    let seen = unmoved.map(|_| view(guard.batch()));
+                    drop(guard);
                     let _ = sender.send(seen);
                     return;
                 }
             };
-            let batch = lent.take();
-            let ran = lent.sessions.metrics.begin(&operation, batch.envs());
+            let batch = guard.take();
+            let ran = guard.sessions.metrics.begin(&operation, batch.envs());
             pool.run(batch, operation, move |done| {
                 let seen = done.map(|batch| {
                     let seen = view(&batch);
                     ran(&batch);
-                    lent.sessions.watchers.saw(&lent.id, &batch);
-                    lent.put(batch);
+                    guard.sessions.watchers.saw(&guard.id, &batch);
+                    guard.put(batch);
                     seen
                 });
                 if let Err(error) = &seen {
-                    lent.lose(error);
+                    guard.lose(error);
                 }
-                drop(lent);
+                drop(guard);
                 let _ = sender.send(seen);
             });
         };

@@ -2,7 +2,7 @@
 //! are restored.
 
 use super::encode;
-use super::lent::broken;
+use super::guard::broken;
 use super::proto::run_session_response::Response;
 use super::proto::{self, RolloutPart};
 use super::work::Work;
@@ -63,7 +63,7 @@ async fn run(mut work: Work, roll: Roll, back: Operation, trajectories: bool, po
 /// Makes all steps; the results after the last one. The outer error means that the environments are lost.
 async fn parts(work: &mut Work, roll: &Roll, trajectories: bool, pool: &Arc<Pool>) -> Result<Result<RolloutPart>> {
     let begun = Instant::now();
-    let sessions = work.lent.sessions.clone();
+    let sessions = work.guard.sessions.clone();
     let mut rolling = Rolling::new(roll);
     let stopped = || Ok(Err(Error::Cancelled("nobody waits for the rollout any more".into())));
     while let Some(operation) = rolling.next() {
@@ -103,11 +103,11 @@ async fn pooled<T: Send + 'static>(
     then: impl FnOnce(&Batch) -> T + Send + 'static,
 ) -> Result<T> {
     let (sender, receiver) = oneshot::channel();
-    pool.run(work.lent.take(), operation, |batch| {
+    pool.run(work.guard.take(), operation, |batch| {
         // The receiver below waits until it has the batch.
         let _ = sender.send(batch.map(|batch| (then(&batch), batch)));
     });
     let (read, batch) = receiver.await.unwrap_or_else(|_| Err(broken()))?;
-    work.lent.put(batch);
+    work.guard.put(batch);
     Ok(read)
 }

@@ -12,7 +12,7 @@
 //!
 //! The environments are stored here whenever no operation runs on them, so a broken stream loses nothing.
 
-use super::lent::Lent;
+use super::guard::SessionGuard;
 use super::metrics::{Metrics, Usage};
 use super::names::name;
 use super::proto::RunSessionResponse;
@@ -403,7 +403,7 @@ impl Sessions {
 
     /// The session's environments, when no operation runs on them. None if the session or the server has ended or
     /// another stream has it.
-    pub async fn take(self: &Arc<Self>, hold: &Hold) -> Option<Lent> {
+    pub async fn take(self: &Arc<Self>, hold: &Hold) -> Option<SessionGuard> {
         loop {
             // Registers before the check, so that a return between the check and the wait is not missed.
             let back = {
@@ -411,7 +411,7 @@ impl Sessions {
                 let running = |e: &&mut Entry| e.stream == hold.stream && !self.stop.is_cancelled();
                 let entry = entries.get_mut(&hold.id).filter(running)?;
                 if let Some(environments) = entry.environments.take() {
-                    return Some(Lent::new(self.clone(), hold.id.clone(), environments));
+                    return Some(SessionGuard::new(self.clone(), hold.id.clone(), environments));
                 }
                 entry.back.clone().notified_owned()
             };

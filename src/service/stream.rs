@@ -11,8 +11,8 @@
 
 use super::connections::Link;
 use super::frame::Frame;
+use super::guard::SessionGuard;
 use super::intake::{Intake, Messages, Share};
-use super::lent::Lent;
 use super::proto::run_session_request::Request;
 use super::proto::run_session_response::Response;
 use super::proto::{Attached, RunSessionRequest, RunSessionResponse, Snapshot};
@@ -64,7 +64,7 @@ struct Run {
     sessions: Arc<Sessions>,
     pool: Arc<Pool>,
     /// None until the first message has named the session.
-    attached: Option<Guard>,
+    attached: Option<Attachment>,
     /// Receives the present request's answers.
     answers: Option<mpsc::Receiver<RunSessionResponse>>,
     /// Memory of the present request and its answer. It is released at the next request, when the answer has been
@@ -84,12 +84,12 @@ impl Drop for StallWatch {
 }
 
 /// Detaches from the session when the stream ends.
-struct Guard {
+struct Attachment {
     hold: Hold,
     sessions: Arc<Sessions>,
 }
 
-impl Drop for Guard {
+impl Drop for Attachment {
     fn drop(&mut self) {
         self.sessions.detach(&self.hold);
     }
@@ -142,7 +142,7 @@ impl Run {
 
     /// The reason why the stream has no session any more.
     fn ended(&self) -> Status {
-        let taken = |a: &Guard| self.sessions.was_taken(&a.hold);
+        let taken = |a: &Attachment| self.sessions.was_taken(&a.hold);
         if self.sessions.stop().is_cancelled() {
             Status::unavailable("the server is shutting down")
         } else if self.attached.as_ref().is_some_and(taken) {
@@ -159,7 +159,7 @@ impl Run {
             return Err(status::status(&Error::invalid("session_id", reason)));
         }
         let hold = self.sessions.attach(session_id).map_err(|e| status::status(&e))?;
-        self.attached = Some(Guard { hold, sessions: self.sessions.clone() });
+        self.attached = Some(Attachment { hold, sessions: self.sessions.clone() });
         Ok(())
     }
 
@@ -168,7 +168,7 @@ impl Run {
         if self.attached.is_none() {
             self.attach(&request.session_id)?;
         }
-        let Some(Guard { hold, .. }) = &self.attached else { return Err(self.ended()) };
+        let Some(Attachment { hold, .. }) = &self.attached else { return Err(self.ended()) };
         let sequence = request.sequence;
         let at_once = |response| Ok(Some(RunSessionResponse { sequence, response: Some(response) }));
         if !request.session_id.is_empty() && request.session_id != hold.id {
@@ -176,24 +176,24 @@ impl Run {
             return at_once(Response::Failure(status::failure(&Error::invalid("session_id", reason))));
         }
         let end = hold.end.clone();
-        let Some(mut lent) = self.sessions.take(hold).await else { return Err(self.ended()) };
+        let Some(mut guard) = self.sessions.take(hold).await else { return Err(self.ended()) };
         if matches!(request.request, Some(Request::Attach(_))) {
-            let last_sequence = lent.done().map_or(0, |done| done.sequence);
+            let last_sequence = guard.done().map_or(0, |done| done.sequence);
             return at_once(Response::Attached(Attached { last_sequence }));
         }
-        if let Some(answer) = lent.done().and_then(|done| repeated(done, sequence)) {
+        if let Some(answer) = guard.done().and_then(|done| repeated(done, sequence)) {
             return Ok(Some(answer));
         }
-        self.call.messages.let_pass(decode::largest_step(lent.batch()));
-        let priced = request.request.as_ref().map_or(Ok(0), |request| price::of_request(request, lent.batch()));
+        self.call.messages.let_pass(decode::largest_step(guard.batch()));
+        let priced = request.request.as_ref().map_or(Ok(0), |request| price::of_request(request, guard.batch()));
         let grows = decode::weight(&request) == Weight::Long;
-        let (lent, share) = match priced {
-            Ok(0) if !grows => (lent, Ok(None)),
-            Ok(bytes) => self.paid(lent, bytes).await?,
-            Err(error) => (lent, Err(error)),
+        let (guard, share) = match priced {
+            Ok(0) if !grows => (guard, Ok(None)),
+            Ok(bytes) => self.paid(guard, bytes).await?,
+            Err(error) => (guard, Err(error)),
         };
         let (answers, receiver) = mpsc::channel(2);
-        let mut work = Work { sequence, lent, answers, end, share: self.share.clone() };
+        let mut work = Work { sequence, guard, answers, end, share: self.share.clone() };
         self.answers = Some(receiver);
         match share {
             Err(error) => {
@@ -211,20 +211,24 @@ impl Run {
     }
 
     /// A share of `bytes` besides that of the message. Waits for it without the environments.
-    async fn paid(&self, lent: Lent, bytes: usize) -> Result<(Lent, Checked<Option<Arc<Share>>>), Status> {
+    async fn paid(
+        &self,
+        guard: SessionGuard,
+        bytes: usize,
+    ) -> Result<(SessionGuard, Checked<Option<Arc<Share>>>), Status> {
         let intake = &self.call.intake;
         if let Some(message) = &self.share
             && message.grow(bytes).is_ok()
         {
-            return Ok((lent, Ok(Some(message.clone()))));
+            return Ok((guard, Ok(Some(message.clone()))));
         }
         if self.share.is_none()
             && let Some(share) = intake.try_share(bytes)
         {
-            return Ok((lent, Ok(Some(Arc::new(share)))));
+            return Ok((guard, Ok(Some(Arc::new(share)))));
         }
-        drop(lent);
-        let Some(Guard { hold, .. }) = &self.attached else { return Err(self.ended()) };
+        drop(guard);
+        let Some(Attachment { hold, .. }) = &self.attached else { return Err(self.ended()) };
         let own = self.share.as_ref().map_or(0, |share| share.bytes());
         let share = match self.share.is_none() {
             true => hold.end.run_until_cancelled(intake.share(bytes)).await.ok_or_else(|| self.ended())?,
@@ -234,8 +238,8 @@ impl Run {
                 (own + bytes).div_ceil(1 << 20)
             ))),
         };
-        let Some(lent) = self.sessions.take(hold).await else { return Err(self.ended()) };
-        Ok((lent, share.map(|share| Some(Arc::new(share)))))
+        let Some(guard) = self.sessions.take(hold).await else { return Err(self.ended()) };
+        Ok((guard, share.map(|share| Some(Arc::new(share)))))
     }
 
     /// Starts the work on the thread that suits it. Long work waits for its turn without a thread.
@@ -252,7 +256,7 @@ impl Run {
             Weight::Short => drop(tokio::task::spawn_blocking(begin)),
             Weight::Long => {
                 let sessions = self.sessions.clone();
-                let Some(Guard { hold, .. }) = &self.attached else { return };
+                let Some(Attachment { hold, .. }) = &self.attached else { return };
                 let end = hold.end.clone();
                 tokio::spawn(async move {
                     let turn = sessions.turn(|| {
@@ -294,7 +298,7 @@ fn repeated(done: &Done, sequence: u64) -> Option<RunSessionResponse> {
 
 /// Checks a request and starts its operation.
 fn carry_out(mut work: Work, request: Option<Request>, pool: &Arc<Pool>) {
-    let seal = work.lent.sessions.seal.clone();
+    let seal = work.guard.sessions.seal.clone();
     let made = work.count_memory();
     let operation = match request {
         Some(Request::Save(_)) => {

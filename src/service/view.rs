@@ -11,7 +11,7 @@ use std::time::Instant;
 
 /// Draws the pictures in turns with other work, until nobody waits for them any more.
 pub async fn render(mut work: Work, request: Render) {
-    let (sessions, end) = (work.lent.sessions.clone(), work.end.clone());
+    let (sessions, end) = (work.guard.sessions.clone(), work.end.clone());
     let Render { indices, width, height, ended } = request;
     let mut pixels = Vec::with_capacity(3 * indices.len() * width as usize * height as usize); // checked by `price`
     let mut left = indices.into_iter();

@@ -1,8 +1,8 @@
 //! The work of one request: the session's environments, and the obligation to answer.
 
 use super::encode;
+use super::guard::{SessionGuard, broken};
 use super::intake::Share;
-use super::lent::{Lent, broken};
 use super::proto::RunSessionResponse;
 use super::proto::run_session_response::Response;
 use super::sessions::Done;
@@ -18,7 +18,7 @@ use tokio_util::sync::CancellationToken;
 /// with INTERNAL and ends the session.
 pub struct Work {
     pub sequence: u64,
-    pub lent: Lent,
+    pub guard: SessionGuard,
     pub answers: mpsc::Sender<RunSessionResponse>,
     /// Cancelled when nobody waits for the answer any more: the client has left, another stream has taken the session,
     /// or the session or the server ends.
@@ -29,7 +29,7 @@ pub struct Work {
 
 impl Drop for Work {
     fn drop(&mut self) {
-        if self.lent.is_lost() {
+        if self.guard.is_lost() {
             self.lose(&broken());
         }
     }
@@ -37,14 +37,14 @@ impl Drop for Work {
 
 impl Work {
     pub fn batch(&mut self) -> &mut Batch {
-        self.lent.batch()
+        self.guard.batch()
     }
 
     /// The environments are lost: answers and ends the session.
     pub fn lose(&mut self, error: &Error) {
         // A stream that does not read loses its session without this answer.
         let _ = self.answers.try_send(self.response(Response::Failure(status::failure(error))));
-        self.lent.lose(error);
+        self.guard.lose(error);
     }
 
     pub fn response(&self, response: Response) -> RunSessionResponse {
@@ -68,18 +68,18 @@ impl Work {
     /// Runs `operation` and answers with its batch. `made`: memory of the models that the operation gives to the
     /// environments [bytes].
     pub fn run(mut self, operation: Operation, made: usize, pool: &Pool) {
-        if let Err(error) = self.lent.reserve_models(made) {
+        if let Err(error) = self.guard.reserve_models(made) {
             return self.refuse(&error);
         }
-        let batch = self.lent.take();
-        let ran = self.lent.sessions.metrics.begin(&operation, batch.envs());
+        let batch = self.guard.take();
+        let ran = self.guard.sessions.metrics.begin(&operation, batch.envs());
         pool.run(batch, operation, move |batch| match batch {
             Ok(batch) => {
                 let response = Response::Batch(encode::batch(&batch));
                 ran(&batch);
-                self.lent.sessions.watchers.saw(&self.lent.id, &batch);
-                self.lent.put(batch);
-                self.lent.release_models(made);
+                self.guard.sessions.watchers.saw(&self.guard.id, &batch);
+                self.guard.put(batch);
+                self.guard.release_models(made);
                 self.finish(response, true);
             }
             Err(error) => self.lose(&error),
@@ -112,7 +112,7 @@ impl Work {
 
     /// Notes that the request is answered.
     pub fn settle(&mut self, answer: Option<RunSessionResponse>) {
-        if let Some(books) = self.lent.books.as_mut().filter(|_| self.sequence > 0) {
+        if let Some(books) = self.guard.books.as_mut().filter(|_| self.sequence > 0) {
             books.done = Done { sequence: self.sequence, answer };
         }
     }
@@ -129,13 +129,13 @@ mod tests {
     use tonic::Code;
 
     /// A session's environments in an operation, and the channel of its answers.
-    fn lent(sessions: &Arc<Sessions>) -> (Work, mpsc::Receiver<RunSessionResponse>) {
+    fn guard(sessions: &Arc<Sessions>) -> (Work, mpsc::Receiver<RunSessionResponse>) {
         let blueprint = Blueprint::new("sandgait/HexapodGait-v1", Value::Null).unwrap();
         let environments = sessions.build(&blueprint, 2).unwrap();
         let (answers, receiver) = mpsc::channel(2);
         sessions.add("one".into(), blueprint.clone(), sessions.build(&blueprint, 1).unwrap()).unwrap();
-        let lent = Lent::new(sessions.clone(), "one".into(), environments);
-        (Work { sequence: 7, lent, answers, end: CancellationToken::new(), share: None }, receiver)
+        let guard = SessionGuard::new(sessions.clone(), "one".into(), environments);
+        (Work { sequence: 7, guard, answers, end: CancellationToken::new(), share: None }, receiver)
     }
 
     fn sessions() -> Arc<Sessions> {
@@ -156,11 +156,11 @@ mod tests {
     fn a_panic_while_an_answer_is_made_is_answered() {
         let (sessions, pool) = (sessions(), Pool::new(1));
         for _ in 0..2 {
-            let (mut work, answers) = lent(&sessions);
+            let (mut work, answers) = guard(&sessions);
             let operation = work.batch().reset(None, None, Default::default()).unwrap();
-            let batch = work.lent.take();
+            let batch = work.guard.take();
             pool.run(batch, operation, move |batch| {
-                work.lent.put(batch.unwrap());
+                work.guard.put(batch.unwrap());
                 panic!("on purpose");
             });
             check(&sessions, answers);
@@ -172,7 +172,7 @@ mod tests {
     #[test]
     fn a_panic_between_the_parts_of_a_rollout_is_answered() {
         let sessions = sessions();
-        let (work, answers) = lent(&sessions);
+        let (work, answers) = guard(&sessions);
         let runtime = tokio::runtime::Runtime::new().unwrap();
         let task = runtime.spawn(async move {
             let _work = work;
@@ -186,7 +186,7 @@ mod tests {
     #[test]
     fn a_session_whose_environments_are_back_goes_on() {
         let sessions = sessions();
-        let (work, mut answers) = lent(&sessions);
+        let (work, mut answers) = guard(&sessions);
         work.refuse(&Error::invalid("x", "y"));
         assert!(matches!(answers.blocking_recv().unwrap().response, Some(Response::Failure(_))));
         assert_eq!(sessions.list().len(), 1);

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 /// A session's environments, out for one request. Dropping this returns them, unless the pool has lost them or the
 /// thread panics; then the session ends, because its clients would otherwise wait for ever.
-pub struct Lent {
+pub struct SessionGuard {
     pub sessions: Arc<Sessions>,
     pub id: String,
     /// None while the pool has it.
@@ -17,7 +17,7 @@ pub struct Lent {
     pub books: Option<Books>,
 }
 
-impl Lent {
+impl SessionGuard {
     pub fn new(sessions: Arc<Sessions>, id: String, environments: Environments) -> Self {
         let Environments { batch, books } = environments;
         Self { sessions, id, batch: Some(batch), books: Some(books) }
@@ -79,7 +79,7 @@ impl Lent {
     }
 }
 
-impl Drop for Lent {
+impl Drop for SessionGuard {
     fn drop(&mut self) {
         if self.is_lost() {
             return self.lose(&broken());
