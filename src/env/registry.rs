@@ -163,18 +163,13 @@ impl Blueprint {
     }
 
     /// Estimated memory of `envs` environments [bytes]: their model, and for each the rows (twice, because of final
-    /// observations), its episode with the one before it, and its robot.
+    /// observations), its robot, its episode, the one before it, and the copy that a rollout or restore makes.
     pub fn bytes(&self, envs: usize) -> usize {
         let (spec, model) = (self.task.spec(), self.task.model());
         let rows = 4 * (2 * spec.observation.len() + spec.info.len() + spec.action.len());
-        model.bytes() + envs * (rows + 2 * self.episode_bytes()) + self.engine.bytes(model, envs)
-    }
-
-    /// Estimated memory of a copy of an episode [bytes].
-    pub fn episode_bytes(&self) -> usize {
-        let model = self.task.model();
-        // The models of other engines' episodes are in the measured constant.
+        // The models of other engines' episodes are in the measured constant, which is for two episodes.
         let drawn = if model.tree.is_some() { model.copy_bytes() } else { 0 };
-        self.episode_bytes / 2 + drawn
+        let episode = self.episode_bytes / 2 + drawn;
+        model.bytes() + envs * (rows + 3 * episode) + self.engine.bytes(model, envs)
     }
 }

@@ -30,7 +30,6 @@ pub struct Batch {
     pub(super) shards: Vec<Shard>,
     task: Arc<dyn AnyTask>,
     envs: usize,
-    episode_bytes: usize,
     account: Option<Account>,
     pub(super) begun: Vec<bool>,
 }
@@ -105,8 +104,7 @@ impl Batch {
     /// `envs` environments of `blueprint`, which need a first reset.
     pub(super) fn of(blueprint: &Blueprint, shards: Vec<Shard>) -> Self {
         let envs = shards.iter().map(Shard::envs).sum();
-        let (task, episode_bytes) = (blueprint.task.clone(), blueprint.episode_bytes());
-        Self { shards, task, envs, episode_bytes, account: None, begun: vec![false; envs] }
+        Self { shards, task: blueprint.task.clone(), envs, account: None, begun: vec![false; envs] }
     }
 
     pub fn envs(&self) -> usize {
@@ -120,11 +118,6 @@ impl Batch {
 
     pub fn spec(&self) -> &Spec {
         self.task.spec()
-    }
-
-    /// Estimated memory of a copy of one environment's episode [bytes].
-    pub fn episode_bytes(&self) -> usize {
-        self.episode_bytes
     }
 
     /// From now on `account` is asked for the memory of models and snapshots; None: nobody is.

@@ -14,7 +14,6 @@
 use super::proto;
 use super::proto::run_session_request::Request;
 use crate::error::{Error, Result};
-use crate::pool::Batch;
 use crate::session::view;
 
 /// The bounds of a call's messages.
@@ -65,22 +64,17 @@ pub fn of_call(path: &str) -> &'static Call {
 ///
 /// # Errors
 /// The request asks for more than any request may.
-pub fn of_request(request: &Request, batch: &Batch) -> Result<usize> {
+pub fn of_request(request: &Request) -> Result<usize> {
     Ok(match request {
         Request::Attach(_) | Request::Step(_) | Request::Reset(_) | Request::Save(_) => 0,
-        // The largest header contains meshes and heights.
-        Request::Observe(_) => 0,
-        // Each environment's episode is kept or made a second time.
-        Request::Restore(_) | Request::Rollout(_) => batch.envs() * batch.episode_bytes(),
-        // Weights as constants, and the steps of the network.
-        Request::PolicyRollout(network) => batch.envs() * batch.episode_bytes() + NETWORK * network.onnx.len(),
+        // The copy of each episode that these make is in the session's reservation. A header has meshes and heights.
+        Request::Restore(_) | Request::Rollout(_) | Request::Observe(_) => 0,
+        // Weights, and their arrangement in lanes.
+        Request::PolicyRollout(network) => 2 * network.onnx.len(),
         // The pixels, and a second copy in the message.
         Request::Render(render) => 2 * 3 * pixels(render)?,
     })
 }
-
-/// Memory of a network as a multiple of its file: the file's own parts, weights, and their arrangement in lanes.
-const NETWORK: usize = 4;
 
 /// Largest number of pictures of one request: our choice, 64 × 64 of them. Each takes some 0.2 ms or more, however few
 /// pixels it has.

@@ -1,9 +1,9 @@
 //! A session of this process. Its environments are stored here, except while a thread works on them.
 //!
 //! ```text
-//!  take ──▶ EnvironmentsGuard ──┬── run ──▶ pool ──▶ back, with an answer
-//!                  ├── answer ──▶ back, with this answer
-//!                  └── dropped ──▶ back as it was; in a panic: lost
+//!  take ──▶ guard ──┬── run ──▶ pool ──▶ back, with an answer
+//!                   ├── answer ──▶ back, with this answer
+//!                   └── dropped ──▶ back as it was; in a panic: lost
 //! ```
 //!
 //! A caller can stop waiting for an answer and take it later; it is kept until the next request.
@@ -60,7 +60,7 @@ pub struct Environments {
     shared: Arc<Shared>,
 }
 
-/// The environments, on guard to a thread that works on them.
+/// The environments, while a thread works on them.
 pub struct EnvironmentsGuard {
     /// None after the environments were passed on.
     batch: Option<Batch>,
@@ -154,7 +154,7 @@ impl Environments {
 
 impl EnvironmentsGuard {
     /// # Panics
-    /// Never: functions that pass the environments on consume the guard.
+    /// Never: functions that pass the environments on consume it.
     pub fn batch(&mut self) -> &mut Batch {
         self.batch.as_mut().expect("a guard has its environments until it ends")
     }
@@ -164,14 +164,14 @@ impl EnvironmentsGuard {
         self.shared.lock().answer.take()
     }
 
-    /// Ends the guard with this answer.
+    /// Returns the environments with this answer.
     pub fn end(mut self, answer: Option<Answer>) {
         if let Some(batch) = self.batch.take() {
             self.shared.put(BatchState::Idle(batch), answer);
         }
     }
 
-    /// Ends the guard: the environments are lost.
+    /// The environments are lost.
     fn lose(mut self, error: Error) {
         self.batch = None;
         self.shared.put(BatchState::Lost(error), None);

@@ -77,7 +77,10 @@ async fn use_session(address: &str, seed: u64, envs: u32, stop: &AtomicBool, don
     let mut first = seed as usize;
     while !stop.load(Ordering::Relaxed) {
         // The memory of the other sessions may be in use.
-        let Ok(mut session) = Session::create(connect(address).await, envs, &[]).await else { continue };
+        let Ok(mut session) = Session::create(connect(address).await, envs, &[]).await else {
+            tokio::time::sleep(Duration::from_millis(50)).await;
+            continue;
+        };
         session.reset(seed).await;
         let mut snapshot = None;
         for k in 0..KINDS {
