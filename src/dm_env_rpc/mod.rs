@@ -11,7 +11,7 @@
 use sandgait_base::error;
 use sandgait_env as env;
 use sandgait_pool as pool;
-use sandgait_service::{frame, guard, intake, sessions, status, values};
+use sandgait_service::{frame, intake, sessions, status, values};
 
 mod connection;
 mod settings;

@@ -1,7 +1,6 @@
 //! From messages to checked operations. Every request passes through here first.
 
 use super::proto::{self, run_session_request::Request};
-use super::stream::Weight;
 use super::values;
 use crate::env::ResetOptions;
 use crate::error::{Error, Result};
@@ -41,6 +40,17 @@ pub fn operation(batch: &mut Batch, request: Option<Request>, seal: &Seal) -> Re
 /// Size of messages that are checked on the thread that received them: 16 KiB of actions (more than 600 hexapods)
 /// take microseconds.
 const LIGHT: usize = 16 << 10;
+
+/// How long a request keeps the thread that checks it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Weight {
+    /// Some microseconds: the thread that received it.
+    Light,
+    /// Some milliseconds: a blocking thread.
+    Short,
+    /// Longer: a blocking thread, in turns.
+    Long,
+}
 
 /// Where this request is checked. Models are built from reset options.
 pub fn weight(request: &proto::RunSessionRequest) -> Weight {

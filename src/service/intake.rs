@@ -7,7 +7,7 @@
 //! Small messages pass. Large messages of all calls together may take [`Intake::room`]. While one waits, HTTP/2's
 //! flow control stops its sender. A request holds its [`Share`] until it has released its memory.
 
-use super::price::{self, Call, LONGEST_OPTIONS, MessageLayout, SMALL};
+use super::price::{self, COPIES, Call, LONGEST_OPTIONS, MessageLayout, SMALL};
 use super::sessions::Limits;
 use crate::error::{Error, Result};
 use axum::body::{Body, BodyDataStream};
@@ -34,9 +34,6 @@ const WAIT: Duration = Duration::from_secs(30);
 /// Our choice, because a slow or busy client may pause for some seconds.
 const ARRIVAL: Duration = Duration::from_secs(10);
 
-/// Memory of a message with its unpacked parts, as a multiple of the message's size: actions are copied once.
-const COPIES: usize = 2;
-
 /// Bytes before a message: a flag and its length.
 const HEADER: usize = 5;
 
@@ -47,7 +44,7 @@ pub struct Intake {
     shares: Arc<Semaphore>,
     /// [bytes]
     room: usize,
-    /// Largest message [bytes].
+    /// Largest message of any call [bytes].
     largest: usize,
 }
 
@@ -171,7 +168,7 @@ pub async fn pass(State(intake): State<Arc<Intake>>, mut call: Request, next: Ne
     let messages = Messages::new(bounds);
     call.extensions_mut().insert(messages.clone());
     let metered = |body: Body| {
-        let limit = bounds.largest.min(intake.largest);
+        let limit = bounds.largest.min(intake.largest).min(intake.room / bounds.copies);
         let (body, first) = (body.into_data_stream(), Some(Instant::now() + ARRIVAL));
         let reader = Reader { body, arrived: Bytes::new(), missing: 0, deadline: first, messages, intake, limit };
         Body::from_stream(stream::try_unfold(reader, Reader::next))
@@ -252,7 +249,8 @@ impl Reader {
         if self.messages.slot().is_some() {
             return Err(Status::invalid_argument("message: this call takes only one message"));
         }
-        let share = self.intake.share(COPIES * length).await.map_err(|e| refused(e.to_string()))?;
+        let share =
+            self.intake.share(self.messages.0.call.copies * length).await.map_err(|e| refused(e.to_string()))?;
         *self.messages.slot() = Some(share);
         self.missing = HEADER + length;
         self.deadline = Some(Instant::now() + ARRIVAL + Duration::from_secs((length >> 20) as u64));

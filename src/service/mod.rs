@@ -7,8 +7,7 @@
 //! * [`security`]: TLS and the token; [`gate`]: the layer around all calls.
 //! * [`metrics`]: counters, as a page.
 //! * [`sessions`]: the environments of clients, and the limits; [`state`]: sessions that outlive their server.
-//! * [`stream`]: one RunSession stream, request by request; [`work`]: the work of one request, [`guard`]: the
-//!   environments that it works on; [`rollout`]: the request of many steps.
+//! * [`stream`]: one RunSession stream, request by request; [`work`]: the work of one request; [`rollout`]: the request of many steps.
 //! * [`view`]: requests for pictures and moments; [`viewer`]: the page that follows sessions.
 //! * [`studies`]: the offline tools, one at a time.
 //! * [`price`]: what each call may cost; [`intake`]: the memory of requests; [`frame`]: requests that are not unpacked.
@@ -34,7 +33,6 @@ pub mod frame;
 #[cfg(test)]
 mod fuzz;
 mod gate;
-pub mod guard;
 pub mod intake;
 mod metrics;
 mod names;

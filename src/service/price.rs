@@ -21,12 +21,21 @@ pub struct Call {
     method: &'static str,
     /// Largest message [bytes].
     pub largest: usize,
+    /// Memory of a message and of what is made from it, as a multiple of its size.
+    pub copies: usize,
     pub layout: MessageLayout,
 }
 
 const fn call(method: &'static str, largest: usize, layout: MessageLayout) -> Call {
-    Call { method, largest, layout }
+    Call { method, largest, copies: COPIES, layout }
 }
+
+/// Memory of a message with its unpacked parts, as a multiple of its size: actions are copied once.
+pub const COPIES: usize = 2;
+
+/// Memory of a study of trials as a multiple of its message. A row of 32 bytes is unpacked to 32, becomes a motion of 64 and an
+/// outcome of 72, and these a table of 64, which is encoded once.
+const TRIAL_COPIES: usize = 10;
 
 /// Messages of at most this size [bytes] need no share of the memory for requests.
 pub const SMALL: usize = 16 << 10;
@@ -47,7 +56,7 @@ static CALLS: [Call; 11] = [
     call("Walk", TEXTS, PLAIN),
     call("Sweep", TEXTS, &SWEEP),
     call("Evaluate", LARGEST_POLICY + TEXTS, &EVALUATE),
-    call("Trials", LARGEST_TRIALS, &TRIALS),
+    Call { method: "Trials", largest: LARGEST_TRIALS, copies: TRIAL_COPIES, layout: &TRIALS },
     call("Diagnose", LARGEST_DIAGNOSIS, &DIAGNOSE),
 ];
 

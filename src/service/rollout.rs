@@ -2,9 +2,9 @@
 //! are restored.
 
 use super::encode;
-use super::guard::broken;
 use super::proto::run_session_response::Response;
 use super::proto::{self, RolloutPart};
+use super::sessions::broken;
 use super::work::Work;
 use crate::decode;
 use crate::error::{Error, Result};

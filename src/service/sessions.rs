@@ -12,7 +12,10 @@
 //!
 //! The environments are stored here whenever no operation runs on them, so a broken stream loses nothing.
 
-use super::guard::SessionGuard;
+mod guard;
+
+pub use guard::{SessionGuard, broken};
+
 use super::metrics::{Metrics, Usage};
 use super::names::name;
 use super::proto::RunSessionResponse;

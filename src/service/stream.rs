@@ -10,12 +10,13 @@
 //! thread, and the pool's threads step and encode.
 
 use super::connections::Link;
+use super::decode::Weight;
 use super::frame::Frame;
-use super::guard::SessionGuard;
 use super::intake::{Intake, Messages, Share};
 use super::proto::run_session_request::Request;
 use super::proto::run_session_response::Response;
 use super::proto::{Attached, RunSessionRequest, RunSessionResponse, Snapshot};
+use super::sessions::SessionGuard;
 use super::sessions::{Done, Hold, Sessions};
 use super::work::Work;
 use super::{decode, price, rollout, status, view};
@@ -268,17 +269,6 @@ impl Run {
             }
         }
     }
-}
-
-/// How long a request keeps the thread that checks it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Weight {
-    /// Some microseconds: the thread that received it.
-    Light,
-    /// Some milliseconds: a blocking thread.
-    Short,
-    /// Longer: a blocking thread, in turns.
-    Long,
 }
 
 /// The answer to a request out of sequence: the last answer again, or a refusal.

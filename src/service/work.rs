@@ -1,11 +1,11 @@
 //! The work of one request: the session's environments, and the obligation to answer.
 
 use super::encode;
-use super::guard::{SessionGuard, broken};
 use super::intake::Share;
 use super::proto::RunSessionResponse;
 use super::proto::run_session_response::Response;
 use super::sessions::Done;
+use super::sessions::{SessionGuard, broken};
 use super::status;
 use crate::error::{Error, Result};
 use crate::pool::{Batch, Operation, Pool};

@@ -227,6 +227,8 @@ async fn all_sessions_are_saved_beside_slow_requests() {
 async fn one_server_uses_a_directory_at_a_time() {
     let place = Place::new();
     let server = place.start();
+    // It has restored its sessions before it answers.
+    server.client().await.list_sessions(ListSessionsRequest {}).await.unwrap();
     fs::write(place.state().join(".unfinished-x"), "another server writes this").unwrap();
     let line = refused(&["--listen", "127.0.0.1:0", "--state-dir", text(&place.state())]);
     assert!(line.contains("another server uses this directory"), "{line}");

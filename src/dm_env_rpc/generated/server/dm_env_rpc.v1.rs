@@ -24,9 +24,7 @@ pub mod environment_server {
         async fn process(
             &self,
             request: tonic::Request<
-                tonic::Streaming<
-                    crate::frame::Frame<crate::proto::EnvironmentRequest>,
-                >,
+                tonic::Streaming<crate::frame::Frame<crate::proto::EnvironmentRequest>>,
             >,
         ) -> std::result::Result<tonic::Response<Self::ProcessStream>, tonic::Status>;
     }
@@ -124,9 +122,7 @@ pub mod environment_server {
                             &mut self,
                             request: tonic::Request<
                                 tonic::Streaming<
-                                    crate::frame::Frame<
-                                        crate::proto::EnvironmentRequest,
-                                    >,
+                                    crate::frame::Frame<crate::proto::EnvironmentRequest>,
                                 >,
                             >,
                         ) -> Self::Future {

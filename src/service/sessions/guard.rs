@@ -1,8 +1,8 @@
 //! A session's environments while a request works on them.
 
-use super::names::name;
-use super::sessions::{Books, Done, Environments, Sessions};
+use super::{Books, Done, Environments, Sessions};
 use crate::error::{Error, Result};
+use crate::names::name;
 use crate::pool::Batch;
 use std::sync::Arc;
 
